@@ -7,8 +7,17 @@ Every error has the code of its entry in the catalogue of alarms (`hilcell.alarm
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
+
+MOST_LISTED = 10
+
+
+def bounded(lines: Iterable[str], count: int | None = None) -> list[str]:
+    """Return the first lines of a list, and how many more there are of ``count``, or of its own."""
+    found = list(lines)
+    more = (len(found) if count is None else count) - MOST_LISTED
+    return [*found[:MOST_LISTED], *([f"and {more} more"] if more > 0 else [])]
 
 
 class HilcellError(Exception):

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from drivers.program_krl.tokens import KrlError, Statement, Token, closing, split, text_of
+from drivers.program_krl.tokens import KrlError, Statement, Token, closing, quoted, split, text_of
 
 POSE = ("X", "Y", "Z", "A", "B", "C")
 EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
@@ -71,14 +71,14 @@ class Datum:
 def aggregate(tokens: Sequence[Token]) -> dict[str, Sequence[Token]]:
     """Return the tokens of each component of ``{X 1.0,...}`` or ``{POS: X 1.0,...}``."""
     if not tokens or tokens[0].text != "{" or closing(tokens, 0) != len(tokens) - 1:
-        raise KrlError(f"{text_of(tokens) or 'nothing'} is no structure of numbers")
+        raise KrlError(f"{quoted(tokens) or 'nothing'} is no structure of numbers")
     inner = tokens[1:-1]
     if len(inner) > 1 and inner[1].text == ":":
         inner = inner[2:]
     fields: dict[str, Sequence[Token]] = {}
     for part in split(inner, ","):
         if len(part) < 2 or part[0].kind != "word":
-            raise KrlError(f"{text_of(part) or 'an empty component'} is no component with a value")
+            raise KrlError(f"{quoted(part) or 'an empty component'} is no component with a value")
         if part[0].word in fields:
             raise KrlError(f"{part[0].word} is stated twice")
         fields[part[0].word] = part[1:]

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from drivers.program_krl.data import POSE, DataList, aggregate, number
-from drivers.program_krl.tokens import KrlError, Statement, Token, closing, split, text_of
+from drivers.program_krl.tokens import KrlError, Statement, Token, closing, quoted, split, text_of
 
 SET_ONCE = {"$BASE": "base", "$TOOL": "tool"}
 NEVER_SET = (
@@ -73,7 +73,7 @@ class FrameRule:
         numbers = self._numbers(name)
         tool_no = self._data.data[name].fields()["TOOL_NO"]
         self.tool = self.tool or StatedTool(
-            line, f"{name}, TOOL_NO {text_of(tool_no)}", _whole(tool_no)
+            line, f"{name}, TOOL_NO {quoted(tool_no)}", _whole(tool_no)
         )
         if self._set:
             what, line_set = next(iter(self._set.items()))
@@ -127,7 +127,7 @@ class FrameRule:
                 self.stated = line, values
             if name == "$TOOL":
                 number = rest[3:4] if rest[1].word == "TOOL_DATA" and len(rest) > 3 else ()
-                self.tool = StatedTool(line, text_of(rest[1:]), _whole(number))
+                self.tool = StatedTool(line, quoted(rest[1:]), _whole(number))
 
     def _set_once(self, what: str, line: int) -> None:
         if what in self._set:
@@ -166,7 +166,7 @@ def _form_of(clause: Sequence[Token], line: int) -> tuple[str, int] | None:
 
 def _plain_name(name: str, rest: Sequence[Token]) -> str:
     if len(rest) != 2 or rest[0].text != "=" or rest[1].kind != "word":
-        raise KrlError(f"{name}{text_of(rest)} sets a base that is not in the .dat file")
+        raise KrlError(f"{name}{quoted(rest)} sets a base that is not in the .dat file")
     return rest[1].word
 
 
@@ -196,4 +196,4 @@ def _check_fixed(name: str, rest: Sequence[Token]) -> None:
     if rest[0].text == "=" and value and value[0].text == "{":
         aggregate(value)
         return
-    raise KrlError(f"{name}{text_of(rest)} is computed at run time")
+    raise KrlError(f"{name}{quoted(rest)} is computed at run time")

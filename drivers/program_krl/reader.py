@@ -16,7 +16,15 @@ from drivers.program_krl.data import AXES, EXTERNAL, POINTS, POSE, DataList, Dat
 from drivers.program_krl.frames import FrameRule, StatedTool, assigned_at
 from drivers.program_krl.program import Program, Target
 from drivers.program_krl.strokes import MOTIONS, STROKES, Relative, StrokeRule
-from drivers.program_krl.tokens import KrlError, Statement, Token, closing, statements, text_of
+from drivers.program_krl.tokens import (
+    KrlError,
+    Statement,
+    Token,
+    closing,
+    quoted,
+    statements,
+    text_of,
+)
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.programs import StatedBase, Stroke
 from hilcell.geometry.frames import pose_from_zyx
@@ -179,7 +187,7 @@ class _Reader:
         if target[0].text == "{":
             inline = Datum(f"{statement.head} target", "", self._file, statement.line, target)
             if any(each.startswith("A1") for each in inline.fields()):
-                raise KrlError(_JOINTS.format(f"{statement.head} {name}"))
+                raise KrlError(_JOINTS.format(f"{statement.head} {quoted(target)}"))
             self._frames.move(statement.line, clause)
             self._add(f"{statement.line}", inline, by_joints=statement.head in JOINTWISE)
             self._stands.stands_at([f"{statement.line}"])
@@ -247,7 +255,7 @@ class _Reader:
             if points or any(t.text == "{" for t in handed):
                 raise KrlError(
                     f"{token.word} is called with the motion parameter "
-                    f"{points[0] if points else text_of(handed)}: where it moves is not known"
+                    f"{points[0] if points else quoted(handed)}: where it moves is not known"
                 )
             if at == 0 and token.word not in self._own:
                 note = f"{token.word} is another program: its motions are not corrected"
@@ -328,7 +336,7 @@ def _clause(rest: Sequence[Token]) -> Sequence[Token]:
     while rest and (rest[0].word in APPROXIMATIONS or rest[0].text == ","):
         rest = rest[1:]
     if rest and rest[0].word != "WITH":
-        raise KrlError(f"{text_of(rest)} after the target makes it one that is computed")
+        raise KrlError(f"{quoted(rest)} after the target makes it one that is computed")
     return rest[1:]
 
 

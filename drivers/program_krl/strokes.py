@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 
 from drivers.program_krl.data import aggregate, number
-from drivers.program_krl.tokens import KrlError, Statement, Token, closing, text_of
+from drivers.program_krl.tokens import KrlError, Statement, Token, closing, quoted
 
 STROKES = ("LIN_REL", "SLIN_REL")
 MOTIONS = (
@@ -143,5 +143,5 @@ def _frame(head: str, rest: Sequence[Token]) -> str:
     frames = [word for word in words if word in FRAMES]
     left = [word for word in words if word not in (*FRAMES, "C_DIS", "C_VEL", "C_ORI", "C_SPL")]
     if left or len(frames) > 1:
-        raise KrlError(f"{head} is a relative motion with {text_of(rest)}, which is not understood")
+        raise KrlError(f"{head} is a relative motion with {quoted(rest)}, which is not understood")
     return frames[0] if frames else "#BASE"

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from hilcell.ports import HilcellError
 
@@ -96,5 +97,11 @@ def closing(tokens: Sequence[Token], at: int) -> int:
 
 
 def text_of(tokens: Sequence[Token]) -> str:
-    """Return tokens as one word in capitals, for comparison and messages."""
+    """Return tokens as one word in capitals, for comparison."""
     return "".join(token.word for token in tokens)
+
+
+def quoted(tokens: Sequence[Token]) -> str:
+    """Return tokens as the source has them, for messages; blanks between them are one."""
+    gaps = (" " * (later.start > before.end) for before, later in pairwise(tokens))
+    return "".join(gap + token.text for gap, token in zip(("", *gaps), tokens, strict=False))

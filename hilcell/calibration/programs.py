@@ -11,13 +11,13 @@ import numpy as np
 from hilcell.calibration.form import Calibration
 from hilcell.compensation.grid import ROUNDING_MM, OutsideGrid
 from hilcell.compensation.programs import StatedBase, Stroke
+from hilcell.errors import bounded
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, poses_from_zyx, zyx_from_pose
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import Array, HilcellError
 
 STEP_MM = 1.0  # between places of a stroke where the model is asked
 BASE_MM = 0.05  # at the targets: numbers of a program are rounded
-NAMED = 5
 
 
 class StrokeError(HilcellError):
@@ -176,5 +176,4 @@ def _refuse_missed(
 
 
 def _listed(lines: Sequence[str]) -> str:
-    more = ["..."] if len(lines) > NAMED else []
-    return "\n".join(f"  {each}" for each in [*lines[:NAMED], *more])
+    return "\n".join(f"  {each}" for each in bounded(lines))

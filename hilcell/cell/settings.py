@@ -23,7 +23,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from hilcell.clean import clean
-from hilcell.errors import HilcellError
+from hilcell.errors import HilcellError, bounded
 
 LONGEST_VALUE = 80
 _PATH = re.compile(r"(\w+)[\w.\[\]]*:")  # with which a table's own check names the field
@@ -39,14 +39,16 @@ T = TypeVar("T", bound=msgspec.Struct)
 
 
 class SettingsError(HilcellError):
-    """Settings refused; ``problems`` lists every one of them."""
+    """Settings refused; ``problems`` lists every one of them, the message the first."""
 
     code = "HC-C11"
 
     def __init__(self, source: str, problems: list[str]) -> None:
         self.source, self.problems = source, problems
         count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
-        super().__init__(f"{source}: {count}\n" + "\n".join(f"  {line}" for line in problems))
+        super().__init__(
+            f"{source}: {count}\n" + "\n".join(f"  {line}" for line in bounded(problems))
+        )
 
 
 def read_text(path: Path) -> str:

@@ -13,6 +13,7 @@ from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.commands.output_place import CSV, check_output
 from hilcell.commands.released import released
 from hilcell.compensation.targets import as_listed, write_rows
+from hilcell.errors import bounded
 from hilcell.planning.holes import read_holes, twins
 from hilcell.planning.plan import HolePlan, StationPlan, ratio
 from hilcell.planning.plan import plan as plan_holes
@@ -23,9 +24,9 @@ def plan(args: argparse.Namespace) -> int:
     cell = load_cell(args.cell, dict(args.set))
     calibrated = _calibrated(args, cell)
     holes = read_holes(Path(args.holes))
-    for warning in twins(holes):
+    for warning in bounded(twins(holes)):
         print_message(warning)
-    found = plan_holes(cell, holes, free=args.free, calibrated=calibrated)
+    found = plan_holes(cell, holes, free=args.free, calibrated=calibrated, heard=print_message)
     if args.output:
         out, inputs = Path(args.output), [Path(args.holes), Path(args.cell)]
         check_output(out, CSV, "a list", inputs=inputs)

@@ -19,6 +19,7 @@ from hilcell.commands.output_place import KNOWN
 from hilcell.commands.prepare_sheet import SHEET, sheet_of
 from hilcell.commands.prepared import Prepared, prepared
 from hilcell.commands.released import Released, released
+from hilcell.errors import bounded
 from hilcell.planning.holes import read_holes, twins
 from hilcell.planning.plan import HolePlan, plan
 from hilcell.report.sheet import sheet_html
@@ -33,13 +34,13 @@ def prepare(args: argparse.Namespace) -> int:
     cell = load_cell(args.cell, dict(args.set))
     found, source, folder = released(args, cell), Path(args.holes), Path(args.output)
     holes = read_holes(source)
-    for warning in twins(holes):
+    for warning in bounded(warnings := twins(holes)):
         print_message(warning)
-    whole = plan(cell, holes, calibrated=Volume(found.calibration))
+    whole = plan(cell, holes, calibrated=Volume(found.calibration), heard=print_message)
     stations = [prepared(args, cell, found, each) for each in whole.stations]
-    facts = _summary(found, source, whole, stations)
+    facts = _summary(found, source, whole, stations, warnings)
     contents = {SUMMARY: msgspec.json.format(msgspec.json.encode(facts), indent=1) + b"\n"}
-    sheet = sheet_of(found, cell, source.name, args.max_age, args.temperature, stations)
+    sheet = sheet_of(found, cell, source.name, args.max_age, args.temperature, stations, warnings)
     contents[SHEET] = sheet_html(sheet).encode()
     for each in stations:
         contents |= {each.file: each.content, **each.program}
@@ -63,7 +64,11 @@ def prepare(args: argparse.Namespace) -> int:
 
 
 def _summary(
-    found: Released, source: Path, whole: HolePlan, stations: list[Prepared]
+    found: Released,
+    source: Path,
+    whole: HolePlan,
+    stations: list[Prepared],
+    warnings: list[str],
 ) -> dict[str, object]:
     made = found.calibration.provenance
     return {
@@ -74,6 +79,7 @@ def _summary(
         "standing": found.stands,
         "holes": source.name,
         "notes": list(found.notes()),
+        "warnings": warnings,
         "sheet": SHEET,
         "stations": [each.facts for each in stations],
         "travel_mm": whole.travel_mm,

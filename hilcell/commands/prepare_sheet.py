@@ -13,6 +13,7 @@ from hilcell.cell.file import Cell
 from hilcell.commands.files import drill_mm_of
 from hilcell.commands.prepared import Prepared
 from hilcell.commands.released import Released
+from hilcell.errors import bounded
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.report.sheet import Sheet, SheetHole, SheetStation
 
@@ -34,8 +35,12 @@ def sheet_of(
     max_age_days: float,
     temperature_c: float | None,
     stations: Sequence[Prepared],
+    twins: Sequence[str],
 ) -> Sheet:
-    """Return the sheet of stations in order of visit; holes come from the file ``source``."""
+    """Return the sheet of stations in order of visit; holes come from the file ``source``.
+
+    ``twins`` are the warnings of holes that are listed twice.
+    """
     made, validity = found.calibration.provenance, found.calibration.validity
     until = _until(made.written, max_age_days)
     air = _air(validity, temperature_c)
@@ -65,7 +70,10 @@ def sheet_of(
         checks=list(_checks(cell, air)),
         stations=[_station(cell, each) for each in stations],
         no_bounds=refusals[0] if refusals else "",
-        warnings=[note for note in found.notes() if "SIMULATED" not in note],
+        warnings=[
+            *(note for note in found.notes() if "SIMULATED" not in note),
+            *bounded(twins),
+        ],
         invalid=[f"air outside of {air}", f"the time after {until}", *INVALID],
         footer=f"calibration {made.latest}, holes {source}",
     )

@@ -16,6 +16,8 @@ from hilcell.geometry.kinematics import Array
 from hilcell.ports import HilcellError
 
 ROUNDING_MM = 1e-6  # a target on a face may lie outside by the rounding of its frame
+FAR_MM = 200.0  # by which all targets of a list are outside where it is in another unit
+UNITS = "\nall are far off: is the list in metres or inches? It must be in mm"
 NAMED = 5  # targets that one message names
 Ints = NDArray[np.int_]
 
@@ -106,6 +108,7 @@ class Grid:
                 f"{len(bad)} of {len(targets)} targets are outside the calibrated volume "
                 f"{_text(self.origin_mm)} .. {_text(self.far_mm)} mm: {named}"
                 f"{', ...' if len(bad) > NAMED else ''}; move them, or calibrate a larger volume"
+                f"{UNITS if len(bad) == len(targets) and excess.min() >= FAR_MM else ''}"
             )
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,15 +19,17 @@ from pathlib import Path
 import numpy as np
 
 from hilcell.cell.settings import SettingsError
-from hilcell.clean import clean
+from hilcell.clean import LONGEST, UNSAFE
 from hilcell.compensation.csv_text import POINT, CsvText, read_csv
 from hilcell.compensation.stamp import COLUMN, Stamp, refuse_corrected
 from hilcell.ports import Array
 from hilcell.writing import write_whole
 
 MOST, MOST_DEG = 1e6, 1e4  # mm and whatever else, deg; beyond is a slip, and overflows
+JOINERS = re.compile("[\u200c\u200d]")
 COMPUTED = "=+-@"  # at a field's begin, for spreadsheets
 SHOWN = 40  # characters of a bad field
+HEADER_SHOWN = 200
 BOUND = "bound95_mm"
 MM_DECIMALS, DEG_DECIMALS = 4, 6
 HEADER = ["name", "x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg"]
@@ -63,7 +66,7 @@ def read_named_rows(
     header = [cell.strip() for cell in text.header]
     if header not in headers:
         wanted = " or ".join(",".join(each) for each in headers)
-        found = text.separator.join(text.header) if text.rows else "an empty file"
+        found = _header_shown(text) if text.rows else "an empty file"
         raise SettingsError(
             str(path), [f"header must be {wanted}, found {found}{_differs(header, headers)}"]
         )
@@ -79,13 +82,19 @@ def read_named_rows(
     return rows
 
 
+def _header_shown(text: CsvText) -> str:
+    """Return a header for messages: not too long, and with tabs that are seen."""
+    found = text.separator.join(text.header).replace("\t", "\\t")
+    return found if len(found) <= HEADER_SHOWN else f"{found[:HEADER_SHOWN]}..."
+
+
 def _differs(header: list[str], headers: Sequence[list[str]]) -> str:
     """Return in words what is wrong with a header, compared with that which is most like it."""
     if any("\t" in each for each in header):
         return "; its fields are separated by tabs: save it with commas or semicolons"
     wanted = max(headers, key=lambda each: len({*each} & {*header}))
     missing = [each for each in wanted if each not in header]
-    unknown = [repr(clean(each)) for each in header if each not in wanted]
+    unknown = [_shown(each) for each in header if each not in wanted]
     words = [f"missing: {', '.join(missing)}"] if missing else []
     words += [f"unknown: {', '.join(unknown)}"] if unknown else []
     if not words:
@@ -106,11 +115,9 @@ def _take(
         return [f"{len(rows.header)} fields are wanted, found {len(cells)}{more}"]
     name, faults = cells[0], []
     if name in known:
-        faults.append(f"name {name!r} was used before")
-    elif not name or name != clean(name):
-        faults.append(f"name {name!r} is empty, too long, or has outer spaces or controls")
-    elif name[0] in COMPUTED:
-        faults.append(f"name {name!r} begins with {name[0]}: a spreadsheet would compute it")
+        faults.append(f"name {_shown(name)} was used before")
+    elif fault := _name_fault(name):
+        faults.append(fault)
     known.add(name)
     try:
         values = numbers(rows.header[1:], cells[1:], text.decimal)
@@ -123,13 +130,33 @@ def _take(
     return faults
 
 
+def _name_fault(name: str) -> str:
+    """Return in words what is wrong with a name; joiners within it are letters' (Persian)."""
+    if not name:
+        return "name is empty"
+    if len(name) > LONGEST:
+        return f"name {_shown(name)} has {len(name)} characters, wanted at most {LONGEST}"
+    if name != name.strip():
+        return f"name {_shown(name)} has outer spaces"
+    found = UNSAFE.search(name[0] + JOINERS.sub("", name[1:-1]) + name[1:][-1:])
+    if found:
+        return f"name {_shown(name)} has a control character, U+{ord(found[0]):04X}"
+    if name[0] in COMPUTED:
+        return f"name {_shown(name)} begins with {name[0]}: a spreadsheet would compute it"
+    return ""
+
+
+def _shown(text: str) -> str:
+    return repr(text if len(text) <= SHOWN else f"{text[:SHOWN]}...")
+
+
 def numbers(columns: Sequence[str], cells: Sequence[str], decimal: str = POINT) -> list[float]:
     """Return plain finite numbers of sane size; raises ValueError naming the column."""
     return [_number(column, cell, decimal) for column, cell in zip(columns, cells, strict=True)]
 
 
 def _number(column: str, cell: str, decimal: str) -> float:
-    shown = repr(cell if len(cell) <= SHOWN else f"{cell[:SHOWN]}...")
+    shown = _shown(cell)
     try:
         plain = cell.replace(decimal, POINT)
         value = float(plain) if plain.isascii() and "_" not in plain else None

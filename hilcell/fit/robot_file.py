@@ -25,7 +25,6 @@ from hilcell.geometry.kinematics import Arm, Array
 
 HEADER = ["pose", "target", *(f"j{n}_deg" for n in range(1, 7)), "x_mm", "y_mm", "z_mm"]
 LABELS = 2
-MOST_PROBLEMS = 20  # named in one message
 Length = Annotated[float, Meta(ge=-MOST, le=MOST)]
 Angle = Annotated[float, Meta(ge=-MOST_DEG, le=MOST_DEG)]
 
@@ -165,9 +164,7 @@ def read_measurements(path: Path) -> Measurements:
     if not (labels or problems):
         problems.append("no measured target follows the header")
     if problems:
-        hidden = len(problems) - MOST_PROBLEMS
-        more = [f"and {hidden} more"] if hidden > 0 else []
-        raise SettingsError(str(path), problems[:MOST_PROBLEMS] + more)
+        raise SettingsError(str(path), problems)
     values = np.array(rows)
     return Measurements(
         [pose for pose, _ in labels],

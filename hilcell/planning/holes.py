@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.targets import HEADER, read_named_rows
@@ -18,7 +19,8 @@ from hilcell.geometry.rotations import from_rotvec, from_zyx
 
 NORMALS = ["name", "x_mm", "y_mm", "z_mm", "nx", "ny", "nz"]
 LEAST_NORMAL = 1e-6  # a shorter one is a zero that was rounded
-TWIN_DECIMALS = 3  # of mm, and of a normal's parts
+TWIN_MM, TWIN_RAD = 0.1, 0.02  # nearer holes are one: less than most bounds, and than any drill
+SAME_MM = 5e-4  # lists are rounded
 ROUNDING = 1e-9  # of a cosine
 TURNS = 24  # about the tool's axis, 15 deg apart
 MOST_HOLES = 5000  # routes hold all distances between holes at once
@@ -69,15 +71,27 @@ def read_holes(path: Path) -> Holes:
 
 
 def twins(holes: Holes) -> list[str]:
-    """Return in words which holes stand at the place of an earlier one, with its normal."""
-    known: dict[tuple[float, ...], str] = {}
-    found = []
-    axes = holes.tools[:, 0, :, 2]
-    for name, place in zip(holes.names, np.hstack([holes.points_mm, axes]), strict=True):
-        first = known.setdefault(tuple((place.round(TWIN_DECIMALS) + 0.0).tolist()), name)
-        if first != name:
-            found.append(f"warning: {name} and {first} are one hole: same place, same normal")
-    return found
+    """Return warnings of holes nearer to another, with its normal, than a bound tells apart."""
+    if len(holes.names) < 2:
+        return []
+    axes = holes.tools[:, 0, :, 2] * (TWIN_MM / TWIN_RAD)
+    places = np.hstack([holes.points_mm, axes])
+    none = len(places)  # stands for no neighbour
+    near = np.asarray(cKDTree(places).query(places, k=2, distance_upper_bound=TWIN_MM)[1])
+    pairs = {
+        (min(n, other), max(n, other))
+        for n, (one, two) in enumerate(near.tolist())
+        if (other := two if one == n else one) != none
+    }
+    return [_twin(holes, *pair) for pair in sorted(pairs)]
+
+
+def _twin(holes: Holes, first: int, second: int) -> str:
+    off_mm = float(np.linalg.norm(holes.points_mm[second] - holes.points_mm[first]))
+    names = f"{holes.names[second]} and {holes.names[first]}"
+    if off_mm < SAME_MM:
+        return f"warning: {names} are one hole: same place, same normal"
+    return f"warning: {names} are {off_mm:.3f} mm apart, same normal: is it one hole, listed twice?"
 
 
 def tools_against(normals: Array) -> Array:

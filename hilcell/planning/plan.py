@@ -7,6 +7,7 @@ holes of one station; between stations the robot is at its safe pose.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -21,6 +22,7 @@ from hilcell.planning.holes import Holes
 from hilcell.planning.reach import Reach, Served, reach
 from hilcell.planning.route import route
 
+SLOW_HOLES = 500  # whose plan takes seconds
 RASTER_MM = 50.0  # of free stations along the rail
 
 
@@ -69,25 +71,40 @@ def ratio(travel_mm: float, bound_mm: float) -> float:
 
 
 def plan(
-    cell: Cell, holes: Holes, *, free: bool = False, calibrated: Calibrated | None = None
+    cell: Cell,
+    holes: Holes,
+    *,
+    free: bool = False,
+    calibrated: Calibrated | None = None,
+    heard: Callable[[str], object] = lambda words: None,
 ) -> HolePlan:
     """Plan the holes at recorded stations; ``free`` adds a raster along the travel.
 
     With ``calibrated`` each hole is drilled at a station, and with a turn of the tool, where it is
-    corrected. Raises `UnreachableHoles`.
+    corrected. ``heard`` is called with each step of a plan that takes long. Raises
+    `UnreachableHoles`.
     """
     candidates = _candidates(cell, free=free)
     if calibrated is not None:
         candidates = [each for each in candidates if each.name in calibrated.stations]
         for station in candidates:
             holes = holes.with_turn_near(calibrated.orientation(station.name))
+    slow = len(holes.names) >= SLOW_HOLES
+    if slow:
+        heard(f"planning {len(holes.names)} holes: where they are reached")
     reached = reach(cell, holes, candidates, calibrated)
     off_mm = _off_mm(cell, holes, candidates)
     new = np.array([station not in cell.station for station in candidates])
     chosen = fewest(reached.ok, (new + _remoteness(off_mm, reached.ok)) / 2)
     owner = chosen[_closest(off_mm[:, chosen], reached.ok[:, chosen])]
     order = along_rail({each: candidates[each].rail_mm for each in owner.tolist()})
-    return HolePlan([_at_station(holes, reached, candidates[each], each, owner) for each in order])
+    stations = []
+    for each in order:
+        if slow:
+            count = int((owner == each).sum())
+            heard(f"{candidates[each].name}: the order of {count} holes")
+        stations.append(_at_station(holes, reached, candidates[each], each, owner))
+    return HolePlan(stations)
 
 
 def along_rail(rail_mm: dict[int, float]) -> list[int]:

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilcell.cell.file import Cell, Station
+from hilcell.compensation.grid import FAR_MM, UNITS
+from hilcell.errors import MOST_LISTED, bounded
 from hilcell.geometry.frames import inverse
 from hilcell.geometry.inverse import inverse_kinematics, nearest_turns, reach_excess_mm
 from hilcell.geometry.kinematics import Array
@@ -110,15 +112,18 @@ def _refuse_unreached(
 ) -> None:
     bad = np.flatnonzero(~ok.any(axis=1))
     if len(bad):
-        named = "".join(
-            f"\n  {holes.names[n]}: {_why_not(cell, _one(holes, n), stations, served)}"
-            for n in bad.tolist()
+        why = (
+            f"{holes.names[n]}: {_why_not(cell, _one(holes, n), stations, served)}"
+            for n in bad[:MOST_LISTED].tolist()
         )
+        named = "".join(f"\n  {line}" for line in bounded(why, len(bad)))
+        small = len(bad) == len(ok) and float(np.abs(holes.points_mm).max()) < FAR_MM
         raise UnreachableHoles(
             f"{len(bad)} of {_counted(len(ok), 'hole')} cannot be drilled from "
             f"{_places(stations)} in status {cell.robot.status}:{named}"
             "\nmove the part or the tracker, or "
             + ("try --free stations" if served is None else "calibrate a larger volume")
+            + (UNITS if small else "")
         )
 
 

@@ -136,6 +136,19 @@ def test_from_holes_to_files_of_corrected_targets(
         assert "was corrected before" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("off_mm", [0.0, 0.001])
+def test_a_hole_listed_twice_is_on_the_sheet_and_in_the_summary(
+    tmp_path: Path, off_mm: float
+) -> None:
+    x_mm, y_mm, z_mm = INSIDE[0]
+    path = holes(tmp_path, *INSIDE, (x_mm + off_mm, y_mm, z_mm))
+    made(tmp_path)
+    assert prepare(tmp_path, path) == 0
+    (warning,) = json.loads((tmp_path / "out" / "summary.json").read_text())["warnings"]
+    assert "H4 and H1 are" in warning
+    assert warning in (tmp_path / "out" / "sheet.html").read_text()
+
+
 def test_files_of_another_job_do_not_stay_among_these(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

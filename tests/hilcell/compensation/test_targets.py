@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hilcell.cell.settings import SettingsError
+from hilcell.compensation.grid import Grid, OutsideGrid
 from hilcell.compensation.targets import HEADER, read_targets, write_targets
 
 HEAD = ",".join(HEADER)
@@ -46,6 +47,43 @@ def test_all_problems_are_told_with_their_lines(tmp_path: Path) -> None:
         "line 11: x_mm is '1e308', wanted within +-1e+06",
         f"line 12: x_mm is '{40 * '9'}...', wanted within +-1e+06",
     ]
+
+
+@pytest.mark.parametrize(
+    ("name", "fault"),
+    [
+        ("", "name is empty"),
+        ("n" * 3000, f"name '{40 * 'n'}...' has 3000 characters, wanted at most 200"),
+        (" H1", "name ' H1' has outer spaces"),
+        ("H\t1", "name 'H\\t1' has a control character, U+0009"),
+        ("H\u202e1", "name 'H\\u202e1' has a control character, U+202E"),
+        ("H1\u200d", "name 'H1\\u200d' has a control character, U+200D"),
+        ("=H1", "name '=H1' begins with =: a spreadsheet would compute it"),
+    ],
+)
+def test_what_is_wrong_with_a_name(tmp_path: Path, name: str, fault: str) -> None:
+    with pytest.raises(SettingsError) as refused:
+        read_targets(file_of(tmp_path, HEAD, f"{name},1,2,3,0,0,0"))
+    assert refused.value.problems == [f"line 2: {fault}"]
+
+
+def test_persian_names_with_joiners_are_read(tmp_path: Path) -> None:
+    name = "\u0645\u06cc\u200c\u062e"
+    assert read_targets(file_of(tmp_path, HEAD, f"{name},1,2,3,0,0,0"))[0] == [name]
+
+
+def test_tabs_of_a_header_are_shown(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match=r"found name\\tx_mm"):
+        read_targets(file_of(tmp_path, HEAD.replace(",", "\t")))
+
+
+def test_a_list_in_metres_is_asked_for_its_unit() -> None:
+    grid = Grid(np.array([900.0, -300.0, 600.0]), 100.0, (4, 4, 4))
+    with pytest.raises(OutsideGrid, match="metres or inches"):
+        grid.check_inside(np.array([[1.0, 0.2, 0.9]] * 3))
+    with pytest.raises(OutsideGrid) as refused:
+        grid.check_inside(np.array([[1.0, 0.2, 0.9], [950.0, -250.0, 650.0]]))
+    assert "metres" not in str(refused.value)
 
 
 @pytest.mark.parametrize(

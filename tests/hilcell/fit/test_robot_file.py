@@ -112,7 +112,6 @@ def test_every_bad_line_is_named(written: Write) -> None:
         LINE.replace("2439.1", "1_0"),
         LINE.replace("2439.1", "\u0661\u0662"),
         LINE.replace("2439.1", "1e308"),
-        LINE.replace("33.9", "10001"),
     ]
     said = problems_of(read_measurements, written("\n".join(lines)))
     assert "line 2" not in said
@@ -126,13 +125,16 @@ def test_every_bad_line_is_named(written: Write) -> None:
     assert "line 10: x_mm is '1_0', wanted a number" in said
     assert "line 11: x_mm is '\u0661\u0662', wanted a number" in said
     assert "line 12: x_mm is '1e308', wanted within +-1e+06" in said
-    assert "line 13: j2_deg is '10001', wanted within +-10000" in said
+    said = problems_of(
+        read_measurements, written("\n".join([lines[0], LINE.replace("33.9", "10001")]))
+    )
+    assert "line 2: j2_deg is '10001', wanted within +-10000" in said
 
 
 def test_a_long_list_of_bad_lines_is_cut(written: Write) -> None:
     said = problems_of(read_measurements, written(",".join(HEADER) + 50 * "\nx"))
-    assert "and 30 more" in said
-    assert said.count("\n") == 21
+    assert "and 40 more" in said
+    assert said.count("\n") == 11
 
 
 @pytest.mark.parametrize(

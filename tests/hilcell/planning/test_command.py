@@ -67,8 +67,32 @@ def test_unreachable_holes_exit_with_2(tmp_path: Path, capsys: pytest.CaptureFix
     shown = capsys.readouterr()
     assert shown.out == ""
     assert "40 of 40 holes cannot be drilled" in shown.err
-    assert shown.err.count("\n  H") == 40
+    assert shown.err.count("\n  H") == 10
+    assert "\n  and 30 more\n" in shown.err
+    assert "metres or inches" not in shown.err
     assert not out.exists()
+
+
+def test_a_long_plan_says_what_it_does(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hilcell.planning.plan.SLOW_HOLES", 40)
+    assert main(["plan", str(holes_file(tmp_path))]) == 0
+    shown = capsys.readouterr().err
+    assert "planning 40 holes: where they are reached" in shown
+    assert shown.count(": the order of ") >= 2
+
+
+def test_a_list_in_metres_is_asked_for_its_unit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "holes.csv"
+    rows = [f"H{n},-0.1,{n / 1000},1.1,0,0,-1" for n in range(1000)]
+    file.write_text("\n".join([",".join(NORMALS), *rows]), "utf-8")
+    assert main(["plan", str(file)]) == 2
+    shown = capsys.readouterr().err
+    assert "is the list in metres or inches? It must be in mm" in shown
+    assert len(shown.splitlines()) < 30
 
 
 def test_bad_files_exit_with_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

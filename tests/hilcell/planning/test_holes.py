@@ -11,7 +11,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.compensation.targets import HEADER
 from hilcell.geometry.frames import pose_from_zyx
 from hilcell.planning import holes as module
-from hilcell.planning.holes import NORMALS, TURNS, Holes, read_holes, tools_against
+from hilcell.planning.holes import NORMALS, TURNS, Holes, read_holes, tools_against, twins
 
 
 def file_of(folder: Path, *lines: str) -> Path:
@@ -93,6 +93,22 @@ def test_too_many_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     lines = [f"H{n},1,2,3,1,0,0" for n in range(3)]
     (problem,) = problems_of(file_of(tmp_path, ",".join(NORMALS), *lines))
     assert problem == "3 holes, wanted at most 2: split the file"
+
+
+@pytest.mark.parametrize(
+    ("off_mm", "words"),
+    [
+        (0.0, "h1 and H1 are one hole: same place, same normal"),
+        (0.001, "h1 and H1 are 0.001 mm apart, same normal: is it one hole, listed twice?"),
+        (0.2, ""),
+    ],
+)
+def test_holes_nearer_than_a_bound_tells_apart(tmp_path: Path, off_mm: float, words: str) -> None:
+    path = file_of(
+        tmp_path, ",".join(NORMALS), "H1,1,2,3,-1,0,0", "H9,1,2,3,1,0,0",
+        f"h1,{1 + off_mm},2,3,-1,0,0",
+    )  # fmt: skip
+    assert twins(read_holes(path)) == ([f"warning: {words}"] if words else [])
 
 
 def test_the_turn_nearest_to_an_orientation() -> None:
