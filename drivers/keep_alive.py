@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Generic, Protocol, TypeVar
 
-from drivers.c3 import C3Connection
 from hilcell.ports import DeviceError, Stopped
 
 IDLE_S = 8.0
@@ -18,14 +18,23 @@ LOOK_S = 1.0
 JOIN_S = 3.0
 
 
-class KeepAlive:
-    """Reads ``variable`` over every connection that has been idle for `IDLE_S`."""
+class Connection(Protocol):
+    """One that knows when it was used last, by ``time.monotonic()``."""
 
-    def __init__(self, connections: Sequence[C3Connection], variable: str) -> None:
-        self._connections, self._variable = connections, variable
+    used_s: float
+
+
+Kept = TypeVar("Kept", bound=Connection)
+
+
+class KeepAlive(Generic[Kept]):
+    """Calls ``ask`` with every connection that has been idle for `IDLE_S`."""
+
+    def __init__(self, connections: Sequence[Kept], ask: Callable[[Kept], object]) -> None:
+        self._connections, self._ask = connections, ask
         self._failure: DeviceError | None = None
         self._end = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="c3 keep-alive", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="keep-alive", daemon=True)
         self._thread.start()
 
     def check(self) -> None:
@@ -50,4 +59,4 @@ class KeepAlive:
     def _ask_idle(self) -> None:
         for connection in self._connections:
             if time.monotonic() - connection.used_s > IDLE_S:
-                connection.read(self._variable)
+                self._ask(connection)

@@ -100,3 +100,17 @@ def unreadable(name: str, found: object) -> DeviceError:
         act="check the server's version, resume",
         fields={"variable": name},
     )
+
+
+def override_held(found: int, wanted: int) -> None:
+    """Raise `DeviceError` where an override did not become what was wanted."""
+    if found != wanted:
+        raise DeviceError(
+            "HC-B40",
+            DEVICE,
+            "sweep",
+            f"$OV_PRO is {found}",
+            wanted=f"{wanted}",
+            act="the panel holds the override; release it, resume",
+            fields={"override": found, "wanted_override": wanted},
+        )

@@ -282,16 +282,14 @@ class KukaRobot:
 
     def _await_acknowledgement(self, number: int, limits: MotionLimits) -> None:
         while not self.acknowledged(number):
-            self.check_round(limits, number)
+            self.check_round(next(self._round), limits, number)
             self._clock.wait(POLL_S)
 
-    def check_round(self, limits: MotionLimits, number: int) -> tuple[str, ...]:
-        """Look whether all is well with a motion, at what is due; return what was looked at."""
-        names = next(self._round)
+    def check_round(self, names: tuple[str, ...], limits: MotionLimits, number: int) -> None:
+        """Look whether all is well with a motion, by these variables."""
         self.check(*(name for name in names if name != PROGRESS))
         if PROGRESS in names:
             self.check_progress(limits, number)
-        return names
 
     def check_progress(self, limits: MotionLimits, number: int) -> None:
         """Raise `DeviceError` where a motion stands or creeps."""

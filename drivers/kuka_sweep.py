@@ -9,6 +9,8 @@ give it back, at rest only, and only where nobody has changed it meanwhile.
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
+from itertools import cycle
 from typing import Protocol, Self
 
 import numpy as np
@@ -47,8 +49,8 @@ class SweepingRobot(Protocol):
     def acknowledged(self, number: int) -> bool:
         """Whether a motion has ended; raises the program's error."""
 
-    def check_round(self, limits: MotionLimits, number: int) -> tuple[str, ...]:
-        """Look whether all is well with a motion, at what is due; return what was looked at."""
+    def check_round(self, names: tuple[str, ...], limits: MotionLimits, number: int) -> None:
+        """Look whether all is well with a motion, by these variables."""
 
     def rest(self, target_deg: Array) -> RobotReading:
         """Wait until the robot stands at its target."""
@@ -92,6 +94,7 @@ class KukaSweep:
         self._target_deg = np.zeros(6)
         self._velocity = self._override = PERCENT
         self._variable, self._number, self._under_way = PROGRESS, 0, False
+        self._round: Iterator[tuple[str, ...]] = iter(())
         self._limits = MotionLimits(0.0, STALL_S, PROGRESS_DEG)
 
     def __enter__(self) -> Self:
@@ -99,7 +102,7 @@ class KukaSweep:
         robot, controller = self._robot, self._robot.wire()
         controller.look()
         robot.check(*HEALTH, OVERRIDE)
-        self._variable = controller.measured
+        self._variable, self._round = controller.measured, cycle(controller.rounds)
         found = integer(controller, OVERRIDE)
         share = self._speed_deg_s / self._full_deg_s
         self._velocity, self._override = split_speed(share, found)
@@ -153,8 +156,9 @@ class KukaSweep:
         if self._robot.acknowledged(self._number):
             self.ended = True
             return
-        seen = self._robot.check_round(self._limits, self._number)
-        if OVERRIDE not in seen:
+        names = next(self._round)
+        self._robot.check_round(names, self._limits, self._number)
+        if OVERRIDE not in names:
             return
         if (found := integer(self._robot.wire(), OVERRIDE)) != self._override:
             raise DeviceError(

@@ -12,12 +12,12 @@ from msgspec import Meta
 from drivers import krl
 from drivers.c3 import C3Connection
 from drivers.keep_alive import KeepAlive
-from drivers.kuka_controller import DEVICE, PROGRESS, integer, unreadable
+from drivers.kuka_controller import DEVICE, PROGRESS, integer, override_held, unreadable
 from drivers.kuka_health import AXES
 from drivers.kuka_life import LIVING_VERSION, LifeSign
 from drivers.kuka_robot import KukaOptions, KukaRobot
 from hilcell.clean import clean
-from hilcell.ports import Array, Clock, DeviceError
+from hilcell.ports import Array, Clock
 
 PTP_JOINTS = 1
 MEASURED = "$AXIS_ACT_MEAS"
@@ -62,16 +62,7 @@ class C3Access:
         self._line.write("HC_OV_SET", str(wanted))
         self._line.write("HC_OV_OLD", str(found))  # from here on the controller knows its old value
         self._line.write("$OV_PRO", str(wanted))
-        if (set_to := integer(self, "$OV_PRO")) != wanted:
-            raise DeviceError(
-                "HC-B40",
-                DEVICE,
-                "sweep",
-                f"$OV_PRO is {set_to}",
-                wanted=f"{wanted}",
-                act="the panel holds the override; release it, resume",
-                fields={"override": set_to, "wanted_override": wanted},
-            )
+        override_held(integer(self, "$OV_PRO"), wanted)
 
     def give_back_override(self) -> None:
         """Write the old value, where nobody has changed the lowered one."""
@@ -116,7 +107,7 @@ class C3Controller(C3Access):
         except BaseException:
             self._line.close()
             raise
-        self._keeper = KeepAlive((self._line, self._stop_line), "$MODE_OP")
+        self._keeper = KeepAlive((self._line, self._stop_line), lambda line: line.read("$MODE_OP"))
         self._life = LifeSign()
         self._written: dict[str, str] = {}
 

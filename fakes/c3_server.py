@@ -13,6 +13,7 @@ import struct
 import threading
 from collections.abc import Callable
 
+from fakes.answers import RECEIVE, Answers
 from fakes.faults import Faults, Vanished
 from fakes.krl import KrlError
 from fakes.krl_controller import KrlController
@@ -26,7 +27,6 @@ MAX_CLIENTS = 10
 HEAD = struct.Struct("!HH")
 SUCCESS = b"\x00\x01\x01"
 FAILURES = {0: b"\x00\x00\x00", 1: b"\x00\x01\x00"}  # C3 Bridge's, KUKAVARPROXY's
-RECEIVE = 4096
 
 
 class C3Server:
@@ -43,6 +43,7 @@ class C3Server:
         """``catch_up`` lets others do work that became due while a request was answered."""
         self._controller, self._faults, self._catch_up = controller, faults, catch_up
         self._closing = threading.Event()
+        self._answers = Answers(faults, self._closing)
         self._listener = Listener("c3", self._serve, limit=MAX_CLIENTS, port=port)
         self.port = self._listener.port
 
@@ -81,7 +82,7 @@ class C3Server:
                 except Vanished:
                     self._listener.hang_up()
                     return
-                if reply is not None and not self._send(client, segments, reply):
+                if reply is not None and not self._answers.send(client, segments, reply):
                     return
 
     def answer(self, tag: int, request: bytes) -> bytes | None:
@@ -112,28 +113,6 @@ class C3Server:
         footer = self._faults.number("robot.failure_footer")
         if footer is not None:
             raise _Failure(int(footer))
-
-    def _send(self, client: socket.socket, segments: Segments, reply: bytes) -> bool:
-        """Send the reply as the faults want it; return whether the client stays connected."""
-        take = self._faults.take
-        if take("robot.idle_close") is not None:
-            return False
-        if take("robot.half_open") is not None:
-            client.settimeout(None)
-            while client.recv(RECEIVE):  # nothing comes of it until the client has gone
-                pass
-            return False
-        if take("robot.no_reply") is not None:
-            return True
-        late_s = self._faults.number("robot.late_reply")
-        if late_s is not None:
-            self._closing.wait(late_s)
-        if take("robot.split_reply") is not None:
-            client.sendall(reply[: len(reply) // 2])
-            self._closing.wait(0.02)  # so that both halves are segments of their own
-            reply = reply[len(reply) // 2 :]
-        segments.send(reply)
-        return True
 
 
 class _Failure(Exception):

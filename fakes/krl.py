@@ -27,6 +27,15 @@ def aggregate(kind: str, values: Mapping[str, float | int], *more: str) -> str:
     return f"{{{kind}: {', '.join([members(values), *more])}}}"
 
 
+def raw_members(text: str) -> dict[str, str]:
+    """Return the members of a structure as text; raises `KrlError`."""
+    match = _AGGREGATE.match(text.strip())
+    if match is None:
+        raise KrlError(text)
+    parts = (part.split() for part in match[2].split(","))
+    return {name: value for name, value in parts if value}
+
+
 def boolean(value: bool) -> str:
     """Return TRUE or FALSE."""
     return "TRUE" if value else "FALSE"

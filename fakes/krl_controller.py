@@ -9,7 +9,7 @@ motion is under way, unless it is set back before it reaches zero.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -85,6 +85,7 @@ class KrlController:
         self._pose, self._turns = np.zeros(6), {"S": 0, "T": 0}
         self._pose_of: Array | None = None
         self._looks = 0
+        self._moment: RobotState | None = None  # that several variables are read of
         self._readers = self._system_readers() | self._program_readers()
         self.restore()
 
@@ -108,6 +109,16 @@ class KrlController:
             self._strike_on_request()
             self._run_program()
             return reader()
+
+    def read_all(self, names: Sequence[str]) -> list[str]:
+        """Return variables of one moment, as a program on the controller reads them."""
+        with self._lock:
+            self._strike_on_request()
+            self._moment = self._poll()
+            try:
+                return [self._readers[name]() for name in names]
+            finally:
+                self._moment = None
 
     def write(self, name: str, text: str) -> None:
         """Set a variable from its text; raises `KrlError` where KRL would refuse."""
@@ -177,7 +188,8 @@ class KrlController:
         return value if found is None else int(found)
 
     def _read_acknowledge(self) -> str:
-        self._looks = 0
+        if self._moment is None:
+            self._looks = 0
         self._poll()
         return str(self._acknowledged)
 
@@ -226,6 +238,7 @@ class KrlController:
                 self._acknowledge()
 
     def _start(self) -> int:
+        self._looks = 0
         if self._integers["HC_CMD"] != MOVE_PTP:
             return UNKNOWN_COMMAND
         target_deg = np.array([self._target_deg[axis] for axis in AXES])
@@ -293,6 +306,8 @@ class KrlController:
 
     def _poll(self) -> RobotState:
         """Let a moving robot get further, strike it if so wanted, and return its state."""
+        if self._moment is not None:
+            return self._moment
         self._strike_by_motion()
         state = self._motion.poll()
         self._run_program()

@@ -26,17 +26,17 @@ class Segments:
 
     def __init__(self, client: Client) -> None:
         self._client = client
-        self._sent = 0
+        self.sent = 0
 
     def send(self, data: bytes) -> None:
         """Send ``data``; raises `OSError`."""
-        self._sent += 1
-        if self._sent % LATE_EVERY == 0:
+        self.sent += 1
+        if self.sent % LATE_EVERY == 0:
             time.sleep(LATE_S)
-        if self._sent % SPLIT_EVERY == 0 and len(data) > 1:
-            cut = 1 + self._sent % (len(data) - 1)
+        if self.sent % SPLIT_EVERY == 0 and len(data) > 1:
+            cut = 1 + self.sent % (len(data) - 1)
             self._client.sendall(data[:cut])
             data = data[cut:]
-            if self._sent % APART_EVERY == 0:
+            if self.sent % APART_EVERY == 0:
                 time.sleep(APART_S)
         self._client.sendall(data)

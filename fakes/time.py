@@ -50,6 +50,11 @@ class PlantTime:
                 self._stepped_s = max(self._stepped_s, min(end_s, self._stepped_s + step_s))
         return self.now_s()
 
+    def spend(self, duration_s: float) -> None:
+        """Let the rest of a slow exchange pass, while somebody follows a motion."""
+        if self._followers:
+            self.advance(duration_s)
+
     def follow(self, follower: Follower) -> None:
         """Have ``follower`` called by `catch_up` from now on."""
         with self._lock:

@@ -7,6 +7,7 @@ import socket
 import struct
 import threading
 from collections.abc import Callable
+from typing import Self
 
 from tests.drivers.peers import Server, exactly
 
@@ -58,7 +59,7 @@ class KukaPeer:
         self._steps = 0
         self.server = Server(self._serve)
 
-    def __enter__(self) -> KukaPeer:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -2,8 +2,12 @@
 
 import re
 from importlib import resources
+from xml.etree import ElementTree
 
+from drivers import eki
+from drivers.kuka_health import FRAME
 from drivers.kuka_life import LIFE_S, LIVING_VERSION, TIMER
+from drivers.robot_kuka_eki import DOCUMENTS_VERSION
 from tests.drivers.kuka_peer import VARIABLES
 
 
@@ -41,3 +45,72 @@ def test_what_brakes_the_robot_keeps_the_other_brake_out() -> None:
         assert {*acts[:2]} == {"INTERRUPT OFF 21", "INTERRUPT OFF 22"}
         assert acts[2] == "BRAKE F"
         assert acts[-1] == "RESUME"
+
+
+def eki_text(name: str) -> str:
+    return (resources.files("drivers") / "eki_krl" / name).read_text("ascii")
+
+
+def configured(name: str, part: str) -> set[str]:
+    root = ElementTree.fromstring(eki_text(name))
+    return {str(element.get("Tag")) for element in root.findall(f"{part}/XML/ELEMENT")}
+
+
+def tags(document: bytes) -> set[str]:
+    """Return the paths of a document's attributes."""
+    root = ElementTree.fromstring(document)
+    paths = {f"{root.tag}/@{name}" for name in root.attrib}
+    return paths | {f"{root.tag}/{each.tag}/@{name}" for each in root for name in each.attrib}
+
+
+def test_the_interface_is_configured_for_all_that_the_driver_sends() -> None:
+    """A value without a queue, or a queue without a value, shifts what the program takes."""
+    assert configured("HilcellEki.xml", "RECEIVE") == tags(eki.command(1, eki.MOVE))
+    assert configured("HilcellStop.xml", "RECEIVE") == tags(eki.stop_command(1, brake=True))
+
+
+def test_the_interface_is_configured_for_all_that_the_driver_reads() -> None:
+    sent = configured("HilcellEki.xml", "SEND")
+    read = {f"RobotState/{element}/@{attribute}" for element, attribute in eki.SINGLE.values()}
+    places = [*eki.AXES, eki.E1, *FRAME]
+    read |= {"RobotState/Command/@Id"} | {f"RobotState/Pos/@{name}" for name in places}
+    read |= {f"RobotState/{frame}/@{name}" for frame in ("Tool", "Base") for name in FRAME}
+    assert read == sent - {"RobotState/Pos/@S", "RobotState/Pos/@T"}
+    assert configured("HilcellStop.xml", "SEND") == {"RobotStopState/Command/@Id"}
+
+
+def test_the_submit_program_takes_and_sets_each_value_once() -> None:
+    """Strings that differ in one letter are no error on a controller, only a value that stays 0."""
+    source = eki_text("hilcell_eki.src")
+    taken = re.findall(r'EKI_Get\w+ \("(\w+)", "([^"]+)"', source)
+    assert len(taken) == len(set(taken))
+    assert {tag for name, tag in taken if name == "HilcellEki"} == configured(
+        "HilcellEki.xml", "RECEIVE"
+    )
+    assert {tag for name, tag in taken if name == "HilcellStop"} == configured(
+        "HilcellStop.xml", "RECEIVE"
+    )
+    put = set(re.findall(r'"(Robot\w+/[^"]+)"', source)) - {tag for _, tag in taken}
+    received = configured("HilcellEki.xml", "RECEIVE") | configured("HilcellStop.xml", "RECEIVE")
+    assert (
+        put
+        == (configured("HilcellEki.xml", "SEND") | configured("HilcellStop.xml", "SEND")) - received
+    )
+    assert f"HE_VER={DOCUMENTS_VERSION}\n" in eki_text("hilcell_eki.dat")
+
+
+def test_the_submit_program_uses_what_is_declared() -> None:
+    source, data = eki_text("hilcell_eki.src"), eki_text("hilcell_eki.dat")
+    declared = set(re.findall(r"DECL (?:GLOBAL )?\w+ (HE_\w+)=", data))
+    routines = set(re.findall(r"^DEF (\w+) ", source, re.MULTILINE))
+    used = set(re.findall(r"\bHE_[A-Z_0-9]+\b", re.sub(r"(?m)^\s*;.*$", "", source)))
+    assert used == (declared | routines) - {"hilcell_eki"}
+    assert set(re.findall(r"\bHC_[A-Z_]+\b", source)) <= set(VARIABLES)
+    assert source.count("\nDEF ") == len(re.findall(r"(?m)^END$", source))
+    for word in ("IF", "SWITCH"):
+        begun = len(re.findall(rf"(?m)^\s*{word} ", source))
+        assert begun == len(re.findall(rf"(?m)^\s*END{word}$", source))
+    types = [eki.MOVE, eki.BRAKE, eki.RELEASE, eki.LOWER, eki.GIVE_BACK]
+    hear = source.split("DEF HE_HEAR ( )")[1].split("\nEND\n")[0]
+    assert [int(n) for n in re.findall(r"CASE (\d)", hear)] == types
+    assert hear.index("$TIMER[10] = -HE_MS") < hear.index("SWITCH")

@@ -1,0 +1,241 @@
+from __future__ import annotations
+
+import contextlib
+import re
+import socket
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import pytest
+
+from fakes.eki_program import QUEUE, RECEIVED, Overflow, Queues
+from fakes.eki_server import EkiServer
+from fakes.faults import Faults
+from fakes.krl import KrlError
+from fakes.krl_controller import KrlController
+from fakes.plant import Plant
+from fakes.time import PlantTime
+from hilcell.cell.file import Cell
+from tests.fakes.rail_bench import until
+from tests.fakes.wires import connected
+
+NEAR = [5.0, -85.0, 95.0, 0.0, -30.0, 10.0]
+FAR = [-60.0, -60.0, 60.0, 30.0, -60.0, 90.0]
+END, STOP_END = b"</RobotState>", b"</RobotStopState>"
+ASK, MOVE, BRAKE, RELEASE, LOWER, GIVE_BACK = range(6)
+
+
+class EkiClient:
+    """Written from protocols.md: frames on the closing tag."""
+
+    def __init__(self, wire: socket.socket, end: bytes = END) -> None:
+        self.wire, self._end, self._pending = wire, end, b""
+
+    def document(self) -> bytes:
+        while self._end not in self._pending:
+            piece = self.wire.recv(4096)
+            if not piece:
+                raise EOFError(self._pending)
+            self._pending += piece
+        first, _, self._pending = self._pending.partition(self._end)
+        return first + self._end
+
+    def send(self, number: int, kind: int, axes: list[float] | None = None, more: int = 30) -> None:
+        places = " ".join(f'A{n}="{v}"' for n, v in enumerate(axes or [0.0] * 6, 1))
+        self.wire.sendall(
+            f'<RobotCommand Id="{number}" Type="{kind}" Percent="{more}" Life="1500">'
+            f'<Pos {places} E1="0"/></RobotCommand>'.encode()
+        )
+
+    def answer(self, number: int) -> dict[str, str]:
+        """Return element.attribute: text of the answer to a command."""
+        while True:
+            found = values(self.document())
+            if found["Command.Id"] == str(number):
+                return found
+
+    def ask(self, number: int, kind: int = ASK, axes: list[float] | None = None) -> dict[str, str]:
+        self.send(number, kind, axes)
+        return self.answer(number)
+
+    def go(self, number: int, axes: list[float]) -> dict[str, str]:
+        state = self.ask(number, MOVE, axes)
+        for asked in range(-100, 0):
+            if state["Command.Finished_Id"] == str(number):
+                return state
+            state = self.ask(asked)
+        raise AssertionError("never finished")
+
+
+def values(document: bytes) -> dict[str, str]:
+    found = {}
+    for element, attributes in re.findall(r"<(\w+) ([^>]*)/>", document.decode()):
+        for name, text in re.findall(r'(\w+)="([^"]*)"', attributes):
+            found[f"{element}.{name}"] = text
+    return found
+
+
+def axes_of(state: dict[str, str]) -> list[float]:
+    return [float(state[f"Pos.A{n}"]) for n in range(1, 7)]
+
+
+@dataclass
+class Robot:
+    plant: Plant
+    faults: Faults
+    server: EkiServer
+    controller: KrlController
+    client: EkiClient
+
+
+@pytest.fixture
+def robot(cell: Cell) -> Iterator[Robot]:
+    faults = Faults()
+    plant = Plant(cell, 1, PlantTime(), faults)
+    controller = KrlController(cell, plant.robot, faults, plant.lose_zero)
+    server = EkiServer(controller, faults, plant.time)
+    with contextlib.closing(server):
+        server.start()
+        with connected(server.port) as wire:
+            yield Robot(plant, faults, server, controller, EkiClient(wire))
+
+
+def test_a_motion_by_one_document(robot: Robot) -> None:
+    state = robot.client.go(7, NEAR)
+    assert axes_of(state) == pytest.approx(NEAR, abs=1.2e-4)
+    assert (state["Error.Code"], state["Command.Motion_Id"]) == ("0", "7")
+    assert state["Robot.Model"] == "#KR210R2700_2 C4 FLR SIMULATED"
+    assert (state["Status.Mode_Op"], state["Status.Alarm_Stop"]) == ("#EX", "TRUE")
+
+
+def test_documents_in_pieces_and_several_in_one_packet(robot: Robot) -> None:
+    command = b'<RobotCommand Id="3" Type="0" Percent="1" Life="0"><Pos A1="0" A2="0" A3="0" '
+    command += b'A4="0" A5="0" A6="0" E1="0"/></RobotCommand>'
+    for byte in command:
+        robot.client.wire.sendall(bytes([byte]))
+    assert robot.client.answer(3)
+    robot.client.wire.sendall(command.replace(b'"3"', b'"4"') + command.replace(b'"3"', b'"5"'))
+    assert robot.client.answer(4)["Command.Id"] == "4"
+    assert robot.client.answer(5)["Command.Id"] == "5"
+
+
+def test_answers_come_late_in_pieces_and_twice_by_themselves(robot: Robot) -> None:
+    found = []
+    for number in range(1, 121):
+        robot.client.send(number, ASK)
+        found.append(values(robot.client.document())["Command.Id"])
+        if found[-1] != str(number):
+            found.append(values(robot.client.document())["Command.Id"])
+    assert found[:54] == [*(str(n) for n in range(1, 53)), "52", "53"]
+    assert len(found) == 122
+
+
+def test_one_client_a_channel(robot: Robot) -> None:
+    robot.client.ask(1)
+    with connected(robot.server.port) as second, pytest.raises((EOFError, ConnectionError)):
+        EkiClient(second).ask(2)
+    robot.client.wire.shutdown(socket.SHUT_RDWR)
+    until(lambda: opens(robot), "an open channel")
+
+
+def opens(robot: Robot) -> bool:
+    with connected(robot.server.port) as wire, contextlib.suppress(EOFError, ConnectionError):
+        return EkiClient(wire).ask(3)["Command.Id"] == "3"
+    return False
+
+
+def test_the_stop_has_a_channel_of_its_own(robot: Robot) -> None:
+    robot.client.ask(1, MOVE, FAR)
+    with connected(robot.server.stop_port) as wire:
+        wire.sendall(b'<RobotStop Id="4" Brake="0"></RobotStop>')
+        assert values(EkiClient(wire, STOP_END).document())["Command.Id"] == "4"
+        assert robot.client.ask(-1)["Command.Stopped"] == "FALSE"
+        wire.sendall(b'<RobotStop Id="5" Brake="1"></RobotStop>')
+        EkiClient(wire, STOP_END).document()
+    robot.plant.time.advance(5.0)
+    state = robot.client.ask(-2)
+    assert (state["Command.Stopped"], state["Error.Code"]) == ("TRUE", "9")
+    assert state["Command.Finished_Id"] == "0"
+    assert axes_of(state)[0] > FAR[0] + 1
+    assert robot.client.ask(-3, RELEASE)["Command.Finished_Id"] == "1"
+
+
+def test_the_override_is_lowered_and_given_back(robot: Robot) -> None:
+    robot.client.send(-1, LOWER, more=7)
+    lowered = robot.client.answer(-1)
+    assert (lowered["Status.Ov_Pro"], lowered["Override.Old"]) == ("7", "100")
+    back = robot.client.ask(-2, GIVE_BACK)
+    assert (back["Status.Ov_Pro"], back["Override.Old"]) == ("100", "0")
+
+
+@pytest.mark.parametrize(
+    ("fault", "shows"),
+    [
+        ("robot.e_stop", {"Status.Alarm_Stop": "FALSE", "Status.Peri_Rdy": "FALSE"}),
+        ("robot.stopmess", {"Status.StopMess": "TRUE", "Status.Pro_State1": "#P_STOP"}),
+        ("robot.mode_t1", {"Status.Mode_Op": "#T1"}),
+        ("robot.deselected", {"Status.Pro_State1": "#P_FREE"}),
+    ],
+)
+def test_a_halted_program_still_has_its_state_told(
+    robot: Robot, fault: str, shows: dict[str, str]
+) -> None:
+    robot.client.ask(1, MOVE, FAR)
+    robot.faults.set(fault)
+    for number in range(-10, 0):
+        state = robot.client.ask(number)
+    assert {name: state[name] for name in shows} == shows
+    assert state["Command.Finished_Id"] == "0"
+
+
+def test_faults_of_the_wire(robot: Robot) -> None:
+    client, faults = robot.client, robot.faults
+    faults.set("robot.tag_mismatch")
+    client.send(-5, ASK)
+    assert values(client.document())["Command.Id"] == "-4"
+    faults.set("robot.glued_reply")
+    client.send(-6, ASK)
+    assert values(client.document())["Command.Id"] == "-4"
+    assert client.answer(-6)
+    faults.set("robot.xml_bomb")
+    client.send(-7, ASK)
+    assert b"<!ENTITY" in client.document()
+    faults.set("robot.bad_number", "NaN")
+    assert client.ask(-8)["Pos.A1"] == "NaN"
+    faults.set("robot.late_reply", 0.2)
+    began = time.monotonic()
+    client.ask(-9)
+    assert time.monotonic() - began >= 0.2
+    faults.set("robot.no_end")
+    client.send(-10, ASK)
+    client.wire.settimeout(0.5)
+    with pytest.raises(TimeoutError):
+        client.document()
+
+
+def test_a_value_that_is_left_out_shifts_all_later_ones() -> None:
+    queues = Queues(RECEIVED)
+    queues.add(b'<RobotCommand Id="1" Type="1"><Pos A1="10"/></RobotCommand>')
+    queues.add(b'<RobotCommand Id="2"><Pos A1="20"/></RobotCommand>')
+    queues.add(b'<RobotCommand Id="3" Type="5"><Pos A1="30"/></RobotCommand>')
+    taken = [queues.take(), queues.take()]
+    assert [(each["Id"], each["Type"]) for each in taken] == [("1", "1"), ("2", "5")]
+
+
+def test_a_full_queue_closes_the_connection() -> None:
+    queues = Queues(RECEIVED)
+    for _ in range(QUEUE):
+        queues.add(b'<RobotCommand Id="1"/>')
+    with pytest.raises(Overflow):
+        queues.add(b'<RobotCommand Id="1"/>')
+    with pytest.raises(KrlError):
+        queues.add(b"<RobotCommand")
+
+
+def test_a_motion_brakes_when_no_command_comes(robot: Robot) -> None:
+    robot.client.ask(1, MOVE, FAR)
+    robot.controller.write("HC_LIFE", "50")
+    robot.controller.write("$TIMER[10]", "-50")
+    until(lambda: robot.controller.read("HC_ERR") == "8", "the brake")
+    assert robot.client.ask(-1)["Command.Stopped"] == "TRUE"

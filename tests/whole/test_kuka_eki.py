@@ -1,0 +1,136 @@
+"""A run whose robot is reached through EthernetKRL: faults by name, an engine that is killed."""
+
+from __future__ import annotations
+
+import re
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from drivers import eki_wire, kuka_robot
+from hilcell.alarms import alarms_of
+from hilcell.commands.cli import main
+from hilcell.journal.runs import read_log
+from tests.whole.bench import Engine, Simulation, command, end_of, sets, simulation
+
+EKI = {"robot.driver": "kuka-eki"}
+MOVE = 1
+SLOW = {"robot.speed_percent": "5", "rail.homing_mm_s": "250"}
+SHORT = {"base_frame.points": "4", "layout.nest_samples": "2", "plan.unattended_wait_s": "0"}
+ENDS: dict[str, tuple[str, object]] = {
+    "robot.wrong_identity": ("HC-B05", "#KR6"),
+    "robot.e_stop": ("HC-B10", True),
+    "robot.stopmess": ("HC-B14", True),
+    "robot.mode_t1": ("HC-B12", True),
+    "robot.override_zero": ("HC-B16", True),
+    "robot.deselected": ("HC-B15", True),
+    "robot.wrong_tool": ("HC-B07", 2),
+    "robot.wrong_base": ("HC-B07", 3),
+    "robot.softlimit": ("HC-B20", True),
+    "robot.stops_short": ("HC-B24", 1.0),
+    "robot.frozen": ("HC-B23", True),
+    "robot.idle_close": ("HC-B02", True),
+    "robot.tag_mismatch": ("HC-B02", True),
+    "robot.no_reply": ("HC-B02", True),
+    "robot.half_open": ("HC-B02", True),
+    "robot.late_reply": ("HC-B02", 1.0),
+    "robot.bad_number": ("HC-B26", "NaN"),
+    "robot.ack_previous": ("HC-B23", True),
+    "robot.xml_bomb": ("HC-B49", True),
+    "robot.no_end": ("HC-B49", True),
+    "robot.vanish": ("HC-B01", True),
+}
+SURVIVED = ("robot.split_reply", "robot.glued_reply", "robot.stale_position")
+PLACE = 'Percent="50" Life="%d"><Pos A1="%g" A2="-90" A3="90" A4="0" A5="60" A6="0" E1="0"/>'
+
+
+@pytest.fixture(autouse=True)
+def short_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(eki_wire, "ANSWER_S", 0.5)
+    monkeypatch.setattr(eki_wire, "OPEN_S", 0.5)
+    monkeypatch.setattr(kuka_robot, "STALL_S", 1.0)
+    monkeypatch.setattr(kuka_robot, "REST_S", 1.0)
+
+
+@pytest.fixture
+def cell() -> Iterator[Simulation]:
+    with simulation(values=EKI) as cell:
+        yield cell
+
+
+def words(cell: Simulation, runs: Path, values: dict[str, str]) -> list[str | Path]:
+    address = {"simulation.address": cell.control}
+    return ["--unattended", "--runs", runs, *sets(EKI | values | address)]
+
+
+@pytest.mark.parametrize(("fault", "code", "value"), [(n, c, v) for n, (c, v) in ENDS.items()])
+def test_a_fault_that_ends_a_run_is_named(
+    cell: Simulation, tmp_path: Path, fault: str, code: str, value: object
+) -> None:
+    assert cell.ask(do="fault", name=fault, value=value, count=1000)["ok"]
+    run = ["run", "base-frame", "--name", "x", *map(str, words(cell, tmp_path, SHORT))]
+    assert main(run) in (2, 3)
+    alarms = alarms_of(read_log(tmp_path / "x"), "x", live=False)
+    assert alarms[-1].code == code, alarms
+
+
+@pytest.mark.parametrize("fault", SURVIVED)
+def test_habits_of_the_wire_are_survived(cell: Simulation, tmp_path: Path, fault: str) -> None:
+    assert cell.ask(do="fault", name=fault, value=True, count=20 if "stale" not in fault else 2)
+    done = command("run", "base-frame", "--json", *words(cell, tmp_path, SHORT))
+    assert end_of(done)["exit"] == 0, done.stderr
+
+
+def ask(cell: Simulation, number: int, kind: int = 0, a1_deg: float = 0.0) -> dict[str, str]:
+    """Return a state, as another client sees it; the channel may still be taken."""
+    robot, end_s = cell.addresses["robot"], time.monotonic() + 10.0
+    while time.monotonic() < end_s:
+        with (
+            suppress(ConnectionError),
+            socket.create_connection((robot["host"], robot["port"]), 5.0) as wire,
+        ):
+            values = f'Id="{number}" Type="{kind}" {PLACE % (60_000 * kind, a1_deg)}'
+            wire.sendall(f"<RobotCommand {values}</RobotCommand>".encode())
+            text = b""
+            while b"</RobotState>" not in text and (piece := wire.recv(4096)):
+                text += piece
+            if text:
+                return dict(re.findall(r'(\w+)="([^"]*)"', text.decode()))
+    raise AssertionError("the channel stays taken")
+
+
+def killed_in_motion(cell: Simulation, runs: Path) -> str:
+    """Kill an engine while the robot parks, see the robot braked, and return the run."""
+    found = ask(cell, 7, MOVE, 12.0)
+    while found["Finished_Id"] != "7":
+        found = ask(cell, -1)
+    engine = Engine("run", "home", *words(cell, runs, SHORT | SLOW))
+    engine.until(lambda event: event.get("action") == "robot.park")
+    time.sleep(0.5)  # of the motion, which takes 3 s
+    engine.kill()
+    killed_s = time.monotonic()
+    while (found := ask(cell, -2))["Code"] != "8":
+        assert time.monotonic() - killed_s < 2.5, found  # it asks, and gives no sign
+    assert found["Stopped"] == "TRUE"
+    assert found["Finished_Id"] == "7"
+    assert 0.5 < float(found["A1"]) < 11.9
+    return engine.run
+
+
+def test_a_killed_engine_leaves_a_braked_robot(tmp_path: Path) -> None:
+    """At the speed of a real cell: the controller's timer counts real time."""
+    with simulation(1.0, EKI) as cell:
+        killed_in_motion(cell, tmp_path)
+
+
+@pytest.mark.nightly
+def test_a_run_that_was_killed_in_a_motion_goes_on(tmp_path: Path) -> None:
+    with simulation(1.0, EKI) as cell:
+        run = killed_in_motion(cell, tmp_path)
+        done = command("resume", run, "--unattended", "--runs", tmp_path, "--json")
+        assert end_of(done)["exit"] == 0, done.stderr
+        assert abs(float(ask(cell, -3)["A1"])) < 0.01
