@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
-from drivers.channel import Socket, parse_channel
 from drivers.serial_link import SerialLink
 from drivers.supervision import Patience
 from drivers.tcp import Alarms, TcpLink
 from hilcell.ports import DeviceError
+from hilcell.wire.channel import Socket, parse_channel
 
 
 class Link(Protocol):

@@ -18,7 +18,6 @@ from msgspec import Meta
 
 from drivers import cia402, cia406, nmt, rail_setup
 from drivers.can_link import CanLink, open_bus
-from drivers.channel import parse_channel
 from drivers.drive import Drive, Limits
 from drivers.node_watch import NodeWatch
 from drivers.pdo import configure
@@ -28,6 +27,7 @@ from drivers.sdo import SdoChannel
 from drivers.standstill import READINGS, Standstill, Windows
 from drivers.supervision import Patience, Supervision
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading
+from hilcell.wire.channel import parse_channel
 
 SETTLE_S = 10.0  # wire deadline, beside the dwell
 LATE_S = 0.8  # below the consumer time of the drive (1016h)

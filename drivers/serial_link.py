@@ -10,10 +10,10 @@ from collections.abc import Callable
 
 import serial
 
-from drivers.channel import SerialLine
 from drivers.supervision import Patience
 from drivers.tcp import POLL_S, SEND_S, Alarms
 from hilcell.ports import DeviceError
+from hilcell.wire.channel import SerialLine
 
 
 class SerialLink:

@@ -20,7 +20,7 @@ from typing import Any
 import can
 import serial
 
-from drivers.channel import Socket, parse_channel
+from hilcell.wire.channel import Socket, parse_channel
 
 CONNECT_S = 5.0
 SEND_S = 0.2  # of a port that takes nothing; time in which this PC did nothing does not count

@@ -16,7 +16,6 @@ import numpy as np
 from msgspec import Meta
 
 from drivers import geocom
-from drivers.channel import parse_channel
 from drivers.geocom import Reply, Rpc
 from drivers.link import open_link
 from drivers.supervision import Patience
@@ -41,6 +40,7 @@ from hilcell.ports import (
     TrackerReading,
     says_simulated,
 )
+from hilcell.wire.channel import parse_channel
 
 BUSY_PAUSE_S = 0.1
 DISTANCE_MS = 5000  # that the instrument may take for a distance, besides `reading_s`

@@ -88,6 +88,11 @@ def add_watch_options(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="a screen has ordered this: nothing moves before one attends",
     )
+    parser.add_argument(
+        "--record-wire",
+        action="store_true",
+        help="keep all bytes to and from the devices, with times, beside the journal",
+    )
 
 
 def add_bounds_option(parser: argparse.ArgumentParser) -> None:

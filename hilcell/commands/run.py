@@ -79,6 +79,7 @@ from hilcell.run.retake import retake_refusal
 from hilcell.run.runner import Runner, finish
 from hilcell.run.same_cell import NONE, Changes, accepted, cell_file, changed_inputs
 from hilcell.run.signals import note_signals, stopped_by_signals
+from hilcell.wire.record import Addresses, WireRecording
 from hilcell.writing import NotWritten
 
 RUNS_LOOKED_AT = 5  # for poses that were driven before
@@ -319,9 +320,11 @@ def _run(
                 simulated = start_simulation(cell, seed=inputs.truth_seed, speed=speed)
                 if simulated is not None:
                     stack.callback(simulated.close)
-            addresses = simulated.options if simulated is not None else {}
+            addresses: Addresses = simulated.options if simulated is not None else {}
             if simulated is None or (cell.simulation and cell.simulation.address):
                 _lock_devices(cell, addresses, journal.run, stack)  # nobody else has our own ones
+            if args.record_wire:
+                addresses = _recorded(cell, addresses, folder, stack)
             clock = simulated.clock(stop) if simulated is not None else WallClock(stop)
             devices = build_devices(cell, addresses, clock)
             runner = Runner(
@@ -358,9 +361,16 @@ def _run(
         return Ending(code, error)
 
 
-def _lock_devices(
-    cell: Cell, addresses: Mapping[str, Mapping[str, object]], run: str, stack: ExitStack
-) -> None:
+def _recorded(cell: Cell, addresses: Addresses, folder: Path, stack: ExitStack) -> Addresses:
+    """Return the addresses of relays that record the devices' wires."""
+    recording = WireRecording(cell, addresses, folder)
+    stack.callback(recording.close)
+    for table, why in recording.left_out.items():
+        print_message(f"warning: the wire of the {table} is not recorded: {why}")
+    return recording.addresses
+
+
+def _lock_devices(cell: Cell, addresses: Addresses, run: str, stack: ExitStack) -> None:
     """Lock the places at which the devices are reached; raises `CellLocked`, `StorageError`."""
     for place, tables in device_places(cell, addresses).items():
         what = f"device {' and '.join(tables)} at {place}"

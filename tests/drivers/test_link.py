@@ -11,12 +11,12 @@ from contextlib import suppress
 
 import pytest
 
-from drivers.channel import SerialLine, Socket, parse_channel
 from drivers.link import Link, open_link
 from drivers.supervision import Patience
 from drivers.tcp import Alarms
 from drivers.text_lines import LONGEST, TextLines
 from hilcell.ports import DeviceError
+from hilcell.wire.channel import SerialLine, Socket, parse_channel
 
 ALARMS = Alarms(unreachable="HC-T01", lost="HC-T02")
 

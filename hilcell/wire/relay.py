@@ -1,0 +1,141 @@
+"""The process between drivers and devices that records: bytes pass it unchanged, in both ways.
+
+``python -P -m hilcell.wire`` reads its order, one line of JSON, prints where it listens, and ends
+when its input does. It is a process of its own, so that no work of the engine delays a stop frame.
+A device that does not answer, or hangs up, is handed on as such: the driver sees the wire closed.
+"""
+
+from __future__ import annotations
+
+import os
+import pty
+import select
+import socket
+import threading
+import tty
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from pathlib import Path
+
+import msgspec
+import serial
+
+from hilcell.wire.channel import SerialLine, Socket
+from hilcell.wire.recording import Recorder
+
+LOOPBACK = "127.0.0.1"
+READ = 65536
+CONNECT_S = 3.0
+
+
+class WireOrder(msgspec.Struct, frozen=True):
+    """One wire: where it leads, and the file of its recording."""
+
+    device: str
+    file: str
+    host: str = ""
+    port: int = 0
+    path: str = ""
+    baud: int = 0
+
+    @property
+    def place(self) -> Socket | SerialLine:
+        """Return where it leads."""
+        return SerialLine(self.path, self.baud) if self.path else Socket(self.host, self.port)
+
+
+class SocketRelay:
+    """Listens for a driver, and connects to its device for each connection of it."""
+
+    def __init__(self, place: Socket, recorder: Recorder) -> None:
+        self._place, self._recorder = place, recorder
+        self._count = 0
+        self._listening = socket.create_server((LOOPBACK, 0))
+        self.channel = f"socket://{LOOPBACK}:{self._listening.getsockname()[1]}"
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self) -> None:
+        while True:
+            near, _ = self._listening.accept()
+            self._count += 1
+            threading.Thread(target=self._serve, args=(near, self._count), daemon=True).start()
+
+    def _serve(self, near: socket.socket, number: int) -> None:
+        with near:
+            try:
+                far = socket.create_connection((self._place.host, self._place.port), CONNECT_S)
+            except OSError as error:
+                self._recorder.take(number, "refused", str(error).encode())
+                return
+            far.settimeout(None)
+            self._recorder.take(number, "open")
+            with far:
+                for end in (near, far):
+                    end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._carry(near, far, number)
+
+    def _carry(self, near: socket.socket, far: socket.socket, number: int) -> None:
+        """Carry bytes both ways until one side ends."""
+        back = threading.Thread(target=self._pump, args=(far, near, number, "<"), daemon=True)
+        back.start()
+        self._pump(near, far, number, ">")
+        back.join()
+
+    def _pump(self, source: socket.socket, sink: socket.socket, number: int, way: str) -> None:
+        outward = way == ">"
+        with suppress(OSError):
+            while data := source.recv(READ):
+                self._recorder.take(number, ">" if outward else "<", data)
+                sink.sendall(data)
+        self._recorder.take(number, "end" if outward else "lost")
+        for each in (source, sink):
+            with suppress(OSError):
+                each.shutdown(socket.SHUT_RDWR)
+
+
+class SerialRelay:
+    """A pseudo terminal in the place of a serial line; raises `OSError` where it cannot be opened.
+
+    The line is one connection for as long as the relay lives.
+    """
+
+    def __init__(self, place: SerialLine, recorder: Recorder) -> None:
+        self._recorder = recorder
+        self._line = serial.Serial(place.path, place.baud, timeout=0, exclusive=True)
+        self._near, inner = pty.openpty()
+        tty.setraw(inner)
+        self.channel = os.ttyname(inner)  # `inner` stays open: a driver may close and come again
+        recorder.take(1, "open")
+        threading.Thread(target=self._carry, daemon=True).start()
+
+    def _carry(self) -> None:
+        line: int = self._line.fileno()
+        with suppress(OSError):
+            while True:
+                ready, _, _ = select.select([self._near, line], [], [])
+                if self._near in ready:
+                    data = os.read(self._near, READ)
+                    self._recorder.take(1, ">", data)
+                    self._line.write(data)
+                if line in ready:
+                    data = os.read(line, READ)
+                    if not data:
+                        break
+                    self._recorder.take(1, "<", data)
+                    os.write(self._near, data)
+        self._recorder.take(1, "lost")
+        os.close(self._near)
+
+
+def serve(orders: list[WireOrder], until_ended: Callable[[dict[str, str]], None]) -> None:
+    """Relay wires until ``until_ended`` returns; it is handed the channels by device."""
+    with ExitStack() as stack:
+        channels: dict[str, str] = {}
+        for order in orders:
+            file = stack.enter_context(Path(order.file).open("ab"))
+            place, recorder = order.place, Recorder(file)
+            if isinstance(place, Socket):
+                channels[order.device] = SocketRelay(place, recorder).channel
+            else:
+                channels[order.device] = SerialRelay(place, recorder).channel
+        until_ended(channels)
