@@ -6,9 +6,10 @@ written back byte for byte.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from decimal import Decimal
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -92,6 +93,16 @@ class Program:
         postures = [(target.where, target.posture) for target in self.targets]
         check_turns(arm, T_W_B, postures, self.values(), command)
 
+    def misnamed(self, stem: str) -> list[str]:
+        """Return notes on modules whose name in the text is not the files' ``stem``."""
+        return [
+            f"{stem}{Path(file).suffix}: {word} names the module {name} (line {line}), and a KUKA "
+            f"wants module and file alike: name the file {name}, or change {word}"
+            for file, text in self.texts.items()
+            for word, name, line in _module(text)
+            if name.lower() != stem.lower()
+        ]
+
     def check_options(self, options: Mapping[str, Any]) -> None:
         """Refuse a tool that is not the calibrated one, of the robot's ``options``."""
         wanted = options.get("tool", USUAL_TOOL)
@@ -125,6 +136,15 @@ class Program:
         return {
             name: _edited(text, edits[name]).encode(ENCODING) for name, text in self.texts.items()
         }
+
+
+def _module(text: str) -> Iterator[tuple[str, str, int]]:
+    """Yield the word that begins the module, the module's name, and the line; once at most."""
+    for statement in statements(text):
+        words = [each for each in statement.tokens if each.word != "GLOBAL"]
+        if words[0].word in ("DEF", "DEFDAT") and len(words) > 1:
+            yield words[0].word, words[1].text, statement.line
+            return
 
 
 def formatted(value: float, like: str) -> str:

@@ -364,10 +364,10 @@ class Cell(Frozen, frozen=True, kw_only=True):
     def _bad_survey(self) -> Iterator[str]:
         if not self.has_rail:
             return
-        for end_mm in (self.survey.from_mm, self.survey.to_mm):
+        for key, end_mm in (("from_mm", self.survey.from_mm), ("to_mm", self.survey.to_mm)):
             if not self.rail.travel_min_mm <= end_mm <= self.rail.travel_max_mm:
                 yield (
-                    f"survey: {end_mm} mm is outside the travel {self.rail.travel_min_mm} .. "
+                    f"survey.{key}: {end_mm} mm is outside the travel {self.rail.travel_min_mm} .. "
                     f"{self.rail.travel_max_mm} mm"
                 )
 

@@ -17,16 +17,28 @@ _ABSENT = object()
 
 
 def with_lines(problems: Iterable[str], text: str, where: str, changed: Iterable[str]) -> list[str]:
-    """Return problems, which begin with a path and ": ", with file and line where one is proven.
+    """Return problems, which begin with a path and ": ", in the order of their lines.
 
-    Paths in ``changed``, such as ``rail.speed_mm_s``, have values that are not the file's.
+    Each has file and line where one is proven. Paths in ``changed``, such as ``rail.speed_mm_s``,
+    have values that are not the file's.
     """
     located = []
     for problem in problems:
         path = problem.partition(": ")[0]
         line = None if any(_overlap(path, each) for each in changed) else line_of(text, path)
         located.append(problem if line is None else f"{where}:{line}: {problem}")
-    return located
+    return by_line(located, where)
+
+
+def by_line(problems: Iterable[str], where: str) -> list[str]:
+    """Return problems in the order of their lines, those without one first."""
+    begin = re.compile(rf"{re.escape(where)}:(\d+): ")
+
+    def line(problem: str) -> int:
+        found = begin.match(problem)
+        return int(found[1]) if found else 0
+
+    return sorted(problems, key=line)
 
 
 def line_of(text: str, path: str) -> int | None:

@@ -16,6 +16,7 @@ from hilcell.cell.devices import (
     unknown_drivers,
 )
 from hilcell.cell.file import Cell, load_cell, located, stated_drivers
+from hilcell.cell.lines import by_line
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.output import (
     flush_data,
@@ -70,7 +71,7 @@ def _sound(where: str, overrides: dict[str, str]) -> Cell:
     except SettingsError as error:
         unknown = unknown_drivers(stated_drivers(where, overrides))
         found = located(where, unknown, overrides).problems
-        raise SettingsError(where, [*error.problems, *found]) from None
+        raise SettingsError(where, by_line([*error.problems, *found], where)) from None
     try:
         check_options(cell)
     except SettingsError as error:

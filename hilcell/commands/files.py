@@ -171,6 +171,6 @@ def _write(
     check_output(out, tuple(program.suffixes), "a program", inputs=inputs)
     numbers = command if turned else command[:, :3]
     written = write_program(program, numbers, source, out, stamp=stamp, inputs=inputs)
-    for note in notes_of(program, "{W}"):
+    for note in notes_of(program, "{W}", source, written):
         print_message(f"{source.name}: {note}")
     return " and ".join(map(str, written))

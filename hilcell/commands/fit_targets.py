@@ -121,7 +121,7 @@ def correct(job: Job, robot: Robot, found: Fitted, train: Measurements) -> dict[
         write_joints(job.out, targets.names, joints, stamp=stamp, inputs=inputs)
     else:
         write_poses(job.out, targets.names, command, stamp=stamp, inputs=inputs)
-    for note in notes_of(program, ROOT) if program else ():
+    for note in notes_of(program, ROOT, job.source, written) if program else ():
         print_message(f"{job.source.name}: {note}")
     where = " ".join(f"{each:.4f}" for each in controller.tool_mm)
     print_message(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from contextlib import suppress
 from datetime import datetime
 from typing import Any
@@ -26,6 +27,9 @@ def runs(args: argparse.Namespace) -> int:
     found = [_summary(row, known.get(row.name)) for row in listed]
     if args.json:
         print_json({"runs": found})
+        return 0
+    if not os.path.isdir(args.runs):  # noqa: PTH112 - Path.is_dir raises for a name too long
+        print_message(f"no runs: the folder {args.runs} is not there")
         return 0
     if not found:
         print_message(f"no {'such ' if rows else ''}runs in {args.runs}")

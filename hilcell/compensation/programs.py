@@ -12,7 +12,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from hilcell.cell.devices import load_entry
 from hilcell.compensation.stamp import Stamp, refuse_corrected
@@ -88,6 +88,14 @@ class Program(Protocol):
         """
 
 
+@runtime_checkable
+class NamesModule(Protocol):
+    """A program whose text states its name; other formats need no such method."""
+
+    def misnamed(self, stem: str) -> Sequence[str]:
+        """Return notes where a controller would not take its files under this stem."""
+
+
 def load_program(path: Path) -> Program | None:
     """Read a program by the format of its suffix; None where no format has it.
 
@@ -106,9 +114,15 @@ def suffixes() -> list[str]:
     return sorted(f".{name}" for name in entry_points(group="hilcell.programs").names)
 
 
-def notes_of(program: Program, frame: str) -> list[str]:
-    """Return the program's notes, and the base that it needs: that of the corrected targets."""
-    return [*program.notes, f"its targets were taken in {frame}, its base must be {frame}"]
+def notes_of(program: Program, frame: str, source: Path, written: Sequence[Path]) -> list[str]:
+    """Return the program's notes, the base that it needs: that of the corrected targets, and what
+    is wrong with the names of the files that were read and written.
+    """
+    names = list[str]()
+    if isinstance(program, NamesModule):
+        stems = dict.fromkeys(path.stem for path in (source, *written))
+        names = [note for stem in stems for note in program.misnamed(stem)]
+    return [*program.notes, f"its targets were taken in {frame}, its base must be {frame}", *names]
 
 
 def write_program(

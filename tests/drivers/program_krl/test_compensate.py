@@ -160,6 +160,18 @@ def test_a_tool_that_is_not_the_calibrated_one(
     assert "its tool is " in capsys.readouterr().err
 
 
+def test_a_module_that_has_another_name_than_its_file(
+    desk: Workplace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    desk.program("DEF drill( )\nLIN {X 0.0,Y 0.0,Z 1200.0,A 0.0,B 75.0,C 0.0}\nEND\n", "")
+    (desk.folder / "new").mkdir()
+    assert desk.compensate(out=desk.folder / "other.src") == 0
+    said = capsys.readouterr().err
+    assert "other.src: DEF names the module drill (line 1), and a KUKA wants module and" in said
+    assert desk.compensate(out=desk.folder / "new" / "Drill.src") == 0
+    assert "names the module" not in capsys.readouterr().err
+
+
 def near_zero(posture: str) -> str:
     """Return a data list whose point the correction takes from -0.2 to about 0.3 mm beside A1."""
     x, y, z = apply(T_W_B, np.array([[1850.0, -0.2, 950.0]]))[0]

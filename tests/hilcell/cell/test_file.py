@@ -239,7 +239,7 @@ def test_missing_keys_are_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "part"),
-    [(b"name = ", "not valid TOML"), (b"\xff\xfe", r"is no text file \(UTF-8\)$")],
+    [(b"name = ", "not valid TOML"), (b"\xff\xfe", r"is no text in UTF-8; save it as UTF-8$")],
 )
 def test_files_that_are_no_toml(tmp_path: Path, text: bytes, part: str) -> None:
     file = tmp_path / "cell.toml"

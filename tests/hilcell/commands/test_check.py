@@ -1,6 +1,7 @@
 """`check` as a command, in this process."""
 
 import json
+import re
 from importlib import resources
 from pathlib import Path
 
@@ -64,3 +65,35 @@ def test_steps_that_do_nothing_are_named_with_their_cost(
     assert json.loads(capsys.readouterr().out)["notes"] == [note]
     assert main(["check", "paper", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["notes"] == []
+
+
+def test_problems_stand_in_the_order_of_their_lines(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = resources.files("hilcell.cells").joinpath("paper.toml").read_text("utf-8")
+    text = text.replace('driver = "canopen"', 'driver = "canopn"').replace("pitch_mm", "pitch")
+    cell = tmp_path / "mine.toml"
+    cell.write_text(f"{text}\n[survey]\nfrom_mm = 'x'\nto_mm = 'y'\n", "utf-8")
+    assert main(["check", str(cell)]) == 2
+    found = [int(n) for n in re.findall(r"mine\.toml:(\d+): ", capsys.readouterr().err)]
+    assert len(found) >= 4
+    assert found == sorted(found)
+
+
+def test_both_ends_of_the_survey_have_their_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = resources.files("hilcell.cells").joinpath("paper.toml").read_text("utf-8")
+    cell = tmp_path / "mine.toml"
+    cell.write_text(f"{text}\n[survey]\nfrom_mm = -90000.0\nto_mm = 90000.0\n", "utf-8")
+    assert main(["check", str(cell)]) == 2
+    said, count = capsys.readouterr().err, text.count("\n")
+    assert f"{cell}:{count + 3}: survey.from_mm: -90000.0 mm is outside the travel" in said
+    assert f"{cell}:{count + 4}: survey.to_mm: 90000.0 mm is outside the travel" in said
+
+
+def test_a_cell_file_in_another_coding(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cell = tmp_path / "mine.toml"
+    cell.write_bytes("name = 'Zelle für Löcher'".encode("latin-1"))
+    assert main(["check", str(cell)]) == 2
+    assert "is no text in UTF-8; save it as UTF-8" in capsys.readouterr().err

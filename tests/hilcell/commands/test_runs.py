@@ -125,3 +125,11 @@ def test_what_is_no_date(capsys: pytest.CaptureFixture[str], text: str) -> None:
     with pytest.raises(SystemExit, match="2"):
         main(["runs", "--since", text])
     assert "a date like 2026-11-22" in capsys.readouterr().err
+
+
+def test_a_folder_that_is_not_there_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HILCELL_RUNS", str(tmp_path / "nope"))
+    assert main(["runs"]) == 0
+    assert f"no runs: the folder {tmp_path / 'nope'} is not there" in capsys.readouterr().err

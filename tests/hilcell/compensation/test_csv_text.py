@@ -123,7 +123,7 @@ def test_other_codings_are_named(tmp_path: Path) -> None:
     assert "is UTF-16; save it as CSV in UTF-8" in refusal(listed(tmp_path, ROWS, coding="utf-16"))
     path = listed(tmp_path, ROWS)
     path.write_bytes(HEAD.encode() + b"\nH\x81;1;2;3;0;0;0\n")  # undefined in CP1252
-    assert "is no text file (UTF-8)" in refusal(path)
+    assert "is no text in UTF-8; save it as UTF-8" in refusal(path)
 
 
 def test_a_command_names_the_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -105,5 +105,5 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match=r"is a folder, not a file$"):
         read_targets(tmp_path)
     (tmp_path / "image.png").write_bytes(b"\x89PNG\r\n")
-    with pytest.raises(SettingsError, match=r"is no text file \(UTF-8\)$"):
+    with pytest.raises(SettingsError, match=r"is no text in UTF-8; save it as UTF-8$"):
         read_targets(tmp_path / "image.png")

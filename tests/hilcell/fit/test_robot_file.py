@@ -84,7 +84,9 @@ def test_missing_and_undecodable_files_are_refused(tmp_path: Path) -> None:
     assert "cannot be read: No such file" in problems_of(read_robot, tmp_path / "none.toml")
     assert "is a folder, not a file" in problems_of(read_robot, tmp_path)
     (tmp_path / "given").write_bytes("ü".encode("latin-1"))
-    assert "is no text file (UTF-8)" in problems_of(read_measurements, tmp_path / "given")
+    assert "is no text in UTF-8; save it as UTF-8" in problems_of(
+        read_measurements, tmp_path / "given"
+    )
 
 
 def test_measurements_are_read(written: Write) -> None:
