@@ -20,12 +20,12 @@ from drivers.cia402 import State
 from drivers.motion_limits import MotionLimits
 from drivers.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.sdo import SdoChannel
-from drivers.standstill import Rest, Standstill, Windows
+from drivers.standing import Standing
+from drivers.standstill import Windows
 from drivers.supervision import Supervision
-from hilcell.ports import Clock, DeviceError, StripLost
+from hilcell.ports import Clock, DeviceError
 
 POLL_S = 0.02
-STRIP_TRIES = 3  # dwells
 STALL_S = 3.0  # wire deadline, beside the dwell: neither the wanted state nor progress
 OVERSPEED = 1.2
 FULL_SPEED = 100.0  # percent: the drive has no override
@@ -36,6 +36,7 @@ class Limits:
     """Bounds that a healthy slide never exceeds, in counts and seconds, and the scale to mm."""
 
     counts_per_mm: float
+    strip_counts_per_mm: float
     lowest: int
     highest: int
     speed: float
@@ -74,15 +75,16 @@ class Drive:
         self._image, self._sdo, self._clock = image, sdo, clock
         self._limits, self._watch = limits, watch
         self._supervision = supervision
-        self._standstill = Standstill(limits.windows)
-        self._now_s = 0.0  # of the cell, at the last poll
+        self.standing = Standing(
+            self._look,
+            clock,
+            limits.windows,
+            units_per_mm=limits.counts_per_mm,
+            strip_counts_per_mm=limits.strip_counts_per_mm,
+            alarm_text=cia406.alarm_text,
+        )
 
-    @property
-    def rest(self) -> Rest | None:
-        """Return where the slide stands by the last polls; None while it is not known to stand."""
-        return self._standstill.rest
-
-    def poll(self, operation: str) -> Snapshot:
+    def _look(self, operation: str) -> Snapshot:
         """Return a snapshot; raises `DeviceError` for a fault, an alarm or a lost node."""
 
         def look() -> None:
@@ -94,8 +96,6 @@ class Drive:
         now = self._image.refresh(look)
         self._supervision.look()
         look()
-        self._now_s = self._clock.now_s()
-        self._standstill.take(now, self._now_s)
         if now.state in (State.FAULT, State.FAULT_REACTION, State.UNKNOWN):
             code = self._sdo.read(cia402.ERROR_CODE)
             raise DeviceError(
@@ -107,46 +107,6 @@ class Drive:
                 fields={"state": now.state.value, "error_code": code},
             )
         return now
-
-    def check_strip(self, operation: str, now: Snapshot) -> Snapshot:
-        """Return ``now``, or a later poll of a strip in alarm; raises `StripLost` if it stays so.
-
-        Nothing else asks the strip: motions are the drive's, and end by the drive's standstill.
-        """
-        for _ in range(STRIP_TRIES * self._limits.windows.polls):
-            if not self._alarms(now):
-                return now
-            self.pause()
-            now = self.poll(operation)
-        if not (alarms := self._alarms(now)):
-            return now
-        raise StripLost(
-            "HC-S01",
-            DEVICE,
-            operation,
-            f"strip sensor: {cia406.alarm_text(alarms)}",
-            act="check the strip and its head, then resume",
-            fields={"alarms": alarms},
-        )
-
-    def _alarms(self, now: Snapshot) -> int:
-        """Return the strip's alarms in the polls that a reading is made of."""
-        return now.alarms if self.rest is None else self.rest.alarms
-
-    def confirm(self, operation: str) -> Snapshot:
-        """Poll once, or for a dwell where older polls do not prove that the slide stands."""
-        now = self.poll(operation)
-        for _ in range(self._limits.windows.polls):
-            if self.rest is not None or not self._standstill.begun:
-                break
-            self.pause()
-            now = self.poll(operation)
-        return now
-
-    def pause(self) -> None:
-        """Wait for the next poll; a slide that seems to stand is polled as its dwell needs it."""
-        apart_s = self._limits.windows.apart_s if self._standstill.begun else 0.0
-        self._clock.wait(max(POLL_S, apart_s))
 
     def reset_fault(self) -> None:
         """Reset a fault and stop at SWITCH ON DISABLED; nothing is enabled."""
@@ -172,10 +132,10 @@ class Drive:
 
     def disable(self, operation: str = "hold") -> None:
         """Take the power away; the brake closes. A moving slide is stopped on its ramp first."""
-        if not self.poll(operation).powered:
+        if not self.standing.poll(operation).powered:
             return
-        now = self.confirm(operation)
-        if now.powered and self.rest is None:
+        now = self.standing.confirm(operation)
+        if now.powered and self.standing.rest is None:
             self._image.quick_stop()
             ramp_s = self._limits.ramp_s
             now = self._until(operation, "standstill", lambda _: True, ramp_s, at_rest=True)
@@ -189,7 +149,7 @@ class Drive:
         """Home by the method set in 6098h; raises `DeviceError`."""
         operation = "home"
         before = self._prepare(operation, cia402.HOMING)
-        self._standstill.forget()
+        self.standing.standstill.forget()
         with self._supervision.motion():
             self._image.control(cia402.START)
             self._moving(operation, "homing started", lambda now: self._homes(before, now))
@@ -222,7 +182,7 @@ class Drive:
         before = self._prepare(operation, cia402.PROFILE_POSITION)
         self._image.control(cia402.ENABLE_OPERATION, target)
         self._moving(operation, "last set-point released", lambda s: not s.has(cia402.ACKNOWLEDGED))
-        self._standstill.forget()
+        self.standing.standstill.forget()
         with self._supervision.motion():
             self._image.control(cia402.START, target)
             self._moving(operation, "set-point acknowledged", lambda s: s.has(cia402.ACKNOWLEDGED))
@@ -251,10 +211,10 @@ class Drive:
 
     def _prepare(self, operation: str, mode: int) -> Snapshot:
         """Set the mode and go up to OPERATION ENABLED, one acknowledged transition at a time."""
-        now = self.poll(operation)
+        now = self.standing.poll(operation)
         if now.mode != mode:
             self._sdo.write(cia402.MODES_OF_OPERATION, 0, mode)
-        while (now := self.poll(operation)).state is not State.ENABLED:
+        while (now := self.standing.poll(operation)).state is not State.ENABLED:
             word = cia402.next_control(now.state)
             if word is not None:
                 self._image.control(word, now.position)
@@ -289,10 +249,10 @@ class Drive:
         stall_s = STALL_S + self._limits.windows.dwell_s * at_rest
         limits = MotionLimits(planned_s, stall_s, self._limits.window)
         while True:
-            now = self.poll(operation)
+            now = self.standing.poll(operation)
             if moving:
                 self._check_motion(operation, now)
-            stands = self.rest is not None or not at_rest
+            stands = self.standing.rest is not None or not at_rest
             if stands and done(now):
                 return now
             if limits.stalled(np.array([now.position], dtype=float)):
@@ -307,7 +267,7 @@ class Drive:
                     act="check the slide for an obstacle and the drive, then resume",
                     fields={"waited_s": stall_s, **self._fields(now)},
                 )
-            if limits.overdue(self._now_s, FULL_SPEED):
+            if limits.overdue(self.standing.now_s, FULL_SPEED):
                 raise DeviceError(
                     "HC-R28",
                     DEVICE,
@@ -321,10 +281,10 @@ class Drive:
                         **self._fields(now),
                     },
                 )
-            self.pause()
+            self.standing.pause()
 
     def _restless(self, operation: str, waited_s: float) -> DeviceError:
-        limits, windows, seen = self._limits, self._limits.windows, self._standstill.unrest
+        limits, windows, seen = self._limits, self._limits.windows, self.standing.standstill.unrest
         return DeviceError(
             "HC-R43",
             DEVICE,

@@ -64,7 +64,10 @@ class Controller(Access, Protocol):
         """Return a text, cleaned."""
 
     def start(self, number: int, target_deg: Array, speed_percent: int, version: int) -> None:
-        """Hand a motion to joints (6,) over to a program of this version."""
+        """Hand a motion to joints (6,) over to a program of this version.
+
+        The place of a slide in mm that is held may stand behind them (7,).
+        """
 
     def sign(self) -> None:
         """Give the program a sign of life, if one is due."""
@@ -80,6 +83,25 @@ class Controller(Access, Protocol):
 
     def close(self) -> None:
         """Close the wires."""
+
+
+class SlidingController(Controller, Protocol):
+    """The wires to a controller whose program moves external axis E1 as well."""
+
+    def has_slide(self) -> bool:
+        """Whether the controller has an external axis."""
+
+    def mastered(self) -> bool:
+        """Whether E1 is; True where the controller does not tell, for then it refuses itself."""
+
+    def start_slide(self, number: int, place_mm: float, speed_percent: int, version: int) -> None:
+        """Hand a motion of E1 alone over."""
+
+    def hold_slide(self, held: bool) -> None:
+        """Have the program refuse every motion of E1, or allow it."""
+
+    def slide(self) -> tuple[float, bool]:
+        """Return where E1 is in mm, and whether it is held."""
 
 
 def integer(access: Access, name: str) -> int:

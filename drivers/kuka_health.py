@@ -9,15 +9,19 @@ from hilcell.ports import Array, DeviceError, DeviceRefused
 
 DEVICE = "Robot"
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
+SLIDE = "E1"
 FRAME = ("X", "Y", "Z", "A", "B", "C")
 STOPPED = 9
 ERRORS = {
     1: "unknown command",
     2: "target outside the software limits",
+    3: "external axis E1 has left the place at which it is held",
+    4: "external axis E1 is held",
+    5: "external axis E1 is not held, so the arm stays",
     LOST: "the PC's life sign was late, and the robot has braked by itself",
     STOPPED: "stopped by HC_STOP",
 }
-CODES = {LOST: "HC-B43", STOPPED: "HC-B21"}  # all others: refused
+CODES = {3: "HC-R52", LOST: "HC-B43", STOPPED: "HC-B21"}  # all others: refused
 
 # Variable, the values with which work may go on, the alarm otherwise, the next act; causes first.
 HEALTH: dict[str, tuple[tuple[str | bool, ...], str, str]] = {
@@ -69,8 +73,9 @@ def unwell(
 
 
 def joints_text(joints_deg: Array) -> str:
-    """Return joints (6,) in words."""
-    return ", ".join(f"{n} {v:.3f}" for n, v in zip(AXES, joints_deg, strict=True)) + " deg"
+    """Return joints (6,), or all axes (7,) with a slide in mm, in words."""
+    joints = ", ".join(f"{n} {v:.3f}" for n, v in zip(AXES, joints_deg[:6], strict=True)) + " deg"
+    return joints if len(joints_deg) == len(AXES) else f"{joints}, E1 {joints_deg[6]:.3f} mm"
 
 
 def frame_text(values: tuple[float, ...] | list[float]) -> str:

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from drivers.c3 import C3Connection
 
 LIVING_VERSION = 3  # of the program, since which it wants a sign
+SLIDING_VERSION = 4  # since which it moves external axis E1
 LIFE_S = 1.5  # longer than the PC may be late itself (`Supervision`), so that it reports that first
 EVERY_S = 0.2
 TIMER, LIMIT = "$TIMER[10]", "HC_LIFE"

@@ -20,7 +20,16 @@ import numpy as np
 from msgspec import Meta
 
 from drivers.kuka_controller import DEVICE, PROGRESS, Controller, integer
-from drivers.kuka_health import AXES, FRAME, HEALTH, frame_text, joints_text, refused_motion, unwell
+from drivers.kuka_health import (
+    AXES,
+    FRAME,
+    HEALTH,
+    SLIDE,
+    frame_text,
+    joints_text,
+    refused_motion,
+    unwell,
+)
 from drivers.kuka_life import program_text
 from drivers.kuka_sweep import KukaSweep, give_back_left_behind
 from drivers.motion_limits import MotionLimits, planned_s
@@ -46,8 +55,9 @@ REST_S = 3.0  # wire deadline: from the acknowledgement to standstill
 CATCH_UP_S = 30.0  # wire deadline: a command of an earlier session ends
 DWELL_S = 0.05  # between two looks that tell standstill; $AXIS_ACT changes once in 4 to 12 ms
 AXIS_TOLERANCE_DEG = 0.005
-STILL_DEG = 0.0005
+STILL = np.array([0.0005] * 6 + [0.01])  # deg, and mm of a slide
 STILL_MM = 0.01
+ARRIVED = np.array([AXIS_TOLERANCE_DEG] * 6 + [0.02])
 PROGRESS_DEG = 0.01
 FRAME_TOLERANCE = 0.001  # mm and deg
 
@@ -77,6 +87,7 @@ class KukaRobot:
         self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
         self._override, self._version = 100, PROGRAM_VERSION
         self._rest_deg = np.zeros(6)
+        self.slide_mm: float | None = None  # where a slide is held that is an axis of this robot
         self._sequence = 0
         self._under_way = False
         self._ended_s: float | None = None  # when the last motion was seen to have ended
@@ -135,25 +146,17 @@ class KukaRobot:
         self.wire().check()
         taken_s = time.monotonic()
         self.wire().look()
-        before_deg = self._axes_deg()
+        before = self._axes()
         self._clock.wait(DWELL_S)
         self.wire().look()
         pose = self._pose()
-        moved_deg = np.abs(self._axes_deg() - before_deg)
-        still = not self._under_way and bool(np.all(moved_deg <= STILL_DEG))
-        return RobotReading(np.radians(before_deg), pose, still, taken_s, self._ended_s)
+        moved = np.abs(self._axes() - before)
+        still = not self._under_way and bool(np.all(moved <= STILL[: len(moved)]))
+        return RobotReading(np.radians(before[:6]), pose, still, taken_s, self._ended_s)
 
     def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> KukaSweep:
         """Return a motion of one axis (0 to 5) alone, at the next speed below ``speed_rad_s``."""
-        if self._version < SWEEPING_VERSION:
-            raise DeviceRefused(
-                "HC-B17",
-                DEVICE,
-                "sweep",
-                f"HC_VER is {self._version}",
-                wanted=f"{SWEEPING_VERSION}",
-                act="install drivers/krl/hilcell.src and hilcell.dat",
-            )
+        self.need(SWEEPING_VERSION, "sweep")
         self.wire().check()
         end_deg, speed_deg_s = float(np.degrees(end_rad)), float(np.degrees(speed_rad_s))
         return KukaSweep(self, self._clock, axis, end_deg, speed_deg_s, self._speed_deg_s)
@@ -264,19 +267,24 @@ class KukaRobot:
             self._clock.wait(POLL_S)
             controller.look()
             controller.release()  # a motion that a dead engine left behind brakes by itself
-        self._rest_deg = self._axes_deg()
+        self._rest_deg = self._axes()[:6]
         self._under_way = self._stopped = False
 
     # -- moving -------------------------------------------------------------------------------
 
     def command(self, target_deg: Array, speed_percent: int) -> int:
         """Start a motion to joints (6,); return its number."""
+        target = self._whole(target_deg)
+        return self.begin(lambda n: self.wire().start(n, target, speed_percent, self._version))
+
+    def begin(self, start: Callable[[int], None]) -> int:
+        """Start a motion by its number; return that."""
         if self._stopped:
             raise _failed("HC-B21", "the robot was stopped", act="resume to reconnect")
         number = self._sequence % MAX_SEQUENCE + 1
         self._under_way, self._ended_s = True, None
         self._watch.begin()
-        self.wire().start(number, target_deg, speed_percent, self._version)
+        start(number)
         self._sequence = number
         return number
 
@@ -293,7 +301,7 @@ class KukaRobot:
 
     def check_progress(self, limits: MotionLimits, number: int) -> None:
         """Raise `DeviceError` where a motion stands or creeps."""
-        now_deg, wanted = self._axes_deg(), f"HC_ACK {number}"
+        now_deg, wanted = self._axes(), f"HC_ACK {number}"
         if limits.stalled(now_deg):
             self.check(*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
             if error := self.integer("HC_ERR"):
@@ -324,29 +332,29 @@ class KukaRobot:
         # The pose means something only with the tool and the base that connect has verified.
         controller = self.wire()
         self.check("$ACT_TOOL", "$ACT_BASE")
-        patience = Patience(REST_S, POLL_LOOK_S)
+        patience, wanted = Patience(REST_S, POLL_LOOK_S), self._whole(target_deg)
         over = False
         while True:
             taken_s = time.monotonic()
             controller.look()
-            axes_deg, before = self._axes_deg(), self._pose()
+            axes, before = self._axes(), self._pose()
             self._clock.wait(DWELL_S)
             controller.look()
             pose = self._pose()
-            arrived = bool(np.all(np.abs(axes_deg - target_deg) <= AXIS_TOLERANCE_DEG))
+            arrived = bool(np.all(np.abs(axes - wanted) <= ARRIVED[: len(wanted)]))
             if arrived and bool(np.all(np.abs(pose - before) <= STILL_MM)):
                 self._under_way, self._rest_deg, self._ended_s = False, target_deg, taken_s
-                return RobotReading(np.radians(axes_deg), pose, True, taken_s, taken_s)
+                return RobotReading(np.radians(axes[:6]), pose, True, taken_s, taken_s)
             if over:
                 break
             over = patience.over()
         raise _failed(
             "HC-B24",
-            f"stands or creeps at {joints_text(axes_deg)}",
-            wanted=f"{joints_text(target_deg)} +-{AXIS_TOLERANCE_DEG} deg, at rest",
+            f"stands or creeps at {joints_text(axes)}",
+            wanted=f"{joints_text(wanted)} +-{AXIS_TOLERANCE_DEG} deg, at rest",
             act="the robot stopped short of its target; see the panel, resume",
-            axes_deg=axes_deg,
-            target_deg=target_deg,
+            axes_deg=axes,
+            target_deg=wanted,
         )
 
     # -- for a sweep as well ------------------------------------------------------------------
@@ -392,8 +400,26 @@ class KukaRobot:
         """Return a whole number that the controller has."""
         return integer(self.wire(), name)
 
-    def _axes_deg(self) -> Array:
-        return np.array(self.wire().numbers(PROGRESS, AXES))
+    def need(self, version: int, operation: str) -> None:
+        """Refuse a program that is older than ``version``."""
+        if self._version < version:
+            raise DeviceRefused(
+                "HC-B17",
+                DEVICE,
+                operation,
+                f"HC_VER is {self._version}",
+                wanted=f"{version}",
+                act="install drivers/krl/hilcell.src and hilcell.dat",
+            )
+
+    def _axes(self) -> Array:
+        """Return joints (6,) in deg, and a slide that is the robot's axis in mm (7,)."""
+        names = AXES if self.slide_mm is None else (*AXES, SLIDE)
+        return np.array(self.wire().numbers(PROGRESS, names))
+
+    def _whole(self, target_deg: Array) -> Array:
+        """Return joints (6,), and where the slide is held (7,): the arm's motions carry it."""
+        return target_deg if self.slide_mm is None else np.append(target_deg, self.slide_mm)
 
     def _pose(self) -> Array:
         """Return {T} in {B} (4, 4), mm, from X, Y, Z and KUKA's Z-Y-X angles A, B, C."""

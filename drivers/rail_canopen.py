@@ -24,12 +24,12 @@ from drivers.pdo import configure
 from drivers.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.rail_setup import Expected
 from drivers.sdo import SdoChannel
-from drivers.standstill import READINGS, Standstill, Windows
+from drivers.standing import check_travel
+from drivers.standstill import Standstill, Windows
 from drivers.supervision import Patience, Supervision
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading
 from hilcell.wire.channel import parse_channel
 
-SETTLE_S = 10.0  # wire deadline, beside the dwell
 LATE_S = 0.8  # below the consumer time of the drive (1016h)
 RELEASE_S = 5.0  # wire deadline, beside two dwells
 SILENT_S = 1.0  # more than a poll takes that nothing answers
@@ -116,58 +116,17 @@ class CanopenRail:
     def move_to(self, position_mm: float) -> None:
         """Move by the drive's encoder; return at standstill, the drive holding."""
         options, drive = self._options, self._used()
-        if not options.travel_min_mm <= position_mm <= options.travel_max_mm:
-            raise DeviceError(
-                "HC-R36",
-                DEVICE,
-                "move",
-                f"target {position_mm:.3f} mm",
-                wanted=f"{options.travel_min_mm:.1f} .. {options.travel_max_mm:.1f} mm",
-                act="correct the station or the rail's travel",
-                fields={
-                    "target_mm": position_mm,
-                    "lowest_mm": options.travel_min_mm,
-                    "highest_mm": options.travel_max_mm,
-                },
-            )
+        check_travel(position_mm, options.travel_min_mm, options.travel_max_mm)
         self._move(lambda: drive.move(round(position_mm * options.counts_per_mm)))
 
     def settle(self) -> RailReading:
         """Return a reading at rest: medians of five in a row within the windows, over the dwell."""
-        options, drive = self._options, self._used()
-        limit_s = SETTLE_S + options.standstill_dwell_s
-        patience = Patience(limit_s)
-        while True:
-            over = patience.over()
-            now = drive.poll("settle")
-            if drive.rest is not None:
-                now = drive.check_strip("settle", now)
-            if drive.rest is not None:  # a strip that is back may show that the slide moves
-                return self._reading(now)
-            if over:
-                raise DeviceError(
-                    "HC-S06",
-                    DEVICE,
-                    "settle",
-                    f"strip {now.strip / options.strip_counts_per_mm:.2f} mm, "
-                    f"speed {now.velocity / options.counts_per_mm:.3f} mm/s",
-                    wanted=f"{READINGS} readings within +-1 count, the drive's within "
-                    f"{options.standstill_window_mm:.3f} mm, <= "
-                    f"{options.standstill_speed_mm_s:.3f} mm/s, over "
-                    f"{options.standstill_dwell_s:.2f} s, within {limit_s:.0f} s",
-                    act="the slide creeps or the strip's head is loose; check, then resume",
-                    fields={
-                        "strip_mm": now.strip / options.strip_counts_per_mm,
-                        "speed_mm_s": now.velocity / options.counts_per_mm,
-                        "waited_s": SETTLE_S,
-                    },
-                )
-            drive.pause()
+        return self._reading(self._used().standing.settle())
 
     def read(self) -> RailReading:
         """Return a reading asked for after this call began."""
-        drive = self._used()
-        return self._reading(drive.check_strip("read", drive.confirm("read")))
+        standing = self._used().standing
+        return self._reading(standing.check_strip("read", standing.confirm("read")))
 
     def hold(self) -> None:
         """Take the power to move away; the brake closes."""
@@ -282,6 +241,7 @@ class CanopenRail:
         options, scale = self._options, self._options.counts_per_mm
         return Limits(
             counts_per_mm=scale,
+            strip_counts_per_mm=options.strip_counts_per_mm,
             lowest=round((options.travel_min_mm - SLACK_MM) * scale),
             highest=round((options.travel_max_mm + SLACK_MM) * scale),
             speed=options.speed_mm_s * scale,
@@ -313,18 +273,7 @@ class CanopenRail:
         return self._drive
 
     def _reading(self, now: Snapshot) -> RailReading:
-        """Return the poll ``now``, or the medians of which it is the newest part."""
-        options, rest = self._options, self._used().rest
-        at = now if rest is None else rest
-        return RailReading(
-            position_mm=at.position / options.counts_per_mm,
-            strip_mm=at.strip / options.strip_counts_per_mm,
-            velocity_mm_s=now.velocity / options.counts_per_mm,
-            still=rest is not None,
-            powered=now.powered,
-            taken_s=now.taken_s,
-            ended_s=self._ended_s,
-        )
+        return self._used().standing.reading(now, self._ended_s)
 
     def _move(self, motion: Callable[[], None]) -> None:
         self._ended_s = None

@@ -13,14 +13,16 @@ from drivers import krl
 from drivers.c3 import C3Connection
 from drivers.keep_alive import KeepAlive
 from drivers.kuka_controller import DEVICE, PROGRESS, integer, override_held, unreadable
-from drivers.kuka_health import AXES
-from drivers.kuka_life import LIVING_VERSION, LifeSign
-from drivers.kuka_robot import KukaOptions, KukaRobot
+from drivers.kuka_external import SlidingKukaRobot
+from drivers.kuka_health import AXES, SLIDE
+from drivers.kuka_life import SLIDING_VERSION, LifeSign
+from drivers.kuka_robot import KukaOptions
 from hilcell.clean import clean
 from hilcell.ports import Array, Clock
 
-PTP_JOINTS = 1
+PTP_JOINTS, PTP_SLIDE = 1, 2
 MEASURED = "$AXIS_ACT_MEAS"
+SLIDES, MASTERED, PLACE, HELD = "$EX_AX_NUM", "$AXIS_JUS[7]", "$AXIS_ACT.E1", "HC_HELD"
 
 
 class C3Access:
@@ -96,10 +98,10 @@ class C3Controller(C3Access):
         (PROGRESS,),
     )
 
-    def __init__(self, options: KukaC3Robot.Options, robot: KukaRobot) -> None:
+    def __init__(self, options: KukaC3Robot.Options, robot: SlidingKukaRobot) -> None:
         self._open = partial(C3Connection, DEVICE, options.host, options.port)
         self.address = f"{options.host}:{options.port}"
-        self.versions = {"HC_VER": (1, LIVING_VERSION)}
+        self.versions = {"HC_VER": (1, SLIDING_VERSION)}
         super().__init__(self._open(robot.attend))
         try:
             # The stop must get through while the run is already stopping.
@@ -122,10 +124,40 @@ class C3Controller(C3Access):
 
     def start(self, number: int, target_deg: Array, speed_percent: int, version: int) -> None:
         """Write the target, and the number last."""
-        axes = dict(zip(AXES, target_deg.tolist(), strict=True))
+        axes = dict(zip((*AXES, SLIDE), target_deg.tolist(), strict=False))
+        self._start(number, axes, PTP_JOINTS, speed_percent, version)
+
+    def start_slide(self, number: int, place_mm: float, speed_percent: int, version: int) -> None:
+        """Write the target of E1, and the number last; the program looks at no other axis of it."""
+        joints_deg = self.numbers(PROGRESS, AXES)
+        axes = dict(zip((*AXES, SLIDE), [*joints_deg, place_mm], strict=True))
+        self._start(number, axes, PTP_SLIDE, speed_percent, version)
+
+    def has_slide(self) -> bool:
+        """Whether the controller counts an external axis."""
+        return self._line.knows(SLIDES) and integer(self, SLIDES) > 0
+
+    def mastered(self) -> bool:
+        """Whether E1 is mastered."""
+        return not self._line.knows(MASTERED) or self.value(MASTERED) is True
+
+    def hold_slide(self, held: bool) -> None:
+        """Write whether E1 may move."""
+        self._line.write(HELD, "TRUE" if held else "FALSE")
+
+    def slide(self) -> tuple[float, bool]:
+        """Read the place of E1, which is less to send than all axes, and whether it is held."""
+        place_mm = self.value(PLACE)
+        if isinstance(place_mm, bool | str) or not abs(place_mm) <= krl.LARGEST:
+            raise unreadable(PLACE, f"{place_mm!r} is no place")
+        return float(place_mm), self.value(HELD) is True
+
+    def _start(
+        self, number: int, axes: dict[str, float], command: int, speed_percent: int, version: int
+    ) -> None:
         self._line.write("HC_TGT", krl.structure("E6AXIS", axes))
         self._write_once("HC_VEL", str(speed_percent))
-        self._write_once("HC_CMD", str(PTP_JOINTS))
+        self._write_once("HC_CMD", str(command))
         self._life.begin(self._write_once, version)
         self._line.write("HC_SEQ", str(number))
 
@@ -163,8 +195,8 @@ class C3Controller(C3Access):
             self._written[name] = value
 
 
-class KukaC3Robot(KukaRobot):
-    """Satisfies `hilcell.ports.Robot` and `hilcell.ports.Sweeps`."""
+class KukaC3Robot(SlidingKukaRobot):
+    """Satisfies `hilcell.ports.Robot`, `hilcell.ports.Sweeps` and `hilcell.ports.ExternalAxis`."""
 
     class Options(KukaOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Address and wanted identity of the controller."""

@@ -21,7 +21,7 @@ from drivers.eki_wire import EkiChannel, open_channel
 from drivers.keep_alive import KeepAlive
 from drivers.kuka_controller import DEVICE, PROGRESS, integer, override_held, unreadable
 from drivers.kuka_health import HEALTH
-from drivers.kuka_life import LIFE_S, LIVING_VERSION
+from drivers.kuka_life import LIFE_S, LIVING_VERSION, SLIDING_VERSION
 from drivers.kuka_robot import KukaOptions, KukaRobot
 from hilcell.clean import clean
 from hilcell.ports import Array, Clock
@@ -40,7 +40,7 @@ class EkiController:
     def __init__(self, options: KukaEkiRobot.Options, robot: KukaRobot) -> None:
         self.address = f"{options.host}:{options.port}"
         self.versions = {
-            "HC_VER": (LIVING_VERSION, LIVING_VERSION),
+            "HC_VER": (LIVING_VERSION, SLIDING_VERSION),
             "HE_VER": (DOCUMENTS_VERSION, DOCUMENTS_VERSION),
         }
         opened = partial(open_channel, DEVICE, options.host)

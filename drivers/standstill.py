@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from functools import reduce
 from operator import or_
 from statistics import median
-
-from drivers.process_image import Snapshot
+from typing import Protocol
 
 READINGS = 5  # at least, of one dwell; the reading is their median
 HISTORY_S = 60.0  # of the cell; an older poll counts for nothing
@@ -24,12 +23,32 @@ LONGEST_PAUSE_S = 0.1  # far below the time after which a motion counts as unatt
 ROUNDING_S = 0.001
 
 
+class Poll(Protocol):
+    """Drive and strip at one look, each in its driver's own unit: counts, or mm."""
+
+    @property
+    def position(self) -> float:
+        """Return the drive's position."""
+
+    @property
+    def velocity(self) -> float:
+        """Return the drive's speed, a second."""
+
+    @property
+    def strip(self) -> int:
+        """Return the strip's counts."""
+
+    @property
+    def alarms(self) -> int:
+        """Return the strip's alarms; 0 means that its counts are good."""
+
+
 @dataclass(frozen=True, slots=True)
 class Windows:
-    """Bounds of a slide at rest: counts/s, counts from lowest to highest, seconds."""
+    """Bounds of a slide at rest, in units of its polls: a second, from lowest to highest."""
 
     speed: float
-    spread: int
+    spread: float
     strip_spread: int
     dwell_s: float
 
@@ -46,7 +65,7 @@ class Windows:
 
 @dataclass(frozen=True, slots=True)
 class Rest:
-    """Where a slide stands, in counts: medians of the last `READINGS` polls of drive and strip.
+    """Where a slide stands, in its polls' units: medians of the last `READINGS` of them.
 
     ``alarms`` are the strip's in any of them: then its median says nothing.
     """
@@ -58,10 +77,10 @@ class Rest:
 
 @dataclass(frozen=True, slots=True)
 class Unrest:
-    """The most that the polls of the last dwell have shown, in counts/s and counts."""
+    """The most that the polls of the last dwell have shown, in their units."""
 
-    speed: int
-    spread: int
+    speed: float
+    spread: float
     strip_spread: int
 
 
@@ -70,15 +89,15 @@ class Standstill:
 
     def __init__(self, windows: Windows) -> None:
         self._windows = windows
-        self._polls: deque[tuple[float, Snapshot]] = deque()
-        self._recent: deque[tuple[float, Snapshot]] = deque()  # of a dwell, all of them
+        self._polls: deque[tuple[float, Poll]] = deque()
+        self._recent: deque[tuple[float, Poll]] = deque()  # of a dwell, all of them
 
     def forget(self) -> None:
         """Begin again: the slide is about to move."""
         self._polls.clear()
         self._recent.clear()
 
-    def take(self, poll: Snapshot, now_s: float) -> None:
+    def take(self, poll: Poll, now_s: float) -> None:
         """Take a poll made at ``now_s``, and drop those that no longer count."""
         self._recent.append((now_s, poll))
         self._drop_needless(self._recent, now_s)
@@ -121,7 +140,7 @@ class Standstill:
     def _drop_moved(self) -> None:
         """Keep the newest polls whose positions all lie within the windows."""
         windows, kept = self._windows, 0
-        positions: list[int] = []
+        positions: list[float] = []
         strips: list[int] = []
         for _, poll in reversed(self._polls):
             positions.append(poll.position)
@@ -136,7 +155,7 @@ class Standstill:
         while len(self._polls) > kept:
             self._polls.popleft()
 
-    def _drop_needless(self, polls: deque[tuple[float, Snapshot]], now_s: float) -> None:
+    def _drop_needless(self, polls: deque[tuple[float, Poll]], now_s: float) -> None:
         """Drop polls that are too old, and those that neither dwell nor medians need."""
         while not now_s - polls[0][0] <= HISTORY_S:
             polls.popleft()

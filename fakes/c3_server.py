@@ -14,6 +14,7 @@ import threading
 from collections.abc import Callable
 
 from fakes.answers import RECEIVE, Answers
+from fakes.external_axis import external_axis
 from fakes.faults import Faults, Vanished
 from fakes.krl import KrlError
 from fakes.krl_controller import KrlController
@@ -141,5 +142,7 @@ def serve(site: Site, port: int) -> C3Server:
     """Return the robot of a simulated cell behind C3 Bridge."""
     plant = site.plant
     harms = (plant.lose_zero, plant.slip_mount, plant.lose_motion)
-    controller = KrlController(site.cell, plant.robot, site.faults, *harms)
+    controller = KrlController(
+        site.cell, plant.robot, site.faults, *harms, slide=external_axis(site)
+    )
     return C3Server(controller, site.faults, site.time.catch_up, port=port)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from fakes.external_axis import RAIL_DRIVER
 from fakes.faults import UNTIL_CLEARED, Value
 from hilcell.cell.file import Cell
 from hilcell.ports import Exercise
@@ -20,6 +21,9 @@ class FaultExercise(Exercise):
     fault: str
     value: Value = True
     count: int = 1
+
+
+ON_THE_BUS = ("rail.limit_switch", "rail.fault", "rail.node_reset", "rail.eof")
 
 
 def _lasting(title: str, alarm: str, fault: str, value: Value = True) -> FaultExercise:
@@ -49,5 +53,8 @@ EXERCISES: Sequence[FaultExercise] = (
 
 
 def exercises_of(cell: Cell) -> Sequence[FaultExercise]:
-    """Return the faults to practise on in a cell: none of a rail that it lacks."""
-    return [each for each in EXERCISES if cell.has_rail or not each.fault.startswith("rail.")]
+    """Return the faults to practise on in a cell: none of a rail, or a bus, that it lacks."""
+    lacks: tuple[str, ...] = () if cell.has_rail else ("rail.",)
+    if cell.rail.driver == RAIL_DRIVER:
+        lacks = ON_THE_BUS
+    return [each for each in EXERCISES if not each.fault.startswith(lacks)]

@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 
 from fakes.controller_arm import controller_arm
+from fakes.external_axis import ExternalAxis
 from fakes.faults import Faults, Vanished
 from fakes.flicker import flicker
 from fakes.krl import (
@@ -32,8 +33,10 @@ from fakes.robot_motion import RobotMotion, RobotState
 from fakes.transforms import Array
 from hilcell.cell.file import Cell
 
-MOVE_PTP = 1
+MOVE_PTP, MOVE_SLIDE = 1, 2
 OK, UNKNOWN_COMMAND, OUT_OF_LIMITS, LOST, STOPPED = 0, 1, 2, 8, 9
+SLIDE_AWAY, SLIDE_HELD, SLIDE_FREE = 3, 4, 5
+SLIDE_MM = 0.05  # it may read so far from where it is held
 LIFE_MS = 1500
 AXES = tuple(f"A{n}" for n in range(1, 7))
 EXTERNAL = members({f"E{n}": 0.0 for n in range(1, 7)})
@@ -64,10 +67,12 @@ class KrlController:
         lose_zero: Callable[[float, int], None] = lambda lost_rad, axis: None,
         slip_mount: Callable[[float], None] = lambda along_mm: None,
         lose_motion: Callable[[float], None] = lambda lost_rad: None,
+        slide: ExternalAxis | None = None,
     ) -> None:
         self._lock = threading.RLock()
         self._motion, self._faults, self._lose_zero = motion, faults, lose_zero
         self._slip_mount, self._lose_motion = slip_mount, lose_motion
+        self._slide, self._slide_mm = slide, 0.0  # the place at which it is held
         self._arm = controller_arm(cell)
         self._low_deg = np.array([joint.min_deg for joint in cell.robot.joint])
         self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
@@ -95,6 +100,7 @@ class KrlController:
             self._mode, self._program = "#EX", "#P_ACTIVE"
             self._emergency, self._message = False, False
             self._in_stop, self._running = False, None
+            self._hold_slide()
             self._timer.stop()
             self._keeps_acknowledge = self._frozen = False
             self._acknowledged, self._error = self._integers["HC_SEQ"], OK
@@ -131,6 +137,8 @@ class KrlController:
                 self._integers[name] = parse_integer(text)
             elif name == "$TIMER[10]":
                 self._timer.set_ms(parse_integer(text))
+            elif name == "HC_HELD" and self._slide is not None:
+                self._slide.held = parse_boolean(text)
             elif name == "HC_STOP":
                 self._stop(parse_boolean(text))
             elif name == "$OV_PRO":
@@ -159,6 +167,9 @@ class KrlController:
             "$TRAFONAME[]": self._identity,
             "$KR_SERIALNO": lambda: str(self._arm.serial),
             "$ROBNAME[]": lambda: '"HILCELL"',
+            "$EX_AX_NUM": self._count_slides,
+            "$AXIS_JUS[7]": self._mastered,
+            "$AXIS_ACT.E1": self._place,
             "$AXIS_ACT": lambda: self._position("$AXIS_ACT"),
             "$AXIS_ACT_MEAS": lambda: self._position("$AXIS_ACT_MEAS"),
             "$POS_ACT": lambda: self._position("$POS_ACT"),
@@ -167,7 +178,9 @@ class KrlController:
     def _program_readers(self) -> dict[str, Callable[[], str]]:
         integers = {name: partial(self._integer, name) for name in self._integers}
         return integers | {
-            "HC_VER": lambda: "3",
+            "HC_VER": lambda: "4",
+            "HC_HELD": lambda: boolean(self._slide is None or self._slide.held),
+            "HC_PLACE": lambda: f"{self._slide_mm:.5f}",
             "HC_TGT": lambda: aggregate("E6AXIS", self._target_deg, EXTERNAL),
             "HC_ACK": self._read_acknowledge,
             "HC_ERR": lambda: str(self._error),
@@ -216,20 +229,89 @@ class KrlController:
             off = flicker(landed, self._looks, 6)
         if which != "$POS_ACT":
             axes_deg = np.degrees(joints_rad) + FLICKER_DEG * off
-            return aggregate("E6AXIS", dict(zip(AXES, axes_deg.tolist(), strict=True)), EXTERNAL)
+            axes = dict(zip(AXES, axes_deg.tolist(), strict=True))
+            return aggregate("E6AXIS", axes, self._external())
         if state.joints_rad is not self._pose_of:  # at rest it is the same array each time
             self._pose_of, arm = state.joints_rad, self._arm
             self._pose = arm.components(state.joints_rad)
             self._turns = {"S": arm.status(state.joints_rad), "T": arm.turn(state.joints_rad)}
         pose = (self._pose + FLICKER_POSE * off).tolist()
-        return aggregate("E6POS", dict(zip(FRAME, pose, strict=True)) | self._turns, EXTERNAL)
+        return aggregate(
+            "E6POS", dict(zip(FRAME, pose, strict=True)) | self._turns, self._external()
+        )
+
+    # -- external axis E1 -----------------------------------------------------------------------
+
+    def _count_slides(self) -> str:
+        return str(int(self._slide is not None and self._faults.take("robot.no_slide") is None))
+
+    def _mastered(self) -> str:
+        return boolean(self._faults.take("robot.slide_unmastered") is None)
+
+    def _place(self) -> str:
+        if self._slide is None:
+            raise KrlError("$AXIS_ACT.E1")
+        self._poll()
+        state = self._slide.poll(self._share)
+        return f"{self._slide.place_mm(state, alone=True):.5f}"
+
+    def _external(self) -> str:
+        if self._slide is None:
+            return EXTERNAL
+        place_mm = self._slide.place_mm(self._slide.poll(self._share), alone=False)
+        return members({"E1": place_mm} | {f"E{n}": 0.0 for n in range(2, 7)})
+
+    def _hold_slide(self) -> None:
+        """Hold it where it is; one that still brakes, where it comes to rest."""
+        if self._slide is not None:
+            self._slide.stop()
+            self._slide_mm = self._slide.poll(self._share).encoder_mm
+
+    def _start_slide(self) -> int:
+        if self._slide is None:
+            return UNKNOWN_COMMAND
+        if self._slide.held:
+            return SLIDE_HELD
+        target_mm = self._target_deg["E1"]
+        softlimit = self._faults.take("robot.softlimit") is not None
+        if softlimit or not self._slide.inside(target_mm):
+            return OUT_OF_LIMITS
+        self._keeps_acknowledge = self._faults.take("robot.ack_previous") is not None
+        self._frozen = self._faults.take("robot.frozen") is not None
+        if not self._frozen:
+            self._slide.move(target_mm, min(max(self._integers["HC_VEL"], 1), 100), self._share)
+        self._slide_mm = target_mm
+        self._timer.start(-self._integers["HC_LIFE"])
+        return OK
+
+    def _slide_forbids(self) -> int:
+        """Return why the arm must not move, else `OK`."""
+        if self._slide is None:
+            return OK
+        if not self._slide.held:
+            return SLIDE_FREE
+        away_mm = abs(self._slide.poll(self._share).encoder_mm - self._slide_mm)
+        return OK if away_mm <= SLIDE_MM else SLIDE_AWAY
+
+    @property
+    def _share(self) -> float:
+        return self._override / 100.0
+
+    @property
+    def _slides_on(self) -> bool:
+        """Whether the slide moves, also on its brake."""
+        return self._slide is not None and self._slide.seen_moving
+
+    @property
+    def _moves(self) -> bool:
+        return self._motion.moving or (self._slide is not None and self._slide.moving)
 
     # -- the resident program -------------------------------------------------------------------
 
     def _run_program(self) -> None:
         ready = self._program == "#P_ACTIVE" and not self._in_stop
         if self._running is not None:
-            if ready and not self._motion.moving and not self._frozen:
+            if ready and not self._moves and not self._frozen:
                 self._acknowledge()
         elif ready and self._integers["HC_SEQ"] != self._acknowledged:
             self._running = self._integers["HC_SEQ"]
@@ -239,8 +321,12 @@ class KrlController:
 
     def _start(self) -> int:
         self._looks = 0
+        if self._integers["HC_CMD"] == MOVE_SLIDE:
+            return self._start_slide()
         if self._integers["HC_CMD"] != MOVE_PTP:
             return UNKNOWN_COMMAND
+        if (forbidden := self._slide_forbids()) != OK:
+            return forbidden
         target_deg = np.array([self._target_deg[axis] for axis in AXES])
         inside = (target_deg >= self._low_deg) & (target_deg <= self._high_deg)
         if not inside.all() or self._faults.take("robot.softlimit") is not None:
@@ -270,8 +356,9 @@ class KrlController:
     def _stop(self, wanted: bool) -> None:
         if wanted and not self._in_stop:
             self._brake(STOPPED)
-        elif not wanted and self._in_stop:
+        elif not wanted and self._in_stop and not self._slides_on:
             self._in_stop = self._keeps_acknowledge = self._frozen = False
+            self._hold_slide()
             self._running = None
             self._acknowledged = self._integers["HC_SEQ"]
 
@@ -279,7 +366,12 @@ class KrlController:
         """Enter the program's interrupt."""
         self._timer.stop()
         self._in_stop, self._error = True, why
+        self._brake_all()
+
+    def _brake_all(self) -> None:
         self._motion.brake()
+        if self._slide is not None:
+            self._slide.stop()
 
     def _timer_ran_out(self) -> None:
         """Brake a motion of which the PC has not spoken in time; called by the timer's thread."""
@@ -293,16 +385,18 @@ class KrlController:
             raise KrlError(f"$OV_PRO {percent}")
         self._override = percent
         self._motion.override(percent / 100.0)
+        if self._slide is not None:
+            self._slide.override(percent / 100.0)
 
     # -- faults ---------------------------------------------------------------------------------
 
     def _strike_on_request(self) -> None:
         if self._faults.take("robot.mode_t1") is not None:
             self._mode, self._program = "#T1", "#P_STOP"
-            self._motion.brake()
+            self._brake_all()
         if self._faults.take("robot.deselected") is not None:
             self._program = "#P_FREE"
-            self._motion.brake()
+            self._brake_all()
 
     def _poll(self) -> RobotState:
         """Let a moving robot get further, strike it if so wanted, and return its state."""
@@ -310,20 +404,22 @@ class KrlController:
             return self._moment
         self._strike_by_motion()
         state = self._motion.poll()
+        if self._slide is not None:
+            self._slide.poll(self._share)
         self._run_program()
         return state
 
     def _strike_by_motion(self) -> None:
         """Let the faults of a moving robot happen, or those that are set to strike at rest."""
-        take = partial(self._faults.take, moving=self._motion.seen_moving)
+        take = partial(self._faults.take, moving=self._motion.seen_moving or self._slides_on)
         if take("robot.vanish") is not None:
             raise Vanished
         if take("robot.e_stop") is not None:
             self._emergency = self._message = True
             self._program = "#P_STOP"
-            self._motion.brake()
+            self._brake_all()
         if take("robot.stopmess") is not None:
             self._message, self._program = True, "#P_STOP"
-            self._motion.brake()
+            self._brake_all()
         if take("robot.override_zero") is not None:
             self._set_override(0)

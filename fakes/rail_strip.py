@@ -11,13 +11,12 @@ from collections.abc import Callable
 from fakes.canopen_dictionary import Entry
 from fakes.canopen_pdo import INVALID, Mapping, TransmitPdo
 from fakes.canopen_slave import DEVICE_PROFILE, CanopenSlave, NodeIdentity
-from fakes.dither import Dither
 from fakes.faults import Faults
 from fakes.rail_truth import RailState
+from fakes.strip_sensor import StripSensor
 
 NODE = 6
 IDENTITY = NodeIdentity(0x00080196, "hilcell strip sensor (simulated)", 0x484, 0x406, 1, 2014002)
-COUNTS_PER_MM = 100.0
 STEP_NM = 10_000  # 6005:01 and 6501, in 0.001 um
 SPEED_STEP = 10  # 6005:02, in 0.01 mm/s
 INT16 = range(-(1 << 15), 1 << 15)
@@ -32,34 +31,19 @@ class RailStrip(CanopenSlave):
         self, slide: RailState, faults: Faults, send: Callable[[int, bytes], None]
     ) -> None:
         super().__init__(NODE, IDENTITY, send)
-        self._faults = faults
-        self._position = round(slide.strip_mm * COUNTS_PER_MM)
-        self._velocity_mm_s = 0.0
-        self._frozen = False
-        self._jump_mm = 0.0
-        self._flicker = Dither(1, NODE)
-        self._jitter = 0
+        self._sensor = StripSensor(slide, faults)
         self._alarms = 0
         self._add_objects()
         self._add_pdos()
 
     def observe(self, slide: RailState) -> None:
         """Take the slide's state of now."""
-        self._velocity_mm_s = slide.velocity_mm_s
-        if not self._frozen and not self._alarms:
-            at_mm = slide.strip_mm + self._jump_mm
-            self._position = round(at_mm * COUNTS_PER_MM) + self._jitter
+        self._sensor.observe(slide)
 
     def strike(self) -> None:
         """Let the faults of a SYNC come and go."""
-        self._jump_mm += self._faults.number("rail.strip_jump") or 0.0
-        self._frozen = self._faults.take("rail.strip_frozen") is not None
-        jitter = int(self._faults.number("rail.strip_jitter") or 0)
-        self._flicker.step()
-        # Under the fault it alternates, so that any two looks show both sides.
-        alternate = -jitter if self._jitter > 0 else jitter
-        self._jitter = alternate if jitter else self._flicker.counts
-        alarms = POSITION_ERROR if self._faults.take("rail.missing_magnet") is not None else 0
+        self._sensor.strike()
+        alarms = POSITION_ERROR if self._sensor.missing else 0
         if alarms != self._alarms:
             self.emergency(ENCODER_FAULT if alarms else 0, DEVICE_PROFILE)
         self._alarms = alarms
@@ -67,7 +51,7 @@ class RailStrip(CanopenSlave):
     def _add_objects(self) -> None:
         add, record = self.dictionary.add, self.dictionary.add_array
         add(0x6000, 0, Entry("H", 0, allowed=(0,)))
-        add(0x6004, 0, Entry("i", 0, "ro", mappable=True, read=lambda: self._position))
+        add(0x6004, 0, Entry("i", 0, "ro", mappable=True, read=lambda: self._sensor.position))
         record(0x6005, Entry("I", STEP_NM, "ro"), Entry("I", SPEED_STEP, "ro"))
         record(0x6030, Entry("h", 0, "ro", mappable=True, read=self._speed))
         add(0x6200, 0, Entry("H", 0, write=self._change_cycle))
@@ -80,7 +64,7 @@ class RailStrip(CanopenSlave):
         add(0x650B, 0, Entry("I", IDENTITY.serial, "ro"))
 
     def _speed(self) -> int:
-        speed = round(self._velocity_mm_s * 100.0 / SPEED_STEP)
+        speed = round(self._sensor.velocity_mm_s * 100.0 / SPEED_STEP)
         return min(max(speed, INT16[0]), INT16[-1])
 
     def _change_cycle(self, period_ms: int) -> None:

@@ -109,6 +109,11 @@ class RailTruth:
             self._start(path, "home", SWITCH_MM)
             self._homing = True
 
+    def master(self) -> None:
+        """Have the encoder read the motor's true place: it is absolute."""
+        with self._lock:
+            self._zero_mm = 0.0
+
     def brake(self, closed: bool) -> None:
         """Close or open the holding brake; closed in motion, it stops the slide hard."""
         with self._lock:

@@ -35,10 +35,11 @@ if TYPE_CHECKING:
     from hilcell.cell.file import Cell
 
 __all__ = [
-    "Air", "Array", "Clock", "DeviceError", "DeviceRefused", "Exercise", "HilcellError", "Identity",
-    "JointSample", "LinkStatistics", "NoReading", "Rail", "RailReading", "Robot", "RobotReading",
-    "SimulatedCell", "Stopped", "Stream", "StreamBlock", "Streams", "StripLost", "Sweep", "Sweeps",
-    "Tracker", "TrackerReading", "Training", "says_simulated",
+    "Air", "Array", "AxisReading", "Clock", "DeviceError", "DeviceRefused", "Exercise",
+    "ExternalAxis", "HilcellError", "Identity", "JointSample", "LinkStatistics", "NoReading",
+    "Rail", "RailReading", "RidesOnRobot", "Robot", "RobotReading", "SimulatedCell", "Stopped",
+    "Stream", "StreamBlock", "Streams", "StripLost", "Sweep", "Sweeps", "Tracker",
+    "TrackerReading", "Training", "says_simulated",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -111,6 +112,15 @@ class RobotReading:
     still: bool
     taken_s: float
     ended_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class AxisReading:
+    """A robot's external axis; ``held``: its controller refuses to move it."""
+
+    position_mm: float
+    held: bool
+    taken_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,6 +308,41 @@ class Sweeps(Protocol):
 
         Its speed is the next one that the controller has, not above ``speed_rad_s``.
         """
+
+
+@runtime_checkable
+class ExternalAxis(Protocol):
+    """A robot whose controller moves the slide, too, over the robot's one connection.
+
+    The arm's own motions carry the slide's held value: the slide stands meanwhile. ``connect``,
+    ``stop`` and ``close`` of the robot are those of the slide.
+    """
+
+    def verify_axis(self) -> Identity:
+        """Return the axis, found ready to move; raises `DeviceError`. Nothing moves."""
+
+    def read_axis(self) -> AxisReading:
+        """Return a reading asked for after this call began."""
+
+    def move_axis(self, position_mm: float, speed_mm_s: float, full_mm_s: float) -> None:
+        """Move the slide alone; return when it stands there; it may move again.
+
+        ``full_mm_s`` is the axis' speed at 100 %; raises `DeviceError` where it runs faster.
+        """
+
+    def hold_axis(self) -> None:
+        """Have the controller refuse every motion of the slide until the next `move_axis`."""
+
+    def stop(self) -> None:
+        """Brake arm and slide; any thread."""
+
+
+@runtime_checkable
+class RidesOnRobot(Protocol):
+    """A rail whose drive is its robot's external axis; the robot is opened before it."""
+
+    def ride(self, robot: ExternalAxis) -> None:
+        """Take the robot, once, before ``connect``."""
 
 
 class SimulatedCell(Protocol):

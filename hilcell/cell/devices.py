@@ -19,8 +19,10 @@ from hilcell.ports import (
     Clock,
     DeviceError,
     DeviceRefused,
+    ExternalAxis,
     Identity,
     Rail,
+    RidesOnRobot,
     Robot,
     SimulatedCell,
     Streams,
@@ -67,10 +69,14 @@ class Devices:
     rail: Rail
     robot: Robot
     tracker: Tracker
+    rail_rides: bool = False  # on the robot, as its external axis
 
     def named(self) -> dict[str, Rail | Robot | Tracker]:
         """Return the devices by name, in the order in which they are opened."""
-        return {"Rail": self.rail, "Robot": self.robot, "Tracker": self.tracker}
+        rail: dict[str, Rail | Robot | Tracker] = {"Rail": self.rail}
+        robot: dict[str, Rail | Robot | Tracker] = {"Robot": self.robot}
+        first, second = (robot, rail) if self.rail_rides else (rail, robot)
+        return first | second | {"Tracker": self.tracker}
 
 
 def streams_of(tracker: Tracker) -> Streams:
@@ -117,7 +123,10 @@ def build_devices(
     for table, group in TABLES:
         kind, options = driver_options(cell, table, group, addresses.get(table, {}))
         built[table] = kind(options, clock)
-    return Devices(**built)
+    rides = isinstance(built["rail"], RidesOnRobot)
+    if rides:
+        built["rail"].ride(built["robot"])
+    return Devices(**built, rail_rides=rides)
 
 
 def driver_options(
@@ -196,6 +205,7 @@ def check_options(cell: Cell) -> None:
         else:
             problems += _simulator_problems(simulator, cell)
     if not problems:
+        problems += _riding_problems(cell)
         problems += [
             f"{' and '.join(tables)} share the address {place}; give each its own"
             for place, tables in device_places(cell, stand_ins).items()
@@ -209,21 +219,41 @@ def check_options(cell: Cell) -> None:
         raise SettingsError(cell.name, problems)
 
 
+def _riding_problems(cell: Cell) -> list[str]:
+    """Return why the rail cannot be the robot's external axis, where it wants to be."""
+    rail, robot = (
+        load_entry(f"{table}s", getattr(cell, table).driver) for table in ("rail", "robot")
+    )
+    if not issubclass(rail, RidesOnRobot) or issubclass(robot, ExternalAxis):
+        return []
+    problem = (
+        f"rail.driver: {cell.rail.driver!r} is an external axis of the robot, and robot driver "
+        f"{cell.robot.driver!r} moves none; name another of both"
+    )
+    return [problem]
+
+
 def _stand_ins(cell: Cell) -> dict[str, dict[str, object]]:
     """Return a place for each device that the file gives none: a simulated cell fills it in."""
     found: dict[str, dict[str, object]] = {}
     for n, (table, group) in enumerate(TABLES, start=1):
         shared = getattr(cell, table)
         try:
-            known = load_entry(group, shared.driver).Options.__struct_fields__
+            options = load_entry(group, shared.driver).Options
         except SettingsError:
             continue  # reported where its options are checked
-        places_of_none = {"host": "127.0.0.1", "channel": f"socket://127.0.0.1:{n}"}
+        channel = f"socket://127.0.0.1:{n}"
+        known = options.__struct_fields__
+        wanted = {each.name for each in msgspec.structs.fields(options) if each.required}
+        places_of_none = {"host": "127.0.0.1", "channel": channel}
         found[table] = {
             key: place
             for key, place in places_of_none.items()
             if key in known and key not in shared.options
         }
+        strip = shared.options.get("strip", {} if "strip" in wanted else None)
+        if isinstance(strip, Mapping):
+            found[table]["strip"] = {"driver": "serial", "channel": channel} | dict(strip)
     return found
 
 

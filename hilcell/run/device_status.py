@@ -88,6 +88,7 @@ class CellMonitor:
             WatchedRail(devices.rail, self),
             WatchedRobot(devices.robot, self),
             WatchedTracker(devices.tracker, self),
+            devices.rail_rides,
         )
         self._refreshed_s = 0.0
 

@@ -25,7 +25,7 @@ VARIABLES = {
     "$ACT_BASE": "0",
     "$TOOL": "{FRAME: X 98.0, Y 0.0, Z 127.0, A 0.0, B 0.0, C 0.0}",
     "$BASE": "{FRAME: X 0.0, Y 0.0, Z 0.0, A 0.0, B 0.0, C 0.0}",
-    "HC_VER": "3",
+    "HC_VER": "4",
     "HC_TGT": "{E6AXIS: A1 0.0, A2 0.0, A3 0.0, A4 0.0, A5 0.0, A6 0.0}",
     "HC_VEL": "10",
     "HC_CMD": "0",
@@ -36,6 +36,9 @@ VARIABLES = {
     "HC_OV_OLD": "0",
     "HC_OV_SET": "0",
     "HC_LIFE": "1500",
+    "HC_HELD": "TRUE",
+    "HC_PLACE": "0.0",
+    "$EX_AX_NUM": "0",
 }
 Mangle = Callable[[str, bytes], list[bytes]]
 
@@ -46,6 +49,8 @@ class KukaPeer:
     def __init__(self, **changed: str) -> None:
         self.variables = VARIABLES | changed
         self.axes = [0.0, -90.0, 90.0, 0.0, 0.0, 0.0]
+        self.slide_mm = 0.0
+        self.places = ""  # in place of it
         self.pose = "{E6POS: X 1620.5, Y 0.0, Z 1910.0, A 30.0, B 45.0, C -60.0, S 2, T 2}"
         self.error = "0"
         self.frozen = False
@@ -83,7 +88,9 @@ class KukaPeer:
             self._step()
         if name == "$AXIS_ACT":
             axes = ", ".join(f"A{n} {v:.6f}" for n, v in enumerate(self.axes, 1))
-            return f"{{E6AXIS: {axes}, E1 0.0}}"
+            return f"{{E6AXIS: {axes}, E1 {self.slide_mm:.5f}}}"
+        if name == "$AXIS_ACT.E1":
+            return self.places or f"{self.slide_mm:.5f}"
         return self.pose if name == "$POS_ACT" else self.variables.get(name)
 
     def _write(self, name: str, value: bytes) -> str:
@@ -93,7 +100,7 @@ class KukaPeer:
             self._steps = 3
         if name == "HC_STOP" and text == "TRUE":
             self._steps = 0
-            self.variables["HC_ERR"] = "9"
+            self.variables["HC_ERR"], self.variables["HC_HELD"] = "9", "TRUE"
             self.stopped.set()
         if name == "HC_STOP" and text == "FALSE":
             self.variables["HC_ACK"] = self.variables["HC_SEQ"]
@@ -104,12 +111,17 @@ class KukaPeer:
             return
         target = [float(v) for v in re.findall(r"A\d (-?[\d.]+)", self.variables["HC_TGT"])]
         share = 1.0 / self._steps
+        if self.variables["HC_CMD"] == "2":
+            place_mm = float(re.findall(r"E1 (-?[\d.]+)", self.variables["HC_TGT"])[0])
+            self.slide_mm += (place_mm - self.slide_mm) * share
         self.axes = [a + (t - a) * share for a, t in zip(self.axes, target, strict=True)]
         self._steps -= 1
         self.moved()
+        slides = self.variables["HC_CMD"] == "2"
         if not self._steps:
             self.axes[0] += self.short_deg
-            self.variables["HC_ERR"] = self.error
+            held = self.variables["HC_HELD"] == "TRUE"
+            self.variables["HC_ERR"] = "4" if held and slides else self.error
             self.variables["HC_ACK"] = self.variables["HC_SEQ"]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from drivers import drive, node_watch, pdo, rail_canopen, rail_setup, sdo
+from drivers import drive, node_watch, pdo, rail_canopen, rail_setup, sdo, standing
 from drivers.rail_canopen import CanopenRail
 from hilcell.clock import WallClock
 from hilcell.ports import DeviceError
@@ -25,8 +25,9 @@ def short_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
     for module, name, value in (
         (drive, "STALL_S", 0.3),
         (drive, "POLL_S", 0.002),
+        (standing, "POLL_S", 0.002),
         (rail_canopen, "POLL_S", 0.002),
-        (rail_canopen, "SETTLE_S", 0.3),
+        (standing, "SETTLE_S", 0.3),
         (rail_setup, "OPERATIONAL_S", 0.5),
         (rail_setup, "START_PERIOD_S", 0.1),
         (rail_canopen, "RELEASE_S", 0.5),

@@ -21,7 +21,7 @@ def test_each_motion_gets_signs_and_a_standing_robot_none(monkeypatch: pytest.Mo
     with KukaPeer() as peer:
         robot = robot_for(peer)
         (identity,) = robot.connect()
-        assert identity.firmware == "hilcell.src 3"
+        assert identity.firmware == "hilcell.src 4"
         robot.move_to(TARGET_RAD, 30.0)
         assert signs(peer) == 3  # one a look
         assert peer.variables["$TIMER[10]"] == "-1500"

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from drivers import drive, motion_limits, rail_canopen, standstill
+from drivers import drive, motion_limits, rail_canopen, standing, standstill
 from drivers.rail_canopen import CanopenRail
 from hilcell.cell.file import load_cell
 from hilcell.ports import DeviceError
@@ -24,8 +24,9 @@ def short_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
     for module, name, value in (
         (drive, "STALL_S", 0.3),
         (drive, "POLL_S", 0.002),
+        (standing, "POLL_S", 0.002),
         (rail_canopen, "POLL_S", 0.002),
-        (rail_canopen, "SETTLE_S", 0.6),
+        (standing, "SETTLE_S", 0.6),
         (rail_canopen, "RELEASE_S", 0.5),
     ):
         monkeypatch.setattr(module, name, value)

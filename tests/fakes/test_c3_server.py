@@ -116,7 +116,7 @@ def test_unknown_variables_and_bad_values_fail(robot: Robot) -> None:
 
 
 def test_motion_by_handshake(robot: Robot) -> None:
-    assert robot.client.read("HC_VER") == "3"
+    assert robot.client.read("HC_VER") == "4"
     assert robot.client.go(1, NEAR) >= 2  # it takes a few polls
     assert robot.client.read("HC_ERR") == "0"
     assert numbers(robot.client.read("$AXIS_ACT"))[:6] == pytest.approx(NEAR, abs=1.2e-4)

@@ -1,0 +1,100 @@
+"""The strip of a rail, where it has a wire of its own: which ones there are, and how one is lost.
+
+No motion needs the strip. So a strip whose line breaks shows as one more alarm in its polls, as a
+missing magnet does, and a reading that needs it raises `StripLost`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Literal, Protocol
+
+import msgspec
+from msgspec import Meta
+
+from hilcell.ports import DeviceError, Identity
+from hilcell.wire.channel import parse_channel
+
+DEVICE = "Rail"
+LOST = 1 << 16  # beside the sensor's own alarm bits, of which there are 16
+
+Positive = Annotated[float, Meta(gt=0)]
+U32 = Annotated[int, Meta(ge=0, le=2**32 - 1)]
+
+
+class StripOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A strip's wire and scale; ``interface`` and what follows are for CiA 406 alone."""
+
+    driver: Literal["serial", "cia406"]
+    channel: str
+    counts_per_mm: Positive = 100.0
+    serial: U32 = 0  # of the sensor; 0: any
+    interface: Literal["slcan", "socketcan"] = "slcan"
+    bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 500_000
+    node: Annotated[int, Meta(ge=1, le=127)] = 6
+    vendor: U32 = 0x484
+    product: U32 = 0x406
+
+    def __post_init__(self) -> None:
+        if self.driver == "serial" or self.interface == "slcan":
+            parse_channel(self.channel)
+
+
+class Strip(Protocol):
+    """A magnetic strip's sensor on a wire of its own; used by one thread."""
+
+    def connect(self) -> Identity:
+        """Open the wire and verify the sensor; raises `DeviceError`."""
+
+    def read(self, check: Callable[[], None]) -> tuple[int, int]:
+        """Return its counts and alarms (0: the counts are good); raises `DeviceError`."""
+
+    def alarm_text(self, alarms: int) -> str:
+        """Return its alarms in words."""
+
+    def close(self) -> None:
+        """Close the wire; a second close does nothing."""
+
+
+class StripFeed:
+    """The polls of one strip; one that is lost is opened again only while nothing moves."""
+
+    def __init__(self, strip: Strip) -> None:
+        self._strip = strip
+        self._lost: DeviceError | None = None
+        self._counts = 0
+
+    def connect(self) -> Identity:
+        """Open the wire and verify the sensor."""
+        self._strip.close()
+        identity, self._lost = self._strip.connect(), None
+        return identity
+
+    def poll(self, check: Callable[[], None]) -> tuple[int, int]:
+        """Return counts and alarms: the last counts and `LOST` of a strip that does not answer."""
+        if self._lost is None:
+            try:
+                self._counts, alarms = self._strip.read(check)
+            except DeviceError as error:
+                self._lost = error
+            else:
+                return self._counts, alarms
+        return self._counts, LOST
+
+    def mend(self) -> None:
+        """Open the wire of a strip that was lost again, if it lets itself be opened."""
+        if self._lost is not None:
+            try:
+                self.connect()
+            except DeviceError as error:
+                self._lost = error
+
+    def alarm_text(self, alarms: int) -> str:
+        """Return alarms in words."""
+        if alarms & LOST and self._lost is not None:
+            return self._lost.summary
+        return self._strip.alarm_text(alarms & ~LOST)
+
+    def close(self) -> None:
+        """Close the wire."""
+        self._strip.close()

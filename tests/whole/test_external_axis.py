@@ -1,0 +1,79 @@
+"""The slide as external axis E1 of the robot: whole runs, and an engine that dies on the way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from drivers.c3 import C3Connection
+from hilcell.journal.runs import find_run, read_log
+from tests.whole.bench import SMALL, Engine, command, end_of, events, hilcell, sets, simulation
+from tests.whole.trace import judge
+
+E1 = {"rail.driver": "kuka-e1"}
+
+
+def test_a_small_calibration_ends_in_tolerance(tmp_path: Path) -> None:
+    done = command("run", "--runs", tmp_path, "--json", "--unattended", *sets(SMALL | E1))
+    assert end_of(done)["exit"] == 0, done.stderr
+    assert judge(events(done.stdout)) == []
+    kinds = {each.kind: each.model for each in read_log(find_run(tmp_path, "last")).assets}
+    assert set(kinds) == {"drive", "strip", "robot", "tracker"}
+    assert kinds["drive"].startswith("E1 of ")
+    assert kinds["strip"] == "MSAC501 simulated"
+
+
+def test_a_killed_engine_leaves_a_slide_that_brakes_by_itself(tmp_path: Path) -> None:
+    slow = E1 | {"rail.speed_mm_s": "20.0"}
+    with simulation(8.0, values=slow) as cell:
+        words = sets(slow | {"simulation.address": cell.control})
+        engine = Engine("run", "rail-survey", "--runs", tmp_path, "--unattended", *words)
+        engine.until(lambda event: event.get("action") == "rail.move")
+        port = int(cell.addresses["robot"]["port"])
+        line = C3Connection("Robot", "127.0.0.1", port, lambda: None)
+        before_mm = float(line.read("$AXIS_ACT.E1"))
+        while abs(float(line.read("$AXIS_ACT.E1")) - before_mm) < 1.0:
+            pass  # the test's time limit bounds the wait
+        engine.kill()
+        while line.read("HC_ERR") != "8":
+            pass
+        assert line.read("HC_HELD") == "TRUE"
+        places = [float(line.read("$AXIS_ACT.E1")), 0.0]
+        while abs(places[-1] - places[-2]) > 0.003:  # it dithers
+            places.append(float(line.read("$AXIS_ACT.E1")))
+        target_mm = float(line.read("HC_TGT").partition("E1 ")[2].partition(",")[0])
+        assert abs(target_mm - places[-1]) > 5.0
+        line.close()
+        again = Engine("resume", engine.run, "--runs", tmp_path)
+        again.until(lambda event: event.get("position_mm") == 100.0)
+        again.kill()
+
+
+@pytest.mark.parametrize(
+    ("fault", "code"),
+    [
+        ("robot.no_slide", "HC-R50"),
+        ("robot.slide_unmastered", "HC-R51"),
+        ("robot.frozen", "HC-B23"),
+        ("robot.e_stop", "HC-B10"),
+        ("robot.softlimit", "HC-B20"),
+        ("rail.strip_jump", "HC-R53"),
+    ],
+)
+def test_what_fails_is_named(tmp_path: Path, fault: str, code: str) -> None:
+    value = 30.0 if fault == "rail.strip_jump" else True
+    with simulation(values=E1) as cell:
+        cell.ask(do="fault", name=fault, value=value, count=int(value is not True))
+        words = sets(E1 | {"simulation.address": cell.control})
+        done = command("run", "rail-survey", "--runs", tmp_path, "--json", "--unattended", *words)
+    end = end_of(done)
+    assert end["exit"] in (2, 3)
+    assert code in done.stdout + done.stderr
+
+
+def test_a_robot_that_moves_no_slide_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    done = hilcell(
+        "run", "--runs", tmp_path, *sets({"rail.driver": "kuka-e1", "robot.driver": "x"})
+    )
+    assert done.returncode == 2
