@@ -69,7 +69,7 @@ def test_identity(peer: EkiPeer) -> None:
     robot.close()
     assert (identity.model, identity.serial) == ("#KR210R2700_2 C4 FLR", "472911")
     assert identity.address == f"127.0.0.1:{peer.server.port}"
-    assert identity.firmware == "hilcell.src 3"
+    assert identity.firmware == "hilcell.src 4"
     assert {command["Type"] for command in peer.commands} == {str(eki.ASK)}
 
 
