@@ -19,6 +19,7 @@ from fakes.faults import Faults, Vanished
 from fakes.krl import KrlError
 from fakes.krl_controller import KrlController
 from fakes.listener import HOST, Listener
+from fakes.motion_faults import Harms
 from fakes.segments import Segments
 from fakes.site import Site
 
@@ -141,8 +142,8 @@ def _parse(request: bytes) -> tuple[int, str, str] | None:
 def serve(site: Site, port: int) -> C3Server:
     """Return the robot of a simulated cell behind C3 Bridge."""
     plant = site.plant
-    harms = (plant.lose_zero, plant.slip_mount, plant.lose_motion)
+    harms = Harms(plant.lose_zero, plant.slip_mount, plant.lose_motion)
     controller = KrlController(
-        site.cell, plant.robot, site.faults, *harms, slide=external_axis(site)
+        site.cell, plant.robot, site.faults, harms, slide=external_axis(site)
     )
     return C3Server(controller, site.faults, site.time.catch_up, port=port)

@@ -29,6 +29,7 @@ from fakes.krl import (
     parse_rounded,
 )
 from fakes.life_timer import LifeTimer
+from fakes.motion_faults import Harms, strike
 from fakes.robot_motion import RobotMotion, RobotState
 from fakes.transforms import Array
 from hilcell.cell.file import Cell
@@ -44,15 +45,6 @@ FRAME = ("X", "Y", "Z", "A", "B", "C")
 TOOL, BASE = 1, 0
 CYCLE_S = 0.012  # of the interpolation: measured axes are as old as its last tick
 FLICKER_DEG = 1e-4  # of each axis at rest
-LOST_ZEROS = {
-    1: "robot.lost_zero",
-    2: "robot.lost_zero_2",
-    3: "robot.lost_zero_3",
-    4: "robot.lost_zero_4",
-    5: "robot.lost_zero_5",
-    6: "robot.lost_zero_6",
-}
-WHOLE_TURN_DEG = np.array([0.0] * 5 + [360.0])
 FLICKER_POSE = np.array([1e-3] * 3 + [1e-4] * 3)  # mm and deg
 
 
@@ -64,14 +56,11 @@ class KrlController:
         cell: Cell,
         motion: RobotMotion,
         faults: Faults,
-        lose_zero: Callable[[float, int], None] = lambda lost_rad, axis: None,
-        slip_mount: Callable[[float], None] = lambda along_mm: None,
-        lose_motion: Callable[[float], None] = lambda lost_rad: None,
+        harms: Harms | None = None,
         slide: ExternalAxis | None = None,
     ) -> None:
         self._lock = threading.RLock()
-        self._motion, self._faults, self._lose_zero = motion, faults, lose_zero
-        self._slip_mount, self._lose_motion = slip_mount, lose_motion
+        self._motion, self._faults, self._harms = motion, faults, harms or Harms()
         self._slide, self._slide_mm = slide, 0.0  # the place at which it is held
         self._arm = controller_arm(cell)
         self._low_deg = np.array([joint.min_deg for joint in cell.robot.joint])
@@ -331,20 +320,11 @@ class KrlController:
         inside = (target_deg >= self._low_deg) & (target_deg <= self._high_deg)
         if not inside.all() or self._faults.take("robot.softlimit") is not None:
             return OUT_OF_LIMITS
-        for axis, fault in LOST_ZEROS.items():
-            lost_deg = self._faults.number(fault)
-            if lost_deg is not None:
-                self._lose_zero(float(np.radians(lost_deg)), axis)
-        self._slip_mount(self._faults.number("robot.mount_slip") or 0.0)
-        self._lose_motion(1e-6 * (self._faults.number("robot.lost_motion") or 0.0))
-        self._keeps_acknowledge = self._faults.take("robot.ack_previous") is not None
-        self._frozen = self._faults.take("robot.frozen") is not None
-        target_deg = target_deg - (self._faults.number("robot.stops_short") or 0.0)
-        if self._faults.take("robot.wrong_turn") is not None:
-            target_deg = target_deg + WHOLE_TURN_DEG
+        struck = strike(self._faults, self._harms, target_deg)
+        self._keeps_acknowledge, self._frozen = struck.keeps_acknowledge, struck.frozen
         if not self._frozen:
             speed = min(max(self._integers["HC_VEL"], 1), 100) / 100.0
-            self._motion.move(np.radians(target_deg), speed)
+            self._motion.move(np.radians(struck.target_deg), speed)
         self._timer.start(-self._integers["HC_LIFE"])
         return OK
 

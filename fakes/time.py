@@ -60,6 +60,11 @@ class PlantTime:
         with self._lock:
             self._followers = (*self._followers, follower)
 
+    @property
+    def followed(self) -> bool:
+        """Whether somebody follows a motion in stepped time."""
+        return self.stepped and bool(self._followers)
+
     def unfollow(self, follower: Follower) -> None:
         """Call ``follower`` no longer."""
         with self._lock:

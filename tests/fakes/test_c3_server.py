@@ -14,6 +14,7 @@ from fakes import c3_server
 from fakes.c3_server import C3Server
 from fakes.faults import Faults
 from fakes.krl_controller import KrlController
+from fakes.motion_faults import Harms
 from fakes.plant import Plant
 from fakes.time import PlantTime
 from hilcell.cell.file import Cell
@@ -37,7 +38,7 @@ class Robot:
 def robot(cell: Cell) -> Iterator[Robot]:
     faults = Faults()
     plant = Plant(cell, 1, PlantTime(), faults)
-    controller = KrlController(cell, plant.robot, faults, plant.lose_zero)
+    controller = KrlController(cell, plant.robot, faults, Harms(plant.lose_zero))
     server = C3Server(controller, faults)
     with contextlib.closing(server):
         server.start()

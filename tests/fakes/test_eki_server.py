@@ -14,6 +14,7 @@ from fakes.eki_server import EkiServer
 from fakes.faults import Faults
 from fakes.krl import KrlError
 from fakes.krl_controller import KrlController
+from fakes.motion_faults import Harms
 from fakes.plant import Plant
 from fakes.time import PlantTime
 from hilcell.cell.file import Cell
@@ -93,7 +94,7 @@ class Robot:
 def robot(cell: Cell) -> Iterator[Robot]:
     faults = Faults()
     plant = Plant(cell, 1, PlantTime(), faults)
-    controller = KrlController(cell, plant.robot, faults, plant.lose_zero)
+    controller = KrlController(cell, plant.robot, faults, Harms(plant.lose_zero))
     server = EkiServer(controller, faults, plant.time)
     with contextlib.closing(server):
         server.start()

@@ -8,6 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 DEADLINE_S = 10.0
+STATES = "timestamp,actual_q,robot_mode,output_int_register_24,output_int_register_25"
+REGISTERS = [f"input_int_register_{n}" for n in range(24, 28)]
+REGISTERS += [f"input_double_register_{n}" for n in range(24, 31)]
 
 
 @contextmanager
@@ -110,3 +113,40 @@ class EmsconClient:
         assert self.ask(55, "3di", x_mm, y_mm, z_mm, 1)[0] == 0
         assert self.ask(49)[0] == 0
         return self.result()
+
+
+class RtdeClient:
+    """A plain client by the page."""
+
+    def __init__(self, wire: socket.socket) -> None:
+        self.wire = wire
+
+    def package(self) -> tuple[int, bytes]:
+        size, kind = struct.unpack("!HB", exactly(self.wire, 3))
+        return kind, exactly(self.wire, size - 3)
+
+    def ask(self, kind: int, payload: bytes = b"") -> bytes:
+        self.wire.sendall(struct.pack("!HB", 3 + len(payload), kind) + payload)
+        while (answer := self.package())[0] != kind:
+            pass
+        return answer[1]
+
+    def begin(self, *, write: bool = True) -> None:
+        assert self.ask(86, b"\x00\x02") == b"\x01"
+        types = self.ask(79, struct.pack("!d", 125.0) + STATES.encode())
+        assert types == b"\x01DOUBLE,VECTOR6D,INT32,INT32,INT32"
+        if write:
+            types = self.ask(73, ",".join(REGISTERS).encode())[1:]
+            assert types.split(b",") == [b"INT32"] * 4 + [b"DOUBLE"] * 7
+        assert self.ask(83) == b"\x01"
+
+    def state(self) -> tuple[float, ...]:
+        while (answer := self.package())[0] != 85:
+            pass
+        found: tuple[float, ...] = struct.unpack("!B7diii", answer[1])
+        return found
+
+    def write(self, sequence: int, life: int, joints: list[float], *, stop: int = 0) -> None:
+        values = (1, sequence, 1, life, stop, *joints, 1.0)
+        payload = struct.pack("!B4i7d", *values)
+        self.wire.sendall(struct.pack("!HB", 3 + len(payload), 85) + payload)

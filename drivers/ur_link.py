@@ -1,0 +1,207 @@
+"""The RTDE connection to a Universal Robots controller: states in, registers out.
+
+The controller sends a package at every cycle, asked or not, and drops those that nobody fetches.
+So a thread fetches them all the time. A package that waited in a buffer is no fresh one: its age
+counts from when the buffer was last seen empty before it.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from itertools import takewhile
+
+from drivers import rtde
+from drivers.rtde import Kind, Packages, Recipe, RtdeError
+from drivers.supervision import Patience
+from drivers.tcp import Alarms, TcpLink
+from drivers.ur_state import INPUTS, OUTPUTS, Order, UrState, registers, state_from
+from hilcell.ports import DeviceError, DeviceRefused, Stopped
+
+DEVICE = "Robot"
+ALARMS = Alarms(unreachable="HC-B01", lost="HC-B02")
+ANSWER_S = 3.0
+SILENT_S = 1.0  # without a package
+LOOK_S = 0.02  # a stop is seen within this
+FETCH_S = 0.1
+KEPT = 4096  # packages
+SIZE = 65536
+JOIN_S = 2.0
+MAX_LIFE = 1_000_000_000
+
+
+class UrLink:
+    """One connection. ``write`` may come from any thread, all else from one."""
+
+    def __init__(self, host: str, port: int, rate_hz: float, check: Callable[[], None]) -> None:
+        """Set the exchange up and start it; raises `DeviceError`."""
+        self._check, self._rate_hz = check, rate_hz
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._fetch, name="rtde", daemon=True)
+        self._link = TcpLink(DEVICE, host, port, self._look, ALARMS)
+        self._packages, self._arrived = Packages(), deque[tuple[int, bytes]]()
+        self._changed = threading.Condition()
+        self._states: deque[UrState] = deque(maxlen=KEPT)
+        self._failure: DeviceError | None = None
+        self._writing, self._life = threading.Lock(), 0
+        try:
+            self.version = self._set_up()
+        except BaseException:
+            self._link.close()
+            raise
+        self._thread.start()
+
+    def fresh(self, *, patiently: bool = False) -> UrState:
+        """Return a state that the controller took after this call began.
+
+        The first package that arrives may have been under way before. ``patiently`` waits on when
+        a stop was asked for. Raises `DeviceError`.
+        """
+        begun_s = time.monotonic()
+        for _ in range(2):
+            while (state := self.following(begun_s, patiently=patiently)[-1]).after_s < begun_s:
+                pass
+            begun_s = state.by_s
+        return state
+
+    def next(self) -> UrState:
+        """Return the next state that arrives; raises `DeviceError`."""
+        return self.following(time.monotonic())[-1]
+
+    def following(self, by_s: float, *, patiently: bool = False) -> list[UrState]:
+        """Wait for states that arrived after a time (monotonic); return all of these."""
+        patience = Patience(SILENT_S)
+        while True:
+            if not patiently:
+                self._check()
+            over = patience.over()
+            with self._changed:
+                found = self._since(by_s)
+                if not found and not over and self._failure is None:
+                    self._changed.wait(LOOK_S)
+                    found = self._since(by_s)
+            if found:
+                return found
+            if self._failure is not None:
+                raise self._failure
+            if over:
+                raise self._link.broken("receive", f"no package for {SILENT_S:.1f} s")
+
+    def write(self, order: Order) -> None:
+        """Write the registers, with the next sign of life; raises `DeviceError`."""
+        with self._writing:
+            self._life = self._life % MAX_LIFE + 1
+            self._link.send(self._inputs.encode(registers(order, self._life)), "write registers")
+
+    def close(self) -> None:
+        """End the thread and the connection."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join(JOIN_S)
+        self._link.close()
+
+    # -- setting up ---------------------------------------------------------------------------
+
+    def _set_up(self) -> str:
+        if not rtde.accepted(self._ask(Kind.VERSION, rtde.request_version())):
+            raise self._refused("HC-B69", f"version {rtde.VERSION} of RTDE is refused")
+        version = rtde.controller_version(
+            self._ask(Kind.CONTROLLER_VERSION, rtde.encode(Kind.CONTROLLER_VERSION))
+        )
+        asked = rtde.request_outputs(OUTPUTS, self._rate_hz)
+        self._outputs = self._recipe(Kind.OUTPUTS, asked, OUTPUTS)
+        self._inputs = self._recipe(Kind.INPUTS, rtde.request_inputs(INPUTS), INPUTS)
+        if not rtde.accepted(self._ask(Kind.START, rtde.encode(Kind.START))):
+            raise self._refused("HC-B69", "the exchange is not started")
+        return version
+
+    def _recipe(self, kind: Kind, request: bytes, names: tuple[str, ...]) -> Recipe:
+        answer = self._ask(kind, request)
+        try:
+            recipe = Recipe.from_answer(names, answer)
+        except RtdeError as error:
+            raise self._link.broken("set up", str(error)) from error
+        if lacking := recipe.lacking(rtde.NOT_FOUND):
+            raise self._refused("HC-B69", f"the controller has no {', '.join(lacking)}")
+        if held := recipe.lacking(rtde.IN_USE):
+            raise self._refused("HC-B68", f"another client writes {', '.join(held)}")
+        return recipe
+
+    def _ask(self, kind: Kind, request: bytes) -> bytes:
+        """Return the payload of the answer of the same type."""
+        self._link.send(request, kind.name.lower())
+        patience = Patience(ANSWER_S)
+        while True:
+            while self._arrived:
+                found, payload = self._arrived.popleft()
+                if found == kind:
+                    return payload
+            data = self._link.receive(SIZE, patience)
+            if not data:
+                raise self._link.broken(kind.name.lower(), f"no answer within {ANSWER_S:.0f} s")
+            try:
+                self._arrived.extend(self._packages.feed(data))
+            except RtdeError as error:
+                raise self._link.broken(kind.name.lower(), str(error)) from error
+
+    def _refused(self, code: str, found: str) -> DeviceRefused:
+        act = {
+            "HC-B68": "end the other program, or the fieldbus, that writes these registers",
+            "HC-B69": "hilcell needs RTDE of PolyScope 3.10 or 5.4 and later",
+        }[code]
+        return DeviceRefused(code, DEVICE, "connect", found, act=act)
+
+    def _look(self) -> None:
+        """End the wait of the thread that fetches by `close`, that of any other by a stop."""
+        if threading.current_thread() is not self._thread:
+            self._check()
+        elif self._closing.is_set():
+            raise Stopped
+
+    # -- fetching -----------------------------------------------------------------------------
+
+    def _fetch(self) -> None:
+        emptied_s = 0.0  # when the buffer was last seen empty
+        try:
+            self._take(self._arrived, emptied_s)
+            while not self._closing.is_set():
+                looked_s = time.monotonic()
+                data = self._link.receive(SIZE, Patience(0.0))
+                if not data:
+                    emptied_s = looked_s
+                    data = self._link.receive(SIZE, Patience(FETCH_S))
+                self._take(self._packages.feed(data), emptied_s)
+        except RtdeError as error:
+            self._fail(_unusable(error))
+        except DeviceError as error:
+            self._fail(error)
+        except Stopped:
+            return
+
+    def _take(self, packages: Iterable[tuple[int, bytes]], emptied_s: float) -> None:
+        found = list[UrState]()
+        for kind, payload in packages:
+            if kind == Kind.DATA:
+                values = self._outputs.decode(payload)
+                found.append(state_from(values, emptied_s, time.monotonic()))
+        if found:
+            with self._changed:
+                self._states.extend(found)
+                self._changed.notify_all()
+
+    def _fail(self, error: DeviceError) -> None:
+        with self._changed:
+            self._failure = error
+            self._changed.notify_all()
+
+    def _since(self, by_s: float) -> list[UrState]:
+        newer = takewhile(lambda state: state.by_s > by_s, reversed(self._states))
+        return list(newer)[::-1]
+
+
+def _unusable(error: RtdeError) -> DeviceError:
+    return DeviceError(
+        "HC-B26", DEVICE, "receive", str(error), act="restart the controller; resume"
+    )

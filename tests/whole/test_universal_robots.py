@@ -1,0 +1,350 @@
+"""The driver of Universal Robots against the simulated controller, over its three ports."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from drivers import robot_ur_rtde
+from drivers.robot_ur_rtde import UrRtdeRobot, script_text
+from fakes.faults import Faults
+from fakes.motion_faults import Harms
+from fakes.plant import Plant
+from fakes.site import Site
+from fakes.time import PlantTime
+from fakes.ur_controller import UrController
+from fakes.ur_server import UrServer
+from hilcell.cell.file import load_cell
+from hilcell.clock import WallClock
+from hilcell.geometry.kinematics import forward
+from hilcell.ports import DeviceError, DeviceRefused, Robot, Stopped, Sweeps
+from tests.fakes.rail_bench import until
+from tests.fakes.wires import RtdeClient, connected
+from tests.whole.bench import Engine, command, end_of, sets, simulation
+
+LAB = load_cell("lab")
+HOME = np.radians(LAB.robot.home_deg)
+TARGET = HOME + np.radians([20.0, -5.0, 8.0, 3.0, -4.0, 30.0])
+FAR = HOME + np.radians([90.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+OTHER = b"def other():\n  sync()\nend\n"
+
+
+@dataclass
+class Bench:
+    """A robot on its wires, and its driver."""
+
+    controller: UrController
+    server: UrServer
+    faults: Faults
+    plant: Plant
+    stop: threading.Event
+
+    def robot(self, **options: Any) -> UrRtdeRobot:
+        values = self.server.address | {"smr_mm": LAB.robot.smr_mm, "joint": LAB.robot.joint}
+        return UrRtdeRobot(
+            msgspec.convert(
+                {k: v for k, v in values.items() if k != "joint"}
+                | {"joint": msgspec.to_builtins(LAB.robot.joint)}
+                | options,
+                UrRtdeRobot.Options,
+            ),
+            WallClock(self.stop),
+        )
+
+    def play(self, script: bytes) -> None:
+        port = self.server.address["script_port"]
+        assert isinstance(port, int)
+        with connected(port) as wire:
+            wire.sendall(script)
+            until(lambda: self.controller.ask("running").endswith("true"), "it plays")
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    for name, value in (("STALL_S", 0.5), ("REST_S", 0.3), ("COUNT_S", 0.2)):
+        monkeypatch.setattr(robot_ur_rtde, name, value)
+    faults, time = Faults(), PlantTime(10.0)
+    plant = Plant(LAB, 1, time, faults)
+    harms = Harms(plant.lose_zero, plant.slip_mount, plant.lose_motion)
+    controller = UrController(LAB, plant.robot, faults, time, harms)
+    server = UrServer(controller, Site(LAB, plant, faults, time), 0)
+    with contextlib.closing(server):
+        server.start()
+        yield Bench(controller, server, faults, plant, threading.Event())
+
+
+@pytest.fixture
+def robot(bench: Bench) -> Iterator[UrRtdeRobot]:
+    robot = bench.robot()
+    robot.connect()
+    yield robot
+    robot.close()
+
+
+def test_it_goes_where_it_is_sent(bench: Bench) -> None:
+    robot = bench.robot()
+    port: Robot = robot
+    assert isinstance(robot, Sweeps)
+    (identity,) = port.connect()
+    assert (identity.model, identity.serial) == ("UR10e SIMULATED", "20225500147")
+    assert (identity.simulated, identity.maker) == (True, "Universal Robots")
+    reading = port.move_to(TARGET, 100.0)
+    assert reading.still
+    assert np.abs(reading.joints_rad - TARGET).max() < 2e-5
+    assert np.abs(reading.pose - forward(LAB.robot.arm(), reading.joints_rad)).max() < 1e-6
+    assert reading.ended_s is not None
+    assert reading.taken_s >= reading.ended_s
+    again = port.read()
+    assert again.still
+    assert again.taken_s > reading.taken_s
+    port.close()
+    until(lambda: bench.controller.ask("running").endswith("false"), "the script has ended")
+
+
+def test_packages_that_are_split_and_glued(bench: Bench, robot: UrRtdeRobot) -> None:
+    bench.faults.set("robot.split_reply", count=0)
+    assert robot.move_to(TARGET, 100.0).still
+
+
+@pytest.mark.parametrize(
+    ("fault", "value", "code"),
+    [
+        ("robot.e_stop", True, "HC-B10"),
+        ("robot.stopmess", True, "HC-B62"),
+        ("robot.override_zero", True, "HC-B16"),
+        ("robot.mode_t1", True, "HC-B60"),
+        ("robot.deselected", True, "HC-B66"),
+        ("robot.restarted", True, "HC-B13"),
+        ("robot.softlimit", True, "HC-B20"),
+        ("robot.stops_short", 0.1, "HC-B24"),
+        ("robot.wrong_turn", True, "HC-B24"),
+        ("robot.frozen", True, "HC-B23"),
+        ("robot.ack_previous", True, "HC-B23"),
+        ("robot.stale_position", True, "HC-B26"),
+        ("robot.wrong_tool", True, "HC-B06"),
+        ("robot.bad_number", "nan", "HC-B26"),
+        ("robot.tag_mismatch", True, "HC-B26"),
+        ("robot.idle_close", True, "HC-B02"),
+        ("robot.no_reply", True, "HC-B02"),
+        ("robot.half_open", True, "HC-B02"),
+        ("robot.vanish", True, "HC-B02"),
+    ],
+)
+def test_a_fault_in_a_motion(
+    bench: Bench, robot: UrRtdeRobot, fault: str, value: Any, code: str
+) -> None:
+    bench.faults.set(fault, value, count=0)
+    with pytest.raises(DeviceError) as found:
+        robot.move_to(TARGET, 100.0)
+    assert found.value.code == code
+    assert found.value.act
+
+
+@pytest.mark.parametrize(
+    ("status", "code"),
+    [
+        (2, "HC-B61"),
+        (3, "HC-B62"),
+        (4, "HC-B65"),
+        (5, "HC-B11"),
+        (6, "HC-B10"),
+        (7, "HC-B10"),
+        (8, "HC-B63"),
+        (9, "HC-B64"),
+        (11, "HC-B65"),
+    ],
+)
+def test_each_safety_status_is_refused(bench: Bench, status: int, code: str) -> None:
+    bench.controller.safety = status
+    with pytest.raises(DeviceRefused, match=f"safety_status is {status}") as found:
+        bench.robot().connect()
+    assert found.value.code == code
+
+
+def test_reduced_mode_ends_a_motion(bench: Bench, robot: UrRtdeRobot) -> None:
+    bench.controller.safety = 2
+    with pytest.raises(DeviceError, match="reduced") as found:
+        robot.move_to(TARGET, 100.0)
+    assert found.value.code == "HC-B61"
+
+
+def test_local_control_is_refused(bench: Bench) -> None:
+    bench.controller.remote = False
+    with pytest.raises(DeviceRefused, match="remote control") as found:
+        bench.robot().connect()
+    assert found.value.code == "HC-B60"
+
+
+@pytest.mark.parametrize("options", [{"model": "UR5e"}, {"serial": "20225500148"}])
+def test_another_robot_is_refused(bench: Bench, options: dict[str, str]) -> None:
+    with pytest.raises(DeviceRefused) as found:
+        bench.robot(**options).connect()
+    assert found.value.code == "HC-B05"
+
+
+def test_a_program_of_somebody_else_is_left_alone(bench: Bench) -> None:
+    bench.play(OTHER)
+    with pytest.raises(DeviceRefused) as found:
+        bench.robot().connect()
+    assert found.value.code == "HC-B67"
+    assert bench.controller.ask("programState") == "PLAYING other"
+
+
+def test_registers_have_one_writer(bench: Bench, robot: UrRtdeRobot) -> None:
+    with pytest.raises(DeviceRefused) as found:
+        bench.robot().connect()
+    assert found.value.code == "HC-B68"
+    assert robot.move_to(TARGET, 100.0).still
+
+
+def moving(bench: Bench, robot: UrRtdeRobot, joints: Any = FAR) -> list[BaseException]:
+    """Start a slow motion in a thread; return the list that its error will be in."""
+    errors: list[BaseException] = []
+
+    def move() -> None:
+        try:
+            robot.move_to(joints, 5.0)
+        except (DeviceError, Stopped) as error:
+            errors.append(error)
+
+    threading.Thread(target=move, daemon=True).start()
+    until(lambda: bench.plant.robot.moving, "it moves")
+    return errors
+
+
+def test_another_script_in_its_place(bench: Bench, robot: UrRtdeRobot) -> None:
+    errors = moving(bench, robot)
+    bench.play(OTHER)
+    until(lambda: bool(errors), "the driver sees it")
+    assert isinstance(errors[0], DeviceError)
+    assert errors[0].code == "HC-B66"
+    until(lambda: not bench.plant.robot.moving, "it stands")
+
+
+def test_a_stop_from_another_thread(bench: Bench, robot: UrRtdeRobot) -> None:
+    errors = moving(bench, robot)
+    bench.stop.set()
+    robot.stop()
+    until(lambda: bool(errors), "the motion ends")
+    assert isinstance(errors[0], Stopped)
+    until(lambda: not bench.plant.robot.moving, "it stands")
+    with pytest.raises(DeviceError) as found:
+        robot.move_to(HOME, 100.0)
+    assert found.value.code == "HC-B21"
+
+
+def test_a_script_left_behind_is_ended_by_the_next_connect(bench: Bench) -> None:
+    bench.play(script_text(5))
+    robot = bench.robot()
+    robot.connect()
+    assert robot.move_to(TARGET, 100.0).still
+    robot.close()
+
+
+def test_registers_that_arrive_after_the_script_move_nothing(bench: Bench) -> None:
+    write, play = bench.controller.write, bench.controller.play
+    bench.controller.write({"input_int_register_24": 5.0})
+    played = threading.Event()
+
+    def write_late(values: dict[str, float]) -> None:
+        played.wait(5.0)
+        write(values)
+
+    def play_first(script: str) -> None:
+        play(script)
+        played.set()
+
+    bench.controller.write = write_late  # type: ignore[method-assign]  # the other order of ports
+    bench.controller.play = play_first  # type: ignore[method-assign]  # the other order of ports
+    robot = bench.robot()
+    robot.connect()
+    assert not bench.plant.robot.moving
+    assert robot.move_to(TARGET, 100.0).still
+    robot.close()
+
+
+def test_a_sweep_at_its_speed(bench: Bench, robot: UrRtdeRobot) -> None:
+    end = float(HOME[2]) + np.radians(10.0)
+    with robot.sweep(2, end, float(np.radians(20.0))) as sweep:
+        assert sweep.speed_rad_s == pytest.approx(np.radians(20.0))
+        sweep.kickoff()
+        samples = []
+        while not sweep.ended:
+            samples.append(sweep.collect())
+        reading = sweep.complete()
+    assert reading.joints_rad[2] == pytest.approx(end, abs=1e-5)
+    turned = np.array([sample.joints_rad for sample in samples])
+    assert np.abs(turned[:, [0, 1, 3, 4, 5]] - HOME[[0, 1, 3, 4, 5]]).max() < 1e-4
+    assert all(sample.before_s < sample.after_s for sample in samples)
+    assert robot.move_to(HOME, 100.0).still
+
+
+def test_a_sweep_that_is_left_is_braked(bench: Bench, robot: UrRtdeRobot) -> None:
+    class Left(Exception):
+        pass
+
+    def leave() -> None:
+        with robot.sweep(0, float(FAR[0]), 0.01) as sweep:
+            sweep.kickoff()
+            sweep.collect()
+            raise Left
+
+    with pytest.raises(Left):
+        leave()
+    assert not bench.plant.robot.moving
+    assert robot.move_to(HOME, 100.0).still
+
+
+def test_the_slider_must_stay_during_a_sweep(bench: Bench, robot: UrRtdeRobot) -> None:
+    def sweep_on() -> None:
+        with robot.sweep(0, float(FAR[0]), 0.5) as sweep:
+            sweep.kickoff()
+            bench.controller.slide(0.5)
+            while not sweep.ended:
+                sweep.collect()
+
+    with pytest.raises(DeviceError) as found:
+        sweep_on()
+    assert found.value.code == "HC-B70"
+
+
+@pytest.mark.parametrize(
+    ("axis", "end", "speed"), [(6, 0.0, 0.1), (0, np.nan, 0.1), (0, 1.0, 9.0), (0, 1.0, np.nan)]
+)
+def test_an_impossible_sweep(robot: UrRtdeRobot, axis: int, end: float, speed: float) -> None:
+    with pytest.raises(DeviceError) as found:
+        robot.sweep(axis, end, speed)
+    assert found.value.code == "HC-B28"
+
+
+@pytest.mark.parametrize(("joint", "speed"), [(np.nan, 50.0), (0.0, 0.0), (0.0, np.nan)])
+def test_an_impossible_motion(robot: UrRtdeRobot, joint: float, speed: float) -> None:
+    with pytest.raises(DeviceError) as found:
+        robot.move_to(HOME * 0 + joint, speed)
+    assert found.value.code == "HC-B28"
+
+
+def test_the_script_brakes_when_the_engine_is_killed(tmp_path: Path) -> None:
+    slow = {"robot.speed_percent": "2.0"}
+    with simulation(5.0, name="lab") as cell:
+        words = sets({"simulation.address": cell.control} | slow)
+        engine = Engine("run", "home", "--cell", "lab", "--runs", tmp_path, *words)
+        with connected(cell.addresses["robot"]["rtde_port"]) as wire:
+            states = RtdeClient(wire)
+            states.begin(write=False)
+            while np.abs(np.array(states.state()[2:8]) - HOME).max() < 0.01:
+                pass  # the test's time limit bounds the wait
+            engine.kill()
+            while (state := states.state())[-1] != 8:
+                pass
+        assert np.abs(np.array(state[2:8]) - np.radians(LAB.robot.safe_deg)).max() > 0.01
+        last = command("resume", engine.run, "--runs", tmp_path, "--json")
+    assert end_of(last)["state"] == "finished", last.stderr
