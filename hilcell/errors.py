@@ -13,11 +13,11 @@ from typing import Any
 MOST_LISTED = 10
 
 
-def bounded(lines: Iterable[str], count: int | None = None) -> list[str]:
+def bounded(lines: Iterable[str], count: int | None = None, most: int = MOST_LISTED) -> list[str]:
     """Return the first lines of a list, and how many more there are of ``count``, or of its own."""
     found = list(lines)
-    more = (len(found) if count is None else count) - MOST_LISTED
-    return [*found[:MOST_LISTED], *([f"and {more} more"] if more > 0 else [])]
+    more = (len(found) if count is None else count) - most
+    return [*found[:most], *([f"and {more} more"] if more > 0 else [])]
 
 
 class HilcellError(Exception):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from hilcell.cell.source import read_source
 from hilcell.commands.cli import main
 
 
@@ -97,3 +98,15 @@ def test_a_cell_file_in_another_coding(tmp_path: Path, capsys: pytest.CaptureFix
     cell.write_bytes("name = 'Zelle für Löcher'".encode("latin-1"))
     assert main(["check", str(cell)]) == 2
     assert "is no text in UTF-8; save it as UTF-8" in capsys.readouterr().err
+
+
+def test_many_problems_are_shown_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "cell.toml"
+    odd = "".join(f"odd_{n} = {n}\n" for n in range(14))
+    file.write_text(odd + read_source("paper"), "utf-8")
+    assert main(["check", str(file)]) == 2
+    shown = capsys.readouterr().err
+    assert [f"odd_{n}:" in shown for n in range(14)] == [True] * 14
+    assert "more" not in shown
