@@ -10,12 +10,11 @@ from dataclasses import dataclass
 
 from hilcell.calibration.decision import RULE
 from hilcell.calibration.measurement_budget import Budget
-from hilcell.calibration.pose_test import ISO
 from hilcell.cell.file import Cell
 from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.report import pose_test
 from hilcell.report.facts import Facts
-from hilcell.report.first_page import certified
+from hilcell.report.first_page import certified, validity_facts
 from hilcell.report.method import adjustment_words, method_words
 from hilcell.report.pose_test import tests_poses
 from hilcell.report.target_budget import TargetBudget
@@ -55,8 +54,7 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
         Item("7.8.2.1 j", "Date of issue"),
         Item("7.5.1", "Measured by", inputs.operator),
         Item("7.8.2.1 o", "Authorised by (name, signature)"),
-        Item("7.8.2.1 m", "Results and units", "the tables of this report; lengths mm, angles °"
-             + (", temperatures °C" if measured_air else ""), _results_part(facts)),
+        Item("7.8.2.1 m", "Results and units", _results(facts), _results_part(facts)),
         Item("7.8.2.1 n", "Deviations from the method", _deviations(facts)),
         Item("7.8.4.1 a", "Measurement uncertainty", _uncertainty(budget, targets),
              UNCERTAINTY),
@@ -67,9 +65,7 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
         Item("7.8.4.1 d", "Before and after adjustment", adjustment_words(facts), STATIONS),
         Item("7.8.6.2", "Conformity, decision rule", conformity_words(facts)),
         Item("7.8.2.1 l", "Validity",
-             _revoked(facts) + "the results relate only to the item calibrated, in the "
-             + ("volume, orientation and temperatures stated here" if measured_air else
-                "volume and orientation stated here; no temperature was measured")),
+             _revoked(facts) + "the results relate only to the item " + _limits_of_validity(facts)),
     ]  # fmt: skip
 
 
@@ -142,7 +138,24 @@ def conditions_words(facts: Facts) -> str:
     celsius = facts.log.temperatures_c()
     if not celsius:
         return "air not measured: the tracker has no weather station"
-    return f"air {min(celsius):.1f} to {max(celsius):.1f} °C at the tracker; see the table of air"
+    return f"air {min(celsius):.1f} to {max(celsius):.1f} °C at the tracker"
+
+
+def _results(facts: Facts) -> str:
+    """Return where the results stand, and their units."""
+    if not facts.log.points:
+        return "none: nothing was measured"
+    air = ", temperatures °C" if facts.log.temperatures_c() else ""
+    return f"the tables of this report; lengths mm, angles °{air}"
+
+
+def _limits_of_validity(facts: Facts) -> str:
+    """Return for what the results hold: the first page states the volume of a calibration."""
+    if not validity_facts(facts):
+        return "described and to its state when it was measured"
+    if facts.log.temperatures_c():
+        return "calibrated, in the volume, orientation and temperatures stated here"
+    return "calibrated, in the volume and orientation stated here; no temperature was measured"
 
 
 def _results_part(facts: Facts) -> str:
@@ -152,7 +165,7 @@ def _results_part(facts: Facts) -> str:
 
 def _deviations(facts: Facts) -> str:
     found = [f"a calibration was used although {why}" for why in facts.inputs.accepted]
-    found += facts.result[ISO]["deviations"] if tests_poses(facts) else []
+    found += pose_test.departures(facts)
     return "; ".join(found) or "none recorded"
 
 

@@ -210,6 +210,7 @@ def item_facts(facts: Facts, measured: str) -> list[Fact]:
         Fact("Cell", f"{cell.name}, serial {cell.serial}"),
         Fact("Robot", f"{cell.robot.name}{robot}, {on}"),
         Fact("Stations", names + more),
+        *(Fact(*each) for each in pose_test.stated_conditions(facts)),
         Fact("Measured", f"{measured} UTC"),
         Fact("Operator", facts.inputs.operator),
     ]

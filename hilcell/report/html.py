@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 from hilcell import __version__
@@ -21,7 +21,7 @@ from hilcell.report.certificate import (
     procedure_words,
     title,
 )
-from hilcell.report.columns import KEY, present
+from hilcell.report.columns import KEY, Sheet, present
 from hilcell.report.course import STOPS, course
 from hilcell.report.curves import curves
 from hilcell.report.drawings.curve_plots import curve_plots
@@ -70,16 +70,26 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
     """
     budget, targets = budget_of(facts.log), target_budget(facts.log, facts.run)
     own = None if has_tables(facts) else tables.own_table(facts)
+    drawn = _drawings(facts, targets)
+    station_sheets = present(
+        tables.accuracy(facts),
+        turns.orientation(facts),
+        tables.stations(facts),
+        tables.touches(facts),
+        tables.frames(facts),
+        tables.circles(facts),
+        worst(facts, targets),
+    )
     return (
         environment()
         .get_template("report.html.j2")
         .render(
             **_first_page(facts, budget, targets),
-            **_drawings(facts, targets),
+            **drawn,
             facts=facts,
             version=__version__,
             pages=pages or {},
-            parts=PARTS,
+            parts=PARTS | {"stations": _stations_title(drawn, own, station_sheets)},
             stops=STOPS,
             key_name=KEY,
             words_of=partial(words_of, has_rail=facts.cell.has_rail),
@@ -87,15 +97,8 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
             page_mark=re.sub(r"[^A-Za-z0-9._-]", "_", facts.run),
             certificate=certificate(facts, budget, targets),
             pose_sheets=pose_test.sheets(facts),
-            station_sheets=present(
-                tables.accuracy(facts),
-                turns.orientation(facts),
-                tables.stations(facts),
-                tables.touches(facts),
-                tables.frames(facts),
-                tables.circles(facts),
-                worst(facts, targets),
-            ),
+            has_part=lambda name, body: f' id="{name}"' in body,
+            station_sheets=station_sheets,
             own_sheet=own,
             empty=not present(own, tables.accuracy(facts), verdicts(facts)),
             curve_sheet=curves(facts),
@@ -116,6 +119,20 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
             ),
         )
     )  # fmt: skip
+
+
+def _stations_title(drawn: Mapping[str, object], own: Sheet | None, found: Sequence[Sheet]) -> str:
+    """Return the name of the part with the stations, of what there is in it; "" of nothing."""
+    titles = {each.title for each in found}
+    named = {
+        "results": own is not None,
+        "stations": bool(titles & {"Before and after", "Orientation", "Stations", "Touch poses"}),
+        "worst targets": any(title.endswith("worst targets") for title in titles),
+        "frames": bool(titles & {"Frames", "Base frame: circles"}),
+        "drift": bool(drawn["nests"] or drawn["air"]),
+    }
+    named["frames"] &= not named["stations"]
+    return ", ".join(name for name, there in named.items() if there).capitalize()
 
 
 def _first_page(facts: Facts, budget: Budget | None, targets: TargetBudget) -> dict[str, object]:
@@ -139,6 +156,7 @@ def _first_page(facts: Facts, budget: Budget | None, targets: TargetBudget) -> d
         "turns": turns.orientation_words(facts),
         "conditions": conditions_words(facts),
         "method": procedure_words(facts),
+        "departures": pose_test.departures(facts),
     }
 
 
@@ -147,7 +165,7 @@ def _drawings(facts: Facts, targets: TargetBudget) -> dict[str, object]:
     return {
         "plan": plan_view(facts.cell, at_mm, simulated),
         "side": side_view(facts.cell, at_mm, simulated),
-        "volume": volume_sheet(facts.cell, at_mm),
+        "volume": volume_sheet(facts.cell, at_mm) if validity_facts(facts) else None,
         "order": in_order(facts),
         "enlarged": enlarged(facts, targets),
         "vectors": vectors(facts),

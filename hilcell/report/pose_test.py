@@ -124,11 +124,10 @@ def method_words(facts: Facts) -> str:
 
 
 def sheets(facts: Facts) -> list[Sheet]:
-    """Return conditions, poses, distance and departures; none of a run that is no pose test."""
+    """Return conditions, poses, angles and distance; none of a run that is no pose test."""
     if not tests_poses(facts):
         return []
     found = facts.result[ISO]
-    departures = [[str(n), each] for n, each in enumerate(found["deviations"], start=1)]
     return present(
         sheet("Test conditions", CONDITIONS, _conditions(found)),
         sheet("Pose accuracy and repeatability", POSES, found["poses"].items(), POSES_NOTE),
@@ -139,8 +138,28 @@ def sheets(facts: Facts) -> list[Sheet]:
             TURNS_NOTE,
         ),
         sheet("Distance accuracy and repeatability", DISTANCE, [found["distance"]], DISTANCE_NOTE),
-        Sheet("Departures from the standard", ["", "departure"], departures, words=2),
     )
+
+
+def departures(facts: Facts) -> list[str]:
+    """Return in what a pose test departs from the standard, for the first page."""
+    return list(facts.result[ISO]["deviations"]) if tests_poses(facts) else []
+
+
+def stated_conditions(facts: Facts) -> list[tuple[str, str]]:
+    """Return velocity, load and cycles of a pose test, for the first page."""
+    if not tests_poses(facts):
+        return []
+    found = facts.result[ISO]
+    return [
+        ("Velocity", _velocity(found)),
+        ("Load", _load(found["load_kg"], found["rated_load_kg"])),
+        ("Cycles", str(found["cycles"])),
+    ]
+
+
+def _velocity(found: Mapping[str, Any]) -> str:
+    return f"{found['velocity_percent']:g} % of the rated velocity"
 
 
 CONDITIONS: tuple[Column[tuple[str, str]], ...] = (
@@ -159,7 +178,7 @@ def _conditions(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield "Test cube", f"side {cube['side_mm']:g} mm about x {x:g}, y {y:g}, z {z:g} mm in {{B}}"
     yield "Plane, cycle", f"{cube['plane']}; {', '.join(CYCLE)}, {found['cycles']} times"
     yield "Approach", "directly from the pose before, as the cycle has it"
-    yield "Velocity", f"{found['velocity_percent']:g} % of the rated velocity"
+    yield "Velocity", _velocity(found)
     yield "Load", _load(found["load_kg"], found["rated_load_kg"])
     yield "Warm-up", _stated(found["warm_up_min"], "min")
     yield "Stabilisation", f"{found['stabilisation_s']:g} s from the end of motion to measurement"

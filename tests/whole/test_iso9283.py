@@ -20,6 +20,8 @@ from hilcell.report.facts import read_facts
 from hilcell.report.first_page import results_sheet, verdict_word
 from hilcell.report.html import standing
 from procedures.iso9283 import PoseTest
+from tests.hilcell.report.pages import Page
+from tests.hilcell.report.test_every_procedure import assert_references_resolve
 from tests.whole.bench import SMALL, Simulation, command, cut, end_of, events, sets, simulation
 from tests.whole.trace import judge
 
@@ -186,8 +188,15 @@ def test_its_report_is_in_the_standard_s_terms(ran: Ran) -> None:
     assert "<h1>Pose test after ISO 9283</h1>" in page
     assert 'No limits are stated to judge it by. Run: <strong class="good">measured' in page
     assert "none recorded" not in page
-    for title in ("Test conditions", "Pose accuracy and repeatability", "Departures from the"):
+    for title in ("Test conditions", "Pose accuracy and repeatability"):
         assert title in page
+    signed = Page(page[: page.index('<section class="part">')] + "</main></body></html>").text
+    assert f"{found['velocity_percent']:g} % of the rated velocity" in signed
+    assert "Departures from the standard." in signed
+    assert all(each in signed for each in found["deviations"])
+    assert "Frames, drift" in Page(page).of("h2")
+    assert "Calibrated volume" not in page
+    assert_references_resolve(page)
     for figure in ("figure-pose-test", "figure-attained"):
         assert f'id="{figure}"' in page
     for each in found["deviations"]:
