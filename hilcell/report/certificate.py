@@ -151,7 +151,7 @@ def _results(facts: Facts) -> str:
 
 def _limits_of_validity(facts: Facts) -> str:
     """Return for what the results hold: the first page states the volume of a calibration."""
-    if not validity_facts(facts):
+    if not (_calibrated(facts) or validity_facts(facts)):
         return "described and to its state when it was measured"
     if facts.log.temperatures_c():
         return "calibrated, in the volume, orientation and temperatures stated here"

@@ -18,6 +18,7 @@ from hilcell.calibration.errors import places, validation
 from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.measurement_budget import Budget
 from hilcell.calibration.validity import MAX_AGE_DAYS, TEMPERATURE_MARGIN_K
+from hilcell.cell.file import Cell
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.journal.calibration_facts import JUDGING, VALIDATION
 from hilcell.journal.calibration_facts import OUTCOMES as STATED
@@ -33,7 +34,7 @@ K_3D = 2.80  # times u of one coordinate: 95 % of three equal normal ones (chi^2
 UNDECIDED = STATED["undecided"]
 BLANK = "…" * 12  # to fill in by hand
 NO_CERTIFICATE, NOT_APPLICABLE = "none, simulated", "–"
-MOST_PLACES = 4  # whose results stand on the page
+MOST_PLACES, LONG_NAME = 4, 20  # whose results stand on the page; one of long names
 MOST_DECIDING = 2  # stations that the verdict's sentence names
 OUTCOMES = {"accepted": "pass", "undecided": UNDECIDED, "rejected": "fail"}
 
@@ -93,11 +94,17 @@ def judged_places(facts: Facts) -> dict[str, Judged]:
     }
 
 
+def most_places(cell: Cell) -> int:
+    """Return how many stations the page has room for."""
+    long = any(len(station.name) > LONG_NAME for station in cell.station)
+    return 1 if long else MOST_PLACES
+
+
 def _shown(facts: Facts) -> list[str]:
     """Return the stations on the page: those nearest to a limit, in the cell's order."""
     found = judged_places(facts)
     nearest = sorted(found, key=lambda name: found[name].max_mm / found[name].max_tolerance_mm)
-    kept = set(nearest[-MOST_PLACES:])
+    kept = set(nearest[-most_places(facts.cell) :])
     return [name for name in found if name in kept]
 
 
@@ -199,8 +206,9 @@ def item_facts(facts: Facts, measured: str) -> list[Fact]:
     travel_m = (cell.rail.travel_max_mm - cell.rail.travel_min_mm) / 1000
     on = f"on a rail of {travel_m:g} m" if cell.has_rail else "on the floor, without a rail"
     stations = [cell.grid.station] if tests_poses(facts) else [each.name for each in cell.station]
-    names = ", ".join(stations[:MOST_PLACES])
-    more = f" and {len(stations) - MOST_PLACES} more" if len(stations) > MOST_PLACES else ""
+    most = most_places(cell)
+    names = ", ".join(stations[:most])
+    more = f" and {len(stations) - most} more" if len(stations) > most else ""
     parties = cell.certificate
     return [
         Fact("Laboratory", _party(parties.laboratory, parties.laboratory_address)),

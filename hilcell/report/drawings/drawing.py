@@ -19,6 +19,8 @@ BEFORE, AFTER, BAND = "#b0561a", "#0b4a7d", "#d3e0ec"
 LABEL_MM = 2.9  # height of letters on paper, 8.2 pt
 NEAREST_MM = 3.4  # of two labels in a column
 LEAST = 1e-9  # range of a scale
+NARROW, MEDIUM, WIDE = 0.34, 0.61, 0.74  # of a letter, to its height
+NARROW_LETTERS = " .,:;-|ijlt()"
 TICKS = (1.0, 2.0, 2.5, 5.0, 10.0)
 ENDS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)  # of a scale
 
@@ -47,6 +49,27 @@ def text(
         f'<text x="{x:.2f}" y="{y:.2f}" text-anchor="{anchor}" fill="{colour}"{weight}>'
         f"{escape(words)}</text>"
     )
+
+
+def shortened(words: str, most_mm: float) -> str:
+    """Return words that are at most so wide on paper, an ellipsis in their middle where cut."""
+    if wide_mm(words) <= most_mm:
+        return words
+    kept = next(
+        n for n in range(len(words) - 1, -1, -1) if not n or wide_mm(_cut(words, n)) <= most_mm
+    )
+    return _cut(words, kept)
+
+
+def _cut(words: str, kept: int) -> str:
+    return f"{words[: (kept + 1) // 2]}…{words[len(words) - kept // 2 :]}"
+
+
+def wide_mm(words: str) -> float:
+    """Return how wide bold words are on paper, at most as far as letters of Arial go."""
+    wide = (NARROW if each in NARROW_LETTERS else WIDE if each.isupper() else MEDIUM
+            for each in words)  # fmt: skip
+    return LABEL_MM * sum(wide)
 
 
 def path(

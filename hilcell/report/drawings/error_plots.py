@@ -24,8 +24,10 @@ from hilcell.report.drawings.drawing import (
     path,
     rectangle,
     round_up,
+    shortened,
     svg,
     text,
+    wide_mm,
 )
 from hilcell.report.facts import Facts
 from hilcell.report.target_budget import TargetBudget
@@ -93,7 +95,9 @@ def enlarged(facts: Facts, budget: TargetBudget) -> str:
     for name, dash in zip(nearest, DASHES, strict=False):
         parts.append(_curve(frame, found[name], AFTER, dash))
         high = float(found[name].max())
-        named.append((frame.y.one(high), f"{name} {high:.3f}", AFTER))
+        figure = f" {high:.3f}"
+        shown = shortened(name, RIGHT_MM - 1.0 - wide_mm(figure))
+        named.append((frame.y.one(high), shown + figure, AFTER))
     parts += labels(frame.x.end + 1.0, named)
     return svg(WIDTH_MM, HEIGHT_MM, "Errors after correction, enlarged", parts,
                facts.inputs.simulated)  # fmt: skip

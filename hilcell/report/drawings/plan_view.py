@@ -12,11 +12,12 @@ import numpy as np
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply
 from hilcell.ports import Array
-from hilcell.report.drawings.drawing import AFTER, BAND, INK, MUTED, svg, text
+from hilcell.report.drawings.drawing import AFTER, BAND, INK, MUTED, shortened, svg, text
 
 WIDTH_MM, MARGIN_MM = 118.0, 6.0  # on paper
 MOST_HEIGHT_MM = 52.0
 RAIL_WIDE_MM = 500.0  # drawn
+LEAST_NAME_MM, TRACKER_MM = 11.0, 6.0  # a station's name, and half the word tracker
 
 
 def plan_view(cell: Cell, tracker_mm: Array, simulated: bool = False) -> str:
@@ -102,7 +103,8 @@ class _Plan:
                 yield f'<circle cx="{x:.2f}" cy="{y:.2f}" r="1.6" fill="#fff" stroke="{INK}"/>'
             beside = self._rail_corners() if not self._cell.has_rail else (at + across, at - across)
             right = max(self._at(corner)[0] for corner in beside)
-            yield text(right + 0.8, y + 0.9, station.name, bold=bold)
+            name = shortened(station.name, self._room_mm(right + 0.8))
+            yield text(right + 0.8, y + 0.9, name, bold=bold)
 
     def _volumes(self) -> Iterator[str]:
         for station in self._cell.station:
@@ -115,11 +117,21 @@ class _Plan:
             right = max(self._at(corner)[0] for corner in corners_mm)
             top = min(self._at(corner)[1] for corner in corners_mm)
             y = top + 2.0 if own else self._at(corners_mm.mean(axis=0))[1] + 0.9
-            yield text(right + 0.8, y, station.name, "start", AFTER, own)
+            name = shortened(station.name, self._room_mm(right + 0.8))
+            yield text(right + 0.8, y, name, "start", AFTER, own)
         middle_mm = self._volume_mm(self._cell.station_named(self._cell.grid.station)).mean(axis=0)
         yield self._line(
             self._tracker_mm, middle_mm, f'stroke="{MUTED}" stroke-dasharray="0.5 0.8"'
         )
+
+    def _room_mm(self, x: float) -> float:
+        """Return how wide a station's name at ``x`` may be: to the next volume or the tracker."""
+        begins = [
+            min(self._at(corner)[0] for corner in self._volume_mm(station))
+            for station in self._cell.station
+        ]
+        ends = (*begins, self._at(self._tracker_mm)[0] - TRACKER_MM, WIDTH_MM)
+        return max(min(end - x for end in ends if end > x) - 0.8, LEAST_NAME_MM)
 
     def _nests(self) -> Iterator[str]:
         for name, at_mm in self._floor:

@@ -17,6 +17,7 @@ from hilcell.report.drawings.drawing import (
     circle,
     path,
     rectangle,
+    shortened,
     svg,
     text,
 )
@@ -26,6 +27,7 @@ VIEWS = (("from above", 0, 1), ("from the side", 1, 2), ("from the front", 0, 2)
 AXES = "xyz"
 PANEL_MM, GAP_MM, LEFT_MM, TOP_MM, BOTTOM_MM = 31.0, 10.0, 9.0, 8.0, 8.0
 WIDTH_MM = LEFT_MM + 3 * PANEL_MM + 2 * GAP_MM + 1.0
+NAME_MM = 60.0  # of a station, at most
 SHARE = 0.1  # of the panel, that the largest error is drawn as, at most
 
 
@@ -45,12 +47,13 @@ def vectors(facts: Facts) -> str:
 def _rows(facts: Facts) -> list[tuple[str, Errors, str]]:
     station = facts.cell.grid.station
     series = validation(facts.log, [station])
+    shown = shortened(station, NAME_MM)
     names = (("before", "before", BEFORE), ("chosen", "after", AFTER))
     rows = [
-        (f"{station}, {name}", series[how], colour) for how, name, colour in names if how in series
+        (f"{shown}, {name}", series[how], colour) for how, name, colour in names if how in series
     ]
     grid = grid_errors(facts.log)
-    return rows or ([(f"{station}, grid", grid, BEFORE)] if grid is not None else [])
+    return rows or ([(f"{shown}, grid", grid, BEFORE)] if grid is not None else [])
 
 
 def _row(name: str, errors: Errors, colour: str, top: float) -> Iterator[str]:

@@ -80,11 +80,15 @@ addEventListener("load", async () => {
       return {width: image.naturalWidth, box: box(each)};
     }));
   const drawings = [...document.querySelectorAll("figure svg")].map(box);
+  const words = [...document.querySelectorAll("svg.drawn")].map((each) => ({
+    drawing: each.getAttribute("aria-label"), box: box(each),
+    words: [...each.querySelectorAll('text:not([fill="none"])')].map(
+      (text) => [text.textContent, box(text)])}));
   const sheets = [...document.querySelectorAll(".sheet")].map(
     (each) => [box(each), box(each.querySelector("table"))]);
   const verdicts = [...document.querySelectorAll(".first .sheet td:last-child")].map(box);
   document.documentElement.dataset.seen = JSON.stringify({
-    blocked, images, drawings, sheets, verdicts, width: document.documentElement.scrollWidth,
+    blocked, images, drawings, words, sheets, verdicts, width: document.documentElement.scrollWidth,
     first: document.querySelector(".first")?.offsetHeight ?? 0,
     signatures: document.querySelector(".signatures")?.offsetHeight ?? 0});
 });
@@ -97,14 +101,16 @@ class Seen:
 
     ``images`` have their ``width`` in pixels, 0 where they were not shown, and their ``box``;
     a box is left, top, width, height. ``sheets`` are those of each table's section and of the table
-    in it, ``verdicts`` of the last cells of page 1. ``width`` is that of the page, which a printer
-    shrinks to its paper, ``first`` the height of its first sheet, ``signatures`` that of the row to
-    sign in. ``pixels`` are (rows, columns, 3), of 0 to 255.
+    in it, ``words`` those of each drawing and of the words in it, ``verdicts`` of the last cells of
+    page 1. ``width`` is that of the page, which a printer shrinks to its paper, ``first`` the
+    height of its first sheet, ``signatures`` that of the row to sign in. ``pixels`` are (rows,
+    columns, 3), of 0 to 255.
     """
 
     blocked: list[str]
     images: list[dict[str, Any]]
     drawings: list[list[float]]
+    words: list[dict[str, Any]]
     sheets: list[tuple[list[float], list[float]]]
     verdicts: list[list[float]]
     width: int

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from hilcell.cell.file import load_cell
-from hilcell.journal.journal import Journal
+from hilcell.journal.journal import Journal, read_journal
 from hilcell.journal.point_id import PointId
 from hilcell.journal.runs import JOURNAL
 from hilcell.ports import Array
@@ -109,3 +109,16 @@ def validated_run(folder: Path, **plan: Any) -> Writer:
     for station in ("S1100", "S300"):
         writer.validated(station, "before", BEFORE_MM).validated(station, "chosen", AFTER_MM)
     return writer
+
+
+def renamed(source: Path, folder: Path, names: Mapping[str, str]) -> Path:
+    """Write the journal of a run with other names in all its records, and return its folder."""
+    folder.mkdir()
+    journal = Journal(folder / JOURNAL, folder.name, create=True)
+    for record in read_journal(source / JOURNAL):
+        key, body = record.key, msgspec.json.encode(record.body).decode()
+        for old, new in names.items():
+            key, body = key.replace(old, new), body.replace(old, new)
+        journal.append(record.kind, key, msgspec.json.decode(body))
+    journal.close()
+    return folder

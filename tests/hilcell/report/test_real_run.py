@@ -20,6 +20,7 @@ from hilcell.report.facts import Facts, read_facts
 from hilcell.report.html import report_html
 from hilcell.report.pdf import pages_of, pdf_of
 from tests.hilcell.report.browser import browse, browser, looked_at
+from tests.hilcell.report.journals import renamed
 from tests.hilcell.report.pages import Page
 from tests.hilcell.report.printed import fills
 from tests.whole.bench import HILCELL, command
@@ -234,6 +235,38 @@ def test_page_1_can_be_signed_and_holds_long_names(
     assert seen.signatures >= 19 * MM_PX
     assert 0 < seen.first <= (297 - 11 - 14) * MM_PX
     assert seen.width <= 900
+
+
+STATION = "Heck-Spantaktstation-Nord-Linie-2.Bauabschnitt_4-Platz-11-B"
+ABOUT_PX = 2.0  # words may reach so far beyond a drawing's edge, or into one another
+
+
+def test_long_station_names_stay_in_their_drawings(golden: GoldenRuns, tmp_path: Path) -> None:
+    names = {each: f"{STATION}-{each[1:]}" for each in ("S1100", "S1900", "S300")}
+    facts = read_facts(renamed(golden["small"].folder, tmp_path / "r", names))
+    facts.log.plan = msgspec.structs.replace(facts.inputs, operator=LONG, job=LONG, simulated=False)
+    page = tmp_path / "long.html"
+    cell = msgspec.structs.replace(facts.cell, name=LONG[:66])
+    page.write_text(report_html(replace(facts, cell=cell)), "utf-8")
+    seen = looked_at(page, tmp_path, (900, 3000), pixels=False)
+    assert 0 < seen.first <= (297 - 11 - 14) * MM_PX
+    named = 0
+    for drawing in seen.words:
+        left, _, width, _ = drawing["box"]
+        for words, (x, y, wide, high) in drawing["words"]:
+            named += "…" in words
+            at = (drawing["drawing"], words)
+            assert left - ABOUT_PX <= x, at
+            assert x + wide <= left + width + ABOUT_PX, at
+            if "…" not in words:
+                continue
+            for other, (x2, y2, wide2, high2) in drawing["words"]:
+                across = min(x + wide, x2 + wide2) - max(x, x2)
+                along = min(y + high, y2 + high2) - max(y, y2)
+                apart = other == words or across <= ABOUT_PX or along <= ABOUT_PX
+                assert apart, (*at, other)
+    assert named >= 6
+    assert all(name in Page(page.read_text("utf-8")).text for name in names.values())
 
 
 PHONE_PX = 500  # a browser without a screen makes no narrower window
