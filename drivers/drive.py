@@ -71,7 +71,9 @@ class Drive:
         limits: Limits,
         watch: Callable[[str], None],
         supervision: Supervision,
+        alarm_text: Callable[[int], str] = cia406.alarm_text,
     ) -> None:
+        """``alarm_text`` is the strip's."""
         self._image, self._sdo, self._clock = image, sdo, clock
         self._limits, self._watch = limits, watch
         self._supervision = supervision
@@ -81,7 +83,7 @@ class Drive:
             limits.windows,
             units_per_mm=limits.counts_per_mm,
             strip_counts_per_mm=limits.strip_counts_per_mm,
-            alarm_text=cia406.alarm_text,
+            alarm_text=alarm_text,
         )
 
     def _look(self, operation: str) -> Snapshot:

@@ -51,9 +51,16 @@ class Snapshot:
 
 
 class ProcessImage:
-    """Four PDOs: TPDO1 and 2 and RPDO1 of the drive, TPDO1 of the strip sensor."""
+    """Four PDOs: TPDO1 and 2 and RPDO1 of the drive, TPDO1 of the strip sensor on its bus."""
 
-    def __init__(self, link: CanLink, drive_node: int, strip_node: int) -> None:
+    def __init__(
+        self,
+        link: CanLink,
+        drive_node: int,
+        strip_node: int,
+        other_strip: Callable[[Callable[[], None]], tuple[int, int]] | None = None,
+    ) -> None:
+        """``other_strip`` returns counts and alarms of a strip that is not on this bus."""
         self._link = link
         self._lock = threading.Lock()
         self._stopped = False
@@ -91,14 +98,19 @@ class ProcessImage:
             ((cia406.POSITION, 32), (cia406.ALARMS, 16)),
             struct.Struct("<iH"),
         )
-        self._inbox = Inbox(DEVICE, link, (self.status, self.motion, self.strip))
+        self._other_strip = other_strip
+        pdos = (self.status, self.motion)
+        self._inbox = Inbox(DEVICE, link, pdos if other_strip else (*pdos, self.strip))
 
     def refresh(self, check: Callable[[], None]) -> Snapshot:
         """Return the values of drive and strip at a SYNC sent now."""
         values, taken_s = self._inbox.refresh(check)
         statusword, position = values[self.status.cob_id]
         velocity, mode = values[self.motion.cob_id]
-        strip, alarms = values[self.strip.cob_id]
+        if self._other_strip is None:
+            strip, alarms = values[self.strip.cob_id]
+        else:
+            strip, alarms = self._other_strip(check)
         self._taken_s = taken_s
         return Snapshot(statusword, position, velocity, mode, strip, alarms, taken_s)
 

@@ -26,6 +26,8 @@ from drivers.rail_setup import Expected
 from drivers.sdo import SdoChannel
 from drivers.standing import check_travel
 from drivers.standstill import Standstill, Windows
+from drivers.strip import StripFeed, StripOptions
+from drivers.strip_serial import SerialStrip
 from drivers.supervision import Patience, Supervision
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading
 from hilcell.wire.channel import parse_channel
@@ -72,6 +74,7 @@ class CanopenRail:
         standstill_window_mm: Annotated[float, Meta(ge=0.001, le=0.1)] = 0.01
         standstill_dwell_s: Annotated[float, Meta(ge=0.05, le=5)] = 0.4
         homing_mm_s: Positive = 100.0
+        strip: StripOptions | None = None  # one that is not on the bus
 
         def __post_init__(self) -> None:
             if self.interface == "slcan":
@@ -93,6 +96,9 @@ class CanopenRail:
         self._ended_s: float | None = None  # when the last motion was seen to have ended
         self._drive_sdo: SdoChannel | None = None
         self._watches: tuple[NodeWatch, ...] = ()
+        self._feed: StripFeed | None = None  # of a strip that is not on the bus
+        if options.strip is not None:
+            self._feed = StripFeed(SerialStrip(options.strip, clock.check))
 
     # -- the port -----------------------------------------------------------------------------
 
@@ -121,10 +127,12 @@ class CanopenRail:
 
     def settle(self) -> RailReading:
         """Return a reading at rest: medians of five in a row within the windows, over the dwell."""
+        self._mend_strip()
         return self._reading(self._used().standing.settle())
 
     def read(self) -> RailReading:
         """Return a reading asked for after this call began."""
+        self._mend_strip()
         standing = self._used().standing
         return self._reading(standing.check_strip("read", standing.confirm("read")))
 
@@ -155,14 +163,18 @@ class CanopenRail:
     def _set_up(self, link: CanLink) -> list[Identity]:
         options = self._options
         drive_sdo = self._channel(link, options.drive_node, "drive.eds")
-        strip_sdo = self._channel(link, options.strip_node, "strip.eds")
-        self._watches = (
-            NodeWatch(DEVICE, link, options.drive_node),
-            NodeWatch(DEVICE, link, options.strip_node, in_pdo=cia406.SENSOR_ERRORS),
-        )
-        image = ProcessImage(link, options.drive_node, options.strip_node)
+        strip_sdo, feed = None, self._feed
+        self._watches = (NodeWatch(DEVICE, link, options.drive_node),)
+        if feed is None:
+            strip_sdo = self._channel(link, options.strip_node, "strip.eds")
+            of_strip = NodeWatch(DEVICE, link, options.strip_node, in_pdo=cia406.SENSOR_ERRORS)
+            self._watches = (*self._watches, of_strip)
+        nodes = (options.drive_node, options.strip_node)
+        image = ProcessImage(link, *nodes, None if feed is None else feed.poll)
         supervision = Supervision(DEVICE, "HC-R39", LATE_S)
         identities = self._identify(link, drive_sdo, strip_sdo)
+        if feed is not None:
+            identities.append(feed.connect())
         for watch in self._watches:
             watch.begin_set_up()
         try:
@@ -171,7 +183,8 @@ class CanopenRail:
             self._check_nodes("connect")  # one that was reset meanwhile is the cause
             raise
         limits = self._limits()
-        drive = Drive(image, drive_sdo, self._clock, limits, self._check_nodes, supervision)
+        text = cia406.alarm_text if feed is None else feed.alarm_text
+        drive = Drive(image, drive_sdo, self._clock, limits, self._check_nodes, supervision, text)
         drive.reset_fault()
         for watch in self._watches:
             watch.arm()
@@ -183,14 +196,14 @@ class CanopenRail:
         self,
         link: CanLink,
         drive_sdo: SdoChannel,
-        strip_sdo: SdoChannel,
+        strip_sdo: SdoChannel | None,
         image: ProcessImage,
         supervision: Supervision,
     ) -> None:
         """Set both nodes up and start them; raises `DeviceError`."""
         options = self._options
-        for node in (options.drive_node, options.strip_node):
-            link.send(nmt.COMMAND, bytes((nmt.ENTER_PRE_OPERATIONAL, node)))
+        for watch in self._watches:
+            link.send(nmt.COMMAND, bytes((nmt.ENTER_PRE_OPERATIONAL, watch.node)))
         link.start_heartbeat(options.heartbeat_node, supervision.attended)
         rail_setup.apply(
             drive_sdo,
@@ -207,10 +220,12 @@ class CanopenRail:
             arrived=limits.window, speed=limits.windows.speed, dwell_s=limits.windows.dwell_s
         )
         rail_setup.apply_where_present(drive_sdo, windows)
-        rail_setup.apply(strip_sdo, rail_setup.STRIP_SETTINGS)
+        if strip_sdo is not None:
+            rail_setup.apply(strip_sdo, rail_setup.STRIP_SETTINGS)
         for pdo in (image.status, image.motion, image.command):
             configure(drive_sdo, pdo)
-        configure(strip_sdo, image.strip)
+        if strip_sdo is not None:
+            configure(strip_sdo, image.strip)
         rail_setup.start_nodes(link, self._watches, self._clock)
         self._check_nodes("connect")
 
@@ -222,7 +237,7 @@ class CanopenRail:
         return channel
 
     def _identify(
-        self, link: CanLink, drive_sdo: SdoChannel, strip_sdo: SdoChannel
+        self, link: CanLink, drive_sdo: SdoChannel, strip_sdo: SdoChannel | None
     ) -> list[Identity]:
         o = self._options
         found = []
@@ -232,16 +247,22 @@ class CanopenRail:
             (strip_sdo, Expected("strip", o.strip_node, cia406.DEVICE_PROFILE, o.strip_vendor,
                                  o.strip_product, o.strip_serial)),
         ):  # fmt: skip
+            if sdo is None:
+                continue  # it is not on this bus
             device_type = rail_setup.find_node(link, sdo, expected, self._clock)
             found.append(rail_setup.identify(sdo, expected, device_type, o.channel))
-        rail_setup.check_strip_step(strip_sdo, o.strip_counts_per_mm)
+        if strip_sdo is not None:
+            rail_setup.check_strip_step(strip_sdo, o.strip_counts_per_mm)
         return found
 
     def _limits(self) -> Limits:
         options, scale = self._options, self._options.counts_per_mm
+        of_strip = options.strip_counts_per_mm
+        if options.strip is not None:
+            of_strip = options.strip.counts_per_mm
         return Limits(
             counts_per_mm=scale,
-            strip_counts_per_mm=options.strip_counts_per_mm,
+            strip_counts_per_mm=of_strip,
             lowest=round((options.travel_min_mm - SLACK_MM) * scale),
             highest=round((options.travel_max_mm + SLACK_MM) * scale),
             speed=options.speed_mm_s * scale,
@@ -254,12 +275,14 @@ class CanopenRail:
             windows=Windows(
                 speed=max(1.0, options.standstill_speed_mm_s * scale),
                 spread=max(2, round(options.standstill_window_mm * scale)),
-                strip_spread=max(
-                    STRIP_SPREAD_COUNTS, round(STRIP_SPREAD_MM * options.strip_counts_per_mm)
-                ),
+                strip_spread=max(STRIP_SPREAD_COUNTS, round(STRIP_SPREAD_MM * of_strip)),
                 dwell_s=options.standstill_dwell_s,
             ),
         )
+
+    def _mend_strip(self) -> None:
+        if self._feed is not None:
+            self._feed.mend()
 
     # -- helpers ------------------------------------------------------------------------------
 
@@ -335,6 +358,8 @@ class CanopenRail:
         link, self._link = self._link, None
         self._image = self._drive = self._drive_sdo = None
         self._watches = ()
+        if self._feed is not None:
+            self._feed.close()
         if link is not None:
             self._statistics = link.statistics()
             link.close()

@@ -17,7 +17,7 @@ from msgspec import Meta
 from drivers.standing import DEVICE, Standing, check_travel
 from drivers.standstill import Windows
 from drivers.strip import StripFeed, StripOptions
-from drivers.strip_kinds import build_strip
+from drivers.strip_serial import SerialStrip
 from hilcell.ports import (
     Clock,
     DeviceError,
@@ -70,7 +70,7 @@ class KukaE1Rail:
     def __init__(self, options: Options, clock: Clock) -> None:
         self._options, self._clock = options, clock
         self._robot: ExternalAxis | None = None
-        self._strip = StripFeed(build_strip(options.strip, clock.check))
+        self._strip = StripFeed(SerialStrip(options.strip, clock.check))
         per_mm = options.strip.counts_per_mm
         spread = max(STRIP_SPREAD_COUNTS, round(STRIP_SPREAD_MM * per_mm))
         windows = Windows(

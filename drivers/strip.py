@@ -23,21 +23,15 @@ U32 = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 
 
 class StripOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A strip's wire and scale; ``interface`` and what follows are for CiA 406 alone."""
+    """A strip's wire and scale."""
 
-    driver: Literal["serial", "cia406"]
+    driver: Literal["serial"]
     channel: str
     counts_per_mm: Positive = 100.0
     serial: U32 = 0  # of the sensor; 0: any
-    interface: Literal["slcan", "socketcan"] = "slcan"
-    bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 500_000
-    node: Annotated[int, Meta(ge=1, le=127)] = 6
-    vendor: U32 = 0x484
-    product: U32 = 0x406
 
     def __post_init__(self) -> None:
-        if self.driver == "serial" or self.interface == "slcan":
-            parse_channel(self.channel)
+        parse_channel(self.channel)
 
 
 class Strip(Protocol):

@@ -25,6 +25,7 @@ from fakes.rail_strip import RailStrip
 from fakes.rail_truth import RailTruth
 from fakes.site import Site
 from fakes.slcan_gateway import SlcanGateway
+from fakes.strip_line import StripLine
 from fakes.time import PlantTime
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
@@ -42,13 +43,24 @@ class RailServer:
     """Serves the rail as slcan over TCP on a port, 0 for one that the system chooses."""
 
     def __init__(
-        self, rail: RailTruth, faults: Faults, cell: Cell, time: PlantTime, *, port: int = 0
+        self,
+        rail: RailTruth,
+        faults: Faults,
+        cell: Cell,
+        time: PlantTime,
+        *,
+        port: int = 0,
+        line: StripLine | None = None,
     ) -> None:
+        """``line`` is the strip's where that is not on the bus."""
         self._rail, self._faults, self._time = rail, faults, time
         self._gateway = SlcanGateway(faults, self._open, self._receive, port=port)
         self._drive = RailDrive(rail, faults, cell.rail, self._transmit)
-        self._strip = RailStrip(rail.poll(), faults, self._transmit)
-        self._nodes: dict[int, CanopenSlave] = {n.node: n for n in (self._drive, self._strip)}
+        self._line = line
+        self._strip = None if line else RailStrip(rail.poll(), faults, self._transmit)
+        self._nodes: dict[int, CanopenSlave] = {self._drive.node: self._drive}
+        if self._strip is not None:
+            self._nodes[self._strip.node] = self._strip
         self._slide_moves = False
         self._booted = False
         self._silent: set[int] = set()
@@ -61,7 +73,8 @@ class RailServer:
     @property
     def address(self) -> dict[str, object]:
         """Return the channel, as an option of the driver."""
-        return {"channel": f"socket://{HOST}:{self.port}"}
+        of_strip = {} if self._line is None else self._line.address
+        return {"channel": f"socket://{HOST}:{self.port}"} | of_strip
 
     def restore(self) -> None:
         """Leave the bus as it is: the driver resets a drive's fault."""
@@ -74,10 +87,14 @@ class RailServer:
     def start(self) -> None:
         """Begin to serve."""
         self._thread.start()
+        if self._line is not None:
+            self._line.start()
 
     def close(self) -> None:
         """Switch the bus off and return when the thread has ended."""
         self._closing.set()
+        if self._line is not None:
+            self._line.close()
         with suppress(OSError):
             self._waker.send(b"\0")
         if self._thread.is_alive():
@@ -126,7 +143,8 @@ class RailServer:
         self._slide_moves = slide.moving
         self._strike(now_s, slide.moving)
         self._drive.observe(slide)
-        self._strip.observe(slide)
+        if self._strip is not None:
+            self._strip.observe(slide)
 
     # -- frames -------------------------------------------------------------------------------
 
@@ -142,7 +160,8 @@ class RailServer:
         self._delay_s = 0.0
         if cob_id == SYNC_COB_ID:
             self._delay_s = self._faults.number("rail.late_tpdo") or 0.0
-            self._strip.strike()
+            if self._strip is not None:
+                self._strip.strike()
             self._drive.dither()
             self._look(now_s)
         elif cob_id in SDO_REQUESTS:
@@ -220,4 +239,6 @@ def serve(site: Site, port: int) -> RailServer:
     rail = site.plant.rail
     if not isinstance(rail, RailTruth):
         raise SettingsError("rail", ["this cell has no slide to simulate"])
-    return RailServer(rail, site.faults, site.cell, site.time, port=port)
+    stated = site.cell.rail.options.get("strip")
+    line = StripLine(rail, site.faults, dict(stated)) if stated else None
+    return RailServer(rail, site.faults, site.cell, site.time, port=port, line=line)

@@ -23,14 +23,19 @@ def places(options: Mapping[str, object]) -> list[str]:
     """Return the places that a driver's options name, each in one spelling.
 
     ``host`` and ``port``, or a ``channel``: a URL of a network gateway, a serial port with or
-    without its baud rate, a CAN interface. A driver with other words is known by all its options.
+    without its baud rate, a CAN interface; also those of a part with a table of its own, as a
+    strip's. A driver with other words is known by all its options.
     """
+    parts = [part for part in options.values() if isinstance(part, Mapping)]
+    of_parts = [
+        place for part in parts if part.keys() & {"host", "channel"} for place in places(part)
+    ]
     host, port, channel = (options.get(key) for key in ("host", "port", "channel"))
     if host is not None:
-        return _network(str(host), port)
+        return _network(str(host), port) + of_parts
     if channel is not None:
-        return _channel(str(channel))
-    return [json.dumps(dict(options), sort_keys=True, default=str)]
+        return _channel(str(channel)) + of_parts
+    return of_parts or [json.dumps(dict(options), sort_keys=True, default=str)]
 
 
 def _channel(channel: str) -> list[str]:

@@ -7,7 +7,8 @@ import struct
 import pytest
 
 from drivers.rail_canopen import CanopenRail
-from hilcell.ports import DeviceError, DeviceRefused
+from drivers.strip import StripOptions
+from hilcell.ports import DeviceError, DeviceRefused, StripLost
 from tests.drivers import can_peer
 from tests.drivers.can_peer import (
     DRIVE,
@@ -21,6 +22,7 @@ from tests.drivers.can_peer import (
     u32,
 )
 from tests.drivers.rail_bed import BEAT, START, peer, rail, rail_for, short_deadlines, soon
+from tests.drivers.strip_peer import StripPeer
 
 __all__ = ["peer", "rail", "short_deadlines"]
 
@@ -226,3 +228,27 @@ def test_a_fault_that_stays_is_reported(peer: CanPeer, monkeypatch: pytest.Monke
     peer.objects[DRIVE][0x603F, 0] = u16(0x8611)
     with pytest.raises(DeviceError, match=r"stays in fault, error 0x8611 \(following error\)"):
         rail_for(peer).connect()
+
+
+def test_a_strip_on_a_line_of_its_own_is_read_and_the_bus_has_none(peer: CanPeer) -> None:
+    with StripPeer() as strip:
+        strip.counts = lambda: peer.axis.position // 10
+        line = StripOptions(driver="serial", channel=strip.channel)
+        rail = rail_for(peer, strip=line, strip_counts_per_mm=3.0)
+        drive, sensor = rail.connect()
+        assert (drive.kind, sensor.serial) == ("drive", "1234567")
+        rail.home()
+        rail.move_to(700.0)
+        assert rail.settle().strip_mm == 700.0
+        rail.hold()
+        strip.silent = True
+        with pytest.raises(StripLost, match="did not answer"):
+            rail.read()
+        rail.move_to(800.0)  # no motion asks the strip
+        strip.silent = False
+        rail.hold()
+        assert rail.settle().strip_mm == 800.0
+        strip.register = 1
+        with pytest.raises(StripLost, match="too far from the strip"):
+            rail.read()
+        rail.close()

@@ -24,6 +24,16 @@ def test_a_small_calibration_ends_in_tolerance(tmp_path: Path) -> None:
     assert kinds["strip"] == "MSAC501 simulated"
 
 
+def test_a_canopen_drive_has_its_strip_on_a_serial_line(tmp_path: Path) -> None:
+    small = SMALL | {"rail.options.strip.driver": "serial"}
+    done = command("run", "--runs", tmp_path, "--json", "--unattended", *sets(small))
+    assert end_of(done)["exit"] == 0, done.stderr
+    assert judge(events(done.stdout)) == []
+    kinds = {each.kind: each.model for each in read_log(find_run(tmp_path, "last")).assets}
+    assert kinds["drive"] == "drive vendor 0x484 product 0x402"
+    assert kinds["strip"] == "MSAC501 simulated"
+
+
 def test_a_killed_engine_leaves_a_slide_that_brakes_by_itself(tmp_path: Path) -> None:
     slow = E1 | {"rail.speed_mm_s": "20.0"}
     with simulation(8.0, values=slow) as cell:

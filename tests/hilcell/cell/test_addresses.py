@@ -102,3 +102,11 @@ def test_own_addresses_other_than_loopback_are_this_machine() -> None:
             return  # a machine without a network has no other address
         own = str(probe.getsockname()[0])
     assert places({"host": own, "port": 1}) == ["this machine:1"]
+
+
+def test_the_line_of_a_strip_is_a_place_beside_the_bus() -> None:
+    line = {"driver": "serial", "channel": "socket://10.0.0.1:4001"}
+    bus = "socket://10.0.0.1:3000"
+    assert places({"channel": bus, "strip": line}) == ["10.0.0.1:3000", "10.0.0.1:4001"]
+    assert places({"full_mm_s": 1890.0, "strip": line}) == ["10.0.0.1:4001"]
+    assert places({"channel": bus, "strip": None}) == ["10.0.0.1:3000"]

@@ -87,3 +87,11 @@ def test_a_simulated_cell_need_not_say_where_its_devices_are() -> None:
     with pytest.raises(SettingsError) as caught:
         check_options(msgspec.structs.replace(unplaced, simulation=None))
     assert ["channel" in caught.value.problems[0], "host" in caught.value.problems[1]] == [True] * 2
+
+
+def test_a_rail_that_rides_on_a_robot_wants_one_that_moves_a_slide() -> None:
+    check_options(load_cell("paper", {"rail.driver": "kuka-e1"}))
+    with pytest.raises(
+        SettingsError, match=r"rail\.driver: 'kuka-e1' is an external axis .* 'kuka-eki' moves none"
+    ):
+        check_options(load_cell("paper", {"rail.driver": "kuka-e1", "robot.driver": "kuka-eki"}))
