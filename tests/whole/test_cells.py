@@ -1,4 +1,4 @@
-"""A cell of another make, run to the end with a quick plan."""
+"""Cells of other makes, run to the end with a quick plan."""
 
 from __future__ import annotations
 
@@ -30,3 +30,12 @@ def test_another_make_is_calibrated(tmp_path: Path) -> None:
     bounds_mm = end["result"]["chosen_poses"]["bounds_mm"]
     assert len(bounds_mm) == 1 + end["result"]["points"].get("pose", 0)
     assert 0.025 < end["result"]["repeatability"]["rp_robot_mm"] < 0.06  # .04 of the machine
+
+
+def test_a_universal_robot_and_a_total_station(tmp_path: Path) -> None:
+    quick = {key: value for key, value in QUICK.items() if key.startswith("plan.")}
+    words = ("--json", "--cell", "lab", "--runs", tmp_path)
+    end = end_of(command("run", *words, *sets(quick)))
+    assert end["state"] == "finished"
+    figures = end["result"]["validation"]["S750"]
+    assert figures["chosen"]["mean"] < 0.5 * figures["before"]["mean"]
