@@ -19,7 +19,7 @@ from tests.whole.bench import Engine, Simulation, command, end_of, sets, simulat
 
 EKI = {"robot.driver": "kuka-eki"}
 MOVE = 1
-SLOW = {"robot.speed_percent": "5", "rail.homing_mm_s": "250"}
+SLOW = {"robot.speed_percent": "1"}
 SHORT = {"base_frame.points": "4", "layout.nest_samples": "2", "plan.unattended_wait_s": "0"}
 ENDS: dict[str, tuple[str, object]] = {
     "robot.wrong_identity": ("HC-B05", "#KR6"),
@@ -103,34 +103,21 @@ def ask(cell: Simulation, number: int, kind: int = 0, a1_deg: float = 0.0) -> di
     raise AssertionError("the channel stays taken")
 
 
-def killed_in_motion(cell: Simulation, runs: Path) -> str:
-    """Kill an engine while the robot parks, see the robot braked, and return the run."""
-    found = ask(cell, 7, MOVE, 12.0)
-    while found["Finished_Id"] != "7":
-        found = ask(cell, -1)
-    engine = Engine("run", "home", *words(cell, runs, SHORT | SLOW))
-    engine.until(lambda event: event.get("action") == "robot.park")
-    time.sleep(0.5)  # of the motion, which takes 3 s
-    engine.kill()
-    killed_s = time.monotonic()
-    while (found := ask(cell, -2))["Code"] != "8":
-        assert time.monotonic() - killed_s < 2.5, found  # it asks, and gives no sign
-    assert found["Stopped"] == "TRUE"
-    assert found["Finished_Id"] == "7"
-    assert 0.5 < float(found["A1"]) < 11.9
-    return engine.run
-
-
-def test_a_killed_engine_leaves_a_braked_robot(tmp_path: Path) -> None:
-    """At the speed of a real cell: the controller's timer counts real time."""
-    with simulation(1.0, EKI) as cell:
-        killed_in_motion(cell, tmp_path)
-
-
-@pytest.mark.nightly
-def test_a_run_that_was_killed_in_a_motion_goes_on(tmp_path: Path) -> None:
-    with simulation(1.0, EKI) as cell:
-        run = killed_in_motion(cell, tmp_path)
-        done = command("resume", run, "--unattended", "--runs", tmp_path, "--json")
+def test_a_killed_engine_leaves_a_braked_robot_and_resume_goes_on(tmp_path: Path) -> None:
+    """The cell is ten times as fast as a real one; the controller's timer counts real time."""
+    with simulation(10.0, EKI) as cell:
+        found = ask(cell, 7, MOVE, 40.0)
+        while found["Finished_Id"] != "7":
+            found = ask(cell, -1)
+        engine = Engine("run", "home", *words(cell, tmp_path, SHORT | SLOW))
+        engine.until(lambda event: event.get("action") == "robot.park")
+        time.sleep(0.5)  # of the motion, which takes 4 s
+        engine.kill()
+        killed_s = time.monotonic()
+        while (found := ask(cell, -2))["Code"] != "8":
+            assert time.monotonic() - killed_s < 2.5, found  # it asks, and gives no sign
+        assert (found["Stopped"], found["Finished_Id"]) == ("TRUE", "7")
+        assert 0.5 < float(found["A1"]) < 39.5
+        done = command("resume", engine.run, "--unattended", "--runs", tmp_path, "--json")
         assert end_of(done)["exit"] == 0, done.stderr
         assert abs(float(ask(cell, -3)["A1"])) < 0.01
