@@ -21,7 +21,8 @@ from xml.parsers import expat
 from drivers import krl
 
 STATE, STOPPED = "RobotState", "RobotStopState"  # roots
-ASK, MOVE, BRAKE, RELEASE, LOWER, GIVE_BACK = range(6)  # types of a command
+# Types of a command.
+ASK, MOVE, BRAKE, RELEASE, LOWER, GIVE_BACK, HOLD_SLIDE, FREE_SLIDE, MOVE_SLIDE = range(9)
 LONGEST = 8192  # bytes of a document; a state has about 1000
 DEEPEST = 2
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
@@ -45,6 +46,9 @@ SINGLE = {
     "$OV_PRO": ("Status", "Ov_Pro"),
     "$ACT_TOOL": ("Tool", "Number"),
     "$ACT_BASE": ("Base", "Number"),
+    "$EX_AX_NUM": ("Slide", "Count"),
+    "$AXIS_JUS[7]": ("Slide", "Mastered"),
+    "HC_HELD": ("Slide", "Held"),
     "$TRAFONAME[]": ("Robot", "Model"),
     "$KR_SERIALNO": ("Robot", "Serial"),
     "HC_VER": ("Robot", "Program"),

@@ -9,7 +9,7 @@ The commands of the thread that watches a motion are signs of life.
 from __future__ import annotations
 
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import Annotated
@@ -20,9 +20,10 @@ from drivers import eki, krl
 from drivers.eki_wire import EkiChannel, open_channel
 from drivers.keep_alive import KeepAlive
 from drivers.kuka_controller import DEVICE, PROGRESS, integer, override_held, unreadable
+from drivers.kuka_external import SlidingKukaRobot
 from drivers.kuka_health import HEALTH
-from drivers.kuka_life import LIFE_S, LIVING_VERSION, SLIDING_VERSION
-from drivers.kuka_robot import KukaOptions, KukaRobot
+from drivers.kuka_life import LIFE_S, SLIDING_VERSION
+from drivers.kuka_robot import KukaOptions
 from hilcell.clean import clean
 from hilcell.ports import Array, Clock
 
@@ -32,15 +33,15 @@ LIFE_MS = round(1000 * LIFE_S)
 
 
 class EkiController:
-    """Satisfies `drivers.kuka_controller.Controller`; each look is one exchange of documents."""
+    """Satisfies `drivers.kuka_controller.SlidingController`; a look is an exchange of documents."""
 
     measured = "$AXIS_ACT_MEAS"
     rounds = ((*HEALTH, "$OV_PRO", PROGRESS),)
 
-    def __init__(self, options: KukaEkiRobot.Options, robot: KukaRobot) -> None:
+    def __init__(self, options: KukaEkiRobot.Options, robot: SlidingKukaRobot) -> None:
         self.address = f"{options.host}:{options.port}"
         self.versions = {
-            "HC_VER": (LIVING_VERSION, SLIDING_VERSION),
+            "HC_VER": (SLIDING_VERSION, SLIDING_VERSION),
             "HE_VER": (DOCUMENTS_VERSION, DOCUMENTS_VERSION),
         }
         opened = partial(open_channel, DEVICE, options.host)
@@ -85,9 +86,29 @@ class EkiController:
 
     def start(self, number: int, target_deg: Array, speed_percent: int, version: int) -> None:
         """Send a motion; the Id of its document is its number."""
-        axes = target_deg.tolist()
-        motion = eki.command(number, eki.MOVE, axes=axes, percent=speed_percent, life_ms=LIFE_MS)
-        self._state = self._line.ask(number, motion)
+        axes, e1 = target_deg[:6].tolist(), float(sum(target_deg[6:]))
+        self._start(number, eki.MOVE, speed_percent, axes=axes, e1=e1)
+
+    def start_slide(self, number: int, place_mm: float, speed_percent: int, version: int) -> None:
+        """Send a motion of E1 alone."""
+        self._start(number, eki.MOVE_SLIDE, speed_percent, e1=place_mm)
+
+    def has_slide(self) -> bool:
+        """Whether the controller counts an external axis."""
+        return integer(self, "$EX_AX_NUM") > 0
+
+    def mastered(self) -> bool:
+        """Whether E1 is mastered."""
+        return self.value("$AXIS_JUS[7]") is True
+
+    def hold_slide(self, held: bool) -> None:
+        """Send whether E1 may move."""
+        self._send(eki.HOLD_SLIDE if held else eki.FREE_SLIDE)
+
+    def slide(self) -> tuple[float, bool]:
+        """Return where E1 is, and whether it is held, of one state."""
+        (place_mm,) = self.numbers(PROGRESS, (eki.E1,))
+        return place_mm, self.value("HC_HELD") is True
 
     def sign(self) -> None:
         """Have the next command be a sign of life; others are none, so that a motion brakes whose
@@ -143,6 +164,18 @@ class EkiController:
     def _known(self) -> eki.State:
         return self._state or self._send(eki.ASK)
 
+    def _start(
+        self,
+        number: int,
+        kind: int,
+        percent: int,
+        *,
+        axes: Sequence[float] = (0.0,) * 6,
+        e1: float = 0.0,
+    ) -> None:
+        motion = eki.command(number, kind, axes=axes, e1=e1, percent=percent, life_ms=LIFE_MS)
+        self._state = self._line.ask(number, motion)
+
     def _send(self, kind: int, percent: int = 1) -> eki.State:
         self._number = -1 - (-self._number) % LARGEST_ID
         life_ms, self._life_ms = self._life_ms, 0
@@ -151,8 +184,8 @@ class EkiController:
         return self._state
 
 
-class KukaEkiRobot(KukaRobot):
-    """Satisfies `hilcell.ports.Robot` and `hilcell.ports.Sweeps`."""
+class KukaEkiRobot(SlidingKukaRobot):
+    """Satisfies `hilcell.ports.Robot`, `hilcell.ports.Sweeps` and `hilcell.ports.ExternalAxis`."""
 
     class Options(KukaOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Address and wanted identity of the controller."""

@@ -139,11 +139,13 @@ def _parse(request: bytes) -> tuple[int, str, str] | None:
         return None
 
 
-def serve(site: Site, port: int) -> C3Server:
-    """Return the robot of a simulated cell behind C3 Bridge."""
+def controller_of(site: Site) -> KrlController:
+    """Return the controller of a simulated cell, whichever wire leads to it."""
     plant = site.plant
     harms = Harms(plant.lose_zero, plant.slip_mount, plant.lose_motion)
-    controller = KrlController(
-        site.cell, plant.robot, site.faults, harms, slide=external_axis(site)
-    )
-    return C3Server(controller, site.faults, site.time.catch_up, port=port)
+    return KrlController(site.cell, plant.robot, site.faults, harms, slide=external_axis(site))
+
+
+def serve(site: Site, port: int) -> C3Server:
+    """Return the robot of a simulated cell behind C3 Bridge."""
+    return C3Server(controller_of(site), site.faults, site.time.catch_up, port=port)

@@ -35,11 +35,12 @@ STATUS = {
     "Ov_Pro": "$OV_PRO",
 }
 COMMAND = {"Motion_Id": "HC_SEQ", "Finished_Id": "HC_ACK", "Stopped": "HC_STOP"}
+SLIDE = {"Count": "$EX_AX_NUM", "Mastered": "$AXIS_JUS[7]", "Held": "HC_HELD"}
 OTHERS = (
     "HC_ERR", "HC_OV_OLD", "HC_VER", "$TRAFONAME[]", "$KR_SERIALNO", "$ACT_TOOL", "$ACT_BASE",
 )  # fmt: skip
 PLACES = ("$AXIS_ACT_MEAS", "$POS_ACT", "$TOOL", "$BASE")
-NAMES = (*COMMAND.values(), *STATUS.values(), *OTHERS, *PLACES)
+NAMES = (*COMMAND.values(), *STATUS.values(), *SLIDE.values(), *OTHERS, *PLACES)
 
 
 class Overflow(Exception):
@@ -105,6 +106,9 @@ class EkiProgram:
             "3": lambda _: self._controller.write("HC_STOP", "FALSE"),
             "4": self._lower,
             "5": self._give_back,
+            "6": lambda _: self._controller.write("HC_HELD", "TRUE"),
+            "7": lambda _: self._controller.write("HC_HELD", "FALSE"),
+            "8": self._move_slide,
         }
         if int(values["Life"]) > 0:
             self._controller.write("$TIMER[10]", "-" + values["Life"])
@@ -122,11 +126,16 @@ class EkiProgram:
         return _document("RobotStopState", {"Command": {"Id": values["Id"]}})
 
     def _move(self, values: dict[str, str]) -> None:
-        target = aggregate("E6AXIS", {axis: float(values[axis]) for axis in AXES})
+        self._start("1", {axis: float(values[axis]) for axis in AXES}, values)
+
+    def _move_slide(self, values: dict[str, str]) -> None:
+        self._start("2", {"E1": float(values["E1"])}, values)
+
+    def _start(self, command: str, target: dict[str, float], values: dict[str, str]) -> None:
         for name, text in (
-            ("HC_TGT", target),
+            ("HC_TGT", aggregate("E6AXIS", target)),
             ("HC_VEL", values["Percent"]),
-            ("HC_CMD", "1"),
+            ("HC_CMD", command),
             ("HC_LIFE", values["Life"]),
             ("HC_SEQ", values["Id"]),
         ):
@@ -161,6 +170,7 @@ class EkiProgram:
                 "Tool": {"Number": texts["$ACT_TOOL"]} | {name: tool[name] for name in FRAME},
                 "Base": {"Number": texts["$ACT_BASE"]} | {name: base[name] for name in FRAME},
                 "Override": {"Old": texts["HC_OV_OLD"]},
+                "Slide": _named(SLIDE, texts),
                 "Robot": {
                     "Model": texts["$TRAFONAME[]"].strip('"'),
                     "Serial": texts["$KR_SERIALNO"],

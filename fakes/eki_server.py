@@ -11,12 +11,12 @@ import threading
 from collections.abc import Callable
 
 from fakes.answers import RECEIVE, Answers
+from fakes.c3_server import controller_of
 from fakes.eki_program import RECEIVED, STOP_RECEIVED, EkiProgram, Overflow, Queues
 from fakes.faults import Faults, Vanished
 from fakes.krl import KrlError
 from fakes.krl_controller import KrlController
 from fakes.listener import HOST, Listener
-from fakes.motion_faults import Harms
 from fakes.segments import Segments
 from fakes.site import Site
 from fakes.time import PlantTime
@@ -120,7 +120,4 @@ class EkiServer:
 
 def serve(site: Site, port: int) -> EkiServer:
     """Return the robot of a simulated cell behind EthernetKRL."""
-    plant = site.plant
-    harms = Harms(plant.lose_zero, plant.slip_mount, plant.lose_motion)
-    controller = KrlController(site.cell, plant.robot, site.faults, harms)
-    return EkiServer(controller, site.faults, site.time, port=port)
+    return EkiServer(controller_of(site), site.faults, site.time, port=port)

@@ -55,6 +55,7 @@ class EkiPeer(KukaPeer):
             "2": {"HC_STOP": "TRUE"},
             "3": {"HC_STOP": "FALSE"},
             "4": {"HC_OV_OLD": self.variables["$OV_PRO"], "$OV_PRO": values["Percent"]},
+            "6": {"HC_HELD": "TRUE"},
             "5": {"$OV_PRO": self.variables["HC_OV_OLD"], "HC_OV_OLD": "0"},
         }.get(values["Type"], {})
         for name, text in writes.items():
@@ -73,6 +74,7 @@ class EkiPeer(KukaPeer):
             f'<RobotState><Command Id="{number}" {motions} Stopped="{get("HC_STOP")}"/>'
             f'<Pos {axes} {pose}/><Status {status}/><Tool Number="{get("$ACT_TOOL")}" {tool}/>'
             f'<Base Number="{get("$ACT_BASE")}" {base}/>'
+            f'<Slide Count="0" Mastered="TRUE" Held="{get("HC_HELD")}"/>'
             f'<Override Old="{get("HC_OV_OLD")}"/>'
             f'<Robot {robot} Documents="{get("HE_VER")}"/>'
             f'<Error Code="{get("HC_ERR")}"/></RobotState>'

@@ -110,7 +110,7 @@ def test_the_submit_program_uses_what_is_declared() -> None:
     for word in ("IF", "SWITCH"):
         begun = len(re.findall(rf"(?m)^\s*{word} ", source))
         assert begun == len(re.findall(rf"(?m)^\s*END{word}$", source))
-    types = [eki.MOVE, eki.BRAKE, eki.RELEASE, eki.LOWER, eki.GIVE_BACK]
+    types = [*range(eki.MOVE, eki.MOVE_SLIDE + 1)]
     hear = source.split("DEF HE_HEAR ( )")[1].split("\nEND\n")[0]
     assert [int(n) for n in re.findall(r"CASE (\d)", hear)] == types
     assert hear.index("$TIMER[10] = -HE_MS") < hear.index("SWITCH")

@@ -121,3 +121,12 @@ def test_a_killed_engine_leaves_a_braked_robot_and_resume_goes_on(tmp_path: Path
         done = command("resume", engine.run, "--unattended", "--runs", tmp_path, "--json")
         assert end_of(done)["exit"] == 0, done.stderr
         assert abs(float(ask(cell, -3)["A1"])) < 0.01
+
+
+def test_the_slide_is_moved_over_the_same_channel(tmp_path: Path) -> None:
+    rail = {"rail.driver": "kuka-e1"}
+    done = command(
+        "run", "rail-survey", "--json", "--unattended", "--runs", tmp_path, *sets(EKI | rail)
+    )
+    assert end_of(done)["exit"] == 0, done.stderr
+    assert '"model":"E1 of #KR210R2700_2 C4 FLR SIMULATED"' in done.stdout
