@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import secrets
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 JOURNAL = "journal.sqlite"
 CALIBRATION = "calibration.json"
+_GIVEN = re.compile(r"\d{8}-\d{6}-.+-[0-9a-f]{4}")  # by `new_run`
 CLOCKS_APART_S = 1.0  # a disk's times are coarser than those of records
 _FETCH = "fetch the run's folder from the backup, or start a new run with `hilcell run`"
 
@@ -32,6 +34,13 @@ _FETCH = "fetch the run's folder from the backup, or start a new run with `hilce
 def new_run(procedure: str) -> str:
     """Return a new run's name: when, what, and four characters against collisions."""
     return f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{procedure}-{secrets.token_hex(2)}"
+
+
+def short_run(run: str) -> str:
+    """Return the part of a run's name that tells it from others: its own name, or the end of one
+    that `new_run` gave.
+    """
+    return run[-4:] if _GIVEN.fullmatch(run) else run
 
 
 def make_folder(folder: Path) -> None:

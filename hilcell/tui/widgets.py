@@ -288,7 +288,7 @@ class Table(ScrollView, can_focus=True):
         index = int(self.scroll_offset.y) + y - 1
         base = self.rich_style
         if not self.rows and y == 1:
-            return self._strip(self.empty, base, width)
+            return self._strip(f" {self.empty}", base, width)
         if index >= len(self.rows):
             return Strip.blank(width, base)
         row = self.rows[index]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar, cast
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from hilcell.tui.text.alarm_words import AlarmContext
 
 
+BACK, ALWAYS = "back", ("stop", "alarms")  # in the line of keys of every width
 PAUSE_WORDS = {"proceed": "go on", "resume": "resume"}  # by what the key does
 
 
@@ -209,18 +210,24 @@ class BaseScreen(Screen[None]):
     def key_line(self) -> Content:
         """Return element 10: the keys that do something now."""
         typing = isinstance(self.focused, Input)
-        parts: list[tuple[str, str]] = list(self.in_box if typing else self.fixed)
+        fixed = self.in_box if typing else self.fixed_keys()
+        parts = [(_key(key, label), label == BACK) for key, label in fixed]
         parts += [
-            (shown(self.application.keymap[name][0]), self.label(name))
+            (_key(shown(self.application.keymap[name][0]), self.label(name)), name in ALWAYS)
             for name in self.footer
             if self.application.allowed(name) and (BY_NAME[name].everywhere or not typing)
         ]
+        room = self.line_width + 2 - sum(each.cell_length for each, always in parts if always)
         line = Content("")
-        for key, label in parts:
-            each = Content.assemble((key, "bold $on-label on $label-fill"), f" {label}  ")
-            if line.cell_length + each.cell_length <= self.line_width + 2:
+        for each, always in parts:
+            if always or each.cell_length <= room:
                 line = line.append(each)
+                room -= 0 if always else each.cell_length
         return line
+
+    def fixed_keys(self) -> Sequence[tuple[str, str]]:
+        """Return the screen's own keys and what they do now."""
+        return self.fixed
 
     def alarm_context(self) -> AlarmContext:
         """Return what alarms are shown with now."""
@@ -242,6 +249,10 @@ class BaseScreen(Screen[None]):
         return BY_NAME[name].label
 
 
+def _key(key: str, label: str) -> Content:
+    return Content.assemble((key, "bold $on-label on $label-fill"), f" {label}  ")
+
+
 def _notice_state(view: RunView | None) -> tuple[str, bool]:
     """Return the state that a notice is about, and whether a prompt can be answered."""
     if view is None:
@@ -256,7 +267,7 @@ class Page(BaseScreen):
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("q,backspace", "back", "back", show=False, priority=True),  # in the order typed
     ]
-    fixed: ClassVar[tuple[tuple[str, str], ...]] = (("q", "back"),)
+    fixed: ClassVar[tuple[tuple[str, str], ...]] = (("q", BACK),)
 
     def compose(self) -> ComposeResult:
         """Build banner, title, body and key line."""

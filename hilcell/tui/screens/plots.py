@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import ClassVar
 
 from textual.app import ComposeResult
@@ -35,7 +36,6 @@ class PlotPage(Page):
     footer = ("stop", "pause", "alarms", "quit")
     fixed: ClassVar[tuple[tuple[str, str], ...]] = (
         ("◄ ►", "other plot"),
-        (f"1-{MOST_TABS}", "choose"),
         ("S", "station"),
         ("g", "log or even scale"),
         ("v", "series on or off"),
@@ -55,6 +55,12 @@ class PlotPage(Page):
         self._choice = Choice()
         self._drawn_s = -REDRAW_S
         self._seen: tuple[object, ...] = ()
+
+    def fixed_keys(self) -> Sequence[tuple[str, str]]:
+        """Return the keys with as many numbers as there are plots."""
+        first, *others = self.fixed
+        numbers = [(f"1-{self._count}", "choose")] if self._count > 1 else []
+        return (first, *numbers, *others)
 
     def body(self) -> ComposeResult:
         """Build the plot's place."""

@@ -49,7 +49,8 @@ WORDS = {  # by label: shorter here
     "history": "runs",
 }
 PALETTE_KEY, EVERY_ACTION = "^p", "every action"
-NARROW = ("pause", "acknowledge", "help")  # stay, beside STOP, where there is no room for all
+# These stay, beside STOP, where there is no room for all.
+NARROW = ("pause", "acknowledge", "alarms", "help")
 FULL_WIDTH = 79
 
 

@@ -19,7 +19,7 @@ from hilcell.tui.text.run import is_simulated, simulation_block
 BLOCK, FIRST_AT, SECOND_AT = 24, 26, 53
 MOST_LETTERS = (BLOCK + 1) // 4  # that are large; a longer word is a bold line
 BAR, TO_LIMIT = 24, 19
-LEAST_WIDTH, LEAST_ROWS = 78, 14
+LEAST_WIDTH, LEAST_ROWS, LEAST_PLACE = 78, 14, 28
 NEXT = "o report   p plots   w worst points   n new run"
 
 
@@ -63,8 +63,10 @@ def head_lines(view: RunView, head: Head, glyphs: Glyphs, width: int, rows: int)
     """Return the words and the figures, large where there is room; nothing without words."""
     if not head.words:
         return []
-    draw = _small if is_small(width, rows) else _large
-    return draw(head, simulation_block() if is_simulated(view) else Content(""), glyphs)
+    mark = simulation_block() if is_simulated(view) else Content("")
+    if is_small(width, rows):
+        return _small(head, mark, glyphs, width)
+    return _large(head, mark, glyphs)
 
 
 def _style(role: str) -> tuple[str, str]:
@@ -103,15 +105,17 @@ def _tone(each: Figure, glyphs: Glyphs) -> tuple[str, str]:
     return ("$fault", glyphs.warned) if each.over else ("$passed", glyphs.fresh)
 
 
-def _at(each: Figure) -> str:
-    limit = "no limit stated" if each.limit_mm is None else f"limit {each.limit_mm:.3f}"
-    return f" {each.at}, {limit}"
+def _at(each: Figure, room: int) -> str:
+    """Return place and limit in ``room``: a long name is shortened, the limit never."""
+    limit = ", no limit stated" if each.limit_mm is None else f", limit {each.limit_mm:.3f}"
+    at = Content(f" {each.at}").truncate(max(room - len(limit), 1), ellipsis=True).plain
+    return f"{at}{limit}"
 
 
 def _large_figure(each: Figure, glyphs: Glyphs) -> list[Content]:
     tone, shape = _tone(each, glyphs)
     digits = large(figure(each.value_mm), tone if each.over else "$foreground", glyphs)
-    at = Content.assemble((shape, tone), (_at(each), "$label"))
+    at = Content.assemble((shape, tone), (_at(each, SECOND_AT - FIRST_AT - 3), "$label"))
     line = Content("")
     if each.limit_mm:
         share = each.value_mm / each.limit_mm * TO_LIMIT / BAR
@@ -119,7 +123,7 @@ def _large_figure(each: Figure, glyphs: Glyphs) -> list[Content]:
     return [Content.styled(each.title, "$label"), *digits, at, line, Content("")]
 
 
-def _small(head: Head, mark: Content, glyphs: Glyphs) -> list[Content]:
+def _small(head: Head, mark: Content, glyphs: Glyphs, columns: int) -> list[Content]:
     stated = (head.stated,) if len(head.words) == 1 else ()
     text = "  ".join(["", " ".join(head.words), *stated, ""])
     lines = [Content("").join([Content.styled(text, _style(head.role)[0]), mark])]
@@ -127,11 +131,12 @@ def _small(head: Head, mark: Content, glyphs: Glyphs) -> list[Content]:
     width = max(map(len, titles), default=0)
     for title, each in zip(titles, head.figures, strict=True):
         tone, shape = _tone(each, glyphs)
+        room = max(columns - width - len(f"    {figure(each.value_mm)} mm"), LEAST_PLACE)
         lines.append(
             Content.assemble(
                 (f" {shape}", tone), (f" {title:<{width}} ", "$label"),
                 (f"{figure(each.value_mm)} mm", f"bold {tone}" if each.over else "bold"),
-                (_at(each), "$label"),
+                (_at(each, room), "$label"),
             )
         )  # fmt: skip
     return lines

@@ -188,8 +188,9 @@ def _length(found: Deviation | None) -> str:
 
 def _places(point: Point, found: Deviation | None) -> list[tuple[str, str]]:
     nominal = "" if point.nominal_mm is None else _triple(point.nominal_mm, 1, _PLACES[0].width)
-    measured = point.xyz_mm if found is None else found.actual_mm
-    return [(nominal, "label"), (_triple(measured, 3, _PLACES[1].width), "label")]
+    if found is None:  # known in the tracker's frame only: its page shows it
+        return [(nominal, "label"), ("", "label")]
+    return [(nominal, "label"), (_triple(found.actual_mm, 3, _PLACES[1].width), "label")]
 
 
 def _triple(values: Sequence[float], digits: int, room: int) -> str:

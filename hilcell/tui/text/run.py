@@ -14,6 +14,7 @@ from hilcell.journal.calibration_facts import OUTCOMES
 from hilcell.journal.outcome import run_outcome
 from hilcell.journal.point_id import CONTROL
 from hilcell.journal.point_words import part_words, procedure_words, step_words
+from hilcell.journal.runs import short_run
 from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.devices import short_age
@@ -45,7 +46,7 @@ NO_PLAN_TEXTS = {  # where there is no plan in the journal
     EngineState.ANSWERING: "nothing to see yet",
     EngineState.SILENT: "nothing to see yet",
 }
-SHORT = 4
+MOST_OF_A_RUN = 14
 GAP = 3  # between the parts of a row
 BAR, BESIDE_BAR = 43, 36
 ROOMY = 100  # columns for the badge beside a notice of the run behind
@@ -145,7 +146,7 @@ def identity(view: RunView, width: int) -> Content:
     if plan is None:
         begun = NO_PLAN_TEXTS[view.engine]
         return Content(f" run {view.run}: {view.trouble or begun}").truncate(width, ellipsis=True)
-    run = _labelled("run", view.run[-SHORT:])  # its last letters differ between runs
+    run = _labelled("run", short(short_run(view.run), MOST_OF_A_RUN))
     names = {"cell": str(plan.cell.get("name", "?")), "job": plan.job, "operator": plan.operator}
     attended = Content.styled("unattended" if plan.unattended else "attended", "$label")
     line = Content.assemble(" ", (procedure_words(plan.procedure), "bold"))

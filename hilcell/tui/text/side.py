@@ -20,6 +20,7 @@ from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.plots.draw import Look, Plot, draw
 from hilcell.tui.plots.scale import Scale, log_scale
 from hilcell.tui.text.deviation import PointRow
+from hilcell.tui.text.frame import wrapped
 from hilcell.tui.text.lines import section
 from hilcell.tui.text.map import NO_POINT, Volume, map_lines
 from hilcell.tui.text.plot_figures import mark_of
@@ -53,7 +54,7 @@ def side_lines(
     """Return the lines, at most ``height``, and the plot's scale, for the next time."""
     targets = [row for row in rows if row.point.id.kind in KINDS and row.deviation is not None]
     if not targets:
-        return [Content.styled(NOTHING_YET[:width], "$label")], before
+        return wrapped(NOTHING_YET, width, "$label"), before
     room = min(MAP_ROWS, height - LEAST_PLOT)
     above = map_lines(volume_of(view.log, targets), width, room, plain=look.plain)
     below, scale = _plot(view.log, targets, width, height - len(above), look, before)

@@ -28,7 +28,7 @@ from hilcell.tui.text.digits import figure
 from hilcell.tui.text.frame import wrapped
 from hilcell.tui.text.head import NEXT, Figure, Head, gravest, head_lines, is_small
 
-ROWS = 16
+ROWS, MOST_OF_A_NAME = 16, 20
 VALIDATION = "validation"  # its verdicts are shown by station
 
 
@@ -265,20 +265,21 @@ def _facts(
         return _advice(view, found, max(view.alarms, key=_severity), glyphs, width)
     sure = max(found.stations, key=lambda each: gravest(each.sure_mm))
     known = math.isfinite(sure.sure_mm)
-    bound = f"below {sure.sure_mm:.3f} mm at {sure.name}" if known else "not stated"
+    bound = f"below {sure.sure_mm:.3f} mm at {_short(sure.name)}" if known else "not stated"
     floor = f"   floor: {found.floor_mm:.3f} mm" if math.isfinite(found.floor_mm) else ""
     doubtful = [
         Content.styled(
-            f" {glyphs.warned} {each.name}: judged as pass, yet a figure is over its limit", "$ask"
+            f" {glyphs.warned} {_short(each.name)}: judged as pass, yet a figure is over its limit",
+            "$ask",
         )
         for each in found.stations if _is_doubtful(each, found)
     ]  # fmt: skip
     return [
         *doubtful[:1],
-        Content.assemble((" true mean, 95 % sure: ", "$label"), bound, (floor, "$label")),
+        _whole(width, (" true mean, 95 % sure: ", "$label"), bound, (floor, "$label")),
         *_orientation(found),
-        _written(view, found, glyphs),
-        _drift(view, glyphs, standing),
+        _written(view, found, glyphs, width),
+        _drift(view, glyphs, standing, width),
         Content.assemble((" next: ", "$label"), NEXT),
     ]
 
@@ -289,8 +290,24 @@ def _orientation(found: Verdict) -> list[Content]:
     if not turns:
         return []
     name, turn = max(turns.items(), key=lambda each: gravest(each[1].max_deg))
-    words = f"{turn.max_deg:.4f}° at {harmless(name)}, limit {found.max_limit_deg:g}°"
+    words = f"{turn.max_deg:.4f}° at {_short(name)}, limit {found.max_limit_deg:g}°"
     return [Content.assemble((" orientation, worst: ", "$label"), words)]
+
+
+def _short(name: str) -> str:
+    """Return a station's name that leaves room for figures."""
+    return Content(harmless(name)).truncate(MOST_OF_A_NAME, ellipsis=True).plain
+
+
+def _whole(width: int, *phrases: Content | tuple[str, str] | str) -> Content:
+    """Return as many phrases as fit, each whole; the first one in any case."""
+    line = Content.assemble(phrases[0])
+    for phrase in phrases[1:]:
+        longer = Content.assemble(line, phrase)
+        if longer.cell_length > width:
+            break
+        line = longer
+    return line
 
 
 def _severity(alarm: Alarm) -> int:
@@ -340,22 +357,22 @@ def _reason(each: Station, found: Verdict) -> str:
     return f"mean {figure(each.mean_mm)}{U}: not shown below {found.mean_limit_mm:.3f}"
 
 
-def _written(view: RunView, found: Verdict, glyphs: Glyphs) -> Content:
+def _written(view: RunView, found: Verdict, glyphs: Glyphs, width: int) -> Content:
     celsius = view.log.temperatures_c()
     unit = f"{glyphs.degree}C"
     air = f"; air was {min(celsius):.1f} to {max(celsius):.1f} {unit}" if celsius else ""
     if not view.log.calibrates:
-        return Content.styled(f" no calibration file was to be written{air}", "$label")
+        none = " no calibration file was to be written"
+        return _whole(width, (none, "$label"), (air, "$label"))
     if view.calibration_lost:
         text = f" {glyphs.warned} calibration.json is not written: space writes it"
         return Content.styled(text, "$ask")
     names = " ".join(each.name for each in found.stations)
-    return Content.assemble(
-        (" written: ", "$label"), "calibration.json", (f" for {names}{air}", "$label")
-    )
+    head = Content.assemble((" written: ", "$label"), "calibration.json")
+    return _whole(width, head, (f" for {names}", "$label"), (air, "$label"))
 
 
-def _drift(view: RunView, glyphs: Glyphs, standing: int) -> Content:
+def _drift(view: RunView, glyphs: Glyphs, standing: int, width: int) -> Content:
     """Return how many alarms there were or are ``standing``, and how far the floor nests moved."""
     proofs = [event.body["off_mm"] for event in view.log.events if event.body["what"] == PROVEN]
     moved = max((max(each) for each in proofs if each), default=None)
@@ -363,4 +380,5 @@ def _drift(view: RunView, glyphs: Glyphs, standing: int) -> Content:
     text = f"{count} alarm{'s' if count > 1 else ''}: e" if count else "no alarms"
     drift = "" if moved is None else f"; floor nests stood within {moved:.3f} mm"
     tone, shape = ("$ask", glyphs.warned) if count else ("$passed", glyphs.fresh)
-    return Content.assemble((f" {shape}", tone), (f" {text}{drift}", "$label"))
+    head = Content.assemble((f" {shape}", tone), (f" {text}", "$label"))
+    return _whole(width, head, (drift, "$label"))

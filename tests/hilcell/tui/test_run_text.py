@@ -250,7 +250,7 @@ def test_a_long_job_leaves_room_for_the_run() -> None:
     line = run_text.identity(view, 79).plain
     assert "job JJJJ" in line
     assert "…" in line
-    assert line.endswith("run e-up")
+    assert line.endswith("run made-up")
 
 
 def test_a_journal_that_cannot_be_read_says_why() -> None:
@@ -409,3 +409,16 @@ def test_the_air_has_one_blank_before_its_unit_in_ascii() -> None:
     view = view_of("running")
     assert "22.5 °C +0.0 K" in devices.air(view, UNICODE).plain
     assert to_ascii(devices.air(view, ASCII).plain) == "22.5 C +0.0 K"
+
+
+@pytest.mark.parametrize(
+    ("run", "shown"),
+    [
+        ("20261123-062802-calibrate-ab12", "run ab12"),
+        ("orient", "run orient"),
+        ("orientation-of-the-tool", "run orientation-o…"),
+    ],
+)
+def test_a_named_run_is_shown_by_its_name(run: str, shown: str) -> None:
+    view = replace(view_of("running"), run=run)
+    assert run_text.identity(view, 79).plain.endswith(shown)

@@ -124,7 +124,7 @@ def test_the_cursor_stays_near_when_its_row_goes() -> None:
         assert app.rows.key == "k9"
         app.rows.show_rows([])
         assert app.rows.key == ""
-        assert app.seen()[-1] == "nothing here"
+        assert app.seen()[-1] == " nothing here"
         await pilot.press("down", "end", "pagedown", "enter")
         assert app.chosen == [""]
         app.rows.show_rows(rows_of(3))

@@ -273,3 +273,30 @@ def limited(view: RunView, **judged: object) -> None:
     view.log.plan = msgspec.structs.replace(view.log.inputs, cell=cell)
     view.log._cell = None
     view.log.verdicts["validation.S300"] |= {"max_tolerance_deg": 0.05} | judged
+
+
+LONG = "Heck-Spantaktstation-Nord-Linie-2-Bauabschnitt-4-Platz-11"
+
+
+def test_a_long_name_of_a_station_hides_no_limit_and_no_figure() -> None:
+    view = finished("done", {LONG: PLACES["S300"]})
+    found = verdict_of(view)
+    assert found is not None
+    for width, rows in ((79, ROWS), (59, 9)):
+        text = verdict_lines(view, found, UNICODE, width, rows).plain
+        assert "…, limit 0.120" in text
+        assert "…, limit 0.300" in text
+        assert not any(line.endswith("…") for line in text.split("\n"))
+
+
+def test_a_phrase_without_room_is_left_out_whole() -> None:
+    view = finished("done", PLACES)
+    assert view.log.end is not None
+    view.log.end["result"]["validation"]["S300"]["floor"] = {"mean": 0.031}
+    found = verdict_of(view)
+    assert found is not None
+    wide = verdict_lines(view, found, UNICODE, 79, 9).plain
+    small = verdict_lines(view, found, UNICODE, 59, 9).plain
+    assert "floor: 0.031 mm" in wide
+    assert "floor:" not in small
+    assert "…" not in small
