@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from importlib import resources
 from typing import Annotated, Literal
 
@@ -16,26 +17,24 @@ import canopen
 import msgspec
 from msgspec import Meta
 
-from drivers import cia402, cia406, nmt, rail_setup
+from drivers import cia406, nmt, rail_setup
 from drivers.can_link import CanLink, open_bus
 from drivers.drive import Drive, Limits
 from drivers.node_watch import NodeWatch
 from drivers.pdo import configure
 from drivers.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.rail_setup import Expected
+from drivers.release import Release, go_on
 from drivers.sdo import SdoChannel
 from drivers.standing import check_travel
-from drivers.standstill import Standstill, Windows
+from drivers.standstill import Windows
 from drivers.strip import StripFeed, StripOptions
 from drivers.strip_serial import SerialStrip
-from drivers.supervision import Patience, Supervision
+from drivers.supervision import Supervision
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading
 from hilcell.wire.channel import parse_channel
 
 LATE_S = 0.8  # below the consumer time of the drive (1016h)
-RELEASE_S = 5.0  # wire deadline, beside two dwells
-SILENT_S = 1.0  # more than a poll takes that nothing answers
-POLL_S = 0.02
 WINDOW_MM = 0.05
 STRIP_SPREAD_COUNTS, STRIP_SPREAD_MM = 2, 0.02  # at rest: one count about the middle
 SLACK_MM = 5.0  # the slide may read so far beyond its travel before that is a runaway
@@ -94,7 +93,7 @@ class CanopenRail:
         self._image: ProcessImage | None = None
         self._drive: Drive | None = None
         self._ended_s: float | None = None  # when the last motion was seen to have ended
-        self._drive_sdo: SdoChannel | None = None
+        self._held_by_sdo = 0
         self._watches: tuple[NodeWatch, ...] = ()
         self._feed: StripFeed | None = None  # of a strip that is not on the bus
         if options.strip is not None:
@@ -162,11 +161,12 @@ class CanopenRail:
 
     def _set_up(self, link: CanLink) -> list[Identity]:
         options = self._options
-        drive_sdo = self._channel(link, options.drive_node, "drive.eds")
+        check = self._clock.check
+        drive_sdo = self._channel(link, options.drive_node, "drive.eds", check)
         strip_sdo, feed = None, self._feed
         self._watches = (NodeWatch(DEVICE, link, options.drive_node),)
         if feed is None:
-            strip_sdo = self._channel(link, options.strip_node, "strip.eds")
+            strip_sdo = self._channel(link, options.strip_node, "strip.eds", check)
             of_strip = NodeWatch(DEVICE, link, options.strip_node, in_pdo=cia406.SENSOR_ERRORS)
             self._watches = (*self._watches, of_strip)
         nodes = (options.drive_node, options.strip_node)
@@ -189,7 +189,7 @@ class CanopenRail:
         for watch in self._watches:
             watch.arm()
         drive.disable("connect")
-        self._image, self._drive, self._drive_sdo = image, drive, drive_sdo
+        self._image, self._drive, self._held_by_sdo = image, drive, 0
         return identities
 
     def _configure(
@@ -229,10 +229,10 @@ class CanopenRail:
         rail_setup.start_nodes(link, self._watches, self._clock)
         self._check_nodes("connect")
 
-    def _channel(self, link: CanLink, node: int, eds: str) -> SdoChannel:
+    def _channel(self, link: CanLink, node: int, eds: str, check: Callable[[], None]) -> SdoChannel:
         with resources.as_file(resources.files("drivers") / "eds" / eds) as path:
             remote = canopen.RemoteNode(node, canopen.import_od(str(path), node))
-        channel = SdoChannel(DEVICE, node, remote, link, self._clock.check)
+        channel = SdoChannel(DEVICE, node, remote, link, check)
         link.network.add_node(remote)
         return channel
 
@@ -314,56 +314,20 @@ class CanopenRail:
             return  # the first failure, which is being raised, is the one to report
 
     def _release(self, link: CanLink, image: ProcessImage) -> None:
-        """Disable the drive without the run's clock, which no longer waits after a stop."""
-        windows = self._limits().windows
-        standstill = Standstill(windows)
-        limit_s = RELEASE_S + 2 * windows.dwell_s
-        began_s, patience = time.monotonic(), Patience(limit_s, SILENT_S)
-        while (now := self._answer(link, image, patience)).powered:
-            passed_s = time.monotonic() - began_s
-            standstill.take(now, passed_s)
-            if standstill.rest is not None:
-                image.control(cia402.DISABLE_VOLTAGE)
-            elif image.stopped:
-                pass  # it brakes
-            elif not abs(now.velocity) <= windows.speed or passed_s > 2 * windows.dwell_s:
-                image.quick_stop()
-            if patience.over():
-                raise DeviceError(
-                    "HC-R37",
-                    DEVICE,
-                    "close",
-                    f"the drive keeps its power: {now.state.value}",
-                    wanted=f"held within {limit_s:.0f} s",
-                    act="switch the drive off",
-                    fields={"state": now.state.value, "waited_s": RELEASE_S},
-                )
-            time.sleep(POLL_S)
+        sdo = self._channel(link, self._options.drive_node, "drive.eds", go_on)
+        release = Release(link, image, sdo, self._limits().windows)
+        release.leave_held()
+        self._held_by_sdo = int(release.by_sdo)
         # From here on nobody produces the heartbeat; without this the drive would go to fault.
-        if self._drive_sdo is not None and not image.stopped:
-            self._drive_sdo.write(rail_setup.CONSUMER_HEARTBEAT, 1, 0)
-
-    def _answer(self, link: CanLink, image: ProcessImage, patience: Patience) -> Snapshot:
-        """Return the next poll that is answered; one that is not proves nothing before the end."""
-        while True:
-            over = patience.over()
-            try:
-                return image.refresh(_go_on)
-            except DeviceError:
-                link.check()  # a link that is lost brings no answer
-                if over:
-                    raise
+        if not image.stopped:
+            sdo.write(rail_setup.CONSUMER_HEARTBEAT, 1, 0)
 
     def _close_link(self) -> None:
         link, self._link = self._link, None
-        self._image = self._drive = self._drive_sdo = None
+        self._image = self._drive = None
         self._watches = ()
         if self._feed is not None:
             self._feed.close()
         if link is not None:
-            self._statistics = link.statistics()
+            self._statistics = replace(link.statistics(), held_by_sdo=self._held_by_sdo)
             link.close()
-
-
-def _go_on() -> None:
-    """Teardown is bounded by its own deadline, no stop ends it."""

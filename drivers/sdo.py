@@ -105,7 +105,7 @@ class SdoChannel:
         node.sdo_channels.append(self._client)
         node.sdo = self._client
 
-    def read(self, index: int, sub: int = 0) -> int:
+    def read(self, index: int, sub: int = 0, *, tries: int = TRIES) -> int:
         """Return the value as the EDS types it; raises `Aborted` or `DeviceError`.
 
         A shorter integer is the same number; one that does not fit the type is no answer.
@@ -117,7 +117,7 @@ class SdoChannel:
             _number(data, variable)
             return data
 
-        return _number(self._retried(f"read {_name(index, sub)}", upload), variable)
+        return _number(self._retried(f"read {_name(index, sub)}", upload, tries), variable)
 
     def read_bytes(self, index: int, sub: int = 0) -> bytes:
         """Return the value's bytes; retried, because reading changes nothing."""
@@ -126,9 +126,7 @@ class SdoChannel:
 
     def write(self, index: int, sub: int, value: int) -> None:
         """Write a setting and read it back; raises `Aborted` or `DeviceError`."""
-        operation = f"write {_name(index, sub)}"
-        data = self._object(index, sub).encode_raw(value)
-        self._retried(operation, lambda: self._download(index, sub, data))
+        operation = self.command(index, sub, value)
         found = self.read(index, sub)
         if found != value:
             raise DeviceError(
@@ -146,9 +144,19 @@ class SdoChannel:
                 },
             )
 
-    def _retried(self, operation: str, transfer: Callable[[], bytes]) -> bytes:
+    def command(self, index: int, sub: int, value: int) -> str:
+        """Write what the device obeys at once; its state shows whether it did.
+
+        Return the operation in words; raises `Aborted` or `DeviceError`.
+        """
+        operation = f"write {_name(index, sub)}"
+        data = self._object(index, sub).encode_raw(value)
+        self._retried(operation, lambda: self._download(index, sub, data))
+        return operation
+
+    def _retried(self, operation: str, transfer: Callable[[], bytes], tries: int = TRIES) -> bytes:
         with self._lock:
-            for _ in range(TRIES):
+            for _ in range(tries):
                 try:
                     return self._once(transfer)
                 except SdoAbortedError as error:
@@ -160,9 +168,9 @@ class SdoChannel:
             "HC-R06",
             self._device,
             operation,
-            f"node {self._number}: {reason}, {TRIES} times",
+            f"node {self._number}: {reason}, {tries} times",
             act=f"check node {self._number}: power, cable, bit rate, node number",
-            fields={"node": self._number, "tries": TRIES, "reason": reason},
+            fields={"node": self._number, "tries": tries, "reason": reason},
         )
 
     def _once(self, transfer: Callable[[], bytes]) -> bytes:

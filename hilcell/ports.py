@@ -98,6 +98,7 @@ class LinkStatistics:
     bad_lines: int = 0  # that the gateway garbled
     refused: int = 0  # frames of ours that the gateway did not take
     malformed: int = 0  # frames too short for their contents
+    held_by_sdo: int = 0  # 1: at the end no PDO came, and SDO confirmed that the slide is held
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import msgspec
 
 from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.key_words import in_words
-from hilcell.journal.log import Log
+from hilcell.journal.log import HELD_BY_SDO, Log
 from hilcell.journal.point_words import step_words
 
 ORDINALS = {1: "1st", 2: "2nd", 3: "3rd"}
@@ -87,4 +87,6 @@ def _tracker(body: Mapping[str, Any]) -> str:
 def _wire(body: Mapping[str, Any]) -> str:
     """Return what was lost on the rail's wire; nothing where all was well."""
     lost = sum(int(body.get(name, 0)) for name in ("bad_lines", "refused", "malformed"))
-    return f"rail's wire: {lost} of {body.get('frames')} frames lost" if lost else ""
+    found = [f"{lost} of {body.get('frames')} frames lost"] if lost else []
+    found += [HELD_BY_SDO] if body.get("held_by_sdo") else []
+    return f"rail's wire: {'; '.join(found)}" if found else ""

@@ -171,6 +171,7 @@ class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
         return self.seed if self.machine_seed is None else self.machine_seed
 
 
+HELD_BY_SDO = "the drive sent no PDO at the end, SDO confirmed that the slide is held"
 LOSSY = 0.005  # share of the frames on the rail's wire
 
 
@@ -181,6 +182,7 @@ class LinkRecord(msgspec.Struct, frozen=True):
     bad_lines: int
     refused: int
     malformed: int
+    held_by_sdo: int = 0
 
     @property
     def lost_share(self) -> float:
@@ -205,6 +207,7 @@ class LinkRecord(msgspec.Struct, frozen=True):
         return (
             f"{self.frames} frames, {self.bad_lines} bad lines, {self.refused} refused, "
             f"{self.malformed} malformed ({100 * self.lost_share:.2f} % lost)"
+            f"{f'; {HELD_BY_SDO}' if self.held_by_sdo else ''}"
         )
 
 

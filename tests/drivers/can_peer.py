@@ -15,6 +15,7 @@ from tests.drivers.peers import Server
 
 DRIVE, STRIP = 5, 6
 HEARTBEAT_S = 0.05
+OPERATIONAL, PRE_OPERATIONAL = 0x05, 0x7F
 NO_RTR = 1 << 30  # of a PDO's COB-ID: its maker's devices answer no remote frame
 HUNTING = (2, -1, 0, -3, 1, 2, -2)  # counts
 DISABLED, READY, SWITCHED_ON, ENABLED, QUICK, FAULT = 0x40, 0x21, 0x23, 0x27, 0x07, 0x08
@@ -55,7 +56,7 @@ def common(device_type: int, product: int) -> dict[tuple[int, int], bytes]:
 
 
 def drive_objects() -> dict[tuple[int, int], bytes]:
-    words = {index: u16(0) for index in (0x6007, 0x603F, 0x605A)}
+    words = {index: u16(0) for index in (0x6007, 0x603F, 0x6040, 0x605A)}
     longs = {index: u32(0) for index in (0x607C, 0x6081, 0x6083, 0x6084, 0x609A)}
     plain = words | longs | {0x6060: u8(0), 0x6098: u8(0)}
     return (
@@ -123,6 +124,10 @@ class Axis:
             self.bits |= 0x1400 if self.homing else 0x400
 
     @property
+    def status(self) -> int:
+        return self.state | self.bits if self.state != FAULT else FAULT
+
+    @property
     def velocity(self) -> int:
         moves = self.speed if self.steps and not self.frozen else 0
         return moves + (60 * (-1) ** self.looks if self._hunting else 0)
@@ -184,6 +189,14 @@ class CanPeer:
         if self._connection is not None:
             self._connection.sendall(data)
 
+    def written(self, index: int) -> list[bytes]:
+        """Return the values that were written to an object of the drive by SDO."""
+        return [
+            data[4 : 8 - (data[0] >> 2 & 3)]
+            for data in self.frames(0x600 + DRIVE)
+            if data[0] & 0xE0 == 0x20 and struct.unpack_from("<H", data, 1)[0] == index
+        ]
+
     def frames(self, cob_id: int) -> list[bytes]:
         return [data for found, data in self.heard if found == cob_id]
 
@@ -226,7 +239,8 @@ class CanPeer:
             self._sync()
         elif cob_id == 0x200 + DRIVE:
             word, target = struct.unpack("<Hi", data)
-            self.axis.control(word, target)
+            if self.nmt[DRIVE] == OPERATIONAL:
+                self.axis.control(word, target)
             if word == 0x0002:
                 self.quick_stopped.set()
         elif cob_id in (0x600 + DRIVE, 0x600 + STRIP):
@@ -241,15 +255,24 @@ class CanPeer:
         axis = self.axis
         axis.step()
         strip = axis.position // 10 + self.strip_offset + self.jitter * (self._syncs % 2)
-        status = axis.state | axis.bits if axis.state != FAULT else FAULT
-        self.send(0x180 + DRIVE, struct.pack("<Hi", status, axis.shown))
-        self.send(0x280 + DRIVE, struct.pack("<ib", axis.velocity, axis.mode))
-        self.send(0x180 + STRIP, struct.pack("<iH", strip, self.alarms))
+        if self.nmt[DRIVE] == OPERATIONAL:
+            self.send(0x180 + DRIVE, struct.pack("<Hi", axis.status, axis.shown))
+            self.send(0x280 + DRIVE, struct.pack("<ib", axis.velocity, axis.mode))
+        if self.nmt[STRIP] == OPERATIONAL:
+            self.send(0x180 + STRIP, struct.pack("<iH", strip, self.alarms))
 
     def _insists(self, request: bytes) -> bool:
         return self.demands_no_rtr and not request[7] & 0x40
 
     # -- SDO ----------------------------------------------------------------------------------
+
+    def _show(self, index: int) -> None:
+        """Put what the axis shows now into the drive's objects; the slide goes on meanwhile."""
+        axis, drive = self.axis, self.objects[DRIVE]
+        if index == 0x6041:
+            axis.step()
+        drive[0x6041, 0], drive[0x6064, 0] = u16(axis.status), i32(axis.shown)
+        drive[0x606C, 0] = i32(axis.velocity)
 
     def _sdo(self, node: int, request: bytes) -> None:
         command, index, sub = struct.unpack_from("<BHB", request)
@@ -257,6 +280,8 @@ class CanPeer:
         if command == 0x80 or key in self.ignore:
             return
         head = request[1:4]
+        if node == DRIVE:
+            self._show(index)
         code = self.abort.get(key, 0 if key in objects else 0x06020000)
         if code:
             self.send(0x580 + node, b"\x80" + head + u32(code))
@@ -269,4 +294,6 @@ class CanPeer:
             objects[key] = request[4 : 8 - (command >> 2 & 3)]
             if key == (0x6060, 0):
                 self.axis.mode = request[4]
+            elif key == (0x6040, 0):
+                self.axis.control(request[4], self.axis.target)
             self.send(0x580 + node, b"\x60" + head + bytes(4))

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from drivers import drive, node_watch, pdo, rail_canopen, rail_setup, sdo, standing
+from drivers import drive, node_watch, pdo, rail_setup, release, sdo, standing
 from drivers.rail_canopen import CanopenRail
 from hilcell.clock import WallClock
 from hilcell.ports import DeviceError
@@ -26,11 +26,11 @@ def short_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
         (drive, "STALL_S", 0.3),
         (drive, "POLL_S", 0.002),
         (standing, "POLL_S", 0.002),
-        (rail_canopen, "POLL_S", 0.002),
+        (release, "POLL_S", 0.002),
         (standing, "SETTLE_S", 0.3),
         (rail_setup, "OPERATIONAL_S", 0.5),
         (rail_setup, "START_PERIOD_S", 0.1),
-        (rail_canopen, "RELEASE_S", 0.5),
+        (release, "RELEASE_S", 0.5),
         (rail_setup, "FIND_S", 0.5),
         (pdo, "REPLY_S", 0.1),
         (node_watch, "HEARTBEAT_AGE_S", 0.6),

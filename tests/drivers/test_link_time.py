@@ -50,7 +50,7 @@ class DeafReceiver:
 
 
 @pytest.mark.parametrize(
-    "ask", [lambda rail: rail.read(), lambda rail: rail._drive_sdo.read(0x6081)]
+    "ask", [lambda rail: rail.read(), lambda rail: rail._drive._sdo.read(0x6081)]
 )
 def test_an_answer_that_waits_in_a_late_pc_is_no_missing_answer(
     monkeypatch: pytest.MonkeyPatch, ask: Callable[[CanopenRail], object]

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from drivers import drive, motion_limits, rail_canopen, standing, standstill
+from drivers import drive, motion_limits, release, standing, standstill
 from drivers.rail_canopen import CanopenRail
 from hilcell.cell.file import load_cell
 from hilcell.ports import DeviceError
@@ -25,9 +25,9 @@ def short_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
         (drive, "STALL_S", 0.3),
         (drive, "POLL_S", 0.002),
         (standing, "POLL_S", 0.002),
-        (rail_canopen, "POLL_S", 0.002),
+        (release, "POLL_S", 0.002),
         (standing, "SETTLE_S", 0.6),
-        (rail_canopen, "RELEASE_S", 0.5),
+        (release, "RELEASE_S", 0.5),
     ):
         monkeypatch.setattr(module, name, value)
 
@@ -126,7 +126,7 @@ def test_a_long_dwell_is_no_lack_of_progress(
 ) -> None:
     monkeypatch.setattr(standstill, "LONGEST_PAUSE_S", 0.01)
     monkeypatch.setattr(drive, "STALL_S", 0.1)
-    monkeypatch.setattr(rail_canopen, "RELEASE_S", 0.1)
+    monkeypatch.setattr(release, "RELEASE_S", 0.1)
     rail = rail_for(peer, dwell_s=0.3)
     rail.connect()
     rail.move_to(700.0)

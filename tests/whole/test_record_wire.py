@@ -1,9 +1,15 @@
-"""A recorded wire is a device: a run repeats from its recording alone."""
+"""A recorded wire is a device: a run repeats from its recording alone.
+
+A driver that asks otherwise than before needs new recordings to be kept:
+
+    HILCELL_RECORDINGS=write pytest tests/whole/test_record_wire.py
+"""
 
 from __future__ import annotations
 
 import os
 import pty
+import shutil
 import socket
 import tty
 from collections.abc import Iterator
@@ -23,6 +29,7 @@ from hilcell.wire.recording import SUFFIX, Piece, Recorder, read_recording
 from hilcell.wire.relay import SerialRelay, SocketRelay
 from tests.whole.bench import command
 
+SWITCH = "HILCELL_RECORDINGS"
 KEPT = Path(__file__).parent.parent / "wires"
 SMALL = ["--unattended", "--set", "base_frame.points=4", "--set", "layout.nest_samples=2"]
 RECORDED = ["--set", "simulation.simulator=recorded"]
@@ -49,6 +56,11 @@ def test_a_run_is_recorded_and_repeats_from_its_recording_alone(tmp_path: Path) 
 
 @pytest.mark.parametrize("name", sorted(path.name for path in KEPT.iterdir()))
 def test_a_kept_recording_repeats(name: str, tmp_path: Path) -> None:
+    if os.environ.get(SWITCH) == "write":
+        words = [*SMALL, "--record-wire", "--runs", tmp_path, "--name", "new"]
+        assert command("run", name, *words).returncode == 0
+        for path in (tmp_path / "new").glob(f"*{SUFFIX}"):
+            shutil.copy(path, KEPT / name)
     assert repeat(KEPT / name, tmp_path, "kept") == 0
     assert measured(tmp_path / "kept")
 

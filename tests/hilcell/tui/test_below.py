@@ -151,6 +151,8 @@ def test_events_show_no_raw_keys() -> None:
         ({"what": "link", "frames": 9, "bad_lines": 0, "refused": 0, "malformed": 0}, ""),
         ({"what": "link", "frames": 9, "bad_lines": 1, "refused": 0, "malformed": 1},
          "rail's wire: 2 of 9 frames lost"),
+        ({"what": "link", "frames": 9, "held_by_sdo": 1},
+         "rail's wire: the drive sent no PDO at the end, SDO confirmed that the slide is held"),
         ({"what": "connected", "devices": [{"device": "Rail"}]}, "devices connected"),
         ({"what": "step", "name": "validate", "number": 7, "of": 7},
          "step 7 of 7 begins: Validation"),
