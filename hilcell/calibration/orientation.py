@@ -68,6 +68,11 @@ class Turned:
         return angles
 
     @property
+    def noise_deg(self) -> float:
+        """Return by what angle the readings alone turn a target: root mean square of all."""
+        return math.degrees(math.sqrt(np.trace(self.reading_rad2, axis1=1, axis2=2).mean()))
+
+    @property
     def figures(self) -> dict[str, float]:
         """Return mean, p95 and maximum (deg)."""
         found = figures_of(self.angles_deg)._asdict()

@@ -75,7 +75,8 @@ def summary(found: Found, names: Sequence[str], turns_deg: Array | None = None) 
     if turns_deg is None:
         return words
     middle_deg = float(np.median(turns_deg))
-    sizes = f"{middle_deg:.4f} and {turns_deg.max():.4f} deg"
+    sizes = f"{middle_deg:.4f} and {turns_deg.max():.4f} deg (true; a measured angle has the "
+    sizes += "readings' noise, too)"
     return f"{words}; of their orientation, as the reflectors define it: {sizes}"
 
 

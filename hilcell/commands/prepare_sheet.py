@@ -18,6 +18,7 @@ from hilcell.geometry.statistics import lengths_mm
 from hilcell.report.sheet import Sheet, SheetHole, SheetStation
 
 SHEET = "sheet.html"
+TRUE_ANGLE = "of the true angle; a measured one has the readings' noise, too"
 INVALID = (
     "a collision, a new mastering, an exchanged motor, gear, drill spindle or reflector mount",
     "the rail, the strip or its head was moved, or the slide does not come to its strip reading",
@@ -61,6 +62,8 @@ def sheet_of(
         ("Bounds hold at", at),
         ("Prepared", f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"),
     ]
+    if any(each.turns_deg is not None for each in stations):
+        facts.append(("Bounds in degrees", TRUE_ANGLE))
     refusals = [each.bounds.reason for each in stations if isinstance(each.bounds, NoBound)]
     return Sheet(
         title=f"Drilling sheet: {count} hole{'s' * (count != 1)} at {len(stations)} {places}",

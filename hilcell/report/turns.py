@@ -86,8 +86,9 @@ def oriented(facts: Facts) -> Iterator[tuple[str, str, Turned]]:
 
 def orientation(facts: Facts) -> Sheet | None:
     """Return by how much the tool was turned from its nominal orientation, before and after."""
-    rows, last = list[Oriented](), ""
+    rows, last, noise_deg = list[Oriented](), "", 0.0
     for name, how, turned in oriented(facts):
+        noise_deg = max(noise_deg, turned.noise_deg)
         shown = "" if name == last else name
         rows.append((shown, series_name(how, facts), len(turned), turned.figures))
         last = name
@@ -95,7 +96,9 @@ def orientation(facts: Facts) -> Sheet | None:
         "The tool's pose is the rigid fit of its reflectors, where they were found on the flange; "
     )
     note += "about axis 6 it counts from the controller's zero. Error: the angle of one rotation; "
-    note += "of a target measured again the larger one counts."
+    note += "of a target measured again the larger one counts. The angles are measured: they have "
+    note += f"the readings' noise in, up to {noise_deg:.4f}° (root mean square). The 95 % bound of "
+    note += "a target in use is of the true angle, without that noise."
     becomes = facts.log.verdicts.get("fit", {}).get("orientation")
     return sheet("Orientation", ORIENTATION, rows, f"{note} Orientation {becomes}.")
 

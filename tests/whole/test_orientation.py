@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import html
 import io
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -15,12 +17,16 @@ from fakes.faults import Faults
 from fakes.plant import Plant
 from fakes.time import PlantTime
 from hilcell.calibration.file import read_calibration
-from hilcell.calibration.frames import Frames
+from hilcell.calibration.frames import Frames, world_from_tracker
+from hilcell.calibration.orientation import seats_of, turn_bounds_deg, turned_of
+from hilcell.commands.prepare_sheet import SHEET, TRUE_ANGLE
+from hilcell.geometry.frames import apply, inverse, matrix
+from hilcell.geometry.orientation import orientations
 from hilcell.geometry.rotations import from_zyx, to_rotvec
 from hilcell.journal.log import commanded_rad
 from hilcell.journal.runs import read_log
 from procedures.validate import Validate
-from tests.whole.bench import command, cut, end_of, events
+from tests.whole.bench import SEATS, SMALL, command, cut, end_of, events, sets
 from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
 
@@ -119,6 +125,12 @@ def test_targets_are_turned_and_their_bounds_stated(golden: GoldenRuns, tmp_path
     done = command(*words, "--runs", tmp_path / "runs")
     assert done.returncode == 0, done.stderr
     assert "of their orientation, as the reflectors define it: 0.0" in done.stderr
+    assert "true; a measured angle has the readings' noise, too" in done.stderr
+    prepared = tmp_path / "prepared"
+    of_cell = ["--cell", "fixed", *sets(SMALL | SEATS), "--runs", str(tmp_path / "runs")]
+    done = command("prepare", holes, "--calibration", "seats", "-o", prepared, *of_cell)
+    assert done.returncode == 0, done.stderr
+    assert TRUE_ANGLE in html.unescape((prepared / SHEET).read_text("utf-8"))
     (corrected,) = csv.DictReader(io.StringIO(out.read_text()))
     turned_deg = np.array([float(corrected[f"{name}_deg"]) for name in "abc"]) - nominal[3:]
     assert 0.001 < np.abs(turned_deg).max() < 1.0
@@ -145,6 +157,7 @@ def test_the_report_shows_both(golden: GoldenRuns, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     text = out.read_text("utf-8")
     assert "Orientation corrected: kinematic predicts it." in text
+    assert re.search(r"the readings(\'|&#x27;|&#39;) noise in, up to 0\.00\d\d°", text)
     assert "position and orientation errors of the tool and their correction" in text
     assert "The tool was turned from its nominal orientation by 0.0" in text
 
@@ -185,3 +198,37 @@ def test_the_tool_really_is_turned_less(golden: GoldenRuns) -> None:
         left_deg[how] = float(np.linalg.norm(in_tool, axis=1).mean())
     assert left_deg["chosen"] < 0.5 * left_deg["before"]
     assert left_deg["chosen"] < 0.02
+
+
+def test_bounds_in_use_cover_the_true_turns_and_a_measured_one_has_the_noise_of_its_readings(
+    golden: GoldenRuns,
+) -> None:
+    """By the simulator's truth, in the {W} that the nests span, for visits of the same targets."""
+    folder = golden["seats"].folder
+    log, made = read_log(folder), read_calibration(folder / "calibration.json")
+    cell, seed, seats = log.cell, log.inputs.truth_seed, seats_of(log)
+    assert seed is not None
+    assert seats is not None
+    plant, rng = Plant(cell, seed, PlantTime(), Faults()), np.random.default_rng(53)
+    places_mm = np.stack([np.zeros(3), *plant._seats.values()])
+    floor = plant.places_in_world()
+    nests_mm = np.array([floor[nest.name] for nest in cell.layout.floor])
+    T_W_R = (
+        world_from_tracker(cell, nests_mm) @ plant.base_in_world() @ inverse(plant.arm.ideal_base)
+    )
+    turned = turned_of(log, log.select("validate", how="chosen"), seats)
+    nominal = from_zyx(np.array([point.nominal_deg for point in turned.points]))
+    nominal_mm = np.array([point.nominal_mm for point in turned.points])
+    joints_rad = commanded_rad(turned.points)
+    bounds_deg = turn_bounds_deg(made, "BASE", matrix(nominal, nominal_mm))
+    assert bounds_deg is not None
+    true_rad = []
+    for _ in range(50):
+        landed = plant.arm.joint_sigma_rad * rng.standard_normal(joints_rad.shape)
+        tool = T_W_R @ plant.arm.pose(joints_rad, np.ones_like(joints_rad), landed)
+        seen_mm = np.stack([apply(each, places_mm) for each in tool])
+        true_rad.append(to_rotvec(orientations(seats, seen_mm) @ np.swapaxes(nominal, 1, 2)))
+    true_deg = np.degrees(np.linalg.norm(true_rad, axis=-1))
+    assert np.mean(true_deg <= bounds_deg) >= 0.95
+    noise_deg = np.degrees(np.linalg.norm(turned.error_rad - np.mean(true_rad, axis=0), axis=1))
+    assert np.sqrt(np.mean(noise_deg**2)) == pytest.approx(turned.noise_deg, rel=0.4)
