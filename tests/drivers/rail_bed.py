@@ -52,6 +52,14 @@ def rail_for(peer: CanPeer, clock: WallClock | None = None, **options: Any) -> C
     return CanopenRail(CanopenRail.Options(**(values | options)), clock or wall_clock())
 
 
+def holding(peer: CanPeer, standstill_dwell_s: float = 0.01) -> CanopenRail:
+    """Return a rail that holds the slide with its power on."""
+    rail = rail_for(peer, standstill_dwell_s=standstill_dwell_s)
+    rail.connect()
+    rail.move_to(600.0)
+    return rail
+
+
 BEAT, START = (0x77F, b"\x05"), (0x000, b"\x01")
 
 

@@ -20,13 +20,11 @@ from tests.drivers.can_peer import (
     DRIVE,
     ENABLED,
     FAULT,
-    PRE_OPERATIONAL,
     STRIP,
     CanPeer,
-    u16,
     u32,
 )
-from tests.drivers.rail_bed import peer, rail, rail_for, short_deadlines, soon
+from tests.drivers.rail_bed import holding, peer, rail, rail_for, short_deadlines, soon
 
 __all__ = ["peer", "rail", "short_deadlines"]
 
@@ -368,14 +366,6 @@ def test_the_runs_stop_ends_a_motion_on_the_ramp(peer: CanPeer) -> None:
     assert peer.axis.state not in (ENABLED, can_peer.QUICK)
 
 
-def holding(peer: CanPeer, standstill_dwell_s: float = 0.01) -> CanopenRail:
-    """Return a rail that holds the slide with its power on."""
-    rail = rail_for(peer, standstill_dwell_s=standstill_dwell_s)
-    rail.connect()
-    rail.move_to(600.0)
-    return rail
-
-
 def test_close_takes_the_power_away_and_ends_the_supervision(peer: CanPeer) -> None:
     rail = holding(peer)
     rail.close()
@@ -418,75 +408,6 @@ def test_close_names_a_drive_that_stays_silent(peer: CanPeer) -> None:
         rail.close()
     assert time.monotonic() - began_s < stopping.CLOSE_S
     assert rail._link is None
-
-
-def falls_out(peer: CanPeer, state: int) -> None:
-    """Let the drive miss the PC's heartbeat: it leaves OPERATIONAL, and neither sends nor obeys
-    PDOs; ``state`` is where its own reaction has brought it.
-    """
-    peer.nmt[DRIVE] = PRE_OPERATIONAL
-    peer.axis.state = state
-
-
-@pytest.mark.parametrize("state", [can_peer.DISABLED, FAULT])
-def test_close_confirms_by_sdo_that_a_drive_without_pdos_has_braked_by_itself(
-    peer: CanPeer, state: int
-) -> None:
-    rail = holding(peer)
-    falls_out(peer, state)
-    rail.close()
-    assert peer.written(0x6040) == []
-    assert rail.statistics().held_by_sdo
-    assert peer.objects[DRIVE][0x1016, 1] == u32(0)
-
-
-@pytest.mark.parametrize("stopped", [False, True])
-def test_close_disables_a_drive_by_sdo_that_obeys_no_pdo_and_keeps_its_power(
-    peer: CanPeer, stopped: bool
-) -> None:
-    rail = holding(peer, standstill_dwell_s=0.2)
-    falls_out(peer, ENABLED)
-    if stopped:
-        rail.stop()
-    rail.close()
-    assert peer.axis.state == can_peer.DISABLED
-    assert peer.written(0x6040) == [u16(0)]
-    assert rail.statistics().held_by_sdo
-
-
-def test_close_brakes_a_slide_by_sdo_that_moves_with_power_and_obeys_no_pdo(
-    peer: CanPeer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(release, "RELEASE_S", 5.0)
-    rail = holding(peer)
-    peer.axis.target, peer.axis.steps, peer.axis.bits = 1_100_000, 1000, 0
-    falls_out(peer, ENABLED)
-    rail.close()
-    assert peer.axis.state == can_peer.DISABLED
-    assert peer.written(0x6040) == [u16(2)]
-
-
-@pytest.mark.parametrize(
-    ("state", "found"),
-    [(ENABLED, "the drive keeps its power: operation enabled"),
-     (can_peer.DISABLED, "the slide does not rest: switch on disabled")],
-)  # fmt: skip
-def test_close_raises_the_alarm_where_sdo_confirms_nothing(
-    peer: CanPeer, monkeypatch: pytest.MonkeyPatch, state: int, found: str
-) -> None:
-    rail = holding(peer)
-    falls_out(peer, state)
-    peer.axis.deaf, peer.axis.steps = True, 1000
-    with pytest.raises(DeviceError, match=found) as caught:
-        rail.close()
-    assert caught.value.code == "HC-R37"
-    assert not rail.statistics().held_by_sdo
-
-
-def test_close_by_pdo_says_nothing_of_sdo(peer: CanPeer) -> None:
-    rail = holding(peer)
-    rail.close()
-    assert not rail.statistics().held_by_sdo
 
 
 def test_a_failed_connect_leaves_no_threads(peer: CanPeer) -> None:
