@@ -2,7 +2,7 @@
 
 A drive that has missed the PC's heartbeat brakes by itself and leaves OPERATIONAL (CiA 301, 1029h).
 It then sends and obeys no PDO, but it answers SDO: the same values are read and the same control
-words are written that way. The trap: nobody knows whether it has braked, so a drive asked by SDO
+words are written that way. Whether it has braked is not known before, so a drive asked by SDO
 counts as held only when it has no power and its positions stand for a dwell.
 """
 
@@ -102,7 +102,7 @@ class Release:
                 return now
 
     def _ask(self, *, by_sdo: bool) -> None:
-        """Change the way of asking; what was seen before proves nothing now."""
+        """Change the way of asking: earlier looks prove nothing now."""
         self.by_sdo = by_sdo
         self._standstill.forget()
         self._began_s = time.monotonic()
