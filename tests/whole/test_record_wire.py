@@ -57,7 +57,7 @@ def test_a_run_is_recorded_and_repeats_from_its_recording_alone(tmp_path: Path) 
 @pytest.mark.parametrize("name", sorted(path.name for path in KEPT.iterdir()))
 def test_a_kept_recording_repeats(name: str, tmp_path: Path) -> None:
     if os.environ.get(SWITCH) == "write":
-        words = [*SMALL, "--record-wire", "--runs", tmp_path, "--name", "new"]
+        words: list[str | Path] = [*SMALL, "--record-wire", "--runs", tmp_path, "--name", "new"]
         assert command("run", name, *words).returncode == 0
         for path in (tmp_path / "new").glob(f"*{SUFFIX}"):
             shutil.copy(path, KEPT / name)
