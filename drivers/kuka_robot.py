@@ -122,7 +122,7 @@ class KukaRobot:
                 wanted="six finite angles",
                 target_deg=target_deg,
             )
-        if not 1 <= round(speed_percent) <= 100:
+        if not 0.5 < speed_percent < 100.5:
             raise _failed(
                 "HC-B28",
                 f"speed {speed_percent} %",

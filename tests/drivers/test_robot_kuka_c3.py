@@ -368,7 +368,7 @@ def test_bad_targets_never_leave(robot: KukaC3Robot, peer: KukaPeer, joints: Arr
     assert "write HC_TGT" not in peer.requests
 
 
-@pytest.mark.parametrize("speed", [0.0, 101.0])
+@pytest.mark.parametrize("speed", [0.0, 101.0, np.nan, np.inf])
 def test_bad_speeds_never_leave(robot: KukaC3Robot, peer: KukaPeer, speed: float) -> None:
     with pytest.raises(DeviceError, match="1 to 100 %"):
         robot.move_to(TARGET_RAD, speed)
