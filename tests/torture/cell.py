@@ -10,7 +10,7 @@ import msgspec
 
 from fakes.host import Host, Order
 from hilcell.cell.file import load_cell
-from tests.torture.proxy import Proxy
+from hilcell.conformance.wire import Proxy
 from tests.whole.bench import Simulation
 
 DEVICES = ("rail", "robot", "tracker")

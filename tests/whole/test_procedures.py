@@ -24,6 +24,7 @@ GOLDEN = {"calibrate": "small", "sign-check": "sign-check"}  # runs that other t
 OTHERS = (
     *GOLDEN,
     "campaign",
+    "conformance",
     "iso9283",
     "paper",
     "recheck",

@@ -1,0 +1,1 @@
+"""The conformance kit: does a driver keep the promises of its port?"""

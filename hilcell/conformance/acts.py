@@ -1,0 +1,184 @@
+"""How the promises of every port use a device: they visit places 0 and 1, and ask where it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+
+from hilcell.cell.file import Cell
+from hilcell.conformance.verdicts import Port
+from hilcell.geometry.frames import apply, inverse
+from hilcell.ports import Array, Rail, RailReading, Robot, RobotReading, Tracker, TrackerReading
+
+SPEED_PERCENT = 10.0
+SLOW_PERCENT = 1.0  # a motion that is stopped takes seconds
+STEP_DEG, STEP_MM = 2.0, 20.0
+READS_BACK_DEG, READS_BACK_MM = 0.01, 0.1
+STANDS_DEG, STANDS_MM = 0.002, 0.05
+MANY = 30  # readings of a measurement that takes seconds
+
+
+class Acts(Protocol):
+    """Readings are the port's own."""
+
+    tolerance: float  # of `off`
+    unit: str
+
+    def ready(self, device: Any) -> None:
+        """Make a connected device ready to visit places."""
+
+    def ask(self, device: Any) -> Any:
+        """Return a reading, by one question."""
+
+    def visit(self, device: Any, place: int) -> Any:
+        """Go to a place; return the reading there."""
+
+    def refused(self, device: Any, value: float) -> Any:
+        """Go to a place that is ``value``, which is no number."""
+
+    def travel(self, device: Any) -> Any:
+        """Do what takes seconds."""
+
+    def off(self, reading: Any, place: int) -> float:
+        """Return how far a reading is from a place."""
+
+    def apart(self, one: Any, other: Any) -> float:
+        """Return how far two readings are from each other, as a share of what one place allows."""
+
+
+class RailActs:
+    """Two places of the slide, near the first station."""
+
+    tolerance, unit = READS_BACK_MM, "mm"
+
+    def __init__(self, cell: Cell) -> None:
+        self.cell = cell
+        self.places_mm = (cell.station[0].rail_mm, cell.station[0].rail_mm + STEP_MM)
+
+    def ready(self, device: Rail) -> None:
+        """Find the reference."""
+        device.home()
+
+    def ask(self, device: Rail) -> RailReading:
+        """Read."""
+        return device.read()
+
+    def visit(self, device: Rail, place: int) -> RailReading:
+        """Move, and come to rest."""
+        device.move_to(self.places_mm[place])
+        return device.settle()
+
+    def refused(self, device: Rail, value: float) -> None:
+        """Move to no number."""
+        device.move_to(value)
+
+    def travel(self, device: Rail) -> None:
+        """Move to the far end."""
+        device.move_to(self.cell.rail.travel_max_mm)
+
+    def off(self, reading: RailReading, place: int) -> float:
+        """Return it in mm, of the drive's encoder."""
+        return abs(reading.position_mm - self.places_mm[place])
+
+    def apart(self, one: RailReading, other: RailReading) -> float:
+        """Compare drive and strip."""
+        drive_mm = abs(one.position_mm - other.position_mm)
+        return max(drive_mm, abs(one.strip_mm - other.strip_mm)) / STANDS_MM
+
+
+class RobotActs:
+    """The safe pose, and all axes a step up from it."""
+
+    tolerance, unit = READS_BACK_DEG, "deg"
+
+    def __init__(self, cell: Cell) -> None:
+        self.cell = cell
+        safe_deg = np.array(cell.robot.safe_deg)
+        self.places_deg = (safe_deg, safe_deg + STEP_DEG)
+
+    def ready(self, device: Robot) -> None:
+        """Do nothing: connected is ready."""
+
+    def ask(self, device: Robot) -> RobotReading:
+        """Read."""
+        return device.read()
+
+    def visit(self, device: Robot, place: int) -> RobotReading:
+        """Move."""
+        return device.move_to(np.radians(self.places_deg[place]), SPEED_PERCENT)
+
+    def refused(self, device: Robot, value: float) -> RobotReading:
+        """Move axis 3 to no number."""
+        target_deg = self.places_deg[0].copy()
+        target_deg[2] = value
+        return device.move_to(np.radians(target_deg), SPEED_PERCENT)
+
+    def travel(self, device: Robot) -> RobotReading:
+        """Move slowly to the other place."""
+        far_deg = self.places_deg[0] + 5 * STEP_DEG
+        return device.move_to(np.radians(far_deg), SLOW_PERCENT)
+
+    def off(self, reading: RobotReading, place: int) -> float:
+        """Return it in deg, of the worst axis."""
+        return worst_deg(reading.joints_rad, np.radians(self.places_deg[place]))
+
+    def apart(self, one: RobotReading, other: RobotReading) -> float:
+        """Compare all axes."""
+        return worst_deg(one.joints_rad, other.joints_rad) / STANDS_DEG
+
+
+class TrackerActs:
+    """The first two nests on the floor."""
+
+    unit = "mm"
+
+    def __init__(self, cell: Cell) -> None:
+        self.cell, self.reflector = cell, cell.tracker.reflector
+        self.tolerance = cell.tracker.find_radius_mm
+        nests_mm = np.array([nest.xyz_mm for nest in cell.layout.standing])
+        self.nests_mm = nests_mm  # (N, 3) in {W}
+        self.near_mm: Array = apply(inverse(cell.tracker.pose.matrix()), nests_mm)
+
+    def ready(self, device: Tracker) -> None:
+        """Do nothing: connected is ready."""
+
+    def ask(self, device: Tracker) -> TrackerReading:
+        """Measure the first nest."""
+        return self.visit(device, 0)
+
+    def visit(self, device: Tracker, place: int) -> TrackerReading:
+        """Measure a nest."""
+        return device.measure(self.near_mm[place], self.reflector, 1)
+
+    def refused(self, device: Tracker, value: float) -> TrackerReading:
+        """Measure at no place."""
+        near_mm = self.near_mm[0].copy()
+        near_mm[1] = value
+        return device.measure(near_mm, self.reflector, 1)
+
+    def travel(self, device: Tracker) -> TrackerReading:
+        """Measure a nest many times."""
+        return device.measure(self.near_mm[0], self.reflector, MANY)
+
+    def off(self, reading: TrackerReading, place: int) -> float:
+        """Return it in mm, of the nominal nest."""
+        return float(np.linalg.norm(reading.xyz_mm - self.near_mm[place]))
+
+    def apart(self, one: TrackerReading, other: TrackerReading) -> float:
+        """Compare the points, by the largest deviation that one measurement may have."""
+        limit_mm = 6.0 * self.cell.tracker.max_std_mm
+        return float(np.linalg.norm(one.xyz_mm - other.xyz_mm)) / limit_mm
+
+
+def worst_deg(one_rad: Array, other_rad: Array) -> float:
+    """Return the largest difference of two sets of joints (6,)."""
+    return float(np.max(np.abs(np.degrees(one_rad - other_rad))))
+
+
+ACTS: dict[Port, Callable[[Cell], Acts]] = {
+    "rail": RailActs,
+    "robot": RobotActs,
+    "tracker": TrackerActs,
+}

@@ -1,0 +1,237 @@
+"""Where a driver is tried: its simulated device, with wires between them that fail on demand."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import msgspec
+
+from hilcell.cell.devices import TABLES, driver_options, start_simulation
+from hilcell.cell.file import Cell
+from hilcell.conformance.acts import ACTS
+from hilcell.conformance.verdicts import NotApplicable, Port
+from hilcell.conformance.wire import Wires
+from hilcell.ports import Clock, SimulatedCell, Stopped
+
+SEED = 1
+LOOK_S = 0.02
+FREED_S = 0.05  # a device has seen by then that its client is gone
+SIMULATED_ONLY = "it needs a fault, or may harm: only on simulated devices"
+PACE = 4.0  # of what moves in real time: quick, and slow enough to be stopped
+GROUPS = dict(TABLES)
+
+
+def _goes_on() -> None:
+    """Stop nothing."""
+
+
+class BenchClock:
+    """The simulated cell's clock, also after that was started again."""
+
+    def __init__(self, outer: Callable[[], None], inner: Clock | None = None) -> None:
+        self.stop = threading.Event()
+        self.outer, self.inner = outer, inner
+
+    def now_s(self) -> float:
+        """Return the cell's time."""
+        return self._clock().now_s()
+
+    def wait(self, duration_s: float) -> None:
+        """Let time pass."""
+        self.check()
+        self._clock().wait(duration_s)
+
+    def check(self) -> None:
+        """Raise `Stopped` if a stop was asked for, here or in the run."""
+        self.outer()
+        if self.stop.is_set():
+            raise Stopped("a stop was asked for")
+
+    def _clock(self) -> Clock:
+        if self.inner is None:
+            raise Stopped("the bench is closed")
+        return self.inner
+
+
+class Bench:
+    """One driver on trial; this one has no device of its own, so that none of it can fail."""
+
+    def __init__(self, cell: Cell, port: Port, clock: BenchClock) -> None:
+        self.cell, self.clock = cell, clock
+        self.port: Port = port
+        self.acts = ACTS[port](cell)
+
+    @property
+    def wires(self) -> Wires:
+        """Return the wires before the device."""
+        raise NotApplicable(SIMULATED_ONLY)
+
+    def settings(self) -> tuple[type[Any], msgspec.Struct]:
+        """Return the driver's class and its options."""
+        raise NotApplicable(SIMULATED_ONLY)
+
+    def build(self, **changed: object) -> Any:
+        """Return a driver that is not connected, with ``changed`` options."""
+        raise NotApplicable(f"{SIMULATED_ONLY} ({', '.join(changed)})")
+
+    def connected(self) -> Any:
+        """Return a driver that is connected, and ready to be used."""
+        raise NotApplicable(SIMULATED_ONLY)
+
+    def replace_device(self) -> None:
+        """End the device without a word, and have another in its place."""
+        raise NotApplicable(SIMULATED_ONLY)
+
+    def rest(self, duration_s: float) -> None:
+        """Let real time pass, until the run is stopped."""
+        end_s = time.monotonic() + duration_s
+        while (left_s := end_s - time.monotonic()) > 0:
+            self.check_outer()
+            time.sleep(min(left_s, LOOK_S))
+
+    def check_outer(self) -> None:
+        """Raise `Stopped` where the run is stopped."""
+        self.clock.outer()
+
+    def tidy(self) -> None:
+        """Close what a promise has left open, and mend the wires."""
+
+
+class SimulatedBench(Bench):
+    """A driver and its simulated device, started when the first promise asks for it.
+
+    ``kind`` is tried in place of the class that the cell's driver names; ``outer`` is the check of
+    the run that uses the bench.
+    """
+
+    def __init__(
+        self,
+        cell: Cell,
+        port: Port,
+        *,
+        kind: type[Any] | None = None,
+        paced: bool = False,
+        outer: Callable[[], None] = _goes_on,
+    ) -> None:
+        if cell.simulation is None:
+            raise NotApplicable("the cell is real: nothing simulates its devices")
+        alone = msgspec.structs.replace(cell.simulation, address="")
+        super().__init__(msgspec.structs.replace(cell, simulation=alone), port, BenchClock(outer))
+        self.kind = kind
+        self._speed = PACE if paced else math.inf
+        self._simulated: SimulatedCell | None = None
+        self._wires: Wires | None = None
+        self._built: list[Any] = []
+
+    @property
+    def wires(self) -> Wires:
+        """Return the wires before the device."""
+        self._start()
+        if self._wires is None or not self._wires.all:
+            raise NotApplicable("no option of the driver says where its wire leads")
+        return self._wires
+
+    def settings(self) -> tuple[type[Any], msgspec.Struct]:
+        """Return the driver's class and its options."""
+        self._start()
+        addresses = {} if self._wires is None else self._wires.options
+        kind, options = driver_options(self.cell, self.port, GROUPS[self.port], addresses)
+        return self.kind or kind, options  # type: ignore[return-value]  # a driver is a class
+
+    def build(self, **changed: object) -> Any:
+        """Return a driver that is not connected, with ``changed`` options."""
+        kind, options = self.settings()
+        built = kind(msgspec.structs.replace(options, **changed), self.clock)
+        self._built.append(built)
+        return built
+
+    def connected(self) -> Any:
+        """Return a driver that is connected, and ready to be used."""
+        device = self.build()
+        device.connect()
+        self.acts.ready(device)
+        return device
+
+    def replace_device(self) -> None:
+        """End the device without a word, and have another in its place."""
+        wires = self.wires
+        wires.refuse()
+        self._end_simulation()
+        self._start()
+        wires.admit()
+
+    def tidy(self) -> None:
+        """Close what a promise has left open, and mend the wires."""
+        self.clock.stop.clear()
+        if self._wires is not None:
+            self._wires.straight()
+        for device in self._built:
+            with suppress(Exception):  # of a driver on trial, whose promise is judged already
+                device.close()
+        if self._built and self._wires is not None:
+            self._wires.drop()  # what is under way holds a connection open
+            time.sleep(FREED_S)
+        self._built.clear()
+
+    def close(self) -> None:
+        """End the device and its wires."""
+        self.tidy()
+        if self._wires is not None:
+            self._wires.close()
+        self._end_simulation()
+
+    def _start(self) -> None:
+        if self._simulated is not None:
+            return
+        simulated = start_simulation(self.cell, seed=SEED, speed=self._speed)
+        if simulated is None:
+            raise NotApplicable("nothing simulates the device")
+        self._simulated = simulated
+        self.clock.inner = simulated.clock(self.clock.stop)
+        if self._wires is None:
+            self._wires = Wires(simulated.options[self.port])
+        else:
+            self._wires.lead_to(simulated.options[self.port])
+
+    def _end_simulation(self) -> None:
+        simulated, self._simulated = self._simulated, None
+        if simulated is not None:
+            simulated.close()
+
+
+class Benches:
+    """The two benches of one driver: one whose time passes as fast as it goes, one in real time."""
+
+    def __init__(
+        self,
+        cell: Cell,
+        port: Port,
+        *,
+        kind: type[Any] | None = None,
+        outer: Callable[[], None] = _goes_on,
+    ) -> None:
+        self._all = {
+            paced: SimulatedBench(cell, port, kind=kind, paced=paced, outer=outer)
+            for paced in (False, True)
+        }
+
+    def __enter__(self) -> Benches:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for each in self._all.values():
+            each.close()
+
+    def of(self, *, paced: bool) -> SimulatedBench:
+        """Return one of them."""
+        return self._all[paced]
+
+    def try_kind(self, kind: type[Any] | None) -> None:
+        """Try another class from now on."""
+        for each in self._all.values():
+            each.kind = kind

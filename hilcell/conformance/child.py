@@ -1,0 +1,98 @@
+"""A program that begins to move a device, to be killed: ``python -m hilcell.conformance.child``."""
+
+from __future__ import annotations
+
+import importlib
+import select
+import subprocess
+import sys
+import threading
+from typing import IO, Any, cast
+
+import msgspec
+
+from hilcell.cell.file import Cell
+from hilcell.cell.settings import convert
+from hilcell.clock import WallClock
+from hilcell.conformance.acts import ACTS
+from hilcell.conformance.bench import LOOK_S, Bench
+from hilcell.conformance.verdicts import Broken, Port
+
+END_S = 30.0
+
+
+class Order(msgspec.Struct, frozen=True, kw_only=True):
+    """Which driver moves which device."""
+
+    cell: dict[str, Any]
+    port: Port
+    module: str
+    name: str
+    options: dict[str, Any]
+    path: list[str]
+
+
+class Child:
+    """The program, from its start to its kill."""
+
+    def __init__(self, bench: Bench) -> None:
+        self._check = bench.check_outer
+        kind, options = bench.settings()
+        order = Order(
+            cell={k: v for k, v in msgspec.to_builtins(bench.cell).items() if v is not None},
+            port=bench.port,
+            module=kind.__module__,
+            name=kind.__qualname__,
+            options=msgspec.to_builtins(options),
+            path=sys.path,
+        )
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "hilcell.conformance.child"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
+        stdin = cast("IO[bytes]", self._process.stdin)
+        stdin.write(msgspec.json.encode(order) + b"\n")
+        stdin.flush()
+
+    def __enter__(self) -> Child:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.kill()
+
+    def wait_for(self, word: str) -> None:
+        """Wait until it says a word; raises `Broken` where it ends before."""
+        said_so = cast("IO[bytes]", self._process.stdout)
+        while not select.select([said_so], [], [], LOOK_S)[0]:
+            self._check()
+        line = said_so.readline().decode().strip()
+        if line != word:
+            self._process.kill()
+            said = self._process.communicate()[1].decode(errors="replace").strip()
+            raise Broken(f"a program of its own could not use the device: {line} {said[-500:]}")
+
+    def kill(self) -> None:
+        """Kill it, as by ``kill -9``."""
+        self._process.kill()
+        self._process.communicate()
+
+
+def main() -> None:
+    """Connect, say so, and begin what takes seconds."""
+    order = msgspec.json.decode(sys.stdin.buffer.readline(), type=Order)
+    sys.path[:] = order.path
+    kind: Any = importlib.import_module(order.module)
+    for name in order.name.split("."):
+        kind = getattr(kind, name)
+    options = convert(order.options, kind.Options, order.port)
+    device = kind(options, WallClock(threading.Event()))
+    device.connect()
+    print("connected", flush=True)
+    ACTS[order.port](convert(order.cell, Cell, "cell")).travel(device)
+    threading.Event().wait(END_S)
+
+
+if __name__ == "__main__":
+    main()

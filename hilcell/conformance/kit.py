@@ -1,0 +1,42 @@
+"""All promises, and one driver put through those of its port."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from hilcell.cell.devices import TABLES
+from hilcell.cell.file import Cell, load_cell
+from hilcell.conformance import connecting, rail, reading, robot, tracker, wire_faults
+from hilcell.conformance.bench import Benches
+from hilcell.conformance.promise import Outcome, Promise, judge
+from hilcell.conformance.verdicts import PORTS, Port
+
+PROMISES: tuple[Promise, ...] = (
+    *connecting.PROMISES,
+    *reading.PROMISES,
+    *rail.PROMISES,
+    *robot.PROMISES,
+    *tracker.PROMISES,
+    *wire_faults.PROMISES,
+)
+
+
+PORT_OF: dict[str, Port] = {
+    group: port for port in PORTS for table, group in TABLES if table == port
+}
+
+
+def driver_cell(where: str, port: Port, driver: str, sets: Mapping[str, str]) -> Cell:
+    """Return a cell with another driver at one port."""
+    return load_cell(where, {f"{port}.driver": driver, **sets})
+
+
+def promises_of(port: Port) -> list[Promise]:
+    """Return the promises of a port, in the order in which they are judged."""
+    return [promise for promise in PROMISES if port in promise.ports]
+
+
+def judge_all(port: Port, benches: Benches) -> Iterator[Outcome]:
+    """Yield what each promise of a port has found."""
+    for promise in promises_of(port):
+        yield judge(promise, benches.of(paced=promise.paced))

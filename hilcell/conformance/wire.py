@@ -1,0 +1,362 @@
+"""A wire between driver and device that fails on demand, whichever device is behind it."""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import struct
+import tempfile
+import termios
+import threading
+import time
+import tty
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Protocol
+from urllib.parse import urlsplit
+
+HOST = "127.0.0.1"
+PIECE = 65536
+NOISE = b"t" * 4096  # a line that never ends, a length that no packet has
+RESET = struct.pack("ii", 1, 0)  # SO_LINGER: close by RST
+GLUE_S = 0.004  # replies that come within this time leave as one
+APART_S = 0.0005  # the system would hand pieces on together
+LOOK_S = 0.05
+
+
+class End(Protocol):
+    """One end of a wire."""
+
+    def fileno(self) -> int:
+        """Return its descriptor."""
+
+    def receive(self) -> bytes:
+        """Return bytes that have come; none at the end."""
+
+    def send(self, data: bytes) -> None:
+        """Send all of them."""
+
+    def close(self, *, reset: bool) -> None:
+        """Close it, by RST where it has one."""
+
+
+class SocketEnd:
+    """One end of a TCP connection."""
+
+    def __init__(self, link: socket.socket) -> None:
+        self._link = link
+        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def fileno(self) -> int:
+        """Return its descriptor."""
+        return self._link.fileno()
+
+    def receive(self) -> bytes:
+        """Return bytes that have come."""
+        return self._link.recv(PIECE)
+
+    def send(self, data: bytes) -> None:
+        """Send them."""
+        self._link.sendall(data)
+
+    def close(self, *, reset: bool) -> None:
+        """Close it."""
+        with suppress(OSError):
+            if reset:
+                self._link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
+            else:
+                self._link.shutdown(socket.SHUT_RDWR)
+        self._link.close()
+
+
+class LineEnd:
+    """One end of a serial line."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._open = True
+
+    def fileno(self) -> int:
+        """Return its descriptor."""
+        return self._descriptor if self._open else -1
+
+    def receive(self) -> bytes:
+        """Return bytes that have come."""
+        return os.read(self._descriptor, PIECE)
+
+    def send(self, data: bytes) -> None:
+        """Send them."""
+        while data:
+            data = data[os.write(self._descriptor, data) :]
+
+    def close(self, *, reset: bool) -> None:
+        """Close it."""
+        if self._open:
+            self._open = False
+            os.close(self._descriptor)
+
+
+class Wire:
+    """Hands bytes on between pairs of ends; ``mode`` says how.
+
+    ``pass``, ``blackhole`` (all is swallowed, nothing closed), ``mute`` (answers are swallowed),
+    ``hold`` (answers are kept until the mode changes), ``garbage`` (in place of answers), ``flood``
+    (without end), ``slices`` (1 byte each), ``pieces`` (one byte, then the rest in two), ``glue``,
+    ``slow`` (each piece of an answer ``delay_s`` late). ``rewrite``: bytes of answers to replace.
+    """
+
+    def __init__(self) -> None:
+        self.mode, self.delay_s = "pass", 0.0
+        self.rewrite: dict[bytes, bytes] = {}
+        self._ended = False
+        self._lock = threading.Lock()
+        self._pairs: list[tuple[End, End]] = []
+        self._threads: list[threading.Thread] = []
+
+    def reset(self) -> None:
+        """Break every connection, by RST where there is one."""
+        with self._lock:
+            pairs, self._pairs = self._pairs, []
+        for pair in pairs:
+            for each in pair:
+                each.close(reset=True)
+
+    def close(self) -> None:
+        """End."""
+        self._ended = True
+        self.reset()
+        for thread in self._threads:
+            thread.join()
+
+    def _start(self, near: End, far: End) -> None:
+        with self._lock:
+            self._pairs.append((near, far))
+        thread = threading.Thread(target=self._pump, args=(near, far), daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+    def _pump(self, near: End, far: End) -> None:
+        kept = b""
+        with suppress(OSError, ValueError):
+            while not self._ended:
+                ready, _, _ = select.select([near, far], [], [], LOOK_S)
+                if self.mode == "flood":
+                    near.send(NOISE)
+                if kept and self.mode not in ("hold", "mute"):
+                    near.send(kept)
+                    kept = b""
+                if near in ready and (data := self._received(near)):
+                    self._pieces(data, far)
+                if far in ready and (data := self._received(far)):
+                    if self.mode == "hold":
+                        kept += data
+                    else:
+                        self._answer(data, near)
+        for each in (near, far):
+            each.close(reset=False)
+
+    def _received(self, end: End) -> bytes:
+        """Return what has come and may pass; raises OSError at the end."""
+        if self.mode == "glue":
+            time.sleep(GLUE_S)
+        data = end.receive()
+        if not data:
+            raise OSError("the other end has closed it")
+        return b"" if self.mode in ("blackhole", "flood") else data
+
+    def _answer(self, data: bytes, to: End) -> None:
+        if self.mode == "mute":
+            return
+        if self.mode == "garbage":
+            data = NOISE[: len(data)]
+        if self.mode == "slow":
+            time.sleep(self.delay_s)
+        for old, new in self.rewrite.items():
+            data = data.replace(old, new)
+        self._pieces(data, to)
+
+    def _pieces(self, data: bytes, to: End) -> None:
+        if self.mode == "slices":
+            for byte in data:
+                to.send(bytes((byte,)))
+        elif self.mode == "pieces":
+            middle = 1 + len(data) // 2
+            for piece in filter(None, (data[:1], data[1:middle], data[middle:])):
+                to.send(piece)
+                time.sleep(APART_S)
+        else:
+            to.send(data)
+
+
+class Proxy(Wire):
+    """A wire over TCP: listens on a ``port`` of its own before the device's."""
+
+    def __init__(self, port: int, host: str = HOST) -> None:
+        super().__init__()
+        self._behind = (host, port)
+        self._listening = socket.create_server((HOST, 0))
+        self.port: int = self._listening.getsockname()[1]
+        self._accepting = threading.Thread(target=self._accept, daemon=True)
+        self._accepting.start()
+
+    def lead_to(self, port: int, host: str = HOST) -> None:
+        """Lead to another place from the next connection on."""
+        self._behind = (host, port)
+
+    def refuse(self) -> None:
+        """Break every connection, and take none."""
+        self._hang_up()
+        self.reset()
+
+    def admit(self) -> None:
+        """Take connections again."""
+        self._listening = socket.create_server((HOST, self.port))
+        self._accepting = threading.Thread(target=self._accept, daemon=True)
+        self._accepting.start()
+
+    def close(self) -> None:
+        """End."""
+        self._ended = True
+        self._hang_up()
+        super().close()
+
+    def _hang_up(self) -> None:
+        with suppress(OSError):
+            self._listening.shutdown(socket.SHUT_RDWR)
+        self._listening.close()
+        self._accepting.join()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                near, _ = self._listening.accept()
+            except OSError:
+                return
+            try:
+                far = socket.create_connection(self._behind)
+            except OSError:
+                near.close()
+                continue
+            self._start(SocketEnd(near), SocketEnd(far))
+
+
+class Line(Wire):
+    """A wire of pseudo terminals before a serial line; ``path`` is the driver's end."""
+
+    def __init__(self, behind: str) -> None:
+        super().__init__()
+        self._behind = behind
+        self._folder = tempfile.TemporaryDirectory(prefix="hilcell-line-")
+        self._link = Path(self._folder.name) / "line"
+        self.path = str(self._link)
+        self._ours = -1  # the driver's end, kept open: a line has no connections
+        self.admit()
+
+    def lead_to(self, behind: str) -> None:
+        """Lead to another line after the next `admit`."""
+        self._behind = behind
+
+    def refuse(self) -> None:
+        """Unplug the line."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Unplug the line."""
+        super().reset()
+        with suppress(OSError):
+            os.close(self._ours)
+        self._ours = -1
+        self._link.unlink(missing_ok=True)
+
+    def admit(self) -> None:
+        """Plug it in again."""
+        near, self._ours = os.openpty()
+        far = os.open(self._behind, os.O_RDWR | os.O_NOCTTY)
+        for each in (near, self._ours, far):
+            with suppress(termios.error):
+                tty.setraw(each)
+        self._link.symlink_to(os.ttyname(self._ours))
+        self._start(LineEnd(near), LineEnd(far))
+
+    def close(self) -> None:
+        """End."""
+        super().close()
+        self._folder.cleanup()
+
+
+class Wires:
+    """The wires before all places of one device; ``options`` lead the driver through them."""
+
+    def __init__(self, address: Mapping[str, object]) -> None:
+        self._proxies: dict[str, Proxy] = {}
+        self._lines: dict[str, Line] = {}
+        self.options = dict(address)
+        for key, value in address.items():
+            if place := _place(key, value, address):
+                self._proxies[key] = Proxy(place[1], place[0])
+                port = self._proxies[key].port
+                self.options[key] = f"socket://{HOST}:{port}" if isinstance(value, str) else port
+            elif isinstance(value, str) and value.startswith("/"):
+                path, at, baud = value.partition("@")
+                self._lines[key] = Line(path)
+                self.options[key] = f"{self._lines[key].path}{at}{baud}"
+
+    @property
+    def all(self) -> list[Proxy | Line]:
+        """Return the wires."""
+        return [*self._proxies.values(), *self._lines.values()]
+
+    def lead_to(self, address: Mapping[str, object]) -> None:
+        """Lead to where the device listens now."""
+        for key, proxy in self._proxies.items():
+            if place := _place(key, address[key], address):
+                proxy.lead_to(place[1], place[0])
+        for key, line in self._lines.items():
+            line.lead_to(str(address[key]).partition("@")[0])
+
+    def set(self, mode: str, delay_s: float = 0.0) -> None:
+        """Set the mode of all."""
+        for each in self.all:
+            each.mode, each.delay_s = mode, delay_s
+
+    def rewrite(self, old: bytes, new: bytes) -> None:
+        """Replace bytes of all answers from now on."""
+        for each in self.all:
+            each.rewrite[old] = new
+
+    def straight(self) -> None:
+        """Hand everything on as it is."""
+        for each in self.all:
+            each.mode, each.rewrite = "pass", {}
+
+    def drop(self) -> None:
+        """Break all connections that there are; a serial line has none."""
+        for each in self._proxies.values():
+            each.reset()
+
+    def refuse(self) -> None:
+        """Break all connections, and take none."""
+        for each in self.all:
+            each.refuse()
+
+    def admit(self) -> None:
+        """Take connections again."""
+        for each in self.all:
+            each.admit()
+
+    def close(self) -> None:
+        """End."""
+        for each in self.all:
+            each.close()
+
+
+def _place(key: str, value: object, address: Mapping[str, object]) -> tuple[str, int] | None:
+    """Return host and port that an option names, if it does."""
+    if isinstance(value, str) and value.startswith("socket://"):
+        url = urlsplit(value)
+        return url.hostname or HOST, url.port or 0
+    if isinstance(value, int) and key.endswith("port"):
+        return str(address.get("host", HOST)), value
+    return None

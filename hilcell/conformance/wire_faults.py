@@ -1,0 +1,230 @@
+"""Promises of every port about a wire that fails, and about a stop."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from typing import Any
+
+from hilcell.conformance.bench import Bench
+from hilcell.conformance.child import Child
+from hilcell.conformance.connecting import near
+from hilcell.conformance.promise import Promise
+from hilcell.conformance.verdicts import fails, need
+from hilcell.errors import DeviceError, Stopped
+
+STOP_S = 0.02
+WAKES_S = 0.005  # the system wakes a thread
+PAUSES_S = (0.05, 0.057, 0.064)  # before a stop: waits may be in step with it
+TRIES = 3  # a busy PC may delay one of them
+UNDER_WAY_S = 0.7
+END_S = 10.0
+LONGEST_S = 60.0
+SLOW_S = 0.05
+STANDS_S = 0.3
+GONE_S = 3.0  # a device has seen by then that its client is gone
+
+
+class Task:
+    """A call in a thread of its own."""
+
+    def __init__(self, call: Callable[[], object]) -> None:
+        self.error: Exception | None = None
+        self.ended_s = 0.0
+        self._call = call
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def ended_within(self, limit_s: float) -> bool:
+        """Wait for its end; return whether it came."""
+        self._thread.join(limit_s)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        try:
+            self._call()
+        except Exception as error:  # noqa: BLE001 - its caller judges it
+            self.error = error
+        self.ended_s = time.monotonic()
+
+
+def silent(bench: Bench) -> None:
+    """Swallow all answers."""
+    driver = bench.connected()
+    bench.acts.ask(driver)
+    bench.wires.set("mute")
+    began_s = time.monotonic()
+    fails("no answer comes", lambda: bench.acts.ask(driver))
+    took_s = time.monotonic() - began_s
+    need(took_s <= LONGEST_S, f"noticed after {took_s:.0f} s, wanted <= {LONGEST_S:.0f} s")
+
+
+def late(bench: Bench) -> None:
+    """Keep the answers of one question until the next."""
+    driver = bench.connected()
+    near(bench, bench.acts.visit(driver, 0), 0)
+    bench.wires.set("hold")
+    with suppress(DeviceError):  # `silent` judges that
+        bench.acts.ask(driver)
+    bench.wires.straight()
+    try:
+        reading = bench.acts.visit(driver, 1)
+    except DeviceError:
+        driver.connect()
+        bench.acts.ready(driver)
+        reading = bench.acts.visit(driver, 1)
+    near(bench, reading, 1)
+
+
+def slow(bench: Bench) -> None:
+    """Delay every answer."""
+    driver = bench.connected()
+    bench.wires.set("slow", SLOW_S)
+    _visit_both(bench, driver)
+    bench.acts.ask(driver)
+
+
+def pieces(bench: Bench) -> None:
+    """Hand bytes on in pieces, the first a single one; then together what comes within 4 ms."""
+    driver = bench.connected()
+    for mode in ("pieces", "glue"):
+        bench.wires.set(mode)
+        _visit_both(bench, driver)
+
+
+def garbage(bench: Bench) -> None:
+    """Answer with noise."""
+    driver = bench.connected()
+    bench.wires.set("garbage")
+    fails("noise comes", lambda: bench.acts.ask(driver))
+
+
+def device_killed(bench: Bench) -> None:
+    """End the device, and have another in its place."""
+    driver = bench.connected()
+    bench.replace_device()
+    fails("the device was killed", lambda: bench.acts.ask(driver))
+    driver.connect()
+    bench.acts.ready(driver)
+    near(bench, bench.acts.visit(driver, 0), 0)
+
+
+def client_killed(bench: Bench) -> None:
+    """Kill a program that moves the device; connect another one."""
+    ready = bench.connected()
+    bench.acts.visit(ready, 0)
+    ready.close()
+    with Child(bench) as child:
+        child.wait_for("connected")
+        bench.rest(UNDER_WAY_S)
+        child.kill()
+    bench.rest(GONE_S)
+    driver = bench.build()
+    driver.connect()
+    one = bench.acts.ask(driver)
+    bench.rest(STANDS_S)
+    apart = bench.acts.apart(one, bench.acts.ask(driver))
+    need(apart <= 1.0, f"it goes on without its client: {apart:.1f} of what a rest allows")
+    bench.acts.ready(driver)
+    near(bench, bench.acts.visit(driver, 1), 1)
+
+
+def stop_at_once(bench: Bench) -> None:
+    """Stop what moves or measures, and see how long the call takes."""
+    took_s = []
+    for _ in range(TRIES):
+        driver, task = _under_way(bench)
+        began_s = time.monotonic()
+        driver.stop()
+        took_s.append(time.monotonic() - began_s)
+        bench.clock.stop.set()
+        need(task.ended_within(END_S), f"the call goes on {END_S:.0f} s after the stop")
+        bench.clock.stop.clear()
+        driver.close()
+        if took_s[-1] <= STOP_S:
+            return
+    best_ms = 1000 * min(took_s)
+    need(min(took_s) <= STOP_S, f"stop took {best_ms:.0f} ms, wanted <= {1000 * STOP_S:.0f} ms")
+
+
+def stop_rests(bench: Bench) -> None:
+    """Stop a motion; the device stands, short of its target."""
+    driver, task = _under_way(bench)
+    driver.stop()
+    need(task.ended_within(END_S), f"the motion does not end within {END_S:.0f} s of its stop")
+    need(isinstance(task.error, DeviceError), f"the motion ended with {task.error!r} at its stop")
+    driver.close()
+    other = bench.build()
+    other.connect()
+    one = bench.acts.ask(other)
+    bench.rest(STANDS_S)
+    apart = bench.acts.apart(one, bench.acts.ask(other))
+    need(apart <= 1.0, f"it still moves after its stop: {apart:.1f} of what a rest allows")
+
+
+def stop_holds(bench: Bench) -> None:
+    """Stop, and ask for a motion without connecting again."""
+    driver = bench.connected()
+    driver.stop()
+    fails("a motion after a stop", lambda: bench.acts.visit(driver, 1))
+
+
+def checked(bench: Bench) -> None:
+    """Set the run's stop while no answer comes."""
+    took_s = []
+    for pause_s in PAUSES_S:
+        driver = bench.connected()
+        bench.wires.set("mute")
+        task = Task(partial(bench.acts.ask, driver))
+        task.ended_within(pause_s)
+        bench.clock.stop.set()
+        began_s = time.monotonic()
+        need(task.ended_within(END_S), f"it waits on for {END_S:.0f} s after the run's stop")
+        need(isinstance(task.error, Stopped), f"it ended with {task.error!r}, wanted Stopped")
+        took_s.append(task.ended_s - began_s)
+        bench.tidy()
+        if took_s[-1] <= STOP_S + WAKES_S:
+            return
+    best_ms = 1000 * min(took_s)
+    need(
+        min(took_s) <= STOP_S + WAKES_S,
+        f"left after {best_ms:.0f} ms, wanted <= {1000 * STOP_S:.0f} ms",
+    )
+
+
+def _visit_both(bench: Bench, driver: Any) -> None:
+    for place in (0, 1):
+        near(bench, bench.acts.visit(driver, place), place)
+
+
+def _under_way(bench: Bench) -> tuple[Any, Task]:
+    """Begin what takes seconds."""
+    driver = bench.connected()
+    bench.acts.visit(driver, 0)
+    task = Task(lambda: bench.acts.travel(driver))
+    need(not task.ended_within(UNDER_WAY_S), f"it ended before it was stopped: {task.error!r}")
+    return driver, task
+
+
+PROMISES = (
+    Promise("silent", "A device that answers no more is a DeviceError within 60 s.", silent),
+    Promise("late", "A late answer never becomes the answer to the next question.", late),
+    Promise("slow", "Answers that come 50 ms late are as good as prompt ones.", slow),
+    Promise("pieces", "Answers that come in pieces, or together, are as good as whole ones.",
+            pieces),
+    Promise("garbage", "Noise in place of an answer is a DeviceError.", garbage),
+    Promise("device-killed", "A device that was killed is a DeviceError; its successor connects.",
+            device_killed),
+    Promise("client-killed", "What a killed program has begun ends; the next program connects.",
+            client_killed, paced=True),
+    Promise("stop-at-once", "Stop returns within 20 ms, from another thread.", stop_at_once,
+            paced=True),
+    Promise("stop-rests", "A stop ends the motion with a DeviceError; the device rests.",
+            stop_rests, ("rail", "robot"), paced=True),
+    Promise("stop-holds", "After a stop nothing moves before the next connect.", stop_holds,
+            ("rail", "robot")),
+    Promise("checked", "Every wait on a wire ends within 20 ms of the run's stop.", checked),
+)  # fmt: skip

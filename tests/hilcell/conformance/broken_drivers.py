@@ -1,0 +1,283 @@
+"""The broken drivers of each port, by the promise that they break."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hilcell.errors import NoReading
+from hilcell.ports import StreamBlock
+from tests.hilcell.conformance.broken import COMMON, Base, Pieces, Slow
+from tests.hilcell.conformance.seams import (
+    Call,
+    RailSeams,
+    RobotSeams,
+    Seams,
+    TrackerSeams,
+    replaced,
+)
+
+# -- the rail ---------------------------------------------------------------------------------
+
+
+class RailPieces(Pieces, RailSeams):
+    def patch(self) -> None:
+        bus: Any = self._link.network.bus  # type: ignore[union-attr]  # it is connected
+        fill = bus._fill
+
+        def filled(timeout_s: float) -> bool:
+            found = bool(fill(timeout_s))
+            if not bus._bytes.endswith((b"\r", b"\a")):
+                bus._bytes = b""
+            return found
+
+        bus._fill = filled
+
+
+class RailSlow(Slow, RailSeams):
+    limit_s = 0.05
+
+
+class RailUnits(Base, RailSeams):
+    def visited(self, call: Call) -> Any:
+        reading = super().visited(call)
+        return replaced(reading, strip_mm=1.05 * reading.strip_mm)
+
+
+class RailHandedness(Base, RailSeams):
+    def visited(self, call: Call) -> Any:
+        reading = super().visited(call)
+        return replaced(reading, strip_mm=-reading.strip_mm)
+
+    asked = visited
+
+
+class RailHeld(Base, RailSeams):
+    def hold(self) -> None:
+        pass
+
+
+class RailTravel(Base, RailSeams):
+    def move_to(self, position_mm: float) -> None:
+        options = self._options
+        if position_mm > options.travel_max_mm or position_mm < options.travel_min_mm:
+            position_mm = min(max(position_mm, options.travel_min_mm), options.travel_max_mm)
+        super().move_to(position_mm)
+
+
+class RailCounts(Base, RailSeams):
+    def close(self) -> None:
+        super().close()
+        self._statistics = type(self._statistics)()
+
+
+# -- the robot --------------------------------------------------------------------------------
+
+
+class RobotPieces(Pieces, RobotSeams):
+    def patch(self) -> None:
+        link = self._controller._line._link  # type: ignore[union-attr]  # it is connected
+        receive = link.receive
+        link.receive = lambda size, patience: self.whole(receive(size, patience))
+
+
+class RobotUnits(Base, RobotSeams):
+    def visited(self, call: Call) -> Any:
+        reading = super().visited(call)
+        pose = reading.pose.copy()
+        pose[:3, 3] /= 1000.0
+        return replaced(reading, pose=pose)
+
+
+class RobotHandedness(Base, RobotSeams):
+    def visited(self, call: Call) -> Any:
+        reading = super().visited(call)
+        pose = reading.pose.copy()
+        pose[1, 3] *= -1.0
+        return replaced(reading, pose=pose)
+
+
+class RobotSpeed(Base, RobotSeams):
+    def move_to(self, joints_rad: Any, speed_percent: float) -> Any:
+        return super().move_to(joints_rad, speed_percent if 1 <= speed_percent <= 100 else 10.0)
+
+
+class RobotSweep(Base, RobotSeams):
+    def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> Any:
+        return super().sweep(axis, end_rad, 3.0 * speed_rad_s)
+
+
+class RobotMoving(Base, RobotSeams):
+    def asked(self, call: Call) -> Any:
+        return replaced(super().asked(call), still=True)
+
+
+# -- the tracker ------------------------------------------------------------------------------
+
+
+class TrackerPieces(Pieces, TrackerSeams):
+    def patch(self) -> None:
+        link = self._link
+        receive = link.receive  # type: ignore[union-attr]  # it is connected
+        link.receive = lambda size, patience: self.whole(  # type: ignore[method-assign, union-attr]
+            receive(size, patience)
+        )
+
+
+class TrackerSlow(Base, TrackerSeams):
+    REPLY_S = 0.04
+
+
+class TrackerUnits(Base, TrackerSeams):
+    def visited(self, call: Call) -> Any:
+        reading = super().visited(call)
+        return replaced(reading, xyz_mm=1.009 * reading.xyz_mm)
+
+
+class TrackerHandedness(Base, TrackerSeams):
+    """Has the third nest on the other side of the plane of tracker and the two before."""
+
+    def __init__(self, options: Any, clock: Any) -> None:
+        self.seen: list[Any] = []
+        super().__init__(options, clock)
+
+    def visited(self, call: Call) -> Any:
+        reading = super().visited(call)
+        at_mm = reading.xyz_mm
+        if all(np.linalg.norm(at_mm - each) > 100.0 for each in self.seen):
+            self.seen.append(at_mm)
+        if len(self.seen) < 3 or np.linalg.norm(at_mm - self.seen[2]) > 100.0:
+            return reading
+        normal = np.cross(self.seen[0], self.seen[1])
+        normal /= np.linalg.norm(normal)
+        return replaced(reading, xyz_mm=at_mm - 2.0 * float(normal @ at_mm) * normal)
+
+
+class TrackerSamples(Base, TrackerSeams):
+    def visited(self, call: Call) -> Any:
+        return replaced(super().visited(call), samples=1)
+
+
+class TrackerNothingThere(Base, TrackerSeams):
+    def visited(self, call: Call) -> Any:
+        try:
+            return super().visited(call)
+        except NoReading:
+            return self.last or super().visited(call)
+
+    def connect(self) -> Any:
+        found = super().connect()
+        self.last = self.last or "a reading that nobody took"
+        return found
+
+
+class TrackerReflector(Base, TrackerSeams):
+    def measure(self, near_mm: Any, reflector: str, samples: int) -> Any:
+        return super().measure(near_mm, self._options.reflector, samples)
+
+
+class Streamed:
+    """A stream whose blocks are changed."""
+
+    def __init__(self, stream: Any, tracker: Any) -> None:
+        self.rate_hz, self._stream, self._tracker = stream.rate_hz, stream, tracker
+
+    def kickoff(self) -> None:
+        self._stream.kickoff()
+
+    def collect(self) -> list[StreamBlock]:
+        return [found for each in self._stream.collect() if (found := self._tracker.block(each))]
+
+    def complete(self) -> list[StreamBlock]:
+        return [found for each in self._stream.complete() if (found := self._tracker.block(each))]
+
+
+class Streaming(Base, TrackerSeams):
+    def stream(self, near_mm: Any, reflector: str, rate_hz: float) -> Any:
+        return self._changed(super().stream(near_mm, reflector, rate_hz))
+
+    @contextmanager
+    def _changed(self, streaming: Any) -> Any:
+        self.blocks = 0
+        with streaming as stream:
+            yield Streamed(stream, self)
+
+    def block(self, block: StreamBlock) -> StreamBlock | None:
+        raise NotImplementedError
+
+
+class TrackerStreamTimes(Streaming):
+    def block(self, block: StreamBlock) -> StreamBlock:
+        return replace(block, device_s=1.1 * block.device_s)
+
+
+class TrackerStreamGaps(Streaming):
+    def block(self, block: StreamBlock) -> StreamBlock | None:
+        self.blocks += 1
+        return None if self.blocks == 3 else block
+
+
+class TrackerStreamPlace(Streaming):
+    def block(self, block: StreamBlock) -> StreamBlock:
+        return replace(block, xyz_mm=block.xyz_mm + 100.0)
+
+
+class TrackerStreamEnds(Base, TrackerSeams):
+    def stream(self, near_mm: Any, reflector: str, rate_hz: float) -> Any:
+        stream = super().stream(near_mm, reflector, rate_hz)
+        stream._restore = lambda error: None  # type: ignore[method-assign]
+        return stream
+
+
+OWN: dict[str, dict[str, type[Base]]] = {
+    "rail": {
+        "pieces": RailPieces,
+        "slow": RailSlow,
+        "units": RailUnits,
+        "handedness": RailHandedness,
+        "held": RailHeld,
+        "travel": RailTravel,
+        "counts": RailCounts,
+    },
+    "robot": {
+        "pieces": RobotPieces,
+        "units": RobotUnits,
+        "handedness": RobotHandedness,
+        "speed": RobotSpeed,
+        "sweep": RobotSweep,
+        "moving": RobotMoving,
+    },
+    "tracker": {
+        "pieces": TrackerPieces,
+        "slow": TrackerSlow,
+        "units": TrackerUnits,
+        "handedness": TrackerHandedness,
+        "samples": TrackerSamples,
+        "nothing-there": TrackerNothingThere,
+        "reflector": TrackerReflector,
+        "stream-times": TrackerStreamTimes,
+        "stream-gaps": TrackerStreamGaps,
+        "stream-place": TrackerStreamPlace,
+        "stream-ends": TrackerStreamEnds,
+    },
+}
+RESTS = {"at-rest", "ended", "stop-rests", "stop-holds"}  # of what moves by itself
+SEAMS: dict[str, type[Seams]] = {"rail": RailSeams, "robot": RobotSeams, "tracker": TrackerSeams}
+
+
+def _of(port: str, seams: type[Seams]) -> dict[str, type[Any]]:
+    """Return the broken drivers of a port by promise; each stands in this module by its name."""
+    found: dict[str, type[Any]] = {}
+    for promise, broken in COMMON.items():
+        if promise not in OWN[port] and not (port == "tracker" and promise in RESTS):
+            name = f"{port}_{broken.__name__}"
+            found[promise] = globals()[name] = type(
+                name, (broken, seams), {"__module__": __name__, "__qualname__": name}
+            )
+    return found | OWN[port]
+
+
+BROKEN = {port: _of(port, seams) for port, seams in SEAMS.items()}
