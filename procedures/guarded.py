@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from typing import Any
 
 import numpy as np
 
+from hilcell.cell.devices import abilities, streams_of
 from hilcell.conformance.bench import Bench, BenchClock
 from hilcell.conformance.verdicts import NeedsPerson, Port
-from hilcell.ports import Array, RailReading, RobotReading, TrackerReading
+from hilcell.ports import Array, RailReading, RobotReading, Stream, TrackerReading
 from hilcell.run.cell_session import CellSession
 
 
@@ -21,6 +23,8 @@ class GuardedBench(Bench):
 
     def connected(self) -> Any:
         """Return the device, connected as it is."""
+        if self.port == "tracker" and abilities(self.cell)["tracker_streams"]:
+            return GuardedStreams(self._session)
         return _GUARDED[self.port](self._session)
 
 
@@ -76,6 +80,16 @@ class GuardedTracker:
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         """Measure."""
         return self._session.devices.tracker.measure(near_mm, reflector, samples)
+
+
+class GuardedStreams(GuardedTracker):
+    """A tracker that streams."""
+
+    def stream(
+        self, near_mm: Array, reflector: str, rate_hz: float
+    ) -> AbstractContextManager[Stream]:
+        """Prepare a stream."""
+        return streams_of(self._session.devices.tracker).stream(near_mm, reflector, rate_hz)
 
 
 def _agreed(session: CellSession, what: str) -> None:

@@ -16,7 +16,7 @@ from hilcell.cell.file import Cell
 from hilcell.conformance.acts import ACTS
 from hilcell.conformance.verdicts import NotApplicable, Port
 from hilcell.conformance.wire import Wires
-from hilcell.ports import Clock, SimulatedCell, Stopped
+from hilcell.ports import Clock, RidesOnRobot, SimulatedCell, Stopped
 
 SEED = 1
 LOOK_S = 0.02
@@ -148,7 +148,18 @@ class SimulatedBench(Bench):
         kind, options = self.settings()
         built = kind(msgspec.structs.replace(options, **changed), self.clock)
         self._built.append(built)
+        if isinstance(built, RidesOnRobot):
+            built.ride(self._opened_robot())
         return built
+
+    def _opened_robot(self) -> Any:
+        """Return the robot on whose external axis the slide is, connected as in a run."""
+        addresses = {} if self._simulated is None else self._simulated.options["robot"]
+        kind, options = driver_options(self.cell, "robot", GROUPS["robot"], addresses)
+        robot = kind(options, self.clock)
+        self._built.append(robot)
+        robot.connect()
+        return robot
 
     def connected(self) -> Any:
         """Return a driver that is connected, and ready to be used."""

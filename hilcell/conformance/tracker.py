@@ -146,10 +146,10 @@ def _streamed(bench: Bench, *, hold: bool = False) -> tuple[float, Array, Array]
         rate_hz: float = stream.rate_hz
         stream.kickoff()
         for look in range(round(STREAM_S / LOOK_S)):
-            bench.wires.set("hold" if hold and look in HELD_LOOKS else "pass")
+            if hold:
+                bench.wires.set("hold" if look in HELD_LOOKS else "pass")
             bench.clock.wait(LOOK_S)
             blocks += stream.collect()
-        bench.wires.set("pass")
         blocks += stream.complete()
     need(bool(blocks), "no sample came")
     return (
