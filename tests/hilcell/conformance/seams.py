@@ -76,7 +76,7 @@ class RobotSeams(Seams, KukaC3Robot):
             return "silent"
         if "announced" in error.found:
             return "noise"
-        return "cut" if "Broken pipe" in error.found or "closed" in error.found else ""
+        return "cut" if was_cut(error) else ""
 
 
 class RailSeams(Seams, CanopenRail):
@@ -140,7 +140,13 @@ class TrackerSeams(Seams, LeicaEmsconTracker):
             return ""
         if "no answer in time" in error.found:
             return "silent"
-        return "noise" if "announced" in error.found else "cut" if "closed" in error.found else ""
+        if "announced" in error.found:
+            return "noise"
+        return "cut" if was_cut(error) else ""
+
+
+def was_cut(error: DeviceError) -> bool:
+    return any(words in error.found for words in ("Broken pipe", "closed", "Connection reset"))
 
 
 def replaced(reading: Any, **changed: Any) -> Any:
