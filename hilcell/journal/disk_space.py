@@ -6,7 +6,9 @@ its calibration and the index.
 
 from __future__ import annotations
 
+import errno
 import shutil
+import tempfile
 from contextlib import suppress
 from pathlib import Path
 
@@ -15,6 +17,7 @@ from hilcell.errors import HilcellError
 POINT_BYTES = 4_000
 MARGIN = 3
 LEAST_BYTES = 20_000_000
+NO_ROOM = {errno.ENOSPC, errno.EDQUOT}
 
 
 def bytes_needed(points: int) -> int:
@@ -33,11 +36,20 @@ def existing(folder: Path) -> Path:
     return next(each for each in (whole, *whole.parents) if each.exists())
 
 
+def can_be_made(folder: Path) -> bool:
+    """Whether a folder can be made and written in, were there room for it."""
+    try:
+        Path(tempfile.mkdtemp(prefix=".hilcell-", dir=existing(folder))).rmdir()
+    except OSError as error:
+        return error.errno in NO_ROOM
+    return True
+
+
 def check_space(runs: Path, points: int) -> None:
     """Refuse a run that its disk has no room for; raises `HilcellError`."""
     with suppress(OSError):  # a folder that cannot be looked at is refused where it is made
         free, wanted = bytes_free(runs), bytes_needed(points)
-        if free < wanted:
+        if free < wanted and can_be_made(runs):
             raise HilcellError(
                 f"folder of runs {runs.absolute()}: {free / 1e6:.1f} MB of its disk are free, "
                 f"wanted {wanted / 1e6:.1f} MB for a run of {points} points; make room, or choose "

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
 import subprocess
 import sys
@@ -62,6 +64,29 @@ def test_a_folder_that_cannot_be_looked_at_is_refused_elsewhere(
     check_space(tmp_path, 10**9)
 
 
+@pytest.mark.parametrize(
+    ("why", "code"), [(errno.EROFS, 7), (errno.ENOENT, 7), (errno.ENOSPC, 2), (errno.EDQUOT, 2)]
+)
+def test_a_folder_that_cannot_be_made_is_said_before_its_room(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    why: int,
+    code: int,
+) -> None:
+    """Of a full disk both say that there is no room, of any other it is another matter."""
+    fake(monkeypatch, 0)
+
+    def refuse(path: str, *_: object) -> None:
+        raise OSError(why, os.strerror(why), path)
+
+    monkeypatch.setattr(os, "mkdir", refuse)
+    runs = tmp_path / "runs"
+    assert main(["run", "home", "--name", "r", "--runs", str(runs)]) == code
+    said = {2: "0.0 MB of its disk are free", 7: f"cannot be used: {os.strerror(why)}"}[code]
+    assert said in capsys.readouterr().err
+
+
 def test_nothing_is_made_and_the_words_say_what_to_do(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -71,7 +96,7 @@ def test_nothing_is_made_and_the_words_say_what_to_do(
     said = " ".join(capsys.readouterr().err.split())
     assert f"folder of runs {runs}: 5.3 MB of its disk are free, wanted 20.0 MB" in said
     assert "make room, or choose a folder of another disk with --runs" in said
-    assert not runs.exists()
+    assert not list(tmp_path.iterdir())
     assert main(["run", "home", "--dry-run", "--runs", str(runs)]) == 0  # it writes nothing
 
 
