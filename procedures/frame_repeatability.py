@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from hilcell.calibration.base_circles import frame_of_sweeps
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import f_quantile, lengths_mm, rms
@@ -21,7 +22,6 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step, Table
 from procedures.base_frame import (
     check_circles,
-    frame_of_sweeps,
     points_on_arc,
     sweep,
     sweeps,

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from hilcell.calibration.base_circles import axis_6_height_mm, circle_of
 from hilcell.calibration.errors import reduction as share_removed
 from hilcell.calibration.frames import Frames, grid_errors_mm, grid_of, grid_pairs
 from hilcell.compensation.grid import Grid
@@ -18,7 +19,6 @@ from hilcell.geometry.statistics import lengths_mm, ranks, rms
 from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
-from procedures.base_frame import axis_6_height_mm, circle_of
 from procedures.plan import other_stations
 
 Result = dict[str, Any]

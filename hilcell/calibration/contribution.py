@@ -11,6 +11,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
+from hilcell.cell.uncertainty import UncertaintyTable
+from hilcell.geometry.statistics import rectangular_variance
+from hilcell.ports import Array
+
 COVERAGE_FACTOR = 2.0  # about 95 % of a normal distribution (GUM 6.3.3)
 Distribution = Literal["normal", "rectangular"]
 _DIVISORS: dict[Distribution, float] = {"normal": 1.0, "rectangular": math.sqrt(3.0)}
@@ -52,3 +58,12 @@ def expanded_mm(u_mm: float, k: float = COVERAGE_FACTOR) -> float:
 def thermal_limit_mm(length_mm: float, expansion_per_k: float, range_k: float) -> float:
     """Return by how much half a temperature range lengthens ``length_mm`` (GUM 4.3.7)."""
     return length_mm * expansion_per_k * range_k / 2
+
+
+def systematic_mm2(stated: UncertaintyTable, at_mm: Array) -> Array:
+    """Return the variances (N,) of one coordinate at (N, 3), tracker's frame, by its limits."""
+    range_mm2 = np.square(at_mm).sum(axis=-1)
+    found: Array = rectangular_variance(stated.tracker_limit_mm) + range_mm2 * (
+        rectangular_variance(stated.tracker_limit_um_m * 1e-6)
+    )
+    return found

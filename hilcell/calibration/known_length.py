@@ -11,6 +11,7 @@ import math
 import msgspec
 import numpy as np
 
+from hilcell.calibration.contribution import systematic_mm2
 from hilcell.calibration.suspicions import Suspicion
 from hilcell.cell.file import Cell
 from hilcell.cell.layout import CERTIFIED_C, KnownLength
@@ -73,13 +74,11 @@ def _found(cell: Cell, log: Log, known: KnownLength) -> LengthFound:
     found_mm = float(np.linalg.norm(way_mm))
     along = way_mm / found_mm
     stated = cell.uncertainty
-    range_mm2 = float(np.square(at_mm).sum())  # of both ends
     variance_mm2 = (
         known.u_mm**2
         + float(along @ covariances_mm2(ends, np.eye(3)).sum(axis=0) @ along)
-        + 2 * rectangular_variance(stated.tracker_limit_mm)
+        + float(systematic_mm2(stated, at_mm).sum())
         + 2 * rectangular_variance(stated.smr_centring_limit_mm)
-        + range_mm2 * rectangular_variance(stated.tracker_limit_um_m * 1e-6)
     )
     celsius = [point.temperature_c for point in ends if point.temperature_c is not None]
     warm_k = float(np.mean(celsius)) - CERTIFIED_C if celsius else 0.0

@@ -14,13 +14,12 @@ from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.frame_covariance import hold_covariance, world_covariance
 from hilcell.calibration.influence import SIZE, NoBound, motion
 from hilcell.calibration.known_length import scale
+from hilcell.calibration.mount import mount_offset
 from hilcell.calibration.reversal import reversal
 from hilcell.calibration.risen_nest import risen_nest
 from hilcell.calibration.room import warm
 from hilcell.calibration.suspicions import Suspicion
-from hilcell.geometry.frames import apply, inverse, matrix, motion_levers
-from hilcell.geometry.kinematics import Arm, forward
-from hilcell.geometry.rotations import from_rotvec
+from hilcell.geometry.frames import apply, inverse, motion_levers
 from hilcell.geometry.statistics import bounds95_mm, chance_of_at_most, rectangular_variance
 from hilcell.journal.log import Log, Point, commanded_rad, positions_mm
 from hilcell.journal.point_id import CHECKS
@@ -31,10 +30,7 @@ REVISIT, CLOSING = "revisit", "closing"  # kinds of points: after the grid, and 
 REVISITS = {REVISIT: "re-visited poses", CLOSING: "vertices re-visited at the end"}
 VERDICTS = {REVISIT: "revisits", CLOSING: "revisits.closing"}  # their keys in the journal
 VALIDATION = "validation"
-CIRCLE, CONSTANT = "circle of axis 6", "constant error in the tool's frame"
 MOMENTS = 5  # of the grid at which a change may have come
-MOST_RADIUS_MM = 2.0  # 3 sigma: a mount to +-1 mm as measured by hand, an arm's links to 0.4 mm
-MOST_CONSTANT_MM = 3.0  # of the uncorrected error, that links and zeros explain
 LEAST_INSIDE = 0.82  # of corrected targets, within bounds that 95 % should keep
 LEAST_WITHOUT_CURVES = 0.6  # where the gears' ripple is not known: 0.73 was seen
 
@@ -150,31 +146,6 @@ def _framed_again(log: Log, R: Array) -> Array:
     at_mm = log.matrix("base")[:3, 3]
     found[:6, :6] = 2.0 * turn @ world_covariance(log, at_mm, drift_mm2) @ turn.T
     return found
-
-
-def mount_offset(log: Log) -> Suspicion | None:
-    """Return a reflector that is not where the cell file says, if it is clearly not."""
-    frame, arm = log.frames.get("base", {}), log.cell.robot.arm()
-    if "radius_mm" in frame:
-        off_mm = abs(frame["radius_mm"][1] - axis_6_radius_mm(arm))
-        if not off_mm <= MOST_RADIUS_MM:
-            return Suspicion("mount offset", off_mm, "mm", CIRCLE)
-    points = log.select("grid")
-    if not points:
-        return None
-    R = log.matrix("base")[:3, :3] @ forward(arm, commanded_rad(points))[:, :3, :3]
-    in_tool_mm = np.einsum("nji,nj->ni", R, errors_of(log, points).error_mm)
-    off_mm = float(np.linalg.norm(in_tool_mm.mean(axis=0)))
-    if off_mm <= MOST_CONSTANT_MM:
-        return None
-    return Suspicion("mount offset", off_mm, "mm", CONSTANT)
-
-
-def axis_6_radius_mm(arm: Arm) -> float:
-    """Return the nominal distance of the tool point from axis 6."""
-    turn = from_rotvec(np.array([arm.alpha_rad[5], 0.0, 0.0]))
-    last = matrix(turn, np.array([arm.a_mm[5], 0.0, 0.0])) @ arm.tool
-    return float(np.hypot(last[0, 3], last[1, 3]))
 
 
 def _of_validation(log: Log) -> list[Suspicion]:

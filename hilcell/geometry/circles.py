@@ -69,6 +69,23 @@ def fit_circle(points_mm: ArrayLike, turn: float = 1.0) -> Circle:
     return _with_covariance(_directed(circle, points, turn), points)
 
 
+def reading_covariance(circle: Circle, points_mm: Array, covariances_mm2: Array) -> Array:
+    """Return the covariance (7, 7) of centre, axis and radius from its points' (N, 3, 3).
+
+    Unlike that of the residuals it knows a direction in which the points scatter more.
+    """
+    _, J, tangents = _linearised(circle, points_mm)
+    lever = points_mm - circle.centre_mm
+    inside = lever - (lever @ circle.axis)[:, None] * circle.axis
+    outward = inside / lengths_mm(inside)[:, None]
+    by_residual = np.linalg.pinv(J).reshape(6, 2, len(points_mm))
+    by_point = by_residual[:, 0, :, None] * circle.axis + by_residual[:, 1, :, None] * outward
+    covariance = np.einsum("pni,nij,qnj->pq", by_point, covariances_mm2, by_point)
+    parameters = _parameters(tangents)
+    found: Array = parameters @ covariance @ parameters.T
+    return found
+
+
 def base_frame(axis_1: Circle, axis_6: Circle, height_mm: float) -> Array:
     """Return {B} (4, 4) in the frame of the circles, from sweeps about axes 1 and 6.
 
@@ -154,8 +171,14 @@ def _with_covariance(circle: Circle, points: Array) -> Circle:
     r, J, tangents = _linearised(circle, points)
     left = 2 * len(points) - 6
     variance = r @ r / left if left else np.nan
-    parameters = np.zeros((6, 5))
-    parameters[:3, :3], parameters[3:, 3:] = np.eye(3), tangents
+    parameters = _parameters(tangents)[:6, :5]
     covariance = parameters @ np.linalg.inv(J.T @ J)[:5, :5] @ parameters.T * variance
     residuals = r.reshape(2, -1).T
     return replace(circle, residuals_mm=residuals, covariance=covariance)
+
+
+def _parameters(tangents: Array) -> Array:
+    """Return d(centre, axis, radius) / d(centre, the axis's two tangents, radius), (7, 6)."""
+    found = np.zeros((7, 6))
+    found[:3, :3], found[3:6, 3:5], found[6, 5] = np.eye(3), tangents, 1.0
+    return found

@@ -9,6 +9,7 @@ from fakes.joint_errors import Ripple
 from fakes.machine import Machine, load_machine
 from fakes.noise import KeyedNoise
 from fakes.repeatability import unit_rp_mm
+from hilcell.calibration.base_circles import axis_6_height_mm
 from hilcell.calibration.frames import grid_of
 from hilcell.cell.file import Cell, load_cell
 from hilcell.compensation.correction import corrected
@@ -17,7 +18,7 @@ from hilcell.geometry.circles import base_frame, fit_circle
 from hilcell.geometry.frames import apply, inverse, rigid_fit
 from hilcell.geometry.kinematics import Array, forward
 from hilcell.ports import HilcellError
-from procedures.base_frame import axis_6_height_mm, sweep
+from procedures.base_frame import sweep
 from procedures.plan import joints_for, poses_at
 from tests.hilcell.compensation.models import exact
 

@@ -5,11 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hilcell.calibration.base_circles import axis_6_height_mm
 from hilcell.calibration.frames import grid_of
 from hilcell.cell.file import load_cell
 from hilcell.ports import HilcellError
 from hilcell.run.procedure import Procedure
-from procedures.base_frame import axis_6_height_mm, sweep
+from procedures.base_frame import sweep
 from procedures.calibrate import CALIBRATE
 from procedures.paper import PAPER
 from procedures.plan import check_range, check_reach, joints_for, poses_at

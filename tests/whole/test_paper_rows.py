@@ -16,6 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hilcell.calibration import frames as calibration
+from hilcell.calibration.base_circles import circle_of
 from hilcell.calibration.errors import errors_of
 from hilcell.calibration.frames import Frames, grid_errors_mm, grid_of, grid_pairs, measured_grid
 from hilcell.cell.file import Cell
@@ -31,7 +32,6 @@ from hilcell.journal.log import Log, positions_mm
 from hilcell.planning.plan import HolePlan
 from hilcell.ports import Array
 from procedures import paper_figures, paper_stations, rail_survey, station_frames
-from procedures.base_frame import circle_of
 from procedures.paper import paper_table
 from procedures.paper_rows import ROWS, Row
 from procedures.plan import joints_for, poses_at

@@ -7,6 +7,7 @@ import html
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from hilcell.cell.file import Cell, load_cell
 from hilcell.journal.runs import read_log
 from hilcell.ports import NoReading
 from tests.drivers.peers import wall_clock
-from tests.whole.bench import SMALL, Simulation, command, end_of, sets, simulation
+from tests.whole.bench import SMALL, Simulation, command, end_of, sets, simulation, sweep
 
 STATION = {
     "tracker.driver": "leica-geocom",
@@ -38,6 +39,7 @@ STATION = {
     "validation.mean_tolerance_mm": "2.0",
     "validation.max_tolerance_mm": "4.0",
 }
+CALIBRATION = SMALL | STATION | {"layout.nest_samples": "9"}
 
 
 class Quick(LeicaGeocomTracker):
@@ -168,6 +170,32 @@ def test_a_whole_calibration_with_the_uncertainty_of_a_total_station(
     assert command("report", "x", "--runs", tmp_path, "-o", page).returncode == 0
     text = html.unescape(page.read_text("utf-8"))
     assert text.count(f"Axes not swept: {reason}") == 2  # beside the model's choice, in the course
+
+
+def suspected(runs: Path, *words: str) -> list[dict[str, Any]]:
+    """Return what a calibration with a total station suspects."""
+    end = end_of(command("run", "--unattended", "--runs", runs, *words, "--json"))
+    assert end["state"] == "finished", end
+    found: list[dict[str, Any]] = end["result"]["suspicions"]
+    return found
+
+
+@pytest.mark.parametrize("seed", ["301", *sweep("302", "303", "304", "306")])
+def test_the_noise_of_a_total_station_is_no_suspicion(
+    machine: str, tmp_path: Path, seed: str
+) -> None:
+    words = sets(CALIBRATION | {"simulation.machine": machine})
+    assert suspected(tmp_path, "--seed", seed, *words) == []
+
+
+def test_a_mount_that_slipped_is_seen_by_a_total_station(machine: str, tmp_path: Path) -> None:
+    values = CALIBRATION | {"touch.poses": "0"}  # the slip leads one near the sight to a nest
+    with simulation(values=values | {"simulation.machine": machine}) as cell:
+        assert cell.ask(do="fault", name="robot.mount_slip", value=5.0)["ok"]
+        words = sets(values | {"simulation.address": cell.control})
+        found = suspected(tmp_path, *words)
+    assert found[0]["cause"] == "mount offset"
+    assert found[0]["size"] == pytest.approx(5.0, rel=0.4)
 
 
 def test_sweeps_alone_say_that_nothing_was_swept(tmp_path: Path) -> None:

@@ -7,7 +7,13 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 from hilcell.cell.file import load_cell
-from hilcell.geometry.circles import base_frame, base_frame_covariance, fit_circle
+from hilcell.geometry.circles import (
+    Circle,
+    base_frame,
+    base_frame_covariance,
+    fit_circle,
+    reading_covariance,
+)
 from hilcell.geometry.frames import FrameError, apply, inverse, pose_from_zyx
 from hilcell.geometry.kinematics import forward
 
@@ -160,3 +166,24 @@ def test_base_frame_refuses_nearly_parallel_axes(between_deg: float) -> None:
     six = fit_circle(arc(pose_from_zyx(1500, 0, 1800, 0, between_deg, 0), 98, 300))
     with pytest.raises(FrameError, match=rf"{between_deg:.1f} deg apart"):
         base_frame(one, six, 100.0)
+
+
+def test_readings_that_scatter_more_in_one_direction_move_the_frame_as_predicted() -> None:
+    """The residuals hide it: those along the axis turn it, and the others do not."""
+    std_mm = np.array([0.02, 0.3, 0.02])
+    rng, exact = np.random.default_rng(3), sweeps()
+    covariances = np.tile(np.diag(std_mm**2), (12, 1, 1))
+
+    def fitted(noise: float) -> list[Circle]:
+        return [fit_circle(each + noise * rng.normal(0, std_mm, each.shape)) for each in exact]
+
+    predicted = [
+        reading_covariance(circle, each, covariances)
+        for circle, each in zip(fitted(0.0), exact, strict=True)
+    ]
+    found = [fitted(1.0) for _ in range(2000)]
+    for which, covariance in enumerate(predicted):
+        circles = [each[which] for each in found]
+        rows = [np.r_[each.centre_mm, each.axis, each.radius_mm] for each in circles]
+        scatter = np.std(rows, axis=0)
+        np.testing.assert_allclose(scatter, np.sqrt(np.diag(covariance)), rtol=0.1, atol=1e-6)
