@@ -68,6 +68,7 @@ def test_a_killed_engine_leaves_a_slide_that_brakes_by_itself(tmp_path: Path) ->
         ("robot.frozen", "HC-B23"),
         ("robot.e_stop", "HC-B10"),
         ("robot.softlimit", "HC-B20"),
+        ("rail.strip_silent", "HC-S"),
         ("rail.strip_jump", "HC-R53"),
     ],
 )
@@ -80,6 +81,17 @@ def test_what_fails_is_named(tmp_path: Path, fault: str, code: str) -> None:
     end = end_of(done)
     assert end["exit"] in (2, 3)
     assert code in done.stdout + done.stderr
+
+
+def test_a_slide_that_runs_too_fast_is_stopped(tmp_path: Path) -> None:
+    """In paced time: in stepped time a poll lets a third of the motion pass."""
+    slow = E1 | {"rail.speed_mm_s": "50.0"}
+    with simulation(4.0, values=slow) as cell:
+        cell.ask(do="fault", name="robot.slide_fast", value=8.0, count=0)
+        words = sets(slow | {"simulation.address": cell.control})
+        done = command("run", "rail-survey", "--runs", tmp_path, "--json", "--unattended", *words)
+    assert end_of(done)["exit"] == 3
+    assert "HC-R33" in done.stdout
 
 
 def test_a_robot_that_moves_no_slide_is_refused_before_anything_moves(tmp_path: Path) -> None:

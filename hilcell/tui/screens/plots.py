@@ -36,6 +36,7 @@ class PlotPage(Page):
     footer = ("stop", "pause", "alarms", "quit")
     fixed: ClassVar[tuple[tuple[str, str], ...]] = (
         ("◄ ►", "other plot"),
+        (f"1-{MOST_TABS}", "choose"),
         ("S", "station"),
         ("g", "log or even scale"),
         ("v", "series on or off"),
@@ -58,7 +59,7 @@ class PlotPage(Page):
 
     def fixed_keys(self) -> Sequence[tuple[str, str]]:
         """Return the keys with as many numbers as there are plots."""
-        first, *others = self.fixed
+        first, _, *others = self.fixed
         numbers = [(f"1-{self._count}", "choose")] if self._count > 1 else []
         return (first, *numbers, *others)
 

@@ -108,6 +108,8 @@ def _tone(each: Figure, glyphs: Glyphs) -> tuple[str, str]:
 def _at(each: Figure, room: int) -> str:
     """Return place and limit in ``room``: a long name is shortened, the limit never."""
     limit = ", no limit stated" if each.limit_mm is None else f", limit {each.limit_mm:.3f}"
+    if each.limit_mm is None and 1 + len(each.at) + len(limit) > room:
+        limit = ", no limit"
     at = Content(f" {each.at}").truncate(max(room - len(limit), 1), ellipsis=True).plain
     return f"{at}{limit}"
 

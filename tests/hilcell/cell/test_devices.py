@@ -92,6 +92,6 @@ def test_a_simulated_cell_need_not_say_where_its_devices_are() -> None:
 def test_a_rail_that_rides_on_a_robot_wants_one_that_moves_a_slide() -> None:
     check_options(load_cell("paper", {"rail.driver": "kuka-e1"}))
     with pytest.raises(
-        SettingsError, match=r"rail\.driver: 'kuka-e1' is an external axis .* 'kuka-eki' moves none"
+        SettingsError, match=r"rail\.driver: 'kuka-e1' is an external axis .* 'ur-rtde' moves none"
     ):
-        check_options(load_cell("paper", {"rail.driver": "kuka-e1", "robot.driver": "kuka-eki"}))
+        check_options(load_cell("lab", {"rail.driver": "kuka-e1"}))

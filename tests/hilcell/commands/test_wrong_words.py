@@ -59,7 +59,7 @@ def test_wrong_words_do_not_act_on_the_terminal(capsys: pytest.CaptureFixture[st
     ("words", "hint"),
     [
         ("run calibrat", "'calibrat' is not installed; did you mean \"calibrate\"?"),
-        ("check papr", 'built in: fixed, hard, paper, replay, six-r; did you mean "paper"?'),
+        ("check papr", 'built in: fixed, hard, lab, paper, replay, six-r; did you mean "paper"?'),
     ],
 )
 def test_names_of_procedures_and_cells_too(
