@@ -33,6 +33,7 @@ from drivers.kuka_health import (
 from drivers.kuka_life import program_text
 from drivers.kuka_sweep import KukaSweep, give_back_left_behind
 from drivers.motion_limits import MotionLimits, planned_s
+from drivers.robot_errors import failed, overdue, refused, stalled, stopped_short
 from drivers.supervision import Patience, Supervision
 from hilcell.cell.file import Joint
 from hilcell.geometry.rotations import from_zyx
@@ -116,14 +117,14 @@ class KukaRobot:
         """Move all axes (PTP); return the reading at rest, after motion ended."""
         target_deg = np.degrees(np.asarray(joints_rad, dtype=float))
         if target_deg.shape != (6,) or not bool(np.all(np.isfinite(target_deg))):
-            raise _failed(
+            raise failed(
                 "HC-B28",
                 f"target {target_deg} deg",
                 wanted="six finite angles",
                 target_deg=target_deg,
             )
         if not 0.5 < speed_percent < 100.5:
-            raise _failed(
+            raise failed(
                 "HC-B28",
                 f"speed {speed_percent} %",
                 wanted="1 to 100 %",
@@ -180,7 +181,7 @@ class KukaRobot:
     def _identify(self) -> Identity:
         model, serial = self.wire().text("$TRAFONAME[]"), self.integer("$KR_SERIALNO")
         if self._options.model not in model:
-            raise _refused(
+            raise refused(
                 "HC-B05",
                 f"model {model!r}",
                 wanted=f"{self._options.model!r} in it",
@@ -188,7 +189,7 @@ class KukaRobot:
                 model=model,
             )
         if self._options.serial not in (0, serial):
-            raise _refused(
+            raise refused(
                 "HC-B05",
                 f"serial {serial}",
                 wanted=f"{self._options.serial}",
@@ -233,7 +234,7 @@ class KukaRobot:
     def _check_frame(self, name: str, wanted: tuple[float, ...]) -> None:
         found = self.wire().numbers(name, FRAME)
         if not all(abs(f - w) <= FRAME_TOLERANCE for f, w in zip(found, wanted, strict=True)):
-            raise _refused(
+            raise refused(
                 "HC-B06",
                 f"{name} is {frame_text(found)}",
                 wanted=frame_text(wanted),
@@ -255,7 +256,7 @@ class KukaRobot:
         over = False
         while (acknowledged := self.integer("HC_ACK")) != self._sequence:
             if over:
-                raise _refused(
+                raise refused(
                     "HC-B25",
                     f"HC_ACK {acknowledged}",
                     wanted=f"HC_SEQ {self._sequence}",
@@ -280,7 +281,7 @@ class KukaRobot:
     def begin(self, start: Callable[[int], None]) -> int:
         """Start a motion by its number; return that."""
         if self._stopped:
-            raise _failed("HC-B21", "the robot was stopped", act="resume to reconnect")
+            raise failed("HC-B21", "the robot was stopped", act="resume to reconnect")
         number = self._sequence % MAX_SEQUENCE + 1
         self._under_way, self._ended_s = True, None
         self._watch.begin()
@@ -306,26 +307,12 @@ class KukaRobot:
             self.check(*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
             if error := self.integer("HC_ERR"):
                 raise refused_motion(error)
-            raise _failed(
-                "HC-B23",
-                f"no axis moved for {STALL_S:.0f} s at {joints_text(now_deg)}, "
-                f"HC_ACK {self.integer('HC_ACK')}",
-                wanted=wanted,
-                act="see the panel; is the program hilcell running? resume",
-                waited_s=STALL_S,
-                axes_deg=now_deg,
-            )
+            where = f"at {joints_text(now_deg)}, HC_ACK {self.integer('HC_ACK')}"
+            act = "see the panel; is the program hilcell running? resume"
+            raise stalled(where, wanted, now_deg, STALL_S, act)
         if limits.overdue(self._clock.now_s(), self._override):
-            raise _failed(
-                "HC-B29",
-                f"still under way after {limits.spent_s:.0f} s at full override, at "
-                f"{joints_text(now_deg)}, HC_ACK {self.integer('HC_ACK')}",
-                wanted=f"{wanted} within {limits.limit_s:.0f} s",
-                act="the arm creeps; see the panel and robot.joint.speed_deg_s, resume",
-                spent_s=limits.spent_s,
-                limit_s=limits.limit_s,
-                axes_deg=now_deg,
-            )
+            where = f"at {joints_text(now_deg)}, HC_ACK {self.integer('HC_ACK')}"
+            raise overdue(where, wanted, limits, now_deg)
 
     def rest(self, target_deg: Array) -> RobotReading:
         """Return the reading at rest at joints (6,), after an acknowledged motion."""
@@ -348,14 +335,8 @@ class KukaRobot:
             if over:
                 break
             over = patience.over()
-        raise _failed(
-            "HC-B24",
-            f"stands or creeps at {joints_text(axes)}",
-            wanted=f"{joints_text(wanted)} +-{AXIS_TOLERANCE_DEG} deg, at rest",
-            act="the robot stopped short of its target; see the panel, resume",
-            axes_deg=axes,
-            target_deg=wanted,
-        )
+        tolerance = f"{joints_text(wanted)} +-{AXIS_TOLERANCE_DEG}"
+        raise stopped_short(joints_text(axes), tolerance, axes, wanted)
 
     # -- for a sweep as well ------------------------------------------------------------------
 
@@ -433,15 +414,3 @@ class KukaRobot:
         controller, self._controller = self._controller, None
         if controller is not None:
             controller.close()
-
-
-def _failed(
-    code: str, found: str, *, wanted: str = "", act: str = "", **fields: object
-) -> DeviceError:
-    return DeviceError(code, DEVICE, "move", found, wanted=wanted, act=act, fields=fields)
-
-
-def _refused(
-    code: str, found: str, *, wanted: str = "", act: str = "", **fields: object
-) -> DeviceRefused:
-    return DeviceRefused(code, DEVICE, "connect", found, wanted=wanted, act=act, fields=fields)

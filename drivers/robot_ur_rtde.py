@@ -20,6 +20,7 @@ import numpy as np
 from msgspec import Meta
 
 from drivers.motion_limits import MotionLimits, planned_s
+from drivers.robot_errors import DEVICE, failed, overdue, refused, stalled, stopped_short
 from drivers.supervision import Patience, Supervision
 from drivers.tcp import TcpLink
 from drivers.ur_dashboard import Dashboard
@@ -46,7 +47,6 @@ from hilcell.ports import (
     says_simulated,
 )
 
-DEVICE = "Robot"
 MAX_SEQUENCE = 1_000_000_000
 LIFE_S = 1.5  # longer than the PC may be late itself (`Supervision`), so that it reports that first
 LIFE_EVERY_S = 0.2
@@ -126,9 +126,9 @@ class UrRtdeRobot:
         """Move all axes in step; return the reading at rest, after motion ended."""
         target_rad = np.asarray(joints_rad, dtype=float)
         if target_rad.shape != (6,) or not bool(np.all(np.isfinite(target_rad))):
-            raise _failed("HC-B28", f"target {target_rad} rad", wanted="six finite angles")
+            raise failed("HC-B28", f"target {target_rad} rad", wanted="six finite angles")
         if not 1.0 <= speed_percent <= 100.0:
-            raise _failed("HC-B28", f"speed {speed_percent} %", wanted="1 to 100 %")
+            raise failed("HC-B28", f"speed {speed_percent} %", wanted="1 to 100 %")
         distance_deg = np.degrees(target_rad - self._rest_rad)
         planned = planned_s(distance_deg, self._speed_deg_s, speed_percent)
         # The script takes the speed of the joint that moves farthest; the others keep step with it.
@@ -183,7 +183,7 @@ class UrRtdeRobot:
             ("serial", serial, options.serial in ("", serial), repr(options.serial)),
         ):
             if not fits:
-                raise _refused(
+                raise refused(
                     "HC-B05",
                     f"{name} {found!r}",
                     wanted=wanted,
@@ -204,7 +204,7 @@ class UrRtdeRobot:
     def _check_remote(self) -> None:
         """Refuse local control; a controller without the question (CB3) is always remote."""
         if (answer := self._panel().ask("is in remote control")).casefold() == "false":
-            raise _refused(
+            raise refused(
                 "HC-B60",
                 f"is in remote control: {answer}",
                 wanted="true",
@@ -218,7 +218,7 @@ class UrRtdeRobot:
         if before.runtime_state == STANDING:
             return
         if link.fresh().count == before.count:
-            raise _refused(
+            raise refused(
                 "HC-B67",
                 f"runtime_state is {runtime_text(before)}, and it is no script of hilcell",
                 wanted=f"{STANDING} (stopped)",
@@ -228,7 +228,7 @@ class UrRtdeRobot:
         patience, over = Patience(ENDED_S, LOOK_S), False
         while (state := link.fresh()).runtime_state != STANDING or not _stands([state]):
             if over:
-                raise _refused(
+                raise refused(
                     "HC-B25",
                     f"runtime_state is {runtime_text(state)}, {ENDED_S:.0f} s after stop",
                     wanted=f"{STANDING} (stopped), at rest",
@@ -266,7 +266,7 @@ class UrRtdeRobot:
         wanted = np.array([*self._options.smr_mm, 0.0, 0.0, 0.0])
         limits = np.array([TOOL_MM] * 3 + [TOOL_RAD] * 3)
         if not bool(np.all(np.abs(state.tool - wanted) <= limits)):
-            raise _refused(
+            raise refused(
                 "HC-B06",
                 f"the TCP is {frame_text(state.tool)}",
                 wanted=frame_text(wanted),
@@ -278,7 +278,7 @@ class UrRtdeRobot:
     def command(self, target_rad: Array, speed_rad_s: float) -> int:
         """Start a motion to joints (6,); return its number."""
         if self._stopped:
-            raise _failed("HC-B21", "the robot was stopped", act="resume to reconnect")
+            raise failed("HC-B21", "the robot was stopped", act="resume to reconnect")
         self.look([self.link().next()])
         number = self._order.sequence % MAX_SEQUENCE + 1
         self._order = Order(number, target_rad, speed_rad_s)
@@ -332,24 +332,9 @@ class UrRtdeRobot:
         now_deg, wanted = np.degrees(state.joints_rad), f"acknowledged {number}"
         where = f"at {joints_text(now_deg)}, acknowledged {state.acknowledged}"
         if limits.stalled(now_deg):
-            raise _failed(
-                "HC-B23",
-                f"no axis moved for {STALL_S:.0f} s {where}",
-                wanted=wanted,
-                act="see the panel, resume",
-                waited_s=STALL_S,
-                axes_deg=now_deg,
-            )
+            raise stalled(where, wanted, now_deg, STALL_S)
         if limits.overdue(self._clock.now_s(), 100.0 * state.speed_fraction):
-            raise _failed(
-                "HC-B29",
-                f"still under way after {limits.spent_s:.0f} s at full speed, {where}",
-                wanted=f"{wanted} within {limits.limit_s:.0f} s",
-                act="the arm creeps; see the panel and robot.joint.speed_deg_s, resume",
-                spent_s=limits.spent_s,
-                limit_s=limits.limit_s,
-                axes_deg=now_deg,
-            )
+            raise overdue(where, wanted, limits, now_deg)
 
     def rest(self, target_rad: Array) -> RobotReading:
         """Return the reading at rest at joints (6,), after an acknowledged motion."""
@@ -369,14 +354,8 @@ class UrRtdeRobot:
                 break
             over = patience.over()
         target_deg, axes_deg = np.degrees(target_rad), np.degrees(last.joints_rad)
-        raise _failed(
-            "HC-B24",
-            f"stands or creeps at {joints_text(axes_deg)}",
-            wanted=f"{joints_text(target_deg)} +-{np.degrees(AXIS_TOLERANCE_RAD):.3f} deg, at rest",
-            act="the robot stopped short of its target; see the panel, resume",
-            axes_deg=axes_deg,
-            target_deg=target_deg,
-        )
+        tolerance = f"{joints_text(target_deg)} +-{np.degrees(AXIS_TOLERANCE_RAD):.3f}"
+        raise stopped_short(joints_text(axes_deg), tolerance, axes_deg, target_deg)
 
     def _dwell(self) -> list[UrState]:
         """Return the states of a dwell that began after this call."""
@@ -431,7 +410,7 @@ class UrRtdeRobot:
             found = f"runtime_state is {runtime_text(state)}"
             if state.runtime_state == PLAYING:
                 found = "another script of hilcell has taken the robot"
-        return _failed("HC-B66", found, wanted="the script that hilcell sent", act="resume")
+        return failed("HC-B66", found, wanted="the script that hilcell sent", act="resume")
 
     def _panel(self) -> Dashboard:
         if self._dashboard is None:
@@ -466,16 +445,6 @@ def _stands(states: Sequence[UrState]) -> bool:
 def _reading(state: UrState, ended_s: float | None, *, still: bool) -> RobotReading:
     """Return a reading; no part of it is older than its time."""
     return RobotReading(state.joints_rad, state.pose, still, state.after_s, ended_s)
-
-
-def _failed(
-    code: str, found: str, *, wanted: str = "", act: str = "", **fields: object
-) -> DeviceError:
-    return DeviceError(code, DEVICE, "move", found, wanted=wanted, act=act, fields=fields)
-
-
-def _refused(code: str, found: str, *, wanted: str = "", act: str = "") -> DeviceRefused:
-    return DeviceRefused(code, DEVICE, "connect", found, wanted=wanted, act=act)
 
 
 def _never() -> None:

@@ -66,14 +66,7 @@ class SerialLink:
 
     def broken(self, operation: str, found: str) -> DeviceError:
         """Return the error that this line's failure is."""
-        return DeviceError(
-            self._alarms.lost,
-            self.device,
-            operation,
-            f"{self.address}: {found}",
-            act="check the device and its cable, then resume",
-            fields={"address": self.address},
-        )
+        return self._alarms.broken(self.device, self.address, operation, found)
 
     def close(self) -> None:
         """Close the line; a second close does nothing."""

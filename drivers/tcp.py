@@ -29,6 +29,17 @@ class Alarms:
     unreachable: str
     lost: str
 
+    def broken(self, device: str, address: str, operation: str, found: str) -> DeviceError:
+        """Return the error that a wire's failure is."""
+        return DeviceError(
+            self.lost,
+            device,
+            operation,
+            f"{address}: {found}",
+            act="check the device, its cable and its network, then resume",
+            fields={"address": address},
+        )
+
 
 class TcpLink:
     """A connected socket. One thread receives; any thread may send."""
@@ -88,14 +99,7 @@ class TcpLink:
 
     def broken(self, operation: str, found: str) -> DeviceError:
         """Return the error that this link's failure is."""
-        return DeviceError(
-            self._alarms.lost,
-            self.device,
-            operation,
-            f"{self.address}: {found}",
-            act="check the device and its network, then resume",
-            fields={"address": self.address},
-        )
+        return self._alarms.broken(self.device, self.address, operation, found)
 
     def close(self) -> None:
         """Close the socket; a second close does nothing."""

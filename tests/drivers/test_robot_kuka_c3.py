@@ -163,7 +163,7 @@ def test_an_arm_that_creeps_for_ever_is_stopped(
 
 def test_a_low_override_is_given_its_time(peer: KukaPeer, monkeypatch: pytest.MonkeyPatch) -> None:
     robot = creeping(peer, monkeypatch, "5")
-    with pytest.raises(DeviceError, match=r"still under way after 28 s at full override"):
+    with pytest.raises(DeviceError, match=r"still under way after 28 s at full speed"):
         robot.move_to(TARGET_RAD, 30.0)
     looks = peer.requests.count("read $AXIS_ACT")
     robot.close()
