@@ -11,6 +11,7 @@ import unicodedata
 from hilcell.clean import clean
 
 CODING = "latin-1"
+ASCII, LATIN = 128, 256  # numbers of characters
 _CYRILLIC = (
     "а=a б=b в=v г=g д=d е=e ё=e ж=zh з=z и=i й=j к=k л=l м=m н=n о=o п=p р=r с=s т=t у=u ф=f х=kh "
     "ц=ts ч=ch ш=sh щ=shch ъ=' ы=y ь=' э=e ю=yu я=ya є=ye і=i ї=yi ґ=g ђ=dj ј=j љ=lj њ=nj ћ=c џ=dz"
@@ -19,8 +20,8 @@ _GREEK = (
     "α=a β=b γ=g δ=d ε=e ζ=z η=i θ=th ι=i κ=k λ=l μ=m ν=n ξ=x ο=o π=p ρ=r σ=s ς=s τ=t υ=y φ=f χ=ch "
     "ψ=ps ω=o"
 )
-_LATIN = "ł=l đ=d ı=i œ=oe ŋ=n ħ=h –=- —=-"
-_LETTERS = {pair[0]: pair[2:] for pair in f"{_CYRILLIC} {_GREEK} {_LATIN}".split()}
+_EXTENDED = "ł=l đ=d ı=i œ=oe ŋ=n ħ=h –=- —=- ß=ss ø=o æ=ae °=deg"
+_LETTERS = {pair[0]: pair[2:] for pair in f"{_CYRILLIC} {_GREEK} {_EXTENDED}".split()}
 
 
 def comment(text: str) -> str:
@@ -28,17 +29,17 @@ def comment(text: str) -> str:
     return f"; {plain(clean(text))}"
 
 
-def plain(text: str) -> str:
-    """Return a text in the characters of `CODING`."""
-    return "".join(map(_plain, unicodedata.normalize("NFC", text)))
+def plain(text: str, below: int = LATIN) -> str:
+    """Return a text in the characters of `CODING`, or in the first ones, as `ASCII`."""
+    return "".join(_plain(each, below) for each in unicodedata.normalize("NFC", text))
 
 
-def _plain(letter: str) -> str:
-    if ord(letter) < 256:
+def _plain(letter: str, below: int) -> str:
+    if ord(letter) < below:
         return letter
     bare = unicodedata.normalize("NFKD", letter)
     found = "".join(each for each in bare if not unicodedata.combining(each))
-    if found and all(ord(each) < 256 for each in found):
+    if found and all(ord(each) < below for each in found):
         return found
     known = _LETTERS.get(letter.lower()) or _LETTERS.get(found.lower())
     if known is None:

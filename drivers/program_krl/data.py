@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 from drivers.program_krl.tokens import KrlError, Statement, Token, closing, quoted, split, text_of
+from drivers.program_text import Number
 
 POSE = ("X", "Y", "Z", "A", "B", "C")
 EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
@@ -19,20 +20,6 @@ AXES = ("E6AXIS", "AXIS")
 KINDS = (*POINTS, *AXES, "FDAT")
 MOST = {"S": 31, "T": 63}  # five bits of status; one bit of turn for each axis
 _QUALIFIERS = ("DECL", "GLOBAL", "CONST")
-
-
-@dataclass(frozen=True, slots=True)
-class Number:
-    """A number of the file: its value and the characters ``start`` to ``end`` that state it."""
-
-    text: str
-    start: int
-    end: int
-
-    @property
-    def value(self) -> float:
-        """Return the value."""
-        return float(self.text)
 
 
 @dataclass(frozen=True, slots=True)

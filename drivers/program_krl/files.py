@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from drivers.program_krl.program import DATA, ENCODING, Program
+from drivers.program_krl.program import DATA, Program
 from drivers.program_krl.reader import read_program
+from drivers.program_text import source_text
 from hilcell.cell.settings import SettingsError, unreadable
 
 
 def load_program(path: Path) -> Program:
     """Read a program with the data list beside it; raises `SettingsError`."""
     data = _data_beside(path)
-    return read_program(path.name, _text(path), (data.name, _text(data)) if data else None)
+    return read_program(
+        path.name, source_text(path, "KRL"), (data.name, source_text(data, "KRL")) if data else None
+    )
 
 
 def _data_beside(path: Path) -> Path | None:
@@ -30,13 +33,3 @@ def _data_beside(path: Path) -> Path | None:
         names = ", ".join(sorted(each.name for each in found))
         raise SettingsError(str(path), [f"several data lists beside it: {names}; leave one"])
     return found[0] if found else None
-
-
-def _text(path: Path) -> str:
-    try:
-        text = path.read_bytes().decode(ENCODING)
-    except OSError as error:
-        raise unreadable(str(path), error) from error
-    if "\0" in text:
-        raise SettingsError(str(path), ["has NUL bytes: not a KRL text, or saved as UTF-16"])
-    return text

@@ -1,42 +1,28 @@
-"""A KRL program that was read: its targets, and its files' texts with other positions.
-
-Files are taken as latin-1, in which every byte is a character, so that what is not edited is
-written back byte for byte.
-"""
+"""A KRL program that was read: its targets, and its files' texts with other positions."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from drivers.program_krl.comments import CODING, plain
-from drivers.program_krl.data import POSE, Number
+from drivers.program_krl.comments import plain
+from drivers.program_krl.data import POSE
 from drivers.program_krl.frames import StatedTool
 from drivers.program_krl.tokens import statements
 from drivers.program_krl.turns import check_turns
+from drivers.program_text import ENCODING, Edit, Number, edited, formatted, line_below
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.programs import StatedBase, Stroke
 from hilcell.geometry.kinematics import Arm
 from hilcell.ports import Array
 
-ENCODING = CODING
 SOURCE, DATA = ".src", ".dat"
 DECIMALS = 3
 USUAL_TOOL = 1  # of a cell that states none in robot.options, as the driver takes it
-
-
-@dataclass(frozen=True, slots=True)
-class Edit:
-    """Characters ``start`` to ``end`` of a file and what is to stand there."""
-
-    start: int
-    end: int
-    text: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,12 +115,12 @@ class Program:
         for target, position in zip(self.targets, positions, strict=True):
             for name, value in zip(POSE[: len(position)], position, strict=True):
                 number = target.numbers[name]
-                text = formatted(float(value), number.text)
+                text = formatted(float(value), number.text, DECIMALS)
                 edits[target.file].append(Edit(number.start, number.end, text))
         for name, text in self.texts.items():
             edits[name] += [_remark(text, remark)] if remark and text else []
         return {
-            name: _edited(text, edits[name]).encode(ENCODING) for name, text in self.texts.items()
+            name: edited(text, edits[name]).encode(ENCODING) for name, text in self.texts.items()
         }
 
 
@@ -147,25 +133,8 @@ def _module(text: str) -> Iterator[tuple[str, str, int]]:
             return
 
 
-def formatted(value: float, like: str) -> str:
-    """Return a number with at least three decimals, or as many as ``like`` has."""
-    exponent = Decimal(like).as_tuple().exponent
-    decimals = max(DECIMALS, -exponent if isinstance(exponent, int) else 0)
-    text = f"{value:.{decimals}f}"
-    return text if float(text) else text.removeprefix("-")
-
-
 def _remark(text: str, remark: str) -> Edit:
     """Return a comment below ``DEF`` or ``DEFDAT``, the first statement; on top without one."""
     first = next(statements(text), None)
-    at = 0 if first is None else text.find("\n", first.tokens[0].start) + 1
-    new_line = "\r\n" if text[:at].endswith("\r\n") else "\n"
-    return Edit(at, at, f"; {plain(remark)}{new_line}")
-
-
-def _edited(text: str, edits: list[Edit]) -> str:
-    parts, at = list[str](), 0
-    for edit in sorted(edits, key=lambda each: each.start):
-        parts += [text[at : edit.start], edit.text]
-        at = edit.end
-    return "".join([*parts, text[at:]])
+    line = f"; {plain(remark)}"
+    return line_below(text, first.tokens[0].start, line) if first else Edit(0, 0, f"{line}\n")

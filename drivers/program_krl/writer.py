@@ -14,8 +14,9 @@ import numpy as np
 
 from drivers.program_krl.comments import comment, plain
 from drivers.program_krl.data import POSE
-from drivers.program_krl.program import DATA, ENCODING, SOURCE, USUAL_TOOL
+from drivers.program_krl.program import DATA, SOURCE, USUAL_TOOL
 from drivers.program_krl.turns import turn_of
+from drivers.program_text import ENCODING
 from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.station_program import Places, StationProgram
 from hilcell.ports import Array

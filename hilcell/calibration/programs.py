@@ -10,7 +10,7 @@ import numpy as np
 
 from hilcell.calibration.form import Calibration
 from hilcell.compensation.grid import ROUNDING_MM, OutsideGrid
-from hilcell.compensation.programs import StatedBase, Stroke
+from hilcell.compensation.programs import Program, StatedBase, Stroke, stands_in_root
 from hilcell.errors import bounded
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, poses_from_zyx, zyx_from_pose
 from hilcell.geometry.statistics import lengths_mm
@@ -30,6 +30,18 @@ class BaseError(HilcellError):
     """A program whose base is not the frame of its targets."""
 
     code = "HC-C10"
+
+
+def root_of(calibration: Calibration, station: str, program: Program | None) -> Array | None:
+    """Return {B} in {W} (4, 4) at the station where a program's targets stand in {B}, else None."""
+    if not stands_in_root(program) or station not in calibration.stations:
+        return None
+    return np.array(calibration.stations[station].T_W_B)
+
+
+def taken_in(T: Array | None, values: Array) -> Array:
+    """Return targets (N, 6) of the frame ``T``; None leaves them, to the last digit."""
+    return values if T is None else zyx_from_pose(T @ poses_from_zyx(values))
 
 
 def check_base(

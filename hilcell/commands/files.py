@@ -10,7 +10,14 @@ import numpy as np
 from hilcell.calibration.file import compensate_targets
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import NoBound
-from hilcell.calibration.programs import STEP_MM, StrokeLimits, check_base, check_strokes
+from hilcell.calibration.programs import (
+    STEP_MM,
+    StrokeLimits,
+    check_base,
+    check_strokes,
+    root_of,
+    taken_in,
+)
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.bounds import (
@@ -23,9 +30,17 @@ from hilcell.commands.bounds import (
 from hilcell.commands.output import print_json, print_message
 from hilcell.commands.output_place import CSV, check_output
 from hilcell.commands.released import released
-from hilcell.compensation.programs import Program, load_program, notes_of, suffixes, write_program
+from hilcell.compensation.programs import (
+    Program,
+    load_program,
+    notes_of,
+    stands_in_root,
+    suffixes,
+    write_program,
+)
 from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.targets import read_targets, write_targets
+from hilcell.geometry.frames import inverse
 from hilcell.ports import Array
 
 STROKE_MISS_MM = 0.05  # that strokes may miss by where nothing else is stated
@@ -42,7 +57,9 @@ def compensate(args: argparse.Namespace) -> int:
     source, out = Path(args.targets), Path(args.output)
     inputs = [source, found.path, Path(args.cell or source)]
     program = load_program(source)
-    names, targets = _listed(source) if program is None else (program.names, program.values())
+    root = root_of(calibration, args.station, program)
+    names, listed = _listed(source) if program is None else (program.names, program.values())
+    targets = taken_in(root, listed)  # in {W}
     if program is not None and cell is not None:
         program.check_options(cell.robot.options)
     if program is not None and args.station in calibration.stations:
@@ -52,15 +69,16 @@ def compensate(args: argparse.Namespace) -> int:
     bounds = bounds_of_targets(calibration, args.station, targets, args.temperature, drill_mm)
     if program is not None:
         limits = _stroke_limits(args, bounds)
-        _check_program(calibration, args, program, command, cell, limits)
+        _check_program(calibration, args, program, targets, command, cell, limits)
     turns_deg = turns_of_targets(calibration, args.station, targets)
     if args.bounds:
         where = Path(args.bounds)
         write_bounds(where, bounds, names, out, inputs=inputs, turns_deg=turns_deg)
         inputs.append(Path(args.bounds))
     stamp = found.stamp(args.station)
+    stated = command if root is None else taken_in(inverse(root), command)
     turned = calibration.orients
-    written = _write(program, names, command, source, out, stamp, inputs, turned=turned)
+    written = _write(program, names, stated, source, out, stamp, inputs, turned=turned)
     if args.json:
         print_json(
             {
@@ -123,12 +141,13 @@ def _check_program(
     calibration: Calibration,
     args: argparse.Namespace,
     program: Program,
+    targets: Array,
     command: Array,
     cell: Cell | None,
     limits: StrokeLimits,
 ) -> None:
     """Refuse a program whose strokes or joints do not agree with its corrected targets."""
-    station, name, targets = args.station, Path(args.targets).name, program.values()
+    station, name = args.station, Path(args.targets).name
     missed = check_strokes(calibration, station, targets, command, program.strokes, limits)
     if program.strokes:
         print_message(
@@ -171,6 +190,7 @@ def _write(
     check_output(out, tuple(program.suffixes), "a program", inputs=inputs)
     numbers = command if turned else command[:, :3]
     written = write_program(program, numbers, source, out, stamp=stamp, inputs=inputs)
-    for note in notes_of(program, "{W}", source, written):
+    frame = f"{{B}}, the robot's base, at {stamp.station}" if stands_in_root(program) else "{W}"
+    for note in notes_of(program, frame, source, written):
         print_message(f"{source.name}: {note}")
     return " and ".join(map(str, written))

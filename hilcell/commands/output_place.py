@@ -12,6 +12,7 @@ KNOWN = (
     ".csv", ".txt", ".xlsx", ".xls", ".ods", ".json", ".html", ".htm", ".pdf", ".src", ".dat",
     ".urdf", ".toml", ".sqlite", ".zip", ".xml", ".dcc", ".doc", ".docx", ".odt", ".rtf", ".md",
     ".xhtml", ".xlsm", ".xlsb", ".tsv", ".jsonl", ".png", ".jpg", ".jpeg", ".svg", ".db",
+    ".script",
 )  # fmt: skip
 
 

@@ -120,7 +120,7 @@ def _checks(cell: Cell, air: str) -> Iterator[str]:
             f"At each station: robot at its safe pose, slide moved, held, strip within "
             f"{cell.rail.strip_tolerance_mm:g} mm, then the station's own program"
         )
-    yield "Programs copied to the controller as they are: .src and .dat together"
+    yield "Programs copied to the controller as they are, all files of a station together"
     yield "First hole of each station at reduced speed, a hand at the emergency stop"
 
 

@@ -96,6 +96,18 @@ class NamesModule(Protocol):
         """Return notes where a controller would not take its files under this stem."""
 
 
+@runtime_checkable
+class InRoot(Protocol):
+    """A program whose targets stand in the robot's root {B}; those of other formats in {W}."""
+
+    in_root: bool
+
+
+def stands_in_root(program: object) -> bool:
+    """Whether the targets of a program stand in {B}."""
+    return isinstance(program, InRoot) and program.in_root
+
+
 def load_program(path: Path) -> Program | None:
     """Read a program by the format of its suffix; None where no format has it.
 
@@ -115,14 +127,15 @@ def suffixes() -> list[str]:
 
 
 def notes_of(program: Program, frame: str, source: Path, written: Sequence[Path]) -> list[str]:
-    """Return the program's notes, the base that it needs: that of the corrected targets, and what
-    is wrong with the names of the files that were read and written.
+    """Return the program's notes, the base that it needs, if it has one: that of the corrected
+    targets, and what is wrong with the names of the files that were read and written.
     """
+    base = "" if stands_in_root(program) else f", its base must be {frame}"
     names = list[str]()
     if isinstance(program, NamesModule):
         stems = dict.fromkeys(path.stem for path in (source, *written))
         names = [note for stem in stems for note in program.misnamed(stem)]
-    return [*program.notes, f"its targets were taken in {frame}, its base must be {frame}", *names]
+    return [*program.notes, f"its targets were taken in {frame}{base}", *names]
 
 
 def write_program(

@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.program_krl.program import ENCODING, Program, formatted
+from drivers.program_krl.program import DECIMALS, Program
 from drivers.program_krl.reader import read_program
 from drivers.program_krl.turns import turn_of
+from drivers.program_text import ENCODING, formatted
 from hilcell.cell.settings import SettingsError
 from hilcell.ports import Array
 from tests.drivers.program_krl.samples import DAT, SRC
@@ -151,7 +152,7 @@ def test_correcting_by_nothing_is_idempotent() -> None:
     ],
 )
 def test_numbers_keep_their_decimals(value: float, like: str, text: str) -> None:
-    assert formatted(value, like) == text
+    assert formatted(value, like, DECIMALS) == text
 
 
 @pytest.mark.parametrize(

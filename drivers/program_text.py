@@ -1,0 +1,73 @@
+"""Texts of robot programs in which numbers are replaced and all else stays byte for byte.
+
+Files are taken as latin-1, in which every byte is a character.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from decimal import Decimal
+from pathlib import Path
+
+from hilcell.cell.settings import SettingsError, unreadable
+
+ENCODING = "latin-1"
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A number of the file: its value and the characters ``start`` to ``end`` that state it."""
+
+    text: str
+    start: int
+    end: int
+
+    @property
+    def value(self) -> float:
+        """Return the value."""
+        return float(self.text)
+
+
+@dataclass(frozen=True, slots=True)
+class Edit:
+    """Characters ``start`` to ``end`` of a file and what is to stand there."""
+
+    start: int
+    end: int
+    text: str
+
+
+def edited(text: str, edits: list[Edit]) -> str:
+    """Return a text with edits that do not overlap."""
+    parts, at = list[str](), 0
+    for edit in sorted(edits, key=lambda each: each.start):
+        parts += [text[at : edit.start], edit.text]
+        at = edit.end
+    return "".join([*parts, text[at:]])
+
+
+def formatted(value: float, like: str, decimals: int) -> str:
+    """Return a number with ``decimals`` at least, or as many as ``like`` has."""
+    exponent = Decimal(like).as_tuple().exponent
+    places = max(decimals, -exponent if isinstance(exponent, int) else 0)
+    text = f"{value:.{places}f}"
+    return text if float(text) else text.removeprefix("-")
+
+
+def source_text(path: Path, language: str) -> str:
+    """Return a file's text in a robot's language; raises `SettingsError`."""
+    try:
+        text = path.read_bytes().decode(ENCODING)
+    except OSError as error:
+        raise unreadable(str(path), error) from error
+    if "\0" in text:
+        raise SettingsError(
+            str(path), [f"has NUL bytes: not a {language} text, or saved as UTF-16"]
+        )
+    return text
+
+
+def line_below(text: str, at: int, line: str) -> Edit:
+    """Return the insertion of a line below that of the character ``at``, with its line end."""
+    begin = text.find("\n", at) + 1
+    return Edit(begin, begin, line + ("\r\n" if text[:begin].endswith("\r\n") else "\n"))
