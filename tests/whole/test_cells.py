@@ -4,6 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
+from hilcell.calibration.file import read_calibration
+from hilcell.geometry.frames import pose_from_zyx
+from hilcell.geometry.rotations import to_rotvec
+from hilcell.planning.holes import NORMALS
 from tests.whole.bench import command, end_of, sets
 
 QUICK = {
@@ -39,3 +45,30 @@ def test_a_universal_robot_and_a_total_station(tmp_path: Path) -> None:
     assert end["state"] == "finished"
     figures = end["result"]["validation"]["S750"]
     assert figures["chosen"]["mean"] < 0.5 * figures["before"]["mean"]
+    check_programs(tmp_path)
+
+
+def check_programs(runs: Path) -> None:
+    """Correct a program by the lab's calibration, and write one for holes."""
+    (folder,) = runs.glob("*/calibration.json")
+    T_W_B = np.array(read_calibration(folder).stations["S750"].T_W_B)
+    T_B_T = pose_from_zyx(700.0, 0.0, 420.0, -90.0, 0.0, -160.0)
+    source, out, holes = (runs / name for name in ("in.script", "out.script", "holes.csv"))
+    turn = ", ".join(f"{each:.9f}" for each in to_rotvec(T_B_T[:3, :3]))
+    tcp = "p[0.09, 0.0, 0.07, 0.0, 0.0, 0.0]"
+    source.write_text(f"def d():\n  set_tcp({tcp})\n  movel(p[0.7, 0.0, 0.42, {turn}])\nend\n")
+    cell: tuple[str | Path, ...] = ("--cell", "lab", "--runs", runs, *sets({"plan.quick": "true"}))
+    done = command("compensate", "last", source, "--station", "S750", "-o", out, *cell)
+    assert done.returncode == 0, done.stderr
+    (written,) = [line for line in out.read_text().splitlines() if "movel" in line]
+    assert written.endswith(f", {turn}])")
+    moved_mm = 1e3 * np.array(written[10:].split(",")[:3], dtype=float) - T_B_T[:3, 3]
+    assert 0.3 < np.linalg.norm(moved_mm) < 4.0
+    place, normal = (T_W_B @ T_B_T)[:3, 3], -(T_W_B @ T_B_T)[:3, 2]
+    row = ",".join(f"{each:.6f}" for each in (*place, *normal))
+    holes.write_text(f"{','.join(NORMALS)}\nH1,{row}\n")
+    done = command("prepare", holes, "--calibration", "last", "-o", runs / "out", *cell)
+    assert done.returncode == 0, done.stderr
+    text = (runs / "out" / "S750.script").read_text("ascii")
+    assert text.startswith("def S750():\n  # hilcell: corrected by ")
+    assert text.count("movej([") == 4

@@ -211,7 +211,7 @@ def test_a_program_of_no_known_format_is_named(
     assert desk.compensate(source=source) == 2
     told = capsys.readouterr().err
     assert "header must be" in told
-    assert "no format of programs is installed for .mod (installed: .src)" in told
+    assert "no format of programs is installed for .mod (installed: .script, .src)" in told
     table = desk.folder / "drill.csv"
     table.write_text("MODULE drill\n")
     assert desk.compensate(source=table) == 2

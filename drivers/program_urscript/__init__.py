@@ -1,0 +1,1 @@
+"""Programs of Universal Robots: poses read, corrected, written."""

@@ -1,0 +1,156 @@
+"""`compensate` as a command, in this process, on URScript; and the program of a station."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.program_urscript.files import load_program
+from drivers.program_urscript.reader import read_program
+from drivers.program_urscript.writer import write_station
+from hilcell.calibration.prepared import station_program
+from hilcell.cell.file import load_cell
+from hilcell.cell.settings import SettingsError
+from hilcell.compensation.stamp import CorrectedBefore, Stamp, refuse_corrected
+from hilcell.compensation.targets import write_targets
+from hilcell.geometry.frames import apply, poses_from_zyx, zyx_from_pose
+from hilcell.geometry.kinematics import forward
+from tests.drivers.program_urscript.samples import SCRIPT
+from tests.hilcell.calibration.calibrations import T_W_B, calibration
+from tests.hilcell.commands import workplace
+from tests.hilcell.compensation.models import level
+
+CELL = load_cell("paper")
+STAMP = Stamp("a-run", "2026-11-22T14:00:00Z", "S1100")
+
+
+class Workplace(workplace.Workplace):
+    """A folder with a calibration and a program, and the command over them."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder, "drill.script", "out.script")
+        self.program()
+
+    def program(self, text: str = SCRIPT) -> None:
+        self.source.write_text(text, "latin-1")
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Workplace:
+    return Workplace(tmp_path)
+
+
+def test_a_corrected_program_arrives(desk: Workplace, capsys: pytest.CaptureFixture[str]) -> None:
+    """Poses are in {B}: command + error at the command = target, to a micrometre's rounding."""
+    assert desk.compensate() == 0
+    wanted = load_program(desk.source).values()
+    command = load_program(desk.out).values()
+    arrived = command[:, :3] + calibration().error_model().predict(level(command[:, :3])).error_mm
+    assert np.abs(command[:, :3] - wanted[:, :3]).max() > 0.3
+    np.testing.assert_allclose(arrived, wanted[:, :3], atol=2e-3)
+    np.testing.assert_array_equal(command[:, 3:], wanted[:, 3:])
+    said = capsys.readouterr().err
+    assert "3 targets corrected for S1100 into" in said
+    assert "its targets were taken in {B}, the robot's base, at S1100\n" in said
+    assert "the numbers of set_tcp were not checked; --cell CELL does" in said
+    assert "its own calibrated kinematics" in said
+
+
+def test_program_and_list_agree(desk: Workplace, tmp_path: Path) -> None:
+    targets, out = tmp_path / "targets.csv", tmp_path / "out.csv"
+    nominal = poses_from_zyx(load_program(desk.source).values())
+    write_targets(targets, ["H0", "H1", "H2"], zyx_from_pose(T_W_B @ nominal))
+    assert desk.compensate() == 0
+    assert desk.compensate(source=targets, out=out) == 0
+    _, listed, _ = workplace.read_corrected(out)
+    in_world = apply(T_W_B, load_program(desk.out).values()[:, :3])
+    np.testing.assert_allclose(in_world, listed[:, :3], atol=1.2e-3)
+
+
+def test_what_was_corrected_is_not_corrected_again(
+    desk: Workplace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert desk.compensate() == 0
+    before = desk.files
+    assert desk.compensate(source=desk.out, out=desk.folder / "again.script") == 2
+    assert "corrected by 20261101-120000-calibrate-abcd for S1100" in capsys.readouterr().err
+    assert desk.files == before
+
+
+@pytest.mark.parametrize(
+    ("tcp", "code"),
+    [
+        ("", 0),
+        ("SMR", 0),
+        ("p[0.0, 0.0, 0.3, 0.0, 0.0, 0.0]", 2),
+        ("TURNED", 2),
+    ],
+)
+def test_a_tcp_that_is_not_the_calibrated_one(
+    desk: Workplace, capsys: pytest.CaptureFixture[str], tcp: str, code: int
+) -> None:
+    smr = [each / 1000.0 for each in CELL.robot.smr_mm]
+    stated = {"SMR": f"p{[*smr, 0.0, 0.0, 0.0]}", "TURNED": f"p{[*smr, 0.01, 0.0, 0.0]}"}
+    line = f"set_tcp({stated.get(tcp, tcp)})" if tcp else ""
+    desk.program(SCRIPT.replace("set_tcp(p[0.18, 0.0, 0.21, 0.0, 0.0, 0.0])", line))
+    desk.calibrate(digest=CELL.digest)
+    assert desk.compensate("--cell", "paper") == code
+    said = capsys.readouterr().err
+    assert ("drill.script line 4: set_tcp states a TCP" in said) == (code == 2)
+    assert ("it sets no TCP: that of the installation must be" in said) == (not tcp)
+    assert desk.out.exists() == (code == 0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "part"),
+    [
+        ("movel(P1)", "movec(P1, P1)", "drill.script line 23: movec(P1, P1): movec() is not"),
+        ("P1=p[1.85", "P1=p[9.85", "P1 (drill.script line 6)"),
+        ("movel(P1)", "movel(p[1.85, 0, 0.95, 0, 1.5, 0])", "(drill.script line 23) by 10.94 deg"),
+    ],
+)
+def test_refused_and_nothing_written(
+    desk: Workplace, capsys: pytest.CaptureFixture[str], old: str, new: str, part: str
+) -> None:
+    desk.program(SCRIPT.replace(old, new))
+    assert desk.compensate() == 2
+    assert part in capsys.readouterr().err
+    assert desk.files == ["calibration.json", "drill.script"]
+
+
+def test_a_list_is_not_named_like_a_program(desk: Workplace, tmp_path: Path) -> None:
+    targets = tmp_path / "targets.csv"
+    write_targets(targets, ["H"], np.array([[0.0, 0.0, 1200.0, 0.0, 75.0, 0.0]]))
+    assert desk.compensate(source=targets, out=desk.out) == 2
+
+
+def test_the_program_of_a_station_moves_to_the_joints_of_its_commands() -> None:
+    targets = np.array([[0.0, 0.0, 1200.0, 0.0, 75.0, 0.0], [0.0, 50.0, 1250.0, 0.0, 75.0, 0.0]])
+    names = ["Träger °1", "H2\n  movej(X)"]
+    known = calibration()
+    program = station_program(known, CELL, "S1100", names, targets, ["SIMULATED"])
+    ((name, content),) = write_station(program, STAMP).items()
+    text = content.decode("ascii")
+    assert name == "S1100.script"
+    lines = text.splitlines()
+    assert lines[:3] == ["def S1100():", f"  # {STAMP.text}", "  # SIMULATED"]
+    assert "  # 1 of 2: Trager deg1" in lines
+    moves = [line for line in lines if line.startswith("  movej(")]
+    joints_rad = np.array([joints_of(line) for line in moves])
+    np.testing.assert_allclose(
+        np.degrees(joints_rad[[0, -1]]), [CELL.robot.safe_deg] * 2, atol=1e-5
+    )
+    at = T_W_B @ forward(CELL.robot.arm(), joints_rad[2:-1:2])
+    np.testing.assert_allclose(at, poses_from_zyx(targets), atol=2e-3)
+    rise_deg = np.degrees(joints_rad[2:-1:2] - joints_rad[1:-1:2])
+    np.testing.assert_allclose(rise_deg, CELL.robot.approach_deg, atol=2e-5)
+    speed = 1.05 * CELL.robot.speed_percent / 100.0
+    assert all(f"v={speed:.4f})" in line for line in moves)
+    with pytest.raises(SettingsError, match="joint target"):
+        read_program(name, text)
+    with pytest.raises(CorrectedBefore):
+        refuse_corrected(name, lines)
+
+
+def joints_of(line: str) -> list[float]:
+    return [float(each) for each in line[line.index("[") + 1 : line.index("]")].split(",")]
