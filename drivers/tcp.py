@@ -31,8 +31,9 @@ class Alarms:
 
     def broken(self, device: str, address: str, operation: str, found: str) -> DeviceError:
         """Return the error that a wire's failure is."""
+        code = self.lost
         return DeviceError(
-            self.lost,
+            code,
             device,
             operation,
             f"{address}: {found}",

@@ -14,6 +14,8 @@ from hilcell.journal.point_words import step_words
 
 ORDINALS = {1: "1st", 2: "2nd", 3: "3rd"}
 CLOSINGS = {"closed": "devices closed", "safe stop": "devices stopped safely"}
+SAID = {"seated": "reflector seated in", "announced": "announced:", "promise": "promise"}
+FACTS = {"seated": ("place",), "announced": ("motion",), "promise": ("port", "promise", "verdict")}
 NAMED = {  # events that say which point, station, run or alarms they are about
     "first pass": "first pass of",
     "stream": "recorded",
@@ -56,8 +58,8 @@ def happened_words(body: Mapping[str, Any], log: Log) -> str:
             return _wire(body)
         case "curve":
             return f"curve of {msgspec.convert(body, CurveRecord).words}"
-        case "seated":
-            return f"reflector seated in {body.get('place')}"
+        case "seated" | "announced" | "promise":
+            return " ".join([SAID[what], *(str(body.get(key)) for key in FACTS[what])])
     codes = ", ".join(body.get("codes", ()))
     subject = body.get("key") or body.get("station") or body.get("run") or codes
     words = in_words(" ".join(filter(None, (NAMED.get(what, what), str(subject)))), log)

@@ -110,6 +110,8 @@ def test_a_code_that_no_catalogue_has_is_the_device_s_general_alarm() -> None:
 # Events that are the run's ordinary course; every other one becomes an alarm.
 ORDINARY = {
     "first pass",
+    "announced",
+    "promise",
     "earlier run unreadable",
     "connected",
     "station found held",

@@ -70,12 +70,13 @@ def test_held_answers_come_later(wires: Wires) -> None:
 def test_answers_come_in_pieces_as_noise_and_rewritten(wires: Wires) -> None:
     with client(wires) as link:
         wires.set("pieces")
-        link.sendall(b"answer")
-        assert link.recv(100) == b"a"
-        rest = b""
-        while len(rest) < 5:
-            rest += link.recv(100)
-        assert rest == b"nswer"
+        found: list[bytes] = []
+        while len(found) < 2:  # a busy PC may read all pieces at once; never every time
+            found = []
+            link.sendall(b"answer")
+            while sum(map(len, found)) < len(b"answer"):
+                found.append(link.recv(100))
+            assert b"".join(found) == b"answer"
         wires.set("garbage")
         link.sendall(b"answer")
         assert link.recv(100) == b"tttttt"

@@ -161,6 +161,10 @@ def test_events_show_no_raw_keys() -> None:
         ({"what": "no reading", "key": "grid/1-0-0", "tries": 2, "reason": "beam broken"},
          "no reading of grid point 1-0-0 at S1100: beam broken"),
         ({"what": "seated", "place": "P1", "xyz_mm": [1.0, 2.0, 3.0]}, "reflector seated in P1"),
+        (
+            {"what": "promise", "port": "rail", "promise": "units", "verdict": "held"},
+            "promise rail units held",
+        ),
         ({"what": "something new", "facts": {"a": 1.0}}, "something new"),
     )  # fmt: skip
     view = view_of(measuring())
