@@ -33,6 +33,7 @@ from drivers.kuka_health import (
 from drivers.kuka_life import program_text
 from drivers.kuka_sweep import KukaSweep, give_back_left_behind
 from drivers.motion_limits import MotionLimits, planned_s
+from drivers.on_failure import on_failure
 from drivers.robot_errors import failed, overdue, refused, stalled, stopped_short
 from drivers.supervision import Patience, Supervision
 from hilcell.cell.file import Joint
@@ -99,7 +100,7 @@ class KukaRobot:
     def connect(self) -> list[Identity]:
         """Open the wires, verify everything, then take back an earlier stop."""
         self._close_wires()
-        try:
+        with on_failure(self._close_wires):
             controller = self._controller = self._wires(self)
             self._round = cycle(controller.rounds)
             controller.look()
@@ -108,9 +109,6 @@ class KukaRobot:
             self._check_frame("$TOOL", (*self._options.smr_mm, 0.0, 0.0, 0.0))
             self._check_frame("$BASE", (0.0,) * 6)
             self._take_back_stop()
-        except BaseException:
-            self._close_wires()
-            raise
         return [replace(identity, firmware=program_text(self._version))]
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:

@@ -21,6 +21,7 @@ from drivers import cia406, nmt, rail_setup
 from drivers.can_link import CanLink, open_bus
 from drivers.drive import Drive, Limits
 from drivers.node_watch import NodeWatch
+from drivers.on_failure import on_failure
 from drivers.pdo import configure
 from drivers.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.rail_setup import Expected
@@ -107,11 +108,8 @@ class CanopenRail:
         options = self._options
         bus = open_bus(DEVICE, options.interface, options.channel, options.bitrate)
         self._link = CanLink(DEVICE, bus)
-        try:
+        with on_failure(self._close_link):
             return self._set_up(self._link)
-        except BaseException:
-            self._close_link()
-            raise
 
     def home(self) -> None:
         """Home to the negative limit switch (6098h = 17); the drive then reads 0."""
@@ -300,11 +298,8 @@ class CanopenRail:
 
     def _move(self, motion: Callable[[], None]) -> None:
         self._ended_s = None
-        try:
+        with on_failure(self._stop_after_failure):
             motion()
-        except BaseException:
-            self._stop_after_failure()
-            raise
         self._ended_s = time.monotonic()
 
     def _stop_after_failure(self) -> None:

@@ -14,6 +14,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
+from drivers.on_failure import on_failure
 from drivers.standing import DEVICE, Standing, check_travel
 from drivers.standstill import Windows
 from drivers.strip import StripFeed, StripOptions
@@ -130,11 +131,8 @@ class KukaE1Rail:
         check_travel(position_mm, options.travel_min_mm, options.travel_max_mm)
         self._forget()
         self._ended_s = None
-        try:
+        with on_failure(self._stop_after_failure):
             axis.move_axis(position_mm, options.speed_mm_s, options.full_mm_s)
-        except BaseException:
-            self._stop_after_failure()
-            raise
         self._ended_s = time.monotonic()
 
     def settle(self) -> RailReading:

@@ -17,6 +17,7 @@ from drivers.kuka_external import SlidingKukaRobot
 from drivers.kuka_health import AXES, SLIDE
 from drivers.kuka_life import SLIDING_VERSION, LifeSign
 from drivers.kuka_robot import KukaOptions
+from drivers.on_failure import on_failure
 from hilcell.clean import clean
 from hilcell.ports import Array, Clock
 
@@ -103,12 +104,9 @@ class C3Controller(C3Access):
         self.address = f"{options.host}:{options.port}"
         self.versions = {"HC_VER": (1, SLIDING_VERSION)}
         super().__init__(self._open(robot.attend))
-        try:
+        with on_failure(self._line.close):
             # The stop must get through while the run is already stopping.
             self._stop_line = self._open(_never)
-        except BaseException:
-            self._line.close()
-            raise
         self._keeper = KeepAlive((self._line, self._stop_line), lambda line: line.read("$MODE_OP"))
         self._life = LifeSign()
         self._written: dict[str, str] = {}

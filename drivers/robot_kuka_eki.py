@@ -24,6 +24,7 @@ from drivers.kuka_external import SlidingKukaRobot
 from drivers.kuka_health import HEALTH
 from drivers.kuka_life import LIFE_S, SLIDING_VERSION
 from drivers.kuka_robot import KukaOptions
+from drivers.on_failure import on_failure
 from hilcell.clean import clean
 from hilcell.ports import Array, Clock
 
@@ -51,12 +52,9 @@ class EkiController:
         self._life_ms = 0
         probe, stop_probe = eki.command(0, eki.ASK), eki.stop_command(0, brake=False)
         self._line = opened(options.port, eki.STATE, robot.attend, probe)
-        try:
+        with on_failure(self._line.close):
             # The stop must get through while the run is already stopping.
             self._stop_line = opened(options.stop_port, eki.STOPPED, _never, stop_probe)
-        except BaseException:
-            self._line.close()
-            raise
         self._keeper = KeepAlive((self._stop_line,), _probe)
 
     def look(self) -> None:

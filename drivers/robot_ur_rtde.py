@@ -20,6 +20,7 @@ import numpy as np
 from msgspec import Meta
 
 from drivers.motion_limits import MotionLimits, planned_s
+from drivers.on_failure import on_failure
 from drivers.robot_errors import DEVICE, failed, overdue, refused, stalled, stopped_short
 from drivers.supervision import Patience, Supervision
 from drivers.tcp import TcpLink
@@ -102,7 +103,7 @@ class UrRtdeRobot:
         """Open all connections, verify everything, and send the script; nothing moves."""
         self._close_wires()
         options = self._options
-        try:
+        with on_failure(self._close_wires):
             where = (DEVICE, options.host, options.dashboard_port)
             self._dashboard = Dashboard(*where, self._attend, ALARMS)
             # The stop must get through while the run is already stopping.
@@ -117,9 +118,6 @@ class UrRtdeRobot:
             state = self._link.fresh()
             self._check_tool(state)
             self._rest_rad = state.joints_rad
-        except BaseException:
-            self._close_wires()
-            raise
         return [identity]
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:

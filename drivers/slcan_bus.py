@@ -20,6 +20,7 @@ from typing import Any
 import can
 import serial
 
+from drivers.on_failure import on_failure
 from hilcell.wire.channel import Socket, parse_channel
 
 CONNECT_S = 5.0
@@ -51,12 +52,9 @@ class SlcanBus(can.BusABC):
         opening = (b"", b"C", b"S%d" % BIT_RATES.index(bitrate), b"O")
         self._commands = len(opening)  # not answered yet: one may be refused and all is well
         self._port, self._close_port = _open(channel)
-        try:
+        with on_failure(self._close_port):
             os.set_blocking(self._port, False)
             self._put(b"".join(line + b"\r" for line in opening))
-        except BaseException:
-            self._close_port()
-            raise
         super().__init__(channel)
         self._is_shutdown = False
 

@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable
 
 from drivers.link import Link, open_link
+from drivers.on_failure import on_failure
 from drivers.strip import DEVICE, StripOptions
 from drivers.supervision import Patience
 from drivers.tcp import Alarms
@@ -46,12 +47,9 @@ class SerialStrip:
         """Open the line and verify who answers."""
         self._link = open_link(DEVICE, self._options.channel, self._check, ALARMS)
         self._lines = TextLines(self._link, end=b"", split=rb"\r")
-        try:
+        with on_failure(self.close):
             self._lines.drop_pending()
             return self._identify(self._link.address)
-        except BaseException:
-            self.close()
-            raise
 
     def read(self, check: Callable[[], None]) -> tuple[int, int]:
         """Return counts and alarms; the alarms are asked for after the counts."""

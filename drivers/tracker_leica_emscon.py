@@ -21,6 +21,7 @@ from drivers import emscon
 from drivers.emscon import Change, Command, Failure, Packet, Reply, Single, StatusChange
 from drivers.emscon_errors import failed, spoken
 from drivers.emscon_stream import EmsconStream
+from drivers.on_failure import on_failure
 from drivers.supervision import Patience
 from drivers.tcp import TcpLink
 from drivers.tracker_readings import (
@@ -96,14 +97,11 @@ class LeicaEmsconTracker:
         options = self._options
         self._link = TcpLink(DEVICE, options.host, options.port, self._clock.check, ALARMS)
         self._reader, self._packets, self._reflector = emscon.PacketReader(), deque(), ""
-        try:
+        with on_failure(self.close):
             identity = self._identify()
             self._set_up()
             self._numbers = self._read_reflectors()
             self._choose(options.reflector)
-        except BaseException:
-            self.close()
-            raise
         return [identity]
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:

@@ -18,6 +18,7 @@ from msgspec import Meta
 from drivers import geocom
 from drivers.geocom import Reply, Rpc
 from drivers.link import open_link
+from drivers.on_failure import on_failure
 from drivers.supervision import Patience
 from drivers.text_lines import TextLines
 from drivers.tracker_readings import (
@@ -105,13 +106,10 @@ class LeicaGeocomTracker:
         self.close()
         link = open_link(DEVICE, self._options.channel, self._clock.check, ALARMS)
         self._lines, self._given_up = TextLines(link), set()
-        try:
+        with on_failure(self.close):
             self._begin()
             identity = self._identify(link.address)
             self._set_up()
-        except BaseException:
-            self.close()
-            raise
         return [identity]
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:

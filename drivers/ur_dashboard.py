@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from drivers.on_failure import on_failure
 from drivers.supervision import Patience
 from drivers.tcp import Alarms, TcpLink
 from drivers.text_lines import TextLines
@@ -25,13 +26,10 @@ class Dashboard:
     ) -> None:
         self._link = TcpLink(device, host, port, check, alarms)
         self._lines = TextLines(self._link, end=b"\n")
-        try:
+        with on_failure(self._link.close):
             greeting = self._answer("connect")
             if not greeting.startswith(GREETING):
                 raise self._link.broken("connect", f"no dashboard server: {greeting!r}")
-        except BaseException:
-            self._link.close()
-            raise
 
     def ask(self, command: str) -> str:
         """Return the answer to a command; raises `DeviceError`."""

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable
 from itertools import takewhile
 
 from drivers import rtde
+from drivers.on_failure import on_failure
 from drivers.rtde import Kind, Packages, Recipe, RtdeError
 from drivers.supervision import Patience
 from drivers.tcp import Alarms, TcpLink
@@ -46,11 +47,8 @@ class UrLink:
         self._states: deque[UrState] = deque(maxlen=KEPT)
         self._failure: DeviceError | None = None
         self._writing, self._life = threading.Lock(), 0
-        try:
+        with on_failure(self._link.close):
             self.version = self._set_up()
-        except BaseException:
-            self._link.close()
-            raise
         self._thread.start()
 
     def fresh(self, *, patiently: bool = False) -> UrState:
