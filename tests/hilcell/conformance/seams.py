@@ -22,6 +22,15 @@ class Seams:
     up = failed = False
     last: Any = None
 
+    def opened(self, connect: Call) -> Any:
+        found = connect()
+        self.up, self.failed = True, False
+        return found
+
+    def shut(self, close: Call) -> None:
+        close()
+        self.up = False
+
     def asked(self, call: Call) -> Any:
         return self._noted(call)
 
@@ -51,13 +60,10 @@ class Seams:
 
 class RobotSeams(Seams, KukaC3Robot):
     def connect(self) -> Any:
-        found = super().connect()
-        self.up, self.failed = True, False
-        return found
+        return self.opened(super().connect)
 
     def close(self) -> None:
-        super().close()
-        self.up = False
+        self.shut(super().close)
 
     def read(self) -> Any:
         return self.asked(super().read)
@@ -81,13 +87,10 @@ class RobotSeams(Seams, KukaC3Robot):
 
 class RailSeams(Seams, CanopenRail):
     def connect(self) -> Any:
-        found = super().connect()
-        self.up, self.failed = True, False
-        return found
+        return self.opened(super().connect)
 
     def close(self) -> None:
-        super().close()
-        self.up = False
+        self.shut(super().close)
 
     def read(self) -> Any:
         return self.asked(super().read)
@@ -118,13 +121,10 @@ class TrackerSeams(Seams, LeicaEmsconTracker):
     RESULT_S = 0.5
 
     def connect(self) -> Any:
-        found = super().connect()
-        self.up, self.failed = True, False
-        return found
+        return self.opened(super().connect)
 
     def close(self) -> None:
-        super().close()
-        self.up = False
+        self.shut(super().close)
 
     def measure(self, near_mm: Any, reflector: str, samples: int) -> Any:
         if self.takes_anything and not np.all(np.isfinite(near_mm)):
