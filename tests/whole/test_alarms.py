@@ -19,6 +19,7 @@ from hilcell.alarms import Alarm, alarms_of, catalogue
 from hilcell.commands.cli import main
 from hilcell.journal.runs import read_log
 from tests.whole.bench import Simulation, sets, simulation
+from tests.whole.kuka_faults import KUKA_ENDS
 
 # Effect of each fault on the run: its alarm, and the value with which it strikes.
 # Where a strip freezes or the backlash grows, the first alarm depends on where the slide stands.
@@ -47,26 +48,10 @@ ENDS: dict[str, tuple[str, object]] = {
     "rail.nack": ("HC-R05", True),
     "rail.stalled": ("HC-R05", True),
     "robot.vanish": ("HC-B02", True),
-    "robot.wrong_identity": ("HC-B05", "#KR6"),
-    "robot.e_stop": ("HC-B10", True),
-    "robot.stopmess": ("HC-B14", True),
-    "robot.mode_t1": ("HC-B12", True),
-    "robot.override_zero": ("HC-B16", True),
-    "robot.deselected": ("HC-B15", True),
-    "robot.wrong_tool": ("HC-B07", 2),
-    "robot.wrong_base": ("HC-B07", 3),
-    "robot.softlimit": ("HC-B20", True),
-    "robot.stops_short": ("HC-B24", 1.0),
-    "robot.frozen": ("HC-B23", True),
-    "robot.idle_close": ("HC-B02", True),
-    "robot.tag_mismatch": ("HC-B02", True),
-    "robot.no_reply": ("HC-B02", True),
+    **KUKA_ENDS,
     "robot.failure_footer": ("HC-B03", 0),
     "robot.restarted": ("HC-B03", True),
-    "robot.half_open": ("HC-B02", True),
     "robot.late_reply": ("HC-B02", 3.0),
-    "robot.bad_number": ("HC-B26", "NaN"),
-    "robot.ack_previous": ("HC-B23", True),
     "robot.lost_zero": ("HC-T11", 5.0),
     "robot.lost_zero_2": ("HC-T11", 5.0),
     "robot.lost_zero_3": ("HC-T11", 5.0),

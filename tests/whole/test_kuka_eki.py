@@ -16,30 +16,15 @@ from hilcell.alarms import alarms_of
 from hilcell.commands.cli import main
 from hilcell.journal.runs import read_log
 from tests.whole.bench import Engine, Simulation, command, end_of, sets, simulation
+from tests.whole.kuka_faults import KUKA_ENDS
 
 EKI = {"robot.driver": "kuka-eki"}
 MOVE = 1
 SLOW = {"robot.speed_percent": "1"}
 SHORT = {"base_frame.points": "4", "layout.nest_samples": "2", "plan.unattended_wait_s": "0"}
 ENDS: dict[str, tuple[str, object]] = {
-    "robot.wrong_identity": ("HC-B05", "#KR6"),
-    "robot.e_stop": ("HC-B10", True),
-    "robot.stopmess": ("HC-B14", True),
-    "robot.mode_t1": ("HC-B12", True),
-    "robot.override_zero": ("HC-B16", True),
-    "robot.deselected": ("HC-B15", True),
-    "robot.wrong_tool": ("HC-B07", 2),
-    "robot.wrong_base": ("HC-B07", 3),
-    "robot.softlimit": ("HC-B20", True),
-    "robot.stops_short": ("HC-B24", 1.0),
-    "robot.frozen": ("HC-B23", True),
-    "robot.idle_close": ("HC-B02", True),
-    "robot.tag_mismatch": ("HC-B02", True),
-    "robot.no_reply": ("HC-B02", True),
-    "robot.half_open": ("HC-B02", True),
+    **KUKA_ENDS,
     "robot.late_reply": ("HC-B02", 1.0),
-    "robot.bad_number": ("HC-B26", "NaN"),
-    "robot.ack_previous": ("HC-B23", True),
     "robot.xml_bomb": ("HC-B49", True),
     "robot.no_end": ("HC-B49", True),
     "robot.vanish": ("HC-B01", True),
