@@ -64,7 +64,7 @@ class TcpLink:
                 fields={"address": self.address},
             ) from error
         _watch(self._socket)
-        self._socket.settimeout(POLL_S)
+        self._socket.setblocking(False)  # a wait is a call of its own, and most bytes need none
 
     def send(self, data: bytes, operation: str) -> None:
         """Send all of ``data``; raises `DeviceError` when it does not leave in time."""
@@ -74,9 +74,10 @@ class TcpLink:
             over = patience.over()
             try:
                 rest = rest[self._socket.send(rest) :]
-            except TimeoutError:
+            except BlockingIOError:
                 if over:
                     raise self.broken(operation, "the device takes no bytes") from None
+                select.select([], [self._socket], [], POLL_S)
             except OSError as error:
                 raise self.broken(operation, str(error)) from error
 
@@ -91,6 +92,8 @@ class TcpLink:
             try:
                 ready, _, _ = select.select([self._socket], [], [], 0.0 if over else POLL_S)
                 data = self._socket.recv(size) if ready else b""
+            except BlockingIOError:  # ready, and then nothing after all: the next look tells
+                ready, data = [], b""
             except OSError as error:
                 raise self.broken("receive", str(error)) from error
             if ready and not data:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cached_property
 from itertools import combinations
 from typing import Annotated, Any
 
@@ -120,6 +121,10 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
 
     def arm(self) -> Arm:
         """Return the nominal arm; its tool point is the reflector's centre."""
+        return self._arm
+
+    @cached_property
+    def _arm(self) -> Arm:
         tool = np.eye(4)
         tool[:3, 3] = self.smr_mm
         return arm_from_joints(self.joint, tool)

@@ -8,6 +8,7 @@ Lengths mm, angles rad.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -29,12 +30,17 @@ class Capsules:
     radius_mm: Array
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Boxes:
     """``frames`` (V, 4, 4) of their centres, ``half_mm`` (V, 3): half of their edges."""
 
     frames: Array
     half_mm: Array
+
+    @cached_property
+    def into(self) -> Array:
+        """Return the motions (V, 4, 4) into the boxes' frames."""
+        return inverse(self.frames)
 
 
 def joint_lines(arm: Arm, link: int) -> Array:
@@ -109,13 +115,11 @@ def clearance_mm(ends_mm: Array, radius_mm: Array, boxes: Boxes, enough_mm: Arra
     Negative where they overlap, down to the radius. Where a sphere around the capsule proves that
     there are ``enough_mm`` (N, C), the sphere's own clearance stands for the capsule's.
     """
-    T = inverse(boxes.frames)
-    within = np.einsum("vij,ncej->vncei", T[:, :3, :3], ends_mm)
-    within += T[:, None, None, None, :3, 3]
-    middle = within.mean(axis=-2)
-    half_length = np.linalg.norm(ends_mm[..., 1, :] - ends_mm[..., 0, :], axis=-1) / 2
-    half_mm = boxes.half_mm[:, None, None]
-    from_box = np.linalg.norm(middle - np.clip(middle, -half_mm, half_mm), axis=-1)
+    T = boxes.into
+    within = ends_mm @ T[:, None, None, :3, :3].swapaxes(-1, -2) + T[:, None, None, None, :3, 3]
+    middle = (within[..., 0, :] + within[..., 1, :]) / 2
+    half_length = _lengths(ends_mm[..., 1, :] - ends_mm[..., 0, :]) / 2
+    from_box = _lengths(_outside(middle, boxes.half_mm[:, None, None]))
     found = from_box - half_length - radius_mm
     near = ~(found >= enough_mm)
     if not near.any():
@@ -147,10 +151,15 @@ def segment_to_box_mm(ends_mm: Array, half_mm: Array) -> Array:
     share = np.where((low < 0.0) & (high > 0.0), -low / np.where(high > low, high - low, 1.0), 1.0)
     nearest = knots[rows, before] + share * (knots[rows, after] - knots[rows, before])
     outside = _outside(start[:, 0] + nearest[:, None] * along[:, 0], half_mm)
-    distance: Array = np.linalg.norm(outside, axis=-1)
-    return distance
+    return _lengths(outside)
 
 
 def _outside(points: Array, half: Array) -> Array:
     """Return by how much each coordinate is beyond the box's faces."""
-    return points - np.clip(points, -half, half)
+    return points - np.minimum(np.maximum(points, -half), half)
+
+
+def _lengths(vectors: Array) -> Array:
+    """Return the lengths (...) of vectors (..., 3)."""
+    lengths: Array = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
+    return lengths

@@ -16,7 +16,9 @@ SMALL_RAD = 1e-4  # below, series in the angle: their next term is beyond a doub
 def from_zyx(angles_deg: ArrayLike) -> Array:
     """Return Rz(A) Ry(B) Rx(C) (..., 3, 3) of angles A, B, C (..., 3)."""
     angles_rad = np.radians(np.asarray(angles_deg, dtype=float))
-    (sa, sb, sc), (ca, cb, cc) = (np.moveaxis(f(angles_rad), -1, 0) for f in (np.sin, np.cos))
+    sines, cosines = np.sin(angles_rad), np.cos(angles_rad)
+    sa, sb, sc = sines[..., 0], sines[..., 1], sines[..., 2]
+    ca, cb, cc = cosines[..., 0], cosines[..., 1], cosines[..., 2]
     R = np.empty((*angles_rad.shape, 3))
     R[..., 0, 0], R[..., 0, 1], R[..., 0, 2] = (
         ca * cb,

@@ -58,6 +58,7 @@ class CellSession(RunContext):
         self._strip = StripGuard(self, self._motion, ask)
         self._stations = StationGuard(self, self._motion, self._guard, self._held_point)
         self._arm = cell.robot.arm()
+        self._parked_mm = forward(self._arm, np.radians(cell.robot.safe_deg))[:3, 3]  # in {B}
 
     # -- motions ------------------------------------------------------------------------------
 
@@ -300,5 +301,5 @@ class CellSession(RunContext):
 
     def _parked_flange_mm(self, T_W_B: Array) -> Array:
         """Return where the flange's reflector (3,) is in {W} with the robot at its safe pose."""
-        at_mm: Array = (T_W_B @ forward(self._arm, np.radians(self.cell.robot.safe_deg)))[:3, 3]
+        at_mm: Array = apply(T_W_B, self._parked_mm[None])[0]
         return at_mm
