@@ -66,11 +66,13 @@ class Entry:
 def catalogue() -> Mapping[str, Entry]:
     """Return all entries by their codes; raises `CatalogueError`."""
     entries: dict[str, Entry] = {}
+    owners: dict[str, str] = {}
     for package in packages():
         for entry in entries_of(package):
             if entry.code in entries:
-                raise CatalogueError(f"alarms of {package}: {entry.code} is there already")
-            entries[entry.code] = entry
+                there = f"{entry.code} is there already, in {owners[entry.code]}"
+                raise CatalogueError(f"alarms of {package}: {there}; give one another code")
+            entries[entry.code], owners[entry.code] = entry, package
     return entries
 
 
@@ -89,11 +91,21 @@ def entries_of(package: str) -> list[Entry]:
     import msgspec
 
     try:
-        files = (each for each in resources.files(package).iterdir() if each.name.endswith(".toml"))
-        pages = [tomllib.loads(file.read_text("utf-8")) for file in files]
-        return [msgspec.convert(row, Entry) for page in pages for row in page["alarm"]]
-    except (ImportError, OSError, ValueError, KeyError) as error:
+        files = [each for each in resources.files(package).iterdir() if each.name.endswith(".toml")]
+    except (ImportError, OSError) as error:
         raise CatalogueError(f"alarms of {package} cannot be read: {error}") from error
+    found: list[Entry] = []
+    for file in files:
+        where = file.name
+        try:
+            for n, row in enumerate(tomllib.loads(file.read_text("utf-8"))["alarm"], start=1):
+                where = f"{file.name}, alarm {n}"
+                found.append(msgspec.convert(row, Entry))
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            problem = f"no {error}" if isinstance(error, KeyError) else str(error)
+            reason = f"cannot be read: {where}: {problem}"
+            raise CatalogueError(f"alarms of {package} {reason}") from error
+    return found
 
 
 def entry_of(code: str, device: str = "") -> Entry:

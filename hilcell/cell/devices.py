@@ -31,12 +31,14 @@ from hilcell.ports import (
 )
 
 TABLES = (("rail", "rails"), ("robot", "robots"), ("tracker", "trackers"))
+PORTS: Mapping[str, type] = {"rails": Rail, "robots": Robot, "trackers": Tracker}
 
 
 def load_entry(group: str, name: str) -> Any:
     """Return the object of the entry point ``name`` of ``hilcell.<group>``.
 
-    Raises `SettingsError` where it is not installed, cannot be loaded, or two packages have it.
+    Raises `SettingsError` where it is not installed, cannot be loaded, two packages have it, or a
+    driver lacks a part of its port.
     """
     entries = _installed(group, tuple(sys.path))
     found = {entry.value: entry for entry in entries if entry.name == name}
@@ -48,9 +50,30 @@ def load_entry(group: str, name: str) -> Any:
         both = " and ".join(sorted(found))
         raise SettingsError(group, [f"{name!r} is installed as {both}; uninstall all but one"])
     try:
-        return found.popitem()[1].load()
+        loaded = found.popitem()[1].load()
     except (ImportError, AttributeError) as error:
         raise SettingsError(group, [f"{name!r} cannot be loaded: {error}"]) from error
+    except Exception as error:
+        found_error = f"{type(error).__name__}: {error}"
+        raise SettingsError(group, [f"{name!r} cannot be loaded: {found_error}"]) from error
+    if missing := _missing(loaded, PORTS[group]) if group in PORTS else []:
+        found_missing = f"{name!r} is no driver: it has no {', '.join(missing)}"
+        raise SettingsError(group, [f"{found_missing}; see hilcell.ports.{PORTS[group].__name__}"])
+    return loaded
+
+
+def _missing(kind: Any, port: type) -> list[str]:
+    """Return the parts of a port that a driver's class does not have."""
+    options = getattr(kind, "Options", None)
+    typed = isinstance(options, type) and issubclass(options, msgspec.Struct)
+    methods = [name for name in vars(port) if not name.startswith("_")]
+    lacking = [name for name in methods if not callable(getattr(kind, name, None))]
+    return ([] if typed else ["Options (a msgspec.Struct)"]) + lacking
+
+
+def installed_drivers() -> dict[str, list[str]]:
+    """Return the names of the drivers that are installed, by group."""
+    return {group: sorted(_installed(group, tuple(sys.path)).names) for group in PORTS}
 
 
 @cache

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hilcell.cell.addresses import THIS_MACHINE
-from hilcell.cell.devices import check_options, device_places
+from hilcell.cell.devices import check_options, device_places, installed_drivers, load_entry
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commands import this_pc
@@ -55,6 +55,7 @@ def _of_this_pc(runs: Path) -> Iterator[Finding]:
     yield this_pc.pace()
     yield this_pc.browser()
     yield _keys()
+    yield _drivers()
 
 
 def _keys() -> Finding:
@@ -64,6 +65,21 @@ def _keys() -> Finding:
         return Finding("keys", "wrong", str(error), f"mend {default_file()}")
     file = default_file()
     return Finding("keys", "ok", str(file) if file.exists() else "as delivered")
+
+
+def _drivers() -> Finding:
+    """Load every driver that is installed, also those of packages beside hilcell."""
+    installed, problems = installed_drivers(), list[str]()
+    for group, names in installed.items():
+        for name in names:
+            try:
+                load_entry(group, name)
+            except SettingsError as error:
+                problems += [f"{group}: {line}" for line in error.problems]
+    if problems:
+        return Finding("drivers", "warning", "; ".join(problems), "mend or uninstall its package")
+    found = "; ".join(f"{group} {', '.join(names)}" for group, names in installed.items())
+    return Finding("drivers", "ok", found)
 
 
 def _of_cell(where: str, overrides: dict[str, str]) -> Iterator[Finding]:

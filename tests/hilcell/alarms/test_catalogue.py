@@ -93,8 +93,10 @@ def test_codes_of_another_form_are_a_chapter_of_the_page(plant: Path) -> None:
 
 def test_a_code_is_nobody_s_twice(plant: Path) -> None:
     (plant / "tracker.toml").write_text(ROW.format("HC-T10"))
-    with pytest.raises(CatalogueError, match="alarms of plant_alarms: HC-T10 is there already"):
+    with pytest.raises(CatalogueError) as caught:
         catalogue()
+    there = "HC-T10 is there already, in drivers.alarms; give one another code"
+    assert str(caught.value) == f"alarms of plant_alarms: {there}"
 
 
 @pytest.mark.parametrize(
@@ -110,6 +112,13 @@ def test_a_code_is_nobody_s_twice(plant: Path) -> None:
 def test_a_catalogue_that_cannot_be_read_says_whose_it_is(plant: Path, text: str) -> None:
     (plant / "tracker.toml").write_text(text)
     with pytest.raises(CatalogueError, match="alarms of plant_alarms cannot be read: "):
+        catalogue()
+
+
+def test_an_entry_that_cannot_be_read_is_named(plant: Path) -> None:
+    row = ROW.format("LINE-8").replace("title", "titel")
+    (plant / "tracker.toml").write_text(ROW.format("LINE-7") + row)
+    with pytest.raises(CatalogueError, match=r"read: tracker\.toml, alarm 2: .* field `title`"):
         catalogue()
 
 

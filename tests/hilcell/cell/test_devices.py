@@ -1,11 +1,15 @@
 """A driver's options: the table's values are handed on, and stand in the file once."""
 
+import sys
+from pathlib import Path
+
 import msgspec
 import pytest
 
 from hilcell.cell.devices import abilities, check_options, driver_options
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
+from tests.hilcell.cell.packages import install
 from tests.whole.bench import command
 
 
@@ -29,6 +33,64 @@ def test_options_may_not_state_again_what_the_table_states() -> None:
     assert typo == 'rail.options: bitrat: unknown key; did you mean "bitrate"?'
     assert "smr_mm: [0.0, 0.0, 0.0] here, but robot.smr_mm is (98.0, 0.0, 127.0)" in robot
     assert "max_std_mm: 0.5 here, but tracker.max_std_mm is 0.05" in tracker
+
+
+WHOLE = """
+import msgspec
+
+class Robot:
+    class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+        host: str
+        lever_mm: float = 1.0
+
+    def __init__(self, options, clock): ...
+    def connect(self): ...
+    def move_to(self, joints_rad, speed_percent): ...
+    def read(self): ...
+    def stop(self): ...
+    def close(self): ...
+
+def serve(site, port): ...
+"""
+ENTRIES = "[hilcell.robots]\nmine = {0}:Robot\n[hilcell.simulated_robots]\nmine = {0}:serve\n"
+
+
+@pytest.mark.parametrize(
+    ("broken", "found"),
+    [
+        (("import msgspec", "import nosuchpackage"), "cannot be loaded: No module named 'nosuch"),
+        (("class Robot", "class Robots"), "cannot be loaded: module 'plant_0' has no attribute"),
+        (("import msgspec", "import msgspec\nnosuch"), "cannot be loaded: NameError: name 'nosuch"),
+        (("def serve(", "def ("), "cannot be loaded: SyntaxError: invalid syntax"),
+        (("def stop", "def halt"), "is no driver: it has no stop; see hilcell.ports.Robot"),
+        (("class Options", "class Option"), "no driver: it has no Options (a msgspec.Struct); see"),
+        (("(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)", ""), "no Opt"),
+        (("lever_mm: float = 1.0", "lever_mm: float"), "robot.options: lever_mm: missing"),
+    ],
+)
+def test_a_driver_that_is_broken_is_refused_with_its_cause(
+    broken: tuple[str, str],
+    found: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    request: pytest.FixtureRequest,
+) -> None:
+    install(tmp_path, ENTRIES.format("plant_0"), plant_0=WHOLE.replace(*broken))
+    monkeypatch.syspath_prepend(tmp_path)
+    request.addfinalizer(lambda: sys.modules.pop("plant_0", None))
+    cell = load_cell("paper", {"robot.driver": "mine"})
+    with pytest.raises(SettingsError) as caught:
+        check_options(cell)
+    assert found in caught.value.problems[0]
+
+
+def test_a_whole_driver_is_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    install(tmp_path, ENTRIES.format("plant_0"), plant_0=WHOLE)
+    monkeypatch.syspath_prepend(tmp_path)
+    request.addfinalizer(lambda: sys.modules.pop("plant_0", None))
+    check_options(load_cell("paper", {"robot.driver": "mine"}))
 
 
 def test_a_simulator_says_where_its_devices_listen() -> None:

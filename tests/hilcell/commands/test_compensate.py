@@ -22,6 +22,7 @@ from hilcell.compensation.stamp import COLUMN, Stamp
 from hilcell.compensation.targets import HEADER, write_targets
 from hilcell.geometry.frames import apply, inverse
 from tests.hilcell.calibration.calibrations import LIMITS, T_W_B, calibration
+from tests.hilcell.cell.packages import install
 from tests.hilcell.commands.workplace import Workplace, read_corrected
 from tests.hilcell.compensation.models import level
 
@@ -344,20 +345,14 @@ def load(path):
 '''
 
 
-def install(site: Path, name: str, entry: str) -> None:
-    """Put the metadata of an installed package with one format of programs into ``site``."""
-    package = site / f"{name}-1.dist-info"
-    package.mkdir(parents=True)
-    (package / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n")
-    (package / "entry_points.txt").write_text(f"[hilcell.programs]\nposes = {entry}\n")
+FORMAT = "[hilcell.programs]\nposes = {}\n"
 
 
 @pytest.fixture
 def plant(desk: Workplace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Workplace]:
     """Yield the desk with a second make's program; its format is an installed package's."""
     site = tmp_path / "site"
-    install(site, "plant_poses", "plant_poses:load")
-    (site / "plant_poses.py").write_text(PLANT)
+    install(site, FORMAT.format("plant_poses:load"), plant_poses=PLANT)
     monkeypatch.syspath_prepend(site)
     desk.source, desk.out = tmp_path / "drill.POSES", tmp_path / "out.poses"
     desk.source.write_text("H1 0 0 1200 0 75 0\nH2 0 50 1250 0 75 0\n")
@@ -424,7 +419,7 @@ def test_a_second_make_refuses_in_its_own_words(
 def test_of_two_formats_of_one_suffix_none_is_chosen(
     plant: Workplace, capsys: pytest.CaptureFixture[str], entry: str, part: str
 ) -> None:
-    install(plant.folder / "site", "other_poses", entry)
+    install(plant.folder / "site", FORMAT.format(entry), "other_poses")
     invalidate_caches()
     assert plant.compensate() == (2 if part else 0)
     assert part in capsys.readouterr().err

@@ -19,6 +19,7 @@ from hilcell.cell.addresses import THIS_MACHINE, places
 from hilcell.commands import doctor, this_pc
 from hilcell.commands.cli import main
 from hilcell.run.cell_lock import lock_of_device, locked
+from tests.hilcell.cell.packages import install
 
 
 @pytest.fixture(autouse=True)
@@ -32,7 +33,8 @@ def test_a_sound_pc_is_found_sound(capsys: pytest.CaptureFixture[str], tmp_path:
     states = {each["check"]: each["state"] for each in found["checks"]}
     assert found["ok"] is (code == 0) is ("wrong" not in states.values())
     assert states["python"] == states["ports"] == states["disk"] == states["cell"] == "ok"
-    assert len(states) == 12
+    assert states["drivers"] == "ok"
+    assert len(states) == 13
 
 
 def test_every_act_is_shown(
@@ -49,6 +51,16 @@ def test_a_missing_package_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(this_pc, "requires", lambda _: ["numpy>=2.0", "nosuchpackage<6,>=5"])
     found = this_pc.python()
     assert (found.state, found.found.rpartition(" ")[2]) == ("wrong", "nosuchpackage")
+
+
+def test_a_driver_that_cannot_be_loaded_is_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    install(tmp_path, "[hilcell.robots]\nmine = nosuchpackage.robot:Robot\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    found = {each.check: each for each in doctor._of_this_pc(tmp_path)}["drivers"]
+    assert found.state == "warning"
+    assert found.found == "robots: 'mine' cannot be loaded: No module named 'nosuchpackage'"
 
 
 def test_an_older_python_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
