@@ -1,35 +1,51 @@
 """The messages of a wire: their ends, and the parts of them that only number an exchange.
 
-A dialect splits the bytes that a driver has sent into messages, and names each: messages of one
-name ask the same. ``answer`` puts the number of a new question in the place of the recorded one's.
+A dialect splits the bytes of both ways into messages, and names those of the driver: messages of
+one name ask the same. ``answer`` puts the number of a new question in the place of the recorded
+one's.
+
+The dialects of a device are found by its driver's name among the entry points
+``hilcell.wire_dialects``: a function that returns them by the names of its wires. A wire of plain
+lines needs none.
 """
 
 from __future__ import annotations
 
 import re
 import struct
-from dataclasses import dataclass
+from collections.abc import Mapping
+from importlib.metadata import entry_points
 
+from hilcell.cell.devices import load_entry
+
+_LINE_END = re.compile(rb"(?<=\n)|(?<=\r)(?!\n)")
 _GEOCOM = re.compile(rb"(%R1[QP],\d+,)(\d+)(:)")
 _HEARTBEAT = re.compile(rb"t7[0-7][0-9A-F]")
+_STRIP = re.compile(rb"[Aa][0-9]|[^Aa]")
+GROUP = "wire_dialects"
 
 
-@dataclass(frozen=True, slots=True)
 class Dialect:
-    """Lines by default: each ends with CR or LF."""
+    """Lines: each ends with CR or LF."""
+
+    flows = False  # whether answers come by themselves, at a rate
 
     def split(self, data: bytes) -> tuple[list[bytes], bytes]:
         """Return the whole messages, and the rest."""
-        *whole, rest = re.split(rb"(?<=[\r\n])", data) if data else [b""]
-        return [line for line in whole if line.strip()], rest
+        *whole, rest = _LINE_END.split(data)
+        return whole, rest
+
+    def split_questions(self, data: bytes) -> tuple[list[bytes], bytes]:
+        """Do the same with those of the driver."""
+        return self.split(data)
 
     def name(self, message: bytes) -> bytes:
         """Return what a message asks."""
-        return message
+        return message.strip()
 
     def unheard(self, message: bytes) -> bool:
         """Whether a message has no part in any exchange."""
-        return False
+        return not message.strip()
 
     def belongs(self, answer: bytes, asked: bytes) -> bool:
         """Whether a message may be an answer to a question."""
@@ -39,13 +55,20 @@ class Dialect:
         """Return the recorded answer as one to this question."""
         return answer
 
+    def heard(self, asked: bytes, recorded: bytes) -> None:
+        """Take note of a question that was asked in the place of the recorded one."""
+
+    def repeats(self, answer: bytes) -> bool:
+        """Whether an answer comes by itself again and again, until there is a next one."""
+        return False
+
 
 class Slcan(Dialect):
     """CAN frames as lines; a heartbeat asks nothing."""
 
     def unheard(self, message: bytes) -> bool:
         """Whether it is a heartbeat."""
-        return _HEARTBEAT.match(message) is not None
+        return _HEARTBEAT.match(message) is not None or super().unheard(message)
 
 
 class GeoCom(Dialect):
@@ -53,7 +76,7 @@ class GeoCom(Dialect):
 
     def name(self, message: bytes) -> bytes:
         """Return the line without its number."""
-        return _GEOCOM.sub(rb"\1\3", message)
+        return _GEOCOM.sub(rb"\1\3", message.strip())
 
     def answer(self, asked: bytes, recorded: bytes, answer: bytes) -> bytes:
         """Return the answer with the number of this question."""
@@ -61,25 +84,41 @@ class GeoCom(Dialect):
         return answer if number is None else _GEOCOM.sub(rb"\g<1>" + number[2] + rb"\3", answer)
 
 
-@dataclass(frozen=True, slots=True)
-class Sized(Dialect):
-    """Binary messages that state their size at ``at``; ``more`` bytes are not counted in it."""
+class StripLine(Dialect):
+    """Commands of one letter, with a figure after A, and without an end; answers are lines."""
 
-    layout: str
-    at: int
-    more: int
+    def split_questions(self, data: bytes) -> tuple[list[bytes], bytes]:
+        """Return the whole commands, and the rest."""
+        commands = _STRIP.findall(data)
+        return commands, data[sum(map(len, commands)) :]
+
+
+class Sized(Dialect):
+    """Binary messages that state their size."""
+
+    def __init__(self, layout: str, at: int, more: int) -> None:
+        """The size is at byte ``at``, in ``layout``; ``more`` bytes are not counted in it."""
+        self._layout, self._at, self._more = struct.Struct(layout), at, more
 
     def split(self, data: bytes) -> tuple[list[bytes], bytes]:
         """Return the whole messages, and the rest."""
         messages = []
-        head = self.at + struct.calcsize(self.layout)
+        head = self._at + self._layout.size
         while len(data) >= head:
-            size = struct.unpack_from(self.layout, data, self.at)[0] + self.more
+            size = self._layout.unpack_from(data, self._at)[0] + self._more
             if not head <= size <= len(data):
                 break
             messages.append(data[:size])
             data = data[size:]
         return messages, data
+
+    def name(self, message: bytes) -> bytes:
+        """Return the whole message."""
+        return message
+
+    def unheard(self, message: bytes) -> bool:
+        """Whether it has no part in any exchange: each has."""
+        return False
 
 
 class C3(Sized):
@@ -98,9 +137,34 @@ class C3(Sized):
         return asked[:2] + answer[2:]
 
 
-DIALECTS: dict[str, Dialect] = {
-    "canopen": Slcan(),
-    "kuka-c3": C3(">H", 2, 4),
-    "leica-emscon": Sized("<I", 0, 0),
-    "leica-geocom": GeoCom(),
-}
+def dialects_of(driver: str) -> Mapping[str, Dialect]:
+    """Return the dialects of a driver's wires that are no plain lines, by their names."""
+    if driver not in entry_points(group=f"hilcell.{GROUP}").names:
+        return {}
+    found: Mapping[str, Dialect] = load_entry(GROUP, driver)()
+    return found
+
+
+def canopen() -> dict[str, Dialect]:
+    """Return the dialects of a rail with a drive on a CAN bus behind a gateway."""
+    return {"": Slcan(), "strip": StripLine()}
+
+
+def kuka_e1() -> dict[str, Dialect]:
+    """Return the dialect of a rail's strip; its drive is reached over the robot's wire."""
+    return {"strip": StripLine()}
+
+
+def kuka_c3() -> dict[str, Dialect]:
+    """Return the dialect of a KUKA robot behind a C3 Bridge."""
+    return {"": C3(">H", 2, 4)}
+
+
+def leica_emscon() -> dict[str, Dialect]:
+    """Return the dialect of an emScon tracker."""
+    return {"": Sized("<I", 0, 0)}
+
+
+def leica_geocom() -> dict[str, Dialect]:
+    """Return the dialect of a Leica total station."""
+    return {"": GeoCom()}

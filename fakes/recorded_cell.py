@@ -12,13 +12,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from threading import Event
 
-from fakes.dialects import DIALECTS, Dialect
+import msgspec
+
+from fakes.dialects import Dialect, dialects_of
+from fakes.event_time import EventTime
 from fakes.recorded_wire import RecordedWire
-from hilcell.cell.devices import TABLES, load_entry
+from hilcell.cell.devices import TABLES, driver_options, stand_ins
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.ports import Stopped
-from hilcell.wire.recording import SUFFIX, read_recording
+from hilcell.wire.recording import SUFFIX, read_recording, recordings
+from hilcell.wire.wires import addressed
 
 NO_PORTS: Mapping[str, int] = {}
 
@@ -38,26 +42,30 @@ class RecordedCell:
         self.options: dict[str, dict[str, object]] = {}
         self.address = ""
         self._wires: list[RecordedWire] = []
+        time, channels = EventTime(), dict[str, dict[str, str]]()
+        dialects = {table: dialects_of(getattr(cell, table).driver) for table, _group in TABLES}
+        for name, path in recordings(_folder(cell)).items():
+            table, _dot, wire = name.partition(".")
+            dialect = dialects[table].get(wire, Dialect())
+            self._wires.append(RecordedWire(read_recording(path), dialect, time))
+            channels.setdefault(table, {})[wire] = self._wires[-1].channel
+        for each in self._wires:
+            each.start()
+        self._address(cell, channels)
+
+    def _address(self, cell: Cell, channels: Mapping[str, Mapping[str, str]]) -> None:
+        """Let the drivers find the recorded wires."""
+        anywhere = stand_ins(cell)
         for table, group in TABLES:
-            path = _folder(cell) / f"{table}{SUFFIX}"
-            if not path.exists():
-                continue
-            driver = getattr(cell, table).driver
-            wire = RecordedWire(read_recording(path), DIALECTS.get(driver, Dialect()))
-            wire.start()
-            self._wires.append(wire)
-            host, port = wire.host_and_port
-            known = load_entry(group, driver).Options.__struct_fields__
-            place: dict[str, object] = {"host": host, "port": port}
-            if "host" not in known:
-                place = {"channel": f"socket://{host}:{port}"}
-            self.options[table] = place
+            if table in channels:
+                _, options = driver_options(cell, table, group, anywhere[table])
+                self.options[table] = addressed(msgspec.to_builtins(options), channels[table])
 
     @classmethod
     def check(cls, cell: Cell) -> None:
         """Refuse a folder without recordings; raises `SettingsError`."""
         folder = _folder(cell)
-        if not any(folder.glob(f"*{SUFFIX}")):
+        if not recordings(folder):
             raise SettingsError(
                 "simulation.data",
                 [f"{folder}: no recording (*{SUFFIX}) there; make one with `run --record-wire`"],

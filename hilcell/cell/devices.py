@@ -213,10 +213,10 @@ def check_options(cell: Cell) -> None:
     Raises `SettingsError` with all problems.
     """
     problems: list[str] = []
-    stand_ins = {} if cell.simulation is None else _stand_ins(cell)
+    anywhere = {} if cell.simulation is None else stand_ins(cell)
     for table, group in TABLES:
         try:
-            driver_options(cell, table, group, stand_ins.get(table, {}))
+            driver_options(cell, table, group, anywhere.get(table, {}))
         except SettingsError as error:
             key = "driver" if error.source == group else "options"
             problems += [f"{table}.{key}: {line}" for line in error.problems]
@@ -231,7 +231,7 @@ def check_options(cell: Cell) -> None:
         problems += _riding_problems(cell)
         problems += [
             f"{' and '.join(tables)} share the address {place}; give each its own"
-            for place, tables in device_places(cell, stand_ins).items()
+            for place, tables in device_places(cell, anywhere).items()
             if len(tables) > 1
         ]
     try:
@@ -256,7 +256,7 @@ def _riding_problems(cell: Cell) -> list[str]:
     return [problem]
 
 
-def _stand_ins(cell: Cell) -> dict[str, dict[str, object]]:
+def stand_ins(cell: Cell) -> dict[str, dict[str, object]]:
     """Return a place for each device that the file gives none: a simulated cell fills it in."""
     found: dict[str, dict[str, object]] = {}
     for n, (table, group) in enumerate(TABLES, start=1):

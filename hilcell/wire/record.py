@@ -13,9 +13,9 @@ import msgspec
 from hilcell.cell.devices import TABLES, driver_options
 from hilcell.cell.file import Cell
 from hilcell.errors import HilcellError
-from hilcell.wire.channel import SerialLine, Socket, parse_channel
-from hilcell.wire.recording import SUFFIX
+from hilcell.wire.recording import SUFFIX, recordings
 from hilcell.wire.relay import WireOrder
+from hilcell.wire.wires import addressed, is_can_interface, joined, wires_of
 
 Addresses = Mapping[str, Mapping[str, object]]
 END_S = 5.0
@@ -30,27 +30,33 @@ class WireRecording:
     def __init__(self, cell: Cell, addresses: Addresses, folder: Path) -> None:
         """Start the relay; raises `HilcellError` where it cannot reach a serial line."""
         self.left_out: dict[str, str] = {}
-        orders: dict[str, WireOrder] = {}
+        folder = _unused(folder)
         stated: dict[str, dict[str, object]] = {}
+        orders: list[WireOrder] = []
         for table, group in TABLES:
             _, options = driver_options(cell, table, group, addresses.get(table, {}))
             stated[table] = msgspec.to_builtins(options)
-            try:
-                place = _place(stated[table])
-            except ValueError as error:
-                self.left_out[table] = str(error)
-                continue
-            if place is not None:
-                orders[table] = _order(table, place, folder)
+            for wire, place in wires_of(stated[table]).items():
+                name = joined(table, wire)
+                orders.append(WireOrder.of(name, folder / f"{name}{SUFFIX}", place))
+            if is_can_interface(stated[table]):
+                channel = stated[table]["channel"]
+                self.left_out[table] = (
+                    f"{channel} is a CAN interface: record it with `candump -l {channel}`"
+                )
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "hilcell.wire"],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
             start_new_session=True,
         )  # fmt: skip
-        channels = self._channels(list(orders.values()))
-        self.addresses = {table: dict(each) for table, each in addresses.items()}
-        for table, channel in channels.items():
-            self.addresses.setdefault(table, {}).update(_address(stated[table], channel))
+        channels: dict[str, dict[str, str]] = {table: {} for table in stated}
+        for name, channel in self._channels(orders).items():
+            table, _, wire = name.partition(".")
+            channels[table][wire] = channel
+        self.addresses = {
+            table: dict(addresses.get(table, {})) | addressed(stated[table], found)
+            for table, found in channels.items()
+        }
 
     def close(self) -> None:
         """End the relay."""
@@ -72,29 +78,11 @@ class WireRecording:
         return msgspec.json.decode(line, type=dict[str, str])
 
 
-def _place(options: Mapping[str, object]) -> Socket | SerialLine | None:
-    """Return where a driver's options lead, None for no wire at all.
-
-    Raises `ValueError` for a wire of another kind.
-    """
-    host, port, channel = (options.get(key) for key in ("host", "port", "channel"))
-    if isinstance(host, str) and isinstance(port, int):
-        return Socket(host, port)
-    if options.get("interface") == "socketcan":
-        raise ValueError(f"{channel} is a CAN interface: record it with `candump -l {channel}`")
-    return parse_channel(channel) if isinstance(channel, str) else None
-
-
-def _order(table: str, place: Socket | SerialLine, folder: Path) -> WireOrder:
-    file = str(folder / f"{table}{SUFFIX}")
-    if isinstance(place, Socket):
-        return WireOrder(table, file, host=place.host, port=place.port)
-    return WireOrder(table, file, path=place.path, baud=place.baud)
-
-
-def _address(options: Mapping[str, object], channel: str) -> dict[str, object]:
-    """Return a channel in the words of a driver's options."""
-    place = parse_channel(channel)
-    if "host" in options and isinstance(place, Socket):
-        return {"host": place.host, "port": place.port}
-    return {"channel": channel}
+def _unused(folder: Path) -> Path:
+    """Return a folder without recordings: a run that is resumed has one of its own."""
+    found, number = folder, 1
+    while recordings(found):
+        number += 1
+        found = folder / f"wires-{number}"
+    found.mkdir(exist_ok=True)
+    return found

@@ -1,23 +1,27 @@
 """Recordings of a device's wire: JSON lines, one for each piece of bytes, with its time.
 
-``{"t": 1.234567, "c": 1, "e": ">", "b": "0100000e.."}``: seconds since the recording began, the
-number of the connection, what happened, and the bytes in hex. ``>`` went to the device, ``<`` came
-from it; ``open``, ``end`` (by the driver), ``lost`` (by the device) and ``refused`` carry none.
+``{"t": 1.234567, "c": 1, "e": ">", "b": "0100000e..", "k": "9d3f0a51"}``: seconds since the
+recording of all wires began, the number of the connection, what happened, the bytes in hex, and the
+CRC-32 of all that. ``>`` went to the device, ``<`` came from it; ``open``, ``end`` (by the driver),
+``lost`` (by the device) and ``refused`` carry no bytes. A recording may be packed by ``xz``.
 """
 
 from __future__ import annotations
 
+import lzma
 import threading
 import time
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Literal
+from typing import IO, Literal, Self
 
 import msgspec
 
 from hilcell.cell.settings import SettingsError
 
 SUFFIX = ".wire.jsonl"
+PACKED = ".xz"
 Event = Literal["open", ">", "<", "end", "lost", "refused"]
 
 
@@ -28,6 +32,18 @@ class Piece(msgspec.Struct, frozen=True, omit_defaults=True):
     c: int
     e: Event
     b: str = ""
+    k: str = ""
+
+    @classmethod
+    def of(cls, t: float, c: int, e: Event, data: bytes = b"") -> Self:
+        """Return a piece with its check."""
+        piece = cls(t, c, e, data.hex())
+        return msgspec.structs.replace(piece, k=piece.check)
+
+    @property
+    def check(self) -> str:
+        """Return what ``k`` has to be."""
+        return f"{zlib.crc32(msgspec.json.encode((self.t, self.c, self.e, self.b))):08x}"
 
     @property
     def data(self) -> bytes:
@@ -38,19 +54,20 @@ class Piece(msgspec.Struct, frozen=True, omit_defaults=True):
 class Recorder:
     """Writes one recording; safe to use from several threads. A full disk ends it, no wire."""
 
-    def __init__(self, file: IO[bytes]) -> None:
+    def __init__(self, file: IO[bytes], began_s: float) -> None:
+        """``began_s`` (monotonic) is when the recording of all wires began."""
         self._file: IO[bytes] | None = file
         self._lock = threading.Lock()
-        self._began_s = time.monotonic()
+        self._began_s = began_s
 
     def take(self, connection: int, event: Event, data: bytes = b"") -> None:
         """Write what happened."""
         with self._lock:
             if self._file is None:
                 return
-            piece = Piece(round(time.monotonic() - self._began_s, 6), connection, event, data.hex())
+            t = round(time.monotonic() - self._began_s, 6)
             try:
-                self._file.write(msgspec.json.encode(piece) + b"\n")
+                self._file.write(msgspec.json.encode(Piece.of(t, connection, event, data)) + b"\n")
                 self._file.flush()
             except OSError:
                 self._file = None
@@ -61,18 +78,28 @@ class Recorder:
             self._file = None
 
 
+def recordings(folder: Path) -> dict[str, Path]:
+    """Return the recordings in a folder by the names of their wires."""
+    paths = [path for end in ("", PACKED) for path in folder.glob(f"*{SUFFIX}{end}")]
+    return {path.name.partition(SUFFIX)[0]: path for path in sorted(paths)}
+
+
 def read_recording(path: Path) -> list[Piece]:
     """Return the pieces of a recording; a last line that was cut off is left out.
 
     Raises `SettingsError`.
     """
     try:
-        return list(_pieces(path.read_bytes()))
-    except (OSError, msgspec.DecodeError, ValueError) as error:
+        data = path.read_bytes()
+        return list(_pieces(lzma.decompress(data) if path.suffix == PACKED else data))
+    except (OSError, lzma.LZMAError, msgspec.DecodeError, ValueError) as error:
         raise SettingsError(str(path), [f"no recording of a wire: {error}"]) from error
 
 
 def _pieces(text: bytes) -> Iterator[Piece]:
     whole, _, _ = text.rpartition(b"\n")
-    for line in whole.splitlines():
-        yield msgspec.json.decode(line, type=Piece)
+    for number, line in enumerate(whole.splitlines(), 1):
+        piece = msgspec.json.decode(line, type=Piece)
+        if piece.k != piece.check:
+            raise ValueError(f"line {number} was changed: its check is {piece.k or 'missing'}")
+        yield piece

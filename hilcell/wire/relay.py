@@ -12,10 +12,12 @@ import pty
 import select
 import socket
 import threading
+import time
 import tty
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from typing import Self
 
 import msgspec
 import serial
@@ -29,14 +31,21 @@ CONNECT_S = 3.0
 
 
 class WireOrder(msgspec.Struct, frozen=True):
-    """One wire: where it leads, and the file of its recording."""
+    """One wire: its name, where it leads, and the file of its recording."""
 
-    device: str
+    wire: str
     file: str
     host: str = ""
     port: int = 0
     path: str = ""
     baud: int = 0
+
+    @classmethod
+    def of(cls, wire: str, file: Path, place: Socket | SerialLine) -> Self:
+        """Return the order for a wire that leads to a place."""
+        if isinstance(place, Socket):
+            return cls(wire, str(file), host=place.host, port=place.port)
+        return cls(wire, str(file), path=place.path, baud=place.baud)
 
     @property
     def place(self) -> Socket | SerialLine:
@@ -128,14 +137,15 @@ class SerialRelay:
 
 
 def serve(orders: list[WireOrder], until_ended: Callable[[dict[str, str]], None]) -> None:
-    """Relay wires until ``until_ended`` returns; it is handed the channels by device."""
+    """Relay wires until ``until_ended`` returns; it is handed the channels by name."""
     with ExitStack() as stack:
         channels: dict[str, str] = {}
+        began_s = time.monotonic()  # of all recordings
         for order in orders:
             file = stack.enter_context(Path(order.file).open("ab"))
-            place, recorder = order.place, Recorder(file)
+            place, recorder = order.place, Recorder(file, began_s)
             if isinstance(place, Socket):
-                channels[order.device] = SocketRelay(place, recorder).channel
+                channels[order.wire] = SocketRelay(place, recorder).channel
             else:
-                channels[order.device] = SerialRelay(place, recorder).channel
+                channels[order.wire] = SerialRelay(place, recorder).channel
         until_ended(channels)

@@ -1,84 +1,215 @@
 """A recorded wire is a device: a run repeats from its recording alone.
 
-A driver that asks otherwise than before needs new recordings to be kept:
+`tests/wires` keeps a recording of each driver with its simulated device, and what the recorded run
+has journalled. A driver that asks otherwise than before needs new ones:
 
     HILCELL_RECORDINGS=write pytest tests/whole/test_record_wire.py
 """
 
 from __future__ import annotations
 
+import json
+import lzma
 import os
 import pty
+import re
 import shutil
 import socket
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
 
-from fakes.dialects import DIALECTS, Dialect
-from fakes.recorded_wire import Exchange, Script, exchanges
+from fakes.dialects import Dialect, dialects_of
+from fakes.event_time import EventTime
+from fakes.recorded_wire import Exchange, Script, exchanges, landmarks
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.journal.runs import read_log
 from hilcell.wire.channel import SerialLine, Socket
 from hilcell.wire.record import WireRecording
-from hilcell.wire.recording import SUFFIX, Piece, Recorder, read_recording
+from hilcell.wire.recording import PACKED, SUFFIX, Piece, Recorder, read_recording, recordings
 from hilcell.wire.relay import SerialRelay, SocketRelay
-from tests.whole.bench import command
+from tests.whole.bench import command, sets
 
 SWITCH = "HILCELL_RECORDINGS"
 KEPT = Path(__file__).parent.parent / "wires"
-SMALL = ["--unattended", "--set", "base_frame.points=4", "--set", "layout.nest_samples=2"]
-RECORDED = ["--set", "simulation.simulator=recorded"]
+FACTS = "facts.json"
+RESULT = bytes.fromhex("9c000000 02000000")
+SMALL = {"base_frame.points": "4", "layout.nest_samples": "2"}
+STRIP = '{driver = "serial", channel = "socket://127.0.0.1:1", counts_per_mm = 100.0}'
+PAIRS = {
+    "kuka-c3,leica-emscon,canopen": ["--cell", "paper"],
+    "kuka-c3,leica-emscon,kuka-e1": ["--cell", "paper", *sets({"rail.driver": "kuka-e1"})],
+    "kuka-eki,leica-geocom,kuka-e1": ["--cell", "paper", *sets({
+        "robot.driver": "kuka-eki", "tracker.driver": "leica-geocom", "rail.driver": "kuka-e1",
+    })],
+    "ur-rtde,leica-geocom,canopen-strip": [
+        "--cell", "lab", *sets({"rail.options.strip": STRIP})
+    ],
+}  # fmt: skip
+JOINT_DEG = 0.002  # a robot of Universal Robots dithers, and any of its states may be read
 
 
-def measured(folder: Path) -> dict[str, tuple[float, ...]]:
-    """Return the measured positions of a run by key."""
+def facts(folder: Path) -> dict[str, Any]:
+    """Return what a run has journalled: its devices, and its points by their keys."""
+    log = read_log(folder)
+    (connected,) = (r.body["devices"] for r in log.events if r.body["what"] == "connected")
+    devices = [{k: v for k, v in each.items() if k != "address"} for each in connected]
+    points = {
+        key: {
+            "xyz_mm": point.xyz_mm, "std_mm": point.std_mm, "samples": point.samples,
+            "rail_mm": point.rail_mm, "strip_mm": point.strip_mm,
+            "commanded_deg": point.commanded_deg, "temperature_c": point.temperature_c,
+        }
+        for key, point in log.points.items()
+    }  # fmt: skip
+    found: dict[str, Any] = json.loads(json.dumps({"devices": devices, "points": points}))
+    return found
+
+
+def joints_deg(folder: Path) -> list[float]:
+    """Return the joints of all points that the robot had a part in."""
     points = read_log(folder).points
-    return {key: point.xyz_mm for key, point in points.items()}
+    return [deg for point in points.values() for deg in point.joints_deg or ()]
 
 
-def repeat(recording: Path, runs: Path, name: str) -> int:
-    """Run again with a recording in place of the devices."""
-    words = [*SMALL, *RECORDED, "--set", f"simulation.data={recording}"]
-    return command("run", "base-frame", *words, "--runs", runs, "--name", name).returncode
+def record(words: list[str], runs: Path, name: str) -> Path:
+    """Run and record; return the folder of the run."""
+    wanted: list[str | Path] = [*words]
+    wanted += [*sets(SMALL), "--unattended", "--record-wire", "--runs", runs, "--name", name]
+    done = command("run", "base-frame", *wanted)
+    assert done.returncode == 0, done.stderr
+    return runs / name
+
+
+def repeat(words: list[str], recording: Path, runs: Path) -> tuple[int, Path]:
+    """Run again with a recording in place of the devices; return exit code and folder."""
+    replayed = {"simulation.simulator": "recorded", "simulation.data": str(recording)}
+    wanted: list[str | Path] = [*words, *sets(SMALL | replayed)]
+    wanted += ["--unattended", "--runs", runs, "--name", "again"]
+    return command("run", "base-frame", *wanted).returncode, runs / "again"
 
 
 def test_a_run_is_recorded_and_repeats_from_its_recording_alone(tmp_path: Path) -> None:
-    words: list[str | Path] = [*SMALL, "--record-wire", "--runs", tmp_path, "--name", "first"]
-    assert command("run", "base-frame", *words).returncode == 0
-    assert repeat(tmp_path / "first", tmp_path, "again") == 0
-    assert measured(tmp_path / "again") == measured(tmp_path / "first") != {}
+    words = PAIRS["kuka-c3,leica-emscon,canopen"]
+    first = record(words, tmp_path, "first")
+    code, again = repeat(words, first, tmp_path)
+    assert code == 0
+    assert facts(again) == facts(first)
+    assert joints_deg(again) == joints_deg(first) != []
 
 
-@pytest.mark.parametrize("name", sorted(path.name for path in KEPT.iterdir()))
-def test_a_kept_recording_repeats(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("pair", PAIRS)
+def test_a_kept_recording_repeats(pair: str, tmp_path: Path) -> None:
     if os.environ.get(SWITCH) == "write":
-        words: list[str | Path] = [*SMALL, "--record-wire", "--runs", tmp_path, "--name", "new"]
-        assert command("run", name, *words).returncode == 0
-        for path in (tmp_path / "new").glob(f"*{SUFFIX}"):
-            shutil.copy(path, KEPT / name)
-    assert repeat(KEPT / name, tmp_path, "kept") == 0
-    assert measured(tmp_path / "kept")
+        keep(record(PAIRS[pair], tmp_path, "new"), KEPT / pair)
+    code, again = repeat(PAIRS[pair], KEPT / pair, tmp_path)
+    assert code == 0
+    kept = json.loads((KEPT / pair / FACTS).read_bytes())
+    assert facts(again) == kept["facts"]
+    assert joints_deg(again) == pytest.approx(kept["joints_deg"], abs=JOINT_DEG)
+
+
+def keep(run: Path, folder: Path) -> None:
+    """Keep the recording of a run, packed, with its facts."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    for name, path in recordings(run).items():
+        packed = lzma.compress(path.read_bytes(), preset=9 | lzma.PRESET_EXTREME)
+        (folder / f"{name}{SUFFIX}{PACKED}").write_bytes(packed)
+    kept = {"facts": facts(run), "joints_deg": joints_deg(run)}
+    (folder / FACTS).write_text(json.dumps(kept, indent=1) + "\n", "utf-8")
+
+
+def test_every_shipped_driver_has_a_kept_recording() -> None:
+    kept = {driver for pair in PAIRS for driver in pair.removesuffix("-strip").split(",")}
+    assert kept == set().union(*(names_of(group) for group in ("robots", "trackers", "rails")))
+    assert {path.name for path in KEPT.iterdir()} == set(PAIRS)
+    assert sum(path.stat().st_size for path in KEPT.rglob("*") if path.is_file()) < 600_000
+
+
+def names_of(group: str) -> set[str]:
+    """Return the drivers of this package that have a wire."""
+    entries = entry_points(group=f"hilcell.{group}")
+    return {each.name for each in entries if each.value.startswith("drivers.")} - {"none"}
+
+
+def with_one_byte_changed(
+    kept: Path, folder: Path, wire: str, change: Callable[[bytes], bytes | None]
+) -> Path:
+    """Copy a recording in which the last answer that ``change`` wants is another one."""
+    folder.mkdir()
+    for name, path in recordings(kept).items():
+        pieces, changed = read_recording(path), name != wire
+        for n, piece in reversed(list(enumerate(pieces))):
+            if not changed and piece.e == "<" and (data := change(piece.data)) is not None:
+                pieces[n], changed = Piece.of(piece.t, piece.c, "<", data), True
+        assert changed
+        lines = [msgspec.json.encode(piece) + b"\n" for piece in pieces]
+        (folder / f"{name}{SUFFIX}").write_bytes(b"".join(lines))
+    return folder
+
+
+def last_digit(number: bytes) -> Callable[[bytes], bytes | None]:
+    """Return a change of the last digit of a number."""
+    other = number[:-1] + (b"1" if number[-1:] != b"1" else b"2")
+    return lambda data: data.replace(number, other) if number in data else None
+
+
+def result(data: bytes) -> bytes | None:
+    """Change the last bit of a coordinate of an emScon tracker's result."""
+    at = data.find(RESULT) + 20
+    return data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :] if 20 <= at < len(data) else None
+
+
+def distance(data: bytes) -> bytes | None:
+    """Change a digit of a total station's distance."""
+    line = re.fullmatch(rb"(%R1P,0,\d+:0,[\d.]+,[\d.]+,\d+\.\d\d)(\d)(.*\r\n)", data)
+    return None if line is None else line[1] + (b"1" if line[2] != b"1" else b"2") + line[3]
+
+
+CHANGES = [
+    ("kuka-c3,leica-emscon,canopen", "tracker", result),
+    ("kuka-c3,leica-emscon,kuka-e1", "rail.strip", last_digit(b"2014003")),
+    ("kuka-eki,leica-geocom,kuka-e1", "tracker", distance),
+    ("ur-rtde,leica-geocom,canopen-strip", "robot.dashboard", last_digit(b"20225500147")),
+]
+
+
+@pytest.mark.parametrize(("pair", "wire", "change"), CHANGES)
+def test_another_byte_on_a_wire_is_another_run(
+    pair: str, wire: str, change: Callable[[bytes], bytes | None], tmp_path: Path
+) -> None:
+    other = with_one_byte_changed(KEPT / pair, tmp_path / "other", wire, change)
+    code, again = repeat(PAIRS[pair], other, tmp_path)
+    kept = json.loads((KEPT / pair / FACTS).read_bytes())
+    assert code != 0 or facts(again) != kept["facts"]
 
 
 def test_a_recording_that_ends_early_is_a_device_that_hangs(tmp_path: Path) -> None:
     """The run ends as it would have ended there, by the alarm of a lost tracker."""
-    cut = tmp_path / "cut"
+    pair, cut = "kuka-c3,leica-emscon,canopen", tmp_path / "cut"
     cut.mkdir()
-    for path in (KEPT / "base-frame").iterdir():
-        lines = path.read_bytes().splitlines(keepends=True)
-        kept = len(lines) // 2 if path.name.startswith("tracker") else len(lines)
-        (cut / path.name).write_bytes(b"".join(lines[:kept]) + b'{"t":1.0,"c"')
-    assert repeat(cut, tmp_path, "cut-run") == 3
-    assert "Tracker" in str((read_log(tmp_path / "cut-run").end or {}).get("reason"))
+    for name, path in recordings(KEPT / pair).items():
+        lines = lzma.decompress(path.read_bytes()).splitlines(keepends=True)
+        kept = len(lines) // 2 if name == "tracker" else len(lines)
+        text = b"".join(lines[:kept]) + b'{"t":1.0,"c"'
+        (cut / f"{name}{SUFFIX}").write_bytes(text)
+    code, again = repeat(PAIRS[pair], cut, tmp_path)
+    assert code == 3
+    assert "Tracker" in str((read_log(again).end or {}).get("reason"))
 
 
 def test_a_folder_without_recordings_is_refused() -> None:
-    done = command("run", "home", *RECORDED, "--set", "simulation.data=/nowhere")
+    done = command(
+        "run", "home",
+        *sets({"simulation.simulator": "recorded", "simulation.data": "/nowhere"}),
+    )  # fmt: skip
     assert done.returncode == 2
     assert "make one with `run --record-wire`" in done.stderr
 
@@ -90,7 +221,7 @@ def test_a_folder_without_recordings_is_refused() -> None:
 def kept(tmp_path: Path) -> Iterator[tuple[Recorder, Path]]:
     path = tmp_path / f"robot{SUFFIX}"
     with path.open("ab") as file:
-        recorder = Recorder(file)
+        recorder = Recorder(file, 0.0)
         yield recorder, path
         recorder.close()
 
@@ -164,23 +295,93 @@ def test_a_can_interface_is_left_out_with_its_reason(tmp_path: Path) -> None:
 
 
 def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "x"
-    path.write_text('{"t": 1.0, "c": 1, "e": "stop"}\n')
-    with pytest.raises(SettingsError, match="no recording of a wire"):
-        read_recording(path)
+    for name in ("x", f"x{PACKED}"):
+        path = tmp_path / name
+        path.write_text('{"t": 1.0, "c": 1, "e": "stop"}\n')
+        with pytest.raises(SettingsError, match="no recording of a wire"):
+            read_recording(path)
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_changed_byte_is_noticed(packed: bool, tmp_path: Path) -> None:
+    path = tmp_path / f"robot{SUFFIX}{PACKED if packed else ''}"
+    pieces = [
+        Piece.of(0.25, 1, "open"), Piece.of(0.5, 1, ">", b"ask\r"), Piece.of(0.75, 1, "<", b"1\r")
+    ]  # fmt: skip
+    text = b"".join(msgspec.json.encode(piece) + b"\n" for piece in pieces)
+    data = lzma.compress(text) if packed else text
+    path.write_bytes(data)
+    assert read_recording(path) == pieces
+    for at in range(len(data) - 1):  # without the last line's end it is one that was cut off
+        path.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
+        with pytest.raises(SettingsError, match="no recording of a wire"):
+            read_recording(path)
+
+
+def test_a_resumed_run_is_recorded_in_a_folder_of_its_own(tmp_path: Path) -> None:
+    cell = load_cell("paper")
+    for _ in range(3):
+        WireRecording(cell, {}, tmp_path).close()
+    for folder in (tmp_path, tmp_path / "wires-2", tmp_path / "wires-3"):
+        assert set(recordings(folder)) == {"rail", "robot", "tracker"}
+
+
+def test_every_wire_of_a_device_is_recorded(tmp_path: Path) -> None:
+    cell = load_cell("lab", {"rail.options.strip": STRIP})
+    recording = WireRecording(cell, {}, tmp_path)
+    recording.close()
+    assert set(recordings(tmp_path)) == {
+        "rail", "rail.strip", "robot.rtde", "robot.script", "robot.dashboard", "tracker"
+    }  # fmt: skip
+    robot, strip = recording.addresses["robot"], recording.addresses["rail"]["strip"]
+    ports = {robot[f"{name}_port"] for name in ("rtde", "script", "dashboard")}
+    assert robot["host"] == "127.0.0.1"
+    assert len(ports) == 3
+    assert isinstance(strip, dict)
+    assert strip["channel"] != "socket://127.0.0.1:1"
+    assert strip["counts_per_mm"] == 100.0
 
 
 # -- the script ------------------------------------------------------------------------------------
 
 
+def script_of(found: list[Exchange], dialect: Dialect, *landmarks_s: float) -> Script:
+    """Return the script of one connection, with landmarks of its own and of others."""
+    time = EventTime()
+    time.expect([*landmarks_s, *(each.time_s for each in landmarks(found, dialect))])
+    return Script(found, dialect, time)
+
+
+def polls(count: int) -> list[Exchange]:
+    """Return questions asked at 1, 2 .. s, each answered by its number."""
+    return [Exchange(b"poll\r", [b"%d\r" % n], n) for n in range(1, count + 1)]
+
+
 def test_a_question_gets_its_answers_in_order_and_then_the_last_one_again() -> None:
-    poll = [Exchange(b"poll\r", [b"1\r"]), Exchange(b"poll\r", [b"2\r"])]
-    late = [Exchange(b"move\r", [b"ok\r"]), Exchange(b"poll\r", [b"3\r"])]
-    script = Script([Exchange(b""), *poll, *late], Dialect())
+    one, two, three = polls(3)
+    move = Exchange(b"move\r", [b"ok\r"], 2.5)
+    script = script_of([Exchange(b""), one, two, move, three], Dialect())
     assert [script.reply(b"poll\r") for _ in range(3)] == [[b"1\r"], [b"2\r"], [b"2\r"]]
     assert script.reply(b"move\r") == [b"ok\r"]
     assert [script.reply(b"poll\r") for _ in range(2)] == [[b"3\r"], [b"3\r"]]
     assert script.reply(b"other\r") == []
+
+
+def test_a_command_on_one_wire_takes_the_others_on() -> None:
+    time, lines = EventTime(), Dialect()
+    moves = [Exchange(b""), Exchange(b"move\r", [b"ok\r"], 3.0)]
+    time.expect([3.0])
+    robot, strip = Script(moves, lines, time), Script([Exchange(b""), *polls(5)], lines, time)
+    assert [strip.reply(b"poll\r") for _ in range(3)] == [[b"1\r"], [b"2\r"], [b"2\r"]]
+    assert robot.reply(b"move\r") == [b"ok\r"]
+    assert [strip.reply(b"poll\r") for _ in range(3)] == [[b"3\r"], [b"4\r"], [b"5\r"]]
+
+
+def test_one_that_is_asked_on_and_on_comes_to_the_next_part() -> None:
+    """A question that a thread has asked by itself, once by chance, holds nobody up."""
+    script = script_of([Exchange(b""), *polls(5)], Dialect(), 3.0)
+    while (answers := script.reply(b"poll\r")) != [b"5\r"]:
+        assert answers in ([b"1\r"], [b"2\r"], [b"3\r"], [b"4\r"])
 
 
 def test_the_reply_to_c3_has_the_tag_of_the_question() -> None:
@@ -192,8 +393,7 @@ def test_the_reply_to_c3_has_the_tag_of_the_question() -> None:
         piece("<", "01010007000001310001"),
         piece("<", "01" + "0100001000000a234348415247455f4f4b000101"),
     ]
-    c3 = DIALECTS["kuka-c3"]
-    found = exchanges(pieces, c3)
-    script = Script(found, c3)
+    c3 = dialects_of("kuka-c3")[""]
+    script = script_of(exchanges(pieces, c3), c3)
     assert script.reply(bytes.fromhex("0777000b00000824504f535f414354"))[0][:2] == b"\x07\x77"
     assert b"#CHARGE_OK" in script.reply(bytes.fromhex("0778000e00000b24414343555f5354415445"))[0]

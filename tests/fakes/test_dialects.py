@@ -1,0 +1,117 @@
+"""Dialects: where the messages of a wire end, and which parts of them only number an exchange."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+
+from fakes.dialect_ur import Rtde
+from fakes.dialects import Dialect, StripLine, dialects_of
+from fakes.event_time import EventTime
+from fakes.recorded_wire import Exchange, Flow
+
+OUTPUTS, DATA = 79, 85
+FIELDS = ("timestamp", "actual_q", "output_int_register_26", "output_int_register_27")
+STATE = struct.Struct("!Bd6dii")
+WRITE = struct.Struct("!B4i6dd")
+SCRIPT = b"def hilcell():\n  write_output_integer_register(26, %d)\nend\n"
+
+
+def package(kind: int, payload: bytes) -> bytes:
+    return struct.pack("!HB", 3 + len(payload), kind) + payload
+
+
+def state(time_s: float, session: int, count: int) -> bytes:
+    return package(DATA, STATE.pack(1, time_s, *[0.25] * 6, session, count))
+
+
+def write(
+    sequence: int, life: int, joint: float = 0.5, *, command: int = 1, stop: int = 0
+) -> bytes:
+    return package(DATA, WRITE.pack(1, sequence, command, life, stop, *[joint] * 6, 0.1))
+
+
+def rtde() -> tuple[Rtde, Dialect]:
+    """Return the dialects of both wires, which know where the fields of a state are."""
+    found = dialects_of("ur-rtde")
+    states, scripts = found["rtde"], found["script"]
+    assert isinstance(states, Rtde)
+    asked = package(OUTPUTS, struct.pack("!d", 125.0) + ",".join(FIELDS).encode())
+    states.answer(asked, asked, package(OUTPUTS, b"\1DOUBLE,VECTOR6D,INT32,INT32"))
+    return states, scripts
+
+
+def values(message: bytes) -> tuple[float, int, int]:
+    time_s, *_, session, count = STATE.unpack(message[3:])[1:]
+    return time_s, session, count
+
+
+def test_a_driver_without_dialects_speaks_lines() -> None:
+    assert dialects_of("t2sa-of-somebody") == {}
+    lines = Dialect()
+    assert lines.split(b"ACK-300 1,2\r\nERR-2") == ([b"ACK-300 1,2\r\n"], b"ERR-2")
+    assert lines.split(b"1\r2\n") == ([b"1\r", b"2\n"], b"")
+    assert lines.name(b"?LSTA\r") == lines.name(b"?LSTA\r\n")  # it came in two pieces
+    assert lines.unheard(b"\n")
+
+
+def test_commands_of_a_strip_have_no_end() -> None:
+    assert StripLine().split_questions(b"A0ZXA") == ([b"A0", b"Z", b"X"], b"A")
+    assert StripLine().split(b"+0110042>\r0x0") == ([b"+0110042>\r"], b"0x0")
+
+
+def test_documents_of_ethernetkrl() -> None:
+    eki = dialects_of("kuka-eki")[""]
+    ask, other = (b'<RobotCommand Id="%d" Type="0" Life="%d"></RobotCommand>' % each
+                  for each in ((-5, 0), (-912, 1500)))  # fmt: skip
+    move, next_move = (b'<RobotCommand Id="%d" Type="1"></RobotCommand>' % n for n in (3, 4))
+    answer = b'<RobotState><Command Id="-5" Finished_Id="2"></Command></RobotState>'
+    assert eki.split(ask + move + b"<Robot") == ([ask, move], b"<Robot")
+    assert eki.name(ask) == eki.name(other) != eki.name(move) != eki.name(next_move)
+    assert eki.belongs(answer, ask)
+    assert not eki.belongs(answer, other)
+    assert eki.answer(other, ask, answer) == answer.replace(b"-5", b"-912")
+    assert eki.answer(other, move, answer) == answer  # one that came once more, with the next
+
+
+def test_the_states_of_a_script_name_the_session_of_the_driver() -> None:
+    states, scripts = rtde()
+    assert scripts.split_questions(SCRIPT % 7 + b"def") == ([SCRIPT % 7], b"def")
+    assert scripts.name(SCRIPT % 7) == scripts.name(SCRIPT % 8)
+    assert values(states.answer(b"", b"", state(1.0, 7, 1)))[1] == 7
+    scripts.heard(SCRIPT % 99, SCRIPT % 7)
+    assert [values(states.answer(b"", b"", state(2.0, n, 9)))[1] for n in (0, 6, 7)] == [0, 6, 99]
+
+
+def test_a_write_that_only_lives_asks_nothing_new() -> None:
+    states, _ = rtde()
+    name = states.name(write(3, 10))
+    assert states.name(write(3, 11)) == name
+    assert states.name(write(3, 11, 0.5 + 1e-9)) == name
+    others = (write(4, 10), write(3, 10, 0.6), write(3, 10, stop=1), write(3, 10, command=0))
+    assert name not in {states.name(each) for each in others}
+
+
+def test_states_come_by_themselves_and_the_last_one_again() -> None:
+    states, _ = rtde()
+    moved = [state(1.0, 7, 1), state(1.2, 7, 3)]
+    recorded = [
+        Exchange(b""),
+        Exchange(write(1, 1), moved),
+        Exchange(write(2, 9), [state(5, 7, 9)]),
+    ]
+    flow = Flow(recorded, states, EventTime())
+    assert flow.next() == b""
+    flow.ask(write(1, 500))
+    found = [values(flow.next()) for _ in range(5)]
+    flow.ask(write(1, 501))  # a sign of life
+    found.append(values(flow.next()))
+    times_s, _, counts = zip(*found, strict=True)
+    assert times_s == pytest.approx([1.0] + 5 * [1.2], abs=1e-4)
+    assert sorted(set(times_s)) == list(times_s)  # the controller's time never stands
+    assert sorted(set(counts)) == list(counts)
+    flow.ask(write(2, 502))
+    assert values(flow.next()) == (5, 7, 9)
+    flow.ask(write(77, 503))
+    assert flow.next() == b""  # it was never asked: a device that hangs
