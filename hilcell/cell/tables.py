@@ -5,6 +5,7 @@ Lengths mm, angles deg.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Annotated
 
 import msgspec
@@ -61,6 +62,10 @@ class Pose(Frozen, frozen=True, kw_only=True):
 
     def matrix(self) -> Array:
         """Return the homogeneous matrix (4, 4)."""
+        return self._matrix.copy()
+
+    @cached_property
+    def _matrix(self) -> Array:
         T = np.eye(4)
         T[:3, :3] = from_zyx((self.a_deg, self.b_deg, self.c_deg))
         T[:3, 3] = (self.x_mm, self.y_mm, self.z_mm)

@@ -20,6 +20,7 @@ from hilcell.geometry.clearance import (
     Bools,
     Boxes,
     Capsules,
+    Ints,
     clearance_mm,
     levers_mm,
     placed_mm,
@@ -82,6 +83,8 @@ class Body:
             spare = self._least_mm(postures, needed + wanted_mm) - wanted_mm
             done = (spare >= needed).all(axis=1)
             np.add.at(proven, motion[done], 2.0 * half)
+            if done.all():
+                break
             near = ~(needed.max(axis=1) > RESOLUTION_MM)
             hopeless = ~done & (near | ~(spare >= 0.0).all(axis=1))
             refused[motion[hopeless]] = True
@@ -108,20 +111,25 @@ class Body:
         in_base = placed_mm(self.arm, self.capsules, postures[:, 1:])
         at_mm = self.base[:3, 3] + postures[:, :1] * self.direction
         in_world = in_base @ self.base[:3, :3].T + at_mm[:, None, None]
-        radius_mm = self.capsules.radius_mm
-        return np.concatenate(
-            [
-                clearance_mm(in_world, radius_mm, self.standing, enough_mm),
-                clearance_mm(in_base, radius_mm, self.riding, enough_mm),
-            ],
-            axis=-1,
-        )
+        boxes, rides = self._boxes
+        ends_mm = np.stack([in_world, in_base])[rides]
+        return clearance_mm(ends_mm, self.capsules.radius_mm, boxes, enough_mm)
 
     def _travel_mm(self, start: Array, end: Array) -> Array:
         """Return how far (N, C) any point of a capsule's segment can travel in {W} at most."""
         way = np.abs(end - start)
         bound: Array = way[:, :1] + way[:, 1:] @ self._levers_mm.T
         return bound
+
+    @cached_property
+    def _boxes(self) -> tuple[Boxes, Ints]:
+        """Return all boxes (V,), and 1 for each that rides, 0 for each that stands."""
+        standing, riding = self.standing, self.riding
+        boxes = Boxes(
+            np.concatenate([standing.frames, riding.frames]),
+            np.concatenate([standing.half_mm, riding.half_mm]),
+        )
+        return boxes, np.repeat([0, 1], [len(standing.half_mm), len(riding.half_mm)])
 
     @cached_property
     def _levers_mm(self) -> Array:

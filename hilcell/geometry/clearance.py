@@ -70,12 +70,11 @@ def _tilted(arm: Arm, row: int) -> Array:
 
 def placed_mm(arm: Arm, capsules: Capsules, joints_rad: Array) -> Array:
     """Return the ends (N, C, 2, 3) in {B} at joints (N, 6)."""
-    links = link_transforms(arm, joints_rad)
-    frames = [links[:, 0]]
+    frames = link_transforms(arm, joints_rad)
     for row in range(1, 6):
-        frames.append(frames[-1] @ links[:, row])
-    carried = np.stack(frames, axis=1)[:, capsules.link - 1]
-    turned = np.einsum("ncij,cej->ncei", carried[..., :3, :3], capsules.ends_mm)
+        frames[:, row] = frames[:, row - 1] @ frames[:, row]
+    carried = frames[:, capsules.link - 1]
+    turned = capsules.ends_mm @ carried[..., :3, :3].swapaxes(-1, -2)
     ends: Array = turned + carried[:, :, None, :3, 3]
     return ends
 
@@ -112,6 +111,7 @@ def _axis_in_link(arm: Arm, row: int) -> tuple[Array, Array]:
 def clearance_mm(ends_mm: Array, radius_mm: Array, boxes: Boxes, enough_mm: Array) -> Array:
     """Return the clearances (N, C, V) of capsules with ends (N, C, 2, 3) from boxes.
 
+    Boxes in several frames want the ends in each box's own, (V, N, C, 2, 3).
     Negative where they overlap, down to the radius. Where a sphere around the capsule proves that
     there are ``enough_mm`` (N, C), the sphere's own clearance stands for the capsule's.
     """
@@ -122,11 +122,10 @@ def clearance_mm(ends_mm: Array, radius_mm: Array, boxes: Boxes, enough_mm: Arra
     from_box = _lengths(_outside(middle, boxes.half_mm[:, None, None]))
     found = from_box - half_length - radius_mm
     near = ~(found >= enough_mm)
-    if not near.any():
-        return np.moveaxis(found, 0, -1)
-    volume, _, capsule = np.nonzero(near)
-    found[near] = segment_to_box_mm(within[near], boxes.half_mm[volume]) - radius_mm[capsule]
-    return np.moveaxis(found, 0, -1)
+    if near.any():
+        volume, _, capsule = np.nonzero(near)
+        found[near] = segment_to_box_mm(within[near], boxes.half_mm[volume]) - radius_mm[capsule]
+    return found.transpose(1, 2, 0)
 
 
 def segment_to_box_mm(ends_mm: Array, half_mm: Array) -> Array:

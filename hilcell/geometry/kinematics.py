@@ -8,6 +8,7 @@ singular for parallel neighbours (axes 2 and 3). Lengths mm, angles rad.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ def _zeros() -> Array:
     return np.zeros(6)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Arm:
     """Link parameters of six rows, each (6,), and the tool point's frame (4, 4) on the flange."""
 
@@ -31,28 +32,27 @@ class Arm:
     tool: Array
     beta_rad: Array = field(default_factory=_zeros)
 
+    @cached_property
+    def link_parts(self) -> tuple[Array, Array, Array]:
+        """Return of eq 2 the parts (6, 4, 4) without theta, with its cosine and with its sine."""
+        ca, sa = np.cos(self.alpha_rad), np.sin(self.alpha_rad)
+        cb, sb = np.cos(self.beta_rad), np.sin(self.beta_rad)
+        fixed, cosine, sine = np.zeros((3, 6, 4, 4))
+        # Rot(z, theta) Rot(x, alpha) Rot(y, beta), written out.
+        cosine[:, 0, 0], cosine[:, 0, 2], cosine[:, 0, 3] = cb, sb, self.a_mm
+        cosine[:, 1, 0], cosine[:, 1, 1], cosine[:, 1, 2] = sa * sb, ca, -sa * cb
+        sine[:, 0, 0], sine[:, 0, 1], sine[:, 0, 2] = -sa * sb, -ca, sa * cb
+        sine[:, 1, 0], sine[:, 1, 2], sine[:, 1, 3] = cb, sb, self.a_mm
+        fixed[:, 2, 0], fixed[:, 2, 1], fixed[:, 2, 2] = -ca * sb, sa, ca * cb
+        fixed[:, 2, 3], fixed[:, 3, 3] = self.d_mm, 1.0
+        return fixed, cosine, sine
+
 
 def link_transforms(arm: Arm, joints_rad: Array) -> Array:
     """Return A_1..A_6 of eq 2, (..., 6, 4, 4), for ``joints_rad`` (..., 6)."""
-    theta = arm.sign * joints_rad + arm.offset_rad
-    ct, st = np.cos(theta), np.sin(theta)
-    ca, sa = np.cos(arm.alpha_rad), np.sin(arm.alpha_rad)
-    cb, sb = np.cos(arm.beta_rad), np.sin(arm.beta_rad)
-    links = np.zeros((*theta.shape, 4, 4))
-    # Rot(z, theta) Rot(x, alpha) Rot(y, beta), written out.
-    links[..., 0, 0] = ct * cb - st * sa * sb
-    links[..., 0, 1] = -st * ca
-    links[..., 0, 2] = ct * sb + st * sa * cb
-    links[..., 1, 0] = st * cb + ct * sa * sb
-    links[..., 1, 1] = ct * ca
-    links[..., 1, 2] = st * sb - ct * sa * cb
-    links[..., 2, 0] = -ca * sb
-    links[..., 2, 1] = sa
-    links[..., 2, 2] = ca * cb
-    links[..., 0, 3] = arm.a_mm * ct
-    links[..., 1, 3] = arm.a_mm * st
-    links[..., 2, 3] = arm.d_mm
-    links[..., 3, 3] = 1.0
+    theta = (arm.sign * joints_rad + arm.offset_rad)[..., None, None]
+    fixed, cosine, sine = arm.link_parts
+    links: Array = fixed + np.cos(theta) * cosine + np.sin(theta) * sine
     return links
 
 
