@@ -138,7 +138,7 @@ class Drive:
             return
         now = self.standing.confirm(operation)
         if now.powered and self.standing.rest is None:
-            self._image.quick_stop()
+            self._image.control(cia402.QUICK_STOP)  # a stop would be for good
             ramp_s = self._limits.ramp_s
             now = self._until(operation, "standstill", lambda _: True, ramp_s, at_rest=True)
         if not now.powered:

@@ -278,8 +278,7 @@ class KukaRobot:
 
     def begin(self, start: Callable[[int], None]) -> int:
         """Start a motion by its number; return that."""
-        if self._stopped:
-            raise failed("HC-B21", "the robot was stopped", act="resume to reconnect")
+        self._check_stopped()
         number = self._sequence % MAX_SEQUENCE + 1
         self._under_way, self._ended_s = True, None
         self._watch.begin()
@@ -352,10 +351,11 @@ class KukaRobot:
         return self._rest_deg
 
     def acknowledged(self, number: int) -> bool:
-        """Whether a motion has ended; raises `DeviceError` where the program refused it.
+        """Whether a motion has ended; raises `DeviceError` where it was stopped, or refused.
 
         Each look is a sign of life to the program.
         """
+        self._check_stopped()
         self.wire().sign()
         self.wire().look()
         if self.integer("HC_ACK") != number:
@@ -390,6 +390,10 @@ class KukaRobot:
                 wanted=f"{version}",
                 act="install drivers/krl/hilcell.src and hilcell.dat",
             )
+
+    def _check_stopped(self) -> None:
+        if self._stopped:
+            raise failed("HC-B21", "the robot was stopped", act="resume to reconnect")
 
     def _axes(self) -> Array:
         """Return joints (6,) in deg, and a slide that is the robot's axis in mm (7,)."""

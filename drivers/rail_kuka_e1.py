@@ -161,8 +161,8 @@ class KukaE1Rail:
             )
 
     def statistics(self) -> LinkStatistics:
-        """Return no counts: the robot's wire has none."""
-        return LinkStatistics()
+        """Return the counts of the strip's wire; the robot's has none."""
+        return self._strip.statistics()
 
     def stop(self) -> None:
         """Brake arm and slide; any thread; waits for no answer."""

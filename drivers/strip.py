@@ -7,12 +7,13 @@ missing magnet does, and a reading that needs it raises `StripLost`.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import astuple
 from typing import Annotated, Literal, Protocol
 
 import msgspec
 from msgspec import Meta
 
-from hilcell.ports import DeviceError, Identity
+from hilcell.ports import DeviceError, Identity, LinkStatistics
 from hilcell.wire.channel import parse_channel
 
 DEVICE = "Rail"
@@ -46,6 +47,9 @@ class Strip(Protocol):
     def alarm_text(self, alarms: int) -> str:
         """Return its alarms in words."""
 
+    def statistics(self) -> LinkStatistics:
+        """Return its wire's counts since ``connect``, also after ``close``."""
+
     def close(self) -> None:
         """Close the wire; a second close does nothing."""
 
@@ -57,9 +61,14 @@ class StripFeed:
         self._strip = strip
         self._lost: DeviceError | None = None
         self._counts = 0
+        self._before = LinkStatistics()  # of wires that were lost
 
     def connect(self) -> Identity:
         """Open the wire and verify the sensor."""
+        self._before = LinkStatistics()
+        return self._open()
+
+    def _open(self) -> Identity:
         self._strip.close()
         identity, self._lost = self._strip.connect(), None
         return identity
@@ -78,10 +87,15 @@ class StripFeed:
     def mend(self) -> None:
         """Open the wire of a strip that was lost again, if it lets itself be opened."""
         if self._lost is not None:
+            self._before = self.statistics()
             try:
-                self.connect()
+                self._open()
             except DeviceError as error:
                 self._lost = error
+
+    def statistics(self) -> LinkStatistics:
+        """Return the wire's counts since `connect`, of wires that were lost as well."""
+        return summed(self._before, self._strip.statistics())
 
     def alarm_text(self, alarms: int) -> str:
         """Return alarms in words."""
@@ -92,3 +106,9 @@ class StripFeed:
     def close(self) -> None:
         """Close the wire."""
         self._strip.close()
+
+
+def summed(one: LinkStatistics, other: LinkStatistics) -> LinkStatistics:
+    """Return the counts of two wires together."""
+    counts = astuple(one), astuple(other)
+    return LinkStatistics(*map(sum, zip(*counts, strict=True)))

@@ -18,7 +18,7 @@ from drivers.supervision import Patience
 from drivers.tcp import Alarms
 from drivers.text_lines import TextLines
 from hilcell.clean import clean
-from hilcell.ports import DeviceError, DeviceRefused, Identity, says_simulated
+from hilcell.ports import DeviceError, DeviceRefused, Identity, LinkStatistics, says_simulated
 
 REPLY_S = 0.3  # 11 characters at 4800 baud take 25 ms
 ALARMS = Alarms(unreachable="HC-S11", lost="HC-S12")
@@ -42,9 +42,11 @@ class SerialStrip:
         self._options, self._check = options, check
         self._link: Link | None = None
         self._lines: TextLines | None = None
+        self._answers = self._bad = 0
 
     def connect(self) -> Identity:
         """Open the line and verify who answers."""
+        self._answers = self._bad = 0
         self._link = open_link(DEVICE, self._options.channel, self._check, ALARMS)
         self._lines = TextLines(self._link, end=b"", split=rb"\r")
         with on_failure(self.close):
@@ -62,6 +64,10 @@ class SerialStrip:
         """Return the bits of the system register in words."""
         bits = [bit for bit in range(16) if alarms >> bit & 1]
         return "; ".join(_BITS.get(bit, f"bit {bit} of its register") for bit in bits)
+
+    def statistics(self) -> LinkStatistics:
+        """Return the counts of answers, and of those in another form."""
+        return LinkStatistics(frames=self._answers, bad_lines=self._bad)
 
     def close(self) -> None:
         """Close the line."""
@@ -96,6 +102,7 @@ class SerialStrip:
             raise link.broken(command, f"the strip sensor did not answer in {REPLY_S:.1f} s")
         text = answer.removesuffix(">")
         if text == answer or (form is not None and not form.fullmatch(text)):
+            self._bad += 1
             raise DeviceError(
                 "HC-S13",
                 DEVICE,
@@ -104,4 +111,5 @@ class SerialStrip:
                 act="is this the sensor and its baud rate? check rail.options.strip, resume",
                 fields={"command": command},
             )
+        self._answers += 1
         return clean(text)

@@ -11,9 +11,10 @@ from collections.abc import Callable
 from typing import Any
 
 from hilcell.cell.file import Cell
-from hilcell.conformance.bench import SIMULATED_ONLY, Bench, Benches
+from hilcell.conformance.bench import SIMULATED_ONLY, Bench
 from hilcell.conformance.kit import promises_of
 from hilcell.conformance.promise import Outcome, Promise, judge
+from hilcell.conformance.trial import Trial
 from hilcell.conformance.verdicts import PORTS, Port
 from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
@@ -50,15 +51,14 @@ class Conformance:
             if session.cell.simulation is None:
                 self._try(session, port, _on_real(GuardedBench(session, port)))
             else:
-                with Benches(session.cell, port, outer=session.clock.check) as benches:
-                    self._try(session, port, _on_simulated(benches))
+                with Trial(session.cell, port, outer=session.clock.check) as trial:
+                    trial.begin(_waiting(session.log, port))
+                    self._try(session, port, trial.judge)
 
     def _try(self, session: CellSession, port: Port, judged: Judged) -> None:
-        known = {each["promise"] for each in _found(session.log, port)}
-        for promise in promises_of(port):
-            if promise.name not in known:
-                session.checkpoint()
-                session.event("promise", port=port, **judged(promise).facts())
+        for promise in _waiting(session.log, port):
+            session.checkpoint()
+            session.event("promise", port=port, **judged(promise).facts())
         if (key := f"{NAME} {port}") not in session.log.verdicts:
             broken = [e["promise"] for e in _found(session.log, port) if e["verdict"] == "broken"]
             driver = getattr(session.cell, port).driver
@@ -67,10 +67,6 @@ class Conformance:
     def result(self, log: Log) -> dict[str, Any]:
         """Return what each promise has found, by port."""
         return {NAME: {port: _found(log, port) for port in _ports(log.cell)}}
-
-
-def _on_simulated(benches: Benches) -> Judged:
-    return lambda promise: judge(promise, benches.of(paced=promise.paced))
 
 
 def _on_real(bench: Bench) -> Judged:
@@ -84,6 +80,12 @@ def _on_real(bench: Bench) -> Judged:
 
 def _ports(cell: Cell) -> list[Port]:
     return [port for port in PORTS if port != "rail" or cell.has_rail]
+
+
+def _waiting(log: Log, port: Port) -> list[Promise]:
+    """Return the promises of a port of which the journal holds no outcome."""
+    known = {each["promise"] for each in _found(log, port)}
+    return [promise for promise in promises_of(port) if promise.name not in known]
 
 
 def _found(log: Log, port: str) -> list[dict[str, Any]]:

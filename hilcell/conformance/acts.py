@@ -15,9 +15,11 @@ from hilcell.ports import Array, Rail, RailReading, Robot, RobotReading, Tracker
 SPEED_PERCENT = 10.0
 SLOW_PERCENT = 1.0  # a motion that is stopped takes seconds
 STEP_DEG, STEP_MM = 2.0, 20.0
+TRAVEL_S = 17.0  # of the cell
 READS_BACK_DEG, READS_BACK_MM = 0.01, 0.1
 STANDS_DEG, STANDS_MM = 0.002, 0.05
 MANY = 30  # readings of a measurement that takes seconds
+NO_RAIL = "the cell has no rail: no device answers, and nothing moves"
 
 
 class Acts(Protocol):
@@ -25,6 +27,7 @@ class Acts(Protocol):
 
     tolerance: float  # of `off`
     unit: str
+    absent: str  # why there is no device; "" where there is one
 
     def ready(self, device: Any) -> None:
         """Make a connected device ready to visit places."""
@@ -41,6 +44,12 @@ class Acts(Protocol):
     def travel(self, device: Any) -> Any:
         """Do what takes seconds."""
 
+    def short(self, reading: Any) -> bool:
+        """Whether a device stands before the end of `travel`."""
+
+    def slowly(self) -> dict[str, object]:
+        """Return the driver's options by which `travel` takes long, however fast the device is."""
+
     def off(self, reading: Any, place: int) -> float:
         """Return how far a reading is from a place."""
 
@@ -49,17 +58,22 @@ class Acts(Protocol):
 
 
 class RailActs:
-    """Two places of the slide, near the first station."""
+    """Two places of the slide, near the first station; one and the same where there is no rail."""
 
     tolerance, unit = READS_BACK_MM, "mm"
 
     def __init__(self, cell: Cell) -> None:
         self.cell = cell
-        self.places_mm = (cell.station[0].rail_mm, cell.station[0].rail_mm + STEP_MM)
+        self.absent = "" if cell.has_rail else NO_RAIL
+        step_mm = STEP_MM if cell.has_rail else 0.0
+        self.places_mm = (cell.station[0].rail_mm, cell.station[0].rail_mm + step_mm)
 
     def ready(self, device: Rail) -> None:
-        """Find the reference."""
-        device.home()
+        """Find the reference, unless drive and strip agree: that proves it, as in a run."""
+        reading = device.settle()
+        apart_mm = abs(reading.position_mm - reading.strip_mm)
+        if not apart_mm <= self.cell.rail.slip_limit_mm:
+            device.home()
 
     def ask(self, device: Rail) -> RailReading:
         """Read."""
@@ -78,6 +92,16 @@ class RailActs:
         """Move to the far end."""
         device.move_to(self.cell.rail.travel_max_mm)
 
+    def short(self, reading: RailReading) -> bool:
+        """Whether it stands before the end of `travel`."""
+        return reading.position_mm < self.cell.rail.travel_max_mm - STEP_MM
+
+    def slowly(self) -> dict[str, object]:
+        """Return the speed at which the far end is `TRAVEL_S` away."""
+        rail = self.cell.rail
+        way_mm = rail.travel_max_mm - self.places_mm[0]
+        return {"speed_mm_s": min(rail.speed_mm_s, way_mm / TRAVEL_S)}
+
     def off(self, reading: RailReading, place: int) -> float:
         """Return it in mm, of the drive's encoder."""
         return abs(reading.position_mm - self.places_mm[place])
@@ -91,12 +115,16 @@ class RailActs:
 class RobotActs:
     """The safe pose, and all axes a step up from it."""
 
-    tolerance, unit = READS_BACK_DEG, "deg"
+    tolerance, unit, absent = READS_BACK_DEG, "deg", ""
 
     def __init__(self, cell: Cell) -> None:
         self.cell = cell
         safe_deg = np.array(cell.robot.safe_deg)
         self.places_deg = (safe_deg, safe_deg + STEP_DEG)
+        axis = cell.robot.joint[0]
+        inwards = 1.0 if 2.0 * safe_deg[0] <= axis.min_deg + axis.max_deg else -1.0
+        way_deg = TRAVEL_S * axis.speed_deg_s * SLOW_PERCENT / 100.0
+        self.far_deg = safe_deg + inwards * way_deg * np.eye(6)[0]
 
     def ready(self, device: Robot) -> None:
         """Do nothing: connected is ready."""
@@ -116,9 +144,16 @@ class RobotActs:
         return device.move_to(np.radians(target_deg), SPEED_PERCENT)
 
     def travel(self, device: Robot) -> RobotReading:
-        """Move slowly to the other place."""
-        far_deg = self.places_deg[0] + 5 * STEP_DEG
-        return device.move_to(np.radians(far_deg), SLOW_PERCENT)
+        """Turn axis 1 slowly."""
+        return device.move_to(np.radians(self.far_deg), SLOW_PERCENT)
+
+    def short(self, reading: RobotReading) -> bool:
+        """Whether it stands before the end of `travel`."""
+        return worst_deg(reading.joints_rad, np.radians(self.far_deg)) > STEP_DEG
+
+    def slowly(self) -> dict[str, object]:
+        """Return nothing: a motion states its speed."""
+        return {}
 
     def off(self, reading: RobotReading, place: int) -> float:
         """Return it in deg, of the worst axis."""
@@ -132,7 +167,7 @@ class RobotActs:
 class TrackerActs:
     """The first two nests on the floor."""
 
-    unit = "mm"
+    unit, absent = "mm", ""
 
     def __init__(self, cell: Cell) -> None:
         self.cell, self.reflector = cell, cell.tracker.reflector
@@ -161,6 +196,14 @@ class TrackerActs:
     def travel(self, device: Tracker) -> TrackerReading:
         """Measure a nest many times."""
         return device.measure(self.near_mm[0], self.reflector, MANY)
+
+    def short(self, reading: TrackerReading) -> bool:
+        """Return that a measurement leads nowhere."""
+        return True
+
+    def slowly(self) -> dict[str, object]:
+        """Return nothing: it measures at its own speed."""
+        return {}
 
     def off(self, reading: TrackerReading, place: int) -> float:
         """Return it in mm, of the nominal nest."""

@@ -7,13 +7,14 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 
-from hilcell.cell.devices import TABLES, driver_options, start_simulation
+from hilcell.cell.devices import TABLES, driver_options, load_entry, start_simulation
 from hilcell.cell.file import Cell
 from hilcell.conformance.acts import ACTS
+from hilcell.conformance.riding import Riding
 from hilcell.conformance.verdicts import NotApplicable, Port
 from hilcell.conformance.wire import Wires
 from hilcell.ports import Clock, RidesOnRobot, SimulatedCell, Stopped
@@ -25,8 +26,10 @@ SIMULATED_ONLY = "it needs a fault, or may harm: only on simulated devices"
 PACE = 4.0  # of what moves in real time: quick, and slow enough to be stopped
 GROUPS = dict(TABLES)
 
+Settings = tuple[Callable[..., Any], msgspec.Struct]  # a driver's class and its options
 
-def _goes_on() -> None:
+
+def goes_on() -> None:
     """Stop nothing."""
 
 
@@ -71,8 +74,17 @@ class Bench:
         """Return the wires before the device."""
         raise NotApplicable(SIMULATED_ONLY)
 
-    def settings(self) -> tuple[type[Any], msgspec.Struct]:
+    def present(self) -> None:
+        """Raise `NotApplicable` where the driver has no device."""
+        if self.acts.absent:
+            raise NotApplicable(self.acts.absent)
+
+    def settings(self) -> Settings:
         """Return the driver's class and its options."""
+        raise NotApplicable(SIMULATED_ONLY)
+
+    def carrier(self) -> Settings | None:
+        """Return those of the robot whose external axis the rail is; None for any other driver."""
         raise NotApplicable(SIMULATED_ONLY)
 
     def build(self, **changed: object) -> Any:
@@ -116,7 +128,7 @@ class SimulatedBench(Bench):
         *,
         kind: type[Any] | None = None,
         paced: bool = False,
-        outer: Callable[[], None] = _goes_on,
+        outer: Callable[[], None] = goes_on,
     ) -> None:
         if cell.simulation is None:
             raise NotApplicable("the cell is real: nothing simulates its devices")
@@ -126,40 +138,36 @@ class SimulatedBench(Bench):
         self._speed = PACE if paced else math.inf
         self._simulated: SimulatedCell | None = None
         self._wires: Wires | None = None
+        self._addresses: dict[str, dict[str, object]] = {}
         self._built: list[Any] = []
 
     @property
     def wires(self) -> Wires:
         """Return the wires before the device."""
+        self.present()
         self._start()
         if self._wires is None or not self._wires.all:
             raise NotApplicable("no option of the driver says where its wire leads")
         return self._wires
 
-    def settings(self) -> tuple[type[Any], msgspec.Struct]:
+    def settings(self) -> Settings:
         """Return the driver's class and its options."""
-        self._start()
-        addresses = {} if self._wires is None else self._wires.options
-        kind, options = driver_options(self.cell, self.port, GROUPS[self.port], addresses)
-        return self.kind or kind, options  # type: ignore[return-value]  # a driver is a class
+        kind, options = self._settings(self.port)
+        return self.kind or kind, options
+
+    def carrier(self) -> Settings | None:
+        """Return those of the robot whose external axis the rail is; None for any other driver."""
+        return self._settings("robot") if self._rides else None
 
     def build(self, **changed: object) -> Any:
         """Return a driver that is not connected, with ``changed`` options."""
         kind, options = self.settings()
         built = kind(msgspec.structs.replace(options, **changed), self.clock)
+        if carrier := self.carrier():
+            of_robot, robot_options = carrier
+            built = Riding(built, of_robot(robot_options, self.clock))
         self._built.append(built)
-        if isinstance(built, RidesOnRobot):
-            built.ride(self._opened_robot())
         return built
-
-    def _opened_robot(self) -> Any:
-        """Return the robot on whose external axis the slide is, connected as in a run."""
-        addresses = {} if self._simulated is None else self._simulated.options["robot"]
-        kind, options = driver_options(self.cell, "robot", GROUPS["robot"], addresses)
-        robot = kind(options, self.clock)
-        self._built.append(robot)
-        robot.connect()
-        return robot
 
     def connected(self) -> Any:
         """Return a driver that is connected, and ready to be used."""
@@ -205,44 +213,29 @@ class SimulatedBench(Bench):
         self._simulated = simulated
         self.clock.inner = simulated.clock(self.clock.stop)
         if self._wires is None:
-            self._wires = Wires(simulated.options[self.port])
+            self._wires = Wires(self._behind(simulated))
+            self._addresses = cast("dict[str, dict[str, object]]", self._wires.options)
         else:
-            self._wires.lead_to(simulated.options[self.port])
+            self._wires.lead_to(self._behind(simulated))
+
+    @property
+    def _rides(self) -> bool:
+        """Whether the driver's wire is, in part, the robot's."""
+        return issubclass(load_entry(GROUPS[self.port], self._driver(self.port)), RidesOnRobot)
+
+    def _driver(self, port: str) -> str:
+        return str(getattr(self.cell, port).driver)
+
+    def _settings(self, port: str) -> Settings:
+        self._start()
+        return driver_options(self.cell, port, GROUPS[port], self._addresses[port])
+
+    def _behind(self, simulated: SimulatedCell) -> dict[str, dict[str, object]]:
+        """Return where the driver's wires lead, by table."""
+        tables = (self.port, "robot") if self._rides else (self.port,)
+        return {table: simulated.options[table] for table in tables}
 
     def _end_simulation(self) -> None:
         simulated, self._simulated = self._simulated, None
         if simulated is not None:
             simulated.close()
-
-
-class Benches:
-    """The two benches of one driver: one whose time passes as fast as it goes, one in real time."""
-
-    def __init__(
-        self,
-        cell: Cell,
-        port: Port,
-        *,
-        kind: type[Any] | None = None,
-        outer: Callable[[], None] = _goes_on,
-    ) -> None:
-        self._all = {
-            paced: SimulatedBench(cell, port, kind=kind, paced=paced, outer=outer)
-            for paced in (False, True)
-        }
-
-    def __enter__(self) -> Benches:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        for each in self._all.values():
-            each.close()
-
-    def of(self, *, paced: bool) -> SimulatedBench:
-        """Return one of them."""
-        return self._all[paced]
-
-    def try_kind(self, kind: type[Any] | None) -> None:
-        """Try another class from now on."""
-        for each in self._all.values():
-            each.kind = kind

@@ -15,20 +15,43 @@ from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
 from hilcell.clock import WallClock
 from hilcell.conformance.acts import ACTS
-from hilcell.conformance.bench import LOOK_S, Bench
+from hilcell.conformance.bench import LOOK_S, Bench, Settings
+from hilcell.conformance.riding import Riding
 from hilcell.conformance.verdicts import Broken, Port
 
 END_S = 30.0
 
 
-class Order(msgspec.Struct, frozen=True, kw_only=True):
-    """Which driver moves which device."""
+class Driver(msgspec.Struct, frozen=True):
+    """A driver's class and its options."""
 
-    cell: dict[str, Any]
-    port: Port
     module: str
     name: str
     options: dict[str, Any]
+
+    @classmethod
+    def of(cls, settings: Settings, **changed: object) -> Driver:
+        """Return the order for one, with ``changed`` options."""
+        kind, options = settings
+        stated = msgspec.to_builtins(msgspec.structs.replace(options, **changed))
+        return cls(kind.__module__, kind.__qualname__, stated)
+
+    def built(self, table: str) -> Any:
+        """Return it, not connected."""
+        kind: Any = importlib.import_module(self.module)
+        for name in self.name.split("."):
+            kind = getattr(kind, name)
+        options = convert(self.options, kind.Options, table)
+        return kind(options, WallClock(threading.Event()))
+
+
+class Order(msgspec.Struct, frozen=True, kw_only=True):
+    """Which driver moves which device, and the robot on which it rides."""
+
+    cell: dict[str, Any]
+    port: Port
+    driver: Driver
+    carrier: Driver | None
     path: list[str]
 
 
@@ -37,13 +60,12 @@ class Child:
 
     def __init__(self, bench: Bench) -> None:
         self._check = bench.check_outer
-        kind, options = bench.settings()
+        carrier = bench.carrier()
         order = Order(
             cell={k: v for k, v in msgspec.to_builtins(bench.cell).items() if v is not None},
             port=bench.port,
-            module=kind.__module__,
-            name=kind.__qualname__,
-            options=msgspec.to_builtins(options),
+            driver=Driver.of(bench.settings(), **bench.acts.slowly()),
+            carrier=None if carrier is None else Driver.of(carrier),
             path=sys.path,
         )
         self._process = subprocess.Popen(
@@ -83,11 +105,9 @@ def main() -> None:
     """Connect, say so, and begin what takes seconds."""
     order = msgspec.json.decode(sys.stdin.buffer.readline(), type=Order)
     sys.path[:] = order.path
-    kind: Any = importlib.import_module(order.module)
-    for name in order.name.split("."):
-        kind = getattr(kind, name)
-    options = convert(order.options, kind.Options, order.port)
-    device = kind(options, WallClock(threading.Event()))
+    device = order.driver.built(order.port)
+    if order.carrier is not None:
+        device = Riding(device, order.carrier.built("robot"))
     device.connect()
     print("connected", flush=True)
     ACTS[order.port](convert(order.cell, Cell, "cell")).travel(device)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
+
+import msgspec
 
 from hilcell.clean import UNSAFE, clean
 from hilcell.conformance.bench import Bench
@@ -17,6 +20,7 @@ OTHER_NUMBER, OTHER_TEXT = 16_777_213, "no such serial"
 
 def same_identity(bench: Bench) -> None:
     """Connect twice, and compare."""
+    bench.present()
     found = []
     for _ in range(2):
         driver = bench.build()
@@ -36,6 +40,7 @@ def _assets(identities: list[Identity]) -> list[tuple[str, ...]]:
 
 def clean_identity(bench: Bench) -> None:
     """Spoil the model's name on the wire where it can be found there."""
+    bench.present()
     driver = bench.build()
     texts = [text for each in _assets(driver.connect()) for text in each]
     driver.close()
@@ -56,13 +61,24 @@ def clean_identity(bench: Bench) -> None:
 def wrong_serial(bench: Bench) -> None:
     """Expect another serial number, one option at a time."""
     _, options = bench.settings()
-    serials = [key for key in options.__struct_fields__ if key.endswith("serial")]
-    if not serials:
+    others = list(_other_serials(options))
+    if not others:
         raise NotApplicable("its options name no serial number")
-    for key in serials:
-        other = OTHER_TEXT if isinstance(getattr(options, key), str) else OTHER_NUMBER
-        driver = bench.build(**{key: other})
-        fails(f"connect with {key} {other!r}", driver.connect)
+    for what, changed in others:
+        driver = bench.build(**changed)
+        fails(f"connect with {what}", driver.connect)
+
+
+def _other_serials(options: msgspec.Struct) -> Iterator[tuple[str, dict[str, object]]]:
+    """Yield changes of one serial number each, in words and as options; of parts as well."""
+    for key in options.__struct_fields__:
+        value = getattr(options, key)
+        if isinstance(value, msgspec.Struct):
+            for what, changed in _other_serials(value):
+                yield f"{key}.{what}", {key: msgspec.structs.replace(value, **changed)}
+        elif key.endswith("serial"):
+            other = OTHER_TEXT if isinstance(value, str) else OTHER_NUMBER
+            yield f"{key} {other!r}", {key: other}
 
 
 def unreachable(bench: Bench) -> None:
@@ -80,6 +96,7 @@ def unreachable(bench: Bench) -> None:
 
 def not_connected(bench: Bench) -> None:
     """Use a driver that was never connected."""
+    bench.present()
     driver = bench.build()
     fails("before connect", lambda: bench.acts.ask(driver))
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from hilcell.conformance.bench import Benches
 from hilcell.conformance.kit import PORT_OF, driver_cell, promises_of
-from hilcell.conformance.promise import Promise, judge
+from hilcell.conformance.promise import Promise
+from hilcell.conformance.trial import Trial
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -19,22 +19,32 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 @pytest.fixture(scope="session")
-def benches(pytestconfig: pytest.Config) -> Iterator[Benches]:
-    """Return the benches of the driver."""
+def trial(request: pytest.FixtureRequest, pytestconfig: pytest.Config) -> Iterator[Trial]:
+    """Return the driver on trial; with xdist, whose processes share the tests, nothing begins."""
     group, name = _named(pytestconfig)
     sets = dict(each.split("=", 1) for each in pytestconfig.getoption("--hilcell-set"))
     cell = driver_cell(pytestconfig.getoption("--hilcell-cell"), PORT_OF[group], name, sets)
-    with Benches(cell, PORT_OF[group]) as benches:
-        yield benches
+    with Trial(cell, PORT_OF[group]) as trial:
+        if not hasattr(pytestconfig, "workerinput"):
+            trial.begin(_selected(request.session))
+        yield trial
 
 
-def test_promise(promise: Promise, benches: Benches) -> None:
+def test_promise(promise: Promise, trial: Trial) -> None:
     """Judge one promise."""
-    outcome = judge(promise, benches.of(paced=promise.paced))
+    outcome = trial.judge(promise)
     if outcome.verdict == "not applicable":
         pytest.skip(outcome.why)
     if outcome.verdict == "broken":
         pytest.fail(f"{promise.sentence}\n{outcome.why}", pytrace=False)
+
+
+def _selected(session: pytest.Session) -> Iterator[Promise]:
+    """Yield the promises that this session will judge."""
+    for item in session.items:
+        promise = item.callspec.params.get("promise") if hasattr(item, "callspec") else None
+        if isinstance(promise, Promise):
+            yield promise
 
 
 def _named(config: pytest.Config) -> tuple[str, str]:

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from hilcell.cell.devices import TABLES
 from hilcell.cell.file import Cell, load_cell
 from hilcell.conformance import connecting, rail, reading, robot, tracker, wire_faults
-from hilcell.conformance.bench import Benches
-from hilcell.conformance.promise import Outcome, Promise, judge
+from hilcell.conformance.promise import Outcome, Promise
+from hilcell.conformance.trial import Trial
 from hilcell.conformance.verdicts import PORTS, Port
 
 PROMISES: tuple[Promise, ...] = (
@@ -27,7 +27,10 @@ PORT_OF: dict[str, Port] = {
 
 
 def driver_cell(where: str, port: Port, driver: str, sets: Mapping[str, str]) -> Cell:
-    """Return a cell with another driver at one port."""
+    """Return a cell with a driver at one port."""
+    stated = load_cell(where, sets)
+    if getattr(stated, port).driver == driver:
+        return stated
     return load_cell(where, {f"{port}.driver": driver, **sets})
 
 
@@ -36,7 +39,8 @@ def promises_of(port: Port) -> list[Promise]:
     return [promise for promise in PROMISES if port in promise.ports]
 
 
-def judge_all(port: Port, benches: Benches) -> Iterator[Outcome]:
+def judge_all(port: Port, trial: Trial) -> Iterator[Outcome]:
     """Yield what each promise of a port has found."""
+    trial.begin(promises_of(port))
     for promise in promises_of(port):
-        yield judge(promise, benches.of(paced=promise.paced))
+        yield trial.judge(promise)

@@ -16,7 +16,8 @@ from hilcell.errors import Stopped
 class Promise:
     """``check`` raises `Broken`. ``paced``: on a device that moves in real time.
 
-    ``real``: on real devices, too, where nothing else is done than in any run.
+    ``real``: on real devices, too, where nothing else is done than in any run. ``waits``: until the
+    driver gives up.
     """
 
     name: str
@@ -25,6 +26,7 @@ class Promise:
     ports: tuple[Port, ...] = PORTS
     paced: bool = False
     real: bool = False
+    waits: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ STEPS = 3  # from one side, so that the backlash stays out
 
 def _strip_steps(bench: Bench) -> list[tuple[float, float]]:
     """Return steps of drive and strip, mm."""
+    bench.present()
     driver: Rail = bench.connected()
     at_mm = [bench.cell.station[0].rail_mm + n * STEP_MM for n in range(STEPS + 1)]
     readings = []
@@ -49,6 +50,7 @@ def direction(bench: Bench) -> None:
 
 def held(bench: Bench) -> None:
     """Take the power away, and give it back by a motion."""
+    bench.present()
     driver: Rail = bench.connected()
     driver.move_to(bench.cell.station[0].rail_mm)
     driver.hold()
@@ -71,6 +73,7 @@ def travel(bench: Bench) -> None:
 
 def counts(bench: Bench) -> None:
     """Ask for the wire's counts after close."""
+    bench.present()
     driver: Rail = bench.connected()
     driver.read()
     before = driver.statistics().frames

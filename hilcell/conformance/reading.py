@@ -52,6 +52,7 @@ def at_rest(bench: Bench) -> None:
 
 def ended(bench: Bench) -> None:
     """Compare the end of a motion with the readings before and after it."""
+    bench.present()
     driver = bench.connected()
     began_s = time.monotonic()
     reading = bench.acts.visit(driver, 1)

@@ -14,7 +14,7 @@ import tty
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 from urllib.parse import urlsplit
 
 HOST = "127.0.0.1"
@@ -205,6 +205,10 @@ class Proxy(Wire):
         """Lead to another place from the next connection on."""
         self._behind = (host, port)
 
+    def drop(self) -> None:
+        """Break every connection."""
+        self.reset()
+
     def refuse(self) -> None:
         """Break every connection, and take none."""
         self._hang_up()
@@ -258,6 +262,9 @@ class Line(Wire):
         """Lead to another line after the next `admit`."""
         self._behind = behind
 
+    def drop(self) -> None:
+        """Leave the line as it is: it has no connections."""
+
     def refuse(self) -> None:
         """Unplug the line."""
         self.reset()
@@ -287,14 +294,21 @@ class Line(Wire):
 
 
 class Wires:
-    """The wires before all places of one device; ``options`` lead the driver through them."""
+    """The wires before all places of one device; ``options`` lead the driver through them.
+
+    A part with a table of its own, as a strip's, may have a wire of its own.
+    """
 
     def __init__(self, address: Mapping[str, object]) -> None:
         self._proxies: dict[str, Proxy] = {}
         self._lines: dict[str, Line] = {}
+        self._parts: dict[str, Wires] = {}
         self.options = dict(address)
         for key, value in address.items():
-            if place := _place(key, value, address):
+            if isinstance(value, Mapping):
+                self._parts[key] = Wires(value)
+                self.options[key] = self._parts[key].options
+            elif place := _place(key, value, address):
                 self._proxies[key] = Proxy(place[1], place[0])
                 port = self._proxies[key].port
                 self.options[key] = f"socket://{HOST}:{port}" if isinstance(value, str) else port
@@ -306,15 +320,18 @@ class Wires:
     @property
     def all(self) -> list[Proxy | Line]:
         """Return the wires."""
-        return [*self._proxies.values(), *self._lines.values()]
+        of_parts = [each for part in self._parts.values() for each in part.all]
+        return [*self._proxies.values(), *self._lines.values(), *of_parts]
 
-    def lead_to(self, address: Mapping[str, object]) -> None:
+    def lead_to(self, address: Mapping[str, Any]) -> None:
         """Lead to where the device listens now."""
         for key, proxy in self._proxies.items():
             if place := _place(key, address[key], address):
                 proxy.lead_to(place[1], place[0])
         for key, line in self._lines.items():
             line.lead_to(str(address[key]).partition("@")[0])
+        for key, part in self._parts.items():
+            part.lead_to(address[key])
 
     def set(self, mode: str, delay_s: float = 0.0) -> None:
         """Set the mode of all."""
@@ -333,8 +350,8 @@ class Wires:
 
     def drop(self) -> None:
         """Break all connections that there are; a serial line has none."""
-        for each in self._proxies.values():
-            each.reset()
+        for each in self.all:
+            each.drop()
 
     def refuse(self) -> None:
         """Break all connections, and take none."""

@@ -25,7 +25,8 @@ END_S = 10.0
 LONGEST_S = 60.0
 SLOW_S = 0.05
 STANDS_S = 0.3
-GONE_S = 3.0  # a device has seen by then that its client is gone
+# A device has seen by then that its client is gone; `travel` would have ended by then, too.
+GONE_S = 5.0
 
 
 class Task:
@@ -114,6 +115,7 @@ def device_killed(bench: Bench) -> None:
 
 def client_killed(bench: Bench) -> None:
     """Kill a program that moves the device; connect another one."""
+    bench.present()
     ready = bench.connected()
     bench.acts.visit(ready, 0)
     ready.close()
@@ -128,6 +130,7 @@ def client_killed(bench: Bench) -> None:
     bench.rest(STANDS_S)
     apart = bench.acts.apart(one, bench.acts.ask(driver))
     need(apart <= 1.0, f"it goes on without its client: {apart:.1f} of what a rest allows")
+    need(bench.acts.short(one), f"it went on to its target without its client, for {GONE_S:g} s")
     bench.acts.ready(driver)
     near(bench, bench.acts.visit(driver, 1), 1)
 
@@ -167,6 +170,7 @@ def stop_rests(bench: Bench) -> None:
 
 def stop_holds(bench: Bench) -> None:
     """Stop, and ask for a motion without connecting again."""
+    bench.present()
     driver = bench.connected()
     driver.stop()
     fails("a motion after a stop", lambda: bench.acts.visit(driver, 1))
@@ -202,6 +206,7 @@ def _visit_both(bench: Bench, driver: Any) -> None:
 
 def _under_way(bench: Bench) -> tuple[Any, Task]:
     """Begin what takes seconds."""
+    bench.present()
     driver = bench.connected()
     bench.acts.visit(driver, 0)
     task = Task(lambda: bench.acts.travel(driver))
@@ -210,16 +215,18 @@ def _under_way(bench: Bench) -> tuple[Any, Task]:
 
 
 PROMISES = (
-    Promise("silent", "A device that answers no more is a DeviceError within 60 s.", silent),
-    Promise("late", "A late answer never becomes the answer to the next question.", late),
+    Promise("silent", "A device that answers no more is a DeviceError within 60 s.", silent,
+            waits=True),
+    Promise("late", "A late answer never becomes the answer to the next question.", late,
+            waits=True),
     Promise("slow", "Answers that come 50 ms late are as good as prompt ones.", slow),
     Promise("pieces", "Answers that come in pieces, or together, are as good as whole ones.",
             pieces),
-    Promise("garbage", "Noise in place of an answer is a DeviceError.", garbage),
+    Promise("garbage", "Noise in place of an answer is a DeviceError.", garbage, waits=True),
     Promise("device-killed", "A device that was killed is a DeviceError; its successor connects.",
             device_killed),
     Promise("client-killed", "What a killed program has begun ends; the next program connects.",
-            client_killed, paced=True),
+            client_killed, paced=True, waits=True),
     Promise("stop-at-once", "Stop returns within 20 ms, from another thread.", stop_at_once,
             paced=True),
     Promise("stop-rests", "A stop ends the motion with a DeviceError; the device rests.",

@@ -1,5 +1,7 @@
 """While a motion is under way the driver gives the controller's program signs of life."""
 
+import threading
+
 import numpy as np
 import pytest
 
@@ -82,4 +84,24 @@ def test_a_motion_that_a_dead_engine_left_brakes_and_is_taken_back() -> None:
         robot.connect()
         assert peer.variables["HC_ACK"] == "8"
         assert peer.requests.count("write HC_STOP") == 1
+        robot.close()
+
+
+def test_a_stop_from_another_thread_ends_the_motion_as_such() -> None:
+    with KukaPeer() as peer:
+        robot = robot_for(peer)
+        robot.connect()
+        peer.frozen = True
+        original = peer._read
+
+        def read(name: str) -> str | None:
+            if name == "$AXIS_ACT":
+                threading.Thread(target=robot.stop).start()
+            return original(name)
+
+        peer._read = read  # type: ignore[method-assign]  # of this peer alone
+        with pytest.raises(DeviceError, match="the robot was stopped") as caught:
+            robot.move_to(TARGET_RAD, 30.0)
+        assert caught.value.code == "HC-B21"
+        assert peer.stopped.wait(5)
         robot.close()

@@ -252,3 +252,15 @@ def test_a_strip_on_a_line_of_its_own_is_read_and_the_bus_has_none(peer: CanPeer
         with pytest.raises(StripLost, match="too far from the strip"):
             rail.read()
         rail.close()
+
+
+def test_a_slide_that_a_dead_engine_left_moving_is_braked_and_can_be_moved(
+    peer: CanPeer,
+) -> None:
+    peer.axis.state, peer.axis.steps, peer.axis.target = ENABLED, 1000, 900_000
+    rail = rail_for(peer)
+    rail.connect()
+    assert peer.quick_stopped.is_set()
+    rail.move_to(700.0)
+    assert peer.axis.position == 700_000
+    rail.close()

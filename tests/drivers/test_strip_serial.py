@@ -136,3 +136,21 @@ def test_a_lost_line_shows_in_the_polls_and_is_opened_again_when_asked_to(
     assert feed.poll(never) == (110_042, 0)
     assert peer.connections == 2
     feed.close()
+
+
+def test_answers_are_counted_over_a_line_that_was_lost(peer: StripPeer) -> None:
+    feed = StripFeed(strip_for(peer.channel))
+    feed.connect()
+    feed.poll(never)
+    before = feed.statistics()
+    assert (before.frames, before.bad_lines) == (5, 0)
+    peer.spoil = lambda command, good: b"+nan>\r" if command == b"Z" else good
+    assert feed.poll(never)[1] == LOST
+    peer.spoil = lambda _command, good: good
+    feed.mend()
+    feed.poll(never)
+    feed.close()
+    assert (feed.statistics().frames, feed.statistics().bad_lines) == (10, 1)
+    feed.connect()
+    assert feed.statistics().frames == 3
+    feed.close()

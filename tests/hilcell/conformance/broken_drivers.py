@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.rail_setup import CONSUMER_HEARTBEAT
 from hilcell.errors import NoReading
 from hilcell.ports import StreamBlock
 from tests.hilcell.conformance.broken import COMMON, Base, Pieces, Slow
@@ -39,6 +40,16 @@ class RailPieces(Pieces, RailSeams):
 
 class RailSlow(Slow, RailSeams):
     limit_s = 0.05
+
+
+class RailClientKilled(Base, RailSeams):
+    """Has the drive listen to no heartbeat of the PC."""
+
+    def connect(self) -> Any:
+        found = super().connect()
+        drive: Any = self._drive
+        drive._sdo.write(CONSUMER_HEARTBEAT, 1, 0)
+        return found
 
 
 class RailUnits(Base, RailSeams):
@@ -82,6 +93,17 @@ class RobotPieces(Pieces, RobotSeams):
         link = self._controller._line._link  # type: ignore[union-attr]  # it is connected
         receive = link.receive
         link.receive = lambda size, patience: self.whole(receive(size, patience))
+
+
+class RobotClientKilled(Base, RobotSeams):
+    """Gives the controller ten minutes in which the PC may keep silent."""
+
+    def begin(self, start: Any) -> int:
+        number = super().begin(start)
+        controller: Any = self._controller
+        controller._line.write("$TIMER[10]", "-600000")
+        controller._life.give = lambda line: None
+        return number
 
 
 class RobotUnits(Base, RobotSeams):
@@ -236,6 +258,7 @@ OWN: dict[str, dict[str, type[Base]]] = {
     "rail": {
         "pieces": RailPieces,
         "slow": RailSlow,
+        "client-killed": RailClientKilled,
         "units": RailUnits,
         "handedness": RailHandedness,
         "held": RailHeld,
@@ -244,6 +267,7 @@ OWN: dict[str, dict[str, type[Base]]] = {
     },
     "robot": {
         "pieces": RobotPieces,
+        "client-killed": RobotClientKilled,
         "units": RobotUnits,
         "handedness": RobotHandedness,
         "speed": RobotSpeed,

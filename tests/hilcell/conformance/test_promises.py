@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from importlib.metadata import entry_points
 from typing import Any
 
 import pytest
 
-from drivers.tracker_leica_emscon import LeicaEmsconTracker
 from hilcell.cell.file import load_cell
-from hilcell.conformance.bench import Benches
-from hilcell.conformance.kit import judge_all, promises_of
-from hilcell.conformance.promise import judge
+from hilcell.conformance.kit import driver_cell, judge_all, promises_of
+from hilcell.conformance.promise import Promise
+from hilcell.conformance.trial import Trial
 from hilcell.conformance.verdicts import PORTS, Port
+from hilcell.errors import Stopped
 from tests.hilcell.conformance.broken_drivers import BROKEN
 
 PAIRS = [(port, name) for port in PORTS for name in BROKEN[port]]
@@ -29,19 +32,44 @@ QUICK_FIRST = [
 ]
 
 
-class QuickTracker(LeicaEmsconTracker):
-    """The shipped driver with short deadlines: its own take minutes where no answer comes."""
-
-    REPLY_S = 1.0
-    MOVE_S = 1.0
-    RESULT_S = 1.0
+# Every shipped driver, in a cell to which it belongs, and the promises that are none of its own.
+NO_RAIL = "the cell has no rail: no device answers, and nothing moves"
+OF_NONE = ["connect-twice", "close-twice", "stop-twice", "taken", "no-number", "reads-back",
+           "at-rest", "travel"]  # fmt: skip
+NO_SERIAL = {"identity-wrong": "its options name no serial number"}
+NO_STREAM = {
+    promise.name: "it does not stream"
+    for promise in promises_of("tracker")
+    if promise.name.startswith("stream")
+}
+SHIPPED: list[tuple[Port, str, str, dict[str, str]]] = [
+    ("rail", "canopen", "paper", {}),
+    ("rail", "kuka-e1", "paper", {}),
+    ("rail", "none", "fixed", {
+        promise.name: NO_RAIL
+        for promise in promises_of("rail")
+        if promise.name not in OF_NONE
+    } | NO_SERIAL),
+    ("robot", "kuka-c3", "paper", {}),
+    ("robot", "kuka-eki", "paper", {}),
+    ("robot", "ur-rtde", "lab", {}),
+    ("tracker", "leica-emscon", "paper", {}),
+    ("tracker", "leica-geocom", "paper", NO_STREAM),
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def benches() -> Iterator[dict[Port, Benches]]:
+def trials() -> Iterator[dict[Port, Trial]]:
     cell = load_cell("paper")
     with ExitStack() as stack:
-        yield {port: stack.enter_context(Benches(cell, port)) for port in PORTS}
+        yield {port: stack.enter_context(Trial(cell, port)) for port in PORTS}
+
+
+def test_every_driver_is_put_through_the_kit() -> None:
+    installed = {
+        (port, each.name) for port in PORTS for each in entry_points(group=f"hilcell.{port}s")
+    }
+    assert {(port, name) for port, name, _, _ in SHIPPED} == installed
 
 
 def test_every_promise_has_a_driver_that_breaks_it() -> None:
@@ -50,44 +78,71 @@ def test_every_promise_has_a_driver_that_breaks_it() -> None:
         assert sorted(names) == sorted(BROKEN[port])
 
 
-@pytest.mark.parametrize("port", PORTS)
-def test_a_shipped_driver_keeps_every_promise(port: Port, benches: dict[Port, Benches]) -> None:
-    benches[port].try_kind(QuickTracker if port == "tracker" else None)
-    outcomes = list(judge_all(port, benches[port]))
-    assert [each for each in outcomes if each.verdict != "held"] == []
+@pytest.mark.parametrize(
+    ("port", "name", "cell", "others"), SHIPPED, ids=[name for _, name, _, _ in SHIPPED]
+)
+def test_a_shipped_driver_keeps_every_promise(
+    port: Port, name: str, cell: str, others: dict[str, str]
+) -> None:
+    with Trial(driver_cell(cell, port, name, {}), port) as trial:
+        outcomes = list(judge_all(port, trial))
+    assert [each for each in outcomes if each.verdict == "broken"] == []
+    assert {each.promise: each.why for each in outcomes if each.verdict != "held"} == others
 
 
 @pytest.mark.parametrize(("port", "name"), QUICK_FIRST)
 def test_a_broken_driver_breaks_its_promise(
-    port: Port, name: str, benches: dict[Port, Benches]
+    port: Port, name: str, trials: dict[Port, Trial]
 ) -> None:
-    benches[port].try_kind(BROKEN[port][name])
-    promise = next(each for each in promises_of(port) if each.name == name)
-    outcome = judge(promise, benches[port].of(paced=promise.paced))
+    trials[port].try_kind(BROKEN[port][name])
+    outcome = trials[port].judge(named(port, name))
     assert outcome.verdict == "broken"
     assert outcome.why
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("port", "name"), PAIRS)
-def test_and_no_other(port: Port, name: str, benches: dict[Port, Benches]) -> None:
-    benches[port].try_kind(BROKEN[port][name])
-    outcomes = list(judge_all(port, benches[port]))
+def test_and_no_other(port: Port, name: str, trials: dict[Port, Trial]) -> None:
+    trials[port].try_kind(BROKEN[port][name])
+    outcomes = [trials[port].judge(promise) for promise in promises_of(port)]
     assert [each.promise for each in outcomes if each.verdict == "broken"] == [name]
 
 
-def test_promises_that_are_none_of_a_driver_say_why(benches: dict[Port, Benches]) -> None:
-    benches["tracker"].try_kind(_Still)
-    for name in ("stream-times", "stream-gaps", "stream-place", "stream-ends"):
-        promise = next(each for each in promises_of("tracker") if each.name == name)
-        outcome = judge(promise, benches["tracker"].of(paced=False))
-        assert (outcome.verdict, outcome.why) == ("not applicable", "it does not stream")
+def named(port: Port, name: str) -> Promise:
+    return next(each for each in promises_of(port) if each.name == name)
 
 
-class _Still:
-    """A tracker that does not stream."""
+class Endless:
+    """Waits until it is stopped, whatever it is asked."""
 
     def __init__(self, options: Any, clock: Any) -> None:
-        tracker = LeicaEmsconTracker(options, clock)
-        self.connect, self.measure = tracker.connect, tracker.measure
-        self.stop, self.close = tracker.stop, tracker.close
+        self._clock = clock
+
+    def connect(self) -> Any:
+        waiting = threading.Event()
+        while not waiting.wait(0.001):
+            self._clock.check()
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def test_what_nobody_waits_for_any_more_ends_at_once() -> None:
+    began_s = time.monotonic()
+    with Trial(load_cell("paper"), "tracker", kind=Endless) as trial:
+        trial.begin(promises_of("tracker"))
+    assert time.monotonic() - began_s < 10.0
+
+
+def test_a_run_that_is_stopped_stops_what_is_judged_beside() -> None:
+    stopped = threading.Event()
+
+    def outer() -> None:
+        if stopped.is_set():
+            raise Stopped("the run is stopped")
+
+    with Trial(load_cell("paper"), "tracker", kind=Endless, outer=outer) as trial:
+        trial.begin(promises_of("tracker"))
+        stopped.set()
+        with pytest.raises(Stopped, match="the run is stopped"):
+            trial.judge(named("tracker", "silent"))

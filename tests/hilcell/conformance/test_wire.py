@@ -154,3 +154,24 @@ def _until_gone(read: Callable[[], bytes]) -> None:
     while read():
         pass
     raise OSError("gone")
+
+
+def test_a_part_with_a_table_of_its_own_has_its_wire() -> None:
+    with Server(echo) as one, Server(echo) as other:
+        part = {"driver": "serial", "channel": f"socket://127.0.0.1:{other.port}"}
+        wires = Wires({"host": "127.0.0.1", "port": one.port, "strip": part})
+        try:
+            strip = wires.options["strip"]
+            assert isinstance(strip, dict)
+            assert strip["driver"] == "serial"
+            port = int(strip["channel"].rpartition(":")[2])
+            assert port != other.port
+            wires.rewrite(b"a", b"b")
+            with socket.create_connection(("127.0.0.1", port), WAIT_S) as link:
+                link.sendall(b"a")
+                assert link.recv(100) == b"b"
+                wires.drop()
+                with pytest.raises(ConnectionResetError):
+                    link.recv(100)
+        finally:
+            wires.close()

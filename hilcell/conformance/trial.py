@@ -1,0 +1,70 @@
+"""One driver on trial: its benches, and its promises judged on them.
+
+Promises that wait until the driver gives up (half a minute for a tracker that measures) are judged
+beside the others, each on a device of its own; those about times of milliseconds one after another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
+from typing import Any
+
+from hilcell.cell.file import Cell
+from hilcell.conformance.bench import SimulatedBench, goes_on
+from hilcell.conformance.promise import Outcome, Promise, judge
+from hilcell.conformance.verdicts import Port
+
+
+class Trial:
+    """Two benches of one driver, one whose time passes as fast as it goes, one in real time."""
+
+    def __init__(
+        self,
+        cell: Cell,
+        port: Port,
+        *,
+        kind: type[Any] | None = None,
+        outer: Callable[[], None] = goes_on,
+    ) -> None:
+        self._bench = partial(SimulatedBench, cell, port, outer=outer)
+        self._kind = kind
+        self._in_turn = {paced: self._bench(kind=kind, paced=paced) for paced in (False, True)}
+        self._beside: list[SimulatedBench] = []
+        self._judged: dict[str, Future[Outcome]] = {}
+
+    def __enter__(self) -> Trial:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for each in self._beside:
+            each.clock.stop.set()  # nobody asks for its finding any more
+        for future in self._judged.values():
+            future.exception()
+        for each in (*self._beside, *self._in_turn.values()):
+            each.close()
+
+    def begin(self, promises: Iterable[Promise]) -> None:
+        """Begin with those of ``promises`` that wait until the driver gives up."""
+        waiting = [promise for promise in promises if promise.waits]
+        if not waiting:
+            return
+        with_threads = ThreadPoolExecutor(len(waiting), "conformance")
+        for promise in waiting:
+            bench = self._bench(kind=self._kind, paced=promise.paced)
+            self._beside.append(bench)
+            self._judged[promise.name] = with_threads.submit(judge, promise, bench)
+        with_threads.shutdown(wait=False)
+
+    def judge(self, promise: Promise) -> Outcome:
+        """Return the finding of one promise; raises `Stopped` where the run is stopped."""
+        if promise.name in self._judged:
+            return self._judged.pop(promise.name).result()
+        return judge(promise, self._in_turn[promise.paced])
+
+    def try_kind(self, kind: type[Any] | None) -> None:
+        """Try another class from now on."""
+        self._kind = kind
+        for each in self._in_turn.values():
+            each.kind = kind
