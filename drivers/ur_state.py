@@ -40,6 +40,7 @@ INPUTS = (
     "input_double_register_30",
 )
 NOTHING, MOVE_JOINTS = 0, 1  # commands
+LARGEST = 1e6  # m, rad, rad/s: a finite number beyond is none either
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +76,10 @@ class Order:
 
 
 def state_from(values: dict[str, Value], after_s: float, by_s: float) -> UrState:
-    """Return the state that a data package's values mean."""
+    """Return the state that a data package's values mean; raises `RtdeError`."""
+    for name in ("actual_q", "actual_qd", "actual_TCP_pose", *_TOOL):
+        if not bool(np.all(np.abs(values[name]) <= LARGEST)):
+            raise RtdeError(f"{name} is {values[name]}")
     acknowledged, error, session, count = (
         _whole(values[f"output_int_register_{n}"]) for n in range(24, 28)
     )

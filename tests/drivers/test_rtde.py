@@ -33,6 +33,17 @@ def test_packages_are_put_together_however_they_come() -> None:
         assert [*packages.feed(wire[:cut]), *packages.feed(wire[cut:])] == wanted
 
 
+@pytest.mark.parametrize("name", ["actual_q", "actual_qd", "actual_TCP_pose", OUTPUTS[-1]])
+def test_a_number_that_no_robot_has_is_refused(name: str) -> None:
+    values: dict[str, rtde.Value] = {
+        each: (0.5,) * 6 if each.startswith("actual") else 1 for each in OUTPUTS
+    }
+    state_from(values, 0.0, 0.0)
+    huge = (0.5,) * 5 + (-1e200,) if name.startswith("actual") else 1e200
+    with pytest.raises(RtdeError, match=rf"{name} is .*1e\+200"):
+        state_from(values | {name: huge}, 0.0, 0.0)
+
+
 @pytest.mark.parametrize("size", [0, 2, 4097, 65535])
 def test_an_impossible_size_is_refused(size: int) -> None:
     with pytest.raises(RtdeError, match=f"{size} bytes"):

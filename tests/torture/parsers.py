@@ -49,6 +49,7 @@ from tests.drivers.program_krl.samples import DAT, SRC
 from tests.hilcell.calibration.calibrations import calibration as made_calibration
 from tests.hilcell.tui.sample_runs import fresh, status
 from tests.hilcell.tui.untrusted_text import NASTY, dangerous, poison
+from tests.torture.wire_parsers import WIRE_PARSERS
 
 CONTEXT = AlarmContext(None, {action.name: action.keys for action in ACTIONS}, UNICODE)
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
@@ -364,5 +365,6 @@ PARSERS = {
         Parser("holes", holes, (HilcellError,), holes_samples),
         Parser("control", control, (), control_samples),
         Parser("screen", screen, (), screen_samples),
+        *(Parser(*each) for each in WIRE_PARSERS),
     )
 }
