@@ -158,18 +158,20 @@ class C3Connection:
     def _receive(self, operation: str, tag: int) -> Reply:
         patience = Patience(REPLY_S)
         try:
-            found, length = decode_header(self._exactly(_HEADER.size, operation, patience))
+            self._await(_HEADER.size, operation, patience)
+            found, length = decode_header(self._received[: _HEADER.size])
             check_tag(found, tag)
-            return decode_body(found, self._exactly(length, operation, patience))
+            end = _HEADER.size + length
+            self._await(end, operation, patience)
+            body, self._received = self._received[_HEADER.size : end], self._received[end:]
+            return decode_body(tag, body)
         except C3Error as error:
             self._dead = str(error)
             raise self._link.broken(operation, str(error)) from error
 
-    def _exactly(self, size: int, operation: str, patience: Patience) -> bytes:
+    def _await(self, size: int, operation: str, patience: Patience) -> None:
         while len(self._received) < size:
             piece = self._link.receive(_HEADER.size + MAX_BODY, patience)
             if not piece:
                 raise self._link.broken(operation, f"no answer within {REPLY_S:.1f} s")
             self._received += piece
-        data, self._received = self._received[:size], self._received[size:]
-        return data

@@ -56,7 +56,10 @@ def numbers(text: str, names: tuple[str, ...]) -> list[float]:
     found = {name.upper(): number for name, number in components}
     if len(found) != len(components):
         raise KrlError(f"a component occurs twice in {text[:80]!r}")
-    values = {name: _component(name, number) for name, number in found.items() if number}
+    values = {name: float(number) for name, number in found.items() if number}
+    for name, value in values.items():
+        if not -LARGEST <= value <= LARGEST:
+            raise KrlError(f"{name} is {_finite(found[name]):g}, no position of a robot")
     for name in names:
         if name not in values:
             raise KrlError(f"{name} is missing or no number in {text[:80]!r}")
@@ -70,13 +73,6 @@ def structure(kind: str, components: Mapping[str, float], decimals: int = 6) -> 
             raise KrlError(f"{name} {number} is not finite")
     body = ", ".join(f"{name} {number:.{decimals}f}" for name, number in components.items())
     return f"{{{kind}: {body}}}"
-
-
-def _component(name: str, number: str) -> float:
-    value = _finite(number)
-    if not abs(value) <= LARGEST:
-        raise KrlError(f"{name} is {value:g}, no position of a robot")
-    return value
 
 
 def _finite(number: str) -> float:
