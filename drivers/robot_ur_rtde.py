@@ -140,7 +140,7 @@ class UrRtdeRobot:
             while not self.acknowledged(number):
                 if time.monotonic() >= due_s:
                     due_s = time.monotonic() + PROGRESS_S
-                    self.check_progress(limits, number)
+                    self.check_progress(limits, number, self.link().next())
             return self.rest(target_rad)
         finally:
             self._watch.end()
@@ -324,9 +324,8 @@ class UrRtdeRobot:
         elif not state.by_s - self._counted_s <= COUNT_S:
             raise self._script_ended(state, f"its counter stands at {state.count}")
 
-    def check_progress(self, limits: MotionLimits, number: int) -> None:
+    def check_progress(self, limits: MotionLimits, number: int, state: UrState) -> None:
         """Raise `DeviceError` where a motion stands or creeps."""
-        state = self.link().next()
         now_deg, wanted = np.degrees(state.joints_rad), f"acknowledged {number}"
         where = f"at {joints_text(now_deg)}, acknowledged {state.acknowledged}"
         if limits.stalled(now_deg):

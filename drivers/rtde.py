@@ -12,6 +12,7 @@ import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 
 VERSION = 2  # of the protocol
 LONGEST = 4096
@@ -30,7 +31,7 @@ FORMATS = {
 }
 _HEAD = struct.Struct(">HB")
 
-Value = int | float | tuple[int | float, ...]
+Numbers = tuple[int | float, ...]
 
 
 class Kind(IntEnum):
@@ -91,7 +92,7 @@ def text_of(payload: bytes) -> str:
     return payload[1 : 1 + payload[0]].decode("utf-8", "replace")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Recipe:
     """Fields of data packages in their order, with their types, under the controller's number."""
 
@@ -111,38 +112,39 @@ class Recipe:
         """Return the fields with this type: `NOT_FOUND` or `IN_USE`."""
         return [name for name, each in zip(self.names, self.types, strict=True) if each == why]
 
-    def decode(self, payload: bytes) -> dict[str, Value]:
-        """Return the values of a data package by field; raises `RtdeError`, also for NaN."""
-        layout = self._layout()
+    def decode(self, payload: bytes) -> dict[str, Numbers]:
+        """Return the numbers of a data package by field; raises `RtdeError`, also for NaN."""
+        layout, places = self._layout
         if len(payload) != layout.size or payload[0] != self.number:
             raise RtdeError(
                 f"data of {len(payload)} bytes of recipe {payload[:1].hex()}, "
                 f"wanted {layout.size} of {self.number:02x}"
             )
-        values = iter(layout.unpack(payload)[1:])
-        found: dict[str, Value] = {}
-        for name, each in zip(self.names, self.types, strict=True):
-            count = int(FORMATS[each][:-1] or 1)
-            taken = tuple(next(values) for _ in range(count))
-            if not all(math.isfinite(value) for value in taken):
-                raise RtdeError(f"{name} is {', '.join(map(str, taken))}")
-            found[name] = taken if count > 1 else taken[0]
+        flat = layout.unpack(payload)
+        found = {name: flat[place] for name, place in places.items()}
+        if not math.isfinite(sum(flat)):
+            for name, numbers in found.items():
+                if not all(map(math.isfinite, numbers)):
+                    raise RtdeError(f"{name} is {', '.join(map(str, numbers))}")
         return found
 
-    def encode(self, values: Mapping[str, Value]) -> bytes:
+    def encode(self, values: Mapping[str, Numbers]) -> bytes:
         """Return a data package."""
-        flat = [part for name in self.names for part in _parts(values[name])]
-        return encode(Kind.DATA, self._layout().pack(self.number, *flat))
+        flat = [number for name in self.names for number in values[name]]
+        return encode(Kind.DATA, self._layout[0].pack(self.number, *flat))
 
-    def _layout(self) -> struct.Struct:
+    @cached_property
+    def _layout(self) -> tuple[struct.Struct, dict[str, slice]]:
+        """Return the layout of a data package, and the place of each field among its values."""
         unknown = [each for each in self.types if each not in FORMATS]
         if unknown:
             raise RtdeError(f"fields of type {', '.join(unknown)}")
-        return struct.Struct(">B" + "".join(FORMATS[each] for each in self.types))
-
-
-def _parts(value: Value) -> tuple[int | float, ...]:
-    return value if isinstance(value, tuple) else (value,)
+        places, place = dict[str, slice](), 1
+        for name, each in zip(self.names, self.types, strict=True):
+            count = int(FORMATS[each][:-1] or 1)
+            places[name] = slice(place, place + count)
+            place += count
+        return struct.Struct(">B" + "".join(FORMATS[each] for each in self.types)), places
 
 
 class Packages:

@@ -1,8 +1,9 @@
 """The RTDE connection to a Universal Robots controller: states in, registers out.
 
 The controller sends a package at every cycle, asked or not, and drops those that nobody fetches.
-So a thread fetches them all the time. A package that waited in a buffer is no fresh one: its age
-counts from when the buffer was last seen empty before it.
+The thread that asks for a state fetches them; while none does, a thread here empties the buffer.
+A package that waited in a buffer is no fresh one: its age counts from when the buffer was last seen
+empty before it.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from itertools import takewhile
 
 from drivers import rtde
@@ -18,15 +19,15 @@ from drivers.on_failure import on_failure
 from drivers.rtde import Kind, Packages, Recipe, RtdeError
 from drivers.supervision import Patience
 from drivers.tcp import Alarms, TcpLink
-from drivers.ur_state import INPUTS, OUTPUTS, Order, UrState, registers, state_from
-from hilcell.ports import DeviceError, DeviceRefused, Stopped
+from drivers.ur_state import INPUTS, OUTPUTS, Order, UrState, registers, state_from, unlike
+from hilcell.ports import DeviceError, DeviceRefused
 
 DEVICE = "Robot"
 ALARMS = Alarms(unreachable="HC-B01", lost="HC-B02")
 ANSWER_S = 3.0
 SILENT_S = 1.0  # without a package
-LOOK_S = 0.02  # a stop is seen within this
-FETCH_S = 0.1
+LOOK_S = 0.01  # of one look: a single poll of the link, so that a stop is seen in time
+IDLE_S = 0.1  # between two looks at a buffer whose packages nobody wants
 KEPT = 4096  # packages
 SIZE = 65536
 JOIN_S = 2.0
@@ -39,12 +40,14 @@ class UrLink:
     def __init__(self, host: str, port: int, rate_hz: float, check: Callable[[], None]) -> None:
         """Set the exchange up and start it; raises `DeviceError`."""
         self._check, self._rate_hz = check, rate_hz
+        check()
         self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._fetch, name="rtde", daemon=True)
-        self._link = TcpLink(DEVICE, host, port, self._look, ALARMS)
+        self._thread = threading.Thread(target=self._empty, name="rtde", daemon=True)
+        self._link = TcpLink(DEVICE, host, port, _unasked, ALARMS)
         self._packages, self._arrived = Packages(), deque[tuple[int, bytes]]()
-        self._changed = threading.Condition()
+        self._fetching = threading.Lock()
         self._states: deque[UrState] = deque(maxlen=KEPT)
+        self._emptied_s = 0.0  # when the buffer was last seen empty
         self._failure: DeviceError | None = None
         self._writing, self._life = threading.Lock(), 0
         with on_failure(self._link.close):
@@ -57,35 +60,16 @@ class UrLink:
         The first package that arrives may have been under way before. ``patiently`` waits on when
         a stop was asked for. Raises `DeviceError`.
         """
-        begun_s = time.monotonic()
-        for _ in range(2):
-            while (state := self.following(begun_s, patiently=patiently)[-1]).after_s < begun_s:
-                pass
-            begun_s = state.by_s
-        return state
+        first = self._next(time.monotonic(), patiently=patiently)
+        return self._next(first.by_s, patiently=patiently)
 
     def next(self) -> UrState:
-        """Return the next state that arrives; raises `DeviceError`."""
-        return self.following(time.monotonic())[-1]
+        """Return a state that arrived after this call began; raises `DeviceError`."""
+        return self._next(time.monotonic(), patiently=False)
 
-    def following(self, by_s: float, *, patiently: bool = False) -> list[UrState]:
-        """Wait for states that arrived after a time (monotonic); return all of these."""
-        patience = Patience(SILENT_S)
-        while True:
-            if not patiently:
-                self._check()
-            over = patience.over()
-            with self._changed:
-                found = self._since(by_s)
-                if not found and not over and self._failure is None:
-                    self._changed.wait(LOOK_S)
-                    found = self._since(by_s)
-            if found:
-                return found
-            if self._failure is not None:
-                raise self._failure
-            if over:
-                raise self._link.broken("receive", f"no package for {SILENT_S:.1f} s")
+    def following(self, by_s: float) -> list[UrState]:
+        """Wait for states fetched after a time (monotonic); return all of these."""
+        return self._following(by_s, patiently=False)
 
     def write(self, order: Order) -> None:
         """Write the registers, with the next sign of life; raises `DeviceError`."""
@@ -110,6 +94,8 @@ class UrLink:
         )
         asked = rtde.request_outputs(OUTPUTS, self._rate_hz)
         self._outputs = self._recipe(Kind.OUTPUTS, asked, OUTPUTS)
+        if found := unlike(self._outputs):
+            raise self._refused("HC-B69", f"unexpected type of {', '.join(found)}")
         self._inputs = self._recipe(Kind.INPUTS, rtde.request_inputs(INPUTS), INPUTS)
         if not rtde.accepted(self._ask(Kind.START, rtde.encode(Kind.START))):
             raise self._refused("HC-B69", "the exchange is not started")
@@ -130,15 +116,17 @@ class UrLink:
     def _ask(self, kind: Kind, request: bytes) -> bytes:
         """Return the payload of the answer of the same type."""
         self._link.send(request, kind.name.lower())
-        patience = Patience(ANSWER_S)
+        patience, over = Patience(ANSWER_S), False
         while True:
             while self._arrived:
                 found, payload = self._arrived.popleft()
                 if found == kind:
                     return payload
-            data = self._link.receive(SIZE, patience)
-            if not data:
+            if over:
                 raise self._link.broken(kind.name.lower(), f"no answer within {ANSWER_S:.0f} s")
+            self._check()
+            over = patience.over()
+            data = self._link.receive(SIZE, Patience(0.0 if over else LOOK_S))
             try:
                 self._arrived.extend(self._packages.feed(data))
             except RtdeError as error:
@@ -151,48 +139,65 @@ class UrLink:
         }[code]
         return DeviceRefused(code, DEVICE, "connect", found, act=act)
 
-    def _look(self) -> None:
-        """End the wait of the thread that fetches by `close`, that of any other by a stop."""
-        if threading.current_thread() is not self._thread:
-            self._check()
-        elif self._closing.is_set():
-            raise Stopped
-
     # -- fetching -----------------------------------------------------------------------------
 
-    def _fetch(self) -> None:
-        emptied_s = 0.0  # when the buffer was last seen empty
-        try:
-            self._take(self._arrived, emptied_s)
-            while not self._closing.is_set():
-                looked_s = time.monotonic()
-                data = self._link.receive(SIZE, Patience(0.0))
-                if not data:
-                    emptied_s = looked_s
-                    data = self._link.receive(SIZE, Patience(FETCH_S))
-                self._take(self._packages.feed(data), emptied_s)
-        except RtdeError as error:
-            self._fail(_unusable(error))
-        except DeviceError as error:
-            self._fail(error)
-        except Stopped:
+    def _empty(self) -> None:
+        """Fetch what nobody wants, until `close`."""
+        while not self._closing.wait(IDLE_S):
+            if self._fetching.acquire(blocking=False):
+                try:
+                    self._fetch(0.0)
+                finally:
+                    self._fetching.release()
+
+    def _next(self, begun_s: float, *, patiently: bool) -> UrState:
+        """Return the newest state of the first that all arrived after a time."""
+        seen_s = begun_s
+        while True:
+            newest = self._following(seen_s, patiently=patiently)[-1]
+            if newest.after_s >= begun_s:
+                return newest
+            seen_s = newest.by_s
+
+    def _following(self, by_s: float, *, patiently: bool) -> list[UrState]:
+        patience = Patience(SILENT_S)
+        while True:
+            if not patiently:
+                self._check()
+            over = patience.over()
+            with self._fetching:
+                found = self._since(by_s)
+                if not found and self._failure is None:
+                    self._fetch(0.0 if over else LOOK_S)
+                    found = self._since(by_s)
+            if found:
+                return found
+            if self._failure is not None:
+                raise self._failure
+            if over:
+                raise self._link.broken("receive", f"no package for {SILENT_S:.1f} s")
+
+    def _fetch(self, wait_s: float) -> None:
+        """Take what has arrived, or does within a time; a failure is kept."""
+        if self._failure is not None:
             return
-
-    def _take(self, packages: Iterable[tuple[int, bytes]], emptied_s: float) -> None:
-        found = list[UrState]()
-        for kind, payload in packages:
-            if kind == Kind.DATA:
-                values = self._outputs.decode(payload)
-                found.append(state_from(values, emptied_s, time.monotonic()))
-        if found:
-            with self._changed:
-                self._states.extend(found)
-                self._changed.notify_all()
-
-    def _fail(self, error: DeviceError) -> None:
-        with self._changed:
+        try:
+            looked_s = time.monotonic()
+            data = self._link.receive(SIZE, Patience(0.0))
+            if not data:
+                self._emptied_s = looked_s
+                data = self._link.receive(SIZE, Patience(wait_s)) if wait_s else b""
+            self._arrived.extend(self._packages.feed(data))
+            by_s = time.monotonic()
+            while self._arrived:
+                kind, payload = self._arrived.popleft()
+                if kind == Kind.DATA:
+                    numbers = self._outputs.decode(payload)
+                    self._states.append(state_from(numbers, self._emptied_s, by_s))
+        except RtdeError as error:
+            self._failure = _unusable(error)
+        except DeviceError as error:
             self._failure = error
-            self._changed.notify_all()
 
     def _since(self, by_s: float) -> list[UrState]:
         newer = takewhile(lambda state: state.by_s > by_s, reversed(self._states))
@@ -203,3 +208,7 @@ def _unusable(error: RtdeError) -> DeviceError:
     return DeviceError(
         "HC-B26", DEVICE, "receive", str(error), act="restart the controller; resume"
     )
+
+
+def _unasked() -> None:
+    """Let a look at the buffer go on: `UrLink` asks for a stop itself."""

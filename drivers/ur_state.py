@@ -9,12 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.rtde import RtdeError, Value
+from drivers.rtde import FORMATS, Numbers, Recipe, RtdeError
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.ports import Array
 
 MM = 1000.0
 _TOOL = tuple(f"output_double_register_{n}" for n in range(24, 30))
+_SIX = ("actual_q", "actual_qd", "actual_TCP_pose")
+_MEASURED = (*_SIX, *_TOOL)
 OUTPUTS = (
     "timestamp",
     "actual_q",
@@ -30,14 +32,12 @@ OUTPUTS = (
     "output_int_register_27",
     *_TOOL,
 )
-_JOINTS = tuple(f"input_double_register_{n}" for n in range(24, 30))
 INPUTS = (
     "input_int_register_24",
     "input_int_register_25",
     "input_int_register_26",
     "input_int_register_27",
-    *_JOINTS,
-    "input_double_register_30",
+    *(f"input_double_register_{n}" for n in range(24, 31)),  # the joints, and the speed
 )
 NOTHING, MOVE_JOINTS = 0, 1  # commands
 LARGEST = 1e6  # m, rad, rad/s: a finite number beyond is none either
@@ -47,21 +47,78 @@ LARGEST = 1e6  # m, rad, rad/s: a finite number beyond is none either
 class UrState:
     """One data package. It arrived between ``after_s`` and ``by_s`` (monotonic)."""
 
-    timestamp_s: float  # of the controller's clock
-    joints_rad: Array
-    speeds_rad_s: Array
-    pose: Array  # (4, 4) mm
-    robot_mode: int
-    safety_status: int
-    runtime_state: int
-    speed_fraction: float
-    acknowledged: int
-    error: int
-    session: int
-    count: int  # of the script's loop
-    tool: Array  # (6,) mm and rad
+    numbers: dict[str, Numbers]  # by field
     after_s: float
     by_s: float
+
+    @property
+    def timestamp_s(self) -> float:
+        """Return the time by the controller's clock."""
+        return self.numbers["timestamp"][0]
+
+    @property
+    def joints_rad(self) -> Array:
+        """Return the joints (6,)."""
+        return np.array(self.numbers["actual_q"])
+
+    @property
+    def speeds_rad_s(self) -> Array:
+        """Return the joints' speeds (6,)."""
+        return np.array(self.numbers["actual_qd"])
+
+    @property
+    def pose(self) -> Array:
+        """Return the pose of the TCP (4, 4) in mm."""
+        tcp = np.array(self.numbers["actual_TCP_pose"])
+        T = np.eye(4)
+        T[:3, :3] = from_rotvec(tcp[3:])
+        T[:3, 3] = tcp[:3] * MM
+        return T
+
+    @property
+    def robot_mode(self) -> int:
+        """Return whether the arm is on."""
+        return int(self.numbers["robot_mode"][0])
+
+    @property
+    def safety_status(self) -> int:
+        """Return what the safety system says."""
+        return int(self.numbers["safety_status"][0])
+
+    @property
+    def runtime_state(self) -> int:
+        """Return whether a program plays."""
+        return int(self.numbers["runtime_state"][0])
+
+    @property
+    def speed_fraction(self) -> float:
+        """Return the place of the speed slider, 0 to 1."""
+        return self.numbers["target_speed_fraction"][0]
+
+    @property
+    def acknowledged(self) -> int:
+        """Return the number of the last motion that has ended."""
+        return int(self.numbers["output_int_register_24"][0])
+
+    @property
+    def error(self) -> int:
+        """Return the script's error of that motion."""
+        return int(self.numbers["output_int_register_25"][0])
+
+    @property
+    def session(self) -> int:
+        """Return the number of the script that plays."""
+        return int(self.numbers["output_int_register_26"][0])
+
+    @property
+    def count(self) -> int:
+        """Return the count of the script's loop."""
+        return int(self.numbers["output_int_register_27"][0])
+
+    @property
+    def tool(self) -> Array:
+        """Return the tool (6,) in mm and rad."""
+        return np.array([self.numbers[name][0] for name in _TOOL]) * ([MM] * 3 + [1.0] * 3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,55 +132,26 @@ class Order:
     command: int = MOVE_JOINTS
 
 
-def state_from(values: dict[str, Value], after_s: float, by_s: float) -> UrState:
-    """Return the state that a data package's values mean; raises `RtdeError`."""
-    for name in ("actual_q", "actual_qd", "actual_TCP_pose", *_TOOL):
-        if not bool(np.all(np.abs(values[name]) <= LARGEST)):
-            raise RtdeError(f"{name} is {values[name]}")
-    acknowledged, error, session, count = (
-        _whole(values[f"output_int_register_{n}"]) for n in range(24, 28)
-    )
-    return UrState(
-        timestamp_s=_number(values["timestamp"]),
-        joints_rad=np.array(values["actual_q"]),
-        speeds_rad_s=np.array(values["actual_qd"]),
-        pose=_matrix(np.array(values["actual_TCP_pose"])),
-        robot_mode=_whole(values["robot_mode"]),
-        safety_status=_whole(values["safety_status"]),
-        runtime_state=_whole(values["runtime_state"]),
-        speed_fraction=_number(values["target_speed_fraction"]),
-        acknowledged=acknowledged,
-        error=error,
-        session=session,
-        count=count,
-        tool=np.array([_number(values[name]) for name in _TOOL]) * ([MM] * 3 + [1.0] * 3),
-        after_s=after_s,
-        by_s=by_s,
-    )
+def state_from(numbers: dict[str, Numbers], after_s: float, by_s: float) -> UrState:
+    """Return the state that a data package's numbers mean; raises `RtdeError`."""
+    for name in _MEASURED:
+        if not sum(map(abs, numbers[name])) <= LARGEST:
+            raise RtdeError(f"{name} is {', '.join(map(str, numbers[name]))}")
+    return UrState(numbers, after_s, by_s)
 
 
-def registers(order: Order, life: int) -> dict[str, Value]:
-    """Return the values of the inputs; another ``life`` is the PC's sign of life."""
+def unlike(recipe: Recipe) -> list[str]:
+    """Return the outputs whose type is none of which a state can be read, with their types."""
+    fields = zip(recipe.names, recipe.types, strict=True)
+    return [
+        f"{name} ({kind})"
+        for name, kind in fields
+        if FORMATS.get(kind) not in (("6d",) if name in _SIX else tuple("?BiIQd"))
+    ]
+
+
+def registers(order: Order, life: int) -> dict[str, Numbers]:
+    """Return the numbers of the inputs; another ``life`` is the PC's sign of life."""
     integers = (order.sequence, order.command, life, int(order.stop))
-    found: dict[str, Value] = dict(zip(INPUTS[:4], integers, strict=True))
-    found |= dict(zip(_JOINTS, order.target_rad.tolist(), strict=True))
-    found["input_double_register_30"] = order.speed_rad_s
-    return found
-
-
-def _matrix(pose: Array) -> Array:
-    T = np.eye(4)
-    T[:3, :3] = from_rotvec(pose[3:])
-    T[:3, 3] = pose[:3] * MM
-    return T
-
-
-def _number(value: Value) -> float:
-    """Return a value of one component."""
-    if isinstance(value, tuple):
-        raise RtdeError(f"one number is expected, found {len(value)}")
-    return float(value)
-
-
-def _whole(value: Value) -> int:
-    return int(_number(value))
+    floats = (*order.target_rad.tolist(), order.speed_rad_s)
+    return {name: (each,) for name, each in zip(INPUTS, (*integers, *floats), strict=True)}

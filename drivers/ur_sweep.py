@@ -50,7 +50,7 @@ class SweepingRobot(Protocol):
     def acknowledged(self, number: int) -> bool:
         """Whether a motion has ended; raises the script's error."""
 
-    def check_progress(self, limits: MotionLimits, number: int) -> None:
+    def check_progress(self, limits: MotionLimits, number: int, state: UrState) -> None:
         """Raise an error where the motion gets nowhere."""
 
     def rest(self, target_rad: Array) -> RobotReading:
@@ -151,7 +151,7 @@ class UrSweep:
         if self._robot.acknowledged(self._number):
             self.ended = True
             return
-        self._robot.check_progress(self._limits, self._number)
+        self._robot.check_progress(self._limits, self._number, state)
         if not abs(state.speed_fraction - self._fraction) <= SAME_SPEED:
             raise DeviceError(
                 "HC-B70",

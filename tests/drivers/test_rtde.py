@@ -35,11 +35,11 @@ def test_packages_are_put_together_however_they_come() -> None:
 
 @pytest.mark.parametrize("name", ["actual_q", "actual_qd", "actual_TCP_pose", OUTPUTS[-1]])
 def test_a_number_that_no_robot_has_is_refused(name: str) -> None:
-    values: dict[str, rtde.Value] = {
-        each: (0.5,) * 6 if each.startswith("actual") else 1 for each in OUTPUTS
+    values: dict[str, rtde.Numbers] = {
+        each: (0.5,) * (6 if each.startswith("actual") else 1) for each in OUTPUTS
     }
     state_from(values, 0.0, 0.0)
-    huge = (0.5,) * 5 + (-1e200,) if name.startswith("actual") else 1e200
+    huge = (*values[name][1:], -1e200)
     with pytest.raises(RtdeError, match=rf"{name} is .*1e\+200"):
         state_from(values | {name: huge}, 0.0, 0.0)
 
@@ -52,7 +52,7 @@ def test_an_impossible_size_is_refused(size: int) -> None:
 
 def test_data_by_recipe() -> None:
     values = RECIPE.decode(DATA)
-    assert values == {"timestamp": 12.5, "actual_q": (0, 1, 2, 3, 4, 5), "robot_mode": 7}
+    assert values == {"timestamp": (12.5,), "actual_q": (0, 1, 2, 3, 4, 5), "robot_mode": (7,)}
     assert RECIPE.encode(values) == rtde.encode(Kind.DATA, DATA)
 
 
@@ -78,11 +78,10 @@ def test_what_the_controller_lacks_or_another_holds() -> None:
 
 
 def test_states_are_in_mm_and_rad() -> None:
-    values: dict[str, rtde.Value] = dict.fromkeys(OUTPUTS, 1)
-    values |= {"actual_q": (0.1,) * 6, "actual_qd": (0.0,) * 6}
-    values["actual_TCP_pose"] = (0.5, -0.25, 1.0, 0.0, 0.0, 3.141592653589793)
-    values["output_double_register_24"] = 0.09
-    state = state_from(values, 1.0, 2.0)
+    numbers: dict[str, rtde.Numbers] = dict.fromkeys(OUTPUTS, (0.0,))
+    numbers["actual_TCP_pose"] = (0.5, -0.25, 1.0, 0.0, 0.0, 3.141592653589793)
+    numbers["output_double_register_24"] = (0.09,)
+    state = state_from(numbers, 1.0, 2.0)
     assert state.pose[:3, 3].tolist() == [500.0, -250.0, 1000.0]
     assert state.pose[0].tolist()[:2] == pytest.approx([-1.0, 0.0], abs=1e-12)
     assert state.tool[0] == pytest.approx(90.0)
@@ -91,4 +90,4 @@ def test_states_are_in_mm_and_rad() -> None:
 def test_registers_of_the_script() -> None:
     values = registers(Order(7, np.arange(6.0), 0.25, stop=True), 3)
     assert tuple(values) == INPUTS
-    assert [values[name] for name in INPUTS] == [7, 1, 3, 1, *range(6), 0.25]
+    assert [values[name][0] for name in INPUTS] == [7, 1, 3, 1, *range(6), 0.25]

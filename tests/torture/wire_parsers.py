@@ -20,7 +20,7 @@ from drivers.strip_serial import SerialStrip
 from drivers.supervision import Patience
 from drivers.text_lines import TextLines
 from drivers.tracker_leica_geocom import LeicaGeocomTracker
-from drivers.ur_state import INPUTS, OUTPUTS, state_from
+from drivers.ur_state import INPUTS, OUTPUTS, state_from, unlike
 from fakes.eki_server import BOMB
 from hilcell.clock import WallClock
 from hilcell.errors import DeviceError, HilcellError
@@ -102,6 +102,8 @@ def packages(data: bytes) -> None:
         for kind, payload in read.feed(piece):
             if kind == rtde.Kind.OUTPUTS:
                 recipe = rtde.Recipe.from_answer(OUTPUTS, payload)
+                if unlike(recipe):
+                    return
             elif kind == rtde.Kind.INPUTS:
                 rtde.Recipe.from_answer(INPUTS, payload).lacking(rtde.IN_USE)
             elif kind == rtde.Kind.CONTROLLER_VERSION:
@@ -120,8 +122,8 @@ def package_samples() -> Iterable[bytes]:
     outputs = rtde.encode(rtde.Kind.OUTPUTS, b"\1" + TYPES.encode())
     lacking = rtde.encode(rtde.Kind.OUTPUTS, b"\1" + TYPES.replace("INT32", "NOT_FOUND").encode())
     recipe = rtde.Recipe(1, OUTPUTS, tuple(TYPES.split(",")))
-    values: dict[str, rtde.Value] = {
-        name: (0.5,) * 6 if kind == "VECTOR6D" else 1
+    values: dict[str, rtde.Numbers] = {
+        name: (0.5,) * 6 if kind == "VECTOR6D" else (1,)
         for name, kind in zip(OUTPUTS, recipe.types, strict=True)
     }
     good = recipe.encode(values)

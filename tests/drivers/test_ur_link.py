@@ -1,0 +1,117 @@
+"""States by RTDE from a controller that a test plays."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import struct
+import threading
+from collections.abc import Callable, Iterator, Sequence
+
+import pytest
+
+from drivers import ur_link
+from drivers.rtde import Kind, Packages, encode
+from drivers.ur_link import UrLink
+from drivers.ur_state import OUTPUTS
+from hilcell.ports import DeviceError, DeviceRefused
+from tests.drivers.peers import Server
+from tests.fakes.rail_bench import until
+
+SIX = {"actual_q", "actual_qd", "actual_TCP_pose"}
+TYPES = ["VECTOR6D" if name in SIX else "DOUBLE" for name in OUTPUTS]
+RATE_HZ = 125.0
+
+
+class Controller:
+    """Answers the set-up, and sends a state and ``besides``, when ``due`` returns."""
+
+    def __init__(
+        self,
+        types: Sequence[str] = TYPES,
+        due: Callable[[], object] = lambda: None,
+        besides: bytes = b"",
+    ) -> None:
+        self.types, self.due, self._besides = types, due, besides
+        self.number, self.sent = 1, 0
+
+    def serve(self, wire: socket.socket) -> None:
+        packages = Packages()
+        while data := wire.recv(65536):
+            for kind, _ in packages.feed(data):
+                answer = {
+                    Kind.CONTROLLER_VERSION: bytes(16),
+                    Kind.OUTPUTS: b"\1" + ",".join(self.types).encode(),
+                    Kind.INPUTS: b"\2" + ",".join(["INT32"] * 4 + ["DOUBLE"] * 7).encode(),
+                }.get(Kind(kind), b"\1")
+                wire.sendall(encode(Kind(kind), answer))
+                if kind == Kind.START:
+                    self._send_states(wire)
+
+    def _send_states(self, wire: socket.socket) -> None:
+        while True:
+            self.due()
+            values = (float(self.sent), *[0.0] * (len(OUTPUTS) + 3 * 5 - 1))
+            payload = struct.pack(f">B{len(values)}d", self.number, *values)
+            wire.sendall(encode(Kind.DATA, payload) + self._besides)
+            self.sent += 1
+
+
+@contextlib.contextmanager
+def link_to(controller: Controller, check: Callable[[], None] = lambda: None) -> Iterator[UrLink]:
+    with Server(controller.serve) as server:
+        link = UrLink("127.0.0.1", server.port, RATE_HZ, check)
+        try:
+            yield link
+        finally:
+            link.close()
+
+
+def test_a_fresh_state_is_waited_for_without_spinning(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ur_link, "IDLE_S", 1e3)
+    looks, due, controller = list[None](), threading.Event(), Controller()
+    controller.due = lambda: due.wait(0.05)
+    with link_to(controller, lambda: looks.append(None)) as link:
+        link.next()
+        sent = controller.sent
+        until(lambda: controller.sent > sent, "a state waits in the buffer")
+        looks.clear()
+        assert link.fresh().timestamp_s > sent
+        assert len(looks) <= 50  # of 20 ms, while three states of 50 ms are waited for
+
+
+def test_states_that_nobody_wants_block_no_controller(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ur_link, "IDLE_S", 0.01)
+    controller = Controller(besides=encode(Kind.TEXT, bytes(4000)))
+    with link_to(controller) as link:
+        until(lambda: controller.sent > 5000, "20 MB have left, more than all buffers hold")
+        assert link.next().timestamp_s > 0.0
+
+
+def test_a_failure_that_nobody_looked_at_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ur_link, "IDLE_S", 0.01)
+    controller, paced = Controller(), threading.Event()
+    controller.due = lambda: paced.wait(0.002)
+    with link_to(controller) as link:
+        link.next()
+        controller.number = 2  # of another recipe
+        sent = controller.sent
+        until(lambda: controller.sent > sent + 50, "they have been fetched")
+        controller.number = 1
+        for _ in range(2):
+            with pytest.raises(DeviceError, match="of recipe 02") as found:
+                link.fresh()
+            assert found.value.code == "HC-B26"
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("actual_q", "DOUBLE"), ("timestamp", "VECTOR6D"), ("timestamp", "STRING")]
+)
+def test_a_field_of_another_type_is_refused(name: str, kind: str) -> None:
+    types = [kind if each == name else usual for each, usual in zip(OUTPUTS, TYPES, strict=True)]
+    with (
+        pytest.raises(DeviceRefused, match=rf"{name} \({kind}\)") as found,
+        link_to(Controller(types)),
+    ):
+        pass
+    assert found.value.code == "HC-B69"
