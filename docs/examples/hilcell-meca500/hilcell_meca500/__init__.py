@@ -1,0 +1,1 @@
+"""Robots of Mecademic for hilcell: driver, alarms, simulated controller, programs."""

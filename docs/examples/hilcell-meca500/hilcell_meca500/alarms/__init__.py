@@ -1,0 +1,1 @@
+"""Alarms of the driver; found by the entry point ``hilcell.alarms``."""

@@ -1,0 +1,293 @@
+"""A robot of Mecademic (Meca500) by its text API.
+
+A motion is three commands: speed, joints, checkpoint. That the checkpoint was reached proves
+nothing by itself: a motion has ended when the joints stand at the target as well. Each poll of a
+motion sets the controller's connection watchdog again, so that a PC that dies, or hangs, stops it.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Annotated, NamedTuple
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from drivers.motion_limits import MotionLimits, planned_s
+from drivers.robot_errors import DEVICE, failed, overdue, refused, stalled, stopped_short
+from drivers.supervision import Patience, Supervision
+from hilcell.cell.file import Joint
+from hilcell.ports import (
+    Array,
+    Clock,
+    DeviceError,
+    DeviceRefused,
+    Identity,
+    RobotReading,
+    says_simulated,
+)
+from hilcell_meca500.euler import rotations
+from hilcell_meca500.wire import Wire
+
+CHECKPOINTS = 8000  # they are numbered from 1
+WATCHDOG_S = 1.5  # longer than `Supervision` allows, which then reports that the PC was late
+POLL_S = 0.05
+DWELL_S = 0.05  # between the two looks that tell standstill
+STALL_S = 5.0
+SETTLE_S = 3.0  # from the checkpoint to standstill
+ARRIVED_DEG, STILL_DEG, PROGRESS_DEG = 0.01, 0.001, 0.01
+FRAME_MM = 0.001
+# Of the controller's status: its place there, its name, the value wanted, alarm, next act.
+READY = (
+    (0, "activated", 1, "HC-B13", "activate the robot in the MecaPortal"),
+    (1, "homed", 1, "MX-B01", "home the robot in the MecaPortal"),
+    (2, "simulation mode", 0, "MX-B02", "switch the simulation mode off in the MecaPortal"),
+    (3, "error", 0, "MX-B03", "read and reset the error in the MecaPortal"),
+    (4, "paused", 0, "HC-B21", "resume to reconnect"),
+)
+PAUSED = 4
+
+
+class Look(NamedTuple):
+    """The robot at one moment: the controller's time, joints (6,), pose (4, 4), arrival here."""
+
+    controller_us: float
+    joints_deg: Array
+    pose: Array
+    taken_s: float
+
+
+class MecaRobot:
+    """Satisfies `hilcell.ports.Robot`."""
+
+    class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+        """Keys of `[robot.options]`; ``smr_mm`` and ``joint`` are handed over from `[robot]`."""
+
+        host: str
+        smr_mm: tuple[float, float, float]
+        joint: list[Joint]
+        port: Annotated[int, Meta(ge=1, le=65535)] = 10000
+        model: str = "Meca500"
+        serial: str = ""
+
+    def __init__(self, options: Options, clock: Clock) -> None:
+        self._options, self._clock = options, clock
+        self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
+        self._watch = Supervision(DEVICE, "HC-B27")
+        self._wire: Wire | None = None
+        self._number = 0  # of the last checkpoint
+        self._under_way = self._stopped = False
+        self._ended_s: float | None = None
+
+    def connect(self) -> list[Identity]:
+        """Open the wire, verify robot and state, set the frames; nothing moves."""
+        self._close_wire()
+        self._stopped = self._under_way = False
+        options = self._options
+        self._wire = Wire(options.host, options.port, self._attend)
+        try:
+            identity = self._identify()
+            self._check_state(but=PAUSED)
+            self._clear_queue()
+            self._set_frames()
+        except BaseException:
+            self._close_wire()
+            raise
+        return [identity]
+
+    def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
+        """Move all axes in step; return the reading at rest, after the motion."""
+        target_deg = np.degrees(np.asarray(joints_rad, dtype=float))
+        if target_deg.shape != (6,) or not bool(np.all(np.isfinite(target_deg))):
+            raise failed("HC-B28", f"target {target_deg} deg", wanted="six finite angles")
+        if not 1.0 <= speed_percent <= 100.0:
+            raise failed("HC-B28", f"speed {speed_percent} %", wanted="1 to 100 %")
+        way_deg = target_deg - self._look().joints_deg
+        planned = planned_s(way_deg, self._speed_deg_s, speed_percent)
+        limits = MotionLimits(planned, STALL_S, PROGRESS_DEG)
+        with self._watch.motion():
+            self._start(target_deg, speed_percent)
+            while self._connected().checkpoint != self._number:
+                self._clock.wait(POLL_S)
+                self._check_state()
+                self._check_progress(limits)
+            reading = self._rest(target_deg)
+            self._connected().send("ConnectionWatchdog(0)")
+        return reading
+
+    def read(self) -> RobotReading:
+        """Return a reading asked for after this call began."""
+        self._check_state()
+        before, after = self._two_looks()
+        return self._reading(after, still=not self._under_way and _stands(before, after))
+
+    def stop(self) -> None:
+        """Brake and forget the queue; any thread; waits for no answer.
+
+        A motion that another thread sends behind it stays in the queue: only `connect` resumes.
+        """
+        self._stopped = True
+        if self._wire is not None:
+            self._wire.send("ClearMotion()")
+
+    def close(self) -> None:
+        """Brake a motion that is still under way, then close the wire."""
+        try:
+            if self._under_way and not self._stopped:
+                self.stop()
+        finally:
+            self._close_wire()
+
+    # -- connecting ---------------------------------------------------------------------------
+
+    def _identify(self) -> Identity:
+        wire, options = self._connected(), self._options
+        model, serial = wire.ask("GetProductType()", 2084), wire.ask("GetRobotSerial()", 2083)
+        for name, found, fits, wanted in (
+            ("model", model, options.model in model, f"{options.model!r} in it"),
+            ("serial", serial, options.serial in ("", serial), repr(options.serial)),
+        ):
+            if not fits:
+                act = "this is another robot; correct robot.options"
+                raise refused("HC-B05", f"{name} {found!r}", wanted=wanted, act=act)
+        return Identity(
+            DEVICE,
+            model,
+            serial,
+            wire.address,
+            simulated=says_simulated(model),
+            kind="robot",
+            maker="Mecademic",
+            firmware=wire.ask("GetFwVersion()", 2081),
+        )
+
+    def _clear_queue(self) -> None:
+        """Forget all motions, also those of a dead program, and take a stop back."""
+        wire = self._connected()
+        wire.send("ConnectionWatchdog(0)")
+        wire.ask("ClearMotion()", 2044)
+        wire.ask("ResumeMotion()", 2043)
+        self._check_state()
+
+    def _set_frames(self) -> None:
+        """Set the tool to the reflector and the world to the base; read both back."""
+        wire = self._connected()
+        tool = np.array([*self._options.smr_mm, 0.0, 0.0, 0.0])
+        wire.send(f"SetWrf({_text(np.zeros(6))})", f"SetTrf({_text(tool)})", "SetBlending(0)")
+        for command, code, wanted in (("GetWrf()", 2013, np.zeros(6)), ("GetTrf()", 2014, tool)):
+            patience, over = Patience(SETTLE_S), False
+            while not bool(np.all(np.abs(wire.numbers(command, code, 6) - wanted) <= FRAME_MM)):
+                if over:
+                    act = "correct robot.smr_mm in the cell file, or see the MecaPortal"
+                    found = f"{command}: {_text(wire.numbers(command, code, 6))}"
+                    raise refused("HC-B06", found, wanted=_text(wanted), act=act)
+                over = patience.over()
+
+    # -- moving -------------------------------------------------------------------------------
+
+    def _start(self, target_deg: Array, speed_percent: float) -> None:
+        if self._stopped:
+            raise failed("HC-B21", "the robot was stopped", act="resume to reconnect")
+        self._number = self._number % CHECKPOINTS + 1
+        self._under_way, self._ended_s = True, None
+        self._connected().send(
+            f"ConnectionWatchdog({WATCHDOG_S})",
+            f"SetJointVel({speed_percent:.3f})",
+            f"MoveJoints({_text(target_deg)})",
+            f"SetCheckpoint({self._number})",
+        )
+
+    def _check_state(self, but: int | None = None) -> None:
+        """Raise `DeviceError` where the controller's state forbids to go on."""
+        wire = self._connected()
+        if self._under_way:
+            wire.send(f"ConnectionWatchdog({WATCHDOG_S})")
+        if (problem := self._problem(but)) is not None:
+            # A state is sent before its cause: an answer more brings the message with that.
+            raise self._problem(but) or problem
+
+    def _problem(self, but: int | None) -> DeviceError | None:
+        status = self._connected().numbers("GetStatusRobot()", 2007, 7)
+        kind = DeviceError if self._under_way else DeviceRefused
+        operation = "move" if self._under_way else "check"
+        if self._connected().emergency_stop:
+            act = "release the emergency stop, reset it at the power supply"
+            return kind("HC-B10", DEVICE, operation, "emergency stop", act=act)
+        for place, name, wanted, code, act in READY:
+            if place != but and status[place] != wanted:
+                found = f"{name} is {status[place]:g}"
+                return kind(code, DEVICE, operation, found, wanted=f"{wanted}", act=act)
+        return None
+
+    def _check_progress(self, limits: MotionLimits) -> None:
+        """Raise `DeviceError` where a motion stands or creeps."""
+        now_deg = self._look().joints_deg
+        where, wanted = f"at {_text(now_deg)} deg", f"checkpoint {self._number}"
+        if limits.stalled(now_deg):
+            raise stalled(where, wanted, now_deg, STALL_S)
+        if limits.overdue(self._clock.now_s(), 100.0):
+            raise overdue(where, wanted, limits, now_deg)
+
+    def _rest(self, target_deg: Array) -> RobotReading:
+        """Return the reading at rest at joints (6,), after the checkpoint."""
+        patience, over = Patience(SETTLE_S), False
+        while True:
+            self._check_state()
+            before, after = self._two_looks()
+            arrived = bool(np.all(np.abs(after.joints_deg - target_deg) <= ARRIVED_DEG))
+            if arrived and _stands(before, after):
+                self._under_way, self._ended_s = False, before.taken_s
+                return self._reading(after, still=True)
+            if over:
+                break
+            over = patience.over()
+        at, wanted = _text(after.joints_deg), f"{_text(target_deg)} +-{ARRIVED_DEG}"
+        raise stopped_short(at, wanted, after.joints_deg, target_deg)
+
+    def _two_looks(self) -> tuple[Look, Look]:
+        before = self._look()
+        self._clock.wait(DWELL_S)
+        after = self._look()
+        if not after.controller_us > before.controller_us:
+            found = f"the controller's time stands at {after.controller_us:.0f} us"
+            raise failed("HC-B26", found, act="restart the robot; resume")
+        return before, after
+
+    def _look(self) -> Look:
+        wire = self._connected()
+        joints = wire.numbers("GetRtJointPos()", 2210, 7)
+        taken_s = time.monotonic()
+        place = wire.numbers("GetRtCartPos()", 2211, 7)
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = rotations(place[4:]), place[1:4]
+        return Look(joints[0], joints[1:], pose, taken_s)
+
+    def _reading(self, look: Look, *, still: bool) -> RobotReading:
+        joints_rad = np.radians(look.joints_deg)
+        return RobotReading(joints_rad, look.pose, still, look.taken_s, self._ended_s)
+
+    # -- the wire -----------------------------------------------------------------------------
+
+    def _connected(self) -> Wire:
+        if self._wire is None:
+            raise DeviceError("HC-B21", DEVICE, "use", "not connected", act="connect first")
+        return self._wire
+
+    def _attend(self) -> None:
+        """Run in every wait on the wire."""
+        self._clock.check()
+        self._watch.look()
+
+    def _close_wire(self) -> None:
+        wire, self._wire = self._wire, None
+        if wire is not None:
+            wire.close()
+
+
+def _stands(before: Look, after: Look) -> bool:
+    return bool(np.all(np.abs(after.joints_deg - before.joints_deg) <= STILL_DEG))
+
+
+def _text(numbers: Array) -> str:
+    return ",".join(f"{each:.6f}" for each in numbers)

@@ -1,0 +1,227 @@
+"""The driver against the simulated controller over the wire; programs. The kit judges the rest."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from hilcell_meca500 import wire
+from hilcell_meca500.simulated import MecaServer, serve
+
+from fakes.faults import Faults
+from fakes.plant import Plant
+from fakes.site import Site
+from fakes.time import PlantTime
+from hilcell.cell.devices import driver_options
+from hilcell.cell.file import load_cell
+from hilcell.cell.settings import SettingsError
+from hilcell.clock import WallClock
+from hilcell.compensation.programs import load_program
+from hilcell.compensation.stamp import Stamp
+from hilcell.compensation.station_program import Places, StationProgram, writer_of
+from hilcell.geometry.kinematics import forward
+from hilcell.ports import DeviceError, Robot
+
+CELL = load_cell("paper", {"robot.driver": "meca500"})
+SAFE_RAD = np.radians(CELL.robot.safe_deg)
+PROGRAM = """// holes of panel 7
+SetWrf(0, 0, 0, 0, 0, 0)
+SetTrf(98, 0, 127, 0, 0, 0)
+SetBlending(0)
+MovePose(1730.0, 400.0, 900.0, 0, 75, 0)   // above
+MoveLin(1780.0, 400.00001, 900, 10, 75, -20)
+Delay(0.5) /* MoveLin(1, 2, 3, 4, 5, 6) */
+"""
+
+
+@pytest.fixture
+def faults() -> Faults:
+    return Faults()
+
+
+@pytest.fixture
+def server(faults: Faults) -> Iterator[MecaServer]:
+    time = PlantTime(10.0)
+    found = serve(Site(CELL, Plant(CELL, 1, time, faults), faults, time), 0)
+    with contextlib.closing(found):
+        found.start()
+        yield found
+
+
+def robot_at(server: MecaServer, **changed: object) -> Robot:
+    kind, options = driver_options(CELL, "robot", "robots", server.address)
+    built: Robot = kind(msgspec.structs.replace(options, **changed), WallClock(threading.Event()))
+    return built
+
+
+@pytest.fixture
+def robot(server: MecaServer) -> Iterator[Robot]:
+    with contextlib.closing(robot_at(server)) as found:
+        yield found
+
+
+def test_the_pose_is_that_of_the_reflector(robot: Robot) -> None:
+    (identity,) = robot.connect()
+    assert (identity.model, identity.maker) == ("Meca500 SIMULATED", "Mecademic")
+    reading = robot.move_to(SAFE_RAD, 100.0)
+    assert reading.still
+    np.testing.assert_allclose(reading.pose, forward(CELL.robot.arm(), SAFE_RAD), atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("state", "value", "code"),
+    [
+        ("activated", False, "HC-B13"),
+        ("homed", False, "MX-B01"),
+        ("simulates", True, "MX-B02"),
+        ("error", True, "MX-B03"),
+    ],
+)
+def test_a_robot_that_is_not_ready_is_refused(
+    server: MecaServer, robot: Robot, state: str, value: bool, code: str
+) -> None:
+    setattr(server.controller, state, value)
+    with pytest.raises(DeviceError) as caught:
+        robot.connect()
+    assert caught.value.code == code
+    server.restore()
+    robot.connect()
+
+
+@pytest.mark.parametrize(
+    ("fault", "value", "code"),
+    [
+        ("robot.e_stop", True, "HC-B10"),
+        ("robot.softlimit", True, "HC-B20"),
+        ("robot.stops_short", 0.1, "HC-B24"),
+        ("robot.vanish", True, "HC-B02"),
+    ],
+)
+def test_a_motion_that_fails_raises_its_alarm(
+    robot: Robot, faults: Faults, fault: str, value: float, code: str
+) -> None:
+    robot.connect()
+    faults.set(fault, value)
+    with pytest.raises(DeviceError) as caught:
+        robot.move_to(SAFE_RAD, 10.0)
+    assert caught.value.code == code
+
+
+def test_a_robot_that_somebody_else_controls_is_left_alone(
+    server: MecaServer, robot: Robot
+) -> None:
+    robot.connect()
+    with contextlib.closing(robot_at(server)) as other, pytest.raises(DeviceError) as caught:
+        other.connect()
+    assert caught.value.code == "MX-B04"
+    robot.read()
+
+
+def test_the_simulated_controller_answers_as_the_manual_says(server: MecaServer) -> None:
+    port = server.address["port"]
+    assert isinstance(port, int)
+    with socket.create_connection(("127.0.0.1", port)) as link, link.makefile("rb") as answers:
+        link.sendall(b"SyncCmdQueue(123)\0GetStatusRobot()\0getfwversion\0Nonsense()\0")
+        found = b""
+        while found.count(b"\0") < 5:
+            found += answers.read(1)
+    greeting, *rest = found.decode().rstrip("\0").split("\0")
+    assert greeting.startswith("[3000]")
+    assert rest[:3] == ["[2097][123]", "[2007][1,1,0,0,0,1,1]", "[2081][v11.3.4]"]
+    assert rest[3].startswith("[1001]")
+
+
+def test_a_late_answer_is_not_the_next_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(wire, "ANSWER_S", 0.1)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        asking = threading.Thread(target=_answer_late, args=(server,))
+        asking.start()
+        line = wire.Wire("127.0.0.1", server.getsockname()[1], lambda: None)
+        with contextlib.closing(line):
+            with pytest.raises(DeviceError, match=r"no answer \[2083\] within"):
+                line.ask("GetRobotSerial()", 2083)
+            monkeypatch.setattr(wire, "ANSWER_S", 10.0)
+            assert line.ask("GetRobotSerial()", 2083) == "second"
+        asking.join(10.0)
+
+
+def _answer_late(server: socket.socket) -> None:
+    """Answer the first question together with the second one."""
+    with server.accept()[0] as client:
+        client.sendall(b"[3000][Connected]\0")
+        received = b""
+        while received.count(b"GetRobotSerial") < 2:
+            received += client.recv(4096)
+        numbers = [b"[2097][%d]\0[2083][%s]\0" % each for each in ((1, b"first"), (2, b"second"))]
+        client.sendall(b"".join(numbers))
+        client.recv(1)
+
+
+def test_only_the_targets_of_a_program_change(tmp_path: Path) -> None:
+    source = tmp_path / "panel.MXPROG"
+    source.write_text(PROGRAM)
+    program = load_program(source)
+    assert program is not None
+    values = program.values()
+    np.testing.assert_allclose(values[0], [1730, 400, 900, 0, 75, 0], atol=1e-9)
+    (text,) = program.with_positions(values, "stamp").values()
+    found = text.decode().splitlines()
+    assert found[0] == "// stamp"
+    assert found[1:5] == PROGRAM.splitlines()[:4]
+    assert found[5] == "MovePose(1730.0000, 400.0000, 900.0000, 0.0000, 75.0000, 0.0000)   // above"
+    assert found[6] == "MoveLin(1780.0000, 400.00001, 900.0000, 10.0000, 75.0000, -20.0000)"
+    program.check_joints(CELL.robot.arm(), np.eye(4), values)
+    (tmp_path / "other.mxprog").write_text(PROGRAM.replace("98", "97"))
+    other = load_program(tmp_path / "other.mxprog")
+    assert other is not None
+    with pytest.raises(SettingsError, match=r"line 3: SetTrf is another tool than \(98.000"):
+        other.check_joints(CELL.robot.arm(), np.eye(4), values)
+
+
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [
+        ("MoveLinRelTrf(0, 0, 5, 0, 0, 0)", "MoveLinRelTrf: it is not known to leave"),
+        ("MoveJoints(0, 0, 0, 0, 0, 0)", "a joint target"),
+        ("SetBlending(100)", "the robot passes its targets"),
+        ("SetWrf(0, 0, 0, 0, 0, 0)", "above all targets"),
+        ("SetTrf(1, 2, 3, 4, 5, 6)", "one tool"),
+        ("MoveLin(1, 2, 3)", "wanted are six numbers"),
+        ("MoveLin(1, 2, 3, 4, 5, x)", "it is not known"),
+        ("}", "it is not known"),
+    ],
+)
+def test_a_program_that_cannot_be_corrected_is_refused_by_its_line(
+    tmp_path: Path, line: str, why: str
+) -> None:
+    source = tmp_path / "panel.mxprog"
+    source.write_text(f"{PROGRAM}{line}\n")
+    with pytest.raises(SettingsError) as caught:
+        load_program(source)
+    (problem,) = caught.value.problems
+    assert problem.startswith("panel.mxprog line 8: ")
+    assert why in problem
+    source.write_text("MoveLin(1, 2, 3, 4, 5, 6)\n")
+    with pytest.raises(SettingsError, match=r"line 1: MoveLin: the robot blends past this target"):
+        load_program(source)
+
+
+def test_the_program_of_a_station_is_written_in_joints() -> None:
+    at = Places(np.zeros((1, 6)), np.radians([[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]]), np.array([6]))
+    below = Places(np.zeros((1, 6)), np.zeros((1, 6)), np.array([6]))
+    program = StationProgram(
+        "S 1100", ["H1"], at, below, np.zeros(6), CELL.robot.safe_deg, 30.0, {}, ["care"]
+    )
+    write = writer_of("meca500")
+    assert write is not None
+    (name,), (data,) = zip(*write(program, Stamp("run", "S 1100", "now")).items(), strict=True)
+    assert name == "S_1100.mxprog"
+    lines = data.decode().splitlines()
+    assert lines[0].startswith("// hilcell: corrected by run")
+    assert "MoveJoints(1.000000, 2.000000, 3.000000, 4.000000, 5.000000, 6.000000)" in lines

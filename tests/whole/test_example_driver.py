@@ -1,0 +1,181 @@
+"""The package of docs/drivers-guide.md: installed beside hilcell, found, judged, run to the end.
+
+It stands outside of hilcell's own packages, and nothing of them knows it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import venv
+from collections.abc import Callable
+from pathlib import Path
+from textwrap import indent
+
+import pytest
+
+from hilcell.conformance.kit import promises_of
+from tests.whole.bench import SMALL, end_of, sets
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "docs" / "examples" / "hilcell-meca500"
+GUIDE = ROOT / "docs" / "drivers-guide.md"
+DRIVER = ("--set", "robot.driver=meca500")
+KIT = "--hilcell-driver=robots:meca500"
+INSTALL = ("-m", "pip", "install", "--quiet", "--no-index", "--no-deps", "--no-build-isolation")
+BLOCK = re.compile(r"^```(?:python|toml)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+
+DRILL = ("SetBlending(0)", "MoveLin(1780.0, 400.0, 900.0, 0, 75, 0)")
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Install the package into a folder of its own; no network is asked."""
+    folder = tmp_path_factory.mktemp("site")
+    words = [sys.executable, *INSTALL, "--target", str(folder), str(PACKAGE)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.fixture
+def run(site: Path, tmp_path: Path) -> Run:
+    """Return what runs a module of Python beside which the package is installed."""
+    return runner(Path(sys.executable), tmp_path, {"PYTHONPATH": str(site)})
+
+
+def runner(python: Path, folder: Path, environment: dict[str, str]) -> Run:
+    def run(*words: str | Path) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [python, "-m", *words],
+            cwd=folder,
+            env=os.environ | {"HILCELL_RUNS": str(folder / "runs")} | environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    return run
+
+
+def test_it_is_found_by_its_entry_points(run: Run) -> None:
+    doctor = json.loads(run("hilcell", "doctor", "--json").stdout)
+    (drivers,) = (each for each in doctor["checks"] if each["check"] == "drivers")
+    assert (drivers["state"], "meca500" in drivers["found"]) == ("ok", True)
+    checked = run("hilcell", "check", "paper", *DRIVER)
+    assert checked.returncode == 0, checked.stderr
+    assert "robot driver 'meca500' does not sweep an axis" in checked.stdout + checked.stderr
+    assert "Robot simulates its motions" in run("hilcell", "explain", "MX-B02").stdout
+
+
+def test_wrong_options_are_refused_with_their_names(run: Run) -> None:
+    done = run("hilcell", "check", "paper", *DRIVER, "--set", "robot.options.prot=1")
+    assert done.returncode == 2
+    assert 'robot.options: prot: unknown key; did you mean "port"?' in done.stderr
+
+
+def test_its_own_tests_pass(run: Run) -> None:
+    done = run("pytest", "-q", "-p", "no:cacheprovider", "-W", "error", PACKAGE / "tests")
+    assert done.returncode == 0, done.stdout
+
+
+def test_the_kit_judges_it(run: Run) -> None:
+    done = run("pytest", "-q", "-p", "no:cacheprovider", KIT, "-k", "units or handedness")
+    assert done.returncode == 0, done.stdout
+    assert "2 passed" in done.stdout
+
+
+def test_a_run_moves_it_and_names_it(run: Run) -> None:
+    done = run("hilcell", "run", "home", "--unattended", "--json", *DRIVER)
+    assert end_of(done)["state"] == "finished"
+    assert "Meca500 SIMULATED" in done.stdout
+
+
+def test_no_file_of_hilcell_knows_it() -> None:
+    named = [
+        path
+        for room in ("hilcell", "drivers", "procedures", "fakes")
+        for path in (ROOT / room).rglob("*")
+        if path.suffix in (".py", ".toml") and "meca" in path.read_text("utf-8").lower()
+    ]
+    assert named == []
+    assert "meca500" not in (ROOT / "pyproject.toml").read_text("utf-8").partition("[tool.")[0]
+
+
+def test_the_guide_quotes_the_package_word_for_word() -> None:
+    files = [*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.toml")]
+    blocks = BLOCK.findall(GUIDE.read_text("utf-8"))
+    assert len(blocks) >= 10
+    stated, deep = "\n".join(path.read_text("utf-8") for path in files), (0, 4, 8)
+    foreign = [block for block in blocks if not any(indent(block, n * " ") in stated for n in deep)]
+    assert foreign == []
+    unnamed = [
+        path.relative_to(PACKAGE).as_posix()
+        for path in files
+        if path.name != "__init__.py" and path.name not in GUIDE.read_text("utf-8")
+    ]
+    assert unnamed == []
+
+
+@pytest.mark.nightly
+def test_every_promise_is_held_or_does_not_apply(run: Run) -> None:
+    done = run("pytest", "-q", "-p", "no:cacheprovider", "-rs", KIT)
+    assert done.returncode == 0, done.stdout
+    assert f"{len(promises_of('robot')) - 2} passed, 2 skipped" in done.stdout
+    assert re.search(r"SKIPPED \[2\] .*: it does not sweep", done.stdout)
+
+
+@pytest.mark.nightly
+def test_a_cell_with_it_keeps_every_promise(run: Run) -> None:
+    done = run("hilcell", "run", "conformance", "--unattended", "--json", *DRIVER)
+    end = end_of(done)
+    assert end["exit"] == 0, end["result"]
+    found = {each["promise"]: each["verdict"] for each in end["result"]["conformance"]["robot"]}
+    assert {name for name, verdict in found.items() if verdict != "held"} == {"sweep", "moving"}
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("kind", ["wheel", "sdist"])
+def test_a_release_works_in_an_environment_of_its_own(kind: str, tmp_path: Path) -> None:
+    """Build, install, calibrate, correct a program, prepare one: as its user would."""
+    built = subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-t", kind, "-d", tmp_path / "dist"],
+        cwd=PACKAGE, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert built.returncode == 0, built.stderr
+    (archive,) = (tmp_path / "dist").iterdir()
+    venv.create(tmp_path / "venv", with_pip=True)
+    python = tmp_path / "venv" / "bin" / "python"
+    # What hilcell needs comes from the environment of these tests: there may be no network.
+    (packages,) = (tmp_path / "venv" / "lib").glob("python*/site-packages")
+    shared = [path for path in sys.path if path.endswith("site-packages")]
+    (packages / "shared.pth").write_text("\n".join([str(ROOT), *shared]) + "\n")
+    installed = subprocess.run(
+        [python, *INSTALL, archive], capture_output=True, text=True, check=False
+    )
+    assert installed.returncode == 0, installed.stderr
+    run = runner(python, tmp_path, {})
+    done = run("hilcell", "run", "--unattended", "--json", *DRIVER, *sets(SMALL))
+    assert end_of(done)["exit"] == 0, done.stderr
+    (tmp_path / "drill.mxprog").write_text("\n".join(DRILL))
+    words = ("hilcell", "compensate", "last", "drill.mxprog", "--station", "S1100")
+    accept = "--accept-out-of-tolerance"  # its sign was not checked
+    corrected = run(*words, "-o", "out.mxprog", accept)
+    assert corrected.returncode == 0, corrected.stderr
+    stamp, *lines = (tmp_path / "out.mxprog").read_text().splitlines()
+    assert stamp.startswith("// hilcell: corrected by ")
+    assert (lines[0], lines[1] == DRILL[1]) == (DRILL[0], False)
+    (tmp_path / "holes.csv").write_text(
+        "name,x_mm,y_mm,z_mm,nx,ny,nz\nH1,150,100,1100,-0.9659258,0,-0.2588190\n"
+    )
+    prepared = run(
+        "hilcell", "prepare", "holes.csv", "--calibration", "last", "-o", "out", accept,
+        *DRIVER, *sets(SMALL),
+    )  # fmt: skip
+    assert prepared.returncode == 0, prepared.stderr
+    assert "MoveJoints(" in (tmp_path / "out" / "S1100.mxprog").read_text()
