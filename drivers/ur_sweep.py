@@ -133,7 +133,7 @@ class UrSweep:
         state = self._robot.link().fresh()
         after_s = self._clock.now_s()
         self._look(state)
-        return JointSample(state.joints_rad, before_s, after_s)
+        return JointSample(state.joints_rad, before_s, after_s, state.timestamp_s)
 
     def complete(self) -> RobotReading:
         """Wait for the end of the motion; return the reading at rest."""

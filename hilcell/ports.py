@@ -13,6 +13,7 @@ carry the reading arrived; nobody may use one older than its limit.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -164,11 +165,15 @@ class StreamBlock:
 
 @dataclass(frozen=True, slots=True)
 class JointSample:
-    """Joints (6,) of a moving robot, read between two times of the cell's clock."""
+    """Joints (6,) of a moving robot, read between two times of the cell's clock.
+
+    ``device_s`` is when the controller took them, by its own clock; NaN where it does not say.
+    """
 
     joints_rad: Array
     before_s: float
     after_s: float
+    device_s: float = math.nan
 
 
 class Clock(Protocol):

@@ -116,7 +116,9 @@ class AxisSweeps:
         data = read_stream(session.folder, record)
         T_B_L = inverse(T_W_B) @ session.frames.tracker_in_world(record.set_up)
         xyz_mm = apply(T_B_L, data.xyz_mm)
-        return SweepStream(data.device_s, xyz_mm, data.window_s, data.joints_rad, data.asked_s)
+        return SweepStream(
+            data.device_s, xyz_mm, data.window_s, data.joints_rad, data.asked_s, data.stamped_s
+        )
 
     def _record(self, session: CellSession, order: SweepOrder) -> None:
         """Sweep; again where the beam was lost on the way, raises `NoReading` if it stays so."""

@@ -3,7 +3,8 @@
 Tracker and robot have no clock in common. A sample was taken before it arrived, and a joint was
 read between question and answer; how long before is unknown. So a constant lag is left between
 both, which `hilcell.identification.sweeps` finds from the two directions of a sweep. Readings are
-never paired one by one: the joints give one straight line in time, the tracker its deviations.
+never paired one by one: the joints give one straight line in time, the tracker its deviations. A
+controller that says when it took its joints is related to the cell's clock as the tracker is.
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ class SweepStream:
     window_s: Array  # (N, 2) the cell's clock: between these the sample arrived
     joints_rad: Array  # (M, 6)
     asked_s: Array  # (M, 2) the cell's clock before and after each exchange
+    stamped_s: Array  # (M,) the controller's own clock; NaN where it does not say
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +94,7 @@ def motion_of(stream: SweepStream, arm: Arm, axis: int) -> Motion:
             f"{lost} of {wanted} samples never came, wanted <= {100 * LOST_SHARE:g} %: see the "
             "beam's way and the tracker's link"
         )
+    clock_s = float(np.hypot(clock_s, line.clock_s))
     return Motion(joint_rad, angle_rad - joint_rad, line.speed_rad_s, clock_s, lost)
 
 
@@ -125,6 +128,7 @@ class _Line:
     middle_s: float
     middle_rad: float
     speed_rad_s: float
+    clock_s: float  # standard uncertainty of its time
 
     def at_rad(self, cell_s: Array) -> Array:
         found: Array = self.middle_rad + self.speed_rad_s * (cell_s - self.middle_s)
@@ -148,6 +152,10 @@ def _check_numbers(stream: SweepStream) -> None:
         )
     if not bool(np.all(np.diff(stream.device_s) > 0)):
         raise BadStream("the samples' times run back: the tracker's clock was set; sweep again")
+    if not bool(np.all(np.isnan(stream.stamped_s)) or np.all(np.diff(stream.stamped_s) > 0)):
+        raise BadStream(
+            "the controller's times of the joints run back, or some are missing; sweep again"
+        )
 
 
 def _between_ends(angle_rad: Array) -> slice:
@@ -210,35 +218,47 @@ def _joint_line(stream: SweepStream, axis: int, angle_rad: Array) -> _Line:
             f"another axis turned by {np.degrees(moved_rad):.3f} deg during the sweep, wanted <= "
             f"{np.degrees(OTHERS_RAD):.3f} deg"
         )
-    read_rad, middle_s = stream.joints_rad[:, axis], stream.asked_s.mean(axis=1)
-    waited_s = np.ptp(stream.asked_s, axis=1)
+    read_rad = stream.joints_rad[:, axis]
+    read_s, prompt, clock_s = _read_times(stream)
     low, high = sorted((angle_rad[0], angle_rad[-1]))
     edge = 0.02 * (high - low)
     used = (read_rad > low + edge) & (read_rad < high - edge)
-    used &= waited_s <= 4.0 * np.median(waited_s) + 1e-4
+    used &= prompt
     if not np.count_nonzero(used) >= LEAST_READINGS:
         raise BadStream(
             f"{np.count_nonzero(used)} joint readings at constant speed, wanted >= "
             f"{LEAST_READINGS}: the joints are another sweep's, or were asked for too rarely"
         )
-    read_rad, middle_s = read_rad[used], middle_s[used]
-    centre_s = float(middle_s.mean())
-    slope, middle = np.polyfit(middle_s - centre_s, read_rad, 1)
-    off_rad = np.abs(read_rad - middle - slope * (middle_s - centre_s))
+    read_rad, read_s = read_rad[used], read_s[used]
+    centre_s = float(read_s.mean())
+    slope, middle = np.polyfit(read_s - centre_s, read_rad, 1)
+    off_rad = np.abs(read_rad - middle - slope * (read_s - centre_s))
     if not off_rad.max() <= UNEVEN_RAD:
         raise BadStream(
             f"a joint reading is {np.degrees(off_rad.max()):.3f} deg off the constant speed, "
             f"wanted <= {np.degrees(UNEVEN_RAD):.3f} deg: the axis paused or a clock jumped; "
             "sweep again"
         )
-    return _Line(centre_s, float(middle), float(slope))
+    return _Line(centre_s, float(middle), float(slope), clock_s)
+
+
+def _read_times(stream: SweepStream) -> tuple[Array, NDArray[np.bool_], float]:
+    """Return when joints were read (M,), in the cell's time, and which were answered promptly;
+    with the standard uncertainty of all.
+    """
+    waited_s = np.ptp(stream.asked_s, axis=1)
+    if bool(np.all(np.isnan(stream.stamped_s))):
+        prompt = waited_s <= 4.0 * np.median(waited_s) + 1e-4
+        return stream.asked_s.mean(axis=1), prompt, 0.0
+    offset_s, clock_s = _clock(stream.stamped_s, stream.asked_s)
+    return stream.stamped_s + offset_s, np.ones(len(waited_s), dtype=bool), clock_s
 
 
 def _clock(time_s: Array, window_s: Array) -> tuple[float, float]:
     """Return how far the cell's clock is ahead of ``time_s``, and its standard uncertainty.
 
-    A sample had been taken when it arrived: the quickest arrivals tell the offset best. The
-    tracker's clock runs 100 ppm wrong at most, which is nothing over a sweep.
+    A sample had been taken when it arrived: the quickest arrivals tell the offset best. A device's
+    clock runs 100 ppm wrong at most, which is nothing over a sweep.
     """
     late_s = window_s[:, 1] - time_s
     halves = np.array_split(late_s, 2)

@@ -6,7 +6,9 @@ is left over from a kill: the next stream removes unfinished ones, and files are
 records only.
 
 The file is a row of arrays in numpy's .npy format (version 1.0), each of dtype `SAMPLES` or
-`JOINTS`, in the order in which they came; times are the cell's clock's, but for ``device_s``.
+`JOINTS`, in the order in which they came; times are the cell's clock's, but for ``device_s``, which
+is NaN where a robot's controller states none. Files of earlier versions have no ``device_s`` of the
+joints.
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ ROWS = 512  # rows that are gathered before an array is written
 SAMPLES = np.dtype(
     [("device_s", "<f8"), ("xyz_mm", "<f8", (3,)), ("after_s", "<f8"), ("by_s", "<f8")]
 )
-JOINTS = np.dtype([("joints_rad", "<f8", (6,)), ("before_s", "<f8"), ("after_s", "<f8")])
+UNSTAMPED = np.dtype([("joints_rad", "<f8", (6,)), ("before_s", "<f8"), ("after_s", "<f8")])
+JOINTS = np.dtype([*UNSTAMPED.descr, ("device_s", "<f8")])
 Rows = NDArray[np.void]
 
 
@@ -61,6 +64,7 @@ class StreamData:
     window_s: Array  # (N, 2) the cell's clock: between these the sample arrived
     joints_rad: Array  # (M, 6)
     asked_s: Array  # (M, 2) the cell's clock before and after each exchange
+    stamped_s: Array  # (M,) the controller's own clock; NaN where it does not say
 
 
 class StreamFile:
@@ -106,6 +110,7 @@ class StreamFile:
             row = np.zeros(1, JOINTS)
             row["joints_rad"] = sample.joints_rad
             row["before_s"], row["after_s"] = sample.before_s, sample.after_s
+            row["device_s"] = sample.device_s
             self._append(row)
 
     def finish(self) -> StreamRecord:
@@ -183,7 +188,7 @@ def read_stream(run_folder: Path, record: StreamRecord) -> StreamData:
     source = io.BytesIO(data)
     while source.tell() < len(data):
         rows = np.lib.format.read_array(source, allow_pickle=False)
-        found[rows.dtype].append(rows)
+        found[JOINTS if rows.dtype == UNSTAMPED else rows.dtype].append(_stamped(rows))
     samples, joints = (np.concatenate(found[kind]) for kind in (SAMPLES, JOINTS))
     return StreamData(
         samples["device_s"],
@@ -191,7 +196,18 @@ def read_stream(run_folder: Path, record: StreamRecord) -> StreamData:
         np.column_stack([samples["after_s"], samples["by_s"]]),
         joints["joints_rad"],
         np.column_stack([joints["before_s"], joints["after_s"]]),
+        joints["device_s"],
     )
+
+
+def _stamped(rows: Rows) -> Rows:
+    """Return rows as they are written now."""
+    if rows.dtype != UNSTAMPED:
+        return rows
+    found = np.full(len(rows), np.nan, JOINTS)
+    for name in UNSTAMPED.names or ():
+        found[name] = rows[name]
+    return found
 
 
 def _sync_folder(folder: Path) -> None:

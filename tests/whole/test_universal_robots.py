@@ -287,6 +287,24 @@ def test_a_sweep_at_its_speed(bench: Bench, robot: UrRtdeRobot) -> None:
     assert robot.move_to(HOME, 100.0).still
 
 
+def test_the_joints_of_a_sweep_bear_the_controller_s_time(bench: Bench, robot: UrRtdeRobot) -> None:
+    """However late they come, they are where the axis was at that time."""
+    bench.faults.set("robot.late_reply", 0.005, count=0)
+    start = robot.read().joints_rad
+    with robot.sweep(2, float(start[2] + 0.8), 0.1) as sweep:
+        sweep.kickoff()
+        samples = [sweep.collect()]
+        while not sweep.ended:
+            samples.append(sweep.collect())
+        sweep.complete()
+    turned = np.array([(s.device_s, s.joints_rad[2]) for s in samples])
+    inner = turned[(turned[:, 1] > start[2] + 0.05) & (turned[:, 1] < start[2] + 0.75)]
+    assert len(inner) > 3
+    line = np.polyfit(inner[:, 0], inner[:, 1], 1)
+    assert np.abs(inner[:, 1] - np.polyval(line, inner[:, 0])).max() < 2e-5
+    assert line[0] == pytest.approx(0.1, rel=1e-3)
+
+
 def test_a_sweep_that_is_left_is_braked(bench: Bench, robot: UrRtdeRobot) -> None:
     class Left(Exception):
         pass

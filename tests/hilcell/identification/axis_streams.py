@@ -41,6 +41,8 @@ class Axis:
     axis: int = 0
     ripple: Ripple = none
     lag_s: float = 0.0  # by which the joints' readings are older than they seem
+    late_s: float = 0.0  # mean of what a single answer comes later, by chance
+    stamped: bool = False  # the controller says when it took its joints
     half_gap_rad: float = 15e-6
     noise_mm: float = 0.008
     wander_mm: float = 0.0  # of the tool point, correlated over a degree
@@ -73,12 +75,14 @@ class Axis:
         tick_s = np.floor((asked_s + EXCHANGE_S / 2 - self.lag_s) / CYCLE_S) * CYCLE_S
         read_rad[:, self.axis] = motion.at(tick_s)
         read_rad += 5e-6 * rng.standard_normal(read_rad.shape)
+        answered_s = asked_s + EXCHANGE_S + self.late_s * rng.standard_exponential(len(asked_s))
         return SweepStream(
             123_456.0 + (1 + 25e-6) * taken_s,
             xyz_mm,
             900.0 + _windows(taken_s, asked_s),
             read_rad,
-            900.0 + np.column_stack([asked_s, asked_s + EXCHANGE_S]),
+            900.0 + np.column_stack([asked_s, answered_s]),
+            5_000.0 + (1 - 40e-6) * tick_s if self.stamped else np.full(len(tick_s), np.nan),
         )
 
     def seen_mm(self, joints_rad: Array, side: float, rng: np.random.Generator) -> Array:

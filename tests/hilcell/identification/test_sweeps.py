@@ -70,6 +70,18 @@ def test_a_lag_is_found_and_leaves_the_curve_where_it_is(lag_s: float) -> None:
     assert found.lag_s - FOUND_1.lag_s == pytest.approx(lag_s - 0.02, abs=0.002)
 
 
+@pytest.mark.parametrize("late_s", [0.0, 0.03])
+def test_joints_with_the_controller_s_times_are_placed_by_these(late_s: float) -> None:
+    """Of late answers only the quickest one counts; otherwise their mean lateness is a lag."""
+    axis = replace(AXIS_1, late_s=late_s)
+    by_windows, by_stamps = swept(axis), swept(replace(axis, stamped=True))
+    assert left_urad(axis, by_stamps) < 1.5
+    assert by_stamps.curve is not None
+    assert abs(by_stamps.lag_s - swept(replace(AXIS_1, stamped=True)).lag_s) < 0.004
+    if late_s:
+        assert abs(by_windows.lag_s - FOUND_1.lag_s) > 0.01
+
+
 @pytest.mark.parametrize(("axis", "size_urad"), [(1, 15.0), (2, 100.0), (4, 15.0)])
 def test_other_axes_and_other_sizes(axis: int, size_urad: float) -> None:
     rng = np.random.default_rng([axis, int(size_urad)])
@@ -162,6 +174,14 @@ SPOILT: dict[str, tuple[Callable[[SweepStream], SweepStream], str]] = {
     "many lost": (thinned, "never came"),
     "other axes turn": (others_move, "another axis turned by"),
     "another sweep's joints": (lambda up: replace(up, asked_s=up.asked_s * 1.05), "deg/s, the j"),
+    "the controller's clock set": (
+        lambda up: replace(up, stamped_s=np.roll(np.linspace(1, 9, len(up.asked_s)), 9)),
+        "controller's times of the joints run back",
+    ),
+    "some without the controller's time": (
+        lambda up: replace(up, stamped_s=np.where(np.arange(len(up.asked_s)) % 9, 1.0, np.nan)),
+        "or some are missing",
+    ),
     "far apart": (lambda up: replace(up, asked_s=up.asked_s + 0.6), "s apart, wanted"),
 }
 
