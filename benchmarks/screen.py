@@ -43,6 +43,9 @@ class StandIn:
     def post(self, command: str) -> None:
         pass
 
+    def gone_on(self, since: int) -> str:
+        return ""
+
     def answer(self) -> str:
         return ""
 

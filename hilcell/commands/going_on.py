@@ -40,9 +40,16 @@ def check_unasked(run: str, log: Log, procedure: Procedure, args: argparse.Names
     print_message(f"{kind_of(log)} {run}: nobody is asked, nothing real moves: {moves}")
 
 
-def agrees(run: str, log: Log, procedure: Procedure, changes: Sequence[str]) -> bool:
-    """Say what moves when the run goes on, and return whether the operator wants that."""
+def agrees(
+    run: str, log: Log, procedure: Procedure, changes: Sequence[str], reason: str = ""
+) -> bool:
+    """Say what moves when the run goes on, and return whether the operator wants that.
+
+    ``reason`` is what a live run waits for.
+    """
     print_message(f"{kind_of(log)} {run}: {log.state}, {log.counted} points are measured")
+    if reason:
+        print_message(f"it waits: {reason}")
     for change in changes:
         print_message(f"not as before: {change}")
     print_message(

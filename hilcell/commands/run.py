@@ -250,19 +250,25 @@ def check_attended(cell: Cell, *, unattended: bool) -> None:
 
 def _resume_live(folder: Path, args: argparse.Namespace) -> int:
     """Let a live run go on; one that nobody attends, or that a screen shows, asks nobody here."""
-    somebody, status = asks(args), order(folder, "status")
+    somebody, status, asked_at = asks(args), order(folder, "status"), 0
     if somebody or not (status.unattended or status.screens):
         log = read_log(folder)
         procedure: Procedure = load_entry("procedures", log.inputs.procedure)
         if not somebody:
             check_unasked(folder.name, log, procedure, args)
-        elif not agrees(folder.name, log, procedure, []):
+        elif not agrees(folder.name, log, procedure, [], _waits_for(log)):
             return EXIT_ABORTED
+        asked_at = log.newest.seq if log.newest is not None else 0
     for key in args.retake:
         order(folder, "retake", key=key)
-    answer = order(folder, "proceed")
+    answer = order(folder, "proceed", until=asked_at)
     print_message(f"run {folder.name}: asked to go on; it was {answer.state}")
     return 0
+
+
+def _waits_for(log: Log) -> str:
+    """Return what a live run that is paused waits for, where it says so."""
+    return str(log.life[-1].body.get("reason", "")) if log.life else ""
 
 
 def _perform(

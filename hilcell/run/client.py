@@ -145,7 +145,7 @@ class EngineClient:
         return line
 
 
-def order(folder: Path, command: Command, *, key: str = "") -> Status:
+def order(folder: Path, command: Command, *, key: str = "", until: int = 0) -> Status:
     """Connect to the engine of the run in ``folder``, ask once and close.
 
     Raises `HilcellError` where no engine lives, or where it refuses or does not answer.
@@ -155,7 +155,7 @@ def order(folder: Path, command: Command, *, key: str = "") -> Status:
         if client is None:
             raise HilcellError(f"run {folder.name}: {_missing(folder)}", code="HC-J08")
         with closing(client):
-            return client.ask(command, key=key)
+            return client.ask(command, key=key, until=until)
     except EngineSilent as error:
         engine = read_engine_file(folder)
         process = "" if engine is None else f", process {engine.pid},"

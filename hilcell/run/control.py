@@ -35,6 +35,9 @@ class Engine(Protocol):
     def post(self, command: str) -> None:
         """Queue ``pause``, ``proceed``, ``abort`` or ``lost`` (nobody watches any more)."""
 
+    def gone_on(self, since: int) -> str:
+        """Return why an agreement to what was asked at record ``since`` holds no more, else ""."""
+
     def answer(self) -> str:
         """Say that the prompt is done; return why that is refused."""
 
@@ -164,6 +167,8 @@ class _Handler(socketserver.StreamRequestHandler):
         """Do what is asked; return why that is refused."""
         engine = self.server.engine
         match request.command:
+            case "proceed" if request.until and (refused := engine.gone_on(request.until)):
+                return refused
             case "pause" | "proceed" | "abort":
                 engine.post(request.command)
             case "answer":

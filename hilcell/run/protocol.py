@@ -36,7 +36,8 @@ class Subject(TypedDict, total=False):
 class Request(msgspec.Struct, frozen=True, omit_defaults=True):
     """A client's request: ``key`` names the point of a ``retake``.
 
-    ``codes`` and ``until`` are the alarms of an ``acknowledge``, and the last record it has seen.
+    ``codes`` and ``until`` are the alarms of an ``acknowledge``, and the last record it has seen;
+    a ``proceed`` agrees to what was asked at its ``until``, where it states one.
     ``before`` is until when an order holds, in seconds of CLOCK_MONOTONIC, which is one clock for
     all processes of a machine; an order without it holds for ever.
     """

@@ -131,6 +131,12 @@ class Runner:
         self._stop.set()
         self._safe_stop.trigger()
 
+    def gone_on(self, since: int) -> str:
+        """Return why an agreement to what was asked at record ``since`` holds no more, else ""."""
+        if any(each.seq > since and each.body["to"] == "running" for each in self.log.life):
+            return "it has gone on since you were asked, so nothing was done; ask again"
+        return ""
+
     def answer(self) -> str:
         """Say that the prompt is done; wait for the look that proves it, return why not."""
         return self._asking.answer().result()

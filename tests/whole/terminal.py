@@ -29,6 +29,7 @@ AROUND = ("COLUMNS", "LINES", "NO_COLOR")  # of the terminal that the tests run 
 def _own_terminal() -> None:
     """Make the terminal the program's own, so that the program learns of its loss."""
     signal.signal(signal.SIGHUP, signal.SIG_DFL)  # tests may run under nohup
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # or in the background of a shell
     fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 
 

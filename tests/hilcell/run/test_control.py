@@ -44,6 +44,10 @@ class Recorder:
     def post(self, command: str) -> None:
         self.told.append(command)
 
+    def gone_on(self, since: int) -> str:
+        self.told.append(f"gone on since {since}")
+        return self.refusal
+
     def answer(self) -> str:
         self.told.append("answer")
         return self.refusal
