@@ -13,14 +13,27 @@ from drivers.supervision import Patience
 
 LONGEST = 4096
 _TEXT = re.compile(rb"[\t\x20-\x7e]*")
+_LETTERS = re.compile(rb"[\t\x20-\x7e\x80-\xff]*")
+_OTHERS = re.compile(rb"[\x80-\xff]")
 
 
 class TextLines:
     """Reads and writes the lines of one wire."""
 
-    def __init__(self, link: Link, end: bytes = b"\r\n", split: bytes = rb"\r\n|\r|\n") -> None:
-        """``end`` closes a line that is sent; the pattern ``split`` ends one that is received."""
+    def __init__(
+        self,
+        link: Link,
+        end: bytes = b"\r\n",
+        split: bytes = rb"\r\n|\r|\n",
+        *,
+        letters: bool = False,
+    ) -> None:
+        """``end`` closes a line that is sent; the pattern ``split`` ends one that is received.
+
+        ``letters``: letters of an unknown encoding may occur; each byte of them becomes a "?".
+        """
         self.link = link
+        self._text = _LETTERS if letters else _TEXT
         self._end, self._split = end, re.compile(split)
         self._bytes = b""
 
@@ -36,12 +49,12 @@ class TextLines:
         while True:
             while (found := self._split.search(self._bytes)) is not None:
                 line, self._bytes = self._bytes[: found.start()], self._bytes[found.end() :]
-                if not _TEXT.fullmatch(line):
+                if not self._text.fullmatch(line):
                     raise self.link.broken(
                         "receive", f"no text: {line[:40]!r}; is the baud rate right?"
                     )
                 if line.strip():
-                    return line.decode("ascii").strip()
+                    return _OTHERS.sub(b"?", line).decode("ascii").strip()
             if len(self._bytes) > LONGEST:
                 start = self._bytes[:40]
                 raise self.link.broken("receive", f"a line without an end: {start!r} ..")

@@ -133,6 +133,12 @@ KNOWN = {
     "tracker.geocom_code": "GeoCOM: this return code, e.g. 1284 (code) | a measurement",
     "tracker.geocom_number": "GeoCOM: another transaction's number | a measurement",
     "tracker.geocom_noise": "GeoCOM: bytes that are no text come first | a measurement",
+    "tracker.t2sa_code": "T2SA: this error, e.g. 338 (code) | a measurement",
+    "tracker.t2sa_inches": "T2SA: values are in inches | an answer with a position",
+    "tracker.t2sa_nominal": "T2SA: the result is the nominal point itself | a measurement",
+    "tracker.t2sa_old_result": "T2SA: the former result comes again | a measurement",
+    "tracker.t2sa_renamed": "T2SA: the group has another name | a question for a point",
+    "tracker.t2sa_simulation": "T2SA: simulation is not switched off | a connect",
     "tracker.wrong_target": "it finds another SMR, this far off (mm) | a search",
 }
 

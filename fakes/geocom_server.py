@@ -16,28 +16,19 @@ import socket
 import threading
 import time as real_time
 import tty
-from typing import Protocol
 
 from fakes.faults import Faults, Vanished
 from fakes.geocom_device import ABORTED, INVALID, Answer, GeocomDevice
+from fakes.line_session import RECEIVE, Connection, LineSession, Wire
 from fakes.listener import HOST, Listener
-from fakes.segments import Client, Segments
 from fakes.site import Site
 from fakes.time import PlantTime
 
 LOOK_S = 0.05
-RECEIVE = 4096
 NOT_DECODED, UNAVAILABLE = 3080, 3081  # communication codes: no request, no such procedure
 RESULTS = (2082, 2108)
 NOISE = b"\xfe\x80\xf8\x06"
 _REQUEST = re.compile(rb"%R1Q,(\d{1,6})(?:,(\d{1,9}))?:(.*)")
-
-
-class Wire(Client, Protocol):
-    """Both ways of one connection."""
-
-    def receive(self, timeout_s: float | None) -> bytes:
-        """Return bytes, none after the timeout; raises `OSError` at the end."""
 
 
 class GeocomServer:
@@ -87,7 +78,7 @@ class GeocomServer:
 
     def _serve_client(self, client: socket.socket) -> None:
         try:
-            self._serve(_Connection(client))
+            self._serve(Connection(client))
         except Vanished:
             if self._listener is not None:
                 self._listener.hang_up()
@@ -179,61 +170,20 @@ def encoded(communication: int, transaction: int, answer: Answer) -> bytes:
     return f"%R1P,{communication},{transaction}:{answer.code}{values}".encode("ascii")
 
 
-class _Session:
-    """Whole lines in, whole lines out."""
-
-    def __init__(self, wire: Wire) -> None:
-        self._wire, self._segments = wire, Segments(wire)
-        self._pending = b""
-        self._lines: list[bytes] = []
-        self.late: list[bytes] = []
+class _Session(LineSession):
+    """A client that may end the request under way."""
 
     def send(self, communication: int, transaction: int, answer: Answer) -> None:
         self.say(encoded(communication, transaction, answer))
 
-    def say(self, line: bytes) -> None:
-        self._segments.send(line + b"\r\n")
-
-    def raw(self, data: bytes) -> None:
-        self._segments.send(data)
-
-    def line(self, timeout_s: float | None) -> bytes | None:
-        """Return the next line that is not empty, None after the timeout."""
-        if not self._lines:
-            self._receive(timeout_s)
-        return self._lines.pop(0) if self._lines else None
-
     def aborted(self, timeout_s: float) -> bool:
         """Whether the request under way is to end; others wait for their turn."""
-        if b"c" not in self._lines:
-            self._receive(timeout_s)
-        if b"c" not in self._lines:
+        if b"c" not in self.lines:
+            self.receive(timeout_s)
+        if b"c" not in self.lines:
             return False
-        self._lines.clear()
+        self.lines.clear()
         return True
-
-    def _receive(self, timeout_s: float | None) -> None:
-        *lines, self._pending = re.split(rb"[\r\n]", self._pending + self._wire.receive(timeout_s))
-        self._lines += [line for line in lines if line]
-
-
-class _Connection:
-    """A client's TCP connection."""
-
-    def __init__(self, client: socket.socket) -> None:
-        self._client, self.sendall = client, client.sendall
-
-    def receive(self, timeout_s: float | None) -> bytes:
-        self._client.settimeout(timeout_s)
-        try:
-            data = self._client.recv(RECEIVE)
-        except TimeoutError:
-            return b""
-        finally:
-            self._client.settimeout(None)
-        if not data:
-            raise ConnectionAbortedError
-        return data
 
 
 class _Line:

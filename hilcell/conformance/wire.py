@@ -312,7 +312,7 @@ class Wires:
                 self._proxies[key] = Proxy(place[1], place[0])
                 port = self._proxies[key].port
                 self.options[key] = f"socket://{HOST}:{port}" if isinstance(value, str) else port
-            elif isinstance(value, str) and value.startswith("/"):
+            elif isinstance(value, str) and Path(value.partition("@")[0]).is_char_device():
                 path, at, baud = value.partition("@")
                 self._lines[key] = Line(path)
                 self.options[key] = f"{self._lines[key].path}{at}{baud}"
@@ -332,6 +332,8 @@ class Wires:
             line.lead_to(str(address[key]).partition("@")[0])
         for key, part in self._parts.items():
             part.lead_to(address[key])
+        led = (*self._proxies, *self._lines, *self._parts)
+        self.options |= {key: value for key, value in address.items() if key not in led}
 
     def set(self, mode: str, delay_s: float = 0.0) -> None:
         """Set the mode of all."""
