@@ -23,12 +23,15 @@ from pathlib import Path
 HILCELL = [sys.executable, "-m", "hilcell"]
 CELL_OF = {"ur-rtde": "lab"}  # others: paper
 RIDDEN = "kuka-e1"
-COARSE = {  # a total station's noise, and tolerances that fit it (docs/hardware.md)
+COARSE = {  # tolerances and numbers of samples that fit the instrument (docs/hardware.md)
     "leica-geocom": [
         "tracker.samples=4", "tracker.max_std_mm=3.0", "layout.nest_samples=9",
         "layout.max_tool_std_mm=0.5", "uncertainty.tracker_limit_mm=0.3",
         "uncertainty.tracker_limit_um_m=2.5", "validation.mean_tolerance_mm=1.5",
         "validation.max_tolerance_mm=3.0", "base_frame.points=24",
+    ],
+    "t2sa": [  # a laser tracker's noise, and the gears' ripple, for it does not stream
+        "validation.mean_tolerance_mm=0.2", "validation.max_tolerance_mm=0.6",
     ],
 }  # fmt: skip
 HEAD = (

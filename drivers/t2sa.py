@@ -42,7 +42,7 @@ UNKNOWN = ("HC-T24", "not known")
 _REPLY = re.compile(r"(ACK|ERR)-(\d{3}):?(?:\s+(.*))?")
 _AXES = re.compile(r"\bresult:?\s+X:([^;]*);\s*Y:([^;]*);\s*Z:([^;]*)(?:;|$)")
 _COMMAS = re.compile(r"\bresult:?\s+([^,;\s]+),([^,;\s]+),([^,;\s]+)(?:\s|$)")
-_NUMBER = re.compile(r"[-+]?\d{1,9}(?:\.\d{0,15})?(?:[eE][-+]?\d{1,3})?")
+_NUMBER = re.compile(r"[-+]?\d{1,9}(?:\.\d{0,30})?(?:[eE][-+]?\d{1,3})?")
 _RESULT = re.compile(r"\bresult\b")
 _LASER = re.compile(r"\b(?:LON|LOFF|LNC|WARM)\b")
 

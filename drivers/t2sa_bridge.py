@@ -130,6 +130,7 @@ class T2saBridge:
 
     def _wire(self) -> TextLines:
         if self._lines is None or self._stopped:
+            self._clock.check()
             found = "not connected" if self._lines is None else "stopped"
             raise DeviceError("HC-T34", DEVICE, "use", found, act="connect first")
         return self._lines

@@ -1,10 +1,11 @@
 """Named points for SpatialAnalyzer: ``python -m drivers.t2sa_points CELL FILE [--search MM]``.
 
 T2SA measures points of a job by their names: the tracker turns to the point's nominal position and
-searches from there. So the job has a lattice of points over the volume in which the cell's
-reflectors can be, in the tracker's frame, written as a CSV file of ``name,x,y,z`` (mm), and the
-driver measures a place through the named point nearest to it. The lattice is cubic; its pitch
-leaves no place in the volume farther than the search reaches.
+searches from there. So the job has a list of points, written as a CSV file of ``name,x,y,z`` (mm,
+tracker's frame), and the driver measures a place through the point whose direction is nearest to
+the place's: how far away the point is does not turn the tracker. Their directions form a grid over
+all that the cell's reflectors can reach, so fine that no place there is farther from the aim than
+the search reaches, at any range of the tracker. Each point lies amid the places in its direction.
 """
 
 from __future__ import annotations
@@ -19,20 +20,23 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError, read_text
-from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import Array, HilcellError
 from hilcell.writing import write_whole
 
-SEARCH_MM = 130.0
-MARGIN = 0.98  # of the pitch: the tracker's pose in the cell file is good to some mm
+SEARCH_MM = 60.0
+MARGIN = 0.9  # of the pitch: the tracker's pose in the cell file is good to some mm
 MOST_POINTS = 200_000
+LEAST_RANGE_MM = 1.0
 POSES = 20_000  # random ones, whose farthest tool point is the arm's reach
-PLACES = 3  # decimal places of a position
+STEP_MM = 200.0  # along a direction, when places are looked for
+STEEPEST_RAD = math.radians(80.0)
 COLUMNS = ["name", "x", "y", "z"]
 SIZE = 3
 NAME = re.compile(r"[A-Za-z0-9_.-]{1,40}")
@@ -43,15 +47,20 @@ class NamedPoints:
 
     def __init__(self, names: Sequence[str], xyz_mm: Array) -> None:
         self.names, self.xyz_mm = names, xyz_mm
-        self._tree = KDTree(xyz_mm)
+        self._directions = KDTree(xyz_mm / np.linalg.norm(xyz_mm, axis=1)[:, None])
 
-    def around(self, near_mm: Array, most: int) -> list[tuple[str, Array, float]]:
-        """Return the ``most`` points nearest to a place (3,): name, position, distance."""
-        found = self._tree.query(near_mm, k=range(1, min(most, len(self.names)) + 1))
-        far_mm, order = np.atleast_1d(found[0]), np.atleast_1d(found[1])
+    def towards(self, near_mm: Array, most: int) -> list[tuple[str, Array, float]]:
+        """Return the ``most`` points nearest in direction to a place (3,): name, position.
+
+        With each, how far the tracker aims beside the place, in mm at its range.
+        """
+        range_mm = float(np.linalg.norm(near_mm))
+        direction = near_mm / max(range_mm, LEAST_RANGE_MM)
+        found = self._directions.query(direction, k=range(1, min(most, len(self.names)) + 1))
+        beside, order = np.atleast_1d(found[0]), np.atleast_1d(found[1])
         return [
-            (self.names[n], self.xyz_mm[n], float(each))
-            for n, each in zip(order, far_mm, strict=True)
+            (self.names[n], self.xyz_mm[n], range_mm * float(each))
+            for n, each in zip(order, beside, strict=True)
         ]
 
     def spread(self, count: int) -> list[tuple[str, Array]]:
@@ -76,7 +85,7 @@ def read_points(path: Path) -> NamedPoints:
             place = [float(each) for each in row[1:]]
         except ValueError:
             place = []
-        if len(place) != SIZE or not all(map(math.isfinite, place)):
+        if len(place) != SIZE or not LEAST_RANGE_MM <= math.hypot(*place) < math.inf:
             problem = f"{','.join(row)!r:.80}, wanted {','.join(COLUMNS)} with three numbers"
         elif not NAME.fullmatch(name):
             problem = f"name {name!r:.60}: letters, digits, _ . - are allowed, at most 40"
@@ -93,42 +102,53 @@ def read_points(path: Path) -> NamedPoints:
 
 def written(points: NamedPoints) -> str:
     """Return the list as CSV."""
-    rows = zip(points.names, points.xyz_mm.round(PLACES), strict=True)
+    rows = zip(points.names, points.xyz_mm, strict=True)
     return "".join(f"{name},{x:.3f},{y:.3f},{z:.3f}\n" for name, (x, y, z) in rows)
 
 
 def points_of(cell: Cell, search_mm: float) -> NamedPoints:
-    """Return a lattice over all places at which a reflector of the cell can be."""
-    pitch_mm = math.floor(MARGIN * 2.0 / math.sqrt(3.0) * search_mm)
-    layout, tracker = cell.layout, cell.tracker
-    T_W_T = tracker.pose.matrix()
-    standing_mm = np.array([nest.xyz_mm for nest in layout.standing])
-    ends_mm = np.array(
-        [
-            layout.nominal_base(rail_mm)[:3, 3]
-            for rail_mm in (cell.rail.travel_min_mm, cell.rail.travel_max_mm)
-        ]
-    )
-    reach_mm = _reach_mm(cell)
-    corners_mm = np.vstack([standing_mm, ends_mm - reach_mm, ends_mm + reach_mm])
-    low_mm, high_mm = corners_mm.min(axis=0), corners_mm.max(axis=0)
-    box_mm = apply(inverse(T_W_T), _corners(low_mm, high_mm))
-    lattice_mm = _lattice(box_mm.min(axis=0), box_mm.max(axis=0), pitch_mm)
-    in_world_mm = apply(T_W_T, lattice_mm)
-    range_mm = np.linalg.norm(lattice_mm, axis=1)
-    seen = (tracker.min_range_mm - pitch_mm <= range_mm) & (
-        range_mm <= tracker.max_range_mm + pitch_mm
-    )
-    above = in_world_mm[:, 2] >= standing_mm[:, 2].min() - pitch_mm
-    by_arm = _from_line_mm(in_world_mm, *ends_mm) <= reach_mm + pitch_mm
-    by_nest = np.min([np.linalg.norm(in_world_mm - at_mm, axis=1) for at_mm in standing_mm], axis=0)
-    kept_mm = lattice_mm[seen & ((above & by_arm) | (by_nest <= 2.0 * pitch_mm))]
-    if not 1 <= len(kept_mm) <= MOST_POINTS:
+    """Return points in all directions in which a reflector of the cell can be."""
+    tracker, inside = cell.tracker, _Volume(cell, search_mm)
+    directions = _directions(MARGIN * math.sqrt(2.0) * search_mm / tracker.max_range_mm)
+    first_mm = np.full(len(directions), np.nan)
+    last_mm = first_mm.copy()
+    for range_mm in np.arange(tracker.min_range_mm, tracker.max_range_mm, STEP_MM):
+        here = inside.of(range_mm * directions)
+        first_mm[here & np.isnan(first_mm)] = range_mm
+        last_mm[here] = range_mm
+    kept = np.isfinite(first_mm)
+    if not 1 <= kept.sum() <= MOST_POINTS:
         raise HilcellError(
-            f"{len(kept_mm)} points with a pitch of {pitch_mm} mm, wanted 1 to {MOST_POINTS}; "
-            "choose another --search"
+            f"{kept.sum()} points, wanted 1 to {MOST_POINTS}; choose another --search"
         )
-    return NamedPoints([f"P{n:06d}" for n in range(1, len(kept_mm) + 1)], kept_mm)
+    xyz_mm = directions[kept] * (0.5 * (first_mm + last_mm))[kept, None]
+    return NamedPoints([f"P{n:06d}" for n in range(1, len(xyz_mm) + 1)], xyz_mm)
+
+
+class _Volume:
+    """All places at which a reflector of the cell can be: of the arm's reach, and by the nests."""
+
+    def __init__(self, cell: Cell, wider_mm: float) -> None:
+        layout, rail = cell.layout, cell.rail
+        self._to_world = cell.tracker.pose.matrix()
+        self._nests_mm = np.array([nest.xyz_mm for nest in layout.standing])
+        self._lowest_mm = self._nests_mm[:, 2].min() - wider_mm
+        self._near_mm = wider_mm + STEP_MM
+        self._reach_mm = _reach_mm(cell) + wider_mm
+        self._travel_mm = [
+            layout.nominal_base(at_mm)[:3, 3] for at_mm in (rail.travel_min_mm, rail.travel_max_mm)
+        ]
+
+    def of(self, at_mm: Array) -> NDArray[np.bool_]:
+        """Return which places (N, 3), tracker's frame, are in it."""
+        world_mm = apply(self._to_world, at_mm)
+        above = world_mm[:, 2] >= self._lowest_mm
+        found: NDArray[np.bool_] = above & (
+            _from_line_mm(world_mm, *self._travel_mm) <= self._reach_mm
+        )
+        for nest_mm in self._nests_mm:
+            found |= np.linalg.norm(world_mm - nest_mm, axis=1) <= self._near_mm
+        return found
 
 
 def _reach_mm(cell: Cell) -> float:
@@ -138,21 +158,16 @@ def _reach_mm(cell: Cell) -> float:
     return float(np.linalg.norm(forward(cell.robot.arm(), joints_rad)[:, :3, 3], axis=1).max())
 
 
-def _corners(low_mm: Array, high_mm: Array) -> Array:
-    ends_mm = np.array([low_mm, high_mm])
-    return np.array(
-        [[ends_mm[i, 0], ends_mm[j, 1], ends_mm[k, 2]] for i, j, k in np.ndindex(2, 2, 2)]
-    )
-
-
-def _lattice(low_mm: Array, high_mm: Array, pitch_mm: float) -> Array:
-    """Return the nodes (N, 3) of a cubic lattice about a box."""
-    axes = [
-        pitch_mm * np.arange(math.floor(low / pitch_mm), math.ceil(high / pitch_mm) + 1)
-        for low, high in zip(low_mm, high_mm, strict=True)
-    ]
-    nodes: Array = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    return nodes
+def _directions(pitch_rad: float) -> Array:
+    """Return unit vectors (N, 3) in rows of one elevation, all about ``pitch_rad`` apart."""
+    rows = math.ceil(STEEPEST_RAD / pitch_rad)
+    found: list[Array] = []
+    for elevation in pitch_rad * np.arange(-rows, rows + 1):
+        across = max(math.cos(elevation), pitch_rad)
+        turns = np.linspace(0.0, math.tau, math.ceil(math.tau * across / pitch_rad), endpoint=False)
+        up = np.full(len(turns), math.sin(elevation))
+        found.append(np.column_stack([across * np.cos(turns), across * np.sin(turns), up]))
+    return np.vstack(found)
 
 
 def _from_line_mm(at_mm: Array, begin_mm: Array, end_mm: Array) -> Array:
@@ -175,7 +190,7 @@ def main(words: Sequence[str] | None = None) -> int:
         type=float,
         default=SEARCH_MM,
         metavar="MM",
-        help="how far from its named point a reflector is found (default %(default)g mm)",
+        help="how far beside the aim a reflector is found (default %(default)g mm)",
     )
     given = parser.parse_args(words)
     try:

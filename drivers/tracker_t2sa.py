@@ -1,7 +1,7 @@
 """A laser tracker behind SpatialAnalyzer, by its bridge T2SA over TCP: API's trackers, and others.
 
-The bridge measures points of SpatialAnalyzer's job by their names. So the job holds a lattice of
-named points (`drivers.t2sa_points`), and a place is measured through the one nearest to it.
+The bridge measures points of SpatialAnalyzer's job by their names. So the job holds a grid of
+named points (`drivers.t2sa_points`), and a place is measured through the one nearest in direction.
 
 The trap: a result may be no measurement. That of an instrument which SpatialAnalyzer simulates, an
 old one and one in inches look like a good one; each is recognised by its values.
@@ -43,7 +43,7 @@ from hilcell.ports import (
 WARM_LOOK_S, WARM_S = 1.0, 300.0  # of the cell's time
 COMPARED = 5  # points of the list, from the first to the last
 SAME_MM = 0.01  # of a point in the list and in the job: both are rounded
-NOMINAL_MM = 1.0  # a reflector is as near to a node of the lattice once in a million
+NOMINAL_MM = 1.0  # a reflector is as near to a point of the grid once in a million
 TRIES = 3  # named points, where the nearest one leads to another reflector
 MAKE_LIST = "write a list by python -m drivers.t2sa_points, import it"
 REAL = "end the simulation of the instrument in SpatialAnalyzer, then resume"
@@ -239,18 +239,18 @@ class T2saTracker:
     def _named(self, points: NamedPoints, near_mm: Array) -> list[tuple[str, Array, float]]:
         """Return the named points to measure a place through, the nearest first."""
         limit_mm = self._options.search_mm
-        found = points.around(near_mm, TRIES)
+        found = points.towards(near_mm, TRIES)
         within = [each for each in found if each[2] <= limit_mm]
         if not within:
-            name, _, far_mm = found[0]
+            name, _, beside_mm = found[0]
             raise DeviceError(
                 "HC-T74",
                 DEVICE,
                 "measure",
-                f"the nearest named point {name} is {far_mm:.1f} mm from {_shown(near_mm)}",
+                f"the aim at named point {name} is {beside_mm:.1f} mm beside {_shown(near_mm)}",
                 wanted=f"<= {limit_mm:.1f} mm (tracker.options.search_mm)",
                 act=f"{MAKE_LIST} so that it covers the place, and resume",
-                fields={"point": name, "far_mm": far_mm, "limit_mm": limit_mm},
+                fields={"point": name, "beside_mm": beside_mm, "limit_mm": limit_mm},
             )
         return within
 

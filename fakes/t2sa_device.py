@@ -87,7 +87,7 @@ class T2saDevice:
         self._points, self._group = points, group
         self._warm_s: float | None = None
         self._window_mm = SEARCH_MM
-        self._former_mm = np.zeros(3)
+        self._former_mm: Array | None = None
         self._handlers: dict[str, Callable[[str], Answer]] = {
             "!LST": self._switch,
             "!MEAS_SINGLE_POINT": self._measure,
@@ -201,7 +201,7 @@ class T2saDevice:
         xyz_mm = found.xyz_mm
         if take("tracker.t2sa_nominal") is not None:
             xyz_mm = aim_mm
-        if take("tracker.t2sa_old_result") is not None:
+        if self._former_mm is not None and take("tracker.t2sa_old_result") is not None:
             xyz_mm = self._former_mm
         self._former_mm = xyz_mm
         text = take("tracker.bad_number")

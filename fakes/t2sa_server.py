@@ -17,7 +17,7 @@ from fakes.line_session import Connection, LineSession
 from fakes.listener import HOST, Listener
 from fakes.site import Site
 from fakes.t2sa_device import BUSY, HALTED, Answer, T2saDevice, refusal
-from fakes.t2sa_points import imported, lattice, write
+from fakes.t2sa_points import fan, imported, write
 from fakes.time import PlantTime
 
 LOOK_S = 0.02
@@ -76,7 +76,8 @@ class T2saServer:
     def _obey(self, session: LineSession, line: bytes) -> None:
         if line == HALT:
             self._halted.set()
-            self._reply(session, Answer())
+            with self._measuring:  # another client's measurement has ended
+                self._reply(session, Answer())
         elif not self._measuring.acquire(blocking=False):
             self._reply(session, refusal(BUSY))
         else:
@@ -136,7 +137,7 @@ class T2saServer:
 
 
 def serve(site: Site, port: int) -> T2saServer:
-    """Return the bridge of a simulated cell, with the points that its file names, or a lattice."""
+    """Return the bridge of a simulated cell, with the points of its file or a fan of its own."""
     options = site.cell.tracker.options
     folder, listed = None, str(options.get("points", ""))
     if listed:
@@ -144,7 +145,7 @@ def serve(site: Site, port: int) -> T2saServer:
     else:
         folder = tempfile.TemporaryDirectory(prefix="t2sa-")
         listed = str(Path(folder.name) / "points.csv")
-        points = lattice(site.cell)
+        points = fan(site.cell)
         write(Path(listed), points)
     group = f"{options.get('collection', COLLECTION)};{options.get('group', GROUP)}"
     device = T2saDevice(site.plant.tracker, site.faults, site.time, points, group)

@@ -208,7 +208,11 @@ def test_no_fault_is_left_out() -> None:
     # Those of a slide that is the robot's axis: `test_external_axis` strikes them.
     # A total station's: `test_total_station` strikes them.
     geocom = {f"tracker.geocom_{what}" for what in ("code", "number", "noise")}
+    t2sa = {  # those of SpatialAnalyzer's bridge: `test_t2sa` strikes them
+        f"tracker.t2sa_{what}"
+        for what in ("code", "inches", "nominal", "old_result", "renamed", "simulation")
+    }
     slide = {"robot.no_slide", "robot.slide_unmastered", "robot.slide_fast", "rail.strip_silent"}
     struck = set(ENDS) | set(SURVIVED)
-    assert struck | streamed | silent | wrists | timely | geocom | eki | slide == set(KNOWN)
+    assert struck | streamed | silent | wrists | timely | geocom | t2sa | eki | slide == set(KNOWN)
     assert not set(ENDS) & set(SURVIVED)
