@@ -11,11 +11,11 @@ import time
 from collections.abc import Callable
 
 from drivers import t2sa
+from drivers.link import Link
 from drivers.supervision import Patience
 from drivers.t2sa import Reply, T2saError
-from drivers.tcp import TcpLink
 from drivers.text_lines import TextLines
-from drivers.tracker_readings import ALARMS, DEVICE, no_reading
+from drivers.tracker_readings import DEVICE, no_reading
 from hilcell.ports import Array, Clock, DeviceError, NoReading
 
 # Deadlines on the wire, in real time.
@@ -35,10 +35,8 @@ AGAIN = {"HC-T11", "HC-T13", "HC-T21"}  # of one measurement, which may be tried
 class T2saBridge:
     """An open connection. One thread asks; ``stop`` may come from any thread."""
 
-    def __init__(self, host: str, port: int, clock: Clock) -> None:
-        """Connect; raises `DeviceError`."""
+    def __init__(self, link: Link, clock: Clock) -> None:
         self._clock = clock
-        link = TcpLink(DEVICE, host, port, clock.check, ALARMS)
         # A date in the PC's own format may hold letters of any alphabet.
         self._lines: TextLines | None = TextLines(link, letters=True)
         self._link, self.address = link, link.address

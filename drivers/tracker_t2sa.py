@@ -20,7 +20,9 @@ from drivers import t2sa, t2sa_bridge
 from drivers.supervision import Patience
 from drivers.t2sa_bridge import ACT, ACTS, BUSY_PAUSE_S, MEASURE, POSITION, T2saBridge
 from drivers.t2sa_points import SEARCH_MM, NamedPoints, read_points
+from drivers.tcp import TcpLink
 from drivers.tracker_readings import (
+    ALARMS,
     DEVICE,
     checked_order,
     misplaced,
@@ -93,7 +95,8 @@ class T2saTracker:
         if self._points is None or Path(options.points).exists():
             self._points = _read(options.points)
         points = self._points  # whichever it is, the job is compared with it
-        bridge = self._bridge = T2saBridge(options.host, options.port, self._clock)
+        link = TcpLink(DEVICE, options.host, options.port, self._clock.check, ALARMS)
+        bridge = self._bridge = T2saBridge(link, self._clock)
         try:
             state = self._ready(bridge)
             self._set_up(bridge)

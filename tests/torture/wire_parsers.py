@@ -18,6 +18,7 @@ from drivers.program_urscript.reader import read_program
 from drivers.strip import StripOptions
 from drivers.strip_serial import SerialStrip
 from drivers.supervision import Patience
+from drivers.t2sa_bridge import MEASURE, T2saBridge
 from drivers.text_lines import TextLines
 from drivers.tracker_leica_geocom import LeicaGeocomTracker
 from drivers.ur_state import INPUTS, OUTPUTS, state_from, unlike
@@ -164,6 +165,22 @@ def reply_samples() -> Iterable[bytes]:
     yield b"\xff" + b'%R1P,13,41:13\r\n%R1P,0,41,5:0,"a,b"\r\n'
 
 
+def bridge_replies(data: bytes) -> None:
+    """Lines of T2SA: the answers to a setting and to a measurement."""
+    bridge = T2saBridge(Wire(data), WallClock(threading.Event()))
+    bridge.exchange("!SET_SIM:0")
+    bridge.position(MEASURE, "A;G;P1")
+
+
+def bridge_samples() -> Iterable[bytes]:
+    set_, point = b"ACK-300 Set 0\r\n", b"ACK-300 Single Point Measurement A;G;P1 result "
+    yield b"\xff" + set_ + point + b"1100.25,-2.5,0.125 01/05/2026 08:00:00 AM\r\n"
+    yield b"\x05" + set_ + b"ACK-300 Measured single pt P1 result: X:1.0;Y:2.0;Z:-3e2;\xcf\xc2\r\n"
+    yield b"\xff" + b" ERR-306: Did not find it.\r\nERR-305 Failed.\r\n"
+    yield b"\xff" + set_ + point + b"nan,inf,1,5\r\n"
+    yield b"\xff" + set_ + b"ERR-330 Halted.\r\nACK-300 READY\r\nACK-300 LON\r\n"
+
+
 def strip_answers(data: bytes) -> None:
     """Answers of a strip on a serial line."""
     strip = SerialStrip(StripOptions(driver="serial", channel="/dev/null"), lambda: None)
@@ -197,6 +214,7 @@ WIRE_PARSERS = (
     ("eki", documents, (HilcellError,), document_samples),
     ("rtde", packages, (rtde.RtdeError,), package_samples),
     ("geocom", replies, (HilcellError,), reply_samples),
+    ("t2sa", bridge_replies, (HilcellError,), bridge_samples),
     ("strip", strip_answers, (HilcellError,), strip_samples),
     ("urscript", script, (HilcellError,), script_samples),
 )

@@ -48,6 +48,10 @@ PAIRS = {
     "kuka-eki,leica-geocom,kuka-e1": ["--cell", "paper", *sets({
         "robot.driver": "kuka-eki", "tracker.driver": "leica-geocom", "rail.driver": "kuka-e1",
     })],
+    "kuka-c3,t2sa,canopen": ["--cell", "paper", *sets({
+        "tracker.driver": "t2sa",
+        "tracker.options.points": str(Path(__file__).parent / "t2sa_points.csv"),
+    })],
     "ur-rtde,leica-geocom,canopen-strip": [
         "--cell", "lab", *sets({"rail.options.strip": STRIP})
     ],
@@ -173,7 +177,14 @@ def distance(data: bytes) -> bytes | None:
     return None if line is None else line[1] + (b"1" if line[2] != b"1" else b"2") + line[3]
 
 
+def coordinate(data: bytes) -> bytes | None:
+    """Change a digit of a coordinate that SpatialAnalyzer's bridge has measured."""
+    line = re.fullmatch(rb"(ACK-300 Single .* result -?\d+\.\d)(\d)(.*\r\n)", data)
+    return None if line is None else line[1] + (b"1" if line[2] != b"1" else b"2") + line[3]
+
+
 CHANGES = [
+    ("kuka-c3,t2sa,canopen", "tracker", coordinate),
     ("kuka-c3,leica-emscon,canopen", "tracker", result),
     ("kuka-c3,leica-emscon,kuka-e1", "rail.strip", last_digit(b"2014003")),
     ("kuka-eki,leica-geocom,kuka-e1", "tracker", distance),

@@ -55,6 +55,7 @@ SHIPPED: list[tuple[Port, str, str, dict[str, str]]] = [
     ("robot", "ur-rtde", "lab", {}),
     ("tracker", "leica-emscon", "paper", {}),
     ("tracker", "leica-geocom", "paper", NO_STREAM),
+    ("tracker", "t2sa", "paper", NO_STREAM | NO_SERIAL),
 ]  # fmt: skip
 
 
