@@ -79,10 +79,10 @@ def plant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, installed: list[str])
 
 
 def test_a_second_make_brings_its_own_entries(plant: Path) -> None:
-    (plant / "tracker.toml").write_text(ROW.format("HC-T70"))
-    assert catalogue()["HC-T70"].title == "Other make"
+    (plant / "tracker.toml").write_text(ROW.format("HC-T90"))
+    assert catalogue()["HC-T90"].title == "Other make"
     assert len(catalogue()) == len(ENTRIES) + 1
-    assert "### HC-T70 Other make" in page()
+    assert "### HC-T90 Other make" in page()
     assert "Other makes" not in page()
 
 
@@ -105,8 +105,8 @@ def test_a_code_is_nobody_s_twice(plant: Path) -> None:
         "[[alarm",
         "[[alarm]]\ncode = 1\n",
         "[alarms]\n",
-        ROW.format("HC-T70") + 'by = ["somebody"]\n',
-        ROW.format("HC-T70") + 'by = ["you", "controller"]\n',
+        ROW.format("HC-T90") + 'by = ["somebody"]\n',
+        ROW.format("HC-T90") + 'by = ["you", "controller"]\n',
     ],
 )
 def test_a_catalogue_that_cannot_be_read_says_whose_it_is(plant: Path, text: str) -> None:
