@@ -47,8 +47,8 @@ def _signals_put_back() -> Iterator[None]:
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """Return two workers more than processors: many tests wait for a process of their own."""
-    return (os.cpu_count() or 1) + 2
+    """Return two for each processor and two more: most of a test's time is waiting."""
+    return 2 * (os.cpu_count() or 1) + 2
 
 
 def pytest_collection_finish() -> None:
@@ -58,12 +58,27 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.hookimpl(trylast=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the tests of the longest golden run, so that one worker makes it from the start.
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Begin with what takes longest; all else stays in its random order.
 
-    Anywhere else in the random order, the other workers come upon it too and wait for it.
+    One worker makes the longest golden run from the start: anywhere else, others come upon it, too,
+    and wait for it. Each worker, which first has a part of the list for its own, then begins with
+    long tests: one that is begun last keeps it busy alone.
     """
-    items.sort(key=lambda item: not {"paper", "whole"} & {*getattr(item, "fixturenames", ())})
+    workers = getattr(config, "workerinput", {}).get("workercount", 1)
+    first = [item for item in items if _of_the_longest_run(item)]
+    later = [item for item in items if not _of_the_longest_run(item)]
+    later.sort(key=lambda item: item.get_closest_marker("long") is None)
+    items[:] = first + [item for worker in range(workers) for item in later[worker::workers]]
+
+
+def _of_the_longest_run(item: pytest.Item) -> bool:
+    """Whether a test needs the golden run of the paper."""
+    fixtures = getattr(item, "fixturenames", ())
+    params = getattr(getattr(item, "callspec", None), "params", {})
+    return not {"paper", "whole"}.isdisjoint(fixtures) or (
+        "golden" in fixtures and params.get("name") == "paper"
+    )
 
 
 def pytest_report_header() -> str:

@@ -97,6 +97,7 @@ def words(cell: Simulation, runs: Path, name: str = "hand") -> list[str | Path]:
 
 
 @pytest.mark.timeout(300)
+@pytest.mark.long
 def test_a_whole_calibration_with_one_reflector(tmp_path: Path, cell: Simulation) -> None:
     engine = Engine("run", *words(cell, tmp_path))
     engine.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")

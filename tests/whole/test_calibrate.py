@@ -61,7 +61,7 @@ def test_the_end_event_has_the_figures(whole: GoldenRun) -> None:
 def test_the_same_seed_gives_the_same_figures(
     golden: GoldenRuns, tmp_path: Path, name: str
 ) -> None:
-    """That of a small one is run again by `test_screen`, from the form."""
+    """That of a small one is run again by `test_story`, from the form."""
     again = hilcell("run", *RUNS[name], "--json", "--runs", tmp_path, limit_s=LIMIT_S)
     assert end_of(again)["result"] == golden[name].result
 

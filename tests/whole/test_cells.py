@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from hilcell.calibration.file import read_calibration
 from hilcell.geometry.frames import pose_from_zyx
@@ -21,6 +22,7 @@ QUICK = {
 }
 
 
+@pytest.mark.long
 def test_another_make_is_calibrated(tmp_path: Path) -> None:
     words = ("--json", "--cell", "six-r", "--runs", tmp_path, "--machine-seed", "4")
     end = end_of(command("run", *words, *sets(QUICK)))
@@ -38,6 +40,7 @@ def test_another_make_is_calibrated(tmp_path: Path) -> None:
     assert 0.025 < end["result"]["repeatability"]["rp_robot_mm"] < 0.06  # .04 of the machine
 
 
+@pytest.mark.long
 def test_a_universal_robot_and_a_total_station(tmp_path: Path) -> None:
     quick = {key: value for key, value in QUICK.items() if key.startswith("plan.")}
     words = ("--json", "--cell", "lab", "--runs", tmp_path)

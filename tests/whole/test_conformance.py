@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.whole.bench import command, end_of, events, sets, sim_command
 
 PAPER = Path(__file__).parents[2] / "hilcell/cells/paper.toml"
 SLOW = {"robot.speed_percent": "10", "rail.speed_mm_s": "25"}
 
 
+@pytest.mark.long
 def test_a_real_device_is_moved_slowly_and_by_a_persons_word_only(tmp_path: Path) -> None:
     cell = tmp_path / "shop.toml"
     cell.write_text(PAPER.read_text("utf-8").split("[simulation]")[0])

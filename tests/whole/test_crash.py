@@ -30,6 +30,7 @@ from tests.whole.trace import judge
 
 
 @pytest.mark.timeout(1200)
+@pytest.mark.long
 def test_kills_change_nothing(tmp_path: Path, golden: GoldenRuns) -> None:
     whole = golden["small"].events
     # Where to die: after so many records, spread over the whole run but not by a pattern.
@@ -68,6 +69,7 @@ def after_every_kind(printed: list[dict[str, Any]]) -> list[int]:
 
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("cuts", [slice(9, None, 4), *sweep(slice(None))], ids=["some", "all"])
+@pytest.mark.long
 def test_a_run_resumes_from_between_any_two_records(
     tmp_path: Path,
     golden: GoldenRuns,

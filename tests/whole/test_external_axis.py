@@ -8,14 +8,28 @@ import pytest
 
 from drivers.c3 import C3Connection
 from hilcell.journal.runs import find_run, read_log
-from tests.whole.bench import SMALL, Engine, command, end_of, events, hilcell, sets, simulation
+from tests.whole.bench import (
+    SMALL,
+    Engine,
+    command,
+    end_of,
+    events,
+    hilcell,
+    sets,
+    simulation,
+    sweep,
+)
 from tests.whole.trace import judge
 
 E1 = {"rail.driver": "kuka-e1"}
+# By day as far as corrected targets at a station: every act that moves the slide or the arm.
+procedures = pytest.mark.parametrize("procedure", ["sign-check", *sweep("calibrate")])
 
 
-def test_a_small_calibration_ends_in_tolerance(tmp_path: Path) -> None:
-    done = command("run", "--runs", tmp_path, "--json", "--unattended", *sets(SMALL | E1))
+@procedures
+def test_a_small_calibration_ends_in_tolerance(tmp_path: Path, procedure: str) -> None:
+    small = SMALL | E1
+    done = command("run", procedure, "--runs", tmp_path, "--json", "--unattended", *sets(small))
     assert end_of(done)["exit"] == 0, done.stderr
     assert judge(events(done.stdout)) == []
     kinds = {each.kind: each.model for each in read_log(find_run(tmp_path, "last")).assets}
@@ -24,9 +38,10 @@ def test_a_small_calibration_ends_in_tolerance(tmp_path: Path) -> None:
     assert kinds["strip"] == "MSAC501 simulated"
 
 
-def test_a_canopen_drive_has_its_strip_on_a_serial_line(tmp_path: Path) -> None:
+@procedures
+def test_a_canopen_drive_has_its_strip_on_a_serial_line(tmp_path: Path, procedure: str) -> None:
     small = SMALL | {"rail.options.strip.driver": "serial"}
-    done = command("run", "--runs", tmp_path, "--json", "--unattended", *sets(small))
+    done = command("run", procedure, "--runs", tmp_path, "--json", "--unattended", *sets(small))
     assert end_of(done)["exit"] == 0, done.stderr
     assert judge(events(done.stdout)) == []
     kinds = {each.kind: each.model for each in read_log(find_run(tmp_path, "last")).assets}
@@ -34,6 +49,7 @@ def test_a_canopen_drive_has_its_strip_on_a_serial_line(tmp_path: Path) -> None:
     assert kinds["strip"] == "MSAC501 simulated"
 
 
+@pytest.mark.long
 def test_a_killed_engine_leaves_a_slide_that_brakes_by_itself(tmp_path: Path) -> None:
     slow = E1 | {"rail.speed_mm_s": "20.0"}
     with simulation(8.0, values=slow) as cell:
@@ -83,6 +99,7 @@ def test_what_fails_is_named(tmp_path: Path, fault: str, code: str) -> None:
     assert code in done.stdout + done.stderr
 
 
+@pytest.mark.long
 def test_a_slide_that_runs_too_fast_is_stopped(tmp_path: Path) -> None:
     """In paced time: in stepped time a poll lets a third of the motion pass."""
     slow = E1 | {"rail.speed_mm_s": "50.0"}

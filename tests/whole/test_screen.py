@@ -89,16 +89,13 @@ def wait_for(true: Callable[[], object], what: str) -> None:
         time.sleep(0.05)
 
 
-def test_a_newcomer_calibrates_finds_the_worst_point_remeasures_it_and_opens_the_report(
+def test_the_worst_point_of_a_calibration_is_found_remeasured_and_reported(
     tmp_path: Path, golden: GoldenRuns
 ) -> None:
-    with screen(tmp_path) as terminal:
-        start(terminal)
+    """Of a run that is done; `test_story` makes one from the form."""
+    log = read_log(golden["small"].copied_to(tmp_path))
+    with screen(tmp_path, "last") as terminal:
         terminal.shows("● DONE", LIMIT_S)
-        wait_for(lambda: live_engine(folder_of(tmp_path)) is None, "the engine ends")
-        log = read_log(folder_of(tmp_path))
-        assert log.end is not None
-        assert log.end["result"] == golden["small"].result  # a run by command, of the same seed
         terminal.press("w")
         terminal.shows("w order")
         worst = next(line for line in terminal.text.splitlines() if line.startswith("▌►"))
@@ -130,6 +127,7 @@ def test_a_newcomer_calibrates_finds_the_worst_point_remeasures_it_and_opens_the
     assert judged(folder_of(tmp_path)) == []
 
 
+@pytest.mark.long
 def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
     with simulation(SLOW, SMALL) as cell:
         words = ("--set", f"simulation.address={cell.control}")
@@ -191,6 +189,7 @@ def test_esc_right_after_the_start_is_heard(tmp_path: Path, wait_s: float) -> No
             assert log.states["run"] == "aborted" or not log.moved
 
 
+@pytest.mark.long
 def test_esc_right_after_a_resume_is_heard(tmp_path: Path) -> None:
     with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED + ENTER)
@@ -208,6 +207,7 @@ def test_esc_right_after_a_resume_is_heard(tmp_path: Path) -> None:
         assert list(after.points) == list(before.points)
 
 
+@pytest.mark.long
 def test_a_killed_screen_pauses_an_attended_run_and_a_new_one_goes_on(tmp_path: Path) -> None:
     with simulation(PACED, SMALL) as cell:
         words = ("--set", f"simulation.address={cell.control}")
@@ -257,6 +257,7 @@ def state_of(folder: Path) -> str:
         return ""
 
 
+@pytest.mark.long
 def test_a_screen_that_dies_before_its_engine_speaks_leaves_nothing_moving(tmp_path: Path) -> None:
     with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED + ENTER)
@@ -268,6 +269,7 @@ def test_a_screen_that_dies_before_its_engine_speaks_leaves_nothing_moving(tmp_p
         assert not read_log(folder).points
 
 
+@pytest.mark.long
 def test_an_engine_that_stands_still_is_silent_and_not_gone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -298,6 +300,7 @@ def test_an_engine_that_stands_still_is_silent_and_not_gone(
     assert judged(folder) == []
 
 
+@pytest.mark.long
 def test_the_screen_that_started_a_run_is_left_at_once_and_the_run_goes_on(tmp_path: Path) -> None:
     with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED + ENTER)
@@ -309,6 +312,7 @@ def test_the_screen_that_started_a_run_is_left_at_once_and_the_run_goes_on(tmp_p
         assert order(folder, "status").state == "running"
 
 
+@pytest.mark.long
 def test_one_reflector_carried_by_hand_from_nest_to_nest(tmp_path: Path) -> None:
     values = {"layout.reflectors": "by_hand"}
     with simulation(PACED, SMALL | values) as cell:

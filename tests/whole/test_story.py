@@ -10,8 +10,12 @@ from typing import NamedTuple
 
 import pytest
 
+from hilcell.journal.journal import read_journal
+from hilcell.journal.runs import JOURNAL, read_log, run_folders
 from tests.whole.bench import SMALL, sets
+from tests.whole.golden import GoldenRuns
 from tests.whole.terminal import Terminal
+from tests.whole.trace import judge
 
 ROOT = Path(__file__).parents[2]
 STORY = (ROOT / "docs" / "first-calibration.md").read_text("utf-8")
@@ -59,7 +63,8 @@ def test_the_story_is_short() -> None:
     assert ONCE < len(STEPS) <= MOST_STEPS
 
 
-def test_the_story_by_keys_only(tmp_path: Path) -> None:
+@pytest.mark.long
+def test_the_story_by_keys_only(tmp_path: Path, golden: GoldenRuns) -> None:
     """The steps after the installation, with a smaller plan."""
     shutil.copytree(ROOT / "docs" / "examples", tmp_path / "docs" / "examples")
     path = f"{Path(sys.executable).parent}:/usr/bin:/bin"
@@ -68,6 +73,11 @@ def test_the_story_by_keys_only(tmp_path: Path) -> None:
         for step in STEPS[ONCE:]:
             typed(terminal, step, SMALLER if step.line.startswith(OF_THE_CELL) else "")
     assert_prepared(tmp_path)
+    (folder,) = run_folders(tmp_path / "runs")
+    assert judge(record.event("") for record in read_journal(folder / JOURNAL)) == []
+    log = read_log(folder)
+    assert log.end is not None
+    assert log.end["result"] == golden["small"].result  # a run by command, of the same seed
 
 
 @pytest.mark.nightly

@@ -59,6 +59,11 @@ SHIPPED: list[tuple[Port, str, str, dict[str, str]]] = [
 ]  # fmt: skip
 
 
+# Another make at a port: by day the promises that are judged in a few seconds.
+FIRST = ("canopen", "none", "kuka-c3", "leica-emscon")
+SECOND = [each for each in SHIPPED if each[1] not in FIRST]
+
+
 @pytest.fixture(scope="module")
 def trials() -> Iterator[dict[Port, Trial]]:
     cell = load_cell("paper")
@@ -79,8 +84,13 @@ def test_every_promise_has_a_driver_that_breaks_it() -> None:
         assert sorted(names) == sorted(BROKEN[port])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
-    ("port", "name", "cell", "others"), SHIPPED, ids=[name for _, name, _, _ in SHIPPED]
+    ("port", "name", "cell", "others"),
+    [
+        pytest.param(*each, id=each[1], marks=[pytest.mark.nightly] if each in SECOND else [])
+        for each in SHIPPED
+    ],
 )
 def test_a_shipped_driver_keeps_every_promise(
     port: Port, name: str, cell: str, others: dict[str, str]
@@ -89,6 +99,20 @@ def test_a_shipped_driver_keeps_every_promise(
         outcomes = list(judge_all(port, trial))
     assert [each for each in outcomes if each.verdict == "broken"] == []
     assert {each.promise: each.why for each in outcomes if each.verdict != "held"} == others
+
+
+@pytest.mark.parametrize(
+    ("port", "name", "cell", "others"), SECOND, ids=[name for _, name, _, _ in SECOND]
+)
+def test_a_second_make_keeps_what_is_judged_without_waiting(
+    port: Port, name: str, cell: str, others: dict[str, str]
+) -> None:
+    quick = [each for each in promises_of(port) if not (each.waits or each.paced)]
+    with Trial(driver_cell(cell, port, name, {}), port) as trial:
+        outcomes = [trial.judge(promise) for promise in quick]
+    found = {each.promise: each.why for each in outcomes if each.verdict != "held"}
+    names = [promise.name for promise in quick]
+    assert found == {promise: why for promise, why in others.items() if promise in names}
 
 
 @pytest.mark.parametrize(("port", "name"), QUICK_FIRST)

@@ -11,6 +11,7 @@ from hilcell.report.facts import read_facts
 from hilcell.report.html import report_html
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.report.pages import Page
+from tests.whole.bench import sweep
 from tests.whole.golden import GoldenRuns
 
 PROCEDURES = sorted(each.name for each in entry_points(group="hilcell.procedures"))
@@ -55,7 +56,7 @@ def assert_references_resolve(html: str) -> None:
         assert named in {*page.of("h2"), *page.of("h3")}
 
 
-@pytest.mark.parametrize("name", ["small", "calibration", "seats"])
+@pytest.mark.parametrize("name", ["small", "paper", "seats", *sweep("calibration")])
 def test_every_reference_of_a_finished_run_resolves(golden: GoldenRuns, name: str) -> None:
     html = report_html(read_facts(golden[name].folder))
     assert_references_resolve(html)

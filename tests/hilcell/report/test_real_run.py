@@ -23,7 +23,7 @@ from tests.hilcell.report.browser import browse, browser, looked_at
 from tests.hilcell.report.journals import renamed
 from tests.hilcell.report.pages import Page
 from tests.hilcell.report.printed import fills
-from tests.whole.bench import HILCELL, command
+from tests.whole.bench import HILCELL, command, sweep
 from tests.whole.golden import GoldenRuns
 
 RUST, BLUE = (176, 86, 26), (11, 74, 125)  # the figures' colours before and after
@@ -201,10 +201,12 @@ def well_filled(found: list[float]) -> bool:
     return min(found[:-1]) >= LEAST_FULL and found[-1] >= LEAST_LAST
 
 
-@pytest.mark.parametrize("name", ["small", "calibration"])
-def test_printed_pages_are_full(golden: GoldenRuns, name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "most"), [("small", 11), ("paper", 15), *sweep(("calibration", 11))]
+)
+def test_printed_pages_are_full(golden: GoldenRuns, name: str, most: int) -> None:
     found = printed_fills(read_facts(golden[name].folder))
-    assert 4 <= len(found) <= 11
+    assert 4 <= len(found) <= most
     assert well_filled(found), found
 
 
