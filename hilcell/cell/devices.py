@@ -71,9 +71,9 @@ def _missing(kind: Any, port: type) -> list[str]:
     return ([] if typed else ["Options (a msgspec.Struct)"]) + lacking
 
 
-def installed_drivers() -> dict[str, list[str]]:
-    """Return the names of the drivers that are installed, by group."""
-    return {group: sorted(_installed(group, tuple(sys.path)).names) for group in PORTS}
+def installed(group: str) -> list[str]:
+    """Return the names of the entry points of ``hilcell.<group>``."""
+    return sorted(_installed(group, tuple(sys.path)).names)
 
 
 @cache

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hilcell.cell.addresses import THIS_MACHINE
-from hilcell.cell.devices import check_options, device_places, installed_drivers, load_entry
+from hilcell.cell.devices import PORTS, check_options, device_places, installed, load_entry
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commands import this_pc
@@ -21,6 +21,7 @@ from hilcell.run.exits import EXIT_REFUSED
 from hilcell.tui.keys import default_file, load_keys
 
 CONNECT_S = 2.0
+PARTS = (*PORTS, *(f"simulated_{group}" for group in PORTS), "programs", "program_writers")
 SHOWN = {"ok": "ok", "warning": "note", "wrong": "WRONG"}
 
 
@@ -68,17 +69,17 @@ def _keys() -> Finding:
 
 
 def _drivers() -> Finding:
-    """Load every driver that is installed, also those of packages beside hilcell."""
-    installed, problems = installed_drivers(), list[str]()
-    for group, names in installed.items():
-        for name in names:
+    """Load every driver and all that belongs to it, also those of packages beside hilcell."""
+    problems = list[str]()
+    for group in PARTS:
+        for name in installed(group):
             try:
                 load_entry(group, name)
             except SettingsError as error:
                 problems += [f"{group}: {line}" for line in error.problems]
     if problems:
         return Finding("drivers", "warning", "; ".join(problems), "mend or uninstall its package")
-    found = "; ".join(f"{group} {', '.join(names)}" for group, names in installed.items())
+    found = "; ".join(f"{group} {', '.join(installed(group))}" for group in (*PORTS, "programs"))
     return Finding("drivers", "ok", found)
 
 

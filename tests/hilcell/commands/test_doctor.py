@@ -53,14 +53,15 @@ def test_a_missing_package_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (found.state, found.found.rpartition(" ")[2]) == ("wrong", "nosuchpackage")
 
 
-def test_a_driver_that_cannot_be_loaded_is_named(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+@pytest.mark.parametrize("group", ["robots", "simulated_rails", "programs", "program_writers"])
+def test_a_part_of_a_driver_that_cannot_be_loaded_is_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, group: str
 ) -> None:
-    install(tmp_path, "[hilcell.robots]\nmine = nosuchpackage.robot:Robot\n")
+    install(tmp_path, f"[hilcell.{group}]\nmine = nosuchpackage.robot:Robot\n")
     monkeypatch.syspath_prepend(tmp_path)
     found = {each.check: each for each in doctor._of_this_pc(tmp_path)}["drivers"]
     assert found.state == "warning"
-    assert found.found == "robots: 'mine' cannot be loaded: No module named 'nosuchpackage'"
+    assert found.found == f"{group}: 'mine' cannot be loaded: No module named 'nosuchpackage'"
 
 
 def test_an_older_python_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
