@@ -7,6 +7,7 @@ COMPILE := uv pip compile pyproject.toml --universal --generate-hashes \
 
 # The tests start hundreds of short processes: each module is compiled once, not once for each.
 export PYTHONDONTWRITEBYTECODE =
+export OPENBLAS_NUM_THREADS = 1
 
 .PHONY: run test suite nightly mutants torture lint bench bundle lock clean
 

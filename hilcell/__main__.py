@@ -9,6 +9,7 @@ import signal
 import sys
 
 EXIT_ABORTED = 4  # of `hilcell.run.exits`, which is not imported yet
+ONE_THREAD = ("OPENBLAS_NUM_THREADS", "1")  # numpy's, which spin and take turns with the engine's
 
 
 def _leave(*_: object) -> None:
@@ -22,6 +23,7 @@ def entry() -> int:
     before = signal.getsignal(signal.SIGINT)
     if before is not signal.SIG_IGN:  # as in the background of a shell
         signal.signal(signal.SIGINT, _leave)
+    os.environ.setdefault(*ONE_THREAD)
     from hilcell.commands.cli import main
 
     try:

@@ -27,6 +27,7 @@ GROWN = 1.6  # rms of all lines over that of what smooth errors leave: more is t
 LINE_RAD = 1e-4  # 1 sigma of a line's cosine and sine
 STANDS_OUT = 4.0  # times the mean power: single powers beyond it are no noise
 STEPS = 12
+BLOCK = 16  # frequencies, of which one cosine and sine each is computed
 SETTLED, LONGEST_STEP = 1e-4, 0.2  # of a line's width
 FREED = 1.5  # variance of a line with its frequency free over that with a known one, in the mean
 
@@ -142,10 +143,10 @@ class Trial:
     def __init__(self, records: Records, shift: Shift) -> None:
         self.cycles = records.frequencies(OVERSAMPLED)
         self.apart = slice(None, None, OVERSAMPLED)  # of them, as good as independent
-        phases = records.angle_rad(shift.rad)[:, None] * self.cycles
-        self.waves = np.stack([np.cos(phases), np.sin(phases)])  # (2, N, F)
-        self.normal = np.einsum("inf,jnf->fij", self.waves, self.waves)
+        self.waves = _even_waves(records.angle_rad(shift.rad), self.cycles)  # (2, N, F)
+        self.normal = _products(self.waves)
         self.side = records.side
+        self.smooth = records.smooth().T @ self.waves  # (2, P, F): upwards, then downwards
 
     def powers(self, known: Known, *, differ: bool) -> tuple[Array, Array]:
         """Return the sum of squares (F,) that each wave alone explains, and amplitudes (F, 2).
@@ -153,10 +154,13 @@ class Trial:
         ``differ``: of waves that have opposite signs in both directions.
         """
         signs = self.side if differ else np.ones_like(self.side)
-        across = known.root @ ((known.columns * signs[:, None]).T @ self.waves)  # (2, P, F)
-        normal = self.normal - np.einsum("ipf,jpf->fij", across, across)
-        right = np.einsum("inf,n->fi", self.waves, known.left_rad * signs)
-        amplitude = np.linalg.solve(normal, right[..., None])[..., 0]
+        lines = (known.waves * signs[:, None]).T @ self.waves
+        half = self.smooth.shape[1] // 2
+        smooth = self.smooth * np.repeat([1.0, -1.0 if differ else 1.0], half)[:, None]
+        across = known.root @ np.concatenate([smooth, lines], axis=1)  # (2, P + 2K, F)
+        normal = self.normal - _products(across)
+        right: Array = ((known.left_rad * signs) @ self.waves).T
+        amplitude = np.array(np.linalg.solve(normal, right[..., None])[..., 0], dtype=float)
         powers: Array = np.einsum("fi,fi->f", right, amplitude)
         return powers, amplitude
 
@@ -165,8 +169,8 @@ class Known:
     """Smooth errors and the lines so far: columns (N, P) with priors of 1 sigma = 1, fitted."""
 
     def __init__(self, records: Records, lines: Lines) -> None:
-        waves = LINE_RAD * _waves(records.angle_rad(lines.shift.rad), lines.cycles)
-        self.columns = np.hstack([records.smooth(), waves])
+        self.waves = LINE_RAD * _waves(records.angle_rad(lines.shift.rad), lines.cycles)
+        self.columns = np.hstack([records.smooth(), self.waves])
         variance = float(np.mean(lines.left_rad**2))
         normal = self.columns.T @ self.columns + variance * np.eye(self.columns.shape[1])
         self.root = np.linalg.inv(np.linalg.cholesky(normal))
@@ -286,6 +290,24 @@ def _waves(angle_rad: Array, cycles: Array) -> Array:
     """Return cosines and sines (N, 2K) by turns."""
     phases = angle_rad[:, None] * cycles
     return np.stack([np.cos(phases), np.sin(phases)], axis=-1).reshape(len(angle_rad), -1)
+
+
+def _even_waves(angle_rad: Array, cycles: Array) -> Array:
+    """Return cosines and sines (2, N, F) at F frequencies in even steps, by adding angles."""
+    coarse = np.exp(1j * angle_rad[:, None] * cycles[::BLOCK])
+    fine = np.exp(1j * angle_rad[:, None] * (cycles[:BLOCK] - cycles[0]))
+    both = (coarse[:, :, None] * fine[:, None, :]).reshape(len(angle_rad), -1)[:, : len(cycles)]
+    return np.stack([both.real, both.imag])
+
+
+def _products(waves: Array) -> Array:
+    """Return the products (F, 2, 2) of waves (2, N, F), summed over the samples."""
+    cosine, sine = waves
+    products = np.empty((waves.shape[2], 2, 2))
+    products[:, 0, 0] = np.einsum("nf,nf->f", cosine, cosine)
+    products[:, 1, 1] = np.einsum("nf,nf->f", sine, sine)
+    products[:, 0, 1] = products[:, 1, 0] = np.einsum("nf,nf->f", cosine, sine)
+    return products
 
 
 def _rms_rad(records: Records, lines: Lines) -> float:
