@@ -55,8 +55,10 @@ def configure(sdo: SdoChannel, pdo: Mapping) -> None:
 class Inbox:
     """The last values of some TPDOs, and how often and when each came."""
 
-    def __init__(self, device: str, link: CanLink, pdos: tuple[Mapping, ...]) -> None:
-        self._device, self._link = device, link
+    def __init__(
+        self, device: str, link: CanLink, pdos: tuple[Mapping, ...], syncs: int = SYNCS
+    ) -> None:
+        self._device, self._link, self._syncs = device, link, syncs
         self._changed = threading.Condition()
         self._layouts = {pdo.cob_id: pdo.layout for pdo in pdos}
         self._values: dict[int, tuple[int, ...]] = {}
@@ -68,11 +70,11 @@ class Inbox:
     def refresh(self, check: Callable[[], None]) -> tuple[dict[int, tuple[int, ...]], float]:
         """Send SYNC; return all values by identifier and since when the oldest may be waiting here.
 
-        A lost frame costs one more SYNC; raises `DeviceError` when `SYNCS` of them bring nothing.
+        A lost frame costs one more SYNC; raises `DeviceError` when so many of them bring nothing.
         Values that have waited in this PC for `STALE_S` are asked for again.
         """
         before, sent_s = self._counted(), time.monotonic()
-        for _ in range(SYNCS):
+        for _ in range(self._syncs):
             self._link.send(SYNC, b"")
             if self._await(before, check):
                 with self._changed:
@@ -87,7 +89,7 @@ class Inbox:
                 "HC-R39",
                 self._device,
                 "read",
-                f"PC late: {SYNCS} readings in a row waited here for more than {STALE_S:.1f} s",
+                f"PC late: {self._syncs} readings in a row waited here for over {STALE_S:.1f} s",
                 act="give the engine a PC of its own, or end other programs on it; then resume",
                 fields={"limit_s": STALE_S},
             )
@@ -95,9 +97,9 @@ class Inbox:
             "HC-R07",
             self._device,
             "read",
-            f"no fresh TPDO {', '.join(missing)} within {SYNCS} SYNCs",
+            f"no fresh TPDO {', '.join(missing)} within {self._syncs} SYNCs",
             act="check the nodes' power and the bus load, then resume",
-            fields={"cob_ids": missing, "syncs": SYNCS},
+            fields={"cob_ids": missing, "syncs": self._syncs},
         )
 
     def _counted(self) -> dict[int, int]:

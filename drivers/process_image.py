@@ -90,14 +90,7 @@ class ProcessImage:
             ((cia402.CONTROLWORD, 16), (cia402.TARGET_POSITION, 32)),
             struct.Struct("<Hi"),
         )
-        self.strip = Mapping(
-            0x1800,
-            0x1A00,
-            0x180 + strip_node,
-            EVERY_SYNC,
-            ((cia406.POSITION, 32), (cia406.ALARMS, 16)),
-            struct.Struct("<iH"),
-        )
+        self.strip = strip_mapping(strip_node)
         self._other_strip = other_strip
         pdos = (self.status, self.motion)
         self._inbox = Inbox(DEVICE, link, pdos if other_strip else (*pdos, self.strip))
@@ -157,3 +150,15 @@ class ProcessImage:
 
     def _send(self, controlword: int) -> None:
         self._link.send(self.command.cob_id, self.command.layout.pack(controlword, self._target))
+
+
+def strip_mapping(node: int) -> Mapping:
+    """Return TPDO1 of a strip sensor: its counts and alarms."""
+    return Mapping(
+        0x1800,
+        0x1A00,
+        0x180 + node,
+        EVERY_SYNC,
+        ((cia406.POSITION, 32), (cia406.ALARMS, 16)),
+        struct.Struct("<iH"),
+    )

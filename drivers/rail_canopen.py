@@ -10,10 +10,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from importlib import resources
 from typing import Annotated, Literal
 
-import canopen
 import msgspec
 from msgspec import Meta
 
@@ -26,11 +24,11 @@ from drivers.pdo import configure
 from drivers.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.rail_setup import Expected
 from drivers.release import Release, go_on
-from drivers.sdo import SdoChannel
+from drivers.sdo import SdoChannel, open_channel
 from drivers.standing import check_travel
 from drivers.standstill import Windows
-from drivers.strip import StripFeed, StripOptions
-from drivers.strip_serial import SerialStrip
+from drivers.strip import StripFeed, StripOptions, summed
+from drivers.strip_makes import strip_of
 from drivers.supervision import Supervision
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading
 from hilcell.wire.channel import parse_channel
@@ -81,6 +79,10 @@ class CanopenRail:
                 parse_channel(self.channel)
             if len({self.drive_node, self.strip_node, self.heartbeat_node}) < 3:
                 raise ValueError("drive_node, strip_node and heartbeat_node must differ")
+            if self.strip is not None and self.strip.channel == self.channel:
+                raise ValueError("strip.channel: a strip on the drive's bus needs no table")
+            if self.strip is not None and self.strip_serial:
+                raise ValueError("strip_serial: the strip has a table; state strip.serial")
             if not self.travel_min_mm < self.travel_max_mm:
                 raise ValueError("travel_min_mm must be below travel_max_mm")
             reach_mm = max(abs(self.travel_min_mm), abs(self.travel_max_mm)) + SLACK_MM
@@ -98,7 +100,7 @@ class CanopenRail:
         self._watches: tuple[NodeWatch, ...] = ()
         self._feed: StripFeed | None = None  # of a strip that is not on the bus
         if options.strip is not None:
-            self._feed = StripFeed(SerialStrip(options.strip, clock.check))
+            self._feed = StripFeed(strip_of(options.strip, clock.check))
 
     # -- the port -----------------------------------------------------------------------------
 
@@ -139,8 +141,9 @@ class CanopenRail:
 
     def statistics(self) -> LinkStatistics:
         """Return the link's counts, also after it was closed."""
-        link = self._link
-        return link.statistics() if link is not None else self._statistics
+        link, feed = self._link, self._feed
+        of_drive = link.statistics() if link is not None else self._statistics
+        return of_drive if feed is None else summed(of_drive, feed.statistics())
 
     def stop(self) -> None:
         """Quick stop; any thread; waits for no answer."""
@@ -160,11 +163,11 @@ class CanopenRail:
     def _set_up(self, link: CanLink) -> list[Identity]:
         options = self._options
         check = self._clock.check
-        drive_sdo = self._channel(link, options.drive_node, "drive.eds", check)
+        drive_sdo = open_channel(DEVICE, link, options.drive_node, "drive.eds", check)
         strip_sdo, feed = None, self._feed
         self._watches = (NodeWatch(DEVICE, link, options.drive_node),)
         if feed is None:
-            strip_sdo = self._channel(link, options.strip_node, "strip.eds", check)
+            strip_sdo = open_channel(DEVICE, link, options.strip_node, "strip.eds", check)
             of_strip = NodeWatch(DEVICE, link, options.strip_node, in_pdo=cia406.SENSOR_ERRORS)
             self._watches = (*self._watches, of_strip)
         nodes = (options.drive_node, options.strip_node)
@@ -224,15 +227,8 @@ class CanopenRail:
             configure(drive_sdo, pdo)
         if strip_sdo is not None:
             configure(strip_sdo, image.strip)
-        rail_setup.start_nodes(link, self._watches, self._clock)
+        rail_setup.start_nodes(link, self._watches, self._clock.check)
         self._check_nodes("connect")
-
-    def _channel(self, link: CanLink, node: int, eds: str, check: Callable[[], None]) -> SdoChannel:
-        with resources.as_file(resources.files("drivers") / "eds" / eds) as path:
-            remote = canopen.RemoteNode(node, canopen.import_od(str(path), node))
-        channel = SdoChannel(DEVICE, node, remote, link, check)
-        link.network.add_node(remote)
-        return channel
 
     def _identify(
         self, link: CanLink, drive_sdo: SdoChannel, strip_sdo: SdoChannel | None
@@ -247,7 +243,7 @@ class CanopenRail:
         ):  # fmt: skip
             if sdo is None:
                 continue  # it is not on this bus
-            device_type = rail_setup.find_node(link, sdo, expected, self._clock)
+            device_type = rail_setup.find_node(link, sdo, expected, self._clock.check)
             found.append(rail_setup.identify(sdo, expected, device_type, o.channel))
         if strip_sdo is not None:
             rail_setup.check_strip_step(strip_sdo, o.strip_counts_per_mm)
@@ -309,7 +305,7 @@ class CanopenRail:
             return  # the first failure, which is being raised, is the one to report
 
     def _release(self, link: CanLink, image: ProcessImage) -> None:
-        sdo = self._channel(link, self._options.drive_node, "drive.eds", go_on)
+        sdo = open_channel(DEVICE, link, self._options.drive_node, "drive.eds", go_on)
         release = Release(link, image, sdo, self._limits().windows)
         release.leave_held()
         self._held_by_sdo = int(release.by_sdo)

@@ -18,7 +18,7 @@ from drivers.on_failure import on_failure
 from drivers.standing import DEVICE, Standing, check_travel
 from drivers.standstill import Windows
 from drivers.strip import StripFeed, StripOptions
-from drivers.strip_serial import SerialStrip
+from drivers.strip_makes import strip_of
 from hilcell.ports import (
     Clock,
     DeviceError,
@@ -71,7 +71,7 @@ class KukaE1Rail:
     def __init__(self, options: Options, clock: Clock) -> None:
         self._options, self._clock = options, clock
         self._robot: ExternalAxis | None = None
-        self._strip = StripFeed(SerialStrip(options.strip, clock.check))
+        self._strip = StripFeed(strip_of(options.strip, clock.check))
         per_mm = options.strip.counts_per_mm
         spread = max(STRIP_SPREAD_COUNTS, round(STRIP_SPREAD_MM * per_mm))
         windows = Windows(

@@ -7,7 +7,7 @@ the slide when the PC dies (1016h, 6007h, 605Ah) matter most.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from drivers import cia402, cia406, nmt
@@ -15,7 +15,7 @@ from drivers.can_link import CanLink, LinkLost
 from drivers.node_watch import HEARTBEAT_PERIOD_MS, PC_HEARTBEAT_LIMIT_MS, NodeWatch
 from drivers.sdo import ABSENT, Aborted, SdoChannel
 from hilcell.clean import clean
-from hilcell.ports import Clock, DeviceError, DeviceRefused, Identity, says_simulated
+from hilcell.ports import DeviceError, DeviceRefused, Identity, says_simulated
 
 DEVICE_TYPE = 0x1000
 DEVICE_NAME = 0x1008
@@ -42,7 +42,7 @@ class Expected:
     serial: int
 
 
-def find_node(link: CanLink, sdo: SdoChannel, expected: Expected, clock: Clock) -> int:
+def find_node(link: CanLink, sdo: SdoChannel, expected: Expected, check: Callable[[], None]) -> int:
     """Return the node's device type as soon as it answers; raises `DeviceError` after `FIND_S`.
 
     A lost link is raised at once as `LinkLost`.
@@ -64,7 +64,7 @@ def find_node(link: CanLink, sdo: SdoChannel, expected: Expected, clock: Clock) 
                     act="check its power, cable, terminators, bit rate and node number",
                     fields={"node": expected.node, "name": expected.name, "waited_s": FIND_S},
                 ) from error
-        clock.check()
+        check()
 
 
 def _losses(link: CanLink) -> str:
@@ -236,7 +236,7 @@ def apply(sdo: SdoChannel, settings: Mapping[tuple[int, int], int]) -> None:
         sdo.write(index, sub, value)
 
 
-def start_nodes(link: CanLink, watches: Sequence[NodeWatch], clock: Clock) -> None:
+def start_nodes(link: CanLink, watches: Sequence[NodeWatch], check: Callable[[], None]) -> None:
     """Send NMT START until every node is operational; raises `DeviceError` after `OPERATIONAL_S`.
 
     Repeated, because a node that has lost a heartbeat takes the first one for too early. For
@@ -264,5 +264,5 @@ def start_nodes(link: CanLink, watches: Sequence[NodeWatch], clock: Clock) -> No
             next_s = now_s + START_PERIOD_S
             for watch in waiting:
                 link.send(nmt.COMMAND, bytes((nmt.START, watch.node)))
-        clock.check()
+        check()
         time.sleep(POLL_S)  # heartbeats come in real time, whatever the cell's clock does

@@ -13,8 +13,9 @@ import struct
 import threading
 import time
 from collections.abc import Callable
+from importlib import resources
 
-from canopen import RemoteNode
+from canopen import RemoteNode, import_od
 from canopen.objectdictionary import SIGNED_TYPES, ObjectDictionary, ODVariable
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
@@ -242,3 +243,14 @@ def _number(data: bytes, variable: ODVariable) -> int:
 
 def _name(index: int, sub: int) -> str:
     return f"{index:04X}h:{sub:02X}"
+
+
+def open_channel(
+    device: str, link: CanLink, node: int, eds: str, check: Callable[[], None]
+) -> SdoChannel:
+    """Return the channel to a node of a link, typed by one of the EDS files beside the drivers."""
+    with resources.as_file(resources.files("drivers") / "eds" / eds) as path:
+        remote = RemoteNode(node, import_od(str(path), node))
+    channel = SdoChannel(device, node, remote, link, check)
+    link.network.add_node(remote)
+    return channel

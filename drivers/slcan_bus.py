@@ -167,5 +167,6 @@ def _open(channel: str) -> tuple[int, Callable[[], Any]]:
         # A frame must not wait for the acknowledgement of the one before.
         link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return link.fileno(), link.close
-    port = serial.Serial(place.path, place.baud, timeout=0)
+    # Alone: a second program would take half of the lines.
+    port = serial.Serial(place.path, place.baud, timeout=0, exclusive=True)
     return port.fileno(), port.close

@@ -24,15 +24,26 @@ U32 = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 
 
 class StripOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A strip's wire and scale."""
+    """A strip's wire and scale: a serial line, or a CAN bus that is not the drive's."""
 
-    driver: Literal["serial"]
+    driver: Literal["serial", "canopen"]
     channel: str
     counts_per_mm: Positive = 100.0
     serial: U32 = 0  # of the sensor; 0: any
+    interface: Literal["slcan", "socketcan"] = "slcan"  # from here on: of a CAN bus
+    bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 500_000
+    node: Annotated[int, Meta(ge=1, le=127)] = 6
+    vendor: U32 = 0x484
+    product: U32 = 0x406
 
     def __post_init__(self) -> None:
-        parse_channel(self.channel)
+        if self.driver == "serial":
+            plain = {each.name: each.default for each in msgspec.structs.fields(self)}
+            for key in ("interface", "bitrate", "node", "vendor", "product"):
+                if getattr(self, key) != plain[key]:
+                    raise ValueError(f"{key}: only of a strip with driver canopen")
+        if self.driver == "serial" or self.interface == "slcan":
+            parse_channel(self.channel)
 
 
 class Strip(Protocol):

@@ -47,7 +47,7 @@ KNOWN = {
     "rail.strip_jump": "the strip reads this much more (mm), for good | a SYNC",
     "rail.missing_magnet": "6503h bit 0 is set | a SYNC",
     "rail.strip_jitter": "the strip reads this much to either side (counts) | a SYNC",
-    "rail.strip_silent": "the strip's serial line brings no answer | a command to it",
+    "rail.strip_silent": "a strip on a wire of its own brings no answer | a command to it",
     "rail.backlash": "the backlash grows by this (mm), for good | a motion",
     "rail.overspeed": "the drive runs faster than it is set, by this factor | a new set-point",
     "rail.pushed": "the held slide is pushed, motor and all (mm), for good | a poll of it at rest",

@@ -9,23 +9,22 @@ brakes by itself is looked at until it stands.
 
 from __future__ import annotations
 
-import socket
-import threading
 import time
-from contextlib import suppress
 from functools import partial
 
 from fakes import rail_drive, rail_strip
+from fakes.bus_thread import BusThread
 from fakes.canopen_sdo import HEADER, abort_reply
 from fakes.canopen_slave import SYNC_COB_ID, CanopenSlave
 from fakes.faults import Faults, Value
-from fakes.listener import HOST
 from fakes.rail_drive import RailDrive
 from fakes.rail_strip import RailStrip
 from fakes.rail_truth import RailTruth
 from fakes.site import Site
-from fakes.slcan_gateway import SlcanGateway
+from fakes.slcan_gateway import SlcanGateway, is_serial
+from fakes.strip_bus import StripBus
 from fakes.strip_line import StripLine
+from fakes.strip_wire import strip_wire
 from fakes.time import PlantTime
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
@@ -50,11 +49,12 @@ class RailServer:
         time: PlantTime,
         *,
         port: int = 0,
-        line: StripLine | None = None,
+        serial: bool = False,
+        line: StripLine | StripBus | None = None,
     ) -> None:
-        """``line`` is the strip's where that is not on the bus."""
+        """``serial``: the gateway's wire. ``line`` is the strip's where that is not on the bus."""
         self._rail, self._faults, self._time = rail, faults, time
-        self._gateway = SlcanGateway(faults, self._open, self._receive, port=port)
+        self._gateway = SlcanGateway(faults, self._open, self._receive, port=port, serial=serial)
         self._drive = RailDrive(rail, faults, cell.rail, self._transmit)
         self._line = line
         self._strip = None if line else RailStrip(rail.poll(), faults, self._transmit)
@@ -66,15 +66,13 @@ class RailServer:
         self._silent: set[int] = set()
         self._delay_s = 0.0
         self._late: list[tuple[float, int, bytes]] = []
-        self._closing = threading.Event()
-        self._wake, self._waker = socket.socketpair()
-        self._thread = threading.Thread(target=self._run, name="rail server")
+        self._bus = BusThread("rail server", self._gateway, self._wait_s, self._tick)
 
     @property
     def address(self) -> dict[str, object]:
         """Return the channel, as an option of the driver."""
         of_strip = {} if self._line is None else self._line.address
-        return {"channel": f"socket://{HOST}:{self.port}"} | of_strip
+        return {"channel": self._gateway.channel} | of_strip
 
     def restore(self) -> None:
         """Leave the bus as it is: the driver resets a drive's fault."""
@@ -86,32 +84,15 @@ class RailServer:
 
     def start(self) -> None:
         """Begin to serve."""
-        self._thread.start()
+        self._bus.start()
         if self._line is not None:
             self._line.start()
 
     def close(self) -> None:
         """Switch the bus off and return when the thread has ended."""
-        self._closing.set()
         if self._line is not None:
             self._line.close()
-        with suppress(OSError):
-            self._waker.send(b"\0")
-        if self._thread.is_alive():
-            self._thread.join()
-        self._gateway.close()
-        self._wake.close()
-        self._waker.close()
-
-    def _run(self) -> None:
-        try:
-            while not self._closing.is_set():
-                self._gateway.serve(self._wait_s(), self._wake)
-                self._tick(time.monotonic())
-                self._gateway.flush()
-        finally:
-            # Should a fault's value make no sense here, clients see the end, not silence.
-            self._gateway.close()
+        self._bus.close()
 
     # -- time ---------------------------------------------------------------------------------
 
@@ -239,6 +220,7 @@ def serve(site: Site, port: int) -> RailServer:
     rail = site.plant.rail
     if not isinstance(rail, RailTruth):
         raise SettingsError("rail", ["this cell has no slide to simulate"])
-    stated = site.cell.rail.options.get("strip")
-    line = StripLine(rail, site.faults, dict(stated)) if stated else None
-    return RailServer(rail, site.faults, site.cell, site.time, port=port, line=line)
+    options = site.cell.rail.options
+    stated, serial = options.get("strip"), is_serial(options.get("channel")) and not port
+    line = strip_wire(rail, site.faults, dict(stated)) if stated else None
+    return RailServer(rail, site.faults, site.cell, site.time, port=port, serial=serial, line=line)

@@ -1,8 +1,9 @@
-"""A CAN gateway that speaks slcan (the Lawicel ASCII protocol) over TCP, to one client at a time.
+"""A CAN gateway that speaks slcan (the Lawicel ASCII protocol), over TCP or on a serial line.
 
 Every command ends with CR and is answered: CR for done, ``z`` CR for a frame sent, BELL for
-refused. As on any gateway lines come glued, in two pieces, or a little late. A client may throw
-away all that arrives before its ``O`` (open); so nothing is sent unasked until the channel is open.
+refused. As on any gateway lines come glued, in two pieces, or a little late. TCP serves one client
+at a time. A client may throw away all that arrives before its ``O`` (open); so nothing is sent
+unasked until the channel is open.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from collections.abc import Callable
 import numpy as np
 
 from fakes.faults import Faults
-from fakes.listener import listen
+from fakes.listener import HOST, listen
+from fakes.serial_end import SerialEnd
 
 OK, REFUSED = b"\r", b"\a"
 LONGEST_LINE = 64
@@ -37,8 +39,16 @@ def decode(line: bytes) -> tuple[int, bytes]:
     return int(line[1:4], 16), data
 
 
+def is_serial(channel: object) -> bool:
+    """Whether a cell file's channel is a serial line, so that its gateway has one, too."""
+    return isinstance(channel, str) and channel.startswith("/")
+
+
 class SlcanGateway:
-    """Listens on loopback; ``on_open()`` and ``on_frame(cob_id, data)`` go to the bus."""
+    """Listens on loopback, or has a ``serial`` line.
+
+    ``on_open()`` and ``on_frame(cob_id, data)`` go to the bus.
+    """
 
     def __init__(
         self,
@@ -47,17 +57,24 @@ class SlcanGateway:
         on_frame: Callable[[int, bytes], None],
         *,
         port: int = 0,
+        serial: bool = False,
     ) -> None:
         self._faults = faults
         self._on_open, self._on_frame = on_open, on_frame
-        self._listener: socket.socket | None = listen(port)
-        self.port = int(self._listener.getsockname()[1])
-        self._client: socket.socket | None = None
+        self._line = SerialEnd(SEND_DEADLINE_S) if serial else None
+        self._listener: socket.socket | None = None if serial else listen(port)
+        self.port = 0 if self._listener is None else int(self._listener.getsockname()[1])
+        self._client: socket.socket | SerialEnd | None = self._line
         self._received = b""
         self._sending = b""
         self._opened = self._stalled = self._off = False
         self._held = b""  # a frame that changes places with the next one
         self._habits = np.random.default_rng(0)
+
+    @property
+    def channel(self) -> str:
+        """Return where a client finds it."""
+        return f"socket://{HOST}:{self.port}" if self._line is None else self._line.path
 
     def serve(self, timeout_s: float, wake: socket.socket) -> None:
         """Handle clients' bytes for ``timeout_s``; bytes on ``wake`` end the wait early."""
@@ -97,10 +114,10 @@ class SlcanGateway:
         self._sending = b""
 
     def drop(self) -> None:
-        """Close the client's connection; the next client may come."""
-        if self._client is not None:
+        """Close the client's connection; the next client may come. A line is only shut off."""
+        if self._client is not None and self._client is not self._line:
             self._client.close()
-        self._client, self._opened, self._stalled, self._off = None, False, False, False
+        self._client, self._opened, self._stalled, self._off = self._line, False, False, False
         self._held = b""
         self._received = self._sending = b""
 
@@ -109,13 +126,17 @@ class SlcanGateway:
         if self._listener is not None:
             self._listener.close()
         self._listener = None
+        line, self._line = self._line, None
         self.drop()
+        if line is not None:
+            line.close()
 
     def _accept(self) -> None:
         if self._listener is not None:
-            self._client, _ = self._listener.accept()
-            self._client.settimeout(SEND_DEADLINE_S)
-            self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            client, _ = self._listener.accept()
+            client.settimeout(SEND_DEADLINE_S)
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._client = client
 
     def _receive(self) -> None:
         client = self._client

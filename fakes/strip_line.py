@@ -18,9 +18,7 @@ from fakes.faults import Faults
 from fakes.listener import HOST, Listener
 from fakes.rail_truth import RailTruth
 from fakes.segments import Segments
-from fakes.site import Site
 from fakes.strip_sensor import StripSensor
-from hilcell.cell.settings import SettingsError
 
 ANSWERS = {b"A0": "MSAC501 simulated", b"A1": "V1.00-simulated", b"A2": "002014003"}
 GAP = 1 << 0
@@ -135,12 +133,3 @@ class Pty:
                 cut = 1 + sent % (len(answer) - 1) if sent % SPLIT_EVERY == 0 else len(answer)
                 for piece in filter(None, (answer[:cut], answer[cut:])):
                     os.write(self._ours, piece)
-
-
-def serve(site: Site, port: int) -> StripLine:
-    """Return the strip of a cell whose slide is the robot's axis; raises `SettingsError`."""
-    rail = site.plant.rail
-    if not isinstance(rail, RailTruth):
-        raise SettingsError("rail", ["this cell has no slide to simulate"])
-    stated = site.cell.rail.options.get("strip", {})
-    return StripLine(rail, site.faults, dict(stated), port=port)

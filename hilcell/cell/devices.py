@@ -276,7 +276,8 @@ def stand_ins(cell: Cell) -> dict[str, dict[str, object]]:
         }
         strip = shared.options.get("strip", {} if "strip" in wanted else None)
         if isinstance(strip, Mapping):
-            found[table]["strip"] = {"driver": "serial", "channel": channel} | dict(strip)
+            other = f"socket://127.0.0.1:{n + len(TABLES)}"  # no strip shares the drive's wire
+            found[table]["strip"] = {"driver": "serial", "channel": other} | dict(strip)
     return found
 
 

@@ -39,10 +39,12 @@ class WireRecording:
             for wire, place in wires_of(stated[table]).items():
                 name = joined(table, wire)
                 orders.append(WireOrder.of(name, folder / f"{name}{SUFFIX}", place))
-            if is_can_interface(stated[table]):
-                channel = stated[table]["channel"]
-                self.left_out[table] = (
+            parts = [part for part in stated[table].values() if isinstance(part, Mapping)]
+            cans = [part["channel"] for part in (stated[table], *parts) if is_can_interface(part)]
+            if cans:
+                self.left_out[table] = "; ".join(
                     f"{channel} is a CAN interface: record it with `candump -l {channel}`"
+                    for channel in cans
                 )
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "hilcell.wire"],

@@ -4,6 +4,7 @@ import contextlib
 import os
 import socket
 import threading
+import tty
 from collections.abc import Callable
 
 import can
@@ -217,3 +218,29 @@ def test_a_port_that_takes_nothing_is_an_error_in_time() -> None:
         line.bus.send(frame(0x205))
     line.read_on()
     line.close()
+
+
+def test_a_gateway_on_a_serial_line_is_this_program_s_alone() -> None:
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    channel = f"{os.ttyname(theirs)}@115200"
+    os.write(ours, b"t7FF0\rt58")  # from before this program
+    bus = SlcanBus(channel, 500_000)
+    with pytest.raises((OSError, can.CanError)):
+        SlcanBus(channel, 500_000)
+    os.write(ours, b"\r\r\r\rt58\xb5" + GOOD + GOOD[:9])
+    os.write(ours, GOOD[9:])
+    message = bus.recv(5.0)
+    assert message is not None
+    assert (message.arbitration_id, bytes(message.data)) == FRAME
+    assert bus.bad_lines == 1
+    os.close(ours)  # pulled out
+    with pytest.raises(can.CanOperationError, match="the gateway"):
+        bus.recv(5.0)
+    with contextlib.suppress(can.CanError):
+        bus.shutdown()
+    os.close(theirs)
+    again = os.openpty()
+    os.close(again[0])
+    os.close(again[1])
+    assert again[0] <= theirs  # no descriptor has leaked

@@ -295,12 +295,14 @@ def test_a_serial_line_passes_through_a_pseudo_terminal(kept: tuple[Recorder, Pa
 
 def test_a_can_interface_is_left_out_with_its_reason(tmp_path: Path) -> None:
     cell = load_cell("paper")
-    options = {"interface": "socketcan", "channel": "can0"}
+    strip = {"driver": "canopen", "interface": "socketcan", "channel": "can1"}
+    options = {"interface": "socketcan", "channel": "can0", "strip": strip}
     cell = msgspec.structs.replace(cell, rail=msgspec.structs.replace(cell.rail, options=options))
     recording = WireRecording(cell, {}, tmp_path)
     recording.close()
     assert recording.left_out == {
-        "rail": "can0 is a CAN interface: record it with `candump -l can0`"
+        "rail": "can0 is a CAN interface: record it with `candump -l can0`; "
+        "can1 is a CAN interface: record it with `candump -l can1`"
     }
     assert recording.addresses["robot"]["host"] == "127.0.0.1"
 

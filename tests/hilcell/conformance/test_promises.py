@@ -115,6 +115,24 @@ def test_a_second_make_keeps_what_is_judged_without_waiting(
     assert found == {promise: why for promise, why in others.items() if promise in names}
 
 
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("driver", "wires"),
+    [
+        ("canopen", {"strip.driver": "serial"}),
+        ("canopen", {"strip.driver": "canopen"}),
+        ("canopen", {"channel": "/dev/gateway", "strip.driver": "canopen",
+                     "strip.channel": "/dev/strip"}),
+        ("kuka-e1", {"strip.driver": "canopen"}),
+    ],
+    ids=["a serial strip", "two buses", "two serial lines", "E1 and a bus"],
+)  # fmt: skip
+def test_a_rail_keeps_every_promise_over_other_wires(driver: str, wires: dict[str, str]) -> None:
+    sets = {f"rail.options.{key}": value for key, value in wires.items()}
+    with Trial(driver_cell("paper", "rail", driver, sets), "rail") as trial:
+        assert [each for each in judge_all("rail", trial) if each.verdict != "held"] == []
+
+
 @pytest.mark.parametrize(("port", "name"), QUICK_FIRST)
 def test_a_broken_driver_breaks_its_promise(
     port: Port, name: str, trials: dict[Port, Trial]

@@ -1,0 +1,187 @@
+"""A strip's sensor on a CAN bus of its own: a second bus beside the drive's, and one that fails."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+import pytest
+
+from drivers.rail_canopen import CanopenRail
+from drivers.strip import LOST, StripFeed, StripOptions
+from drivers.strip_canopen import CanopenStrip
+from hilcell.ports import DeviceError, DeviceRefused, Stopped, StripLost
+from tests.drivers.can_peer import STRIP, CanPeer, u8, u32
+from tests.drivers.rail_bed import rail_for, short_deadlines
+
+__all__ = ["short_deadlines"]
+
+
+def never() -> None:
+    pass
+
+
+def options_for(peer: CanPeer, **more: Any) -> StripOptions:
+    return StripOptions(driver="canopen", channel=peer.channel, **more)
+
+
+@pytest.fixture
+def bus() -> Iterator[CanPeer]:
+    with CanPeer() as bus:
+        yield bus
+
+
+@pytest.fixture
+def strip(bus: CanPeer) -> Iterator[CanopenStrip]:
+    strip = CanopenStrip(options_for(bus), never)
+    strip.connect()
+    yield strip
+    strip.close()
+
+
+def test_identity_readings_alarms_and_counts(bus: CanPeer) -> None:
+    strip = CanopenStrip(options_for(bus), never)
+    identity = strip.connect()
+    assert (identity.kind, identity.serial) == ("strip", "4711")
+    assert identity.address == f"{bus.channel} node {STRIP}"
+    assert strip.read(never) == (50_000, 0)
+    bus.axis.position, bus.alarms = -1200, 1
+    assert strip.read(never) == (-120, 1)
+    assert "missing magnet" in strip.alarm_text(1)
+    frames = strip.statistics().frames
+    assert frames > 10
+    strip.close()
+    strip.close()
+    assert strip.statistics().frames >= frames
+    with pytest.raises(DeviceError, match="not connected"):
+        strip.read(never)
+
+
+def test_nothing_is_sent_that_could_move_a_drive(bus: CanPeer, strip: CanopenStrip) -> None:
+    strip.read(never)
+    for_strip = {0x000, 0x080, 0x600 + STRIP}
+    assert {cob_id for cob_id, _ in bus.heard} <= for_strip
+    assert {data[1] for data in bus.frames(0x000)} == {STRIP}
+
+
+@pytest.mark.parametrize(
+    ("more", "found"),
+    [
+        ({"serial": 8}, "0x1267, wanted 0x8"),
+        ({"product": 7}, "0x406, wanted 0x7"),
+        ({"counts_per_mm": 1000.0}, "strip step .* is 10000 nm, wanted 1000 nm"),
+    ],
+)
+def test_another_sensor_is_refused(bus: CanPeer, more: dict[str, Any], found: str) -> None:
+    strip = CanopenStrip(options_for(bus, **more), never)
+    with pytest.raises(DeviceRefused, match=found):
+        strip.connect()
+    assert bus.nmt[STRIP] != 5
+
+
+def test_a_sensor_that_is_reset_falls_silent_or_leaves_the_bus_is_lost(bus: CanPeer) -> None:
+    feed = StripFeed(CanopenStrip(options_for(bus), never))
+    causes = (
+        (lambda: bus.send(0x700 + STRIP, u8(0)), "unexpected boot-up"),
+        (lambda: bus.nmt.__setitem__(STRIP, 0x7F), "not operational"),
+        (bus.server.drop, "link lost"),
+    )
+    for strike, said in causes:
+        feed.connect()
+        assert feed.poll(never) == (50_000, 0)
+        strike()
+        _until_lost(feed)
+        assert said in feed.alarm_text(LOST)
+        bus.server.drop() if said != "link lost" else None
+        feed.mend()
+        assert feed.poll(never) == (50_000, 0)
+    feed.close()
+
+
+def _until_lost(feed: StripFeed) -> None:
+    while not feed.poll(never)[1] & LOST:
+        pass  # the test's time limit bounds the wait
+
+
+def test_a_stop_ends_the_wait_at_once(bus: CanPeer, strip: CanopenStrip) -> None:
+    stop = threading.Event()
+
+    def check() -> None:
+        if stop.is_set():
+            raise Stopped("stop")
+
+    bus.nmt[STRIP] = 0x7F
+    bus.on_sync = stop.set
+    began_s = time.monotonic()
+    with pytest.raises(Stopped):
+        strip.read(check)
+    assert time.monotonic() - began_s < 0.1
+
+
+def test_a_drive_and_a_strip_each_on_a_bus_of_its_own(bus: CanPeer) -> None:
+    with CanPeer() as drive_bus:
+        drive_bus.silent.add(STRIP)
+        rail = rail_for(drive_bus, strip=options_for(bus), strip_counts_per_mm=3.0)
+
+        def follow() -> None:
+            bus.axis.position = drive_bus.axis.position
+
+        drive_bus.on_sync = follow
+        drive, sensor = rail.connect()
+        assert (drive.kind, sensor.kind) == ("drive", "strip")
+        assert (drive.address.split()[0], sensor.address.split()[0]) == (
+            drive_bus.channel,
+            bus.channel,
+        )
+        rail.home()
+        rail.move_to(700.0)
+        assert rail.settle().strip_mm == pytest.approx(700.0, abs=0.02)
+        bus.nmt[STRIP] = 0x7F
+        rail.move_to(800.0)  # no motion asks the strip
+        rail.hold()
+        assert rail.settle().strip_mm == pytest.approx(800.0, abs=0.02)  # it was opened again
+        bus.alarms = 1
+        with pytest.raises(StripLost, match="missing magnet"):
+            rail.read()
+        frames = rail.statistics().frames
+        rail.close()
+        assert rail.statistics().frames >= frames > 100
+
+
+@pytest.mark.parametrize(
+    ("strip", "found"),
+    [
+        ({"driver": "serial", "channel": "/dev/a", "node": 7}, "node: only of a strip with driver"),
+        ({"driver": "canopen", "channel": "can1"}, None),
+        ({"driver": "canopen", "interface": "socketcan", "channel": "can1"}, None),
+        ({"driver": "canopen", "channel": "socket://a"}, "channel: socket://HOST:PORT"),
+        ({"driver": "canopen", "channel": "socket://gateway:3000"}, "needs no table"),
+        ({"driver": "canopen", "channel": "can1", "serial": 8}, "strip_serial: .* strip.serial"),
+    ],
+)
+def test_options(strip: dict[str, Any], found: str | None) -> None:
+    stated = {
+        "channel": "socket://gateway:3000",
+        "travel_min_mm": 0.0,
+        "travel_max_mm": 3000.0,
+        "speed_mm_s": 250.0,
+        "acceleration_mm_s2": 200.0,
+        "strip": strip,
+        "strip_serial": strip.get("serial", 0),
+    }
+    if found is None:
+        assert msgspec.convert(stated, CanopenRail.Options).strip is not None
+    else:
+        with pytest.raises(msgspec.ValidationError, match=found):
+            msgspec.convert(stated, CanopenRail.Options)
+
+
+def test_the_step_may_be_absent(bus: CanPeer) -> None:
+    del bus.objects[STRIP][0x6005, 1]
+    bus.objects[STRIP][0x1018, 4] = u32(99)
+    strip = CanopenStrip(options_for(bus, serial=99, counts_per_mm=50.0), never)
+    assert strip.connect().serial == "99"
+    strip.close()
