@@ -112,6 +112,7 @@ async def cell_and_screen(
             yield cell, pilot
 
 
+@pytest.mark.nightly  # of live engines: by day, `test_screen` looks at the same
 @pytest.mark.timeout(180)
 def test_a_live_run(tmp_path: Path) -> None:
     asyncio.run(a_live_run(tmp_path))
@@ -128,6 +129,7 @@ async def a_live_run(tmp_path: Path) -> None:
             keep(app_of(pilot), "screen-running-light")
 
 
+@pytest.mark.nightly
 @pytest.mark.timeout(180)
 def test_a_fault(tmp_path: Path) -> None:
     asyncio.run(a_fault(tmp_path))
@@ -142,6 +144,7 @@ async def a_fault(tmp_path: Path) -> None:
         keep(app_of(pilot), "screen-fault")
 
 
+@pytest.mark.nightly
 @pytest.mark.timeout(180)
 def test_a_prompt(tmp_path: Path) -> None:
     asyncio.run(a_prompt(tmp_path))

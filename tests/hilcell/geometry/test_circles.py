@@ -181,7 +181,7 @@ def test_readings_that_scatter_more_in_one_direction_move_the_frame_as_predicted
         reading_covariance(circle, each, covariances)
         for circle, each in zip(fitted(0.0), exact, strict=True)
     ]
-    found = [fitted(1.0) for _ in range(2000)]
+    found = [fitted(1.0) for _ in range(1000)]
     for which, covariance in enumerate(predicted):
         circles = [each[which] for each in found]
         rows = [np.r_[each.centre_mm, each.axis, each.radius_mm] for each in circles]

@@ -14,6 +14,7 @@ from hilcell.tui.keys import ACTIONS, RESERVED
 from hilcell.tui.screens.base import Confirm
 from tests.hilcell.tui.all_screens import isolated
 from tests.hilcell.tui.recording_app import SIZE, RecordingApp, options, settle, type_ahead
+from tests.whole.bench import sweep
 
 __all__ = ["isolated"]
 
@@ -37,7 +38,7 @@ class Watched(RecordingApp):
 
 
 @pytest.mark.usefixtures("isolated")
-@pytest.mark.parametrize("state", ["running", "suspended", "pausing", "done", "gone", ""])
+@pytest.mark.parametrize("state", ["running", "suspended", "", *sweep("pausing", "done", "gone")])
 def test_random_keys_break_nothing(state: str) -> None:
     chance = random.Random(f"{state}")
     pressed: list[str] = []
