@@ -167,7 +167,7 @@ def test_a_live_run_is_let_go_on_by_the_same_rule(
     folder = left(tmp_path / "r", simulated=simulated)
     ordered: list[str] = []
 
-    def order(folder: Path, command: str, *, key: str = "") -> Status:
+    def order(folder: Path, command: str, *, key: str = "", until: int = 0) -> Status:
         ordered.append(command)
         return Status(state="paused", screens=screens, unattended=unattended)
 
