@@ -92,6 +92,7 @@ def test_the_kit_judges_it(run: Run) -> None:
     assert "1 passed" in done.stdout
 
 
+@pytest.mark.nightly
 def test_a_run_moves_it_and_names_it(run: Run) -> None:
     done = run("hilcell", "run", "home", "--unattended", "--json", *DRIVER)
     assert end_of(done)["state"] == "finished"
