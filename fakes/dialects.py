@@ -58,6 +58,14 @@ class Dialect:
     def heard(self, asked: bytes, recorded: bytes) -> None:
         """Take note of a question that was asked in the place of the recorded one."""
 
+    def is_sample(self, answer: bytes) -> bool:
+        """Whether an answer is one of many that come when their time has come, unasked."""
+        return False
+
+    def beat(self, answer: bytes) -> bytes:
+        """Return whose sign of life an answer is; b"" for any other one."""
+        return b""
+
     def repeats(self, answer: bytes) -> bool:
         """Whether an answer comes by itself again and again, until there is a next one."""
         return False
@@ -69,6 +77,11 @@ class Slcan(Dialect):
     def unheard(self, message: bytes) -> bool:
         """Whether it is a heartbeat."""
         return _HEARTBEAT.match(message) is not None or super().unheard(message)
+
+    def beat(self, answer: bytes) -> bytes:
+        """Return the node whose heartbeat it is."""
+        found = _HEARTBEAT.match(answer)
+        return b"" if found is None else found[0]
 
 
 class GeoCom(Dialect):
@@ -137,6 +150,14 @@ class C3(Sized):
         return asked[:2] + answer[2:]
 
 
+class Emscon(Sized):
+    """emScon: a stream's packets are of type 3."""
+
+    def is_sample(self, answer: bytes) -> bool:
+        """Whether it is a packet of a stream."""
+        return answer[4:8] == b"\3\0\0\0"
+
+
 def dialects_of(driver: str) -> Mapping[str, Dialect]:
     """Return the dialects of a driver's wires that are no plain lines, by their names."""
     if driver not in entry_points(group=f"hilcell.{GROUP}").names:
@@ -162,7 +183,7 @@ def kuka_c3() -> dict[str, Dialect]:
 
 def leica_emscon() -> dict[str, Dialect]:
     """Return the dialect of an emScon tracker."""
-    return {"": Sized("<I", 0, 0)}
+    return {"": Emscon("<I", 0, 0)}
 
 
 def leica_geocom() -> dict[str, Dialect]:

@@ -2,13 +2,17 @@
 
 Questions that were asked once only are landmarks, on whatever wire: a driver that asks one is as
 far as the recorded one was then. So devices of one motion keep in step, as a strip and its drive.
+Between two landmarks the time is that of the last answer, on any wire, or of the last look at the
+cell's clock, which shows what it showed. Samples of a stream, which nobody asks for one by one,
+come when their time has passed. So wires that are paired by the clock are paired as they were.
 """
 
 from __future__ import annotations
 
 import threading
+import time
 from bisect import bisect_right
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 
 class EventTime:
@@ -16,19 +20,77 @@ class EventTime:
 
     def __init__(self) -> None:
         self._landmarks_s: list[float] = []
+        self._asked_s: list[float] = []
         self._lock = threading.Lock()
-        self.landmark_s = 0.0  # that was passed last
+        self._followers: tuple[Callable[[float], None], ...] = ()
+        self._landmark_s = 0.0  # that was passed last
+        self.now_s = 0.0
 
-    def expect(self, times_s: Iterable[float]) -> None:
-        """Take the times at which a wire was asked what it was asked once only."""
-        self._landmarks_s = sorted([*self._landmarks_s, *times_s])
+    def expect(self, asked_s: Iterable[float], landmarks_s: Iterable[float]) -> None:
+        """Take the times at which a wire was asked, and those of what it was asked once only."""
+        self._asked_s = sorted([*self._asked_s, *asked_s])
+        self._landmarks_s = sorted([*self._landmarks_s, *landmarks_s])
 
     def part(self) -> tuple[float, float]:
         """Return the times of the landmarks between which the replay is."""
-        at = bisect_right(self._landmarks_s, self.landmark_s)
-        return self.landmark_s, (self._landmarks_s[at : at + 1] or [float("inf")])[0]
+        return self._landmark_s, _following(self._landmarks_s, self._landmark_s)
+
+    def next_asked_s(self) -> float:
+        """Return when something was asked next."""
+        return _following(self._asked_s, self.now_s)
 
     def pass_landmark(self, time_s: float) -> None:
         """A question was asked that was asked once only, at ``time_s``."""
         with self._lock:
-            self.landmark_s = max(self.landmark_s, time_s)
+            self._landmark_s = max(self._landmark_s, time_s)
+        self.reach(time_s)
+
+    def reach(self, time_s: float) -> None:
+        """Be at ``time_s``; all that had come by then is handed out before this returns."""
+        with self._lock:
+            self.now_s = max(self.now_s, time_s)
+        for follower in self._followers:
+            follower(self.now_s)
+
+    def follow(self, follower: Callable[[float], None]) -> None:
+        """Have ``follower`` called with the time, whenever some has passed."""
+        with self._lock:
+            self._followers = (*self._followers, follower)
+
+    def unfollow(self, follower: Callable[[float], None]) -> None:
+        """Call ``follower`` no longer."""
+        with self._lock:
+            self._followers = tuple(each for each in self._followers if each != follower)
+
+
+class RecordedLooks:
+    """What the cell's clock showed. Looks that were not recorded go on from there in real time."""
+
+    def __init__(self, time_: EventTime, at_s: Sequence[float], shown_s: Sequence[float]) -> None:
+        self._time, self._at_s, self._shown_s = time_, at_s, shown_s
+        self._lock = threading.Lock()
+        self._shown, self._looked_s, self._waited_s = 0.0, time.monotonic(), 0.0
+        self._latest_s = 0.0
+
+    def wait(self, duration_s: float) -> None:
+        """Let cell time pass at once."""
+        with self._lock:
+            self._waited_s += duration_s
+
+    def now_s(self) -> float:
+        """Return the cell's time, which never runs back."""
+        with self._lock:
+            n, before_s = bisect_right(self._at_s, self._time.now_s), self._time.next_asked_s()
+            if n < len(self._at_s) and self._at_s[n] < before_s:
+                self._time.reach(self._at_s[n])
+                self._shown = self._shown_s[n]
+                self._looked_s, self._waited_s, since_s = time.monotonic(), 0.0, 0.0
+            else:
+                since_s = time.monotonic() - self._looked_s + self._waited_s
+            self._latest_s = max(self._latest_s, self._shown + since_s)
+            return self._latest_s
+
+
+def _following(times_s: Sequence[float], time_s: float) -> float:
+    at = bisect_right(times_s, time_s)
+    return times_s[at] if at < len(times_s) else float("inf")

@@ -1,13 +1,12 @@
 """A cell whose devices are recordings of their wires: ``--set simulation.simulator=recorded``.
 
 ``simulation.data`` names the folder of a run that was made with ``--record-wire``. Waits of the
-cell pass at once; otherwise its time is real.
+cell pass at once; its clock shows what it showed.
 """
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from threading import Event
@@ -15,13 +14,13 @@ from threading import Event
 import msgspec
 
 from fakes.dialects import Dialect, dialects_of
-from fakes.event_time import EventTime
+from fakes.event_time import EventTime, RecordedLooks
 from fakes.recorded_wire import RecordedWire
 from hilcell.cell.devices import TABLES, driver_options, stand_ins
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.ports import Stopped
-from hilcell.wire.recording import SUFFIX, read_recording, recordings
+from hilcell.wire.recording import CLOCK, SUFFIX, looks, read_recording, recordings
 from hilcell.wire.wires import addressed
 
 NO_PORTS: Mapping[str, int] = {}
@@ -43,8 +42,11 @@ class RecordedCell:
         self.address = ""
         self._wires: list[RecordedWire] = []
         time, channels = EventTime(), dict[str, dict[str, str]]()
+        paths = recordings(_folder(cell))
+        clock = paths.pop(CLOCK, None)
+        self._looks = RecordedLooks(time, *looks([] if clock is None else read_recording(clock)))
         dialects = {table: dialects_of(getattr(cell, table).driver) for table, _group in TABLES}
-        for name, path in recordings(_folder(cell)).items():
+        for name, path in paths.items():
             table, _dot, wire = name.partition(".")
             dialect = dialects[table].get(wire, Dialect())
             self._wires.append(RecordedWire(read_recording(path), dialect, time))
@@ -73,7 +75,7 @@ class RecordedCell:
 
     def clock(self, stop: Event) -> RecordedClock:
         """Return the cell's clock."""
-        return RecordedClock(stop)
+        return RecordedClock(self._looks, stop)
 
     def close(self) -> None:
         """Stop serving."""
@@ -82,19 +84,15 @@ class RecordedCell:
 
 
 class RecordedClock:
-    """Real time, in which every wait is over at once."""
+    """The cell's clock as it was, in which every wait is over at once."""
 
-    def __init__(self, stop: Event) -> None:
-        self._stop = stop
-        self._waited_s = 0.0
-
-    def now_s(self) -> float:
-        """Return seconds, those of all waits among them."""
-        return time.monotonic() + self._waited_s
+    def __init__(self, looks: RecordedLooks, stop: Event) -> None:
+        self._looks, self._stop = looks, stop
+        self.now_s = looks.now_s
 
     def wait(self, duration_s: float) -> None:
         """Let cell time pass."""
-        self._waited_s += duration_s
+        self._looks.wait(duration_s)
         self.check()
 
     def check(self) -> None:

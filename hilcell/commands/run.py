@@ -63,7 +63,7 @@ from hilcell.journal.runs import (
     read_log,
 )
 from hilcell.journal.runs_folder import runs_option
-from hilcell.ports import HilcellError, Stopped
+from hilcell.ports import Clock, HilcellError, Stopped
 from hilcell.run.cell_lock import (
     CellLocked,
     lock_of_device,
@@ -329,9 +329,9 @@ def _run(
             addresses: Addresses = simulated.options if simulated is not None else {}
             if simulated is None or (cell.simulation and cell.simulation.address):
                 _lock_devices(cell, addresses, journal.run, stack)  # nobody else has our own ones
+            clock: Clock = simulated.clock(stop) if simulated is not None else WallClock(stop)
             if args.record_wire:
-                addresses = _recorded(cell, addresses, folder, stack)
-            clock = simulated.clock(stop) if simulated is not None else WallClock(stop)
+                addresses, clock = _recorded(cell, addresses, clock, folder, stack)
             devices = build_devices(cell, addresses, clock)
             runner = Runner(
                 cell,
@@ -367,13 +367,15 @@ def _run(
         return Ending(code, error)
 
 
-def _recorded(cell: Cell, addresses: Addresses, folder: Path, stack: ExitStack) -> Addresses:
-    """Return the addresses of relays that record the devices' wires."""
+def _recorded(
+    cell: Cell, addresses: Addresses, clock: Clock, folder: Path, stack: ExitStack
+) -> tuple[Addresses, Clock]:
+    """Return the addresses of relays that record the devices' wires, and a clock that is."""
     recording = WireRecording(cell, addresses, folder)
     stack.callback(recording.close)
     for table, why in recording.left_out.items():
         print_message(f"warning: the wire of the {table} is not recorded: {why}")
-    return recording.addresses
+    return recording.addresses, recording.clock(clock)
 
 
 def _lock_devices(cell: Cell, addresses: Addresses, run: str, stack: ExitStack) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, cast
@@ -13,7 +14,8 @@ import msgspec
 from hilcell.cell.devices import TABLES, driver_options
 from hilcell.cell.file import Cell
 from hilcell.errors import HilcellError
-from hilcell.wire.recording import SUFFIX, recordings
+from hilcell.ports import Clock
+from hilcell.wire.recording import CLOCK, SUFFIX, RecordedLooks, Recorder, recordings
 from hilcell.wire.relay import WireOrder
 from hilcell.wire.wires import addressed, is_can_interface, joined, wires_of
 
@@ -30,7 +32,7 @@ class WireRecording:
     def __init__(self, cell: Cell, addresses: Addresses, folder: Path) -> None:
         """Start the relay; raises `HilcellError` where it cannot reach a serial line."""
         self.left_out: dict[str, str] = {}
-        folder = _unused(folder)
+        folder, began_s = _unused(folder), time.monotonic()
         stated: dict[str, dict[str, object]] = {}
         orders: list[WireOrder] = []
         for table, group in TABLES:
@@ -38,7 +40,8 @@ class WireRecording:
             stated[table] = msgspec.to_builtins(options)
             for wire, place in wires_of(stated[table]).items():
                 name = joined(table, wire)
-                orders.append(WireOrder.of(name, folder / f"{name}{SUFFIX}", place))
+                file = folder / f"{name}{SUFFIX}"
+                orders.append(WireOrder.of(name, file, began_s, place))
             parts = [part for part in stated[table].values() if isinstance(part, Mapping)]
             cans = [part["channel"] for part in (stated[table], *parts) if is_can_interface(part)]
             if cans:
@@ -59,9 +62,17 @@ class WireRecording:
             table: dict(addresses.get(table, {})) | addressed(stated[table], found)
             for table, found in channels.items()
         }
+        self._looks = (folder / f"{CLOCK}{SUFFIX}").open("ab")
+        self._recorder = Recorder(self._looks, began_s)
+
+    def clock(self, clock: Clock) -> Clock:
+        """Return the cell's clock as one whose looks are recorded: wires are paired by them."""
+        return RecordedLooks(clock, self._recorder)
 
     def close(self) -> None:
         """End the relay."""
+        self._recorder.close()
+        self._looks.close()
         try:
             self._process.communicate(timeout=END_S)
         except subprocess.TimeoutExpired:

@@ -4,25 +4,31 @@
 recording of all wires began, the number of the connection, what happened, the bytes in hex, and the
 CRC-32 of all that. ``>`` went to the device, ``<`` came from it; ``open``, ``end`` (by the driver),
 ``lost`` (by the device) and ``refused`` carry no bytes. A recording may be packed by ``xz``.
+
+The cell's clock is recorded like a wire: ``now`` is a look at it, with what it showed.
 """
 
 from __future__ import annotations
 
 import lzma
+import struct
 import threading
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import IO, Literal, Self
 
 import msgspec
 
 from hilcell.cell.settings import SettingsError
+from hilcell.ports import Clock
 
+CLOCK = "clock"  # in the place of a wire's name
+_SHOWN = struct.Struct(">d")
 SUFFIX = ".wire.jsonl"
 PACKED = ".xz"
-Event = Literal["open", ">", "<", "end", "lost", "refused"]
+Event = Literal["open", ">", "<", "end", "lost", "refused", "now"]
 
 
 class Piece(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -76,6 +82,26 @@ class Recorder:
         """End the recording."""
         with self._lock:
             self._file = None
+
+
+class RecordedLooks:
+    """Satisfies `hilcell.ports.Clock`: another clock, whose looks are recorded."""
+
+    def __init__(self, clock: Clock, recorder: Recorder) -> None:
+        self._clock, self._recorder = clock, recorder
+        self.wait, self.check = clock.wait, clock.check
+
+    def now_s(self) -> float:
+        """Return the cell's time, which never runs back."""
+        now_s = self._clock.now_s()
+        self._recorder.take(0, "now", _SHOWN.pack(now_s))
+        return now_s
+
+
+def looks(pieces: Iterable[Piece]) -> tuple[list[float], list[float]]:
+    """Return when the cell's clock was looked at, by the recording, and what it showed, in s."""
+    found = [(piece.t, _SHOWN.unpack(piece.data)[0]) for piece in pieces if piece.e == "now"]
+    return [at_s for at_s, _ in found], [shown_s for _, shown_s in found]
 
 
 def recordings(folder: Path) -> dict[str, Path]:

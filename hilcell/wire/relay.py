@@ -12,7 +12,6 @@ import pty
 import select
 import socket
 import threading
-import time
 import tty
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -35,17 +34,18 @@ class WireOrder(msgspec.Struct, frozen=True):
 
     wire: str
     file: str
+    began_s: float  # monotonic; of the recording of all wires
     host: str = ""
     port: int = 0
     path: str = ""
     baud: int = 0
 
     @classmethod
-    def of(cls, wire: str, file: Path, place: Socket | SerialLine) -> Self:
+    def of(cls, wire: str, file: Path, began_s: float, place: Socket | SerialLine) -> Self:
         """Return the order for a wire that leads to a place."""
         if isinstance(place, Socket):
-            return cls(wire, str(file), host=place.host, port=place.port)
-        return cls(wire, str(file), path=place.path, baud=place.baud)
+            return cls(wire, str(file), began_s, host=place.host, port=place.port)
+        return cls(wire, str(file), began_s, path=place.path, baud=place.baud)
 
     @property
     def place(self) -> Socket | SerialLine:
@@ -140,10 +140,9 @@ def serve(orders: list[WireOrder], until_ended: Callable[[dict[str, str]], None]
     """Relay wires until ``until_ended`` returns; it is handed the channels by name."""
     with ExitStack() as stack:
         channels: dict[str, str] = {}
-        began_s = time.monotonic()  # of all recordings
         for order in orders:
             file = stack.enter_context(Path(order.file).open("ab"))
-            place, recorder = order.place, Recorder(file, began_s)
+            place, recorder = order.place, Recorder(file, order.began_s)
             if isinstance(place, Socket):
                 channels[order.wire] = SocketRelay(place, recorder).channel
             else:

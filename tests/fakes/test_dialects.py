@@ -8,8 +8,8 @@ import pytest
 
 from fakes.dialect_ur import Rtde
 from fakes.dialects import Dialect, StripLine, dialects_of
-from fakes.event_time import EventTime
-from fakes.recorded_wire import Exchange, Flow
+from fakes.event_time import EventTime, RecordedLooks
+from fakes.recorded_script import Exchange, Flow, Pulse, Script
 
 OUTPUTS, DATA = 79, 85
 FIELDS = ("timestamp", "actual_q", "output_int_register_26", "output_int_register_27")
@@ -84,6 +84,46 @@ def test_the_states_of_a_script_name_the_session_of_the_driver() -> None:
     assert [values(states.answer(b"", b"", state(2.0, n, 9)))[1] for n in (0, 6, 7)] == [0, 6, 99]
 
 
+def test_heartbeats_go_on_while_the_node_gave_any() -> None:
+    time, rail = EventTime(), dialects_of("canopen")[""]
+    answers = [b"t705105\r", b"t0858\r", b"t706105\r", b"t706105\r"]
+    recorded = [Exchange(b"t000201\r", answers, came_s=[1.0, 1.0, 1.0, 9.0])]
+    pulse = Pulse(recorded, rail, time)
+    assert pulse.due() == b""
+    pulse.take(answers)
+    assert pulse.due() == b"t705105\rt706105\r"
+    time.reach(5.0)  # the drive had fallen silent
+    assert pulse.due() == b"t706105\r"
+
+
+def test_samples_of_a_stream_come_when_their_time_has_come() -> None:
+    def packet(kind: int, number: int) -> bytes:
+        return struct.pack("<3I", 12, kind, number)
+
+    time, tracker = EventTime(), dialects_of("leica-emscon")[""]
+    answers = [packet(3, 1), packet(0, 2), packet(3, 3), packet(3, 4)]
+    start = Exchange(packet(0, 49), answers, 1.0, [1.1, 1.2, 1.3, 9.0])
+    script = Script([Exchange(b""), start], tracker, time, ())
+    assert script.reply(start.asked) == answers[:2]
+    assert list(script.samples) == [(1.3, answers[2]), (9.0, answers[3])]
+    assert time.now_s == 1.1
+
+
+def test_the_clock_shows_what_it_showed_when_it_was_looked_at_next() -> None:
+    time = EventTime()
+    time.expect([1.0, 2.0, 3.0], [])
+    looks = RecordedLooks(time, [1.1, 1.2, 2.1, 2.9], [50.0, 50.5, 60.0, 70.0])
+    time.reach(1.05)
+    assert [looks.now_s(), looks.now_s()] == [50.0, 50.5]
+    looks.wait(4.0)
+    assert looks.now_s() == pytest.approx(54.5, abs=1.0)  # one more than was recorded
+    time.reach(2.05)
+    assert looks.now_s() == 60.0
+    assert time.now_s == 2.1  # what had come by that look has come
+    time.reach(2.5)
+    assert looks.now_s() == 70.0
+
+
 def test_a_write_that_only_lives_asks_nothing_new() -> None:
     states, _ = rtde()
     name = states.name(write(3, 10))
@@ -98,20 +138,20 @@ def test_states_come_by_themselves_and_the_last_one_again() -> None:
     moved = [state(1.0, 7, 1), state(1.2, 7, 3)]
     recorded = [
         Exchange(b""),
-        Exchange(write(1, 1), moved),
-        Exchange(write(2, 9), [state(5, 7, 9)]),
+        Exchange(write(1, 1), moved, came_s=[1.0, 1.2]),
+        Exchange(write(2, 9), [state(5, 7, 9)], came_s=[2.0]),
     ]
     flow = Flow(recorded, states, EventTime())
-    assert flow.next() == b""
+    assert flow.next() == []
     flow.ask(write(1, 500))
-    found = [values(flow.next()) for _ in range(5)]
+    found = [values(*flow.next()) for _ in range(5)]
     flow.ask(write(1, 501))  # a sign of life
-    found.append(values(flow.next()))
+    found.append(values(*flow.next()))
     times_s, _, counts = zip(*found, strict=True)
     assert times_s == pytest.approx([1.0] + 5 * [1.2], abs=1e-4)
     assert sorted(set(times_s)) == list(times_s)  # the controller's time never stands
     assert sorted(set(counts)) == list(counts)
     flow.ask(write(2, 502))
-    assert values(flow.next()) == (5, 7, 9)
+    assert values(*flow.next()) == (5, 7, 9)
     flow.ask(write(77, 503))
-    assert flow.next() == b""  # it was never asked: a device that hangs
+    assert flow.next() == []  # it was never asked: a device that hangs

@@ -26,7 +26,7 @@ import pytest
 
 from fakes.dialects import Dialect, dialects_of
 from fakes.event_time import EventTime
-from fakes.recorded_wire import Exchange, Script, exchanges, landmarks
+from fakes.recorded_script import Exchange, Script, exchanges, landmarks
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.journal.runs import read_log
@@ -42,6 +42,7 @@ FACTS = "facts.json"
 RESULT = bytes.fromhex("9c000000 02000000")
 SMALL = {"base_frame.points": "4", "layout.nest_samples": "2"}
 STRIP = '{driver = "serial", channel = "socket://127.0.0.1:1", counts_per_mm = 100.0}'
+SWEPT = "kuka-c3,leica-emscon,canopen-swept"
 PAIRS = {
     "kuka-c3,leica-emscon,canopen": ["--cell", "paper"],
     "kuka-c3,leica-emscon,kuka-e1": ["--cell", "paper", *sets({"rail.driver": "kuka-e1"})],
@@ -56,6 +57,8 @@ PAIRS = {
         "--cell", "lab", *sets({"rail.options.strip": STRIP})
     ],
 }  # fmt: skip
+PAIRS[SWEPT] = [*PAIRS["kuka-c3,leica-emscon,canopen"], *sets({"sweeps.axes": "[1]"})]
+CURVE = 0.1  # cycles, urad and ms
 JOINT_DEG = 0.002  # a robot of Universal Robots dithers, and any of its states may be read
 
 
@@ -76,33 +79,47 @@ def facts(folder: Path) -> dict[str, Any]:
     return found
 
 
+def procedure(pair: str) -> str:
+    """Return what a recorded run has performed."""
+    return "axis-sweeps" if pair == SWEPT else "base-frame"
+
+
+def curves(folder: Path) -> list[float]:
+    """Return the transmission curves: waves, amplitudes in urad and the tracker's lag in ms."""
+    return [
+        figure
+        for curve in read_log(folder).curves.values()
+        for figure in (*curve.cycles, *(1e6 * curve.amplitudes_rad), 1e3 * curve.lag_s)
+    ]
+
+
 def joints_deg(folder: Path) -> list[float]:
     """Return the joints of all points that the robot had a part in."""
     points = read_log(folder).points
     return [deg for point in points.values() for deg in point.joints_deg or ()]
 
 
-def record(words: list[str], runs: Path, name: str) -> Path:
+def record(pair: str, runs: Path, name: str) -> Path:
     """Run and record; return the folder of the run."""
-    wanted: list[str | Path] = [*words]
+    wanted: list[str | Path] = [*PAIRS[pair]]
     wanted += [*sets(SMALL), "--unattended", "--record-wire", "--runs", runs, "--name", name]
-    done = command("run", "base-frame", *wanted)
+    done = command("run", procedure(pair), *wanted)
     assert done.returncode == 0, done.stderr
     return runs / name
 
 
-def repeat(words: list[str], recording: Path, runs: Path) -> tuple[int, Path]:
+def repeat(pair: str, recording: Path, runs: Path) -> tuple[int, Path]:
     """Run again with a recording in place of the devices; return exit code and folder."""
     replayed = {"simulation.simulator": "recorded", "simulation.data": str(recording)}
-    wanted: list[str | Path] = [*words, *sets(SMALL | replayed)]
+    wanted: list[str | Path] = [*PAIRS[pair], *sets(SMALL | replayed)]
     wanted += ["--unattended", "--runs", runs, "--name", "again"]
-    return command("run", "base-frame", *wanted).returncode, runs / "again"
+    return command("run", procedure(pair), *wanted).returncode, runs / "again"
 
 
 def test_a_run_is_recorded_and_repeats_from_its_recording_alone(tmp_path: Path) -> None:
-    words = PAIRS["kuka-c3,leica-emscon,canopen"]
-    first = record(words, tmp_path, "first")
-    code, again = repeat(words, first, tmp_path)
+    pair = "kuka-c3,leica-emscon,canopen"
+    first = record(pair, tmp_path, "first")
+    code, again = repeat(pair, first, tmp_path)
     assert code == 0
     assert facts(again) == facts(first)
     assert joints_deg(again) == joints_deg(first) != []
@@ -111,12 +128,13 @@ def test_a_run_is_recorded_and_repeats_from_its_recording_alone(tmp_path: Path) 
 @pytest.mark.parametrize("pair", PAIRS)
 def test_a_kept_recording_repeats(pair: str, tmp_path: Path) -> None:
     if os.environ.get(SWITCH) == "write":
-        keep(record(PAIRS[pair], tmp_path, "new"), KEPT / pair)
-    code, again = repeat(PAIRS[pair], KEPT / pair, tmp_path)
+        keep(record(pair, tmp_path, "new"), KEPT / pair)
+    code, again = repeat(pair, KEPT / pair, tmp_path)
     assert code == 0
     kept = json.loads((KEPT / pair / FACTS).read_bytes())
     assert facts(again) == kept["facts"]
     assert joints_deg(again) == pytest.approx(kept["joints_deg"], abs=JOINT_DEG)
+    assert curves(again) == pytest.approx(kept["curves"], abs=CURVE)
 
 
 def keep(run: Path, folder: Path) -> None:
@@ -126,12 +144,13 @@ def keep(run: Path, folder: Path) -> None:
     for name, path in recordings(run).items():
         packed = lzma.compress(path.read_bytes(), preset=9 | lzma.PRESET_EXTREME)
         (folder / f"{name}{SUFFIX}{PACKED}").write_bytes(packed)
-    kept = {"facts": facts(run), "joints_deg": joints_deg(run)}
+    kept = {"facts": facts(run), "joints_deg": joints_deg(run), "curves": curves(run)}
     (folder / FACTS).write_text(json.dumps(kept, indent=1) + "\n", "utf-8")
 
 
 def test_every_shipped_driver_has_a_kept_recording() -> None:
-    kept = {driver for pair in PAIRS for driver in pair.removesuffix("-strip").split(",")}
+    named = [each for pair in PAIRS for each in pair.split(",")]
+    kept = {each.removesuffix("-strip").removesuffix("-swept") for each in named}
     assert kept == set().union(*(names_of(group) for group in ("robots", "trackers", "rails")))
     assert {path.name for path in KEPT.iterdir()} == set(PAIRS)
     assert sum(path.stat().st_size for path in KEPT.rglob("*") if path.is_file()) < 600_000
@@ -197,7 +216,7 @@ def test_another_byte_on_a_wire_is_another_run(
     pair: str, wire: str, change: Callable[[bytes], bytes | None], tmp_path: Path
 ) -> None:
     other = with_one_byte_changed(KEPT / pair, tmp_path / "other", wire, change)
-    code, again = repeat(PAIRS[pair], other, tmp_path)
+    code, again = repeat(pair, other, tmp_path)
     kept = json.loads((KEPT / pair / FACTS).read_bytes())
     assert code != 0 or facts(again) != kept["facts"]
 
@@ -211,7 +230,7 @@ def test_a_recording_that_ends_early_is_a_device_that_hangs(tmp_path: Path) -> N
         kept = len(lines) // 2 if name == "tracker" else len(lines)
         text = b"".join(lines[:kept]) + b'{"t":1.0,"c"'
         (cut / f"{name}{SUFFIX}").write_bytes(text)
-    code, again = repeat(PAIRS[pair], cut, tmp_path)
+    code, again = repeat(pair, cut, tmp_path)
     assert code == 3
     assert "Tracker" in str((read_log(again).end or {}).get("reason"))
 
@@ -336,7 +355,7 @@ def test_a_resumed_run_is_recorded_in_a_folder_of_its_own(tmp_path: Path) -> Non
     for _ in range(3):
         WireRecording(cell, {}, tmp_path).close()
     for folder in (tmp_path, tmp_path / "wires-2", tmp_path / "wires-3"):
-        assert set(recordings(folder)) == {"rail", "robot", "tracker"}
+        assert set(recordings(folder)) == {"clock", "rail", "robot", "tracker"}
 
 
 def test_every_wire_of_a_device_is_recorded(tmp_path: Path) -> None:
@@ -344,7 +363,7 @@ def test_every_wire_of_a_device_is_recorded(tmp_path: Path) -> None:
     recording = WireRecording(cell, {}, tmp_path)
     recording.close()
     assert set(recordings(tmp_path)) == {
-        "rail", "rail.strip", "robot.rtde", "robot.script", "robot.dashboard", "tracker"
+        "clock", "rail", "rail.strip", "robot.rtde", "robot.script", "robot.dashboard", "tracker"
     }  # fmt: skip
     robot, strip = recording.addresses["robot"], recording.addresses["rail"]["strip"]
     ports = {robot[f"{name}_port"] for name in ("rtde", "script", "dashboard")}
@@ -360,9 +379,10 @@ def test_every_wire_of_a_device_is_recorded(tmp_path: Path) -> None:
 
 def script_of(found: list[Exchange], dialect: Dialect, *landmarks_s: float) -> Script:
     """Return the script of one connection, with landmarks of its own and of others."""
-    time = EventTime()
-    time.expect([*landmarks_s, *(each.time_s for each in landmarks(found, dialect))])
-    return Script(found, dialect, time)
+    time, names = EventTime(), landmarks([found], dialect)
+    own_s = [each.time_s for each in found[1:] if dialect.name(each.asked) in names]
+    time.expect([], [*own_s, *landmarks_s])
+    return Script(found, dialect, time, names)
 
 
 def polls(count: int) -> list[Exchange]:
@@ -383,8 +403,9 @@ def test_a_question_gets_its_answers_in_order_and_then_the_last_one_again() -> N
 def test_a_command_on_one_wire_takes_the_others_on() -> None:
     time, lines = EventTime(), Dialect()
     moves = [Exchange(b""), Exchange(b"move\r", [b"ok\r"], 3.0)]
-    time.expect([3.0])
-    robot, strip = Script(moves, lines, time), Script([Exchange(b""), *polls(5)], lines, time)
+    time.expect([], [3.0])
+    robot = Script(moves, lines, time, {b"move"})
+    strip = Script([Exchange(b""), *polls(5)], lines, time, ())
     assert [strip.reply(b"poll\r") for _ in range(3)] == [[b"1\r"], [b"2\r"], [b"2\r"]]
     assert robot.reply(b"move\r") == [b"ok\r"]
     assert [strip.reply(b"poll\r") for _ in range(3)] == [[b"3\r"], [b"4\r"], [b"5\r"]]
