@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from itertools import pairwise
 
-from fakes.dialects import Dialect
+from fakes.dialects import Dialect, Options
 
 _END = re.compile(rb"</Robot\w+>")
 _ASKED = re.compile(rb'(<(?:RobotCommand|RobotStop|Command)\s+Id=")(-?\d+)(")')
@@ -44,6 +44,6 @@ def _kept(found: re.Match[bytes]) -> bytes:
     return found[0] if int(found[2]) > 0 else found[1] + found[3]
 
 
-def kuka_eki() -> dict[str, Dialect]:
+def kuka_eki(_options: Options) -> dict[str, Dialect]:
     """Return the dialects of a KUKA robot behind EthernetKRL."""
     return {"": Eki(), "stop": Eki()}

@@ -10,7 +10,7 @@ import re
 import struct
 from itertools import pairwise
 
-from fakes.dialects import Dialect, Sized
+from fakes.dialects import Dialect, Options, Sized
 
 KIND, HEAD = 2, 3
 DATA, OUTPUTS = 85, 79
@@ -121,7 +121,7 @@ class UrScript(Dialect):
             self._sessions.renew(int(old[1]), int(new[1]))
 
 
-def ur_rtde() -> dict[str, Dialect]:
+def ur_rtde(_options: Options) -> dict[str, Dialect]:
     """Return the dialects of a Universal Robots controller; its dashboard's are lines."""
     sessions = Sessions()
     return {"rtde": Rtde(sessions), "script": UrScript(sessions)}

@@ -5,8 +5,8 @@ one name ask the same. ``answer`` puts the number of a new question in the place
 one's.
 
 The dialects of a device are found by its driver's name among the entry points
-``hilcell.wire_dialects``: a function that returns them by the names of its wires. A wire of plain
-lines needs none.
+``hilcell.wire_dialects``: a function of the cell file's options that returns them by the names of
+its wires. A wire of plain lines needs none.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ import re
 import struct
 from collections.abc import Mapping
 from importlib.metadata import entry_points
+from types import MappingProxyType
+from typing import Any
 
 from hilcell.cell.devices import load_entry
 
@@ -23,6 +25,8 @@ _GEOCOM = re.compile(rb"(%R1[QP],\d+,)(\d+)(:)")
 _HEARTBEAT = re.compile(rb"t7[0-7][0-9A-F]")
 _STRIP = re.compile(rb"[Aa][0-9]|[^Aa]")
 GROUP = "wire_dialects"
+Options = Mapping[str, Any]
+NONE: Options = MappingProxyType({})
 
 
 class Dialect:
@@ -158,34 +162,39 @@ class Emscon(Sized):
         return answer[4:8] == b"\3\0\0\0"
 
 
-def dialects_of(driver: str) -> Mapping[str, Dialect]:
+def dialects_of(driver: str, options: Options = NONE) -> Mapping[str, Dialect]:
     """Return the dialects of a driver's wires that are no plain lines, by their names."""
     if driver not in entry_points(group=f"hilcell.{GROUP}").names:
         return {}
-    found: Mapping[str, Dialect] = load_entry(GROUP, driver)()
+    found: Mapping[str, Dialect] = load_entry(GROUP, driver)(options)
     return found
 
 
-def canopen() -> dict[str, Dialect]:
+def canopen(options: Options) -> dict[str, Dialect]:
     """Return the dialects of a rail with a drive on a CAN bus behind a gateway."""
-    return {"": Slcan(), "strip": StripLine()}
+    return {"": Slcan(), "strip": _strip(options)}
 
 
-def kuka_e1() -> dict[str, Dialect]:
+def kuka_e1(options: Options) -> dict[str, Dialect]:
     """Return the dialect of a rail's strip; its drive is reached over the robot's wire."""
-    return {"strip": StripLine()}
+    return {"strip": _strip(options)}
 
 
-def kuka_c3() -> dict[str, Dialect]:
+def kuka_c3(_options: Options) -> dict[str, Dialect]:
     """Return the dialect of a KUKA robot behind a C3 Bridge."""
     return {"": C3(">H", 2, 4)}
 
 
-def leica_emscon() -> dict[str, Dialect]:
+def leica_emscon(_options: Options) -> dict[str, Dialect]:
     """Return the dialect of an emScon tracker."""
     return {"": Emscon("<I", 0, 0)}
 
 
-def leica_geocom() -> dict[str, Dialect]:
+def leica_geocom(_options: Options) -> dict[str, Dialect]:
     """Return the dialect of a Leica total station."""
     return {"": GeoCom()}
+
+
+def _strip(options: Options) -> Dialect:
+    """Return the dialect of a strip on a wire of its own, a bus or a serial line."""
+    return Slcan() if options.get("strip", NONE).get("driver") == "canopen" else StripLine()

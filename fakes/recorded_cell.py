@@ -45,7 +45,8 @@ class RecordedCell:
         paths = recordings(_folder(cell))
         clock = paths.pop(CLOCK, None)
         self._looks = RecordedLooks(time, *looks([] if clock is None else read_recording(clock)))
-        dialects = {table: dialects_of(getattr(cell, table).driver) for table, _group in TABLES}
+        tables = {table: getattr(cell, table) for table, _group in TABLES}
+        dialects = {table: dialects_of(one.driver, one.options) for table, one in tables.items()}
         for name, path in paths.items():
             table, _dot, wire = name.partition(".")
             dialect = dialects[table].get(wire, Dialect())

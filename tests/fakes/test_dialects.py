@@ -7,7 +7,7 @@ import struct
 import pytest
 
 from fakes.dialect_ur import Rtde
-from fakes.dialects import Dialect, StripLine, dialects_of
+from fakes.dialects import Dialect, Slcan, StripLine, dialects_of
 from fakes.event_time import EventTime, RecordedLooks
 from fakes.recorded_script import Exchange, Flow, Pulse, Script
 
@@ -59,6 +59,13 @@ def test_a_driver_without_dialects_speaks_lines() -> None:
 def test_commands_of_a_strip_have_no_end() -> None:
     assert StripLine().split_questions(b"A0ZXA") == ([b"A0", b"Z", b"X"], b"A")
     assert StripLine().split(b"+0110042>\r0x0") == ([b"+0110042>\r"], b"0x0")
+
+
+@pytest.mark.parametrize("driver", ["canopen", "kuka-e1"])
+def test_a_strip_may_be_on_a_bus_or_a_line(driver: str) -> None:
+    on_bus = dialects_of(driver, {"strip": {"driver": "canopen"}})["strip"]
+    assert isinstance(on_bus, Slcan)
+    assert isinstance(dialects_of(driver, {"strip": {"driver": "serial"}})["strip"], StripLine)
 
 
 def test_documents_of_ethernetkrl() -> None:
