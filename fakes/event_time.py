@@ -64,7 +64,7 @@ class EventTime:
 
 
 class RecordedLooks:
-    """What the cell's clock showed. Looks that were not recorded go on from there in real time."""
+    """The cell's clock as it showed. Looks that were not recorded go on in real time."""
 
     def __init__(self, time_: EventTime, at_s: Sequence[float], shown_s: Sequence[float]) -> None:
         self._time, self._at_s, self._shown_s = time_, at_s, shown_s

@@ -1,4 +1,4 @@
-"""What was asked and answered on one recorded connection, and how far a driver has got with it.
+"""The exchanges of one recorded connection, and how far a driver has got with them.
 
 The driver may ask more or less often than when it was recorded: how often a motion is polled is a
 matter of time. So questions that were asked once only (a motion, a command) part the recording
