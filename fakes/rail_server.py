@@ -56,7 +56,7 @@ class RailServer:
         self._rail, self._faults, self._time = rail, faults, time
         self._gateway = SlcanGateway(faults, self._open, self._receive, port=port, serial=serial)
         self._drive = RailDrive(rail, faults, cell.rail, self._transmit)
-        self._line = line
+        self._line, self._stated = line, cell.rail.options
         self._strip = None if line else RailStrip(rail.poll(), faults, self._transmit)
         self._nodes: dict[int, CanopenSlave] = {self._drive.node: self._drive}
         if self._strip is not None:
@@ -72,7 +72,7 @@ class RailServer:
     def address(self) -> dict[str, object]:
         """Return the channel, as an option of the driver."""
         of_strip = {} if self._line is None else self._line.address
-        return {"channel": self._gateway.channel} | of_strip
+        return self._gateway.address(self._stated) | of_strip
 
     def restore(self) -> None:
         """Leave the bus as it is: the driver resets a drive's fault."""

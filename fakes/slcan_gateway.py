@@ -11,7 +11,7 @@ from __future__ import annotations
 import select
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from fakes.faults import Faults
 from fakes.listener import HOST, listen
 from fakes.serial_end import SerialEnd
 
+SLCAN = "slcan"
 OK, REFUSED = b"\r", b"\a"
 LONGEST_LINE = 64
 SEND_DEADLINE_S = 0.2
@@ -71,10 +72,16 @@ class SlcanGateway:
         self._held = b""  # a frame that changes places with the next one
         self._habits = np.random.default_rng(0)
 
-    @property
-    def channel(self) -> str:
-        """Return where a client finds it."""
-        return f"socket://{HOST}:{self.port}" if self._line is None else self._line.path
+    def address(self, stated: Mapping[str, object]) -> dict[str, object]:
+        """Return where a client finds it, in place of what a cell file has ``stated``.
+
+        One that names an interface of the kernel is served as well.
+        """
+        channel = f"socket://{HOST}:{self.port}" if self._line is None else self._line.path
+        found: dict[str, object] = {"channel": channel}
+        if stated.get("interface", SLCAN) != SLCAN:
+            found["interface"] = SLCAN
+        return found
 
     def serve(self, timeout_s: float, wake: socket.socket) -> None:
         """Handle clients' bytes for ``timeout_s``; bytes on ``wake`` end the wait early."""

@@ -34,7 +34,7 @@ class StripBus:
     @property
     def address(self) -> dict[str, object]:
         """Return the channel, as options of the driver."""
-        return {"strip": self._options | {"driver": "canopen", "channel": self._gateway.channel}}
+        return {"strip": self._options | self._gateway.address(self._options)}
 
     def start(self) -> None:
         """Begin to serve."""

@@ -17,6 +17,12 @@ ON_LINES = {
     "rail.options.strip.driver": "canopen",
     "rail.options.strip.channel": "/dev/serial/by-id/usb-other",
 }
+OF_THE_KERNEL = OWN_BUS | {
+    "rail.options.interface": "socketcan",
+    "rail.options.channel": "can0",
+    "rail.options.strip.interface": "socketcan",
+    "rail.options.strip.channel": "can1",
+}
 E1 = {"rail.driver": "kuka-e1"} | OWN_BUS
 HOME = ("run", "home", "--json", "--unattended")
 
@@ -27,9 +33,10 @@ HOME = ("run", "home", "--json", "--unattended")
         ({}, "socket://", "socket://"),
         (OWN_BUS, "socket://", "socket://"),
         (ON_LINES, "/dev/pts/", "/dev/pts/"),
+        (OF_THE_KERNEL, "socket://", "socket://"),
         (E1, "127.0.0.1", "socket://"),
     ],
-    ids=["one bus", "two buses", "two serial lines", "E1 and a bus"],
+    ids=["one bus", "two buses", "two serial lines", "rehearsed without CAN", "E1 and a bus"],
 )
 def test_a_run_reaches_drive_and_strip(
     tmp_path: Path, values: dict[str, str], drive_at: str, strip_at: str
