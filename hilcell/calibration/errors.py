@@ -97,12 +97,17 @@ def grid_errors(log: Log) -> Errors | None:
     return errors_of(log, points) if points and "world" in log.frames else None
 
 
-def visits_mm(log: Log) -> list[Array]:
-    """Return the clouds (N, 3), tracker's frame, of places that the robot visited repeatedly."""
+def repeated_visits(log: Log) -> list[list[Point]]:
+    """Return the points of each place that the robot visited repeatedly."""
     places: dict[int | None, list[Point]] = {}
     for point in log.select("repeatability"):
         places.setdefault(point.id.place, []).append(point)
-    return [positions_mm(points) for points in places.values() if len(points) > 1]
+    return [points for points in places.values() if len(points) > 1]
+
+
+def visits_mm(log: Log) -> list[Array]:
+    """Return the clouds (N, 3), tracker's frame, of places that the robot visited repeatedly."""
+    return [positions_mm(points) for points in repeated_visits(log)]
 
 
 def visit_scatter(log: Log, R: Array) -> tuple[Array, int, int]:

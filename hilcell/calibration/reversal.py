@@ -10,8 +10,8 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from hilcell.calibration.errors import visit_scatter
 from hilcell.calibration.suspicions import ZEROS, Suspicion
+from hilcell.calibration.visit_noise import of_differences, visit_covariances
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.statistics import lengths_mm, rectangular_variance
@@ -66,10 +66,10 @@ def reversal(log: Log) -> Reversal | None:
     arm, joints_rad = log.cell.robot.arm(), commanded_rad(above)
     J = -(parameter_jacobian(arm, joints_rad)[:, :3, ZEROS] * arm.sign).reshape(-1, 6)
     count, drift_mm2 = len(above), rectangular_variance(log.cell.uncertainty.drift_limit_mm)
-    visit_mm2 = visit_scatter(log, T_B_L[:3, :3])[0]
+    visits_mm2 = [visit_covariances(log, points, T_B_L[:3, :3]) for points in (above, below)]
     wrist = J[:, LARGE:] * WRIST_RAD
     shared = np.ones((count, count)) * drift_mm2
-    C = np.kron(np.eye(count), 2.0 * visit_mm2) + np.kron(shared, np.eye(3)) + wrist @ wrist.T
+    C = of_differences(np.sum(visits_mm2, axis=0)) + np.kron(shared, np.eye(3)) + wrist @ wrist.T
     weighted = np.linalg.solve(C, J[:, :LARGE])
     covariance = np.linalg.inv(J[:, :LARGE].T @ weighted)
     lost = URAD * covariance @ weighted.T @ off_mm.reshape(-1)
