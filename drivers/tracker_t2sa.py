@@ -153,13 +153,14 @@ class T2saTracker:
         patience = Patience(limit_s, limit_s)
         while not (reply := bridge.exchange(t2sa.STATUS)).is_ready:
             if patience.over():
+                alarm = "HC-T21" if reply.accepted else t2sa.CODES.get(reply.code, t2sa.UNKNOWN)[0]
                 raise DeviceError(
-                    "HC-T21",
+                    alarm,
                     DEVICE,
                     "connect",
-                    f"state {reply.text!r} for {limit_s:.0f} s",
+                    f"state {reply.text!r} for {limit_s:.1f} s",
                     wanted=repr(t2sa.READY[0]),
-                    act=ACT,
+                    act=ACTS.get(alarm, ACT),
                     fields={"status": reply.code},
                 )
             self._clock.wait(BUSY_PAUSE_S)
