@@ -34,6 +34,7 @@ SEARCH_MM = 60.0
 MARGIN = 0.9  # of the pitch: the tracker's pose in the cell file is good to some mm
 MOST_POINTS = 200_000
 LEAST_RANGE_MM = 1.0
+AROUND = 64  # points, among which one is chosen
 POSES = 20_000  # random ones, whose farthest tool point is the arm's reach
 STEP_MM = 200.0  # along a direction, when places are looked for
 STEEPEST_RAD = math.radians(80.0)
@@ -47,26 +48,41 @@ class NamedPoints:
 
     def __init__(self, names: Sequence[str], xyz_mm: Array) -> None:
         self.names, self.xyz_mm = names, xyz_mm
-        self._directions = KDTree(xyz_mm / np.linalg.norm(xyz_mm, axis=1)[:, None])
+        self._directions = _unit(xyz_mm)
+        self._tree = KDTree(self._directions)
 
-    def towards(self, near_mm: Array, most: int) -> list[tuple[str, Array, float]]:
-        """Return the ``most`` points nearest in direction to a place (3,): name, position.
+    def aim(
+        self, near_mm: Array, within_mm: float, others_mm: Sequence[Array] = ()
+    ) -> tuple[str, Array, float]:
+        """Return the point to measure a place (3,) through: name, position (3,), mm beside.
 
-        With each, how far the tracker aims beside the place, in mm at its range.
+        It is the nearest in direction. Where ``others_mm``, reflectors (3,) beside the place, were
+        found from there, it is one on their far side, if that is ``within_mm`` beside the place at
+        its range.
         """
         range_mm = float(np.linalg.norm(near_mm))
-        direction = near_mm / max(range_mm, LEAST_RANGE_MM)
-        found = self._directions.query(direction, k=range(1, min(most, len(self.names)) + 1))
+        most = range(1, min(AROUND, len(self.names)) + 1)
+        found = self._tree.query(near_mm / max(range_mm, LEAST_RANGE_MM), k=most)
         beside, order = np.atleast_1d(found[0]), np.atleast_1d(found[1])
-        return [
-            (self.names[n], self.xyz_mm[n], range_mm * float(each))
-            for n, each in zip(order, beside, strict=True)
-        ]
+        best = 0
+        if others_mm:
+            from_others = [
+                np.linalg.norm(self._directions[order] - _unit(each), axis=1) for each in others_mm
+            ]
+            margin = np.min(from_others, axis=0) - beside
+            best = int(np.where(range_mm * beside <= within_mm, margin, -np.inf).argmax())
+        n = order[best]
+        return self.names[n], self.xyz_mm[n], range_mm * float(beside[best])
 
     def spread(self, count: int) -> list[tuple[str, Array]]:
         """Return up to ``count`` points from the first to the last."""
         chosen = np.unique(np.linspace(0, len(self.names) - 1, count).round().astype(int))
         return [(self.names[n], self.xyz_mm[n]) for n in chosen]
+
+
+def _unit(xyz_mm: Array) -> Array:
+    found: Array = xyz_mm / np.linalg.norm(xyz_mm, axis=-1, keepdims=True)
+    return found
 
 
 def read_points(path: Path) -> NamedPoints:

@@ -37,7 +37,6 @@ from hilcell.ports import (
     Clock,
     DeviceError,
     Identity,
-    NoReading,
     TrackerReading,
     says_simulated,
 )
@@ -46,7 +45,7 @@ WARM_LOOK_S, WARM_S = 1.0, 300.0  # of the cell's time
 COMPARED = 5  # points of the list, from the first to the last
 SAME_MM = 0.01  # of a point in the list and in the job: both are rounded
 NOMINAL_MM = 1.0  # a reflector is as near to a point of the grid once in a million
-TRIES = 3  # named points, where the nearest one leads to another reflector
+TRIES = 3  # named points, where one leads to another reflector
 MAKE_LIST = "write a list by python -m drivers.t2sa_points, import it"
 REAL = "end the simulation of the instrument in SpatialAnalyzer, then resume"
 
@@ -127,9 +126,9 @@ class T2saTracker:
             )
         if self._bridge is None or self._points is None:
             raise DeviceError("HC-T34", DEVICE, "use", "not connected", act="connect first")
-        bridge, named = self._bridge, self._named(self._points, near_mm)
+        bridge, named = self._bridge, _Aim(self._points, near_mm, options.search_mm)
         count = max(samples, options.repeats)
-        points_mm = np.array([self._single(bridge, near_mm, named) for _ in range(count)])
+        points_mm = np.array([self._single(bridge, named) for _ in range(count)])
         std_mm = std_of_repeats(points_mm, options.max_std_mm)
         mean_mm = points_mm.mean(axis=0)
         return TrackerReading(mean_mm, std_mm, count, reflector, None, bridge.arrived_s)
@@ -240,39 +239,32 @@ class T2saTracker:
 
     # -- measuring ----------------------------------------------------------------------------
 
-    def _named(self, points: NamedPoints, near_mm: Array) -> list[tuple[str, Array, float]]:
-        """Return the named points to measure a place through, the nearest first."""
-        limit_mm = self._options.search_mm
-        found = points.towards(near_mm, TRIES)
-        within = [each for each in found if each[2] <= limit_mm]
-        if not within:
-            name, _, beside_mm = found[0]
-            raise DeviceError(
-                "HC-T74",
-                DEVICE,
-                "measure",
-                f"the aim at named point {name} is {beside_mm:.1f} mm beside {_shown(near_mm)}",
-                wanted=f"<= {limit_mm:.1f} mm (tracker.options.search_mm)",
-                act=f"{MAKE_LIST} so that it covers the place, and resume",
-                fields={"point": name, "beside_mm": beside_mm, "limit_mm": limit_mm},
-            )
-        return within
+    def _single(self, bridge: T2saBridge, aim: _Aim) -> Array:
+        """Return one position (3,); where another reflector is found, aim on its far side."""
+        limit_mm = self._options.find_radius_mm
+        off_mm = np.inf
+        for _ in range(TRIES):
+            name, named_mm = aim.point()
+            if name in aim.others_mm:
+                break
+            xyz_mm = self._measured(bridge, name, named_mm)
+            off_mm = float(np.linalg.norm(xyz_mm - aim.near_mm))
+            if off_mm <= limit_mm:
+                return xyz_mm
+            if form := t2sa.other_form(xyz_mm, named_mm, aim.near_mm, limit_mm):
+                raise DeviceError(
+                    "HC-T77",
+                    DEVICE,
+                    "measure",
+                    f"the result {_shown(xyz_mm)} is{_in(form)}",
+                    wanted="a position in mm",
+                    act="set mm in SpatialAnalyzer, then resume",
+                    fields={"xyz": xyz_mm.tolist(), "form": form},
+                )
+            aim.others_mm[name] = xyz_mm
+        raise misplaced(off_mm, limit_mm)
 
-    def _single(
-        self, bridge: T2saBridge, near_mm: Array, named: list[tuple[str, Array, float]]
-    ) -> Array:
-        """Return one position (3,); a named point that leads to another reflector is put last."""
-        for tries_left in reversed(range(len(named))):
-            name, named_mm, _ = named[0]
-            try:
-                return self._measured(bridge, near_mm, name, named_mm)
-            except NoReading as error:
-                if error.code != "HC-T16" or not tries_left:
-                    raise
-            named.append(named.pop(0))
-        raise AssertionError("no named point")
-
-    def _measured(self, bridge: T2saBridge, near_mm: Array, name: str, named_mm: Array) -> Array:
+    def _measured(self, bridge: T2saBridge, name: str, named_mm: Array) -> Array:
         """Return the position (3,) of the reflector that is found from a named point."""
         xyz_mm = bridge.position(MEASURE, self._path(name))
         if not bool(np.all(np.isfinite(xyz_mm))):
@@ -294,30 +286,34 @@ class T2saTracker:
                 xyz_mm=xyz_mm.tolist(),
                 point=name,
             )
-        off_mm = float(np.linalg.norm(xyz_mm - near_mm))
-        if not off_mm <= self._options.find_radius_mm:
-            raise self._elsewhere(xyz_mm, named_mm, near_mm, off_mm)
         return xyz_mm
-
-    def _elsewhere(
-        self, xyz_mm: Array, named_mm: Array, near_mm: Array, off_mm: float
-    ) -> DeviceError:
-        """Return the error of a result that is not at the expected place."""
-        limit_mm = self._options.find_radius_mm
-        if form := t2sa.other_form(xyz_mm, named_mm, near_mm, limit_mm):
-            return DeviceError(
-                "HC-T77",
-                DEVICE,
-                "measure",
-                f"the result {_shown(xyz_mm)} is{_in(form)}",
-                wanted="a position in mm",
-                act="set mm in SpatialAnalyzer, then resume",
-                fields={"xyz": xyz_mm.tolist(), "form": form},
-            )
-        return misplaced(off_mm, limit_mm)
 
     def _path(self, name: str) -> str:
         return f"{self._options.collection};{self._options.group};{name}"
+
+
+class _Aim:
+    """The named point to measure a place through; another one after other reflectors."""
+
+    def __init__(self, points: NamedPoints, near_mm: Array, search_mm: float) -> None:
+        """Raise `DeviceError` for a place beside all points."""
+        self._points, self._search_mm, self.near_mm = points, search_mm, near_mm
+        self.others_mm: dict[str, Array] = {}  # found in its place, by their points
+        name, _, beside_mm = points.aim(near_mm, search_mm)
+        if not beside_mm <= search_mm:
+            raise DeviceError(
+                "HC-T74",
+                DEVICE,
+                "measure",
+                f"the aim at named point {name} is {beside_mm:.1f} mm beside {_shown(near_mm)}",
+                wanted=f"<= {search_mm:.1f} mm (tracker.options.search_mm)",
+                act=f"{MAKE_LIST} so that it covers the place, and resume",
+                fields={"point": name, "beside_mm": beside_mm, "limit_mm": search_mm},
+            )
+
+    def point(self) -> tuple[str, Array]:
+        """Return name and position (3,)."""
+        return self._points.aim(self.near_mm, self._search_mm, list(self.others_mm.values()))[:2]
 
 
 def _read(points: str) -> NamedPoints:

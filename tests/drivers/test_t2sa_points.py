@@ -22,10 +22,23 @@ def paper() -> NamedPoints:
 
 def test_the_nearest_direction_counts_at_any_range() -> None:
     points = NamedPoints(["near", "far"], np.array([[1000.0, 100.0, 0.0], [5000.0, 0.0, 0.0]]))
-    (name, xyz_mm, beside_mm), other = points.towards(np.array([1000.0, 10.0, 0.0]), 3)
-    assert (name, other[0]) == ("far", "near")
+    name, xyz_mm, beside_mm = points.aim(np.array([1000.0, 10.0, 0.0]), 50.0)
+    assert name == "far"
     assert beside_mm == pytest.approx(10.0, rel=1e-3)
     np.testing.assert_array_equal(xyz_mm, [5000, 0, 0])
+
+
+def test_the_far_side_of_another_reflector_is_aimed_at() -> None:
+    """Places in mm across, at 1 m."""
+    across = {"left": -30.0, "middle": -4.0, "right": 30.0, "outer": 70.0}
+    xyz_mm = np.array([[1000.0, y, 0.0] for y in across.values()])
+    points = NamedPoints(list(across), xyz_mm)
+    near_mm, beside_mm, behind_mm = np.array([[1000.0, 0, 0], [1000.0, -5, 0], [2000.0, 20, 0]])
+    assert points.aim(near_mm, 60.0)[0] == "middle"
+    assert points.aim(near_mm, 60.0, [beside_mm])[0] == "right"
+    assert points.aim(near_mm, 60.0, [behind_mm])[0] in ("middle", "left")
+    assert points.aim(near_mm, 60.0, [beside_mm, behind_mm])[0] == "middle"
+    assert points.aim(near_mm, 20.0, [beside_mm])[0] == "middle"  # the others are too far
 
 
 def test_every_place_of_a_cell_is_within_the_search(paper: NamedPoints) -> None:
@@ -42,7 +55,7 @@ def test_every_place_of_a_cell_is_within_the_search(paper: NamedPoints) -> None:
     places += list(apply(bases[0], np.array(slide)))
     for at_mm in apply(T, np.array(places)):
         if cell.tracker.min_range_mm <= np.linalg.norm(at_mm) <= cell.tracker.max_range_mm:
-            assert paper.towards(at_mm, 1)[0][2] <= SEARCH_MM
+            assert paper.aim(at_mm, SEARCH_MM)[2] <= SEARCH_MM
 
 
 def test_a_list_is_read_as_it_was_written(paper: NamedPoints, tmp_path: Path) -> None:

@@ -261,13 +261,13 @@ def test_another_reflector_is_looked_past_from_other_points(
     honest = peer.answers["!MEAS_SINGLE_POINT"]
 
     def measure(path: str) -> str | None:
-        if path.endswith("P2"):
+        if path.endswith("P3"):
             return honest(path)
         return f"ACK-300 Single Point Measurement {path} result 4100,-2990,5 today"
 
     peer.answers["!MEAS_SINGLE_POINT"] = measure
     assert tracker.measure(PLACE, SMR, 1).samples == 2
-    assert peer.asked("!MEAS_SINGLE_POINT") == [f"A;HILCELL;P{n}" for n in (1, 2, 2)]
+    assert peer.asked("!MEAS_SINGLE_POINT") == [f"A;HILCELL;P{n}" for n in (1, 3, 3)]
 
 
 def test_another_reflector_from_everywhere_is_no_reading(
@@ -277,7 +277,7 @@ def test_another_reflector_from_everywhere_is_no_reading(
     with pytest.raises(NoReading, match=r"5\.10 mm from its expected place") as error:
         tracker.measure(PLACE, SMR, 1)
     assert error.value.code == "HC-T16"
-    assert peer.asked("!MEAS_SINGLE_POINT") == [f"A;HILCELL;P{n}" for n in (1, 2, 3)]
+    assert peer.asked("!MEAS_SINGLE_POINT") == [f"A;HILCELL;P{n}" for n in (1, 3)]
 
 
 def test_the_former_result_again_is_no_measurement(tracker: T2saTracker, peer: T2saPeer) -> None:
