@@ -21,7 +21,6 @@ LEAST_S = 1e-6  # from one package to the next
 # recipe, then sequence, command, sign of life, stop; joints; speed
 _INPUTS = struct.Struct("!4i6dd")
 MOVE = 1
-PLACES = 5  # decimals of a joint in rad by which two targets are one
 _NUMBER = re.compile(rb"write_output_integer_register\(26, (\d+)\)")
 _END = b"\nend\n"
 
@@ -53,12 +52,12 @@ class Rtde(Sized):
         self._time_s, self._count = 0.0, 0
 
     def name(self, message: bytes) -> bytes:
-        """Return what a write commands, to a rounded target; other requests as they are."""
+        """Return what a write commands, with its target; other requests as they are."""
         values = message[HEAD + 1 :]
         if message[KIND] != DATA or len(values) != _INPUTS.size:
             return message
         sequence, command, _, stop, *numbers = _INPUTS.unpack(values)
-        target = [round(each, PLACES) + 0.0 for each in numbers[:6]] if command == MOVE else ""
+        target = " ".join(f"{each:.9f}" for each in numbers[:6]) if command == MOVE else ""
         return f"{sequence} {command} {stop} {target}".encode()
 
     def answer(self, asked: bytes, recorded: bytes, answer: bytes) -> bytes:

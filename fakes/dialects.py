@@ -20,6 +20,7 @@ from typing import Any
 
 from hilcell.cell.devices import load_entry
 
+NUMBERS = {55: 3, 63: 1, 135: 3}  # doubles behind these commands of an emScon tracker
 _LINE_END = re.compile(rb"(?<=\n)|(?<=\r)(?!\n)")
 _GEOCOM = re.compile(rb"(%R1[QP],\d+,)(\d+)(:)")
 _HEARTBEAT = re.compile(rb"t7[0-7][0-9A-F]")
@@ -155,7 +156,15 @@ class C3(Sized):
 
 
 class Emscon(Sized):
-    """emScon: a stream's packets are of type 3."""
+    """emScon: a stream's packets are of type 3; some commands carry a place."""
+
+    def name(self, message: bytes) -> bytes:
+        """Return the command, to a rounded place."""
+        command, count = message[8:12], NUMBERS.get(message[8], 0)
+        if len(message) < 12 + 8 * count or not count:
+            return message
+        numbers = struct.unpack_from(f"<{count}d", message, 12)
+        return command + " ".join(f"{each:.9f}" for each in numbers).encode()
 
     def is_sample(self, answer: bytes) -> bool:
         """Whether it is a packet of a stream."""

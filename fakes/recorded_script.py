@@ -10,15 +10,18 @@ that hangs: there this run has left the recorded one.
 
 from __future__ import annotations
 
+import re
 from bisect import bisect_left
 from collections import Counter, deque
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 
 from fakes.dialects import Dialect
 from fakes.event_time import EventTime
 from hilcell.wire.recording import Piece
 
+_NUMBER = re.compile(rb"-?\d{1,9}\.\d{3,}")
+NEAR = 1e-4  # deg, mm or rad
 STUCK = 200  # times that a part's last answer is repeated
 ALIVE_S = 0.5  # after the last sign of life that was recorded
 
@@ -95,6 +98,31 @@ def landmarks(opened: Sequence[Sequence[Exchange]], dialect: Dialect) -> set[byt
     return {name for name, count in counts.items() if count == 1}
 
 
+class Names:
+    """Names of questions. Two are one whose numbers are near: a target that is computed again from
+    the same answers may differ in its last digits.
+    """
+
+    def __init__(self, names: Iterable[bytes]) -> None:
+        self._names = set(names)
+        self._alike: dict[bytes, list[bytes]] = {}
+        for name in self._names:
+            self._alike.setdefault(_NUMBER.sub(b"#", name), []).append(name)
+
+    def of(self, name: bytes) -> bytes:
+        """Return the known name that is the same; this one where there is none."""
+        if name in self._names:
+            return name
+        alike = self._alike.get(_NUMBER.sub(b"#", name), [])
+        apart, nearest = min(((_apart(name, each), each) for each in alike), default=(NEAR, name))
+        return nearest if apart < NEAR else name
+
+
+def _apart(name: bytes, other: bytes) -> float:
+    pairs = zip(_NUMBER.findall(name), _NUMBER.findall(other), strict=True)
+    return max((abs(float(a) - float(b)) for a, b in pairs), default=NEAR)
+
+
 class Script:
     """The recorded exchanges of one connection, and how far the driver has got."""
 
@@ -111,13 +139,14 @@ class Script:
         self._named: dict[bytes, list[Exchange]] = {}
         for each in recorded[1:]:
             self._named.setdefault(dialect.name(each.asked), []).append(each)
+        self._names = Names(self._named)
         self._next: Counter[bytes] = Counter()
         self._repeated = 0
         self.samples: deque[tuple[float, bytes]] = deque()  # of a stream, and when they come
 
     def reply(self, asked: bytes) -> list[bytes]:
         """Return the answers to a question, in their pieces; samples behind them come later."""
-        name = self._dialect.name(asked)
+        name = self._names.of(self._dialect.name(asked))
         found = self._named.get(name)
         if found is None:
             return []
@@ -160,19 +189,20 @@ class Flow:
 
     def __init__(self, recorded: Sequence[Exchange], dialect: Dialect, time: EventTime) -> None:
         self._dialect, self._time, self._recorded = dialect, time, recorded
-        self._names = [b"", *(dialect.name(each.asked) for each in recorded[1:])]
+        self._order = [b"", *(dialect.name(each.asked) for each in recorded[1:])]
+        self._names = Names(self._order)
         self._at = self._taken = 0
         self._asked = b""
         self._silent = False
 
     def ask(self, asked: bytes) -> None:
         """Go on with the messages that came after a question; with none if it was never asked."""
-        name = self._dialect.name(asked)
-        if name == self._names[self._at]:
+        name = self._names.of(self._dialect.name(asked))
+        if name == self._order[self._at]:
             return
-        self._silent = name not in self._names[self._at :]
+        self._silent = name not in self._order[self._at :]
         if not self._silent:
-            self._at, self._taken = self._names.index(name, self._at), 0
+            self._at, self._taken = self._order.index(name, self._at), 0
             self._asked, recorded = asked, self._recorded[self._at]
             self._time.pass_landmark(recorded.time_s)
             self._dialect.heard(asked, recorded.asked)

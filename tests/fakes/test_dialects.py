@@ -9,7 +9,7 @@ import pytest
 from fakes.dialect_ur import Rtde
 from fakes.dialects import Dialect, Slcan, StripLine, dialects_of
 from fakes.event_time import EventTime, RecordedLooks
-from fakes.recorded_script import Exchange, Flow, Pulse, Script
+from fakes.recorded_script import Exchange, Flow, Names, Pulse, Script
 
 OUTPUTS, DATA = 79, 85
 FIELDS = ("timestamp", "actual_q", "output_int_register_26", "output_int_register_27")
@@ -54,6 +54,21 @@ def test_a_driver_without_dialects_speaks_lines() -> None:
     assert lines.split(b"1\r2\n") == ([b"1\r", b"2\n"], b"")
     assert lines.name(b"?LSTA\r") == lines.name(b"?LSTA\r\n")  # it came in two pieces
     assert lines.unheard(b"\n")
+
+
+def test_a_target_that_was_computed_again_is_the_same_one() -> None:
+    c3, tracker = dialects_of("kuka-c3")[""], dialects_of("leica-emscon")[""]
+    ask = b"\0\7\0\2\1HC_TGT{E6AXIS: A1 %s, A2 -90.0}"
+    moves = [c3.name(ask % number) for number in (b"-7.490565", b"-7.490564", b"-7.490765")]
+    places = [
+        tracker.name(struct.pack("<3I3di", 40, 0, 55, 1.5, x, -20.069405, 1))
+        for x in (0.25, 0.25 + 3e-7, 0.26)
+    ]
+    for first, again, other in (moves, places):
+        names = Names([first, b"$MODE_OP"])
+        assert names.of(again) == first
+        assert names.of(other) == other
+    assert Names([b"Z", b"A0"]).of(b"X") == b"X"
 
 
 def test_commands_of_a_strip_have_no_end() -> None:
@@ -135,9 +150,9 @@ def test_a_write_that_only_lives_asks_nothing_new() -> None:
     states, _ = rtde()
     name = states.name(write(3, 10))
     assert states.name(write(3, 11)) == name
-    assert states.name(write(3, 11, 0.5 + 1e-9)) == name
+    assert Names([name]).of(states.name(write(3, 11, 0.5 + 1e-9))) == name
     others = (write(4, 10), write(3, 10, 0.6), write(3, 10, stop=1), write(3, 10, command=0))
-    assert name not in {states.name(each) for each in others}
+    assert name not in {Names([name]).of(states.name(each)) for each in others}
 
 
 def test_states_come_by_themselves_and_the_last_one_again() -> None:
