@@ -24,6 +24,7 @@ from hilcell.tui.text.run import STATES
 from tests.hilcell.tui.all_screens import form_of, isolated, screens_of
 from tests.hilcell.tui.recording_app import SIZE, RecordingApp, options, painted
 from tests.hilcell.tui.sample_runs import sample_runs
+from tests.whole.bench import sweep
 
 MATRICES = {
     "protanopia": np.array(
@@ -83,6 +84,7 @@ LEAST = 4.5  # WCAG 2.2, success criterion 1.4.3
 FRAME = " ▔▁░▒·"  # drawn, not read: frames, the empty part of a bar, a plot's dotted grid
 MARKS, LEAST_OF_MARKS = set(" ▀▄█▌■"), 3.0  # of a plot: success criterion 1.4.11
 APART = 14.0  # CIE76, of two fills; about 2 is just seen
+DARK, LIGHT = "calm", "contrast-light"  # one of each kind and of each contrast
 by_palette = pytest.mark.parametrize("palette", PALETTES, ids=lambda palette: palette.name)
 
 
@@ -186,7 +188,7 @@ def contrast_of(segment: Segment, app: RecordingApp) -> float:
 
 
 @pytest.mark.usefixtures("isolated")
-@pytest.mark.parametrize("theme", NAMES)
+@pytest.mark.parametrize("theme", [DARK, LIGHT, *sweep(*sorted(set(NAMES) - {DARK, LIGHT}))])
 def test_every_letter_on_every_screen_is_read(theme: str) -> None:
     async def run_app(state: str) -> dict[str, str]:
         app = RecordingApp(options(Path("/runs"), theme=theme), state)
