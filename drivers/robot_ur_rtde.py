@@ -296,8 +296,6 @@ class UrRtdeRobot:
 
         Raises `DeviceError` where one says that something is wrong, or the script refused it.
         """
-        if time.monotonic() >= self._life_due_s:
-            self.live()
         states = self.link().following(self._seen_s)
         self._seen_s = states[-1].by_s
         for state in states:
@@ -418,6 +416,8 @@ class UrRtdeRobot:
         """Run in every wait on the wire."""
         self._clock.check()
         self._watch.look()
+        if self._watch.begun and time.monotonic() >= self._life_due_s:
+            self.live()
 
     def _close_wires(self) -> None:
         for line in (self._link, self._dashboard, self._stop_line):

@@ -46,6 +46,11 @@ class Supervision:
         self._device, self._code, self._late_s = device, code, late_s
         self._looked_s: float | None = None
 
+    @property
+    def begun(self) -> bool:
+        """Whether something moves."""
+        return self._looked_s is not None
+
     def begin(self) -> None:
         """Something begins to move."""
         self._looked_s = time.monotonic()

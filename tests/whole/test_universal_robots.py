@@ -321,6 +321,18 @@ def test_a_sweep_that_is_left_is_braked(bench: Bench, robot: UrRtdeRobot) -> Non
     assert robot.move_to(HOME, 100.0).still
 
 
+def test_a_sweep_whose_states_come_late_goes_on(bench: Bench, robot: UrRtdeRobot) -> None:
+    """Each wait gives signs of life: three states of 0.6 s are longer than the script waits."""
+    with robot.sweep(0, float(FAR[0]), 0.02) as sweep:
+        sweep.kickoff()
+        bench.faults.set("robot.late_reply", 0.6, count=0)
+        for _ in range(2):
+            sweep.collect()
+            assert not sweep.ended
+        bench.faults.set("robot.late_reply", 0.0, count=0)
+    assert robot.move_to(HOME, 100.0).still
+
+
 def test_the_slider_must_stay_during_a_sweep(bench: Bench, robot: UrRtdeRobot) -> None:
     def sweep_on() -> None:
         with robot.sweep(0, float(FAR[0]), 0.5) as sweep:
