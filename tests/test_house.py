@@ -95,6 +95,12 @@ def test_a_trap_is_a_hazard() -> None:
     assert {path.relative_to(ROOT).as_posix() for path in with_traps} == set(TRAPS)
 
 
+def test_no_text_holds_marks_of_a_merge() -> None:
+    marks = re.compile(r"^(?:<{7}|={7}|>{7})(?: |$)", re.MULTILINE)
+    texts = [*PROSE, ROOT / "CHANGELOG.md"]
+    assert [path for path in texts if marks.search(path.read_text("utf-8"))] == []
+
+
 @pytest.mark.parametrize("package", ["hilcell", "drivers", "procedures", "fakes"])
 def test_types_are_there_for_packages_beside_this_one(package: str) -> None:
     """A driver in a package of its own imports from these, and checks its types against them."""
