@@ -52,6 +52,10 @@ class Dialect:
         """Whether a message has no part in any exchange."""
         return not message.strip()
 
+    def is_command(self, message: bytes) -> bool:
+        """Whether a message is sent as often as the work wants it, and never to look."""
+        return False
+
     def belongs(self, answer: bytes, asked: bytes) -> bool:
         """Whether a message may be an answer to a question."""
         return True
@@ -82,6 +86,10 @@ class Slcan(Dialect):
     def unheard(self, message: bytes) -> bool:
         """Whether it is a heartbeat."""
         return _HEARTBEAT.match(message) is not None or super().unheard(message)
+
+    def is_command(self, message: bytes) -> bool:
+        """Whether it carries what a node is to do (an RPDO)."""
+        return message[:1] == b"t" and message[1:2] in b"2345"
 
     def beat(self, answer: bytes) -> bytes:
         """Return the node whose heartbeat it is."""

@@ -152,6 +152,8 @@ class Script:
             return []
         if name in self._landmarks:
             self._time.pass_landmark(found[0].time_s)
+        elif self._dialect.is_command(asked):
+            self._time.pass_landmark(found[min(self._next[name], len(found) - 1)].time_s)
         taken = self._taken(name, found)
         if taken is None:
             return []

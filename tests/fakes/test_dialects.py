@@ -118,6 +118,18 @@ def test_heartbeats_go_on_while_the_node_gave_any() -> None:
     assert pulse.due() == b"t706105\r"
 
 
+def test_a_command_that_was_sent_twice_parts_the_recording_twice() -> None:
+    rail, time = dialects_of("canopen")[""], EventTime()
+    sync, move = b"t0800\r", b"t20560F00C86D0B00\r"
+    order = [sync, move, sync, sync, move, sync]
+    recorded = [Exchange(b""), *(Exchange(q, [b"%d" % n], n) for n, q in enumerate(order, 1))]
+    time.expect([], [2.0, 5.0])
+    script = Script(recorded, rail, time, ())
+    assert [script.reply(sync), script.reply(sync)] == [[b"1"], [b"1"]]
+    assert [script.reply(move), script.reply(sync)] == [[b"2"], [b"3"]]
+    assert [script.reply(move), script.reply(sync), script.reply(sync)] == [[b"5"], [b"6"], [b"6"]]
+
+
 def test_samples_of_a_stream_come_when_their_time_has_come() -> None:
     def packet(kind: int, number: int) -> bytes:
         return struct.pack("<3I", 12, kind, number)
