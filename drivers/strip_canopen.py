@@ -11,6 +11,7 @@ from collections.abc import Callable
 from drivers import cia406, nmt, rail_setup
 from drivers.can_link import CanLink, open_bus
 from drivers.node_watch import NodeWatch
+from drivers.on_failure import on_failure
 from drivers.pdo import Inbox, configure
 from drivers.process_image import strip_mapping
 from drivers.rail_setup import Expected
@@ -38,11 +39,8 @@ class CanopenStrip:
         options = self._options
         bus = open_bus(DEVICE, options.interface, options.channel, options.bitrate)
         self._link = CanLink(DEVICE, bus)
-        try:
+        with on_failure(self.close):
             return self._set_up(self._link)
-        except BaseException:
-            self.close()
-            raise
 
     def read(self, check: Callable[[], None]) -> tuple[int, int]:
         """Return counts and alarms of a SYNC that is sent now."""
