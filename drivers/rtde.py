@@ -117,8 +117,8 @@ class Recipe:
         layout, places = self._layout
         if len(payload) != layout.size or payload[0] != self.number:
             raise RtdeError(
-                f"data of {len(payload)} bytes of recipe {payload[:1].hex()}, "
-                f"wanted {layout.size} of {self.number:02x}"
+                f"a data package of {len(payload)} bytes by recipe {payload[:1].hex() or 'none'} "
+                f"came, wanted {layout.size} bytes by recipe {self.number:02x}"
             )
         flat = layout.unpack(payload)
         found = {name: flat[place] for name, place in places.items()}

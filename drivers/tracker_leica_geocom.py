@@ -41,7 +41,7 @@ from hilcell.ports import (
     TrackerReading,
     says_simulated,
 )
-from hilcell.wire.channel import parse_channel
+from hilcell.wire.channel import SerialLine, parse_channel
 
 BUSY_PAUSE_S = 0.1
 DISTANCE_MS = 5000  # that the instrument may take for a distance, besides `reading_s`
@@ -160,7 +160,9 @@ class LeicaGeocomTracker:
         while (line := self._line(patience)) is not None:
             if line.startswith("%R1P,") and self._parsed(line).transaction == transaction:
                 return
-        raise self._lost("no answer in time; is this GeoCOM, at this baud rate?", "connect")
+        place = parse_channel(self._options.channel)
+        at = f"at {place.baud} baud" if isinstance(place, SerialLine) else "on this port"
+        raise self._lost(f"no answer in time; is GeoCOM spoken {at}?", "connect")
 
     def _identify(self, address: str) -> Identity:
         options = self._options
@@ -276,7 +278,7 @@ class LeicaGeocomTracker:
                 return reply
             if reply.transaction not in self._given_up:
                 found = f"an answer to request {reply.transaction} came, not to {transaction}"
-                raise self._lost(found, _spoken(rpc))
+                raise self._lost(f"{found}; does another program use this line?", _spoken(rpc))
         self._given_up.add(transaction)
         if rpc not in MEASURING:
             raise self._lost("no answer in time", _spoken(rpc))
@@ -307,7 +309,8 @@ class LeicaGeocomTracker:
         except geocom.GeocomError as error:
             raise self._lost(str(error), "receive") from error
         if reply.communication not in (0, *geocom.REFUSED_UNREAD):
-            raise self._lost(f"communication code {reply.communication}", "receive")
+            found = f"communication {geocom.status_text(reply.communication)}"
+            raise self._lost(found, "receive")
         return reply
 
     def _decoded(self, reply: Reply, size: int) -> tuple[float, ...]:

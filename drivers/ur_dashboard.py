@@ -27,9 +27,14 @@ class Dashboard:
         self._link = TcpLink(device, host, port, check, alarms)
         self._lines = TextLines(self._link, end=b"\n")
         with on_failure(self._link.close):
-            greeting = self._answer("connect")
-            if not greeting.startswith(GREETING):
-                raise self._link.broken("connect", f"no dashboard server: {greeting!r}")
+            greeting = self._lines.receive(Patience(ANSWER_S))
+            if greeting is None or not greeting.startswith(GREETING):
+                found = (
+                    f"no answer within {ANSWER_S:.0f} s" if greeting is None else clean(greeting)
+                )
+                raise self._link.broken(
+                    "connect", f"{found}; is dashboard_port that of the dashboard server?"
+                )
 
     def ask(self, command: str) -> str:
         """Return the answer to a command; raises `DeviceError`."""

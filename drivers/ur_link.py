@@ -123,14 +123,17 @@ class UrLink:
                 if found == kind:
                     return payload
             if over:
-                raise self._link.broken(kind.name.lower(), f"no answer within {ANSWER_S:.0f} s")
+                raise self._no_rtde(kind, f"no answer within {ANSWER_S:.0f} s")
             self._check()
             over = patience.over()
             data = self._link.receive(SIZE, Patience(0.0 if over else LOOK_S))
             try:
                 self._arrived.extend(self._packages.feed(data))
             except RtdeError as error:
-                raise self._link.broken(kind.name.lower(), str(error)) from error
+                raise self._no_rtde(kind, str(error)) from error
+
+    def _no_rtde(self, kind: Kind, found: str) -> DeviceError:
+        return self._link.broken(kind.name.lower(), f"{found}; is rtde_port that of RTDE?")
 
     def _refused(self, code: str, found: str) -> DeviceRefused:
         act = {

@@ -64,7 +64,7 @@ def test_a_number_that_is_none_is_refused(bad: str) -> None:
 
 @pytest.mark.parametrize("payload", [b"", DATA[:-1], DATA + b"\0", b"\2" + DATA[1:]])
 def test_data_of_another_recipe_is_refused(payload: bytes) -> None:
-    with pytest.raises(RtdeError, match=r"wanted 61 of 01"):
+    with pytest.raises(RtdeError, match=r"wanted 61 bytes by recipe 01"):
         RECIPE.decode(payload)
 
 

@@ -304,7 +304,7 @@ def lost(tracker: Quick, words: str) -> None:
 def test_an_answer_to_no_request_ends_the_connection(tracker: Quick, peer: GeocomPeer) -> None:
     right = peer.reply
     peer.reply = lambda number, answer: right(number + 1, answer)
-    lost(tracker, r"an answer to request \d+ came, not to \d+")
+    lost(tracker, r"an answer to request \d+ came, not to \d+; does another program")
 
 
 def test_a_code_of_the_communication_ends_the_connection(tracker: Quick, peer: GeocomPeer) -> None:
@@ -364,6 +364,14 @@ def test_a_late_result_is_not_the_next_points(tracker: Quick, peer: GeocomPeer) 
 def test_a_silent_instrument_is_lost(tracker: Quick, peer: GeocomPeer) -> None:
     peer.answers = dict.fromkeys(range(20_000), lambda _: None)
     lost(tracker, "null: .* no answer in time")
+
+
+def test_a_silent_line_is_asked_about_its_baud_rate_or_port(peer: GeocomPeer) -> None:
+    peer.answers = dict.fromkeys(range(20_000), lambda _: None)
+    serial = not peer.channel.startswith("socket")
+    channel = f"{peer.channel}@9600" if serial else peer.channel
+    with pytest.raises(DeviceError, match="at 9600 baud" if serial else "on this port"):
+        tracker_at(channel).connect()
 
 
 def test_answers_to_a_program_that_ran_before_are_passed_over(peer: GeocomPeer) -> None:

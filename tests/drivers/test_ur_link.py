@@ -99,7 +99,7 @@ def test_a_failure_that_nobody_looked_at_is_not_forgotten(monkeypatch: pytest.Mo
         until(lambda: controller.sent > sent + 50, "they have been fetched")
         controller.number = 1
         for _ in range(2):
-            with pytest.raises(DeviceError, match="of recipe 02") as found:
+            with pytest.raises(DeviceError, match="by recipe 02") as found:
                 link.fresh()
             assert found.value.code == "HC-B26"
 

@@ -183,6 +183,13 @@ def test_local_control_is_refused(bench: Bench) -> None:
     assert found.value.code == "HC-B60"
 
 
+def test_ports_that_were_mixed_up_are_named(bench: Bench) -> None:
+    of_rtde, of_dashboard = (bench.server.address[name] for name in ("rtde_port", "dashboard_port"))
+    for option, port in (("rtde_port", of_dashboard), ("dashboard_port", of_rtde)):
+        with pytest.raises(DeviceError, match=f"is {option} that of"):
+            bench.robot(**{option: port}).connect()
+
+
 @pytest.mark.parametrize("options", [{"model": "UR5e"}, {"serial": "20225500148"}])
 def test_another_robot_is_refused(bench: Bench, options: dict[str, str]) -> None:
     with pytest.raises(DeviceRefused) as found:
