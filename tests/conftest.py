@@ -52,9 +52,13 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 def pytest_collection_finish() -> None:
-    """Keep what is imported out of garbage collections: it stays, and to look at it takes 0.2 s."""
+    """Keep what is imported out of garbage collections: it stays, and to look at it takes 0.2 s.
+
+    What a test leaves is looked for thirty times less often than usual: a tenth of its time.
+    """
     gc.collect()
     gc.freeze()
+    gc.set_threshold(20_000, 10, 10)
 
 
 @pytest.hookimpl(trylast=True)
