@@ -410,6 +410,15 @@ def test_a_question_gets_its_answers_in_order_and_then_the_last_one_again() -> N
     assert script.reply(b"other\r") == []
 
 
+def test_answers_that_were_not_asked_for_are_passed_over_by_a_command() -> None:
+    one, two, three = polls(3)
+    move = Exchange(b"move\r", [b"ok\r"], 2.5)
+    script = script_of([Exchange(b""), one, two, move, three], Dialect())
+    assert script.reply(b"poll\r") == [b"1\r"]
+    assert script.reply(b"move\r") == [b"ok\r"]
+    assert script.reply(b"poll\r") == [b"3\r"]
+
+
 def test_a_command_on_one_wire_takes_the_others_on() -> None:
     time, lines = EventTime(), Dialect()
     moves = [Exchange(b""), Exchange(b"move\r", [b"ok\r"], 3.0)]
