@@ -27,7 +27,7 @@ from typing import Any, cast
 import msgspec
 import numpy as np
 
-from drivers import emscon
+from drivers.leica import emscon
 from hilcell.cell.devices import build_devices, start_simulation
 from hilcell.cell.file import Cell, Nest, load_cell
 from hilcell.journal.engine_file import EngineFile

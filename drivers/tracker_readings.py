@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.tcp import Alarms
+from drivers.wires.tcp import Alarms
 from hilcell.ports import Array, DeviceError, DeviceRefused, NoReading
 
 DEVICE = "Tracker"

@@ -17,9 +17,9 @@ import msgspec
 import numpy as np
 
 from fakes.faults import Faults
-from fakes.listener import Listener
-from fakes.plant import FLANGE, Plant
 from fakes.time import PlantTime
+from fakes.truth.plant import FLANGE, Plant
+from fakes.wires.listener import Listener
 from hilcell.ports import HilcellError
 
 LONGEST = 1 << 20

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from fakes.external_axis import RAIL_DRIVER
 from fakes.faults import UNTIL_CLEARED, Value
+from fakes.kuka.external_axis import RAIL_DRIVER
 from hilcell.cell.file import Cell
 from hilcell.ports import Exercise
 

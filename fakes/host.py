@@ -12,10 +12,10 @@ from msgspec import Struct
 
 from fakes.control import ControlServer, truth_of
 from fakes.faults import Faults, load_faults
-from fakes.plant import Plant
-from fakes.replay_plant import ReplayPlant
 from fakes.site import SimulatedDevice, Site, servers_of
 from fakes.time import PlantTime
+from fakes.truth.plant import Plant
+from fakes.truth.replay_plant import ReplayPlant
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
 from hilcell.ports import HilcellError

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fakes.faults import Faults
-from fakes.transforms import Array
+from fakes.truth.transforms import Array
 
 LOST_ZEROS = {
     1: "robot.lost_zero",

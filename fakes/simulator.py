@@ -20,8 +20,8 @@ import msgspec
 
 from fakes.exercises import FaultExercise, exercises_of
 from fakes.faults import load_faults
-from fakes.machine import machine_of
 from fakes.site import servers_of
+from fakes.truth.machine import machine_of
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.ports import DeviceError, Exercise, HilcellError, Stopped

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from fakes.faults import Faults
-from fakes.plant import Plant
-from fakes.replay_plant import ReplayPlant
 from fakes.time import PlantTime
+from fakes.truth.plant import Plant
+from fakes.truth.replay_plant import ReplayPlant
 from hilcell.cell.devices import TABLES, load_entry
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError

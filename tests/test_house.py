@@ -27,15 +27,15 @@ QUAINT = re.compile(
     re.MULTILINE,
 )
 TRAPS = {  # a motion or a result that would be wrong without notice; all else is a plain reason
-    "drivers/cia402.py": "a motion counts as ended that has not begun",
-    "drivers/keep_alive.py": "a stop is lost",
-    "drivers/process_image.py": "a stop is undone",
-    "drivers/program_krl/data.py": "a target is relative in disguise",
-    "drivers/program_krl/turns.py": "an axis turns by 360 deg",
-    "drivers/t2sa_bridge.py": "a late result passes for the next point",
-    "drivers/tracker_leica_emscon.py": "a late result passes for the next point",
-    "drivers/tracker_leica_geocom.py": "an old distance or a late answer passes for the next point",
-    "drivers/tracker_t2sa.py": "a simulated or an old result passes for a measurement",
+    "drivers/canopen/cia402.py": "a motion counts as ended that has not begun",
+    "drivers/wires/keep_alive.py": "a stop is lost",
+    "drivers/canopen/process_image.py": "a stop is undone",
+    "drivers/kuka/program_krl/data.py": "a target is relative in disguise",
+    "drivers/kuka/program_krl/turns.py": "an axis turns by 360 deg",
+    "drivers/spatialanalyzer/t2sa_bridge.py": "a late result passes for the next point",
+    "drivers/leica/tracker_emscon.py": "a late result passes for the next point",
+    "drivers/leica/tracker_geocom.py": "an old distance or a late answer passes for the next point",
+    "drivers/spatialanalyzer/tracker_t2sa.py": "a simulated or an old result passes for a reading",
     "hilcell/run/strip_loop.py": "a station is missed by the backlash",
 }
 

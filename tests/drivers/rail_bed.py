@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 
-from drivers import drive, node_watch, pdo, rail_setup, release, sdo, standing
-from drivers.rail_canopen import CanopenRail
+from drivers import standing
+from drivers.canopen import drive, node_watch, pdo, rail_setup, release, sdo
+from drivers.canopen.rail import CanopenRail
 from hilcell.clock import WallClock
 from hilcell.ports import DeviceError
 from tests.drivers.can_peer import (

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import c3
-from drivers.c3 import C3Connection, C3Error
+from drivers.kuka import c3
+from drivers.kuka.c3 import C3Connection, C3Error
 from hilcell.ports import DeviceError, Stopped
 from tests.drivers.peers import Server, scripted
 

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from drivers.rail_canopen import CanopenRail
+from drivers.canopen.rail import CanopenRail
 from hilcell.ports import DeviceError
 from tests.drivers.can_peer import CanPeer
 from tests.drivers.peers import Server, wall_clock

@@ -5,8 +5,8 @@ from canopen.profiles.p402 import State402
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import cia402, cia406, emcy
-from drivers.cia402 import State
+from drivers.canopen import cia402, cia406, emcy
+from drivers.canopen.cia402 import State
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,8 @@ from CESAPI import packet as cesapi
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import emscon
-from drivers.emscon import (
+from drivers.leica import emscon
+from drivers.leica.emscon import (
     Command,
     EmsconError,
     Failure,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers import emscon_stream
-from drivers.emscon_stream import EmsconStream
+from drivers.leica import emscon_stream
+from drivers.leica.emscon_stream import EmsconStream
 from hilcell.clock import WallClock
 from hilcell.ports import Array, DeviceError, NoReading, Stopped, Stream, StreamBlock, Streams
 from tests.drivers.emscon_peer import NOT_READY, READY, EmsconPeer, failure, reply, result

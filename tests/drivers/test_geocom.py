@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import geocom
-from drivers.geocom import GeocomError, Reply, Rpc
+from drivers.leica import geocom
+from drivers.leica.geocom import GeocomError, Reply, Rpc
 
 
 @pytest.mark.parametrize(

@@ -13,9 +13,9 @@ from itertools import pairwise
 
 import pytest
 
-from drivers.can_link import RECENT_S
-from drivers.node_watch import PC_HEARTBEAT_LIMIT_MS
-from drivers.rail_canopen import LATE_S
+from drivers.canopen.can_link import RECENT_S
+from drivers.canopen.node_watch import PC_HEARTBEAT_LIMIT_MS
+from drivers.canopen.rail import LATE_S
 from hilcell.commands.run import SWITCH_S
 from hilcell.ports import DeviceError
 from tests.drivers.can_peer import CanPeer

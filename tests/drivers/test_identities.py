@@ -8,9 +8,9 @@ from typing import cast
 import pytest
 from canopen.sdo.exceptions import SdoAbortedError
 
-from drivers.rail_setup import Expected, identify
-from drivers.sdo import Aborted, SdoChannel
-from drivers.tracker_leica_emscon import LeicaEmsconTracker
+from drivers.canopen.rail_setup import Expected, identify
+from drivers.canopen.sdo import Aborted, SdoChannel
+from drivers.leica.tracker_emscon import LeicaEmsconTracker
 from hilcell.ports import Identity, says_simulated
 from tests.drivers.emscon_peer import EmsconPeer, failure, reply
 from tests.drivers.kuka_peer import KukaPeer

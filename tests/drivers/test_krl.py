@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import krl
-from drivers.krl import KrlError
+from drivers.kuka import krl
+from drivers.kuka.krl import KrlError
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,8 @@ import threading
 import numpy as np
 import pytest
 
-from drivers import kuka_life, kuka_robot
+from drivers.kuka import life as kuka_life
+from drivers.kuka import robot as kuka_robot
 from drivers.supervision import LATE_S
 from hilcell.ports import DeviceError
 from tests.drivers.kuka_peer import KukaPeer

@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import kuka_robot, kuka_sweep
-from drivers.kuka_sweep import split_speed
-from drivers.robot_kuka_c3 import KukaC3Robot
+from drivers.kuka import robot as kuka_robot
+from drivers.kuka import sweep as kuka_sweep
+from drivers.kuka.robot_c3 import KukaC3Robot
+from drivers.kuka.sweep import split_speed
 from hilcell.clock import WallClock
 from hilcell.ports import DeviceError, DeviceRefused, JointSample, NoReading, Stopped, Sweep, Sweeps
 from tests.drivers.kuka_peer import KukaPeer

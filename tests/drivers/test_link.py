@@ -11,10 +11,10 @@ from contextlib import suppress
 
 import pytest
 
-from drivers.link import Link, open_link
 from drivers.supervision import Patience
-from drivers.tcp import Alarms
-from drivers.text_lines import LONGEST, TextLines
+from drivers.wires.link import Link, open_link
+from drivers.wires.tcp import Alarms
+from drivers.wires.text_lines import LONGEST, TextLines
 from hilcell.ports import DeviceError
 from hilcell.wire.channel import SerialLine, Socket, parse_channel
 

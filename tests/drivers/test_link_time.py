@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers import pdo, sdo
-from drivers.can_link import CanLink
-from drivers.link_time import PAUSE_S, LinkTime
-from drivers.rail_canopen import CanopenRail
+from drivers.canopen import pdo, sdo
+from drivers.canopen.can_link import CanLink
+from drivers.canopen.link_time import PAUSE_S, LinkTime
+from drivers.canopen.rail import CanopenRail
 from tests.drivers.can_peer import CanPeer
 from tests.drivers.rail_bed import rail_for
 

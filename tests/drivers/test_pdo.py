@@ -5,8 +5,8 @@ from typing import cast
 
 import pytest
 
-from drivers.pdo import DISABLED, EVERY_SYNC, NO_RTR, Mapping, configure
-from drivers.sdo import SdoChannel
+from drivers.canopen.pdo import DISABLED, EVERY_SYNC, NO_RTR, Mapping, configure
+from drivers.canopen.sdo import SdoChannel
 
 PDO = Mapping(0x1801, 0x1A01, 0x285, EVERY_SYNC, ((0x606C, 32), (0x6061, 8)), struct.Struct("<ib"))
 

@@ -9,9 +9,9 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers import drive, release
-from drivers.pdo import SYNCS
-from drivers.rail_canopen import CanopenRail
+from drivers.canopen import drive, release
+from drivers.canopen.pdo import SYNCS
+from drivers.canopen.rail import CanopenRail
 from hilcell.clock import WallClock
 from hilcell.ports import DeviceError, DeviceRefused, LinkStatistics, Rail, Stopped, StripLost
 from hilcell.run import stopping

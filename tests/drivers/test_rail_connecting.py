@@ -6,8 +6,8 @@ import struct
 
 import pytest
 
-from drivers.rail_canopen import CanopenRail
-from drivers.strip import StripOptions
+from drivers.canopen.rail import CanopenRail
+from drivers.strips.strip import StripOptions
 from hilcell.ports import DeviceError, DeviceRefused, StripLost
 from tests.drivers import can_peer
 from tests.drivers.can_peer import (

@@ -9,10 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers import c3, kuka_external, kuka_robot, standing, strip_serial
-from drivers.rail_kuka_e1 import KukaE1Rail
-from drivers.robot_kuka_c3 import KukaC3Robot
-from drivers.strip import StripOptions
+from drivers import standing
+from drivers.kuka import c3
+from drivers.kuka import external as kuka_external
+from drivers.kuka import robot as kuka_robot
+from drivers.kuka.rail_e1 import KukaE1Rail
+from drivers.kuka.robot_c3 import KukaC3Robot
+from drivers.strips import serial as strip_serial
+from drivers.strips.strip import StripOptions
 from hilcell.clock import WallClock
 from hilcell.ports import (
     Clock,

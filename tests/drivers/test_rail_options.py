@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.rail_canopen import CanopenRail
+from drivers.canopen.rail import CanopenRail
 from hilcell.cell.settings import SettingsError, convert
 
 

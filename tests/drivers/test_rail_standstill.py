@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
-from drivers import drive, motion_limits, release, standing, standstill
-from drivers.rail_canopen import CanopenRail
+from drivers import motion_limits, standing, standstill
+from drivers.canopen import drive, release
+from drivers.canopen.rail import CanopenRail
 from hilcell.cell.file import load_cell
 from hilcell.ports import DeviceError
 from hilcell.run.interlocks import ROBOT_BLOCKED, Blocked, check_held

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers import release
+from drivers.canopen import release
 from hilcell.ports import DeviceError
 from tests.drivers.can_peer import (
     DISABLED,

@@ -4,15 +4,15 @@ import re
 from importlib import resources
 from xml.etree import ElementTree
 
-from drivers import eki
-from drivers.kuka_health import FRAME
-from drivers.kuka_life import LIFE_S, SLIDING_VERSION, TIMER
-from drivers.robot_kuka_eki import DOCUMENTS_VERSION
+from drivers.kuka import eki
+from drivers.kuka.health import FRAME
+from drivers.kuka.life import LIFE_S, SLIDING_VERSION, TIMER
+from drivers.kuka.robot_eki import DOCUMENTS_VERSION
 from tests.drivers.kuka_peer import VARIABLES
 
 
 def test_the_resident_program_declares_what_the_driver_uses() -> None:
-    folder = resources.files("drivers") / "krl"
+    folder = resources.files("drivers.kuka") / "krl"
     source = (folder / "hilcell.src").read_text("ascii")
     data = (folder / "hilcell.dat").read_text("ascii")
     declared = set(re.findall(r"DECL GLOBAL \w+ (HC_\w+)", data))
@@ -26,7 +26,7 @@ def test_the_resident_program_declares_what_the_driver_uses() -> None:
 
 
 def test_the_program_and_the_driver_have_one_timer_and_one_version() -> None:
-    folder = resources.files("drivers") / "krl"
+    folder = resources.files("drivers.kuka") / "krl"
     source = (folder / "hilcell.src").read_text("ascii")
     data = (folder / "hilcell.dat").read_text("ascii")
     number = TIMER.removeprefix("$TIMER")
@@ -38,7 +38,7 @@ def test_the_program_and_the_driver_have_one_timer_and_one_version() -> None:
 
 def test_what_brakes_the_robot_keeps_the_other_brake_out() -> None:
     """Both interrupts are off before the brake, and RESUME leaves the motion's level."""
-    source = (resources.files("drivers") / "krl" / "hilcell.src").read_text("ascii")
+    source = (resources.files("drivers.kuka") / "krl" / "hilcell.src").read_text("ascii")
     for routine in ("HC_BRAKE", "HC_LOST"):
         (lines,) = re.findall(rf"(?ms)^DEF {routine} \( \)\n(.*?)^END$", source)
         acts = [line.strip() for line in lines.splitlines() if not line.startswith(";")]
@@ -48,7 +48,7 @@ def test_what_brakes_the_robot_keeps_the_other_brake_out() -> None:
 
 
 def eki_text(name: str) -> str:
-    return (resources.files("drivers") / "eki_krl" / name).read_text("ascii")
+    return (resources.files("drivers.kuka") / "eki_krl" / name).read_text("ascii")
 
 
 def configured(name: str, part: str) -> set[str]:

@@ -12,8 +12,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drivers import c3, keep_alive, kuka_health, kuka_robot, supervision
-from drivers.robot_kuka_c3 import KukaC3Robot
+from drivers import supervision
+from drivers.kuka import c3
+from drivers.kuka import health as kuka_health
+from drivers.kuka import robot as kuka_robot
+from drivers.kuka.robot_c3 import KukaC3Robot
+from drivers.wires import keep_alive
 from hilcell.cell.file import Joint
 from hilcell.cell.settings import SettingsError, convert
 from hilcell.clock import WallClock

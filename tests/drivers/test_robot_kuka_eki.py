@@ -7,8 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers import eki, eki_wire, keep_alive, kuka_robot, kuka_sweep
-from drivers.robot_kuka_eki import KukaEkiRobot
+from drivers.kuka import eki, eki_wire
+from drivers.kuka import robot as kuka_robot
+from drivers.kuka import sweep as kuka_sweep
+from drivers.kuka.robot_eki import KukaEkiRobot
+from drivers.wires import keep_alive
 from hilcell.clock import WallClock
 from hilcell.ports import Clock, DeviceError, DeviceRefused, Robot, Stopped, Sweeps
 from tests.drivers.eki_peer import EkiPeer

@@ -5,9 +5,9 @@ import struct
 import numpy as np
 import pytest
 
-from drivers import rtde
-from drivers.rtde import Kind, Packages, Recipe, RtdeError
-from drivers.ur_state import INPUTS, OUTPUTS, Order, registers, state_from
+from drivers.universal_robots import rtde
+from drivers.universal_robots.rtde import Kind, Packages, Recipe, RtdeError
+from drivers.universal_robots.state import INPUTS, OUTPUTS, Order, registers, state_from
 
 RECIPE = Recipe(1, ("timestamp", "actual_q", "robot_mode"), ("DOUBLE", "VECTOR6D", "INT32"))
 DATA = struct.pack(">B7di", 1, 12.5, *range(6), 7)

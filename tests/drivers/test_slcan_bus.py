@@ -10,8 +10,8 @@ from collections.abc import Callable
 import can
 import pytest
 
-from drivers import slcan_bus
-from drivers.slcan_bus import SlcanBus
+from drivers.canopen import slcan_bus
+from drivers.canopen.slcan_bus import SlcanBus
 from tests.drivers.peers import WAIT_S, Server
 
 GOOD = b"t58584064600015CD5B07\r"

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from drivers.process_image import Snapshot
+from drivers.canopen.process_image import Snapshot
 from drivers.standstill import HISTORY_S, Rest, Standstill, Unrest, Windows
 from drivers.supervision import ATTENDED_S
 

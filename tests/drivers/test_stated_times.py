@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from drivers.rail_setup import drive_settings
+from drivers.canopen.rail_setup import drive_settings
 from tests.drivers.emscon_peer import EmsconPeer
 from tests.drivers.test_tracker_leica_emscon import tracker_at
 

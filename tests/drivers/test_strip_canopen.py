@@ -10,9 +10,9 @@ from typing import Any
 import msgspec
 import pytest
 
-from drivers.rail_canopen import CanopenRail
-from drivers.strip import LOST, StripFeed, StripOptions
-from drivers.strip_canopen import CanopenStrip
+from drivers.canopen.rail import CanopenRail
+from drivers.strips.canopen import CanopenStrip
+from drivers.strips.strip import LOST, StripFeed, StripOptions
 from hilcell.ports import DeviceError, DeviceRefused, Stopped, StripLost
 from tests.drivers.can_peer import STRIP, CanPeer, u8, u32
 from tests.drivers.rail_bed import rail_for, short_deadlines

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers import strip_serial
-from drivers.strip import LOST, StripFeed, StripOptions
-from drivers.strip_serial import SerialStrip
+from drivers.strips import serial as strip_serial
+from drivers.strips.serial import SerialStrip
+from drivers.strips.strip import LOST, StripFeed, StripOptions
 from hilcell.ports import DeviceError, DeviceRefused, Stopped
 from tests.drivers.strip_peer import StripPeer
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import t2sa
-from drivers.t2sa import Reply, T2saError
+from drivers.spatialanalyzer import t2sa
+from drivers.spatialanalyzer.t2sa import Reply, T2saError
 
 
 @pytest.mark.parametrize(

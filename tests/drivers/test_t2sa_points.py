@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers import t2sa_points
-from drivers.t2sa_points import NamedPoints, main, points_of, read_points, written
+from drivers.spatialanalyzer import t2sa_points
+from drivers.spatialanalyzer.t2sa_points import NamedPoints, main, points_of, read_points, written
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.geometry.frames import apply, inverse

@@ -10,7 +10,7 @@ import pytest
 
 from drivers import supervision
 from drivers.supervision import Patience
-from drivers.tcp import Alarms, TcpLink
+from drivers.wires.tcp import Alarms, TcpLink
 from hilcell.ports import DeviceError
 from tests.drivers.peers import Server
 
@@ -74,7 +74,7 @@ def test_what_has_arrived_is_taken_though_the_time_is_up() -> None:
 
 
 def test_a_device_that_takes_no_bytes_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.tcp.SEND_S", 0.05)
+    monkeypatch.setattr("drivers.wires.tcp.SEND_S", 0.05)
     end = threading.Event()
 
     def take_nothing(_: socket.socket) -> None:

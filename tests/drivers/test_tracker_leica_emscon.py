@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers import tracker_leica_emscon
-from drivers.tracker_leica_emscon import LeicaEmsconTracker
+from drivers.leica import tracker_emscon as tracker_leica_emscon
+from drivers.leica.tracker_emscon import LeicaEmsconTracker
 from hilcell.clock import WallClock
 from hilcell.ports import Air, DeviceError, DeviceRefused, NoReading, Stopped, Tracker
 from tests.drivers.cesapi_server import CesapiServer

@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from drivers import tracker_leica_geocom
-from drivers.tracker_leica_geocom import LeicaGeocomTracker
+from drivers.leica import tracker_geocom as tracker_leica_geocom
+from drivers.leica.tracker_geocom import LeicaGeocomTracker
 from hilcell.clock import WallClock
 from hilcell.ports import DeviceError, DeviceRefused, NoReading, Stopped, Streams, Tracker
 from tests.drivers.geocom_peer import GeocomPeer

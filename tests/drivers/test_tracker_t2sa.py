@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from drivers import t2sa_bridge, tracker_t2sa
-from drivers.tracker_t2sa import T2saTracker
+from drivers.spatialanalyzer import t2sa_bridge, tracker_t2sa
+from drivers.spatialanalyzer.tracker_t2sa import T2saTracker
 from hilcell.clock import WallClock
 from hilcell.ports import DeviceError, DeviceRefused, NoReading, Stopped, Streams, Tracker
 from tests.drivers.peers import wall_clock

@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator, Sequence
 
 import pytest
 
-from drivers import ur_link
-from drivers.rtde import Kind, Packages, encode
-from drivers.ur_link import UrLink
-from drivers.ur_state import OUTPUTS
+from drivers.universal_robots import link as ur_link
+from drivers.universal_robots.link import UrLink
+from drivers.universal_robots.rtde import Kind, Packages, encode
+from drivers.universal_robots.state import OUTPUTS
 from hilcell.ports import DeviceError, DeviceRefused
 from tests.drivers.peers import Server
 from tests.fakes.rail_bench import until

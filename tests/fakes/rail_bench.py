@@ -14,10 +14,10 @@ import canopen
 from canopen import objectdictionary as od
 from canopen.network import PeriodicMessageTask
 
+from fakes.canopen.rail_server import RailServer
 from fakes.faults import Faults
-from fakes.rail_server import RailServer
-from fakes.rail_truth import RailTruth
 from fakes.time import PlantTime
+from fakes.truth.rail_truth import RailTruth
 from hilcell.cell.file import load_cell
 
 DEADLINE_S = 5.0

@@ -4,11 +4,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from fakes.arm_truth import ArmTruth, reference_cube, varying_rms_mm
-from fakes.joint_errors import Ripple
-from fakes.machine import Machine, load_machine
-from fakes.noise import KeyedNoise
-from fakes.repeatability import unit_rp_mm
+from fakes.truth.arm_truth import ArmTruth, reference_cube, varying_rms_mm
+from fakes.truth.joint_errors import Ripple
+from fakes.truth.machine import Machine, load_machine
+from fakes.truth.noise import KeyedNoise
+from fakes.truth.repeatability import unit_rp_mm
 from hilcell.calibration.base_circles import axis_6_height_mm
 from hilcell.calibration.frames import grid_of
 from hilcell.cell.file import Cell, load_cell

@@ -8,13 +8,13 @@ import struct
 import numpy as np
 import pytest
 
-from drivers.emscon import MILLIMETRE_UNITS, POSITION, UNITS, Command, encode
+from drivers.leica.emscon import MILLIMETRE_UNITS, POSITION, UNITS, Command, encode
 from fakes.control import truth_of
-from fakes.emscon_device import EmsconDevice
 from fakes.faults import Faults
-from fakes.plant import FLANGE, Plant
+from fakes.leica.emscon_device import EmsconDevice
 from fakes.simulator import Control
 from fakes.time import PlantTime
+from fakes.truth.plant import FLANGE, Plant
 from hilcell.cell.file import Cell, load_cell
 from hilcell.ports import DeviceError
 from tests.whole.bench import sim_command

@@ -10,13 +10,13 @@ import numpy as np
 import py_openshowvar
 import pytest
 
-from fakes import c3_server
-from fakes.c3_server import C3Server
 from fakes.faults import Faults
-from fakes.krl_controller import KrlController
+from fakes.kuka import c3_server
+from fakes.kuka.c3_server import C3Server
+from fakes.kuka.controller import KrlController
 from fakes.motion_faults import Harms
-from fakes.plant import Plant
 from fakes.time import PlantTime
+from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell
 from tests.fakes.rail_bench import until
 from tests.fakes.wires import C3Client, connected, exactly

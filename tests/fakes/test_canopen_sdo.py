@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fakes.canopen_dictionary import Entry, ObjectDictionary, SdoAbortError
-from fakes.canopen_sdo import SdoServer
+from fakes.canopen.dictionary import Entry, ObjectDictionary, SdoAbortError
+from fakes.canopen.sdo import SdoServer
 
 
 def server() -> tuple[SdoServer, ObjectDictionary]:

@@ -8,7 +8,7 @@ from itertools import pairwise
 import canopen
 import pytest
 
-from fakes.canopen_slave import CanopenSlave, NodeIdentity
+from fakes.canopen.slave import CanopenSlave, NodeIdentity
 from tests.fakes.rail_bench import DRIVE, STRIP, Line, Master, served, until
 
 

@@ -6,10 +6,10 @@ import struct
 
 import pytest
 
-from fakes.dialect_ur import Rtde
-from fakes.dialects import Dialect, Slcan, StripLine, dialects_of
-from fakes.event_time import EventTime, RecordedLooks
-from fakes.recorded_script import Exchange, Flow, Names, Pulse, Script
+from fakes.replay.dialects import Dialect, Slcan, StripLine, dialects_of
+from fakes.replay.event_time import EventTime, RecordedLooks
+from fakes.replay.recorded_script import Exchange, Flow, Names, Pulse, Script
+from fakes.universal_robots.dialect import Rtde
 
 OUTPUTS, DATA = 79, 85
 FIELDS = ("timestamp", "actual_q", "output_int_register_26", "output_int_register_27")

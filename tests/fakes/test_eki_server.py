@@ -9,14 +9,14 @@ from dataclasses import dataclass
 
 import pytest
 
-from fakes.eki_program import QUEUE, RECEIVED, Overflow, Queues
-from fakes.eki_server import EkiServer
 from fakes.faults import Faults
-from fakes.krl import KrlError
-from fakes.krl_controller import KrlController
+from fakes.kuka.controller import KrlController
+from fakes.kuka.eki_program import QUEUE, RECEIVED, Overflow, Queues
+from fakes.kuka.eki_server import EkiServer
+from fakes.kuka.krl import KrlError
 from fakes.motion_faults import Harms
-from fakes.plant import Plant
 from fakes.time import PlantTime
+from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell
 from tests.fakes.rail_bench import until
 from tests.fakes.wires import connected

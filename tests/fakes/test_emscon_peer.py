@@ -16,11 +16,11 @@ from CESAPI.packet import (
     SystemUnitsDataT,
 )
 
-from fakes.emscon_device import SERIAL, EmsconDevice
-from fakes.emscon_server import EmsconServer
 from fakes.faults import Faults
-from fakes.plant import Plant
+from fakes.leica.emscon_device import SERIAL, EmsconDevice
+from fakes.leica.emscon_server import EmsconServer
 from fakes.time import PlantTime
+from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell
 
 

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from fakes.emscon_device import SERIAL, EmsconDevice
-from fakes.emscon_server import EmsconServer
 from fakes.faults import Faults
-from fakes.plant import FLANGE, Plant
+from fakes.leica.emscon_device import SERIAL, EmsconDevice
+from fakes.leica.emscon_server import EmsconServer
 from fakes.time import PlantTime
+from fakes.truth.plant import FLANGE, Plant
 from hilcell.cell.file import Cell
 from hilcell.geometry.kinematics import Array
 from tests.fakes.wires import EmsconClient, connected, exactly

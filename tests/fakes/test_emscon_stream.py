@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from fakes.emscon_device import EmsconDevice
-from fakes.emscon_server import EmsconServer
-from fakes.emscon_stream import SampleStream
 from fakes.faults import Faults
-from fakes.plant import FLANGE, Plant
+from fakes.leica.emscon_device import EmsconDevice
+from fakes.leica.emscon_server import EmsconServer
+from fakes.leica.emscon_stream import SampleStream
 from fakes.time import EXCHANGE_S, PlantTime
+from fakes.truth.plant import FLANGE, Plant
 from hilcell.cell.file import Cell, load_cell
 from hilcell.geometry.kinematics import Array
 from tests.fakes.wires import EmsconClient, connected

@@ -85,7 +85,7 @@ def test_every_fault_states_its_occasion() -> None:
 
 def test_every_known_fault_is_asked_for_and_no_other() -> None:
     folder = Path(faults_module.__file__).parent
-    sources = [file for file in folder.glob("*.py") if file.name != "faults.py"]
+    sources = [file for file in folder.rglob("*.py") if file.name != "faults.py"]
     text = "".join(file.read_text("utf-8") for file in sources)
     asked = set(re.findall(r'"((?:rail|robot|tracker)\.[a-z_0-9]+)"', text))
     assert asked == set(KNOWN)

@@ -12,10 +12,10 @@ import pytest
 import serial
 
 from fakes.faults import Faults
-from fakes.geocom_device import SERIAL, GeocomDevice
-from fakes.geocom_server import GeocomServer
-from fakes.plant import Plant
+from fakes.leica.geocom_device import SERIAL, GeocomDevice
+from fakes.leica.geocom_server import GeocomServer
 from fakes.time import PlantTime
+from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell
 from hilcell.geometry.kinematics import Array
 from tests.fakes.wires import connected

@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fakes.arm_truth import reference_cube
-from fakes.joint_errors import Deflection, Loads, Ripple, Slopes, slopes
-from fakes.machine import load_machine
-from fakes.transforms import Array
+from fakes.truth.arm_truth import reference_cube
+from fakes.truth.joint_errors import Deflection, Loads, Ripple, Slopes, slopes
+from fakes.truth.machine import load_machine
+from fakes.truth.transforms import Array
 
 URAD = 1e-6
 

@@ -4,7 +4,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fakes.krl import KrlError, aggregate, boolean, parse_aggregate, parse_boolean, parse_integer
+from fakes.kuka.krl import (
+    KrlError,
+    aggregate,
+    boolean,
+    parse_aggregate,
+    parse_boolean,
+    parse_integer,
+)
 
 
 def test_aggregate_text() -> None:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from fakes.faults import Faults
-from fakes.krl_controller import KrlController
-from fakes.life_timer import LifeTimer
-from fakes.plant import Plant
+from fakes.kuka.controller import KrlController
+from fakes.kuka.life_timer import LifeTimer
 from fakes.time import PlantTime
+from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell
 from tests.fakes.rail_bench import until
 

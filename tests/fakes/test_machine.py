@@ -9,15 +9,15 @@ import msgspec
 import pytest
 
 from fakes.faults import Faults, load_faults
-from fakes.krl_controller import KrlController
-from fakes.machine import load_machine, machine_of
-from fakes.plant import Plant
+from fakes.kuka.controller import KrlController
 from fakes.simulator import PaperCell
 from fakes.time import PlantTime
+from fakes.truth.machine import load_machine, machine_of
+from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell, SimulationTable, load_cell
 from hilcell.cell.settings import SettingsError
 
-FOLDER = resources.files("fakes.machines")
+FOLDER = resources.files("fakes.truth.machines")
 
 
 def test_a_cell_names_its_machine() -> None:
@@ -96,7 +96,7 @@ def test_sizes_that_no_machine_has_are_refused(
 def test_a_machine_that_cannot_be_drawn_names_its_file_and_key(
     tmp_path: Path, before: str, after: str, found: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fakes.arm_truth.DRAWS", 2)
+    monkeypatch.setattr("fakes.truth.arm_truth.DRAWS", 2)
     own = changed(tmp_path, before, after)
     cell = load_cell("paper", {"simulation.machine": own})
     with pytest.raises(SettingsError) as caught:

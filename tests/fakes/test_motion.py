@@ -6,7 +6,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from fakes.motion import Path, travel_s
+from fakes.truth.motion import Path, travel_s
 
 numbers = st.floats(0.01, 1000.0)
 

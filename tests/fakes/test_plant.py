@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from fakes.faults import Faults
-from fakes.plant import FLANGE, Plant
-from fakes.rail_truth import RailTruth
 from fakes.time import PlantTime
+from fakes.truth.plant import FLANGE, Plant
+from fakes.truth.rail_truth import RailTruth
 from hilcell.cell.file import Cell, load_cell
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import Array, forward

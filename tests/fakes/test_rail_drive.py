@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import canopen
 import pytest
 
+from fakes.canopen.rail_drive import TRANSITIONS, Command, RailDrive, State, command_of
 from fakes.faults import Faults
-from fakes.rail_drive import TRANSITIONS, Command, RailDrive, State, command_of
-from fakes.rail_truth import RailState, RailTruth
+from fakes.truth.rail_truth import RailState, RailTruth
 from hilcell.cell.file import load_cell
 from tests.fakes.rail_bench import (
     BIT_10,

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fakes.canopen_slave import SYNC_COB_ID
+from fakes.canopen.rail_server import RailServer
+from fakes.canopen.slave import SYNC_COB_ID
 from fakes.faults import Faults
-from fakes.rail_server import RailServer
-from fakes.rail_truth import RailTruth
 from fakes.time import PlantTime
+from fakes.truth.rail_truth import RailTruth
 from hilcell.cell.file import load_cell
 from tests.fakes.rail_bench import Line, Master, served, until
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fakes.faults import Faults
-from fakes.rail_truth import RailState, RailTruth
 from fakes.time import PlantTime
+from fakes.truth.rail_truth import RailState, RailTruth
 from hilcell.cell.file import Cell
 from hilcell.geometry.kinematics import forward
 

@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fakes.controller_arm import controller_arm
-from fakes.machine import chain_of_cell, machine_of
-from fakes.screws import Chain
-from fakes.transforms import components, frame, inverse, rotation
+from fakes.truth.controller_arm import controller_arm
+from fakes.truth.machine import chain_of_cell, machine_of
+from fakes.truth.screws import Chain
+from fakes.truth.transforms import components, frame, inverse, rotation
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.tables import Pose
 from hilcell.geometry import frames

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from fakes import segments
-from fakes.segments import LATE_EVERY, LATE_S, SPLIT_EVERY, Segments
+from fakes.wires import segments
+from fakes.wires.segments import LATE_EVERY, LATE_S, SPLIT_EVERY, Segments
 
 
 class Wire:

@@ -13,8 +13,8 @@ from can.interfaces.slcan import slcanBus
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fakes.canopen.slcan_gateway import SlcanGateway, decode, encode
 from fakes.faults import Faults
-from fakes.slcan_gateway import SlcanGateway, decode, encode
 from tests.fakes.rail_bench import Line, until
 
 

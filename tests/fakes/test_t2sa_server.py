@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from fakes.faults import Faults
-from fakes.plant import Plant
 from fakes.site import Site
-from fakes.t2sa_device import WARM_UP_S, T2saDevice
-from fakes.t2sa_points import fan, imported, write
-from fakes.t2sa_server import T2saServer, serve
+from fakes.spatialanalyzer.t2sa_device import WARM_UP_S, T2saDevice
+from fakes.spatialanalyzer.t2sa_points import fan, imported, write
+from fakes.spatialanalyzer.t2sa_server import T2saServer, serve
 from fakes.time import PlantTime
+from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.geometry.kinematics import Array

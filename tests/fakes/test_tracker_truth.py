@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fakes.faults import Faults
-from fakes.tracker_truth import TrackerTruth
+from fakes.truth.tracker_truth import TrackerTruth
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import Array

@@ -13,12 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from fakes import listener, ur_server
 from fakes.faults import Faults
-from fakes.plant import Plant
 from fakes.site import Site
 from fakes.time import PlantTime
-from fakes.ur_server import UrServer
+from fakes.truth.plant import Plant
+from fakes.universal_robots import server as ur_server
+from fakes.universal_robots.server import UrServer
+from fakes.wires import listener
 from hilcell.cell.file import load_cell
 from tests.fakes.rail_bench import until
 from tests.fakes.wires import REGISTERS, RtdeClient, connected, exactly
@@ -95,7 +96,7 @@ def test_the_program_moves_and_acknowledges(robot: Robot) -> None:
 def test_without_a_sign_of_life_a_motion_is_braked(
     robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fakes.ur_controller.LIFE_MS", 50)
+    monkeypatch.setattr("fakes.universal_robots.controller.LIFE_MS", 50)
     with connected(robot.port("rtde")) as wire, connected(robot.port("script")) as script:
         client = RtdeClient(wire)
         client.begin()

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fakes.motion import travel_s
-from fakes.robot_motion import RobotMotion
 from fakes.time import PlantTime
+from fakes.truth.motion import travel_s
+from fakes.truth.robot_motion import RobotMotion
 from hilcell.cell.file import Station, load_cell
 from hilcell.run.procedure import Step
 from procedures import durations

@@ -9,8 +9,9 @@ import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from drivers import drive, kuka_robot, rail_setup
-from drivers.tracker_leica_emscon import LeicaEmsconTracker
+from drivers.canopen import drive, rail_setup
+from drivers.kuka import robot as kuka_robot
+from drivers.leica.tracker_emscon import LeicaEmsconTracker
 from hilcell.errors import HilcellError
 from hilcell.journal.runs import JOURNAL
 from hilcell.run import device_status

@@ -18,13 +18,15 @@ import can
 import canopen
 import msgspec
 
-from drivers import c3, emscon, krl, nmt, sdo
-from drivers.can_link import CanLink
-from drivers.node_watch import NodeWatch
-from drivers.program_krl.reader import read_program
-from drivers.sdo import SdoChannel
-from drivers.slcan_bus import SlcanBus
-from fakes import emscon_packets
+from drivers.canopen import nmt, sdo
+from drivers.canopen.can_link import CanLink
+from drivers.canopen.node_watch import NodeWatch
+from drivers.canopen.sdo import SdoChannel
+from drivers.canopen.slcan_bus import SlcanBus
+from drivers.kuka import c3, krl
+from drivers.kuka.program_krl.reader import read_program
+from drivers.leica import emscon
+from fakes.leica import emscon_packets
 from hilcell.alarms import Latch
 from hilcell.calibration.file import SEAL, _seal, read_calibration, write_calibration
 from hilcell.cell.file import load_cell
@@ -150,7 +152,7 @@ class _Time:
 
 @cache
 def _objects() -> canopen.ObjectDictionary:
-    with resources.as_file(resources.files("drivers") / "eds" / "drive.eds") as path:
+    with resources.as_file(resources.files("drivers.canopen") / "eds" / "drive.eds") as path:
         return canopen.import_od(str(path), DRIVE)
 
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from fakes.faults import Faults
-from fakes.plant import Plant
-from fakes.rail_truth import RailTruth, _Shape
 from fakes.time import PlantTime
+from fakes.truth.plant import Plant
+from fakes.truth.rail_truth import RailTruth, _Shape
 from hilcell.calibration.file import compensate_targets, read_calibration
 from hilcell.calibration.frames import grid_of, world_from_tracker
 from hilcell.cell.file import Cell

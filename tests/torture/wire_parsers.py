@@ -11,18 +11,19 @@ from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any, cast
 
-from drivers import eki, rtde
-from drivers.eki_wire import EkiChannel
-from drivers.geocom import Rpc
-from drivers.program_urscript.reader import read_program
-from drivers.strip import StripOptions
-from drivers.strip_serial import SerialStrip
+from drivers.kuka import eki
+from drivers.kuka.eki_wire import EkiChannel
+from drivers.leica.geocom import Rpc
+from drivers.leica.tracker_geocom import LeicaGeocomTracker
+from drivers.spatialanalyzer.t2sa_bridge import MEASURE, T2saBridge
+from drivers.strips.serial import SerialStrip
+from drivers.strips.strip import StripOptions
 from drivers.supervision import Patience
-from drivers.t2sa_bridge import MEASURE, T2saBridge
-from drivers.text_lines import TextLines
-from drivers.tracker_leica_geocom import LeicaGeocomTracker
-from drivers.ur_state import INPUTS, OUTPUTS, state_from, unlike
-from fakes.eki_server import BOMB
+from drivers.universal_robots import rtde
+from drivers.universal_robots.program_urscript.reader import read_program
+from drivers.universal_robots.state import INPUTS, OUTPUTS, state_from, unlike
+from drivers.wires.text_lines import TextLines
+from fakes.kuka.eki_server import BOMB
 from hilcell.clock import WallClock
 from hilcell.errors import DeviceError, HilcellError
 from tests.drivers.program_urscript.samples import SCRIPT
@@ -37,7 +38,7 @@ TYPES = ",".join(
 
 
 class Wire:
-    """Satisfies `drivers.link.Link`: what an input brings, and then nothing any more."""
+    """Satisfies `drivers.wires.link.Link`: what an input brings, and then nothing any more."""
 
     address = "fuzz"
 

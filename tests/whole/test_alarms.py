@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from drivers import drive, kuka_robot, rail_setup
-from drivers.tracker_leica_emscon import LeicaEmsconTracker
+from drivers.canopen import drive, rail_setup
+from drivers.kuka import robot as kuka_robot
+from drivers.leica.tracker_emscon import LeicaEmsconTracker
 from fakes.faults import KNOWN
 from hilcell.alarms import Alarm, alarms_of, catalogue
 from hilcell.commands.cli import main

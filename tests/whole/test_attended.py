@@ -15,9 +15,9 @@ from typing import Any
 
 import pytest
 
-from fakes import rail_drive, rail_strip
-from fakes.emscon_packets import wide
-from fakes.krl_controller import KrlController
+from fakes.canopen import rail_drive, rail_strip
+from fakes.kuka.controller import KrlController
+from fakes.leica.emscon_packets import wide
 from hilcell.run.client import order
 from tests.whole.bench import HILCELL, LIMIT_S, Engine, command, sets, simulation
 from tests.whole.terminal import Terminal
@@ -38,7 +38,7 @@ def shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[str]]:
             plates.setattr(module, "IDENTITY", replace(module.IDENTITY, name="of the plant"))
         plates.setattr(KrlController, "_identity", lambda self: f'"{self._arm.model}"')
         plates.setattr(
-            "fakes.emscon_device.wide", lambda text: wide(text.replace(" (simulated)", ""))
+            "fakes.leica.emscon_device.wide", lambda text: wide(text.replace(" (simulated)", ""))
         )
         with simulation(20.0) as machines:
             where = machines.addresses

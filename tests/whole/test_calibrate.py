@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fakes.arm_truth import ArmTruth
-from fakes.joint_errors import Ripple
-from fakes.machine import machine_of
-from fakes.noise import KeyedNoise
+from fakes.truth.arm_truth import ArmTruth
+from fakes.truth.joint_errors import Ripple
+from fakes.truth.machine import machine_of
+from fakes.truth.noise import KeyedNoise
 from hilcell.calibration.errors import errors_of
 from hilcell.calibration.file import read_calibration
 from hilcell.cell.file import load_cell

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.c3 import C3Connection
+from drivers.kuka.c3 import C3Connection
 from hilcell.journal.runs import find_run, read_log
 from tests.whole.bench import (
     SMALL,

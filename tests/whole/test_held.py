@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from drivers import nmt
-from drivers.rail_canopen import CanopenRail
+from drivers.canopen import nmt
+from drivers.canopen.rail import CanopenRail
 from hilcell.run.stopping import close_all
 from tests.drivers.rail_bed import soon
 from tests.whole.bench import simulation

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from drivers import eki_wire, kuka_robot
+from drivers.kuka import eki_wire
+from drivers.kuka import robot as kuka_robot
 from hilcell.alarms import alarms_of
 from hilcell.commands.cli import main
 from hilcell.journal.runs import read_log

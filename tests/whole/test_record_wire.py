@@ -24,9 +24,9 @@ from typing import Any
 import msgspec
 import pytest
 
-from fakes.dialects import Dialect, dialects_of
-from fakes.event_time import EventTime
-from fakes.recorded_script import Exchange, Script, exchanges, landmarks
+from fakes.replay.dialects import Dialect, dialects_of
+from fakes.replay.event_time import EventTime
+from fakes.replay.recorded_script import Exchange, Script, exchanges, landmarks
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.journal.runs import read_log

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers import t2sa_bridge
-from drivers.t2sa_points import main as write_points
+from drivers.spatialanalyzer import t2sa_bridge
+from drivers.spatialanalyzer.t2sa_points import main as write_points
 from hilcell.alarms import alarms_of
 from hilcell.commands.cli import main
 from hilcell.journal.runs import read_log

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers import tracker_leica_geocom
-from drivers.tracker_leica_geocom import LeicaGeocomTracker
+from drivers.leica import tracker_geocom as tracker_leica_geocom
+from drivers.leica.tracker_geocom import LeicaGeocomTracker
 from fakes.faults import Faults
-from fakes.geocom_device import GeocomDevice
-from fakes.geocom_server import GeocomServer
-from fakes.plant import Plant
+from fakes.leica.geocom_device import GeocomDevice
+from fakes.leica.geocom_server import GeocomServer
 from fakes.time import PlantTime
+from fakes.truth.plant import Plant
 from hilcell.alarms import alarms_of
 from hilcell.cell.file import Cell, load_cell
 from hilcell.journal.runs import read_log

@@ -13,15 +13,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from drivers import robot_ur_rtde
-from drivers.robot_ur_rtde import UrRtdeRobot, script_text
+from drivers.universal_robots import robot_rtde as robot_ur_rtde
+from drivers.universal_robots.robot_rtde import UrRtdeRobot, script_text
 from fakes.faults import Faults
 from fakes.motion_faults import Harms
-from fakes.plant import Plant
 from fakes.site import Site
 from fakes.time import PlantTime
-from fakes.ur_controller import UrController
-from fakes.ur_server import UrServer
+from fakes.truth.plant import Plant
+from fakes.universal_robots.controller import UrController
+from fakes.universal_robots.server import UrServer
 from hilcell.cell.file import load_cell
 from hilcell.clock import WallClock
 from hilcell.geometry.kinematics import forward

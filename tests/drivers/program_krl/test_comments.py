@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivers.program_krl.comments import CODING, comment, plain
+from drivers.kuka.program_krl.comments import CODING, comment, plain
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.program_krl.files import load_program
+from drivers.kuka.program_krl.files import load_program
 from hilcell.cell.file import load_cell
 from hilcell.compensation.targets import write_targets
 from hilcell.geometry.frames import apply, inverse

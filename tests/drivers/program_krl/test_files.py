@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.program_krl.files import load_program
+from drivers.kuka.program_krl.files import load_program
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation import programs
 from hilcell.compensation.programs import write_program

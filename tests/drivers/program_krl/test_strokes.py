@@ -8,8 +8,8 @@ from typing import cast
 import numpy as np
 import pytest
 
-from drivers.program_krl.files import load_program
-from drivers.program_krl.reader import read_program
+from drivers.kuka.program_krl.files import load_program
+from drivers.kuka.program_krl.reader import read_program
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.programs import StrokeError, StrokeLimits, StrokeMiss, check_strokes
 from hilcell.cell.settings import SettingsError

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.program_urscript.files import load_program
-from drivers.program_urscript.reader import read_program
-from drivers.program_urscript.writer import write_station
+from drivers.universal_robots.program_urscript.files import load_program
+from drivers.universal_robots.program_urscript.reader import read_program
+from drivers.universal_robots.program_urscript.writer import write_station
 from hilcell.calibration.prepared import station_program
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from drivers import emcy, emscon
+from drivers.canopen import emcy
+from drivers.leica import emscon
 from fakes.exercises import EXERCISES
 from hilcell.alarms.catalogue import Entry, catalogue, entries_of, entry_of
 from tests.hilcell.alarms.rooms import packages_of_hilcell

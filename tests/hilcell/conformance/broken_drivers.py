@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.rail_setup import CONSUMER_HEARTBEAT
+from drivers.canopen.rail_setup import CONSUMER_HEARTBEAT
 from hilcell.errors import NoReading
 from hilcell.ports import StreamBlock
 from tests.hilcell.conformance.broken import COMMON, Base, Pieces, Slow

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from drivers.rail_canopen import CanopenRail
-from drivers.robot_kuka_c3 import KukaC3Robot
-from drivers.tracker_leica_emscon import LeicaEmsconTracker
+from drivers.canopen.rail import CanopenRail
+from drivers.kuka.robot_c3 import KukaC3Robot
+from drivers.leica.tracker_emscon import LeicaEmsconTracker
 from hilcell.errors import DeviceError, NoReading
 
 Call = Callable[[], Any]

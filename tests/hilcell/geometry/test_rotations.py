@@ -50,7 +50,7 @@ def test_many_at_once() -> None:
 
 
 @pytest.mark.parametrize(
-    "module", ["hilcell.run.runner", "procedures.calibrate", "drivers.robot_kuka_c3"]
+    "module", ["hilcell.run.runner", "procedures.calibrate", "drivers.kuka.robot_c3"]
 )
 def test_what_starts_an_engine_imports_no_scipy(module: str) -> None:
     """Its import alone takes longer than all else that is needed before a run."""

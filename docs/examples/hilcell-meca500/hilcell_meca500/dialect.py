@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from fakes.dialects import Dialect
+from fakes.replay.dialects import Dialect
 
 _QUESTION = re.compile(rb"(?:SyncCmdQueue\(\d+\)\0)?[^\0]*\0")
 _NUMBER = re.compile(rb"SyncCmdQueue\((\d+)\)\0")

@@ -16,14 +16,14 @@ from functools import partial
 
 import numpy as np
 
-from fakes.controller_arm import controller_arm
 from fakes.faults import Vanished
-from fakes.flicker import flicker
-from fakes.life_timer import LifeTimer
-from fakes.listener import HOST, Listener
+from fakes.kuka.life_timer import LifeTimer
 from fakes.motion_faults import Harms, strike
-from fakes.segments import Segments
 from fakes.site import Site
+from fakes.truth.controller_arm import controller_arm
+from fakes.truth.flicker import flicker
+from fakes.wires.listener import HOST, Listener
+from fakes.wires.segments import Segments
 from hilcell.ports import Array
 
 COMMAND = re.compile(r"(\w+)\s*(?:\(([^()]*)\))?", re.ASCII)

@@ -15,8 +15,8 @@ import numpy as np
 
 from drivers.robot_errors import DEVICE, failed, refused
 from drivers.supervision import Patience
-from drivers.tcp import Alarms, TcpLink
-from drivers.text_lines import TextLines
+from drivers.wires.tcp import Alarms, TcpLink
+from drivers.wires.text_lines import TextLines
 from hilcell.clean import clean
 from hilcell.ports import Array
 

@@ -15,9 +15,9 @@ from hilcell_meca500 import wire
 from hilcell_meca500.simulated import MecaServer, serve
 
 from fakes.faults import Faults
-from fakes.plant import Plant
 from fakes.site import Site
 from fakes.time import PlantTime
+from fakes.truth.plant import Plant
 from hilcell.cell.devices import driver_options
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError

@@ -1,0 +1,185 @@
+"""One CAN bus with everything that must go on by itself: receiving, and the PC's heartbeat.
+
+python-can's Notifier dies silently with the first error of its bus. Here the first error is kept,
+the heartbeat ends with it (so that the drive stops itself), and every use of the link raises it. A
+link is never repaired: connect builds a new one.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import threading
+import time
+from collections.abc import Callable
+
+import can
+import canopen
+
+from drivers.canopen.link_time import LinkTime
+from drivers.canopen.slcan_bus import SlcanBus
+from hilcell.ports import DeviceError, LinkStatistics
+
+RECEIVE_S = 0.02
+HEARTBEAT_PERIOD_S = 0.05
+RECENT_S = 5.0  # a pause that ended before does not explain a node's report
+JOIN_S = 1.0
+OPERATIONAL = b"\x05"
+
+Callback = Callable[[int, bytearray, float], None]
+Failed = Callable[[Exception], None]
+
+
+def open_bus(device: str, interface: str, channel: str, bitrate: int) -> can.BusABC:
+    """Open the bus; raises `DeviceError`."""
+    try:
+        if interface == "slcan":
+            return SlcanBus(channel, bitrate)
+        return can.Bus(interface=interface, channel=channel, bitrate=bitrate)
+    except (can.CanError, OSError, ValueError) as error:
+        raise DeviceError(
+            "HC-R04",
+            device,
+            "connect",
+            f"{interface} {channel}: {error}",
+            act="check the CAN gateway, its cable and rail.options",
+            fields={"interface": interface, "channel": channel, "bitrate": bitrate},
+        ) from error
+
+
+class LinkLost(DeviceError):
+    """The gateway or the bus under the link is gone; trying again on this link is of no use."""
+
+
+class _Network(canopen.Network):
+    """canopen's network, whose SDO client then also fails as a device does."""
+
+    def __init__(self, bus: can.BusABC, check: Callable[[], None], fail: Failed) -> None:
+        super().__init__(bus)
+        self._check_link, self._fail_link = check, fail
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        self._check_link()
+        try:
+            super().send_message(can_id, data, remote)
+        except (can.CanError, OSError, ValueError) as error:
+            self._fail_link(error)
+            self._check_link()
+
+
+class CanLink:
+    """A bus with its canopen network, receiving in a thread of its own."""
+
+    def __init__(self, device: str, bus: can.BusABC) -> None:
+        self.device = device
+        self.network = _Network(bus, self.check, self._fail)
+        self.time = LinkTime()
+        self._frames = self._malformed = 0
+        self._bus = bus
+        self._beat_s: float | None = None  # when the PC's last heartbeat went out
+        self._pause_s, self._paused_s = 0.0, -math.inf  # the longest recent pause, and its end
+        self._failure = ""
+        self._end = threading.Event()
+        self._threads = [threading.Thread(target=self._receive, name="CAN receive", daemon=True)]
+        self._threads[0].start()
+
+    def subscribe(self, cob_id: int, callback: Callback) -> None:
+        """Call ``callback(cob_id, data, time)`` in the receiving thread for frames ``cob_id``."""
+        self.network.subscribe(cob_id, callback)
+
+    def send(self, cob_id: int, data: bytes) -> None:
+        """Send a frame from any thread; raises `LinkLost`."""
+        self.network.send_message(cob_id, data)
+
+    def check(self) -> None:
+        """Raise `LinkLost` when the link is lost."""
+        if self._failure:
+            raise LinkLost(
+                "HC-R01",
+                self.device,
+                "CAN",
+                f"link lost: {self._failure}",
+                act="check the gateway, the cable and the terminators, then resume",
+                fields={"reason": self._failure},
+            )
+
+    def start_heartbeat(self, node: int, attended: Callable[[], bool]) -> None:
+        """Produce the heartbeat of ``node`` (CiA 301, 7.2.8.3.2.2) until the link closes.
+
+        It pauses while not ``attended``. The first beat has gone out on return: a node that lost
+        the last one starts only after it.
+        """
+        self._send_beat(0x700 + node)
+        beat = threading.Thread(target=self._beat, args=(0x700 + node, attended), daemon=True)
+        self._threads.append(beat)
+        beat.start()
+
+    def statistics(self) -> LinkStatistics:
+        """Return the link's counts so far."""
+        bus = self._bus
+        bad, refused = (bus.bad_lines, bus.refused) if isinstance(bus, SlcanBus) else (0, 0)
+        return LinkStatistics(self._frames, bad, refused, self._malformed)
+
+    @property
+    def pause_s(self) -> float:
+        """Return the longest time without a heartbeat of the PC that ended at most 5 s ago."""
+        now_s, beat_s = time.monotonic(), self._beat_s
+        recent_s = self._pause_s if now_s - self._paused_s <= RECENT_S else 0.0
+        return max(recent_s, 0.0 if beat_s is None else now_s - beat_s)
+
+    def close(self) -> None:
+        """End both threads and close the bus; an error of the bus that closes is only kept."""
+        self._end.set()
+        for thread in self._threads:
+            thread.join(JOIN_S)
+        try:
+            self._bus.shutdown()
+        except (can.CanError, OSError, ValueError) as error:
+            self._fail(error)
+
+    def _receive(self) -> None:
+        try:
+            while not self._end.is_set():
+                if (message := self._next()) is not None:
+                    self._notify(message)
+        except (can.CanError, OSError, ValueError) as error:
+            self._fail(error)
+        finally:
+            self._fail(ConnectionError("closed"))  # nobody hears the bus from here on
+
+    def _next(self) -> can.Message | None:
+        now_s = time.monotonic()
+        message = self._bus.recv(0.0)
+        if message is None:
+            self.time.emptied(now_s)
+            message = self._bus.recv(RECEIVE_S)
+        else:
+            self.time.behind(now_s)
+        self._frames += message is not None
+        return message
+
+    def _notify(self, message: can.Message) -> None:
+        if message.is_error_frame or message.is_remote_frame or message.is_extended_id:
+            return  # CANopen's frames have 11-bit identifiers
+        try:
+            self.network.notify(message.arbitration_id, message.data, message.timestamp)
+        except (struct.error, IndexError, ValueError):
+            self._malformed += 1  # a frame too short for its meaning; deadlines notice the loss
+
+    def _beat(self, cob_id: int, attended: Callable[[], bool]) -> None:
+        while not self._end.wait(HEARTBEAT_PERIOD_S):
+            try:
+                if attended():
+                    self._send_beat(cob_id)
+            except DeviceError:
+                return  # kept by `_fail`; the drive now stops itself
+
+    def _send_beat(self, cob_id: int) -> None:
+        self.send(cob_id, OPERATIONAL)
+        now_s, longest_s = time.monotonic(), self.pause_s
+        if longest_s > self._pause_s or not now_s - self._paused_s <= RECENT_S:
+            self._pause_s, self._paused_s = longest_s, now_s
+        self._beat_s = now_s
+
+    def _fail(self, error: Exception) -> None:
+        self._failure = self._failure or str(error)

@@ -1,0 +1,355 @@
+"""The sequencer of a CiA 402 drive: power, homing, profile position; everything by PDO and SYNC.
+
+canopen's BaseNode402 is not used: it drops the drive to "no mode" by its empty RPDO buffer,
+re-enables it behind a fault reset, and takes bits left by the last motion for this one's. A
+simulated cell may run faster than any clock, so a motion's planned duration is counted on the
+cell's clock (`drivers.motion_limits`).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.canopen import cia402, cia406, emcy
+from drivers.canopen.cia402 import State
+from drivers.canopen.process_image import DEVICE, ProcessImage, Snapshot
+from drivers.canopen.sdo import SdoChannel
+from drivers.motion_limits import MotionLimits
+from drivers.standing import Standing
+from drivers.standstill import Windows
+from drivers.supervision import Supervision
+from hilcell.ports import Clock, DeviceError
+
+POLL_S = 0.02
+STALL_S = 3.0  # wire deadline, beside the dwell: neither the wanted state nor progress
+OVERSPEED = 1.2
+FULL_SPEED = 100.0  # percent: the drive has no override
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Bounds that a healthy slide never exceeds, in counts and seconds, and the scale to mm."""
+
+    counts_per_mm: float
+    strip_counts_per_mm: float
+    lowest: int
+    highest: int
+    speed: float
+    acceleration: float
+    homing_s: float  # planned, from the far end of the travel
+    window: int  # arrived, or progress
+    windows: Windows  # at rest
+
+    def mm(self, counts: float) -> str:
+        """Return a position, or a speed a second, in words."""
+        return f"{counts / self.counts_per_mm:.3f} mm"
+
+    def travel_s(self, distance: float) -> float:
+        """Return how long a motion over ``distance`` is planned to take, from rest to rest."""
+        peak = min(self.speed, math.sqrt(abs(distance) * self.acceleration))
+        return abs(distance) / peak + peak / self.acceleration if peak else 0.0
+
+    @property
+    def ramp_s(self) -> float:
+        """Return how long the slide takes from full speed to rest."""
+        return self.speed / self.acceleration
+
+
+class Drive:
+    """Drives one axis; used by one thread."""
+
+    def __init__(
+        self,
+        image: ProcessImage,
+        sdo: SdoChannel,
+        clock: Clock,
+        limits: Limits,
+        watch: Callable[[str], None],
+        supervision: Supervision,
+        alarm_text: Callable[[int], str] = cia406.alarm_text,
+    ) -> None:
+        """``alarm_text`` is the strip's."""
+        self._image, self._sdo, self._clock = image, sdo, clock
+        self._limits, self._watch = limits, watch
+        self._supervision = supervision
+        self.standing = Standing(
+            self._look,
+            clock,
+            limits.windows,
+            units_per_mm=limits.counts_per_mm,
+            strip_counts_per_mm=limits.strip_counts_per_mm,
+            alarm_text=alarm_text,
+        )
+
+    def _look(self, operation: str) -> Snapshot:
+        """Return a snapshot; raises `DeviceError` for a fault, an alarm or a lost node."""
+
+        def look() -> None:
+            self._clock.check()
+            self._supervision.check()
+            self._watch(operation)
+
+        look()
+        now = self._image.refresh(look)
+        self._supervision.look()
+        look()
+        if now.state in (State.FAULT, State.FAULT_REACTION, State.UNKNOWN):
+            code = self._sdo.read(cia402.ERROR_CODE)
+            raise DeviceError(
+                emcy.alarm(code),
+                DEVICE,
+                operation,
+                f"drive in {now.state.value}, error {emcy.text(code)}",
+                act="put the cause right, then resume",
+                fields={"state": now.state.value, "error_code": code},
+            )
+        return now
+
+    def reset_fault(self) -> None:
+        """Reset a fault and stop at SWITCH ON DISABLED; nothing is enabled."""
+        operation = "reset fault"
+        if self._image.refresh(self._clock.check).state is not State.FAULT:
+            return
+        code = self._sdo.read(cia402.ERROR_CODE)
+        self._image.control(cia402.DISABLE_VOLTAGE)
+        self._image.control(cia402.FAULT_RESET)  # the rising edge resets
+        deadline_s = time.monotonic() + STALL_S
+        while self._image.refresh(self._clock.check).state is State.FAULT:
+            if time.monotonic() > deadline_s:
+                raise DeviceError(
+                    emcy.alarm(code),
+                    DEVICE,
+                    operation,
+                    f"drive stays in fault, error {emcy.text(code)}",
+                    act="put the cause right, then resume",
+                    fields={"error_code": code},
+                )
+            self._clock.wait(POLL_S)
+        self._image.control(cia402.DISABLE_VOLTAGE)
+
+    def disable(self, operation: str = "hold") -> None:
+        """Take the power away; the brake closes. A moving slide is stopped on its ramp first."""
+        if not self.standing.poll(operation).powered:
+            return
+        now = self.standing.confirm(operation)
+        if now.powered and self.standing.rest is None:
+            self._image.control(cia402.QUICK_STOP)  # a stop would be for good
+            ramp_s = self._limits.ramp_s
+            now = self._until(operation, "standstill", lambda _: True, ramp_s, at_rest=True)
+        if not now.powered:
+            return
+        quick = now.state is State.QUICK_STOP_ACTIVE
+        self._image.control(cia402.DISABLE_VOLTAGE if quick else cia402.SHUTDOWN)
+        self._until(operation, "drive without power", lambda s: not s.powered)
+
+    def home(self, tolerance: int) -> None:
+        """Home by the method set in 6098h; raises `DeviceError`."""
+        operation = "home"
+        before = self._prepare(operation, cia402.HOMING)
+        self.standing.standstill.forget()
+        with self._supervision.motion():
+            self._image.control(cia402.START)
+            self._moving(operation, "homing started", lambda now: self._homes(before, now))
+            attained = cia402.ACKNOWLEDGED | cia402.TARGET_REACHED
+            now = self._moving(
+                operation,
+                "homing attained at standstill",
+                lambda s: s.has(attained),
+                self._limits.homing_s,
+                at_rest=True,
+            )
+        self._image.control(cia402.ENABLE_OPERATION)
+        if not abs(now.position) <= tolerance:
+            raise DeviceError(
+                "HC-R35",
+                DEVICE,
+                operation,
+                f"the drive stands at {self._limits.mm(now.position)}",
+                wanted=f"0 +-{self._limits.mm(tolerance)}",
+                act="check the homing settings",
+                fields={
+                    "position_mm": now.position / self._limits.counts_per_mm,
+                    "tolerance_mm": tolerance / self._limits.counts_per_mm,
+                },
+            )
+
+    def move(self, target: int) -> None:
+        """Go to ``target`` counts in profile position; return at standstill, still enabled."""
+        operation = f"move to {self._limits.mm(target)}"
+        before = self._prepare(operation, cia402.PROFILE_POSITION)
+        self._image.control(cia402.ENABLE_OPERATION, target)
+        self._moving(operation, "last set-point released", lambda s: not s.has(cia402.ACKNOWLEDGED))
+        self.standing.standstill.forget()
+        with self._supervision.motion():
+            self._image.control(cia402.START, target)
+            self._moving(operation, "set-point acknowledged", lambda s: s.has(cia402.ACKNOWLEDGED))
+            self._image.control(cia402.ENABLE_OPERATION, target)
+            wanted = f"target reached at {self._limits.mm(target)}, at standstill"
+            planned_s = self._limits.travel_s(target - before.position)
+            self._moving(
+                operation, wanted, lambda now: self._arrived(now, target), planned_s, at_rest=True
+            )
+
+    def _homes(self, before: Snapshot, now: Snapshot) -> bool:
+        """Whether homing has begun, or has ended already within one poll.
+
+        The bit that says "attained" may still be set from an earlier homing. Then it must be seen
+        to go, or the position to change.
+        """
+        stale = before.has(cia402.ACKNOWLEDGED) and now.has(cia402.ACKNOWLEDGED)
+        return not stale or abs(now.position - before.position) > self._limits.window
+
+    def _arrived(self, now: Snapshot, target: int) -> bool:
+        """Whether the slide is there; the drive's bit alone may be the last motion's, or a lie."""
+        reached = now.has(cia402.TARGET_REACHED) and not now.has(cia402.ACKNOWLEDGED)
+        return reached and abs(now.position - target) <= self._limits.window
+
+    # -- steps --------------------------------------------------------------------------------
+
+    def _prepare(self, operation: str, mode: int) -> Snapshot:
+        """Set the mode and go up to OPERATION ENABLED, one acknowledged transition at a time."""
+        now = self.standing.poll(operation)
+        if now.mode != mode:
+            self._sdo.write(cia402.MODES_OF_OPERATION, 0, mode)
+        while (now := self.standing.poll(operation)).state is not State.ENABLED:
+            word = cia402.next_control(now.state)
+            if word is not None:
+                self._image.control(word, now.position)
+            self._until(operation, f"drive to leave {now.state.value!r}", _left(now.state))
+        return self._until(operation, f"mode {mode}", lambda s: s.mode == mode)
+
+    def _moving(
+        self,
+        operation: str,
+        wanted: str,
+        done: Callable[[Snapshot], bool],
+        planned_s: float = 0.0,
+        *,
+        at_rest: bool = False,
+    ) -> Snapshot:
+        return self._until(operation, wanted, done, planned_s, moving=True, at_rest=at_rest)
+
+    def _until(
+        self,
+        operation: str,
+        wanted: str,
+        done: Callable[[Snapshot], bool],
+        planned_s: float = 0.0,
+        *,
+        moving: bool = False,
+        at_rest: bool = False,
+    ) -> Snapshot:
+        """Poll by SYNC until ``done``; raises when neither that nor progress comes in time.
+
+        Progress alone does not go on for ever: ``planned_s`` of the cell bounds it.
+        """
+        stall_s = STALL_S + self._limits.windows.dwell_s * at_rest
+        limits = MotionLimits(planned_s, stall_s, self._limits.window)
+        while True:
+            now = self.standing.poll(operation)
+            if moving:
+                self._check_motion(operation, now)
+            stands = self.standing.rest is not None or not at_rest
+            if stands and done(now):
+                return now
+            if limits.stalled(np.array([now.position], dtype=float)):
+                if done(now):
+                    raise self._restless(operation, stall_s)
+                raise DeviceError(
+                    "HC-R31",
+                    DEVICE,
+                    operation,
+                    f"no progress for {stall_s:.0f} s at {self._seen(now)}",
+                    wanted=wanted,
+                    act="check the slide for an obstacle and the drive, then resume",
+                    fields={"waited_s": stall_s, **self._fields(now)},
+                )
+            if limits.overdue(self.standing.now_s, FULL_SPEED):
+                raise DeviceError(
+                    "HC-R28",
+                    DEVICE,
+                    operation,
+                    f"not done after {limits.spent_s:.0f} s at {self._seen(now)}",
+                    wanted=f"{wanted} within {limits.limit_s:.0f} s",
+                    act="check whether the slide creeps, and the drive's speeds, then resume",
+                    fields={
+                        "spent_s": limits.spent_s,
+                        "limit_s": limits.limit_s,
+                        **self._fields(now),
+                    },
+                )
+            self.standing.pause()
+
+    def _restless(self, operation: str, waited_s: float) -> DeviceError:
+        limits, windows, seen = self._limits, self._limits.windows, self.standing.standstill.unrest
+        return DeviceError(
+            "HC-R43",
+            DEVICE,
+            operation,
+            f"the slide does not come to rest: speed {limits.mm(seen.speed)}/s, "
+            f"drive within {limits.mm(seen.spread)}, strip within {seen.strip_spread} counts",
+            wanted=f"<= {limits.mm(windows.speed)}/s, {limits.mm(windows.spread)} and "
+            f"{windows.strip_spread} counts for {windows.dwell_s:.2f} s, within {waited_s:.0f} s",
+            act="check the slide for creep and the servo for hunting; where both are well, widen "
+            "rail.options standstill_speed_mm_s or standstill_window_mm; then resume",
+            fields={
+                "speed_mm_s": seen.speed / limits.counts_per_mm,
+                "spread_mm": seen.spread / limits.counts_per_mm,
+                "strip_spread_counts": seen.strip_spread,
+                "waited_s": waited_s,
+            },
+        )
+
+    def _check_motion(self, operation: str, now: Snapshot) -> None:
+        limits, code, found = self._limits, "", ""
+        where = limits.mm(now.position)
+        if now.state is not State.ENABLED:
+            code, found = "HC-R30", f"drive left operation enabled: {now.state.value}"
+        elif now.has(cia402.MODE_ERROR) and now.mode == cia402.HOMING:
+            code, found = "HC-R35", "homing error"
+        elif now.has(cia402.MODE_ERROR):
+            code, found = "HC-R26", f"following error at {where}"
+        elif now.mode != cia402.HOMING and now.has(cia402.INTERNAL_LIMIT):
+            code, found = "HC-R32", f"limit active at {where}"
+        elif not abs(now.velocity) <= OVERSPEED * limits.speed:
+            allowed = limits.mm(OVERSPEED * limits.speed)
+            code, found = "HC-R33", f"speed {limits.mm(now.velocity)}/s, allowed {allowed}/s"
+        elif now.mode != cia402.HOMING and not limits.lowest <= now.position <= limits.highest:
+            beyond = f"{limits.mm(limits.lowest)} .. {limits.mm(limits.highest)}"
+            code, found = "HC-R34", f"{where} is beyond {beyond}"
+        if found:
+            raise DeviceError(
+                code,
+                DEVICE,
+                operation,
+                found,
+                act="put the cause right, then resume",
+                fields=self._fields(now),
+            )
+
+    def _fields(self, now: Snapshot) -> dict[str, object]:
+        """Return the values of a poll, as data."""
+        scale = self._limits.counts_per_mm
+        return {
+            "position_mm": now.position / scale,
+            "speed_mm_s": now.velocity / scale,
+            "state": now.state.value,
+            "statusword": now.statusword,
+            "mode": now.mode,
+        }
+
+    def _seen(self, now: Snapshot) -> str:
+        """Return the values of a poll, in words."""
+        return (
+            f"{self._limits.mm(now.position)}, {self._limits.mm(now.velocity)}/s, "
+            f"{now.state.value}, statusword 0x{now.statusword:04X}, mode {now.mode}"
+        )
+
+
+def _left(state: State) -> Callable[[Snapshot], bool]:
+    return lambda snapshot: snapshot.state is not state

@@ -1,0 +1,128 @@
+"""PDO mappings written by SDO, read back, and the process image that they fill (CiA 301, 7.5.2).
+
+A received PDO does not say when it was sampled. All PDOs are synchronous, and a reading counts only
+when every one of them came after the SYNC that asked for it.
+"""
+
+from __future__ import annotations
+
+import struct
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from drivers.canopen.can_link import CanLink
+from drivers.canopen.sdo import SdoChannel
+from hilcell.ports import DeviceError
+
+SYNC = 0x080
+REPLY_S = 0.2  # of link time
+STALE_S = 0.3
+SYNCS = 3
+POLL_S = 0.02
+DISABLED, NO_RTR = 1 << 31, 1 << 30
+EVERY_SYNC, ON_EVENT = 1, 255
+
+
+@dataclass(frozen=True, slots=True)
+class Mapping:
+    """One PDO: its parameter objects, identifier, transmission type and mapped objects."""
+
+    communication: int  # 14xxh or 18xxh
+    mapping: int  # 16xxh or 1Axxh
+    cob_id: int
+    transmission: int
+    entries: tuple[tuple[int, int], ...]  # object, bits
+    layout: struct.Struct
+
+
+def configure(sdo: SdoChannel, pdo: Mapping) -> None:
+    """Write a mapping in the order that the standard wants (7.5.2.36): off, emptied, filled, on.
+
+    Bit 30 (no remote frames) stays as found: devices that know none refuse to have it cleared.
+    """
+    cob_id = sdo.read(pdo.communication, 1) & NO_RTR | pdo.cob_id
+    sdo.write(pdo.communication, 1, DISABLED | cob_id)
+    sdo.write(pdo.mapping, 0, 0)
+    for sub, (index, bits) in enumerate(pdo.entries, start=1):
+        sdo.write(pdo.mapping, sub, index << 16 | bits)
+    sdo.write(pdo.mapping, 0, len(pdo.entries))
+    sdo.write(pdo.communication, 2, pdo.transmission)
+    sdo.write(pdo.communication, 1, cob_id)
+
+
+class Inbox:
+    """The last values of some TPDOs, and how often and when each came."""
+
+    def __init__(
+        self, device: str, link: CanLink, pdos: tuple[Mapping, ...], syncs: int = SYNCS
+    ) -> None:
+        self._device, self._link, self._syncs = device, link, syncs
+        self._changed = threading.Condition()
+        self._layouts = {pdo.cob_id: pdo.layout for pdo in pdos}
+        self._values: dict[int, tuple[int, ...]] = {}
+        self._count = dict.fromkeys(self._layouts, 0)
+        self._arrived_s = dict.fromkeys(self._layouts, 0.0)
+        for cob_id in self._layouts:
+            link.subscribe(cob_id, self._on_pdo)
+
+    def refresh(self, check: Callable[[], None]) -> tuple[dict[int, tuple[int, ...]], float]:
+        """Send SYNC; return all values by identifier and since when the oldest may be waiting here.
+
+        A lost frame costs one more SYNC; raises `DeviceError` when so many of them bring nothing.
+        Values that have waited in this PC for `STALE_S` are asked for again.
+        """
+        before, sent_s = self._counted(), time.monotonic()
+        for _ in range(self._syncs):
+            self._link.send(SYNC, b"")
+            if self._await(before, check):
+                with self._changed:
+                    taken_s = max(sent_s, min(self._arrived_s.values()))
+                    values = dict(self._values)
+                if time.monotonic() - taken_s <= STALE_S:
+                    return values, taken_s
+                before, sent_s = self._counted(), time.monotonic()
+        missing = [f"0x{cob_id:03X}" for cob_id in before if self._count[cob_id] == before[cob_id]]
+        if not missing:
+            raise DeviceError(
+                "HC-R39",
+                self._device,
+                "read",
+                f"PC late: {self._syncs} readings in a row waited here for over {STALE_S:.1f} s",
+                act="give the engine a PC of its own, or end other programs on it; then resume",
+                fields={"limit_s": STALE_S},
+            )
+        raise DeviceError(
+            "HC-R07",
+            self._device,
+            "read",
+            f"no fresh TPDO {', '.join(missing)} within {self._syncs} SYNCs",
+            act="check the nodes' power and the bus load, then resume",
+            fields={"cob_ids": missing, "syncs": self._syncs},
+        )
+
+    def _counted(self) -> dict[int, int]:
+        with self._changed:
+            return dict(self._count)
+
+    def _await(self, before: dict[int, int], check: Callable[[], None]) -> bool:
+        deadline_s = self._link.time.listened_s + REPLY_S
+        while True:
+            check()
+            self._link.check()
+            over = self._link.time.listened_s > deadline_s  # frames until then count
+            with self._changed:
+                if all(self._count[cob_id] > before[cob_id] for cob_id in before):
+                    return True
+                if over:
+                    return False
+                self._changed.wait(POLL_S)
+
+    def _on_pdo(self, cob_id: int, data: bytearray, _at_s: float) -> None:
+        values = self._layouts[cob_id].unpack(data)  # a truncated frame is no reading
+        with self._changed:
+            self._values[cob_id] = values
+            self._count[cob_id] += 1
+            self._arrived_s[cob_id] = self._link.time.emptied_s
+            self._changed.notify_all()

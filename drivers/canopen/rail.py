@@ -1,0 +1,324 @@
+"""The rail: a CiA 402 drive and a CiA 406 magnetic-strip sensor on one CANopen bus.
+
+Moves and readings go by PDO and SYNC, settings by SDO. The drive knows the position at its encoder
+only; the strip, read at rest, decides where the slide is. This driver returns both, and the closed
+loop above it decides.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from drivers.canopen import cia406, nmt, rail_setup
+from drivers.canopen.can_link import CanLink, open_bus
+from drivers.canopen.drive import Drive, Limits
+from drivers.canopen.node_watch import NodeWatch
+from drivers.canopen.pdo import configure
+from drivers.canopen.process_image import DEVICE, ProcessImage, Snapshot
+from drivers.canopen.rail_setup import Expected
+from drivers.canopen.release import Release, go_on
+from drivers.canopen.sdo import SdoChannel, open_channel
+from drivers.on_failure import on_failure
+from drivers.standing import check_travel
+from drivers.standstill import Windows
+from drivers.strips.makes import strip_of
+from drivers.strips.strip import StripFeed, StripOptions, summed
+from drivers.supervision import Supervision
+from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading
+from hilcell.wire.channel import parse_channel
+
+LATE_S = 0.8  # below the consumer time of the drive (1016h)
+WINDOW_MM = 0.05
+STRIP_SPREAD_COUNTS, STRIP_SPREAD_MM = 2, 0.02  # at rest: one count about the middle
+SLACK_MM = 5.0  # the slide may read so far beyond its travel before that is a runaway
+LARGEST_COUNT = 2**31 - 1
+
+Positive = Annotated[float, Meta(gt=0)]
+Node = Annotated[int, Meta(ge=1, le=127)]
+U32 = Annotated[int, Meta(ge=0, le=2**32 - 1)]
+
+
+class CanopenRail:
+    """Satisfies `hilcell.ports.Rail`."""
+
+    class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+        """The bus, the two nodes and their scales."""
+
+        channel: str
+        travel_min_mm: float
+        travel_max_mm: float
+        speed_mm_s: Positive
+        acceleration_mm_s2: Positive
+        interface: Literal["slcan", "socketcan"] = "slcan"
+        bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 500_000
+        drive_node: Node = 5
+        strip_node: Node = 6
+        heartbeat_node: Node = 127
+        counts_per_mm: Positive = 1000.0
+        strip_counts_per_mm: Positive = 100.0
+        drive_vendor: U32 = 0x484
+        drive_product: U32 = 0x402
+        drive_serial: U32 = 0
+        strip_vendor: U32 = 0x484
+        strip_product: U32 = 0x406
+        strip_serial: U32 = 0
+        standstill_speed_mm_s: Annotated[float, Meta(ge=0.01, le=5)] = 0.5
+        standstill_window_mm: Annotated[float, Meta(ge=0.001, le=0.1)] = 0.01
+        standstill_dwell_s: Annotated[float, Meta(ge=0.05, le=5)] = 0.4
+        homing_mm_s: Positive = 100.0
+        strip: StripOptions | None = None  # one that is not on the bus
+
+        def __post_init__(self) -> None:
+            if self.interface == "slcan":
+                parse_channel(self.channel)
+            if len({self.drive_node, self.strip_node, self.heartbeat_node}) < 3:
+                raise ValueError("drive_node, strip_node and heartbeat_node must differ")
+            if self.strip is not None and self.strip.channel == self.channel:
+                raise ValueError("strip.channel: a strip on the drive's bus needs no table")
+            if self.strip is not None and self.strip_serial:
+                raise ValueError("strip_serial: the strip has a table; state strip.serial")
+            if not self.travel_min_mm < self.travel_max_mm:
+                raise ValueError("travel_min_mm must be below travel_max_mm")
+            reach_mm = max(abs(self.travel_min_mm), abs(self.travel_max_mm)) + SLACK_MM
+            if not reach_mm * self.counts_per_mm < LARGEST_COUNT:
+                raise ValueError("travel times counts_per_mm does not fit 32 bits")
+
+    def __init__(self, options: Options, clock: Clock) -> None:
+        self._options, self._clock = options, clock
+        self._link: CanLink | None = None
+        self._statistics = LinkStatistics()
+        self._image: ProcessImage | None = None
+        self._drive: Drive | None = None
+        self._ended_s: float | None = None  # when the last motion was seen to have ended
+        self._held_by_sdo = 0
+        self._watches: tuple[NodeWatch, ...] = ()
+        self._feed: StripFeed | None = None  # of a strip that is not on the bus
+        if options.strip is not None:
+            self._feed = StripFeed(strip_of(options.strip, clock.check))
+
+    # -- the port -----------------------------------------------------------------------------
+
+    def connect(self) -> list[Identity]:
+        """Open the bus, verify both nodes, configure PDOs and the self-stop; nothing moves."""
+        self._close_link()
+        options = self._options
+        bus = open_bus(DEVICE, options.interface, options.channel, options.bitrate)
+        self._link = CanLink(DEVICE, bus)
+        with on_failure(self._close_link):
+            return self._set_up(self._link)
+
+    def home(self) -> None:
+        """Home to the negative limit switch (6098h = 17); the drive then reads 0."""
+        drive = self._used()
+        self._move(lambda: drive.home(round(WINDOW_MM * self._options.counts_per_mm)))
+
+    def move_to(self, position_mm: float) -> None:
+        """Move by the drive's encoder; return at standstill, the drive holding."""
+        options, drive = self._options, self._used()
+        check_travel(position_mm, options.travel_min_mm, options.travel_max_mm)
+        self._move(lambda: drive.move(round(position_mm * options.counts_per_mm)))
+
+    def settle(self) -> RailReading:
+        """Return a reading at rest: medians of five in a row within the windows, over the dwell."""
+        self._mend_strip()
+        return self._reading(self._used().standing.settle())
+
+    def read(self) -> RailReading:
+        """Return a reading asked for after this call began."""
+        self._mend_strip()
+        standing = self._used().standing
+        return self._reading(standing.check_strip("read", standing.confirm("read")))
+
+    def hold(self) -> None:
+        """Take the power to move away; the brake closes."""
+        self._used().disable()
+
+    def statistics(self) -> LinkStatistics:
+        """Return the link's counts, also after it was closed."""
+        link, feed = self._link, self._feed
+        of_drive = link.statistics() if link is not None else self._statistics
+        return of_drive if feed is None else summed(of_drive, feed.statistics())
+
+    def stop(self) -> None:
+        """Quick stop; any thread; waits for no answer."""
+        if self._image is not None:
+            self._image.quick_stop()
+
+    def close(self) -> None:
+        """Leave the slide held and the wire closed, also after a stop or a failure."""
+        try:
+            if self._image is not None and self._link is not None:
+                self._release(self._link, self._image)
+        finally:
+            self._close_link()
+
+    # -- connecting ---------------------------------------------------------------------------
+
+    def _set_up(self, link: CanLink) -> list[Identity]:
+        options = self._options
+        check = self._clock.check
+        drive_sdo = open_channel(DEVICE, link, options.drive_node, "drive.eds", check)
+        strip_sdo, feed = None, self._feed
+        self._watches = (NodeWatch(DEVICE, link, options.drive_node),)
+        if feed is None:
+            strip_sdo = open_channel(DEVICE, link, options.strip_node, "strip.eds", check)
+            of_strip = NodeWatch(DEVICE, link, options.strip_node, in_pdo=cia406.SENSOR_ERRORS)
+            self._watches = (*self._watches, of_strip)
+        nodes = (options.drive_node, options.strip_node)
+        image = ProcessImage(link, *nodes, None if feed is None else feed.poll)
+        supervision = Supervision(DEVICE, "HC-R39", LATE_S)
+        identities = self._identify(link, drive_sdo, strip_sdo)
+        if feed is not None:
+            identities.append(feed.connect())
+        for watch in self._watches:
+            watch.begin_set_up()
+        try:
+            self._configure(link, drive_sdo, strip_sdo, image, supervision)
+        except DeviceError:
+            self._check_nodes("connect")  # one that was reset meanwhile is the cause
+            raise
+        limits = self._limits()
+        text = cia406.alarm_text if feed is None else feed.alarm_text
+        drive = Drive(image, drive_sdo, self._clock, limits, self._check_nodes, supervision, text)
+        drive.reset_fault()
+        for watch in self._watches:
+            watch.arm()
+        drive.disable("connect")
+        self._image, self._drive, self._held_by_sdo = image, drive, 0
+        return identities
+
+    def _configure(
+        self,
+        link: CanLink,
+        drive_sdo: SdoChannel,
+        strip_sdo: SdoChannel | None,
+        image: ProcessImage,
+        supervision: Supervision,
+    ) -> None:
+        """Set both nodes up and start them; raises `DeviceError`."""
+        options = self._options
+        for watch in self._watches:
+            link.send(nmt.COMMAND, bytes((nmt.ENTER_PRE_OPERATIONAL, watch.node)))
+        link.start_heartbeat(options.heartbeat_node, supervision.attended)
+        rail_setup.apply(
+            drive_sdo,
+            rail_setup.drive_settings(
+                pc_node=options.heartbeat_node,
+                counts_per_mm=options.counts_per_mm,
+                speed_mm_s=options.speed_mm_s,
+                acceleration_mm_s2=options.acceleration_mm_s2,
+                homing_mm_s=options.homing_mm_s,
+            ),
+        )
+        limits = self._limits()
+        windows = rail_setup.window_settings(
+            arrived=limits.window, speed=limits.windows.speed, dwell_s=limits.windows.dwell_s
+        )
+        rail_setup.apply_where_present(drive_sdo, windows)
+        if strip_sdo is not None:
+            rail_setup.apply(strip_sdo, rail_setup.STRIP_SETTINGS)
+        for pdo in (image.status, image.motion, image.command):
+            configure(drive_sdo, pdo)
+        if strip_sdo is not None:
+            configure(strip_sdo, image.strip)
+        rail_setup.start_nodes(link, self._watches, self._clock.check)
+        self._check_nodes("connect")
+
+    def _identify(
+        self, link: CanLink, drive_sdo: SdoChannel, strip_sdo: SdoChannel | None
+    ) -> list[Identity]:
+        o = self._options
+        found = []
+        for sdo, expected in (
+            (drive_sdo, Expected("drive", o.drive_node, 402, o.drive_vendor, o.drive_product,
+                                 o.drive_serial)),
+            (strip_sdo, Expected("strip", o.strip_node, cia406.DEVICE_PROFILE, o.strip_vendor,
+                                 o.strip_product, o.strip_serial)),
+        ):  # fmt: skip
+            if sdo is None:
+                continue  # it is not on this bus
+            device_type = rail_setup.find_node(link, sdo, expected, self._clock.check)
+            found.append(rail_setup.identify(sdo, expected, device_type, o.channel))
+        if strip_sdo is not None:
+            rail_setup.check_strip_step(strip_sdo, o.strip_counts_per_mm)
+        return found
+
+    def _limits(self) -> Limits:
+        options, scale = self._options, self._options.counts_per_mm
+        of_strip = options.strip_counts_per_mm
+        if options.strip is not None:
+            of_strip = options.strip.counts_per_mm
+        return Limits(
+            counts_per_mm=scale,
+            strip_counts_per_mm=of_strip,
+            lowest=round((options.travel_min_mm - SLACK_MM) * scale),
+            highest=round((options.travel_max_mm + SLACK_MM) * scale),
+            speed=options.speed_mm_s * scale,
+            acceleration=options.acceleration_mm_s2 * scale,
+            homing_s=rail_setup.homing_s(
+                travel_mm=options.travel_max_mm - options.travel_min_mm,
+                speed_mm_s=min(options.speed_mm_s, options.homing_mm_s),
+            ),
+            window=max(1, round(WINDOW_MM * scale)),
+            windows=Windows(
+                speed=max(1.0, options.standstill_speed_mm_s * scale),
+                spread=max(2, round(options.standstill_window_mm * scale)),
+                strip_spread=max(STRIP_SPREAD_COUNTS, round(STRIP_SPREAD_MM * of_strip)),
+                dwell_s=options.standstill_dwell_s,
+            ),
+        )
+
+    def _mend_strip(self) -> None:
+        if self._feed is not None:
+            self._feed.mend()
+
+    # -- helpers ------------------------------------------------------------------------------
+
+    def _check_nodes(self, operation: str) -> None:
+        for watch in self._watches:
+            watch.check(operation)
+
+    def _used(self) -> Drive:
+        if self._drive is None:
+            raise DeviceError("HC-R38", DEVICE, "use", "not connected", act="connect first")
+        return self._drive
+
+    def _reading(self, now: Snapshot) -> RailReading:
+        return self._used().standing.reading(now, self._ended_s)
+
+    def _move(self, motion: Callable[[], None]) -> None:
+        self._ended_s = None
+        with on_failure(self._stop_after_failure):
+            motion()
+        self._ended_s = time.monotonic()
+
+    def _stop_after_failure(self) -> None:
+        try:
+            self.stop()
+        except DeviceError:
+            return  # the first failure, which is being raised, is the one to report
+
+    def _release(self, link: CanLink, image: ProcessImage) -> None:
+        sdo = open_channel(DEVICE, link, self._options.drive_node, "drive.eds", go_on)
+        release = Release(link, image, sdo, self._limits().windows)
+        release.leave_held()
+        self._held_by_sdo = int(release.by_sdo)
+        # From here on nobody produces the heartbeat; without this the drive would go to fault.
+        if not image.stopped:
+            sdo.write(rail_setup.CONSUMER_HEARTBEAT, 1, 0)
+
+    def _close_link(self) -> None:
+        link, self._link = self._link, None
+        self._image = self._drive = None
+        self._watches = ()
+        if self._feed is not None:
+            self._feed.close()
+        if link is not None:
+            self._statistics = replace(link.statistics(), held_by_sdo=self._held_by_sdo)
+            link.close()

@@ -1,0 +1,119 @@
+"""The end of a session: the drive without power, the slide at rest, and both confirmed.
+
+A drive that has missed the PC's heartbeat brakes by itself and leaves OPERATIONAL (CiA 301, 1029h).
+It then sends and obeys no PDO, but it answers SDO: the same values are read and the same control
+words are written that way. Whether it has braked is not known before, so a drive asked by SDO
+counts as held only when it has no power and its positions stand for a dwell.
+"""
+
+from __future__ import annotations
+
+import time
+
+from drivers.canopen import cia402
+from drivers.canopen.can_link import CanLink
+from drivers.canopen.cia402 import State
+from drivers.canopen.process_image import DEVICE, ProcessImage, Snapshot
+from drivers.canopen.sdo import SdoChannel
+from drivers.standstill import Standstill, Windows
+from drivers.supervision import Patience
+from hilcell.ports import DeviceError
+
+RELEASE_S = 5.0  # wire deadline, beside two dwells
+SILENT_S = 1.0  # more than a poll takes that nothing answers
+POLL_S = 0.02
+NO_STRIP = -1  # alarms: SDO asks the drive alone
+
+
+class Release:
+    """Takes the power away without the run's clock, which no longer waits after a stop."""
+
+    def __init__(
+        self, link: CanLink, image: ProcessImage, sdo: SdoChannel, windows: Windows
+    ) -> None:
+        self._link, self._image, self._sdo = link, image, sdo
+        self._windows = windows
+        self._standstill = Standstill(windows)
+        self._braked = False  # by a control word that came by SDO
+        self.by_sdo = False  # no PDO comes, SDO is asked
+        self._began_s = time.monotonic()  # of asking this way
+
+    def leave_held(self) -> None:
+        """Return when the drive has no power; raises `DeviceError`."""
+        limit_s = RELEASE_S + 2 * self._windows.dwell_s
+        patience = Patience(limit_s, SILENT_S)
+        while True:
+            now = self._answer(patience)
+            powered = now.powered or now.state is State.UNKNOWN
+            if powered:
+                self._take_power(now)
+            elif self._standstill.rest is not None or not self.by_sdo:
+                return
+            if patience.over():
+                found = "the drive keeps its power" if powered else "the slide does not rest"
+                raise DeviceError(
+                    "HC-R37",
+                    DEVICE,
+                    "close",
+                    f"{found}: {now.state.value}",
+                    wanted=f"held within {limit_s:.0f} s",
+                    act="switch the drive off",
+                    fields={"state": now.state.value, "waited_s": RELEASE_S},
+                )
+            time.sleep(POLL_S)
+
+    def _take_power(self, now: Snapshot) -> None:
+        windows, passed_s = self._windows, time.monotonic() - self._began_s
+        if self._standstill.rest is not None:
+            self._control(cia402.DISABLE_VOLTAGE)
+        elif self._braked if self.by_sdo else self._image.stopped:
+            pass  # it brakes
+        elif not abs(now.velocity) <= windows.speed or passed_s > 2 * windows.dwell_s:
+            self._control(cia402.QUICK_STOP)
+
+    def _control(self, controlword: int) -> None:
+        if self.by_sdo:
+            try:
+                self._sdo.command(cia402.CONTROLWORD, 0, controlword)
+            except DeviceError:
+                self._link.check()
+                return  # the next poll shows that the drive has kept its power
+            self._braked = controlword == cia402.QUICK_STOP
+        elif controlword == cia402.QUICK_STOP:
+            self._image.quick_stop()
+        else:
+            self._image.control(controlword)
+
+    def _answer(self, patience: Patience) -> Snapshot:
+        """Return the next poll that is answered; one that is not proves nothing before the end."""
+        silent: DeviceError | None = None
+        while True:
+            over = patience.over()
+            try:
+                now = self._read_by_sdo() if self.by_sdo else self._image.refresh(go_on)
+            except DeviceError as error:
+                self._link.check()  # a link that is lost brings no answer
+                silent = silent or error
+                if over and self.by_sdo:
+                    raise silent from error
+                self._ask(by_sdo=not self.by_sdo)
+            else:
+                self._standstill.take(now, time.monotonic() - self._began_s)
+                return now
+
+    def _ask(self, *, by_sdo: bool) -> None:
+        """Change the way of asking: earlier looks prove nothing now."""
+        self.by_sdo = by_sdo
+        self._standstill.forget()
+        self._began_s = time.monotonic()
+
+    def _read_by_sdo(self) -> Snapshot:
+        statusword, velocity, position = (
+            self._sdo.read(index, tries=1)
+            for index in (cia402.STATUSWORD, cia402.VELOCITY_ACTUAL, cia402.POSITION_ACTUAL)
+        )
+        return Snapshot(statusword, position, velocity, 0, 0, NO_STRIP, time.monotonic())
+
+
+def go_on() -> None:
+    """Teardown is bounded by its own deadline, no stop ends it."""

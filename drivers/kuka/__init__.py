@@ -1,0 +1,1 @@
+"""Robots of KUKA by two wires, their external axis, and their programs."""

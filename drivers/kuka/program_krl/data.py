@@ -1,0 +1,180 @@
+"""Points and frame data in KRL: aggregates ``{X 1.0,Y 2.0,...}`` and their declarations.
+
+The trap: a component that an aggregate leaves out keeps its value from the motion before, so that
+such a target is relative in disguise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+from drivers.kuka.program_krl.tokens import (
+    KrlError,
+    Statement,
+    Token,
+    closing,
+    quoted,
+    split,
+    text_of,
+)
+from drivers.program_text import Number
+
+POSE = ("X", "Y", "Z", "A", "B", "C")
+EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
+POINTS = ("E6POS", "POS", "FRAME")
+AXES = ("E6AXIS", "AXIS")
+KINDS = (*POINTS, *AXES, "FDAT")
+MOST = {"S": 31, "T": 63}  # five bits of status; one bit of turn for each axis
+_QUALIFIERS = ("DECL", "GLOBAL", "CONST")
+
+
+@dataclass(frozen=True, slots=True)
+class Datum:
+    """One declared value, or one aggregate in a motion: where it stands and its components."""
+
+    name: str
+    kind: str
+    file: str
+    line: int
+    tokens: Sequence[Token] = field(repr=False)
+    is_global: bool = False
+
+    def fields(self) -> dict[str, Sequence[Token]]:
+        """Return the tokens of each component; raises `KrlError`."""
+        return aggregate(self.tokens)
+
+    def numbers(self) -> dict[str, Number]:
+        """Return the pose's six numbers and the external axes'; raises `KrlError`."""
+        fields = self.fields()
+        missing = [name for name in POSE if name not in fields]
+        if missing:
+            raise KrlError(
+                f"{self.name} leaves out {', '.join(missing)}, which keep their value from the "
+                "motion before; state all of X Y Z A B C"
+            )
+        return {name: number(name, fields[name]) for name in (*POSE, *EXTERNAL) if name in fields}
+
+    def posture(self) -> int | None:
+        """Return S where S and T fix the posture with its whole turns; raises `KrlError`."""
+        fields = self.fields()
+        stated = {name: _bits(name, fields[name]) for name in MOST if name in fields}
+        return stated["S"] if len(stated) == len(MOST) else None
+
+
+def aggregate(tokens: Sequence[Token]) -> dict[str, Sequence[Token]]:
+    """Return the tokens of each component of ``{X 1.0,...}`` or ``{POS: X 1.0,...}``."""
+    if not tokens or tokens[0].text != "{" or closing(tokens, 0) != len(tokens) - 1:
+        raise KrlError(f"{quoted(tokens) or 'nothing'} is no structure of numbers")
+    inner = tokens[1:-1]
+    if len(inner) > 1 and inner[1].text == ":":
+        inner = inner[2:]
+    fields: dict[str, Sequence[Token]] = {}
+    for part in split(inner, ","):
+        if len(part) < 2 or part[0].kind != "word":
+            raise KrlError(f"{quoted(part) or 'an empty component'} is no component with a value")
+        if part[0].word in fields:
+            raise KrlError(f"{part[0].word} is stated twice")
+        fields[part[0].word] = part[1:]
+    return fields
+
+
+def number(name: str, tokens: Sequence[Token]) -> Number:
+    """Return the number of one component; raises `KrlError`."""
+    text = "".join(token.text for token in tokens)
+    signed = len(tokens) == 2 and tokens[0].text in "+-"
+    if tokens[-1].kind != "number" or not (signed or len(tokens) == 1):
+        raise KrlError(f"{name} {text} is not a number")
+    if not math.isfinite(float(text)):
+        raise KrlError(f"{name} {text} is not finite")
+    return Number(text, tokens[0].start, tokens[-1].end)
+
+
+def _bits(name: str, tokens: Sequence[Token]) -> int:
+    """Return ``6`` or ``'B110'``."""
+    text = text_of(tokens)
+    try:
+        value = int(text[2:-1], 2) if text.startswith("'B") else int(text)
+    except ValueError as error:
+        raise KrlError(f"{name} {text} is not a whole number") from error
+    if not 0 <= value <= MOST[name]:
+        raise KrlError(f"{name} {text} is not 0 to {MOST[name]}")
+    return value
+
+
+def declared(statement: Statement) -> tuple[str, list[tuple[str, Sequence[Token]]]]:
+    """Return kind, and name and value of each variable that a statement declares.
+
+    The kind is empty for what declares no point, axes or frame data; the value is empty where
+    none is given. An array's element is named with its index.
+    """
+    tokens = statement.tokens
+    while tokens and tokens[0].word in _QUALIFIERS:
+        tokens = tokens[1:]
+    if len(tokens) < 2 or tokens[0].word not in KINDS or tokens[1].kind != "word":
+        return "", []
+    found = []
+    for part in split(tokens[1:], ","):
+        name, _, value = _assigned(part)
+        found.append((name, value))
+    return tokens[0].word, found
+
+
+def element(statement: Statement) -> tuple[str, Sequence[Token]] | None:
+    """Return name with index and value of ``XP[1]={...}`` in a data list."""
+    name, index, value = _assigned(statement.tokens)
+    return (f"{name}[{text_of(index)}]", value) if index and value else None
+
+
+def _assigned(tokens: Sequence[Token]) -> tuple[str, Sequence[Token], Sequence[Token]]:
+    """Return name, index and value of ``NAME[INDEX]=VALUE``, each but the name may be missing."""
+    at, index = 1, tokens[:0]
+    if len(tokens) > 1 and tokens[1].text == "[":
+        end = closing(tokens, 1)
+        at, index = end + 1, tokens[2:end]
+    value = tokens[at + 1 :] if len(tokens) > at and tokens[at].text == "=" else tokens[:0]
+    return text_of(tokens[:1]), index, value
+
+
+class DataList:
+    """The declarations of a ``.dat``: ``data`` by name, array elements as ``NAME[1]``."""
+
+    def __init__(self, file: str, found: Iterable[Statement]) -> None:
+        self.data: dict[str, Datum] = {}
+        self.kinds: dict[str, str] = {}
+        self.problems: list[str] = []
+        self._global = set[str]()  # names that other programs may use
+        self._file = file
+        for statement in found:
+            try:
+                self._take(statement)
+            except KrlError as error:
+                self.problems.append(f"{file} line {statement.line}: {error}")
+
+    def _take(self, statement: Statement) -> None:
+        kind, variables = declared(statement)
+        is_global = any(token.word == "GLOBAL" for token in statement.tokens[:2])
+        for name, value in variables:
+            self.kinds[name] = kind
+            if is_global:
+                self._global.add(name)
+            if value:
+                self._keep(Datum(name, kind, self._file, statement.line, value, is_global))
+        if kind:
+            return
+        one = element(statement)
+        if one is not None:
+            base = one[0].partition("[")[0]
+            if base in self.kinds:
+                kind, is_global = self.kinds[base], base in self._global
+                self._keep(Datum(one[0], kind, self._file, statement.line, one[1], is_global))
+
+    def _keep(self, datum: Datum) -> None:
+        if datum.name in self.data:
+            raise KrlError(f"{datum.name} has a value already, line {self.data[datum.name].line}")
+        self.data[datum.name] = datum
+
+    def elements(self, base: str) -> list[str]:
+        """Return the names of all elements of an array."""
+        return [name for name in self.data if name.startswith(f"{base}[")]

@@ -1,0 +1,140 @@
+"""A KRL program that was read: its targets, and its files' texts with other positions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.kuka.program_krl.comments import plain
+from drivers.kuka.program_krl.data import POSE
+from drivers.kuka.program_krl.frames import StatedTool
+from drivers.kuka.program_krl.tokens import statements
+from drivers.kuka.program_krl.turns import check_turns
+from drivers.program_text import ENCODING, Edit, Number, edited, formatted, line_below
+from hilcell.cell.settings import SettingsError
+from hilcell.compensation.programs import StatedBase, Stroke
+from hilcell.geometry.kinematics import Arm
+from hilcell.ports import Array
+
+SOURCE, DATA = ".src", ".dat"
+DECIMALS = 3
+USUAL_TOOL = 1  # of a cell that states none in robot.options, as the driver takes it
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A point that motions use: its name, where it stands, its numbers.
+
+    ``posture`` is S where a motion by joints uses it and S and T fix its joints to whole turns.
+    """
+
+    name: str
+    file: str
+    line: int
+    numbers: dict[str, Number] = field(repr=False)
+    posture: int | None = None
+
+    @property
+    def where(self) -> str:
+        """Return name, file and line for messages."""
+        return f"{self.name} ({self.file} line {self.line})"
+
+
+@dataclass(frozen=True, slots=True)
+class Program:
+    """Texts by file name, targets in the order of their first motion, and remarks on them.
+
+    ``strokes`` start at one of the targets, ``base`` is that which the program sets by numbers,
+    ``tool`` the one that it states.
+    """
+
+    texts: dict[str, str] = field(repr=False)
+    targets: list[Target]
+    notes: list[str]
+    strokes: list[Stroke] = field(default_factory=list)
+    base: StatedBase | None = None
+    tool: StatedTool | None = None
+    suffixes = (SOURCE, DATA)
+
+    @property
+    def names(self) -> list[str]:
+        """Return the targets' names with file and line."""
+        return [target.where for target in self.targets]
+
+    def values(self) -> Array:
+        """Return the targets (N, 6): X, Y, Z in mm, A, B, C in deg, as the program states them."""
+        return np.array([[t.numbers[name].value for name in POSE] for t in self.targets])
+
+    @property
+    def needs_arm(self) -> str:
+        """Return what only an arm's joints show, where a motion by joints states S and T."""
+        return "turns (T)" if any(each.posture is not None for each in self.targets) else ""
+
+    def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
+        """Raise `TurnError` where ``command`` (N, 6) in {W} would mean other whole turns."""
+        postures = [(target.where, target.posture) for target in self.targets]
+        check_turns(arm, T_W_B, postures, self.values(), command)
+
+    def misnamed(self, stem: str) -> list[str]:
+        """Return notes on modules whose name in the text is not the files' ``stem``."""
+        return [
+            f"{stem}{Path(file).suffix}: {word} names the module {name} (line {line}), and a KUKA "
+            f"wants module and file alike: name the file {name}, or change {word}"
+            for file, text in self.texts.items()
+            for word, name, line in _module(text)
+            if name.lower() != stem.lower()
+        ]
+
+    def check_options(self, options: Mapping[str, Any]) -> None:
+        """Refuse a tool that is not the calibrated one, of the robot's ``options``."""
+        wanted = options.get("tool", USUAL_TOOL)
+        if self.tool is not None and self.tool.number not in (None, wanted):
+            source = next(iter(self.texts))
+            problem = (
+                f"{source} line {self.tool.line}: the tool is {self.tool.text}, wanted "
+                f"TOOL_DATA[{wanted}], which the calibration holds for (robot.options.tool of the "
+                "cell, 1 where it states none); state the targets for that tool"
+            )
+            raise SettingsError(source, [problem])
+
+    @property
+    def remarks(self) -> list[str]:
+        """Return what stands behind a semicolon in the files."""
+        lines = [line for text in self.texts.values() for line in text.splitlines()]
+        return [remark for _, sign, remark in (line.partition(";") for line in lines) if sign]
+
+    def with_positions(self, positions: Array, remark: str = "") -> dict[str, bytes]:
+        """Return the files by name, with other X, Y, Z (N, 3), or with A, B, C besides (N, 6), and
+        a remark below their headers; nothing else differs.
+        """
+        edits: dict[str, list[Edit]] = {name: [] for name in self.texts}
+        for target, position in zip(self.targets, positions, strict=True):
+            for name, value in zip(POSE[: len(position)], position, strict=True):
+                number = target.numbers[name]
+                text = formatted(float(value), number.text, DECIMALS)
+                edits[target.file].append(Edit(number.start, number.end, text))
+        for name, text in self.texts.items():
+            edits[name] += [_remark(text, remark)] if remark and text else []
+        return {
+            name: edited(text, edits[name]).encode(ENCODING) for name, text in self.texts.items()
+        }
+
+
+def _module(text: str) -> Iterator[tuple[str, str, int]]:
+    """Yield the word that begins the module, the module's name, and the line; once at most."""
+    for statement in statements(text):
+        words = [each for each in statement.tokens if each.word != "GLOBAL"]
+        if words[0].word in ("DEF", "DEFDAT") and len(words) > 1:
+            yield words[0].word, words[1].text, statement.line
+            return
+
+
+def _remark(text: str, remark: str) -> Edit:
+    """Return a comment below ``DEF`` or ``DEFDAT``, the first statement; on top without one."""
+    first = next(statements(text), None)
+    line = f"; {plain(remark)}"
+    return line_below(text, first.tokens[0].start, line) if first else Edit(0, 0, f"{line}\n")

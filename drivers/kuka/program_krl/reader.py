@@ -1,0 +1,390 @@
+"""Reads a KRL program whose targets can be corrected safely; all else is refused, line by line.
+
+Only absolute motions to points that stand as numbers in the program are corrected. A point that the
+program reads, changes or hands on besides moving to it would carry its correction to places that
+nobody has checked, so that such a program is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence, Set
+from functools import partial
+
+import numpy as np
+
+from drivers.kuka.program_krl.data import AXES, EXTERNAL, POINTS, POSE, DataList, Datum, declared
+from drivers.kuka.program_krl.frames import FrameRule, StatedTool, assigned_at
+from drivers.kuka.program_krl.program import Program, Target
+from drivers.kuka.program_krl.strokes import MOTIONS, STROKES, Relative, StrokeRule
+from drivers.kuka.program_krl.tokens import (
+    KrlError,
+    Statement,
+    Token,
+    closing,
+    quoted,
+    statements,
+    text_of,
+)
+from hilcell.cell.settings import SettingsError
+from hilcell.compensation.programs import StatedBase, Stroke
+from hilcell.geometry.frames import pose_from_zyx
+
+ABSOLUTE = ("PTP", "LIN", "SPTP", "SLIN")
+JOINTWISE = ("PTP", "SPTP")
+CIRCLES = ("CIRC", "SCIRC")
+SPLINES = ("SPLINE", "PTP_SPLINE", "SPL")
+EXTERNAL_AXES = ("ASYPTP",)
+APPROXIMATIONS = ("C_PTP", "C_DIS", "C_VEL", "C_ORI", "C_SPL")
+HOMES = ("HOME", "XHOME", *(f"XHOME{n}" for n in range(1, 6)))
+WHERE_IT_IS = "$AXIS_ACT"
+NAMED = 5
+HEADERS = ("DEF", "DEFFCT", "EXT", "EXTFCT", "EXTP", "EXTFCTP", "CHANNEL")
+CONTROL = (
+    "IF", "WHILE", "UNTIL", "FOR", "WAIT", "SWITCH", "CASE", "RETURN", "WHEN", "TO", "STEP",
+    "AND", "OR", "NOT", "EXOR", "B_AND", "B_OR", "B_NOT", "B_EXOR", "BAS",
+)  # fmt: skip
+
+
+def read_program(source: str, text: str, data: tuple[str, str] | None) -> Program:
+    """Return the program of a ``.src`` (name, text) and its ``.dat`` (name, text), if it has one.
+
+    Raises `SettingsError` with everything that cannot be corrected safely, by file and line.
+    """
+    name, content = data or (source, "")
+    found = DataList(name, statements(content)) if data else None
+    reader = _Reader(source, list(statements(text)), found)
+    reader.read()
+    if reader.problems:
+        raise SettingsError(source, reader.problems)
+    texts = {source: text} | ({name: content} if data else {})
+    targets = list(reader.targets.values())
+    return Program(texts, targets, reader.notes(), reader.strokes(), reader.base(), reader.tool)
+
+
+class _Reader:
+    """Goes through the statements once for motions, and once more for other uses of points."""
+
+    def __init__(self, file: str, found: list[Statement], data: DataList | None) -> None:
+        self.targets: dict[str, Target] = {}
+        self._lacks_data = data is None
+        self._data = data or DataList(file, ())
+        self.problems = list(self._data.problems)
+        self._file, self._found = file, found
+        self._frames = FrameRule(self._data)
+        self._own = {name for each in found for name in _defined(each)}
+        blocks = _blocks(found)
+        self._stands = StrokeRule(blocks, _moving(blocks))
+        self._relative: list[Relative] = []
+        self._missing: list[str] = []  # names that the data list beside it would have
+        self._local = {name for each in found for name in _local(each)}
+        self._places: set[int] = set()  # where the names of targets stand in motions
+        self._left: dict[str, int] = {}  # homes and other files' programs, by their first line
+
+    def read(self) -> None:
+        self._each(self._take)
+        if self._missing:
+            self.problems = [self._no_data()]  # the others follow from it
+            return
+        used = {target.name.partition("[")[0] for target in self.targets.values()}
+        self._each(partial(self._check_uses, used))
+        self._check_external()
+        if not self.targets and not self.problems:
+            self.problems.append("no motion to a point with X, Y, Z: nothing to correct")
+
+    def _each(self, act: Callable[[Statement], None]) -> None:
+        for statement in self._found:
+            try:
+                act(statement)
+            except KrlError as error:
+                self.problems.append(f"{self._file} line {statement.line}: {error}")
+
+    def _no_data(self) -> str:
+        stem = self._file.rpartition(".")[0] or self._file
+        names = list(dict.fromkeys(self._missing))
+        more = ", ..." if len(names) > NAMED else ""
+        return (
+            f"{stem}.dat is missing beside it, wanted with the points {', '.join(names[:NAMED])}"
+            f"{more}; copy both files of the program into one folder"
+        )
+
+    def strokes(self) -> list[Stroke]:
+        """Return the strokes, each from a target that it may start at."""
+        keys = list(self.targets)
+        found = []
+        for each in self._relative:
+            target = self.targets[each.key]
+            R = pose_from_zyx(*(target.numbers[name].value for name in POSE))[:3, :3]
+            where = f"{each.word} ({self._file} line {each.line}) from {target.where}"
+            begin, end = (np.array([each.from_mm, each.shift_mm]) @ R.T).tolist()
+            found.append(Stroke(where, keys.index(each.key), tuple(end), tuple(begin)))
+        return found
+
+    def base(self) -> StatedBase | None:
+        """Return the base that the program sets by numbers."""
+        if self._frames.stated is None:
+            return None
+        line, values = self._frames.stated
+        return StatedBase(f"{self._file} line {line}", tuple(values))
+
+    @property
+    def tool(self) -> StatedTool | None:
+        """Return the tool that the program states."""
+        return self._frames.tool
+
+    def notes(self) -> list[str]:
+        """Return the parts that were left as they are, and those that reach further."""
+        used = {target.name for target in self.targets.values()}
+        shared = [
+            name for name in used if name in self._data.data and self._data.data[name].is_global
+        ]
+        unused = [d.name for d in self._data.data.values() if d.kind in POINTS]
+        unused = [name for name in unused if name not in used]
+        remarks = [f"{what} (line {line})" for what, line in self._left.items()]
+        if self.tool is not None:
+            remarks.append(
+                f"its tool is {self.tool.text} (line {self.tool.line}): it must be the calibrated "
+                "one, {T}"
+            )
+        aside = dict.fromkeys(str(each.line) for each in self._relative if _is_aside(each))
+        if aside:
+            remarks.append(
+                f"strokes that are not along z of the tool, the drill's axis in {{T}}: line "
+                f"{', '.join(aside)}; they are corrected as they stand"
+            )
+        remarks += [
+            f"{name} is GLOBAL: other programs that use it get its correction, too"
+            for name in sorted(shared)
+        ]
+        return remarks + ([f"not used by a motion, left: {', '.join(unused)}"] if unused else [])
+
+    # -- the first pass -----------------------------------------------------------------------
+
+    def _take(self, statement: Statement) -> None:
+        tokens = statement.tokens
+        if _is_header(statement):
+            return
+        if any(token.text in ('"', "'") for token in tokens):
+            raise KrlError("a string does not end on its line")
+        if statement.head in STROKES:
+            self._relative += self._stands.take(statement)
+            return
+        _refuse_motions(statement)
+        self._relative += self._stands.pass_by(statement)
+        labelled = len(tokens) == 2 and tokens[1].text == ":"
+        if any(token.text == ":" for token in _outside_braces(tokens)) and not labelled:
+            raise KrlError("the geometric operator ':' computes a frame at run time")
+        if statement.head in ABSOLUTE:
+            self._motion(statement)
+        else:
+            self._frames.take(statement)
+            self._check_calls(statement)
+
+    def _motion(self, statement: Statement) -> None:
+        self._stands.stands_at(())
+        target, rest = _target(statement.tokens)
+        clause = _clause(rest)
+        name = text_of(target)
+        if target[0].text == "{":
+            inline = Datum(f"{statement.head} target", "", self._file, statement.line, target)
+            if any(each.startswith("A1") for each in inline.fields()):
+                raise KrlError(_JOINTS.format(f"{statement.head} {quoted(target)}"))
+            self._frames.move(statement.line, clause)
+            self._add(f"{statement.line}", inline, by_joints=statement.head in JOINTWISE)
+            self._stands.stands_at([f"{statement.line}"])
+            return
+        self._places.add(target[0].start)
+        if statement.head in JOINTWISE and self._stays(name, statement.line):
+            return
+        self._frames.move(statement.line, clause)
+        meant = self._meant(target)
+        for each in meant:
+            self._add(each.name, each, by_joints=statement.head in JOINTWISE)
+        self._stands.stands_at([each.name for each in meant])
+
+    def _stays(self, name: str, line: int) -> bool:
+        """Whether this is a home move, or one to where the robot is, which are left unchanged."""
+        if name == WHERE_IT_IS:
+            return True
+        kind = self._data.kinds.get(name, "E6AXIS" if name in HOMES else "")
+        if kind not in AXES or name in self._local:
+            return False
+        if name not in HOMES:
+            raise KrlError(_JOINTS.format(name))
+        self._left.setdefault(f"home move {name}: joint targets are left unchanged", line)
+        return True
+
+    def _meant(self, target: Sequence[Token]) -> list[Datum]:
+        """Return the points that a motion's target names: one, or any element of an array."""
+        base, name = target[0].word, text_of(target)
+        if base in self._local:
+            raise KrlError(f"{base} is a variable of the program: its place is not known")
+        names = [name] if name in self._data.data else []
+        if len(target) > 1 and target[2].kind != "number":
+            names = self._data.elements(base)
+        if not names and self._lacks_data:
+            self._missing.append(base)
+        if not names:
+            raise KrlError(f"{name} is not a point with numbers in the program's .dat file")
+        found = [self._data.data[each] for each in names]
+        if found[0].kind in AXES:
+            raise KrlError(_JOINTS.format(name))
+        if found[0].kind not in POINTS:
+            raise KrlError(f"{name} is {found[0].kind}, which is no point")
+        return found
+
+    def _add(self, key: str, datum: Datum, *, by_joints: bool) -> None:
+        known = self.targets.get(key)
+        if known is not None and (known.posture is not None or not by_joints):
+            return
+        try:
+            numbers, posture = datum.numbers(), datum.posture() if by_joints else None
+        except KrlError as error:
+            if datum.file == self._file:
+                raise
+            raise KrlError(f"{datum.name} of {datum.file} line {datum.line}: {error}") from error
+        self.targets[key] = Target(datum.name, datum.file, datum.line, numbers, posture)
+
+    def _check_calls(self, statement: Statement) -> None:
+        tokens = statement.tokens
+        for at, token in enumerate(tokens[:-1]):
+            called = token.kind == "word" and tokens[at + 1].text == "("
+            if not called or token.word in CONTROL:
+                continue
+            handed = tokens[at + 2 : closing(tokens, at + 1)]
+            points = [t.word for t in handed if self._data.kinds.get(t.word, "FDAT") != "FDAT"]
+            if points or any(t.text == "{" for t in handed):
+                raise KrlError(
+                    f"{token.word} is called with the motion parameter "
+                    f"{points[0] if points else quoted(handed)}: where it moves is not known"
+                )
+            if at == 0 and token.word not in self._own:
+                note = f"{token.word} is another program: its motions are not corrected"
+                self._left.setdefault(note, statement.line)
+
+    # -- the second pass ----------------------------------------------------------------------
+
+    def _check_uses(self, used: Set[str], statement: Statement) -> None:
+        if _is_header(statement):
+            return
+        for at, token in enumerate(statement.tokens):
+            if token.word in used and token.start not in self._places:
+                if assigned_at(statement.tokens, at):
+                    raise KrlError(f"{token.word} is changed at run time")
+                raise KrlError(
+                    f"{token.word} is used besides moving to it: its correction would go there too"
+                )
+
+    def _check_external(self) -> None:
+        """Refuse targets whose external axes differ: the slide would leave its station."""
+        seen: dict[str, tuple[float, str]] = {}
+        for target in self.targets.values():
+            for name in EXTERNAL:
+                if name not in target.numbers:
+                    continue
+                value = target.numbers[name].value
+                first, where = seen.setdefault(name, (value, target.where))
+                if value != first:
+                    self.problems.append(
+                        f"{target.file} line {target.line}: {target.name} has {name} {value:g}, "
+                        f"{where} has {first:g}: a program is corrected for one station"
+                    )
+
+
+_JOINTS = "{}: joint targets are not corrected; state the target as X, Y, Z, A, B, C"
+
+
+def _refuse_motions(statement: Statement) -> None:
+    """Refuse the motions that cannot be corrected, wherever in the statement they stand."""
+    for at, token in enumerate(statement.tokens):
+        word = token.word
+        if word.endswith("_REL") and word.removesuffix("_REL") in (*ABSOLUTE, *CIRCLES):
+            raise KrlError(f"{word} is a relative motion: where it goes is not known")
+        if word in CIRCLES:
+            raise KrlError(f"{word}: a circle through an auxiliary point is not corrected")
+        if word in SPLINES:
+            raise KrlError(f"{word}: splines are not corrected")
+        if word in EXTERNAL_AXES:
+            raise KrlError(f"{word} moves external axes: the slide would leave its station")
+        if word in ABSOLUTE and at:
+            raise KrlError(f"{word} within another statement is not understood")
+
+
+def _target(tokens: Sequence[Token]) -> tuple[Sequence[Token], Sequence[Token]]:
+    """Return the tokens of a motion's target, and those after it."""
+    if len(tokens) < 2 or not (tokens[1].kind == "word" or tokens[1].text == "{"):
+        raise KrlError(f"{tokens[0].word} has no target that is understood")
+    end = 2
+    if tokens[1].text == "{":
+        end = closing(tokens, 1) + 1
+    elif len(tokens) > 2 and tokens[2].text == "[":
+        end = closing(tokens, 2) + 1
+    return tokens[1:end], tokens[end:]
+
+
+def _is_aside(stroke: Relative) -> bool:
+    """Whether a stroke leads aside from z of the tool."""
+    return stroke.shift_mm[:2] != stroke.from_mm[:2]
+
+
+def _is_header(statement: Statement) -> bool:
+    """Whether the statement declares programs and their parameters, where ``:`` states a way."""
+    return statement.head in HEADERS or bool(_defined(statement))
+
+
+def _clause(rest: Sequence[Token]) -> Sequence[Token]:
+    """Return what follows ``WITH`` after a target; refuse all else but approximations."""
+    while rest and (rest[0].word in APPROXIMATIONS or rest[0].text == ","):
+        rest = rest[1:]
+    if rest and rest[0].word != "WITH":
+        raise KrlError(f"{quoted(rest)} after the target makes it one that is computed")
+    return rest[1:]
+
+
+def _blocks(found: Sequence[Statement]) -> dict[str, list[Statement]]:
+    """Return the statements of each own program and subprogram below its header."""
+    blocks: dict[str, list[Statement]] = {}
+    current = ""
+    for statement in found:
+        begun = _defined(statement)
+        current = begun[0] if begun else current
+        if not begun:
+            blocks.setdefault(current, []).append(statement)
+    return blocks
+
+
+def _moving(blocks: Mapping[str, Sequence[Statement]]) -> set[str]:
+    """Return the own subprograms that move, or may: those that have a motion or call another."""
+    moves = {*MOTIONS, *STROKES, *blocks}
+    return {
+        name
+        for name, block in blocks.items()
+        if any(token.word in moves for statement in block for token in statement.tokens)
+    }
+
+
+def _outside_braces(tokens: Sequence[Token]) -> list[Token]:
+    outside, depth = list[Token](), 0
+    for token in tokens:
+        depth += (token.text == "{") - (token.text == "}")
+        if depth == 0:
+            outside.append(token)
+    return outside
+
+
+def _defined(statement: Statement) -> list[str]:
+    """Return the name of the program or function that a statement begins."""
+    words = [token.word for token in statement.tokens if token.kind == "word"]
+    words = words[1:] if words[:1] == ["GLOBAL"] else words
+    if words[:1] == ["DEF"]:
+        return words[1:2]
+    return words[2:3] if words[:1] == ["DEFFCT"] else []
+
+
+def _local(statement: Statement) -> list[str]:
+    """Return the points that a statement declares in the program, and a header's parameters."""
+    if _defined(statement):
+        return [token.word for token in statement.tokens[2:] if token.kind == "word"]
+    try:
+        return [name for _, variables in [declared(statement)] for name, _ in variables]
+    except KrlError:
+        return []

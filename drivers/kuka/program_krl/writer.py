@@ -1,0 +1,99 @@
+"""Writes the corrected targets of a station as a KRL program: ``NAME.src`` and ``NAME.dat``.
+
+Points are E6POS with S and T, in the base {W} as calibrated. They state no external axes: one that
+the controller has keeps its place. The stamp stands below DEF and DEFDAT, so that `compensate`
+refuses to correct the program once more.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from drivers.kuka.program_krl.comments import comment, plain
+from drivers.kuka.program_krl.data import POSE
+from drivers.kuka.program_krl.program import DATA, SOURCE, USUAL_TOOL
+from drivers.kuka.program_krl.turns import turn_of
+from drivers.program_text import ENCODING
+from hilcell.compensation.stamp import Stamp
+from hilcell.compensation.station_program import Places, StationProgram
+from hilcell.ports import Array
+
+LONGEST_NAME = 24  # of a module
+LINE = "\r\n"
+ACCELERATION_PERCENT = 50
+CLEAR_RAD = 1e-4  # of an axis from zero, where its bit of T turns
+
+
+def write_station(program: StationProgram, stamp: Stamp) -> dict[str, bytes]:
+    """Return the files of a station by name."""
+    name = module_name(program.station)
+    texts = {
+        f"{name}{SOURCE}": _source(name, program, stamp),
+        f"{name}{DATA}": _data(name, program, stamp),
+    }
+    return {
+        file: "".join(f"{line}{LINE}" for line in lines).encode(ENCODING)
+        for file, lines in texts.items()
+    }
+
+
+def module_name(station: str) -> str:
+    """Return a station's name as KRL allows it: letters, digits, underscores; a letter first."""
+    plain = re.sub(r"\W", "_", station, flags=re.ASCII)
+    return (plain if plain[0].isalpha() else f"S_{plain}")[:LONGEST_NAME]
+
+
+def _source(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
+    yield from ("&ACCESS RVP", "&REL 1", f"DEF {name}( )")
+    yield f"; {plain(stamp.text)}"
+    yield from map(comment, program.remarks)
+    tool = program.options.get("tool", USUAL_TOOL)
+    yield "BAS (#INITMOV,0 )"
+    yield f"BAS (#TOOL,{tool} )"
+    yield f"BAS (#VEL_PTP,{max(1, round(program.speed_percent))} )"
+    yield f"BAS (#ACC_PTP,{ACCELERATION_PERCENT} )"
+    yield comment("{W} as calibrated, in the robot's root")
+    yield f"$BASE={_frame(program.base)}"
+    yield "PTP XHOME"
+    yield comment("slide held, strip as the sheet says, drill drawn back: start goes on")
+    yield "HALT"
+    for number, hole in enumerate(program.names, start=1):
+        yield comment(f"{number} of {len(program.names)}: {hole}")
+        yield f"PTP XA{number}"
+        yield f"PTP XP{number}"
+        yield comment("drill here")
+    yield "PTP XHOME"
+    yield "END"
+
+
+def _data(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
+    yield from ("&ACCESS RVP", "&REL 1", f"DEFDAT  {name}", f"; {plain(stamp.text)}")
+    safe = ",".join(f"A{axis} {deg:.6f}" for axis, deg in enumerate(program.safe_deg, start=1))
+    yield f"DECL E6AXIS XHOME={{{safe}}}"
+    for number, (below, at) in enumerate(
+        zip(_points(program.approach), _points(program.command), strict=True), start=1
+    ):
+        yield f"DECL E6POS XA{number}={below}"
+        yield f"DECL E6POS XP{number}={at}"
+    yield "ENDDAT"
+
+
+def _points(places: Places) -> Iterator[str]:
+    """Yield the points; one with an axis at zero leaves out S and T, whose bit rounding turns."""
+    turns = turn_of(places.joints_rad)
+    sure = np.abs(places.joints_rad).min(axis=1) >= CLEAR_RAD
+    for values, status, turn, is_sure in zip(
+        places.values, places.status, turns, sure, strict=True
+    ):
+        posture = f",S {status},T {turn}" if is_sure else ""
+        yield f"{_frame(values)[:-1]}{posture}}}"
+
+
+def _frame(values: Array | Sequence[float]) -> str:
+    """Return a structure with as many decimals as lists have."""
+    decimals = (4, 4, 4, 6, 6, 6)
+    parts = zip(POSE, values, decimals, strict=True)
+    return "{" + ",".join(f"{axis} {value:.{places}f}" for axis, value, places in parts) + "}"

@@ -1,0 +1,202 @@
+"""The rail whose drive is external axis E1 of its robot, with a strip on a wire of its own.
+
+The robot's driver moves the slide, over its one connection; this driver holds what makes a rail of
+it: readings of drive and strip together, standstill over a dwell, the travel. E1 is absolute, so
+``home`` moves nothing: it wants the axis mastered, and the strip to agree.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from drivers.on_failure import on_failure
+from drivers.standing import DEVICE, Standing, check_travel
+from drivers.standstill import Windows
+from drivers.strips.makes import strip_of
+from drivers.strips.strip import StripFeed, StripOptions
+from hilcell.ports import (
+    Clock,
+    DeviceError,
+    ExternalAxis,
+    Identity,
+    LinkStatistics,
+    RailReading,
+)
+
+CYCLE_S = 0.012  # of the controller: within one the place does not change
+STRIP_SPREAD_COUNTS, STRIP_SPREAD_MM = 2, 0.02  # at rest: one count about the middle
+
+Positive = Annotated[float, Meta(gt=0)]
+
+
+@dataclass(frozen=True, slots=True)
+class AxisPoll:
+    """E1 in mm and mm/s, and the strip in counts, at one look."""
+
+    position: float
+    velocity: float
+    strip: int
+    alarms: int
+    powered: bool
+    taken_s: float
+
+
+class KukaE1Rail:
+    """Satisfies `hilcell.ports.Rail` and `hilcell.ports.RidesOnRobot`."""
+
+    class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+        """The travel, the axis' speeds and the strip."""
+
+        strip: StripOptions
+        travel_min_mm: float
+        travel_max_mm: float
+        speed_mm_s: Positive
+        full_mm_s: Positive = 1890.0  # of E1 at 100 %
+        slip_limit_mm: Positive = 2.0
+        standstill_speed_mm_s: Annotated[float, Meta(ge=0.01, le=5)] = 0.5
+        standstill_window_mm: Annotated[float, Meta(ge=0.001, le=0.1)] = 0.01
+        standstill_dwell_s: Annotated[float, Meta(ge=0.05, le=5)] = 0.4
+
+        def __post_init__(self) -> None:
+            if not self.travel_min_mm < self.travel_max_mm:
+                raise ValueError("travel_min_mm must be below travel_max_mm")
+            if not self.full_mm_s / 100.0 <= self.speed_mm_s <= self.full_mm_s:
+                raise ValueError("speed_mm_s: 1 to 100 % of full_mm_s are wanted")
+
+    def __init__(self, options: Options, clock: Clock) -> None:
+        self._options, self._clock = options, clock
+        self._robot: ExternalAxis | None = None
+        self._strip = StripFeed(strip_of(options.strip, clock.check))
+        per_mm = options.strip.counts_per_mm
+        spread = max(STRIP_SPREAD_COUNTS, round(STRIP_SPREAD_MM * per_mm))
+        windows = Windows(
+            speed=options.standstill_speed_mm_s,
+            spread=options.standstill_window_mm,
+            strip_spread=spread,
+            dwell_s=options.standstill_dwell_s,
+        )
+        self._standing = Standing(
+            self._look,
+            clock,
+            windows,
+            units_per_mm=1.0,
+            strip_counts_per_mm=per_mm,
+            alarm_text=self._strip.alarm_text,
+        )
+        self._before: tuple[float, float] | None = None  # place, and the cell's time
+        self._ended_s: float | None = None
+
+    def ride(self, robot: ExternalAxis) -> None:
+        """Take the robot whose axis E1 is."""
+        self._robot = robot
+
+    # -- the port -----------------------------------------------------------------------------
+
+    def connect(self) -> list[Identity]:
+        """Verify the axis of the robot, which is connected, and open the strip; nothing moves."""
+        self._forget()
+        self._ended_s = None
+        return [self._axis().verify_axis(), self._strip.connect()]
+
+    def home(self) -> None:
+        """Verify that the axis is mastered and that the strip agrees; nothing moves."""
+        self._axis().verify_axis()
+        reading, limit_mm = self.settle(), self._options.slip_limit_mm
+        apart_mm = abs(reading.position_mm - reading.strip_mm)
+        if not apart_mm <= limit_mm:
+            raise DeviceError(
+                "HC-R53",
+                DEVICE,
+                "home",
+                f"E1 {reading.position_mm:.2f} mm and strip {reading.strip_mm:.2f} mm differ",
+                wanted=f"<= {limit_mm:.2f} mm apart",
+                act="master E1 at the panel so that it reads as the strip, or correct "
+                "rail.options.strip.counts_per_mm; then resume",
+                fields={
+                    "drive_mm": reading.position_mm,
+                    "strip_mm": reading.strip_mm,
+                    "limit_mm": limit_mm,
+                },
+            )
+        self._ended_s = reading.taken_s
+
+    def move_to(self, position_mm: float) -> None:
+        """Move by E1 alone; return at standstill."""
+        options, axis = self._options, self._axis()
+        check_travel(position_mm, options.travel_min_mm, options.travel_max_mm)
+        self._forget()
+        self._ended_s = None
+        with on_failure(self._stop_after_failure):
+            axis.move_axis(position_mm, options.speed_mm_s, options.full_mm_s)
+        self._ended_s = time.monotonic()
+
+    def settle(self) -> RailReading:
+        """Return a reading at rest: medians of five in a row within the windows, over the dwell."""
+        self._strip.mend()
+        return self._standing.reading(self._standing.settle(), self._ended_s)
+
+    def read(self) -> RailReading:
+        """Return a reading asked for after this call began."""
+        self._strip.mend()
+        standing = self._standing
+        now = standing.check_strip("read", standing.confirm("read"))
+        return standing.reading(now, self._ended_s)
+
+    def hold(self) -> None:
+        """Have the controller refuse every motion of E1; a reading must say so."""
+        self._axis().hold_axis()
+        if not self._axis().read_axis().held:
+            raise DeviceError(
+                "HC-R37",
+                DEVICE,
+                "hold",
+                "the controller does not hold E1: HC_HELD is FALSE",
+                act="is the program hilcell running? see the panel, then resume",
+                fields={"state": "not held"},
+            )
+
+    def statistics(self) -> LinkStatistics:
+        """Return the counts of the strip's wire; the robot's has none."""
+        return self._strip.statistics()
+
+    def stop(self) -> None:
+        """Brake arm and slide; any thread; waits for no answer."""
+        if self._robot is not None:
+            self._robot.stop()
+
+    def close(self) -> None:
+        """Close the strip's wire; the robot leaves the slide held."""
+        self._strip.close()
+
+    # -- inside -------------------------------------------------------------------------------
+
+    def _axis(self) -> ExternalAxis:
+        if self._robot is None:
+            raise DeviceError("HC-R38", DEVICE, "use", "no robot to ride on", act="connect first")
+        return self._robot
+
+    def _forget(self) -> None:
+        self._standing.standstill.forget()
+        self._before = None
+
+    def _look(self, operation: str) -> AxisPoll:
+        """Look at axis and strip; the speed is that since the last look."""
+        self._clock.check()
+        axis, now_s = self._axis().read_axis(), self._clock.now_s()
+        strip, alarms = self._strip.poll(self._clock.check)
+        before, self._before = self._before, (axis.position_mm, now_s)
+        speed_mm_s = 0.0  # of the first look; standstill wants several
+        if before is not None:
+            speed_mm_s = (axis.position_mm - before[0]) / max(now_s - before[1], CYCLE_S)
+        return AxisPoll(axis.position_mm, speed_mm_s, strip, alarms, not axis.held, axis.taken_s)
+
+    def _stop_after_failure(self) -> None:
+        try:
+            self.stop()
+        except DeviceError:
+            return  # the first failure, which is being raised, is the one to report

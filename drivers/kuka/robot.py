@@ -1,0 +1,418 @@
+"""A KUKA robot and its resident program ``krl/hilcell.src``, over any wire that reaches both.
+
+The PC hands over a target and a number; the program moves and acknowledges with that number. An
+acknowledgement alone proves nothing: motion has ended only when the number is this command's, the
+axes stand at the target and two looks, more than a cycle of the controller apart, see the same:
+within one cycle a robot at full speed reads the same twice, and one that holds still flickers in
+the last digit.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import cycle
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from drivers.kuka.controller import DEVICE, PROGRESS, Controller, integer
+from drivers.kuka.health import (
+    AXES,
+    FRAME,
+    HEALTH,
+    SLIDE,
+    frame_text,
+    joints_text,
+    refused_motion,
+    unwell,
+)
+from drivers.kuka.life import program_text
+from drivers.kuka.sweep import KukaSweep, give_back_left_behind
+from drivers.motion_limits import MotionLimits, planned_s
+from drivers.on_failure import on_failure
+from drivers.robot_errors import failed, overdue, refused, stalled, stopped_short
+from drivers.supervision import Patience, Supervision
+from hilcell.cell.file import Joint
+from hilcell.geometry.rotations import from_zyx
+from hilcell.ports import (
+    Array,
+    Clock,
+    DeviceError,
+    DeviceRefused,
+    Identity,
+    RobotReading,
+    says_simulated,
+)
+
+PROGRAM_VERSION, SWEEPING_VERSION = 1, 2
+MAX_SEQUENCE = 1_000_000_000
+POLL_S = 0.03
+POLL_LOOK_S = 0.5  # one poll counts for this long, at most
+STALL_S = 5.0  # wire deadline: no axis moved and no acknowledgement came
+REST_S = 3.0  # wire deadline: from the acknowledgement to standstill
+CATCH_UP_S = 30.0  # wire deadline: a command of an earlier session ends
+DWELL_S = 0.05  # between two looks that tell standstill; $AXIS_ACT changes once in 4 to 12 ms
+AXIS_TOLERANCE_DEG = 0.005
+STILL = np.array([0.0005] * 6 + [0.01])  # deg, and mm of a slide
+STILL_MM = 0.01
+ARRIVED = np.array([AXIS_TOLERANCE_DEG] * 6 + [0.02])
+PROGRESS_DEG = 0.01
+FRAME_TOLERANCE = 0.001  # mm and deg
+
+
+class KukaOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The wanted identity of the controller, whichever wire leads to it."""
+
+    host: str
+    smr_mm: tuple[float, float, float]
+    joint: list[Joint]
+    model: str = "KR210"
+    serial: int = 0
+    tool: Annotated[int, Meta(ge=1, le=16)] = 1
+    base: Annotated[int, Meta(ge=0, le=32)] = 0
+
+
+class KukaRobot:
+    """Satisfies `hilcell.ports.Robot` and `hilcell.ports.Sweeps`."""
+
+    def __init__(
+        self, options: KukaOptions, clock: Clock, wires: Callable[[KukaRobot], Controller]
+    ) -> None:
+        """``wires`` opens the wires to the controller."""
+        self._options, self._clock, self._wires = options, clock, wires
+        self._controller: Controller | None = None
+        self._watch = Supervision(DEVICE, "HC-B27")
+        self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
+        self._override, self._version = 100, PROGRAM_VERSION
+        self._rest_deg = np.zeros(6)
+        self.slide_mm: float | None = None  # where a slide is held that is an axis of this robot
+        self._sequence = 0
+        self._under_way = False
+        self._ended_s: float | None = None  # when the last motion was seen to have ended
+        self._stopped = False
+
+    # -- the port -----------------------------------------------------------------------------
+
+    def connect(self) -> list[Identity]:
+        """Open the wires, verify everything, then take back an earlier stop."""
+        self._close_wires()
+        with on_failure(self._close_wires):
+            controller = self._controller = self._wires(self)
+            self._round = cycle(controller.rounds)
+            controller.look()
+            identity = self._identify()
+            self.check(*controller.versions, *HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
+            self._check_frame("$TOOL", (*self._options.smr_mm, 0.0, 0.0, 0.0))
+            self._check_frame("$BASE", (0.0,) * 6)
+            self._take_back_stop()
+        return [replace(identity, firmware=program_text(self._version))]
+
+    def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
+        """Move all axes (PTP); return the reading at rest, after motion ended."""
+        target_deg = np.degrees(np.asarray(joints_rad, dtype=float))
+        if target_deg.shape != (6,) or not bool(np.all(np.isfinite(target_deg))):
+            raise failed(
+                "HC-B28",
+                f"target {target_deg} deg",
+                wanted="six finite angles",
+                target_deg=target_deg,
+            )
+        if not 0.5 < speed_percent < 100.5:
+            raise failed(
+                "HC-B28",
+                f"speed {speed_percent} %",
+                wanted="1 to 100 %",
+                speed_percent=speed_percent,
+            )
+        self.wire().check()
+        planned = planned_s(target_deg - self._rest_deg, self._speed_deg_s, round(speed_percent))
+        try:
+            number = self.command(target_deg, round(speed_percent))
+            self._await_acknowledgement(number, MotionLimits(planned, STALL_S, PROGRESS_DEG))
+            return self.rest(target_deg)
+        finally:
+            self._watch.end()
+
+    def read(self) -> RobotReading:
+        """Return a reading asked for after this call began.
+
+        Its time is that of the question: no part of the answer is older.
+        """
+        self.wire().check()
+        taken_s = time.monotonic()
+        self.wire().look()
+        before = self._axes()
+        self._clock.wait(DWELL_S)
+        self.wire().look()
+        pose = self._pose()
+        moved = np.abs(self._axes() - before)
+        still = not self._under_way and bool(np.all(moved <= STILL[: len(moved)]))
+        return RobotReading(np.radians(before[:6]), pose, still, taken_s, self._ended_s)
+
+    def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> KukaSweep:
+        """Return a motion of one axis (0 to 5) alone, at the next speed below ``speed_rad_s``."""
+        self.need(SWEEPING_VERSION, "sweep")
+        self.wire().check()
+        end_deg, speed_deg_s = float(np.degrees(end_rad)), float(np.degrees(speed_rad_s))
+        return KukaSweep(self, self._clock, axis, end_deg, speed_deg_s, self._speed_deg_s)
+
+    def stop(self) -> None:
+        """Brake on the path; any thread; waits for no answer."""
+        self._stopped = True
+        if self._controller is not None:
+            self._controller.stop()
+
+    def close(self) -> None:
+        """Brake a motion that is still under way, then close the wires."""
+        try:
+            if self._under_way and not self._stopped:
+                self.stop()
+        finally:
+            self._close_wires()
+
+    # -- connecting ---------------------------------------------------------------------------
+
+    def _identify(self) -> Identity:
+        model, serial = self.wire().text("$TRAFONAME[]"), self.integer("$KR_SERIALNO")
+        if self._options.model not in model:
+            raise refused(
+                "HC-B05",
+                f"model {model!r}",
+                wanted=f"{self._options.model!r} in it",
+                act="this is another robot; correct robot.options",
+                model=model,
+            )
+        if self._options.serial not in (0, serial):
+            raise refused(
+                "HC-B05",
+                f"serial {serial}",
+                wanted=f"{self._options.serial}",
+                act="this is another robot; correct robot.options",
+                serial=serial,
+            )
+        simulated = says_simulated(model)
+        return Identity(DEVICE, model, str(serial), self.wire().address, simulated, "robot", "KUKA")
+
+    def check(self, *names: str) -> None:
+        """Refuse to work with a wrong state; report the first cause, not its consequence."""
+        for name in names:
+            if problem := self._problem(name):
+                raise next(filter(None, map(self._problem, HEALTH)), problem)
+
+    def _problem(self, name: str) -> DeviceError | None:
+        """Read one variable of the controller's state; return its error, if any."""
+        if name in HEALTH:
+            good, code, act = HEALTH[name]
+            found = self.wire().value(name)
+            if any(found == value and type(found) is type(value) for value in good):
+                return None
+            wanted = " or ".join(str(value).upper() for value in good)
+            return unwell(code, name, found, wanted, act, moving=self._under_way)
+        number = self.integer(name)
+        if name == "$OV_PRO":
+            self._override = number
+        elif name == "HC_VER":
+            self._version = number
+        tool, base = self._options.tool, self._options.base
+        install = "install the program that belongs to this hilcell, see docs/hardware.md"
+        code, low, high, act = {
+            "$OV_PRO": ("HC-B16", 1, 100, "raise the programme override"),
+            "$ACT_TOOL": ("HC-B07", tool, tool, "restart the program hilcell"),
+            "$ACT_BASE": ("HC-B07", base, base, "restart the program hilcell"),
+        }.get(name) or ("HC-B17", *self.wire().versions[name], install)
+        if low <= number <= high:
+            return None
+        wanted = str(low) if low == high else f"{low} to {high}"
+        return unwell(code, name, number, wanted, act, moving=self._under_way)
+
+    def _check_frame(self, name: str, wanted: tuple[float, ...]) -> None:
+        found = self.wire().numbers(name, FRAME)
+        if not all(abs(f - w) <= FRAME_TOLERANCE for f, w in zip(found, wanted, strict=True)):
+            raise refused(
+                "HC-B06",
+                f"{name} is {frame_text(found)}",
+                wanted=frame_text(wanted),
+                act="correct the frame on the controller, or robot.smr_mm in the cell file",
+                variable=name,
+                found_frame=found,
+                wanted_frame=wanted,
+            )
+
+    def _take_back_stop(self) -> None:
+        """The reset edge: only a new connection takes a stop back, and nothing moves by it."""
+        controller = self.wire()
+        controller.look()
+        if self._version >= SWEEPING_VERSION:
+            give_back_left_behind(controller)
+        controller.release()
+        patience = Patience(CATCH_UP_S, POLL_LOOK_S)
+        self._sequence = self.integer("HC_SEQ")
+        over = False
+        while (acknowledged := self.integer("HC_ACK")) != self._sequence:
+            if over:
+                raise refused(
+                    "HC-B25",
+                    f"HC_ACK {acknowledged}",
+                    wanted=f"HC_SEQ {self._sequence}",
+                    act="the program hilcell owes an answer; restart it at the panel",
+                    acknowledged=acknowledged,
+                    sequence=self._sequence,
+                )
+            over = patience.over()
+            self._clock.wait(POLL_S)
+            controller.look()
+            controller.release()  # a motion that a dead engine left behind brakes by itself
+        self._rest_deg = self._axes()[:6]
+        self._under_way = self._stopped = False
+
+    # -- moving -------------------------------------------------------------------------------
+
+    def command(self, target_deg: Array, speed_percent: int) -> int:
+        """Start a motion to joints (6,); return its number."""
+        target = self._whole(target_deg)
+        return self.begin(lambda n: self.wire().start(n, target, speed_percent, self._version))
+
+    def begin(self, start: Callable[[int], None]) -> int:
+        """Start a motion by its number; return that."""
+        self._check_stopped()
+        number = self._sequence % MAX_SEQUENCE + 1
+        self._under_way, self._ended_s = True, None
+        self._watch.begin()
+        start(number)
+        self._sequence = number
+        return number
+
+    def _await_acknowledgement(self, number: int, limits: MotionLimits) -> None:
+        while not self.acknowledged(number):
+            self.check_round(next(self._round), limits, number)
+            self._clock.wait(POLL_S)
+
+    def check_round(self, names: tuple[str, ...], limits: MotionLimits, number: int) -> None:
+        """Look whether all is well with a motion, by these variables."""
+        self.check(*(name for name in names if name != PROGRESS))
+        if PROGRESS in names:
+            self.check_progress(limits, number)
+
+    def check_progress(self, limits: MotionLimits, number: int) -> None:
+        """Raise `DeviceError` where a motion stands or creeps."""
+        now_deg, wanted = self._axes(), f"HC_ACK {number}"
+        if limits.stalled(now_deg):
+            self.check(*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")
+            if error := self.integer("HC_ERR"):
+                raise refused_motion(error)
+            where = f"at {joints_text(now_deg)}, HC_ACK {self.integer('HC_ACK')}"
+            act = "see the panel; is the program hilcell running? resume"
+            raise stalled(where, wanted, now_deg, STALL_S, act)
+        if limits.overdue(self._clock.now_s(), self._override):
+            where = f"at {joints_text(now_deg)}, HC_ACK {self.integer('HC_ACK')}"
+            raise overdue(where, wanted, limits, now_deg)
+
+    def rest(self, target_deg: Array) -> RobotReading:
+        """Return the reading at rest at joints (6,), after an acknowledged motion."""
+        # The pose means something only with the tool and the base that connect has verified.
+        controller = self.wire()
+        self.check("$ACT_TOOL", "$ACT_BASE")
+        patience, wanted = Patience(REST_S, POLL_LOOK_S), self._whole(target_deg)
+        over = False
+        while True:
+            taken_s = time.monotonic()
+            controller.look()
+            axes, before = self._axes(), self._pose()
+            self._clock.wait(DWELL_S)
+            controller.look()
+            pose = self._pose()
+            arrived = bool(np.all(np.abs(axes - wanted) <= ARRIVED[: len(wanted)]))
+            if arrived and bool(np.all(np.abs(pose - before) <= STILL_MM)):
+                self._under_way, self._rest_deg, self._ended_s = False, target_deg, taken_s
+                return RobotReading(np.radians(axes[:6]), pose, True, taken_s, taken_s)
+            if over:
+                break
+            over = patience.over()
+        tolerance = f"{joints_text(wanted)} +-{AXIS_TOLERANCE_DEG}"
+        raise stopped_short(joints_text(axes), tolerance, axes, wanted)
+
+    # -- for a sweep as well ------------------------------------------------------------------
+
+    def take_back(self) -> None:
+        """Take back a brake of our own, unless the robot was stopped otherwise as well."""
+        if not self._stopped:
+            self._take_back_stop()
+
+    def unwatch(self) -> None:
+        """Look at no motion any longer: it has ended, or is braked."""
+        self._watch.end()
+
+    def stands_at(self) -> Array:
+        """Return the joints (6,) in deg to which the robot was sent last, or where it was found."""
+        return self._rest_deg
+
+    def acknowledged(self, number: int) -> bool:
+        """Whether a motion has ended; raises `DeviceError` where it was stopped, or refused.
+
+        Each look is a sign of life to the program.
+        """
+        self._check_stopped()
+        self.wire().sign()
+        self.wire().look()
+        if self.integer("HC_ACK") != number:
+            return False
+        if (error := self.integer("HC_ERR")) != 0:
+            raise refused_motion(error)
+        return True
+
+    def wire(self) -> Controller:
+        """Return the controller."""
+        if self._controller is None:
+            raise DeviceError("HC-B21", DEVICE, "use", "not connected", act="connect first")
+        return self._controller
+
+    def attend(self) -> None:
+        """Run in every wait on the wire."""
+        self._clock.check()
+        self._watch.look()
+
+    def integer(self, name: str) -> int:
+        """Return a whole number that the controller has."""
+        return integer(self.wire(), name)
+
+    def need(self, version: int, operation: str) -> None:
+        """Refuse a program that is older than ``version``."""
+        if self._version < version:
+            raise DeviceRefused(
+                "HC-B17",
+                DEVICE,
+                operation,
+                f"HC_VER is {self._version}",
+                wanted=f"{version}",
+                act="install drivers/kuka/krl/hilcell.src and hilcell.dat",
+            )
+
+    def _check_stopped(self) -> None:
+        if self._stopped:
+            raise failed("HC-B21", "the robot was stopped", act="resume to reconnect")
+
+    def _axes(self) -> Array:
+        """Return joints (6,) in deg, and a slide that is the robot's axis in mm (7,)."""
+        names = AXES if self.slide_mm is None else (*AXES, SLIDE)
+        return np.array(self.wire().numbers(PROGRESS, names))
+
+    def _whole(self, target_deg: Array) -> Array:
+        """Return joints (6,), and where the slide is held (7,): the arm's motions carry it."""
+        return target_deg if self.slide_mm is None else np.append(target_deg, self.slide_mm)
+
+    def _pose(self) -> Array:
+        """Return {T} in {B} (4, 4), mm, from X, Y, Z and KUKA's Z-Y-X angles A, B, C."""
+        values = self.wire().numbers("$POS_ACT", FRAME)
+        pose = np.eye(4)
+        pose[:3, :3] = from_zyx(values[3:])
+        pose[:3, 3] = values[:3]
+        return pose
+
+    def _close_wires(self) -> None:
+        controller, self._controller = self._controller, None
+        if controller is not None:
+            controller.close()

@@ -1,0 +1,203 @@
+"""A KUKA robot through EthernetKRL: commands and states as XML documents, see `drivers.kuka.eki`.
+
+The controller is the server of two channels. Its submit program ``eki_krl/hilcell_eki.src`` answers
+each command of the first with its state, also while the robot moves or its program is halted, and
+brakes by the second; motions are made by ``krl/hilcell.src``, as with `drivers.kuka.robot_c3`.
+The commands of the thread that watches a motion are signs of life.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from typing import Annotated
+
+from msgspec import Meta
+
+from drivers.kuka import eki, krl
+from drivers.kuka.controller import DEVICE, PROGRESS, integer, override_held, unreadable
+from drivers.kuka.eki_wire import EkiChannel, open_channel
+from drivers.kuka.external import SlidingKukaRobot
+from drivers.kuka.health import HEALTH
+from drivers.kuka.life import LIFE_S, SLIDING_VERSION
+from drivers.kuka.robot import KukaOptions
+from drivers.on_failure import on_failure
+from drivers.wires.keep_alive import KeepAlive
+from hilcell.clean import clean
+from hilcell.ports import Array, Clock
+
+DOCUMENTS_VERSION = 1
+LARGEST_ID = 1_000_000_000
+LIFE_MS = round(1000 * LIFE_S)
+
+
+class EkiController:
+    """Satisfies `drivers.kuka.controller.SlidingController`; a look is an exchange of documents."""
+
+    measured = "$AXIS_ACT_MEAS"
+    rounds = ((*HEALTH, "$OV_PRO", PROGRESS),)
+
+    def __init__(self, options: KukaEkiRobot.Options, robot: SlidingKukaRobot) -> None:
+        self.address = f"{options.host}:{options.port}"
+        self.versions = {
+            "HC_VER": (SLIDING_VERSION, SLIDING_VERSION),
+            "HE_VER": (DOCUMENTS_VERSION, DOCUMENTS_VERSION),
+        }
+        opened = partial(open_channel, DEVICE, options.host)
+        # Answers to an earlier session must not pass for answers to this one.
+        self._number = -1 - secrets.randbelow(LARGEST_ID)
+        self._state: eki.State | None = None
+        self._life_ms = 0
+        probe, stop_probe = eki.command(0, eki.ASK), eki.stop_command(0, brake=False)
+        self._line = opened(options.port, eki.STATE, robot.attend, probe)
+        with on_failure(self._line.close):
+            # The stop must get through while the run is already stopping.
+            self._stop_line = opened(options.stop_port, eki.STOPPED, _never, stop_probe)
+        self._keeper = KeepAlive((self._stop_line,), _probe)
+
+    def look(self) -> None:
+        """Forget the last state, so that the next value asks for one."""
+        self._state = None
+
+    def value(self, name: str) -> krl.Value:
+        """Return a single value of the state."""
+        try:
+            return self._known().single(name)
+        except (eki.EkiError, krl.KrlError) as error:
+            raise unreadable(name, error) from error
+
+    def numbers(self, name: str, components: tuple[str, ...]) -> list[float]:
+        """Return components of a structure of the state."""
+        try:
+            return self._known().numbers(name, components)
+        except (eki.EkiError, krl.KrlError) as error:
+            raise unreadable(name, error) from error
+
+    def text(self, name: str) -> str:
+        """Return a text of the state."""
+        try:
+            return clean(self._known().text(*eki.SINGLE[name]).strip())
+        except eki.EkiError as error:
+            raise unreadable(name, error) from error
+
+    def start(self, number: int, target_deg: Array, speed_percent: int, version: int) -> None:
+        """Send a motion; the Id of its document is its number."""
+        axes, e1 = target_deg[:6].tolist(), float(sum(target_deg[6:]))
+        self._start(number, eki.MOVE, speed_percent, axes=axes, e1=e1)
+
+    def start_slide(self, number: int, place_mm: float, speed_percent: int, version: int) -> None:
+        """Send a motion of E1 alone."""
+        self._start(number, eki.MOVE_SLIDE, speed_percent, e1=place_mm)
+
+    def has_slide(self) -> bool:
+        """Whether the controller counts an external axis."""
+        return integer(self, "$EX_AX_NUM") > 0
+
+    def mastered(self) -> bool:
+        """Whether E1 is mastered."""
+        return self.value("$AXIS_JUS[7]") is True
+
+    def hold_slide(self, held: bool) -> None:
+        """Send whether E1 may move."""
+        self._send(eki.HOLD_SLIDE if held else eki.FREE_SLIDE)
+
+    def slide(self) -> tuple[float, bool]:
+        """Return where E1 is, and whether it is held, of one state."""
+        (place_mm,) = self.numbers(PROGRESS, (eki.E1,))
+        return place_mm, self.value("HC_HELD") is True
+
+    def sign(self) -> None:
+        """Have the next command be a sign of life; others are none, so that a motion brakes whose
+        engine has died while this one asks for states.
+        """
+        self._life_ms = LIFE_MS
+
+    def brake(self) -> None:
+        """Send a stop over the channel of commands."""
+        self._send(eki.BRAKE)
+
+    def release(self) -> None:
+        """Send that the stop is over, where there is one."""
+        if self.value("HC_STOP") is not False:
+            self._send(eki.RELEASE)
+
+    def lower_override(self, found: int, wanted: int) -> None:
+        """Have the controller keep the old value and set the new one."""
+        self._send(eki.LOWER, wanted)
+        override_held(integer(self, "$OV_PRO"), wanted)
+
+    def give_back_override(self) -> None:
+        """Have the controller set the old value, where nobody has changed the lowered one."""
+        self._send(eki.GIVE_BACK)
+
+    def lowered_override(self) -> bool:
+        """Whether the controller keeps an old value."""
+        return integer(self, "HC_OV_OLD") != 0
+
+    @contextmanager
+    def undisturbed(self) -> Iterator[EkiController]:
+        """Let a stop through for a while: the controller serves one client only."""
+        attend, self._line.attend = self._line.attend, _never
+        try:
+            yield self
+        finally:
+            self._line.attend = attend
+
+    def stop(self) -> None:
+        """Send the stop over its own channel."""
+        self._stop_line.send_unheard(eki.stop_command(1, brake=True))
+
+    def check(self) -> None:
+        """Raise what the keep-alive has found."""
+        self._keeper.check()
+
+    def close(self) -> None:
+        """Close both channels."""
+        self._keeper.close()
+        for line in (self._line, self._stop_line):
+            line.close()
+
+    def _known(self) -> eki.State:
+        return self._state or self._send(eki.ASK)
+
+    def _start(
+        self,
+        number: int,
+        kind: int,
+        percent: int,
+        *,
+        axes: Sequence[float] = (0.0,) * 6,
+        e1: float = 0.0,
+    ) -> None:
+        motion = eki.command(number, kind, axes=axes, e1=e1, percent=percent, life_ms=LIFE_MS)
+        self._state = self._line.ask(number, motion)
+
+    def _send(self, kind: int, percent: int = 1) -> eki.State:
+        self._number = -1 - (-self._number) % LARGEST_ID
+        life_ms, self._life_ms = self._life_ms, 0
+        document = eki.command(self._number, kind, percent=percent, life_ms=life_ms)
+        self._state = self._line.ask(self._number, document)
+        return self._state
+
+
+class KukaEkiRobot(SlidingKukaRobot):
+    """Satisfies `hilcell.ports.Robot`, `hilcell.ports.Sweeps` and `hilcell.ports.ExternalAxis`."""
+
+    class Options(KukaOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
+        """Address and wanted identity of the controller."""
+
+        port: Annotated[int, Meta(ge=1, le=65535)] = 54600
+        stop_port: Annotated[int, Meta(ge=1, le=65535)] = 54601
+
+    def __init__(self, options: Options, clock: Clock) -> None:
+        super().__init__(options, clock, partial(EkiController, options))
+
+
+def _probe(line: EkiChannel) -> None:
+    line.ask(0, eki.stop_command(0, brake=False))
+
+
+def _never() -> None:
+    """Let a stop through."""

@@ -1,0 +1,1 @@
+"""Laser trackers and total stations of Leica."""

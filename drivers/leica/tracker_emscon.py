@@ -1,0 +1,464 @@
+"""A Leica laser tracker over emScon TPI (TCP 700).
+
+The trap: results carry no number. One that comes late, after its beam broke or its time was up,
+would pass for the next point. So pending results are dropped before each start, a measurement that
+failed is stopped and the stop awaited, and a result far from the expected place is refused.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from struct import Struct
+from typing import Annotated, TypeVar
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from drivers.leica import emscon
+from drivers.leica.emscon import Change, Command, Failure, Packet, Reply, Single, StatusChange
+from drivers.leica.emscon_errors import failed, spoken
+from drivers.leica.emscon_stream import EmsconStream
+from drivers.on_failure import on_failure
+from drivers.supervision import Patience
+from drivers.tracker_readings import (
+    ALARMS,
+    DEVICE,
+    another_tracker,
+    checked_order,
+    misplaced,
+    no_reading,
+    refused,
+    std_of_repeats,
+)
+from drivers.wires.tcp import TcpLink
+from hilcell.clean import clean
+from hilcell.ports import (
+    Air,
+    Array,
+    Clock,
+    DeviceError,
+    Identity,
+    NoReading,
+    TrackerReading,
+    says_simulated,
+)
+
+BUSY_PAUSE_S = 0.1
+SEARCH_MS = 10_000  # how long the tracker may look around; less than MOVE_S
+SETTING_SHARE = 1e-6
+
+T = TypeVar("T")
+Positive = Annotated[float, Meta(gt=0)]
+
+
+class LeicaEmsconTracker:
+    """Satisfies `hilcell.ports.Tracker` and `hilcell.ports.Streams`."""
+
+    # Deadlines on the wire, in real time.
+    REPLY_S = 5.0
+    INITIALIZE_S = 90.0
+    MOVE_S = 30.0
+    RESULT_S = 5.0  # on top of the time that the measurement takes
+
+    class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+        """Where the tracker is, and how it measures."""
+
+        host: str
+        reflector: str
+        max_std_mm: Positive
+        find_radius_mm: Positive
+        port: Annotated[int, Meta(ge=1, le=65535)] = 700
+        serial: str = ""
+        reading_s: Annotated[float, Meta(ge=0.1, le=100)] = 0.5
+        stationary_ms: Annotated[int, Meta(ge=100, le=100_000)] | None = None
+
+        @property
+        def measuring_ms(self) -> int:
+            """Return how long one stationary measurement takes; `stationary_ms` goes first."""
+            return self.stationary_ms or round(1000 * self.reading_s)
+
+    def __init__(self, options: Options, clock: Clock) -> None:
+        self._options, self._clock = options, clock
+        self._link: TcpLink | None = None
+        self._reader = emscon.PacketReader()
+        self._packets: deque[Packet] = deque()
+        self._numbers: dict[str, int] = {}
+        self._reflector = ""
+        self._arrived_s = 0.0
+
+    # -- the port -----------------------------------------------------------------------------
+
+    def connect(self) -> list[Identity]:
+        """Open the wire, initialise, set units, mode and reflector, and read all of them back."""
+        self.close()
+        options = self._options
+        self._link = TcpLink(DEVICE, options.host, options.port, self._clock.check, ALARMS)
+        self._reader, self._packets, self._reflector = emscon.PacketReader(), deque(), ""
+        with on_failure(self.close):
+            identity = self._identify()
+            self._set_up()
+            self._numbers = self._read_reflectors()
+            self._choose(options.reflector)
+        return [identity]
+
+    def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
+        """Measure the reflector expected at ``near_mm`` (3,), tracker frame, ``samples`` times."""
+        near_mm = checked_order(near_mm, samples)
+        self.point_at(near_mm, reflector)
+        results = [self._single(near_mm) for _ in range(samples)]
+        return self._reading(results, reflector)
+
+    def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> EmsconStream:
+        """Return a stream of the reflector expected at ``near_mm`` (3,), tracker frame."""
+        radius_mm = self._options.find_radius_mm
+        return EmsconStream(self, self._clock, near_mm, reflector, rate_hz, radius_mm)
+
+    def stop(self) -> None:
+        """Stop measuring; any thread; waits for no answer."""
+        if self._link is not None:
+            self._link.send(emscon.encode(Command.STOP_MEASUREMENT), "stop")
+
+    def close(self) -> None:
+        """Close the wire."""
+        if self._link is not None:
+            self._link.close()
+        self._link = None
+
+    # -- for a stream as well -----------------------------------------------------------------
+
+    def point_at(self, near_mm: Array, reflector: str) -> None:
+        """Choose a reflector and catch it near (3,) mm; drop pending results first."""
+        self._drop_pending()
+        self._choose(reflector)
+        self._aim(near_mm)
+
+    def set_mode(self, mode: int) -> None:
+        """Set the measurement mode."""
+        self.set_checked(
+            "measurement mode",
+            Command.SET_MEASUREMENT_MODE,
+            Command.GET_MEASUREMENT_MODE,
+            emscon.NUMBER,
+            (mode,),
+        )
+
+    def leave_stream(self) -> None:
+        """Stop and put the mode back, without waiting for answers; then connect again."""
+        self.stop()
+        mode = emscon.NUMBER.pack(emscon.STATIONARY_MODE)
+        self._wire().send(emscon.encode(Command.SET_MEASUREMENT_MODE, mode), "stop")
+
+    # -- connecting ---------------------------------------------------------------------------
+
+    def _identify(self) -> Identity:
+        status = self._system_status()
+        serial, wanted = str(status.serial), self._options.serial
+        if wanted not in ("", serial):
+            raise another_tracker(serial, wanted)
+        if status.processor != emscon.INITIALIZED:
+            self._ask(Command.INITIALIZE, limit_s=self.INITIALIZE_S)
+            status = self._system_status()
+        if status.processor != emscon.INITIALIZED:
+            raise refused(
+                "HC-T04",
+                "initialise",
+                f"processor status {status.processor}",
+                wanted=f"{emscon.INITIALIZED} (initialised)",
+                act="look at the tracker, resume",
+                processor=status.processor,
+            )
+        address = f"{self._options.host}:{self._options.port}"
+        name = self._name()
+        model = f"Leica {name}".strip() + f", emScon {status.version}"
+        simulated, firmware = says_simulated(name), f"emScon {status.version}"
+        return Identity(DEVICE, model, serial, address, simulated, "tracker", "Leica", firmware)
+
+    def _name(self) -> str:
+        """Return the tracker's name, which older controllers do not tell."""
+        reply = self._request(Command.GET_TRACKER_INFO)
+        return clean(self._decoded(emscon.decode_tracker_name, reply.body)) if reply.body else ""
+
+    def _system_status(self) -> emscon.SystemStatus:
+        body = self._ask(Command.GET_SYSTEM_STATUS)
+        return self._decoded(emscon.decode_system_status, body)
+
+    def _set_up(self) -> None:
+        options, number = self._options, emscon.NUMBER
+        lengths, handed = emscon.MILLIMETRE_UNITS, (emscon.RIGHT_HANDED,)
+        reading, search = (options.measuring_ms, 1), (options.find_radius_mm, SEARCH_MS)
+        set_to, c = self.set_checked, Command
+        set_to("units", c.SET_UNITS, c.GET_UNITS, emscon.UNITS, lengths)
+        set_to(
+            "coordinate system", c.SET_COORDINATE_SYSTEM, c.GET_COORDINATE_SYSTEM, number, handed
+        )
+        if self._numbers_of(c.GET_MEASUREMENT_MODE, number) != (emscon.STATIONARY_MODE,):
+            self._request(c.STOP_MEASUREMENT)  # a stream that was left behind
+        self.set_mode(emscon.STATIONARY_MODE)
+        set_to(
+            "stationary parameters", c.SET_STATIONARY, c.GET_STATIONARY, emscon.STATIONARY, reading
+        )
+        set_to("search", c.SET_SEARCH, c.GET_SEARCH, emscon.SEARCH, search)
+        air = self._numbers_of(Command.GET_ENVIRONMENT, emscon.ENVIRONMENT)
+        if problem := emscon.air_problem(*air):
+            raise refused(
+                "HC-T05",
+                "connect",
+                problem,
+                act="check the weather station or enter the air's values",
+            )
+
+    def set_checked(
+        self,
+        what: str,
+        write: Command,
+        read: Command,
+        layout: Struct,
+        wanted: tuple[float, ...],
+    ) -> None:
+        """Write a setting and believe it only when it reads back.
+
+        Lengths are converted from and to the tracker's own unit, so their last digits may differ.
+        """
+        self._ask(write, layout.pack(*wanted))
+        found = self._numbers_of(read, layout)
+        if not np.allclose(found, wanted, rtol=SETTING_SHARE, atol=SETTING_SHARE):
+            raise refused(
+                "HC-T06",
+                f"set {what}",
+                f"reads back as {found}",
+                wanted=f"{wanted}",
+                act="another program holds the tracker? close it, then resume",
+                setting=what,
+                read=found,
+                written=wanted,
+            )
+
+    def _read_reflectors(self) -> dict[str, int]:
+        """Return the tracker's reflectors: name to number. One reply comes for each of them."""
+        first = self._decoded(emscon.decode_reflector, self._ask(Command.GET_REFLECTORS))
+        found = {clean(first.name): first.number}
+        patience = Patience(self.REPLY_S)
+        for _ in range(first.total - 1):
+            body = self._status(Command.GET_REFLECTORS, patience).body
+            reflector = self._decoded(emscon.decode_reflector, body)
+            found[clean(reflector.name)] = reflector.number
+        return found
+
+    def _choose(self, reflector: str) -> None:
+        if reflector == self._reflector:
+            return
+        if reflector not in self._numbers:
+            known = ", ".join(repr(name) for name in self._numbers)
+            raise refused(
+                "HC-T07",
+                "choose reflector",
+                f"the tracker knows {known}",
+                wanted=repr(reflector),
+                act="define it in the tracker, or correct tracker.reflector",
+                reflector=reflector,
+                known=list(self._numbers),
+            )
+        self.set_checked(
+            "reflector",
+            Command.SET_REFLECTOR,
+            Command.GET_REFLECTOR,
+            emscon.NUMBER,
+            (self._numbers[reflector],),
+        )
+        self._reflector = reflector
+
+    # -- measuring ----------------------------------------------------------------------------
+
+    def _aim(self, near_mm: Array) -> None:
+        """Point the beam at ``near_mm``; search around where nothing is caught there."""
+        body = emscon.POSITION.pack(*near_mm, 1)
+        try:
+            self._ask(Command.GO_POSITION, body, limit_s=self.MOVE_S)
+        except NoReading as first:
+            self._search(near_mm, first)
+
+    def _search(self, near_mm: Array, first: NoReading) -> None:
+        try:
+            self._find(near_mm)
+        except NoReading as second:
+            found = f"{second.found}, after go position: {first.found}"
+            raise NoReading(
+                second.code, DEVICE, "find reflector", found, act=second.act, fields=second.fields
+            ) from second
+
+    def _find(self, near_mm: Array) -> None:
+        body = emscon.DISTANCE.pack(float(np.linalg.norm(near_mm)))
+        self._ask(Command.FIND_REFLECTOR, body, limit_s=self.MOVE_S)
+
+    def _single(self, near_mm: Array) -> Single:
+        try:
+            self.start(near_mm)
+            result = self._await_result()
+        except NoReading as error:
+            # Only a stop that was answered proves that nothing of this try can still come.
+            status = self._request(Command.STOP_MEASUREMENT).status
+            if status != 0:
+                found = f"{error.found}, and it was not stopped: {emscon.status_text(status)}"
+                raise NoReading(
+                    "HC-T25",
+                    DEVICE,
+                    error.operation,
+                    found,
+                    act=error.act,
+                    fields={"status": status, **error.fields},
+                ) from error
+            raise
+        self._check(result, near_mm)
+        return result
+
+    def start(self, near_mm: Array) -> None:
+        """Start to measure; search once more where the beam has lost its reflector."""
+        reply = self._request(Command.START_MEASUREMENT)
+        if reply.status == emscon.NOT_READY:
+            self._find(near_mm)
+            reply = self._request(Command.START_MEASUREMENT)
+        if reply.status != 0:
+            raise failed(Command.START_MEASUREMENT, reply.status)
+
+    def _await_result(self) -> Single:
+        limit_s = self._options.measuring_ms / 1000.0 + self.RESULT_S
+        patience = Patience(limit_s)
+        while (packet := self.next_packet(patience)) is not None:
+            if isinstance(packet, Single):
+                if packet.status != 0:
+                    raise failed(Command.START_MEASUREMENT, packet.status)
+                return packet
+            if isinstance(packet, Failure):
+                raise failed(Command.START_MEASUREMENT, packet.status)
+            if packet == StatusChange(Change.NOT_READY):
+                raise no_reading("HC-T10", "the beam broke", act="clear the line of sight")
+        raise no_reading(
+            "HC-T13",
+            f"acknowledged, but no result came within {limit_s:.1f} s",
+            act="look at the tracker's state",
+            waited_s=limit_s,
+        )
+
+    def _check(self, result: Single, near_mm: Array) -> None:
+        if not bool(np.all(np.isfinite((*result.xyz, *result.std, result.std_total)))):
+            raise no_reading("HC-T14", f"the result {result.xyz} is not finite", xyz=result.xyz)
+        off_mm = float(np.linalg.norm(np.array(result.xyz) - near_mm))
+        radius_mm = self._options.find_radius_mm
+        if not off_mm <= radius_mm:
+            raise self._misplaced(result, near_mm, off_mm)
+        if not 0.0 <= result.std_total <= self._options.max_std_mm:
+            raise no_reading(
+                "HC-T15",
+                f"standard deviation {result.std_total:.4f} mm",
+                wanted=f"<= {self._options.max_std_mm:.4f} mm",
+                act="something vibrates, or the reflector is dirty",
+                std_mm=result.std_total,
+                limit_mm=self._options.max_std_mm,
+            )
+        if problem := emscon.air_problem(result.temperature, result.pressure, result.humidity):
+            raise no_reading("HC-T05", problem, act="check the weather station")
+
+    def _misplaced(self, result: Single, near_mm: Array, off_mm: float) -> DeviceError:
+        in_metres_mm = float(np.linalg.norm(1000.0 * np.array(result.xyz) - near_mm))
+        if in_metres_mm <= self._options.find_radius_mm:
+            return DeviceError(
+                "HC-T18",
+                DEVICE,
+                "measure",
+                f"the result {result.xyz} is in metres",
+                wanted="mm",
+                act="another program changed the units; resume sets them again",
+                fields={"xyz": result.xyz},
+            )
+        return misplaced(off_mm, self._options.find_radius_mm)
+
+    def _reading(self, results: list[Single], reflector: str) -> TrackerReading:
+        points_mm = np.array([result.xyz for result in results])
+        many = len(results) > 1
+        std_mm = (
+            std_of_repeats(points_mm, self._options.max_std_mm)
+            if many
+            else np.array(results[0].std)
+        )
+        last = results[-1]
+        return TrackerReading(
+            points_mm.mean(axis=0),
+            std_mm,
+            len(results),
+            reflector,
+            Air(last.temperature, last.pressure, last.humidity),
+            self._arrived_s,
+        )
+
+    # -- packets ------------------------------------------------------------------------------
+
+    def _ask(self, command: Command, body: bytes = b"", limit_s: float = 0.0) -> bytes:
+        """Send a command and return its reply's body; raises the error of a refusal."""
+        reply = self._request(command, body, limit_s)
+        if reply.status != 0:
+            raise failed(command, reply.status)
+        return reply.body
+
+    def _request(self, command: Command, body: bytes = b"", limit_s: float = 0.0) -> Reply:
+        """Send a command, again while the server is busy, and return its reply."""
+        limit_s = limit_s or self.REPLY_S
+        patience = Patience(limit_s, limit_s)
+        while True:
+            self._wire().send(emscon.encode(command, body), spoken(command))
+            reply = self._status(command, Patience(limit_s))
+            if reply.status != emscon.BUSY or patience.over():
+                return reply
+            self._clock.wait(BUSY_PAUSE_S)
+
+    def _status(self, command: Command, patience: Patience) -> Reply:
+        """Return the reply to ``command``, refused or not; older results on the way are dropped."""
+        while (packet := self.next_packet(patience)) is not None:
+            if isinstance(packet, Reply | Failure) and packet.command == command:
+                return Reply(command, packet.status, getattr(packet, "body", b""))
+            if isinstance(packet, Reply) and packet.command != Command.STOP_MEASUREMENT:
+                raise self._lost(f"a reply to command {packet.command} came", spoken(command))
+        raise self._lost("no answer in time", spoken(command))
+
+    def _numbers_of(self, command: Command, layout: Struct) -> tuple[float, ...]:
+        body = self._ask(command)
+        return self._decoded(lambda reply: emscon.unpack(layout, reply), body)
+
+    def _decoded(self, decode: Callable[[bytes], T], body: bytes) -> T:
+        try:
+            return decode(body)
+        except emscon.EmsconError as error:
+            raise self._lost(str(error), "decode") from error
+
+    def next_packet(self, patience: Patience) -> Packet | None:
+        """Return the next packet, or nothing when ``patience`` is over."""
+        while not self._packets:
+            data = self._wire().receive(emscon.LARGEST, patience)
+            if not data:
+                return None
+            self._arrived_s = time.monotonic()
+            try:
+                self._packets.extend(self._reader.feed(data))
+            except emscon.EmsconError as error:
+                raise self._lost(str(error), "receive") from error
+        packet = self._packets.popleft()
+        if packet in (StatusChange(Change.SERVER_CLOSING), StatusChange(Change.PROCESSOR_CLOSING)):
+            raise self._lost("the tracker's server is closing", "receive")
+        return packet
+
+    def _drop_pending(self) -> None:
+        while self.next_packet(Patience(0.0)) is not None:
+            pass
+
+    def _lost(self, found: str, operation: str) -> DeviceError:
+        """Return the error after which the stream cannot be trusted; the wire is closed."""
+        error = self._wire().broken(operation, found)
+        self.close()
+        return error
+
+    def _wire(self) -> TcpLink:
+        if self._link is None:
+            raise DeviceError("HC-T34", DEVICE, "use", "not connected", act="connect first")
+        return self._link

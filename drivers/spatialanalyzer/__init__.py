@@ -1,0 +1,1 @@
+"""Instruments that SpatialAnalyzer drives, through its bridge T2SA."""

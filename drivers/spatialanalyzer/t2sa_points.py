@@ -1,0 +1,225 @@
+"""Points for SpatialAnalyzer: ``python -m drivers.spatialanalyzer.t2sa_points CELL FILE``.
+
+T2SA measures points of a job by their names: the tracker turns to the point's nominal position and
+searches from there. So the job has a list of points, written as a CSV file of ``name,x,y,z`` (mm,
+tracker's frame), and the driver measures a place through the point whose direction is nearest to
+the place's: how far away the point is does not turn the tracker. Their directions form a grid over
+all that the cell's reflectors can reach, so fine that no place there is farther from the aim than
+the search reaches, at any range of the tracker. Each point lies amid the places in its direction.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import math
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from hilcell.cell.file import Cell, load_cell
+from hilcell.cell.settings import SettingsError, read_text
+from hilcell.geometry.frames import apply
+from hilcell.geometry.kinematics import forward
+from hilcell.ports import Array, HilcellError
+from hilcell.writing import write_whole
+
+SEARCH_MM = 60.0
+MARGIN = 0.9  # of the pitch: the tracker's pose in the cell file is good to some mm
+MOST_POINTS = 200_000
+LEAST_RANGE_MM = 1.0
+AROUND = 64  # points, among which one is chosen
+POSES = 20_000  # random ones, whose farthest tool point is the arm's reach
+STEP_MM = 200.0  # along a direction, when places are looked for
+STEEPEST_RAD = math.radians(80.0)
+COLUMNS = ["name", "x", "y", "z"]
+SIZE = 3
+NAME = re.compile(r"[A-Za-z0-9_.-]{1,40}")
+
+
+class NamedPoints:
+    """Names, and nominal positions (N, 3), N > 0, mm, in the tracker's frame."""
+
+    def __init__(self, names: Sequence[str], xyz_mm: Array) -> None:
+        self.names, self.xyz_mm = names, xyz_mm
+        self._directions = _unit(xyz_mm)
+        self._tree = KDTree(self._directions)
+
+    def aim(
+        self, near_mm: Array, within_mm: float, others_mm: Sequence[Array] = ()
+    ) -> tuple[str, Array, float]:
+        """Return the point to measure a place (3,) through: name, position (3,), mm beside.
+
+        It is the nearest in direction. Where ``others_mm``, reflectors (3,) beside the place, were
+        found from there, it is one on their far side, if that is ``within_mm`` beside the place at
+        its range.
+        """
+        range_mm = float(np.linalg.norm(near_mm))
+        most = range(1, min(AROUND, len(self.names)) + 1)
+        found = self._tree.query(near_mm / max(range_mm, LEAST_RANGE_MM), k=most)
+        beside, order = np.atleast_1d(found[0]), np.atleast_1d(found[1])
+        best = 0
+        if others_mm:
+            from_others = [
+                np.linalg.norm(self._directions[order] - _unit(each), axis=1) for each in others_mm
+            ]
+            margin = np.min(from_others, axis=0) - beside
+            best = int(np.where(range_mm * beside <= within_mm, margin, -np.inf).argmax())
+        n = order[best]
+        return self.names[n], self.xyz_mm[n], range_mm * float(beside[best])
+
+    def spread(self, count: int) -> list[tuple[str, Array]]:
+        """Return up to ``count`` points from the first to the last."""
+        chosen = np.unique(np.linspace(0, len(self.names) - 1, count).round().astype(int))
+        return [(self.names[n], self.xyz_mm[n]) for n in chosen]
+
+
+def _unit(xyz_mm: Array) -> Array:
+    found: Array = xyz_mm / np.linalg.norm(xyz_mm, axis=-1, keepdims=True)
+    return found
+
+
+def read_points(path: Path) -> NamedPoints:
+    """Read a list; a first row ``name,x,y,z`` may head it. Raises `SettingsError`."""
+    try:
+        text = read_text(path)
+    except (OSError, UnicodeDecodeError) as error:
+        raise SettingsError(str(path), [f"the list cannot be read: {error}"]) from error
+    rows = [(n, row) for n, row in enumerate(csv.reader(io.StringIO(text)), start=1) if row]
+    if rows and [each.strip() for each in rows[0][1]] == COLUMNS:
+        rows = rows[1:]
+    found: dict[str, list[float]] = {}
+    for n, row in rows:
+        name = row[0].strip()
+        try:
+            place = [float(each) for each in row[1:]]
+        except ValueError:
+            place = []
+        if len(place) != SIZE or not LEAST_RANGE_MM <= math.hypot(*place) < math.inf:
+            problem = f"{','.join(row)!r:.80}, wanted {','.join(COLUMNS)} with three numbers"
+        elif not NAME.fullmatch(name):
+            problem = f"name {name!r:.60}: letters, digits, _ . - are allowed, at most 40"
+        elif name in found:
+            problem = f"point {name} is there twice"
+        else:
+            found[name] = place
+            continue
+        raise SettingsError(str(path), [f"line {n}: {problem}"])
+    if not 1 <= len(found) <= MOST_POINTS:
+        raise SettingsError(str(path), [f"{len(found)} points, wanted 1 to {MOST_POINTS}"])
+    return NamedPoints(list(found), np.array(list(found.values())))
+
+
+def written(points: NamedPoints) -> str:
+    """Return the list as CSV."""
+    rows = zip(points.names, points.xyz_mm, strict=True)
+    return "".join(f"{name},{x:.3f},{y:.3f},{z:.3f}\n" for name, (x, y, z) in rows)
+
+
+def points_of(cell: Cell, search_mm: float) -> NamedPoints:
+    """Return points in all directions in which a reflector of the cell can be."""
+    tracker, inside = cell.tracker, _Volume(cell, search_mm)
+    directions = _directions(MARGIN * math.sqrt(2.0) * search_mm / tracker.max_range_mm)
+    first_mm = np.full(len(directions), np.nan)
+    last_mm = first_mm.copy()
+    for range_mm in np.arange(tracker.min_range_mm, tracker.max_range_mm, STEP_MM):
+        here = inside.of(range_mm * directions)
+        first_mm[here & np.isnan(first_mm)] = range_mm
+        last_mm[here] = range_mm
+    kept = np.isfinite(first_mm)
+    if not 1 <= kept.sum() <= MOST_POINTS:
+        raise HilcellError(
+            f"{kept.sum()} points, wanted 1 to {MOST_POINTS}; choose another --search"
+        )
+    xyz_mm = directions[kept] * (0.5 * (first_mm + last_mm))[kept, None]
+    return NamedPoints([f"P{n:06d}" for n in range(1, len(xyz_mm) + 1)], xyz_mm)
+
+
+class _Volume:
+    """All places at which a reflector of the cell can be: of the arm's reach, and by the nests."""
+
+    def __init__(self, cell: Cell, wider_mm: float) -> None:
+        layout, rail = cell.layout, cell.rail
+        self._to_world = cell.tracker.pose.matrix()
+        self._nests_mm = np.array([nest.xyz_mm for nest in layout.standing])
+        self._lowest_mm = self._nests_mm[:, 2].min() - wider_mm
+        self._near_mm = wider_mm + STEP_MM
+        self._reach_mm = _reach_mm(cell) + wider_mm
+        self._travel_mm = [
+            layout.nominal_base(at_mm)[:3, 3] for at_mm in (rail.travel_min_mm, rail.travel_max_mm)
+        ]
+
+    def of(self, at_mm: Array) -> NDArray[np.bool_]:
+        """Return which places (N, 3), tracker's frame, are in it."""
+        world_mm = apply(self._to_world, at_mm)
+        above = world_mm[:, 2] >= self._lowest_mm
+        found: NDArray[np.bool_] = above & (
+            _from_line_mm(world_mm, *self._travel_mm) <= self._reach_mm
+        )
+        for nest_mm in self._nests_mm:
+            found |= np.linalg.norm(world_mm - nest_mm, axis=1) <= self._near_mm
+        return found
+
+
+def _reach_mm(cell: Cell) -> float:
+    """Return how far from {B}'s origin the arm carries its reflector, nearly."""
+    low_rad, high_rad = np.radians([[j.min_deg, j.max_deg] for j in cell.robot.joint]).T
+    joints_rad = np.random.default_rng(1).uniform(low_rad, high_rad, (POSES, 6))
+    return float(np.linalg.norm(forward(cell.robot.arm(), joints_rad)[:, :3, 3], axis=1).max())
+
+
+def _directions(pitch_rad: float) -> Array:
+    """Return unit vectors (N, 3) in rows of one elevation, all about ``pitch_rad`` apart."""
+    rows = math.ceil(STEEPEST_RAD / pitch_rad)
+    found: list[Array] = []
+    for elevation in pitch_rad * np.arange(-rows, rows + 1):
+        across = max(math.cos(elevation), pitch_rad)
+        turns = np.linspace(0.0, math.tau, math.ceil(math.tau * across / pitch_rad), endpoint=False)
+        up = np.full(len(turns), math.sin(elevation))
+        found.append(np.column_stack([across * np.cos(turns), across * np.sin(turns), up]))
+    return np.vstack(found)
+
+
+def _from_line_mm(at_mm: Array, begin_mm: Array, end_mm: Array) -> Array:
+    """Return how far places (N, 3) are from the line between two points (3,)."""
+    way_mm = end_mm - begin_mm
+    length_2 = float(way_mm @ way_mm)
+    share = np.clip((at_mm - begin_mm) @ way_mm / length_2, 0.0, 1.0) if length_2 else 0.0
+    feet_mm = begin_mm + np.multiply.outer(share, way_mm)
+    far_mm: Array = np.linalg.norm(at_mm - feet_mm, axis=-1)
+    return far_mm
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Write the list of a cell file."""
+    parser = argparse.ArgumentParser(prog="python -m drivers.spatialanalyzer.t2sa_points")
+    parser.add_argument("cell", help="a cell file, or the name of a built-in cell")
+    parser.add_argument("file", type=Path, help="the CSV to write")
+    parser.add_argument(
+        "--search",
+        type=float,
+        default=SEARCH_MM,
+        metavar="MM",
+        help="how far beside the aim a reflector is found (default %(default)g mm)",
+    )
+    given = parser.parse_args(words)
+    try:
+        if not 10.0 <= given.search <= 1000.0:
+            raise HilcellError(f"--search {given.search:g} mm, wanted 10 to 1000 mm")
+        points = points_of(load_cell(given.cell), given.search)
+        write_whole(given.file, written(points).encode("ascii"))
+    except HilcellError as error:
+        print(f"t2sa_points: {error}", file=sys.stderr)
+        return 2
+    print(f"{given.file}: {len(points.names)} points; import them as name, x, y, z in mm")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

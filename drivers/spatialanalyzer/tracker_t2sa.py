@@ -1,0 +1,342 @@
+"""A laser tracker behind SpatialAnalyzer, by its bridge T2SA over TCP: API's trackers, and others.
+
+The bridge measures points of SpatialAnalyzer's job by their names. So the job holds a grid of
+named points (`t2sa_points`), and a place is measured through the one nearest in direction.
+
+The trap: a result may be no measurement. That of an instrument which SpatialAnalyzer simulates, an
+old one and one in inches look like a good one; each is recognised by its values.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from drivers.spatialanalyzer import t2sa, t2sa_bridge
+from drivers.spatialanalyzer.t2sa_bridge import (
+    ACT,
+    ACTS,
+    BUSY_PAUSE_S,
+    MEASURE,
+    POSITION,
+    T2saBridge,
+)
+from drivers.spatialanalyzer.t2sa_points import SEARCH_MM, NamedPoints, read_points
+from drivers.supervision import Patience
+from drivers.tracker_readings import (
+    ALARMS,
+    DEVICE,
+    checked_order,
+    misplaced,
+    no_reading,
+    refused,
+    std_of_repeats,
+)
+from drivers.wires.tcp import TcpLink
+from hilcell.cell.settings import SettingsError
+from hilcell.clean import clean
+from hilcell.ports import (
+    Array,
+    Clock,
+    DeviceError,
+    Identity,
+    TrackerReading,
+    says_simulated,
+)
+
+WARM_LOOK_S, WARM_S = 1.0, 300.0  # of the cell's time
+COMPARED = 5  # points of the list, from the first to the last
+SAME_MM = 0.01  # of a point in the list and in the job: both are rounded
+NOMINAL_MM = 1.0  # a reflector is as near to a point of the grid once in a million
+TRIES = 3  # named points, where one leads to another reflector
+MAKE_LIST = "write a list by python -m drivers.spatialanalyzer.t2sa_points, import it"
+REAL = "end the simulation of the instrument in SpatialAnalyzer, then resume"
+
+Word = Annotated[str, Meta(max_length=60, pattern=r"^[^;:\x00-\x1f\x7f]*$")]
+Positive = Annotated[float, Meta(gt=0)]
+
+
+class T2saTracker:
+    """Satisfies `hilcell.ports.Tracker`."""
+
+    class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+        """Where the bridge is, its list of points, and how it is set.
+
+        ``points`` is the CSV that SpatialAnalyzer has imported as ``collection`` and ``group``. The
+        wire states no instrument: ``instrument`` and ``plate`` are those of its name plate.
+        """
+
+        host: str
+        port: Annotated[int, Meta(ge=1, le=65535)] = t2sa.PORT
+        reflector: str
+        max_std_mm: Positive
+        find_radius_mm: Positive
+        points: str = ""
+        collection: Annotated[Word, Meta(min_length=1)] = "A"
+        group: Annotated[Word, Meta(min_length=1)] = "HILCELL"
+        search_mm: Annotated[float, Meta(ge=1, le=1000)] = SEARCH_MM
+        repeats: Annotated[int, Meta(ge=2, le=100)] = 2
+        power_lock: bool = True
+        profile: Word = ""
+        working_frame: Word = ""
+        instrument: str = "API laser tracker"
+        plate: str = "not stated"
+
+    def __init__(self, options: Options, clock: Clock) -> None:
+        self._options, self._clock = options, clock
+        self._bridge: T2saBridge | None = None
+        self._points: NamedPoints | None = None
+        self._last_mm: Array | None = None
+
+    # -- the port -----------------------------------------------------------------------------
+
+    def connect(self) -> list[Identity]:
+        """Open the wire, set the bridge, and compare its points with the list."""
+        self.close()
+        options = self._options
+        if self._points is None or Path(options.points).exists():
+            self._points = _read(options.points)
+        points = self._points  # whichever it is, the job is compared with it
+        link = TcpLink(DEVICE, options.host, options.port, self._clock.check, ALARMS)
+        bridge = self._bridge = T2saBridge(link, self._clock)
+        try:
+            state = self._ready(bridge)
+            self._set_up(bridge)
+            self._compare(bridge, points)
+        except BaseException:
+            self.close()
+            raise
+        model = f"{clean(options.instrument)}, by SpatialAnalyzer"
+        serial, simulated = clean(options.plate), says_simulated(state)
+        return [Identity(DEVICE, model, serial, bridge.address, simulated, "tracker")]
+
+    def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
+        """Measure the reflector expected at ``near_mm`` (3,), tracker frame, ``samples`` times.
+
+        It is measured `repeats` times at least: the wire states no deviation of one measurement.
+        """
+        near_mm = checked_order(near_mm, samples)
+        options = self._options
+        if reflector != options.reflector:
+            raise refused(
+                "HC-T07",
+                "choose reflector",
+                f"the target in SpatialAnalyzer is {options.reflector!r}",
+                wanted=repr(reflector),
+                act="correct tracker.reflector",
+                reflector=reflector,
+                known=[options.reflector],
+            )
+        if self._bridge is None or self._points is None:
+            raise DeviceError("HC-T34", DEVICE, "use", "not connected", act="connect first")
+        bridge, named = self._bridge, _Aim(self._points, near_mm, options.search_mm)
+        count = max(samples, options.repeats)
+        points_mm = np.array([self._single(bridge, named) for _ in range(count)])
+        std_mm = std_of_repeats(points_mm, options.max_std_mm)
+        mean_mm = points_mm.mean(axis=0)
+        return TrackerReading(mean_mm, std_mm, count, reflector, None, bridge.arrived_s)
+
+    def stop(self) -> None:
+        """Halt the measurement under way; any thread; waits for no answer."""
+        if self._bridge is not None:
+            self._bridge.stop()
+
+    def close(self) -> None:
+        """Close the wire."""
+        if self._bridge is not None:
+            self._bridge.close()
+        self._bridge = None
+
+    # -- connecting ---------------------------------------------------------------------------
+
+    def _ready(self, bridge: T2saBridge) -> str:
+        """Return the bridge's state as soon as nothing is under way; raises where it stays busy."""
+        limit_s = t2sa_bridge.MEASURE_S
+        patience = Patience(limit_s, limit_s)
+        while not (reply := bridge.exchange(t2sa.STATUS)).is_ready:
+            if patience.over():
+                alarm = "HC-T21" if reply.accepted else t2sa.CODES.get(reply.code, t2sa.UNKNOWN)[0]
+                raise DeviceError(
+                    alarm,
+                    DEVICE,
+                    "connect",
+                    f"state {reply.text!r} for {limit_s:.1f} s",
+                    wanted=repr(t2sa.READY[0]),
+                    act=ACTS.get(alarm, ACT),
+                    fields={"status": reply.code},
+                )
+            self._clock.wait(BUSY_PAUSE_S)
+        return reply.text
+
+    def _set_up(self, bridge: T2saBridge) -> None:
+        options = self._options
+        simulation = bridge.exchange("!SET_SIM:0")
+        if not simulation.accepted:
+            raise refused(
+                "HC-T71",
+                "switch simulation off",
+                simulation.found,
+                act=REAL,
+                status=simulation.code,
+            )
+        self._warm(bridge)
+        settings = {
+            "station lock": "!SET_STATION_LOCK:1",
+            "power lock": f"SET_POWER_LOCK:{int(options.power_lock)}",
+        }
+        if options.profile:
+            settings["measurement profile"] = f"!SINGLE_POINT_MEAS_PROFILE:{options.profile}"
+        if options.working_frame:
+            settings["working frame"] = f"!SET_WORKING_FRAME:{options.working_frame}"
+        for what, command in settings.items():
+            reply = bridge.exchange(command)
+            if not reply.accepted:
+                raise refused(
+                    "HC-T06",
+                    f"set {what}",
+                    reply.found,
+                    wanted=command,
+                    act="set it in SpatialAnalyzer, or correct tracker.options; then resume",
+                    setting=what,
+                    status=reply.code,
+                )
+
+    def _warm(self, bridge: T2saBridge) -> None:
+        """Switch the laser on where it is off, and wait until it has warmed up."""
+        state = bridge.ask(t2sa.LASER).text
+        if "LOFF" in state:
+            bridge.ask(t2sa.LASER_ON)
+            state = bridge.ask(t2sa.LASER).text
+        ends_s = self._clock.now_s() + WARM_S
+        while "WARM" in state and self._clock.now_s() < ends_s:
+            self._clock.wait(WARM_LOOK_S)
+            state = bridge.ask(t2sa.LASER).text
+        if "LON" not in state:
+            code = "HC-T19" if "WARM" in state else "HC-T70"
+            raise DeviceError(
+                code,
+                DEVICE,
+                "switch the laser on",
+                f"state {state!r}",
+                wanted="LON",
+                act=ACTS.get(code, "let the tracker warm up, then resume"),
+                fields={"state": state},
+            )
+
+    def _compare(self, bridge: T2saBridge, points: NamedPoints) -> None:
+        """Refuse a job whose points are not those of the list, by some of them."""
+        for name, listed_mm in points.spread(COMPARED):
+            found_mm = bridge.position(POSITION, self._path(name))
+            if not float(np.linalg.norm(found_mm - listed_mm)) <= SAME_MM:
+                form = t2sa.other_form(found_mm, np.full(3, np.nan), listed_mm, SAME_MM)
+                raise refused(
+                    "HC-T73",
+                    "compare points",
+                    f"point {name} is at {_shown(found_mm)} in SpatialAnalyzer{_in(form)}",
+                    wanted=f"{_shown(listed_mm)} mm as in {clean(self._options.points)}",
+                    act="set mm and the tracker's frame as working frame, or import the list again",
+                    point=name,
+                    found_mm=found_mm.tolist(),
+                    listed_mm=listed_mm.tolist(),
+                )
+
+    # -- measuring ----------------------------------------------------------------------------
+
+    def _single(self, bridge: T2saBridge, aim: _Aim) -> Array:
+        """Return one position (3,); where another reflector is found, aim on its far side."""
+        limit_mm = self._options.find_radius_mm
+        off_mm = np.inf
+        for _ in range(TRIES):
+            name, named_mm = aim.point()
+            if name in aim.others_mm:
+                break
+            xyz_mm = self._measured(bridge, name, named_mm)
+            off_mm = float(np.linalg.norm(xyz_mm - aim.near_mm))
+            if off_mm <= limit_mm:
+                return xyz_mm
+            if form := t2sa.other_form(xyz_mm, named_mm, aim.near_mm, limit_mm):
+                raise DeviceError(
+                    "HC-T77",
+                    DEVICE,
+                    "measure",
+                    f"the result {_shown(xyz_mm)} is{_in(form)}",
+                    wanted="a position in mm",
+                    act="set mm in SpatialAnalyzer, then resume",
+                    fields={"xyz": xyz_mm.tolist(), "form": form},
+                )
+            aim.others_mm[name] = xyz_mm
+        raise misplaced(off_mm, limit_mm)
+
+    def _measured(self, bridge: T2saBridge, name: str, named_mm: Array) -> Array:
+        """Return the position (3,) of the reflector that is found from a named point."""
+        xyz_mm = bridge.position(MEASURE, self._path(name))
+        if not bool(np.all(np.isfinite(xyz_mm))):
+            raise no_reading("HC-T14", f"the result {xyz_mm} is no position", xyz_mm=str(xyz_mm))
+        if self._last_mm is not None and bool(np.all(xyz_mm == self._last_mm)):
+            raise no_reading(
+                "HC-T76",
+                f"the result {_shown(xyz_mm)} is the former one to its last digit",
+                act=ACT,
+                xyz_mm=xyz_mm.tolist(),
+            )
+        self._last_mm = xyz_mm
+        if not float(np.linalg.norm(xyz_mm - named_mm)) > NOMINAL_MM:
+            raise refused(
+                "HC-T71",
+                "measure",
+                f"the result {_shown(xyz_mm)} is the named point {name} itself",
+                act=REAL,
+                xyz_mm=xyz_mm.tolist(),
+                point=name,
+            )
+        return xyz_mm
+
+    def _path(self, name: str) -> str:
+        return f"{self._options.collection};{self._options.group};{name}"
+
+
+class _Aim:
+    """The named point to measure a place through; another one after other reflectors."""
+
+    def __init__(self, points: NamedPoints, near_mm: Array, search_mm: float) -> None:
+        """Raise `DeviceError` for a place beside all points."""
+        self._points, self._search_mm, self.near_mm = points, search_mm, near_mm
+        self.others_mm: dict[str, Array] = {}  # found in its place, by their points
+        name, _, beside_mm = points.aim(near_mm, search_mm)
+        if not beside_mm <= search_mm:
+            raise DeviceError(
+                "HC-T74",
+                DEVICE,
+                "measure",
+                f"the aim at named point {name} is {beside_mm:.1f} mm beside {_shown(near_mm)}",
+                wanted=f"<= {search_mm:.1f} mm (tracker.options.search_mm)",
+                act=f"{MAKE_LIST} so that it covers the place, and resume",
+                fields={"point": name, "beside_mm": beside_mm, "limit_mm": search_mm},
+            )
+
+    def point(self) -> tuple[str, Array]:
+        """Return name and position (3,)."""
+        return self._points.aim(self.near_mm, self._search_mm, list(self.others_mm.values()))[:2]
+
+
+def _read(points: str) -> NamedPoints:
+    """Return the list that the cell file names; raises `DeviceRefused`."""
+    problem = "tracker.options.points is empty"
+    if points:
+        try:
+            return read_points(Path(points))
+        except SettingsError as error:
+            problem = clean(str(error))
+    raise refused("HC-T75", "read the list of points", problem, act=f"{MAKE_LIST}, and name it")
+
+
+def _shown(xyz_mm: Array) -> str:
+    return "(" + ", ".join(f"{each:.3f}" for each in xyz_mm) + ")"
+
+
+def _in(form: str) -> str:
+    return f" {form}" if form else ""

@@ -1,0 +1,1 @@
+"""Magnetic strips on a wire of their own."""

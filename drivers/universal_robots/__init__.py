@@ -1,0 +1,1 @@
+"""Robots of Universal Robots, and their programs."""

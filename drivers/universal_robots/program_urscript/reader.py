@@ -1,0 +1,237 @@
+"""Reads a URScript program whose poses can be corrected safely; all else is refused, by line.
+
+Corrected are the poses of ``movej`` and ``movel`` that stand there as six numbers, or in a variable
+that is assigned once and used by motions alone. Every other statement must be one that is known
+neither to move the robot nor to change its TCP.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+
+from drivers.program_text import Number
+from drivers.universal_robots.program_urscript.lines import (
+    NUMBER,
+    Statement,
+    UrScriptError,
+    pose,
+    split,
+    statements,
+)
+from drivers.universal_robots.program_urscript.program import Program, Target
+from hilcell.cell.settings import SettingsError
+
+MOTIONS = ("movej", "movel")
+RADIUS = "r"
+PARAMETERS = ("a", "v", "t", RADIUS)  # behind the target, in their order
+WORDS = ("and", "or", "not", "xor", "True", "False", "return", "global", "local")
+THREADS = ("thread", "run", "join", "kill", "enter_critical", "exit_critical")
+HARMLESS = (
+    "sleep", "sync", "textmsg", "popup", "halt", "to_num", "to_str", "str_cat", "str_len", "abs",
+    "sqrt", "floor", "ceil", "pow", "sin", "cos", "tan", "d2r", "r2d", "random", "length",
+    "get_steptime", "is_steady", "stopj", "stopl", "force", "get_tcp_force", "set_digital_out",
+    "set_analog_out", "set_standard_digital_out", "set_standard_analog_out",
+    "set_configurable_digital_out", "set_tool_digital_out", "set_tool_voltage", "set_flag",
+    "get_flag", "get_digital_in", "get_digital_out", "get_analog_in", "get_standard_digital_in",
+    "get_standard_digital_out", "get_standard_analog_in", "get_configurable_digital_in",
+    "get_configurable_digital_out", "get_tool_digital_in", "get_tool_digital_out",
+    "get_tool_analog_in", "read_input_boolean_register", "read_input_integer_register",
+    "read_input_float_register", "write_output_boolean_register", "write_output_integer_register",
+    "write_output_float_register", "set_payload", "set_target_payload", "set_gravity",
+)  # fmt: skip
+_DEF = re.compile(r"def\s+(\w+)\s*\(([\w\s,]*)\)\s*:", re.ASCII)
+_PLAIN = re.compile(r"else\s*:|halt|break|continue|pass|return|\$\s*\d+[\s\"]*", re.ASCII)
+_BRANCH = re.compile(r"(?:if|elif|while)\b(.+):", re.ASCII)
+_ASSIGN = re.compile(r"(?:(?:global|local)\s+)?(\w+)\s*(\[[^\[\]]*\])?\s*=(?!=)\s*(.*)", re.ASCII)
+_CALL = re.compile(r"(\w+)\s*\((.*)\)", re.ASCII)
+_ARGUMENT = re.compile(r"(\w+)\s*=(?!=)\s*(.*)", re.ASCII)
+_NAME = re.compile(r"(?<![\w.])([A-Za-z_]\w*)\s*(\()?", re.ASCII)
+_STATED_POSE = re.compile(r"(?<!\w)p\s*\[", re.ASCII)
+
+
+def read_program(file: str, text: str) -> Program:
+    """Return the program; raises `SettingsError` with all that is refused, by line."""
+    reader = _Reader(list(statements(text)))
+    problems = reader.read()
+    if problems:
+        raise SettingsError(file, [f"{file} {problem}" for problem in problems])
+    if not reader.targets:
+        raise SettingsError(
+            file, [f"{file}: no movej or movel to a pose p[...]: nothing to correct"]
+        )
+    return Program(file, text, list(reader.targets.values()), reader.notes(), reader.tcp)
+
+
+class _Reader:
+    """Goes through the statements once for names, and once more for their uses."""
+
+    def __init__(self, found: list[Statement]) -> None:
+        self.targets: dict[str, Target] = {}
+        self.tcp: Target | None = None
+        self._found = found
+        self._poses: dict[str, Target] = {}
+        self._assigned: dict[str, list[int]] = defaultdict(list)
+        self._functions = set[str]()
+        self._moved = 0
+        self._open = list[int]()  # lines of the blocks that a statement stands in
+        self._main = 0  # the line of the first def
+
+    def read(self) -> list[str]:
+        """Return what is refused, by line."""
+        problems = dict[int, str]()
+        for take in (self._name, self._use):
+            for statement in self._found:
+                try:
+                    if statement.line not in problems:
+                        take(statement)
+                except UrScriptError as error:
+                    problems[statement.line] = f"{statement.quoted}: {error}"
+        if not problems:
+            problems = dict.fromkeys(self._open, "its block has no end")
+        return [f"line {line}: {problems[line]}" for line in sorted(problems)]
+
+    def notes(self) -> list[str]:
+        """Return notes on all that was left, and on conditions that nobody checks."""
+        left = [name for name in self._poses if name not in self.targets]
+        notes = [f"not used by a motion, left: {', '.join(left)}"] if left else []
+        if self.tcp is None:
+            notes.append("it sets no TCP: that of the installation must be the calibrated one")
+        notes.append(
+            "the controller computes the joints of a pose by its own calibrated kinematics: the "
+            "correction holds as far as these are the cell file's; `prepare` writes joints, which "
+            "do not depend on them"
+        )
+        return notes
+
+    def _name(self, statement: Statement) -> None:
+        """Collect the names that a statement defines."""
+        code = statement.code
+        if ";" in code or code.count('"') % 2:
+            raise UrScriptError("one statement a line is wanted, and strings that end on it")
+        split(code)
+        if match := _DEF.fullmatch(code):
+            self._functions.add(match[1])
+            for parameter in filter(None, (each.strip() for each in match[2].split(","))):
+                self._assigned[parameter].append(statement.line)
+        elif (match := _ASSIGN.fullmatch(code)) and not _BRANCH.fullmatch(code):
+            self._assigned[match[1]].append(statement.line)
+            numbers = pose(match[3], statement.start + match.start(3))
+            if numbers is not None and match[2] is None:
+                self._poses.setdefault(match[1], Target(match[1], statement.line, numbers))
+
+    def _use(self, statement: Statement) -> None:
+        code = statement.code
+        for word, _ in _NAME.findall(code):
+            if word in THREADS:
+                raise UrScriptError(f"{word}: several threads may move the robot at once")
+        if self._block(statement) or _PLAIN.fullmatch(code):
+            return
+        if match := _ASSIGN.fullmatch(code):
+            self._assign(match[1], match[2] or "", match[3])
+        elif match := _CALL.fullmatch(code):
+            self._call(statement, match)
+        elif code.startswith("return "):
+            self._check(code)
+        else:
+            raise UrScriptError("it is no statement that hilcell reads")
+
+    def _block(self, statement: Statement) -> bool:
+        """Whether the statement opens or ends a block; raises `UrScriptError`."""
+        code = statement.code
+        if match := _DEF.fullmatch(code):
+            if match[1] in (*HARMLESS, *MOTIONS, "set_tcp"):
+                raise UrScriptError(f"it gives {match[1]} another meaning")
+            self._main = self._main or statement.line
+        elif match := _BRANCH.fullmatch(code):
+            self._check(match[1])
+        elif code != "end":
+            return False
+        elif not self._open:
+            raise UrScriptError("no block is open")
+        if code == "end":
+            self._open.pop()
+        elif not code.startswith("elif"):
+            self._open.append(statement.line)
+        return True
+
+    def _assign(self, name: str, index: str, value: str) -> None:
+        if name in self._poses and index:
+            raise UrScriptError(f"it changes the pose {name} at run time")
+        if name not in self._poses or pose(value, 0) is None:
+            self._check(value)
+        self._check(index)
+
+    def _call(self, statement: Statement, match: re.Match[str]) -> None:
+        name, arguments = match[1], split(match[2])
+        at = statement.start + match.start(2) + len(arguments[0]) - len(arguments[0].lstrip())
+        if name in MOTIONS:
+            self._move(statement, name, arguments, at)
+        elif name == "set_tcp":
+            self._set_tcp(statement, arguments, at)
+        else:
+            self._check(statement.code)
+
+    def _move(self, statement: Statement, name: str, arguments: list[str], at: int) -> None:
+        stated = arguments[0].strip()
+        numbers = pose(stated, at)
+        if numbers is not None:
+            where = f"{name} target"
+            self.targets[f"{where} {statement.start}"] = Target(where, statement.line, numbers)
+        else:
+            self.targets.setdefault(stated, self._variable(stated))
+        for position, argument in enumerate(arguments[1:]):
+            named = _ARGUMENT.fullmatch(argument.strip())
+            if named is None and position >= len(PARAMETERS):
+                raise UrScriptError("it has more arguments than a, v, t, r behind its target")
+            key = named[1] if named else PARAMETERS[position]
+            value = named[2] if named else argument.strip()
+            if key not in PARAMETERS:
+                raise UrScriptError(f"{key} is no argument of {name} behind its target")
+            if key == RADIUS and not (re.fullmatch(NUMBER, value) and float(value) == 0.0):
+                raise UrScriptError(
+                    f"blend radius {value}: the robot passes the pose, and the correction changes "
+                    "where; wanted r=0"
+                )
+            self._check(value)
+        self._moved = self._moved or statement.line
+
+    def _variable(self, stated: str) -> Target:
+        """Return the pose that a variable holds; raises `UrScriptError`."""
+        if stated.startswith("["):
+            raise UrScriptError("a joint target: nothing there can be corrected; state a pose p[]")
+        if called := _CALL.match(stated):
+            raise UrScriptError(f"its target is computed at run time, by {called[1]}")
+        if stated not in self._poses:
+            raise UrScriptError("its target is no pose that stands in the program as six numbers")
+        lines = self._assigned[stated]
+        if len(lines) != 1:
+            stands = ", ".join(map(str, lines))
+            raise UrScriptError(f"{stated} is assigned in lines {stands}, wanted once")
+        return self._poses[stated]
+
+    def _set_tcp(self, statement: Statement, arguments: list[str], at: int) -> None:
+        numbers: list[Number] | None = pose(arguments[0].strip(), at)
+        if numbers is None or any(not each.strip().startswith('"') for each in arguments[1:]):
+            raise UrScriptError("its TCP does not stand there as six numbers p[...]")
+        found = Target("set_tcp", statement.line, numbers)
+        if self._open != [self._main]:
+            raise UrScriptError("it sets the TCP elsewhere than in the program's own statements")
+        if self._moved:
+            raise UrScriptError(f"it sets the TCP below the motion of line {self._moved}")
+        if self.tcp is not None and self.tcp.values != found.values:
+            raise UrScriptError(f"it changes the TCP that line {self.tcp.line} has set")
+        self.tcp = self.tcp or found
+
+    def _check(self, code: str) -> None:
+        """Refuse an expression that has to do with poses, or calls a function that is not known."""
+        if _STATED_POSE.search(code):
+            raise UrScriptError("a pose stands where hilcell does not follow it")
+        for word, called in _NAME.findall(code):
+            if word in self._poses:
+                raise UrScriptError(f"the pose {word} is used besides the motions to it")
+            if not called or word in WORDS or word in HARMLESS or word in self._functions:
+                continue
+            if word in MOTIONS:
+                raise UrScriptError(f"{word} must be a statement of its own")
+            raise UrScriptError(f"{word}() is not known to leave robot, TCP and poses as they are")

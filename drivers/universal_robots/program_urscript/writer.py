@@ -1,0 +1,63 @@
+"""Writes the corrected targets of a station as a URScript program: ``NAME.script``.
+
+Targets are joints of the cell's arm, as they were commanded when the cell was calibrated: the
+joints of a pose would be computed by the controller's own kinematics, which its factory has
+calibrated. The stamp stands below ``def``, so that `compensate` refuses the program.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from drivers.kuka.program_krl.comments import ASCII, plain
+from drivers.kuka.program_krl.writer import module_name
+from drivers.program_text import ENCODING
+from drivers.universal_robots.program_urscript.program import SUFFIX
+from hilcell.clean import clean
+from hilcell.compensation.stamp import Stamp
+from hilcell.compensation.station_program import StationProgram
+
+FULL_RAD_S = 1.05  # of the joint that moves farthest, the usual speed of movej
+ACCELERATION_RAD_S2 = 0.7
+DECIMALS = 7  # of rad
+
+
+def write_station(program: StationProgram, stamp: Stamp) -> dict[str, bytes]:
+    """Return the file of a station by its name."""
+    name = module_name(program.station)
+    text = "".join(f"{line}\n" for line in _lines(name, program, stamp))
+    return {f"{name}{SUFFIX}": text.encode(ENCODING)}
+
+
+def _lines(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
+    speed = FULL_RAD_S * program.speed_percent / 100.0
+    how = f"a={ACCELERATION_RAD_S2:g}, v={speed:.4f}"
+    safe = _joints(np.radians(program.safe_deg))
+    yield f"def {name}():"
+    yield _comment(stamp.text)
+    yield from map(_comment, program.remarks)
+    yield _comment("joints as calibrated: no TCP and no base has a part in them")
+    yield f"  movej({safe}, {how})"
+    yield _comment("slide held, strip as the sheet says, drill drawn back: Continue goes on")
+    yield '  popup("slide held, strip read, drill drawn back?", "hilcell", blocking=True)'
+    places = zip(
+        program.names, program.approach.joints_rad, program.command.joints_rad, strict=True
+    )
+    for number, (hole, below, at) in enumerate(places, start=1):
+        yield _comment(f"{number} of {len(program.names)}: {hole}")
+        yield f"  movej({_joints(below)}, {how})"
+        yield f"  movej({_joints(at)}, {how})"
+        yield _comment("drill here")
+    yield f"  movej({safe}, {how})"
+    yield "end"
+
+
+def _comment(text: str) -> str:
+    return f"  # {plain(clean(text), ASCII)}"
+
+
+def _joints(joints_rad: ArrayLike) -> str:
+    return f"[{', '.join(f'{each:.{DECIMALS}f}' for each in np.asarray(joints_rad))}]"

@@ -1,0 +1,450 @@
+"""A robot of Universal Robots by RTDE and a script of ours, ``ur_script/hilcell.script``.
+
+The script is sent once. The PC then writes a target and a number into registers; the script moves
+and acknowledges with that number. An acknowledgement alone proves nothing: motion has ended only
+when the joints stand at the target and a dwell's packages show no speed and no spread. Every
+package that comes meanwhile is judged. A PC that dies gives no sign of life, and the script brakes.
+"""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib import resources
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from drivers.motion_limits import MotionLimits, planned_s
+from drivers.on_failure import on_failure
+from drivers.robot_errors import DEVICE, failed, overdue, refused, stalled, stopped_short
+from drivers.supervision import Patience, Supervision
+from drivers.universal_robots.dashboard import Dashboard
+from drivers.universal_robots.health import (
+    PLAYING,
+    STANDING,
+    frame_text,
+    joints_text,
+    refused_motion,
+    runtime_text,
+    unwell,
+)
+from drivers.universal_robots.link import ALARMS, UrLink
+from drivers.universal_robots.state import NOTHING, Order, UrState
+from drivers.universal_robots.sweep import UrSweep
+from drivers.wires.tcp import TcpLink
+from hilcell.cell.file import Joint
+from hilcell.ports import (
+    Array,
+    Clock,
+    DeviceError,
+    DeviceRefused,
+    Identity,
+    RobotReading,
+    says_simulated,
+)
+
+MAX_SEQUENCE = 1_000_000_000
+LIFE_S = 1.5  # longer than the PC may be late itself (`Supervision`), so that it reports that first
+LIFE_EVERY_S = 0.2
+STARTED_S = 5.0  # wire deadline: from sending the script to its first word
+STALL_S = 5.0  # wire deadline: no axis moved and no acknowledgement came
+REST_S = 3.0  # wire deadline: from the acknowledgement to standstill
+ENDED_S = 5.0  # wire deadline: a script of an earlier session ends
+LOOK_S = 0.5  # one look counts for this long, at most
+PROGRESS_S = 0.2  # between two looks at the progress of a motion
+COUNT_S = 1.0  # the script's counter stands no longer
+DWELL_S = 0.05  # of the packages that tell standstill
+AXIS_TOLERANCE_RAD = 2e-4
+STILL_RAD = 2e-5
+STILL_RAD_S = 2e-3  # a joint that holds dithers
+PROGRESS_DEG = 0.01
+TOOL_MM, TOOL_RAD = 1e-3, 1e-5
+
+
+class UrRtdeRobot:
+    """Satisfies `hilcell.ports.Robot` and `hilcell.ports.Sweeps`."""
+
+    class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+        """Address and wanted identity of the controller."""
+
+        host: str
+        smr_mm: tuple[float, float, float]
+        joint: list[Joint]
+        rtde_port: Annotated[int, Meta(ge=1, le=65535)] = 30004
+        script_port: Annotated[int, Meta(ge=1, le=65535)] = 30002
+        dashboard_port: Annotated[int, Meta(ge=1, le=65535)] = 29999
+        rate_hz: Annotated[float, Meta(ge=10, le=500)] = 125.0
+        model: str = "UR10"
+        serial: str = ""
+
+    def __init__(self, options: Options, clock: Clock) -> None:
+        self._options, self._clock = options, clock
+        self._link: UrLink | None = None
+        self._dashboard: Dashboard | None = None
+        self._stop_line: Dashboard | None = None
+        self._watch = Supervision(DEVICE, "HC-B27")
+        self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
+        self._session = 0
+        self._order = Order(0, np.zeros(6), 0.0)
+        self._rest_rad = np.zeros(6)
+        self._count, self._counted_s = 0, 0.0  # of the script's loop, and when it last changed
+        self._life_due_s = self._seen_s = 0.0
+        self._under_way = self._stopped = False
+        self._ended_s: float | None = None  # when the last motion was seen to have ended
+
+    # -- the port -----------------------------------------------------------------------------
+
+    def connect(self) -> list[Identity]:
+        """Open all connections, verify everything, and send the script; nothing moves."""
+        self._close_wires()
+        options = self._options
+        with on_failure(self._close_wires):
+            where = (DEVICE, options.host, options.dashboard_port)
+            self._dashboard = Dashboard(*where, self._attend, ALARMS)
+            # The stop must get through while the run is already stopping.
+            self._stop_line = Dashboard(*where, _never, ALARMS)
+            identity = self._identify()
+            self._check_remote()
+            self._link = UrLink(options.host, options.rtde_port, options.rate_hz, self._attend)
+            if problem := unwell(self._link.next(), moving=False):
+                raise problem
+            self._end_former_script()
+            self._start_script()
+            state = self._link.fresh()
+            self._check_tool(state)
+            self._rest_rad = state.joints_rad
+        return [identity]
+
+    def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
+        """Move all axes in step; return the reading at rest, after motion ended."""
+        target_rad = np.asarray(joints_rad, dtype=float)
+        if target_rad.shape != (6,) or not bool(np.all(np.isfinite(target_rad))):
+            raise failed("HC-B28", f"target {target_rad} rad", wanted="six finite angles")
+        if not 1.0 <= speed_percent <= 100.0:
+            raise failed("HC-B28", f"speed {speed_percent} %", wanted="1 to 100 %")
+        distance_deg = np.degrees(target_rad - self._rest_rad)
+        planned = planned_s(distance_deg, self._speed_deg_s, speed_percent)
+        # The script takes the speed of the joint that moves farthest; the others keep step with it.
+        leading_deg = float(np.max(np.abs(distance_deg)))
+        slowest = float(np.radians(np.min(self._speed_deg_s))) * speed_percent / 100.0
+        speed_rad_s = np.radians(leading_deg) / planned if planned > 0.0 else slowest
+        try:
+            number = self.command(target_rad, speed_rad_s)
+            limits = MotionLimits(planned, STALL_S, PROGRESS_DEG)
+            due_s = time.monotonic() + PROGRESS_S
+            while not self.acknowledged(number):
+                if time.monotonic() >= due_s:
+                    due_s = time.monotonic() + PROGRESS_S
+                    self.check_progress(limits, number, self.link().next())
+            return self.rest(target_rad)
+        finally:
+            self._watch.end()
+
+    def read(self) -> RobotReading:
+        """Return a reading that left the controller after this call began."""
+        states = self._dwell()
+        still = not self._under_way and _stands(states)
+        return _reading(states[-1], self._ended_s, still=still)
+
+    def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> UrSweep:
+        """Return a motion of one axis (0 to 5) alone, at a speed."""
+        full_rad_s = float(np.radians(self._speed_deg_s[axis])) if 0 <= axis < 6 else np.nan
+        return UrSweep(self, self._clock, axis, end_rad, speed_rad_s, full_rad_s)
+
+    def stop(self) -> None:
+        """Brake and end the script; any thread; waits for no answer."""
+        self._stopped = True
+        if self._stop_line is not None:
+            self._stop_line.send("stop")
+
+    def close(self) -> None:
+        """End the script, so that registers move nothing any more, then close all connections."""
+        try:
+            if self._link is not None and not self._stopped:
+                self.stop()
+        finally:
+            self._close_wires()
+
+    # -- connecting ---------------------------------------------------------------------------
+
+    def _identify(self) -> Identity:
+        options, ask = self._options, self._panel().ask
+        model, serial = ask("get robot model"), ask("get serial number")
+        software = ask("PolyscopeVersion")
+        for name, found, fits, wanted in (
+            ("model", model, options.model in model, f"{options.model!r} in it"),
+            ("serial", serial, options.serial in ("", serial), repr(options.serial)),
+        ):
+            if not fits:
+                raise refused(
+                    "HC-B05",
+                    f"{name} {found!r}",
+                    wanted=wanted,
+                    act="this is another robot; correct robot.options",
+                )
+        address = f"{options.host}:{options.rtde_port}"
+        return Identity(
+            DEVICE,
+            model,
+            serial,
+            address,
+            says_simulated(model),
+            "robot",
+            "Universal Robots",
+            software,
+        )
+
+    def _check_remote(self) -> None:
+        """Refuse local control; a controller without the question (CB3) is always remote."""
+        if (answer := self._panel().ask("is in remote control")).casefold() == "false":
+            raise refused(
+                "HC-B60",
+                f"is in remote control: {answer}",
+                wanted="true",
+                act="switch the panel to remote control",
+            )
+
+    def _end_former_script(self) -> None:
+        """End a script of ours that a dead engine left behind; refuse any other program."""
+        link = self.link()
+        before = link.next()
+        if before.runtime_state == STANDING:
+            return
+        if link.fresh().count == before.count:
+            raise refused(
+                "HC-B67",
+                f"runtime_state is {runtime_text(before)}, and it is no script of hilcell",
+                wanted=f"{STANDING} (stopped)",
+                act="stop the program at the panel",
+            )
+        self._panel().ask("stop")
+        patience, over = Patience(ENDED_S, LOOK_S), False
+        while (state := link.fresh()).runtime_state != STANDING or not _stands([state]):
+            if over:
+                raise refused(
+                    "HC-B25",
+                    f"runtime_state is {runtime_text(state)}, {ENDED_S:.0f} s after stop",
+                    wanted=f"{STANDING} (stopped), at rest",
+                    act="stop the program at the panel",
+                )
+            over = patience.over()
+
+    def _start_script(self) -> None:
+        """Send the script; return when it has said that it runs."""
+        link, options = self.link(), self._options
+        self._session = secrets.randbelow(MAX_SEQUENCE) + 1
+        # The script may begin before these registers arrive, which must move nothing then.
+        self._order = Order(0, link.fresh().joints_rad, 0.0, command=NOTHING)
+        link.write(self._order)
+        line = TcpLink(DEVICE, options.host, options.script_port, self._attend, ALARMS)
+        try:
+            line.send(script_text(self._session), "send the script")
+            patience, over = Patience(STARTED_S, LOOK_S), False
+            while True:
+                state = link.fresh()
+                if state.session == self._session and state.acknowledged == 0:
+                    break
+                line.receive(65536, Patience(0.0))  # states that nobody needs
+                if over:
+                    self._check_remote()
+                    raise self._script_ended(state, f"no word of it within {STARTED_S:.0f} s")
+                over = patience.over()
+        finally:
+            line.close()
+        self._count, self._counted_s = state.count, state.by_s
+        self._under_way = self._stopped = False
+
+    def _check_tool(self, state: UrState) -> None:
+        """Refuse a tool that is not the cell file's: the pose would be another point's."""
+        wanted = np.array([*self._options.smr_mm, 0.0, 0.0, 0.0])
+        limits = np.array([TOOL_MM] * 3 + [TOOL_RAD] * 3)
+        if not bool(np.all(np.abs(state.tool - wanted) <= limits)):
+            raise refused(
+                "HC-B06",
+                f"the TCP is {frame_text(state.tool)}",
+                wanted=frame_text(wanted),
+                act="correct the TCP of the installation, or robot.smr_mm in the cell file",
+            )
+
+    # -- moving -------------------------------------------------------------------------------
+
+    def command(self, target_rad: Array, speed_rad_s: float) -> int:
+        """Start a motion to joints (6,); return its number."""
+        if self._stopped:
+            raise failed("HC-B21", "the robot was stopped", act="resume to reconnect")
+        self.look([self.link().next()])
+        number = self._order.sequence % MAX_SEQUENCE + 1
+        self._order = Order(number, target_rad, speed_rad_s)
+        self._under_way, self._ended_s = True, None
+        self._watch.begin()
+        self._seen_s = time.monotonic()
+        self.live()
+        return number
+
+    def live(self) -> None:
+        """Give the script a sign of life."""
+        self._life_due_s = time.monotonic() + LIFE_EVERY_S
+        self.link().write(self._order)
+
+    def acknowledged(self, number: int) -> bool:
+        """Wait for the next packages; return whether one says that a motion has ended.
+
+        Raises `DeviceError` where one says that something is wrong, or the script refused it.
+        """
+        states = self.link().following(self._seen_s)
+        self._seen_s = states[-1].by_s
+        for state in states:
+            if state.acknowledged == number and state.error != 0:
+                self._look_at(state, but_script=True)
+                raise refused_motion(state.error)
+            self._look_at(state)
+        return states[-1].acknowledged == number
+
+    def look(self, states: Sequence[UrState]) -> None:
+        """Raise `DeviceError` where a state forbids to go on."""
+        for state in states:
+            self._look_at(state)
+
+    def _look_at(self, state: UrState, *, but_script: bool = False) -> None:
+        if problem := unwell(state, moving=self._under_way):
+            raise problem
+        if but_script:
+            return
+        if state.runtime_state != PLAYING or state.session != self._session:
+            raise self._script_ended(state, "")
+        if state.count != self._count:
+            self._count, self._counted_s = state.count, state.by_s
+        elif not state.by_s - self._counted_s <= COUNT_S:
+            raise self._script_ended(state, f"its counter stands at {state.count}")
+
+    def check_progress(self, limits: MotionLimits, number: int, state: UrState) -> None:
+        """Raise `DeviceError` where a motion stands or creeps."""
+        now_deg, wanted = np.degrees(state.joints_rad), f"acknowledged {number}"
+        where = f"at {joints_text(now_deg)}, acknowledged {state.acknowledged}"
+        if limits.stalled(now_deg):
+            raise stalled(where, wanted, now_deg, STALL_S)
+        if limits.overdue(self._clock.now_s(), 100.0 * state.speed_fraction):
+            raise overdue(where, wanted, limits, now_deg)
+
+    def rest(self, target_rad: Array) -> RobotReading:
+        """Return the reading at rest at joints (6,), after an acknowledged motion."""
+        patience, over = Patience(REST_S, LOOK_S), False
+        while True:
+            states = self._dwell()
+            self.look(states)
+            last = states[-1]
+            arrived = np.abs(last.joints_rad - target_rad) <= AXIS_TOLERANCE_RAD
+            if bool(np.all(arrived)) and _stands(states):
+                # The pose means something only with the tool that connect has verified.
+                self._check_tool(last)
+                self._under_way, self._rest_rad = False, target_rad
+                self._ended_s = states[0].after_s
+                return _reading(last, self._ended_s, still=True)
+            if over:
+                break
+            over = patience.over()
+        target_deg, axes_deg = np.degrees(target_rad), np.degrees(last.joints_rad)
+        tolerance = f"{joints_text(target_deg)} +-{np.degrees(AXIS_TOLERANCE_RAD):.3f}"
+        raise stopped_short(joints_text(axes_deg), tolerance, axes_deg, target_deg)
+
+    def _dwell(self) -> list[UrState]:
+        """Return the states of a dwell that began after this call."""
+        link = self.link()
+        first = link.next()
+        self._clock.wait(DWELL_S)
+        last = link.fresh()
+        if not last.timestamp_s > first.timestamp_s:
+            raise DeviceError(
+                "HC-B26",
+                DEVICE,
+                "read",
+                f"the controller's time stands at {last.timestamp_s:.3f} s",
+                act="restart the controller; resume",
+            )
+        return [first, *(each for each in link.following(first.by_s) if each.by_s <= last.by_s)]
+
+    # -- for a sweep as well ------------------------------------------------------------------
+
+    def link(self) -> UrLink:
+        """Return the connection by RTDE."""
+        if self._link is None:
+            raise DeviceError("HC-B21", DEVICE, "use", "not connected", act="connect first")
+        return self._link
+
+    def stands_at(self) -> Array:
+        """Return the joints (6,) in rad to which the robot was sent last, or where it was found."""
+        return self._rest_rad
+
+    def unwatch(self) -> None:
+        """Look at no motion any longer: it has ended, or is braked."""
+        self._watch.end()
+
+    def brake(self, *, wanted: bool) -> None:
+        """Brake by the script, or take the brake back."""
+        self._order = replace(self._order, stop=wanted)
+        self.live()
+
+    def braked(self, state: UrState) -> None:
+        """Take note that a motion was braked, and where."""
+        self._under_way, self._rest_rad = False, state.joints_rad
+
+    # -- wires --------------------------------------------------------------------------------
+
+    def _script_ended(self, state: UrState, found: str) -> DeviceError:
+        """Return the error of a script that does not run; local control comes first."""
+        try:
+            self._check_remote()
+        except DeviceRefused as error:
+            return error
+        if not found:
+            found = f"runtime_state is {runtime_text(state)}"
+            if state.runtime_state == PLAYING:
+                found = "another script of hilcell has taken the robot"
+        return failed("HC-B66", found, wanted="the script that hilcell sent", act="resume")
+
+    def _panel(self) -> Dashboard:
+        if self._dashboard is None:
+            raise DeviceError("HC-B21", DEVICE, "use", "not connected", act="connect first")
+        return self._dashboard
+
+    def _attend(self) -> None:
+        """Run in every wait on the wire."""
+        self._clock.check()
+        self._watch.look()
+        if self._watch.begun and time.monotonic() >= self._life_due_s:
+            self.live()
+
+    def _close_wires(self) -> None:
+        for line in (self._link, self._dashboard, self._stop_line):
+            if line is not None:
+                line.close()
+        self._link = self._dashboard = self._stop_line = None
+
+
+def script_text(session: int) -> bytes:
+    """Return the script as it is sent, with the number by which it is known again."""
+    text = (resources.files("drivers.universal_robots") / "script" / "hilcell.script").read_text(
+        "ascii"
+    )
+    return text.replace("HC_SESSION", str(session)).replace("HC_LIFE", f"{LIFE_S:g}").encode()
+
+
+def _stands(states: Sequence[UrState]) -> bool:
+    """Whether no joint moves, by speed and by spread."""
+    joints_rad = np.array([state.joints_rad for state in states])
+    speeds = np.abs([state.speeds_rad_s for state in states])
+    return bool(np.all(np.ptp(joints_rad, axis=0) <= STILL_RAD) and np.all(speeds <= STILL_RAD_S))
+
+
+def _reading(state: UrState, ended_s: float | None, *, still: bool) -> RobotReading:
+    """Return a reading; no part of it is older than its time."""
+    return RobotReading(state.joints_rad, state.pose, still, state.after_s, ended_s)
+
+
+def _never() -> None:
+    """Let a stop through."""

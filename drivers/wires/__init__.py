@@ -1,0 +1,1 @@
+"""Wires to devices: TCP, serial lines, lines of text."""

@@ -1,0 +1,73 @@
+"""A serial line to a device, whose every wait ends within 20 ms of a stop; pyserial opens it.
+
+It is opened for this program alone: a second one would take half of the answers. A line that is
+pulled out mid-byte is lost; bytes of before it was opened are nobody's answer and are dropped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import serial
+
+from drivers.supervision import Patience
+from drivers.wires.tcp import POLL_S, SEND_S, Alarms
+from hilcell.ports import DeviceError
+from hilcell.wire.channel import SerialLine
+
+
+class SerialLink:
+    """An open serial line. One thread receives; any thread may send."""
+
+    def __init__(
+        self, device: str, line: SerialLine, check: Callable[[], None], alarms: Alarms
+    ) -> None:
+        self.device, self.address = device, line.path
+        self._check, self._alarms = check, alarms
+        check()
+        try:
+            self._port = serial.Serial(
+                line.path, line.baud, timeout=POLL_S, write_timeout=SEND_S, exclusive=True
+            )
+            self._port.reset_input_buffer()
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise DeviceError(
+                alarms.unreachable,
+                device,
+                "connect",
+                f"{line.path} at {line.baud} baud: {error}",
+                act="check the cable, the path (/dev/serial/by-id keeps its name), the right to "
+                "open it, and that no other program has it",
+                fields={"address": line.path, "baud": line.baud},
+            ) from error
+
+    def send(self, data: bytes, operation: str) -> None:
+        """Send all of ``data``; raises `DeviceError` when it does not leave in time."""
+        try:
+            self._port.write(data)
+        except (serial.SerialException, OSError, TypeError) as error:
+            raise self.broken(operation, str(error)) from error
+
+    def receive(self, size: int, patience: Patience) -> bytes:
+        """Return 1 to ``size`` bytes, or none when ``patience`` is over.
+
+        Raises `DeviceError` when the line has gone.
+        """
+        while True:
+            self._check()
+            over = patience.over()
+            try:
+                first = self._port.read(1)
+                rest = self._port.read(min(self._port.in_waiting, size - 1)) if first else b""
+            except (serial.SerialException, OSError, TypeError) as error:
+                raise self.broken("receive", str(error)) from error
+            if first or over:
+                return first + rest
+
+    def broken(self, operation: str, found: str) -> DeviceError:
+        """Return the error that this line's failure is."""
+        return self._alarms.broken(self.device, self.address, operation, found)
+
+    def close(self) -> None:
+        """Close the line; a second close does nothing."""
+        self._port.close()

@@ -1,0 +1,222 @@
+"""A CAN gateway that speaks slcan (the Lawicel ASCII protocol), over TCP or on a serial line.
+
+Every command ends with CR and is answered: CR for done, ``z`` CR for a frame sent, BELL for
+refused. As on any gateway lines come glued, in two pieces, or a little late. TCP serves one client
+at a time. A client may throw away all that arrives before its ``O`` (open); so nothing is sent
+unasked until the channel is open.
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+import time
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from fakes.faults import Faults
+from fakes.wires.listener import HOST, listen
+from fakes.wires.serial_end import SerialEnd
+
+SLCAN = "slcan"
+OK, REFUSED = b"\r", b"\a"
+LONGEST_LINE = 64
+SEND_DEADLINE_S = 0.2
+LATE_SHARE, LATE_S = 0.1, 0.001  # so many sendings wait for up to so long, whole or cut in two
+
+
+def encode(cob_id: int, data: bytes) -> bytes:
+    """Return the line of a frame with an 11-bit identifier."""
+    return f"t{cob_id:03X}{len(data):d}{data.hex().upper()}\r".encode("ascii")
+
+
+def decode(line: bytes) -> tuple[int, bytes]:
+    """Return identifier and data of a ``t`` line without its CR; raises ValueError."""
+    length = int(line[4:5])
+    data = bytes.fromhex(line[5:].decode("ascii"))
+    if line[:1] != b"t" or len(line) != 5 + 2 * length or length > 8 or len(data) != length:
+        raise ValueError(f"not a frame: {line!r}")
+    return int(line[1:4], 16), data
+
+
+def is_serial(channel: object) -> bool:
+    """Whether a cell file's channel is a serial line, so that its gateway has one, too."""
+    return isinstance(channel, str) and channel.startswith("/")
+
+
+class SlcanGateway:
+    """Listens on loopback, or has a ``serial`` line.
+
+    ``on_open()`` and ``on_frame(cob_id, data)`` go to the bus.
+    """
+
+    def __init__(
+        self,
+        faults: Faults,
+        on_open: Callable[[], None],
+        on_frame: Callable[[int, bytes], None],
+        *,
+        port: int = 0,
+        serial: bool = False,
+    ) -> None:
+        self._faults = faults
+        self._on_open, self._on_frame = on_open, on_frame
+        self._line = SerialEnd(SEND_DEADLINE_S) if serial else None
+        self._listener: socket.socket | None = None if serial else listen(port)
+        self.port = 0 if self._listener is None else int(self._listener.getsockname()[1])
+        self._client: socket.socket | SerialEnd | None = self._line
+        self._received = b""
+        self._sending = b""
+        self._opened = self._stalled = self._off = False
+        self._held = b""  # a frame that changes places with the next one
+        self._habits = np.random.default_rng(0)
+
+    def address(self, stated: Mapping[str, object]) -> dict[str, object]:
+        """Return where a client finds it, in place of what a cell file has ``stated``.
+
+        One that names an interface of the kernel is served as well.
+        """
+        channel = f"socket://{HOST}:{self.port}" if self._line is None else self._line.path
+        found: dict[str, object] = {"channel": channel}
+        if stated.get("interface", SLCAN) != SLCAN:
+            found["interface"] = SLCAN
+        return found
+
+    def serve(self, timeout_s: float, wake: socket.socket) -> None:
+        """Handle clients' bytes for ``timeout_s``; bytes on ``wake`` end the wait early."""
+        waiting = self._client or self._listener
+        ready, _, _ = select.select([waiting, wake] if waiting else [wake], [], [], timeout_s)
+        if self._client in ready:
+            self._receive()
+        elif self._listener in ready:
+            self._accept()
+
+    def send(self, cob_id: int, data: bytes) -> None:
+        """Queue a frame for the client; without an open channel it is lost, as on a real bus."""
+        if not self._opened or self._off:
+            return
+        garbage = self._faults.take("rail.garbage")
+        if garbage is not None:
+            self._put(bytes([0x80 | int(garbage) & 0x7F]))
+        line, before = encode(cob_id, data), self._held
+        self._held = b"" if before or not self._faults.take("rail.swapped_frames") else line
+        if not self._held:
+            self._put(line + before)
+        if self._faults.take("rail.double_frame") is not None:
+            self._put(line)
+
+    def flush(self) -> None:
+        """Send the queue; a client that does not take it in time is dropped."""
+        if self._client is not None and self._sending:
+            try:
+                if self._habits.random() < LATE_SHARE:
+                    cut = int(self._habits.integers(len(self._sending)))
+                    self._client.sendall(self._sending[:cut])
+                    self._sending = self._sending[cut:]
+                    time.sleep(self._habits.uniform(0.0, LATE_S))
+                self._client.sendall(self._sending)
+            except OSError:
+                self.drop()
+        self._sending = b""
+
+    def drop(self) -> None:
+        """Close the client's connection; the next client may come. A line is only shut off."""
+        if self._client is not None and self._client is not self._line:
+            self._client.close()
+        self._client, self._opened, self._stalled, self._off = self._line, False, False, False
+        self._held = b""
+        self._received = self._sending = b""
+
+    def close(self) -> None:
+        """Stop listening and drop the client."""
+        if self._listener is not None:
+            self._listener.close()
+        self._listener = None
+        line, self._line = self._line, None
+        self.drop()
+        if line is not None:
+            line.close()
+
+    def _accept(self) -> None:
+        if self._listener is not None:
+            client, _ = self._listener.accept()
+            client.settimeout(SEND_DEADLINE_S)
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._client = client
+
+    def _receive(self) -> None:
+        client = self._client
+        if client is None:
+            return
+        try:
+            data = client.recv(4096)
+        except OSError:
+            data = b""
+        if not data:
+            self.drop()
+            return
+        *lines, rest = (self._received + data).split(b"\r")
+        self._received = rest
+        for line in lines:
+            self._obey(line)
+            if self._client is None:
+                return
+        if len(rest) > LONGEST_LINE:
+            self._received = b""
+            self._put(REFUSED)
+
+    def _put(self, data: bytes) -> None:
+        if not self._stalled:
+            self._sending += data
+
+    def _obey(self, line: bytes) -> None:
+        match line[:1]:
+            case b"t":
+                self._transmit(line)
+            case b"T" | b"r" | b"R":
+                # Extended and remote frames cross the bus; no node here listens to them.
+                done = b"Z\r" if line[:1] in b"TR" else b"z\r"
+                self._put(done if self._opened else REFUSED)
+            case b"O" | b"L":
+                self._put(OK)
+                if not self._opened:
+                    self._opened = True
+                    self._on_open()
+            case b"C":
+                self._opened = False
+                self._put(OK)
+            case _:
+                self._put(self._settings(line))
+
+    def _settings(self, line: bytes) -> bytes:
+        match line[:1]:
+            case b"":
+                return OK
+            case b"S" | b"s":
+                return REFUSED if self._opened else OK
+            case b"V":
+                return b"V1013\r"
+            case b"N":
+                return b"NHC01\r"
+            case b"F":
+                return b"F00\r"
+            case _:
+                return REFUSED
+
+    def _transmit(self, line: bytes) -> None:
+        try:
+            cob_id, data = decode(line)
+        except ValueError:
+            self._put(REFUSED)
+            return
+        if self._faults.take("rail.eof") is not None:
+            self.drop()
+            return
+        self._stalled = self._faults.take("rail.stalled") is not None
+        self._off = self._off or self._faults.take("rail.bus_off") is not None
+        if not self._opened or self._off or self._faults.take("rail.nack") is not None:
+            self._put(REFUSED)
+            return
+        self._put(b"z\r")
+        self._on_frame(cob_id, data)

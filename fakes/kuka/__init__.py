@@ -1,0 +1,1 @@
+"""A controller of KUKA by two wires."""

@@ -1,0 +1,405 @@
+"""The robot controller: system variables and the resident program hilcell.src, as KRL text.
+
+Nobody may read more here than a controller knows: joints and poses are its own nominal ones.
+The program waits for ``HC_SEQ <> HC_ACK``, moves, then sets HC_ERR and HC_ACK. HC_STOP brakes and
+keeps the program in its interrupt until it is FALSE again. So does the timer that runs while a
+motion is under way, unless it is set back before it reaches zero.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+
+from fakes.faults import Faults, Vanished
+from fakes.kuka.external_axis import ExternalAxis
+from fakes.kuka.krl import (
+    KrlError,
+    aggregate,
+    boolean,
+    members,
+    parse_aggregate,
+    parse_boolean,
+    parse_integer,
+    parse_rounded,
+)
+from fakes.kuka.life_timer import LifeTimer
+from fakes.motion_faults import Harms, strike
+from fakes.truth.controller_arm import controller_arm
+from fakes.truth.flicker import flicker
+from fakes.truth.robot_motion import RobotMotion, RobotState
+from fakes.truth.transforms import Array
+from hilcell.cell.file import Cell
+
+MOVE_PTP, MOVE_SLIDE = 1, 2
+OK, UNKNOWN_COMMAND, OUT_OF_LIMITS, LOST, STOPPED = 0, 1, 2, 8, 9
+SLIDE_AWAY, SLIDE_HELD, SLIDE_FREE = 3, 4, 5
+SLIDE_MM = 0.05  # it may read so far from where it is held
+LIFE_MS = 1500
+AXES = tuple(f"A{n}" for n in range(1, 7))
+EXTERNAL = members({f"E{n}": 0.0 for n in range(1, 7)})
+FRAME = ("X", "Y", "Z", "A", "B", "C")
+TOOL, BASE = 1, 0
+CYCLE_S = 0.012  # of the interpolation: measured axes are as old as its last tick
+FLICKER_DEG = 1e-4  # of each axis at rest
+FLICKER_POSE = np.array([1e-3] * 3 + [1e-4] * 3)  # mm and deg
+
+
+class KrlController:
+    """One robot's controller; ``read`` and ``write`` may come from several threads."""
+
+    def __init__(
+        self,
+        cell: Cell,
+        motion: RobotMotion,
+        faults: Faults,
+        harms: Harms | None = None,
+        slide: ExternalAxis | None = None,
+    ) -> None:
+        self._lock = threading.RLock()
+        self._motion, self._faults, self._harms = motion, faults, harms or Harms()
+        self._slide, self._slide_mm = slide, 0.0  # the place at which it is held
+        self._arm = controller_arm(cell)
+        self._low_deg = np.array([joint.min_deg for joint in cell.robot.joint])
+        self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
+        self._tool = dict(zip(FRAME, (*cell.robot.smr_mm, 0.0, 0.0, 0.0), strict=True))
+        self._target_deg = dict(zip(AXES, cell.robot.home_deg, strict=True))
+        self._integers = {"HC_VEL": 1, "HC_CMD": 0, "HC_SEQ": 0, "HC_OV_OLD": 0, "HC_OV_SET": 0}
+        self._integers["HC_LIFE"] = LIFE_MS
+        self._timer = LifeTimer(self._timer_ran_out)
+        self._acknowledged = self._error = 0
+        self._running: int | None = None
+        self._in_stop = False
+        self._keeps_acknowledge = self._frozen = False
+        self._override = 100
+        self._stale: dict[str, str] = {}
+        self._pose, self._turns = np.zeros(6), {"S": 0, "T": 0}
+        self._pose_of: Array | None = None
+        self._looks = 0
+        self._moment: RobotState | None = None  # that several variables are read of
+        self._readers = self._system_readers() | self._program_readers()
+        self.restore()
+
+    def restore(self) -> None:
+        """The operator puts everything right and starts the program again."""
+        with self._lock:
+            self._mode, self._program = "#EX", "#P_ACTIVE"
+            self._emergency, self._message = False, False
+            self._in_stop, self._running = False, None
+            self._hold_slide()
+            self._timer.stop()
+            self._keeps_acknowledge = self._frozen = False
+            self._acknowledged, self._error = self._integers["HC_SEQ"], OK
+            self._set_override(100)
+
+    def read(self, name: str) -> str:
+        """Return a variable's text; raises `KrlError` for one that the controller has not."""
+        with self._lock:
+            reader = self._readers.get(name.strip().upper())
+            if reader is None:
+                raise KrlError(name)
+            self._strike_on_request()
+            self._run_program()
+            return reader()
+
+    def read_all(self, names: Sequence[str]) -> list[str]:
+        """Return variables of one moment, as a program on the controller reads them."""
+        with self._lock:
+            self._strike_on_request()
+            self._moment = self._poll()
+            try:
+                return [self._readers[name]() for name in names]
+            finally:
+                self._moment = None
+
+    def write(self, name: str, text: str) -> None:
+        """Set a variable from its text; raises `KrlError` where KRL would refuse."""
+        name = name.strip().upper()
+        with self._lock:
+            self._strike_on_request()
+            if name == "HC_TGT":
+                self._target_deg |= parse_aggregate(text, "E6AXIS")
+            elif name in self._integers:
+                self._integers[name] = parse_integer(text)
+            elif name == "$TIMER[10]":
+                self._timer.set_ms(parse_integer(text))
+            elif name == "HC_HELD" and self._slide is not None:
+                self._slide.held = parse_boolean(text)
+            elif name == "HC_STOP":
+                self._stop(parse_boolean(text))
+            elif name == "$OV_PRO":
+                self._set_override(parse_rounded(text))
+            else:
+                raise KrlError(name)
+            self._run_program()
+
+    # -- variables to read ----------------------------------------------------------------------
+
+    def _system_readers(self) -> dict[str, Callable[[], str]]:
+        return {
+            "$MODE_OP": lambda: self._mode,
+            "$PERI_RDY": lambda: boolean(not self._emergency),
+            "$STOPMESS": lambda: boolean(self._message),
+            "$ALARM_STOP": lambda: boolean(not self._emergency),
+            "$USER_SAF": lambda: boolean(True),
+            "$PRO_STATE": lambda: self._program,
+            "$PRO_STATE1": lambda: self._program,
+            "$OV_PRO": lambda: str(self._override),
+            "$ACT_TOOL": lambda: str(self._number("robot.wrong_tool", TOOL)),
+            "$ACT_BASE": lambda: str(self._number("robot.wrong_base", BASE)),
+            "$TOOL": lambda: aggregate("FRAME", self._tool),
+            "$BASE": lambda: aggregate("FRAME", dict.fromkeys(FRAME, 0.0)),
+            "$ACCU_STATE": lambda: "#CHARGE_OK",
+            "$TRAFONAME[]": self._identity,
+            "$KR_SERIALNO": lambda: str(self._arm.serial),
+            "$ROBNAME[]": lambda: '"HILCELL"',
+            "$EX_AX_NUM": self._count_slides,
+            "$AXIS_JUS[7]": self._mastered,
+            "$AXIS_ACT.E1": self._place,
+            "$AXIS_ACT": lambda: self._position("$AXIS_ACT"),
+            "$AXIS_ACT_MEAS": lambda: self._position("$AXIS_ACT_MEAS"),
+            "$POS_ACT": lambda: self._position("$POS_ACT"),
+        }
+
+    def _program_readers(self) -> dict[str, Callable[[], str]]:
+        integers = {name: partial(self._integer, name) for name in self._integers}
+        return integers | {
+            "HC_VER": lambda: "4",
+            "HC_HELD": lambda: boolean(self._slide is None or self._slide.held),
+            "HC_PLACE": lambda: f"{self._slide_mm:.5f}",
+            "HC_TGT": lambda: aggregate("E6AXIS", self._target_deg, EXTERNAL),
+            "HC_ACK": self._read_acknowledge,
+            "HC_ERR": lambda: str(self._error),
+            "HC_STOP": lambda: boolean(self._in_stop),
+        }
+
+    def _integer(self, name: str) -> str:
+        return str(self._integers[name])
+
+    def _identity(self) -> str:
+        other = self._faults.take("robot.wrong_identity")
+        if other is None:
+            return f'"{self._arm.model} SIMULATED"'
+        return '"#KR6R900"' if other is True else f'"{other}"'
+
+    def _number(self, fault: str, value: int) -> int:
+        found = self._faults.number(fault)
+        return value if found is None else int(found)
+
+    def _read_acknowledge(self) -> str:
+        if self._moment is None:
+            self._looks = 0
+        self._poll()
+        return str(self._acknowledged)
+
+    def _position(self, which: str) -> str:
+        state = self._poll()
+        if self._faults.take("robot.stale_position") is not None and which in self._stale:
+            return self._stale[which]
+        text = self._stale[which] = self._position_text(which, state)
+        bad = self._faults.take("robot.bad_number")
+        if bad is not None:
+            kind, members = text.split(": ", 1)
+            first, rest = members.split(",", 1)
+            return f"{kind}: {first.split()[0]} {bad},{rest}"
+        return text
+
+    def _position_text(self, which: str, state: RobotState) -> str:
+        off, joints_rad = np.zeros(6), state.joints_rad
+        if state.moving and which == "$AXIS_ACT_MEAS":
+            joints_rad, tick = self._motion.measured(CYCLE_S)
+            off = flicker(state.landing_rad.tobytes(), tick, 6)
+        elif not state.moving:
+            self._looks += 1
+            landed = state.joints_rad.tobytes() + state.landing_rad.tobytes()
+            off = flicker(landed, self._looks, 6)
+        if which != "$POS_ACT":
+            axes_deg = np.degrees(joints_rad) + FLICKER_DEG * off
+            axes = dict(zip(AXES, axes_deg.tolist(), strict=True))
+            return aggregate("E6AXIS", axes, self._external())
+        if state.joints_rad is not self._pose_of:  # at rest it is the same array each time
+            self._pose_of, arm = state.joints_rad, self._arm
+            self._pose = arm.components(state.joints_rad)
+            self._turns = {"S": arm.status(state.joints_rad), "T": arm.turn(state.joints_rad)}
+        pose = (self._pose + FLICKER_POSE * off).tolist()
+        return aggregate(
+            "E6POS", dict(zip(FRAME, pose, strict=True)) | self._turns, self._external()
+        )
+
+    # -- external axis E1 -----------------------------------------------------------------------
+
+    def _count_slides(self) -> str:
+        return str(int(self._slide is not None and self._faults.take("robot.no_slide") is None))
+
+    def _mastered(self) -> str:
+        return boolean(self._faults.take("robot.slide_unmastered") is None)
+
+    def _place(self) -> str:
+        if self._slide is None:
+            raise KrlError("$AXIS_ACT.E1")
+        self._poll()
+        state = self._slide.poll(self._share)
+        return f"{self._slide.place_mm(state, alone=True):.5f}"
+
+    def _external(self) -> str:
+        if self._slide is None:
+            return EXTERNAL
+        place_mm = self._slide.place_mm(self._slide.poll(self._share), alone=False)
+        return members({"E1": place_mm} | {f"E{n}": 0.0 for n in range(2, 7)})
+
+    def _hold_slide(self) -> None:
+        """Hold it where it is; one that still brakes, where it comes to rest."""
+        if self._slide is not None:
+            self._slide.stop()
+            self._slide_mm = self._slide.poll(self._share).encoder_mm
+
+    def _start_slide(self) -> int:
+        if self._slide is None:
+            return UNKNOWN_COMMAND
+        if self._slide.held:
+            return SLIDE_HELD
+        target_mm = self._target_deg["E1"]
+        softlimit = self._faults.take("robot.softlimit") is not None
+        if softlimit or not self._slide.inside(target_mm):
+            return OUT_OF_LIMITS
+        self._keeps_acknowledge = self._faults.take("robot.ack_previous") is not None
+        self._frozen = self._faults.take("robot.frozen") is not None
+        if not self._frozen:
+            self._slide.move(target_mm, min(max(self._integers["HC_VEL"], 1), 100), self._share)
+        self._slide_mm = target_mm
+        self._timer.start(-self._integers["HC_LIFE"])
+        return OK
+
+    def _slide_forbids(self) -> int:
+        """Return why the arm must not move, else `OK`."""
+        if self._slide is None:
+            return OK
+        if not self._slide.held:
+            return SLIDE_FREE
+        away_mm = abs(self._slide.poll(self._share).encoder_mm - self._slide_mm)
+        return OK if away_mm <= SLIDE_MM else SLIDE_AWAY
+
+    @property
+    def _share(self) -> float:
+        return self._override / 100.0
+
+    @property
+    def _slides_on(self) -> bool:
+        """Whether the slide moves, also on its brake."""
+        return self._slide is not None and self._slide.seen_moving
+
+    @property
+    def _moves(self) -> bool:
+        return self._motion.moving or (self._slide is not None and self._slide.moving)
+
+    # -- the resident program -------------------------------------------------------------------
+
+    def _run_program(self) -> None:
+        ready = self._program == "#P_ACTIVE" and not self._in_stop
+        if self._running is not None:
+            if ready and not self._moves and not self._frozen:
+                self._acknowledge()
+        elif ready and self._integers["HC_SEQ"] != self._acknowledged:
+            self._running = self._integers["HC_SEQ"]
+            self._error = self._start()
+            if self._error != OK:
+                self._acknowledge()
+
+    def _start(self) -> int:
+        self._looks = 0
+        if self._integers["HC_CMD"] == MOVE_SLIDE:
+            return self._start_slide()
+        if self._integers["HC_CMD"] != MOVE_PTP:
+            return UNKNOWN_COMMAND
+        if (forbidden := self._slide_forbids()) != OK:
+            return forbidden
+        target_deg = np.array([self._target_deg[axis] for axis in AXES])
+        inside = (target_deg >= self._low_deg) & (target_deg <= self._high_deg)
+        if not inside.all() or self._faults.take("robot.softlimit") is not None:
+            return OUT_OF_LIMITS
+        struck = strike(self._faults, self._harms, target_deg)
+        self._keeps_acknowledge, self._frozen = struck.keeps_acknowledge, struck.frozen
+        if not self._frozen:
+            speed = min(max(self._integers["HC_VEL"], 1), 100) / 100.0
+            self._motion.move(np.radians(struck.target_deg), speed)
+        self._timer.start(-self._integers["HC_LIFE"])
+        return OK
+
+    def _acknowledge(self) -> None:
+        if self._running is not None and not self._keeps_acknowledge:
+            self._acknowledged, self._running = self._running, None
+            self._timer.stop()
+
+    def _stop(self, wanted: bool) -> None:
+        if wanted and not self._in_stop:
+            self._brake(STOPPED)
+        elif not wanted and self._in_stop and not self._slides_on:
+            self._in_stop = self._keeps_acknowledge = self._frozen = False
+            self._hold_slide()
+            self._running = None
+            self._acknowledged = self._integers["HC_SEQ"]
+
+    def _brake(self, why: int) -> None:
+        """Enter the program's interrupt."""
+        self._timer.stop()
+        self._in_stop, self._error = True, why
+        self._brake_all()
+
+    def _brake_all(self) -> None:
+        self._motion.brake()
+        if self._slide is not None:
+            self._slide.stop()
+
+    def _timer_ran_out(self) -> None:
+        """Brake a motion of which the PC has not spoken in time; called by the timer's thread."""
+        with self._lock:
+            self._run_program()  # a motion that has ended meanwhile needs no sign any more
+            if self._timer.ran_out and self._running is not None and not self._in_stop:
+                self._brake(LOST)
+
+    def _set_override(self, percent: int) -> None:
+        if not 0 <= percent <= 100:
+            raise KrlError(f"$OV_PRO {percent}")
+        self._override = percent
+        self._motion.override(percent / 100.0)
+        if self._slide is not None:
+            self._slide.override(percent / 100.0)
+
+    # -- faults ---------------------------------------------------------------------------------
+
+    def _strike_on_request(self) -> None:
+        if self._faults.take("robot.mode_t1") is not None:
+            self._mode, self._program = "#T1", "#P_STOP"
+            self._brake_all()
+        if self._faults.take("robot.deselected") is not None:
+            self._program = "#P_FREE"
+            self._brake_all()
+
+    def _poll(self) -> RobotState:
+        """Let a moving robot get further, strike it if so wanted, and return its state."""
+        if self._moment is not None:
+            return self._moment
+        self._strike_by_motion()
+        state = self._motion.poll()
+        if self._slide is not None:
+            self._slide.poll(self._share)
+        self._run_program()
+        return state
+
+    def _strike_by_motion(self) -> None:
+        """Let the faults of a moving robot happen, or those that are set to strike at rest."""
+        take = partial(self._faults.take, moving=self._motion.seen_moving or self._slides_on)
+        if take("robot.vanish") is not None:
+            raise Vanished
+        if take("robot.e_stop") is not None:
+            self._emergency = self._message = True
+            self._program = "#P_STOP"
+            self._brake_all()
+        if take("robot.stopmess") is not None:
+            self._message, self._program = True, "#P_STOP"
+            self._brake_all()
+        if take("robot.override_zero") is not None:
+            self._set_override(0)

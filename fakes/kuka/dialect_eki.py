@@ -1,0 +1,49 @@
+"""Documents of EthernetKRL: a number and a sign of life are no part of what one asks."""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+
+from fakes.replay.dialects import Dialect, Options
+
+_END = re.compile(rb"</Robot\w+>")
+_ASKED = re.compile(rb'(<(?:RobotCommand|RobotStop|Command)\s+Id=")(-?\d+)(")')
+_LIFE = re.compile(rb' Life="\d+"')
+
+
+class Eki(Dialect):
+    """Commands with an Id, and states that repeat it; that of a motion is above 0."""
+
+    def split(self, data: bytes) -> tuple[list[bytes], bytes]:
+        """Return the whole documents, and the rest."""
+        ends = [0, *(found.end() for found in _END.finditer(data))]
+        return [data[a:b] for a, b in pairwise(ends)], data[ends[-1] :]
+
+    def name(self, message: bytes) -> bytes:
+        """Return the document without the Id of a question, and without its sign of life."""
+        return _ASKED.sub(_kept, _LIFE.sub(b"", message))
+
+    def belongs(self, answer: bytes, asked: bytes) -> bool:
+        """Whether both have one Id: a state may come once more, with the next."""
+        return _id(answer) == _id(asked)
+
+    def answer(self, asked: bytes, recorded: bytes, answer: bytes) -> bytes:
+        """Return the state with the Id of this command, where it has the recorded one's."""
+        if _id(answer) != _id(recorded):
+            return answer
+        return _ASKED.sub(rb"\g<1>" + _id(asked) + rb"\g<3>", answer, count=1)
+
+
+def _id(message: bytes) -> bytes:
+    found = _ASKED.search(message)
+    return b"" if found is None else found[2]
+
+
+def _kept(found: re.Match[bytes]) -> bytes:
+    return found[0] if int(found[2]) > 0 else found[1] + found[3]
+
+
+def kuka_eki(_options: Options) -> dict[str, Dialect]:
+    """Return the dialects of a KUKA robot behind EthernetKRL."""
+    return {"": Eki(), "stop": Eki()}

@@ -1,0 +1,194 @@
+"""EthernetKRL on the controller, and the submit program hilcell_eki.src that uses it.
+
+The interface takes documents apart: each value that its configuration names goes into a queue of
+its own, so that one that is missing shifts all later ones. The program takes one value of each
+queue, acts by the variables of the robot program hilcell.src, and answers with a state.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from xml.parsers import expat
+
+from fakes.faults import Faults
+from fakes.kuka.controller import KrlController
+from fakes.kuka.krl import KrlError, aggregate, raw_members
+from fakes.time import PlantTime
+
+QUEUE = 16  # values; one more closes the connection
+DOCUMENT_S = 0.016  # to make and send a state, after its variables were read
+VERSION = 1
+AXES = tuple(f"A{n}" for n in range(1, 7))
+RECEIVED = (
+    *(f"RobotCommand/@{name}" for name in ("Id", "Type", "Percent", "Life")),
+    *(f"RobotCommand/Pos/@{name}" for name in (*AXES, "E1")),
+)
+STOP_RECEIVED = ("RobotStop/@Id", "RobotStop/@Brake")
+FRAME = ("X", "Y", "Z", "A", "B", "C")
+STATUS = {
+    "Mode_Op": "$MODE_OP",
+    "Peri_Rdy": "$PERI_RDY",
+    "StopMess": "$STOPMESS",
+    "Alarm_Stop": "$ALARM_STOP",
+    "User_Saf": "$USER_SAF",
+    "Pro_State1": "$PRO_STATE1",
+    "Ov_Pro": "$OV_PRO",
+}
+COMMAND = {"Motion_Id": "HC_SEQ", "Finished_Id": "HC_ACK", "Stopped": "HC_STOP"}
+SLIDE = {"Count": "$EX_AX_NUM", "Mastered": "$AXIS_JUS[7]", "Held": "HC_HELD"}
+OTHERS = (
+    "HC_ERR", "HC_OV_OLD", "HC_VER", "$TRAFONAME[]", "$KR_SERIALNO", "$ACT_TOOL", "$ACT_BASE",
+)  # fmt: skip
+PLACES = ("$AXIS_ACT_MEAS", "$POS_ACT", "$TOOL", "$BASE")
+NAMES = (*COMMAND.values(), *STATUS.values(), *SLIDE.values(), *OTHERS, *PLACES)
+
+
+class Overflow(Exception):
+    """A queue is full: the interface closes the connection."""
+
+
+class Queues:
+    """The received values of one channel, by their paths."""
+
+    def __init__(self, paths: tuple[str, ...]) -> None:
+        self._queues: dict[str, deque[str]] = {path: deque() for path in paths}
+        self._last = dict.fromkeys(paths, "0")
+
+    def clear(self) -> None:
+        """Forget everything, as a channel does that is opened."""
+        for queue in self._queues.values():
+            queue.clear()
+
+    def add(self, document: bytes) -> None:
+        """Take a document apart; raises `Overflow`, or `KrlError` for one that is no XML."""
+        path: list[str] = []
+
+        def begin(tag: str, attributes: dict[str, str]) -> None:
+            path.append(tag)
+            for name, text in attributes.items():
+                queue = self._queues.get(f"{'/'.join(path)}/@{name}")
+                if queue is not None:
+                    queue.append(text)
+                    if len(queue) > QUEUE:
+                        raise Overflow
+
+        parser = expat.ParserCreate()
+        parser.StartElementHandler = begin
+        parser.EndElementHandler = lambda _tag: path.pop()
+        try:
+            parser.Parse(document, True)
+        except expat.ExpatError as error:
+            raise KrlError(str(error)) from error
+
+    def waiting(self) -> bool:
+        """Whether a value of the first path is there."""
+        return bool(next(iter(self._queues.values())))
+
+    def take(self) -> dict[str, str]:
+        """Return one value of each queue by its name; an empty queue leaves the last one."""
+        for path, queue in self._queues.items():
+            if queue:
+                self._last[path] = queue.popleft()
+        return {path.rpartition("@")[2]: text for path, text in self._last.items()}
+
+
+class EkiProgram:
+    """One cycle of the submit program for each command."""
+
+    def __init__(self, controller: KrlController, faults: Faults, time: PlantTime) -> None:
+        self._controller, self._faults, self._time = controller, faults, time
+
+    def command(self, values: dict[str, str]) -> bytes:
+        """Act by a command; return the state."""
+        acts = {
+            "1": self._move,
+            "2": lambda _: self._controller.write("HC_STOP", "TRUE"),
+            "3": lambda _: self._controller.write("HC_STOP", "FALSE"),
+            "4": self._lower,
+            "5": self._give_back,
+            "6": lambda _: self._controller.write("HC_HELD", "TRUE"),
+            "7": lambda _: self._controller.write("HC_HELD", "FALSE"),
+            "8": self._move_slide,
+        }
+        if int(values["Life"]) > 0:
+            self._controller.write("$TIMER[10]", "-" + values["Life"])
+        if values["Type"] in acts:
+            acts[values["Type"]](values)
+        wrong = int(self._faults.take("robot.tag_mismatch") is not None)
+        state = self._state(int(values["Id"]) + wrong)
+        self._time.spend(DOCUMENT_S)
+        return state
+
+    def stop(self, values: dict[str, str]) -> bytes:
+        """Act by a command of the stop's channel; return the answer."""
+        if values["Brake"] == "1":
+            self._controller.write("HC_STOP", "TRUE")
+        return _document("RobotStopState", {"Command": {"Id": values["Id"]}})
+
+    def _move(self, values: dict[str, str]) -> None:
+        self._start("1", {axis: float(values[axis]) for axis in AXES}, values)
+
+    def _move_slide(self, values: dict[str, str]) -> None:
+        self._start("2", {"E1": float(values["E1"])}, values)
+
+    def _start(self, command: str, target: dict[str, float], values: dict[str, str]) -> None:
+        for name, text in (
+            ("HC_TGT", aggregate("E6AXIS", target)),
+            ("HC_VEL", values["Percent"]),
+            ("HC_CMD", command),
+            ("HC_LIFE", values["Life"]),
+            ("HC_SEQ", values["Id"]),
+        ):
+            self._controller.write(name, text)
+
+    def _lower(self, values: dict[str, str]) -> None:
+        before = self._controller.read("$OV_PRO")
+        for name, text in (
+            ("HC_OV_SET", values["Percent"]),
+            ("HC_OV_OLD", before),
+            ("$OV_PRO", values["Percent"]),
+        ):
+            self._controller.write(name, text)
+
+    def _give_back(self, _values: dict[str, str]) -> None:
+        before = self._controller.read("HC_OV_OLD")
+        if before != "0":
+            if self._controller.read("$OV_PRO") == self._controller.read("HC_OV_SET"):
+                self._controller.write("$OV_PRO", before)
+            self._controller.write("HC_OV_OLD", "0")
+
+    def _state(self, number: int) -> bytes:
+        texts = dict(zip(NAMES, self._controller.read_all(NAMES), strict=True))
+        axes, pose, tool, base = (raw_members(texts[name]) for name in PLACES)
+        return _document(
+            "RobotState",
+            {
+                "Command": {"Id": str(number)} | _named(COMMAND, texts),
+                "Pos": {name: axes[name] for name in (*AXES, "E1")}
+                | {name: pose[name] for name in (*FRAME, "S", "T")},
+                "Status": _named(STATUS, texts),
+                "Tool": {"Number": texts["$ACT_TOOL"]} | {name: tool[name] for name in FRAME},
+                "Base": {"Number": texts["$ACT_BASE"]} | {name: base[name] for name in FRAME},
+                "Override": {"Old": texts["HC_OV_OLD"]},
+                "Slide": _named(SLIDE, texts),
+                "Robot": {
+                    "Model": texts["$TRAFONAME[]"].strip('"'),
+                    "Serial": texts["$KR_SERIALNO"],
+                    "Program": texts["HC_VER"],
+                    "Documents": str(VERSION),
+                },
+                "Error": {"Code": texts["HC_ERR"]},
+            },
+        )
+
+
+def _named(names: dict[str, str], texts: dict[str, str]) -> dict[str, str]:
+    return {attribute: texts[name] for attribute, name in names.items()}
+
+
+def _document(root: str, elements: dict[str, dict[str, str]]) -> bytes:
+    body = ""
+    for element, each in elements.items():
+        attributes = " ".join(f'{name}="{text}"' for name, text in each.items())
+        body += f"<{element} {attributes}/>"
+    return f"<{root}>{body}</{root}>".encode("ascii", "replace")

@@ -1,0 +1,488 @@
+"""Commands as an emScon tracker performs them: settings, pointing, finding, measuring.
+
+Positions on the wire have the units and axes that were set; inside all is mm, right-handed. As with
+the original, lengths are metres until SetUnits says otherwise, and a measurement is acknowledged at
+once while its result comes later as a packet of its own.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from fakes.faults import Faults, Vanished
+from fakes.leica.emscon_packets import (
+    ARGUMENTS,
+    COMMAND,
+    Change,
+    Command,
+    Status,
+    multi_result,
+    reply,
+    single_result,
+    status_change,
+    wide,
+)
+from fakes.leica.emscon_stream import SampleStream
+from fakes.time import PlantTime
+from fakes.truth.stream_truth import StreamTruth
+from fakes.truth.tracker_truth import Air, Measurement
+from fakes.truth.transforms import Array
+from hilcell.cell.file import Cell
+
+METRE, MILLIMETRE = 0, 1
+MM_PER_UNIT = {METRE: 1000.0, MILLIMETRE: 1.0}
+RAD_PER_UNIT = {0: 1.0, 1: math.pi / 180, 2: math.pi / 200}
+KNOWN_UNITS = (MM_PER_UNIT, RAD_PER_UNIT, {0}, {0, 1}, {0})  # C; mbar or hPa; relative humidity
+AXES = {0: (1, 1, 1), 1: (-1, 1, 1), 2: (1, -1, 1), 3: (1, 1, -1)}  # RHR, LHRX, LHRY, LHRZ
+STATIONARY, CONTINUOUS_TIME = 0, 1
+MEASURING_MS = (100, 100_000)
+SEPARATION_MS = (1, 100_000)
+INITIALISE_S, POINT_S, FACE_S = 30.0, 0.6, 4.0
+STILL_MM = 0.02  # a target that moves farther meanwhile gives no stationary result
+SERIAL, VERSION, SENSOR_AT401 = 402871, (3, 8, 0), 70
+OFFSETS_MM = {"SMR 1.5in": 19.05, "SMR 0.875in": 11.1125, "SMR 0.5in": 6.35}
+BALL = 1  # target type: corner cube
+
+
+class Instrument(Protocol):
+    """The plant as the device sees it: positions in the tracker's frame, mm."""
+
+    def reflector(self, name: str) -> Array | None:
+        """Return where a reflector is, None where it is not to be seen."""
+
+    def find(self, near_mm: Array, radius_mm: float) -> str | None:
+        """Return the name of the reflector nearest to a point."""
+
+    def measure(self, name: str) -> Measurement | None:
+        """Return one measurement of a reflector, None where it cannot be seen."""
+
+    def air(self) -> Air:
+        """Return the air now."""
+
+
+@dataclass(frozen=True, slots=True)
+class Later:
+    """Something that ends after plant time has passed."""
+
+    duration_s: float
+    finish: Callable[[], Answer]
+    measures: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Packets to send now, and those that come later."""
+
+    packets: list[bytes] = field(default_factory=list)
+    later: Later | None = None
+    stream: SampleStream | None = None
+
+
+@dataclass
+class _Settings:
+    units: tuple[int, ...] = (METRE, 0, 0, 0, 0)
+    axes: int = 0
+    mode: int = STATIONARY
+    stationary: tuple[int, int] = (1000, 1)
+    continuous: tuple[int, int, int, int] = (500, 0, 0, 0)  # separation ms, points, region
+    search: tuple[float, int] = (12.0, 30_000)  # mm, ms
+    environment: tuple[float, ...] = (20.0, 1013.3, 60.0)
+    refraction: tuple[float, ...] = (1.000275, 1.000279)
+    system: tuple[int, ...] = (2, 0, 0, 0, 1, 0, 0, 0, 0)
+    statistic: tuple[int, int] = (0, 0)
+    reflector: int = 1
+
+
+class EmsconDevice:
+    """One tracker; ``handle`` may come from several threads."""
+
+    def __init__(
+        self,
+        cell: Cell,
+        instrument: Instrument,
+        faults: Faults,
+        streams: tuple[StreamTruth, PlantTime] | None = None,
+    ) -> None:
+        """Without ``streams`` the tracker measures at rest only."""
+        self._lock = threading.RLock()
+        self._instrument, self._faults, self._streams = instrument, faults, streams
+        names = list(OFFSETS_MM | {cell.tracker.reflector: 0.0})
+        self._reflectors = dict(
+            enumerate(sorted(names, key=lambda n: n == cell.tracker.reflector), 1)
+        )
+        self._mounted = len(names)
+        self._settings = _Settings()
+        self._initialised = False
+        self._pointing_mm = np.array([1000.0, 0.0, 0.0])
+        self._target: str | None = None
+        self._late: list[bytes] = []
+        self._handlers = self._settings_handlers() | self._query_handlers() | self._work_handlers()
+
+    def handle(self, packet: bytes) -> Answer:
+        """Return the answer to one whole packet from the client."""
+        _, _, number = COMMAND.unpack_from(packet)
+        try:
+            command = Command(number)
+            form = ARGUMENTS.get(command, "<")
+            arguments = struct.unpack(form, packet[COMMAND.size :])
+        except ValueError:
+            return Answer([reply(number, Status.NOT_IMPLEMENTED)])
+        except struct.error:
+            return Answer([reply(number, Status.WRONG_PARAMETER)])
+        with self._lock:
+            handler = self._handlers.get(command)
+            if handler is None:
+                return Answer([reply(command, Status.NOT_IMPLEMENTED)])
+            return handler(command, arguments)
+
+    # -- settings -------------------------------------------------------------------------------
+
+    def _settings_handlers(self) -> dict[Command, _Handler]:
+        keep = self._keep
+        return {
+            Command.SET_UNITS: keep("units", Change.UNITS, _units_are_known),
+            Command.SET_COORDINATE_SYSTEM: keep("axes", Change.COORDINATE_SYSTEM, _axes_are_known),
+            Command.SET_MEASUREMENT_MODE: keep("mode", Change.MEASUREMENT_MODE, self._has_mode),
+            Command.SET_CONTINUOUS_TIME: keep(
+                "continuous", Change.CONTINUOUS_TIME, _separation_is_allowed
+            ),
+            Command.SET_STATIONARY_MODE: keep(
+                "stationary", Change.STATIONARY_MODE, _time_is_allowed
+            ),
+            Command.SET_ENVIRONMENT: keep("environment", Change.ENVIRONMENT, _weather_is_earthly),
+            Command.SET_REFRACTION: keep("refraction", Change.REFRACTION),
+            Command.SET_SYSTEM_SETTINGS: keep("system", Change.SYSTEM_SETTINGS),
+            Command.SET_STATISTIC_MODE: keep("statistic", Change.STATISTIC_MODE),
+            Command.SET_REFLECTOR: keep("reflector", Change.REFLECTOR, self._reflector_exists),
+            Command.SET_SEARCH: self._set_search,
+        }
+
+    def _keep(
+        self, name: str, change: Change, check: _Check = lambda arguments: Status.OK
+    ) -> _Handler:
+        def handler(command: Command, arguments: tuple[float, ...]) -> Answer:
+            status = check(arguments)
+            if status == Status.OK:
+                setattr(self._settings, name, arguments if len(arguments) > 1 else arguments[0])
+                return Answer([reply(command), status_change(change)])
+            return Answer([reply(command, status)])
+
+        return handler
+
+    def _set_search(self, command: Command, arguments: tuple[float, ...]) -> Answer:
+        radius, time_ms = arguments
+        if not radius > 0:
+            return Answer([reply(command, Status.OUT_OF_RANGE_1)])
+        self._settings.search = (radius * self._mm_per_unit(), int(time_ms))
+        return Answer([reply(command), status_change(Change.SEARCH)])
+
+    def _reflector_exists(self, arguments: tuple[float, ...]) -> Status:
+        return Status.OK if arguments[0] in self._reflectors else Status.WRONG_PARAMETER_1
+
+    def _has_mode(self, mode: tuple[float, ...]) -> Status:
+        streams = mode[0] == CONTINUOUS_TIME and self._streams is not None
+        return Status.OK if mode[0] == STATIONARY or streams else Status.NOT_IMPLEMENTED
+
+    # -- queries --------------------------------------------------------------------------------
+
+    def _query_handlers(self) -> dict[Command, _Handler]:
+        settings = self._settings
+        queries: dict[Command, Callable[[], bytes]] = {
+            Command.GET_UNITS: lambda: struct.pack("<5I", *settings.units),
+            Command.GET_COORDINATE_SYSTEM: lambda: struct.pack("<I", settings.axes),
+            Command.GET_MEASUREMENT_MODE: lambda: struct.pack("<I", settings.mode),
+            Command.GET_STATIONARY_MODE: lambda: struct.pack("<2i", *settings.stationary),
+            Command.GET_CONTINUOUS_TIME: lambda: struct.pack("<4i", *settings.continuous),
+            Command.GET_ENVIRONMENT: lambda: struct.pack("<3d", *self._weather()),
+            Command.GET_REFRACTION: lambda: struct.pack("<2d", *settings.refraction),
+            Command.GET_SYSTEM_SETTINGS: lambda: struct.pack("<I8i", *settings.system),
+            Command.GET_STATISTIC_MODE: lambda: struct.pack("<2I", *settings.statistic),
+            Command.GET_REFLECTOR: lambda: struct.pack("<i", settings.reflector),
+            Command.GET_SEARCH: lambda: struct.pack(
+                "<di", settings.search[0] / self._mm_per_unit(), settings.search[1]
+            ),
+            Command.GET_SYSTEM_STATUS: self._system_status,
+            Command.GET_TRACKER_STATUS: lambda: struct.pack("<I", 2 if self._initialised else 0),
+            Command.GET_MEASUREMENT_STATUS: self._measurement_status,
+            Command.GET_DIRECTION: self._direction,
+            Command.GET_FACE: lambda: struct.pack("<I", 1),
+            Command.GET_TRACKER_INFO: self._tracker_info,
+            Command.GET_SOFTWARE_VERSION: lambda: (
+                ".".join(map(str, VERSION)).encode().ljust(64, b"\0")
+            ),
+        }
+
+        def answering(query: Callable[[], bytes]) -> _Handler:
+            return lambda command, arguments: Answer([reply(command, Status.OK, query())])
+
+        handlers = {command: answering(query) for command, query in queries.items()}
+        handlers[Command.GET_REFLECTORS] = self._list_reflectors
+        return handlers
+
+    def _list_reflectors(self, command: Command, arguments: tuple[float, ...]) -> Answer:
+        packets = []
+        for number, name in self._reflectors.items():
+            offset = OFFSETS_MM.get(name, 0.0) / self._mm_per_unit()
+            head = struct.pack("<iiId", len(self._reflectors), number, BALL, offset)
+            packets.append(reply(command, Status.OK, head + wide(name)))
+        return Answer(packets)
+
+    def _system_status(self) -> bytes:
+        other = self._faults.take("tracker.wrong_identity") is not None
+        processor, laser, distance_meter = (5 if self._initialised else 4), 3, 2
+        head = struct.pack("<4I", Status.OK, processor, laser, distance_meter)
+        return head + struct.pack("<3iI2i", *VERSION, 2, 0, SERIAL + other)
+
+    def _measurement_status(self) -> bytes:
+        found, compensated, distance, distance_compensated, face_1 = 1, 2, 4, 8, 4096
+        bits = found | compensated | distance | distance_compensated | face_1
+        bits |= 2048 if self._target is not None else 0
+        bits |= 65536 if self._initialised else 0
+        return struct.pack("<Ii", Status.OK, bits)
+
+    def _direction(self) -> bytes:
+        x, y, z = self._pointing_mm
+        per_unit = RAD_PER_UNIT[self._settings.units[1]]
+        angles = math.atan2(y, x) / per_unit, math.atan2(math.hypot(x, y), z) / per_unit
+        return struct.pack("<2d", *angles)
+
+    def _tracker_info(self) -> bytes:
+        head = struct.pack("<I", SENSOR_AT401) + wide("AT401 (simulated)")
+        has_distance, has_camera, has_level = 1, 1, 1
+        flags = struct.pack("<5i", SERIAL, 1, has_distance, has_camera, has_level)
+        limits = struct.pack("<3d2i2d", 0.0, 160.0, 0.5, 1000, 2, 2 * math.pi, math.pi)
+        return head + flags + limits + struct.pack("<I2i", 1, *VERSION[:2])
+
+    def _weather(self) -> tuple[float, float, float]:
+        air = self._instrument.air()
+        return air.temperature_c, air.pressure_mbar, air.humidity_percent
+
+    # -- work -----------------------------------------------------------------------------------
+
+    def _work_handlers(self) -> dict[Command, _Handler]:
+        return {
+            Command.INITIALIZE: self._initialise,
+            Command.GO_POSITION: self._go_position,
+            Command.POINT_LASER: self._point,
+            Command.FIND_REFLECTOR: self._find_reflector,
+            Command.START_MEASUREMENT: self._start_measurement,
+            Command.GO_AND_MEASURE: self._go_and_measure,
+            Command.STOP_MEASUREMENT: lambda command, arguments: Answer([reply(command)]),
+            Command.CHANGE_FACE: self._turn,
+            Command.GO_BIRD_BATH: self._turn,
+        }
+
+    def _initialise(self, command: Command, arguments: tuple[float, ...]) -> Answer:
+        def finish() -> Answer:
+            self._initialised, self._target = True, None
+            return Answer([reply(command), status_change(Change.INITIALIZATION)])
+
+        return Answer(later=Later(INITIALISE_S, finish))
+
+    def _turn(self, command: Command, arguments: tuple[float, ...]) -> Answer:
+        self._target = None
+        return Answer(later=Later(FACE_S, lambda: Answer([reply(command)])))
+
+    def _point(self, command: Command, arguments: tuple[float, ...]) -> Answer:
+        self._pointing_mm, self._target = self._inside_mm(arguments[:3]), None
+        return Answer(later=Later(POINT_S, lambda: Answer([reply(command)])))
+
+    def _go_position(self, command: Command, arguments: tuple[float, ...]) -> Answer:
+        self._pointing_mm = self._inside_mm(arguments[:3])
+        return self._search(command)
+
+    def _find_reflector(self, command: Command, arguments: tuple[float, ...]) -> Answer:
+        distance_mm = arguments[0] * self._mm_per_unit()
+        if not distance_mm > 0:
+            return Answer([reply(command, Status.OUT_OF_RANGE_1)])
+        direction = self._pointing_mm / np.linalg.norm(self._pointing_mm)
+        self._pointing_mm = distance_mm * direction
+        return self._search(command)
+
+    def _search(self, command: Command) -> Answer:
+        if not self._initialised:
+            return Answer([reply(command, Status.NOT_INITIALIZED)])
+
+        def finish() -> Answer:
+            if self._lock_on():
+                return Answer([reply(command), status_change(Change.READY)])
+            return Answer([status_change(Change.NOT_READY), reply(command, Status.NO_DISTANCE)])
+
+        return Answer(later=Later(POINT_S, finish))
+
+    def _lock_on(self) -> bool:
+        with self._lock:
+            self._target = self._instrument.find(self._pointing_mm, self._settings.search[0])
+            if self._faults.take("tracker.no_reflector") is not None:
+                self._target = None
+            return self._target is not None
+
+    def _go_and_measure(self, command: Command, arguments: tuple[float, ...]) -> Answer:
+        self._pointing_mm = self._inside_mm(arguments)
+
+        def finish() -> Answer:
+            self._lock_on()
+            return self._start_measurement(command, ())
+
+        return Answer(later=Later(POINT_S, finish))
+
+    def _start_measurement(self, command: Command, arguments: tuple[float, ...]) -> Answer:
+        if self._faults.take("tracker.vanish") is not None:
+            raise Vanished
+        refused = self._refusal()
+        if refused != Status.OK:
+            return Answer([reply(command, refused)])
+        target = self._target
+        if self._faults.take("tracker.beam_break_before") is not None or target is None:
+            return self._broken(command)
+        began_mm = self._instrument.reflector(target)
+        if began_mm is None:  # carried away
+            return self._broken(command)
+        if self._settings.mode == CONTINUOUS_TIME:
+            measuring = status_change(Change.MEASURING)
+            return Answer([reply(command), measuring], stream=self._stream_of(target))
+        later = Later(
+            self._settings.stationary[0] / 1000.0,
+            lambda: self._result(command, target, began_mm),
+            True,
+        )
+        return Answer([reply(command), status_change(Change.MEASURING)], later)
+
+    def _stream_of(self, target: str) -> SampleStream | None:
+        if self._streams is None:
+            return None
+        truth, time = self._streams
+        separation_ms, points, _use_region, _region = self._settings.continuous
+        return SampleStream(
+            truth,
+            time,
+            self._faults,
+            truth.follow(target),
+            lambda times_s, xyz_mm: multi_result(times_s, self._outside(xyz_mm), self._weather()),
+            separation_s=separation_ms / 1000.0,
+            points=points,
+            lost=self._lose_target,
+        )
+
+    def _lose_target(self) -> None:
+        self._target = None
+
+    def _refusal(self) -> Status:
+        take = self._faults.take
+        if take("tracker.init_lost") is not None:
+            self._initialised = False
+        if not self._initialised:
+            return Status.NOT_INITIALIZED
+        for fault, status in (
+            ("tracker.busy", Status.BUSY),
+            ("tracker.wrong_reflector", Status.WRONG_REFLECTOR),
+            ("tracker.not_warmed_up", Status.NOT_WARMED_UP),
+            ("tracker.no_distance", Status.NO_DISTANCE),
+        ):
+            if take(fault) is not None:
+                return status
+        return Status.OK
+
+    def _result(self, command: Command, target: str, began_mm: Array) -> Answer:
+        ready = status_change(Change.READY)
+        with self._lock:
+            take = self._faults.take
+            ended_mm = self._instrument.reflector(target)
+            if take("tracker.beam_break_after") is not None or ended_mm is None:
+                return self._broken(command)
+            moved_mm = np.linalg.norm(ended_mm - began_mm)
+            measured = self._instrument.measure(target) if moved_mm <= STILL_MM else None
+            if measured is None:
+                return Answer([reply(command, Status.NO_STATIONARY_RESULT), ready])
+            packets, self._late = [*self._late, self._packed(measured)], []
+            if take("tracker.late_result") is not None:
+                packets, self._late = packets[:-1], packets[-1:]
+            if take("tracker.no_result") is not None:
+                packets = []
+            storm = int(self._faults.number("tracker.status_storm") or 0)
+            return Answer([*[status_change(Change.REFRACTION)] * storm, *packets, ready])
+
+    def _broken(self, command: Command) -> Answer:
+        """The beam has lost its reflector."""
+        self._target = None
+        return Answer([status_change(Change.NOT_READY), reply(command, Status.NOT_READY)])
+
+    def _packed(self, measured: Measurement) -> bytes:
+        in_metres = self._faults.take("tracker.metres") is not None
+        per_unit = MM_PER_UNIT[METRE] if in_metres else self._mm_per_unit()
+        signs = self._signs()
+        if self._faults.take("tracker.left_handed") is not None:
+            signs[1] = -signs[1]
+        xyz_mm = measured.xyz_mm
+        along = xyz_mm / np.linalg.norm(xyz_mm)
+        xyz = signs * (xyz_mm + self._wrong_reflector_mm() * along) / per_unit
+        bad = self._faults.take("tracker.bad_number")
+        if bad is not None:
+            xyz[0] = float(bad)
+        std = measured.std_mm / per_unit
+        total = float(np.linalg.norm(std))
+        weather, status = self._weather(), Status.OK
+        if self._faults.take("tracker.no_weather") is not None:
+            weather, status = (0.0, 0.0, 0.0), Status.NO_TEMPERATURE
+        values = (*xyz, *std, total, 0.0, 0.0, 0.0, *std, total, *weather)
+        return single_result(values, status)
+
+    def _outside(self, xyz_mm: Array) -> Array:
+        """Return positions (N, 3) in the units and axes that are set."""
+        along = xyz_mm / np.linalg.norm(xyz_mm, axis=1, keepdims=True)
+        found: Array = self._signs() * (xyz_mm + self._wrong_reflector_mm() * along)
+        return found / self._mm_per_unit()
+
+    def _wrong_reflector_mm(self) -> float:
+        """Return how much the range is off with another reflector than the one mounted."""
+        mounted, chosen = (
+            OFFSETS_MM.get(self._reflectors[number], 0.0)
+            for number in (self._mounted, self._settings.reflector)
+        )
+        return mounted - chosen
+
+    def _signs(self) -> Array:
+        return np.array(AXES[self._settings.axes], dtype=float)
+
+    def _mm_per_unit(self) -> float:
+        return MM_PER_UNIT[self._settings.units[0]]
+
+    def _inside_mm(self, values: tuple[float, ...]) -> Array:
+        inside: Array = self._signs() * np.array(values) * self._mm_per_unit()
+        return inside
+
+
+_Handler = Callable[[Command, tuple[float, ...]], Answer]
+_Check = Callable[[tuple[float, ...]], Status]
+
+
+def _units_are_known(units: tuple[float, ...]) -> Status:
+    known = all(unit in allowed for unit, allowed in zip(units, KNOWN_UNITS, strict=True))
+    return Status.OK if known else Status.WRONG_PARAMETER_1
+
+
+def _axes_are_known(axes: tuple[float, ...]) -> Status:
+    return Status.OK if axes[0] in AXES else Status.WRONG_PARAMETER_1
+
+
+def _time_is_allowed(stationary: tuple[float, ...]) -> Status:
+    low, high = MEASURING_MS
+    return Status.OK if low <= stationary[0] <= high else Status.OUT_OF_RANGE_1
+
+
+def _separation_is_allowed(continuous: tuple[float, ...]) -> Status:
+    low, high = SEPARATION_MS
+    return Status.OK if low <= continuous[0] <= high else Status.OUT_OF_RANGE_1
+
+
+def _weather_is_earthly(weather: tuple[float, ...]) -> Status:
+    temperature, pressure, humidity = weather
+    earthly = -20 <= temperature <= 60 and 500 <= pressure <= 1200 and 0 <= humidity <= 100
+    return Status.OK if earthly else Status.WEATHER_OUT_OF_RANGE

@@ -1,0 +1,217 @@
+"""emScon TPI server: one tracker's packets over TCP (protocols, section 3).
+
+While something takes its time the client may still send: StopMeasurement is obeyed, all else is
+answered with "busy". In stepped time nothing takes time, and results follow at once. Samples of a
+stream are sent when their time has come: in stepped time by the thread that lets it pass.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+import time as real_time
+
+from fakes.faults import Faults, Vanished
+from fakes.leica.emscon_device import Answer, EmsconDevice, Later
+from fakes.leica.emscon_packets import COMMAND, HEAD, Change, Command, Status, reply, status_change
+from fakes.leica.emscon_stream import SampleStream
+from fakes.site import Site
+from fakes.time import PlantTime
+from fakes.wires.listener import HOST, Listener
+from fakes.wires.segments import Segments
+
+LONGEST = 4096
+RECEIVE = 4096
+LATE_EVERY, LATE_S = 5, 0.001  # results that come well after their acknowledgement
+WEATHER_EVERY = 7  # results with news of the air glued to them
+STREAM_LOOK_S = 0.05  # plant time between two looks for samples that are due
+
+
+class EmsconServer:
+    """Serves one tracker on a port, 0 for one that the system chooses."""
+
+    def __init__(
+        self, device: EmsconDevice, faults: Faults, time: PlantTime, *, port: int = 0
+    ) -> None:
+        self._device, self._faults, self._time = device, faults, time
+        self._closing = threading.Event()
+        self._listener = Listener("emscon", self._serve, port=port)
+        self.port = self._listener.port
+
+    @property
+    def address(self) -> dict[str, object]:
+        """Return where it listens, as options of the driver."""
+        return {"host": HOST, "port": self.port}
+
+    def restore(self) -> None:
+        """Leave the tracker as it is: its faults pass by themselves."""
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._listener.start()
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._closing.set()
+        self._listener.close()
+
+    def _serve(self, client: socket.socket) -> None:
+        session = _Session(client)
+        try:
+            while True:
+                packet = session.receive(None)
+                if packet is not None:
+                    self._obey(session, packet)
+        except Vanished:
+            self._listener.hang_up()
+
+    def _obey(self, session: _Session, packet: bytes) -> None:
+        answer = self._device.handle(packet)
+        if answer.stream is None:
+            session.send(b"".join(answer.packets))
+        while (later := answer.later) is not None:
+            if not self._let_pass(session, later.duration_s):
+                return
+            answer = later.finish()
+            self._send(session, later, answer)
+        if answer.stream is not None:
+            after = self._stream(session, answer.stream, b"".join(answer.packets))
+            if after is not None:
+                self._obey(session, after)
+
+    def _stream(self, session: _Session, stream: SampleStream, head: bytes) -> bytes | None:
+        """Send samples until the client stops it; return a packet that came after their end.
+
+        The client lets time pass as soon as it has the reply, so the stream is followed before that
+        reply, and no longer followed before the reply to the stop.
+        """
+        lock = threading.Lock()
+
+        def send() -> None:
+            with lock:
+                try:
+                    session.send(stream.due())
+                except OSError:
+                    stream.close()
+
+        look_s = None if self._time.stepped else STREAM_LOOK_S / self._time.speed
+        self._time.follow(send)
+        try:
+            with lock:
+                session.send(head)
+            while True:
+                packet = session.receive(look_s)
+                if packet is None:
+                    send()
+                    continue
+                _, _, command = COMMAND.unpack_from(packet)
+                with lock:
+                    stopped = command == Command.STOP_MEASUREMENT
+                    if not stopped and not stream.ended:
+                        session.send(reply(command, Status.BUSY))
+                        continue
+                    rest = stream.stop()
+                    self._time.unfollow(send)
+                    if not stopped:
+                        return packet
+                    session.send(rest + reply(command))
+                    return None
+        finally:
+            self._time.unfollow(send)
+            with lock:
+                stream.close()
+
+    def _let_pass(self, session: _Session, duration_s: float) -> bool:
+        """Let plant time pass; return False where the client stopped the command meanwhile."""
+        if self._time.stepped:
+            self._time.advance(duration_s)
+            return True
+        ends_s = real_time.monotonic() + duration_s / self._time.speed
+        while (left_s := ends_s - real_time.monotonic()) > 0:
+            packet = session.receive(left_s)
+            if packet is None:
+                continue
+            _, _, command = COMMAND.unpack_from(packet)
+            if command == Command.STOP_MEASUREMENT:
+                session.send(reply(command))
+                return False
+            session.send(reply(command, Status.BUSY))
+        return True
+
+    def _send(self, session: _Session, later: Later, answer: Answer) -> None:
+        data = b"".join(answer.packets)
+        if later.measures:
+            data = self._damaged(session, answer.packets)
+        session.send(data)
+
+    def _damaged(self, session: _Session, packets: list[bytes]) -> bytes:
+        """Return a result's bytes as the faults want them on the wire."""
+        take = self._faults.take
+        if take("tracker.eof") is not None:
+            raise ConnectionAbortedError
+        data = b"".join(packets)
+        session.results += 1
+        if session.results % LATE_EVERY == 0:
+            self._closing.wait(LATE_S)
+        if session.results % WEATHER_EVERY == 0:
+            data = status_change(Change.ENVIRONMENT) + data
+        if take("tracker.length_zero") is not None:
+            data = struct.pack("<iI", 0, 2)
+        if take("tracker.length_huge") is not None:
+            data = struct.pack("<II", 2**31, 2)
+        if take("tracker.glued_packets") is not None:
+            data = status_change(Change.ENVIRONMENT) + data + status_change(Change.ENVIRONMENT)
+        if take("tracker.split_packet") is not None:
+            session.send(data[:5])
+            self._closing.wait(0.02)  # so that both halves are segments of their own
+            data = data[5:]
+        return data
+
+
+class _Session:
+    """One client's connection: whole packets in, bytes out."""
+
+    def __init__(self, client: socket.socket) -> None:
+        self._client = client
+        self._segments = Segments(client)
+        self._pending = b""
+        self.results = 0
+
+    def send(self, data: bytes) -> None:
+        if data:
+            self._segments.send(data)
+
+    def receive(self, timeout_s: float | None) -> bytes | None:
+        """Return the next packet, None after the timeout; raises OSError at the end."""
+        while (packet := self._take()) is None:
+            self._client.settimeout(timeout_s)
+            try:
+                data = self._client.recv(RECEIVE)
+            except TimeoutError:
+                return None
+            finally:
+                self._client.settimeout(None)
+            if not data:
+                raise ConnectionAbortedError
+            self._pending += data
+        return packet
+
+    def _take(self) -> bytes | None:
+        if len(self._pending) < HEAD.size:
+            return None
+        size, _ = HEAD.unpack_from(self._pending)
+        if not COMMAND.size <= size <= LONGEST:
+            raise ConnectionAbortedError
+        if len(self._pending) < size:
+            return None
+        packet, self._pending = self._pending[:size], self._pending[size:]
+        return packet
+
+
+def serve(site: Site, port: int) -> EmsconServer:
+    """Return the tracker of a simulated cell behind emScon."""
+    plant = site.plant
+    streams = None if plant.streams is None else (plant.streams, site.time)
+    device = EmsconDevice(site.cell, plant.tracker, site.faults, streams)
+    return EmsconServer(device, site.faults, site.time, port=port)

@@ -1,0 +1,323 @@
+"""Requests as a robotic total station performs them: settings, turning, aiming, measuring.
+
+As with the original, lengths are metres and angles radians, Hz turns clockwise and V is zero at the
+zenith; few decimal places are sent until more are asked for; and a measured distance is kept until
+it is cleared, so that an angle without a new distance still comes with the old one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from fakes.faults import Faults, Vanished
+from fakes.truth.tracker_truth import Air, Measurement
+from fakes.truth.transforms import Array
+
+NAME, SERIAL, FIRMWARE = "TS60 (simulated)", 884321, (8, 50, 0)
+MM = 1000.0
+TURN_S, AIM_S, DISTANCE_S, ANGLE_S = 0.6, 0.4, 1.5, 0.1
+SIGHT_RAD = 1e-3  # beside which the distance meter still hits a prism
+APART_RAD = 1e-3  # two targets closer than this are several to the target recognition
+DAY_S = 86_400.0
+
+OK, INVALID, NOT_IMPLEMENTED, ABORTED, BUSY = 0, 2, 5, 8, 13
+TILTED, INACCURATE, ANGLES_ONLY, DISTANCE_ERROR = 22, 1284, 1285, 1292
+NO_TARGET, SEVERAL, ATR_OFF = 8710, 8711, 8714
+STOP, DISTANCE, CLEAR = 0, 1, 3
+
+
+class Instrument(Protocol):
+    """The plant as the device sees it: positions in the tracker's frame, mm."""
+
+    def reflectors(self) -> dict[str, Array]:
+        """Return where every reflector is."""
+
+    def find(self, near_mm: Array, radius_mm: float) -> str | None:
+        """Return the name of the reflector nearest to a point."""
+
+    def measure(self, name: str) -> Measurement | None:
+        """Return one measurement of a reflector, None where it cannot be seen."""
+
+    def air(self) -> Air:
+        """Return the air now."""
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A return code with its values, perhaps after plant time has passed."""
+
+    code: int = OK
+    values: tuple[str, ...] = ()
+    after_s: float = 0.0
+    finish: Callable[[], Answer] | None = None
+
+
+@dataclass
+class _State:
+    places: int = 4
+    prism_m: float = 0.0
+    atmosphere: tuple[float, ...] = (658e-9, 1013.25, 12.0, 12.0)
+    edm_mode: int = 3
+    tilt: int = 1
+    atr: int = 0
+    face: int = 0
+    pointing: tuple[float, float] = (0.0, math.pi / 2)  # Hz, V in face 1
+    measured: tuple[float, float, float] | None = None  # Hz, V, distance
+    started: bool = False
+    target: str | None = None
+    time_ms: int = field(default=0)
+
+
+class GeocomDevice:
+    """One instrument; ``handle`` takes one request after another."""
+
+    def __init__(self, instrument: Instrument, faults: Faults, prism_m: float = 0.0) -> None:
+        """``prism_m`` is the true constant of the prism that is mounted everywhere."""
+        self._instrument, self._faults, self._prism_m = instrument, faults, prism_m
+        self._state = _State()
+        state = self._state
+        self._handlers: dict[int, tuple[int, Callable[..., Answer]]] = {
+            0: (0, Answer),
+            107: (1, self._keep("places", lambda places: 0 <= places <= 15)),
+            108: (0, lambda: Answer(values=(str(state.places),))),
+            110: (0, lambda: _whole(3, 0, 0)),
+            2003: (1, lambda mode: self._angles()),
+            2006: (1, self._keep("tilt", lambda on: on in (0, 1))),
+            2007: (0, lambda: _whole(state.tilt)),
+            2008: (2, self._start),
+            2020: (1, self._keep("edm_mode", lambda mode: 0 <= mode <= 14)),
+            2021: (0, lambda: _whole(state.edm_mode)),
+            2023: (0, lambda: self._reals(state.prism_m)),
+            2024: (1, self._set_prism),
+            2026: (0, lambda: _whole(state.face)),
+            2028: (4, self._set_atmosphere),
+            2029: (0, lambda: self._reals(*state.atmosphere)),
+            2082: (2, lambda wait_ms, mode: self._measurement(wait_ms, self._coordinates)),
+            2108: (2, lambda wait_ms, mode: self._measurement(wait_ms, self._polar)),
+            5003: (0, self._serial),
+            5004: (0, lambda: Answer(values=(f'"{NAME}"',))),
+            5034: (0, lambda: _whole(*FIRMWARE)),
+            9027: (5, lambda hz, v, exact, aim, dummy: self._turn(hz, v, aim)),
+            9028: (3, lambda exact, aim, dummy: self._change_face()),
+            9029: (3, lambda hz, v, dummy: self._aim(hz, v)),
+            9037: (3, lambda hz, v, dummy: self._aim(hz, v)),
+            18005: (1, self._keep("atr", lambda on: on in (0, 1))),
+            18006: (0, lambda: _whole(state.atr)),
+        }
+
+    def knows(self, rpc: int) -> bool:
+        """Whether there is such a procedure."""
+        return rpc in self._handlers
+
+    def handle(self, rpc: int, parameters: list[float]) -> Answer:
+        """Return the answer to a request."""
+        if not self.knows(rpc):
+            return Answer(NOT_IMPLEMENTED)
+        count, handler = self._handlers[rpc]
+        if len(parameters) != count or not all(map(math.isfinite, parameters)):
+            return Answer(INVALID)
+        return handler(*parameters)
+
+    def abort(self) -> None:
+        """End a motion or a measurement."""
+        self._state.started = False
+
+    # -- settings -------------------------------------------------------------------------------
+
+    def _keep(self, name: str, allowed: Callable[[float], bool]) -> Callable[[float], Answer]:
+        def handler(value: float) -> Answer:
+            if value != int(value) or not allowed(value):
+                return Answer(INVALID)
+            setattr(self._state, name, int(value))
+            return Answer()
+
+        return handler
+
+    def _set_prism(self, constant_m: float) -> Answer:
+        self._state.prism_m = constant_m
+        return Answer()
+
+    def _set_atmosphere(self, *values: float) -> Answer:
+        if not 500 <= values[1] <= 1200:
+            return Answer(INVALID)
+        self._state.atmosphere = values
+        return Answer()
+
+    def _serial(self) -> Answer:
+        return _whole(SERIAL + (self._faults.take("tracker.wrong_identity") is not None))
+
+    # -- turning and aiming -----------------------------------------------------------------------
+
+    def _turn(self, hz: float, v: float, aim: float) -> Answer:
+        if not 0 <= v <= math.tau:
+            return Answer(INVALID)
+        state = self._state
+        state.face = int(v > math.pi)
+        state.pointing = (hz % math.tau, v) if not state.face else _other_face(hz, v)
+        state.target = None
+
+        def finish() -> Answer:
+            return self._aim(2 * SIGHT_RAD, 2 * SIGHT_RAD) if aim else Answer()
+
+        return Answer(after_s=TURN_S, finish=finish)
+
+    def _change_face(self) -> Answer:
+        self._state.face = 1 - self._state.face
+        return Answer(after_s=2 * TURN_S, finish=Answer)
+
+    def _aim(self, width: float, height: float) -> Answer:
+        if not self._state.atr:
+            return Answer(ATR_OFF)
+        return Answer(after_s=AIM_S, finish=lambda: self._lock_on(width, height))
+
+    def _lock_on(self, width: float, height: float) -> Answer:
+        """Aim at the reflector closest to the line of sight, within a window."""
+        self._state.target = None
+        hz, v = self._state.pointing
+        inside = []
+        for at_mm in self._instrument.reflectors().values():
+            at_hz, at_v = _direction(at_mm)
+            off_hz, off_v = abs(_signed(at_hz - hz)) * math.sin(v), abs(at_v - v)
+            if off_hz <= width / 2 and off_v <= height / 2:
+                inside.append((math.hypot(off_hz, off_v), at_mm))
+        inside.sort(key=lambda each: each[0])
+        take = self._faults.take
+        if not inside or take("tracker.no_reflector") is not None:
+            return Answer(NO_TARGET)
+        if len(inside) > 1 and _apart(inside[0][1], inside[1][1]) < APART_RAD:
+            return Answer(SEVERAL)
+        name = self._instrument.find(inside[0][1], 1e-3)
+        if name is None:
+            return Answer(NO_TARGET)
+        self._state.target = name
+        self._state.pointing = _direction(self._instrument.reflectors()[name])
+        return Answer()
+
+    # -- measuring ------------------------------------------------------------------------------
+
+    def _start(self, command: float, mode: float) -> Answer:
+        state = self._state
+        if command == CLEAR:
+            state.measured, state.started = None, False
+            return Answer()
+        if command == STOP:
+            state.started = False
+            return Answer()
+        if command != DISTANCE:
+            return Answer(NOT_IMPLEMENTED)
+        if self._faults.take("tracker.vanish") is not None:
+            raise Vanished
+        if self._faults.take("tracker.busy") is not None:
+            return Answer(BUSY)
+        state.started = True
+        return Answer()
+
+    def _measurement(self, wait_ms: float, form: Callable[..., Answer]) -> Answer:
+        """Return the distance that was started, or the last one; angles alone where there is none.
+
+        It waits for a distance until ``wait_ms``, also for one that never comes.
+        """
+        state = self._state
+        if not state.started:
+            if state.measured is None:
+                return Answer(after_s=wait_ms / 1000, finish=lambda: form(*state.pointing, 0.0))
+            return form(*state.measured)
+        if wait_ms / 1000 < DISTANCE_S:
+            return Answer(after_s=wait_ms / 1000, finish=lambda: form(*state.pointing, 0.0))
+        return Answer(after_s=DISTANCE_S, finish=lambda: self._measured(form))
+
+    def _measured(self, form: Callable[..., Answer]) -> Answer:
+        state, take = self._state, self._faults.take
+        state.started = False
+        if take("tracker.no_distance") is not None:
+            return form(*state.pointing, 0.0)
+        if take("tracker.beam_break_before") is not None:
+            return Answer(DISTANCE_ERROR)
+        if take("tracker.beam_break_after") is not None:
+            return Answer(DISTANCE_ERROR)
+        found = None if state.target is None else self._instrument.measure(state.target)
+        if found is None:
+            return form(*state.pointing, 0.0)
+        hz, v = _direction(found.xyz_mm)
+        distance_m = float(np.linalg.norm(found.xyz_mm)) / MM
+        distance_m += state.prism_m - self._prism_m
+        distance_m *= 1.0 + 1e-6 * (self._set_ppm() - self._true_ppm())
+        state.measured = (hz, v, distance_m)
+        code = self._faults.number("tracker.geocom_code")
+        answer = form(*state.measured)
+        if code is None:
+            return answer
+        return Answer(int(code), answer.values if code in (1283, INACCURATE) else ())
+
+    def _set_ppm(self) -> float:
+        _, pressure_mbar, dry_c, _ = self._state.atmosphere
+        return _ppm(pressure_mbar, dry_c)
+
+    def _true_ppm(self) -> float:
+        air = self._instrument.air()
+        return _ppm(air.pressure_mbar, air.temperature_c)
+
+    def _polar(self, hz: float, v: float, distance_m: float) -> Answer:
+        if self._state.face:
+            hz, v = _other_face(hz, v)
+        values = self._reals(hz, v, distance_m).values
+        bad = self._faults.take("tracker.bad_number")
+        if bad is not None:
+            values = (str(bad), *values[1:])
+        return Answer(OK if distance_m else ANGLES_ONLY, values)
+
+    def _coordinates(self, hz: float, v: float, distance_m: float) -> Answer:
+        """East, north and height, and their time, twice: of the last and of the running reading."""
+        across_m = distance_m * math.sin(v)
+        east, north = across_m * math.sin(hz), across_m * math.cos(hz)
+        each = (*self._reals(east, north, distance_m * math.cos(v)).values, str(self._time_ms()))
+        return Answer(OK if distance_m else ANGLES_ONLY, (*each, *each))
+
+    def _angles(self) -> Answer:
+        hz, v = self._state.pointing
+        if self._state.face:
+            hz, v = _other_face(hz, v)
+        time = str(self._time_ms())
+        tilt = self._reals(0.0, 0.0, 0.0).values
+        values = (*self._reals(hz, v, 0.0).values, time, *tilt, time, str(self._state.face))
+        return Answer(values=values, after_s=ANGLE_S, finish=lambda: Answer(values=values))
+
+    def _time_ms(self) -> int:
+        self._state.time_ms += 100
+        return self._state.time_ms
+
+    def _reals(self, *values: float) -> Answer:
+        return Answer(values=tuple(f"{value:.{self._state.places}f}" for value in values))
+
+
+def _whole(*values: int) -> Answer:
+    return Answer(values=tuple(map(str, values)))
+
+
+def _direction(at_mm: Array) -> tuple[float, float]:
+    """Return Hz and V of a place in face 1: Hz turns from x to -y."""
+    x, y, z = at_mm
+    return math.atan2(-y, x) % math.tau, math.acos(z / math.hypot(x, y, z))
+
+
+def _other_face(hz: float, v: float) -> tuple[float, float]:
+    return (hz + math.pi) % math.tau, math.tau - v
+
+
+def _signed(angle: float) -> float:
+    return (angle + math.pi) % math.tau - math.pi
+
+
+def _apart(one_mm: Array, other_mm: Array) -> float:
+    cosine = one_mm @ other_mm / (np.linalg.norm(one_mm) * np.linalg.norm(other_mm))
+    return math.acos(min(1.0, float(cosine)))
+
+
+def _ppm(pressure_mbar: float, dry_c: float) -> float:
+    """Return the atmospheric correction of dry air; zero at 12 C and 1013.25 mbar, nearly."""
+    return 281.8 - 0.29065 * pressure_mbar / (1.0 + 0.00366 * dry_c)

@@ -1,0 +1,1 @@
+"""Recorded wires that play the devices again."""

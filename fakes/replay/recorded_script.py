@@ -1,0 +1,248 @@
+"""The exchanges of one recorded connection, and how far a driver has got with them.
+
+The driver may ask more or less often than when it was recorded: how often a motion is polled is a
+matter of time. So questions that were asked once only (a motion, a command) part the recording
+(`event_time`). In each part a question gets the answers to its name in their order, and at
+last the last one again; one that is asked on and on has come to the part's end. Samples of a stream
+come when their time has come. A question that was never recorded gets no answer, as from a device
+that hangs: there this run has left the recorded one.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_left
+from collections import Counter, deque
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, field
+
+from fakes.replay.dialects import Dialect
+from fakes.replay.event_time import EventTime
+from hilcell.wire.recording import Piece
+
+_NUMBER = re.compile(rb"-?\d{1,9}\.\d{3,}")
+NEAR = 1e-4  # deg, mm or rad
+STUCK = 200  # times that a part's last answer is repeated
+ALIVE_S = 0.5  # after the last sign of life that was recorded
+
+
+@dataclass(slots=True)
+class Exchange:
+    """A question and everything that came before the next one; the first asks nothing."""
+
+    asked: bytes
+    answers: list[bytes] = field(default_factory=list)
+    time_s: float = 0.0
+    came_s: list[float] = field(default_factory=list)  # the answers, each
+
+    def __post_init__(self) -> None:
+        self.came_s = self.came_s or [self.time_s] * len(self.answers)
+
+    def add(self, answer: bytes, came_s: float) -> None:
+        """Take a further answer."""
+        self.answers.append(answer)
+        self.came_s.append(came_s)
+
+    def awaited(self, dialect: Dialect) -> int:
+        """Return the number of answers up to the last one that is no sample of a stream."""
+        samples = [dialect.is_sample(answer) for answer in self.answers]
+        return len(samples) - next((n for n, each in enumerate(samples[::-1]) if not each), 0)
+
+
+def exchanges(pieces: Sequence[Piece], dialect: Dialect) -> list[Exchange]:
+    """Return the exchanges of one connection."""
+    found, asking, answering = [Exchange(b"")], b"", b""
+    for piece in pieces:
+        if piece.e == ">":
+            messages, asking = dialect.split_questions(asking + piece.data)
+            found += [
+                Exchange(each, time_s=piece.t) for each in messages if not dialect.unheard(each)
+            ]
+        elif piece.e == "<":
+            answers, answering = dialect.split(answering + piece.data)
+            for answer in answers:
+                of = (each for each in reversed(found) if dialect.belongs(answer, each.asked))
+                next(of, found[-1]).add(answer, piece.t)
+    if answering and not dialect.flows:
+        found[-1].add(answering, pieces[-1].t)
+    return found
+
+
+def connections(pieces: Sequence[Piece], dialect: Dialect) -> list[list[Exchange]]:
+    """Return the exchanges of each connection of a recording, in their order."""
+    opened = sorted({piece.c for piece in pieces if piece.e == "open"})
+    each_of = [[piece for piece in pieces if piece.c == number] for number in opened]
+    found = [exchanges(each, dialect) for each in each_of]
+    return [_merged(each, dialect) for each in found] if dialect.flows else found
+
+
+def _merged(recorded: Sequence[Exchange], dialect: Dialect) -> list[Exchange]:
+    """Return exchanges in which questions in a row that ask the same are one."""
+    found, name = [recorded[0]], b""
+    for each in recorded[1:]:
+        if (asked := dialect.name(each.asked)) == name:
+            for answer, came_s in zip(each.answers, each.came_s, strict=True):
+                found[-1].add(answer, came_s)
+        else:
+            found.append(each)
+            name = asked
+    return found
+
+
+def landmarks(opened: Sequence[Sequence[Exchange]], dialect: Dialect) -> set[bytes]:
+    """Return the names of questions that were asked once only, on all connections of a wire.
+
+    A keep-alive, too, may have asked once on its connection, but asks what others ask.
+    """
+    counts = Counter(dialect.name(each.asked) for one in opened for each in one[1:])
+    return {name for name, count in counts.items() if count == 1}
+
+
+class Names:
+    """Names of questions. Two are one whose numbers are near: a target that is computed again from
+    the same answers may differ in its last digits.
+    """
+
+    def __init__(self, names: Iterable[bytes]) -> None:
+        self._names = set(names)
+        self._alike: dict[bytes, list[bytes]] = {}
+        for name in self._names:
+            self._alike.setdefault(_NUMBER.sub(b"#", name), []).append(name)
+
+    def of(self, name: bytes) -> bytes:
+        """Return the known name that is the same; this one where there is none."""
+        if name in self._names:
+            return name
+        alike = self._alike.get(_NUMBER.sub(b"#", name), [])
+        apart, nearest = min(((_apart(name, each), each) for each in alike), default=(NEAR, name))
+        return nearest if apart < NEAR else name
+
+
+def _apart(name: bytes, other: bytes) -> float:
+    pairs = zip(_NUMBER.findall(name), _NUMBER.findall(other), strict=True)
+    return max((abs(float(a) - float(b)) for a, b in pairs), default=NEAR)
+
+
+class Script:
+    """The recorded exchanges of one connection, and how far the driver has got."""
+
+    def __init__(
+        self,
+        recorded: Sequence[Exchange],
+        dialect: Dialect,
+        time: EventTime,
+        landmarks: Collection[bytes],
+    ) -> None:
+        """``landmarks`` are the names of questions that part the recording."""
+        self._dialect, self._time, self._landmarks = dialect, time, landmarks
+        self.greeting = recorded[0].answers
+        self._named: dict[bytes, list[Exchange]] = {}
+        for each in recorded[1:]:
+            self._named.setdefault(dialect.name(each.asked), []).append(each)
+        self._names = Names(self._named)
+        self._next: Counter[bytes] = Counter()
+        self._repeated = 0
+        self.samples: deque[tuple[float, bytes]] = deque()  # of a stream, and when they come
+
+    def reply(self, asked: bytes) -> list[bytes]:
+        """Return the answers to a question, in their pieces; samples behind them come later."""
+        name = self._names.of(self._dialect.name(asked))
+        found = self._named.get(name)
+        if found is None:
+            return []
+        if name in self._landmarks:
+            self._time.pass_landmark(found[0].time_s)
+        elif self._dialect.is_command(asked):
+            self._time.pass_landmark(found[min(self._next[name], len(found) - 1)].time_s)
+        taken = self._taken(name, found)
+        if taken is None:
+            return []
+        self._dialect.heard(asked, taken.asked)
+        answers = [self._dialect.answer(asked, taken.asked, each) for each in taken.answers]
+        count = taken.awaited(self._dialect)
+        self.samples.extend(zip(taken.came_s[count:], answers[count:], strict=True))
+        self._time.reach(taken.came_s[0] if count else taken.time_s)
+        return answers[:count]
+
+    def _taken(self, name: bytes, found: list[Exchange]) -> Exchange | None:
+        begin_s, end_s = self._time.part()
+        first = bisect_left(found, begin_s, key=_time_s)
+        end = bisect_left(found, end_s, key=_time_s)
+        at = max(self._next[name], first)
+        if at < end:
+            self._next[name], self._repeated = at + 1, 0
+            return found[at]
+        self._repeated += 1
+        if self._repeated >= STUCK and end_s < float("inf"):
+            self._repeated = 0
+            self._time.pass_landmark(end_s)
+        return found[end - 1] if end > 0 else None
+
+
+def _time_s(exchange: Exchange) -> float:
+    return exchange.time_s
+
+
+class Flow:
+    """A connection whose messages come by themselves: those of the last question, in their order.
+
+    At their end the last one comes again and again.
+    """
+
+    def __init__(self, recorded: Sequence[Exchange], dialect: Dialect, time: EventTime) -> None:
+        self._dialect, self._time, self._recorded = dialect, time, recorded
+        self._order = [b"", *(dialect.name(each.asked) for each in recorded[1:])]
+        self._names = Names(self._order)
+        self._at = self._taken = 0
+        self._asked = b""
+        self._silent = False
+
+    def ask(self, asked: bytes) -> None:
+        """Go on with the messages that came after a question; with none if it was never asked."""
+        name = self._names.of(self._dialect.name(asked))
+        if name == self._order[self._at]:
+            return
+        self._silent = name not in self._order[self._at :]
+        if not self._silent:
+            self._at, self._taken = self._order.index(name, self._at), 0
+            self._asked, recorded = asked, self._recorded[self._at]
+            self._time.pass_landmark(recorded.time_s)
+            self._dialect.heard(asked, recorded.asked)
+
+    def next(self) -> list[bytes]:
+        """Return the next message and those that have come by now, none where none comes."""
+        recorded = self._recorded[self._at]
+        count = len(recorded.answers)
+        if self._silent or not count:
+            return []
+        first, now_s = self._taken, self._time.now_s
+        self._taken += 1
+        if first >= count:
+            messages = [each for each in recorded.answers[-1:] if self._dialect.repeats(each)]
+        else:
+            while self._taken < count and recorded.came_s[self._taken] <= now_s:
+                self._taken += 1
+            self._time.reach(recorded.came_s[self._taken - 1])
+            messages = recorded.answers[first : self._taken]
+        return [self._dialect.answer(self._asked, recorded.asked, each) for each in messages]
+
+
+class Pulse:
+    """Signs of life that a device gives by itself: the last ones again, while it gave any."""
+
+    def __init__(self, recorded: Sequence[Exchange], dialect: Dialect, time: EventTime) -> None:
+        self._dialect, self._time = dialect, time
+        self._last: dict[bytes, bytes] = {}
+        self._ends_s: dict[bytes, float] = {}
+        for each in recorded:
+            for answer, came_s in zip(each.answers, each.came_s, strict=True):
+                self._ends_s[dialect.beat(answer)] = came_s + ALIVE_S
+
+    def take(self, answers: Sequence[bytes]) -> None:
+        """Take note of signs of life among answers."""
+        self._last |= {beat: each for each in answers if (beat := self._dialect.beat(each))}
+
+    def due(self) -> bytes:
+        """Return the signs that are given by now."""
+        now_s = self._time.now_s
+        return b"".join(each for beat, each in self._last.items() if now_s <= self._ends_s[beat])

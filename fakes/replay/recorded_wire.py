@@ -1,0 +1,104 @@
+"""A recorded wire as a device: it listens, and answers as `fakes.replay.recorded_script` says."""
+
+from __future__ import annotations
+
+import select
+import socket
+import threading
+import time
+from collections.abc import Sequence
+
+from fakes.replay.dialects import Dialect
+from fakes.replay.event_time import EventTime
+from fakes.replay.recorded_script import Exchange, Flow, Pulse, Script, connections, landmarks
+from fakes.wires.listener import HOST, Listener
+from hilcell.wire.recording import Piece
+
+RECEIVE = 65536
+FLOW_S = 0.001  # between two messages that come by themselves
+BEAT_S = 0.2  # between two signs of life
+
+
+class RecordedWire:
+    """Serves the recorded connections of one wire in their order; a further one gets the last's."""
+
+    def __init__(self, pieces: Sequence[Piece], dialect: Dialect, time: EventTime) -> None:
+        self._recorded = connections(pieces, dialect)
+        self._dialect, self._time = dialect, time
+        self._landmarks = landmarks(self._recorded, dialect)
+        asked = [each for one in self._recorded for each in one[1:]]
+        once = [
+            each
+            for each in asked
+            if dialect.name(each.asked) in self._landmarks or dialect.is_command(each.asked)
+        ]
+        time.expect((each.time_s for each in asked), (each.time_s for each in once))
+        self._lock = threading.Lock()
+        self._served = 0
+        serve = self._serve_flow if dialect.flows else self._serve
+        self._listener = Listener("recorded wire", serve, limit=100)
+
+    @property
+    def channel(self) -> str:
+        """Return where it listens."""
+        return f"socket://{HOST}:{self._listener.port}"
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._listener.start()
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._listener.close()
+
+    def _next(self) -> Sequence[Exchange]:
+        with self._lock:
+            number = min(self._served, len(self._recorded) - 1)
+            self._served += 1
+        return self._recorded[number] if number >= 0 else [Exchange(b"")]
+
+    def _serve(self, client: socket.socket) -> None:
+        recorded = self._next()
+        script = Script(recorded, self._dialect, self._time, self._landmarks)
+        pulse, sending = Pulse(recorded, self._dialect, self._time), threading.Lock()
+
+        def send_due(now_s: float) -> None:
+            with sending:
+                while script.samples and script.samples[0][0] <= now_s:
+                    client.sendall(script.samples.popleft()[1])
+
+        def send(answers: Sequence[bytes]) -> None:
+            pulse.take(answers)
+            with sending:
+                client.sendall(b"".join(answers))
+
+        send(script.greeting)
+        self._time.follow(send_due)
+        try:
+            rest, due_s = b"", 0.0
+            while True:
+                if (now_s := time.monotonic()) >= due_s:
+                    due_s = now_s + BEAT_S
+                    send([pulse.due()])
+                if not select.select([client], [], [], due_s - now_s)[0]:
+                    continue
+                if not (data := client.recv(RECEIVE)):
+                    return
+                messages, rest = self._dialect.split_questions(rest + data)
+                for message in messages:
+                    if not self._dialect.unheard(message):
+                        send_due(float("inf"))  # they had come before it was asked
+                        send(script.reply(message))
+        finally:
+            self._time.unfollow(send_due)
+
+    def _serve_flow(self, client: socket.socket) -> None:
+        flow, rest = Flow(self._next(), self._dialect, self._time), b""
+        while True:
+            if select.select([client], [], [], FLOW_S)[0]:
+                if not (data := client.recv(RECEIVE)):
+                    return
+                messages, rest = self._dialect.split_questions(rest + data)
+                for message in messages:
+                    flow.ask(message)
+            client.sendall(b"".join(flow.next()))

@@ -1,0 +1,1 @@
+"""SpatialAnalyzer's bridge T2SA, and the instrument behind it."""

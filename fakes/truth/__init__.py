@@ -1,0 +1,1 @@
+"""The one physical truth of a simulated cell, with mathematics of its own."""

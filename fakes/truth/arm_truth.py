@@ -1,0 +1,226 @@
+"""The robot as it really is: axes that lie askew, joints that do not turn as commanded.
+
+All but ripple, lost motion, repeatability and growth are scaled together, over the machine's own
+reference cube. The error is taken as the paper takes it: against the base frame built from the
+circles of axes 1 and 6 (section 4.2), here from the noise-free truth. This ideal {B} is not the
+frame in which the axes are drawn; `ideal_base` relates them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fakes.truth.joint_errors import URAD, Deflection, Loads, Ripple, slopes
+from fakes.truth.machine import Errors, Machine, mounted
+from fakes.truth.repeatability import unit_rp_mm
+from fakes.truth.screws import Chain
+from fakes.truth.transforms import Array, carried, frame, rigid, rotation
+from hilcell.cell.tables import Point
+from hilcell.ports import HilcellError
+
+DRAWS = 100
+SOLVED_MM = 1e-10
+GAP_SPREAD = 0.2  # of the half-gaps, over and under the machine's
+
+
+@dataclass(frozen=True, slots=True)
+class _Errors:
+    """Deviations to be scaled: of axes 2 to 6 and of the reflector; the joints' own."""
+
+    shift_mm: Array  # (5, 3) of everything from this axis on
+    tilt_rad: Array  # (5, 3) about a point on it
+    zero_rad: Array  # (6,)
+    tool_mm: Array  # (3,)
+    deflection: Deflection
+
+    def scaled(self, factor: float) -> _Errors:
+        return _Errors(
+            self.shift_mm * factor,
+            self.tilt_rad * factor,
+            self.zero_rad * factor,
+            self.tool_mm * factor,
+            self.deflection.scaled(factor),
+        )
+
+
+class ArmTruth:
+    """One robot's true geometry; its poses are stated in its own base frame {R}.
+
+    ``smr_mm`` (3,) is where the reflector is mounted on the flange. Raises `HilcellError` where
+    no robot of such sizes is found.
+    """
+
+    def __init__(self, machine: Machine, smr_mm: Point, rng: np.random.Generator) -> None:
+        self._machine, self._smr_mm = machine, smr_mm
+        self.design = machine.chain(smr_mm)
+        self._slopes = slopes(self.design)
+        sizes = machine.transmission
+        self.ripple = Ripple(sizes, rng)
+        self._lost_rad = np.zeros(6)
+        self._half_gap_rad = (
+            sizes.half_gap_urad * URAD * rng.uniform(1.0 - GAP_SPREAD, 1.0 + GAP_SPREAD, 6)
+        )
+        self.targets_mm, self.commands_rad = reference_cube(machine, self.design)
+        self._loads = Loads(self.design, self.commands_rad)
+        self.joint_sigma_rad = sizes.rp_mm / float(
+            unit_rp_mm(self.design.jacobian(self.commands_rad)[:, :3]).mean()
+        )
+        self._settle(machine.errors, rng)
+
+    def pose(self, joints_rad: Array, side: Array, landing_rad: Array, warm_k: float = 0) -> Array:
+        """Return the reflector's frame in {R}, (..., 4, 4).
+
+        ``joints_rad`` (..., 6) are the controller's, ``side`` (..., 6) the sign of each joint's
+        last motion, ``landing_rad`` (..., 6) this motion's repeatability error, ``warm_k`` how
+        much warmer the arm is than the room's mean.
+        """
+        strain = self._machine.transmission.growth_um_m_k * 1e-6 * warm_k
+        chain = self._chain.grown(strain) if strain else self._chain
+        lost = side * self._half_gap_rad + landing_rad
+        return chain.pose(self._true_joints(joints_rad) + lost)
+
+    def lose_zero(self, axis: int, lost_rad: float) -> None:
+        """Turn an axis, 1 to 6, against its encoder for good."""
+        self._lost_rad[axis - 1] += lost_rad
+
+    def lose_motion(self, axis: int, lost_rad: float) -> None:
+        """Widen the gap between both sides of an axis, 1 to 6, for good."""
+        self._half_gap_rad[axis - 1] += lost_rad / 2
+
+    def errors_mm(self, commands_rad: Array, targets_mm: Array) -> Array:
+        """Return e = actual - nominal (N, 3) in the ideal {B}, without noise, from below."""
+        from_below = np.ones_like(commands_rad)
+        at_mm = self.pose(commands_rad, from_below, np.zeros(6))[:, :3, 3]
+        R, origin_mm = self.ideal_base[:3, :3], self.ideal_base[:3, 3]
+        errors: Array = (at_mm - origin_mm) @ R - targets_mm
+        return errors
+
+    def _settle(self, sizes: Errors, rng: np.random.Generator) -> None:
+        """Draw until one draw, brought to its size, has no error that is too large."""
+        for _ in range(DRAWS):
+            drawn = _draw_errors(sizes, self.design, rng)
+            self._scale(sizes, drawn)
+            errors_mm = self.errors_mm(self.commands_rad, self.targets_mm)
+            if np.linalg.norm(errors_mm, axis=1).max() <= sizes.largest_mm:
+                return
+        raise HilcellError(
+            f"errors.largest_mm: none of {DRAWS} draws keeps every error below "
+            f"{sizes.largest_mm} mm; take a larger one, or a smaller errors.size_mm"
+        )
+
+    def _scale(self, sizes: Errors, drawn: _Errors) -> None:
+        """Take the draw at the factor that gives the wanted size, by the secant method."""
+        factor, before = 1.0, 0.5
+        value, value_before = self._size_mm(drawn, factor), self._size_mm(drawn, before)
+        for _ in range(50):
+            if abs(value - sizes.size_mm) < SOLVED_MM:
+                return
+            if value == value_before:  # no factor changes it: nothing but ripple is drawn
+                break
+            slope = (value - value_before) / (factor - before)
+            before, value_before = factor, value
+            factor += (sizes.size_mm - value) / slope
+            value = self._size_mm(drawn, factor)
+        raise HilcellError(
+            f"errors.size_mm: no errors of size {sizes.size_mm} mm are found; take another size, "
+            "or other sizes of their parts"
+        )
+
+    def _size_mm(self, drawn: _Errors, factor: float) -> float:
+        self._take(drawn.scaled(factor))
+        errors_mm = self.errors_mm(self.commands_rad, self.targets_mm)
+        if self._machine.errors.scaled_by == "mean":
+            return float(np.linalg.norm(errors_mm, axis=1).mean())
+        return varying_rms_mm(self.targets_mm, errors_mm)
+
+    def _take(self, errors: _Errors) -> None:
+        self._errors = errors
+        self._chain = _displaced(self.design, errors, self._machine, self._smr_mm)
+        self.ideal_base = self._base_from_axes(np.radians(self._machine.reference.axis_6_deg))
+
+    def _true_joints(self, joints_rad: Array) -> Array:
+        """Return joint angles (..., 6) with everything that depends on the angles alone."""
+        ripple = self.ripple(joints_rad)
+        share = self._machine.transmission.load_share
+        if share:
+            ripple *= 1.0 + share * self._loads(joints_rad)
+        bent = self._errors.deflection(joints_rad, self._slopes)
+        true: Array = joints_rad + self._errors.zero_rad + self._lost_rad + bent + ripple
+        return true
+
+    def _base_from_axes(self, axis_6_rad: Array) -> Array:
+        """Return the ideal {B} in {R}, (4, 4), after section 4.2.
+
+        Axis 1 is {R}'s own z. Axis 6 at the given joints gives x, and the centre of its circle
+        the height, which is nominal by definition.
+        """
+        joints = self._true_joints(axis_6_rad) + self._half_gap_rad
+        axis, centre_mm = _axis_6(self._chain, joints)
+        nominal_height_mm = _axis_6(self.design, axis_6_rad)[1][2]
+        x = np.array([axis[0], axis[1], 0.0]) * np.sign(centre_mm[:2] @ axis[:2])
+        x /= np.linalg.norm(x)
+        z = np.array([0.0, 0.0, 1.0])
+        height_mm = centre_mm[2] - nominal_height_mm
+        return rigid(np.column_stack([x, np.cross(z, x), z]), height_mm * z)
+
+
+def reference_cube(machine: Machine, design: Chain) -> tuple[Array, Array]:
+    """Return targets (N, 3) in {B} through the machine's cube, and joints (N, 6) to command."""
+    reference = machine.reference
+    centre = frame(reference.centre)
+    axes = [
+        middle_mm + size_mm * np.linspace(-0.5, 0.5, reference.points)
+        for middle_mm, size_mm in zip(centre[:3, 3], reference.size_mm, strict=True)
+    ]
+    targets_mm = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    poses = np.tile(centre, (len(targets_mm), 1, 1))
+    poses[:, :3, 3] = targets_mm
+    return targets_mm, design.solve(poses, np.radians(reference.start_deg))
+
+
+def varying_rms_mm(targets_mm: Array, errors_mm: Array) -> float:
+    """Return the RMS of |e| that the best small rigid motion leaves, for points (N, 3)."""
+    levers_mm = targets_mm - targets_mm.mean(axis=0)
+    turns = [np.cross(axis, levers_mm).ravel() for axis in np.eye(3)]
+    shifts = [np.tile(axis, len(levers_mm)) for axis in np.eye(3)]
+    motion = np.column_stack([*shifts, *turns])
+    left = errors_mm.ravel() - motion @ np.linalg.lstsq(motion, errors_mm.ravel(), rcond=None)[0]
+    return float(np.sqrt((left**2).sum() / len(errors_mm)))
+
+
+def _axis_6(chain: Chain, joints_rad: Array) -> tuple[Array, Array]:
+    """Return axis 6 (3,) and the centre (3,) of the reflector's circle about it."""
+    axis, on_axis_mm = chain.axis(5, joints_rad)
+    reflector_mm = chain.pose(joints_rad)[:3, 3]
+    return axis, on_axis_mm + ((reflector_mm - on_axis_mm) @ axis) * axis
+
+
+def _displaced(design: Chain, errors: _Errors, machine: Machine, smr_mm: Point) -> Chain:
+    """Return the design with each axis from the second on displaced, and all behind it with it."""
+    axes, points_mm = design.axes.copy(), design.points_mm.copy()
+    moved = np.eye(4)
+    displacements = zip(errors.shift_mm, errors.tilt_rad, strict=True)
+    for joint, (shift_mm, tilt_rad) in enumerate(displacements, 1):
+        R, at_mm = rotation(tilt_rad), design.points_mm[joint]
+        moved = moved @ rigid(R, at_mm - R @ at_mm + shift_mm)
+        axes[joint] = moved[:3, :3] @ design.axes[joint]
+        points_mm[joint] = carried(moved, at_mm)
+    tool_mm = np.array(smr_mm) + errors.tool_mm
+    last = mounted(frame(machine.flange), (tool_mm[0], tool_mm[1], tool_mm[2]))
+    return replace(design, axes=axes, points_mm=points_mm, last=moved @ last)
+
+
+def _draw_errors(sizes: Errors, design: Chain, rng: np.random.Generator) -> _Errors:
+    normal = rng.standard_normal
+    axes = design.axes[1:]
+    tilt_rad = sizes.twist_urad * URAD * normal((5, 3))
+    along = (tilt_rad * axes).sum(axis=1, keepdims=True)  # that is the joint's zero
+    return _Errors(
+        shift_mm=sizes.length_mm * normal((5, 3)),
+        tilt_rad=tilt_rad - along * axes,
+        zero_rad=sizes.zero_urad * URAD * normal(6),
+        tool_mm=sizes.tool_mm * normal(3),
+        deflection=Deflection.drawn(sizes, rng),
+    )

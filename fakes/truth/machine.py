@@ -1,0 +1,201 @@
+"""The description of a machine: its parts, and how large their errors are.
+
+A machine is a TOML file; with a seed it is one physical robot, rail, strip and tracker. Nothing in
+it refers to a cell's measuring plan: sizes are stated over reference poses of its own. Sizes of
+random parts are 1 sigma.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from msgspec import Meta, field
+
+from fakes.truth.screws import Chain, from_rows
+from fakes.truth.transforms import Array, frame
+from hilcell.cell.file import Cell
+from hilcell.cell.settings import SettingsError, convert, read_text, refuse, unreadable
+from hilcell.cell.tables import Frozen, Point, Pose, Six, Size, refuse_descending
+
+Angle = Annotated[float, Meta(ge=0, le=20_000)]  # urad: about a degree
+Offset = Annotated[float, Meta(ge=0, le=100)]  # mm
+Extent = Annotated[float, Meta(gt=0, le=100)]  # mm
+Rate = Annotated[float, Meta(ge=0, le=1000)]  # um, um/m, um/m/K
+Share = Annotated[float, Meta(ge=0, lt=1)]
+Cycles = tuple[Annotated[int, Meta(ge=1, le=1000)], Annotated[int, Meta(ge=1, le=1000)]]
+UNIT = 1e-6
+
+
+class JointAxis(Frozen, frozen=True, kw_only=True):
+    """One joint's axis at joints zero in the robot's base frame; its sense is the joint's."""
+
+    axis: Point
+    point_mm: Point
+
+    def __post_init__(self) -> None:
+        if not abs(np.linalg.norm(self.axis) - 1.0) < UNIT:
+            raise ValueError(f"axis {self.axis} must have length 1")
+
+
+class Reference(Frozen, frozen=True, kw_only=True):
+    """The poses over which sizes are stated: a cube, the axis 6 circle, the parked arm."""
+
+    centre: Pose
+    size_mm: Point
+    start_deg: Six
+    axis_6_deg: Six
+    parked_deg: Six
+    points: Annotated[int, Meta(ge=2, le=20)] = 6  # a side of the cube
+
+
+class Errors(Frozen, frozen=True, kw_only=True):
+    """Sizes of what is scaled together, and to what: the mean error over the cube against the
+    ideal base, or the RMS that the best rigid motion leaves of it.
+    """
+
+    scaled_by: Literal["mean", "varying"]
+    size_mm: Extent
+    largest_mm: Extent
+    zero_urad: Angle
+    length_mm: Offset
+    twist_urad: Angle
+    tool_mm: Offset
+    gravity_urad: Angle
+    gravity_side_urad: Angle
+    harmonics_urad: list[Angle]  # one, two, .. cycles a revolution
+    elastic_urad: Angle = 0.0  # axis 2 by the product of upper arm's and forearm's load
+
+    def __post_init__(self) -> None:
+        refuse_descending(self, "size_mm", "largest_mm")
+
+
+class Transmission(Frozen, frozen=True, kw_only=True):
+    """Gears: ripple, lost motion, repeatability; and how much the arm grows with temperature."""
+
+    ripple_urad: Angle
+    pins: Cycles
+    ratios: Cycles
+    half_gap_urad: Angle
+    rp_mm: Extent
+    load_share: Share = 0.0  # by which a joint's load changes the ripple, at most
+    unlisted_urad: Angle = 0.0  # amplitude of a harmonic that no gear data name
+    growth_um_m_k: Rate = 0.0
+
+    def __post_init__(self) -> None:
+        refuse(
+            [
+                f"{key}: lowest first, found {least} .. {most}"
+                for key, (least, most) in (("pins", self.pins), ("ratios", self.ratios))
+                if not least <= most
+            ]
+        )
+
+
+class RailSizes(Frozen, frozen=True, kw_only=True):
+    """The rail's own errors and those of its strip."""
+
+    backlash_mm: Extent
+    curve_mm: Offset
+    curve_span_mm: Size
+    ways_mm: Offset = 0.01  # how much the curves up and down differ beside the backlash
+    landing_mm: Offset = 0.01
+    short_landing_mm: Offset = 0.0015
+    straightness_mm: Offset = 0.06
+    lean_urad: Angle = 100.0
+    tilt_urad: Angle = 300.0
+    strip_long_mm: Offset = 0.004
+    strip_pole_mm: Offset = 0.002
+
+
+class Mounting(Frozen, frozen=True, kw_only=True):
+    """How far things stand from where the cell file says."""
+
+    bolted_mm: Offset = 1.2
+    bolted_urad: Angle = 500.0
+    floor_nest_mm: Offset = 1.0
+    slide_nest_mm: Offset = 1.2
+    seat_mm: Offset = 0.5  # a reflector on the flange, from the tool point
+    tracker_mm: Offset = 3.0
+    tracker_urad: Angle = 1000.0
+
+
+class TrackerSizes(Frozen, frozen=True, kw_only=True):
+    """The tracker's noise and slow drift, and the room's temperature."""
+
+    radial_um: Rate = 7.5
+    across_um_m: Rate = 2.5
+    drift_mm: Offset = 0.002
+    room_c: Annotated[float, Meta(ge=-20, le=60)] = 23.0
+    room_swing_k: Annotated[float, Meta(ge=0, le=30)] = 0.8
+
+
+class Machine(Frozen, frozen=True, kw_only=True):
+    """One kind of machine."""
+
+    model: str
+    serial: int
+    flange: Pose
+    joint: list[JointAxis]
+    reference: Reference
+    errors: Errors
+    transmission: Transmission
+    rail: RailSizes
+    mounting: Mounting = field(default_factory=Mounting)
+    tracker: TrackerSizes = field(default_factory=TrackerSizes)
+
+    def __post_init__(self) -> None:
+        if len(self.joint) != 6:
+            raise ValueError(f"six joints are wanted, found {len(self.joint)}")
+
+    def chain(self, smr_mm: Point) -> Chain:
+        """Return the arm as designed; its last frame is the reflector's, mounted at (3,)."""
+        axes = np.array([joint.axis for joint in self.joint])
+        points_mm = np.array([joint.point_mm for joint in self.joint])
+        return Chain(axes, points_mm, mounted(frame(self.flange), smr_mm))
+
+
+def mounted(flange: Array, smr_mm: Point) -> Array:
+    """Return the reflector's frame (4, 4) on a flange (4, 4)."""
+    T = flange.copy()
+    T[:3, 3] += flange[:3, :3] @ np.array(smr_mm)
+    return T
+
+
+def machine_of(cell: Cell) -> Machine:
+    """Return the machine that a simulated cell names; raises `SettingsError`."""
+    return load_machine("paper" if cell.simulation is None else cell.simulation.machine)
+
+
+def load_machine(where: str) -> Machine:
+    """Read a machine by the name of one that comes with the fakes, or a TOML file."""
+    folder = resources.files("fakes.truth.machines")
+    known = sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if ".toml" in p.name)
+    try:
+        if where in known:
+            text = (folder / f"{where}.toml").read_text("utf-8")
+        else:
+            text = read_text(Path(where))
+        values = tomllib.loads(text)
+    except FileNotFoundError:
+        problem = f"no such file, and no machine of that name; known are: {', '.join(known)}"
+        raise SettingsError(f"simulation.machine {where!r}", [problem]) from None
+    except (OSError, ValueError) as error:
+        raise unreadable(f"simulation.machine {where!r}", error, "machine file") from error
+    return convert(values, Machine, where)
+
+
+def chain_of_cell(cell: Cell) -> Chain:
+    """Return the arm of a cell file's own rows: of a robot that has no machine file."""
+    rows = cell.robot.joint
+    axes, points_mm, flange = from_rows(
+        np.array([row.a_mm for row in rows]),
+        np.radians([row.alpha_deg for row in rows]),
+        np.array([row.d_mm for row in rows]),
+        np.radians([row.offset_deg for row in rows]),
+        np.array([float(row.sign) for row in rows]),
+    )
+    return Chain(axes, points_mm, mounted(flange, cell.robot.smr_mm))

@@ -1,0 +1,164 @@
+"""The one physical truth of a simulated cell: a machine's rail, robot, tracker and nests.
+
+Frames: {W} world, {S} the slide as the cell file thinks it (nominal {B}), {R} the robot's own base
+frame, which is bolted a little askew on the slide, {T} the tool point on the flange. Machine and
+seed fix the truth and the noise, whatever the cell's plan measures; a cell that is started again
+draws the same again from its beginning. Nominal {B} is not {R}, and a calibration finds neither; it
+finds `base_in_world`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fakes.faults import Faults
+from fakes.time import PlantTime
+from fakes.truth.arm_truth import ArmTruth
+from fakes.truth.floor_truth import FloorTruth
+from fakes.truth.machine import Machine, machine_of
+from fakes.truth.noise import KeyedNoise
+from fakes.truth.rail_truth import RailTruth
+from fakes.truth.robot_motion import RobotMotion
+from fakes.truth.stream_truth import StreamTruth
+from fakes.truth.tracker_truth import TrackerTruth
+from fakes.truth.transforms import Array, carried, rigid, rotation
+from hilcell.cell.file import Cell, Nest
+from hilcell.cell.layout import Layout
+from hilcell.cell.settings import SettingsError
+from hilcell.ports import HilcellError
+
+FARTHEST_SIGMA = 2.0
+FLANGE = "flange"
+
+
+class Plant:
+    """One simulated cell."""
+
+    def __init__(self, cell: Cell, seed: int, time: PlantTime, faults: Faults) -> None:
+        fixed, landing = KeyedNoise(seed), KeyedNoise(seed, "robot")
+        machine = machine_of(cell)
+        mounting = machine.mounting
+        self.cell, self.time = cell, time
+        self.rail = RailTruth(cell, seed, time, faults) if cell.has_rail else FloorTruth(cell)
+        arm = self.arm = _arm(cell, machine, fixed.generator("arm"))
+        self.robot = RobotMotion(
+            cell, time, lambda key: arm.joint_sigma_rad * landing.normal(key, 6)
+        )
+        rng = fixed.generator("base")
+        turn = mounting.bolted_urad * 1e-6 * _limited(rng, 3)
+        self._bolted = rigid(rotation(turn), mounting.bolted_mm * _limited(rng, 3))
+        self._slipped = np.eye(4)
+        self._seats = _seats(cell, mounting.seat_mm, fixed.generator("seats"))
+        self._floor = _placed(cell.layout.floor, mounting.floor_nest_mm, fixed.generator("floor"))
+        self._floor |= _bars(cell.layout, mounting.floor_nest_mm, fixed.generator("bars"))
+        self._slide = _placed(cell.layout.slide, mounting.slide_nest_mm, fixed.generator("slide"))
+        self._places: tuple[tuple[object, ...], dict[str, Array]] = ((), {})  # for which state
+        self.seated = ""  # where the one reflector is that is carried by hand; "": out of sight
+        self.tracker = TrackerTruth(cell, seed, faults, self.reflectors_in_world)
+        self.streams = StreamTruth(seed, self.robot, self.tracker, self.path_in_world)
+
+    def lose_zero(self, lost_rad: float, axis: int = 1) -> None:
+        """Turn an axis of the robot, 1 to 6, against its encoder for good."""
+        self.arm.lose_zero(axis, lost_rad)
+        self._places = ((), {})
+
+    def lose_motion(self, lost_rad: float, axis: int = 3) -> None:
+        """Widen the gap of an axis of the robot, 1 to 6, for good."""
+        if lost_rad:
+            self.arm.lose_motion(axis, lost_rad)
+            self._places = ((), {})
+
+    def slip_mount(self, along_mm: float) -> None:
+        """Shift the reflector on the flange along its x for good."""
+        self._slipped[0, 3] += along_mm
+
+    def seat(self, place: str) -> None:
+        """Carry the reflector to a nest, the flange, or (empty) away; raises `ValueError`."""
+        if not self.cell.layout.by_hand:
+            raise ValueError("the reflectors of this cell are mounted")
+        places = [*self._floor, *self._slide, FLANGE, ""]
+        if place not in places:
+            raise ValueError(f"place {place!r} is none of {', '.join(places)}")
+        self.seated = place
+
+    def reflectors_in_world(self) -> dict[str, Array]:
+        """Return where reflectors (3,) are seen, in {W}: everywhere, or where the one sits."""
+        places = self.places_in_world()
+        if not self.cell.layout.by_hand:
+            return places
+        seated = self.seated
+        return {seated: places[seated]} if seated else {}
+
+    def path_in_world(self, name: str, times_s: Array) -> Array:
+        """Return where a reflector really was, (N, 3) in {W}, at times (N,) up to now.
+
+        None are left where it is out of sight. The slide is taken to stand meanwhile.
+        """
+        if self.cell.layout.by_hand and name != self.seated:
+            return np.zeros((0, 3))
+        if name != FLANGE and name not in self._seats:
+            return np.tile(self.places_in_world()[name], (len(times_s), 1))
+        joints_rad, side, landing_rad = self.robot.past(times_s)
+        arm = self.arm.pose(joints_rad, side, landing_rad, self.tracker.warm_k) @ self._slipped
+        tool = self.rail.slide_pose() @ self._bolted @ arm
+        at_mm: Array = tool[:, :3, 3] + tool[:, :3, :3] @ self._seats.get(name, np.zeros(3))
+        return at_mm
+
+    def places_in_world(self) -> dict[str, Array]:
+        """Return where a reflector (3,) in each nest and on the flange really is, in {W}."""
+        robot, warm_k = self.robot.state(), self.tracker.warm_k
+        moves = (robot.joints_rad, robot.side, robot.landing_rad, self._bolted, self._slipped)
+        now = (self.rail.slide_mm(), warm_k, *(each.tobytes() for each in moves))
+        known, found = self._places
+        if now != known:  # at rest it is asked for several times a measurement
+            T_W_S = self.rail.slide_pose()
+            found = dict(self._floor)
+            found |= {name: carried(T_W_S, at_mm) for name, at_mm in self._slide.items()}
+            arm = self.arm.pose(robot.joints_rad, robot.side, robot.landing_rad, warm_k)
+            tool = T_W_S @ self._bolted @ arm @ self._slipped
+            found[FLANGE] = tool[:3, 3]
+            found |= {name: carried(tool, at_mm) for name, at_mm in self._seats.items()}
+            self._places = (now, found)
+        return found
+
+    def base_in_world(self) -> Array:
+        """Return the base frame (4, 4) in {W} that a faultless section 4.2 would find now."""
+        base: Array = self.rail.slide_pose() @ self._bolted @ self.arm.ideal_base
+        return base
+
+
+def _placed(nests: list[Nest], sigma_mm: float, rng: np.random.Generator) -> dict[str, Array]:
+    return {nest.name: nest.xyz_mm + sigma_mm * _limited(rng, 3) for nest in nests}
+
+
+def _seats(cell: Cell, sigma_mm: float, rng: np.random.Generator) -> dict[str, Array]:
+    """Return the other reflectors (3,) on the flange, from the first and in its axes."""
+    from_first_mm = np.array(cell.robot.more_smr_mm).reshape(-1, 3) - cell.robot.smr_mm
+    return {
+        f"{FLANGE} {number}": at_mm + sigma_mm * _limited(rng, 3)
+        for number, at_mm in enumerate(from_first_mm, start=2)
+    }
+
+
+def _bars(layout: Layout, sigma_mm: float, rng: np.random.Generator) -> dict[str, Array]:
+    """Return the nests of bars: each certified length is true between them."""
+    found = _placed(layout.bar, sigma_mm, rng)
+    for each in layout.length:
+        one, other = each.nests
+        if one in found and other in found:
+            way_mm = found[other] - found[one]
+            found[other] = found[one] + each.length_mm * way_mm / np.linalg.norm(way_mm)
+    return found
+
+
+def _limited(rng: np.random.Generator, size: int) -> Array:
+    return rng.standard_normal(size).clip(-FARTHEST_SIGMA, FARTHEST_SIGMA)
+
+
+def _arm(cell: Cell, machine: Machine, rng: np.random.Generator) -> ArmTruth:
+    """Return the true arm; raises `SettingsError` that names the machine that cannot be."""
+    try:
+        return ArmTruth(machine, cell.robot.smr_mm, rng)
+    except HilcellError as error:
+        name = "" if cell.simulation is None else cell.simulation.machine
+        raise SettingsError(f"simulation.machine {name!r}", [str(error)]) from error

@@ -1,0 +1,265 @@
+"""The truth of the rail: motor, slide, strip; where the slide really is and how it leans.
+
+The motor stands where it was commanded. The slide follows it through backlash (play), along the
+error curve of Fig 1, and lands with a little noise that grows with the length of the move. The
+strip reads the slide. The motor's encoder shows nothing of all this.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from dataclasses import dataclass
+
+import numpy as np
+
+from fakes.faults import Faults
+from fakes.time import PlantTime
+from fakes.truth.machine import Machine, machine_of
+from fakes.truth.motion import Path
+from fakes.truth.noise import KeyedNoise
+from fakes.truth.smooth import SmoothCurve
+from fakes.truth.transforms import Array, frame, rotation
+from hilcell.cell.file import Cell
+
+LONG_MOVE_MM = 100.0  # from which on the landing noise is that of a long move
+POLE_PITCH_MM = 5.0
+BACKLASH_SPREAD = 0.02
+SWITCH_MM = 1.0  # limit switches lie this far outside the travel
+STOP_MM = 0.5  # and the slide stops this far behind them
+POWER_ON_MM = 640.0
+HOMING_MM_S2, BACK_OFF_MM_S = 200.0, 10.0
+MOST_SHARE = 1.5  # of the stated curve
+BRAKE_MM_S2 = 5000.0  # the closing brake
+
+
+@dataclass(frozen=True, slots=True)
+class RailState:
+    """The rail at one poll: encoder, strip and switches; unquantised."""
+
+    encoder_mm: float
+    velocity_mm_s: float
+    strip_mm: float
+    moving: bool
+    at_negative_limit: bool
+    at_positive_limit: bool
+
+
+class RailTruth:
+    """The rail of one simulated cell; safe to use from several threads.
+
+    It takes the faults ``rail.backlash``, ``rail.slip``, ``rail.pushed`` and
+    ``rail.reference_lost`` itself; all others are the servers'.
+    """
+
+    def __init__(self, cell: Cell, seed: int, time: PlantTime, faults: Faults) -> None:
+        self._lock = threading.RLock()
+        self._time, self._faults = time, faults
+        self._noise = KeyedNoise(seed, "rail")
+        machine = machine_of(cell)
+        self._sizes = machine.rail
+        self._shape = _Shape(cell, machine, KeyedNoise(seed).generator("rail"))
+        self._low_mm = cell.rail.travel_min_mm - SWITCH_MM
+        self._high_mm = cell.rail.travel_max_mm + SWITCH_MM
+        self._acceleration_mm_s2 = cell.rail.acceleration_mm_s2
+        self._backlash_mm = self._shape.backlash_mm
+        self._slip_mm = 0.0
+        self._braked = True
+        self._homing = False
+        self._zero_mm = POWER_ON_MM  # of the motor: its encoder reads 0 at power-on
+        self._play_mm = POWER_ON_MM  # slide behind the backlash, in the motor's coordinate
+        self._landing_mm = (0.0, 0.0)  # at the start and at the end of the motion
+        self._path = Path(time.now_s(), POWER_ON_MM)
+        self._seen_s = time.now_s()
+
+    # -- for the drive --------------------------------------------------------------------------
+
+    def move(self, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
+        """Start for ``target_mm`` of the encoder; a motion under way is braked first.
+
+        A closed brake lets nothing move. Beyond a limit switch the slide stops behind it.
+        """
+        with self._lock:
+            if self._braked:
+                return
+            self._homing = False
+            wanted_mm = target_mm + self._zero_mm
+            limited_mm = min(max(wanted_mm, self._low_mm - STOP_MM), self._high_mm + STOP_MM)
+            path = self._fresh_path().brake(acceleration_mm_s2)
+            distance_mm = abs(limited_mm - path.end)
+            path.travel(limited_mm, speed_mm_s, acceleration_mm_s2)
+            self._start(path, f"{target_mm:.3f}", distance_mm)
+
+    def quick_stop(self, deceleration_mm_s2: float) -> None:
+        """Brake to standstill on the ramp."""
+        with self._lock:
+            self._homing = False
+            before_mm = self._landing(self._time.now_s())
+            self._path = self._fresh_path().brake(deceleration_mm_s2)
+            self._landing_mm = (before_mm, before_mm)
+
+    def home(self, speed_mm_s: float) -> None:
+        """Run to the negative limit switch, back off it, stand; there the encoder reads 0."""
+        with self._lock:
+            if self._braked:
+                return
+            a = HOMING_MM_S2
+            path = self._fresh_path().brake(a).travel(self._low_mm - STOP_MM, speed_mm_s, a)
+            path.travel(self._low_mm + SWITCH_MM, BACK_OFF_MM_S, a)
+            self._start(path, "home", SWITCH_MM)
+            self._homing = True
+
+    def master(self) -> None:
+        """Have the encoder read the motor's true place: it is absolute."""
+        with self._lock:
+            self._zero_mm = 0.0
+
+    def brake(self, closed: bool) -> None:
+        """Close or open the holding brake; closed in motion, it stops the slide hard."""
+        with self._lock:
+            self._braked = closed
+            if closed:
+                self.quick_stop(BRAKE_MM_S2)
+
+    def poll(self) -> RailState:
+        """Return the state now; in stepped time a moving slide gets a third further."""
+        with self._lock:
+            now_s = self._time.poll(self._path.start_s, self._path.end_s)
+            self._follow(now_s)
+            self._strike(now_s)
+            motor_mm, velocity_mm_s = self._path.at(now_s)
+            slide_mm = self._slide_mm(now_s)
+            return RailState(
+                encoder_mm=motor_mm - self._zero_mm,
+                velocity_mm_s=velocity_mm_s,
+                strip_mm=self._shape.strip_mm(slide_mm),
+                moving=now_s < self._path.end_s,
+                at_negative_limit=motor_mm <= self._low_mm,
+                at_positive_limit=motor_mm >= self._high_mm,
+            )
+
+    # -- for the plant and tests alone ----------------------------------------------------------
+
+    @property
+    def still(self) -> bool:
+        """Whether the slide stands, without letting time pass."""
+        return self._time.now_s() >= self._path.end_s
+
+    def slide_mm(self) -> float:
+        """Return where the slide really is along the rail, without letting time pass."""
+        with self._lock:
+            now_s = self._time.now_s()
+            self._follow(now_s)
+            return self._slide_mm(now_s)
+
+    def slide_pose(self) -> Array:
+        """Return the slide in {W}, (4, 4): the frame in which the cell file states nominal {B}."""
+        return self._shape.pose(self.slide_mm())
+
+    # -- inside ---------------------------------------------------------------------------------
+
+    def _strike(self, now_s: float) -> None:
+        """Let the faults of a poll happen."""
+        self._zero_mm -= self._faults.number("rail.reference_lost") or 0.0
+        if self._braked and now_s >= self._path.end_s:
+            pushed_mm = self._faults.number("rail.pushed") or 0.0
+            if pushed_mm:
+                self._path = Path(now_s, self._path.at(now_s)[0] + pushed_mm)
+                self._play_mm += pushed_mm
+
+    def _fresh_path(self) -> Path:
+        now_s = self._time.now_s()
+        self._follow(now_s)
+        return Path(now_s, *self._path.at(now_s))
+
+    def _start(self, path: Path, key: str, distance_mm: float) -> None:
+        self._backlash_mm += self._faults.number("rail.backlash") or 0.0
+        self._slip_mm += self._faults.number("rail.slip") or 0.0
+        share = min(1.0, distance_mm / LONG_MOVE_MM)
+        long_mm, short_mm = self._sizes.landing_mm, self._sizes.short_landing_mm
+        sigma_mm = short_mm + share * (long_mm - short_mm)
+        lands_mm = sigma_mm * float(self._noise.normal(key, 1)[0])
+        self._landing_mm = (self._landing(path.start_s), lands_mm)
+        self._path = path
+
+    def _landing(self, now_s: float) -> float:
+        before_mm, after_mm = self._landing_mm
+        duration_s = self._path.end_s - self._path.start_s
+        share = (now_s - self._path.start_s) / duration_s if duration_s > 0 else 1.0
+        return before_mm + min(1.0, share) * (after_mm - before_mm)
+
+    def _follow(self, now_s: float) -> None:
+        """Drag the slide behind the motor up to ``now_s``, through every turn of the path."""
+        corners = self._path.corners(self._seen_s, now_s)
+        for motor_mm in (*corners, self._path.at(now_s)[0]):
+            self._play_mm = min(max(self._play_mm, motor_mm), motor_mm + self._backlash_mm)
+        self._seen_s = now_s
+        if self._homing and now_s >= self._path.end_s:
+            self._homing = False
+            self._zero_mm = self._path.end
+
+    def _slide_mm(self, now_s: float) -> float:
+        motor_mm = self._path.at(now_s)[0]
+        behind = (self._play_mm - motor_mm) / self._backlash_mm
+        error_mm = self._shape.error_mm(self._play_mm, behind)
+        return self._play_mm + error_mm + self._landing(now_s) + self._slip_mm
+
+
+class _Shape:
+    """Properties that the seed fixes for good: error curves, straightness, leaning, strip."""
+
+    def __init__(self, cell: Cell, machine: Machine, rng: np.random.Generator) -> None:
+        sizes = self._sizes = machine.rail
+        spread = 1.0 + BACKLASH_SPREAD * float(rng.standard_normal())
+        self.backlash_mm = sizes.backlash_mm * spread
+        self._curve = SmoothCurve(rng, 1.0, 2 * sizes.curve_span_mm, 3)
+        self._ways = SmoothCurve(rng, sizes.ways_mm, 1500.0, 2)
+        self._strip_long = SmoothCurve(rng, sizes.strip_long_mm, 4000.0, 3)
+        self._pole_phase = float(rng.uniform(0.0, 2 * math.pi))
+        self._straight = [SmoothCurve(rng, sizes.straightness_mm, 3500.0) for _ in range(2)]
+        self._lean = [SmoothCurve(rng, sizes.lean_urad * 1e-6, 3500.0) for _ in range(3)]
+        self._base = frame(cell.layout.base)
+        self._tilt = rotation(sizes.tilt_urad * 1e-6 * rng.standard_normal(3))
+        self._along = self._tilt @ np.array(cell.layout.rail_direction)
+        self._across = np.linalg.svd(self._along[None])[2][1:]
+        self._share = 1.0
+        parked_rad = np.radians(machine.reference.parked_deg)
+        flange_mm = machine.chain(cell.robot.smr_mm).pose(parked_rad)[:3, 3]
+        self._share = self._share_as_surveyed(self._base[:3, :3] @ flange_mm)
+
+    def _share_as_surveyed(self, lever_mm: Array) -> float:
+        """Return the factor that brings the survey of Fig 1 to its largest error.
+
+        It was made at the flange of a parked robot, so it shows the slide's leaning times the
+        lever arm (3,) as well as the rail's own error. Where these cancel there, the rail's own
+        stays that of a rail.
+        """
+        largest_mm = self._sizes.curve_mm
+        positions_mm = [float(s) for s in np.linspace(0.0, self._sizes.curve_span_mm, 201)]
+        seen_mm = [
+            self._curve(s) * largest_mm + float(np.cross(self._lean_rad(s), lever_mm) @ self._along)
+            for s in positions_mm
+        ]
+        return min(MOST_SHARE, largest_mm / float(np.abs(seen_mm).max()))
+
+    def _lean_rad(self, slide_mm: float) -> Array:
+        return self._share * np.array([curve(slide_mm) for curve in self._lean])
+
+    def error_mm(self, play_mm: float, behind: float) -> float:
+        """Return Fig 1's error; ``behind`` is 0 on the way up, 1 on the way down."""
+        along_mm = self._share * self._sizes.curve_mm * self._curve(play_mm)
+        return along_mm + behind * self._ways(play_mm)
+
+    def strip_mm(self, slide_mm: float) -> float:
+        """Return the strip's reading, unquantised."""
+        pole = math.sin(2 * math.pi * slide_mm / POLE_PITCH_MM + self._pole_phase)
+        return slide_mm + self._strip_long(slide_mm) + self._sizes.strip_pole_mm * pole
+
+    def pose(self, slide_mm: float) -> Array:
+        """Return the slide in {W}, (4, 4)."""
+        T = self._base.copy()
+        T[:3, :3] = rotation(self._lean_rad(slide_mm)) @ self._tilt @ T[:3, :3]
+        T[:3, 3] += slide_mm * self._along
+        for curve, direction in zip(self._straight, self._across, strict=True):
+            T[:3, 3] += curve(slide_mm) * direction
+        return T

@@ -1,0 +1,184 @@
+"""How the robot moves: all axes from standstill to standstill together (PTP), on plant time.
+
+The controller's joints run along one trapezoid that the slowest axis rules. With each motion go the
+joints' own errors: from which side each comes, and by how much it misses.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from fakes.time import PlantTime
+from fakes.truth.motion import Path
+from fakes.truth.transforms import Array
+from hilcell.cell.file import Cell
+
+RAMP_S = 0.4  # from standstill to full speed
+BRAKE_S = 0.15  # and from full speed to standstill on a stop
+NOT_MOVED_RAD = 1e-9
+
+Landing = Callable[[str], Array]  # event -> repeatability error (6,) in rad
+
+
+@dataclass(frozen=True, slots=True)
+class RobotState:
+    """Joints (6,) as the controller counts them, side of last motion, repeatability error."""
+
+    joints_rad: Array
+    side: Array
+    landing_rad: Array
+    moving: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Leg:
+    """Motion from one moment on, until the next leg begins."""
+
+    start_s: float
+    from_rad: Array
+    to_rad: Array
+    side: Array
+    landing_rad: Array
+    path: Path
+
+
+class RobotMotion:
+    """The motion of one robot; safe to use from several threads."""
+
+    def __init__(self, cell: Cell, time: PlantTime, landing: Landing) -> None:
+        self._lock = threading.RLock()
+        self._time, self._landing_of = time, landing
+        self._speed_rad_s = np.radians([joint.speed_deg_s for joint in cell.robot.joint])
+        self._from = self._to = np.radians(cell.robot.home_deg)
+        self._side = np.ones(6)
+        self._landing = landing("power-on")
+        self._share = 1.0
+        self._rate = 1.0  # shares a second at full speed
+        self._override = 1.0
+        self._path = Path(time.now_s(), 0.0)
+        self._standing: Array | None = self._to
+        self._legs: list[_Leg] = []
+        self._remembered = 0
+        self._keep_leg()
+
+    def move(self, target_rad: Array, speed_share: float) -> None:
+        """Start for joints (6,) at a share 0..1 of full speed; a motion under way ends here."""
+        with self._lock:
+            self._from = self._joints(self._time.now_s())
+            self._to = np.array(target_rad, dtype=float)
+            distance = self._to - self._from
+            moved = np.abs(distance) > NOT_MOVED_RAD
+            self._side = np.where(moved, np.sign(distance), self._side)
+            key = ",".join(f"{joint:.6f}" for joint in self._to)
+            self._landing = np.where(moved, self._landing_of(key), self._landing)
+            duration_s = float(np.max(np.abs(distance) / self._speed_rad_s))
+            self._rate = 1.0 / max(duration_s, 1e-6)
+            self._share = speed_share
+            self._path = Path(self._time.now_s(), 0.0)
+            self._go_on()
+            self._keep_leg()
+
+    def override(self, share: float) -> None:
+        """Change the speed of this and all further motions; 0 makes them stand."""
+        with self._lock:
+            self._override = share
+            if self.moving:
+                self._path = self._fresh_path().brake(self._rate / BRAKE_S)
+                self._go_on()
+                self._keep_leg()
+
+    def brake(self) -> None:
+        """Stop on the path and forget the target."""
+        with self._lock:
+            self._path = self._fresh_path().brake(self._rate / BRAKE_S)
+            self._share = 0.0
+            self._standing = None
+            self._keep_leg()
+
+    def poll(self) -> RobotState:
+        """Return the state now; in stepped time a moving robot gets a third further."""
+        with self._lock:
+            self._time.poll(self._path.start_s, self._path.end_s)
+            return self.state()
+
+    def remember(self, wanted: bool) -> None:
+        """Begin, or cease, to keep what `past` needs of motions that have ended."""
+        with self._lock:
+            self._remembered += 1 if wanted else -1
+
+    def past(self, times_s: Array) -> tuple[Array, Array, Array]:
+        """Return joints, sides and repeatability errors, (N, 6) each, at times (N,) up to now.
+
+        Exact from the motion on that was under way when `remember` began.
+        """
+        with self._lock:
+            legs = list(self._legs)
+        starts_s = [leg.start_s for leg in legs]
+        taken = np.searchsorted(starts_s, times_s, side="right").clip(1) - 1
+        rows = [(legs[number], float(at_s)) for number, at_s in zip(taken, times_s, strict=True)]
+        shares = np.array([[min(leg.path.at(at_s)[0], 1.0)] for leg, at_s in rows])
+        from_rad = np.array([leg.from_rad for leg, _ in rows])
+        to_rad = np.array([leg.to_rad for leg, _ in rows])
+        sides = np.array([leg.side for leg, _ in rows])
+        return (
+            from_rad + shares * (to_rad - from_rad),
+            sides,
+            np.array([leg.landing_rad for leg, _ in rows]),
+        )
+
+    def state(self) -> RobotState:
+        """Return the state now, without letting time pass."""
+        with self._lock:
+            joints = self._joints(self._time.now_s())
+            return RobotState(joints, self._side, self._landing, self.moving)
+
+    def measured(self, cycle_s: float) -> tuple[Array, int]:
+        """Return the joints (6,) at the last tick of a controller's cycle, and the tick's number.
+
+        Ticks count from the motion's start: a run is the same whenever it moves.
+        """
+        with self._lock:
+            start_s = self._legs[-1].start_s
+            # Times in steps of milliseconds meet the ticks; rounding must not choose between two.
+            tick = int((self._time.now_s() - start_s) / cycle_s + 1e-6)
+            return self.past(np.array([start_s + tick * cycle_s]))[0][0], tick
+
+    @property
+    def moving(self) -> bool:
+        """Whether a motion is under way; one that an override of 0 holds still is."""
+        held = self._share > 0 and self._path.end < 1.0
+        return held or self._time.now_s() < self._path.end_s
+
+    @property
+    def seen_moving(self) -> bool:
+        """Whether the joints really turn."""
+        return self._time.now_s() < self._path.end_s
+
+    def _go_on(self) -> None:
+        speed = self._rate * self._share * self._override
+        self._standing = None
+        if speed > 0:
+            self._path.travel(1.0, speed, self._rate / RAMP_S)
+
+    def _keep_leg(self) -> None:
+        leg = _Leg(self._time.now_s(), self._from, self._to, self._side, self._landing, self._path)
+        if not self._remembered:
+            self._legs.clear()
+        self._legs.append(leg)
+
+    def _fresh_path(self) -> Path:
+        now_s = self._time.now_s()
+        return Path(now_s, *self._path.at(now_s))
+
+    def _joints(self, now_s: float) -> Array:
+        if self._standing is not None:
+            return self._standing
+        share = self._path.at(now_s)[0]
+        joints: Array = self._from + share * (self._to - self._from) if share < 1 else self._to
+        if now_s >= self._path.end_s and not self.moving:
+            self._standing = joints
+        return joints

@@ -1,0 +1,291 @@
+"""A controller of Universal Robots: its states, its registers and the program that it plays.
+
+Nobody may read more here than a controller knows: joints and poses are its own nominal ones. It
+plays one program, that which came last by the script port. Of programs it understands the one named
+``hilcell``: that waits for another sequence in its register, moves, and acknowledges; a motion of
+which the PC gives no sign of life is braked. Any other one plays and moves nothing.
+"""
+
+from __future__ import annotations
+
+import re
+import threading
+from functools import partial
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fakes.faults import Faults, Vanished
+from fakes.kuka.life_timer import LifeTimer
+from fakes.motion_faults import Harms, strike
+from fakes.time import PlantTime
+from fakes.truth.controller_arm import controller_arm
+from fakes.truth.flicker import flicker
+from fakes.truth.robot_motion import RobotMotion
+from fakes.truth.transforms import Array
+from hilcell.cell.file import Cell
+
+RUNNING, POWER_OFF, BOOTING = 7, 3, 2  # robot modes
+NORMAL, PROTECTIVE_STOP, EMERGENCY_STOP = 1, 3, 7  # safety status
+STOPPED, PLAYING, PAUSED = 1, 2, 4  # runtime states
+OK, UNKNOWN_COMMAND, OUT_OF_LIMITS, LOST, BRAKED = 0, 1, 2, 8, 9
+MOVE_JOINTS = 1
+DITHER_RAD, DITHER_RAD_S = 5e-6, 4e-4  # of a joint that holds
+STEP_S = 0.002  # of the controller
+LIFE_MS = 1500
+INTEGERS, FLOATS = range(24, 28), range(24, 31)
+NAME = re.compile(r"^\s*def\s+(\w+)\s*\(", re.ASCII)
+SESSION = re.compile(r"write_output_integer_register\(26, (\d+)\)", re.ASCII)
+SAFETY_NAMES = {1: "NORMAL", 2: "REDUCED", 3: "PROTECTIVE_STOP", 5: "SAFEGUARD_STOP"}
+SAFETY_NAMES |= {6: "SYSTEM_EMERGENCY_STOP", 7: "ROBOT_EMERGENCY_STOP", 8: "VIOLATION", 9: "FAULT"}
+MODE_NAMES = {2: "BOOTING", 3: "POWER_OFF", 7: "RUNNING"}
+
+Values = dict[str, float | int | Array]
+
+
+class UrController:
+    """One robot's controller; its methods may come from several threads."""
+
+    def __init__(
+        self, cell: Cell, motion: RobotMotion, faults: Faults, time: PlantTime, harms: Harms
+    ) -> None:
+        self._lock = threading.RLock()
+        self._motion, self._faults, self._time, self._harms = motion, faults, time, harms
+        self._arm = controller_arm(cell)
+        self._low_deg = np.array([joint.min_deg for joint in cell.robot.joint])
+        self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
+        self._full_rad_s = np.radians([joint.speed_deg_s for joint in cell.robot.joint])
+        self._tcp = np.array([*cell.robot.smr_mm, 0.0, 0.0, 0.0]) / 1000.0
+        self._inputs: dict[str, float] = {f"input_int_register_{n}": 0 for n in INTEGERS}
+        self._inputs |= {f"input_double_register_{n}": 0.0 for n in FLOATS}
+        self._session = self._count = self._acknowledged = self._error = 0
+        self._program, self._moves = "", False
+        self._keeps_acknowledge = self._frozen = False
+        self._timer = LifeTimer(self._life_ran_out)
+        self._stale: Values | None = None
+        self.restore()
+
+    @property
+    def inputs(self) -> set[str]:
+        """Return the names of the registers that a client may write."""
+        return set(self._inputs)
+
+    def restore(self) -> None:
+        """The operator puts everything right; no program plays."""
+        with self._lock:
+            self.remote, self._mode, self.safety, self._runtime = True, RUNNING, NORMAL, STOPPED
+            self._fraction, self._wrong_tool = 1.0, False
+            self._end_program()
+            self._motion.override(1.0)
+
+    def slide(self, fraction: float) -> None:
+        """Somebody moves the speed slider at the panel."""
+        with self._lock:
+            self._fraction = fraction
+            self._motion.override(fraction)
+
+    def state(self) -> Values:
+        """Return the outputs of one cycle by name; a moving robot gets further."""
+        with self._lock:
+            self._strike_by_motion()
+            self._run()
+            values = self._values()
+            stale = self._faults.take("robot.stale_position") is not None
+            if stale and self._stale is not None:
+                values |= self._stale
+            kept = ("timestamp", "actual_q", "actual_qd", "actual_TCP_pose")
+            self._stale = {name: values[name] for name in kept}
+            bad = self._faults.take("robot.bad_number")
+            if bad is not None:
+                values["actual_q"] = np.array([float(bad), *np.ravel(values["actual_q"])[1:]])
+            return values
+
+    def write(self, values: dict[str, float]) -> None:
+        """Take a client's registers."""
+        with self._lock:
+            self._strike_on_request()
+            life = self._inputs["input_int_register_26"]
+            self._inputs |= values
+            if self._inputs["input_int_register_26"] != life:
+                self._timer.set_ms(-LIFE_MS)
+            self._run()
+            if self._time.followed:  # an exchange takes its time, and nothing else lets it pass
+                self._motion.poll()
+
+    def play(self, script: str) -> None:
+        """Play a program in place of the one before; local control, or a stop, takes none."""
+        with self._lock:
+            self._strike_on_request()
+            name = NAME.match(script)
+            if not self.remote or self._mode != RUNNING or self.safety not in (1, 2) or not name:
+                return
+            self._end_program()
+            self._program, self._runtime = name[1], PLAYING
+            session = SESSION.search(script)
+            if self._program == "hilcell" and session:
+                self._session = int(session[1])
+                self._acknowledged, self._error = int(self._inputs["input_int_register_24"]), OK
+
+    def ask(self, command: str) -> str:
+        """Return the dashboard's answer."""
+        with self._lock:
+            self._strike_on_request()
+            if command == "stop":
+                if not self.remote:
+                    return "Failed to execute: stop"
+                self._end_program()
+                return "Stopped"
+            answers = {
+                "robotmode": f"Robotmode: {MODE_NAMES[self._mode]}",
+                "safetystatus": f"Safetystatus: {SAFETY_NAMES.get(self.safety, 'UNDEFINED')}",
+                "is in remote control": str(self.remote).lower(),
+                "running": f"Program running: {str(self._runtime == PLAYING).lower()}",
+                "programState": f"{self._state_name()} {self._program or 'null'}",
+                "get serial number": str(self._arm.serial),
+                "PolyscopeVersion": "URSoftware 5.12.0.1101319 (Mar 22 2022)",
+            }
+            if command == "get robot model":
+                other = self._faults.take("robot.wrong_identity")
+                if other is None:
+                    return f"{self._arm.model} SIMULATED"
+                return "UR5" if other is True else str(other)
+            return answers.get(command, f"could not understand: {command!r}")
+
+    # -- the outputs --------------------------------------------------------------------------
+
+    def _values(self) -> Values:
+        now_s = self._time.now_s()
+        state = self._motion.state()
+        joints_rad, speeds = state.joints_rad, np.zeros(6)
+        if state.moving:
+            before_rad, now_rad = self._motion.past(np.array([now_s - STEP_S, now_s]))[0]
+            speeds = (now_rad - before_rad) / STEP_S
+        else:
+            landed = state.joints_rad.tobytes() + state.landing_rad.tobytes()
+            off = flicker(landed, round(now_s / STEP_S), 12)
+            joints_rad, speeds = joints_rad + DITHER_RAD * off[:6], DITHER_RAD_S * off[6:]
+        T = self._arm.chain.pose(joints_rad)
+        pose = np.concatenate([T[:3, 3] / 1000.0, Rotation.from_matrix(T[:3, :3]).as_rotvec()])
+        if self._faults.take("robot.wrong_tool") is not None:
+            self._wrong_tool = True
+        tool = np.zeros(6) if self._wrong_tool else self._tcp
+        found: Values = {
+            "timestamp": now_s,
+            "actual_q": joints_rad,
+            "target_q": state.joints_rad,
+            "actual_qd": speeds,
+            "actual_TCP_pose": pose,
+            "robot_mode": self._mode,
+            "safety_status": self.safety,
+            "safety_mode": self.safety,
+            "runtime_state": self._runtime,
+            "target_speed_fraction": self._fraction,
+            "speed_scaling": self._fraction,
+            "output_int_register_24": self._acknowledged,
+            "output_int_register_25": self._error,
+            "output_int_register_26": self._session,
+            "output_int_register_27": self._count,
+        }
+        registers = zip(range(24, 30), tool, strict=True)
+        return found | {f"output_double_register_{n}": float(value) for n, value in registers}
+
+    # -- the program --------------------------------------------------------------------------
+
+    @property
+    def _ours(self) -> bool:
+        return self._program == "hilcell" and self._runtime == PLAYING
+
+    def _run(self) -> None:
+        """Let the program hilcell go through its loop once."""
+        if not self._ours:
+            return
+        self._count += 1
+        stop = self._inputs["input_int_register_27"] != 0
+        if self._moves:
+            if stop:
+                self._brake(BRAKED)
+            elif not self._motion.moving and not self._frozen:
+                self._acknowledge(OK)
+        elif self._inputs["input_int_register_24"] != self._acknowledged:
+            error = BRAKED if stop else self._start()
+            if error != OK:
+                self._acknowledge(error)
+
+    def _start(self) -> int:
+        speed_rad_s = self._inputs["input_double_register_30"]
+        if self._inputs["input_int_register_25"] != MOVE_JOINTS or not speed_rad_s > 0.0:
+            return UNKNOWN_COMMAND
+        target = [self._inputs[f"input_double_register_{n}"] for n in range(24, 30)]
+        target_deg = np.degrees(target)
+        inside = (target_deg >= self._low_deg) & (target_deg <= self._high_deg)
+        if not inside.all() or self._faults.take("robot.softlimit") is not None:
+            return OUT_OF_LIMITS
+        struck = strike(self._faults, self._harms, target_deg)
+        self._keeps_acknowledge, self._frozen = struck.keeps_acknowledge, struck.frozen
+        self._moves = True
+        if not self._frozen:
+            to_rad = np.radians(struck.target_deg)
+            way_rad = np.abs(to_rad - self._motion.state().joints_rad)
+            slowest_s = float(np.max(way_rad / self._full_rad_s))
+            wanted_s = float(np.max(way_rad)) / speed_rad_s
+            self._motion.move(to_rad, min(1.0, slowest_s / wanted_s) if wanted_s > 0 else 1.0)
+        self._timer.start(-LIFE_MS)
+        return OK
+
+    def _acknowledge(self, error: int) -> None:
+        if not self._keeps_acknowledge:
+            self._timer.stop()
+            self._moves, self._error = False, error
+            self._acknowledged = int(self._inputs["input_int_register_24"])
+
+    def _brake(self, why: int) -> None:
+        self._motion.brake()
+        self._keeps_acknowledge = self._frozen = False
+        self._acknowledge(why)
+
+    def _end_program(self) -> None:
+        """End the program; a robot in motion brakes."""
+        self._timer.stop()
+        if self._motion.moving:
+            self._motion.brake()
+        self._program, self._runtime = "", STOPPED
+        self._moves = self._keeps_acknowledge = self._frozen = False
+
+    def _life_ran_out(self) -> None:
+        """Brake a motion of which the PC has not spoken in time; called by the timer's thread."""
+        with self._lock:
+            self._run()  # a motion that has ended meanwhile needs no sign any more
+            if self._timer.ran_out and self._moves:
+                self._brake(LOST)
+
+    def _state_name(self) -> str:
+        return {STOPPED: "STOPPED", PLAYING: "PLAYING", PAUSED: "PAUSED"}[self._runtime]
+
+    # -- faults -------------------------------------------------------------------------------
+
+    def _strike_on_request(self) -> None:
+        if self._faults.take("robot.mode_t1") is not None:
+            self.remote = False
+            self._end_program()
+        if self._faults.take("robot.deselected") is not None:
+            self._end_program()
+        if self._faults.take("robot.restarted") is not None:
+            self._end_program()
+            self._mode, self._session = BOOTING, 0
+
+    def _strike_by_motion(self) -> None:
+        """Let a moving robot get further, and the faults of one happen."""
+        take = partial(self._faults.take, moving=self._motion.seen_moving)
+        if take("robot.vanish") is not None:
+            raise Vanished
+        if take("robot.e_stop") is not None:
+            self._end_program()
+            self._mode, self.safety = POWER_OFF, EMERGENCY_STOP
+        if take("robot.stopmess") is not None:
+            self._motion.brake()
+            self._timer.stop()
+            self.safety, self._runtime = PROTECTIVE_STOP, PAUSED
+        if take("robot.override_zero") is not None:
+            self.slide(0.0)
+        if not self._time.followed:
+            self._motion.poll()

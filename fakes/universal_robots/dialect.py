@@ -1,0 +1,126 @@
+"""The wires of a Universal Robots controller: states that come by themselves, registers, scripts.
+
+A script carries the number of its session, new each time, and the states tell it back. A write that
+changes nothing but the sign of life asks nothing new.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from itertools import pairwise
+
+from fakes.replay.dialects import Dialect, Options, Sized
+
+KIND, HEAD = 2, 3
+DATA, OUTPUTS = 85, 79
+SIZES = {"DOUBLE": 8, "INT32": 4, "UINT32": 4, "UINT64": 8, "BOOL": 1, "UINT8": 1}
+SIZES |= {"VECTOR3D": 24, "VECTOR6D": 48, "VECTOR6INT32": 24, "VECTOR6UINT32": 24}
+SESSION, COUNT, TIME = "output_int_register_26", "output_int_register_27", "timestamp"
+LEAST_S = 1e-6  # from one package to the next
+# recipe, then sequence, command, sign of life, stop; joints; speed
+_INPUTS = struct.Struct("!4i6dd")
+MOVE = 1
+_NUMBER = re.compile(rb"write_output_integer_register\(26, (\d+)\)")
+_END = b"\nend\n"
+
+
+class Sessions:
+    """The numbers of the scripts that the driver has sent, by those of the recording."""
+
+    def __init__(self) -> None:
+        self._new: dict[int, int] = {}
+
+    def renew(self, recorded: int, number: int) -> None:
+        """Take a number in the place of a recorded one."""
+        self._new[recorded] = number
+
+    def of(self, recorded: int) -> int:
+        """Return the number in the place of a recorded one."""
+        return self._new.get(recorded, recorded)
+
+
+class Rtde(Sized):
+    """Packages; those of data come by themselves."""
+
+    flows = True
+
+    def __init__(self, sessions: Sessions) -> None:
+        super().__init__(">H", 0, 0)
+        self._sessions = sessions
+        self._places: dict[str, int] = {}  # of a field in a package of data
+        self._time_s, self._count = 0.0, 0
+
+    def name(self, message: bytes) -> bytes:
+        """Return what a write commands, with its target; other requests as they are."""
+        values = message[HEAD + 1 :]
+        if message[KIND] != DATA or len(values) != _INPUTS.size:
+            return message
+        sequence, command, _, stop, *numbers = _INPUTS.unpack(values)
+        target = " ".join(f"{each:.9f}" for each in numbers[:6]) if command == MOVE else ""
+        return f"{sequence} {command} {stop} {target}".encode()
+
+    def answer(self, asked: bytes, recorded: bytes, answer: bytes) -> bytes:
+        """Return the package with the number of the driver's own session; time goes on."""
+        if answer[KIND] == OUTPUTS:
+            self._learn(recorded, answer)
+        if answer[KIND] != DATA or not self._places.keys() >= {TIME, SESSION, COUNT}:
+            return answer
+        found = bytearray(answer)
+        (time_s,) = struct.unpack_from("!d", found, self._places[TIME])
+        number, count = (
+            struct.unpack_from("!i", found, self._places[name])[0] for name in (SESSION, COUNT)
+        )
+        self._time_s = max(time_s, self._time_s + LEAST_S)
+        self._count = max(count, self._count + 1)
+        struct.pack_into("!d", found, self._places[TIME], self._time_s)
+        struct.pack_into("!i", found, self._places[SESSION], self._sessions.of(number))
+        struct.pack_into("!i", found, self._places[COUNT], self._count)
+        return bytes(found)
+
+    def repeats(self, answer: bytes) -> bool:
+        """Whether it is a package of data."""
+        return answer[KIND] == DATA
+
+    def _learn(self, asked: bytes, answer: bytes) -> None:
+        """Take note of where each field is."""
+        names = asked[HEAD + 8 :].decode("ascii", "replace").split(",")
+        sizes = [SIZES.get(each, 0) for each in answer[HEAD + 1 :].decode("ascii").split(",")]
+        at = HEAD + 1
+        self._places, self._time_s, self._count = {}, 0.0, 0
+        for name, size in zip(names, sizes, strict=False):
+            self._places[name], at = at, at + size
+
+
+class UrScript(Dialect):
+    """Scripts, each up to its end; the states of this wire are read by nobody."""
+
+    def __init__(self, sessions: Sessions) -> None:
+        self._sessions = sessions
+
+    def split(self, data: bytes) -> tuple[list[bytes], bytes]:
+        """Return nothing: the rest is never whole."""
+        return [], b""
+
+    def split_questions(self, data: bytes) -> tuple[list[bytes], bytes]:
+        """Return the whole scripts, and the rest."""
+        ends = [0]
+        while (end := data.find(_END, ends[-1])) >= 0:
+            ends.append(end + len(_END))
+        return [data[a:b] for a, b in pairwise(ends)], data[ends[-1] :]
+
+    def name(self, message: bytes) -> bytes:
+        """Return the script without the number of its session."""
+        return _NUMBER.sub(b"", message)
+
+    def heard(self, asked: bytes, recorded: bytes) -> None:
+        """Take note of the session's number."""
+        new, old = _NUMBER.search(asked), _NUMBER.search(recorded)
+        if new is not None and old is not None:
+            self._sessions.renew(int(old[1]), int(new[1]))
+
+
+def ur_rtde(_options: Options) -> dict[str, Dialect]:
+    """Return the dialects of a Universal Robots controller; its dashboard's are lines."""
+    sessions = Sessions()
+    return {"rtde": Rtde(sessions), "script": UrScript(sessions)}

@@ -1,0 +1,225 @@
+"""RTDE server of a simulated controller (protocols, robot C): states at a rate, registers in.
+
+Big-endian packages ``size u16 | type u8 | payload``. States leave as often as the client wants; in
+stepped time, which passes as fast as it goes, so do cycles. One client at a time may write a
+register. Packages leave as `fakes.wires.segments` says, and now and then two come glued.
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+import struct
+import threading
+import time
+
+import numpy as np
+
+from fakes.faults import Faults, Vanished
+from fakes.time import PlantTime
+from fakes.universal_robots.controller import UrController, Values
+from fakes.wires.listener import Listener
+from fakes.wires.segments import Segments
+
+VERSION, CONTROLLER, OUTPUTS, INPUTS, START, PAUSE, DATA = 86, 118, 79, 73, 83, 80, 85
+HEAD = struct.Struct("!HB")
+SOFTWARE = (5, 12, 0, 1101319)
+FASTEST_HZ = 500.0
+STEPPED_S = 0.002  # between two states, in stepped time
+GLUED_EVERY = 29
+RECEIVE = 4096
+SIX = {"actual_q", "target_q", "actual_qd", "actual_TCP_pose"}
+WHOLE = {"robot_mode", "safety_status", "safety_mode"}
+
+
+class UrRtdeServer:
+    """Serves one controller on a port, 0 for one that the system chooses."""
+
+    def __init__(
+        self, controller: UrController, faults: Faults, time_: PlantTime, *, port: int = 0
+    ) -> None:
+        self._controller, self._faults, self._time = controller, faults, time_
+        self._lock, self._writer = threading.Lock(), object()
+        self._nobody = self._writer
+        self._listener = Listener("rtde", self._serve, port=port)
+        self.port = self._listener.port
+        self.hang_up = self._listener.hang_up
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._listener.start()
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._listener.close()
+
+    def _serve(self, client: socket.socket) -> None:
+        session = _Session(client, self)
+        try:
+            while session.turn():
+                pass
+        except Vanished:
+            self._listener.hang_up()
+        finally:
+            self.release(session)
+
+    def outputs(self) -> Values:
+        """Return one cycle's states; raises `Vanished`."""
+        return self._controller.state()
+
+    def inputs(self) -> set[str]:
+        """Return the registers that there are."""
+        return self._controller.inputs
+
+    def write(self, values: dict[str, float]) -> None:
+        """Take registers, and let others do work that became due."""
+        self._controller.write(values)
+        self._time.catch_up()
+
+    def claim(self, session: _Session) -> bool:
+        """Return whether this client may write: no other one does."""
+        with self._lock:
+            if self._writer is not self._nobody and self._writer is not session:
+                return False
+            self._writer = session
+            return True
+
+    def release(self, session: _Session) -> None:
+        """A client has gone."""
+        with self._lock:
+            if self._writer is session:
+                self._writer = self._nobody
+
+    def period_s(self, rate_hz: float) -> float:
+        """Return the real time between two states."""
+        return STEPPED_S if self._time.stepped else 1.0 / min(rate_hz, FASTEST_HZ)
+
+    @property
+    def faults(self) -> Faults:
+        """Return the armed faults."""
+        return self._faults
+
+
+class _Session:
+    """One client's exchange."""
+
+    def __init__(self, client: socket.socket, server: UrRtdeServer) -> None:
+        self._client, self._server = client, server
+        self._segments = Segments(client)
+        self._pending, self._glued, self._sent = b"", b"", 0
+        self._outputs: list[tuple[str, str]] = []
+        self._inputs: list[tuple[str, str]] = []
+        self._rate_hz, self._started, self._due_s, self._silent = FASTEST_HZ, False, 0.0, False
+
+    def turn(self) -> bool:
+        """Answer what has come, or send a state when it is due; return whether to go on."""
+        wait_s = max(0.0, self._due_s - time.monotonic()) if self._started else None
+        ready, _, _ = select.select([self._client], [], [], wait_s)
+        if ready:
+            data = self._client.recv(RECEIVE)
+            return bool(data) and self._take(data)
+        self._due_s = time.monotonic() + self._server.period_s(self._rate_hz)
+        self._send_state()
+        return True
+
+    def _take(self, data: bytes) -> bool:
+        self._pending += data
+        while len(self._pending) >= HEAD.size:
+            size, kind = HEAD.unpack_from(self._pending)
+            if size < HEAD.size:
+                return False
+            if len(self._pending) < size:
+                break
+            payload, self._pending = self._pending[HEAD.size : size], self._pending[size:]
+            if not self._answer(kind, payload):
+                return False
+        return True
+
+    def _answer(self, kind: int, payload: bytes) -> bool:
+        if kind == DATA:
+            return self._write(payload)
+        if kind == VERSION:
+            answer = b"\x01" if payload in (b"\x00\x01", b"\x00\x02") else b"\x00"
+        elif kind == CONTROLLER:
+            answer = struct.pack("!4I", *SOFTWARE)
+        elif kind == OUTPUTS:
+            (self._rate_hz,) = struct.unpack_from("!d", payload)
+            self._outputs = [(name, _kind(name)) for name in _names(payload[8:])]
+            answer = b"\x01" + ",".join(kind for _, kind in self._outputs).encode()
+        elif kind == INPUTS:
+            answer = b"\x01" + ",".join(self._claimed(_names(payload))).encode()
+        elif kind in (START, PAUSE):
+            self._started, answer = kind == START, b"\x01"
+        else:
+            return True
+        self._client.sendall(HEAD.pack(HEAD.size + len(answer), kind) + answer)
+        return True
+
+    def _claimed(self, names: list[str]) -> list[str]:
+        free, known = self._server.claim(self), self._server.inputs()
+        kinds = [("INT32" if "_int_" in name else "DOUBLE") for name in names]
+        types = [
+            "NOT_FOUND" if name not in known else kind if free else "IN_USE"
+            for name, kind in zip(names, kinds, strict=True)
+        ]
+        self._inputs = list(zip(names, types, strict=True)) if free else []
+        return types
+
+    def _write(self, payload: bytes) -> bool:
+        take = self._server.faults.take
+        if take("robot.idle_close") is not None:
+            return False
+        if take("robot.half_open") is not None or take("robot.no_reply") is not None:
+            self._silent = True
+        layout = "!B" + "".join("i" if kind == "INT32" else "d" for _, kind in self._inputs)
+        if len(payload) == struct.calcsize(layout) > 1:
+            values = struct.unpack(layout, payload)[1:]
+            names = (name for name, _ in self._inputs)
+            self._server.write(dict(zip(names, values, strict=True)))
+        return True
+
+    def _send_state(self) -> None:
+        values = self._server.outputs()
+        if self._silent:
+            return
+        faults = self._server.faults
+        late_s = faults.number("robot.late_reply")
+        if late_s is not None:
+            time.sleep(late_s)
+        number = 2 if faults.take("robot.tag_mismatch") is not None else 1
+        payload = bytes([number]) + b"".join(_packed(values[n], kind) for n, kind in self._outputs)
+        package = self._glued + HEAD.pack(HEAD.size + len(payload), DATA) + payload
+        self._sent += 1
+        if faults.take("robot.split_reply") is not None:
+            self._client.sendall(package[: len(package) // 2])
+            time.sleep(0.02)  # so that both halves are segments of their own
+            self._client.sendall(package[len(package) // 2 :])
+            self._glued = b""
+        elif self._sent % GLUED_EVERY == 0 and not self._glued:
+            self._glued = package
+        else:
+            self._segments.send(package)
+            self._glued = b""
+
+
+def _names(payload: bytes) -> list[str]:
+    """Return the names of a request; some clients end the list with a comma."""
+    return payload.decode("ascii", "replace").removesuffix(",").split(",")
+
+
+def _kind(name: str) -> str:
+    if name in SIX:
+        return "VECTOR6D"
+    if name in WHOLE or name in {f"output_int_register_{n}" for n in range(24, 28)}:
+        return "INT32"
+    if name == "runtime_state":
+        return "UINT32"
+    known = {"timestamp", "target_speed_fraction", "speed_scaling"}
+    known |= {f"output_double_register_{n}" for n in range(24, 30)}
+    return "DOUBLE" if name in known else "NOT_FOUND"
+
+
+def _packed(value: object, kind: str) -> bytes:
+    if kind == "VECTOR6D":
+        return np.asarray(value).astype(">f8").tobytes()
+    return struct.pack({"DOUBLE": "!d", "INT32": "!i", "UINT32": "!I"}[kind], value)

@@ -1,0 +1,1 @@
+"""How servers hear and answer: threads, lines, late and cut segments."""
