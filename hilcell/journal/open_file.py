@@ -19,8 +19,9 @@ class OpenFile:
         self._found = self._look()
 
     def note(self) -> None:
-        """Note how far the file was written."""
-        self._found = self._look()
+        """Note how far the file was written; what was lost meanwhile is found later."""
+        if not self.lost():
+            self._found = self._look()
 
     def lost(self) -> str:
         """Return what somebody has done to the file since it was last noted; "" for nothing."""

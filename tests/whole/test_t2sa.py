@@ -35,7 +35,6 @@ ENDS: dict[str, tuple[str, object]] = {
     "tracker.bad_number": ("HC-T14", "nan"),
     "tracker.busy": ("HC-T21", True),
     "tracker.eof": ("HC-T02", True),
-    "tracker.vanish": ("HC-T02", True),
 }
 
 
@@ -59,14 +58,24 @@ def run(cell: Simulation, runs: Path, **values: str) -> tuple[int, list[str]]:
     return code, [each.code for each in alarms_of(read_log(runs / "x"), "x", live=False)]
 
 
-# `vanish` is last: nothing is served after it.
 @pytest.mark.parametrize(("fault", "code", "value"), [(n, c, v) for n, (c, v) in ENDS.items()])
 def test_faults_end_a_run_by_their_alarm(
     standing: Simulation, tmp_path: Path, fault: str, code: str, value: object
 ) -> None:
-    assert standing.ask(do="fault", name=fault, value=value, count=0)["ok"]
-    exit_code, alarms = run(standing, tmp_path)
-    standing.ask(do="clear")
+    ends_by_its_alarm(standing, tmp_path, fault, code, value)
+
+
+def test_a_bridge_that_vanishes_ends_a_run_by_its_alarm(tmp_path: Path) -> None:
+    with simulation(values=T2SA) as cell:  # its own: nothing is served after it
+        ends_by_its_alarm(cell, tmp_path, "tracker.vanish", "HC-T02", True)
+
+
+def ends_by_its_alarm(
+    cell: Simulation, tmp_path: Path, fault: str, code: str, value: object
+) -> None:
+    assert cell.ask(do="fault", name=fault, value=value, count=0)["ok"]
+    exit_code, alarms = run(cell, tmp_path)
+    cell.ask(do="clear")
     assert exit_code in (2, 3)
     assert alarms[-1] == code
     found = alarms_of(read_log(tmp_path / "x"), "x", live=False)[-1]

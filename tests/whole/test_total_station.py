@@ -143,7 +143,7 @@ def test_faults_end_a_run_by_their_alarm(
 @pytest.fixture(scope="module")
 def machine(tmp_path_factory: pytest.TempPathFactory) -> str:
     """The paper's machine with a total station: 0.6 mm along the beam, 1 arcsec across."""
-    here = Path(__file__).parents[2] / "fakes" / "machines" / "paper.toml"
+    here = Path(__file__).parents[2] / "fakes" / "truth" / "machines" / "paper.toml"
     file = tmp_path_factory.mktemp("machine") / "station.toml"
     sizes = "[tracker]\nradial_um = 600.0\nacross_um_m = 4.85\n"
     file.write_text(here.read_text("utf-8").replace("[tracker]\n", sizes), "utf-8")
