@@ -19,7 +19,7 @@ class OpenFile:
         self._found = self._look()
 
     def note(self) -> None:
-        """Note how far the file was written; what was lost meanwhile is found later."""
+        """Note how far the file was written, unless it was harmed: that is found later."""
         if not self.lost():
             self._found = self._look()
 
