@@ -19,7 +19,7 @@ from hilcell.calibration.reversal import reversal
 from hilcell.calibration.risen_nest import risen_nest
 from hilcell.calibration.room import warm
 from hilcell.calibration.suspicions import Suspicion
-from hilcell.calibration.visit_noise import of_differences, visit_covariances
+from hilcell.calibration.visit_noise import of_differences, visit_noise
 from hilcell.geometry.frames import apply, inverse, motion_levers
 from hilcell.geometry.statistics import bounds95_mm, chance_of_at_most, rectangular_variance
 from hilcell.journal.log import Log, Point, commanded_rad, positions_mm
@@ -105,7 +105,8 @@ def _differences(log: Log, kind: str) -> Differences:
     T_B_L = T_B_W @ log.matrix("world")
     at_mm = apply(T_B_L, positions_mm(now))
     _, visits, places = visit_scatter(log, T_B_L[:3, :3])
-    visits_mm2 = [visit_covariances(log, points, T_B_L[:3, :3]) for points in (before, now)]
+    noise = visit_noise(log)
+    visits_mm2 = [noise.covariances(points, T_B_L[:3, :3]) for points in (before, now)]
     common = np.array(motion(rectangular_variance(log.cell.uncertainty.drift_limit_mm)))
     grown = growth_since(log, before, now, "the first visits")
     if grown is not None:

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.suspicions import ZEROS, Suspicion
-from hilcell.calibration.visit_noise import of_differences, visit_covariances
+from hilcell.calibration.visit_noise import of_differences, visit_noise
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.statistics import lengths_mm, rectangular_variance
@@ -66,7 +66,8 @@ def reversal(log: Log) -> Reversal | None:
     arm, joints_rad = log.cell.robot.arm(), commanded_rad(above)
     J = -(parameter_jacobian(arm, joints_rad)[:, :3, ZEROS] * arm.sign).reshape(-1, 6)
     count, drift_mm2 = len(above), rectangular_variance(log.cell.uncertainty.drift_limit_mm)
-    visits_mm2 = [visit_covariances(log, points, T_B_L[:3, :3]) for points in (above, below)]
+    noise = visit_noise(log)
+    visits_mm2 = [noise.covariances(points, T_B_L[:3, :3]) for points in (above, below)]
     wrist = J[:, LARGE:] * WRIST_RAD
     shared = np.ones((count, count)) * drift_mm2
     C = of_differences(np.sum(visits_mm2, axis=0)) + np.kron(shared, np.eye(3)) + wrist @ wrist.T

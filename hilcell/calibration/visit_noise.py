@@ -20,6 +20,7 @@ from hilcell.ports import Array
 
 ROUNDS = 8  # of weighting: the weights follow from the variances that are fitted
 STEPS = 200  # of the scatter's estimate
+SMALLEST_MM2 = 1e-12  # far below any reading's variance: so that an inverse exists
 LEAST_SHARE = 1e-3  # of the largest variance: none counts as better known than that
 
 
@@ -61,18 +62,26 @@ def beam_noise(points: Sequence[Point]) -> BeamNoise:
     return BeamNoise(float(found[0]), float(found[1]))
 
 
-def visit_covariances(log: Log, points: Sequence[Point], R: Array) -> Array:
-    """Return the covariances (N, 3, 3) of single visits of points' poses, turned by ``R`` (3, 3)
-    from the tracker's frame.
-    """
-    noise = beam_noise(list(log.points.values()))
-    visits = repeated_visits(log)
-    robot_mm2 = scatter_besides(
-        [positions_mm(each) for each in visits],
-        np.array([noise.at(each).mean(axis=0) for each in visits]),
-    )
-    found: Array = R @ (robot_mm2 + noise.at(points)) @ R.T
-    return found
+@dataclass(frozen=True, slots=True)
+class VisitNoise:
+    """The robot's own scatter (3, 3), the tracker's axes, and the noise of single readings."""
+
+    robot_mm2: Array
+    beam: BeamNoise
+
+    def covariances(self, points: Sequence[Point], R: Array) -> Array:
+        """Return the covariances (N, 3, 3) of single visits of points' poses, turned by ``R``
+        (3, 3) from the tracker's frame.
+        """
+        found: Array = R @ (self.robot_mm2 + self.beam.at(points)) @ R.T
+        return found
+
+
+def visit_noise(log: Log) -> VisitNoise:
+    """Return what a run's readings and its repeated visits show."""
+    beam, visits = beam_noise(list(log.points.values())), repeated_visits(log)
+    noise_mm2 = np.array([beam.at(each).mean(axis=0) for each in visits])
+    return VisitNoise(scatter_besides([positions_mm(each) for each in visits], noise_mm2), beam)
 
 
 def scatter_besides(clouds_mm: Sequence[Array], noise_mm2: Array) -> Array:
@@ -84,11 +93,13 @@ def scatter_besides(clouds_mm: Sequence[Array], noise_mm2: Array) -> Array:
     freedom = np.array([len(cloud) - 1 for cloud in clouds_mm])
     squares = (len(cloud) * np.cov(cloud, rowvar=False, bias=True) for cloud in clouds_mm)
     squares_mm2 = np.array([*squares])
+    noise_mm2 = noise_mm2 + SMALLEST_MM2 * np.eye(3)
     found: Array = squares_mm2.sum(axis=0) / freedom.sum()
     for _ in range(STEPS):
-        K = found @ np.linalg.pinv(found + noise_mm2, hermitian=True)
-        unseen = freedom[:, None, None] * (found - K @ found)
-        found = (K @ squares_mm2 @ np.swapaxes(K, 1, 2) + unseen).sum(axis=0) / freedom.sum()
+        seen_mm2 = found + noise_mm2
+        K = found @ np.linalg.inv(seen_mm2)
+        beyond_mm2 = squares_mm2 - freedom[:, None, None] * seen_mm2
+        found = found + (K @ beyond_mm2 @ np.swapaxes(K, 1, 2)).sum(axis=0) / freedom.sum()
     return found
 
 

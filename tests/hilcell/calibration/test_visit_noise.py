@@ -15,7 +15,7 @@ from hilcell.calibration.visit_noise import (
     beam_noise,
     of_differences,
     scatter_besides,
-    visit_covariances,
+    visit_noise,
 )
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log, Point, positions_mm
@@ -116,7 +116,8 @@ def test_two_visits_of_other_poses_differ_as_their_covariance_states() -> None:
             select=lambda _, again=again: again,
         )
         d = (positions_mm(now) - positions_mm(then)).reshape(-1)
-        blocks = sum(visit_covariances(log, points, np.eye(3)) for points in (then, now))
+        noise = visit_noise(log)
+        blocks = sum(noise.covariances(points, np.eye(3)) for points in (then, now))
         found.append(float(d @ np.linalg.solve(of_differences(np.asarray(blocks)), d)) / len(d))
     assert np.mean(found) == pytest.approx(1.2, abs=0.2)  # 27 visits show three axes' scatter
     assert max(found) < 3.26  # the limit of the test in `hilcell.calibration.change`
