@@ -79,9 +79,7 @@ def overtaken(log: Log, point: Point) -> bool:
     """
     if point.id.kind != CLOSING:
         return _first(log, point) > log.recorded(point)
-    proofs = (CLOSING, *PROOFS, *CHECKS)
-    others = (log.recorded(each) for each in log.points.values() if each.id.kind not in proofs)
-    return max(others) > log.recorded(point)
+    return log.last_recorded(besides=(CLOSING, *PROOFS, *CHECKS)) > log.recorded(point)
 
 
 def _first(log: Log, point: Point) -> int:

@@ -6,7 +6,8 @@ from it, so a result can always be rebuilt.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, MutableMapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, MutableMapping, Sequence
+from itertools import chain
 from typing import Any
 
 import msgspec
@@ -447,6 +448,11 @@ class Log:
     def recorded(self, point: Point) -> int:
         """Return the number of the record that holds a point."""
         return self._keys[point.id.kind][point.key]
+
+    def last_recorded(self, besides: Collection[str]) -> int:
+        """Return the number of the last record with a point of no kind of ``besides``."""
+        kinds = (keys for kind, keys in self._keys.items() if kind not in besides)
+        return max(chain.from_iterable(keys.values() for keys in kinds))
 
     @property
     def counted(self) -> int:
