@@ -14,13 +14,14 @@ import threading
 import msgspec
 
 from fakes.host import Host, Order
-from hilcell.ports import HilcellError
+from hilcell.errors import HilcellError, with_place
 
 STDIN = 0
 
 
 def main() -> int:
     """Serve the ordered cell until stdin ends or the control channel says quit."""
+    threading.excepthook = _report
     try:
         host = Host(msgspec.json.decode(_first_line(), type=Order))
     except (msgspec.DecodeError, HilcellError) as error:
@@ -39,6 +40,13 @@ def _first_line() -> bytes:
     while not line.endswith(b"\n") and (data := os.read(STDIN, 65536)):
         line += data
     return line
+
+
+def _report(failed: threading.ExceptHookArgs) -> None:
+    """Say which error ended a thread of a simulated device: its client sees a closed wire."""
+    error = failed.exc_value or failed.exc_type()
+    name = failed.thread.name if failed.thread else "a thread"
+    print(f"simulated cell: {name}: {with_place(error)}", file=sys.stderr)
 
 
 def _watch(host: Host) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,9 @@ from fakes.truth.plant import Plant
 from fakes.truth.replay_plant import ReplayPlant
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
-from hilcell.ports import HilcellError
+from hilcell.errors import HilcellError, with_place
+
+DUTIES = ("address", "start", "restore", "close")
 
 
 class Ports(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -53,7 +57,8 @@ class Host:
         plant = _plant(cell, order, time, faults)
         site = Site(cell, plant, faults, time)
         self._devices: dict[str, SimulatedDevice] = {
-            table: serve(site, getattr(ports, table)) for table, serve in servers_of(cell).items()
+            table: _served(table, partial(serve, site, getattr(ports, table)))
+            for table, serve in servers_of(cell).items()
         }
         self._control = ControlServer(
             time,
@@ -90,6 +95,21 @@ class Host:
     def end(self) -> None:
         """End the simulated cell; may come from any thread."""
         self._ended.set()
+
+
+def _served(table: str, serve: Callable[[], SimulatedDevice]) -> SimulatedDevice:
+    """Return a simulated device; raises `HilcellError` where a package's one is broken."""
+    try:
+        device = serve()
+        lacking = [name for name in DUTIES if not hasattr(device, name)]
+    except HilcellError:
+        raise
+    except Exception as error:
+        raise HilcellError(f"simulated {table}: {with_place(error)}") from error
+    if lacking:
+        what = f"{type(device).__name__} has no {', '.join(lacking)}"
+        raise HilcellError(f"simulated {table}: {what}; see fakes.site.SimulatedDevice")
+    return device
 
 
 def _truth(plant: Plant | ReplayPlant, asked: dict[str, Any], order: Order) -> dict[str, Any]:

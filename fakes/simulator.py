@@ -13,6 +13,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from types import MappingProxyType
 from typing import IO, Any, cast
 
@@ -24,6 +25,7 @@ from fakes.site import servers_of
 from fakes.truth.machine import machine_of
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
+from hilcell.clean import harmless
 from hilcell.ports import DeviceError, Exercise, HilcellError, Stopped
 
 ANSWER_S = 10.0
@@ -71,7 +73,7 @@ class PaperCell:
                 "truth": truth,
                 "ports": dict(ports),
             }
-            self._process, answer = _start(msgspec.json.encode(order) + b"\n")
+            self._process, self._words, answer = _start(msgspec.json.encode(order) + b"\n")
             self._control = Control(answer["control"])
         self.options: dict[str, dict[str, object]] = {
             name: answer.get(name, {}) for name in DEVICES
@@ -119,6 +121,11 @@ class PaperCell:
         except subprocess.TimeoutExpired:
             process.kill()
             process.communicate()
+        with self._words as words:
+            words.seek(0)
+            said = words.read().decode(errors="replace").strip()[-LONGEST_WORDS:]
+        for line in said.splitlines():
+            print(harmless(line), file=sys.stderr)
 
 
 class ReplayCell(PaperCell):
@@ -215,9 +222,10 @@ def _host_and_port(address: str) -> tuple[str, int]:
     return host, int(port)
 
 
-def _start(order: bytes) -> tuple[subprocess.Popen[bytes], dict[str, Any]]:
-    """Start the process and return it with its first line, decoded."""
-    with tempfile.TemporaryFile() as words:
+def _start(order: bytes) -> tuple[subprocess.Popen[bytes], IO[bytes], dict[str, Any]]:
+    """Start the process and return it with its stderr and its first line, decoded."""
+    with ExitStack() as stack:
+        words = stack.enter_context(tempfile.TemporaryFile())
         process = subprocess.Popen(
             [sys.executable, "-P", "-m", "fakes"],  # -P: no `fakes` of the working folder
             stdin=subprocess.PIPE,
@@ -237,4 +245,5 @@ def _start(order: bytes) -> tuple[subprocess.Popen[bytes], dict[str, Any]]:
             words.seek(0)
             said = words.read().decode(errors="replace").strip()[-LONGEST_WORDS:]
             raise HilcellError(f"simulated cell did not start (exit {process.returncode}):\n{said}")
-    return process, msgspec.json.decode(line, type=dict[str, Any])
+        stack.pop_all()
+    return process, words, msgspec.json.decode(line, type=dict[str, Any])

@@ -65,7 +65,8 @@ def servers_of(cell: Cell) -> dict[str, Serve]:
             found[table] = load_entry(f"simulated_{group}", driver)
         except SettingsError as error:
             problems += [
-                f"{table}.driver: nothing simulates its wire: {each}" for each in error.problems
+                f"{table}.driver: nothing simulates its wire: simulated device {each}"
+                for each in error.problems
             ]
     if problems:
         raise SettingsError("simulation", problems)

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from pathlib import Path
+from traceback import extract_tb
 from typing import Any
 
 MOST_LISTED = 10
@@ -18,6 +20,18 @@ def bounded(lines: Iterable[str], count: int | None = None, most: int = MOST_LIS
     found = list(lines)
     more = (len(found) if count is None else count) - most
     return [*found[:most], *([f"and {more} more"] if more > 0 else [])]
+
+
+def one_line(error: BaseException) -> str:
+    """Return the type and the words of an error that hilcell did not expect, in one line."""
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+def with_place(error: BaseException) -> str:
+    """Return it in one line, with the file and the line that raised it."""
+    steps = [step for step in extract_tb(error.__traceback__) if step.filename[:1] != "<"]
+    at = steps[-1:]
+    return one_line(error) + "".join(f" ({Path(s.filename).name}, line {s.lineno})" for s in at)
 
 
 class HilcellError(Exception):
@@ -35,6 +49,15 @@ class HilcellError(Exception):
     def facts(self) -> dict[str, Any]:
         """Return what the journal keeps of the error, plain enough for JSON."""
         return {"code": self.code, "found": str(self)}
+
+
+class DriverDefect(HilcellError):
+    """A driver did what its port rules out: a defect of the driver, not of hilcell or a device."""
+
+    code = "HC-C07"
+
+    def __init__(self, device: str, found: str) -> None:
+        super().__init__(f"{device}: {found}; a defect of its driver, please report it there")
 
 
 class Stopped(HilcellError):

@@ -77,10 +77,14 @@ def catalogue() -> Mapping[str, Entry]:
 
 
 def packages() -> list[str]:
-    """Return the names of the packages that have entries."""
+    """Return the names of the packages that have entries, hilcell's own first."""
     from importlib.metadata import entry_points
 
-    return ["hilcell.alarms", *sorted({point.module for point in entry_points(group=GROUP)})]
+    found = {
+        (point.dist is None or point.dist.name != "hilcell", point.module)
+        for point in entry_points(group=GROUP)
+    }
+    return ["hilcell.alarms", *(module for _, module in sorted(found))]
 
 
 def entries_of(package: str) -> list[Entry]:

@@ -13,8 +13,10 @@ import msgspec
 
 from hilcell.alarms.catalogue import CatalogueError, catalogue
 from hilcell.cell.addresses import places
+from hilcell.cell.driver_shape import misfits
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert, did_you_mean
+from hilcell.errors import HilcellError, one_line, with_place
 from hilcell.ports import (
     Clock,
     DeviceError,
@@ -54,21 +56,11 @@ def load_entry(group: str, name: str) -> Any:
     except (ImportError, AttributeError) as error:
         raise SettingsError(group, [f"{name!r} cannot be loaded: {error}"]) from error
     except Exception as error:
-        found_error = f"{type(error).__name__}: {error}"
-        raise SettingsError(group, [f"{name!r} cannot be loaded: {found_error}"]) from error
-    if missing := _missing(loaded, PORTS[group]) if group in PORTS else []:
-        found_missing = f"{name!r} is no driver: it has no {', '.join(missing)}"
-        raise SettingsError(group, [f"{found_missing}; see hilcell.ports.{PORTS[group].__name__}"])
+        raise SettingsError(group, [f"{name!r} cannot be loaded: {one_line(error)}"]) from error
+    if group in PORTS and (found_misfits := misfits(loaded, PORTS[group])):
+        what = f"{name!r} is no driver: {'; '.join(found_misfits)}"
+        raise SettingsError(group, [f"{what}; see hilcell.ports.{PORTS[group].__name__}"])
     return loaded
-
-
-def _missing(kind: Any, port: type) -> list[str]:
-    """Return the parts of a port that a driver's class does not have."""
-    options = getattr(kind, "Options", None)
-    typed = isinstance(options, type) and issubclass(options, msgspec.Struct)
-    methods = [name for name in vars(port) if not name.startswith("_")]
-    lacking = [name for name in methods if not callable(getattr(kind, name, None))]
-    return ([] if typed else ["Options (a msgspec.Struct)"]) + lacking
 
 
 def installed(group: str) -> list[str]:
@@ -141,11 +133,21 @@ def abilities(cell: Cell) -> dict[str, bool]:
 def build_devices(
     cell: Cell, addresses: Mapping[str, Mapping[str, object]], clock: Clock
 ) -> Devices:
-    """Build the drivers, unopened, with ``addresses`` in place of the options' own."""
+    """Build the drivers, unopened, with ``addresses`` in place of the options' own.
+
+    Raises `SettingsError` where one cannot be built.
+    """
     built: dict[str, Any] = {}
     for table, group in TABLES:
         kind, options = driver_options(cell, table, group, addresses.get(table, {}))
-        built[table] = kind(options, clock)
+        try:
+            built[table] = kind(options, clock)
+        except HilcellError:
+            raise
+        except Exception as error:
+            name = getattr(cell, table).driver
+            problem = f"{table}.driver: {name!r} cannot be built: {with_place(error)}"
+            raise SettingsError(cell.name, [problem]) from error
     rides = isinstance(built["rail"], RidesOnRobot)
     if rides:
         built["rail"].ride(built["robot"])

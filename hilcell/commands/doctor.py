@@ -9,6 +9,7 @@ import socket
 from collections.abc import Iterator
 from pathlib import Path
 
+from hilcell.alarms.catalogue import CatalogueError, catalogue
 from hilcell.cell.addresses import THIS_MACHINE
 from hilcell.cell.devices import PORTS, check_options, device_places, installed, load_entry
 from hilcell.cell.file import load_cell
@@ -77,6 +78,10 @@ def _drivers() -> Finding:
                 load_entry(group, name)
             except SettingsError as error:
                 problems += [f"{group}: {line}" for line in error.problems]
+    try:
+        catalogue()
+    except CatalogueError as error:
+        problems.append(str(error))
     if problems:
         return Finding("drivers", "warning", "; ".join(problems), "mend or uninstall its package")
     found = "; ".join(f"{group} {', '.join(installed(group))}" for group in (*PORTS, "programs"))

@@ -27,6 +27,7 @@ class Acts(Protocol):
 
     tolerance: float  # of `off`
     unit: str
+    lasting: str  # `travel` in words
     absent: str  # why there is no device; "" where there is one
 
     def ready(self, device: Any) -> None:
@@ -61,6 +62,7 @@ class RailActs:
     """Two places of the slide, near the first station; one and the same where there is no rail."""
 
     tolerance, unit = READS_BACK_MM, "mm"
+    lasting = "a motion to the end of the travel"
 
     def __init__(self, cell: Cell) -> None:
         self.cell = cell
@@ -116,6 +118,7 @@ class RobotActs:
     """The safe pose, and all axes a step up from it."""
 
     tolerance, unit, absent = READS_BACK_DEG, "deg", ""
+    lasting = f"a motion of axis 1 at {SLOW_PERCENT:g} %"
 
     def __init__(self, cell: Cell) -> None:
         self.cell = cell
@@ -168,6 +171,7 @@ class TrackerActs:
     """The first two nests on the floor."""
 
     unit, absent = "mm", ""
+    lasting = f"a measurement of {MANY} readings"
 
     def __init__(self, cell: Cell) -> None:
         self.cell, self.reflector = cell, cell.tracker.reflector

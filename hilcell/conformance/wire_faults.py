@@ -13,7 +13,7 @@ from hilcell.conformance.bench import Bench
 from hilcell.conformance.child import Child
 from hilcell.conformance.connecting import near
 from hilcell.conformance.promise import Promise
-from hilcell.conformance.verdicts import fails, need
+from hilcell.conformance.verdicts import Broken, fails, need
 from hilcell.errors import DeviceError, Stopped
 
 STOP_S = 0.02
@@ -209,8 +209,13 @@ def _under_way(bench: Bench) -> tuple[Any, Task]:
     bench.present()
     driver = bench.connected()
     bench.acts.visit(driver, 0)
+    began_s = time.monotonic()
     task = Task(lambda: bench.acts.travel(driver))
-    need(not task.ended_within(UNDER_WAY_S), f"it ended before it was stopped: {task.error!r}")
+    if task.ended_within(UNDER_WAY_S):
+        took_s = task.ended_s - began_s
+        how = "" if task.error is None else f", with {task.error!r}"
+        wanted = f"wanted more than {UNDER_WAY_S:g} s, to be stopped meanwhile"
+        raise Broken(f"{bench.acts.lasting} ended after {took_s:.2f} s{how}; {wanted}")
     return driver, task
 
 

@@ -9,10 +9,12 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TypeVar
 
 import numpy as np
 
 from hilcell.cell.devices import Devices, streams_of, sweeps_of
+from hilcell.errors import DriverDefect, HilcellError, with_place
 from hilcell.ports import (
     Array,
     DeviceError,
@@ -34,10 +36,14 @@ from hilcell.run.protocol import DeviceStatus
 REFRESH_S = 0.5
 
 
+Reading = TypeVar("Reading", RailReading, RobotReading, TrackerReading)
+
+
 class DeviceMonitor:
     """The known state of one device: written by the worker alone, read by any thread."""
 
-    def __init__(self) -> None:
+    def __init__(self, device: str) -> None:
+        self._device = device
         self.moving = False
         self.reason = ""  # why the device is lost
         self.error: DeviceError | None = None  # by which it is
@@ -64,6 +70,35 @@ class DeviceMonitor:
         finally:
             self.moving = False
 
+    @contextmanager
+    def call(self, *, moving: bool = False) -> Iterator[None]:
+        """Watch one call; raises `DriverDefect` for an error that no driver may raise."""
+        with self.watch(moving=moving):
+            try:
+                yield
+            except HilcellError:
+                raise
+            except Exception as error:
+                raise DriverDefect(self._device, with_place(error)) from error
+
+    def sound(self, found: Reading, kind: type[Reading]) -> Reading:
+        """Return what a driver returned as a reading; raises `DriverDefect` where it is none."""
+        if not isinstance(found, kind):
+            problem = f"its driver returned {type(found).__name__}, wanted {kind.__name__}"
+            raise DriverDefect(self._device, problem)
+        ahead_s = found.taken_s - time.monotonic()
+        if ahead_s > 0.0:  # NaN is refused where its age is judged
+            problem = f"a reading is {ahead_s:.3f} s ahead of now; taken_s is time.monotonic()"
+            raise DriverDefect(self._device, problem)
+        return found
+
+    def identified(self, found: object) -> list[Identity]:
+        """Return the identities; raises `DriverDefect` for anything but a list of them."""
+        if isinstance(found, list) and all(isinstance(each, Identity) for each in found):
+            return found
+        problem = f"connect returned {type(found).__name__}, wanted a list of Identity"
+        raise DriverDefect(self._device, problem)
+
     def status(self, now_s: float) -> DeviceStatus:
         """Return it in words."""
         state = "unknown" if self.taken_s is None else "fresh"
@@ -80,8 +115,8 @@ class CellMonitor:
 
     def __init__(self, devices: Devices, *, has_rail: bool = True) -> None:
         self._has_rail = has_rail
-        self.rail, self.strip = DeviceMonitor(), DeviceMonitor()
-        self.robot, self.tracker = DeviceMonitor(), DeviceMonitor()
+        self.rail, self.strip = DeviceMonitor("Rail"), DeviceMonitor("Strip")
+        self.robot, self.tracker = DeviceMonitor("Robot"), DeviceMonitor("Tracker")
         self.rail_reading: RailReading | None = None
         self.robot_reading: RobotReading | None = None
         self.devices = Devices(
@@ -116,7 +151,7 @@ class CellMonitor:
 
     def take_rail(self, reading: RailReading) -> RailReading:
         """Show a reading of the rail, which carries the strip's."""
-        self.rail_reading = reading
+        self.rail_reading = self.rail.sound(reading, RailReading)
         how = "power on" if reading.powered else "held"
         moves = "" if reading.still else f", {reading.velocity_mm_s:.1f} mm/s"
         self.rail.show(f"{reading.position_mm:.2f} mm, {how}{moves}", reading.taken_s)
@@ -125,7 +160,7 @@ class CellMonitor:
 
     def take_robot(self, reading: RobotReading) -> RobotReading:
         """Show a reading of the robot."""
-        self.robot_reading = reading
+        self.robot_reading = self.robot.sound(reading, RobotReading)
         joints = " ".join(f"{value:.1f}" for value in np.degrees(reading.joints_rad))
         still = "at rest" if reading.still else "moves"
         self.robot.show(f"{still} at {joints} deg", reading.taken_s)
@@ -133,7 +168,8 @@ class CellMonitor:
 
     def take_tracker(self, reading: TrackerReading) -> TrackerReading:
         """Show a reading of the tracker."""
-        x, y, z = reading.xyz_mm
+        self.tracker.sound(reading, TrackerReading)
+        x, y, z = _numbers_of(reading)
         air = f"{reading.air.temperature_c:.1f} C" if reading.air else "air not measured"
         self.tracker.show(f"{x:.2f} {y:.2f} {z:.2f} mm, {air}", reading.taken_s)
         return reading
@@ -154,7 +190,7 @@ class WatchedRail:
 
     @contextmanager
     def _watch(self, *, moving: bool = False) -> Iterator[None]:
-        with self._monitor.rail.watch(moving=moving):
+        with self._monitor.rail.call(moving=moving):
             try:
                 with self._monitor.strip.watch(moving=moving):
                     yield
@@ -165,7 +201,7 @@ class WatchedRail:
     def connect(self) -> list[Identity]:
         """Connect."""
         with self._watch():
-            return self._rail.connect()
+            return self._monitor.rail.identified(self._rail.connect())
 
     def home(self) -> None:
         """Home; the slide moves."""
@@ -213,12 +249,12 @@ class WatchedRobot:
 
     def connect(self) -> list[Identity]:
         """Connect."""
-        with self._monitor.robot.watch():
-            return self._robot.connect()
+        with self._monitor.robot.call():
+            return self._monitor.robot.identified(self._robot.connect())
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
         """Move the robot."""
-        with self._monitor.robot.watch(moving=True):
+        with self._monitor.robot.call(moving=True):
             return self._monitor.take_robot(self._robot.move_to(joints_rad, speed_percent))
 
     @contextmanager
@@ -233,7 +269,7 @@ class WatchedRobot:
 
     def read(self) -> RobotReading:
         """Read."""
-        with self._monitor.robot.watch():
+        with self._monitor.robot.call():
             return self._monitor.take_robot(self._robot.read())
 
     def stop(self) -> None:
@@ -253,12 +289,12 @@ class WatchedTracker:
 
     def connect(self) -> list[Identity]:
         """Connect."""
-        with self._monitor.tracker.watch():
-            return self._tracker.connect()
+        with self._monitor.tracker.call():
+            return self._monitor.tracker.identified(self._tracker.connect())
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         """Measure; only the beam moves."""
-        with self._monitor.tracker.watch():
+        with self._monitor.tracker.call():
             return self._monitor.take_tracker(self._tracker.measure(near_mm, reflector, samples))
 
     @contextmanager
@@ -275,3 +311,14 @@ class WatchedTracker:
     def close(self) -> None:
         """Close."""
         self._tracker.close()
+
+
+def _numbers_of(reading: TrackerReading) -> list[float]:
+    """Return the place (3,) of a reading; raises `DriverDefect` for other shapes."""
+    shapes = np.shape(reading.xyz_mm), np.shape(reading.std_mm)
+    if shapes != ((3,), (3,)):
+        found = " and ".join(map(str, shapes))
+        raise DriverDefect(
+            "Tracker", f"xyz_mm and std_mm have the shapes {found}, wanted (3,) each"
+        )
+    return [float(each) for each in reading.xyz_mm]

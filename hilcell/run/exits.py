@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from hilcell.cell.devices import ConnectFailed
+from hilcell.errors import DriverDefect
 from hilcell.journal.journal import NeverBegan, StorageError
 from hilcell.ports import DeviceError, DeviceRefused, HilcellError, Stopped
 from hilcell.run.cell_lock import CellLocked
@@ -22,6 +23,7 @@ _TABLE: tuple[tuple[type[Exception], int], ...] = (
     (CellLocked, EXIT_LOCKED),
     (DeviceRefused, EXIT_REFUSED),
     (DeviceError, EXIT_FAULT),
+    (DriverDefect, EXIT_INTERNAL),
     (HilcellError, EXIT_REFUSED),
 )
 

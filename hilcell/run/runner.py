@@ -20,7 +20,7 @@ from hilcell.alarms.acknowledged import Acknowledged
 from hilcell.calibration.suspicions import blamed
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
-from hilcell.errors import facts_of
+from hilcell.errors import DriverDefect, facts_of
 from hilcell.journal.journal import StorageError
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.states import PASSING
@@ -384,7 +384,7 @@ class Runner:
             return
         parts = {name: str(getattr(error, name, "")) for name in PARTS}
         self._life.fire("fault", reason=str(error), **parts, error=facts_of(error))
-        if not isinstance(error, HilcellError):
+        if isinstance(error, DriverDefect) or not isinstance(error, HilcellError):
             trace = "".join(traceback.format_exception(error))
             self._journal.append("event", "", {"what": "internal error", "trace": trace})
 

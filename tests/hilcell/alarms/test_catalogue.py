@@ -14,9 +14,11 @@ import pytest
 from hilcell.alarms.catalogue import SEVERITIES, CatalogueError, Entry, catalogue, entries_of
 from hilcell.alarms.page import page
 from tests.hilcell.alarms.rooms import packages_of_hilcell
+from tests.hilcell.cell.packages import install
 
 catalogue_module = importlib.import_module("hilcell.alarms.catalogue")
 ROOT = Path(__file__).parents[3]
+packages = catalogue_module.packages  # of what is installed
 PACKAGES = packages_of_hilcell()
 ENTRIES = [entry for package in PACKAGES for entry in entries_of(package)]
 
@@ -97,6 +99,18 @@ def test_a_code_is_nobody_s_twice(plant: Path) -> None:
         catalogue()
     there = "HC-T10 is there already, in drivers.alarms; give one another code"
     assert str(caught.value) == f"alarms of plant_alarms: {there}"
+
+
+def test_the_package_that_takes_a_code_of_hilcell_is_the_one_that_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder := tmp_path / "aaa_alarms").mkdir()
+    (folder / "mine.toml").write_text(ROW.format("HC-T10"))
+    install(tmp_path, "[hilcell.alarms]\naaa = aaa_alarms\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(catalogue_module, "packages", packages)
+    with pytest.raises(CatalogueError, match="alarms of aaa_alarms: HC-T10 is there already"):
+        catalogue()
 
 
 @pytest.mark.parametrize(

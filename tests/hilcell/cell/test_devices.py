@@ -2,14 +2,16 @@
 
 import sys
 from pathlib import Path
+from threading import Event
 
 import msgspec
 import pytest
 
-from hilcell.cell.devices import abilities, check_options, driver_options
+from hilcell.cell.devices import abilities, build_devices, check_options, driver_options, stand_ins
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
-from tests.hilcell.cell.packages import install
+from hilcell.clock import WallClock
+from tests.hilcell.cell.packages import ENTRIES, WHOLE, install
 from tests.whole.bench import command
 
 
@@ -35,26 +37,6 @@ def test_options_may_not_state_again_what_the_table_states() -> None:
     assert "max_std_mm: 0.5 here, but tracker.max_std_mm is 0.05" in tracker
 
 
-WHOLE = """
-import msgspec
-
-class Robot:
-    class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-        host: str
-        lever_mm: float = 1.0
-
-    def __init__(self, options, clock): ...
-    def connect(self): ...
-    def move_to(self, joints_rad, speed_percent): ...
-    def read(self): ...
-    def stop(self): ...
-    def close(self): ...
-
-def serve(site, port): ...
-"""
-ENTRIES = "[hilcell.robots]\nmine = {0}:Robot\n[hilcell.simulated_robots]\nmine = {0}:serve\n"
-
-
 @pytest.mark.parametrize(
     ("broken", "found"),
     [
@@ -66,6 +48,10 @@ ENTRIES = "[hilcell.robots]\nmine = {0}:Robot\n[hilcell.simulated_robots]\nmine 
         (("class Options", "class Option"), "no driver: it has no Options (a msgspec.Struct); see"),
         (("(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)", ""), "no Opt"),
         (("lever_mm: float = 1.0", "lever_mm: float"), "robot.options: lever_mm: missing"),
+        (("lever_mm: float", 'lever_mm: "Nonsense"'), "that cannot be used: NameError: name 'Nons"),
+        ((", speed_percent", ""), "its move_to does not take (joints_rad, speed_percent)"),
+        ((", clock", ""), "no driver: its __init__ does not take (options, clock)"),
+        (("import msgspec", "raise ValueError('a\\nb')"), "cannot be loaded: ValueError: a b"),
     ],
 )
 def test_a_driver_that_is_broken_is_refused_with_its_cause(
@@ -82,6 +68,22 @@ def test_a_driver_that_is_broken_is_refused_with_its_cause(
     with pytest.raises(SettingsError) as caught:
         check_options(cell)
     assert found in caught.value.problems[0]
+
+
+def test_a_driver_that_cannot_be_built_is_refused_with_its_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    broken = WHOLE.replace("clock): ...", "clock): raise ValueError('no such thing')")
+    install(tmp_path, ENTRIES.format("plant_0"), plant_0=broken)
+    monkeypatch.syspath_prepend(tmp_path)
+    request.addfinalizer(lambda: sys.modules.pop("plant_0", None))
+    cell = load_cell("paper", {"robot.driver": "mine"})
+    with pytest.raises(SettingsError) as caught:
+        build_devices(cell, stand_ins(cell), WallClock(Event()))
+    (problem,) = caught.value.problems
+    assert problem == (
+        "robot.driver: 'mine' cannot be built: ValueError: no such thing (plant_0.py, line 9)"
+    )
 
 
 def test_a_whole_driver_is_taken(

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from hilcell.alarms.catalogue import catalogue
 from hilcell.cell.addresses import THIS_MACHINE, places
 from hilcell.commands import doctor, this_pc
 from hilcell.commands.cli import main
@@ -62,6 +63,18 @@ def test_a_part_of_a_driver_that_cannot_be_loaded_is_named(
     found = {each.check: each for each in doctor._of_this_pc(tmp_path)}["drivers"]
     assert found.state == "warning"
     assert found.found == f"{group}: 'mine' cannot be loaded: No module named 'nosuchpackage'"
+
+
+def test_alarms_of_a_package_that_cannot_be_read_are_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    install(tmp_path, "[hilcell.alarms]\nmine = nosuchpackage.alarms\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    catalogue.cache_clear()
+    found = {each.check: each for each in doctor._of_this_pc(tmp_path)}["drivers"]
+    catalogue.cache_clear()
+    assert found.state == "warning"
+    assert found.found.startswith("alarms of nosuchpackage.alarms cannot be read: No module")
 
 
 def test_an_older_python_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:

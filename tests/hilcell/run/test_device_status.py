@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from hilcell.cell.devices import Devices, streams_of, sweeps_of
-from hilcell.ports import DeviceError, DeviceRefused, NoReading, RailReading
+from hilcell.errors import DriverDefect
+from hilcell.ports import DeviceError, DeviceRefused, NoReading, RailReading, TrackerReading
 from hilcell.run.device_status import CellMonitor
+from hilcell.run.exits import EXIT_INTERNAL, exit_code
 from hilcell.run.protocol import DeviceStatus
 from tests.hilcell.run.bed import CELL, until
 from tests.hilcell.run.rig import DeskRail, DeskRobot, DeskTracker, desk, hang
@@ -79,6 +83,51 @@ def test_a_robot_that_sweeps_moves(board: Board) -> None:
     with sweeps_of(monitor.devices.robot).sweep(0, 1.0, 0.1):
         moving.append(monitor.robot.moving)
     assert [*moving, monitor.robot.moving] == [True, False]
+
+
+PLACE_MM = np.array([1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("returned", "found"),
+    [
+        (lambda reading: None, "its driver returned NoneType, wanted TrackerReading"),
+        (
+            lambda reading: replace(reading, xyz_mm=PLACE_MM[:2]),
+            r"shapes \(2,\) and \(3,\), wanted",
+        ),
+        (
+            lambda reading: replace(reading, taken_s=time.time()),
+            "s ahead of now; taken_s is time.m",
+        ),
+        (
+            lambda reading: reading.nosuch,
+            r"AttributeError: .*nosuch.* \(test_device_status.py, line",
+        ),
+    ],
+)
+def test_what_is_no_reading_is_a_defect_of_the_driver(
+    board: Board,
+    returned: Callable[[TrackerReading], object],
+    found: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    measure = board.tracker.measure
+    monkeypatch.setattr(board.tracker, "measure", lambda *words: returned(measure(*words)))
+    with pytest.raises(DriverDefect, match=f"Tracker: .*{found}") as caught:
+        board.devices.tracker.measure(PLACE_MM, "SMR", 1)
+    assert exit_code(caught.value) == EXIT_INTERNAL
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("returned", [None, "Identity", [None]])
+def test_what_is_no_list_of_identities_is_a_defect_of_the_driver(
+    board: Board, returned: object, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("rail", "robot", "tracker"):
+        monkeypatch.setattr(getattr(board, name), "connect", lambda: returned)
+        with pytest.raises(DriverDefect, match=f"{name.title()}: connect returned"):
+            getattr(board.devices, name).connect()
 
 
 def test_ages_grow(board: Board) -> None:
