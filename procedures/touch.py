@@ -39,7 +39,7 @@ def touch_spans(cell: Cell, station: Station) -> list[Span]:
     """Return the span of one visit's touch poses, if there are any; refuse any out of reach."""
     if not cell.touch.poses:
         return []
-    poses = poses_at(cell, touch_targets_mm(cell))
+    poses = poses_at(cell, touch_targets_mm(cell, station))
     joints_rad = check_targets(cell, station, poses, f"touch pose at {station.name}")
     return [flange_points(cell, joints_rad)]
 
@@ -56,7 +56,7 @@ def touch_once(session: CellSession, station: Station, model: ErrorModel) -> Non
 
 def _touch(session: CellSession, station: Station, model: ErrorModel) -> None:
     cell, log = session.cell, session.log
-    targets_mm, T_W_B = touch_targets_mm(cell), session.frames.base_in_world(station)
+    targets_mm, T_W_B = touch_targets_mm(cell, station), session.frames.base_in_world(station)
     poses = poses_at(cell, targets_mm)
     joints_rad = joints_for(cell, corrected(grid_of(cell), poses, model))
     nominal_mm = apply(T_W_B, targets_mm)

@@ -24,6 +24,7 @@ from hilcell.calibration.orientation import (
     turn_coverages,
     validated_turns,
 )
+from hilcell.calibration.sights import beside_nest
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected_poses
@@ -52,7 +53,7 @@ from procedures.touch import touch_once, touch_result, touch_spans
 WAYS = ("before", "idw", "chosen")  # as it is, by the paper's method, by the chosen one
 QUICK_WAYS = ("before", "chosen")
 ORIENTED = ("before", "chosen")  # the paper's method knows positions only
-DRAWS = 8  # of a target's turn
+DRAWS = 8  # of a target's turn, and of its place
 MARGIN_MM = 5.0  # random targets keep off the cube's faces by this much
 
 
@@ -286,7 +287,7 @@ def target_poses(cell: Cell, seed: int) -> dict[str, Array]:
 
     A target of which no drawn turn can be driven to keeps the grid's orientation.
     """
-    found = {name: poses_at(cell, at_mm) for name, at_mm in targets(cell, seed).items()}
+    found = {name: poses_at(cell, at_mm) for name, at_mm in _seen(cell, seed).items()}
     if cell.plan.grid_orientations:
         for name, poses in found.items():
             found[name] = _oriented(cell, cell.station_named(name), poses)
@@ -294,6 +295,19 @@ def target_poses(cell: Cell, seed: int) -> dict[str, Array]:
         rng = np.random.default_rng([seed, 2015])
         for name, poses in found.items():
             found[name] = _tilted(cell, cell.station_named(name), poses, rng)
+    return found
+
+
+def _seen(cell: Cell, seed: int) -> dict[str, Array]:
+    """Return the targets (N, 3) in {B} by station, drawn again where a nest is in the way."""
+    found, station = targets(cell, seed), cell.station_named
+    for draw in range(DRAWS):
+        beside = {name: beside_nest(cell, station(name), at_mm) for name, at_mm in found.items()}
+        if not any(rows.any() for rows in beside.values()):
+            break
+        fresh = targets(cell, int(np.random.SeedSequence([seed, draw]).generate_state(1)[0]))
+        for name, rows in beside.items():
+            found[name][rows] = fresh[name][rows]
     return found
 
 

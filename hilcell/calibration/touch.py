@@ -18,6 +18,7 @@ from hilcell.calibration.errors import visits_mm
 from hilcell.calibration.frame_covariance import base_covariance, hold_covariance, world_covariance
 from hilcell.calibration.frames import Frames
 from hilcell.calibration.in_use import calibration_in
+from hilcell.calibration.sights import beside_nest
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frame_update import FrameUpdate, updated_frame
 from hilcell.geometry.frames import apply, inverse
@@ -29,19 +30,24 @@ from hilcell.ports import Array
 MARGIN_SHARE = 0.05  # of the cube's edges, off each face
 # Roots of x^4 = x + 1: steps by them fill a cube evenly, however many are taken.
 STEPS = 1.2207440846057596 ** -np.arange(1.0, 4.0)
+SPARE = 4  # places for each touch pose, for those that are passed over
 SET_UPS = 2  # of the tracker: the calibration's and this run's
 HOLDS = 2  # the strip's slip is that of the visit less that of the stop when it was framed
 
 
-def touch_targets_mm(cell: Cell) -> Array:
-    """Return the touch poses' targets (N, 3) in {B}, spread through the cube."""
-    number = np.arange(cell.touch.poses)[:, None]
+def touch_targets_mm(cell: Cell, station: Station) -> Array:
+    """Return the touch poses' targets (N, 3) in {B}, spread through the cube.
+
+    Places that the tracker could take for a nest are passed over as long as there are others.
+    """
+    number = np.arange(SPARE * cell.touch.poses)[:, None]
     share = (0.5 + number * STEPS) % 1.0
     size_mm = np.array(cell.grid.size_mm)
     targets: Array = cell.grid.centre.matrix()[:3, 3] + size_mm * (
         (1.0 - 2.0 * MARGIN_SHARE) * (share - 0.5)
     )
-    return targets
+    order = np.argsort(beside_nest(cell, station, targets), kind="stable")
+    return targets[order[: cell.touch.poses]]
 
 
 def touch_ids(cell: Cell, station: Station, visit: int) -> list[PointId]:

@@ -122,6 +122,11 @@ def sweeps_of(robot: Robot) -> Sweeps:
     )
 
 
+def sights_apart_rad(cell: Cell) -> float:
+    """Return how far apart in direction the tracker wants reflectors; 0 where it does not say."""
+    return float(getattr(load_entry("trackers", cell.tracker.driver), "SIGHTS_APART_RAD", 0.0))
+
+
 def abilities(cell: Cell) -> dict[str, bool]:
     """Return the abilities of the cell's drivers beside those of every driver."""
     return {

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.frames import Frames, grid_of, measured_of
+from hilcell.calibration.sights import beside_nest
 from hilcell.calibration.touch import touch_targets_mm, visit_covariance
 from hilcell.cell.file import Cell, Station, load_cell
 from hilcell.compensation.choice import MODELS
@@ -20,7 +21,7 @@ from hilcell.journal.log import Log, Point
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, DeviceError
 from procedures.touch import touch_once, touch_result, touch_spans
-from procedures.validate import Validate
+from procedures.validate import Validate, target_poses, targets
 from tests.procedures.test_sign_check import BASE, FakeBench, error_mm
 
 SETTINGS = {"grid.pitch_mm": "450.0", "validation.per_cell": "1", "validation.others": "8"}
@@ -128,12 +129,40 @@ def model_of(log: Log) -> Any:
 
 def test_the_poses_are_in_the_cube_and_spread() -> None:
     assert CELL.touch.poses == 8
-    grid, targets_mm = grid_of(CELL), touch_targets_mm(CELL)
+    grid, targets_mm = grid_of(CELL), touch_targets_mm(CELL, HERE)
     grid.check_inside(targets_mm)
     assert len(targets_mm) == 8
     assert (np.ptp(targets_mm, axis=0) > 500.0).all()
     apart_mm = np.linalg.norm(targets_mm[:, None] - targets_mm[None], axis=-1)
     assert apart_mm[~np.eye(8, dtype=bool)].min() > 250.0
+
+
+def test_a_total_station_is_sent_to_no_place_before_or_behind_a_nest() -> None:
+    """At S1900 the fourth touch pose stood 1.45 mrad beside nest P6: several targets (HC-T56)."""
+    coarse = load_cell("paper", {"tracker.driver": "leica-geocom"})
+    station = coarse.station_named("S1900")
+    old_mm = touch_targets_mm(CELL, station)
+    assert beside_nest(coarse, station, old_mm).tolist() == [n == 3 for n in range(8)]
+    targets_mm = touch_targets_mm(coarse, station)
+    assert not beside_nest(coarse, station, targets_mm).any()
+    assert np.array_equal(targets_mm[:7], np.delete(old_mm, 3, axis=0))
+    assert len(targets_mm) == 8
+    grid_of(coarse).check_inside(targets_mm)
+
+
+def test_targets_before_or_behind_a_nest_are_drawn_again() -> None:
+    coarse = load_cell("paper", {"tracker.driver": "leica-geocom"})
+    redrawn = 0
+    for seed in range(20):
+        drawn = targets(coarse, seed)
+        for name, poses in target_poses(coarse, seed).items():
+            station = coarse.station_named(name)
+            beside = beside_nest(coarse, station, drawn[name])
+            same = (poses[:, :3, 3] == drawn[name]).all(axis=1)
+            assert np.array_equal(same, ~beside)
+            assert not beside_nest(coarse, station, poses[:, :3, 3]).any()
+            redrawn += int(beside.sum())
+    assert redrawn > 5
 
 
 def test_without_touch_poses_the_slip_stays_in_the_figures() -> None:
