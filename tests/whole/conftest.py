@@ -9,6 +9,7 @@ import pytest
 
 from hilcell.journal.log import Log
 from hilcell.report.facts import read_facts
+from tests.whole.bench import sweep
 from tests.whole.golden import GoldenRuns
 
 
@@ -33,9 +34,9 @@ class PaperRun:
         return result
 
 
-@pytest.fixture(scope="session")
-def paper(golden: GoldenRuns) -> PaperRun:
-    """Return the run of seed 2."""
-    run = golden["paper"]
+@pytest.fixture(scope="session", params=["paper", *sweep("paper-whole")])
+def paper(request: pytest.FixtureRequest, golden: GoldenRuns) -> PaperRun:
+    """Return the run of seed 2, by day with fewer targets."""
+    run = golden[request.param]
     assert run.events, run.done.stderr
     return PaperRun(run.events, run.done.stderr, read_facts(run.folder).log)

@@ -17,13 +17,16 @@ from typing import Any
 from tests.whole.bench import SEATS, SMALL, end_of, events, hilcell, sets
 
 LIMIT_S = 600.0  # many workers may need the processors
+PAPER = ("--seed", "2", "--unattended")
+FEWER_TARGETS = {"validation.per_cell": "2", "validation.others": "50"}  # two of five, a third
 RUNS: dict[str, tuple[str, ...]] = {
     "small": ("calibrate", "--seed", "1", "--operator", "B. Operator", *sets(SMALL)),
     "small-2": ("calibrate", "--seed", "2", *sets(SMALL)),
     "sign-check": ("sign-check", "--unattended", *sets(SMALL)),
     "seats": ("calibrate", "--cell", "fixed", "--seed", "1", "--unattended", *sets(SMALL | SEATS)),
     "calibration": ("calibrate", "--seed", "3"),
-    "paper": ("paper", "--seed", "2", "--unattended"),
+    "paper": ("paper", *PAPER, *sets(FEWER_TARGETS)),
+    "paper-whole": ("paper", *PAPER),
 }
 
 

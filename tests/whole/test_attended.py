@@ -19,7 +19,7 @@ from fakes.canopen import rail_drive, rail_strip
 from fakes.kuka.controller import KrlController
 from fakes.leica.emscon_packets import wide
 from hilcell.run.client import order
-from tests.whole.bench import HILCELL, LIMIT_S, Engine, command, sets, simulation
+from tests.whole.bench import HILCELL, LIMIT_S, Engine, command, sets, simulation, sweep
 from tests.whole.terminal import Terminal
 
 PAPER = Path(__file__).parents[2] / "hilcell/cells/paper.toml"
@@ -124,8 +124,8 @@ def test_yes_lets_the_one_motion_go_that_was_announced(attended: Attended) -> No
     assert [each["verdict"] for each in held] == ["held"]
 
 
-@pytest.mark.parametrize("word", ["no", "", "yess", "go", "\x04", "\x03"],
-                         ids=["no", "enter", "typo", "another", "ctrl-D", "ctrl-C"])  # fmt: skip
+@pytest.mark.parametrize("word", ["yess", "\x03", *sweep("no", "", "go", "\x04")],
+                         ids=["typo", "ctrl-C", "no", "enter", "another", "ctrl-D"])  # fmt: skip
 def test_any_other_word_moves_nothing(attended: Attended, word: str) -> None:
     with attended.terminal() as terminal:
         terminal.answer(word if word in ("\x03", "\x04") else f"{word}\n")

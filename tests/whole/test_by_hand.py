@@ -20,6 +20,7 @@ from tests.whole.bench import (
     events,
     sets,
     simulation,
+    sweep,
 )
 from tests.whole.trace import judge
 
@@ -98,8 +99,9 @@ def words(cell: Simulation, runs: Path, name: str = "hand") -> list[str | Path]:
 
 @pytest.mark.timeout(300)
 @pytest.mark.long
-def test_a_whole_calibration_with_one_reflector(tmp_path: Path, cell: Simulation) -> None:
-    engine = Engine("run", *words(cell, tmp_path))
+@pytest.mark.parametrize("procedure", ["base-frame", *sweep("calibrate")])
+def test_a_whole_run_with_one_reflector(tmp_path: Path, cell: Simulation, procedure: str) -> None:
+    engine = Engine("run", procedure, *words(cell, tmp_path))
     engine.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")
     operator = Operator(tmp_path / "hand", cell)
 

@@ -130,7 +130,7 @@ def test_a_killed_engine_leaves_a_braked_robot_and_resume_goes_on(tmp_path: Path
 
 
 def test_the_slide_is_moved_over_the_same_channel(tmp_path: Path) -> None:
-    rail = {"rail.driver": "kuka-e1"}
+    rail = {"rail.driver": "kuka-e1", "survey.to_mm": "600.0", "survey.step_mm": "200.0"}
     done = command(
         "run", "rail-survey", "--json", "--unattended", "--runs", tmp_path, *sets(EKI | rail)
     )

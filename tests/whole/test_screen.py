@@ -89,6 +89,7 @@ def wait_for(true: Callable[[], object], what: str) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.nightly  # by day: test_retake, and the keys in test_actions
 def test_the_worst_point_of_a_calibration_is_found_remeasured_and_reported(
     tmp_path: Path, golden: GoldenRuns
 ) -> None:
@@ -189,7 +190,7 @@ def test_esc_right_after_the_start_is_heard(tmp_path: Path, wait_s: float) -> No
             assert log.states["run"] == "aborted" or not log.moved
 
 
-@pytest.mark.long
+@pytest.mark.nightly  # by day right after a start, above
 def test_esc_right_after_a_resume_is_heard(tmp_path: Path) -> None:
     with screen(tmp_path, long=True) as terminal:
         start(terminal, UNHURRIED + ENTER)
@@ -312,7 +313,7 @@ def test_the_screen_that_started_a_run_is_left_at_once_and_the_run_goes_on(tmp_p
         assert order(folder, "status").state == "running"
 
 
-@pytest.mark.long
+@pytest.mark.nightly  # by day: test_by_hand, and the boxes in test_prompt_box
 def test_one_reflector_carried_by_hand_from_nest_to_nest(tmp_path: Path) -> None:
     values = {"layout.reflectors": "by_hand"}
     with simulation(PACED, SMALL | values) as cell:

@@ -150,7 +150,7 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(file)
 
 
-@pytest.mark.long
+@pytest.mark.nightly  # by day, with another robot: test_cells
 def test_a_whole_calibration_with_the_uncertainty_of_a_total_station(
     machine: str, tmp_path: Path
 ) -> None:
@@ -182,7 +182,7 @@ def suspected(runs: Path, *words: str) -> list[dict[str, Any]]:
     return found
 
 
-@pytest.mark.nightly  # by day: of seed 301, above
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", ["302", "303", "304", "306"])
 def test_the_noise_of_a_total_station_is_no_suspicion(
     machine: str, tmp_path: Path, seed: str
@@ -191,7 +191,7 @@ def test_the_noise_of_a_total_station_is_no_suspicion(
     assert suspected(tmp_path, "--seed", seed, *words) == []
 
 
-@pytest.mark.long
+@pytest.mark.nightly  # by day, with a laser tracker: test_disturbances
 def test_a_mount_that_slipped_is_seen_by_a_total_station(machine: str, tmp_path: Path) -> None:
     values = CALIBRATION | {"touch.poses": "0"}  # the slip leads one near the sight to a nest
     with simulation(values=values | {"simulation.machine": machine}) as cell:

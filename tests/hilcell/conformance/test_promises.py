@@ -13,7 +13,7 @@ import pytest
 
 from hilcell.cell.file import load_cell
 from hilcell.conformance.kit import driver_cell, judge_all, promises_of
-from hilcell.conformance.promise import Promise
+from hilcell.conformance.promise import Outcome, Promise
 from hilcell.conformance.trial import Trial
 from hilcell.conformance.verdicts import PORTS, Port
 from hilcell.errors import Stopped
@@ -27,9 +27,8 @@ LONG = {
     for promise in promises_of(port)
     if promise.paced
 }
-QUICK_FIRST = [
-    pytest.param(*pair, marks=[pytest.mark.nightly] if pair in LONG else []) for pair in PAIRS
-]
+QUICK = {port: [name for name in BROKEN[port] if (port, name) not in LONG] for port in PORTS}
+PARTS = 3  # of each port's broken drivers: each takes some 10 s
 
 
 # Every shipped driver, in a cell to which it belongs, and the promises that are none of its own.
@@ -133,12 +132,28 @@ def test_a_rail_keeps_every_promise_over_other_wires(driver: str, wires: dict[st
         assert [each for each in judge_all("rail", trial) if each.verdict != "held"] == []
 
 
-@pytest.mark.parametrize(("port", "name"), QUICK_FIRST)
-def test_a_broken_driver_breaks_its_promise(
+@pytest.mark.long
+@pytest.mark.parametrize("part", range(PARTS))
+@pytest.mark.parametrize("port", PORTS)
+def test_a_broken_driver_breaks_its_promise(port: Port, part: int) -> None:
+    """Many in one trial: to begin one takes longer than to judge."""
+    with Trial(load_cell("paper"), port) as trial:
+        outcomes = [judged(trial, port, name) for name in QUICK[port][part::PARTS]]
+    assert [each.promise for each in outcomes if each.verdict != "broken" or not each.why] == []
+
+
+def judged(trial: Trial, port: Port, name: str) -> Outcome:
+    """Return how a promise is judged of the driver that breaks it."""
+    trial.try_kind(BROKEN[port][name])
+    return trial.judge(named(port, name))
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("port", "name"), sorted(LONG))
+def test_a_broken_driver_breaks_its_long_promise(
     port: Port, name: str, trials: dict[Port, Trial]
 ) -> None:
-    trials[port].try_kind(BROKEN[port][name])
-    outcome = trials[port].judge(named(port, name))
+    outcome = judged(trials[port], port, name)
     assert outcome.verdict == "broken"
     assert outcome.why
 

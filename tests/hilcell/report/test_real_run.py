@@ -202,7 +202,8 @@ def well_filled(found: list[float]) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("name", "most"), [("small", 11), ("paper", 15), *sweep(("calibration", 11))]
+    ("name", "most"),
+    [("small", 11), *sweep(("paper", 15), ("paper-whole", 15), ("calibration", 11))],
 )
 def test_printed_pages_are_full(golden: GoldenRuns, name: str, most: int) -> None:
     found = printed_fills(read_facts(golden[name].folder))
