@@ -81,7 +81,7 @@ def _of_the_longest_run(item: pytest.Item) -> bool:
     fixtures = getattr(item, "fixturenames", ())
     params = getattr(getattr(item, "callspec", None), "params", {})
     return not {"paper", "whole"}.isdisjoint(fixtures) or (
-        "golden" in fixtures and params.get("name") == "paper"
+        "golden" in fixtures and str(params.get("name")).startswith("paper")
     )
 
 
