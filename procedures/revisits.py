@@ -93,8 +93,8 @@ class Revisits:
             self._judge(session)
 
     def _judge(self, session: CellSession) -> None:
-        turned = reversal(session.log)
-        if turned is not None and self._kind == REVISIT:
+        turned = reversal(session.log) if self._kind == REVISIT else None
+        if turned is not None:
             session.verdict("reversal", holds=turned.holds, **_figures(turned))
         found = revisits(session.log, self._kind)
         suspicion = established(session.log, self._kind) or found.suspicion
