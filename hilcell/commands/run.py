@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import math
 import platform
 import signal
@@ -345,6 +346,7 @@ def _run(
                 changes=changes,
             )
             stack.callback(Control(folder, runner).close)
+            gc.freeze()  # what was loaded stays: a collection, which holds up a stop, is short
             # While its engine is there: afterwards a file that is missing is a lost one.
             code = runner.run(noted)
             ending = Ending(code, runner.fault, runner.unclosed)
