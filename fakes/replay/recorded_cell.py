@@ -20,7 +20,7 @@ from hilcell.cell.devices import TABLES, driver_options, stand_ins
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.ports import Stopped
-from hilcell.wire.recording import CLOCK, SUFFIX, looks, read_recording, recordings
+from hilcell.wire.recording import CLOCK, SUFFIX, drivers_of, looks, read_recording, recordings
 from hilcell.wire.wires import addressed
 
 NO_PORTS: Mapping[str, int] = {}
@@ -66,13 +66,15 @@ class RecordedCell:
 
     @classmethod
     def check(cls, cell: Cell) -> None:
-        """Refuse a folder without recordings; raises `SettingsError`."""
+        """Refuse a folder without recordings, or of other drivers; raises `SettingsError`."""
         folder = _folder(cell)
         if not recordings(folder):
             raise SettingsError(
                 "simulation.data",
                 [f"{folder}: no recording (*{SUFFIX}) there; make one with `run --record-wire`"],
             )
+        if other := _other_drivers(cell, folder):
+            raise SettingsError("simulation.data", other)
 
     def clock(self, stop: Event) -> RecordedClock:
         """Return the cell's clock."""
@@ -100,6 +102,21 @@ class RecordedClock:
         """Raise `Stopped` if a stop was asked for."""
         if self._stop.is_set():
             raise Stopped("a stop was asked for")
+
+
+def _other_drivers(cell: Cell, folder: Path) -> list[str]:
+    """Return which devices were recorded with another driver than the cell's, where that is known.
+
+    Raises `SettingsError` for what is no recording.
+    """
+    clock = recordings(folder).get(CLOCK)
+    recorded = drivers_of([] if clock is None else read_recording(clock))
+    return [
+        f"{folder}: the {table} was recorded with driver {driver!r}, here it is "
+        f"{getattr(cell, table).driver!r}; add --set {table}.driver={driver}"
+        for table, driver in recorded.items()
+        if driver != getattr(cell, table).driver
+    ]
 
 
 def _folder(cell: Cell) -> Path:

@@ -107,13 +107,15 @@ def harmless_lines(text: str) -> str:
 def print_table(table: Table) -> None:
     """Print a table on stdout, harmless, at its full width: names must stay whole to be copied.
 
-    Raises `NotPrinted`.
+    One without rows is left out. Raises `NotPrinted`.
     """
     from rich.console import Console
     from rich.measure import Measurement
     from rich.table import Table as RichTable
 
     headers, rows = table
+    if not rows:
+        return
     drawn = RichTable()
     for column, header in enumerate(headers):
         drawn.add_column(harmless(header), justify="left" if column == 0 else "right", no_wrap=True)

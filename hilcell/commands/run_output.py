@@ -172,6 +172,11 @@ class ProgressOutput(RunOutput):
             self._print(
                 f"{body['key']}: first pass outside of the cube, at {body['speed_percent']:g} %"
             )
+        elif record.kind == "event" and body["what"] == "promise":
+            promise = f"{body['port']} {body['promise']}"
+            self._progress.update(self._task, description=harmless(promise))
+            if body["verdict"] == "broken":
+                self._print(f"{promise}: broken: {body['why']}")
         elif record.kind == "event" and body["what"] == "no reading":
             self._print(f"{body['key']}: {body['reason']} (try {body['tries']})")
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from hilcell.conformance.bench import Bench
 from hilcell.conformance.verdicts import PORTS, Broken, NeedsPerson, NotApplicable, Port, Verdict
-from hilcell.errors import Stopped
+from hilcell.errors import Stopped, with_place
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ def judge(promise: Promise, bench: Bench) -> Outcome:
         bench.check_outer()
         verdict, why = "broken", f"Stopped: {error}"
     except Exception as error:  # noqa: BLE001 - a driver may raise anything, which is its answer
-        verdict, why = "broken", f"{type(error).__name__}: {error}"
+        verdict, why = "broken", with_place(error)
     finally:
         bench.tidy()
     return Outcome(promise.name, verdict, why, round(time.monotonic() - began_s, 2))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Literal
 
-from hilcell.errors import DeviceError, HilcellError, Stopped
+from hilcell.errors import DeviceError, HilcellError, Stopped, with_place
 
 Port = Literal["rail", "robot", "tracker"]
 Verdict = Literal["held", "broken", "not applicable", "needs a person"]
@@ -39,5 +39,5 @@ def fails(what: str, call: Callable[[], object]) -> DeviceError:
     except Stopped:
         raise
     except Exception as error:
-        raise Broken(f"{what}: {type(error).__name__}: {error}; wanted a DeviceError") from error
+        raise Broken(f"{what}: {with_place(error)}; wanted a DeviceError") from error
     raise Broken(f"{what}: returned {found}; wanted a DeviceError")

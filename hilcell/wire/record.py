@@ -64,6 +64,8 @@ class WireRecording:
         }
         self._looks = (folder / f"{CLOCK}{SUFFIX}").open("ab")
         self._recorder = Recorder(self._looks, began_s)
+        drivers = {table: getattr(cell, table).driver for table, _group in TABLES}
+        self._recorder.take(0, "drivers", msgspec.json.encode(drivers))
 
     def clock(self, clock: Clock) -> Clock:
         """Return the cell's clock as one whose looks are recorded: wires are paired by them."""

@@ -5,7 +5,8 @@ recording of all wires began, the number of the connection, what happened, the b
 CRC-32 of all that. ``>`` went to the device, ``<`` came from it; ``open``, ``end`` (by the driver),
 ``lost`` (by the device) and ``refused`` carry no bytes. A recording may be packed by ``xz``.
 
-The cell's clock is recorded like a wire: ``now`` is a look at it, with what it showed.
+The cell's clock is recorded like a wire: ``now`` is a look at it, with what it showed. Its first
+line, ``drivers``, states the drivers of the recorded run by table, as JSON.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ CLOCK = "clock"  # in the place of a wire's name
 _SHOWN = struct.Struct(">d")
 SUFFIX = ".wire.jsonl"
 PACKED = ".xz"
-Event = Literal["open", ">", "<", "end", "lost", "refused", "now"]
+Event = Literal["open", ">", "<", "end", "lost", "refused", "now", "drivers"]
 
 
 class Piece(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -102,6 +103,12 @@ def looks(pieces: Iterable[Piece]) -> tuple[list[float], list[float]]:
     """Return when the cell's clock was looked at, by the recording, and what it showed, in s."""
     found = [(piece.t, _SHOWN.unpack(piece.data)[0]) for piece in pieces if piece.e == "now"]
     return [at_s for at_s, _ in found], [shown_s for _, shown_s in found]
+
+
+def drivers_of(pieces: Iterable[Piece]) -> dict[str, str]:
+    """Return the drivers of a recorded run by table; none where its clock's recording has none."""
+    stated = (piece.data for piece in pieces if piece.e == "drivers")
+    return msgspec.json.decode(next(stated, b"{}"), type=dict[str, str])
 
 
 def recordings(folder: Path) -> dict[str, Path]:

@@ -27,6 +27,7 @@ import pytest
 from fakes.replay.dialects import Dialect, dialects_of
 from fakes.replay.event_time import EventTime
 from fakes.replay.recorded_script import Exchange, Script, exchanges, landmarks
+from hilcell.cell.devices import check_options, stand_ins
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.journal.runs import read_log
@@ -243,6 +244,19 @@ def test_a_recording_that_ends_early_is_a_device_that_hangs(tmp_path: Path) -> N
     code, again = repeat(pair, cut, tmp_path)
     assert code == 3
     assert "Tracker" in str((read_log(again).end or {}).get("reason"))
+
+
+def test_a_recording_of_another_driver_is_refused_with_its_name(tmp_path: Path) -> None:
+    folder = tmp_path / "r1"
+    folder.mkdir()
+    cell = load_cell("paper")
+    WireRecording(cell, stand_ins(cell), folder).close()
+    drivers = {"simulation.simulator": "recorded", "simulation.data": str(folder)}
+    check_options(load_cell("paper", drivers))
+    cell = load_cell("paper", drivers | {"tracker.driver": "leica-geocom"})
+    wanted = "with driver 'leica-emscon', here it is 'leica-geocom'; add --set tracker.driver=leica"
+    with pytest.raises(SettingsError, match=wanted):
+        check_options(cell)
 
 
 def test_a_folder_without_recordings_is_refused() -> None:

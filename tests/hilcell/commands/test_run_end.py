@@ -9,8 +9,9 @@ import pytest
 from hilcell.calibration.suspicions import Suspicion
 from hilcell.cell.devices import ConnectFailed, load_entry
 from hilcell.commands.cli import main
-from hilcell.commands.run_output import RunOutput, failed_words, print_end
+from hilcell.commands.run_output import ProgressOutput, RunOutput, failed_words, print_end
 from hilcell.errors import DeviceError
+from hilcell.journal.journal import Record
 from hilcell.journal.runs import read_log
 from tests.hilcell.report.journals import Writer
 
@@ -23,6 +24,17 @@ def printed(tmp_path: Path, fault: Exception, *, as_json: bool = False) -> None:
     folder = Writer(tmp_path / "r1").began().ended()
     procedure = load_entry("procedures", "home")
     print_end(folder, read_log(folder), procedure, RunOutput(as_json=as_json), fault)
+
+
+def test_a_result_without_rows_has_no_table(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = Writer(tmp_path / "r1").began().ended()
+    home = load_entry("procedures", "home")
+    print_end(folder, read_log(folder), home, RunOutput(as_json=False), None)
+    assert capsys.readouterr().out == ""
+    assert main(["show", "r1", "--runs", str(tmp_path)]) == 0
+    assert "group" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -123,3 +135,13 @@ def test_a_verdict_that_does_not_hold_is_printed_in_words(
     key: str, more: dict[str, Any], words: str
 ) -> None:
     assert failed_words(key, more) == words
+
+
+def test_a_broken_promise_is_shown_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+    body = {"what": "promise", "port": "tracker", "promise": "late", "verdict": "broken"}
+    with ProgressOutput("r", 0) as output:
+        output.print_record(Record(1, "", "event", "", body | {"why": "3 mm off"}))
+        output.print_record(Record(2, "", "event", "", body | {"why": "", "verdict": "held"}))
+    said = capsys.readouterr().err
+    assert said.count("tracker late: broken: 3 mm off\n") == 1
+    assert said.splitlines()[-1].startswith("tracker late ")
