@@ -22,7 +22,7 @@ QUICK = {
 }
 
 
-@pytest.mark.long
+@pytest.mark.nightly  # by day: the lab, below; a quick plan's decisions in tests/procedures
 def test_another_make_is_calibrated(tmp_path: Path) -> None:
     words = ("--json", "--cell", "six-r", "--runs", tmp_path, "--machine-seed", "4")
     end = end_of(command("run", *words, *sets(QUICK)))
@@ -48,6 +48,7 @@ def test_a_universal_robot_and_a_total_station(tmp_path: Path) -> None:
     assert end["state"] == "finished"
     figures = end["result"]["validation"]["S750"]
     assert figures["chosen"]["mean"] < 0.5 * figures["before"]["mean"]
+    assert figures["decision"]["outcome"] == "accepted"
     check_programs(tmp_path)
 
 

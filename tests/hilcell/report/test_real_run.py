@@ -211,6 +211,7 @@ def test_printed_pages_are_full(golden: GoldenRuns, name: str, most: int) -> Non
     assert well_filled(found), found
 
 
+@pytest.mark.nightly  # of the test above
 def test_a_forced_page_break_is_seen_in_how_full_pages_are(golden: GoldenRuns) -> None:
     found = printed_fills(
         read_facts(golden["small"].folder), "@media print { .part h2 { break-after: page; } }"

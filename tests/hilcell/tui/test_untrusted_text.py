@@ -37,7 +37,6 @@ __all__ = ["isolated"]
 RUNS = Path("/runs")
 STATES = ("suspended", "fault")
 PASTED = ("an action", "a title", "a C1 colour", "direction", "lines", "length", "emoji")
-SOME = ("clearing", "lines")
 # Together, so that few walks meet them all: each is alone in the tests of rows and boxes.
 TOGETHER = {
     "markup": ("closing markup", "an action", "a style"),
@@ -49,7 +48,7 @@ TOGETHER = {
 by_text = pytest.mark.parametrize(
     "text", ["".join(NASTY[name] for name in names) for names in TOGETHER.values()], ids=TOGETHER
 )
-by_some = pytest.mark.parametrize("text", [NASTY[name] for name in SOME], ids=SOME)
+by_some = pytest.mark.parametrize("text", [NASTY["clearing"], *sweep(NASTY["lines"])])
 
 
 @pytest.fixture(autouse=True)
