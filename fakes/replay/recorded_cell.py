@@ -7,7 +7,7 @@ cell pass at once; its clock shows what it showed.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Set
 from pathlib import Path
 from threading import Event
 
@@ -21,7 +21,7 @@ from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.ports import Stopped
 from hilcell.wire.recording import CLOCK, SUFFIX, drivers_of, looks, read_recording, recordings
-from hilcell.wire.wires import addressed
+from hilcell.wire.wires import addressed, can_interfaces, joined, wires_of
 
 NO_PORTS: Mapping[str, int] = {}
 
@@ -66,15 +66,17 @@ class RecordedCell:
 
     @classmethod
     def check(cls, cell: Cell) -> None:
-        """Refuse a folder without recordings, or of other drivers; raises `SettingsError`."""
+        """Refuse a folder without a wire of the cell, or of other drivers; `SettingsError`."""
         folder = _folder(cell)
-        if not recordings(folder):
+        found = recordings(folder)
+        if not found:
             raise SettingsError(
                 "simulation.data",
                 [f"{folder}: no recording (*{SUFFIX}) there; make one with `run --record-wire`"],
             )
-        if other := _other_drivers(cell, folder):
-            raise SettingsError("simulation.data", other)
+        missing = [f"{folder}: {problem}" for problem in _missing(cell, set(found))]
+        if problems := _other_drivers(cell, folder) or missing:
+            raise SettingsError("simulation.data", problems)
 
     def clock(self, stop: Event) -> RecordedClock:
         """Return the cell's clock."""
@@ -117,6 +119,19 @@ def _other_drivers(cell: Cell, folder: Path) -> list[str]:
         for table, driver in recorded.items()
         if driver != getattr(cell, table).driver
     ]
+
+
+def _missing(cell: Cell, found: Set[str]) -> Iterator[str]:
+    """Return, in words, the wires of a cell of which there is no recording."""
+    anywhere = stand_ins(cell)
+    for table, group in TABLES:
+        _, options = driver_options(cell, table, group, anywhere[table])
+        stated = msgspec.to_builtins(options)
+        for channel in can_interfaces(stated):
+            yield f"{table}: {channel} is a CAN interface, of which no recording can be played"
+        for wire in wires_of(stated):
+            if (name := joined(table, wire)) not in found:
+                yield f"no {name}{SUFFIX}; use the whole folder, with the cell of the recorded run"
 
 
 def _folder(cell: Cell) -> Path:

@@ -17,7 +17,7 @@ from hilcell.errors import HilcellError
 from hilcell.ports import Clock
 from hilcell.wire.recording import CLOCK, SUFFIX, RecordedLooks, Recorder, recordings
 from hilcell.wire.relay import WireOrder
-from hilcell.wire.wires import addressed, is_can_interface, joined, wires_of
+from hilcell.wire.wires import addressed, can_interfaces, joined, wires_of
 
 Addresses = Mapping[str, Mapping[str, object]]
 END_S = 5.0
@@ -42,9 +42,7 @@ class WireRecording:
                 name = joined(table, wire)
                 file = folder / f"{name}{SUFFIX}"
                 orders.append(WireOrder.of(name, file, began_s, place))
-            parts = [part for part in stated[table].values() if isinstance(part, Mapping)]
-            cans = [part["channel"] for part in (stated[table], *parts) if is_can_interface(part)]
-            if cans:
+            if cans := can_interfaces(stated[table]):
                 self.left_out[table] = "; ".join(
                     f"{channel} is a CAN interface: record it with `candump -l {channel}`"
                     for channel in cans

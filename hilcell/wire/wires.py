@@ -47,6 +47,12 @@ def is_can_interface(options: Mapping[str, object]) -> bool:
     return options.get("interface") == "socketcan"
 
 
+def can_interfaces(options: Mapping[str, object]) -> list[str]:
+    """Return the CAN interfaces of the kernel that a device, or a part of it, is reached by."""
+    parts = [part for part in options.values() if isinstance(part, Mapping)]
+    return [str(part["channel"]) for part in (options, *parts) if is_can_interface(part)]
+
+
 def joined(*names: str) -> str:
     """Return the name of a wire of a part, or among those of its cell."""
     return ".".join(filter(None, names))

@@ -268,6 +268,28 @@ def test_a_folder_without_recordings_is_refused() -> None:
     assert "make one with `run --record-wire`" in done.stderr
 
 
+@pytest.mark.parametrize("wire", ["robot", "robot.stop", "rail.strip", "tracker"])
+def test_a_wire_without_a_recording_never_reaches_the_device(wire: str, tmp_path: Path) -> None:
+    """A replay without one file spoke to what stands at the address in the cell file."""
+    pair, folder = "kuka-eki,leica-geocom,kuka-e1", tmp_path / "folder"
+    shutil.copytree(KEPT / pair, folder)
+    (folder / f"{wire}{SUFFIX}{PACKED}").unlink()
+    address = ["--set", "tracker.options.channel=socket://127.0.0.1:1"]
+    replayed = {"simulation.simulator": "recorded", "simulation.data": str(folder)}
+    done = command("run", "home", *PAIRS[pair], *address, *sets(replayed))
+    assert done.returncode == 2
+    assert f"{folder}: no {wire}{SUFFIX}; use the whole folder" in done.stderr
+
+
+def test_a_can_interface_is_never_opened_by_a_replay() -> None:
+    folder = KEPT / "kuka-c3,leica-emscon,canopen"
+    replayed = {"simulation.simulator": "recorded", "simulation.data": str(folder)}
+    can = {"rail.options.interface": "socketcan", "rail.options.channel": "can0"}
+    done = command("run", "home", "--cell", "paper", *sets(can | replayed))
+    assert done.returncode == 2
+    assert "rail: can0 is a CAN interface, of which no recording can be played" in done.stderr
+
+
 # -- the relay -------------------------------------------------------------------------------------
 
 
