@@ -60,7 +60,8 @@ def watch(args: argparse.Namespace) -> int:
         raise output.lost
     state = log.state
     ended = "" if log.end is not None else "; its engine is gone, `hilcell resume` continues it"
-    print_message(f"{kind_of(log)} {folder.name}: {state}{ended}")
+    fault = f": {log.fault}" if log.end is not None and log.fault else ""
+    print_message(f"{kind_of(log)} {folder.name}: {state}{fault}{ended}")
     return 0
 
 

@@ -145,3 +145,12 @@ def test_a_broken_promise_is_shown_at_once(capsys: pytest.CaptureFixture[str]) -
     said = capsys.readouterr().err
     assert said.count("tracker late: broken: 3 mm off\n") == 1
     assert said.splitlines()[-1].startswith("tracker late ")
+
+
+def test_watch_states_the_fault_that_ended_a_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Writer(tmp_path / "r1").began().ended("faulted", 3, "Tracker: measure: no answer")
+    assert main(["watch", "r1", "--runs", str(tmp_path)]) == 0
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.endswith("r1: faulted: Tracker: measure: no answer")
