@@ -10,7 +10,7 @@ import sys
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 
@@ -38,6 +38,9 @@ from hilcell.journal.states import WAITING
 from hilcell.report.verdicts import deciding_words
 from hilcell.run.procedure import Plan, Procedure
 from hilcell.writing import NotPrinted
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 AT_REST = {"Rail": "held", "Robot": "at rest"}  # how a run leaves what moves
 
@@ -115,7 +118,6 @@ class ProgressOutput(RunOutput):
 
     def __init__(self, run: str, points: int) -> None:
         super().__init__(as_json=False)
-        from rich.console import Console
         from rich.progress import (
             BarColumn,
             MofNCompleteColumn,
@@ -125,7 +127,7 @@ class ProgressOutput(RunOutput):
             TimeRemainingColumn,
         )
 
-        self._console = Console(stderr=True)
+        self._console = _console()
         self._progress = Progress(
             TextColumn("{task.description}", markup=False),
             BarColumn(),
@@ -182,6 +184,18 @@ class ProgressOutput(RunOutput):
 
     def _print(self, text: str) -> None:
         self._console.print(harmless_lines(text), markup=False, highlight=False)
+
+
+def _console() -> Console:
+    """Return stderr for people; once nobody reads it any more nothing is printed."""
+    from rich.console import Console
+
+    class Quiet(Console):
+        def on_broken_pipe(self) -> None:
+            """Go on: rich would end the thread that prints, which is the run's worker."""
+            self.quiet = True
+
+    return Quiet(stderr=True)
 
 
 def print_end(

@@ -160,3 +160,14 @@ def test_a_run_into_a_full_disk_ends_with_exit_7_and_a_whole_journal(
     assert WORDS in err
     assert "is whole" in err
     assert "resume with" not in err
+
+
+def test_a_run_whose_messages_nobody_reads_any_more_comes_to_its_end(tmp_path: Path) -> None:
+    """`hilcell run 2>&1 | head`: the bar's broken pipe ended the worker, and the run hung."""
+    with closed_pipe() as stderr:
+        done = subprocess.run(
+            [sys.executable, "-m", "hilcell", "run", "world-frame", "--runs", str(tmp_path)],
+            stdout=subprocess.PIPE, stderr=stderr.fileno(), text=True, timeout=60, check=False,
+        )  # fmt: skip
+    assert done.returncode == 0
+    assert "points" in done.stdout
