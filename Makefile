@@ -14,7 +14,7 @@ export OPENBLAS_NUM_THREADS = 1
 run: $(VENV)/ready  ## calibrate the simulated paper cell and print the table
 	$(BIN)/hilcell run
 
-test: $(VENV)/ready  ## lint beside the tests
+test: $(VENV)/more  ## lint beside the tests
 	$(MAKE) --no-print-directory --jobs 2 lint suite
 
 suite: $(VENV)/compiled  ## every test but the long sweeps, in random order on all cores
@@ -23,23 +23,23 @@ suite: $(VENV)/compiled  ## every test but the long sweeps, in random order on a
 nightly: lint  ## every test and every long sweep, property tests with fresh seeds
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "" --timeout 1200 --hypothesis-profile nightly
 
-mutants: $(VENV)/ready  ## deliberate breaks, each of which a test must notice; ONLY=name for one
+mutants: $(VENV)/more  ## deliberate breaks, each of which a test must notice; ONLY=name for one
 	$(BIN)/python -m tests.mutants $(ONLY)
 
-torture: $(VENV)/ready  ## the long campaigns: faults, disturbances, kills, fuzz, days, ..; ONLY=name for one
+torture: $(VENV)/more  ## the long campaigns: faults, disturbances, kills, fuzz, days, ..; ONLY=name for one
 	$(BIN)/python -m tests.torture $(ONLY)
 
-lint: $(VENV)/ready  ## style, types and the import contract
+lint: $(VENV)/more  ## style, types and the import contract
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: $(VENV)/ready  ## timings, as ratios within one run
+bench: $(VENV)/more  ## timings, as ratios within one run
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks
 
 # A fresh clone's tests are compiled once, not by each worker for itself: 7 s of processor each.
-$(VENV)/compiled: $(VENV)/ready
+$(VENV)/compiled: $(VENV)/more
 	-$(BIN)/python -m pytest --collect-only -q > /dev/null
 	touch $@
 
@@ -49,11 +49,17 @@ $(VENV)/ready: requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	touch $@
 
+# What `hilcell study` and `hilcell plant` need, and the tests of both; a run needs none of it.
+$(VENV)/more: requirements-more.lock $(VENV)/ready
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-more.lock
+	touch $@
+
 bundle: $(VENV)/ready  ## one archive in dist/ that installs on a PC without a network
 	sh .ci/bundle/make.sh $(BIN)/python
 
 lock:  ## pin every dependency by hash, for all supported pythons; those of a run by themselves
 	$(COMPILE) --extra dev --extra build --output-file requirements.lock
+	$(COMPILE) --extra dev --extra study --extra plant --constraint requirements.lock --output-file requirements-more.lock
 	$(COMPILE) --extra offline --constraint requirements.lock --output-file requirements-run.lock
 
 clean:

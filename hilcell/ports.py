@@ -33,13 +33,14 @@ from hilcell.errors import (
 )
 
 if TYPE_CHECKING:
+    from hilcell.cell.devices import Devices
     from hilcell.cell.file import Cell
 
 __all__ = [
     "Air", "Array", "AxisReading", "Clock", "DeviceError", "DeviceRefused", "Exercise",
-    "ExternalAxis", "HilcellError", "Identity", "JointSample", "LinkStatistics", "NoReading",
-    "Rail", "RailReading", "RidesOnRobot", "Robot", "RobotReading", "SimulatedCell", "Stopped",
-    "Stream", "StreamBlock", "Streams", "StripLost", "Sweep", "Sweeps", "Tracker",
+    "ExternalAxis", "HilcellError", "Identity", "InProcessCell", "JointSample", "LinkStatistics",
+    "NoReading", "Rail", "RailReading", "RidesOnRobot", "Robot", "RobotReading", "SimulatedCell",
+    "Stopped", "Stream", "StreamBlock", "Streams", "StripLost", "Sweep", "Sweeps", "Tracker",
     "TrackerReading", "Training", "says_simulated",
 ]  # fmt: skip
 
@@ -366,6 +367,13 @@ class SimulatedCell(Protocol):
 
     def close(self) -> None:
         """Let go of the cell; end its process, if it was started here."""
+
+
+class InProcessCell(Protocol):
+    """A simulated cell without wires, built of a cell and a machine's seed; time is event time."""
+
+    devices: Devices
+    clock: Clock
 
 
 @dataclass(frozen=True, slots=True)

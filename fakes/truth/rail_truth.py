@@ -145,6 +145,11 @@ class RailTruth:
         """Whether the slide stands, without letting time pass."""
         return self._time.now_s() >= self._path.end_s
 
+    @property
+    def rests_s(self) -> float:
+        """Return the plant time at which the motion under way ends."""
+        return self._path.end_s
+
     def slide_mm(self) -> float:
         """Return where the slide really is along the rail, without letting time pass."""
         with self._lock:

@@ -154,6 +154,11 @@ class RobotMotion:
         return held or self._time.now_s() < self._path.end_s
 
     @property
+    def rests_s(self) -> float:
+        """Return the plant time at which the motion under way ends."""
+        return self._path.end_s
+
+    @property
     def seen_moving(self) -> bool:
         """Whether the joints really turn."""
         return self._time.now_s() < self._path.end_s

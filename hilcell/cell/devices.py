@@ -23,6 +23,7 @@ from hilcell.ports import (
     DeviceRefused,
     ExternalAxis,
     Identity,
+    InProcessCell,
     Rail,
     RidesOnRobot,
     Robot,
@@ -309,6 +310,14 @@ def start_simulation(
     simulator = load_entry("simulators", cell.simulation.simulator)
     simulated: SimulatedCell = simulator(cell, seed=seed, speed=speed, **more)
     return simulated
+
+
+def in_process_cell(cell: Cell, seed: int) -> InProcessCell:
+    """Return the simulated cell without wires; raises `SettingsError` where there is none."""
+    if cell.simulation is None:
+        raise SettingsError("simulation", ["missing; a cell without it has real devices only"])
+    found: InProcessCell = load_entry("in_process_cells", cell.simulation.simulator)(cell, seed)
+    return found
 
 
 class ConnectFailed(DeviceError):

@@ -166,16 +166,10 @@ class Journal:
 
         Raises `StorageError`, and `NotFinite` before anything is written.
         """
-        plain = msgspec.to_builtins(body, enc_hook=_plain)
         with self._lock:
             moment = datetime.now(UTC).isoformat(timespec="milliseconds")
-            text = msgspec.json.encode(plain)
-            if NULL in text and (bad := _not_finite(plain)):
-                raise NotFinite(
-                    f"journal {self.path}: record {self._seq + 1} ({kind} {key or '-'}): {bad}, "
-                    f"wanted a finite number; nothing was written; check the device that it came "
-                    f"from, then `hilcell resume {self.run}`"
-                )
+            what = f"journal {self.path}: record {self._seq + 1} ({kind} {key or '-'})"
+            plain, text = plain_body(body, what, f", then `hilcell resume {self.run}`")
             record = Record(self._seq + 1, moment, kind, key, plain)
             digest = chain(self._hash, record)
             row = (record.seq, record.t, kind, key, text.decode(), digest)
@@ -254,6 +248,18 @@ class Journal:
         """Close the file."""
         with self._lock:
             self._base.close()
+
+
+def plain_body(body: dict[str, Any], what: str, then: str = "") -> tuple[dict[str, Any], bytes]:
+    """Return a record's body in plain types, and its JSON; raises `NotFinite` that names it."""
+    plain: dict[str, Any] = msgspec.to_builtins(body, enc_hook=_plain)
+    text = msgspec.json.encode(plain)
+    if NULL in text and (bad := _not_finite(plain)):
+        raise NotFinite(
+            f"{what}: {bad}, wanted a finite number; nothing was written; check the device that "
+            f"it came from{then}"
+        )
+    return plain, text
 
 
 def _plain(value: Any) -> Any:

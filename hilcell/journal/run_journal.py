@@ -6,9 +6,20 @@ The log has what the file held before, so a resumed run is set up as a new one i
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any, Protocol
 
-from hilcell.journal.journal import Journal, Record
+from hilcell.journal.journal import Journal, Kind, Record
 from hilcell.journal.log import Log
+
+
+class Records(Protocol):
+    """Takes the records of a run; ``path`` is in the folder that takes its streams."""
+
+    log: Log
+    path: Path
+
+    def append(self, kind: Kind, key: str, body: dict[str, Any]) -> Record:
+        """Keep one record, apply it to the log and return it; raises `NotFinite`."""
 
 
 class RunJournal(Journal):

@@ -17,7 +17,7 @@ from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward
 from hilcell.journal.log import Point
 from hilcell.journal.point_id import PointId
-from hilcell.journal.run_journal import RunJournal
+from hilcell.journal.run_journal import Records
 from hilcell.ports import Array, Clock, RailReading, RobotReading, StripLost
 from hilcell.run.measuring import Ask, Measuring
 from hilcell.run.motion import Motion, Straight
@@ -43,7 +43,7 @@ class CellSession(RunContext):
         cell: Cell,
         devices: Devices,
         clock: Clock,
-        journal: RunJournal,
+        journal: Records,
         *,
         checkpoint: Callable[[], None],
         ask: Ask,

@@ -13,7 +13,7 @@ from hilcell.cell.file import Cell
 from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.log import Point
 from hilcell.journal.point_id import PointId
-from hilcell.journal.run_journal import RunJournal
+from hilcell.journal.run_journal import Records
 from hilcell.ports import Array, Clock
 from hilcell.run.states import CALIBRATION, StateMachine
 
@@ -30,7 +30,7 @@ class RunContext:
         cell: Cell,
         devices: Devices,
         clock: Clock,
-        journal: RunJournal,
+        journal: Records,
         checkpoint: Callable[[], None],
         pause: Callable[[str], None],
     ) -> None:

@@ -12,7 +12,7 @@ from typing import cast, get_args
 
 from transitions import EventData, Machine, MachineError, Transition
 
-from hilcell.journal.run_journal import RunJournal
+from hilcell.journal.run_journal import Records
 from hilcell.journal.states import CalibrationState, RunState
 from hilcell.ports import HilcellError
 
@@ -76,7 +76,7 @@ CALIBRATION = Table(
 class StateMachine:
     """A table that `transitions` runs over a journal; fired by one thread, read by any."""
 
-    def __init__(self, table: Table, journal: RunJournal) -> None:
+    def __init__(self, table: Table, journal: Records) -> None:
         self.table, self._journal = table, journal
         self._model = _Model(table, journal)
         Machine(
@@ -123,7 +123,7 @@ class _Model:
     trigger: Callable[..., bool]
     may_trigger: Callable[[str], bool]
 
-    def __init__(self, table: Table, journal: RunJournal) -> None:
+    def __init__(self, table: Table, journal: Records) -> None:
         self._name, self._log = table.name, journal.log
 
     @property

@@ -1,0 +1,319 @@
+"""A simulated cell inside the engine's own process: its devices without wires, in event time.
+
+Plant, noise and seed are those of the simulated cell behind wires, so is all that a device states:
+the encoder's and the strip's counts, the controller's joints. What wires add is left out: late and
+split answers, dither of the counts, faults, the controller's rounding of angles.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+
+import numpy as np
+
+from fakes.faults import Faults
+from fakes.time import PlantTime
+from fakes.truth.controller_arm import controller_arm
+from fakes.truth.plant import Plant
+from fakes.truth.rail_truth import RailTruth
+from fakes.truth.robot_motion import RobotMotion
+from fakes.truth.stream_truth import Followed
+from fakes.truth.tracker_truth import Measurement
+from hilcell.cell.devices import Devices, load_entry
+from hilcell.cell.file import Cell
+from hilcell.ports import (
+    Air,
+    Array,
+    Clock,
+    Identity,
+    JointSample,
+    LinkStatistics,
+    NoReading,
+    Rail,
+    RailReading,
+    RobotReading,
+    StreamBlock,
+    TrackerReading,
+)
+
+COUNTS_PER_MM, STRIP_COUNTS_PER_MM = 1000.0, 100.0
+MEASURE_S = 2.5
+HOMING_MM_S = 100.0
+ADDRESS = "in process"
+
+
+class InProcessCell:
+    """Devices and clock of one simulated cell; ``seed`` is its machine's."""
+
+    def __init__(self, cell: Cell, seed: int) -> None:
+        """Raises `SettingsError` for a machine that cannot be."""
+        passing = PlantTime()
+        plant = Plant(cell, seed, passing, Faults())
+        self.clock: Clock = EventClock(passing)
+        rail: Rail = load_entry("rails", "none")(None, self.clock)
+        if isinstance(plant.rail, RailTruth):
+            rail = DirectRail(plant.rail, passing, cell)
+        robot = DirectRobot(plant.robot, passing, cell)
+        self.devices = Devices(rail, robot, DirectTracker(plant, cell))
+
+
+class EventClock:
+    """Satisfies `hilcell.ports.Clock`: a wait passes at once."""
+
+    def __init__(self, passing: PlantTime) -> None:
+        self._time = passing
+
+    def now_s(self) -> float:
+        """Return the cell's seconds."""
+        return self._time.now_s()
+
+    def wait(self, duration_s: float) -> None:
+        """Let cell time pass."""
+        self._time.advance(duration_s)
+
+    def check(self) -> None:
+        """Do nothing: nobody stops a study's run but the end of its process."""
+
+
+class DirectRail:
+    """Satisfies `hilcell.ports.Rail`."""
+
+    def __init__(self, truth: RailTruth, passing: PlantTime, cell: Cell) -> None:
+        self._truth, self._time = truth, passing
+        self._ramp = cell.rail.speed_mm_s, cell.rail.acceleration_mm_s2
+        self._powered = False
+        self._ended_s: float | None = None
+
+    def connect(self) -> list[Identity]:
+        """Return the assets."""
+        kinds = (("Rail", "drive"), ("Strip", "strip"))
+        return [Identity(name, "direct", "1", ADDRESS, True, kind) for name, kind in kinds]
+
+    def home(self) -> None:
+        """Find the drive's reference."""
+        self._power(on=True)
+        self._truth.home(HOMING_MM_S)
+        self._rest()
+
+    def move_to(self, position_mm: float) -> None:
+        """Move by the drive's encoder alone, and stand."""
+        self._power(on=True)
+        self._truth.move(_counted(position_mm, COUNTS_PER_MM), *self._ramp)
+        self._rest()
+
+    def settle(self) -> RailReading:
+        """Return the reading: the slide stands after each motion."""
+        return self.read()
+
+    def read(self) -> RailReading:
+        """Return drive and strip as they count."""
+        state = self._truth.poll()
+        return RailReading(
+            _counted(state.encoder_mm, COUNTS_PER_MM),
+            _counted(state.strip_mm, STRIP_COUNTS_PER_MM),
+            state.velocity_mm_s,
+            not state.moving,
+            self._powered,
+            time.monotonic(),
+            self._ended_s,
+        )
+
+    def hold(self) -> None:
+        """Close the brake."""
+        self._power(on=False)
+
+    def statistics(self) -> LinkStatistics:
+        """Return that nothing was carried."""
+        return LinkStatistics()
+
+    def stop(self) -> None:
+        """Do nothing: nothing moves between two calls."""
+
+    def close(self) -> None:
+        """Close the brake."""
+        self.hold()
+
+    def _power(self, *, on: bool) -> None:
+        self._powered = on
+        self._truth.brake(closed=not on)
+
+    def _rest(self) -> None:
+        self._time.advance(max(0.0, self._truth.rests_s - self._time.now_s()))
+        self._truth.poll()
+        self._ended_s = time.monotonic()
+
+
+class DirectRobot:
+    """Satisfies `hilcell.ports.Robot` and `Sweeps`."""
+
+    def __init__(self, motion: RobotMotion, passing: PlantTime, cell: Cell) -> None:
+        self._motion, self._time, self._arm = motion, passing, controller_arm(cell)
+        self._full_rad_s = np.radians([joint.speed_deg_s for joint in cell.robot.joint])
+        self._ended_s: float | None = None
+
+    def connect(self) -> list[Identity]:
+        """Return the asset."""
+        self._motion.brake()  # it stands
+        return [Identity("Robot", self._arm.model, str(self._arm.serial), ADDRESS, True)]
+
+    def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
+        """Move all axes in step and return the reading at rest."""
+        self._motion.move(joints_rad, speed_percent / 100.0)
+        return self.rest()
+
+    def rest(self) -> RobotReading:
+        """Let the motion come to its end; return the reading."""
+        self._time.advance(max(0.0, self._motion.rests_s - self._time.now_s()))
+        self._ended_s = time.monotonic()
+        return self.read()
+
+    def read(self) -> RobotReading:
+        """Return joints and pose as the controller states them."""
+        state = self._motion.state()
+        pose = self._arm.chain.pose(state.joints_rad)
+        return RobotReading(
+            state.joints_rad.copy(), pose, not state.moving, time.monotonic(), self._ended_s
+        )
+
+    @contextmanager
+    def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> Iterator[DirectSweep]:
+        """Prepare a motion of one axis (0 to 5) alone."""
+        target_rad = self._motion.state().joints_rad.copy()
+        target_rad[axis] = end_rad
+        share = speed_rad_s / float(self._full_rad_s[axis])
+        yield DirectSweep(self, self._motion, self._time, target_rad, share, speed_rad_s)
+
+    def stop(self) -> None:
+        """Do nothing: nothing moves between two calls."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class DirectSweep:
+    """Satisfies `hilcell.ports.Sweep`."""
+
+    def __init__(
+        self,
+        robot: DirectRobot,
+        motion: RobotMotion,
+        passing: PlantTime,
+        target_rad: Array,
+        share: float,
+        speed_rad_s: float,
+    ) -> None:
+        self._robot, self._motion, self._time = robot, motion, passing
+        self._target_rad, self._share = target_rad, share
+        self.speed_rad_s, self.ended = speed_rad_s, False
+
+    def kickoff(self) -> None:
+        """Start the motion."""
+        self._motion.move(self._target_rad, self._share)
+
+    def collect(self) -> JointSample:
+        """Return the joints now."""
+        state, now_s = self._motion.state(), self._time.now_s()
+        self.ended = not state.moving
+        return JointSample(state.joints_rad.copy(), now_s, now_s)
+
+    def complete(self) -> RobotReading:
+        """Return the reading at rest."""
+        return self._robot.rest()
+
+
+class DirectTracker:
+    """Satisfies `hilcell.ports.Tracker` and `Streams`."""
+
+    def __init__(self, plant: Plant, cell: Cell) -> None:
+        self._plant, self._radius_mm = plant, cell.tracker.find_radius_mm
+
+    def connect(self) -> list[Identity]:
+        """Return the asset."""
+        return [Identity("Tracker", "direct", "1", ADDRESS, True)]
+
+    def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
+        """Measure the reflector nearest to (3,); raises `NoReading` where there is none."""
+        name = self._found(near_mm)
+        single = [self._single(name) for _ in range(samples)]
+        points_mm = np.array([each.xyz_mm for each in single])
+        std_mm = points_mm.std(axis=0, ddof=1) if samples > 1 else single[0].std_mm
+        air = self._plant.tracker.air()
+        return TrackerReading(
+            points_mm.mean(axis=0),
+            std_mm,
+            samples,
+            reflector,
+            Air(air.temperature_c, air.pressure_mbar, air.humidity_percent),
+            time.monotonic(),
+        )
+
+    @contextmanager
+    def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> Iterator[DirectStream]:
+        """Follow the reflector nearest to (3,)."""
+        followed = self._plant.streams.follow(self._found(near_mm))
+        try:
+            yield DirectStream(self._plant, followed, rate_hz)
+        finally:
+            followed.end()
+
+    def stop(self) -> None:
+        """Do nothing: nothing is measured between two calls."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+    def _single(self, name: str) -> Measurement:
+        found = self._plant.tracker.measure(name)
+        if found is None:
+            raise NoReading("HC-T10", "Tracker", "measure", "the beam broke")
+        self._plant.time.advance(MEASURE_S)
+        return found
+
+    def _found(self, near_mm: Array) -> str:
+        name = self._plant.tracker.find(np.asarray(near_mm, dtype=float), self._radius_mm)
+        if name is None:
+            raise NoReading("HC-T11", "Tracker", "find", "no reflector near its expected place")
+        return name
+
+
+class DirectStream:
+    """Satisfies `hilcell.ports.Stream`; what arrived by each look is computed in the end."""
+
+    def __init__(self, plant: Plant, followed: Followed, rate_hz: float) -> None:
+        self.rate_hz = rate_hz
+        self._plant, self._followed = plant, followed
+        self._looked_s: list[float] = []
+
+    def kickoff(self) -> None:
+        """Start."""
+        self._looked_s.append(self._plant.time.now_s())
+
+    def collect(self) -> list[StreamBlock]:
+        """Note when it was looked."""
+        self._looked_s.append(self._plant.time.now_s())
+        return []
+
+    def complete(self) -> list[StreamBlock]:
+        """Return all samples by the looks they came with; raises `NoReading` at a broken beam."""
+        self.collect()
+        streams, step_s = self._plant.streams, 1.0 / self.rate_hz
+        start_s = streams.device_s(self._looked_s[0])
+        counts = [int((streams.device_s(at_s) - start_s) / step_s) for at_s in self._looked_s]
+        device_s: Array = start_s + step_s * np.arange(1.0, counts[-1] + 1.0)
+        xyz_mm = self._followed.read(device_s)
+        if len(xyz_mm) < len(device_s):
+            raise NoReading("HC-T10", "Tracker", "stream", "the beam broke")
+        return [
+            StreamBlock(device_s[first:last], xyz_mm[first:last], *window_s)
+            for (first, last), window_s in zip(
+                pairwise(counts), pairwise(self._looked_s), strict=True
+            )
+            if last > first
+        ]
+
+
+def _counted(value_mm: float, counts_per_mm: float) -> float:
+    return round(value_mm * counts_per_mm) / counts_per_mm

@@ -1,0 +1,70 @@
+"""A whole run in this process and in one thread, without a runner: for studies of simulated cells.
+
+Procedures, session and mathematics are those of every run. There are no wires, nobody attends, and
+the journal is in memory; so there is nothing to stop, to resume or to display.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+
+import msgspec
+
+from hilcell import __version__
+from hilcell.cell.devices import connect_all, in_process_cell
+from hilcell.cell.file import Cell
+from hilcell.journal.log import Log
+from hilcell.journal.memory_journal import MemoryJournal
+from hilcell.ports import NoReading
+from hilcell.run.cell_session import CellSession
+from hilcell.run.procedure import Procedure
+from hilcell.run.prompts import Look, Prompt, unanswered
+
+
+def direct_run(
+    cell: Cell, procedure: Procedure, *, seed: int, machine_seed: int, folder: Path
+) -> Log:
+    """Perform a procedure on a simulated cell; return its log, without an end.
+
+    ``seed`` draws the random targets, ``machine_seed`` the machine; ``folder`` takes streams, which
+    the log refers to. Raises `HilcellError` as a run of its own would end by it.
+    """
+    plan = procedure.plan(cell, seed)
+    simulated = in_process_cell(cell, machine_seed)
+    journal = MemoryJournal(folder, datetime.now(UTC).isoformat(timespec="milliseconds"))
+    journal.append(
+        "plan",
+        "",
+        {
+            "procedure": procedure.name,
+            "cell": msgspec.to_builtins(cell),
+            "digest": cell.digest,
+            "cell_file": cell.name,
+            "seed": seed,
+            "machine_seed": machine_seed,
+            "speed": None,
+            "unattended": True,
+            "operator": "",
+            "job": "",
+            "simulated": True,
+            "versions": {"hilcell": __version__},
+            "settings": {},
+            "steps": msgspec.to_builtins(plan.steps),
+            "points": plan.points,
+            "duration_s": plan.duration_s,
+        },
+    )
+    identities = connect_all(simulated.devices, lambda _: None)
+    journal.append("event", "", {"what": "connected", "devices": identities, "hilcell": ""})
+    session = CellSession(
+        cell, simulated.devices, simulated.clock, journal, checkpoint=lambda: None, ask=_nobody
+    )
+    procedure.perform(session)
+    return journal.log
+
+
+def _nobody(prompt: Prompt, look: Callable[[], Look], cause: NoReading | None) -> Look:
+    """Refuse what only an operator can do."""
+    raise unanswered(prompt, cause) from cause
