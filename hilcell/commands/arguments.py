@@ -13,6 +13,7 @@ from hilcell.clean import clean
 LEAST_SPEED, MOST_SPEED = 1.0, 1e6
 MOST_SEED = 2**63 - 1
 MOST_PORT = 65535
+MOST_WORKERS = 1024
 STROKE_MM, MOST_STROKE_MM = 20.0, 200.0
 MOST_STROKE_MISS_MM = 5.0
 SIMULATED = ("rail", "robot", "tracker", "control")
@@ -135,3 +136,20 @@ def assignment(text: str) -> tuple[str, str]:
     if not (key and sign) or "\n" in text:
         raise argparse.ArgumentTypeError(f"KEY=VALUE on one line is wanted, found {text[:80]!r}")
     return key.strip(), value.strip()
+
+
+def workers(text: str) -> int:
+    """Return a number of worker processes."""
+    value = int(text) if text.isascii() and text.isdecimal() and len(text) < 5 else 0
+    if not 1 <= value <= MOST_WORKERS:
+        raise argparse.ArgumentTypeError(
+            f"a whole number of 1 .. {MOST_WORKERS} is wanted, found {text[:80]!r}"
+        )
+    return value
+
+
+def scheduler(text: str) -> str:
+    """Return the address of a Dask scheduler."""
+    if not re.fullmatch(r"(?:tcp|tls)://(?:[\w.-]+|\[[\da-fA-F:.]+\]):\d{1,5}", text):
+        raise argparse.ArgumentTypeError(f"tcp://HOST:PORT is wanted, found {clean(text[:80])!r}")
+    return text

@@ -57,6 +57,7 @@ def whole_parser() -> Parser:
     _add_set_up(commands)
     _add_plan(commands)
     _add_files(commands)
+    _add_study(commands)
     return parser
 
 
@@ -391,6 +392,41 @@ def _add_files(commands: argparse._SubParsersAction[Parser]) -> None:
     options.add_release_options(compensate)
     options.add_bounds_option(compensate)
     options.add_json_option(compensate, "one object")
+
+
+def _add_study(commands: argparse._SubParsersAction[Parser]) -> None:
+    study = _command(
+        commands,
+        "study",
+        "commands.study:study",
+        "simulate many cells before any exists: accuracy against minutes and money",
+    )
+    study.add_argument(
+        "file", metavar="FILE|report", help="a study file (docs/study.md), or `report`"
+    )
+    study.add_argument("folder", nargs="?", default="", metavar="DIR", help="results to report")
+    study.add_argument(
+        "--workers",
+        type=arguments.workers,
+        metavar="N",
+        help="processes on this PC (default: one for each processor)",
+    )
+    study.add_argument(
+        "--scheduler",
+        type=arguments.scheduler,
+        metavar="ADDRESS",
+        help="a Dask scheduler, tcp://HOST:PORT, whose workers measure",
+    )
+    study.add_argument(
+        "-o",
+        "--output",
+        default="",
+        metavar="OUT",
+        help="folder of results (default: FILE-results); of a report its file "
+        "(default: DIR/report.html)",
+    )
+    study.add_argument("--dry-run", dest="plan", action="store_true", help="list the cases only")
+    options.add_json_option(study, "one object")
 
 
 def _command(

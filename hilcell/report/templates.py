@@ -10,16 +10,19 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 
-def environment() -> Environment:
-    """Return jinja2's environment: every value is escaped and in one line, none may be missing."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+def environment(package: str = "hilcell.report") -> Environment:
+    """Return jinja2's environment: every value is escaped and in one line, none may be missing.
+
+    Templates of another ``package`` may include those of the reports.
+    """
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
 
     def finalize(value: object) -> object:
         return harmless("; ".join(value.splitlines())) if type(value) is str else value
 
     made = Environment(
-        loader=PackageLoader("hilcell.report", "."),
+        loader=ChoiceLoader([PackageLoader(each, ".") for each in (package, "hilcell.report")]),
         autoescape=True,
         undefined=StrictUndefined,
         finalize=finalize,

@@ -19,19 +19,26 @@ from hilcell.journal.log import Log
 from hilcell.journal.memory_journal import MemoryJournal
 from hilcell.ports import NoReading
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Procedure
+from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.prompts import Look, Prompt, unanswered
 
 
 def direct_run(
-    cell: Cell, procedure: Procedure, *, seed: int, machine_seed: int, folder: Path
+    cell: Cell,
+    procedure: Procedure,
+    *,
+    seed: int,
+    machine_seed: int,
+    folder: Path,
+    plan: Plan | None = None,
 ) -> Log:
     """Perform a procedure on a simulated cell; return its log, without an end.
 
     ``seed`` draws the random targets, ``machine_seed`` the machine; ``folder`` takes streams, which
-    the log refers to. Raises `HilcellError` as a run of its own would end by it.
+    the log refers to. ``plan`` is the procedure's for this cell and seed, where it is known.
+    Raises `HilcellError` as a run of its own would end by it.
     """
-    plan = procedure.plan(cell, seed)
+    plan = plan or procedure.plan(cell, seed)
     simulated = in_process_cell(cell, machine_seed)
     journal = MemoryJournal(folder, datetime.now(UTC).isoformat(timespec="milliseconds"))
     journal.append(

@@ -1,0 +1,191 @@
+"""``study``: a design study performed, and its answers."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections import Counter
+from contextlib import AbstractContextManager, ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hilcell.clean import clean
+from hilcell.commands.output import print_json, print_message, print_table
+from hilcell.commands.output_place import check_output
+from hilcell.errors import HilcellError
+from hilcell.run.exits import EXIT_FAULT, EXIT_OK, EXIT_OUT_OF_TOLERANCE
+from hilcell.study.design import cases
+from hilcell.study.errors import Cluster, missing
+from hilcell.study.study_file import Study, read_study
+from hilcell.writing import write_whole
+
+if TYPE_CHECKING:
+    from hilcell.study.cluster import Workers
+    from hilcell.study.results import Results
+
+REPORT = "report"
+MOST_REFUSALS = 3
+
+
+def study(args: argparse.Namespace) -> int:
+    """Perform a study, or report the results of one."""
+    _check_words(args)
+    try:
+        return _report(args) if args.file == REPORT else _perform(args)
+    except ImportError as error:
+        raise missing(error) from error
+
+
+def _check_words(args: argparse.Namespace) -> None:
+    if args.file == REPORT and not args.folder:
+        raise HilcellError("study report: name the folder of results", code="HC-C11")
+    if args.file != REPORT and args.folder:
+        raise HilcellError(
+            f"study: {clean(args.folder)!r} is one word too many; results go to -o DIR, a report "
+            "is `hilcell study report DIR`",
+            code="HC-C11",
+        )
+    performing = {"--workers": args.workers, "--scheduler": args.scheduler, "--dry-run": args.plan}
+    for option, given in performing.items():
+        if args.file == REPORT and given:
+            raise HilcellError(f"study report: {option} is for performing", code="HC-C11")
+    if args.workers and args.scheduler:
+        raise HilcellError(
+            "study: --workers are of this PC, --scheduler has workers of its own; name one",
+            code="HC-C11",
+        )
+
+
+def _perform(args: argparse.Namespace) -> int:
+    path = Path(args.file)
+    asked = read_study(path)
+    folder = Path(args.output) if args.output else path.with_name(f"{path.stem}-results")
+    if args.plan:
+        return _dry_run(asked, as_json=args.json)
+    from hilcell.study.results import Results
+
+    results = Results(folder, asked)
+    planned = sum(1 for _ in cases(asked))
+    with results.held():
+        kept = len(results.finished())
+        print_message(f"study {asked.name}: {planned} cases, {kept} of them kept in {folder}")
+        if kept < planned:
+            try:
+                with ExitStack() as stack:
+                    workers = stack.enter_context(_workers(args))
+                    counts = _measured(results, workers, planned, kept)
+            except Cluster as error:
+                if not _has_rows(results, kept):
+                    raise
+                print_message(f"hilcell: {error}")
+                return EXIT_FAULT
+            print_message(_ended(counts))
+        else:
+            results.merge()
+    return _answer(results, planned, as_json=args.json)
+
+
+def _dry_run(asked: Study, *, as_json: bool) -> int:
+    found = list(cases(asked))
+    if as_json:
+        print_json(
+            {
+                "study": asked.name,
+                "cases": [
+                    {"case": each.number, "point": each.point.number, "machine": each.machine,
+                     "seed": each.seed, "settings": each.point.values}
+                    for each in found
+                ],
+            }  # fmt: skip
+        )
+        return EXIT_OK
+    rows = [
+        [str(each.number), str(each.point.number), str(each.machine), str(each.seed),
+         *(choice.word for choice in each.point.choices)]
+        for each in found
+    ]  # fmt: skip
+    names = [factor.name for factor in asked.factor]
+    print_table((["case", "point", "machine", "seed", *names], rows))
+    return EXIT_OK
+
+
+def _workers(args: argparse.Namespace) -> AbstractContextManager[Workers]:
+    from hilcell.study.cluster import local_workers, workers_of
+
+    if args.scheduler:
+        return workers_of(args.scheduler)
+    return local_workers(args.workers or len(os.sched_getaffinity(0)))
+
+
+def _measured(results: Results, workers: Workers, planned: int, kept: int) -> Counter[str]:
+    """Measure the cases that are left, with a progress bar on stderr."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    from hilcell.study.performing import perform
+
+    with Progress(
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+    ) as progress:
+        task = progress.add_task(clean(results.study.name), total=planned, completed=kept)
+        return perform(results, workers, lambda _: progress.advance(task))
+
+
+def _has_rows(results: Results, kept: int) -> bool:
+    return len(results.finished()) > kept
+
+
+def _ended(counts: Counter[str]) -> str:
+    return ", ".join(f"{n} {state}" for state, n in sorted(counts.items()))
+
+
+def _report(args: argparse.Namespace) -> int:
+    from hilcell.study.page import page
+    from hilcell.study.results import open_results, plain_rows
+
+    folder = Path(args.folder)
+    results = open_results(folder)
+    place = Path(args.output) if args.output else folder / "report.html"
+    check_output(place, (".html", ".htm"), "a report", inputs=results.files())
+    from hilcell.study.analysis import answers
+
+    rows = plain_rows(results.table())
+    planned = sum(1 for _ in cases(results.study))
+    html = page(results.study, answers(results.study, rows), rows, planned)
+    write_whole(place, html.encode(), inputs=results.files())
+    code = _answer(results, planned, as_json=args.json)
+    print_message(f"report of study {results.study.name} in {place}")
+    return code
+
+
+def _answer(results: Results, planned: int, *, as_json: bool) -> int:
+    """Print the answers; return whether every case was done, or cannot be."""
+    from hilcell.study.analysis import answers
+    from hilcell.study.case import DONE, FAILED
+    from hilcell.study.results import plain_rows
+    from hilcell.study.tables import count_words, facts, sheets
+
+    rows = plain_rows(results.table())
+    found = answers(results.study, rows)
+    if as_json:
+        print_json(facts(results.study, found, planned))
+    else:
+        for sheet in sheets(results.study, found, rows):
+            print_message(f"\n{sheet.title}")
+            print_table((sheet.headers, sheet.rows))
+            print_message(sheet.note)
+    print_message(count_words(found, planned))
+    bad = found.counts.get(FAILED, 0) or not found.counts.get(DONE, 0)
+    return EXIT_OUT_OF_TOLERANCE if bad else EXIT_OK

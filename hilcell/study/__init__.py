@@ -1,0 +1,1 @@
+"""Design studies: many simulated calibrations of cells that do not exist yet."""

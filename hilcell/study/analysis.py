@@ -1,0 +1,245 @@
+"""Answers of a study, from its rows: main effects, Pareto front, coverage, next purchases.
+
+Every machine measures all points, so each answer is computed on every machine by itself, and its
+interval is that of the mean over machines (Student, 95 %). It says how far another lot of such
+machines could differ. One machine alone gives no interval.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from hilcell.ports import Array
+from hilcell.study.case import DONE
+from hilcell.study.design import Point, points
+from hilcell.study.study_file import Factor, Study
+
+LEVEL = 0.95
+Rows = Sequence[Mapping[str, Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A mean over machines and half its 95 % interval, NaN where one machine gives none."""
+
+    mean: float
+    half: float
+
+    @property
+    def known(self) -> bool:
+        """Whether it is shown to be other than nought."""
+        return bool(abs(self.mean) > self.half)
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """What one point reached: accuracy, minutes, cost, over all machines that did it."""
+
+    point: Point
+    accuracy: Interval
+    minutes: float
+    covered: Interval
+    machines: int
+    on_front: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """What one level, or one end of a range, does to the accuracy beside the study's mean."""
+
+    factor: Factor
+    word: str
+    mean: Interval  # the accuracy itself, all else averaged
+    change: Interval  # from the first level
+    minutes: float  # from the first level
+    cost: float
+    covered: Interval
+
+
+@dataclass(frozen=True, slots=True)
+class Answers:
+    """All that is computed of a study's rows. ``share`` is what main effects alone explain."""
+
+    designs: list[Design]
+    effects: list[Effect]
+    covered: Interval | None
+    share: float
+    counts: Mapping[str, int]
+
+    @property
+    def front(self) -> list[Design]:
+        """Return the designs that no other beats in everything, the fastest first."""
+        return sorted((each for each in self.designs if each.on_front), key=lambda d: d.minutes)
+
+    @property
+    def purchases(self) -> list[Effect]:
+        """Return the steps from first levels, the largest gain that is shown first."""
+        first = {id(each.factor): each.word for each in reversed(self.effects)}
+        steps = [each for each in self.effects if each.word != first[id(each.factor)]]
+        return sorted(steps, key=lambda each: (not _gains(each), each.change.mean))
+
+
+def _gains(step: Effect) -> bool:
+    return step.change.known and step.change.mean < 0.0
+
+
+def answers(study: Study, rows: Rows) -> Answers:
+    """Compute the answers of all rows that are there."""
+    counts: dict[str, int] = defaultdict(int)
+    for row in rows:
+        counts[row["state"]] += 1
+    done = [row for row in rows if row["state"] == DONE]
+    return Answers(
+        _designs(study, done),
+        _effects(study, done) if done else [],
+        over_machines(done, "covered") if done else None,
+        _share(study, done) if done else float("nan"),
+        dict(counts),
+    )
+
+
+def interval(values: Iterable[float]) -> Interval:
+    """Return the mean of values, one a machine, with its 95 % interval."""
+    found: Array = np.array(list(values), dtype=float)
+    if len(found) < 2:
+        return Interval(float(found.mean()) if len(found) else float("nan"), float("nan"))
+    factor = float(student.ppf(0.5 + LEVEL / 2.0, len(found) - 1))
+    return Interval(float(found.mean()), factor * float(found.std(ddof=1)) / len(found) ** 0.5)
+
+
+def over_machines(rows: Rows, key: str) -> Interval:
+    """Return the mean over machines of each machine's own mean."""
+    return interval(np.mean([row[key] for row in own]) for own in _by(rows, "machine").values())
+
+
+def _by(rows: Rows, key: str) -> dict[int, list[Mapping[str, Any]]]:
+    found: dict[int, list[Mapping[str, Any]]] = defaultdict(list)
+    for row in rows:
+        found[row[key]].append(row)
+    return dict(sorted(found.items()))
+
+
+def _designs(study: Study, done: Rows) -> list[Design]:
+    by_point, all_points = _by(done, "point"), {each.number: each for each in points(study)}
+    places: Array = np.array([
+        [
+            over_machines(own, study.accuracy).mean,
+            float(np.mean([row["minutes"] for row in own])),
+            all_points[number].cost,
+        ]
+        for number, own in by_point.items()
+    ]).reshape(-1, 3)  # fmt: skip
+    return [
+        Design(
+            all_points[number],
+            over_machines(own, study.accuracy),
+            float(place[1]),
+            over_machines(own, "covered"),
+            len(_by(own, "machine")),
+            on_front(place, places),
+        )
+        for (number, own), place in zip(by_point.items(), places, strict=True)
+    ]
+
+
+def on_front(place: Array, places: Array) -> bool:
+    """Whether no place (N, 3) is as good as (3,) in everything and better in something."""
+    as_good, better = (places <= place).all(axis=1), (places < place).any(axis=1)
+    return not bool((as_good & better).any())
+
+
+def _effects(study: Study, done: Rows) -> list[Effect]:
+    """Return the effects of an additive model, fitted on each machine by itself."""
+    shares = {each.number: each for each in points(study)}
+    by_machine = _by(done, "machine").values()
+    fits = {
+        key: [_fitted(study, shares, own, key) for own in by_machine]
+        for key in (study.accuracy, "minutes", "covered")
+    }
+    found = []
+    for n, factor in enumerate(study.factor):
+        costs = factor.costs or [0.0] * len(factor.ends)
+        for level, word in enumerate(factor.names):
+            mean, change, minutes, covered = (
+                [fit[n][level] - (fit[n][0] if relative else 0.0) for fit in fits[key]]
+                for key, relative in (
+                    (study.accuracy, False), (study.accuracy, True), ("minutes", True),
+                    ("covered", False),
+                )
+            )  # fmt: skip
+            known = [each for each in mean if np.isfinite(each)]
+            if known:
+                found.append(
+                    Effect(
+                        factor, word, interval(known), _known(change), _known(minutes).mean,
+                        costs[level] - costs[0], _known(covered),
+                    )  # fmt: skip
+                )
+    return found
+
+
+def _known(values: Iterable[float]) -> Interval:
+    return interval(each for each in values if np.isfinite(each))
+
+
+def _columns(study: Study, designs: Sequence[Point]) -> Array:
+    """Return the additive model's matrix (N, 1 + columns): sum-to-zero levels, ranges -1 to 1."""
+    columns: list[Array] = [np.ones(len(designs))]
+    for n, factor in enumerate(study.factor):
+        share = np.array([each.choices[n].share for each in designs])
+        if factor.is_range:
+            columns.append(2.0 * share - 1.0)
+        else:
+            last = len(factor.ends) - 1
+            columns += [
+                (share == level).astype(float) - (share == last) for level in range(last)
+            ]
+    return np.stack(columns, axis=1)
+
+
+def _fitted(
+    study: Study, all_points: Mapping[int, Point], own: Rows, key: str
+) -> list[list[float]]:
+    """Return, by factor, the value at each level or end with all else averaged.
+
+    NaN for a level that no case was done with.
+    """
+    designs = [all_points[row["point"]] for row in own]
+    values = np.array([row[key] for row in own], dtype=float)
+    found = np.linalg.lstsq(_columns(study, designs), values, rcond=None)[0]
+    levels, at = [], 1
+    for n, factor in enumerate(study.factor):
+        if factor.is_range:
+            levels.append([float(found[0] - found[at]), float(found[0] + found[at])])
+            at += 1
+            continue
+        last = len(factor.ends) - 1
+        own_effects = [*found[at : at + last], -found[at : at + last].sum()]
+        seen = {each.choices[n].share for each in designs}
+        levels.append(
+            [
+                float(found[0] + effect) if level in seen else float("nan")
+                for level, effect in enumerate(own_effects)
+            ]
+        )
+        at += last
+    return levels
+
+
+def _share(study: Study, done: Rows) -> float:
+    """Return how much of the differences between points the main effects explain, 0 to 1."""
+    all_points = {each.number: each for each in points(study)}
+    by_point = _by(done, "point")
+    values = np.array([np.mean([row[study.accuracy] for row in own]) for own in by_point.values()])
+    A = _columns(study, [all_points[number] for number in by_point])
+    total = float(((values - values.mean()) ** 2).sum())
+    if not total > 0.0:
+        return 1.0
+    rest = values - A @ np.linalg.lstsq(A, values, rcond=None)[0]
+    return 1.0 - float((rest**2).sum()) / total

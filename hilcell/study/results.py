@@ -1,0 +1,223 @@
+"""The folder of a study's results: what was asked (`study.json`), and rows as Parquet.
+
+Rows appear in whole files, a batch each (`cases/part-*.parquet`); at the end of a study they are
+one file (`cases/all.parquet`). A row that is in a file is finished for good.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from hilcell.cell.settings import convert
+from hilcell.cell.source import read_source
+from hilcell.run.cell_lock import CellLocked, locked
+from hilcell.study.case import Row, versions
+from hilcell.study.design import Case
+from hilcell.study.errors import OtherStudy
+from hilcell.study.study_file import Study
+from hilcell.writing import NotWritten, write_whole
+
+ASKED = "study.json"
+CASES = "cases"
+WHOLE = "all.parquet"
+
+
+class Asked(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the rows of a folder are results of."""
+
+    study: dict[str, Any]
+    cell_sha256: str
+    versions: dict[str, str]
+
+    def differences(self, other: Asked) -> Iterator[str]:
+        """Yield in words what another question differs in."""
+        if self.study != other.study:
+            keys = self.study.keys() | other.study.keys()
+            yield ", ".join(
+                key for key in sorted(keys) if self.study.get(key) != other.study.get(key)
+            )
+        if self.cell_sha256 != other.cell_sha256:
+            yield "the base cell's file"
+        for name in sorted(self.versions.keys() | other.versions.keys()):
+            ours, theirs = self.versions.get(name), other.versions.get(name)
+            if ours != theirs:
+                yield f"{name} (there {ours}, here {theirs})"
+
+
+def asked(study: Study) -> Asked:
+    """Return what a study asks here and now."""
+    text = read_source(study.cell)
+    plain = {key: each for key, each in msgspec.to_builtins(study).items() if key != "cell"}
+    # A path may be another one on another day: the cell's text counts.
+    return Asked(
+        study=plain | {"cell": Path(study.cell).name},
+        cell_sha256=hashlib.sha256(text.encode()).hexdigest(),
+        versions=versions(),
+    )
+
+
+class Results:
+    """The rows of one study in one folder; who adds holds the folder's lock."""
+
+    def __init__(self, folder: Path, study: Study) -> None:
+        self.folder, self.study = folder, study
+        self._schema = schema(study)
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Hold the folder for this study; raises `OtherStudy` where it has another's results."""
+        question = asked(self.study)
+        _make(self.folder / CASES)
+        try:
+            with locked(self.folder / ".study.lock", f"results {self.folder}", "study"):
+                place = self.folder / ASKED
+                if place.exists():
+                    found = _asked_in(self.folder)
+                    if differ := list(found.differences(question)):
+                        raise OtherStudy(
+                            f"{self.folder} has results of another study: {'; '.join(differ)} "
+                            "differ; name another folder with -o, or delete this one"
+                        )
+                elif any((self.folder / CASES).iterdir()):
+                    raise OtherStudy(f"{self.folder} has results, and no {ASKED}; name another")
+                else:
+                    write_whole(place, msgspec.json.format(msgspec.json.encode(question)))
+                yield
+        except CellLocked:
+            raise CellLocked(
+                f"results {self.folder} are written by another `hilcell study`; wait for its end"
+            ) from None
+
+    def add(self, rows: Sequence[Row]) -> None:
+        """Keep rows; they are durable when this returns."""
+        if rows:
+            first = min(row["case"] for row in rows)
+            self._write(pa.Table.from_pylist(rows, self._schema), f"part-{first:07d}.parquet")
+
+    def table(self) -> pa.Table:
+        """Return all rows in the order of their cases; raises `OtherStudy` for a damaged file."""
+        tables = [_read(path, self._schema) for path in self._parts()]
+        whole = pa.concat_tables([*tables, self._schema.empty_table()]).sort_by("case")
+        numbers = whole["case"].to_pylist()
+        kept = [n for n, case in enumerate(numbers) if n == 0 or case != numbers[n - 1]]
+        return whole.take(pa.array(kept, pa.int64()))
+
+    def finished(self) -> set[int]:
+        """Return the numbers of the cases that are kept."""
+        return set(self.table()["case"].to_pylist())
+
+    def merge(self) -> None:
+        """Make one file of all; a row in two files, where this is interrupted, counts once."""
+        parts = [path for path in self._parts() if path.name != WHOLE]
+        if parts:
+            self._write(self.table(), WHOLE)
+            for path in parts:
+                path.unlink()
+
+    def files(self) -> list[Path]:
+        """Return what the results are made of."""
+        return [self.folder / ASKED, *self._parts()]
+
+    def _parts(self) -> list[Path]:
+        return sorted((self.folder / CASES).glob("*.parquet"))
+
+    def _write(self, table: pa.Table, name: str) -> None:
+        content = io.BytesIO()
+        pq.write_table(table, content)
+        path = self.folder / CASES / name
+        write_whole(path, content.getvalue())
+        for place in (path, path.parent):
+            number = os.open(place, os.O_RDONLY)
+            try:
+                os.fsync(number)
+            finally:
+                os.close(number)
+
+
+def open_results(folder: Path) -> Results:
+    """Return the results of a folder, to read; raises `OtherStudy` where there are none."""
+    return Results(folder, convert(_asked_in(folder).study, Study, str(folder / ASKED)))
+
+
+def schema(study: Study) -> pa.Schema:
+    """Return the columns: the case, its factors, its state, its figures."""
+    factors = [
+        (factor.name, pa.float64() if factor.is_number else pa.string())
+        for factor in study.factor
+    ]
+    figures = [(name, pa.float64()) for name in figures_of(study)]
+    return pa.schema([
+        ("case", pa.int64()), ("point", pa.int64()), ("machine", pa.int64()), ("seed", pa.int64()),
+        *factors,
+        ("state", pa.string()), ("reason", pa.string()),
+        ("minutes", pa.float64()), ("cost", pa.float64()), *figures,
+    ])  # fmt: skip
+
+
+def figures_of(study: Study) -> list[str]:
+    """Return the results that are kept: those wanted, and those that a report is made of."""
+    return list(dict.fromkeys([*study.results, study.accuracy, "covered"]))
+
+
+def row_of(case: Case, found: Row, study: Study) -> Row:
+    """Return the row of a case, of what a worker measured."""
+    point, minutes = case.point, found["minutes"]
+    return {
+        "case": case.number,
+        "point": point.number,
+        "machine": case.machine,
+        "seed": case.seed,
+        **{each.factor.name: each.shown for each in point.choices},
+        "state": found["state"],
+        "reason": found["reason"],
+        "minutes": None if minutes is None else minutes + point.minutes,
+        "cost": point.cost,
+        **{name: found.get(name) for name in figures_of(study)},
+    }
+
+
+def _asked_in(folder: Path) -> Asked:
+    path = folder / ASKED
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=Asked)
+    except OSError as error:
+        reason = f"{path} cannot be read: {error.strerror}"
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        reason = f"{path} is damaged: {error}"
+    raise OtherStudy(f"{folder} is no folder of results: {reason}")
+
+
+def _read(path: Path, wanted: pa.Schema) -> pa.Table:
+    try:
+        found = pq.read_table(path)
+        if found.schema.remove_metadata() != wanted:
+            raise pa.ArrowInvalid("its columns are not the study's")
+    except (pa.ArrowException, OSError) as error:
+        raise OtherStudy(
+            f"{path} is damaged: {str(error).splitlines()[0]}; delete it, its cases are measured "
+            "again"
+        ) from error
+    return found
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise NotWritten(f"{folder}: cannot be made: {error.strerror}") from error
+
+
+def plain_rows(table: pa.Table) -> list[Mapping[str, Any]]:
+    """Return the rows as plain values."""
+    rows: list[Mapping[str, Any]] = table.to_pylist()
+    return rows

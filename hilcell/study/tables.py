@@ -1,0 +1,204 @@
+"""The answers of a study as tables of text, and as plain values for programs."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+from hilcell.report.columns import Sheet, present
+from hilcell.study.analysis import Answers, Design, Effect, Interval, Rows
+from hilcell.study.case import CANNOT_BE, DONE, FAILED
+from hilcell.study.outcome import RESULTS
+from hilcell.study.study_file import Study
+
+MOST_REASONS = 10
+WITHOUT = "one machine gives no interval; state more `machines`"
+
+
+def sheets(study: Study, found: Answers, rows: Rows) -> list[Sheet]:
+    """Return all tables that there are."""
+    return present(
+        front_sheet(study, found),
+        purchases_sheet(study, found),
+        effects_sheet(study, found),
+        reasons_sheet(rows),
+    )
+
+
+def front_sheet(study: Study, found: Answers) -> Sheet | None:
+    """Return the designs that no other beats in everything, the fastest first."""
+    if not found.front:
+        return None
+    names = [factor.name for factor in study.factor]
+    money = [study.money] if study.has_costs else []
+    rows = [
+        [
+            str(each.point.number),
+            *(choice.word for choice in each.point.choices),
+            f"{each.minutes:.0f}",
+            *([f"{each.point.cost:g}"] if money else []),
+            with_half(each.accuracy, 4),
+            percent(each.covered),
+        ]
+        for each in found.front
+    ]
+    headers = ["point", *names, "minutes", *money, f"{study.accuracy[:-3]} mm", "covered %"]
+    against = f"accuracy, minutes{' and money' if money else ''}"
+    note = (
+        f"Of {len(found.designs)} designs these are beaten by no other in {against}. "
+        f"{RESULTS[study.accuracy][0].capitalize()}."
+    )
+    return Sheet("Pareto front", headers, rows, 1 + len(names), note + _one_machine(found))
+
+
+def purchases_sheet(study: Study, found: Answers) -> Sheet | None:
+    """Return what each step from a first level gains, the largest gain that is shown first."""
+    if not found.purchases:
+        return None
+    money = [f"more {study.money}"] if study.has_costs else []
+    first = {id(each.factor): each.word for each in reversed(found.effects)}
+    rows = [
+        [
+            each.factor.name,
+            first[id(each.factor)],
+            each.word,
+            with_half(Interval(-each.change.mean, each.change.half), 4),
+            _shown(each),
+            signed(each.minutes, 0),
+            *([signed(each.cost, 0)] if money else []),
+        ]
+        for each in found.purchases
+    ]
+    headers = ["factor", "from", "to", "gain mm", "shown", "more minutes", *money]
+    note = "Gain: by how much the error falls when this factor alone changes, all else averaged."
+    return Sheet("Buy next", headers, rows, 3, note + _one_machine(found))
+
+
+def effects_sheet(study: Study, found: Answers) -> Sheet | None:
+    """Return the accuracy at each level of each factor, all else averaged."""
+    rows = [
+        [
+            each.factor.name,
+            each.word,
+            with_half(each.mean, 4),
+            with_half(each.change, 4) if each.change.mean else "",
+            signed(each.minutes, 0),
+            percent(each.covered),
+        ]
+        for each in found.effects
+    ]
+    if not rows:
+        return None
+    headers = ["factor", "level", f"{study.accuracy[:-3]} mm", "change mm", "minutes", "covered %"]
+    overall = "" if found.covered is None else f" Over all designs {percent(found.covered)} % of "
+    note = (
+        f"Main effects alone explain {100.0 * found.share:.0f} % of the differences between "
+        f"designs.{overall}targets lie within their 95 % bound."
+    )
+    return Sheet("Main effects", headers, rows, 2, note)
+
+
+def reasons_sheet(rows: Rows) -> Sheet | None:
+    """Return why cases were not done, the most frequent reason first."""
+    counts = Counter(
+        (row["state"], brief(row["reason"])) for row in rows if row["state"] != DONE
+    )
+    texts = [[state, reason, str(n)] for (state, reason), n in counts.most_common(MOST_REASONS)]
+    more = len(counts) - len(texts)
+    note = f"And {more} more reasons." if more > 0 else ""
+    return Sheet("Cases without a result", ["state", "reason", "cases"], texts, 2, note) if (
+        texts
+    ) else None  # fmt: skip
+
+
+def count_words(found: Answers, planned: int) -> str:
+    """Return how many cases ended how."""
+    counts = found.counts
+    ended = [f"{counts[state]} {state}" for state in (DONE, CANNOT_BE, FAILED) if state in counts]
+    kept = sum(counts.values())
+    waiting = [f"{planned - kept} not measured yet"] if kept < planned else []
+    return f"{planned} cases: {', '.join([*ended, *waiting]) or 'none measured'}"
+
+
+def facts(study: Study, found: Answers, planned: int) -> dict[str, Any]:
+    """Return the answers as plain values; null where there is no interval."""
+    return {
+        "study": study.name,
+        "accuracy": study.accuracy,
+        "cases": planned,
+        "counts": dict(found.counts),
+        "front": [_design(each) for each in found.front],
+        "designs": [_design(each) for each in found.designs],
+        "effects": [_effect(each) for each in found.effects],
+        "buy_next": [_effect(each) for each in found.purchases],
+        "covered": None if found.covered is None else _interval(found.covered),
+        "explained": _finite(found.share),
+    }
+
+
+def brief(reason: str) -> str:
+    """Return the first cause of a refusal, without its list of poses."""
+    lines = reason.splitlines()
+    return (lines[1] if len(lines) > 1 else reason).partition(": pose ")[0].strip()
+
+
+def with_half(each: Interval, digits: int) -> str:
+    """Return a figure with its interval, where it has one."""
+    shown = f"{each.mean:.{digits}f}".replace("-", "−")
+    return shown if math.isnan(each.half) else f"{shown} ± {each.half:.{digits}f}"
+
+
+def percent(each: Interval) -> str:
+    """Return a share in %, with its interval."""
+    return with_half(Interval(100.0 * each.mean, 100.0 * each.half), 1)
+
+
+def signed(value: float, digits: int) -> str:
+    """Return a difference; nothing for none."""
+    shown = f"{value:+.{digits}f}"
+    return "0" if float(shown) == 0.0 else shown.replace("-", "−")
+
+
+def _shown(each: Effect) -> str:
+    if not each.change.known:
+        return "no"
+    return "gain" if each.change.mean < 0.0 else "loss"
+
+
+def _one_machine(found: Answers) -> str:
+    one = found.covered is not None and math.isnan(found.covered.half)
+    return f" Without intervals: {WITHOUT}." if one else ""
+
+
+def _design(each: Design) -> dict[str, Any]:
+    return {
+        "point": each.point.number,
+        "factors": {choice.factor.name: choice.shown for choice in each.point.choices},
+        "accuracy_mm": _interval(each.accuracy),
+        "minutes": each.minutes,
+        "cost": each.point.cost,
+        "covered": _interval(each.covered),
+        "machines": each.machines,
+    }
+
+
+def _effect(each: Effect) -> dict[str, Any]:
+    return {
+        "factor": each.factor.name,
+        "level": each.word,
+        "accuracy_mm": _interval(each.mean),
+        "change_mm": _interval(each.change),
+        "minutes": each.minutes,
+        "cost": each.cost,
+        "covered": _interval(each.covered),
+    }
+
+
+def _interval(each: Interval) -> Mapping[str, float | None]:
+    return {"mean": _finite(each.mean), "half95": _finite(each.half)}
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,97 @@
+"""A run without wires: the same figures as over wires, and the same refusals."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from fakes.in_process import DirectTracker
+from hilcell.cell.devices import load_entry
+from hilcell.cell.file import load_cell
+from hilcell.cell.settings import SettingsError
+from hilcell.journal.log import Log
+from hilcell.ports import Array, HilcellError, TrackerReading
+from hilcell.run.direct_run import direct_run
+from hilcell.run.procedure import Procedure
+from tests.whole.bench import SMALL
+from tests.whole.golden import GoldenRuns
+
+CALIBRATE: Procedure = load_entry("procedures", "calibrate")
+HOME: Procedure = load_entry("procedures", "home")
+NOISE_MM = 0.05  # of one visit: repeatability and tracker, as both runs measure it
+
+
+def performed(folder: Path, values: Mapping[str, str] = SMALL, **seeds: int) -> Log:
+    given = {"seed": 1, "machine_seed": 1} | seeds
+    return direct_run(load_cell("paper", values), CALIBRATE, folder=folder, **given)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Log:
+    return performed(tmp_path_factory.mktemp("direct"))
+
+
+def of_targets(result: Mapping[str, Any], what: str) -> list[float]:
+    """Return the mean errors at the grid's station and at the others."""
+    return [result["validation"][at][what]["mean"] for at in ("S1100", "others")]
+
+
+def test_it_agrees_with_the_run_over_wires(log: Log, golden: GoldenRuns) -> None:
+    """Both measure the one machine; each visit has a scatter of its own."""
+    wires, direct = golden["small"].result, CALIBRATE.result(log)
+    assert direct["points"] == wires["points"]
+    targets = direct["validation"]["S1100"]["points"]
+    for what, share in (("before", 1.0), ("idw", 2.0), ("chosen", 2.0)):
+        # A correction has the scatter of its own grid in it as well.
+        limit_mm = 3.0 * share * np.sqrt(2.0 / targets) * NOISE_MM
+        assert of_targets(direct, what) == pytest.approx(of_targets(wires, what), abs=limit_mm)
+    for name, station in wires["stations"].items():
+        T = np.array(direct["stations"][name]["T_W_S"])
+        assert T[:3, 3] == pytest.approx(np.array(station["T_W_S"])[:3, 3], abs=0.1)
+
+
+def test_the_same_seeds_are_the_same_digits(log: Log, tmp_path: Path) -> None:
+    assert CALIBRATE.result(performed(tmp_path)) == CALIBRATE.result(log)
+
+
+def test_another_machine_is_another_result(log: Log, tmp_path: Path) -> None:
+    other = CALIBRATE.result(performed(tmp_path, machine_seed=2))
+    assert of_targets(other, "before") != pytest.approx(
+        of_targets(CALIBRATE.result(log), "before"), abs=1e-6
+    )
+
+
+def test_a_reading_that_is_no_number_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measure = DirectTracker.measure
+
+    def spoilt(self: DirectTracker, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
+        reading = measure(self, near_mm, reflector, samples)
+        return dataclasses.replace(reading, xyz_mm=reading.xyz_mm * np.nan)
+
+    monkeypatch.setattr(DirectTracker, "measure", spoilt)
+    with pytest.raises(HilcellError, match="nan"):
+        performed(tmp_path)
+
+
+def test_what_cannot_be_reached_is_one_error(tmp_path: Path) -> None:
+    """Every refusal of every act in one message, before anything is measured."""
+    far = "{ x_mm = 3850.0, y_mm = 0.0, z_mm = 950.0, b_deg = 75.0 }"
+    with pytest.raises(HilcellError, match="calibrate refused before anything moves") as found:
+        performed(tmp_path, SMALL | {"grid.centre": far})
+    assert found.value.code == "HC-C10"
+    assert len(str(found.value).splitlines()) > 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_cell_of_real_devices_is_refused(tmp_path: Path) -> None:
+    cell = msgspec.structs.replace(load_cell("paper"), simulation=None)
+    with pytest.raises(SettingsError, match="real devices only"):
+        direct_run(cell, HOME, seed=1, machine_seed=1, folder=tmp_path)
