@@ -92,11 +92,16 @@ def _dry_run(asked: Study, *, as_json: bool) -> int:
             {
                 "study": asked.name,
                 "cases": [
-                    {"case": each.number, "point": each.point.number, "machine": each.machine,
-                     "seed": each.seed, "settings": each.point.values}
+                    {
+                        "case": each.number,
+                        "point": each.point.number,
+                        "machine": each.machine,
+                        "seed": each.seed,
+                        "settings": each.point.values,
+                    }
                     for each in found
                 ],
-            }  # fmt: skip
+            }
         )
         return EXIT_OK
     rows = [

@@ -21,6 +21,7 @@ from hilcell.study.design import Point, points
 from hilcell.study.study_file import Factor, Study
 
 LEVEL = 0.95
+ROUNDING = 1e-9
 Rows = Sequence[Mapping[str, Any]]
 
 
@@ -33,8 +34,8 @@ class Interval:
 
     @property
     def known(self) -> bool:
-        """Whether it is shown to be other than nought."""
-        return bool(abs(self.mean) > self.half)
+        """Whether it is shown to be other than nought, by more than rounding."""
+        return self.half >= 0.0 and abs(self.mean) > max(self.half, ROUNDING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,9 +178,14 @@ def _effects(study: Study, done: Rows) -> list[Effect]:
             if known:
                 found.append(
                     Effect(
-                        factor, word, interval(known), _known(change), _known(minutes).mean,
-                        costs[level] - costs[0], _known(covered),
-                    )  # fmt: skip
+                        factor,
+                        word,
+                        interval(known),
+                        _known(change),
+                        _known(minutes).mean,
+                        costs[level] - costs[0],
+                        _known(covered),
+                    )
                 )
     return found
 
@@ -197,9 +203,7 @@ def _columns(study: Study, designs: Sequence[Point]) -> Array:
             columns.append(2.0 * share - 1.0)
         else:
             last = len(factor.ends) - 1
-            columns += [
-                (share == level).astype(float) - (share == last) for level in range(last)
-            ]
+            columns += [(share == level).astype(float) - (share == last) for level in range(last)]
     return np.stack(columns, axis=1)
 
 

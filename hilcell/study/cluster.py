@@ -13,6 +13,7 @@ from typing import Any
 
 import dask
 from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
+from distributed.client import FutureCancelledError
 from distributed.comm.core import CommClosedError
 
 from hilcell.cell.file import Cell
@@ -29,7 +30,7 @@ SETTINGS = {
     "distributed.comm.retry.count": 0,
     "distributed.admin.log-length": 100,
 }
-LOST = (asyncio.CancelledError, CommClosedError, OSError, TimeoutError)
+LOST = (asyncio.CancelledError, FutureCancelledError, CommClosedError, OSError, TimeoutError)
 
 
 class Workers:
@@ -47,8 +48,8 @@ class Workers:
         Raises `Cluster` where the scheduler is gone, or a worker has other versions.
         """
         waiting = iter(cases)
-        running = as_completed()
-        asked: dict[str, Case] = {}
+        running = as_completed(loop=self._client.loop)
+        asked: dict[Any, Case] = {}
         ahead = max(LEAST_AHEAD, AHEAD * len(self._client.nthreads()))
         with self._lost_is_an_error():
             while True:
@@ -62,7 +63,7 @@ class Workers:
                 yield asked.pop(future.key), self._found(future)
                 future.release()
 
-    def _submit(self, case: Case, cell: Cell) -> Future:
+    def _submit(self, case: Case, cell: Cell) -> Future[Row]:
         return self._client.submit(
             measured,
             packed(cell),
@@ -73,7 +74,7 @@ class Workers:
             priority=-case.number,
         )
 
-    def _found(self, future: Future) -> Row:
+    def _found(self, future: Future[Row]) -> Row:
         try:
             row: Row = future.result()
         except KilledWorker as error:
@@ -109,7 +110,6 @@ def local_workers(count: int) -> Iterator[Workers]:
                 processes=True,
                 host="127.0.0.1",
                 dashboard_address=None,
-                silence_logs=logging.CRITICAL,
             )
         )
         client = stack.enter_context(Client(cluster))
@@ -169,14 +169,13 @@ def _differences(there: Mapping[str, str]) -> str:
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Keep Dask's own log off the terminal: what matters is said once, by hilcell."""
-    log = logging.getLogger("distributed")
-    before = log.level
-    log.setLevel(logging.CRITICAL)
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
     try:
         with dask.config.set(SETTINGS):
             yield
     finally:
-        log.setLevel(before)
+        logging.disable(before)
 
 
 def _close(client: Client) -> None:

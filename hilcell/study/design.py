@@ -87,9 +87,7 @@ class Case:
 def points(study: Study) -> list[Point]:
     """Return the points of the design; raises `SettingsError` for too many."""
     per_point = study.machines * study.seeds
-    count = (
-        study.samples or math.prod(len(factor.ends) for factor in study.factor)
-    ) * per_point
+    count = (study.samples or math.prod(len(factor.ends) for factor in study.factor)) * per_point
     if not count <= MOST_CASES:
         raise SettingsError(study.name, [f"{count} cases, at most {MOST_CASES} are measured"])
     found = _sobol(study) if study.design == "sobol" else _factorial(study)
@@ -119,8 +117,7 @@ def _sobol(study: Study) -> Iterator[tuple[Choice, ...]]:
     """Yield a Sobol sequence, not scrambled: its first point has every factor's first level."""
     from scipy.stats import qmc
 
-    assert study.samples is not None
-    drawn = qmc.Sobol(len(study.factor), scramble=False).random(study.samples)
+    drawn = qmc.Sobol(len(study.factor), scramble=False).random(study.samples or 0)
     for row in drawn:
         yield tuple(
             _drawn(factor, float(share)) for factor, share in zip(study.factor, row, strict=True)
@@ -130,8 +127,5 @@ def _sobol(study: Study) -> Iterator[tuple[Choice, ...]]:
 def _drawn(factor: Factor, share: float) -> Choice:
     if not factor.is_range:
         return _levels(factor)[int(share * len(factor.ends))]
-    value = factor.value(share)
-    assert factor.low is not None
-    assert factor.high is not None
-    rounded = (value - factor.low) / (factor.high - factor.low)
-    return Choice(factor, value, f"{value:.6g}", rounded)
+    value, at = factor.drawn(share)
+    return Choice(factor, value, f"{value:.6g}", at)

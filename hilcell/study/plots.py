@@ -6,10 +6,9 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from itertools import groupby
 
-import numpy as np
-
 from hilcell.report.drawings.drawing import (
     AFTER,
+    ENDS,
     HAIR,
     HATCH,
     INK,
@@ -44,7 +43,7 @@ def front_plot(study: Study, found: Answers) -> str:
     tops = [each.accuracy.mean + _half(each.accuracy) for each in found.designs]
     frame = Frame(
         Scale(max(0.0, low), high, LEFT_MM, WIDTH_MM - RIGHT_MM),
-        Scale(0.0, round_up(1.05 * max(tops)), HEIGHT_MM - BOTTOM_MM, TOP_MM),
+        Scale(0.0, round_up(1.05 * max(tops), ENDS), HEIGHT_MM - BOTTOM_MM, TOP_MM),
     )
     parts = [frame.drawn("minutes of a calibration", f"{study.accuracy[:-3]} error, mm")]
     front = found.front
@@ -137,8 +136,6 @@ def _levels(
     y = TOP_MM
     for own in groups:
         parts.append(text(0.0, y + 1.0, shortened(own[0].factor.name, NAMES_MM - 2.0), bold=True))
-        places = [(scale.one(value(each).mean), y + n * ROW_MM) for n, each in enumerate(own)]
-        parts.append(path(np.array(places), HAIR, 0.4))
         for n, each in enumerate(own):
             parts += _level(scale, each.word, value(each), y + n * ROW_MM, digits)
         y += ROW_MM * len(own) + GAP_MM

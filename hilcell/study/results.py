@@ -152,8 +152,7 @@ def open_results(folder: Path) -> Results:
 def schema(study: Study) -> pa.Schema:
     """Return the columns: the case, its factors, its state, its figures."""
     factors = [
-        (factor.name, pa.float64() if factor.is_number else pa.string())
-        for factor in study.factor
+        (factor.name, pa.float64() if factor.is_number else pa.string()) for factor in study.factor
     ]
     figures = [(name, pa.float64()) for name in figures_of(study)]
     return pa.schema([

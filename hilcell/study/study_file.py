@@ -71,34 +71,37 @@ class Factor(Frozen, frozen=True, kw_only=True):
         """Return what each level, or each end, is called."""
         return self.labels or [_word(each) for each in self.ends]
 
-    def value(self, share: float) -> float:
-        """Return the value at a share (0 to 1) of a range; whole where both ends are."""
-        assert self.low is not None
-        assert self.high is not None
-        found = self.low + share * (self.high - self.low)
-        whole = isinstance(self.low, int) and isinstance(self.high, int)
-        return round(found) if whole else found
+    def drawn(self, share: float) -> tuple[float, float]:
+        """Return the value at a share (0 to 1) of a range, whole where both ends are; its share."""
+        low, high = self.ends
+        value = low + share * (high - low)
+        if isinstance(low, int) and isinstance(high, int):
+            value = round(value)
+        return value, (value - low) / (high - low)
 
     def _problems(self) -> Iterator[str]:
-        if (self.levels is None) == (self.low is None and self.high is None):
-            yield "either levels are wanted, or low and high"
-        elif self.levels is None:
-            if self.low is None or self.high is None:
-                yield "low and high are wanted"
-            elif not self.low < self.high:
-                yield f"low {self.low:g} must be below high {self.high:g}"
-            if self.labels is not None:
-                yield "labels are for levels"
-        elif len(self.levels) < 2:
-            yield f"levels: two or more are wanted, found {len(self.levels)}"
-        elif len(set(self.names)) < len(self.levels):
-            yield "levels: two are alike; give each its own, or its own label"
-        if self.levels is None and (self.low is None or self.high is None):
+        stated = self.levels is not None, self.low is not None, self.high is not None
+        if stated not in ((True, False, False), (False, True, True)):
+            yield "levels are wanted, or low and high"
             return
+        yield from self._range_problems() if self.is_range else self._level_problems()
         for key in ("labels", "costs", "minutes"):
             given = getattr(self, key)
             if given is not None and len(given) != len(self.ends):
                 yield f"{key}: {len(self.ends)} are wanted, found {len(given)}"
+
+    def _range_problems(self) -> Iterator[str]:
+        low, high = self.ends
+        if not low < high:
+            yield f"low {low:g} must be below high {high:g}"
+        if self.labels is not None:
+            yield "labels are for levels"
+
+    def _level_problems(self) -> Iterator[str]:
+        if len(self.ends) < 2:
+            yield f"levels: two or more are wanted, found {len(self.ends)}"
+        elif len(set(self.names)) < len(self.names):
+            yield "levels: two are alike; give each its own, or its own label"
 
 
 class Study(Frozen, frozen=True, kw_only=True):
@@ -121,7 +124,12 @@ class Study(Frozen, frozen=True, kw_only=True):
 
     def checks(self) -> Sequence[Any]:
         """Return checks of the whole, each of which needs a few fields only."""
-        return [self._results_known, self._accuracy_known, self._samples_wanted, self._factors_apart]
+        return [
+            self._results_known,
+            self._accuracy_known,
+            self._samples_wanted,
+            self._factors_apart,
+        ]
 
     @property
     def has_costs(self) -> bool:
@@ -143,7 +151,7 @@ class Study(Frozen, frozen=True, kw_only=True):
     def _samples_wanted(self) -> Iterator[str]:
         if self.design == "factorial":
             if self.samples is not None:
-                yield "samples: these are for design = \"sobol\""
+                yield 'samples: these are for design = "sobol"'
         elif self.samples is None:
             yield "samples: missing; how many points has the Sobol design?"
         elif self.samples & (self.samples - 1):
@@ -182,7 +190,7 @@ def read_study(path: Path) -> Study:
 
 def cell_of(study: Study, values: Mapping[str, object]) -> Cell:
     """Return the base cell with these settings; raises `SettingsError`."""
-    given = study.settings | values
+    given = {**study.settings, **values}
     return load_cell(study.cell, {key: toml_value(value) for key, value in given.items()})
 
 

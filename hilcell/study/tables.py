@@ -102,9 +102,7 @@ def effects_sheet(study: Study, found: Answers) -> Sheet | None:
 
 def reasons_sheet(rows: Rows) -> Sheet | None:
     """Return why cases were not done, the most frequent reason first."""
-    counts = Counter(
-        (row["state"], brief(row["reason"])) for row in rows if row["state"] != DONE
-    )
+    counts = Counter((row["state"], brief(row["reason"])) for row in rows if row["state"] != DONE)
     texts = [[state, reason, str(n)] for (state, reason), n in counts.most_common(MOST_REASONS)]
     more = len(counts) - len(texts)
     note = f"And {more} more reasons." if more > 0 else ""

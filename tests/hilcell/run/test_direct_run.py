@@ -27,9 +27,9 @@ HOME: Procedure = load_entry("procedures", "home")
 NOISE_MM = 0.05  # of one visit: repeatability and tracker, as both runs measure it
 
 
-def performed(folder: Path, values: Mapping[str, str] = SMALL, **seeds: int) -> Log:
-    given = {"seed": 1, "machine_seed": 1} | seeds
-    return direct_run(load_cell("paper", values), CALIBRATE, folder=folder, **given)
+def performed(folder: Path, values: Mapping[str, str] = SMALL, machine: int = 1) -> Log:
+    cell = load_cell("paper", values)
+    return direct_run(cell, CALIBRATE, seed=1, machine_seed=machine, folder=folder)
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +61,7 @@ def test_the_same_seeds_are_the_same_digits(log: Log, tmp_path: Path) -> None:
 
 
 def test_another_machine_is_another_result(log: Log, tmp_path: Path) -> None:
-    other = CALIBRATE.result(performed(tmp_path, machine_seed=2))
+    other = CALIBRATE.result(performed(tmp_path, machine=2))
     assert of_targets(other, "before") != pytest.approx(
         of_targets(CALIBRATE.result(log), "before"), abs=1e-6
     )

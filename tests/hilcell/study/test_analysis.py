@@ -1,0 +1,167 @@
+"""Answers of a study: known effects are found, and intervals are those of machines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import t as student
+
+from hilcell.study.analysis import answers, interval, on_front
+from hilcell.study.design import Case, cases
+from hilcell.study.page import page
+from hilcell.study.results import row_of
+from hilcell.study.study_file import Study
+from hilcell.study.tables import count_words, facts, front_sheet, purchases_sheet, sheets
+from tests.hilcell.study.studies import study
+from tests.hilcell.study.test_design import RANGES, SOBOL
+
+FOUR = "machines = 4"
+Row = dict[str, Any]
+
+
+def rows(asked: Study, error_mm: Callable[[Case], float]) -> list[Row]:
+    """Return rows of a study whose errors are known."""
+    return [
+        row_of(
+            case,
+            {"state": "done", "reason": "", "minutes": 20.0 + case.point.number,
+             "mean_mm": error_mm(case), "covered": 0.95},
+            asked,
+        )
+        for case in cases(asked)
+    ]  # fmt: skip
+
+
+def shares(case: Case) -> tuple[float, ...]:
+    return tuple(each.share for each in case.point.choices)
+
+
+def additive(case: Case) -> float:
+    """A machine's own level, 0.03 less with more readings, a little more at the far place."""
+    readings, place = shares(case)
+    return 0.1 + 0.01 * case.machine - 0.03 * readings + 0.002 * place
+
+
+def test_effects_that_add_up_are_found_exactly(tmp_path: Path) -> None:
+    asked = study(tmp_path, head=FOUR)
+    found = answers(asked, rows(asked, additive))
+    changes = {(each.factor.name, each.word): each.change.mean for each in found.effects}
+    assert changes == {
+        ("readings", "2"): 0.0,
+        ("readings", "5"): pytest.approx(-0.03),
+        ("place", "near"): 0.0,
+        ("place", "far"): pytest.approx(0.002),
+    }
+    assert found.share == pytest.approx(1.0)
+    assert [each.change.half for each in found.effects] == pytest.approx([0.0] * 4, abs=1e-12)
+    assert [each.change.known for each in found.effects] == [False, True, False, True]
+
+
+def test_an_interval_is_that_of_the_mean_over_machines(tmp_path: Path) -> None:
+    """Each machine gains something else: 0.01, 0.02, 0.03, 0.04."""
+    asked = study(tmp_path, head=FOUR)
+    found = answers(asked, rows(asked, lambda c: 0.1 - 0.01 * c.machine * shares(c)[0]))
+    step = next(each for each in found.purchases if each.factor.name == "readings")
+    gains = np.array([0.01, 0.02, 0.03, 0.04])
+    assert step.change.mean == pytest.approx(-gains.mean())
+    assert step.change.half == pytest.approx(student.ppf(0.975, 3) * gains.std(ddof=1) / 2.0)
+    assert step.cost == 100.0
+
+
+def test_intervals_cover_as_often_as_they_promise() -> None:
+    drawn = np.random.default_rng(1).normal(3.0, 1.0, (2000, 5))
+    found = [interval(row) for row in drawn]
+    covered = np.mean([abs(each.mean - 3.0) <= each.half for each in found])
+    assert covered == pytest.approx(0.95, abs=0.015)
+
+
+def test_one_machine_gives_no_interval(tmp_path: Path) -> None:
+    asked = study(tmp_path, head="machines = 1")
+    measured = rows(asked, additive)
+    found = answers(asked, measured)
+    assert all(math.isnan(each.change.half) for each in found.effects)
+    sheet = purchases_sheet(asked, found)
+    assert sheet is not None
+    assert [row[4] for row in sheet.rows] == ["no", "no"]
+    assert "one machine gives no interval" in sheet.note
+    assert facts(asked, found, 4)["effects"][0]["accuracy_mm"]["half95"] is None
+    assert "<svg" in page(asked, found, measured, 4)
+
+
+def test_ranges_of_a_sobol_design(tmp_path: Path) -> None:
+    """The effect of a range is that from its low to its high end."""
+    asked = study(tmp_path, RANGES, SOBOL)
+    found = answers(asked, rows(asked, lambda c: 0.2 - 0.05 * shares(c)[0] + 0.01 * shares(c)[2]))
+    changes = {each.factor.name: each.change.mean for each in found.purchases}
+    assert changes == pytest.approx({"readings": -0.05, "x": 0.0, "sweeps": 0.01})
+
+
+def test_the_shown_gain_comes_first(tmp_path: Path) -> None:
+    asked = study(tmp_path, head=FOUR)
+
+    def swinging(case: Case) -> float:
+        """The far place gains more on average, on some machines only."""
+        readings, place = shares(case)
+        return 0.3 - 0.01 * readings - (0.05 + 0.1 * (-1) ** case.machine) * place
+
+    found = answers(asked, rows(asked, swinging))
+    assert [each.factor.name for each in found.purchases] == ["readings", "place"]
+    sheet = purchases_sheet(asked, found)
+    assert sheet is not None
+    assert [(row[0], row[4]) for row in sheet.rows] == [("readings", "gain"), ("place", "no")]
+
+
+def test_cases_that_cannot_be_are_no_zeros(tmp_path: Path) -> None:
+    asked = study(tmp_path, head=FOUR)
+    measured = rows(asked, additive)
+    none = {"state": "cannot be", "reason": "refused\ngrid: out of reach: pose 1 by 3 mm"}
+    none |= dict.fromkeys(("minutes", "mean_mm", "covered"))
+    measured = [row | none if row["place"] == "far" else row for row in measured]
+    found = answers(asked, measured)
+    assert [each.word for each in found.effects] == ["2", "5", "near"]
+    assert count_words(found, 16) == "16 cases: 8 done, 8 cannot be"
+    reasons = sheets(asked, found, measured)[-1]
+    assert reasons.rows == [["cannot be", "grid: out of reach", "8"]]
+    assert "cannot be" in page(asked, found, measured, 16)
+
+
+def test_no_case_done(tmp_path: Path) -> None:
+    asked = study(tmp_path)
+    found = answers(asked, [])
+    assert sheets(asked, found, []) == []
+    assert count_words(found, 8) == "8 cases: 8 not measured yet"
+    assert "8 not measured yet" in page(asked, found, [], 8)
+
+
+@pytest.mark.parametrize(
+    ("place", "best"),
+    [
+        ((1.0, 5.0, 0.0), True),
+        ((2.0, 4.0, 0.0), True),
+        ((2.0, 5.0, 0.0), False),  # beaten by both
+        ((2.0, 5.0, -1.0), True),  # but cheaper
+    ],
+)
+def test_the_front(place: tuple[float, ...], best: bool) -> None:
+    others = [(1.0, 5.0, 0.0), (2.0, 4.0, 0.0)]
+    assert on_front(np.array(place), np.array([place, *others])) is best
+
+
+def test_a_twin_is_on_the_front_as_well() -> None:
+    places = np.array([[1.0, 2.0, 0.0], [1.0, 2.0, 0.0]])
+    assert on_front(places[0], places)
+
+
+def test_the_front_in_the_table(tmp_path: Path) -> None:
+    """Minutes grow with the number of the point: a point is on it only where it is better."""
+    asked = study(tmp_path, head=FOUR)
+    found = answers(asked, rows(asked, lambda c: (0.1, 0.09, 0.2, 0.05)[c.point.number - 1]))
+    sheet = front_sheet(asked, found)
+    assert sheet is not None
+    assert [row[0] for row in sheet.rows] == ["1", "2", "4"]
+    assert "EUR" in sheet.headers

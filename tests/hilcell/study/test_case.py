@@ -1,0 +1,90 @@
+"""One case: figures of a calibration, or the reason why there are none."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from hilcell.cell.devices import load_entry
+from hilcell.ports import NoReading
+from hilcell.run.procedure import Procedure
+from hilcell.study import case
+from hilcell.study.case import measured, packed, versions
+from hilcell.study.outcome import RESULTS
+from hilcell.study.study_file import Study, cell_of
+from tests.hilcell.study.studies import study
+from tests.whole.golden import GoldenRuns
+
+
+@pytest.fixture
+def asked(tmp_path: Path) -> Study:
+    return study(tmp_path)
+
+
+def test_its_figures_are_those_of_a_calibration(asked: Study) -> None:
+    row = measured(packed(cell_of(asked, {})), 1, 1, versions())
+    assert (row["state"], row["reason"]) == ("done", "")
+    assert all(math.isfinite(row[name]) for name in RESULTS)
+    assert 0.02 < row["floor_mm"] < row["mean_mm"] < row["p95_mm"] <= row["max_mm"] < 0.4
+    assert row["mean_mm"] == pytest.approx((row["grid_mm"] + row["others_mm"]) / 2.0)  # 8 and 8
+    assert 10.0 < row["minutes"] < 20.0
+
+
+def test_figures_of_a_result(golden: GoldenRuns) -> None:
+    result = golden["small"].result
+    found = {name: value(result) for name, (_, value) in RESULTS.items()}
+    places = [result["validation"][name] for name in ("S1100", "others")]
+    targets = [place["points"] for place in places]
+    for name, what in (("before_mm", "before"), ("idw_mm", "idw"), ("mean_mm", "chosen")):
+        means = [place[what]["mean"] for place in places]
+        whole = sum(n * mean for n, mean in zip(targets, means, strict=True)) / sum(targets)
+        assert found[name] == pytest.approx(whole)
+    assert found["max_mm"] == max(place["chosen"]["max"] for place in places)
+    assert found["points"] == sum(result["points"].values())
+
+
+def test_a_cell_that_cannot_be_planned(asked: Study) -> None:
+    row = measured(packed(cell_of(asked, {"grid.centre.x_mm": 3850.0})), 1, 1, versions())
+    assert row["state"] == "cannot be"
+    assert "out of reach" in row["reason"]
+    assert row["mean_mm"] is None
+
+
+def test_a_machine_that_cannot_be(asked: Study) -> None:
+    row = measured(packed(cell_of(asked, {"simulation.machine": "papr"})), 1, 1, versions())
+    assert row["state"] == "cannot be"
+    assert "papr" in row["reason"]
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (NoReading("HC-T10", "Tracker", "measure", "the beam broke"), "the beam broke"),
+        (ZeroDivisionError("1 / 0"), "a defect, please report it: ZeroDivisionError: 1 / 0"),
+    ],
+)
+def test_a_run_that_ends_early(
+    asked: Study, monkeypatch: pytest.MonkeyPatch, error: Exception, words: str
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(case, "direct_run", broken)
+    row = measured(packed(cell_of(asked, {})), 1, 1, versions())
+    assert row["state"] == "failed"
+    assert words in row["reason"]
+    assert row["mean_mm"] is None
+
+
+def test_another_version_measures_nothing(asked: Study) -> None:
+    row = measured(packed(cell_of(asked, {})), 1, 1, versions() | {"numpy": "1.0"})
+    assert row == {"other versions": versions()}
+
+
+def test_a_worker_has_the_cell_as_it_was_packed(asked: Study) -> None:
+    calibrate: Procedure = load_entry("procedures", "calibrate")
+    cell = cell_of(asked, {"layout.nest_samples": 5})
+    row = measured(packed(cell), 1, 1, versions())
+    assert row["minutes"] * 60.0 == pytest.approx(calibrate.plan(cell, 1).duration_s)

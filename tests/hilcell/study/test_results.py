@@ -1,0 +1,171 @@
+"""Results are kept as they come, once each, and only with their own study."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+
+from hilcell.cell.file import Cell
+from hilcell.errors import HilcellError
+from hilcell.run.cell_lock import CellLocked
+from hilcell.study.case import Row
+from hilcell.study.design import Case, cases
+from hilcell.study.errors import Cluster, OtherStudy
+from hilcell.study.performing import perform
+from hilcell.study.results import Results, open_results, plain_rows, row_of
+from tests.hilcell.study.studies import TWO_FACTORS, study
+
+NO_PITCH = TWO_FACTORS.replace("grid.centre.x_mm", "grid.pitch_mm").replace("3850.0", "400.0")
+
+
+class Bench:
+    """Workers that find the number of the case; they vanish after ``most`` cases."""
+
+    def __init__(self, most: int = 10**9) -> None:
+        self.most, self.measured = most, list[int]()
+
+    def measure(
+        self, waiting: Iterable[Case], cells: Mapping[int, Cell]
+    ) -> Iterator[tuple[Case, Row]]:
+        for case in waiting:
+            if len(self.measured) == self.most:
+                raise Cluster("scheduler tcp://nowhere is gone")
+            assert cells[case.point.number].name == "paper"
+            self.measured.append(case.number)
+            yield case, found(case)
+
+
+def found(case: Case) -> Row:
+    figures = {"mean_mm": case.number / 1000.0, "covered": 0.95}
+    return {"state": "done", "reason": "", "minutes": 10.0} | figures
+
+
+def performed(results: Results, bench: Any) -> dict[str, int]:
+    with results.held():
+        return dict(perform(results, bench, lambda _: None))
+
+
+def test_a_study_is_kept_in_one_file(tmp_path: Path) -> None:
+    results = Results(tmp_path / "r", study(tmp_path))
+    assert performed(results, Bench()) == {"done": 8}
+    (file,) = (tmp_path / "r/cases").iterdir()
+    table = pq.read_table(tmp_path / "r/cases")  # as pandas, Polars and DuckDB read it
+    assert table.num_rows == pq.read_table(file).num_rows == 8
+    assert table["case"].to_pylist() == list(range(1, 9))
+    assert table["readings"].to_pylist() == [2.0, 2.0, 5.0, 5.0] * 2
+    assert table["place"].to_pylist() == ["near", "far"] * 4
+    assert table["cost"].to_pylist() == [0.0, 0.0, 100.0, 100.0] * 2
+    assert table["mean_mm"].to_pylist()[:2] == [0.001, 0.002]
+    assert table["max_mm"].null_count == 8  # not found by this bench
+
+
+def test_a_study_goes_on_with_the_cases_that_are_left(tmp_path: Path) -> None:
+    results, asked = Results(tmp_path / "r", study(tmp_path)), study(tmp_path)
+    with pytest.raises(Cluster):
+        performed(results, Bench(most=3))
+    assert results.finished() == {1, 2, 3}
+    bench = Bench()
+    assert performed(Results(tmp_path / "r", asked), bench) == {"done": 5}
+    assert bench.measured == [4, 5, 6, 7, 8]
+    whole = Results(tmp_path / "once", asked)
+    performed(whole, Bench())
+    assert results.table() == whole.table()
+
+
+def test_a_finished_study_measures_nothing(tmp_path: Path) -> None:
+    results = Results(tmp_path / "r", study(tmp_path))
+    performed(results, Bench())
+    bench = Bench()
+    assert performed(results, bench) == {}
+    assert bench.measured == []
+
+
+def test_a_row_in_two_files_counts_once(tmp_path: Path) -> None:
+    """A kill between the whole file and the removal of its parts leaves both."""
+    asked = study(tmp_path)
+    results = Results(tmp_path / "r", asked)
+    with results.held():
+        rows = [row_of(case, found(case), asked) for case in cases(asked)]
+        results.add(rows[:3])
+        part = next((tmp_path / "r/cases").iterdir())
+        kept = part.read_bytes()
+        results.add(rows[3:])
+        results.merge()
+        part.write_bytes(kept)
+        assert results.table()["case"].to_pylist() == list(range(1, 9))
+
+
+def test_a_cell_that_cannot_be_is_a_row(tmp_path: Path) -> None:
+    results = Results(tmp_path / "r", study(tmp_path, NO_PITCH.replace("1850.0", "450.0")))
+    assert performed(results, Bench()) == {"done": 4, "cannot be": 4}
+    rows = [row for row in plain_rows(results.table()) if row["state"] == "cannot be"]
+    assert {row["place"] for row in rows} == {"far"}
+    assert "not a whole number of pitches 400.0 mm" in rows[0]["reason"]
+    assert rows[0]["mean_mm"] is None
+
+
+def test_results_of_another_study_are_refused(tmp_path: Path) -> None:
+    performed(Results(tmp_path / "r", study(tmp_path)), Bench())
+    other = Results(tmp_path / "r", study(tmp_path, head="machines = 3"))
+    with pytest.raises(OtherStudy, match="of another study: machines differ; name another folder"):
+        performed(other, Bench())
+
+
+def test_results_of_another_version_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    performed(Results(tmp_path / "r", study(tmp_path)), Bench())
+    monkeypatch.setattr("hilcell.study.case.__version__", "9.9.9")
+    with pytest.raises(OtherStudy, match=r"hilcell \(there .*, here 9.9.9\) differ"):
+        performed(Results(tmp_path / "r", study(tmp_path)), Bench())
+
+
+def test_a_base_cell_that_has_changed_is_refused(tmp_path: Path) -> None:
+    text = Path("hilcell/cells/paper.toml").read_text("utf-8")
+    (tmp_path / "own.toml").write_text(text)
+    head = 'machines = 2\ncell = "own.toml"'
+    performed(Results(tmp_path / "r", study(tmp_path, head=head)), Bench())
+    (tmp_path / "own.toml").write_text(text + "\n# another hand\n")
+    with pytest.raises(OtherStudy, match="the base cell's file differ"):
+        performed(Results(tmp_path / "r", study(tmp_path, head=head)), Bench())
+
+
+def test_two_studies_do_not_write_one_folder(tmp_path: Path) -> None:
+    asked = study(tmp_path)
+    with (
+        Results(tmp_path / "r", asked).held(),
+        pytest.raises(CellLocked, match="another `hilcell study`"),
+        Results(tmp_path / "r", asked).held(),
+    ):
+        raise AssertionError("both hold it")
+
+
+def test_a_damaged_file_is_named(tmp_path: Path) -> None:
+    results = Results(tmp_path / "r", study(tmp_path))
+    performed(results, Bench())
+    (file,) = (tmp_path / "r/cases").iterdir()
+    file.write_bytes(file.read_bytes()[:-40])
+    with pytest.raises(OtherStudy, match=r"all\.parquet is damaged: .*delete it"):
+        results.table()
+    file.unlink()
+    bench = Bench()
+    performed(results, bench)
+    assert bench.measured == list(range(1, 9))
+
+
+@pytest.mark.parametrize("content", [None, b"{", b'{"study": 3}', b"\xff"])
+def test_a_folder_without_results(tmp_path: Path, content: bytes | None) -> None:
+    if content is not None:
+        (tmp_path / "study.json").write_bytes(content)
+    with pytest.raises(HilcellError, match="is no folder of results"):
+        open_results(tmp_path)
+
+
+def test_a_folder_says_what_was_asked(tmp_path: Path) -> None:
+    asked = study(tmp_path)
+    performed(Results(tmp_path / "r", asked), Bench())
+    assert open_results(tmp_path / "r").study == asked

@@ -1,0 +1,156 @@
+"""A study file is read strictly: every mistake at once, and values that a setting can take."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hilcell.cell.settings import SettingsError
+from hilcell.study.study_file import Study, cell_of, read_study
+from hilcell.study.toml_value import toml_value
+from tests.hilcell.study.studies import study, written
+
+EXAMPLE = Path("docs/examples/study-cell.toml")
+
+
+def factor(**keys: object) -> str:
+    given = {"name": "f", "setting": "layout.nest_samples"} | keys
+    return "\n[[factor]]\n" + "\n".join(
+        f"{key} = {json.dumps(each)}" for key, each in given.items()
+    )
+
+
+def refused(folder: Path, factors: str, head: str = "machines = 2") -> list[str]:
+    with pytest.raises(SettingsError) as found:
+        study(folder, factors, head)
+    assert found.value.source == str(folder / "study.toml")
+    return found.value.problems
+
+
+def test_a_study_is_read(tmp_path: Path) -> None:
+    found = study(tmp_path)
+    assert [each.name for each in found.factor] == ["readings", "place"]
+    assert (found.design, found.machines, found.seeds) == ("factorial", 2, 1)
+    assert found.has_costs
+
+
+def test_the_shipped_example_is_sound() -> None:
+    assert isinstance(read_study(EXAMPLE), Study)
+
+
+def test_settings_reach_the_cell(tmp_path: Path) -> None:
+    cell = cell_of(study(tmp_path), {"layout.nest_samples": 5, "grid.pitch_mm": 300.0})
+    assert (cell.layout.nest_samples, cell.grid.pitch_mm) == (5, 300.0)
+    assert cell.validation.others == 8  # of [settings]
+
+
+def test_every_mistake_is_named_at_once(tmp_path: Path) -> None:
+    head = 'machines = 0\ndesgin = "sobol"\naccuracy = "meen_mm"\nresults = ["mean_mm", "maxmm"]'
+    problems = "\n".join(refused(tmp_path, factor(levels=[2]), head))
+    for words in (
+        'desgin: unknown key; did you mean "design"?',
+        "machines: ",
+        "accuracy: 'meen_mm' is none; did you mean \"mean_mm\"?",
+        "results: 'maxmm' is none; did you mean \"max_mm\"?",
+        "factor[0].levels: two or more are wanted, found 1",
+    ):
+        assert words in problems
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({}, "levels are wanted, or low and high"),
+        ({"low": 1}, "levels are wanted, or low and high"),
+        ({"low": 1, "high": 3, "levels": [1, 2]}, "levels are wanted, or low and high"),
+        ({"low": 3, "high": 3}, "low 3 must be below high 3"),
+        ({"low": 1, "high": 3, "labels": ["a", "b"]}, "labels are for levels"),
+        ({"levels": [2, 2]}, "two are alike"),
+        ({"levels": [2, 5], "labels": ["a"]}, "labels: 2 are wanted, found 1"),
+        ({"levels": [2, 5], "costs": [1, 2, 3]}, "costs: 2 are wanted, found 3"),
+        ({"levels": [2, 5], "minutes": []}, "minutes: 2 are wanted, found 0"),
+        ({"levels": [2, 5], "name": "mean_mm"}, "is one of a result"),
+    ],
+)
+def test_a_factor_that_says_no_range(tmp_path: Path, keys: dict[str, object], words: str) -> None:
+    assert words in "\n".join(refused(tmp_path, factor(**keys)))
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"setting": "layout.nest_sample", "levels": [2, 5]}, 'mean "nest_samples"'),
+        ({"setting": "lay.nests", "levels": [2, 5]}, "unknown key"),
+        ({"levels": [2, "five"]}, "whole number is wanted, found 'five'"),
+        ({"levels": [2, 0]}, "layout.nest_samples: "),
+        ({"low": 1.5, "high": 4.0}, "whole number is wanted"),
+    ],
+)
+def test_a_value_that_the_setting_never_takes(
+    tmp_path: Path, keys: dict[str, object], words: str
+) -> None:
+    problem, *_ = refused(tmp_path, factor(**keys))
+    assert problem.startswith("factor[0].setting: ")
+    assert words in problem
+
+
+def test_a_value_that_only_goes_ill_with_others_is_no_mistake(tmp_path: Path) -> None:
+    """A pitch of 400 mm does not divide this cube; it may divide that of another factor."""
+    assert study(tmp_path, factor(setting="grid.pitch_mm", levels=[450.0, 400.0]))
+
+
+def test_two_factors_of_one_setting(tmp_path: Path) -> None:
+    twice = factor(levels=[2, 5]) + factor(levels=[2, 3])
+    problems = "\n".join(refused(tmp_path, twice))
+    assert "two have the name 'f'" in problems
+    assert "two have the setting 'layout.nest_samples'" in problems
+
+
+@pytest.mark.parametrize(
+    ("head", "words"),
+    [
+        ('design = "sobol"', "samples: missing"),
+        ('design = "sobol"\nsamples = 100', "a power of two is wanted: 64 or 128"),
+        ("samples = 8", 'samples: these are for design = "sobol"'),
+        ('accuracy = "covered"', "accuracy: 'covered' is none"),
+        ('cell = "papr"', "cell"),
+    ],
+)
+def test_a_design_that_cannot_be_drawn(tmp_path: Path, head: str, words: str) -> None:
+    assert words in "\n".join(refused(tmp_path, factor(levels=[2, 5]), head))
+
+
+def test_a_cell_of_real_devices_is_refused(tmp_path: Path) -> None:
+    text = Path("hilcell/cells/paper.toml").read_text("utf-8")
+    (tmp_path / "real.toml").write_text(text.partition("[simulation]")[0])
+    (problem,) = refused(tmp_path, factor(levels=[2, 5]), 'cell = "real.toml"')
+    assert "it has real devices only" in problem
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match="cannot be read"):
+        read_study(tmp_path / "none.toml")
+    path = written(tmp_path)
+    path.write_bytes(b"\xff\xfe")
+    with pytest.raises(SettingsError, match="UTF-8"):
+        read_study(path)
+
+
+VALUES = st.recursive(
+    st.booleans()
+    | st.integers(-(2**53), 2**53)
+    | st.floats(allow_nan=False)
+    | st.text("aä\"'\\ ."),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text("ab ."), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+@given(VALUES)
+def test_values_are_written_as_toml_reads_them(value: object) -> None:
+    assert tomllib.loads(f"value = {toml_value(value)}")["value"] == value

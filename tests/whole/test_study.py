@@ -1,0 +1,225 @@
+"""`hilcell study` as its users run it: worker processes, a scheduler, kills; all on loopback."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from hilcell.commands.cli import main
+from tests.hilcell.study.studies import TWO_FACTORS, written
+from tests.whole.bench import HILCELL, hilcell
+
+READINGS = TWO_FACTORS.partition('\n[[factor]]\nname = "place"')[0]
+LIMIT_S = 120.0
+
+
+class Dask:
+    """A command of Dask, once it has printed ``ready``; that line is kept."""
+
+    def __init__(self, *words: str, ready: str, **environment: str) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "dask", *words, "--no-dashboard"],
+            stderr=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            text=True,
+            env=os.environ | {"OMP_NUM_THREADS": "1"} | environment,
+        )
+        assert self.process.stderr is not None
+        self.line = next((each for each in self.process.stderr if ready in each), "")
+        self._rest = threading.Thread(target=self.process.stderr.read)  # its pipe never fills
+        self._rest.start()
+
+    def kill(self) -> None:
+        """End it, at once; a second time does nothing."""
+        self.process.kill()
+        self.process.wait(LIMIT_S)
+        self._rest.join(LIMIT_S)
+        assert self.process.stderr is not None
+        self.process.stderr.close()
+
+
+@contextmanager
+def scheduler() -> Iterator[tuple[str, Dask]]:
+    words = ("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-show")
+    started = Dask(*words, ready="Scheduler at:")
+    try:
+        yield started.line.split()[-1], started
+    finally:
+        started.kill()
+
+
+@contextmanager
+def worker(address: str, *words: str, **environment: str) -> Iterator[Dask]:
+    given = words or ("--nthreads", "1")
+    started = Dask("worker", address, "--no-nanny", *given, ready="Registered to", **environment)
+    try:
+        yield started
+    finally:
+        started.kill()
+
+
+def table(folder: Path) -> pa.Table:
+    return pq.read_table(folder / "cases")
+
+
+def test_one_worker_or_two_find_the_same_digits(tmp_path: Path) -> None:
+    path = written(tmp_path, READINGS)
+    one = hilcell("study", path, "--workers", "1", "-o", tmp_path / "one", "--json")
+    assert one.returncode == 0, one.stderr
+    two = hilcell("study", path, "--workers", "2", "-o", tmp_path / "two")
+    assert two.returncode == 0, two.stderr
+    assert table(tmp_path / "one") == table(tmp_path / "two")
+    assert table(tmp_path / "one").num_rows == 4
+    answers = json.loads(one.stdout)
+    assert answers["counts"] == {"done": 4}
+    assert {each["point"] for each in answers["front"]} <= {1, 2}
+    assert "Pareto front" in two.stderr
+    assert "4 done" in two.stderr
+
+    again = hilcell("study", path, "--workers", "1", "-o", tmp_path / "one", "--json")
+    assert again.returncode == 0
+    assert "4 of them kept" in again.stderr
+    assert again.stdout == one.stdout
+
+    report = hilcell("study", "report", tmp_path / "one", "--json")
+    assert report.returncode == 0
+    assert report.stdout == one.stdout
+    html = (tmp_path / "one/report.html").read_text("utf-8")
+    assert html.count("<svg") == 3
+    assert "Study trial" in html
+
+
+@contextmanager
+def studying(path: Path, folder: Path, address: str) -> Iterator[subprocess.Popen[str]]:
+    """Run a study with the workers of a scheduler."""
+    words = ["study", str(path), "-o", str(folder), "--scheduler", address]
+    running = subprocess.Popen(
+        [*HILCELL, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        yield running
+    finally:
+        running.kill()
+        running.communicate(timeout=LIMIT_S)
+
+
+@pytest.mark.nightly
+def test_a_killed_worker_loses_one_case(tmp_path: Path) -> None:
+    """Its case is measured by the other worker, with the same digits."""
+    path, folder = written(tmp_path, READINGS, head="machines = 4"), tmp_path / "r"
+    with (
+        scheduler() as (address, _),
+        worker(address),
+        worker(address) as doomed,
+        studying(path, folder, address) as running,
+    ):
+        _first_part(folder, running)
+        doomed.kill()
+        running.communicate(timeout=LIMIT_S)
+    assert running.returncode == 0
+    whole = hilcell("study", path, "-o", tmp_path / "whole")
+    assert whole.returncode == 0
+    assert table(folder) == table(tmp_path / "whole")
+
+
+def test_a_scheduler_that_vanishes_is_one_message(tmp_path: Path) -> None:
+    path, folder = written(tmp_path, READINGS, head="machines = 4"), tmp_path / "r"
+    with (
+        scheduler() as (address, process),
+        worker(address),
+        studying(path, folder, address) as running,
+    ):
+        _first_part(folder, running)
+        process.kill()
+        _, errors = running.communicate(timeout=LIMIT_S)
+    assert running.returncode == 3
+    assert errors.splitlines()[-1] == (
+        f"hilcell: scheduler {address} is gone; finished cases are kept, the same command goes on"
+    )
+    assert "Error" not in errors
+    kept = table(folder).num_rows
+    assert 1 <= kept < 8
+    done = hilcell("study", path, "-o", folder, "--workers", "1")
+    assert done.returncode == 0, done.stderr
+    assert f"{kept} of them kept" in done.stderr
+    assert table(folder)["case"].to_pylist() == list(range(1, 9))
+
+
+def test_workers_that_differ_are_one_message(tmp_path: Path) -> None:
+    path = written(tmp_path, READINGS)
+    with (
+        scheduler() as (address, _),
+        worker(address, OMP_NUM_THREADS="2"),
+        worker(address, "--nthreads", "2"),
+    ):
+        done = hilcell("study", path, "-o", tmp_path / "r", "--scheduler", address)
+    assert done.returncode == 2
+    (line,) = [each for each in done.stderr.splitlines() if "workers differ" in each]
+    assert f"scheduler {address}: workers differ: " in line
+    assert "threads of BLAS 2 (here 1)" in line
+    assert "2 threads, wanted --nthreads 1" in line
+    assert table_or_none(tmp_path / "r") is None
+
+
+def table_or_none(folder: Path) -> pa.Table | None:
+    return table(folder) if any((folder / "cases").glob("*.parquet")) else None
+
+
+def test_no_scheduler_is_one_message(tmp_path: Path) -> None:
+    path, nowhere = written(tmp_path, READINGS), "tcp://127.0.0.1:9"
+    done = hilcell("study", path, "-o", tmp_path / "r", "--scheduler", nowhere)
+    assert done.returncode == 2
+    assert f"hilcell: scheduler {nowhere} does not answer" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        (("report",), "name the folder of results"),
+        (("a.toml", "b"), "one word too many"),
+        (("report", "r", "--workers", "2"), "--workers is for performing"),
+        (("a.toml", "--workers", "0"), "a whole number of 1 .. 1024 is wanted, found '0'"),
+        (("a.toml", "--scheduler", "host"), "tcp://HOST:PORT is wanted"),
+        (("a.toml", "--workers", "2", "--scheduler", "tcp://h:1"), "name one"),
+        (("report", "r"), "is no folder of results"),
+    ],
+)
+def test_words_that_contradict_one_another(
+    capsys: pytest.CaptureFixture[str], words: tuple[str, ...], wanted: str
+) -> None:
+    try:
+        code = main(["study", *words])
+    except SystemExit as ended:
+        code = int(str(ended.code))
+    assert code == 2
+    assert wanted in capsys.readouterr().err
+
+
+def test_a_dry_run_lists_the_cases(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = written(tmp_path)
+    assert main(["study", str(path), "--dry-run", "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)["cases"]
+    assert [each["case"] for each in listed] == list(range(1, 9))
+    assert listed[1]["settings"] == {"layout.nest_samples": 2, "grid.centre.x_mm": 3850.0}
+    assert main(["study", str(path), "--dry-run"]) == 0
+    assert "far" in capsys.readouterr().out
+    assert not (tmp_path / "study-results").exists()
+
+
+def _first_part(folder: Path, running: subprocess.Popen[str]) -> None:
+    """Wait until a row is kept."""
+    while not any((folder / "cases").glob("*.parquet")):
+        assert running.poll() is None, running.communicate()
+        time.sleep(0.02)
