@@ -1,8 +1,8 @@
 """A simulated cell inside the engine's own process: its devices without wires, in event time.
 
 Plant, noise and seed are those of the simulated cell behind wires, so is all that a device states:
-the encoder's and the strip's counts, the controller's joints. What wires add is left out: late and
-split answers, dither of the counts, faults, the controller's rounding of angles.
+the encoder's and the strip's counts, the controller's joints. The additions of wires are left out:
+late and split answers, dither of the counts, faults, the controller's rounding of angles.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from fakes.truth.rail_truth import RailTruth
 from fakes.truth.robot_motion import RobotMotion
 from fakes.truth.stream_truth import Followed
 from fakes.truth.tracker_truth import Measurement
-from hilcell.cell.devices import Devices, load_entry
+from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
 from hilcell.ports import (
     Air,
@@ -34,8 +34,10 @@ from hilcell.ports import (
     NoReading,
     Rail,
     RailReading,
+    Robot,
     RobotReading,
     StreamBlock,
+    Tracker,
     TrackerReading,
 )
 
@@ -53,11 +55,11 @@ class InProcessCell:
         passing = PlantTime()
         plant = Plant(cell, seed, passing, Faults())
         self.clock: Clock = EventClock(passing)
-        rail: Rail = load_entry("rails", "none")(None, self.clock)
+        self.rail: Rail = load_entry("rails", "none")(None, self.clock)
         if isinstance(plant.rail, RailTruth):
-            rail = DirectRail(plant.rail, passing, cell)
-        robot = DirectRobot(plant.robot, passing, cell)
-        self.devices = Devices(rail, robot, DirectTracker(plant, cell))
+            self.rail = DirectRail(plant.rail, passing, cell)
+        self.robot: Robot = DirectRobot(plant.robot, passing, cell)
+        self.tracker: Tracker = DirectTracker(plant, cell)
 
 
 class EventClock:
@@ -280,7 +282,7 @@ class DirectTracker:
 
 
 class DirectStream:
-    """Satisfies `hilcell.ports.Stream`; what arrived by each look is computed in the end."""
+    """Satisfies `hilcell.ports.Stream`. Samples are computed in the end, by the looks."""
 
     def __init__(self, plant: Plant, followed: Followed, rate_hz: float) -> None:
         self.rate_hz = rate_hz

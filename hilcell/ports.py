@@ -33,7 +33,6 @@ from hilcell.errors import (
 )
 
 if TYPE_CHECKING:
-    from hilcell.cell.devices import Devices
     from hilcell.cell.file import Cell
 
 __all__ = [
@@ -372,7 +371,9 @@ class SimulatedCell(Protocol):
 class InProcessCell(Protocol):
     """A simulated cell without wires, built of a cell and a machine's seed; time is event time."""
 
-    devices: Devices
+    rail: Rail
+    robot: Robot
+    tracker: Tracker
     clock: Clock
 
 

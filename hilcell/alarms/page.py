@@ -14,6 +14,7 @@ CHAPTERS = {
     "V": "Verdicts",
     "J": "Journal",
     "C": "Cell",
+    "D": "Design studies",
 }
 THEN = {
     "resume": "Continue: space, or `hilcell resume RUN`.",

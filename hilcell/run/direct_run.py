@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 
 from hilcell import __version__
-from hilcell.cell.devices import connect_all, in_process_cell
+from hilcell.cell.devices import Devices, connect_all, in_process_cell
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
 from hilcell.journal.memory_journal import MemoryJournal
@@ -63,10 +63,11 @@ def direct_run(
             "duration_s": plan.duration_s,
         },
     )
-    identities = connect_all(simulated.devices, lambda _: None)
+    devices = Devices(simulated.rail, simulated.robot, simulated.tracker)
+    identities = connect_all(devices, lambda _: None)
     journal.append("event", "", {"what": "connected", "devices": identities, "hilcell": ""})
     session = CellSession(
-        cell, simulated.devices, simulated.clock, journal, checkpoint=lambda: None, ask=_nobody
+        cell, devices, simulated.clock, journal, checkpoint=lambda: None, ask=_nobody
     )
     procedure.perform(session)
     return journal.log

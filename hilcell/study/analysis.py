@@ -40,7 +40,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """What one point reached: accuracy, minutes, cost, over all machines that did it."""
+    """The result of one point: accuracy, minutes, cost, over all machines that did it."""
 
     point: Point
     accuracy: Interval
@@ -52,7 +52,7 @@ class Design:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """What one level, or one end of a range, does to the accuracy beside the study's mean."""
+    """The accuracy at one level, or at one end of a range, and its change from the first."""
 
     factor: Factor
     word: str

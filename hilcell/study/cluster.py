@@ -21,7 +21,7 @@ from hilcell.study.case import FAILED, Row, measured, packed, versions
 from hilcell.study.design import Case
 from hilcell.study.errors import Cluster
 
-CONNECT_S = 10.0
+CONNECT_S = 5.0
 WORKERS_S = 60.0
 AHEAD = 4  # cases a worker that are handed over before they are needed
 LEAST_AHEAD = 64
@@ -168,7 +168,7 @@ def _differences(there: Mapping[str, str]) -> str:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep Dask's own log off the terminal: what matters is said once, by hilcell."""
+    """Keep Dask's own log off the terminal: hilcell says what matters once."""
     before = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     try:

@@ -13,7 +13,7 @@ from hilcell.study.study_file import MOST_CASES, Factor, Study
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """What one factor is at a point: its value, its name in tables, what it costs.
+    """A factor at a point: its value, its name in tables, what it costs.
 
     ``share`` is the number of its level, or the place in its range from 0 to 1.
     """

@@ -1,4 +1,4 @@
-"""What a case found: figures of one calibration, computed from its result."""
+"""The findings of a case: figures of one calibration, computed from its result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The folder of a study's results: what was asked (`study.json`), and rows as Parquet.
+"""The folder of a study's results: the question (`study.json`), and rows as Parquet.
 
 Rows appear in whole files, a batch each (`cases/part-*.parquet`); at the end of a study they are
 one file (`cases/all.parquet`). A row that is in a file is finished for good.
@@ -33,7 +33,7 @@ WHOLE = "all.parquet"
 
 
 class Asked(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the rows of a folder are results of."""
+    """The question whose answers a folder holds."""
 
     study: dict[str, Any]
     cell_sha256: str
@@ -67,7 +67,7 @@ def asked(study: Study) -> Asked:
 
 
 class Results:
-    """The rows of one study in one folder; who adds holds the folder's lock."""
+    """The rows of one study in one folder. A writer holds the folder's lock."""
 
     def __init__(self, folder: Path, study: Study) -> None:
         self.folder, self.study = folder, study

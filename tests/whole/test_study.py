@@ -223,3 +223,13 @@ def _first_part(folder: Path, running: subprocess.Popen[str]) -> None:
     while not any((folder / "cases").glob("*.parquet")):
         assert running.poll() is None, running.communicate()
         time.sleep(0.02)
+
+
+def test_a_missing_package_is_one_message(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in [name for name in sys.modules if name.startswith("hilcell.study.results")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    assert main(["study", str(written(tmp_path))]) == 2
+    assert "pip install 'hilcell[study]'" in capsys.readouterr().err

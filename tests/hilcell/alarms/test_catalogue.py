@@ -35,7 +35,7 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.code)
 def test_an_entry_is_short_and_complete(entry: Entry) -> None:
-    assert re.fullmatch(r"HC-[RSBTCJV]\d\d", entry.code)
+    assert re.fullmatch(r"HC-[RSBTCJVD]\d\d", entry.code)
     assert entry.severity in SEVERITIES
     assert 0 < len(entry.title) <= 50
     assert len(re.findall(r"[.!?](?: |$)", entry.means)) <= 3

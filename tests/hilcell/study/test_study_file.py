@@ -101,7 +101,8 @@ def test_a_value_that_the_setting_never_takes(
 
 def test_a_value_that_only_goes_ill_with_others_is_no_mistake(tmp_path: Path) -> None:
     """A pitch of 400 mm does not divide this cube; it may divide that of another factor."""
-    assert study(tmp_path, factor(setting="grid.pitch_mm", levels=[450.0, 400.0]))
+    found = study(tmp_path, factor(setting="grid.pitch_mm", levels=[450.0, 400.0]))
+    assert found.factor[0].ends == [450.0, 400.0]
 
 
 def test_two_factors_of_one_setting(tmp_path: Path) -> None:
