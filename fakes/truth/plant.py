@@ -9,6 +9,8 @@ finds `base_in_world`.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from fakes.faults import Faults
@@ -53,6 +55,7 @@ class Plant:
         self._floor |= _bars(cell.layout, mounting.floor_nest_mm, fixed.generator("bars"))
         self._slide = _placed(cell.layout.slide, mounting.slide_nest_mm, fixed.generator("slide"))
         self._places: tuple[tuple[object, ...], dict[str, Array]] = ((), {})  # for which state
+        self._on_slide: tuple[float, Array, dict[str, Array]] = (math.nan, np.eye(4), {})
         self.seated = ""  # where the one reflector is that is carried by hand; "": out of sight
         self.tracker = TrackerTruth(cell, seed, faults, self.reflectors_in_world)
         self.streams = StreamTruth(seed, self.robot, self.tracker, self.path_in_world)
@@ -108,18 +111,27 @@ class Plant:
         """Return where a reflector (3,) in each nest and on the flange really is, in {W}."""
         robot, warm_k = self.robot.state(), self.tracker.warm_k
         moves = (robot.joints_rad, robot.side, robot.landing_rad, self._bolted, self._slipped)
-        now = (self.rail.slide_mm(), warm_k, *(each.tobytes() for each in moves))
+        slide_mm = self.rail.slide_mm()
+        now = (slide_mm, warm_k, *(each.tobytes() for each in moves))
         known, found = self._places
         if now != known:  # at rest it is asked for several times a measurement
-            T_W_S = self.rail.slide_pose()
-            found = dict(self._floor)
-            found |= {name: carried(T_W_S, at_mm) for name, at_mm in self._slide.items()}
+            T_W_S, on_slide = self._slide_places(slide_mm)
+            found = self._floor | on_slide
             arm = self.arm.pose(robot.joints_rad, robot.side, robot.landing_rad, warm_k)
             tool = T_W_S @ self._bolted @ arm @ self._slipped
             found[FLANGE] = tool[:3, 3]
             found |= {name: carried(tool, at_mm) for name, at_mm in self._seats.items()}
             self._places = (now, found)
         return found
+
+    def _slide_places(self, slide_mm: float) -> tuple[Array, dict[str, Array]]:
+        """Return the slide in {W}, (4, 4), and its nests there; it stands while the arm moves."""
+        at_mm, T_W_S, places = self._on_slide
+        if slide_mm != at_mm:
+            T_W_S = self.rail.slide_pose()
+            places = {name: carried(T_W_S, nest_mm) for name, nest_mm in self._slide.items()}
+            self._on_slide = (slide_mm, T_W_S, places)
+        return T_W_S, places
 
     def base_in_world(self) -> Array:
         """Return the base frame (4, 4) in {W} that a faultless section 4.2 would find now."""

@@ -88,11 +88,13 @@ class TrackerTruth:
 
     def find(self, near_mm: Array, radius_mm: float) -> str | None:
         """Return the name of the reflector nearest to a point (3,), if within range and radius."""
-        found = {
-            name: float(np.linalg.norm(at_mm - near_mm))
-            for name, at_mm in self.reflectors().items()
-            if self._in_range(at_mm)
-        }
+        places = self._reflectors()
+        if not places:
+            return None
+        at_mm = np.array([*places.values()]) @ self._from_world[:3, :3].T + self._from_world[:3, 3]
+        range_mm, off_mm = (np.sqrt((d * d).sum(axis=1)) for d in (at_mm, at_mm - near_mm))
+        seen = (self._range_mm[0] <= range_mm) & (range_mm <= self._range_mm[1])
+        found = {name: off for name, off, sees in zip(places, off_mm, seen, strict=True) if sees}
         if not found:
             return None
         order = sorted(found, key=found.__getitem__)

@@ -225,12 +225,15 @@ class CutOff(msgspec.Struct, frozen=True):
 
 
 class Log:
-    """The journal so far. ``take`` adds one record."""
+    """The journal so far. ``take`` adds one record.
 
-    def __init__(self, records: Iterable[Record] = ()) -> None:
+    ``packed`` points take little memory; others are there at once.
+    """
+
+    def __init__(self, records: Iterable[Record] = (), *, packed: bool = True) -> None:
         self.plan: PlanRecord | None = None
         self._cell: Cell | None = None
-        self.points: MutableMapping[str, Point] = Packed(_Row)
+        self.points: MutableMapping[str, Point] = Packed(_Row) if packed else {}
         self.repeated: dict[str, list[Point]] = {}  # earlier measurements of targets, by key
         self._keys: dict[str, dict[str, int]] = {}  # of the points, by kind: numbers of records
         self.frames: dict[str, dict[str, Any]] = {}

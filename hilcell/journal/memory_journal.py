@@ -14,7 +14,7 @@ class MemoryJournal:
 
     def __init__(self, folder: Path, moment: str) -> None:
         """``folder`` takes the streams; every record has the one time ``moment``, ISO 8601."""
-        self.log = Log()
+        self.log = Log(packed=False)  # a study's run ends in seconds, and asks for them all
         self.path = folder / "journal"
         self._moment, self._seq = moment, 0
 
