@@ -225,10 +225,7 @@ class CutOff(msgspec.Struct, frozen=True):
 
 
 class Log:
-    """The journal so far. ``take`` adds one record.
-
-    ``packed`` points take little memory; others are there at once.
-    """
+    """The journal so far. ``take`` adds one record. ``packed`` points take little memory."""
 
     def __init__(self, records: Iterable[Record] = (), *, packed: bool = True) -> None:
         self.plan: PlanRecord | None = None
