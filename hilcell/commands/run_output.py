@@ -41,6 +41,7 @@ from hilcell.writing import NotPrinted
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import Progress
 
 AT_REST = {"Rail": "held", "Robot": "at rest"}  # how a run leaves what moves
 
@@ -113,29 +114,34 @@ class JsonOutput(RunOutput):
             sys.stdout.buffer.flush()
 
 
+def progress_bar() -> Progress:
+    """Return a bar on stderr with counts and times, which nobody need read."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    return Progress(
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=_console(),
+    )
+
+
 class ProgressOutput(RunOutput):
     """Draws a progress bar on stderr."""
 
     def __init__(self, run: str, points: int) -> None:
         super().__init__(as_json=False)
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            TextColumn,
-            TimeElapsedColumn,
-            TimeRemainingColumn,
-        )
-
-        self._console = _console()
-        self._progress = Progress(
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            console=self._console,
-        )
+        self._progress = progress_bar()
+        self._console = self._progress.console
         self._planned, self._measured = points, set[str]()
         self._task = self._progress.add_task(harmless(run), total=points)
 

@@ -124,26 +124,10 @@ def _workers(args: argparse.Namespace) -> AbstractContextManager[Workers]:
 
 def _measured(results: Results, workers: Workers, planned: int, kept: int) -> Counter[str]:
     """Measure the cases that are left, with a progress bar on stderr."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
+    from hilcell.commands.run_output import progress_bar
     from hilcell.study.performing import perform
 
-    with Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-    ) as progress:
+    with progress_bar() as progress:
         task = progress.add_task(clean(results.study.name), total=planned, completed=kept)
         return perform(results, workers, lambda _: progress.advance(task))
 
