@@ -24,6 +24,7 @@ from hilcell.commands.output import (
     print_message,
 )
 from hilcell.commands.parser import Parser
+from hilcell.commands.plant_parser import add_plant
 from hilcell.writing import NotPrinted
 
 EPILOG = """\
@@ -58,6 +59,7 @@ def whole_parser() -> Parser:
     _add_plan(commands)
     _add_files(commands)
     _add_study(commands)
+    add_plant(commands)
     return parser
 
 

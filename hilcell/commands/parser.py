@@ -21,9 +21,9 @@ class Parser(argparse.ArgumentParser):
         super().__init__(**options, allow_abbrev=False)
         self.commands: argparse._SubParsersAction[Parser] | None = None
 
-    def add_commands(self) -> argparse._SubParsersAction[Parser]:
-        """Return where commands are added."""
-        self.commands = self.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    def add_commands(self, dest: str = "command") -> argparse._SubParsersAction[Parser]:
+        """Return where commands are added; ``dest`` is the argument that takes the one chosen."""
+        self.commands = self.add_subparsers(dest=dest, metavar="COMMAND", required=True)
         return self.commands
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:

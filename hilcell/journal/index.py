@@ -137,7 +137,7 @@ def row_of(folder: Path) -> RunRow:
     from hilcell.journal.engine_file import live_engine
 
     try:
-        row = _from_records(folder.name, read_records(folder))
+        row = row_of_records(folder.name, read_records(folder))
     except (StorageError, msgspec.ValidationError) as error:
         state = NEVER_BEGAN if isinstance(error, NeverBegan) else UNREADABLE
         return RunRow(name=folder.name, begun=_written(folder), state=state, reason=str(error))
@@ -264,8 +264,10 @@ class _Result(msgspec.Struct):
     campaign: _Fit = msgspec.field(default_factory=_Fit)
 
 
-def _from_records(name: str, records: Iterable[Record]) -> RunRow:
-    """Return the row of a run; raises `StorageError` and `msgspec.ValidationError`.
+def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
+    """Return the row of a run without an engine.
+
+    Raises `StorageError` and `msgspec.ValidationError`.
 
     `Log` says the same and more, but loads arrays and all points for it.
     """

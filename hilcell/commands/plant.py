@@ -1,0 +1,235 @@
+"""``plant``: records of all cells in one database: make it, ship runs to it, ask it."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+from contextlib import closing
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from hilcell.cell.settings import did_you_mean
+from hilcell.clean import encodable, harmless
+from hilcell.commands.output import print_answer, print_json, print_message, print_table
+from hilcell.errors import HilcellError
+from hilcell.run.exits import EXIT_OK, EXIT_STORAGE
+
+if TYPE_CHECKING:
+    from sqlalchemy import Connection
+
+    from hilcell.plant.database import Database
+
+URL = "HILCELL_PLANT"
+PACKAGES = ("sqlalchemy", "alembic", "psycopg")
+
+
+def init(args: argparse.Namespace) -> int:
+    """Make the tables of a plant's database, or bring them up to this version's."""
+    with closing(_database(args.plant)) as database:
+        before = database.make()
+    from hilcell.plant.tables import HEAD
+
+    words = {"": "made", HEAD: "is up to date"}.get(before, f"brought up from schema {before}")
+    print_answer(
+        {"plant": database.name, "schema": HEAD, "before": before or None},
+        f"plant database {database.name}: {words}, schema {HEAD}",
+        as_json=args.json,
+    )
+    return EXIT_OK
+
+
+def ship(args: argparse.Namespace) -> int:
+    """Ship the runs of a folder that are over; exit code 7 where one or all could not be."""
+    from hilcell.plant.database import PlantAway
+    from hilcell.plant.shipper import ship as ship_runs
+
+    try:
+        with closing(_database(args.plant)) as database:
+            done = ship_runs(args.runs, database)
+    except PlantAway as error:
+        print_message(f"hilcell: {error}")
+        return EXIT_STORAGE
+    for reason in done.refused.values():
+        print_message(f"hilcell: {reason}")
+    print_answer(
+        {
+            "plant": database.name,
+            "shipped": done.runs,
+            "points": done.points,
+            "before": done.before,
+            "waiting": list(map(encodable, done.waiting)),
+            "refused": {encodable(run): encodable(why) for run, why in done.refused.items()},
+        },
+        f"{done.runs} runs shipped with {done.points} points, {done.before} were there, "
+        f"{len(done.waiting)} not over yet, {len(done.refused)} refused",
+        as_json=args.json,
+    )
+    return EXIT_STORAGE if done.refused else EXIT_OK
+
+
+def show(args: argparse.Namespace) -> int:
+    """Show what the plant's records say of cells, robots, stations, instruments and alarms."""
+    from hilcell.plant.database import PlantAway
+
+    try:
+        with closing(_database(args.plant)) as database:
+            database.check()
+            with database.transaction() as connection:
+                found = _answers(connection, args)
+    except PlantAway as error:
+        print_message(f"hilcell: {error}")
+        return EXIT_STORAGE
+    if args.json:
+        print_json(found)
+        return EXIT_OK
+    if not found["cells"]:
+        print_message(f"plant database {database.name}: no runs were shipped yet")
+        return EXIT_OK
+    _print_cells(found["cells"])
+    _print_robots(found["robots"])
+    _print_equipment(found)
+    for doubt in found["doubts"]:
+        print_message(f"note: {doubt}")
+    return EXIT_OK
+
+
+def _database(url: str | None) -> Database:
+    """Return the database; raises `HilcellError` where the packages or the URL are missing."""
+    missing = [name for name in PACKAGES if importlib.util.find_spec(name) is None]
+    if missing:
+        raise HilcellError(
+            f"hilcell plant: {', '.join(missing)} is not installed; "
+            "`pip install 'hilcell[plant]'` installs what it needs"
+        )
+    url = url or os.environ.get(URL, "")
+    if not url:
+        raise HilcellError(
+            f"hilcell plant: no database is named; say its URL, or set {URL}: "
+            "postgresql://USER@HOST/DATABASE or sqlite:///FILE"
+        )
+    from hilcell.plant.database import Database
+
+    return Database(url)
+
+
+def _answers(connection: Connection, args: argparse.Namespace) -> dict[str, Any]:
+    from hilcell.plant.cells import cells
+    from hilcell.plant.equipment import alarms, doubts, instruments, worse_stations
+    from hilcell.plant.robots import robots
+
+    states = cells(connection, datetime.now(UTC), args.max_age)
+    names = sorted({state.cell for state in states})
+    if args.cell and args.cell not in names:
+        raise HilcellError(
+            f"cell {args.cell[:80]!r} has shipped no run{did_you_mean(args.cell, names)}"
+        )
+    found = {
+        "cells": [state for state in states if args.cell in ("", state.cell)],
+        "robots": robots(connection, args.robot, args.cell),
+        "stations": worse_stations(connection, args.cell),
+        "instruments": instruments(connection, args.cell),
+        "alarms": alarms(connection, args.cell),
+        "doubts": doubts(connection),
+    }
+    if args.robot and not found["robots"]:
+        raise HilcellError(f"robot {args.robot[:80]!r} has no calibration in these records")
+    plain: dict[str, Any] = msgspec.to_builtins(found)
+    return plain
+
+
+def _print_cells(cells: list[dict[str, Any]]) -> None:
+    headers = ["cell", "serial", "machine", "calibration", "made", "valid until", "days left"]
+    rows = [
+        [
+            _word(each["cell"]), _word(each["serial"]), _word(each["machine"]),
+            _word(each["calibration"] or each["condition"]), _day(each["calibrated"]),
+            _day(each["valid_until"]), _days(each),
+            f"{_word(each['last_run'])}, {_word(each['last_state'])}, {_day(each['last_ended'])}",
+        ]
+        for each in cells
+    ]  # fmt: skip
+    print_table(([*headers, "last run"], rows))
+
+
+def _days(cell: dict[str, Any]) -> str:
+    if cell["condition"] == "valid":
+        return f"{cell['days_left']:.0f}"
+    return _word(cell["condition"]) if cell["calibration"] else ""
+
+
+def _print_robots(robots: list[dict[str, Any]]) -> None:
+    headers = ["robot", "cell", "calibrations", "of", "mm a year", "U", "drifts", "noise mm"]
+    rows = [
+        [
+            _word(each["robot"]), _word(each["cell"]), str(each["calibrations"]), drift["what"],
+            f"{drift['mm_per_year']:+.4f}", f"{drift['U_mm_per_year']:.4f}",
+            "yes" if drift["drifts"] else "no", f"{drift['noise_mm']:.4f}",
+        ]
+        for each in robots
+        for drift in each["drift"]
+    ]  # fmt: skip
+    if rows:
+        print_table((headers, rows))
+    steps = [(each, change) for each in robots for change in each["changes"]]
+    if steps:
+        changes = [
+            [
+                _word(each["robot"]), _word(each["cell"]), change["what"],
+                f"{_day(change['since'])} .. {_day(change['until'])}",
+                f"{change['size_mm']:+.3f}", f"{change['U_mm']:.3f}",
+                _word(change["before"]) + ("" if change["confirmed"] else " (one run only)"),
+                "\n".join(map(_word, change["said"])),
+            ]
+            for each, change in steps
+        ]  # fmt: skip
+        headers = ["robot", "cell", "step of", "between", "mm", "U", "first seen by", "said then"]
+        print_table((headers, changes))
+
+
+def _print_equipment(found: dict[str, Any]) -> None:
+    if found["stations"]:
+        headers = ["station that gets worse", "cell", "mean mm", "tolerance", "mm a year", "95 %"]
+        rows = [
+            [
+                _word(each["station"]), _word(each["cell"]), f"{each['mean_mm']:.3f}",
+                "" if each["tolerance_mm"] is None else f"{each['tolerance_mm']:g}",
+                f"{each['mm_per_year']:+.3f}",
+                f"{each['low_mm_per_year']:+.3f} .. {each['high_mm_per_year']:+.3f}",
+                "" if each["out_in_years"] is None else f"{each['out_in_years']:.1f}",
+            ]
+            for each in found["stations"]
+        ]  # fmt: skip
+        print_table(([*headers, "out in years"], rows))
+    headers = ["instrument", "serial", "model", "cells", "runs", "last", "scale ppm", "u ppm"]
+    rows = [
+        [
+            _word(each["kind"]), _word(each["serial"]), _word(each["model"]),
+            _word(", ".join(each["cells"])), str(each["runs"]), _day(each["last"]),
+            "" if each["scale_ppm"] is None else f"{each['scale_ppm']:+.1f}",
+            "" if each["u_ppm"] is None else f"{each['u_ppm']:.1f}",
+            _word(", ".join(each["disagrees_with"])),
+        ]
+        for each in found["instruments"]
+    ]  # fmt: skip
+    print_table(([*headers, "disagrees with"], rows))
+    if found["alarms"]:
+        headers = ["alarm", "title", "severity", "count", "cells", "last"]
+        rows = [
+            [
+                _word(each["code"]), _word(each["title"]), each["severity"], str(each["count"]),
+                _word(", ".join(each["cells"])), _day(each["last"]),
+            ]
+            for each in found["alarms"]
+        ]  # fmt: skip
+        print_table((headers, rows))
+
+
+def _word(text: str) -> str:
+    return harmless(text)
+
+
+def _day(moment: str | None) -> str:
+    return (moment or "")[:10]

@@ -1,0 +1,194 @@
+"""The plant's database: its URL, its schema and roles, and its errors in one line each.
+
+No message holds a password: it may stand in the URL, where libpq's own file (``~/.pgpass``) is
+not used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from sqlalchemy import URL, Connection, Engine, create_engine, event, inspect, make_url, text
+from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError, SQLAlchemyError
+
+from hilcell.clean import clean
+from hilcell.errors import HilcellError
+from hilcell.plant.tables import HEAD, PARTS, RUN
+
+MIGRATIONS = Path(__file__).with_name("migrations")
+POSTGRESQL, SQLITE = "postgresql", "sqlite"
+DRIVERS = {POSTGRESQL: "postgresql+psycopg", SQLITE: "sqlite"}
+CONNECT_S, SILENT_MS, BUSY_S = 10, 30_000, 30.0
+CELL, ENGINEER = "hilcell_cell", "hilcell_engineer"  # the roles
+KNOWN = ("run_key", "revision", "head")  # columns of `run` that cells may read
+
+
+class PlantError(HilcellError):
+    """The database refuses the work: its address, its schema, a right."""
+
+    code = "HC-J21"
+
+
+class PlantAway(HilcellError):
+    """The database cannot be reached, or went away; journals keep the runs that it lacks."""
+
+    code = "HC-J20"
+
+
+class Database:
+    """A plant's database by its URL; opens nothing yet. Raises `PlantError`."""
+
+    def __init__(self, url: str) -> None:
+        self._url = _parsed(url)
+        self.name = clean(self._url.render_as_string(hide_password=True))
+        options: dict[str, float] = {}
+        if self._url.get_backend_name() == POSTGRESQL:
+            options = {
+                "connect_timeout": CONNECT_S,
+                "tcp_user_timeout": SILENT_MS,
+                "keepalives_idle": CONNECT_S,
+            }
+        else:
+            options = {"timeout": BUSY_S}
+        self.engine: Engine = create_engine(self._url, connect_args=options, pool_pre_ping=False)
+        if self._url.get_backend_name() == SQLITE:
+            event.listen(self.engine, "connect", _checked_keys)
+
+    @contextmanager
+    def transaction(self) -> Iterator[Connection]:
+        """Yield a connection whose work is kept whole, or not at all.
+
+        Raises `PlantAway` and `PlantError`.
+        """
+        try:
+            with self.engine.begin() as connection:
+                yield connection
+        except SQLAlchemyError as error:
+            raise self._error(error) from None  # SQLAlchemy's own says the values of all rows
+
+    def check(self) -> None:
+        """Raise `PlantError` where the schema is not this version's, or `PlantAway`."""
+        self._check_file()
+        with self.transaction() as connection:
+            self._check(connection)
+
+    def make(self) -> str:
+        """Make the schema, or bring it up to this version's; return which it was before, or "".
+
+        Raises `PlantAway` and `PlantError`.
+        """
+        from alembic import command
+        from alembic.config import Config
+
+        with self.transaction() as connection:
+            before = _version(connection)
+            if before is not None and before not in _known():
+                raise PlantError(self._newer(before))
+            config = Config()
+            config.set_main_option("script_location", str(MIGRATIONS))
+            config.attributes["connection"] = connection
+            command.upgrade(config, "head")
+            if connection.dialect.name == POSTGRESQL:
+                _grant(connection)
+        return before or ""
+
+    def close(self) -> None:
+        """Close all connections."""
+        self.engine.dispose()
+
+    def _check_file(self) -> None:
+        """Refuse a file that is not there: SQLite would make an empty one."""
+        file = self._url.database or ""
+        if self._url.get_backend_name() == SQLITE and not Path(file).is_file():
+            raise PlantError(self._none())
+
+    def _check(self, connection: Connection) -> None:
+        found = _version(connection)
+        if found == HEAD:
+            return
+        if found is None:
+            raise PlantError(self._none())
+        if found not in _known():
+            raise PlantError(self._newer(found))
+        raise PlantError(
+            f"plant database {self.name}: schema {found}, wanted {HEAD}; "
+            "`hilcell plant init --to URL` brings it up to date"
+        )
+
+    def _none(self) -> str:
+        return (
+            f"plant database {self.name}: it holds no plant records; "
+            "`hilcell plant init --to URL` makes their tables"
+        )
+
+    def _newer(self, found: str) -> str:
+        return (
+            f"plant database {self.name}: schema {clean(found)}, this hilcell knows {HEAD}; "
+            "update hilcell on this PC"
+        )
+
+    def _error(self, error: SQLAlchemyError) -> HilcellError:
+        """Return an error of the database in one line, without values and without a password."""
+        cause = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
+        words = clean(" ".join(str(cause).split()))
+        if (password := self._url.password) is not None and str(password):
+            words = words.replace(str(password), "***")
+        gone = isinstance(error, DBAPIError) and error.connection_invalidated
+        if gone or isinstance(error, OperationalError):
+            return PlantAway(
+                f"plant database {self.name}: it cannot be used now: {words}; nothing is lost: "
+                "check the server and the network, then repeat the command"
+            )
+        return PlantError(f"plant database {self.name}: refused: {words}")
+
+
+def _parsed(url: str) -> URL:
+    forms = "postgresql://USER@HOST/DATABASE or sqlite:///FILE is wanted"
+    try:
+        parsed = make_url(url)
+        backend = parsed.get_backend_name()
+    except (ArgumentError, ValueError):  # both may repeat the URL, and so a password
+        raise PlantError(f"plant database: its URL cannot be read; {forms}") from None
+    if backend not in DRIVERS:
+        raise PlantError(f"plant database: {clean(backend)} is not known; {forms}")
+    if backend == SQLITE and not parsed.database:
+        raise PlantError(f"plant database: its URL names no file; {forms}")
+    return parsed.set(drivername=DRIVERS[backend])
+
+
+def _checked_keys(connection: object, _: object) -> None:
+    connection.execute("PRAGMA foreign_keys=ON")  # type: ignore[attr-defined] # sqlite3's own
+
+
+def _version(connection: Connection) -> str | None:
+    """Return the schema's version; None where there is none."""
+    if not inspect(connection).has_table("alembic_version"):
+        return None
+    found = connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
+    return None if found is None else str(found)
+
+
+def _known() -> set[str]:
+    """Return the versions that this hilcell has migrations of."""
+    from alembic.script import ScriptDirectory
+
+    return {each.revision for each in ScriptDirectory(str(MIGRATIONS)).walk_revisions()}
+
+
+def _grant(connection: Connection) -> None:
+    """Let cells insert and engineers read; the two roles are made where they are not there."""
+    for role in (CELL, ENGINEER):
+        there = text("SELECT 1 FROM pg_roles WHERE rolname = :role")
+        if connection.execute(there, {"role": role}).scalar() is None:
+            connection.execute(text(f"CREATE ROLE {role} NOLOGIN"))
+    tables = ", ".join(table.name for table in (RUN, *PARTS))
+    for order in (
+        f"GRANT INSERT ON {tables} TO {CELL}",
+        f"GRANT SELECT ({', '.join(KNOWN)}) ON {RUN.name} TO {CELL}",
+        f"GRANT EXECUTE ON FUNCTION plant_month(date) TO {CELL}",
+        f"GRANT SELECT ON {tables} TO {ENGINEER}",
+        f"GRANT SELECT ON alembic_version TO {CELL}, {ENGINEER}",
+    ):
+        connection.execute(text(order))

@@ -1,0 +1,217 @@
+"""A run as a plant keeps it: a plain record, computed from the journal alone, with a digest.
+
+Two readings of one journal give the same record and the same digest. ``run_key`` names the run by
+its first record, so runs of one name in two cells stay apart. A journal only grows, so the number
+of its last record is the revision of a run that was opened again, and ``head``, the hash of its
+chain, proves which journal that was.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from statistics import fmean
+from typing import Any
+from uuid import UUID
+
+import msgspec
+import numpy as np
+
+from hilcell.alarms import alarms_of
+from hilcell.calibration.frames import grid_of, measured_grid
+from hilcell.errors import HilcellError
+from hilcell.journal.asset import Asset
+from hilcell.journal.index import RunRow, row_of_records
+from hilcell.journal.journal import Record, chain
+from hilcell.journal.log import Log, Point
+
+FORM = 1  # to be raised whenever the record changes, or the meaning of its fields
+ROBOT, TRACKER = "robot", "tracker"
+MONTH = 7  # letters of 2026-11
+
+
+class NotOver(HilcellError):
+    """The run has not come to an end of its own: it is shipped later."""
+
+    code = "HC-J21"
+
+
+class GridErrors(msgspec.Struct, frozen=True):
+    """Errors (N, 3) of the robot at the vertices of its grid (N, 3), both mm in {B}."""
+
+    places_mm: list[list[float]]
+    errors_mm: list[list[float]]
+    temperature_c: float | None
+
+
+class FrameEntry(msgspec.Struct, frozen=True):
+    """A frame (4, 4) and its covariance (6, 6), where it has one."""
+
+    key: str
+    matrix: list[list[float]]
+    covariance: list[list[float]] | None
+
+
+class PointEntry(msgspec.Struct, frozen=True):
+    """A point that counts, with the number and the time of its record."""
+
+    seq: int
+    t: str
+    point: Point
+
+
+class VerdictEntry(msgspec.Struct, frozen=True):
+    """A verdict; the figures of those that judge a place by its mean error."""
+
+    key: str
+    holds: bool
+    body: dict[str, Any]
+    mean_mm: float | None = None
+    mean_U_mm: float | None = None
+    mean_tolerance_mm: float | None = None
+
+
+class AlarmEntry(msgspec.Struct, frozen=True):
+    """An alarm of the run's last session; one that no record dates has the time of its end."""
+
+    t: str
+    code: str
+    severity: str
+    title: str
+    place: str
+    found: str
+
+
+class LengthEntry(msgspec.Struct, frozen=True):
+    """A certified length as the tracker found it."""
+
+    nests: str
+    wanted_mm: float
+    found_mm: float
+    U_mm: float
+
+
+class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """The whole record. ``month`` is that in which the run began: the key of the partition."""
+
+    form: int
+    run_key: UUID
+    revision: int
+    head: str
+    month: str
+    row: RunRow
+    versions: dict[str, str]
+    devices: list[Asset]
+    frames: list[FrameEntry]
+    points: list[PointEntry]
+    verdicts: list[VerdictEntry]
+    alarms: list[AlarmEntry]
+    lengths: list[LengthEntry]
+    grid: GridErrors | None
+
+    @property
+    def digest(self) -> UUID:
+        """Return the digest of all fields."""
+        return short(msgspec.json.encode(self, order="sorted"))
+
+    def serial(self, kind: str) -> str:
+        """Return the serial number of the device of a kind; "" where none answered."""
+        return next((each.serial for each in self.devices if each.kind == kind), "")
+
+
+def heads(records: Sequence[Record]) -> list[str]:
+    """Return the hash of the journal's chain after each record."""
+    found: list[str] = []
+    before = b""
+    for record in records:
+        before = chain(before, record)
+        found.append(before.hex())
+    return found
+
+
+def record_of(run: str, records: Sequence[Record]) -> RunRecord:
+    """Return the record of a run that is over.
+
+    Raises `NotOver`, and `msgspec.ValidationError`, `KeyError` where the journal is none of a run.
+    """
+    row, log = row_of_records(run, records), Log(records)
+    if not log.over or log.end is None:
+        raise NotOver(f"run {run}: it is {row.condition}; `hilcell resume {run}` ends it")
+    chained = heads(records)
+    first, last = records[0], records[-1]
+    times = {record.seq: record.t for record in records}
+    record = RunRecord(
+        form=FORM,
+        run_key=short(f"{run}\n{chained[0]}".encode()),
+        revision=last.seq,
+        head=chained[-1],
+        month=f"{first.t[:MONTH]}-01",
+        row=row,
+        versions=log.inputs.versions,
+        devices=log.assets,
+        frames=list(_frames(log)),
+        points=[_point(log, point, times) for point in log.points.values()],
+        verdicts=list(_verdicts(log)),
+        alarms=[
+            AlarmEntry(
+                each.t or last.t, each.code, each.severity, each.title, each.where, each.found
+            )
+            for each in alarms_of(log, run, live=False)
+        ],
+        lengths=list(_lengths(log)),
+        grid=_grid(log),
+    )
+    return msgspec.convert(_without_nul(msgspec.to_builtins(record)), RunRecord)
+
+
+def _point(log: Log, point: Point, times: dict[int, str]) -> PointEntry:
+    seq = log.recorded(point)
+    plain = Point(**msgspec.structs.asdict(point))  # the log's own are packed
+    return PointEntry(seq, times[seq], plain)
+
+
+def _frames(log: Log) -> Iterator[FrameEntry]:
+    for key, body in log.frames.items():
+        yield FrameEntry(key, body["matrix"], body.get("covariance"))
+
+
+def _verdicts(log: Log) -> Iterator[VerdictEntry]:
+    for key, body in log.verdicts.items():
+        figures = [body.get(name) for name in ("mean_mm", "mean_U_mm", "mean_tolerance_mm")]
+        known = [each if isinstance(each, int | float) else None for each in figures]
+        yield VerdictEntry(key, bool(body["holds"]), body, *known)
+
+
+def _lengths(log: Log) -> Iterator[LengthEntry]:
+    for each in log.verdicts.get("known-length", {}).get("lengths", []):
+        nests = "-".join(map(str, each["nests"]))
+        yield LengthEntry(nests, each["wanted_mm"], each["found_mm"], each["U_mm"])
+
+
+def _grid(log: Log) -> GridErrors | None:
+    """Return the errors at the vertices of a grid that was measured whole."""
+    points = log.select("grid")
+    if not points or not {"world", "base"} <= log.frames.keys():
+        return None
+    errors_mm = measured_grid(log).errors_mm.reshape(-1, 3)
+    if not np.isfinite(errors_mm).all():
+        return None
+    places_mm = grid_of(log.cell).vertices_mm().reshape(-1, 3)
+    celsius = [point.temperature_c for point in points if point.temperature_c is not None]
+    return GridErrors(places_mm.tolist(), errors_mm.tolist(), fmean(celsius) if celsius else None)
+
+
+def _without_nul(value: Any) -> Any:
+    """Return plain values without the one character that no text of a database may hold."""
+    if isinstance(value, str):
+        return value.replace("\0", "\N{REPLACEMENT CHARACTER}")
+    if isinstance(value, dict):
+        return {_without_nul(key): _without_nul(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_without_nul(each) for each in value]
+    return value
+
+
+def short(content: bytes) -> UUID:
+    """Return the first 128 bits of a SHA-256."""
+    return UUID(bytes=hashlib.sha256(content).digest()[:16])

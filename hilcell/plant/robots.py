@@ -1,0 +1,188 @@
+"""Drift of robots over years: trend and steps of their errors, and what the cells said then."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from datetime import datetime
+
+import msgspec
+import numpy as np
+from sqlalchemy import Connection, and_, select
+
+from hilcell.journal.asset import Asset, same
+from hilcell.journal.index import RunRow
+from hilcell.plant.cells import CELL, Name, newest
+from hilcell.plant.course import Course, course, main_direction
+from hilcell.plant.tables import ALARM, DEVICE, FRAME, GRID, RUN, Found
+from hilcell.ports import Array
+
+YEAR_S = 365.25 * 86400.0
+ARM_MM = 1000.0  # two points of {B}, this far along its x and y, show how it turns
+ARM, BASE = "errors at the grid, in {B}", "base {B} in {W}"
+SEVERE = ("warning", "fault")
+
+
+class Change(msgspec.Struct, frozen=True, kw_only=True):
+    """A step between two runs, its size (mm) and U, and what the cell said from one to the other.
+
+    ``confirmed`` says that more than one run has seen it.
+    """
+
+    what: str
+    after: str
+    before: str
+    since: datetime
+    until: datetime
+    size_mm: float
+    U_mm: float
+    confirmed: bool
+    said: list[str]
+
+
+class Drift(msgspec.Struct, frozen=True, kw_only=True):
+    """The drift of one quantity, mm a year with U; ``noise_mm`` from one run to the next."""
+
+    what: str
+    mm_per_year: float
+    U_mm_per_year: float
+    drifts: bool
+    noise_mm: float
+
+
+class RobotCourse(msgspec.Struct, frozen=True, kw_only=True):
+    """One robot in one cell. Nothing is said of drift where there are too few calibrations."""
+
+    robot: str
+    cell: str
+    serial: str
+    machine: str
+    calibrations: int
+    first: datetime
+    last: datetime
+    left_out: int
+    drift: list[Drift]
+    changes: list[Change]
+
+
+def robots(connection: Connection, robot: str = "", cell: str = "") -> list[RobotCourse]:
+    """Return the course of every robot that was calibrated, or of one by its serial number."""
+    base = FRAME.alias("base")
+    asked = (
+        select(
+            *CELL, RUN.c.digest, RUN.c.robot, RUN.c.name, RUN.c.ended,
+            GRID.c.places_mm, GRID.c.errors_mm, GRID.c.temperature_c, base.c.matrix,
+        )
+        .join(GRID, GRID.c.digest == RUN.c.digest)
+        .join(base, and_(base.c.digest == RUN.c.digest, base.c.key == "base"))
+        .where(newest(), RUN.c.robot != "")
+        .order_by(RUN.c.ended)
+    )  # fmt: skip
+    if robot:
+        asked = asked.where(RUN.c.robot == robot)
+    if cell:
+        asked = asked.where(RUN.c.cell == cell)
+    found: defaultdict[tuple[str, Name], list[Found]] = defaultdict(list)
+    for row in connection.execute(asked):
+        found[row.robot, (row.cell, row.serial, row.machine)].append(row)
+    return [_robot(connection, who, cell, found[who, cell]) for who, cell in sorted(found)]
+
+
+def _robot(connection: Connection, robot: str, cell: Name, rows: Sequence[Found]) -> RobotCourse:
+    alike = [row for row in rows if row.places_mm == rows[-1].places_mm]  # of the newest grid
+    years = np.array([row.ended.timestamp() for row in alike]) / YEAR_S
+    celsius = _celsius(alike)
+    drift: list[Drift] = []
+    changes: list[Change] = []
+    for what, vectors in ((ARM, _errors_mm(alike)), (BASE, _bases_mm(alike))):
+        along_mm = main_direction(vectors) / np.sqrt(vectors.shape[1] / 3)  # rms of its points
+        seen = course(years, along_mm, celsius)
+        if seen is not None:
+            drift.append(Drift(
+                what=what, mm_per_year=seen.slope, U_mm_per_year=seen.U, drifts=seen.drifts,
+                noise_mm=seen.noise,
+            ))  # fmt: skip
+            changes += _changes(connection, cell, what, alike, seen)
+    return RobotCourse(
+        robot=robot, cell=cell[0], serial=cell[1], machine=cell[2],
+        calibrations=len(alike), first=alike[0].ended, last=alike[-1].ended,
+        left_out=len(rows) - len(alike), drift=drift, changes=changes,
+    )  # fmt: skip
+
+
+def _celsius(rows: Sequence[Found]) -> Array | None:
+    found = [row.temperature_c for row in rows]
+    return None if None in found else np.array(found, dtype=float)
+
+
+def _errors_mm(rows: Sequence[Found]) -> Array:
+    errors_mm: Array = np.array([row.errors_mm for row in rows], dtype=float)
+    return errors_mm.reshape(len(rows), -1)
+
+
+def _bases_mm(rows: Sequence[Found]) -> Array:
+    frames: Array = np.array([row.matrix for row in rows], dtype=float)
+    origins_mm = frames[:, :3, 3]
+    points_mm = [origins_mm, *(origins_mm + ARM_MM * frames[:, :3, axis] for axis in (0, 1))]
+    return np.concatenate(points_mm, axis=1)
+
+
+def _changes(
+    connection: Connection, cell: Name, what: str, rows: Sequence[Found], seen: Course
+) -> list[Change]:
+    return [
+        Change(
+            what=what,
+            after=rows[step.at - 1].name,
+            before=rows[step.at].name,
+            since=rows[step.at - 1].ended,
+            until=rows[step.at].ended,
+            size_mm=step.size,
+            U_mm=step.U,
+            confirmed=min(step.at, step.after) > 1,
+            said=_said(connection, cell, rows[step.at - 1], rows[step.at]),
+        )
+        for step in seen.steps
+    ]
+
+
+def _said(connection: Connection, cell: Name, first: Found, second: Found) -> list[str]:
+    """Return the devices that changed, the alarms and the re-checks that failed, run by run."""
+    then = and_(
+        *(column == name for column, name in zip(CELL, cell, strict=True)),
+        RUN.c.ended > first.ended,
+        RUN.c.ended <= second.ended,
+        newest(),
+    )
+    found = _exchanged(_devices(connection, first), _devices(connection, second))
+    for row in connection.execute(select(RUN.c.row).where(then).order_by(RUN.c.ended)):
+        run = msgspec.convert(row.row, RunRow)
+        if run.facts.redo:
+            found.append(f"re-check: calibrate again ({run.name})")
+    alarms = (
+        select(ALARM.c.code, ALARM.c.title, RUN.c.name)
+        .join(RUN, RUN.c.digest == ALARM.c.digest)
+        .where(then, ALARM.c.severity.in_(SEVERE))
+        .order_by(ALARM.c.t)
+    )
+    found += [f"{row.code} {row.title} ({row.name})" for row in connection.execute(alarms)]
+    return list(dict.fromkeys(found))
+
+
+def _devices(connection: Connection, run: Found) -> dict[str, Asset]:
+    asked = select(DEVICE).where(DEVICE.c.digest == run.digest)
+    rows = connection.execute(asked).mappings()
+    return {
+        row["kind"]: Asset(**{name: row[name] for name in Asset.__struct_fields__ if name in row})
+        for row in rows
+    }
+
+
+def _exchanged(before: dict[str, Asset], now: dict[str, Asset]) -> list[str]:
+    kinds = sorted(before.keys() & now.keys())
+    pairs = ((kind, before[kind], now[kind]) for kind in kinds)
+    return [
+        f"{kind} {one.serial} {one.firmware} -> {other.serial} {other.firmware}"
+        for kind, one, other in pairs
+        if not same(one, other)
+    ]

@@ -1,0 +1,144 @@
+"""Ships the runs of a folder to the plant's database: at least once, kept there once, in order.
+
+The journals are the outbox: a run is waiting until the database has its newest revision, and the
+database alone says which those are. So nothing is lost by a kill of either side, by a server that
+was away, or by one that was set back to a backup. Beside the journals, which are only read, lies a
+file that spares reading those again that are shipped; it may be deleted at any time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sqlite3
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from uuid import UUID
+
+import msgspec
+
+from hilcell.errors import HilcellError
+from hilcell.journal.index import NEVER_BEGAN, RunRow, read_index
+from hilcell.journal.runs import JOURNAL, read_records
+from hilcell.journal.states import OVER
+from hilcell.plant.database import Database, PlantAway
+from hilcell.plant.record import NotOver, heads, record_of
+from hilcell.plant.store import Key, there, write
+
+NAME = "plant.sqlite"
+_BROKEN = (msgspec.ValidationError, KeyError, ValueError, TypeError, IndexError, AttributeError)
+
+
+@dataclass
+class Shipped:
+    """The outcome for the runs of a folder. ``refused`` are reasons, one line each, by the run."""
+
+    runs: int = 0
+    points: int = 0
+    before: int = 0  # were there already
+    waiting: list[str] = field(default_factory=list)  # live, or without an end of their own
+    refused: dict[str, str] = field(default_factory=dict)
+
+
+def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _: None) -> Shipped:
+    """Ship all runs of a folder that are over, in the order of their ends.
+
+    A run that cannot be shipped stops no other. Raises `PlantAway`, `PlantError`, and
+    `StorageError` for a folder that cannot be read.
+    """
+    database.check()
+    done = Shipped()
+    seen = _Seen(runs)
+    for row in _missing(sorted(read_index(runs), key=_order), database, seen, done):
+        try:
+            records = read_records(runs / row.name)
+            record = record_of(row.name, records)
+            with database.transaction() as connection:
+                new = write(connection, record, heads(records))
+        except NotOver:
+            done.waiting.append(row.name)
+            continue
+        except PlantAway:
+            raise
+        except HilcellError as error:
+            done.refused[row.name] = str(error)
+            continue
+        except _BROKEN as error:
+            done.refused[row.name] = f"run {row.name}: its journal is none of a run: {error}"
+            continue
+        seen.note(row, (record.run_key, record.revision))
+        done.before += not new
+        done.runs += new
+        done.points += len(record.points) if new else 0
+        if new:
+            tell(row.name)
+    return done
+
+
+def _order(row: RunRow) -> tuple[str, str, str]:
+    return row.order
+
+
+def _missing(
+    rows: Sequence[RunRow], database: Database, seen: _Seen, done: Shipped
+) -> Iterator[RunRow]:
+    """Yield the runs that are over and that the database is not known to have."""
+    known = seen.known(rows)
+    with database.transaction() as connection:
+        kept = there(connection, known.values())
+    for row in rows:
+        if row.state == NEVER_BEGAN:
+            continue  # nothing was recorded
+        if not row.readable:
+            done.refused[row.name] = row.reason
+        elif row.live or row.gone or row.state not in OVER:
+            done.waiting.append(row.name)
+        elif row.name in known and known[row.name] in kept:
+            done.before += 1
+        else:
+            yield row
+
+
+class _Seen:
+    """Which revision of a run a journal held when it was shipped, for as long as it is unchanged.
+
+    A file that cannot be used knows none.
+    """
+
+    def __init__(self, runs: Path) -> None:
+        self._runs = runs
+
+    def known(self, rows: Sequence[RunRow]) -> dict[str, Key]:
+        """Return the revisions of those runs that are as they were when they were noted."""
+        found: dict[str, tuple[str, str, int]] = {}
+        with suppress(sqlite3.Error), closing(self._open()) as base:
+            for name, row, run_key, revision in base.execute("SELECT * FROM seen"):
+                found[name] = (row, run_key, revision)
+        known: dict[str, Key] = {}
+        for row in rows:
+            with suppress(OSError):
+                if row.name in found and found[row.name][0] == self._stamp(row):
+                    known[row.name] = (UUID(found[row.name][1]), found[row.name][2])
+        return known
+
+    def note(self, row: RunRow, key: Key) -> None:
+        """Note the revision of a run that the database has."""
+        with suppress(sqlite3.Error, OSError), closing(self._open()) as base:
+            values = (row.name, self._stamp(row), str(key[0]), key[1])
+            base.execute("INSERT OR REPLACE INTO seen VALUES (?, ?, ?, ?)", values)
+
+    def _stamp(self, row: RunRow) -> str:
+        """Return what changes with a journal: its file, and the row that the index has of it."""
+        file = (self._runs / row.name / JOURNAL).stat()
+        stamp = f"{file.st_mtime_ns} {file.st_size} ".encode() + msgspec.json.encode(row)
+        return hashlib.sha256(stamp).hexdigest()
+
+    def _open(self) -> sqlite3.Connection:
+        base = sqlite3.connect(self._runs / NAME, isolation_level=None)
+        base.execute(
+            "CREATE TABLE IF NOT EXISTS seen "
+            "(run TEXT PRIMARY KEY, row TEXT, run_key TEXT, revision INTEGER) STRICT"
+        )
+        base.execute("PRAGMA synchronous=OFF")  # it is rebuilt from the journals
+        return base

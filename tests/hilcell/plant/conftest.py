@@ -1,0 +1,49 @@
+"""Cells' folders, and the two stores of a plant."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from hilcell.plant.database import Database
+from tests.hilcell.plant.server import MISSING, Server, server
+from tests.hilcell.plant.year import Model
+from tests.whole.golden import GoldenRuns
+
+NOW = datetime(2026, 11, 1, 12, 0, tzinfo=UTC)
+
+
+@pytest.fixture(scope="session")
+def model(golden: GoldenRuns) -> Model:
+    """Return the run that journals are made of."""
+    return Model(golden["small"].folder)
+
+
+@pytest.fixture
+def office(tmp_path: Path) -> Iterator[Database]:
+    """Return an office's database, a file."""
+    database = Database(f"sqlite:///{tmp_path}/plant.db")
+    database.make()
+    yield database
+    database.close()
+
+
+@pytest.fixture(scope="session")
+def postgresql() -> Iterator[Server]:
+    """Return a server, or skip where PostgreSQL is not installed."""
+    if MISSING:
+        pytest.skip(MISSING)
+    with server() as found:
+        yield found
+
+
+@pytest.fixture
+def plant(postgresql: Server, request: pytest.FixtureRequest) -> Iterator[Database]:
+    """Return a database of its own on the server, its tables made."""
+    database = Database(postgresql.make(request.node.name[:60]))
+    database.make()
+    yield database
+    database.close()

@@ -1,0 +1,132 @@
+"""A PostgreSQL server of the tests: in a folder of its own, on a socket there, ended with it."""
+
+from __future__ import annotations
+
+import os
+import pwd
+import shutil
+import signal
+import subprocess
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import psycopg
+
+BINARIES = sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)
+PLACES = os.pathsep.join([os.environ.get("PATH", ""), *map(str, BINARIES)])
+# Processes are killed, not the machine: the system keeps what was written to its files.
+FAST = ("fsync=off", "full_page_writes=off", "shared_buffers=32MB")
+READY_S = 60.0
+
+
+def program(name: str) -> str | None:
+    """Return where a program of PostgreSQL is."""
+    return shutil.which(name, path=PLACES)
+
+
+MISSING = "" if program("initdb") and program("pg_ctl") else (
+    "POSTGRESQL IS NOT INSTALLED: nothing of the plant's server is tested "
+    "(apt-get install postgresql)"
+)  # fmt: skip
+
+
+class Server:
+    """A server that tests kill and start again."""
+
+    def __init__(self, folder: Path, settings: tuple[str, ...] = FAST) -> None:
+        self._folder, self._settings = folder, settings
+        self._user = _user()
+        if self._user:
+            shutil.chown(folder, self._user)
+        self._data = folder / "data"
+        self._do("initdb", "-D", self._data, "-U", "owner", "-A", "trust", "-N", "-E", "UTF8")
+
+    def start(self) -> None:
+        """Start it, and wait until it takes connections."""
+        options = f"-k {self._folder} -c listen_addresses= "
+        options += " ".join(f"-c {setting}" for setting in self._settings)
+        log = self._folder / "log"
+        self._do("pg_ctl", "start", "-w", "-t", READY_S, "-D", self._data, "-l", log, "-o", options)
+
+    def kill(self) -> None:
+        """Kill it as a power loss would: every process at once."""
+        pid = int((self._data / "postmaster.pid").read_text().split()[0])
+        family = [pid, *_children(pid)]
+        for each in family:
+            with suppress(ProcessLookupError):
+                os.kill(each, signal.SIGKILL)
+        for each in family:
+            _wait_gone(each)
+        # Where nobody reaps it, a dead server's number looks alive to the next one.
+        for left in (self._data / "postmaster.pid", *self._folder.glob(".s.PGSQL.*")):
+            left.unlink(missing_ok=True)
+
+    def stop(self) -> None:
+        """End it, if it runs."""
+        if (self._data / "postmaster.pid").exists():
+            self._do("pg_ctl", "stop", "-m", "immediate", "-D", self._data)
+
+    def url(self, database: str = "postgres", user: str = "owner") -> str:
+        """Return the URL of one of its databases."""
+        return f"postgresql://{user}@/{database}?host={self._folder}"
+
+    def make(self, database: str) -> str:
+        """Make a database; return its URL."""
+        with psycopg.connect(self.url(), autocommit=True) as connection:
+            connection.execute(f'CREATE DATABASE "{database}"'.encode())
+        return self.url(database)
+
+    def _do(self, name: str, *words: object) -> None:
+        place = program(name)
+        assert place, f"{name} is not installed"
+        environment: Mapping[str, str] = {"PATH": PLACES, "LC_ALL": "C"}
+        log = self._folder / f"{name}.txt"  # a pipe would stay open as long as the server lives
+        with log.open("w") as said:
+            done = subprocess.run(
+                [place, *map(str, words)],
+                stdout=said, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
+                cwd=self._folder, env=environment, user=self._user or None, check=False,
+            )  # fmt: skip
+        assert done.returncode == 0, f"{log.read_text()}\n{self._log()}"
+
+    def _log(self) -> str:
+        log = self._folder / "log"
+        return log.read_text() if log.exists() else ""
+
+
+@contextmanager
+def server(settings: tuple[str, ...] = FAST) -> Iterator[Server]:
+    """Run a server in a folder of its own, which its user may enter."""
+    with tempfile.TemporaryDirectory(prefix="hilcell-plant-") as folder:
+        found = Server(Path(folder), settings)
+        found.start()
+        try:
+            yield found
+        finally:
+            found.stop()
+
+
+def _user() -> str:
+    """Return the user of the server; initdb refuses root."""
+    if os.geteuid() != 0:
+        return ""
+    known = {each.pw_name for each in pwd.getpwall()}
+    return "postgres" if "postgres" in known else "nobody"
+
+
+def _children(pid: int) -> list[int]:
+    found = []
+    for path in Path("/proc").iterdir():
+        if path.name.isdigit():
+            with suppress(OSError):
+                stat = (path / "stat").read_text().rsplit(")", 1)[1].split()
+                found += [int(path.name)] if int(stat[1]) == pid else []
+    return found
+
+
+def _wait_gone(pid: int) -> None:
+    from tests.whole.bench import wait_gone
+
+    wait_gone(pid)

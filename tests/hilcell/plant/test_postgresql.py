@@ -1,0 +1,113 @@
+"""What only a server has: roles, partitions, rights; and the schema on both stores."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import psycopg
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
+
+from hilcell.commands.cli import main
+from hilcell.plant.database import CELL, ENGINEER, MIGRATIONS, Database
+from hilcell.plant.shipper import NAME, ship
+from hilcell.plant.tables import HEAD, TABLES
+from tests.hilcell.plant.conftest import NOW
+from tests.hilcell.plant.server import Server
+from tests.hilcell.plant.year import Model, Run
+
+DAY = timedelta(days=1)
+
+
+@contextmanager
+def asking(url: str) -> Iterator[psycopg.Connection[tuple[object, ...]]]:
+    with psycopg.connect(url, autocommit=True) as connection:
+        yield connection
+
+
+@pytest.fixture
+def runs(model: Model, tmp_path: Path) -> Path:
+    for name, days in (("a", 60), ("b", 20)):
+        model.write(tmp_path / "runs", Run(name, "north", "HC-1", NOW - days * DAY))
+    return tmp_path / "runs"
+
+
+def test_the_tables_are_those_of_the_migrations(plant: Database, office: Database) -> None:
+    for database in (plant, office):
+        with database.transaction() as connection:
+            context = MigrationContext.configure(connection, opts={"include_object": _ours})
+            assert compare_metadata(context, TABLES) == []
+    assert ScriptDirectory(str(MIGRATIONS)).get_heads() == [HEAD]
+
+
+def _ours(thing: object, name: str, kind: str, reflected: bool, other: object) -> bool:
+    return not (kind == "table" and name.startswith("point_"))
+
+
+def test_points_lie_in_the_partition_of_the_month_in_which_the_run_began(
+    plant: Database, runs: Path, model: Model, postgresql: Server, request: pytest.FixtureRequest
+) -> None:
+    model.write(runs, Run("far", "north", "HC-1", datetime(2199, 5, 1, tzinfo=UTC)))
+    ship(runs, plant)
+    with asking(postgresql.url(request.node.name[:60])) as connection:
+        found = connection.execute(
+            "SELECT tableoid::regclass::text, count(DISTINCT digest) FROM point GROUP BY 1"
+        ).fetchall()
+    assert sorted(found) == [("point_2026_09", 1), ("point_2026_10", 1), ("point_other", 1)]
+
+
+def test_cells_may_insert_only_and_engineers_may_read_only(
+    plant: Database, runs: Path, postgresql: Server, request: pytest.FixtureRequest
+) -> None:
+    name = request.node.name[:60]
+    users = {"cell_user": CELL, "engineer_user": ENGINEER}
+    with asking(postgresql.url(name)) as owner:
+        for user, role in users.items():
+            owner.execute(f"CREATE ROLE {user} LOGIN IN ROLE {role}".encode())
+    with closing(Database(postgresql.url(name, "cell_user"))) as cell:
+        assert ship(runs, cell).runs == 2
+        (runs / NAME).unlink()
+        assert ship(runs, cell).before == 2
+    asked = {
+        "cell_user": [
+            "SELECT * FROM point", "SELECT name FROM run", "UPDATE run SET name = 'x'",
+            "DELETE FROM run", "DELETE FROM point", "SELECT * FROM verdict", "DROP TABLE run",
+            "DELETE FROM alembic_version", "TRUNCATE point", "SELECT * FROM point_2026_09",
+        ],
+        "engineer_user": [
+            "INSERT INTO alarm SELECT * FROM alarm", "UPDATE run SET name = 'x'",
+            "DELETE FROM run", "SELECT plant_month('2026-01-01')", "DROP TABLE point",
+        ],
+    }  # fmt: skip
+    for user, orders in asked.items():
+        with asking(postgresql.url(name, user)) as connection:
+            for order in orders:
+                with pytest.raises(psycopg.errors.InsufficientPrivilege):
+                    connection.execute(order.encode())
+    with asking(postgresql.url(name, "engineer_user")) as engineer:
+        assert engineer.execute("SELECT count(DISTINCT digest) FROM point").fetchone() == (2,)
+
+
+def test_a_right_that_is_missing_is_one_line(
+    plant: Database, runs: Path, postgresql: Server, request: pytest.FixtureRequest,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    name = request.node.name[:60]
+    with asking(postgresql.url(name)) as owner:
+        owner.execute("CREATE ROLE nobody_s LOGIN")
+    assert main(["plant", "ship", str(runs), "--to", postgresql.url(name, "nobody_s")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "permission denied for table alembic_version" in line
+
+
+def test_a_database_that_is_not_there_is_one_line(
+    postgresql: Server, runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["plant", "ship", str(runs), "--to", postgresql.url("nowhere")]) == 7
+    (line,) = capsys.readouterr().err.splitlines()
+    assert 'database "nowhere" does not exist' in line

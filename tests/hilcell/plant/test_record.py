@@ -1,0 +1,118 @@
+"""A run's record follows from its journal alone, and its digest from all of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hilcell.journal.journal import Record
+from hilcell.journal.runs import read_records
+from hilcell.plant.record import NotOver, heads, record_of
+from tests.whole.golden import GoldenRuns
+
+RUN = "small"
+
+
+@pytest.fixture(scope="module")
+def records(golden: GoldenRuns) -> list[Record]:
+    return read_records(golden[RUN].folder)
+
+
+def changed(
+    records: list[Record], at: int, change: Callable[[dict[str, Any]], Any]
+) -> list[Record]:
+    """Return the records, one of them with another body."""
+    body = msgspec.json.decode(msgspec.json.encode(records[at].body))
+    change(body)
+    return [*records[:at], msgspec.structs.replace(records[at], body=body), *records[at + 1 :]]
+
+
+def test_the_same_journal_has_the_same_digest(golden: GoldenRuns, tmp_path: Path) -> None:
+    folder = golden[RUN].copied_to(tmp_path)
+    first, second = (record_of(RUN, read_records(each)) for each in (golden[RUN].folder, folder))
+    assert first == second
+    assert first.digest == second.digest
+
+
+def test_a_record_holds_what_the_run_measured(records: list[Record]) -> None:
+    record = record_of(RUN, records)
+    points = {each.key for each in records if each.kind == "point"}
+    assert {each.point.key for each in record.points} == points
+    assert {each.key for each in record.frames} >= {"world", "base", "station.S300"}
+    assert {each.kind for each in record.devices} == {"drive", "strip", "robot", "tracker"}
+    assert record.grid is not None
+    assert len(record.grid.errors_mm) == 27
+    assert record.month == f"{records[0].t[:7]}-01"
+    assert record.head == heads(records)[-1]
+    assert record.row.exit == 0
+
+
+@given(data=st.data())
+def test_every_measured_value_is_in_the_digest(golden: GoldenRuns, data: st.DataObject) -> None:
+    records = _read(golden)
+    at = data.draw(st.sampled_from([n for n, each in enumerate(records) if each.kind == "point"]))
+    axis, by_mm = data.draw(st.integers(0, 2)), data.draw(st.sampled_from([1e-9, -1.0, 500.0]))
+
+    def moved(body: dict[str, Any]) -> None:
+        body["xyz_mm"][axis] += by_mm
+
+    other = record_of(RUN, changed(records, at, moved))
+    assert other.digest != record_of(RUN, records).digest
+    assert other.run_key == record_of(RUN, records).run_key
+
+
+_KNOWN: dict[str, list[Record]] = {}
+
+
+def _read(golden: GoldenRuns) -> list[Record]:
+    """Return a part of the journal, read once: an example takes a millisecond."""
+    if RUN not in _KNOWN:
+        whole = read_records(golden[RUN].folder)
+        _KNOWN[RUN] = [
+            each
+            for each in whole
+            if each.kind in ("plan", "state", "end")
+            or (each.kind == "frame" and each.key in ("world", "base"))
+            or (each.kind == "point" and each.body["group"] in ("world", "slide"))
+        ]
+    return _KNOWN[RUN]
+
+
+def test_the_partition_s_key_is_in_the_digest(records: list[Record]) -> None:
+    record = record_of(RUN, records)
+    other = msgspec.structs.replace(record, month="2001-01-01")
+    assert other.digest != record.digest
+
+
+def test_a_run_of_another_name_or_another_plan_is_another_run(records: list[Record]) -> None:
+    record = record_of(RUN, records)
+    assert record_of("other", records).run_key != record.run_key
+    plan = changed(records, 0, lambda body: body.update(operator="Bob"))
+    assert record_of(RUN, plan).run_key != record.run_key
+
+
+def test_more_records_are_a_later_revision_of_the_same_run(records: list[Record]) -> None:
+    last = records[-1]
+    event = {"what": "calibration revoked", "reason": "bumped"}
+    more = msgspec.structs.replace(last, seq=last.seq + 1, kind="event", body=event)
+    before, after = record_of(RUN, records), record_of(RUN, [*records, more])
+    assert after.run_key == before.run_key
+    assert (before.revision, after.revision) == (last.seq, last.seq + 1)
+    assert after.row.facts.revoked == "bumped"
+    assert heads([*records, more])[last.seq - 1] == before.head
+
+
+def test_a_run_that_is_not_over_has_no_record(records: list[Record]) -> None:
+    with pytest.raises(NotOver, match="hilcell resume small"):
+        record_of(RUN, records[:300])
+
+
+def test_a_text_holds_nothing_that_a_database_refuses(records: list[Record]) -> None:
+    plan = changed(records, 0, lambda body: body.update(operator="A\0nn"))
+    assert record_of(RUN, plan).row.operator == "A\N{REPLACEMENT CHARACTER}nn"

@@ -1,0 +1,162 @@
+"""One clear message each, nothing half-written, and no password anywhere."""
+
+from __future__ import annotations
+
+import importlib.util
+import socket
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from hilcell.commands.cli import main
+from tests.hilcell.plant.conftest import NOW
+from tests.hilcell.plant.year import Model, Run
+
+SECRET = "s3cr-t%2Fp"  # as it stands in a URL
+PLAIN = "s3cr-t/p"
+
+
+@pytest.fixture
+def runs(model: Model, tmp_path: Path) -> Path:
+    model.write(tmp_path / "runs", Run("a", "north", "HC-1", NOW))
+    return tmp_path / "runs"
+
+
+def said(words: list[str], code: int, capsys: pytest.CaptureFixture[str]) -> str:
+    """Return the one line that a command said on stderr."""
+    assert main(words) == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    (line,) = err.splitlines()
+    return str(line)
+
+
+def nowhere() -> int:
+    """Return a port at which nobody listens."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+def test_a_server_that_is_away_is_one_line_and_costs_nothing(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    url = f"postgresql://ann:{SECRET}@127.0.0.1:{nowhere()}/plant"
+    for words in (["ship", str(runs), "--to", url], ["show", "--from", url]):
+        line = said(["plant", *words], 7, capsys)
+        assert "cannot be used now" in line
+        assert "refused" in line
+        assert "nothing is lost" in line
+        assert "ann:***@127.0.0.1" in line
+        assert SECRET not in line
+        assert PLAIN not in line
+    kept = [path.read_bytes() for path in runs.rglob("*") if path.is_file()]
+    assert not any(word.encode() in content for content in kept for word in (SECRET, PLAIN))
+    office = f"sqlite:///{tmp_path}/plant.db"
+    assert main(["plant", "init", "--to", office]) == 0
+    assert main(["plant", "ship", str(runs), "--to", office]) == 0
+    assert "1 runs shipped" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("url", "words"),
+    [
+        (f"postgresql//ann:{SECRET}@host/plant", "its URL cannot be read"),
+        (f"postgresql://ann:{SECRET}@host:port/plant", "its URL cannot be read"),
+        (f"oracle://ann:{SECRET}@host/plant", "oracle is not known"),
+        (f"mysql://ann:{SECRET}@host/plant", "mysql is not known"),
+        ("sqlite://", "its URL names no file"),
+        ("", "no database is named"),
+    ],
+)
+def test_a_wrong_url_is_one_line_without_its_password(
+    url: str, words: str, runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = said(["plant", "ship", str(runs), "--to", url], 2, capsys)
+    assert words in line
+    assert "postgresql://USER@HOST/DATABASE or sqlite:///FILE" in line
+    assert SECRET not in line
+    assert PLAIN not in line
+
+
+def test_a_file_that_is_not_there_is_not_made(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = said(["plant", "ship", str(runs), "--to", f"sqlite:///{tmp_path}/no.db"], 2, capsys)
+    assert "it holds no plant records; `hilcell plant init --to URL` makes their tables" in line
+    assert not (tmp_path / "no.db").exists()
+
+
+def test_a_database_of_something_else_is_left_alone(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "other.db"
+    with sqlite3.connect(file) as base:
+        base.execute("CREATE TABLE customers (name TEXT)")
+    base.close()
+    before = file.read_bytes()
+    line = said(["plant", "show", "--from", f"sqlite:///{file}"], 2, capsys)
+    assert "it holds no plant records" in line
+    file.with_name("text.db").write_text("no database, but long enough to be one" * 100)
+    line = said(["plant", "show", "--from", f"sqlite:///{tmp_path}/text.db"], 2, capsys)
+    assert "file is not a database" in line
+    assert file.read_bytes() == before
+
+
+@pytest.mark.parametrize("command", ["init", "ship", "show"])
+def test_a_newer_schema_asks_for_a_newer_hilcell(
+    command: str, runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    url = f"sqlite:///{tmp_path}/plant.db"
+    assert main(["plant", "init", "--to", url]) == 0
+    capsys.readouterr()
+    with sqlite3.connect(tmp_path / "plant.db") as base:
+        base.execute("UPDATE alembic_version SET version_num = '0999'")
+    base.close()
+    where = ["--from", url] if command == "show" else ["--to", url]
+    more = [str(runs)] if command == "ship" else []
+    line = said(["plant", command, *more, *where], 2, capsys)
+    assert "schema 0999, this hilcell knows 0001; update hilcell on this PC" in line
+
+
+def test_init_may_be_repeated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    url = f"sqlite:///{tmp_path}/plant.db"
+    assert main(["plant", "init", "--to", url]) == 0
+    assert "made, schema 0001" in capsys.readouterr().err
+    assert main(["plant", "init", "--to", url]) == 0
+    assert "is up to date, schema 0001" in capsys.readouterr().err
+
+
+def test_missing_packages_are_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    line = said(["plant", "init", "--to", "sqlite:///x.db"], 2, capsys)
+    assert "sqlalchemy, alembic, psycopg is not installed" in line
+    assert "pip install 'hilcell[plant]'" in line
+
+
+def test_the_environment_names_the_database(
+    runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HILCELL_PLANT", f"sqlite:///{tmp_path}/plant.db")
+    assert main(["plant", "init"]) == 0
+    assert main(["plant", "ship", str(runs)]) == 0
+    assert main(["plant", "show"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("plant shp", "'shp' is no command; did you mean \"ship\"?"),
+        ("plant", "the following arguments are required: COMMAND"),
+        ("plant show --form x", '--form is no option; did you mean "--from"?'),
+    ],
+)
+def test_wrong_words_are_answered_by_the_nearest(
+    words: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(words.split())
+    assert message in capsys.readouterr().err

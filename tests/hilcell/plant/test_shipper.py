@@ -1,0 +1,239 @@
+"""Runs reach the plant's database at least once and stand there once, whatever happens between."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import msgspec
+import pytest
+from sqlalchemy import func, select
+
+from hilcell.commands.cli import main
+from hilcell.journal.engine_file import ENGINE, EngineFile
+from hilcell.journal.journal import Record
+from hilcell.journal.runs import JOURNAL, read_records
+from hilcell.plant.cells import cells
+from hilcell.plant.database import Database
+from hilcell.plant.record import record_of
+from hilcell.plant.shipper import NAME, Shipped, ship
+from hilcell.plant.tables import PARTS, POINT, RUN
+from tests.hilcell.plant.conftest import NOW
+from tests.hilcell.plant.year import Model, Run, extend, write_journal
+
+DAY = timedelta(days=1)
+
+
+@pytest.fixture
+def runs(model: Model, tmp_path: Path) -> Path:
+    """Return a folder of three runs of a cell; their names are not in the order of their ends."""
+    folder = tmp_path / "runs"
+    for name, days in (("b", 3), ("c", 2), ("a", 1)):
+        model.write(folder, Run(name, "north", "HC-1", NOW - days * DAY))
+    return folder
+
+
+def kept(database: Database) -> list[tuple[str, int]]:
+    with database.transaction() as connection:
+        found = connection.execute(select(RUN.c.name, RUN.c.revision).order_by(RUN.c.ended))
+        return [(row.name, row.revision) for row in found]
+
+
+def points(database: Database) -> int:
+    with database.transaction() as connection:
+        return connection.execute(select(func.count()).select_from(POINT)).scalar_one()
+
+
+def revoke(folder: Path) -> None:
+    event = {"what": "calibration revoked", "reason": "bumped", "operator": "Ann"}
+    extend(folder, [(NOW, "event", "", event)])
+
+
+@contextmanager
+def live(folder: Path) -> Iterator[None]:
+    """Let a run look as if an engine were at work on it."""
+    with tempfile.TemporaryDirectory() as place, socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(f"{place}/engine")
+        listening.listen()
+        file = msgspec.json.encode(EngineFile(1, f"{place}/engine"))
+        (folder / ENGINE).write_bytes(file)
+        yield
+        (folder / ENGINE).unlink()
+
+
+def test_runs_are_shipped_in_the_order_of_their_ends_and_once(runs: Path, office: Database) -> None:
+    told: list[str] = []
+    done = ship(runs, office, told.append)
+    assert told == ["b", "c", "a"]
+    assert (done.runs, done.before, done.refused) == (3, 0, {})
+    assert done.points == points(office)
+    assert ship(runs, office) == Shipped(before=3)
+    assert len(kept(office)) == 3
+
+
+def test_all_of_a_run_is_kept(runs: Path, office: Database) -> None:
+    ship(runs, office)
+    record = record_of("a", read_records(runs / "a"))
+    with office.transaction() as connection:
+        counts = {
+            table.name: connection.execute(
+                select(func.count()).select_from(table).where(table.c.digest == record.digest)
+            ).scalar_one()
+            for table in PARTS
+        }
+        first = connection.execute(
+            select(POINT).where(POINT.c.digest == record.digest).order_by(POINT.c.seq)
+        ).first()
+    assert counts == {
+        "frame": len(record.frames), "verdict": len(record.verdicts), "device": 4, "alarm": 0,
+        "length": len(record.lengths), "grid": 1, "point": len(record.points),
+    }  # fmt: skip
+    assert first is not None
+    point = min(record.points, key=lambda each: each.seq)
+    assert (first.key, first.x_mm, first.std_z_mm) == (
+        point.point.key, point.point.xyz_mm[0], point.point.std_mm[2],
+    )  # fmt: skip
+
+
+def test_journals_are_only_read(runs: Path, office: Database) -> None:
+    before = {file: file.read_bytes() for file in runs.glob(f"*/{JOURNAL}")}
+    ship(runs, office)
+    assert {file: file.read_bytes() for file in runs.glob(f"*/{JOURNAL}")} == before
+
+
+def test_without_its_own_file_nothing_is_doubled(runs: Path, office: Database) -> None:
+    ship(runs, office)
+    (runs / NAME).unlink()
+    assert ship(runs, office) == Shipped(before=3)
+    (runs / NAME).write_bytes(b"no database at all" * 100)
+    assert ship(runs, office) == Shipped(before=3)
+
+
+def test_a_database_that_was_set_back_gets_again_what_it_lost(
+    runs: Path, office: Database, tmp_path: Path
+) -> None:
+    shutil.copy(tmp_path / "plant.db", tmp_path / "backup.db")
+    ship(runs, office)
+    office.close()
+    shutil.copy(tmp_path / "backup.db", tmp_path / "plant.db")
+    assert ship(runs, office).runs == 3
+    assert len(kept(office)) == 3
+
+
+def test_a_run_that_was_opened_again_is_a_new_revision(runs: Path, office: Database) -> None:
+    ship(runs, office)
+    last = len(read_records(runs / "a"))
+    revoke(runs / "a")
+    done = ship(runs, office)
+    assert (done.runs, done.before) == (1, 2)
+    assert kept(office)[-2:] == [("a", last), ("a", last + 1)]
+    with office.transaction() as connection:
+        (state,) = cells(connection, NOW)
+    assert (state.calibration, state.condition) == ("c", "valid")
+
+
+def test_a_cell_whose_calibrations_are_all_revoked_has_none(runs: Path, office: Database) -> None:
+    for name in "abc":
+        revoke(runs / name)
+    ship(runs, office)
+    with office.transaction() as connection:
+        (state,) = cells(connection, NOW)
+    assert (state.calibration, state.condition) == ("", "no calibration that holds")
+    assert state.last_run == "a"
+
+
+def test_an_older_revision_that_arrives_later_changes_nothing(
+    runs: Path, office: Database, tmp_path: Path
+) -> None:
+    shutil.copytree(runs, tmp_path / "older")
+    revoke(runs / "a")
+    ship(runs, office)
+    ship(tmp_path / "older", office)
+    with office.transaction() as connection:
+        (state,) = cells(connection, NOW)
+    assert state.calibration == "c"
+
+
+def test_a_live_run_and_one_without_an_end_wait(runs: Path, office: Database) -> None:
+    records = read_records(runs / "b")[:10]
+    rows = [(NOW - DAY, each.kind, each.key, each.body) for each in records]
+    write_journal(runs / "cut", rows)
+    with live(runs / "a"):
+        done = ship(runs, office)
+        assert sorted(done.waiting) == ["a", "cut"]
+        assert [name for name, _ in kept(office)] == ["b", "c"]
+    assert ship(runs, office).runs == 1
+
+
+def test_a_journal_that_was_changed_is_refused_and_stops_no_other(
+    runs: Path, office: Database
+) -> None:
+    ship(runs, office)
+    records = forged(read_records(runs / "a"))
+    shutil.rmtree(runs / "a")
+    rows = [(datetime.fromisoformat(each.t), each.kind, each.key, each.body) for each in records]
+    write_journal(runs / "a", rows)
+    shutil.copytree(runs / "b", runs / "d")
+    done = ship(runs, office)
+    assert list(done.refused) == ["a"]
+    assert "journal was changed, or its folder was copied" in done.refused["a"]
+    assert done.runs == 1
+
+
+def forged(records: list[Record]) -> list[Record]:
+    """Return the records with one point a millimetre elsewhere."""
+    at = next(n for n, each in enumerate(records) if each.kind == "point")
+    body = dict(records[at].body)
+    body["xyz_mm"] = [body["xyz_mm"][0] + 1.0, *body["xyz_mm"][1:]]
+    return [*records[:at], msgspec.structs.replace(records[at], body=body), *records[at + 1 :]]
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda file: file.write_bytes(b"SQLite format 3\0" + b"\xff" * 5000),
+        lambda file: file.write_bytes(file.read_bytes()[:9000]),
+    ],
+)
+def test_a_broken_journal_is_named_and_stops_no_other(
+    runs: Path, office: Database, spoil: object
+) -> None:
+    assert callable(spoil)
+    spoil(runs / "c" / JOURNAL)
+    done = ship(runs, office)
+    assert list(done.refused) == ["c"]
+    assert [name for name, _ in kept(office)] == ["b", "a"]
+
+
+def test_a_hostile_folder_is_one_line(
+    runs: Path, office: Database, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    body = {"procedure": "\x1b[31mred\0", "cell": {"name": "x", "serial": "y", "grid": 3}}
+    write_journal(runs / "evil", [(NOW, "plan", "", body), (NOW, "end", "", {"exit": "no"})])
+    assert main(["plant", "ship", str(runs), "--to", f"sqlite:///{tmp_path}/plant.db"]) == 7
+    said = capsys.readouterr().err
+    assert "3 runs shipped" in said
+    assert "1 refused" in said
+    assert len(said.splitlines()) == 2
+    assert "\x1b" not in said
+    assert len(kept(office)) == 3
+
+
+def test_two_shippers_at_once_keep_each_run_once(runs: Path, office: Database) -> None:
+    """The second finds each run there although it began before the first had shipped any."""
+    second: list[Shipped] = []
+
+    def told(name: str) -> None:
+        if name == "b":
+            (runs / NAME).unlink()
+            second.append(ship(runs, office))
+
+    first = ship(runs, office, told)
+    assert second == [Shipped(runs=2, points=second[0].points, before=1)]
+    assert (first.runs, first.before) == (1, 2)
+    assert len(kept(office)) == 3

@@ -1,0 +1,146 @@
+"""A year of three cells, shipped and asked by the command: a collision in one of them is named."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hilcell.commands.cli import main
+from hilcell.plant.database import Database
+from tests.hilcell.plant.conftest import NOW
+from tests.hilcell.plant.server import Server
+from tests.hilcell.plant.year import COLLISION, TURN_RAD, Model, Run, year
+
+DAY = timedelta(days=1)
+
+
+@pytest.fixture(scope="module")
+def runs(model: Model, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("year")
+    year(model, folder, datetime.now(UTC) - 20 * DAY)
+    return folder
+
+
+def asked(url: str, capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
+    assert main(["plant", "show", "--from", url, "--json", *words]) == 0
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def shipped(url: str, runs: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    assert main(["plant", "init", "--to", url]) == 0
+    assert main(["plant", "ship", str(runs), "--to", url, "--json"]) == 0
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found
+
+
+@pytest.fixture(params=["office", "postgresql"])
+def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """Return the URL of an empty database of each kind."""
+    if request.param == "office":
+        return f"sqlite:///{tmp_path}/plant.db"
+    server: Server = request.getfixturevalue("postgresql")
+    return server.make(request.node.name[:60])
+
+
+def test_a_year_of_three_cells(url: str, runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    done = shipped(url, runs, capsys)
+    assert (done["shipped"], done["refused"]) == (37, {})
+    found = asked(url, capsys)
+    _check_cells(found)
+    _check_collision(found)
+    (worse,) = found["stations"]
+    assert (worse["cell"], worse["station"]) == ("south", "S300")
+    assert worse["low_mm_per_year"] <= 0.12 <= worse["high_mm_per_year"]
+    trackers = {each["serial"]: each for each in found["instruments"] if each["kind"] == "tracker"}
+    assert {serial: each["disagrees_with"] for serial, each in trackers.items()} == {
+        "T-0": [], "T-1": [], "T-2": ["T-0", "T-1"],
+    }  # fmt: skip
+    assert [(each["code"], each["cells"]) for each in found["alarms"]] == [
+        (COLLISION["code"], ["middle"])
+    ]
+    assert found["doubts"] == []
+
+
+def _check_cells(found: dict[str, Any]) -> None:
+    assert [each["cell"] for each in found["cells"]] == ["middle", "north", "south"]
+    for each in found["cells"]:
+        assert each["condition"] == "valid"
+        assert each["calibration"] == f"{each['cell']}-11"
+        assert each["days_left"] == pytest.approx(160.0, abs=0.2)
+
+
+def _check_collision(found: dict[str, Any]) -> None:
+    changes = [(each["cell"], change) for each in found["robots"] for change in each["changes"]]
+    ((cell, change),) = changes
+    assert cell == "middle"
+    assert (change["after"], change["before"], change["confirmed"]) == (
+        "middle-05", "middle-06", True,
+    )  # fmt: skip
+    assert any("middle-hit" in words and COLLISION["code"] in words for words in change["said"])
+    # The arm turned about z: a vertex at radius r moved by r times the angle.
+    assert change["size_mm"] == pytest.approx(TURN_RAD * 1900.0, rel=0.1)
+    assert not any(drift["drifts"] for each in found["robots"] for drift in each["drift"])
+
+
+def test_tables_name_the_collision_too(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    url = f"sqlite:///{tmp_path}/plant.db"
+    shipped(url, runs, capsys)
+    assert main(["plant", "show", "--from", url]) == 0
+    out = capsys.readouterr().out
+    for words in ("middle-06", f"{COLLISION['code']} ", "(middle-hit)", "T-0, T-1", "S300"):
+        assert words in out
+
+
+def test_one_cell_or_one_robot_alone(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    url = f"sqlite:///{tmp_path}/plant.db"
+    shipped(url, runs, capsys)
+    of_cell = asked(url, capsys, "--cell", "north")
+    assert {each["cell"] for each in of_cell["cells"]} == {"north"}
+    assert {each["robot"] for each in of_cell["robots"]} == {"R-0"}
+    assert of_cell["stations"] == of_cell["alarms"] == []
+    assert [each["robot"] for each in asked(url, capsys, "--robot", "R-2")["robots"]] == ["R-2"]
+    assert main(["plant", "show", "--from", url, "--cell", "nroth"]) == 2
+    assert 'did you mean "north"?' in capsys.readouterr().err
+    assert main(["plant", "show", "--from", url, "--robot", "R-9"]) == 2
+    old = asked(url, capsys, "--max-age", "10")
+    assert {each["condition"] for each in old["cells"]} == {"too old"}
+
+
+def test_doubtful_records_are_named(
+    model: Model, office: Database, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    url, runs = f"sqlite:///{tmp_path}/plant.db", tmp_path / "runs"
+    now = datetime.now(UTC)
+    model.write(runs, Run("one", "north", "HC-1", NOW - 9 * DAY, real=True))
+    model.write(runs, Run("two", "north", "HC-1", NOW - 9 * DAY + DAY / 86400, real=True))
+    model.write(runs, Run("three", "south", "HC-1", NOW - 8 * DAY, real=True))
+    model.write(runs, Run("late", "west", "HC-2", now + 3 * DAY))
+    found = asked_after(url, runs, capsys)
+    serial, at_once, ahead = found["doubts"]
+    assert serial.startswith("serial number HC-1 is that of cells north, south")
+    assert "cell north, serial number HC-1: 1 runs began while another was at work" in at_once
+    assert "run late ended 72.0 h after it arrived" in ahead
+    west = next(each for each in found["cells"] if each["cell"] == "west")
+    assert west["condition"].startswith("made in the future")
+
+
+def asked_after(url: str, runs: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    assert main(["plant", "ship", str(runs), "--to", url]) == 0
+    capsys.readouterr()
+    return asked(url, capsys)
+
+
+def test_nothing_shipped_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    url = f"sqlite:///{tmp_path}/plant.db"
+    assert main(["plant", "init", "--to", url]) == 0
+    assert main(["plant", "show", "--from", url]) == 0
+    assert "no runs were shipped yet" in capsys.readouterr().err
