@@ -21,7 +21,6 @@ from sqlalchemy import (
     Index,
     Integer,
     MetaData,
-    Row,
     String,
     Table,
     Text,
@@ -32,7 +31,7 @@ from sqlalchemy import (
     text,
 )
 
-Found = Row[*tuple[Any, ...]]  # a row of an answer
+Found = Any  # a row of an answer: its columns by their names
 HEAD = "0001"  # the newest migration
 
 

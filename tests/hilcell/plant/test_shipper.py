@@ -46,7 +46,8 @@ def kept(database: Database) -> list[tuple[str, int]]:
 
 def points(database: Database) -> int:
     with database.transaction() as connection:
-        return connection.execute(select(func.count()).select_from(POINT)).scalar_one()
+        count: int = connection.execute(select(func.count()).select_from(POINT)).scalar_one()
+    return count
 
 
 def revoke(folder: Path) -> None:
