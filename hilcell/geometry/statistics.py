@@ -98,6 +98,16 @@ def f_quantile(share: float, above: float, below: float) -> float:
     return float(fdtri(above, below, share))
 
 
+def coverage_factor(sigmas: float, freedom: float) -> float:
+    """Return the factor of an estimated standard deviation with the risk of ``sigmas`` known ones.
+
+    Student's t of so many degrees of freedom (GUM G.3).
+    """
+    from scipy.special import ndtr, stdtrit
+
+    return -float(stdtrit(freedom, float(ndtr(-sigmas))))
+
+
 def chance_of_at_most(count: int, of: int, share: float) -> float:
     """Return the probability of ``count`` or fewer of so many, each with probability ``share``."""
     from scipy.special import bdtr

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import msgspec
+import numpy as np
 
+from hilcell.geometry.beam_noise import beam_noise
+from hilcell.geometry.kinematics import Array
+from hilcell.geometry.statistics import coverage_factor
 from hilcell.invariants.bodies import Framed, Life, Measured
 from hilcell.invariants.scene import Scene, is_proof, is_world, nest_of, set_up_of
 from hilcell.invariants.tally import Tally
@@ -136,12 +140,31 @@ class TrackerSetUps:
             yield f"{one} to {other}", off_mm, self._limit_mm(*four)
 
     def _limit_mm(self, *points: Measured) -> float:
-        """Return by how much points may differ: stated drift, and the readings' noise."""
-        noise_mm2 = sum(
-            std_mm**2 / point.samples for point in points for std_mm in point.std_mm or [math.nan]
-        )
+        """Return by how much points may differ: stated drift, and the readings' noise.
+
+        The noise is what all points so far have shown, at the places of these.
+        """
+        found = [point for point in self._scene.points.values() if _stated(point)]
+        if not all(_stated(point) for point in points):
+            return math.nan
+        noise = beam_noise(*_columns(found or points))
+        at_mm, _, samples = _columns(points)
+        noise_mm2 = float(np.trace(noise.at(at_mm, samples), axis1=-2, axis2=-1).sum())
         drift_mm = math.sqrt(3.0) * self._scene.cell.uncertainty.drift_limit_mm
-        return drift_mm + SIGMAS * math.sqrt(noise_mm2)
+        return drift_mm + coverage_factor(SIGMAS, noise.freedom) * math.sqrt(noise_mm2)
+
+
+def _stated(point: Measured) -> bool:
+    """Whether a point's place and scatter are numbers."""
+    known = [*(point.xyz_mm or ()), *(point.std_mm or ())]
+    return len(known) == 6 and all(map(math.isfinite, known)) and point.samples >= 1
+
+
+def _columns(points: Sequence[Measured]) -> tuple[Array, Array, Array]:
+    """Return positions (N, 3), standard deviations (N, 3) and numbers of samples (N,)."""
+    rows = [(point.xyz_mm, point.std_mm, point.samples) for point in points]
+    at_mm, std_mm, samples = zip(*rows, strict=True)
+    return np.array(at_mm), np.array(std_mm), np.array(samples, dtype=float)
 
 
 def _apart_mm(one: Measured, other: Measured) -> float:

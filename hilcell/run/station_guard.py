@@ -17,6 +17,7 @@ from hilcell.cell.file import Nest, Station
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Point, positions_mm
 from hilcell.journal.point_id import HELD, PointId
+from hilcell.journal.reading_noise import run_noise
 from hilcell.journal.set_ups import world_key
 from hilcell.ports import DeviceError
 from hilcell.run.motion import Motion
@@ -106,7 +107,7 @@ class StationGuard:
             return Off(0.0, 0.0)
         first = (here or before)[0]
         held_mm = 2.0 * cell.rail.held_within_mm if here else STRAIGHT_MM
-        limit_mm = held_mm + float(limits_of(cell, [first], [now])[0])
+        limit_mm = held_mm + float(limits_of(cell, run_noise(log), [first], [now])[0])
         at_mm = apply(log.matrix("world"), positions_mm([first, now]))
         way_mm = station.strip_mm - cell.station_named(first.station).strip_mm
         along_mm = float((at_mm[1] - at_mm[0]) @ np.array(cell.layout.rail_direction))

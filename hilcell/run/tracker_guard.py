@@ -20,15 +20,17 @@ from hilcell.calibration.frames import world_from_tracker
 from hilcell.calibration.suspicions import Suspicion
 from hilcell.cell.file import Cell
 from hilcell.cell.layout import Nest
+from hilcell.geometry.beam_noise import BeamNoise
 from hilcell.geometry.frames import apply, inverse
-from hilcell.geometry.statistics import lengths_mm
-from hilcell.journal.log import Log, Point, positions_mm, variances_mm2
+from hilcell.geometry.statistics import coverage_factor, lengths_mm
+from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.journal.point_id import LENGTH, PointId
+from hilcell.journal.reading_noise import noise_at, run_noise
 from hilcell.journal.set_ups import FRAMED_AGAIN, PROOFS, PROVEN, TRACKER_MOVED, world_key
 from hilcell.ports import Array, DeviceError
 from hilcell.run.run_context import RunContext
 
-SIGMAS = 4.0  # of the readings' noise, beyond the stated drift
+SIGMAS = 4.0  # of the readings' noise, were it known, beyond the stated drift
 ALIKE = 0.5  # of the farthest motion: less moves no nest of a tracker that was bumped
 FLOOR_UM_M_K, UNKNOWN_K = 12.0, 10.0  # concrete's and steel's growth; air that nobody measured
 MOST_SET_UPS = 5  # of one run: a tracker that moves oftener stands badly
@@ -77,9 +79,9 @@ class TrackerGuard:
         cell, log = self._run.cell, self._run.log
         before = [log.point(id) for id in _nest_ids(cell, log.set_ups.number)]
         now = self._controls()
-        if not _stand(cell, before, now) and (_some_stand(before, now) or any(self._changes(now))):
+        if not self._stand(before, now) and (_some_stand(before, now) or any(self._changes(now))):
             now = self._controls()
-        if not _stand(cell, before, now):
+        if not self._stand(before, now):
             if _some_stand(before, now):
                 self._blame(_off_mm(before, now))
             self._renew(before, now)
@@ -124,7 +126,7 @@ class TrackerGuard:
                 fields,
             )
         set_ups = self._run.log.set_ups
-        limits_mm = limits_of(self._run.cell, before, now)
+        limits_mm = limits_of(self._run.cell, run_noise(self._run.log), before, now)
         facts = {
             "moved_mm": float(_off_mm(before, now).max()),
             "limit_mm": float(limits_mm.min()),
@@ -135,12 +137,17 @@ class TrackerGuard:
         self.frame_world()
         raise BlockLost
 
+    def _stand(self, before: Sequence[Point], now: Sequence[Point]) -> bool:
+        """Whether all nests are seen where they were."""
+        limits_mm = limits_of(self._run.cell, run_noise(self._run.log), before, now)
+        return bool(np.all(_off_mm(before, now) <= limits_mm))
+
     def _changes(self, now: list[Point]) -> Iterator[dict[str, Any]]:
         """Yield the pairs of nests whose distance is not the one that {W} was first framed by."""
-        cell = self._run.cell
-        first = [self._run.log.point(id) for id in _nest_ids(cell, 0)]
-        limit_mm = float(limits_of(cell, first, first).max())
-        return wrong_distances(cell, positions_mm(first), positions_mm(now), limit_mm)
+        cell, log = self._run.cell, self._run.log
+        first = [log.point(id) for id in _nest_ids(cell, 0)]
+        limits_mm = distance_limits(cell, run_noise(log), first, now)
+        return wrong_distances(cell, positions_mm(first), positions_mm(now), limits_mm)
 
     def _check_before(self, nests: list[Point]) -> None:
         """Refuse nests that have moved since the cell's current calibration was measured.
@@ -151,7 +158,7 @@ class TrackerGuard:
         if before is None:
             return
         then_mm = np.array([before.nests_mm[nest.name] for nest in cell.layout.floor])
-        limit_mm = limit_since(cell, nests, before.temperature_c)
+        limit_mm = limit_since(cell, run_noise(self._run.log), nests, before.temperature_c)
         for fields in wrong_distances(cell, then_mm, positions_mm(nests), limit_mm):
             raise DeviceError(
                 "HC-T32",
@@ -199,14 +206,40 @@ class TrackerGuard:
         )
 
 
-def limits_of(cell: Cell, before: Sequence[Point], now: Sequence[Point]) -> Array:
-    """Return by how much each nest (N,) may seem to move: stated drift, and the readings' noise."""
-    noise_mm2 = (variances_mm2(before) + variances_mm2(now)).sum(axis=1)
-    limits: Array = np.sqrt(3.0) * cell.uncertainty.drift_limit_mm + SIGMAS * np.sqrt(noise_mm2)
+def limits_of(cell: Cell, noise: BeamNoise, before: Sequence[Point], now: Sequence[Point]) -> Array:
+    """Return by how much each nest (N,) may seem to move: stated drift, and the readings' noise.
+
+    The noise is what all readings of the run so far have shown, at the nest.
+    """
+    mm2 = noise_at(noise, before) + noise_at(noise, now)
+    return _limits(cell, noise, np.trace(mm2, axis1=-2, axis2=-1))
+
+
+def _limits(cell: Cell, noise: BeamNoise, variances_mm2: Array) -> Array:
+    """Return the limits (N,) of lengths by the variances of their noise (N,)."""
+    sigmas = coverage_factor(SIGMAS, noise.freedom)
+    limits: Array = np.sqrt(3.0) * cell.uncertainty.drift_limit_mm + sigmas * np.sqrt(variances_mm2)
     return limits
 
 
-def limit_since(cell: Cell, nests: Sequence[Point], then_c: float | None) -> float:
+def distance_limits(
+    cell: Cell, noise: BeamNoise, before: Sequence[Point], now: Sequence[Point]
+) -> Array:
+    """Return by how much distances between nests (N, N) may seem to change, as `limits_of`.
+
+    Of the readings' noise counts what lies along the line between the two.
+    """
+    mm2 = noise_at(noise, before) + noise_at(noise, now)
+    at_mm = positions_mm(before)
+    lines_mm = at_mm[:, None] - at_mm[None]
+    along = lines_mm / np.maximum(np.linalg.norm(lines_mm, axis=-1), 1.0)[..., None]
+    both_mm2 = np.einsum("ijk,ijkl,ijl->ij", along, mm2[:, None] + mm2[None], along)
+    return _limits(cell, noise, both_mm2)
+
+
+def limit_since(
+    cell: Cell, noise: BeamNoise, nests: Sequence[Point], then_c: float | None
+) -> float:
     """Return by how much distances of the floor nests may differ from those of an earlier run.
 
     Besides noise and stated drift both runs have the tracker's limits, and the floor has grown.
@@ -220,7 +253,7 @@ def limit_since(cell: Cell, nests: Sequence[Point], then_c: float | None) -> flo
     stated = cell.uncertainty
     tracker_mm = 2.0 * (stated.tracker_limit_mm + 1e-6 * stated.tracker_limit_um_m * far_mm)
     grown_mm = 1e-6 * FLOOR_UM_M_K * warmer_k * longest_mm
-    return float(limits_of(cell, nests, nests).max()) + tracker_mm + grown_mm
+    return float(limits_of(cell, noise, nests, nests).max()) + tracker_mm + grown_mm
 
 
 def _off_mm(before: Sequence[Point], now: Sequence[Point]) -> Array:
@@ -232,11 +265,6 @@ def _some_stand(before: Sequence[Point], now: Sequence[Point]) -> bool:
     """Whether some nests are hardly moved beside the others: no motion of a tracker does that."""
     off_mm = _off_mm(before, now)
     return bool(np.any(off_mm <= ALIKE * off_mm.max()))
-
-
-def _stand(cell: Cell, before: Sequence[Point], now: Sequence[Point]) -> bool:
-    """Whether all nests are seen where they were."""
-    return bool(np.all(_off_mm(before, now) <= limits_of(cell, before, now)))
 
 
 def check_places(cell: Cell, measured_mm: Array) -> None:
@@ -288,15 +316,20 @@ def check_distances(cell: Cell, measured_mm: Array) -> None:
 
 
 def wrong_distances(
-    cell: Cell, wanted_mm: Array, found_mm: Array, limit_mm: float
+    cell: Cell, wanted_mm: Array, found_mm: Array, limits_mm: Array | float
 ) -> Iterator[dict[str, Any]]:
-    """Yield the pairs of floor nests whose distance is not that of ``wanted_mm`` (N, 3)."""
+    """Yield the pairs of floor nests whose distance is not that of ``wanted_mm`` (N, 3).
+
+    ``limits_mm`` is one for all, or (N, N).
+    """
     names = [nest.name for nest in cell.layout.floor]
+    each_mm = np.broadcast_to(limits_mm, (len(names), len(names)))
     for pair in combinations(range(len(names)), 2):
         then, now = (
             float(np.linalg.norm(at_mm[pair[0]] - at_mm[pair[1]]))
             for at_mm in (wanted_mm, found_mm)
         )
+        limit_mm = float(each_mm[pair])
         if not abs(now - then) <= limit_mm:
             yield {
                 "nests": [names[n] for n in pair],

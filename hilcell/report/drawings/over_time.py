@@ -10,6 +10,7 @@ import numpy as np
 from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.measurement_budget import control_moves
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
+from hilcell.journal.reading_noise import run_noise
 from hilcell.ports import Array
 from hilcell.report.drawings.drawing import (
     AFTER,
@@ -41,7 +42,7 @@ def floor_moves(facts: Facts) -> str:
     at_s = np.array([times[point.key] for point, _ in moves])
     size_mm = np.array([float(np.linalg.norm(move)) for _, move in moves])
     points = [point for point, _ in moves]
-    limit_mm = float(np.median(limits_of(facts.cell, points, points)))
+    limit_mm = float(np.median(limits_of(facts.cell, run_noise(facts.log), points, points)))
     most_mm = BEYOND * max(limit_mm, float(size_mm.max()))
     frame = _frame(facts, Scale(0.0, most_mm, HEIGHT_MM - BOTTOM_MM, TOP_MM))
     limit = frame.y.one(limit_mm)

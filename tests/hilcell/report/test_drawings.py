@@ -13,6 +13,7 @@ from msgspec import structs
 from hilcell.calibration.measurement_budget import control_moves
 from hilcell.cell.file import load_cell
 from hilcell.journal.point_id import PointId
+from hilcell.journal.reading_noise import run_noise
 from hilcell.report.drawings.drawing import (
     LABEL_MM,
     MUTED,
@@ -195,7 +196,7 @@ def test_no_label_of_the_side_view_lies_on_another(
 def test_the_nests_are_drawn_below_their_limit(real: tuple[Facts, TargetBudget]) -> None:
     facts, _ = real
     points = [point for point, _ in control_moves(facts.log)]
-    limit_mm = float(np.median(limits_of(facts.cell, points, points)))
+    limit_mm = float(np.median(limits_of(facts.cell, run_noise(facts.log), points, points)))
     drawn = floor_moves(facts)
     assert f"limit {limit_mm:.3f}" in words(drawn)
     highest = min(float(y) for y in re.findall(r'cy="([\d.]+)"', drawn))

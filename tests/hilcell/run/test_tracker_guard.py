@@ -66,6 +66,7 @@ class Floor:
         self.T, self.lifted_mm = np.eye(4), np.zeros((3, 3))
         self.bumps: list[tuple[int, Array]] = []
         self.missed = 0  # readings of which the next ones fail
+        self.std_mm = [0.005] * 3  # of single readings, by nest
         monkeypatch.setattr(bed.tracker, "measure", self.measure)
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
@@ -75,7 +76,7 @@ class Floor:
         seen_mm = apply(inverse(self.T), SEEN_MM + self.lifted_mm)
         away_mm = np.linalg.norm(seen_mm - near_mm, axis=1)
         nearest = near_mm if away_mm.min() > FLANGE_MM else seen_mm[np.argmin(away_mm)]
-        std_mm = np.full(3, 0.005)
+        std_mm = np.full(3, self.std_mm[int(np.argmin(away_mm))])
         self.bumps = [(left - 1, T) for left, T in self.bumps]
         self.T = next((T for left, T in self.bumps if left == 0), self.T)
         return TrackerReading(nearest, std_mm, samples, reflector, None, time.monotonic())
@@ -125,6 +126,21 @@ def test_a_nest_that_is_lifted_is_not_taken_for_a_tracker_that_was_bumped(
     assert performed(bed, struck(strike))["exit"] == 3
     assert f"F1 moved by {lifted_mm:.3f} mm, F2, F3 by 0.000 mm" in bed.log().fault
     assert not bed.events(TRACKER_MOVED)
+
+
+def test_readings_that_agree_by_chance_are_as_uncertain_as_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a coarse instrument, whose noise two or five readings do not always show."""
+    bed = Bed(tmp_path)
+    floor = Floor(bed, monkeypatch)
+    floor.std_mm = [0.005, 0.6, 0.6]
+
+    def strike() -> None:
+        floor.lifted_mm[0, 2] = 0.3
+
+    assert performed(bed, struck(strike))["exit"] == 0, bed.log().fault
+    assert bed.events(PROVEN)[-1]["off_mm"] == pytest.approx([0.3, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("T", [moved(0.5), moved(-3.0), moved(0.0, 1e-3)], ids=str)
