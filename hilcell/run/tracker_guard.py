@@ -79,9 +79,11 @@ class TrackerGuard:
         cell, log = self._run.cell, self._run.log
         before = [log.point(id) for id in _nest_ids(cell, log.set_ups.number)]
         now = self._controls()
-        if not self._stand(before, now) and (_some_stand(before, now) or any(self._changes(now))):
+        stand = self._stand(before, now)
+        if not stand and (_some_stand(before, now) or any(self._changes(now))):
             now = self._controls()
-        if not self._stand(before, now):
+            stand = self._stand(before, now)
+        if not stand:
             if _some_stand(before, now):
                 self._blame(_off_mm(before, now))
             self._renew(before, now)
