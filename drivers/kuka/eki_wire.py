@@ -40,7 +40,7 @@ class EkiChannel:
 
     def ask(self, number: int, document: bytes) -> eki.State:
         """Send a command and return its answer; raises `DeviceError`."""
-        operation = f"command {number}"
+        operation = f"motion {number}" if number > 0 else "command"
         with self._lock:
             if self._dead:
                 raise self._link.broken(operation, self._dead)

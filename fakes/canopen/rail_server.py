@@ -198,9 +198,11 @@ class RailServer:
         if take("rail.vanish") is not None:
             self._gateway.close()
 
-    def _reset(self, node: int, now_s: float) -> None:
-        self._silent.discard(node)
-        self._nodes[node].reset(now_s)
+    def _reset(self, number: int, now_s: float) -> None:
+        """Reboot a node, where this bus has it."""
+        self._silent.discard(number)
+        if (node := self._nodes.get(number)) is not None:
+            node.reset(now_s)
 
     def _beats(self, node: int, *, boot_up: bool) -> bool:
         if boot_up:

@@ -217,6 +217,8 @@ def _value(value: object, kind: Any, path: str, problems: list[str]) -> Any:
             wanted, hint = f"{words} are wanted", ""
         elif expected := _EXPECTED.match(str(error)):
             wanted = f"{_KINDS[expected[1]]} is wanted"
+        elif str(error).startswith("Invalid enum value"):  # msgspec repeats the value
+            wanted = "a known word is wanted"
         else:
             wanted = str(error)
         problems.append(f"{path}: {wanted}, found {_short(value)}{hint}")

@@ -1,8 +1,8 @@
 """Noise of an instrument's readings: a length along its beam, and an angle across it.
 
-It turns with the beam and grows with the range: what the readings at many places have shown holds
-at any other. The spread of a few readings at one place says little: that of 2 along a beam is half
-the noise or less in 38 % of all places, a fortieth in 2 %. Positions are in the tracker's frame.
+It turns with the beam and grows with the range, so the scatter at many places tells that of any
+other. The spread of a few readings at one place says little: that of 2 along a beam is half the
+noise or less in 38 % of all places, a fortieth in 2 %. Positions are in the tracker's frame.
 """
 
 from __future__ import annotations

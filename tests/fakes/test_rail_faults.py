@@ -68,6 +68,16 @@ def test_node_reset_while_moving() -> None:
         assert master.read(0x6064, 0, "i") < 1_000_000
 
 
+def test_a_node_that_this_bus_lacks_does_not_reboot() -> None:
+    """The strip's, where it is on a bus of its own."""
+    with served() as bench, Master(bench.server.port) as master:
+        master.home()
+        bench.faults.set("rail.node_reset", 7)
+        master.move(100_000)
+        assert master.read(0x6064, 0, "i") == 100_000
+        assert bench.faults.take("rail.node_reset") is None, "it has struck"
+
+
 def test_set_point_never_acknowledged() -> None:
     with served() as bench, Master(bench.server.port) as master:
         master.home()

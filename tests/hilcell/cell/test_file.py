@@ -351,7 +351,11 @@ def test_what_the_arm_keeps_clear_of_changes_nothing_that_was_measured() -> None
                 ),
             )
         ),
-        ("keep_out", f'[{FLOOR[:-1]}, frame="base"}}]', "keep_out[0].frame: Invalid enum value"),
+        (
+            "keep_out",
+            f'[{FLOOR[:-1]}, frame="base"}}]',
+            "keep_out[0].frame: a known word is wanted, found 'base'; allowed: ",
+        ),
     ],
 )
 def test_volumes_that_make_no_sense_are_refused(key: str, value: str, problem: str) -> None:
