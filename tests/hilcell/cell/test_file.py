@@ -354,7 +354,7 @@ def test_what_the_arm_keeps_clear_of_changes_nothing_that_was_measured() -> None
         (
             "keep_out",
             f'[{FLOOR[:-1]}, frame="base"}}]',
-            "keep_out[0].frame: a known word is wanted, found 'base'; allowed: ",
+            "keep_out[0].frame: a known word is wanted",
         ),
     ],
 )
