@@ -9,6 +9,7 @@ import pytest
 
 from hilcell.cell.devices import load_entry
 from hilcell.ports import NoReading
+from hilcell.run.direct_run import direct_run
 from hilcell.run.procedure import Procedure
 from hilcell.study import case
 from hilcell.study.case import measured, packed, versions
@@ -17,14 +18,22 @@ from hilcell.study.study_file import Study, cell_of
 from tests.hilcell.study.studies import study
 from tests.whole.golden import GoldenRuns
 
+CALIBRATE: Procedure = load_entry("procedures", "calibrate")
+
 
 @pytest.fixture
 def asked(tmp_path: Path) -> Study:
     return study(tmp_path)
 
 
-def test_its_figures_are_those_of_a_calibration(asked: Study) -> None:
-    row = measured(packed(cell_of(asked, {})), 1, 1, versions())
+def test_its_figures_are_those_of_a_calibration(asked: Study, tmp_path: Path) -> None:
+    cell = cell_of(asked, {})
+    row = measured(packed(cell), 2, 1, versions())  # machine 2, targets 1
+    log = direct_run(cell, CALIBRATE, seed=1, machine_seed=2, folder=tmp_path)
+    result = CALIBRATE.result(log)
+    assert {name: row[name] for name in RESULTS} == {
+        name: value(result) for name, (_, value) in RESULTS.items()
+    }
     assert (row["state"], row["reason"]) == ("done", "")
     assert all(math.isfinite(row[name]) for name in RESULTS)
     assert 0.02 < row["floor_mm"] < row["mean_mm"] < row["p95_mm"] <= row["max_mm"] < 0.4
@@ -84,7 +93,6 @@ def test_another_version_measures_nothing(asked: Study) -> None:
 
 
 def test_a_worker_has_the_cell_as_it_was_packed(asked: Study) -> None:
-    calibrate: Procedure = load_entry("procedures", "calibrate")
     cell = cell_of(asked, {"layout.nest_samples": 5})
     row = measured(packed(cell), 1, 1, versions())
-    assert row["minutes"] * 60.0 == pytest.approx(calibrate.plan(cell, 1).duration_s)
+    assert row["minutes"] * 60.0 == pytest.approx(CALIBRATE.plan(cell, 1).duration_s)

@@ -157,6 +157,15 @@ def test_a_damaged_file_is_named(tmp_path: Path) -> None:
     assert bench.measured == list(range(1, 9))
 
 
+def test_a_file_with_other_columns_is_named(tmp_path: Path) -> None:
+    results = Results(tmp_path / "r", study(tmp_path))
+    performed(results, Bench())
+    (file,) = (tmp_path / "r/cases").iterdir()
+    pq.write_table(pq.read_table(file).drop_columns(["minutes"]), file)
+    with pytest.raises(OtherStudy, match="its columns are not the study's; delete it"):
+        results.table()
+
+
 @pytest.mark.parametrize("content", [None, b"{", b'{"study": 3}', b"\xff"])
 def test_a_folder_without_results(tmp_path: Path, content: bytes | None) -> None:
     if content is not None:
