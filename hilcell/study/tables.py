@@ -45,7 +45,7 @@ def front_sheet(study: Study, found: Answers) -> Sheet | None:
         for each in found.front
     ]
     headers = ["point", *names, "minutes", *money, f"{study.accuracy[:-3]} mm", "covered %"]
-    against = f"accuracy, minutes{' and money' if money else ''}"
+    against = "accuracy, minutes and money" if money else "accuracy and minutes"
     note = (
         f"Of {len(found.designs)} designs these are beaten by no other in {against}. "
         f"{RESULTS[study.accuracy][0].capitalize()}."

@@ -11,11 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilcell.cell.settings import SettingsError
-from hilcell.study.study_file import Study, cell_of, read_study
+from hilcell.study.design import points
+from hilcell.study.study_file import cell_of, read_study
 from hilcell.study.toml_value import toml_value
 from tests.hilcell.study.studies import study, written
 
-EXAMPLE = Path("docs/examples/study-cell.toml")
+EXAMPLES = sorted(Path("docs/examples").glob("study-*.toml"))
 
 
 def factor(**keys: object) -> str:
@@ -39,8 +40,16 @@ def test_a_study_is_read(tmp_path: Path) -> None:
     assert found.has_costs
 
 
-def test_the_shipped_example_is_sound() -> None:
-    assert isinstance(read_study(EXAMPLE), Study)
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_the_shipped_examples_are_sound(path: Path) -> None:
+    asked = read_study(path)
+    assert asked.name == path.stem
+    for point in points(asked):
+        assert cell_of(asked, point.values).name == "paper"
+
+
+def test_there_are_two_examples() -> None:
+    assert len(EXAMPLES) == 2
 
 
 def test_settings_reach_the_cell(tmp_path: Path) -> None:
