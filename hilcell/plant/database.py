@@ -6,6 +6,7 @@ not used.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,6 +24,8 @@ DRIVERS = {POSTGRESQL: "postgresql+psycopg", SQLITE: "sqlite"}
 CONNECT_S, SILENT_MS, BUSY_S = 10, 30_000, 30.0
 CELL, ENGINEER = "hilcell_cell", "hilcell_engineer"  # the roles
 KNOWN = ("run_key", "revision", "head")  # columns of `run` that cells may read
+
+_UNHEARD = logging.NullHandler()
 
 
 class PlantError(HilcellError):
@@ -52,6 +55,8 @@ class Database:
             }
         else:
             options = {"timeout": BUSY_S}
+        # Its warnings repeat the error that is raised; without a handler they reach stderr.
+        logging.getLogger("psycopg").addHandler(_UNHEARD)
         self.engine: Engine = create_engine(self._url, connect_args=options, pool_pre_ping=False)
         if self._url.get_backend_name() == SQLITE:
             event.listen(self.engine, "connect", _checked_keys)

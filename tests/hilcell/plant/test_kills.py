@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import random
 import secrets
@@ -11,8 +12,9 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
-from sqlalchemy import event, func, select
+from sqlalchemy import Engine, event, func, select
 
+from hilcell.commands.cli import main
 from hilcell.journal.runs import read_records
 from hilcell.plant.database import Database, PlantAway
 from hilcell.plant.record import record_of
@@ -174,3 +176,31 @@ def test_a_shipper_that_is_killed_before_each_order_of_a_run(
                 assert (done.before, done.refused) == (1, {})
         assert order > ORDERS
         assert (runs, found) == (1, points)
+
+
+@pytest.mark.parametrize("order", [12, 16])
+def test_a_server_that_dies_meanwhile_is_one_line(
+    order: int, runs: Path, postgresql: Server, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.setattr(logging.root, "handlers", [])  # as in a process of its own
+    url = postgresql.make(f"dies_{order}")
+    with closing(Database(url)) as database:
+        database.make()
+    left = [order]
+
+    def count(*_: object) -> None:
+        left[0] -= 1
+        if not left[0]:
+            postgresql.kill()
+
+    event.listen(Engine, "before_cursor_execute", count)
+    try:
+        code = main(["plant", "ship", str(runs), "--to", url])
+    finally:
+        event.remove(Engine, "before_cursor_execute", count)
+        postgresql.start()
+    assert code == 7
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "it cannot be used now" in line
+    assert main(["plant", "ship", str(runs), "--to", url]) == 0
