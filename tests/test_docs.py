@@ -146,3 +146,9 @@ def test_pages_name_code_and_files_that_exist(page: str) -> None:
     assert [name for name in files if not (ROOT / name).exists()] == []
     links = re.findall(r"\]\(([^)#:]+)[^):]*\)", text)
     assert [link for link in links if not (ROOT / page).parent.joinpath(link).exists()] == []
+
+
+def test_decisions_have_numbers_of_their_own() -> None:
+    records = sorted(path.name for path in (ROOT / "docs/decisions").glob("*.md"))
+    numbers = [name[:4] for name in records if name[:4].isdecimal()]
+    assert len(numbers) == len(set(numbers))
