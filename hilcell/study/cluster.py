@@ -7,6 +7,7 @@ import itertools
 import logging
 import os
 import secrets
+import signal
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
@@ -103,15 +104,16 @@ def local_workers(count: int) -> Iterator[Workers]:
     """Start worker processes on this PC, one thread each; end them."""
     with _quiet(), ExitStack() as stack:
         os.environ["OMP_NUM_THREADS"] = "1"
-        cluster = stack.enter_context(
-            LocalCluster(
-                n_workers=count,
-                threads_per_worker=1,
-                processes=True,
-                host="127.0.0.1",
-                dashboard_address=None,
+        with _interrupts_ignored():  # ctrl-C reaches all processes of a terminal
+            cluster = stack.enter_context(
+                LocalCluster(
+                    n_workers=count,
+                    threads_per_worker=1,
+                    processes=True,
+                    host="127.0.0.1",
+                    dashboard_address=None,
+                )
             )
-        )
         client = stack.enter_context(Client(cluster))
         yield Workers(client, "the local cluster")
 
@@ -176,6 +178,16 @@ def _quiet() -> Iterator[None]:
             yield
     finally:
         logging.disable(before)
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Ignore ctrl-C, as processes that are started meanwhile do for good."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _close(client: Client) -> None:

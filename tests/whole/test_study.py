@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -101,11 +102,15 @@ def test_one_worker_or_two_find_the_same_digits(tmp_path: Path) -> None:
 
 
 @contextmanager
-def studying(path: Path, folder: Path, address: str) -> Iterator[subprocess.Popen[str]]:
-    """Run a study with the workers of a scheduler."""
-    words = ["study", str(path), "-o", str(folder), "--scheduler", address]
+def studying(path: Path, folder: Path, address: str = "") -> Iterator[subprocess.Popen[str]]:
+    """Run a study with the workers of a scheduler, or with two of its own."""
+    workers = ["--scheduler", address] if address else ["--workers", "2"]
     running = subprocess.Popen(
-        [*HILCELL, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*HILCELL, "study", str(path), "-o", str(folder), *workers],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,  # as in a terminal of its own
     )
     try:
         yield running
@@ -131,6 +136,19 @@ def test_a_killed_worker_loses_one_case(tmp_path: Path) -> None:
     whole = hilcell("study", path, "-o", tmp_path / "whole")
     assert whole.returncode == 0
     assert table(folder) == table(tmp_path / "whole")
+
+
+def test_ctrl_c_keeps_what_is_finished(tmp_path: Path) -> None:
+    """A terminal sends it to the workers as well."""
+    path, folder = written(tmp_path, READINGS, head="machines = 9"), tmp_path / "r"
+    with studying(path, folder) as running:
+        _first_part(folder, running)
+        os.killpg(running.pid, signal.SIGINT)
+        _, errors = running.communicate(timeout=LIMIT_S)
+    assert running.returncode == 4
+    assert errors.splitlines()[-1] == "hilcell: interrupted"
+    assert "Traceback" not in errors
+    assert 1 <= table(folder).num_rows < 18
 
 
 def test_a_scheduler_that_vanishes_is_one_message(tmp_path: Path) -> None:
