@@ -22,6 +22,7 @@ from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
+from hilcell.journal.reading_noise import noise_at, run_noise
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step, Table
@@ -29,6 +30,7 @@ from procedures.durations import closing, flange_points, leg, step
 from procedures.plan import check_targets, joints_for, other_stations, poses_at
 
 CLEARLY = 0.5  # the corrected error over the one before; the wrong sign gives about 2
+SIGMAS, MOST = 2.0, 1.0  # of the readings' noise beyond that; no further than the middle of 0 and 2
 IDS = {how: PointId("sign", how=how) for how in ("before", "corrected")}
 
 
@@ -65,8 +67,8 @@ class SignCheck:
             session.flange_point(IDS[how], station, joints, nominal_mm=nominal_mm)
         session.close_step()
         figures = self.result(session.log)["sign"]
-        holds = figures["corrected_mm"] < CLEARLY * figures["before_mm"]
-        session.verdict("sign", holds=holds, limit=CLEARLY, **figures)
+        limit = clearly(session.log, figures["before_mm"])
+        session.verdict("sign", holds=figures["ratio"] < limit, limit=limit, **figures)
 
     def command(self, log: Log, target_mm: Array) -> Array:
         """Return the command (1, 3) in {B} for the target (1, 3), as `compensate` does."""
@@ -79,6 +81,14 @@ class SignCheck:
         before_mm, corrected_mm = errors_of(log, points).norms_mm.tolist()
         ratio = corrected_mm / before_mm
         return {"sign": {"before_mm": before_mm, "corrected_mm": corrected_mm, "ratio": ratio}}
+
+
+def clearly(log: Log, before_mm: float) -> float:
+    """Return the limit of the ratio: wider by the readings' noise, 1 at most."""
+    noise, points = run_noise(log), [log.point(id) for id in IDS.values()]
+    before_mm2, corrected_mm2 = np.trace(noise_at(noise, points), axis1=-2, axis2=-1)
+    noise_mm = float(np.sqrt(corrected_mm2 + CLEARLY**2 * before_mm2))
+    return min(MOST, CLEARLY + SIGMAS * noise_mm / before_mm)
 
 
 def worst_mm(log: Log) -> Array:

@@ -51,7 +51,7 @@ ACT = "look at the instrument, then resume"
 ACTS = {
     "HC-T11": "clear the view or seat the reflector, then resume",
     "HC-T50": "level the instrument and switch its compensator on",
-    "HC-T51": "level and check the instrument; tracker.options.accept_uncorrected takes them",
+    "HC-T51": "level and check the instrument, or state tracker.options.accept_uncorrected = true",
     "HC-T56": "take other reflectors out of the view",
 }
 
@@ -165,7 +165,8 @@ class LeicaGeocomTracker:
                 return
         place = parse_channel(self._options.channel)
         at = f"at {place.baud} baud" if isinstance(place, SerialLine) else "on this port"
-        raise self._lost(f"no answer in time; is GeoCOM spoken {at}?", "connect")
+        came = f", but {count} bytes without an end" if (count := self._wire().unended) else ""
+        raise self._lost(f"no answer in time{came}; is GeoCOM spoken {at}?", "connect")
 
     def _identify(self, address: str) -> Identity:
         options = self._options

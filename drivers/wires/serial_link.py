@@ -6,6 +6,8 @@ pulled out mid-byte is lost; bytes of before it was opened are nobody's answer a
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Callable
 
 import serial
@@ -35,7 +37,7 @@ class SerialLink:
                 alarms.unreachable,
                 device,
                 "connect",
-                f"{line.path} at {line.baud} baud: {error}",
+                f"{line.path} at {line.baud} baud: {_words(error)}",
                 act="check the cable, the path (/dev/serial/by-id keeps its name), the right to "
                 "open it, and that no other program has it",
                 fields={"address": line.path, "baud": line.baud},
@@ -46,7 +48,7 @@ class SerialLink:
         try:
             self._port.write(data)
         except (serial.SerialException, OSError, TypeError) as error:
-            raise self.broken(operation, str(error)) from error
+            raise self._gone(operation, error) from error
 
     def receive(self, size: int, patience: Patience) -> bytes:
         """Return 1 to ``size`` bytes, or none when ``patience`` is over.
@@ -60,7 +62,7 @@ class SerialLink:
                 first = self._port.read(1)
                 rest = self._port.read(min(self._port.in_waiting, size - 1)) if first else b""
             except (serial.SerialException, OSError, TypeError) as error:
-                raise self.broken("receive", str(error)) from error
+                raise self._gone("receive", error) from error
             if first or over:
                 return first + rest
 
@@ -68,6 +70,19 @@ class SerialLink:
         """Return the error that this line's failure is."""
         return self._alarms.broken(self.device, self.address, operation, found)
 
+    def _gone(self, operation: str, error: Exception) -> DeviceError:
+        found = f"the line failed: {_words(error)}"
+        return self.broken(operation, f"{found}; was its cable pulled, or its path renamed?")
+
     def close(self) -> None:
         """Close the line; a second close does nothing."""
         self._port.close()
+
+
+def _words(error: Exception) -> str:
+    """Return the system's words alone: pyserial repeats the path and the error's number."""
+    numbers = [getattr(each, "errno", None) for each in (error, error.__context__)]
+    number = next(filter(None, numbers), None)
+    if number == errno.EAGAIN:
+        return "another program has it"
+    return str(error) if number is None else os.strerror(number)

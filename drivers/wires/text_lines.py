@@ -62,6 +62,11 @@ class TextLines:
                 return None
             self._bytes += data
 
+    @property
+    def unended(self) -> int:
+        """Return how many bytes have come of a line that has no end yet."""
+        return len(self._bytes)
+
     def drop_pending(self) -> None:
         """Forget what has been received and not been read."""
         self._bytes = b""

@@ -110,6 +110,7 @@ def test_a_line_without_an_end_is_an_error(far: Far) -> None:
     lines = TextLines(far.link)
     far.says(b"x" * (LONGEST // 2))
     assert lines.receive(Patience(0.2)) is None
+    assert lines.unended == LONGEST // 2
     far.says(b"x" * (LONGEST // 2 + 1))
     with pytest.raises(DeviceError, match="without an end"):
         lines.receive(Patience(5.0))
@@ -142,15 +143,28 @@ def test_a_silent_wire_ends_the_wait_by_a_stop() -> None:
 
 
 def test_a_serial_line_that_is_not_there_is_named() -> None:
-    with pytest.raises(DeviceError, match="/dev/serial/by-id/none at 9600 baud") as caught:
+    words = "/dev/serial/by-id/none at 9600 baud: No such file or directory;"
+    with pytest.raises(DeviceError, match=words) as caught:
         open_link("Tracker", "/dev/serial/by-id/none@9600", lambda: None, ALARMS)
     assert caught.value.code == "HC-T01"
+
+
+def test_a_serial_line_that_is_pulled_out_is_named_as_that() -> None:
+    file, inner = pty.openpty()
+    link = open_link("Tracker", os.ttyname(inner), lambda: None, ALARMS)
+    os.close(inner)
+    os.close(file)
+    words = "the line failed: (Input|device).*; was its cable pulled, or its path renamed"
+    for act in (lambda: link.send(b"x", "ask"), lambda: link.receive(9, Patience(5.0))):
+        with pytest.raises(DeviceError, match=words):
+            act()
+    link.close()
 
 
 def test_a_serial_line_has_one_owner() -> None:
     file, inner = pty.openpty()
     first = open_link("Tracker", os.ttyname(inner), lambda: None, ALARMS)
-    with pytest.raises(DeviceError, match="baud"):
+    with pytest.raises(DeviceError, match="115200 baud: another program has it;"):
         open_link("Tracker", os.ttyname(inner), lambda: None, ALARMS)
     first.close()
     os.close(inner)

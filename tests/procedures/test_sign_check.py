@@ -37,6 +37,7 @@ class FakeBench:
         self.log = Log()
         self.frames = Frames(CELL, self.log)
         self._count = self.closings = 0
+        self.std_mm, self.off_mm = 0.0, 0.0  # of a reading, and of the corrected one
         self.keep("frame", "world", {"matrix": WORLD.tolist()})
         self.keep("frame", "base", {"matrix": BASE.tolist()})
         values = msgspec.to_builtins(CELL)
@@ -71,7 +72,7 @@ class FakeBench:
         self.keep("point", id.key, {
             "id": msgspec.to_builtins(id), "group": id.group, "reflector": "",
             "station": CELL.grid.station, "samples": 1,
-            "xyz_mm": xyz_mm.tolist(), "std_mm": [0.0] * 3, "temperature_c": 20.0,
+            "xyz_mm": xyz_mm.tolist(), "std_mm": [self.std_mm] * 3, "temperature_c": 20.0,
             "pressure_mbar": 1000.0, "humidity_percent": 50.0, "session": 1, "frame": "tracker",
             **robot,
         })  # fmt: skip
@@ -80,6 +81,8 @@ class FakeBench:
         self, id: PointId, station: Any, joints_rad: Array, *, nominal_mm: Array
     ) -> Point:
         assert station.name == CELL.grid.station
+        if id.how == "corrected":
+            nominal_mm = nominal_mm + [self.off_mm, 0.0, 0.0]
         self.measured(id, joints_rad, forward(CELL.robot.arm(), joints_rad)[:3, 3], nominal_mm)
         return self.log.point(id)
 
@@ -134,6 +137,22 @@ def test_the_wrong_sign_doubles_the_error_and_fails(bench: Any) -> None:
     verdict = bench.log.verdicts["sign"]
     assert verdict["holds"] is False
     assert verdict["ratio"] == pytest.approx(2.0, abs=0.02)
+
+
+@pytest.mark.parametrize(("std_mm", "limit"), [(0.0, 0.5), (0.15, 0.782), (5.0, 1.0)])
+def test_the_limit_is_wider_by_the_noise_of_the_readings(
+    bench: Any, std_mm: float, limit: float
+) -> None:
+    """A single target by a coarse instrument comes less than half as close by chance."""
+    before_mm = float(np.linalg.norm(error_mm(worst_mm(bench.log))))
+    for key, each in bench.log.points.items():
+        bench.log.points[key] = msgspec.structs.replace(each, std_mm=(std_mm,) * 3)
+    bench.std_mm, bench.off_mm = std_mm, 0.6 * before_mm
+    SignCheck().perform(bench)
+    verdict = bench.log.verdicts["sign"]
+    assert verdict["ratio"] == pytest.approx(0.6, abs=0.01)
+    assert verdict["limit"] == pytest.approx(limit, abs=0.03)
+    assert verdict["holds"] is (std_mm > 0.0)
 
 
 def test_a_resumed_run_does_not_judge_again(bench: Any) -> None:
