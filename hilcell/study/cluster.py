@@ -41,10 +41,8 @@ class Workers:
         self._client, self._name = client, name
         self._token = secrets.token_hex(4)
 
-    def measure(
-        self, cases: Iterable[Case], cells: Mapping[int, Cell]
-    ) -> Iterator[tuple[Case, Row]]:
-        """Yield cases as they are measured; ``cells`` are those of the points.
+    def measure(self, cases: Iterable[tuple[Case, Cell]]) -> Iterator[tuple[Case, Row]]:
+        """Yield cases as they are measured; ``cases`` are read a little ahead of the workers.
 
         Raises `Cluster` where the scheduler is gone, or a worker has other versions.
         """
@@ -54,8 +52,8 @@ class Workers:
         ahead = max(LEAST_AHEAD, AHEAD * len(self._client.nthreads()))
         with self._lost_is_an_error():
             while True:
-                for case in itertools.islice(waiting, ahead - len(asked)):
-                    future = self._submit(case, cells[case.point.number])
+                for case, cell in itertools.islice(waiting, ahead - len(asked)):
+                    future = self._submit(case, cell)
                     asked[future.key] = case
                     running.add(future)
                 if not asked:

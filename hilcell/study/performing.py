@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.study.case import CANNOT_BE, Row
 from hilcell.study.cluster import Workers
-from hilcell.study.design import cases, points
+from hilcell.study.design import Case, cases
 from hilcell.study.results import Results, row_of
 from hilcell.study.study_file import Study, cell_of
 
@@ -45,36 +44,34 @@ def perform(results: Results, workers: Workers, heard: Callable[[Row], object]) 
 
     ``heard`` takes each row. Rows that came before an interruption are kept.
     """
-    kept = results.finished()
-    waiting = [case for case in cases(results.study) if case.number not in kept]
-    cells, problems = cells_of(results.study)
+    study, kept = results.study, results.finished()
     counts: Counter[str] = Counter()
-    refused = (
-        (case, {"state": CANNOT_BE, "reason": problems[case.point.number], "minutes": None})
-        for case in waiting
-        if case.point.number in problems
-    )
-    able = (case for case in waiting if case.point.number in cells)
     with _batch(results) as batch:
-        for case, found in itertools.chain(refused, workers.measure(able, cells)):
-            row = row_of(case, found, results.study)
+
+        def keep(case: Case, found: Row) -> None:
+            row = row_of(case, found, study)
             batch.add(row)
             counts[row["state"]] += 1
             heard(row)
+
+        waiting = (case for case in cases(study) if case.number not in kept)
+        for case, found in workers.measure(_able(study, waiting, keep)):
+            keep(case, found)
     results.merge()
     return counts
 
 
-def cells_of(study: Study) -> tuple[dict[int, Cell], dict[int, str]]:
-    """Return the cells of points by their numbers, and of the others why there can be none."""
-    cells: dict[int, Cell] = {}
-    problems: dict[int, str] = {}
-    for point in points(study):
+def _able(
+    study: Study, waiting: Iterable[Case], keep: Callable[[Case, Row], None]
+) -> Iterator[tuple[Case, Cell]]:
+    """Yield cases with their cells as they are asked for; keep those whose cell cannot be."""
+    for case in waiting:
         try:
-            cells[point.number] = cell_of(study, point.values)
+            cell = cell_of(study, case.point.values)
         except SettingsError as error:
-            problems[point.number] = str(error)
-    return cells, problems
+            keep(case, {"state": CANNOT_BE, "reason": str(error), "minutes": None})
+        else:
+            yield case, cell
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +28,11 @@ class Bench:
     def __init__(self, most: int = 10**9) -> None:
         self.most, self.measured = most, list[int]()
 
-    def measure(
-        self, waiting: Iterable[Case], cells: Mapping[int, Cell]
-    ) -> Iterator[tuple[Case, Row]]:
-        for case in waiting:
+    def measure(self, waiting: Iterable[tuple[Case, Cell]]) -> Iterator[tuple[Case, Row]]:
+        for case, cell in waiting:
             if len(self.measured) == self.most:
                 raise Cluster("scheduler tcp://nowhere is gone")
-            assert cells[case.point.number].name == "paper"
+            assert cell.name == "paper"
             self.measured.append(case.number)
             yield case, found(case)
 
