@@ -55,6 +55,7 @@ STARTED_S = 5.0  # wire deadline: from sending the script to its first word
 STALL_S = 5.0  # wire deadline: no axis moved and no acknowledgement came
 REST_S = 3.0  # wire deadline: from the acknowledgement to standstill
 ENDED_S = 5.0  # wire deadline: a script of an earlier session ends
+CLOCK_S = 0.5  # wire deadline: until the controller's time goes on
 LOOK_S = 0.5  # one look counts for this long, at most
 PROGRESS_S = 0.2  # between two looks at the progress of a motion
 COUNT_S = 1.0  # the script's counter stands no longer
@@ -357,15 +358,17 @@ class UrRtdeRobot:
         link = self.link()
         first = link.next()
         self._clock.wait(DWELL_S)
-        last = link.fresh()
-        if not last.timestamp_s > first.timestamp_s:
-            raise DeviceError(
-                "HC-B26",
-                DEVICE,
-                "read",
-                f"the controller's time stands at {last.timestamp_s:.3f} s",
-                act="restart the controller; resume",
-            )
+        last, patience, over = link.fresh(), Patience(CLOCK_S, LOOK_S), False
+        while not last.timestamp_s > first.timestamp_s:  # several packages may have been under way
+            if over:
+                raise DeviceError(
+                    "HC-B26",
+                    DEVICE,
+                    "read",
+                    f"the controller's time stands at {last.timestamp_s:.3f} s",
+                    act="restart the controller; resume",
+                )
+            over, last = patience.over(), link.next()
         return [first, *(each for each in link.following(first.by_s) if each.by_s <= last.by_s)]
 
     # -- for a sweep as well ------------------------------------------------------------------

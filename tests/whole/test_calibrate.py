@@ -19,8 +19,10 @@ from tests.whole.bench import command, end_of, events, hilcell, sweep
 from tests.whole.golden import LIMIT_S, RUNS, GoldenRun, GoldenRuns
 from tests.whole.trace import judge
 
+SPREAD = 0.42  # of the length of a normal vector, as a share of its mean
 CHI2_95 = 7.815  # three degrees of freedom
 SEEDS = {"paper": 2, "calibration": 3}
+TARGETS = {"paper": (54, 50), "calibration": (135, 150)}  # at the grid's station, at the others
 pytestmark = pytest.mark.timeout(LIMIT_S)
 
 
@@ -40,12 +42,13 @@ def test_the_end_event_has_the_figures(whole: GoldenRun) -> None:
     assert result["points"]["frames"] == 24
     assert sorted(result["stations"]) == ["S1100", "S1900", "S300"]
     at_grid, others = result["validation"]["S1100"], result["validation"]["others"]
-    assert at_grid["points"] == 135
-    assert others["points"] == 150
+    assert (at_grid["points"], others["points"]) == TARGETS[whole.folder.name]
     assert 1.09 <= at_grid["before"]["mean"] <= 1.33
     assert 0.09 <= at_grid["idw"]["mean"] <= 0.15
     assert 0.11 <= others["idw"]["mean"] <= 0.20
-    assert at_grid["floor"]["mean"] < at_grid["chosen"]["mean"] <= at_grid["idw"]["mean"] + 0.02
+    chance = 3 * SPREAD / np.sqrt(at_grid["points"])
+    assert at_grid["floor"]["mean"] * (1 - chance) < at_grid["chosen"]["mean"]
+    assert at_grid["chosen"]["mean"] <= at_grid["idw"]["mean"] + 0.02
     assert set(result["fit"]["loocv"]) >= {"idw", "trilinear"}
     for station in result["stations"].values():
         assert 0.0 < station["tool_uncertainty_mm"] < 0.1
