@@ -14,7 +14,9 @@ import numpy as np
 import pytest
 
 from drivers.universal_robots import robot_rtde as robot_ur_rtde
+from drivers.universal_robots.link import UrLink
 from drivers.universal_robots.robot_rtde import UrRtdeRobot, script_text
+from drivers.universal_robots.state import UrState
 from fakes.faults import Faults
 from fakes.motion_faults import Harms
 from fakes.site import Site
@@ -385,3 +387,33 @@ def test_the_script_brakes_when_the_engine_is_killed(tmp_path: Path) -> None:
         assert np.abs(np.array(state[2:8]) - np.radians(LAB.robot.safe_deg)).max() > 0.01
         last = command("resume", engine.run, "--runs", tmp_path, "--json")
     assert end_of(last)["state"] == "finished", last.stderr
+
+
+def test_a_package_that_was_under_way_is_no_standing_clock(
+    robot: UrRtdeRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found: list[UrState] = []
+    following = UrLink.next
+
+    def noted(link: UrLink) -> UrState:
+        found.append(following(link))
+        return found[-1]
+
+    def late(link: UrLink, *, patiently: bool = False) -> UrState:
+        return found[0]
+
+    monkeypatch.setattr(UrLink, "next", noted)
+    monkeypatch.setattr(UrLink, "fresh", late)
+    assert robot.read().still
+    assert found[-1].timestamp_s > found[0].timestamp_s
+
+
+def test_a_clock_that_stands_is_refused(
+    robot: UrRtdeRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state = robot.link().fresh()
+    monkeypatch.setattr(UrLink, "next", lambda link: state)
+    monkeypatch.setattr(UrLink, "fresh", lambda link, patiently=False: state)
+    with pytest.raises(DeviceError, match="time stands") as found:
+        robot.rest(state.joints_rad)
+    assert found.value.code == "HC-B26"
