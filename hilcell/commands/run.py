@@ -123,7 +123,7 @@ def run(args: argparse.Namespace) -> int:
         "driven_by": _finished_runs(args.runs, cell),
         "accepted": accepted,
         "floor_before": msgspec.to_builtins(
-            floor_before(args.runs, cell, _machine_seed(cell, args))
+            floor_before(args.runs, cell, machine_seed(cell, args))
         ),
     }
     name = args.name or new_run(procedure.name)
@@ -220,14 +220,6 @@ def _check_of_simulator(cell: Cell, option: str, value: float | None) -> None:
             f"give {option} to its `hilcell sim`",
             code="HC-C17",
         )
-
-
-def _machine_seed(cell: Cell, args: argparse.Namespace) -> int | None:
-    """Return the seed of the simulated machine that this run starts; None where it starts none."""
-    if cell.simulation is None or cell.simulation.address:
-        return None
-    seed: int = args.seed if args.machine_seed is None else args.machine_seed
-    return seed
 
 
 def _finished_runs(runs: Path, cell: Cell) -> list[str]:
@@ -411,10 +403,7 @@ def _plan_record(
     speed = None if args.speed is None or math.isinf(args.speed) else args.speed
     packages = ("numpy", "scipy", "canopen", "python-can", "transitions", "msgspec")
     versions = {package: version(package) for package in packages}
-    return {
-        "procedure": procedure.name,
-        "cell": msgspec.to_builtins(cell),
-        "digest": cell.digest,
+    return procedure.inputs(cell, plan) | {
         "cell_file": cell_file(args.cell),
         "seed": args.seed,
         "machine_seed": machine_seed(cell, args),
@@ -422,10 +411,6 @@ def _plan_record(
         "unattended": args.unattended,
         "operator": args.operator,
         "job": args.job,
-        "simulated": cell.simulation is not None,
         "versions": {"hilcell": __version__, "python": platform.python_version()} | versions,
         "settings": dict(args.set),
-        "steps": msgspec.to_builtins(plan.steps),
-        "points": plan.points,
-        "duration_s": plan.duration_s,
     }

@@ -10,8 +10,6 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
-import msgspec
-
 from hilcell import __version__
 from hilcell.cell.devices import Devices, connect_all, in_process_cell
 from hilcell.cell.file import Cell
@@ -44,10 +42,8 @@ def direct_run(
     journal.append(
         "plan",
         "",
-        {
-            "procedure": procedure.name,
-            "cell": msgspec.to_builtins(cell),
-            "digest": cell.digest,
+        procedure.inputs(cell, plan)
+        | {
             "cell_file": cell.name,
             "seed": seed,
             "machine_seed": machine_seed,
@@ -55,12 +51,8 @@ def direct_run(
             "unattended": True,
             "operator": "",
             "job": "",
-            "simulated": True,
             "versions": {"hilcell": __version__},
             "settings": {},
-            "steps": msgspec.to_builtins(plan.steps),
-            "points": plan.points,
-            "duration_s": plan.duration_s,
         },
     )
     devices = Devices(simulated.rail, simulated.robot, simulated.tracker)

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
 
+import msgspec
+
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
 from hilcell.ports import HilcellError, StripLost
@@ -149,6 +151,18 @@ class Procedure:
                 code="HC-C10",
             )
         return Plan(steps)
+
+    def inputs(self, cell: Cell, plan: Plan) -> dict[str, Any]:
+        """Return what every run of a plan freezes; its command adds who ordered it, and how."""
+        return {
+            "procedure": self.name,
+            "cell": msgspec.to_builtins(cell),
+            "digest": cell.digest,
+            "simulated": cell.simulation is not None,
+            "steps": msgspec.to_builtins(plan.steps),
+            "points": plan.points,
+            "duration_s": plan.duration_s,
+        }
 
     def perform(self, session: CellSession) -> None:
         """Perform all acts, and all again where a point is re-measured behind the last one."""
