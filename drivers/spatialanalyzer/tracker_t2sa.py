@@ -16,6 +16,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from drivers.on_failure import on_failure
 from drivers.spatialanalyzer import t2sa, t2sa_bridge
 from drivers.spatialanalyzer.t2sa_bridge import (
     ACT,
@@ -103,13 +104,10 @@ class T2saTracker:
         points = self._points  # whichever it is, the job is compared with it
         link = TcpLink(DEVICE, options.host, options.port, self._clock.check, ALARMS)
         bridge = self._bridge = T2saBridge(link, self._clock)
-        try:
+        with on_failure(self.close):
             state = self._ready(bridge)
             self._set_up(bridge)
             self._compare(bridge, points)
-        except BaseException:
-            self.close()
-            raise
         model = f"{clean(options.instrument)}, by SpatialAnalyzer"
         serial, simulated = clean(options.plate), says_simulated(state)
         return [Identity(DEVICE, model, serial, bridge.address, simulated, "tracker")]
