@@ -2,12 +2,13 @@
 
 The controller sends a package at every cycle, asked or not, and drops those that nobody fetches.
 The thread that asks for a state fetches them; while none does, a thread here empties the buffer.
-A package that waited in a buffer is no fresh one: its age counts from when the buffer was last seen
-empty before it.
+A package that waited in a buffer, or on its way, is no fresh one. So each question for a fresh
+state has a number, written into a register of its own: a state that has it was taken after that.
 """
 
 from __future__ import annotations
 
+import secrets
 import threading
 import time
 from collections import deque
@@ -19,6 +20,7 @@ from drivers.supervision import Patience
 from drivers.universal_robots import rtde
 from drivers.universal_robots.rtde import Kind, Packages, Recipe, RtdeError
 from drivers.universal_robots.state import (
+    ECHO,
     INPUTS,
     OUTPUTS,
     Order,
@@ -39,7 +41,7 @@ IDLE_S = 0.1  # between two looks at a buffer whose packages nobody wants
 KEPT = 4096  # packages
 SIZE = 65536
 JOIN_S = 2.0
-MAX_LIFE = 1_000_000_000
+MAX_LIFE = MAX_QUESTION = 1_000_000_000
 
 
 class UrLink:
@@ -58,22 +60,40 @@ class UrLink:
         self._emptied_s = 0.0  # when the buffer was last seen empty
         self._failure: DeviceError | None = None
         self._writing, self._life = threading.Lock(), 0
+        # The register keeps the last number of the connection before.
+        self._question = secrets.randbelow(MAX_QUESTION) + 1
+        self.asked_s = 0.0  # when `fresh` was last called (monotonic)
         with on_failure(self._link.close):
             self.version = self._set_up()
         self._thread.start()
 
     def fresh(self, *, patiently: bool = False) -> UrState:
-        """Return a state that the controller took after this call began.
+        """Return a state that the controller took after this call began, however late it comes.
 
-        The first package that arrives may have been under way before. ``patiently`` waits on when
-        a stop was asked for. Raises `DeviceError`.
+        ``patiently`` waits on when a stop was asked for. Raises `DeviceError`.
         """
-        first = self._next(time.monotonic(), patiently=patiently)
-        return self._next(first.by_s, patiently=patiently)
+        self._question = self._question % MAX_QUESTION + 1
+        self.asked_s = seen_s = time.monotonic()
+        with self._writing:
+            self._link.send(self._echo.encode({ECHO: (self._question,)}), "ask for a state")
+        patience, over = Patience(ANSWER_S), False
+        while True:
+            newest = self._following(seen_s, patiently=patiently)[-1]
+            if newest.echo == self._question:
+                return newest
+            if over:
+                found = f"no package after question {self._question} within {ANSWER_S:.0f} s"
+                raise self._link.broken("receive", f"{found}: {ECHO} is {newest.echo}")
+            over, seen_s = patience.over(), newest.by_s
 
     def next(self) -> UrState:
         """Return a state that arrived after this call began; raises `DeviceError`."""
-        return self._next(time.monotonic(), patiently=False)
+        begun_s = seen_s = time.monotonic()
+        while True:
+            newest = self._following(seen_s, patiently=False)[-1]
+            if newest.after_s >= begun_s:
+                return newest
+            seen_s = newest.by_s
 
     def following(self, by_s: float) -> list[UrState]:
         """Wait for states fetched after a time (monotonic); return all of these."""
@@ -105,6 +125,7 @@ class UrLink:
         if found := unlike(self._outputs):
             raise self._refused("HC-B69", f"unexpected type of {', '.join(found)}")
         self._inputs = self._recipe(Kind.INPUTS, rtde.request_inputs(INPUTS), INPUTS)
+        self._echo = self._recipe(Kind.INPUTS, rtde.request_inputs((ECHO,)), (ECHO,))
         if not rtde.accepted(self._ask(Kind.START, rtde.encode(Kind.START))):
             raise self._refused("HC-B69", "the exchange is not started")
         return version
@@ -160,15 +181,6 @@ class UrLink:
                     self._fetch(0.0)
                 finally:
                     self._fetching.release()
-
-    def _next(self, begun_s: float, *, patiently: bool) -> UrState:
-        """Return the newest state of the first that all arrived after a time."""
-        seen_s = begun_s
-        while True:
-            newest = self._following(seen_s, patiently=patiently)[-1]
-            if newest.after_s >= begun_s:
-                return newest
-            seen_s = newest.by_s
 
     def _following(self, by_s: float, *, patiently: bool) -> list[UrState]:
         patience = Patience(SILENT_S)

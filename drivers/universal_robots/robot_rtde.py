@@ -150,7 +150,7 @@ class UrRtdeRobot:
         """Return a reading that left the controller after this call began."""
         states = self._dwell()
         still = not self._under_way and _stands(states)
-        return _reading(states[-1], self._ended_s, still=still)
+        return self._reading(states[-1], still=still)
 
     def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> UrSweep:
         """Return a motion of one axis (0 to 5) alone, at a speed."""
@@ -345,7 +345,7 @@ class UrRtdeRobot:
                 self._check_tool(last)
                 self._under_way, self._rest_rad = False, target_rad
                 self._ended_s = states[0].after_s
-                return _reading(last, self._ended_s, still=True)
+                return self._reading(last, still=True)
             if over:
                 break
             over = patience.over()
@@ -370,6 +370,11 @@ class UrRtdeRobot:
                 )
             over, last = patience.over(), link.next()
         return [first, *(each for each in link.following(first.by_s) if each.by_s <= last.by_s)]
+
+    def _reading(self, state: UrState, *, still: bool) -> RobotReading:
+        """Return a reading of a dwell's last state; no part of it is older than its time."""
+        taken_s = self.link().asked_s
+        return RobotReading(state.joints_rad, state.pose, still, taken_s, self._ended_s)
 
     # -- for a sweep as well ------------------------------------------------------------------
 
@@ -442,11 +447,6 @@ def _stands(states: Sequence[UrState]) -> bool:
     joints_rad = np.array([state.joints_rad for state in states])
     speeds = np.abs([state.speeds_rad_s for state in states])
     return bool(np.all(np.ptp(joints_rad, axis=0) <= STILL_RAD) and np.all(speeds <= STILL_RAD_S))
-
-
-def _reading(state: UrState, ended_s: float | None, *, still: bool) -> RobotReading:
-    """Return a reading; no part of it is older than its time."""
-    return RobotReading(state.joints_rad, state.pose, still, state.after_s, ended_s)
 
 
 def _never() -> None:

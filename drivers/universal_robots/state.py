@@ -1,6 +1,8 @@
 """The states in every package of a Universal Robots controller, and the registers of its script.
 
-Integer registers 24 .. 27 and float registers 24 .. 30 are those of ``ur_script/hilcell.script``.
+Integer registers 24 .. 27 and float registers 24 .. 30 are those of ``script/hilcell.script``. It
+reads no input register 28, which numbers the questions for a fresh state: a state shows what was
+written last, so one with the number of a question was taken after it.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ MM = 1000.0
 _TOOL = tuple(f"output_double_register_{n}" for n in range(24, 30))
 _SIX = ("actual_q", "actual_qd", "actual_TCP_pose")
 _MEASURED = (*_SIX, *_TOOL)
+ECHO = "input_int_register_28"
 OUTPUTS = (
     "timestamp",
     "actual_q",
@@ -31,6 +34,7 @@ OUTPUTS = (
     "output_int_register_26",
     "output_int_register_27",
     *_TOOL,
+    ECHO,
 )
 INPUTS = (
     "input_int_register_24",
@@ -114,6 +118,11 @@ class UrState:
     def count(self) -> int:
         """Return the count of the script's loop."""
         return int(self.numbers["output_int_register_27"][0])
+
+    @property
+    def echo(self) -> int:
+        """Return the number of the last question that had reached the controller."""
+        return int(self.numbers[ECHO][0])
 
     @property
     def tool(self) -> Array:

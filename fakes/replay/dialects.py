@@ -52,6 +52,9 @@ class Dialect:
         """Whether a message has no part in any exchange."""
         return not message.strip()
 
+    def passed(self, message: bytes) -> None:
+        """Take note of a message that has no part in any exchange."""
+
     def is_command(self, message: bytes) -> bool:
         """Whether a message is sent as often as the work wants it, and never to look."""
         return False

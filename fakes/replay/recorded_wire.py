@@ -100,5 +100,8 @@ class RecordedWire:
                     return
                 messages, rest = self._dialect.split_questions(rest + data)
                 for message in messages:
-                    flow.ask(message)
+                    if self._dialect.unheard(message):
+                        self._dialect.passed(message)
+                    else:
+                        flow.ask(message)
             client.sendall(b"".join(flow.next()))

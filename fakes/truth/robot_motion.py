@@ -130,11 +130,11 @@ class RobotMotion:
             np.array([leg.landing_rad for leg, _ in rows]),
         )
 
-    def state(self) -> RobotState:
-        """Return the state now, without letting time pass."""
+    def state(self, at_s: float | None = None) -> RobotState:
+        """Return the state now, or as of a time just read; lets no time pass."""
         with self._lock:
-            joints = self._joints(self._time.now_s())
-            return RobotState(joints, self._side, self._landing, self.moving)
+            now_s = self._time.now_s() if at_s is None else at_s
+            return RobotState(self._joints(now_s), self._side, self._landing, self._moves(now_s))
 
     def measured(self, cycle_s: float) -> tuple[Array, int]:
         """Return the joints (6,) at the last tick of a controller's cycle, and the tick's number.
@@ -150,8 +150,7 @@ class RobotMotion:
     @property
     def moving(self) -> bool:
         """Whether a motion is under way; one that an override of 0 holds still is."""
-        held = self._share > 0 and self._path.end < 1.0
-        return held or self._time.now_s() < self._path.end_s
+        return self._moves(self._time.now_s())
 
     @property
     def rests_s(self) -> float:
@@ -175,6 +174,10 @@ class RobotMotion:
             self._legs.clear()
         self._legs.append(leg)
 
+    def _moves(self, now_s: float) -> bool:
+        held = self._share > 0 and self._path.end < 1.0
+        return held or now_s < self._path.end_s
+
     def _fresh_path(self) -> Path:
         now_s = self._time.now_s()
         return Path(now_s, *self._path.at(now_s))
@@ -184,6 +187,6 @@ class RobotMotion:
             return self._standing
         share = self._path.at(now_s)[0]
         joints: Array = self._from + share * (self._to - self._from) if share < 1 else self._to
-        if now_s >= self._path.end_s and not self.moving:
+        if not self._moves(now_s):
             self._standing = joints
         return joints

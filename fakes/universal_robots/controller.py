@@ -33,7 +33,7 @@ MOVE_JOINTS = 1
 DITHER_RAD, DITHER_RAD_S = 5e-6, 4e-4  # of a joint that holds
 STEP_S = 0.002  # of the controller
 LIFE_MS = 1500
-INTEGERS, FLOATS = range(24, 28), range(24, 31)
+INTEGERS, FLOATS = range(24, 29), range(24, 31)  # that a client may write
 NAME = re.compile(r"^\s*def\s+(\w+)\s*\(", re.ASCII)
 SESSION = re.compile(r"write_output_integer_register\(26, (\d+)\)", re.ASCII)
 SAFETY_NAMES = {1: "NORMAL", 2: "REDUCED", 3: "PROTECTIVE_STOP", 5: "SAFEGUARD_STOP"}
@@ -155,7 +155,7 @@ class UrController:
 
     def _values(self) -> Values:
         now_s = self._time.now_s()
-        state = self._motion.state()
+        state = self._motion.state(now_s)  # as of the package's own time, however busy this PC is
         joints_rad, speeds = state.joints_rad, np.zeros(6)
         if state.moving:
             before_rad, now_rad = self._motion.past(np.array([now_s - STEP_S, now_s]))[0]
@@ -187,7 +187,8 @@ class UrController:
             "output_int_register_27": self._count,
         }
         registers = zip(range(24, 30), tool, strict=True)
-        return found | {f"output_double_register_{n}": float(value) for n, value in registers}
+        found |= {f"output_double_register_{n}": float(value) for n, value in registers}
+        return found | self._inputs
 
     # -- the program --------------------------------------------------------------------------
 

@@ -1,7 +1,8 @@
 """The wires of a Universal Robots controller: states that come by themselves, registers, scripts.
 
-A script carries the number of its session, new each time, and the states tell it back. A write that
-changes nothing but the sign of life asks nothing new.
+A script carries the number of its session, new each time, and the states show it. They also show
+the number of the last question for a fresh state. A write that changes nothing but the sign of life
+asks nothing new.
 """
 
 from __future__ import annotations
@@ -17,9 +18,11 @@ DATA, OUTPUTS = 85, 79
 SIZES = {"DOUBLE": 8, "INT32": 4, "UINT32": 4, "UINT64": 8, "BOOL": 1, "UINT8": 1}
 SIZES |= {"VECTOR3D": 24, "VECTOR6D": 48, "VECTOR6INT32": 24, "VECTOR6UINT32": 24}
 SESSION, COUNT, TIME = "output_int_register_26", "output_int_register_27", "timestamp"
+ECHO = "input_int_register_28"
 LEAST_S = 1e-6  # from one package to the next
 # recipe, then sequence, command, sign of life, stop; joints; speed
 _INPUTS = struct.Struct("!4i6dd")
+_QUESTION = struct.Struct("!i")
 MOVE = 1
 _NUMBER = re.compile(rb"write_output_integer_register\(26, (\d+)\)")
 _END = b"\nend\n"
@@ -49,7 +52,15 @@ class Rtde(Sized):
         super().__init__(">H", 0, 0)
         self._sessions = sessions
         self._places: dict[str, int] = {}  # of a field in a package of data
-        self._time_s, self._count = 0.0, 0
+        self._time_s, self._count, self._question = 0.0, 0, 0
+
+    def unheard(self, message: bytes) -> bool:
+        """Whether it is a question for a fresh state: every state answers the last of them."""
+        return message[KIND] == DATA and len(message) == HEAD + 1 + _QUESTION.size
+
+    def passed(self, message: bytes) -> None:
+        """Take note of a question's number."""
+        (self._question,) = _QUESTION.unpack_from(message, HEAD + 1)
 
     def name(self, message: bytes) -> bytes:
         """Return what a write commands, with its target; other requests as they are."""
@@ -61,10 +72,10 @@ class Rtde(Sized):
         return f"{sequence} {command} {stop} {target}".encode()
 
     def answer(self, asked: bytes, recorded: bytes, answer: bytes) -> bytes:
-        """Return the package with the number of the driver's own session; time goes on."""
+        """Return the package with the numbers of the driver's own session; time goes on."""
         if answer[KIND] == OUTPUTS:
             self._learn(recorded, answer)
-        if answer[KIND] != DATA or not self._places.keys() >= {TIME, SESSION, COUNT}:
+        if answer[KIND] != DATA or not self._places.keys() >= {TIME, SESSION, COUNT, ECHO}:
             return answer
         found = bytearray(answer)
         (time_s,) = struct.unpack_from("!d", found, self._places[TIME])
@@ -76,6 +87,7 @@ class Rtde(Sized):
         struct.pack_into("!d", found, self._places[TIME], self._time_s)
         struct.pack_into("!i", found, self._places[SESSION], self._sessions.of(number))
         struct.pack_into("!i", found, self._places[COUNT], self._count)
+        struct.pack_into("!i", found, self._places[ECHO], self._question)
         return bytes(found)
 
     def repeats(self, answer: bytes) -> bool:

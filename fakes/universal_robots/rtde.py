@@ -108,7 +108,7 @@ class _Session:
         self._segments = Segments(client)
         self._pending, self._glued, self._sent = b"", b"", 0
         self._outputs: list[tuple[str, str]] = []
-        self._inputs: list[tuple[str, str]] = []
+        self._inputs: dict[int, list[tuple[str, str]]] = {}  # by the number of their recipe
         self._rate_hz, self._started, self._due_s, self._silent = FASTEST_HZ, False, 0.0, False
 
     def turn(self) -> bool:
@@ -144,10 +144,12 @@ class _Session:
             answer = struct.pack("!4I", *SOFTWARE)
         elif kind == OUTPUTS:
             (self._rate_hz,) = struct.unpack_from("!d", payload)
-            self._outputs = [(name, _kind(name)) for name in _names(payload[8:])]
+            known = self._server.inputs()
+            self._outputs = [(name, _kind(name, known)) for name in _names(payload[8:])]
             answer = b"\x01" + ",".join(kind for _, kind in self._outputs).encode()
         elif kind == INPUTS:
-            answer = b"\x01" + ",".join(self._claimed(_names(payload))).encode()
+            number, types = self._claimed(_names(payload))
+            answer = bytes([number]) + ",".join(types).encode()
         elif kind in (START, PAUSE):
             self._started, answer = kind == START, b"\x01"
         else:
@@ -155,15 +157,18 @@ class _Session:
         self._client.sendall(HEAD.pack(HEAD.size + len(answer), kind) + answer)
         return True
 
-    def _claimed(self, names: list[str]) -> list[str]:
+    def _claimed(self, names: list[str]) -> tuple[int, list[str]]:
+        """Return the number of a new recipe, 0 where there is none, and its types."""
         free, known = self._server.claim(self), self._server.inputs()
-        kinds = [("INT32" if "_int_" in name else "DOUBLE") for name in names]
         types = [
-            "NOT_FOUND" if name not in known else kind if free else "IN_USE"
-            for name, kind in zip(names, kinds, strict=True)
+            "NOT_FOUND" if name not in known else _register(name) if free else "IN_USE"
+            for name in names
         ]
-        self._inputs = list(zip(names, types, strict=True)) if free else []
-        return types
+        if not set(types) <= {"INT32", "DOUBLE"}:
+            return 0, types
+        number = len(self._inputs) + 1
+        self._inputs[number] = list(zip(names, types, strict=True))
+        return number, types
 
     def _write(self, payload: bytes) -> bool:
         take = self._server.faults.take
@@ -171,10 +176,11 @@ class _Session:
             return False
         if take("robot.half_open") is not None or take("robot.no_reply") is not None:
             self._silent = True
-        layout = "!B" + "".join("i" if kind == "INT32" else "d" for _, kind in self._inputs)
+        recipe = self._inputs.get(payload[0], []) if payload else []
+        layout = "!B" + "".join("i" if kind == "INT32" else "d" for _, kind in recipe)
         if len(payload) == struct.calcsize(layout) > 1:
             values = struct.unpack(layout, payload)[1:]
-            names = (name for name, _ in self._inputs)
+            names = (name for name, _ in recipe)
             self._server.write(dict(zip(names, values, strict=True)))
         return True
 
@@ -207,7 +213,14 @@ def _names(payload: bytes) -> list[str]:
     return payload.decode("ascii", "replace").removesuffix(",").split(",")
 
 
-def _kind(name: str) -> str:
+def _register(name: str) -> str:
+    return "INT32" if "_int_" in name else "DOUBLE"
+
+
+def _kind(name: str, registers: set[str]) -> str:
+    """Return the type of an output; registers that a client writes are outputs, too."""
+    if name in registers:
+        return _register(name)
     if name in SIX:
         return "VECTOR6D"
     if name in WHOLE or name in {f"output_int_register_{n}" for n in range(24, 28)}:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import select
 import socket
 import struct
 import threading
@@ -13,13 +14,15 @@ import pytest
 from drivers.universal_robots import link as ur_link
 from drivers.universal_robots.link import UrLink
 from drivers.universal_robots.rtde import Kind, Packages, encode
-from drivers.universal_robots.state import OUTPUTS
+from drivers.universal_robots.state import ECHO, OUTPUTS
 from hilcell.ports import DeviceError, DeviceRefused
 from tests.drivers.peers import Server
 from tests.fakes.rail_bench import until
 
 SIX = {"actual_q", "actual_qd", "actual_TCP_pose"}
 TYPES = ["VECTOR6D" if name in SIX else "DOUBLE" for name in OUTPUTS]
+ECHOED = OUTPUTS.index(ECHO) - len(OUTPUTS)  # its place among the numbers of a state
+QUESTION = struct.Struct(">Bi")
 RATE_HZ = 125.0
 
 
@@ -33,25 +36,33 @@ class Controller:
         besides: bytes = b"",
     ) -> None:
         self.types, self.due, self._besides = types, due, besides
-        self.number, self.sent = 1, 0
+        self.number, self.sent, self.question, self.takes = 1, 0, 0, True
 
     def serve(self, wire: socket.socket) -> None:
         packages = Packages()
         while data := wire.recv(65536):
-            for kind, _ in packages.feed(data):
+            for kind, payload in packages.feed(data):
+                asked = payload.split(b",")
                 answer = {
                     Kind.CONTROLLER_VERSION: bytes(16),
                     Kind.OUTPUTS: b"\1" + ",".join(self.types).encode(),
-                    Kind.INPUTS: b"\2" + ",".join(["INT32"] * 4 + ["DOUBLE"] * 7).encode(),
-                }.get(Kind(kind), b"\1")
+                    Kind.INPUTS: b"\2" + b",".join(
+                        b"INT32" if b"_int_" in each else b"DOUBLE" for each in asked
+                    ),
+                }.get(Kind(kind), b"\1")  # fmt: skip
                 wire.sendall(encode(Kind(kind), answer))
                 if kind == Kind.START:
-                    self._send_states(wire)
+                    self._send_states(wire, packages)
 
-    def _send_states(self, wire: socket.socket) -> None:
+    def _send_states(self, wire: socket.socket, packages: Packages) -> None:
         while True:
+            while self.takes and select.select([wire], [], [], 0.0)[0]:
+                for _, payload in packages.feed(wire.recv(65536)):
+                    self.question = QUESTION.unpack(payload)[1]
+            question = float(self.question)
             self.due()
-            values = (float(self.sent), *[0.0] * (len(OUTPUTS) + 3 * 5 - 1))
+            values = [float(self.sent), *[0.0] * (len(OUTPUTS) + 3 * 5 - 1)]
+            values[ECHOED] = question
             payload = struct.pack(f">B{len(values)}d", self.number, *values)
             wire.sendall(encode(Kind.DATA, payload) + self._besides)
             self.sent += 1
@@ -78,6 +89,42 @@ def test_a_fresh_state_is_waited_for_without_spinning(monkeypatch: pytest.Monkey
         looks.clear()
         assert link.fresh().timestamp_s > sent
         assert len(looks) <= 50  # of 20 ms, while three states of 50 ms are waited for
+
+
+def test_a_state_that_was_under_way_is_no_fresh_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """States that left before the question came do not have its number, however many they are."""
+    monkeypatch.setattr(ur_link, "IDLE_S", 1e3)
+    controller, paced = Controller(), threading.Event()
+    controller.due = lambda: paced.wait(0.002)
+    with link_to(controller) as link:
+        link.fresh()
+        controller.takes = False
+        asked, states = threading.Event(), list[float]()
+
+        def ask() -> None:
+            asked.set()
+            states.append(link.fresh().timestamp_s)
+
+        asking = threading.Thread(target=ask)
+        asking.start()
+        asked.wait()
+        sent = controller.sent
+        until(lambda: controller.sent > sent + 20, "states come that were taken before")
+        assert not states
+        late, controller.takes = controller.sent, True
+        asking.join()
+        assert states[0] >= late
+
+
+def test_a_controller_that_takes_no_question_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ur_link, "ANSWER_S", 0.3)
+    controller, paced = Controller(), threading.Event()
+    controller.due = lambda: paced.wait(0.002)
+    with link_to(controller) as link:
+        controller.takes = False
+        with pytest.raises(DeviceError, match="no package after question") as found:
+            link.fresh()
+        assert found.value.code == "HC-B02"
 
 
 def test_states_that_nobody_wants_block_no_controller(monkeypatch: pytest.MonkeyPatch) -> None:

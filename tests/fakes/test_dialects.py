@@ -12,8 +12,9 @@ from fakes.replay.recorded_script import Exchange, Flow, Names, Pulse, Script
 from fakes.universal_robots.dialect import Rtde
 
 OUTPUTS, DATA = 79, 85
-FIELDS = ("timestamp", "actual_q", "output_int_register_26", "output_int_register_27")
-STATE = struct.Struct("!Bd6dii")
+FIELDS = ("timestamp", "actual_q", "output_int_register_26", "output_int_register_27",
+          "input_int_register_28")  # fmt: skip
+STATE = struct.Struct("!Bd6diii")
 WRITE = struct.Struct("!B4i6dd")
 SCRIPT = b"def hilcell():\n  write_output_integer_register(26, %d)\nend\n"
 
@@ -23,7 +24,7 @@ def package(kind: int, payload: bytes) -> bytes:
 
 
 def state(time_s: float, session: int, count: int) -> bytes:
-    return package(DATA, STATE.pack(1, time_s, *[0.25] * 6, session, count))
+    return package(DATA, STATE.pack(1, time_s, *[0.25] * 6, session, count, 0))
 
 
 def write(
@@ -38,12 +39,12 @@ def rtde() -> tuple[Rtde, Dialect]:
     states, scripts = found["rtde"], found["script"]
     assert isinstance(states, Rtde)
     asked = package(OUTPUTS, struct.pack("!d", 125.0) + ",".join(FIELDS).encode())
-    states.answer(asked, asked, package(OUTPUTS, b"\1DOUBLE,VECTOR6D,INT32,INT32"))
+    states.answer(asked, asked, package(OUTPUTS, b"\1DOUBLE,VECTOR6D,INT32,INT32,INT32"))
     return states, scripts
 
 
 def values(message: bytes) -> tuple[float, int, int]:
-    time_s, *_, session, count = STATE.unpack(message[3:])[1:]
+    time_s, *_, session, count, _ = STATE.unpack(message[3:])[1:]
     return time_s, session, count
 
 
@@ -165,6 +166,15 @@ def test_a_write_that_only_lives_asks_nothing_new() -> None:
     assert Names([name]).of(states.name(write(3, 11, 0.5 + 1e-9))) == name
     others = (write(4, 10), write(3, 10, 0.6), write(3, 10, stop=1), write(3, 10, command=0))
     assert name not in {Names([name]).of(states.name(each)) for each in others}
+
+
+def test_every_state_has_the_number_of_the_last_question() -> None:
+    states, _ = rtde()
+    question = package(DATA, struct.pack("!Bi", 2, 4711))
+    assert states.unheard(question)
+    assert not states.unheard(write(3, 10))
+    states.passed(question)
+    assert STATE.unpack(states.answer(b"", b"", state(1.0, 7, 1))[3:])[-1] == 4711
 
 
 def test_states_come_by_themselves_and_the_last_one_again() -> None:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ import pytest
 from hilcell.cell.devices import Devices, streams_of, sweeps_of
 from hilcell.errors import DriverDefect
 from hilcell.ports import DeviceError, DeviceRefused, NoReading, RailReading, TrackerReading
+from hilcell.run import device_status
 from hilcell.run.device_status import CellMonitor
 from hilcell.run.exits import EXIT_INTERNAL, exit_code
 from hilcell.run.protocol import DeviceStatus
@@ -197,21 +199,19 @@ def test_a_measurement_that_fails_leaves_the_tracker_well(board: Board) -> None:
 def test_refresh_reads_what_grows_old_and_no_oftener(
     board: Board, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    reads: list[float] = []
-    real = board.rail.read
+    now_s, reads, real = time.monotonic() + 1e3, list[float](), board.rail.read
 
     def read() -> RailReading:
-        reading = real()
-        reads.append(reading.taken_s)
-        return reading
-
-    def refreshed() -> bool:
-        board.monitor.refresh()
-        return len(reads) >= 3
+        reads.append(now_s)
+        return real()
 
     monkeypatch.setattr(board.rail, "read", read)
-    until(refreshed)
-    assert min(np.diff(reads)) >= 0.5
+    monkeypatch.setattr(device_status, "time", SimpleNamespace(monotonic=lambda: now_s))
+    began_s = now_s
+    for passed_s in (0.0, 0.25, 0.5, 0.75, 1.0, 3.0, 3.25, 3.5):
+        now_s = began_s + passed_s
+        board.monitor.refresh()
+    assert [each_s - began_s for each_s in reads] == [0.0, 0.5, 1.0, 3.0, 3.5]
 
 
 def test_a_stop_reaches_the_device_itself(board: Board) -> None:
