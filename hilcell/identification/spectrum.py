@@ -8,11 +8,15 @@ be coloured and need not be known beforehand.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import rms
+
+Complex = NDArray[np.complex128]
 
 LOWEST, HIGHEST = 18.0, 560.0  # cycles per joint revolution
 LEAST_PERIODS = 1.9  # of a line in the range
@@ -27,12 +31,13 @@ GROWN = 1.6  # rms of all lines over that of what smooth errors leave: more is t
 LINE_RAD = 1e-4  # 1 sigma of a line's cosine and sine
 STANDS_OUT = 4.0  # times the mean power: single powers beyond it are no noise
 STEPS = 12
+LEAST_STEP = 1e-14  # of a variance's logarithm
 BLOCK = 16  # frequencies, of which one cosine and sine each is computed
 SETTLED, LONGEST_STEP = 1e-4, 0.2  # of a line's width
 FREED = 1.5  # variance of a line with its frequency free over that with a known one, in the mean
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Records:
     """Both directions below one another: joint, error and direction of N samples."""
 
@@ -65,6 +70,12 @@ class Records:
         found: Array = self.joint_rad + shift_rad * self.side - self.middle_rad
         return found
 
+    @cached_property
+    def ways(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return the numbers of the samples upwards and downwards."""
+        return np.flatnonzero(self.side > 0), np.flatnonzero(self.side < 0)
+
+    @cached_property
     def smooth(self) -> Array:
         """Return columns (N, P) of smooth errors, each direction's own, in units of 1 sigma."""
         angle = self.angle_rad(0.0)
@@ -75,8 +86,33 @@ class Records:
         up = (self.side > 0)[:, None]
         return np.hstack([both * up, both * ~up])
 
+    @cached_property
+    def _smooth_products(self) -> Array:
+        found: Array = self.smooth.T @ self.smooth
+        return found
+
+    @cached_property
+    def _smooth_right(self) -> Array:
+        found: Array = self.smooth.T @ self.error_rad
+        return found
+
+    def equations(self, columns: Array) -> tuple[Array, Array]:
+        """Return the normal equations of the error by smooth and more columns (N, Q).
+
+        Their matrix (P + Q, P + Q) and right side (P + Q,).
+        """
+        across = self.smooth.T @ columns
+        normal = np.block([[self._smooth_products, across], [across.T, columns.T @ columns]])
+        return normal, np.concatenate([self._smooth_right, columns.T @ self.error_rad])
+
+    def left_rad(self, columns: Array, found: Array) -> Array:
+        """Return what smooth and more columns (N, Q) with coefficients (P + Q,) leave (N,)."""
+        count = self.smooth.shape[1]
+        left: Array = self.error_rad - self.smooth @ found[:count] - columns @ found[count:]
+        return left
+
     def frequencies(self, oversampled: int) -> Array:
-        """Return frequencies (F,), a part of a line's width apart."""
+        """Return frequencies (F,) in even steps, a part of a line's width apart."""
         steps_rad = np.abs(np.diff(self.joint_rad))
         highest = min(HIGHEST, 0.8 * np.pi / float(np.median(steps_rad)))
         count = int((highest - self.lowest) / self.width * oversampled)
@@ -135,34 +171,56 @@ class Found:
     lines: Lines
     covariance_rad2: Array
     differ_rad: float
+    trial: Trial
+
+
+@dataclass(frozen=True, slots=True)
+class Explained:
+    """The sum of squares (F,) that each of F waves alone explains, and its amplitudes (F, 2)."""
+
+    powers_rad2: Array
+    amplitude_rad: Array
 
 
 class Trial:
-    """Waves of many frequencies (F,) at the samples, at one shift: good enough to find lines."""
+    """Waves exp(i f angle) of many frequencies f (F,) at the samples of each direction, unshifted.
 
-    def __init__(self, records: Records, shift: Shift) -> None:
+    Their sums over the samples of a direction turn with its shift.
+    """
+
+    def __init__(self, records: Records) -> None:
         self.cycles = records.frequencies(OVERSAMPLED)
         self.apart = slice(None, None, OVERSAMPLED)  # of them, as good as independent
-        self.waves = _even_waves(records.angle_rad(shift.rad), self.cycles)  # (2, N, F)
-        self.normal = _products(self.waves)
-        self.side = records.side
-        self.smooth = records.smooth().T @ self.waves  # (2, P, F): upwards, then downwards
+        self._ways, angle_rad = records.ways, records.angle_rad(0.0)
+        half = records.smooth.shape[1] // 2
+        self._waves, self._squares, self._smooth = list[Complex](), list[Complex](), list[Complex]()
+        for n, way in enumerate(self._ways):
+            waves, squares = _even_waves(angle_rad[way], self.cycles)
+            self._waves.append(waves)
+            self._squares.append(squares)
+            self._smooth.append(_sums(records.smooth[way, n * half : (n + 1) * half], waves))
 
-    def powers(self, known: Known, *, differ: bool) -> tuple[Array, Array]:
-        """Return the sum of squares (F,) that each wave alone explains, and amplitudes (F, 2).
-
-        ``differ``: of waves that have opposite signs in both directions.
-        """
-        signs = self.side if differ else np.ones_like(self.side)
-        lines = (known.waves * signs[:, None]).T @ self.waves
-        half = self.smooth.shape[1] // 2
-        smooth = self.smooth * np.repeat([1.0, -1.0 if differ else 1.0], half)[:, None]
-        across = known.root @ np.concatenate([smooth, lines], axis=1)  # (2, P + 2K, F)
-        normal = self.normal - _products(across)
-        right: Array = ((known.left_rad * signs) @ self.waves).T
-        amplitude = np.array(np.linalg.solve(normal, right[..., None])[..., 0], dtype=float)
-        powers: Array = np.einsum("fi,fi->f", right, amplitude)
-        return powers, amplitude
+    def explained(self, known: Known, shift: Shift) -> tuple[Explained, Explained]:
+        """Return what waves of both directions explain, and those of opposite sign in them."""
+        up = np.exp(1j * shift.rad * self.cycles)
+        turns = (up, up.conj())
+        rows = np.column_stack([known.waves, known.left_rad])
+        sums = [
+            _sums(rows[way], waves) * turn
+            for way, waves, turn in zip(self._ways, self._waves, turns, strict=True)
+        ]
+        smooth = [each * turn for each, turn in zip(self._smooth, turns, strict=True)]
+        normal = _normal(len(rows), self._squares[0] * up**2 + self._squares[1] * up.conj() ** 2)
+        same, opposite = (
+            _explained(
+                normal,
+                known.root
+                @ np.vstack([smooth[0], sign * smooth[1], sums[0][:-1] + sign * sums[1][:-1]]),
+                sums[0][-1] + sign * sums[1][-1],
+            )
+            for sign in (1.0, -1.0)
+        )
+        return same, opposite
 
 
 class Known:
@@ -170,12 +228,11 @@ class Known:
 
     def __init__(self, records: Records, lines: Lines) -> None:
         self.waves = LINE_RAD * _waves(records.angle_rad(lines.shift.rad), lines.cycles)
-        self.columns = np.hstack([records.smooth(), self.waves])
-        variance = float(np.mean(lines.left_rad**2))
-        normal = self.columns.T @ self.columns + variance * np.eye(self.columns.shape[1])
+        normal, right = records.equations(self.waves)
+        normal[np.diag_indices_from(normal)] += np.mean(lines.left_rad**2)
         self.root = np.linalg.inv(np.linalg.cholesky(normal))
-        explained = self.root.T @ (self.root @ (self.columns.T @ records.error_rad))
-        self.left_rad = records.error_rad - self.columns @ explained
+        explained = self.root.T @ (self.root @ right)
+        self.left_rad = records.left_rad(self.waves, explained)
 
 
 def search(records: Records, shift: Shift) -> Found:
@@ -183,24 +240,24 @@ def search(records: Records, shift: Shift) -> Found:
 
     ``shift`` is known beforehand; the lines improve it.
     """
-    trial, lines = Trial(records, shift), without_lines(records, shift)
+    trial, lines = Trial(records), without_lines(records, shift)
     smooth_left_rad, refused = rms(lines.left_rad), list[float]()
     while True:
         known = Known(records, lines)
-        noise, differ_rad = _difference(trial, known)
-        powers, amplitude = trial.powers(known, differ=False)
-        score = powers / noise.variance_rad2(trial.cycles)
+        same, opposite = trial.explained(known, shift)
+        noise, differ_rad = _difference(trial, opposite)
+        score = same.powers_rad2 / noise.variance_rad2(trial.cycles)
         tried = (*lines.cycles, *refused)
         for cycles in tried:
             score[np.abs(trial.cycles - cycles) < APART * records.width] = 0.0
         best = int(np.argmax(score))
-        rest = noise_of(powers[trial.apart], trial.cycles[trial.apart])
-        found = Found(lines, _covariance(known, lines, (noise, rest)), differ_rad)
+        rest = noise_of(same.powers_rad2[trial.apart], trial.cycles[trial.apart])
+        found = Found(lines, _covariance(known, lines, (noise, rest)), differ_rad, trial)
         if len(tried) == MOST_LINES or not _is_line(noise, score, trial.cycles):
             return found
         more = Lines(
             np.append(lines.cycles, trial.cycles[best]),
-            np.vstack([lines.amplitude_rad, amplitude[best]]),
+            np.vstack([lines.amplitude_rad, same.amplitude_rad[best]]),
             lines.shift,
             lines.left_rad,
         )
@@ -225,36 +282,43 @@ def refined(records: Records, lines: Lines, prior: Shift) -> Lines:
     """
     cycles, amplitude, shift_rad = lines.cycles, lines.amplitude_rad, lines.shift.rad
     count, sigma_rad, sigma = len(cycles), rms(lines.left_rad), prior.sigma_rad
-    smooth = records.smooth()
+    first = records.smooth.shape[1]
     for _ in range(STEPS):
         angle = records.angle_rad(shift_rad)
         waves = _waves(angle, cycles)
         turned = waves[:, ::2] * amplitude[:, 1] - waves[:, 1::2] * amplitude[:, 0]
         by_cycles = records.width * angle[:, None] * turned
         by_shift = prior.sigma_rad * (records.side * (turned @ cycles))[:, None]
-        columns = np.hstack([smooth, LINE_RAD * waves, by_cycles, by_shift])
-        wanted = np.zeros(columns.shape[1])
-        wanted[-1] = (prior.rad - shift_rad) / prior.sigma_rad
-        found, inverse = _solved(columns, records.error_rad, sigma_rad, wanted)
-        sigma_rad = rms(records.error_rad - columns @ found)
+        columns = np.hstack([LINE_RAD * waves, by_cycles, by_shift])
+        towards = (prior.rad - shift_rad) / prior.sigma_rad
+        found, inverse = _solved(records, columns, sigma_rad, towards)
+        sigma_rad = rms(records.left_rad(columns, found))
         sigma = prior.sigma_rad * sigma_rad * float(np.sqrt(inverse[-1, -1]))
-        amplitude = _pairs(found[smooth.shape[1] :], count)
+        amplitude = _pairs(found[first:], count)
         step = np.clip(found[-1 - count : -1], -LONGEST_STEP, LONGEST_STEP)
         cycles = np.clip(cycles + records.width * step, records.lowest, HIGHEST)
         shift_rad += prior.sigma_rad * float(found[-1])
         if not np.any(np.abs(step) > SETTLED):
             break
-    columns = np.hstack([smooth, LINE_RAD * _waves(records.angle_rad(shift_rad), cycles)])
-    found, _ = _solved(columns, records.error_rad, sigma_rad, np.zeros(columns.shape[1]))
-    left_rad = records.error_rad - columns @ found
-    amplitude = _pairs(found[smooth.shape[1] :], count)
+    columns = LINE_RAD * _waves(records.angle_rad(shift_rad), cycles)
+    found, _ = _solved(records, columns, sigma_rad)
+    left_rad = records.left_rad(columns, found)
+    amplitude = _pairs(found[first:], count)
     return Lines(cycles, amplitude, Shift(shift_rad, sigma), left_rad)
 
 
-def _solved(columns: Array, error_rad: Array, sigma_rad: float, mean: Array) -> tuple[Array, Array]:
-    """Return the best coefficients (P,), 1 sigma = 1 about their means, and the inverse (P, P)."""
-    inverse = np.linalg.inv(columns.T @ columns + sigma_rad**2 * np.eye(len(mean)))
-    found: Array = inverse @ (columns.T @ error_rad + sigma_rad**2 * mean)
+def _solved(
+    records: Records, columns: Array, sigma_rad: float, last: float = 0.0
+) -> tuple[Array, Array]:
+    """Return the best coefficients (P,) of smooth and these columns, and the inverse (P, P).
+
+    Their prior is 1 sigma = 1 about 0, of the last one about ``last``.
+    """
+    normal, right = records.equations(columns)
+    normal[np.diag_indices_from(normal)] += sigma_rad**2
+    right[-1] += sigma_rad**2 * last
+    inverse = np.linalg.inv(normal)
+    found: Array = inverse @ right
     return found, np.array(inverse, dtype=float)
 
 
@@ -274,11 +338,14 @@ def noise_of(powers_rad2: Array, cycles: Array) -> Noise:
     X = _powers_of_log(cycles)
     found: Array = np.array([np.log(mean.mean()), 0.0, 0.0])
     prior = np.diag([0.0, 0.5, 0.5])  # few frequencies tell no colour
+    covariance = np.array(np.linalg.inv(X.T @ X + prior), dtype=float)
     for _ in range(50):
         ratio = np.minimum(mean * np.exp(-X @ found), STANDS_OUT) / (1.0 - np.exp(-STANDS_OUT))
-        step = np.linalg.solve(X.T @ X + prior, X.T @ (ratio - 1.0) - prior @ found)
+        step = covariance @ (X.T @ (ratio - 1.0) - prior @ found)
         found = found + np.clip(step, -1.0, 1.0)
-    return Noise(found, np.array(np.linalg.inv(X.T @ X + prior), dtype=float))
+        if np.abs(step).max() < LEAST_STEP:
+            break
+    return Noise(found, covariance)
 
 
 def _powers_of_log(cycles: Array | float) -> Array:
@@ -292,22 +359,45 @@ def _waves(angle_rad: Array, cycles: Array) -> Array:
     return np.stack([np.cos(phases), np.sin(phases)], axis=-1).reshape(len(angle_rad), -1)
 
 
-def _even_waves(angle_rad: Array, cycles: Array) -> Array:
-    """Return cosines and sines (2, N, F) at F frequencies in even steps, by adding angles."""
+def _even_waves(angle_rad: Array, cycles: Array) -> tuple[Complex, Complex]:
+    """Return waves (N, F) at F frequencies in even steps, by adding angles, and their squares'
+    sums (F,).
+    """
     coarse = np.exp(1j * angle_rad[:, None] * cycles[::BLOCK])
     fine = np.exp(1j * angle_rad[:, None] * (cycles[:BLOCK] - cycles[0]))
-    both = (coarse[:, :, None] * fine[:, None, :]).reshape(len(angle_rad), -1)[:, : len(cycles)]
-    return np.stack([both.real, both.imag])
+    waves = (coarse[:, :, None] * fine[:, None, :]).reshape(len(angle_rad), -1)
+    squares = ((coarse * coarse).T @ (fine * fine)).ravel()
+    return waves[:, : len(cycles)], squares[: len(cycles)]
 
 
-def _products(waves: Array) -> Array:
-    """Return the products (F, 2, 2) of waves (2, N, F), summed over the samples."""
-    cosine, sine = waves
-    products = np.empty((waves.shape[2], 2, 2))
-    products[:, 0, 0] = np.einsum("nf,nf->f", cosine, cosine)
-    products[:, 1, 1] = np.einsum("nf,nf->f", sine, sine)
-    products[:, 0, 1] = products[:, 1, 0] = np.einsum("nf,nf->f", cosine, sine)
-    return products
+def _sums(columns: Array, waves: Complex) -> Complex:
+    """Return the sums (M, F) of waves (N, F) times columns (N, M), over the samples."""
+    found: Complex = (columns.T @ waves.view(float)).view(complex)
+    return found
+
+
+def _normal(count: int, squares: Complex) -> Array:
+    """Return the products (F, 2, 2) of cosines and sines, by the sums of the waves' squares."""
+    return _symmetric((count + squares.real) / 2, squares.imag / 2, (count - squares.real) / 2)
+
+
+def _explained(normal: Array, across: Complex, right: Complex) -> Explained:
+    """Return what waves explain beside orthogonal columns.
+
+    Of the waves' products (F, 2, 2), with the columns (P, F) and with what is left (F,).
+    """
+    cosine, sine = across.real, across.imag
+    taken = (
+        np.einsum("pf,pf->f", *pair) for pair in ((cosine, cosine), (cosine, sine), (sine, sine))
+    )
+    wanted = np.stack([right.real, right.imag], axis=1)
+    amplitude = np.linalg.solve(normal - _symmetric(*taken), wanted[..., None])[..., 0]
+    return Explained(np.einsum("fi,fi->f", wanted, amplitude), np.array(amplitude, dtype=float))
+
+
+def _symmetric(first: Array, across: Array, last: Array) -> Array:
+    """Return matrices (F, 2, 2)."""
+    return np.stack([first, across, across, last], axis=-1).reshape(-1, 2, 2)
 
 
 def _rms_rad(records: Records, lines: Lines) -> float:
@@ -315,14 +405,13 @@ def _rms_rad(records: Records, lines: Lines) -> float:
     return rms(waves @ lines.amplitude_rad.ravel())
 
 
-def _difference(trial: Trial, known: Known) -> tuple[Noise, float]:
+def _difference(trial: Trial, opposite: Explained) -> tuple[Noise, float]:
     """Return the noise by what the directions differ, and the largest line in the difference."""
-    powers, amplitude = trial.powers(known, differ=True)
-    noise = noise_of(powers[trial.apart], trial.cycles[trial.apart])
-    score = powers / noise.variance_rad2(trial.cycles)
+    noise = noise_of(opposite.powers_rad2[trial.apart], trial.cycles[trial.apart])
+    score = opposite.powers_rad2 / noise.variance_rad2(trial.cycles)
     best = int(np.argmax(score))
     is_line = _is_line(noise, score, trial.cycles)
-    return noise, float(np.linalg.norm(amplitude[best])) if is_line else 0.0
+    return noise, float(np.linalg.norm(opposite.amplitude_rad[best])) if is_line else 0.0
 
 
 def _is_line(noise: Noise, score: Array, cycles: Array) -> bool:
@@ -333,7 +422,7 @@ def _is_line(noise: Noise, score: Array, cycles: Array) -> bool:
 
 def _covariance(known: Known, lines: Lines, noises: tuple[Noise, ...]) -> Array:
     """Return the covariance (2K, 2K) of the amplitudes, by the strongest noise at each line."""
-    first = known.columns.shape[1] - 2 * len(lines.cycles)
+    first = len(known.root) - 2 * len(lines.cycles)
     block = (known.root.T @ known.root)[first:, first:] * LINE_RAD**2
     variance_rad2 = np.max([noise.variance_rad2(lines.cycles) for noise in noises], axis=0)
     sigma = np.repeat(np.sqrt(variance_rad2), 2)

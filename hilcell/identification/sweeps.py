@@ -21,7 +21,6 @@ from hilcell.identification.spectrum import (
     Known,
     Records,
     Shift,
-    Trial,
     search,
     without_lines,
 )
@@ -206,6 +205,6 @@ def _shown(records: Records, found: Found, curve: TransmissionCurve) -> Array:
 def _spectrum(records: Records, found: Found) -> Array:
     """Return cycles and amplitudes (F, 2) of what both directions share, nothing taken out."""
     shift = found.lines.shift
-    trial = Trial(records, shift)
-    amplitude = trial.powers(Known(records, without_lines(records, shift)), differ=False)[1]
-    return np.column_stack([trial.cycles, np.linalg.norm(amplitude, axis=1)])[::2]
+    known = Known(records, without_lines(records, shift))
+    amplitude = found.trial.explained(known, shift)[0].amplitude_rad
+    return np.column_stack([found.trial.cycles, np.linalg.norm(amplitude, axis=1)])[::2]
