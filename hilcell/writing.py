@@ -61,13 +61,13 @@ def write_together(contents: Mapping[Path, bytes], *, inputs: Iterable[Path] = (
             if (mode is None or stat.S_ISREG(mode)) and _descriptor(path) is None:
                 # A short name of its own: it fits wherever the file's own name does.
                 beside = _place(path).with_name(f".{secrets.token_hex(8)}.part")
-                with _told(path), beside.open("xb") as file:
+                with as_not_written(path), beside.open("xb") as file:
                     ready[path] = beside
                     if mode is not None:
                         beside.chmod(stat.S_IMODE(mode))
                     file.write(contents[path])
         for path, content in contents.items():
-            with _told(path):
+            with as_not_written(path):
                 if path in ready:
                     ready[path].replace(_place(path))
                 else:
@@ -79,7 +79,7 @@ def write_together(contents: Mapping[Path, bytes], *, inputs: Iterable[Path] = (
 
 def _mode(path: Path, inputs: list[Path]) -> int | None:
     """Return the mode of the file that is there, or None; raises `NotWritten`."""
-    with _told(path):
+    with as_not_written(path):
         try:
             found = path.stat()
         except FileNotFoundError:
@@ -119,12 +119,13 @@ def _descriptor(path: Path) -> int | None:
 
 def is_stream(path: Path) -> bool:
     """Whether what is written goes on elsewhere: a pipe, a device, an open file."""
-    with _told(path):
+    with as_not_written(path):
         return path.exists() and (not path.is_file() or _descriptor(path) is not None)
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
+def as_not_written(path: Path) -> Iterator[None]:
+    """Raise `NotWritten` for an error of the system while a file is written."""
     try:
         yield
     except OSError as error:

@@ -163,7 +163,7 @@ def read_calibration(path: Path) -> Calibration:
             known = ", ".join(map(str, READ))
             raise SettingsError(str(path), [f"schema {schema:.6g}, this hilcell reads {known}"])
         content = msgspec.json.decode(data)
-        problems = _seal_problems(content)
+        problems = seal_problems(content)
         calibration = msgspec.convert(content, Calibration)
     except OSError as error:
         raise unreadable(str(path), error) from error
@@ -184,7 +184,8 @@ def _seal(content: dict[str, Any]) -> str:
     return hashlib.sha256(msgspec.json.encode(rest, order="sorted")).hexdigest()
 
 
-def _seal_problems(content: dict[str, Any]) -> list[str]:
+def seal_problems(content: dict[str, Any]) -> list[str]:
+    """Return what is wrong with the seal of a calibration file's content, if anything is."""
     old = content["schema"] == UNSEALED and "model" not in content  # written without both
     wanted = None if old else _seal(content)
     if content.get(SEAL) == wanted:

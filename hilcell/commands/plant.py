@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import os
+from collections.abc import Sequence
 from contextlib import closing
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
@@ -23,12 +24,12 @@ if TYPE_CHECKING:
     from hilcell.plant.database import Database
 
 URL = "HILCELL_PLANT"
-PACKAGES = ("sqlalchemy", "alembic", "psycopg")
+PACKAGES = ("sqlalchemy", "alembic", "psycopg")  # of the database
 
 
 def init(args: argparse.Namespace) -> int:
     """Make the tables of a plant's database, or bring them up to this version's."""
-    with closing(_database(args.plant)) as database:
+    with closing(open_database(args.plant)) as database:
         before = database.make()
     from hilcell.plant.tables import HEAD
 
@@ -47,7 +48,7 @@ def ship(args: argparse.Namespace) -> int:
     from hilcell.plant.shipper import ship as ship_runs
 
     try:
-        with closing(_database(args.plant)) as database:
+        with closing(open_database(args.plant)) as database:
             done = ship_runs(args.runs, database)
     except PlantAway as error:
         print_message(f"hilcell: {error}")
@@ -75,7 +76,7 @@ def show(args: argparse.Namespace) -> int:
     from hilcell.plant.database import PlantAway
 
     try:
-        with closing(_database(args.plant)) as database:
+        with closing(open_database(args.plant)) as database:
             database.check()
             with database.transaction() as connection:
                 found = _answers(connection, args)
@@ -96,14 +97,19 @@ def show(args: argparse.Namespace) -> int:
     return EXIT_OK
 
 
-def _database(url: str | None) -> Database:
-    """Return the database; raises `HilcellError` where the packages or the URL are missing."""
-    missing = [name for name in PACKAGES if importlib.util.find_spec(name) is None]
+def require_packages(names: Sequence[str]) -> None:
+    """Raise `HilcellError` where optional packages are missing."""
+    missing = [name for name in names if importlib.util.find_spec(name) is None]
     if missing:
         raise HilcellError(
             f"hilcell plant: {', '.join(missing)} is not installed; "
             "`pip install 'hilcell[plant]'` installs what it needs"
         )
+
+
+def open_database(url: str | None) -> Database:
+    """Return the database; raises `HilcellError` where the packages or the URL are missing."""
+    require_packages(PACKAGES)
     url = url or os.environ.get(URL, "")
     if not url:
         raise HilcellError(

@@ -1,4 +1,4 @@
-"""The words of ``hilcell plant``: its three commands and their options."""
+"""The words of ``hilcell plant``: its commands and their options."""
 
 from __future__ import annotations
 
@@ -36,6 +36,33 @@ def add_plant(commands: argparse._SubParsersAction[Parser]) -> None:
         help="how long a calibration is valid (default: 180)",
     )
     options.add_json_option(show, "one object")
+    _add_export(acts)
+    _add_verify(acts)
+
+
+def _add_export(acts: argparse._SubParsersAction[Parser]) -> None:
+    export = _act(acts, "export", "--from", "write the record of one cell for an auditor, signed")
+    export.set_defaults(act="commands.plant_export:export")
+    export.add_argument("cell", metavar="CELL", help="name of the cell")
+    export.add_argument("--serial", metavar="SERIAL", help="of the cell with this serial number")
+    export.add_argument(
+        "-o", dest="out", type=Path, required=True, metavar="FOLDER|FILE.zip", help="a new place"
+    )
+    export.add_argument(
+        "--key", type=Path, required=True, metavar="KEYFILE", help="private key, Ed25519 in PEM"
+    )
+    options.add_json_option(export, "one object")
+
+
+def _add_verify(acts: argparse._SubParsersAction[Parser]) -> None:
+    text = "verify an exported record: each file that differs, is missing or is extra"
+    verify = acts.add_parser("verify", help=text, description=text.capitalize() + ".")
+    verify.set_defaults(act="commands.plant_export:verify")
+    verify.add_argument("record", type=Path, metavar="FOLDER|FILE.zip", help="what was exported")
+    verify.add_argument(
+        "--public-key", type=Path, required=True, metavar="FILE", help="the plant's, in PEM"
+    )
+    options.add_json_option(verify, "one object")
 
 
 def _act(

@@ -22,7 +22,9 @@ MIGRATIONS = Path(__file__).with_name("migrations")
 POSTGRESQL, SQLITE = "postgresql", "sqlite"
 DRIVERS = {POSTGRESQL: "postgresql+psycopg", SQLITE: "sqlite"}
 CONNECT_S, SILENT_MS, BUSY_S = 10, 30_000, 30.0
+HIDDEN = "***"
 CELL, ENGINEER = "hilcell_cell", "hilcell_engineer"  # the roles
+SECRET = ("password", "sslpassword")  # of the URL's own options
 KNOWN = ("run_key", "revision", "head")  # columns of `run` that cells may read
 
 _UNHEARD = logging.NullHandler()
@@ -45,7 +47,7 @@ class Database:
 
     def __init__(self, url: str) -> None:
         self._url = _parsed(url)
-        self.name = clean(self._url.render_as_string(hide_password=True))
+        self.name = clean(_shown(self._url))
         options: dict[str, float] = {}
         if self._url.get_backend_name() == POSTGRESQL:
             options = {
@@ -138,8 +140,8 @@ class Database:
         """Return an error of the database in one line, without values and without a password."""
         cause = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
         words = clean(" ".join(str(cause).split()))
-        if (password := self._url.password) is not None and str(password):
-            words = words.replace(str(password), "***")
+        for secret in _secrets(self._url):
+            words = words.replace(secret, HIDDEN)
         gone = isinstance(error, DBAPIError) and error.connection_invalidated
         if gone or isinstance(error, OperationalError):
             return PlantAway(
@@ -161,6 +163,19 @@ def _parsed(url: str) -> URL:
     if backend == SQLITE and not parsed.database:
         raise PlantError(f"plant database: its URL names no file; {forms}")
     return parsed.set(drivername=DRIVERS[backend])
+
+
+def _shown(url: URL) -> str:
+    """Return a URL without its passwords."""
+    hidden = {name: HIDDEN for name in SECRET if name in url.query}
+    return url.update_query_dict(hidden).render_as_string(hide_password=True)
+
+
+def _secrets(url: URL) -> list[str]:
+    """Return the passwords of a URL, the longest first: one may be a part of another."""
+    given = [url.password, *(url.query.get(name) for name in SECRET)]
+    words = (each if isinstance(each, tuple) else (each,) for each in given)
+    return sorted({str(word) for each in words for word in each if word}, key=len, reverse=True)
 
 
 def _checked_keys(connection: object, _: object) -> None:

@@ -1,6 +1,7 @@
-"""A run as a plant keeps it: a plain record, computed from the journal alone, with a digest.
+"""A run as a plant keeps it: a plain record, computed from its journal, with a digest.
 
-Two readings of one journal give the same record and the same digest. ``run_key`` names the run by
+Two readings of one journal give the same record and the same digest; the documents of the run's
+folder are a part of both. ``run_key`` names the run by
 its first record, so runs of one name in two cells stay apart. A journal only grows, so the number
 of its last record is the revision of a run that was opened again, and ``head``, the hash of its
 chain, proves which journal that was.
@@ -25,7 +26,7 @@ from hilcell.journal.index import RunRow, row_of_records
 from hilcell.journal.journal import Record, chain
 from hilcell.journal.log import Log, Point
 
-FORM = 1  # to be raised whenever the record changes, or the meaning of its fields
+FORM = 2  # to be raised whenever the record changes, or the meaning of its fields
 ROBOT, TRACKER = "robot", "tracker"
 MONTH = 7  # letters of 2026-11
 
@@ -53,11 +54,15 @@ class FrameEntry(msgspec.Struct, frozen=True):
 
 
 class PointEntry(msgspec.Struct, frozen=True):
-    """A point that counts, with the number and the time of its record."""
+    """A point with the number and the time of its record.
+
+    One that is ``superseded`` does not count: it was measured again, or its tracker had moved.
+    """
 
     seq: int
     t: str
     point: Point
+    superseded: bool = False
 
 
 class VerdictEntry(msgspec.Struct, frozen=True):
@@ -91,6 +96,24 @@ class LengthEntry(msgspec.Struct, frozen=True):
     U_mm: float
 
 
+class StreamEntry(msgspec.Struct, frozen=True):
+    """A stream that counts. Its samples stay with the run; the digest proves which they were."""
+
+    key: str
+    file: str
+    sha256: str
+    samples: int
+    joint_samples: int
+
+
+class Document(msgspec.Struct, frozen=True):
+    """A file of the run's folder, whole, with its SHA-256."""
+
+    name: str
+    sha256: str
+    text: str
+
+
 class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     """The whole record. ``month`` is that in which the run began: the key of the partition."""
 
@@ -108,6 +131,8 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     alarms: list[AlarmEntry]
     lengths: list[LengthEntry]
     grid: GridErrors | None
+    streams: list[StreamEntry]
+    documents: list[Document]
 
     @property
     def digest(self) -> UUID:
@@ -129,8 +154,8 @@ def heads(records: Sequence[Record]) -> list[str]:
     return found
 
 
-def record_of(run: str, records: Sequence[Record]) -> RunRecord:
-    """Return the record of a run that is over.
+def record_of(run: str, records: Sequence[Record], documents: Sequence[Document] = ()) -> RunRecord:
+    """Return the record of a run that is over, with the documents of its folder.
 
     Raises `NotOver`, and `msgspec.ValidationError`, `KeyError` where the journal is none of a run.
     """
@@ -139,7 +164,6 @@ def record_of(run: str, records: Sequence[Record]) -> RunRecord:
         raise NotOver(f"run {run}: it is {row.condition}; `hilcell resume {run}` ends it")
     chained = heads(records)
     first, last = records[0], records[-1]
-    times = {record.seq: record.t for record in records}
     record = RunRecord(
         form=FORM,
         run_key=short(f"{run}\n{chained[0]}".encode()),
@@ -150,7 +174,7 @@ def record_of(run: str, records: Sequence[Record]) -> RunRecord:
         versions=log.inputs.versions,
         devices=log.assets,
         frames=list(_frames(log)),
-        points=[_point(log, point, times) for point in log.points.values()],
+        points=list(_points(log, records)),
         verdicts=list(_verdicts(log)),
         alarms=[
             AlarmEntry(
@@ -160,14 +184,24 @@ def record_of(run: str, records: Sequence[Record]) -> RunRecord:
         ],
         lengths=list(_lengths(log)),
         grid=_grid(log),
+        streams=[
+            StreamEntry(key, each.file, each.sha256, each.samples, each.joint_samples)
+            for key, each in log.streams.items()
+        ],
+        documents=list(documents),
     )
     return msgspec.convert(_without_nul(msgspec.to_builtins(record)), RunRecord)
 
 
-def _point(log: Log, point: Point, times: dict[int, str]) -> PointEntry:
-    seq = log.recorded(point)
-    plain = Point(**msgspec.structs.asdict(point))  # the log's own are packed
-    return PointEntry(seq, times[seq], plain)
+def _points(log: Log, records: Sequence[Record]) -> Iterator[PointEntry]:
+    """Yield all points in the order of their records."""
+    counting = {log.recorded(point): point for point in log.points.values()}
+    for record in records:
+        if record.kind == "point":
+            superseded = record.seq not in counting
+            point = log.read(record) if superseded else counting[record.seq]
+            plain = Point(**msgspec.structs.asdict(point))  # the log's own are packed
+            yield PointEntry(record.seq, record.t, plain, superseded)
 
 
 def _frames(log: Log) -> Iterator[FrameEntry]:

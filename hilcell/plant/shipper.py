@@ -23,6 +23,7 @@ from hilcell.journal.index import NEVER_BEGAN, RunRow, read_index
 from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.journal.states import OVER
 from hilcell.plant.database import Database, PlantAway
+from hilcell.plant.documents import documents_of
 from hilcell.plant.record import NotOver, heads, record_of
 from hilcell.plant.store import Key, there, write
 
@@ -53,7 +54,7 @@ def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _:
     for row in _missing(sorted(read_index(runs), key=_order), database, seen, done):
         try:
             records = read_records(runs / row.name)
-            record = record_of(row.name, records)
+            record = record_of(row.name, records, documents_of(runs / row.name, row))
             with database.transaction() as connection:
                 new = write(connection, record, heads(records))
         except NotOver:

@@ -14,7 +14,18 @@ from sqlalchemy.dialects import postgresql, sqlite
 from hilcell.journal.index import RunRow
 from hilcell.plant.database import POSTGRESQL, PlantError
 from hilcell.plant.record import ROBOT, TRACKER, PointEntry, RunRecord, short
-from hilcell.plant.tables import ALARM, DEVICE, FRAME, GRID, LENGTH, POINT, RUN, VERDICT
+from hilcell.plant.tables import (
+    ALARM,
+    DEVICE,
+    DOCUMENT,
+    FRAME,
+    GRID,
+    LENGTH,
+    POINT,
+    RUN,
+    STREAM,
+    VERDICT,
+)
 
 BATCH = 500  # keys of one question
 
@@ -89,7 +100,7 @@ def _run(record: RunRecord) -> dict[str, Any]:
         "exit": row.exit,
         "begun": _moment(row.begun),
         "ended": _moment(row.ended),
-        "points": len(record.points),
+        "points": sum(not each.superseded for each in record.points),
         "proven": _proven(record),
         "robot": record.serial(ROBOT),
         "tracker": record.serial(TRACKER),
@@ -116,16 +127,22 @@ def _parts(record: RunRecord) -> Iterator[tuple[Table, list[dict[str, Any]]]]:
     """Yield the rows of each table besides the run's own."""
     digest = {"digest": record.digest}
     plain = msgspec.to_builtins
-    yield FRAME, [digest | plain(each) for each in record.frames]
-    yield VERDICT, [digest | plain(each) for each in record.verdicts]
+    keyed: tuple[tuple[Table, Sequence[msgspec.Struct]], ...] = (
+        (FRAME, record.frames),
+        (VERDICT, record.verdicts),
+        (STREAM, record.streams),
+        (DOCUMENT, record.documents),
+    )
+    for table, entries in keyed:
+        yield table, [digest | plain(each) for each in entries]
     for table, rows in ((DEVICE, record.devices), (LENGTH, record.lengths)):
         kept = {column.name for column in table.columns}
-        entries = (plain(row) for row in rows)
+        own = (plain(row) for row in rows)
         yield (
             table,
             [
                 digest | {"n": n} | {name: value for name, value in each.items() if name in kept}
-                for n, each in enumerate(entries)
+                for n, each in enumerate(own)
             ],
         )
     yield (
@@ -157,6 +174,7 @@ def _point(entry: PointEntry) -> dict[str, Any]:
         "session": point.session,
         "set_up": point.set_up,
         "retaken": point.retaken,
+        "superseded": entry.superseded,
         "temperature_c": point.temperature_c,
         "pressure_mbar": point.pressure_mbar,
         "humidity_percent": point.humidity_percent,

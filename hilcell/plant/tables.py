@@ -27,12 +27,13 @@ from sqlalchemy import (
     TypeDecorator,
     UniqueConstraint,
     Uuid,
+    false,
     func,
     text,
 )
 
 Found = Any  # a row of an answer: its columns by their names
-HEAD = "0001"  # the newest migration
+HEAD = "0002"  # the newest migration
 
 
 class Utc(TypeDecorator[datetime]):
@@ -161,6 +162,24 @@ GRID = Table(
     Column("errors_mm", JSON, nullable=False),
     Column("temperature_c", Double),
 )
+STREAM = Table(
+    "stream",
+    TABLES,
+    _digest(),
+    Column("key", Text, primary_key=True),
+    _words("file"),
+    Column("sha256", String(64), nullable=False),
+    Column("samples", Integer, nullable=False),
+    Column("joint_samples", Integer, nullable=False),
+)
+DOCUMENT = Table(
+    "document",
+    TABLES,
+    _digest(),
+    Column("name", Text, primary_key=True),
+    Column("sha256", String(64), nullable=False),
+    _words("text"),
+)
 POINT = Table(
     "point",
     TABLES,
@@ -175,6 +194,7 @@ POINT = Table(
     Column("session", Integer, nullable=False),
     Column("set_up", Integer, nullable=False),
     Column("retaken", Boolean, nullable=False),
+    Column("superseded", Boolean, nullable=False, server_default=false()),
     *(
         Column(name, Double)
         for name in (
@@ -186,4 +206,4 @@ POINT = Table(
     Column("joints_deg", JSON(none_as_null=True)),
     postgresql_partition_by="RANGE (month)",
 )  # fmt: skip
-PARTS = (FRAME, VERDICT, DEVICE, ALARM, LENGTH, GRID, POINT)
+PARTS = (FRAME, VERDICT, DEVICE, ALARM, LENGTH, GRID, STREAM, DOCUMENT, POINT)

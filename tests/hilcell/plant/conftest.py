@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
+from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -22,13 +24,21 @@ def model(golden: GoldenRuns) -> Model:
     return Model(golden["small"].folder)
 
 
+@pytest.fixture(scope="session")
+def blank(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return an office's database that holds nothing yet."""
+    file = tmp_path_factory.mktemp("office") / "plant.db"
+    with closing(Database(f"sqlite:///{file}")) as database:
+        database.make()
+    return file
+
+
 @pytest.fixture
-def office(tmp_path: Path) -> Iterator[Database]:
+def office(blank: Path, tmp_path: Path) -> Iterator[Database]:
     """Return an office's database, a file."""
-    database = Database(f"sqlite:///{tmp_path}/plant.db")
-    database.make()
-    yield database
-    database.close()
+    shutil.copy(blank, tmp_path / "plant.db")
+    with closing(Database(f"sqlite:///{tmp_path}/plant.db")) as database:
+        yield database
 
 
 @pytest.fixture(scope="session")

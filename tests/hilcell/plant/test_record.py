@@ -84,6 +84,48 @@ def _read(golden: GoldenRuns) -> list[Record]:
     return _KNOWN[RUN]
 
 
+def test_a_point_that_was_measured_again_is_kept_and_does_not_count(
+    records: list[Record],
+) -> None:
+    at = next(n for n, each in enumerate(records) if each.kind == "point")
+    again = changed(records, at, lambda body: body.update(retaken=True))[at]
+    both = numbered([*records[: at + 1], again, *records[at + 1 :]])
+    record = record_of(RUN, both)
+    found = [each for each in record.points if each.point.key == again.key]
+    assert [(each.superseded, each.point.retaken) for each in found] == [
+        (True, False), (False, True),
+    ]  # fmt: skip
+    assert sum(not each.superseded for each in record.points) == record.row.points
+    assert record_of(RUN, records).row.points == record.row.points
+
+
+def test_points_of_a_tracker_that_had_moved_do_not_count(records: list[Record]) -> None:
+    at = max(n for n, each in enumerate(records) if each.key.startswith("validate/"))
+    body = {"what": "tracker moved", "set_up": 1, "invalid": [records[at].key]}
+    moved = msgspec.structs.replace(records[at], kind="event", key="", body=body)
+    record = record_of(RUN, numbered([*records[: at + 1], moved, *records[at + 1 :]]))
+    assert [each.point.key for each in record.points if each.superseded] == [records[at].key]
+
+
+def numbered(records: list[Record]) -> list[Record]:
+    return [msgspec.structs.replace(each, seq=n) for n, each in enumerate(records, start=1)]
+
+
+def test_a_stream_is_kept_by_its_digest(records: list[Record]) -> None:
+    stream = {
+        "key": "sweep/A1/up", "file": "sweep-A1-up-00.stream", "sha256": "ab" * 32,
+        "samples": 977, "joint_samples": 183, "first_device_s": 0.0, "last_device_s": 9.0,
+        "longest_gap_s": 0.1,
+    }  # fmt: skip
+    at = len(records) - 5
+    event = msgspec.structs.replace(
+        records[at], kind="event", key="", body={"what": "stream"} | stream
+    )
+    record = record_of(RUN, numbered([*records[:at], event, *records[at:]]))
+    (found,) = record.streams
+    assert msgspec.to_builtins(found).items() <= stream.items()
+
+
 def test_the_partition_s_key_is_in_the_digest(records: list[Record]) -> None:
     record = record_of(RUN, records)
     other = msgspec.structs.replace(record, month="2001-01-01")

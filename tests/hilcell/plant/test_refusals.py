@@ -5,12 +5,19 @@ from __future__ import annotations
 import importlib.util
 import socket
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
+from alembic import command
+from alembic.config import Config
+from sqlalchemy import select, text
 
 from hilcell.commands.cli import main
+from hilcell.plant.database import MIGRATIONS, Database
+from hilcell.plant.tables import POINT
 from tests.hilcell.plant.conftest import NOW
+from tests.hilcell.plant.server import Server
 from tests.hilcell.plant.year import Model, Run
 
 SECRET = "s3cr-t%2Fp"  # as it stands in a URL
@@ -104,9 +111,9 @@ def test_a_database_of_something_else_is_left_alone(
     assert file.read_bytes() == before
 
 
-@pytest.mark.parametrize("command", ["init", "ship", "show"])
+@pytest.mark.parametrize("act", ["init", "ship", "show"])
 def test_a_newer_schema_asks_for_a_newer_hilcell(
-    command: str, runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    act: str, runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     url = f"sqlite:///{tmp_path}/plant.db"
     assert main(["plant", "init", "--to", url]) == 0
@@ -114,18 +121,57 @@ def test_a_newer_schema_asks_for_a_newer_hilcell(
     with sqlite3.connect(tmp_path / "plant.db") as base:
         base.execute("UPDATE alembic_version SET version_num = '0999'")
     base.close()
-    where = ["--from", url] if command == "show" else ["--to", url]
-    more = [str(runs)] if command == "ship" else []
-    line = said(["plant", command, *more, *where], 2, capsys)
-    assert "schema 0999, this hilcell knows 0001; update hilcell on this PC" in line
+    where = ["--from", url] if act == "show" else ["--to", url]
+    more = [str(runs)] if act == "ship" else []
+    line = said(["plant", act, *more, *where], 2, capsys)
+    assert "schema 0999, this hilcell knows 0002; update hilcell on this PC" in line
+
+
+def old_schema(url: str) -> None:
+    """Make the tables of the first version, with a point of a run."""
+    config = Config()
+    config.set_main_option("script_location", str(MIGRATIONS))
+    with closing(Database(url)) as database, database.transaction() as connection:
+        config.attributes["connection"] = connection
+        command.upgrade(config, "0001")
+        connection.execute(
+            text(
+                "INSERT INTO point (month, digest, seq, t, key, kind, station, frame, reflector, "
+                "x_mm, y_mm, z_mm, std_x_mm, std_y_mm, std_z_mm, samples, session, set_up, retaken)"
+                " VALUES ('2026-01-01', '00000000000000000000000000000001', 7, "
+                "'2026-01-05 00:00:00', 'k', 'grid', '', '', '', 1, 2, 3, 0, 0, 0, 1, 1, 0, false)"
+            )
+        )
+
+
+@pytest.mark.parametrize("kind", ["office", "postgresql"])
+def test_an_older_schema_is_brought_up_and_keeps_its_records(
+    kind: str, runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    request: pytest.FixtureRequest,
+) -> None:  # fmt: skip
+    url = f"sqlite:///{tmp_path}/plant.db"
+    if kind == "postgresql":
+        server: Server = request.getfixturevalue("postgresql")
+        url = server.make("older")
+    old_schema(url)
+    for words in (["ship", str(runs), "--to", url], ["show", "--from", url]):
+        line = said(["plant", *words], 2, capsys)
+        assert "schema 0001, wanted 0002; `hilcell plant init --to URL` brings it up" in line
+    assert "brought up from schema 0001, schema 0002" in said(
+        ["plant", "init", "--to", url], 0, capsys
+    )
+    assert "1 runs shipped" in said(["plant", "ship", str(runs), "--to", url], 0, capsys)
+    with closing(Database(url)) as database, database.transaction() as connection:
+        asked = select(POINT.c.superseded, POINT.c.x_mm).where(POINT.c.key == "k")
+        assert connection.execute(asked).all() == [(False, 1.0)]
 
 
 def test_init_may_be_repeated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     url = f"sqlite:///{tmp_path}/plant.db"
     assert main(["plant", "init", "--to", url]) == 0
-    assert "made, schema 0001" in capsys.readouterr().err
+    assert "made, schema 0002" in capsys.readouterr().err
     assert main(["plant", "init", "--to", url]) == 0
-    assert "is up to date, schema 0001" in capsys.readouterr().err
+    assert "is up to date, schema 0002" in capsys.readouterr().err
 
 
 def test_missing_packages_are_named(

@@ -91,6 +91,7 @@ def test_all_of_a_run_is_kept(runs: Path, office: Database) -> None:
             select(POINT).where(POINT.c.digest == record.digest).order_by(POINT.c.seq)
         ).first()
     assert counts == {
+        "stream": 0, "document": 0,
         "frame": len(record.frames), "verdict": len(record.verdicts), "device": 4, "alarm": 0,
         "length": len(record.lengths), "grid": 1, "point": len(record.points),
     }  # fmt: skip

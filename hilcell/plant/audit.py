@@ -1,0 +1,191 @@
+"""Verifies an exported record with the plant's public key alone: no database is asked.
+
+The signature is verified before a word of the manifest is believed. Then each file must be there,
+be a plain file and have its digest, and nothing else may be there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import stat
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Protocol
+
+import msgspec
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+
+from hilcell.clean import clean
+from hilcell.errors import HilcellError
+from hilcell.plant.manifest import FORM, MANIFEST, SIGNATURE, FileEntry, Manifest, sound
+from hilcell.plant.signing import fingerprint
+
+CHUNK = 2**20
+MOST_BYTES = 2**28  # of a manifest: of a million files
+SIGNATURE_BYTES = 64
+_SPOILED = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError)
+DIFFERS, MISSING, EXTRA = "differs", "is missing", "is not in the manifest"
+
+
+class NotProven(HilcellError):
+    """A record whose manifest was not signed by the key, or is none."""
+
+    code = "HC-J24"
+
+
+class Source(Protocol):
+    """The files of a record: their sizes by name, None where there is no plain file."""
+
+    name: str
+    sizes: dict[str, int | None]
+
+    def open(self, name: str) -> AbstractContextManager[IO[bytes]]:
+        """Open a file to read it."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A file that is not as it was signed."""
+
+    file: str
+    what: str
+
+
+def verify(place: Path, key: Ed25519PublicKey) -> tuple[Manifest, list[Finding]]:
+    """Return the manifest, and every file that differs, is missing or is extra.
+
+    Raises `NotProven` where the manifest is not signed by the key, or nothing can be read.
+    """
+    with _opened(place) as source:
+        manifest = _manifest(source, key)
+        wanted = manifest.files
+        found = [
+            Finding(name, what)
+            for name, entry in wanted.items()
+            if (what := _difference(source, name, entry))
+        ]
+        known = {MANIFEST, SIGNATURE, *wanted}
+        found += [Finding(name, EXTRA) for name in source.sizes if name not in known]
+    return manifest, sorted(found, key=lambda each: each.file)
+
+
+def _manifest(source: Source, key: Ed25519PublicKey) -> Manifest:
+    content = _read(source, MANIFEST, MOST_BYTES)
+    signature = _read(source, SIGNATURE, SIGNATURE_BYTES)
+    try:
+        key.verify(signature, content)
+    except InvalidSignature:
+        raise NotProven(
+            f"{source.name}: {MANIFEST} was changed, or signed by another key than "
+            f"{fingerprint(key)}; nothing in this record is proven"
+        ) from None
+    try:
+        manifest = msgspec.json.decode(content, type=Manifest)
+    except (msgspec.DecodeError, RecursionError) as error:
+        raise NotProven(f"{source.name}: {MANIFEST} is none that is known: {error}") from None
+    if manifest.form != FORM:
+        raise NotProven(f"{source.name}: form {manifest.form}, this hilcell verifies {FORM}")
+    outside = [name for name in manifest.files if not sound(name)]
+    if outside:
+        raise NotProven(
+            f"{source.name}: {MANIFEST} names {len(outside)} files that are not within the record, "
+            f"the first {clean(outside[0])!r}; nothing was read there"
+        )
+    return manifest
+
+
+def _read(source: Source, name: str, most: int) -> bytes:
+    size = source.sizes.get(name)
+    if size is None:
+        why = "is no plain file" if name in source.sizes else "is missing"
+        raise NotProven(f"{source.name}: {name} {why}; nothing in this record is proven")
+    if size > most:
+        raise NotProven(f"{source.name}: {name} has {size} bytes, wanted at most {most}")
+    with _as_not_proven(f"{source.name}: {name}"), source.open(name) as file:
+        return file.read(most)
+
+
+def _difference(source: Source, name: str, entry: FileEntry) -> str:
+    """Return how a file differs from what was signed; "" where it does not."""
+    if name not in source.sizes:
+        return MISSING
+    size = source.sizes[name]
+    if size is None:
+        return "is no plain file"
+    if size != entry.bytes:
+        return f"{DIFFERS}: {size} bytes, signed were {entry.bytes}"
+    digest = hashlib.sha256()
+    try:
+        with source.open(name) as file:
+            while chunk := file.read(CHUNK):
+                digest.update(chunk)
+    except (OSError, *_SPOILED) as error:
+        return f"cannot be read: {clean(str(error))}"
+    return "" if digest.hexdigest() == entry.sha256 else f"{DIFFERS}: another SHA-256"
+
+
+class _Folder:
+    """The files of a folder; links are not followed."""
+
+    def __init__(self, place: Path) -> None:
+        self.name, self._place = clean(str(place)), place
+        self.sizes: dict[str, int | None] = {}
+        for folder, folders, files in os.walk(place, onerror=_refuse):
+            for name in [*folders, *files]:
+                path = Path(folder, name)
+                found = path.lstat()
+                if not stat.S_ISDIR(found.st_mode):
+                    size = found.st_size if stat.S_ISREG(found.st_mode) else None
+                    self.sizes[path.relative_to(place).as_posix()] = size
+
+    def open(self, name: str) -> AbstractContextManager[IO[bytes]]:
+        return (self._place / name).open("rb")
+
+
+class _Archive:
+    """The files of an archive; one that is in it twice is no plain file."""
+
+    def __init__(self, archive: zipfile.ZipFile, name: str) -> None:
+        self.name, self._archive = name, archive
+        self.sizes: dict[str, int | None] = {}
+        for each in archive.infolist():
+            if not each.is_dir():
+                twice = each.filename in self.sizes
+                self.sizes[each.filename] = None if twice else each.file_size
+
+    def open(self, name: str) -> AbstractContextManager[IO[bytes]]:
+        return self._archive.open(name)
+
+
+@contextmanager
+def _opened(place: Path) -> Iterator[Source]:
+    name = clean(str(place))
+    with _as_not_proven(name):
+        folder = place.is_dir()
+        files = _Folder(place) if folder else zipfile.ZipFile(place)
+    if isinstance(files, _Folder):
+        yield files
+        return
+    with files:
+        yield _Archive(files, name)
+
+
+@contextmanager
+def _as_not_proven(what: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise NotProven(f"{what}: cannot be read: {error.strerror or error}") from None
+    except _SPOILED as error:
+        words = f"it is neither an exported folder nor its archive: {clean(str(error))}"
+        raise NotProven(f"{what}: {words}") from None
+
+
+def _refuse(error: OSError) -> None:
+    raise error

@@ -1,0 +1,162 @@
+"""One cell's record as files for an auditor, whole or not at all, with a signed manifest."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import secrets
+import shutil
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from sqlalchemy import Connection, select
+
+from hilcell import __version__
+from hilcell.cell.settings import did_you_mean
+from hilcell.clean import clean
+from hilcell.errors import HilcellError
+from hilcell.plant.database import PlantError
+from hilcell.plant.manifest import FORM, MANIFEST, RECORD, SIGNATURE, FileEntry, Manifest
+from hilcell.plant.signing import fingerprint
+from hilcell.plant.tables import DOCUMENT, PARTS, POINT, RUN, Found
+from hilcell.writing import NotWritten, as_not_written
+
+ARCHIVE = ".zip"
+CHANGED = "the plant's database was changed or damaged; restore a backup, then ship again"
+LONGEST = 60  # letters of a run's name in that of its folder
+Add = Callable[[str, bytes], object]
+
+
+def export(
+    connection: Connection, cell: str, serial: str | None, place: Path, key: Ed25519PrivateKey
+) -> Manifest:
+    """Write the record of a cell to a folder, or to an archive where ``place`` ends in .zip.
+
+    ``serial`` is wanted where cells of several serial numbers have that name. Raises `NotWritten`,
+    `PlantError`, and `HilcellError` for a cell that has shipped nothing.
+    """
+    serials = _serials(connection, cell, serial)
+    files: dict[str, FileEntry] = {}
+    runs = simulated = 0
+    with _made(place) as put:
+
+        def add(name: str, content: bytes) -> None:
+            files[name] = FileEntry(len(content), hashlib.sha256(content).hexdigest())
+            put(name, content)
+
+        asked = select(RUN).where(RUN.c.cell == cell, RUN.c.serial.in_(serials))
+        for run in connection.execute(asked.order_by(RUN.c.ended, RUN.c.revision)).mappings().all():
+            _add_run(connection, run, add)
+            runs, simulated = runs + 1, simulated + run["simulated"]
+        manifest = Manifest(
+            form=FORM, cell=cell, serials=serials, runs=runs, simulated_runs=simulated,
+            made=datetime.now(UTC).isoformat(timespec="seconds"),
+            software=f"hilcell {__version__}", key=fingerprint(key.public_key()), files=files,
+        )  # fmt: skip
+        content = _json(manifest)
+        put(MANIFEST, content)
+        put(SIGNATURE, key.sign(content))
+    return manifest
+
+
+def _serials(connection: Connection, cell: str, serial: str | None) -> list[str]:
+    asked = select(RUN.c.cell, RUN.c.serial).distinct().order_by(RUN.c.cell, RUN.c.serial)
+    known = connection.execute(asked).all()
+    found = [row.serial for row in known if row.cell == cell and serial in (None, row.serial)]
+    if len(found) == 1:
+        return found
+    if found:
+        raise HilcellError(
+            f"cells of {len(found)} serial numbers have the name {clean(cell)}: "
+            f"{', '.join(map(clean, found))}; say which with --serial"
+        )
+    of_serial = "" if serial is None else f" of serial number {clean(serial)}"
+    names = sorted({row.cell for row in known})
+    raise HilcellError(
+        f"cell {cell[:80]!r}{of_serial} has shipped no run{did_you_mean(cell, names)}"
+    )
+
+
+def _add_run(connection: Connection, run: Found, add: Add) -> None:
+    """Add the files of one revision of a run."""
+    folder = f"runs/{_safe(run['name'])}-{run['revision']}-{run['digest'].hex[:12]}"
+    add(f"{folder}/{RECORD}", _json(dict(run)))
+    for table in PARTS:
+        own = [table.c.digest == run["digest"]]
+        if table is POINT:
+            own.append(table.c.month == run["month"])  # the partition
+        asked = select(table).where(*own).order_by(*table.primary_key)
+        rows = connection.execute(asked).mappings().all()
+        if table is DOCUMENT:
+            for row in rows:
+                add(f"{folder}/documents/{_safe(row['name'])}", _document(run, row))
+        elif rows:
+            add(f"{folder}/{table.name}s.json", _json([_part(row) for row in rows]))
+        if table is POINT:
+            _check_points(run, sum(not row["superseded"] for row in rows))
+
+
+def _check_points(run: Found, found: int) -> None:
+    if found != run["points"]:
+        raise PlantError(
+            f"run {clean(run['name'])}: the plant has {found} of its {run['points']} points that "
+            f"count: {CHANGED}"
+        )
+
+
+def _document(run: Found, row: Found) -> bytes:
+    content: bytes = row["text"].encode()
+    if hashlib.sha256(content).hexdigest() != row["sha256"]:
+        raise PlantError(
+            f"run {clean(run['name'])}: its {clean(row['name'])} is not the one that was shipped: "
+            f"{CHANGED}"
+        )
+    return content
+
+
+def _part(row: Found) -> dict[str, Any]:
+    return {name: value for name, value in row.items() if name not in ("digest", "month")}
+
+
+def _json(values: object) -> bytes:
+    return msgspec.json.format(msgspec.json.encode(values), indent=1) + b"\n"
+
+
+def _safe(name: str) -> str:
+    """Return a name that is one of a file on any system: it comes from another computer."""
+    return re.sub(r"[^A-Za-z0-9._-]", "_", name)[:LONGEST].strip(".") or "_"
+
+
+@contextmanager
+def _made(place: Path) -> Iterator[Add]:
+    """Yield what adds a file; all of them appear together, or nothing is left of them."""
+    if place.is_symlink() or place.exists():
+        raise NotWritten(f"{clean(str(place))}: it is there already; name a new folder or file")
+    part = place.with_name(f".{secrets.token_hex(8)}.part")
+    try:
+        with as_not_written(place):
+            if place.suffix == ARCHIVE:
+                with zipfile.ZipFile(part, "x", zipfile.ZIP_DEFLATED) as archive:
+                    yield archive.writestr
+            else:
+                part.mkdir()
+                yield partial(_write, part)
+            part.rename(place)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+        with suppress(OSError):
+            part.unlink()
+
+
+def _write(folder: Path, name: str, content: bytes) -> None:
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("xb") as file:
+        file.write(content)
