@@ -2,7 +2,8 @@
 
 All nests averaged, best fit: the lever arm to the tool multiplies every angle. The station's frame
 and the reference's both carry noise, and both count. Distances between nests do not depend on any
-frame: a nest that has moved against the others is found by them, and left out.
+frame: a nest that has moved against the others is found by them, and left out. They are judged by
+the noise that all readings of the run show: the spread of a few readings says little.
 """
 
 from __future__ import annotations
@@ -21,9 +22,11 @@ from hilcell.geometry.frames import (
     rigid_fit,
     three_point_frame,
 )
-from hilcell.geometry.rigidity import Moved, moved_points
+from hilcell.geometry.rigidity import SIGMAS, Moved, moved_points
+from hilcell.geometry.statistics import coverage_factor
 from hilcell.journal.log import Log, Point, covariances_mm2, positions_mm
 from hilcell.journal.point_id import PointId
+from hilcell.journal.reading_noise import noise_at, run_noise
 from hilcell.ports import Array, DeviceError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Span, Step
@@ -210,10 +213,13 @@ def station_fit(log: Log, station: Station, reference: Station) -> RigidFit:
 
 def moved_nests(log: Log, station: Station, reference: Station) -> Moved:
     """Return which nests have moved on the slide between reference and station."""
+    R, noise = log.matrix("world")[:3, :3], run_noise(log)
+    before, now = slide_points(log, reference), slide_points(log, station)
     return moved_points(
         slide_in_world_mm(log, reference),
         slide_in_world_mm(log, station),
-        _pair_noise_mm2(log, station, reference),
+        R @ (noise_at(noise, before) + noise_at(noise, now)) @ R.T,
+        coverage_factor(SIGMAS, noise.freedom),
     )
 
 

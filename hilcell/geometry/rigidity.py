@@ -12,7 +12,7 @@ import numpy as np
 
 from hilcell.geometry.kinematics import Array
 
-SIGMAS = 4.0  # 28 pairs of 8 nests at 3 stations: by chance one in a hundred runs
+SIGMAS = 4.0  # known ones. 28 pairs of 8 nests at 3 stations: by chance one in a hundred runs
 BY_SEATING_MM = 0.005  # by which each pair may differ besides: a reflector taken out and put back
 
 
@@ -26,14 +26,15 @@ class Moved:
     limit_mm: float
 
 
-def moved_points(a_mm: Array, b_mm: Array, covariances_mm2: Array) -> Moved:
+def moved_points(a_mm: Array, b_mm: Array, covariances_mm2: Array, sigmas: float = SIGMAS) -> Moved:
     """Return which of the points (N, 3), seen as ``a`` and later as ``b``, moved on their body.
 
-    ``covariances_mm2`` (N, 3, 3) are those of each pair's difference, axes of b. The point with
-    the most excess in its distances to the others is taken away until all distances agree.
+    ``covariances_mm2`` (N, 3, 3) are those of each pair's difference, axes of b. Where they are
+    estimates, ``sigmas`` is the factor of the same risk (`coverage_factor`). The point with the
+    most excess in its distances to the others is taken away until all distances agree.
     """
     change_mm = _distances(b_mm) - _distances(a_mm)
-    limit_mm = SIGMAS * np.sqrt(_variances(b_mm, covariances_mm2) + BY_SEATING_MM**2)
+    limit_mm = sigmas * np.sqrt(_variances(b_mm, covariances_mm2) + BY_SEATING_MM**2)
     ratio = np.abs(change_mm) / limit_mm
     np.fill_diagonal(ratio, 0.0)
     ratio[~np.isfinite(ratio)] = np.inf  # not a number agrees with nothing

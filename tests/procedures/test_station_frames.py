@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from drivers.leica.geocom import class_std_mm
 from hilcell.cell.file import Cell, Nest, Station, load_cell
 from hilcell.geometry.frames import apply, matrix
 from hilcell.geometry.rotations import from_rotvec
@@ -20,6 +21,7 @@ from tests.procedures.test_sign_check import FakeBench
 CELL = load_cell("paper")
 NOISE_MM = 0.01  # of one reading, 1 sigma
 LEAN_RAD = 1e-4  # of the slide at the far stations
+ALONG_MM, ARCSEC_RAD = 0.6, float(np.radians(1.0 / 3600.0))  # of a total station
 
 
 class Slide(FakeBench):
@@ -57,6 +59,56 @@ class Slide(FakeBench):
     def park_robot(self) -> None: ...
 
     def reach(self, trigger: str) -> None: ...
+
+
+class TotalStationSlide(Slide):
+    """Nests are read by a total station: 0.6 mm along its beam, 1 arcsec across it, few times."""
+
+    def _point(self, id: PointId, xyz_mm: Array, **robot: Any) -> None:
+        if id.kind not in ("slide", "three"):  # single readings state what the instrument says
+            robot["std_mm"] = class_std_mm(xyz_mm + 1.0, ALONG_MM, ARCSEC_RAD).tolist()
+        super()._point(id, xyz_mm, **robot)
+
+    def slide_point(self, id: PointId, station: Station, nest: Nest, *, samples: int) -> Point:
+        at_mm = apply(self.base(station), nest.xyz_mm[None])[0]
+        at_mm += self.moved_mm.get((station.name, nest.name), 0.0)
+        beam = at_mm / np.linalg.norm(at_mm)
+        across_mm = ARCSEC_RAD * float(np.linalg.norm(at_mm))
+        noise_mm = self._rng.normal(0.0, across_mm, (samples, 3))
+        noise_mm += np.outer(self._rng.normal(0.0, ALONG_MM, samples) - noise_mm @ beam, beam)
+        self._point(id, at_mm + noise_mm.mean(axis=0), station=station.name, samples=samples,
+                    std_mm=noise_mm.std(axis=0, ddof=1).tolist(),
+                    strip_mm=station.strip_mm)  # fmt: skip
+        return self.log.point(id)
+
+
+def by_total_station(seed: int) -> Any:
+    cell = load_cell("paper", {
+        "layout.nest_samples": "2", "layout.max_tool_std_mm": "10.0", "plan.quick": "true",
+    })  # fmt: skip
+    return TotalStationSlide(cell, seed)
+
+
+def left_out(bench: Any) -> set[str]:
+    StationFrames().perform(bench)
+    found = StationFrames().result(bench.log)["stations"]
+    return {nest for each in found.values() for nest in each["left_out"]}
+
+
+def test_two_readings_of_a_total_station_move_no_nest() -> None:
+    """By their own spread 15 of these 30 slides had a nest that moved."""
+    moved = [left_out(by_total_station(seed)) for seed in range(30)]
+    assert moved.count(set()) == 30
+
+
+def test_a_nest_that_moved_is_seen_by_a_total_station_too() -> None:
+    """By 6 mm along its beam: the limit there is 3 to 4 mm, and by the seating alone across it."""
+    for seed in range(5):
+        bench = by_total_station(seed)
+        nest = CELL.layout.slide[3]
+        at_mm = apply(bench.base(bench.cell.station_named("S300")), nest.xyz_mm[None])[0]
+        bench.moved_mm["S300", nest.name] = 6.0 * at_mm / np.linalg.norm(at_mm)
+        assert left_out(bench) == {nest.name}
 
 
 def bench_of(**layout: str) -> Any:

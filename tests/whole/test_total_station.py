@@ -140,6 +140,24 @@ def test_faults_end_a_run_by_their_alarm(
     assert len(found.do) >= 2
 
 
+@pytest.mark.parametrize("code", [1283, 1284])
+def test_an_unattended_run_waits_while_readings_are_not_accurate(
+    standing: Simulation, tmp_path: Path, code: int
+) -> None:
+    """A person may level and adjust the instrument meanwhile; a good look lets the run go on."""
+    standing.ask(do="fault", name="tracker.geocom_code", value=code, count=6)
+    values = STATION | {"simulation.address": standing.control}
+    words = ("--runs", str(tmp_path), "--name", "x", *sets(values))
+    done = command("run", "world-frame", "--unattended", *words)
+    standing.ask(do="clear")
+    assert done.returncode == 0, done.stderr
+    life = [(each.body["to"], each.body.get("by")) for each in read_log(tmp_path / "x").life]
+    assert [each for each in life if each[0] == "suspended" or each[1]] == [
+        ("suspended", None),
+        ("running", "look"),
+    ]
+
+
 @pytest.fixture(scope="module")
 def machine(tmp_path_factory: pytest.TempPathFactory) -> str:
     """The paper's machine with a total station: 0.6 mm along the beam, 1 arcsec across."""
