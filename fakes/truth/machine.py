@@ -8,9 +8,10 @@ random parts are 1 sigma.
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta, field
@@ -96,8 +97,12 @@ class Transmission(Frozen, frozen=True, kw_only=True):
 
 
 class RailSizes(Frozen, frozen=True, kw_only=True):
-    """The rail's own errors and those of its strip."""
+    """The rail's own errors and those of its strip.
 
+    Without a ``strip`` the slide is held by the drive alone: its encoder is read in place of one.
+    """
+
+    strip: bool = True
     backlash_mm: Extent
     curve_mm: Offset
     curve_span_mm: Size
@@ -167,11 +172,16 @@ def mounted(flange: Array, smr_mm: Point) -> Array:
 
 def machine_of(cell: Cell) -> Machine:
     """Return the machine that a simulated cell names; raises `SettingsError`."""
-    return load_machine("paper" if cell.simulation is None else cell.simulation.machine)
+    if cell.simulation is None:
+        return load_machine("paper")
+    return load_machine(cell.simulation.machine, cell.simulation.sizes)
 
 
-def load_machine(where: str) -> Machine:
-    """Read a machine by the name of one that comes with the fakes, or a TOML file."""
+def load_machine(where: str, sizes: Mapping[str, Any] | None = None) -> Machine:
+    """Read a machine by the name of one that comes with the fakes, or a TOML file.
+
+    ``sizes`` replace single values of its tables.
+    """
     folder = resources.files("fakes.truth.machines")
     known = sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if ".toml" in p.name)
     try:
@@ -185,7 +195,19 @@ def load_machine(where: str) -> Machine:
         raise SettingsError(f"simulation.machine {where!r}", [problem]) from None
     except (OSError, ValueError) as error:
         raise unreadable(f"simulation.machine {where!r}", error, "machine file") from error
-    return convert(values, Machine, where)
+    if not sizes:
+        return convert(values, Machine, where)
+    return convert(_replaced(values, sizes), Machine, f"simulation.sizes of {where}")
+
+
+def _replaced(values: Mapping[str, Any], sizes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return tables with single values replaced, in inner tables as well."""
+    inner = {
+        key: _replaced(values[key], each)
+        for key, each in sizes.items()
+        if isinstance(each, Mapping) and isinstance(values.get(key), Mapping)
+    }
+    return {**values, **sizes, **inner}
 
 
 def chain_of_cell(cell: Cell) -> Chain:

@@ -128,11 +128,12 @@ class RailTruth:
             self._follow(now_s)
             self._strike(now_s)
             motor_mm, velocity_mm_s = self._path.at(now_s)
-            slide_mm = self._slide_mm(now_s)
+            encoder_mm = motor_mm - self._zero_mm
+            strip_mm = self._shape.strip_mm(self._slide_mm(now_s))
             return RailState(
-                encoder_mm=motor_mm - self._zero_mm,
+                encoder_mm=encoder_mm,
                 velocity_mm_s=velocity_mm_s,
-                strip_mm=self._shape.strip_mm(slide_mm),
+                strip_mm=strip_mm if self._sizes.strip else encoder_mm,
                 moving=now_s < self._path.end_s,
                 at_negative_limit=motor_mm <= self._low_mm,
                 at_positive_limit=motor_mm >= self._high_mm,

@@ -233,12 +233,16 @@ class SettleTable(Frozen, frozen=True, kw_only=True):
 
 
 class SimulationTable(Frozen, frozen=True, kw_only=True):
-    """A simulated cell: found by its entry point; ``address`` attaches to one already running."""
+    """A simulated cell: found by its entry point; ``address`` attaches to one already running.
+
+    ``sizes`` are tables of the machine that differ from its file.
+    """
 
     simulator: Name
     address: str = ""
     data: str = ""
     machine: Annotated[str, Meta(min_length=1)] = "paper"
+    sizes: dict[str, Any] = field(default_factory=dict)
 
 
 class Cell(Frozen, frozen=True, kw_only=True):

@@ -14,7 +14,7 @@ from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.commands.output_place import check_output
 from hilcell.errors import HilcellError
 from hilcell.run.exits import EXIT_FAULT, EXIT_OK, EXIT_OUT_OF_TOLERANCE
-from hilcell.study.design import cases
+from hilcell.study.design import cases, most_cases
 from hilcell.study.errors import Cluster, missing
 from hilcell.study.study_file import Study, read_study
 from hilcell.writing import write_whole
@@ -65,7 +65,7 @@ def _perform(args: argparse.Namespace) -> int:
     from hilcell.study.results import Results
 
     results = Results(folder, asked)
-    planned = sum(1 for _ in cases(asked))
+    planned = most_cases(asked)
     with results.held():
         kept = len(results.finished())
         print_message(f"study {asked.name}: {planned} cases, {kept} of them kept in {folder}")
@@ -151,7 +151,7 @@ def _report(args: argparse.Namespace) -> int:
     from hilcell.study.analysis import answers
 
     rows = plain_rows(results.table())
-    planned = sum(1 for _ in cases(results.study))
+    planned = most_cases(results.study)
     html = page(results.study, answers(results.study, rows), rows, planned)
     write_whole(place, html.encode(), inputs=results.files())
     code = _answer(results, planned, as_json=args.json)
@@ -175,6 +175,6 @@ def _answer(results: Results, planned: int, *, as_json: bool) -> int:
             print_message(f"\n{sheet.title}")
             print_table((sheet.headers, sheet.rows))
             print_message(sheet.note)
-    print_message(count_words(found, planned))
+    print_message(count_words(results.study, found, planned))
     bad = found.counts.get(FAILED, 0) or not found.counts.get(DONE, 0)
     return EXIT_OUT_OF_TOLERANCE if bad else EXIT_OK

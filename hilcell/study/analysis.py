@@ -13,29 +13,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
 from hilcell.ports import Array
 from hilcell.study.case import DONE
-from hilcell.study.design import Point, points
-from hilcell.study.study_file import Factor, Study
+from hilcell.study.design import Point, chosen
+from hilcell.study.factor import Factor
+from hilcell.study.intervals import Interval, Share, interval, share
+from hilcell.study.study_file import Optimum, Study
 
-LEVEL = 0.95
-ROUNDING = 1e-9
+TOO_LONG = 1e6  # of a design with too many minutes, which are added
 Rows = Sequence[Mapping[str, Any]]
-
-
-@dataclass(frozen=True, slots=True)
-class Interval:
-    """A mean over machines and half its 95 % interval, NaN where one machine gives none."""
-
-    mean: float
-    half: float
-
-    @property
-    def known(self) -> bool:
-        """Whether it is shown to be other than nought, by more than rounding."""
-        return self.half >= 0.0 and abs(self.mean) > max(self.half, ROUNDING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +32,9 @@ class Design:
     point: Point
     accuracy: Interval
     minutes: float
-    covered: Interval
+    covered: Share
     machines: int
+    cases: int
     on_front: bool
 
 
@@ -60,7 +48,7 @@ class Effect:
     change: Interval  # from the first level
     minutes: float  # from the first level
     cost: float
-    covered: Interval
+    covered: Share
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,9 +57,10 @@ class Answers:
 
     designs: list[Design]
     effects: list[Effect]
-    covered: Interval | None
+    covered: Share | None
     share: float
     counts: Mapping[str, int]
+    best: Design | None = None  # of an optimiser
 
     @property
     def front(self) -> list[Design]:
@@ -96,27 +85,51 @@ def answers(study: Study, rows: Rows) -> Answers:
     for row in rows:
         counts[row["state"]] += 1
     done = [row for row in rows if row["state"] == DONE]
+    found = designs(study, done)
+    if study.optimise is not None:  # its points are crowded round the best: no design for effects
+        return Answers(found, [], covered(done) if done else None, float("nan"), dict(counts),
+                       best_of(study, study.optimise, found))  # fmt: skip
     return Answers(
-        _designs(study, done),
+        found,
         _effects(study, done) if done else [],
-        over_machines(done, "covered") if done else None,
+        covered(done) if done else None,
         _share(study, done) if done else float("nan"),
         dict(counts),
     )
 
 
-def interval(values: Iterable[float]) -> Interval:
-    """Return the mean of values, one a machine, with its 95 % interval."""
-    found: Array = np.array(list(values), dtype=float)
-    if len(found) < 2:
-        return Interval(float(found.mean()) if len(found) else float("nan"), float("nan"))
-    factor = float(student.ppf(0.5 + LEVEL / 2.0, len(found) - 1))
-    return Interval(float(found.mean()), factor * float(found.std(ddof=1)) / len(found) ** 0.5)
+def best_of(study: Study, wanted: Optimum, found: Sequence[Design]) -> Design | None:
+    """Return the design with the least value, of those that every machine did."""
+    whole = [each for each in found if each.cases == study.machines * study.seeds]
+    best = min(whole, key=lambda each: value(wanted, each), default=None)
+    return None if best is None or not value(wanted, best) < TOO_LONG else best
+
+
+def value(wanted: Optimum, design: Design) -> float:
+    """Return what an optimiser minimises."""
+    if wanted.most_minutes is not None and not design.minutes <= wanted.most_minutes:
+        return TOO_LONG + design.minutes
+    return design.accuracy.mean + (wanted.mm_per_minute or 0.0) * design.minutes
 
 
 def over_machines(rows: Rows, key: str) -> Interval:
     """Return the mean over machines of each machine's own mean."""
     return interval(np.mean([row[key] for row in own]) for own in _by(rows, "machine").values())
+
+
+def covered(rows: Rows) -> Share:
+    """Return the share of targets within their own bound, each machine counted alike."""
+    shares = [np.mean([row["covered"] for row in own]) for own in _by(rows, "machine").values()]
+    return share(map(float, shares), sum(row["targets"] for row in rows))
+
+
+def points_of(study: Study, rows: Rows) -> dict[int, Point]:
+    """Return the points of rows by number."""
+    return {row["point"]: chosen(study, row) for row in _first_of_each(rows)}
+
+
+def _first_of_each(rows: Rows) -> Iterable[Mapping[str, Any]]:
+    return {row["point"]: row for row in reversed(rows)}.values()
 
 
 def _by(rows: Rows, key: str) -> dict[int, list[Mapping[str, Any]]]:
@@ -126,8 +139,9 @@ def _by(rows: Rows, key: str) -> dict[int, list[Mapping[str, Any]]]:
     return dict(sorted(found.items()))
 
 
-def _designs(study: Study, done: Rows) -> list[Design]:
-    by_point, all_points = _by(done, "point"), {each.number: each for each in points(study)}
+def designs(study: Study, done: Rows) -> list[Design]:
+    """Return the designs of rows that were done."""
+    by_point, all_points = _by(done, "point"), points_of(study, done)
     places: Array = np.array([
         [
             over_machines(own, study.accuracy).mean,
@@ -141,8 +155,9 @@ def _designs(study: Study, done: Rows) -> list[Design]:
             all_points[number],
             over_machines(own, study.accuracy),
             float(place[1]),
-            over_machines(own, "covered"),
+            covered(own),
             len(_by(own, "machine")),
+            len(own),
             on_front(place, places),
         )
         for (number, own), place in zip(by_point.items(), places, strict=True)
@@ -157,17 +172,18 @@ def on_front(place: Array, places: Array) -> bool:
 
 def _effects(study: Study, done: Rows) -> list[Effect]:
     """Return the effects of an additive model, fitted on each machine by itself."""
-    shares = {each.number: each for each in points(study)}
+    all_points = points_of(study, done)
     by_machine = _by(done, "machine").values()
+    targets = _targets(study, all_points, done)
     fits = {
-        key: [_fitted(study, shares, own, key) for own in by_machine]
+        key: [_fitted(study, all_points, own, key) for own in by_machine]
         for key in (study.accuracy, "minutes", "covered")
     }
     found = []
     for n, factor in enumerate(study.factor):
         costs = factor.costs or [0.0] * len(factor.ends)
         for level, word in enumerate(factor.names):
-            mean, change, minutes, covered = (
+            mean, change, minutes, within = (
                 [fit[n][level] - (fit[n][0] if relative else 0.0) for fit in fits[key]]
                 for key, relative in (
                     (study.accuracy, False), (study.accuracy, True), ("minutes", True),
@@ -184,9 +200,21 @@ def _effects(study: Study, done: Rows) -> list[Effect]:
                         _known(change),
                         _known(minutes).mean,
                         costs[level] - costs[0],
-                        _known(covered),
+                        share(filter(np.isfinite, within), targets[n][level]),
                     )
                 )
+    return found
+
+
+def _targets(study: Study, all_points: Mapping[int, Point], done: Rows) -> list[list[float]]:
+    """Return, by factor, the targets at each level; half of all at either end of a range."""
+    found = [[0.0] * len(factor.ends) for factor in study.factor]
+    for row in done:
+        for counts, each in zip(found, all_points[row["point"]].choices, strict=True):
+            if each.factor.is_range:
+                counts[:] = [count + 0.5 * row["targets"] for count in counts]
+            else:
+                counts[int(each.share)] += row["targets"]
     return found
 
 
@@ -238,7 +266,7 @@ def _fitted(
 
 def _share(study: Study, done: Rows) -> float:
     """Return how much of the differences between points the main effects explain, 0 to 1."""
-    all_points = {each.number: each for each in points(study)}
+    all_points = points_of(study, done)
     by_point = _by(done, "point")
     values = np.array([np.mean([row[study.accuracy] for row in own]) for own in by_point.values()])
     A = _columns(study, [all_points[number] for number in by_point])

@@ -6,9 +6,13 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from hilcell.cell.settings import SettingsError
-from hilcell.study.study_file import MOST_CASES, Factor, Study
+from hilcell.study.factor import Factor
+from hilcell.study.study_file import MOST_CASES, Optimum, Study
+
+LEAST_GENERATION, PER_FACTOR = 8, 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +60,9 @@ class Point:
     @property
     def values(self) -> Mapping[str, object]:
         """Return the settings."""
-        return {each.factor.setting: each.value for each in self.choices}
+        return dict(
+            setting for each in self.choices for setting in each.factor.settings(each.value).items()
+        )
 
     @property
     def cost(self) -> float:
@@ -85,47 +91,115 @@ class Case:
 
 
 def points(study: Study) -> list[Point]:
-    """Return the points of the design; raises `SettingsError` for too many."""
-    per_point = study.machines * study.seeds
-    count = (study.samples or math.prod(len(factor.ends) for factor in study.factor)) * per_point
-    if not count <= MOST_CASES:
-        raise SettingsError(study.name, [f"{count} cases, at most {MOST_CASES} are measured"])
-    found = _sobol(study) if study.design == "sobol" else _factorial(study)
+    """Return the points of the design; raises `SettingsError` for too many cases.
+
+    Of an optimiser, which asks for others by their results, those that it begins with.
+    """
+    most_cases(study)
+    match study.design, study.optimise:
+        case "optimise", Optimum() as wanted:
+            found = _drawn(study, generation(study, wanted))
+        case "sobol", _:
+            found = _drawn(study, study.samples or 0)
+        case _:
+            found = _factorial(study)
     return [Point(n, choices) for n, choices in enumerate(found, start=1)]
 
 
+def most_cases(study: Study) -> int:
+    """Return how many cases are measured, by an optimiser at most.
+
+    Raises `SettingsError` for too many.
+    """
+    count = study.samples or math.prod(len(each.ends) for each in study.factor)
+    if study.optimise is not None:
+        count = study.optimise.trials
+    count *= study.machines * study.seeds
+    if not count <= MOST_CASES:
+        raise SettingsError(study.name, [f"{count} cases, at most {MOST_CASES} are measured"])
+    return count
+
+
 def cases(study: Study) -> Iterator[Case]:
-    """Yield the cases: all points on the first machine before any on the next."""
-    drawn = itertools.product(
-        range(1, study.machines + 1), range(1, study.seeds + 1), points(study)
-    )
-    for number, (machine, seed, point) in enumerate(drawn, start=1):
+    """Yield the cases of `points`: all points on the first machine before any on the next.
+
+    Of an optimiser all machines at one point before any at the next: more points may follow.
+    """
+    runs = list(itertools.product(range(1, study.machines + 1), range(1, study.seeds + 1)))
+    found = points(study)
+    if study.optimise is not None:
+        yield from (case for point in found for case in cases_at(study, point))
+        return
+    drawn = ((point, *run) for run in runs for point in found)
+    for number, (point, machine, seed) in enumerate(drawn, start=1):
         yield Case(number, point, machine, seed)
 
 
+def cases_at(study: Study, point: Point) -> list[Case]:
+    """Return the cases of an optimiser's point: the same machines and seeds at all of them."""
+    runs = itertools.product(range(1, study.machines + 1), range(1, study.seeds + 1))
+    first = 1 + (point.number - 1) * study.machines * study.seeds
+    return [Case(first + n, point, *run) for n, run in enumerate(runs)]
+
+
+def chosen(study: Study, row: Mapping[str, Any]) -> Point:
+    """Return the point of a row of results: its factors are columns."""
+    return Point(row["point"], tuple(_found(each, row[each.name]) for each in study.factor))
+
+
+def choice(factor: Factor, value: float) -> Choice:
+    """Return a choice by the number of its level, or the value in its range."""
+    if factor.is_range:
+        low, high = factor.ends
+        value = round(value) if factor.is_whole else float(value)
+        return Choice(factor, value, f"{value:.6g}", (value - low) / (high - low))
+    level = round(value)
+    return Choice(factor, factor.ends[level], factor.names[level], float(level))
+
+
+def _found(factor: Factor, shown: Any) -> Choice:
+    if factor.is_range:
+        return choice(factor, shown)
+    known = list(factor.ends) if factor.is_number else factor.names
+    return choice(factor, known.index(shown))
+
+
 def _factorial(study: Study) -> Iterator[tuple[Choice, ...]]:
-    return itertools.product(*(_levels(factor) for factor in study.factor))
+    levels = ([choice(each, value) for value in _all_of(each)] for each in study.factor)
+    return itertools.product(*levels)
 
 
-def _levels(factor: Factor) -> list[Choice]:
-    """Return the levels of a factor; of a range its ends."""
-    named = zip(factor.ends, factor.names, strict=True)
-    return [Choice(factor, value, word, float(n)) for n, (value, word) in enumerate(named)]
+def _all_of(factor: Factor) -> Sequence[float]:
+    """Return the levels by number, or the ends of a range."""
+    return factor.ends if factor.is_range else range(len(factor.ends))
 
 
-def _sobol(study: Study) -> Iterator[tuple[Choice, ...]]:
-    """Yield a Sobol sequence, not scrambled: its first point has every factor's first level."""
+def _drawn(study: Study, count: int) -> Iterator[tuple[Choice, ...]]:
+    return (placed(study, place) for place in places(study, count))
+
+
+def places(study: Study, count: int) -> list[list[float]]:
+    """Return a Sobol sequence in values of ranges and numbers of levels.
+
+    It is not scrambled: its first point has every factor's first level.
+    """
     from scipy.stats import qmc
 
-    drawn = qmc.Sobol(len(study.factor), scramble=False).random(study.samples or 0)
-    for row in drawn:
-        yield tuple(
-            _drawn(factor, float(share)) for factor, share in zip(study.factor, row, strict=True)
-        )
+    shares = qmc.Sobol(len(study.factor), scramble=False).random_base2((count - 1).bit_length())
+    return [
+        [
+            each.drawn(share) if each.is_range else float(each.level(share))
+            for each, share in zip(study.factor, row, strict=True)
+        ]
+        for row in shares[:count].tolist()
+    ]
 
 
-def _drawn(factor: Factor, share: float) -> Choice:
-    if not factor.is_range:
-        return _levels(factor)[int(share * len(factor.ends))]
-    value, at = factor.drawn(share)
-    return Choice(factor, value, f"{value:.6g}", at)
+def placed(study: Study, place: Sequence[float]) -> tuple[Choice, ...]:
+    """Return the choices at a place: values of ranges, numbers of levels."""
+    return tuple(choice(*each) for each in zip(study.factor, place, strict=True))
+
+
+def generation(study: Study, wanted: Optimum) -> int:
+    """Return how many points an optimiser asks for at once."""
+    return min(wanted.trials, max(LEAST_GENERATION, PER_FACTOR * len(study.factor)))

@@ -31,6 +31,10 @@ def _stations(result: Result) -> float:
     return float(max(each["tool_uncertainty_mm"] for each in result["stations"].values()))
 
 
+def _targets(result: Result) -> float:
+    return float(sum(place["points"] for place in _places(result)))
+
+
 RESULTS: Mapping[str, tuple[str, Callable[[Result], float]]] = {
     "mean_mm": ("mean error after correction", lambda r: _mean(r, "chosen")),
     "p95_mm": ("95 % quantile of the error, of the worse place", lambda r: _worst(r, "p95")),
@@ -53,6 +57,7 @@ RESULTS: Mapping[str, tuple[str, Callable[[Result], float]]] = {
     ),
     "rp_mm": ("repeatability RP as measured", lambda r: float(r["repeatability"]["rp_mm"])),
     "frame_u_mm": ("uncertainty of the worst station frame at the tool", _stations),
+    "targets": ("targets validated", _targets),
     "points": ("points measured", lambda r: float(sum(r["points"].values()))),
     "suspicions": ("causes that the run suspects", lambda r: float(len(r["suspicions"]))),
 }

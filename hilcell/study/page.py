@@ -9,6 +9,7 @@ from hilcell.study.outcome import RESULTS
 from hilcell.study.plots import coverage_plot, effects_plot, front_plot
 from hilcell.study.study_file import Study
 from hilcell.study.tables import (
+    best_sheet,
     count_words,
     effects_sheet,
     front_sheet,
@@ -25,9 +26,10 @@ def page(study: Study, found: Answers, rows: Rows, planned: int) -> str:
         .render(
             study=study,
             version=__version__,
-            counts=count_words(found, planned),
+            counts=count_words(study, found, planned),
             meaning=RESULTS[study.accuracy][0],
             settings=[f"{key} = {value}" for key, value in study.settings.items()],
+            best=best_sheet(study, found),
             front=front_sheet(study, found),
             purchases=purchases_sheet(study, found),
             effects=effects_sheet(study, found),

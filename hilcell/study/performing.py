@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
-from hilcell.study.case import CANNOT_BE, Row
+from hilcell.study.analysis import designs, value
+from hilcell.study.case import CANNOT_BE, DONE, Row
 from hilcell.study.cluster import Workers
-from hilcell.study.design import Case, cases
-from hilcell.study.results import Results, row_of
-from hilcell.study.study_file import Study, cell_of
+from hilcell.study.design import Case, Point, cases, cases_at
+from hilcell.study.results import Results, plain_rows, row_of
+from hilcell.study.search import Measure, search
+from hilcell.study.study_file import Optimum, Study, cell_of
 
+NEVER = 1e9  # the value of a point that cannot be, or that failed on a machine
 BATCH_ROWS, BATCH_S = 64, 1.0
+MOST_CELLS = 256
 
 
 class Batch:
@@ -48,29 +52,73 @@ def perform(results: Results, workers: Workers, heard: Callable[[Row], object]) 
     counts: Counter[str] = Counter()
     with _batch(results) as batch:
 
-        def keep(case: Case, found: Row) -> None:
-            row = row_of(case, found, study)
-            batch.add(row)
-            counts[row["state"]] += 1
-            heard(row)
+        def measure(asked: Iterable[Case]) -> Iterator[Row]:
+            """Yield the rows of cases that are not kept."""
 
-        waiting = (case for case in cases(study) if case.number not in kept)
-        for case, found in workers.measure(_able(study, waiting, keep)):
-            keep(case, found)
+            def keep(case: Case, found: Row) -> Row:
+                row = row_of(case, found, study)
+                batch.add(row)
+                counts[row["state"]] += 1
+                heard(row)
+                return row
+
+            never: list[Row] = []
+            waiting = (case for case in asked if case.number not in kept)
+            able = _able(study, waiting, lambda case, found: never.append(keep(case, found)))
+            for case, found in workers.measure(able):
+                yield keep(case, found)
+            yield from never
+
+        if study.optimise is None:
+            for _ in measure(cases(study)):
+                pass
+        else:
+            search(study, study.optimise, _values(results, study.optimise, measure))
     results.merge()
     return counts
+
+
+def _values(
+    results: Results, wanted: Optimum, measure: Callable[[Iterable[Case]], Iterator[Row]]
+) -> Measure:
+    """Return how an optimiser gets the values of points: of rows that are kept, or measured."""
+    study = results.study
+    kept: dict[int, list[Row]] = defaultdict(list)
+    for row in plain_rows(results.table()):
+        kept[row["point"]].append(dict(row))
+
+    def values(asked: Sequence[Point]) -> dict[int, float]:
+        rows = {point.number: kept[point.number] for point in asked}
+        for row in measure(case for point in asked for case in cases_at(study, point)):
+            rows[row["point"]].append(row)
+        return {number: _value(study, wanted, own) for number, own in rows.items()}
+
+    return values
+
+
+def _value(study: Study, wanted: Optimum, rows: Sequence[Row]) -> float:
+    if not all(row["state"] == DONE for row in rows):
+        return NEVER
+    in_order = sorted(rows, key=lambda row: int(row["case"]))  # digits of a mean depend on it
+    (design,) = designs(study, in_order)
+    return value(wanted, design)
 
 
 def _able(
     study: Study, waiting: Iterable[Case], keep: Callable[[Case, Row], None]
 ) -> Iterator[tuple[Case, Cell]]:
     """Yield cases with their cells as they are asked for; keep those whose cell cannot be."""
+    cells: dict[int, Cell] = {}  # of the last points: machines share them
     for case in waiting:
+        number = case.point.number
         try:
-            cell = cell_of(study, case.point.values)
+            cell = cells[number] if number in cells else cell_of(study, case.point.values)
         except SettingsError as error:
             keep(case, {"state": CANNOT_BE, "reason": str(error), "minutes": None})
         else:
+            cells[number] = cell
+            if len(cells) > MOST_CELLS:
+                del cells[next(iter(cells))]
             yield case, cell
 
 

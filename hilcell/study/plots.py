@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from itertools import groupby
+from typing import NamedTuple
 
 from hilcell.report.drawings.drawing import (
     AFTER,
@@ -22,7 +23,8 @@ from hilcell.report.drawings.drawing import (
     svg,
     text,
 )
-from hilcell.study.analysis import Answers, Design, Effect, Interval
+from hilcell.study.analysis import Answers, Design, Effect
+from hilcell.study.intervals import Interval, Share
 from hilcell.study.study_file import Study
 
 WIDTH_MM, HEIGHT_MM = 178.0, 92.0
@@ -33,6 +35,15 @@ NOMINAL = 95.0  # % of targets within a bound
 MOST_LABELS = 20
 
 
+class Bar(NamedTuple):
+    """A figure with the ends of its interval."""
+
+    mean: float
+    low: float
+    high: float
+    shown: str
+
+
 def front_plot(study: Study, found: Answers) -> str:
     """Return accuracy over minutes of all designs, the front as steps; "" without any."""
     if not found.designs:
@@ -40,7 +51,7 @@ def front_plot(study: Study, found: Answers) -> str:
     minutes = [each.minutes for each in found.designs]
     spread = max(max(minutes) - min(minutes), 0.02 * max(minutes), 1.0)
     low, high = min(minutes) - 0.06 * spread, max(minutes) + 0.06 * spread
-    tops = [each.accuracy.mean + _half(each.accuracy) for each in found.designs]
+    tops = [each.accuracy.ends[1] for each in found.designs]
     frame = Frame(
         Scale(max(0.0, low), high, LEFT_MM, WIDTH_MM - RIGHT_MM),
         Scale(0.0, round_up(1.05 * max(tops), ENDS), HEIGHT_MM - BOTTOM_MM, TOP_MM),
@@ -60,10 +71,9 @@ def effects_plot(study: Study, found: Answers) -> str:
     """Return the accuracy at each level of each factor, all else averaged; "" without any."""
     return _levels(
         found.effects,
-        lambda each: each.mean,
+        lambda each: Bar(each.mean.mean, *each.mean.ends, _figure(each.mean)),
         f"{study.accuracy[:-3]} error, mm; bars: 95 % interval over machines",
         "Accuracy at each level of each factor",
-        digits=4,
     )
 
 
@@ -71,25 +81,33 @@ def coverage_plot(found: Answers) -> str:
     """Return the share of targets within their bound at each level; "" without any."""
     return _levels(
         found.effects,
-        lambda each: Interval(100.0 * each.covered.mean, 100.0 * each.covered.half),
+        lambda each: _percent(each.covered),
         "targets within their 95 % bound, %; bars: 95 % interval over machines",
         "Coverage of bounds at each level of each factor",
-        digits=1,
         line=NOMINAL,
         most=100.0,
     )
 
 
-def _half(each: Interval) -> float:
-    return 0.0 if math.isnan(each.half) else each.half
+def _figure(each: Interval) -> str:
+    return f"{each.mean:.4f}" + (f" ± {each.half:.4f}" if each.half > 0.0 else "")
+
+
+def _percent(each: Share) -> Bar:
+    mean, low, high = (100.0 * share for share in (each.mean, *each.ends))
+    return Bar(
+        mean, low, high, f"{mean:.1f} ({low:.1f} .. {high:.1f})" if low < high else f"{mean:.1f}"
+    )
 
 
 def _mark(frame: Frame, each: Design) -> Iterator[str]:
-    x, mean, half = frame.x.one(each.minutes), each.accuracy.mean, _half(each.accuracy)
+    x, (low, high) = frame.x.one(each.minutes), each.accuracy.ends
     colour = AFTER if each.on_front else HATCH
-    if half:
-        yield path([(x, frame.y.one(mean - half)), (x, frame.y.one(mean + half))], colour, 0.3)
-    yield circle(x, frame.y.one(mean), 1.1, colour if each.on_front else "#fff", colour)
+    if low < high:
+        yield path([(x, frame.y.one(low)), (x, frame.y.one(high))], colour, 0.3)
+    yield circle(
+        x, frame.y.one(each.accuracy.mean), 1.1, colour if each.on_front else "#fff", colour
+    )
 
 
 def _steps(frame: Frame, front: Sequence[Design]) -> list[tuple[float, float]]:
@@ -109,20 +127,19 @@ def _numbers(frame: Frame, front: Sequence[Design]) -> Iterator[str]:
 
 def _levels(
     effects: Sequence[Effect],
-    value: Callable[[Effect], Interval],
+    value: Callable[[Effect], Bar],
     name: str,
     title: str,
     *,
-    digits: int,
     line: float | None = None,
     most: float = math.inf,
 ) -> str:
     if not effects:
         return ""
     found = [value(each) for each in effects]
-    ends = [(each.mean - _half(each), each.mean + _half(each)) for each in found]
-    ends += [] if line is None else [(line, line)]
-    low, high = min(each[0] for each in ends), max(each[1] for each in ends)
+    marked = [] if line is None else [line]
+    low = min([each.low for each in found] + marked)
+    high = max([each.high for each in found] + marked)
     margin = 0.06 * max(high - low, 1e-4 * max(abs(high), 1e-3))
     groups = [list(own) for _, own in groupby(effects, key=lambda each: each.factor.name)]
     height = TOP_MM + ROW_MM * len(effects) + GAP_MM * len(groups)
@@ -137,19 +154,18 @@ def _levels(
     for own in groups:
         parts.append(text(0.0, y + 1.0, shortened(own[0].factor.name, NAMES_MM - 2.0), bold=True))
         for n, each in enumerate(own):
-            parts += _level(scale, each.word, value(each), y + n * ROW_MM, digits)
+            parts += _level(scale, each.word, value(each), y + n * ROW_MM)
         y += ROW_MM * len(own) + GAP_MM
     return svg(WIDTH_MM, height + BOTTOM_MM, title, parts, True)
 
 
-def _level(scale: Scale, word: str, each: Interval, y: float, digits: int) -> Iterator[str]:
-    x, half = scale.one(each.mean), _half(each)
-    if half:
-        yield path([(scale.one(each.mean - half), y), (scale.one(each.mean + half), y)], AFTER, 0.5)
+def _level(scale: Scale, word: str, each: Bar, y: float) -> Iterator[str]:
+    x = scale.one(each.mean)
+    if each.low < each.high:
+        yield path([(scale.one(each.low), y), (scale.one(each.high), y)], AFTER, 0.5)
     yield circle(x, y, 1.1, AFTER, AFTER)
     yield text(NAMES_MM, y + 1.0, shortened(word, LEVELS_MM - 2.0))
-    shown = f"{each.mean:.{digits}f}" + (f" ± {half:.{digits}f}" if half else "")
-    yield text(WIDTH_MM, y + 1.0, shown, "end", AFTER)
+    yield text(WIDTH_MM, y + 1.0, each.shown, "end", AFTER)
 
 
 def _ticks(scale: Scale, top: float, bottom: float, name: str) -> Iterator[str]:

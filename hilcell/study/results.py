@@ -165,7 +165,7 @@ def schema(study: Study) -> pa.Schema:
 
 def figures_of(study: Study) -> list[str]:
     """Return the results that are kept: those wanted, and those that a report is made of."""
-    return list(dict.fromkeys([*study.results, study.accuracy, "covered"]))
+    return list(dict.fromkeys([*study.results, study.accuracy, "covered", "targets"]))
 
 
 def row_of(case: Case, found: Row, study: Study) -> Row:

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta, field
 
+from hilcell.cell.devices import in_process_cell
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import (
     SettingsError,
@@ -20,88 +21,32 @@ from hilcell.cell.settings import (
 )
 from hilcell.cell.source import built_in_cells, parsed
 from hilcell.cell.tables import Frozen, Name
+from hilcell.study.factor import Factor
 from hilcell.study.outcome import RESULTS
 from hilcell.study.toml_value import toml_value
 
 MOST_CASES = 1_000_000
 MOST_FACTORS = 20
-Money = Annotated[float, Meta(ge=-1e12, le=1e12)]
+MACHINE = ("simulation.machine", "simulation.sizes")
 Many = Annotated[int, Meta(ge=1, le=10_000)]
 Samples = Annotated[int, Meta(ge=2, le=65_536)]
 
 
-class Factor(Frozen, frozen=True, kw_only=True):
-    """One setting of the cell that varies: by ``levels``, or between ``low`` and ``high``.
+class Optimum(Frozen, frozen=True, kw_only=True):
+    """What an optimiser looks for, and how long: at most ``trials`` points, as ``seed`` draws them.
 
-    The first level, or ``low``, is where `buy next` starts. ``costs`` (money) and ``minutes`` (of
-    people, besides the robot's) are one for each level, or two: at low and at high.
+    It minimises the accuracy plus ``mm_per_minute`` for each minute, among the points of at most
+    ``most_minutes``.
     """
 
-    name: Name
-    setting: Annotated[str, Meta(min_length=1)]
-    levels: list[Any] | None = None
-    labels: list[str] | None = None
-    low: int | float | None = None
-    high: int | float | None = None
-    costs: list[Money] | None = None
-    minutes: list[Money] | None = None
+    trials: Annotated[int, Meta(ge=8, le=65_536)]
+    most_minutes: Annotated[float, Meta(gt=0, le=1e6)] | None = None
+    mm_per_minute: Annotated[float, Meta(ge=0, le=1000)] | None = None
+    seed: Annotated[int, Meta(ge=0, le=2**31 - 1)] = 1
 
     def __post_init__(self) -> None:
-        refuse(self._problems())
-
-    @property
-    def is_range(self) -> bool:
-        """Whether it varies between two ends."""
-        return self.levels is None
-
-    @property
-    def is_number(self) -> bool:
-        """Whether its values are numbers, which a table of results keeps as such."""
-        return self.labels is None and all(
-            isinstance(each, int | float) and not isinstance(each, bool) for each in self.ends
-        )
-
-    @property
-    def ends(self) -> Sequence[Any]:
-        """Return its levels, or low and high."""
-        return [self.low, self.high] if self.levels is None else self.levels
-
-    @property
-    def names(self) -> list[str]:
-        """Return what each level, or each end, is called."""
-        return self.labels or [_word(each) for each in self.ends]
-
-    def drawn(self, share: float) -> tuple[float, float]:
-        """Return the value at a share (0 to 1) of a range, whole where both ends are; its share."""
-        low, high = self.ends
-        value = low + share * (high - low)
-        if isinstance(low, int) and isinstance(high, int):
-            value = round(value)
-        return value, (value - low) / (high - low)
-
-    def _problems(self) -> Iterator[str]:
-        stated = self.levels is not None, self.low is not None, self.high is not None
-        if stated not in ((True, False, False), (False, True, True)):
-            yield "levels are wanted, or low and high"
-            return
-        yield from self._range_problems() if self.is_range else self._level_problems()
-        for key in ("labels", "costs", "minutes"):
-            given = getattr(self, key)
-            if given is not None and len(given) != len(self.ends):
-                yield f"{key}: {len(self.ends)} are wanted, found {len(given)}"
-
-    def _range_problems(self) -> Iterator[str]:
-        low, high = self.ends
-        if not low < high:
-            yield f"low {low:g} must be below high {high:g}"
-        if self.labels is not None:
-            yield "labels are for levels"
-
-    def _level_problems(self) -> Iterator[str]:
-        if len(self.ends) < 2:
-            yield f"levels: two or more are wanted, found {len(self.ends)}"
-        elif len(set(self.names)) < len(self.names):
-            yield "levels: two are alike; give each its own, or its own label"
+        if self.most_minutes is None and self.mm_per_minute is None:
+            raise ValueError("most_minutes, mm_per_minute or both are wanted")
 
 
 class Study(Frozen, frozen=True, kw_only=True):
@@ -110,8 +55,9 @@ class Study(Frozen, frozen=True, kw_only=True):
     name: Name
     cell: str = "paper"
     settings: dict[str, Any] = field(default_factory=dict)
-    design: Literal["factorial", "sobol"] = "factorial"
+    design: Literal["factorial", "sobol", "optimise"] = "factorial"
     samples: Samples | None = None
+    optimise: Optimum | None = None
     machines: Many = 4
     seeds: Many = 1
     accuracy: str = "mean_mm"
@@ -128,6 +74,8 @@ class Study(Frozen, frozen=True, kw_only=True):
             self._results_known,
             self._accuracy_known,
             self._samples_wanted,
+            self._optimum_wanted,
+            self._drawn_by_sobol,
             self._factors_apart,
         ]
 
@@ -149,7 +97,7 @@ class Study(Frozen, frozen=True, kw_only=True):
             yield f"accuracy: {_unknown(self.accuracy, lengths)}"
 
     def _samples_wanted(self) -> Iterator[str]:
-        if self.design == "factorial":
+        if self.design != "sobol":
             if self.samples is not None:
                 yield 'samples: these are for design = "sobol"'
         elif self.samples is None:
@@ -158,11 +106,27 @@ class Study(Frozen, frozen=True, kw_only=True):
             above = 1 << self.samples.bit_length()
             yield f"samples: a power of two is wanted: {above // 2} or {above}"
 
+    def _optimum_wanted(self) -> Iterator[str]:
+        if self.design != "optimise":
+            if self.optimise is not None:
+                yield 'optimise: this is for design = "optimise"'
+        elif self.optimise is None:
+            yield "optimise: missing; how many trials, and what is a minute worth?"
+
+    def _drawn_by_sobol(self) -> Iterator[str]:
+        if self.design == "sobol":
+            return
+        for n, each in enumerate(self.factor):
+            for key in ("distribution", "weights"):
+                if getattr(each, key) is not None:
+                    yield f'factor[{n}].{key}: this is for design = "sobol"'
+
     def _factors_apart(self) -> Iterator[str]:
         if not 1 <= len(self.factor) <= MOST_FACTORS:
             yield f"factor: 1 to {MOST_FACTORS} are wanted, found {len(self.factor)}"
-        for key in ("name", "setting"):
-            found = [str(getattr(each, key, n)) for n, each in enumerate(self.factor)]
+        names = [str(getattr(each, "name", n)) for n, each in enumerate(self.factor)]
+        settings = [key for each in self.factor for key in each.settings_named]
+        for key, found in (("name", names), ("setting", settings)):
             for word in sorted({each for each in found if found.count(each) > 1}):
                 yield f"factor: two have the {key} {word!r}"
         for each in self.factor:
@@ -209,22 +173,37 @@ def _unlike_the_cell(study: Study) -> Iterator[str]:
         yield f"cell {study.cell}: it has real devices only; a study simulates"
         return
     for n, factor in enumerate(study.factor):
+        place = "setting" if factor.setting else "levels"
         for line in dict.fromkeys(_never(study, factor)):
-            yield f"factor[{n}].setting: {line}"
+            yield f"factor[{n}].{place}: {line}"
 
 
 def _never(study: Study, factor: Factor) -> Iterator[str]:
-    top = factor.setting.partition(".")[0]
     for value in factor.ends:
+        given = factor.settings(value)
         try:
-            cell_of(study, {factor.setting: value})
+            cell = cell_of(study, given)
         except SettingsError as error:
-            for line in error.problems:
-                place = _without_line(line)
-                if place.startswith((f"{factor.setting}:", f"{factor.setting}[")) or (
-                    ": unknown key" in line and place.startswith(top)
-                ):
-                    yield place
+            found = ((_without_line(line), key) for line in error.problems for key in given)
+            yield from (line for line, key in found if _is_of(line, key))
+            continue
+        if any(key.startswith(MACHINE) for key in given):
+            yield from _no_machine(cell)
+
+
+def _is_of(problem: str, key: str) -> bool:
+    """Whether a problem of a cell is one of this setting's, whatever others are."""
+    unknown = ": unknown key" in problem and problem.startswith(key.partition(".")[0])
+    return unknown or problem.startswith((f"{key}:", f"{key}["))
+
+
+def _no_machine(cell: Cell) -> Iterator[str]:
+    """Yield why there is no such machine; one that only goes ill with its cell is a finding."""
+    try:
+        in_process_cell(cell, seed=1)
+    except SettingsError as error:
+        if error.source.startswith(MACHINE):
+            yield from (f"{error.source}: {line}" for line in error.problems)
 
 
 def _without_line(problem: str) -> str:
@@ -235,9 +214,3 @@ def _without_line(problem: str) -> str:
 
 def _unknown(name: str, known: Sequence[str] = tuple(RESULTS)) -> str:
     return f"{name!r} is none{did_you_mean(name, known) or '; known: ' + ', '.join(known)}"
-
-
-def _word(value: object) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f"{value:g}" if isinstance(value, float) else str(value)

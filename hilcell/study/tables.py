@@ -8,8 +8,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from hilcell.report.columns import Sheet, present
-from hilcell.study.analysis import Answers, Design, Effect, Interval, Rows
+from hilcell.study.analysis import Answers, Design, Effect, Rows
 from hilcell.study.case import CANNOT_BE, DONE, FAILED
+from hilcell.study.intervals import Interval, Share
 from hilcell.study.outcome import RESULTS
 from hilcell.study.study_file import Study
 
@@ -20,11 +21,40 @@ WITHOUT = "one machine gives no interval; state more `machines`"
 def sheets(study: Study, found: Answers, rows: Rows) -> list[Sheet]:
     """Return all tables that there are."""
     return present(
+        best_sheet(study, found),
         front_sheet(study, found),
         purchases_sheet(study, found),
         effects_sheet(study, found),
         reasons_sheet(rows),
     )
+
+
+def best_sheet(study: Study, found: Answers) -> Sheet | None:
+    """Return the best design that an optimiser has found, and the one it was begun with."""
+    best, wanted = found.best, study.optimise
+    if best is None or wanted is None:
+        return None
+    tried = [best, *(each for each in found.designs if each.point.number == 1 and each != best)]
+    rows = [
+        [
+            str(each.point.number),
+            *(choice.word for choice in each.point.choices),
+            f"{each.minutes:.0f}",
+            with_half(each.accuracy, 4),
+        ]
+        for each in tried
+    ]
+    headers = ["point", *(each.name for each in study.factor), "minutes", _accuracy(study)]
+    goal = [f"{study.accuracy[:-3]} error"]
+    if wanted.mm_per_minute:
+        goal.append(f"{wanted.mm_per_minute:g} mm a minute")
+    most = f", in at most {wanted.most_minutes:g} minutes" if wanted.most_minutes else ""
+    note = (
+        f"The least {' + '.join(goal)}{most}, of {len(found.designs)} designs that were tried; "
+        "then the design that the search began with. The best of many was lucky as well: measure "
+        "it again in a study with more machines."
+    )
+    return Sheet("Best design found", headers, rows, 1 + len(study.factor), note)
 
 
 def front_sheet(study: Study, found: Answers) -> Sheet | None:
@@ -44,7 +74,7 @@ def front_sheet(study: Study, found: Answers) -> Sheet | None:
         ]
         for each in found.front
     ]
-    headers = ["point", *names, "minutes", *money, f"{study.accuracy[:-3]} mm", "covered %"]
+    headers = ["point", *names, "minutes", *money, _accuracy(study), "covered %"]
     against = "accuracy, minutes and money" if money else "accuracy and minutes"
     note = (
         f"Of {len(found.designs)} designs these are beaten by no other in {against}. "
@@ -91,7 +121,7 @@ def effects_sheet(study: Study, found: Answers) -> Sheet | None:
     ]
     if not rows:
         return None
-    headers = ["factor", "level", f"{study.accuracy[:-3]} mm", "change mm", "minutes", "covered %"]
+    headers = ["factor", "level", _accuracy(study), "change mm", "minutes", "covered %"]
     overall = "" if found.covered is None else f" Over all designs {percent(found.covered)} % of "
     note = (
         f"Main effects alone explain {100.0 * found.share:.0f} % of the differences between "
@@ -111,11 +141,13 @@ def reasons_sheet(rows: Rows) -> Sheet | None:
     ) else None  # fmt: skip
 
 
-def count_words(found: Answers, planned: int) -> str:
+def count_words(study: Study, found: Answers, planned: int) -> str:
     """Return how many cases ended how."""
     counts = found.counts
     ended = [f"{counts[state]} {state}" for state in (DONE, CANNOT_BE, FAILED) if state in counts]
     kept = sum(counts.values())
+    if study.optimise is not None:
+        return f"{kept} cases, at most {planned}: {', '.join(ended) or 'none measured'}"
     waiting = [f"{planned - kept} not measured yet"] if kept < planned else []
     return f"{planned} cases: {', '.join([*ended, *waiting]) or 'none measured'}"
 
@@ -127,11 +159,12 @@ def facts(study: Study, found: Answers, planned: int) -> dict[str, Any]:
         "accuracy": study.accuracy,
         "cases": planned,
         "counts": dict(found.counts),
+        "best": None if found.best is None else _design(found.best),
         "front": [_design(each) for each in found.front],
         "designs": [_design(each) for each in found.designs],
         "effects": [_effect(each) for each in found.effects],
         "buy_next": [_effect(each) for each in found.purchases],
-        "covered": None if found.covered is None else _interval(found.covered),
+        "covered": None if found.covered is None else _share(found.covered),
         "explained": _finite(found.share),
     }
 
@@ -148,15 +181,20 @@ def with_half(each: Interval, digits: int) -> str:
     return shown if math.isnan(each.half) else f"{shown} ± {each.half:.{digits}f}"
 
 
-def percent(each: Interval) -> str:
+def percent(each: Share) -> str:
     """Return a share in %, with its interval."""
-    return with_half(Interval(100.0 * each.mean, 100.0 * each.half), 1)
+    low, high = (f"{100.0 * end:.1f}" for end in each.ends)
+    return f"{100.0 * each.mean:.1f}" + (f" ({low} .. {high})" if low != high else "")
 
 
 def signed(value: float, digits: int) -> str:
     """Return a difference; nothing for none."""
     shown = f"{value:+.{digits}f}"
     return "0" if float(shown) == 0.0 else shown.replace("-", "−")
+
+
+def _accuracy(study: Study) -> str:
+    return f"{study.accuracy[:-3]} mm"
 
 
 def _shown(each: Effect) -> str:
@@ -166,7 +204,7 @@ def _shown(each: Effect) -> str:
 
 
 def _one_machine(found: Answers) -> str:
-    one = found.covered is not None and math.isnan(found.covered.half)
+    one = found.covered is not None and math.isnan(found.covered.low)
     return f" Without intervals: {WITHOUT}." if one else ""
 
 
@@ -177,7 +215,7 @@ def _design(each: Design) -> dict[str, Any]:
         "accuracy_mm": _interval(each.accuracy),
         "minutes": each.minutes,
         "cost": each.point.cost,
-        "covered": _interval(each.covered),
+        "covered": _share(each.covered),
         "machines": each.machines,
     }
 
@@ -190,12 +228,16 @@ def _effect(each: Effect) -> dict[str, Any]:
         "change_mm": _interval(each.change),
         "minutes": each.minutes,
         "cost": each.cost,
-        "covered": _interval(each.covered),
+        "covered": _share(each.covered),
     }
 
 
 def _interval(each: Interval) -> Mapping[str, float | None]:
     return {"mean": _finite(each.mean), "half95": _finite(each.half)}
+
+
+def _share(each: Share) -> Mapping[str, float | None]:
+    return {"mean": each.mean, "low95": _finite(each.low), "high95": _finite(each.high)}
 
 
 def _finite(value: float) -> float | None:

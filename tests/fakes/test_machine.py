@@ -55,6 +55,24 @@ def test_an_unknown_machine_is_refused(cell: Cell) -> None:
         PaperCell(msgspec.structs.replace(cell, simulation=simulation), seed=1)
 
 
+def test_single_sizes_of_a_machine_are_replaced() -> None:
+    cell = load_cell("paper", {"simulation.sizes.rail.backlash_mm": "0.05"})
+    whole = load_machine("paper")
+    assert machine_of(cell).rail == msgspec.structs.replace(whole.rail, backlash_mm=0.05)
+    assert machine_of(cell).transmission == whole.transmission
+
+
+def test_a_size_that_no_machine_has_is_refused() -> None:
+    sizes = {"simulation.sizes.rail.backlas_mm": "0.05", "simulation.sizes.rail.curve_mm": "-1.0"}
+    with pytest.raises(SettingsError) as found:
+        machine_of(load_cell("paper", sizes))
+    assert found.value.source == "simulation.sizes of paper"
+    assert found.value.problems == [
+        'rail.backlas_mm: unknown key; did you mean "backlash_mm"?',
+        "rail.curve_mm: a number is wanted, found -1.0; allowed: >= 0, <= 100",
+    ]
+
+
 def simulation_of(cell: Cell) -> SimulationTable:
     assert cell.simulation is not None
     return cell.simulation

@@ -8,7 +8,7 @@ import pytest
 from fakes.faults import Faults
 from fakes.time import PlantTime
 from fakes.truth.rail_truth import RailState, RailTruth
-from hilcell.cell.file import Cell
+from hilcell.cell.file import Cell, load_cell
 from hilcell.geometry.kinematics import forward
 
 SPEED, RAMP = 250.0, 200.0
@@ -176,3 +176,14 @@ def test_where_lean_and_error_cancel_in_the_survey_the_rail_stays_one(cell: Cell
     rail = RailTruth(cell, 1065, PlantTime(), Faults())
     errors_mm = [rail._shape.error_mm(float(at_mm), 0.0) for at_mm in range(0, 3001, 100)]
     assert max(map(abs, errors_mm)) < 2.0
+
+
+def test_without_a_strip_the_encoder_is_read_in_its_place() -> None:
+    """The slide lands behind the backlash all the same; nothing that is read shows it."""
+    rail = homed(load_cell("paper", {"simulation.sizes.rail.strip": "false"}))
+    below = go(rail, 1000.0)
+    from_below_mm = rail.slide_mm()
+    go(rail, 1100.0)
+    above = go(rail, 1000.0)
+    assert below.strip_mm == below.encoder_mm == above.strip_mm == above.encoder_mm == 1000.0
+    assert rail.slide_mm() - from_below_mm == pytest.approx(0.2, abs=0.06)

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from hilcell.study.analysis import answers, interval, on_front
+from hilcell.study.analysis import answers, on_front
 from hilcell.study.design import Case, cases
+from hilcell.study.intervals import interval
 from hilcell.study.page import page
 from hilcell.study.results import row_of
 from hilcell.study.study_file import Study
@@ -30,7 +31,7 @@ def rows(asked: Study, error_mm: Callable[[Case], float]) -> list[Row]:
         row_of(
             case,
             {"state": "done", "reason": "", "minutes": 20.0 + case.point.number,
-             "mean_mm": error_mm(case), "covered": 0.95},
+             "mean_mm": error_mm(case), "covered": 0.95, "targets": 100.0},
             asked,
         )
         for case in cases(asked)
@@ -125,7 +126,7 @@ def test_cases_that_cannot_be_are_no_zeros(tmp_path: Path) -> None:
     measured = [row | none if row["place"] == "far" else row for row in measured]
     found = answers(asked, measured)
     assert [each.word for each in found.effects] == ["2", "5", "near"]
-    assert count_words(found, 16) == "16 cases: 8 done, 8 cannot be"
+    assert count_words(asked, found, 16) == "16 cases: 8 done, 8 cannot be"
     reasons = sheets(asked, found, measured)[-1]
     assert reasons.rows == [["cannot be", "grid: out of reach", "8"]]
     assert "cannot be" in page(asked, found, measured, 16)
@@ -135,7 +136,7 @@ def test_no_case_done(tmp_path: Path) -> None:
     asked = study(tmp_path)
     found = answers(asked, [])
     assert sheets(asked, found, []) == []
-    assert count_words(found, 8) == "8 cases: 8 not measured yet"
+    assert count_words(asked, found, 8) == "8 cases: 8 not measured yet"
     assert "8 not measured yet" in page(asked, found, [], 8)
 
 

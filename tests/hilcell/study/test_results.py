@@ -38,7 +38,7 @@ class Bench:
 
 
 def found(case: Case) -> Row:
-    figures = {"mean_mm": case.number / 1000.0, "covered": 0.95}
+    figures = {"mean_mm": case.number / 1000.0, "covered": 0.95, "targets": 50.0}
     return {"state": "done", "reason": "", "minutes": 10.0} | figures
 
 

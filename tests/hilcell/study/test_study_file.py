@@ -48,8 +48,8 @@ def test_the_shipped_examples_are_sound(path: Path) -> None:
         assert cell_of(asked, point.values).name == "paper"
 
 
-def test_there_are_two_examples() -> None:
-    assert len(EXAMPLES) == 2
+def test_there_are_three_examples() -> None:
+    assert len(EXAMPLES) == 3
 
 
 def test_settings_reach_the_cell(tmp_path: Path) -> None:
@@ -164,3 +164,68 @@ VALUES = st.recursive(
 @given(VALUES)
 def test_values_are_written_as_toml_reads_them(value: object) -> None:
     assert tomllib.loads(f"value = {toml_value(value)}")["value"] == value
+
+
+SIZES = "simulation.sizes.rail"
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"setting": f"{SIZES}.backlas_mm", "levels": [0.1, 0.2]}, 'did you mean "backlash_mm"?'),
+        ({"setting": f"{SIZES}.backlash_mm", "low": -1.0, "high": 1.0}, "rail.backlash_mm: "),
+        ({"setting": "simulation.machine", "levels": ["paper", "papr"]}, "no such file, and no "),
+    ],
+)
+def test_a_machine_that_cannot_be_is_no_factor(
+    tmp_path: Path, keys: dict[str, object], words: str
+) -> None:
+    (problem,) = refused(tmp_path, factor(**keys))
+    assert problem.startswith("factor[0].setting: simulation.")
+    assert words in problem
+
+
+def test_a_machine_of_another_robot_is_a_finding(tmp_path: Path) -> None:
+    """It goes with the cell of its own robot, which another factor may set."""
+    study(tmp_path, factor(setting="simulation.machine", levels=["paper", "six-r"]))
+
+
+STRIP = """
+[[factor]]
+name = "strip"
+labels = ["strip", "none"]
+levels = [
+  { "simulation.sizes.rail.strip" = true },
+  { "simulation.sizes.rail.strip" = false, "rail.strip_tolerance_mm" = 0.2 },
+]
+"""
+
+
+def test_a_level_may_be_several_settings(tmp_path: Path) -> None:
+    asked = study(tmp_path, STRIP)
+    with_strip, without = (cell_of(asked, point.values) for point in points(asked))
+    assert with_strip.rail.strip_tolerance_mm == 0.01
+    assert without.rail.strip_tolerance_mm == 0.2
+    assert without.simulation is not None
+    assert without.simulation.sizes == {"rail": {"strip": False}}
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        ('labels = ["strip", "none"]\n', "", "labels: missing"),
+        ('{ "simulation.sizes.rail.strip" = true }', "true", "setting: missing"),
+        ("_tolerance_mm", "_tolerence_mm", 'did you mean "strip_tolerance_mm"?'),
+        ("= 0.2", "= -0.2", "factor[0].levels: rail.strip_tolerance_mm: "),
+        ('rail.strip" = false', 'rail.stirp" = false', 'did you mean "strip"?'),
+    ],
+)
+def test_levels_of_several_settings_are_read_strictly(
+    tmp_path: Path, before: str, after: str, words: str
+) -> None:
+    assert words in "\n".join(refused(tmp_path, STRIP.replace(before, after)))
+
+
+def test_a_setting_in_two_factors(tmp_path: Path) -> None:
+    twice = STRIP + factor(setting="rail.strip_tolerance_mm", levels=[0.01, 0.02])
+    assert "two have the setting 'rail.strip_tolerance_mm'" in "\n".join(refused(tmp_path, twice))

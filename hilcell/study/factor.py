@@ -1,0 +1,141 @@
+"""A factor of a study: what varies, by levels, or in a range with a distribution."""
+
+from __future__ import annotations
+
+import bisect
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, Any
+
+from msgspec import Meta
+
+from hilcell.cell.settings import refuse
+from hilcell.cell.tables import Frozen, Name
+from hilcell.study.distribution import Distribution
+
+Money = Annotated[float, Meta(ge=-1e12, le=1e12)]
+Weight = Annotated[float, Meta(gt=0, le=1e12)]
+
+
+class Factor(Frozen, frozen=True, kw_only=True):
+    """One setting of the cell that varies: by ``levels``, or between ``low`` and ``high``.
+
+    Without a ``setting`` each level is a table of several. The first level, or ``low``, is where
+    `buy next` starts. ``weights`` and ``distribution`` say how often a Sobol design draws what.
+    ``costs`` (money) and ``minutes`` (of people, besides the robot's) are one for each level, or
+    two: at low and at high.
+    """
+
+    name: Name
+    setting: str = ""
+    levels: list[Any] | None = None
+    labels: list[str] | None = None
+    weights: list[Weight] | None = None
+    low: int | float | None = None
+    high: int | float | None = None
+    distribution: Distribution | None = None
+    costs: list[Money] | None = None
+    minutes: list[Money] | None = None
+
+    def __post_init__(self) -> None:
+        refuse(self._problems())
+
+    @property
+    def is_range(self) -> bool:
+        """Whether it varies between two ends."""
+        return self.levels is None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it is a range of whole numbers."""
+        return self.is_range and all(isinstance(each, int) for each in self.ends)
+
+    @property
+    def is_number(self) -> bool:
+        """Whether its values are numbers, which a table of results keeps as such."""
+        return self.labels is None and all(
+            isinstance(each, int | float) and not isinstance(each, bool) for each in self.ends
+        )
+
+    @property
+    def ends(self) -> Sequence[Any]:
+        """Return its levels, or low and high."""
+        return [self.low, self.high] if self.levels is None else self.levels
+
+    @property
+    def names(self) -> list[str]:
+        """Return what each level, or each end, is called."""
+        return self.labels or [_word(each) for each in self.ends]
+
+    @property
+    def settings_named(self) -> list[str]:
+        """Return the settings that it varies."""
+        if self.setting:
+            return [self.setting]
+        tables = [each for each in self.levels or () if isinstance(each, Mapping)]
+        return list(dict.fromkeys(key for each in tables for key in each))
+
+    def settings(self, value: Any) -> Mapping[str, object]:
+        """Return the settings of one of its values."""
+        if self.setting:
+            return {self.setting: value}
+        several: Mapping[str, object] = value
+        return several
+
+    def drawn(self, share: float) -> float:
+        """Return the value of a range below which a share (0 to 1) of all lies."""
+        low, high = self.ends
+        if self.distribution is None:
+            value = low + share * (high - low)
+        else:
+            value = self.distribution.value(share, low, high)
+        return round(value) if self.is_whole else float(value)
+
+    def level(self, share: float) -> int:
+        """Return the number of the level below which a share (0 to 1) of all levels lies."""
+        weights = self.weights or [1.0] * len(self.ends)
+        sums = list(itertools.accumulate(weights))
+        return min(bisect.bisect_right(sums, share * sums[-1]), len(weights) - 1)
+
+    def _problems(self) -> Iterator[str]:
+        stated = self.levels is not None, self.low is not None, self.high is not None
+        if stated not in ((True, False, False), (False, True, True)):
+            yield "levels are wanted, or low and high"
+            return
+        yield from self._range_problems() if self.is_range else self._level_problems()
+        for key in ("labels", "weights", "costs", "minutes"):
+            given = getattr(self, key)
+            if given is not None and len(given) != len(self.ends):
+                yield f"{key}: {len(self.ends)} are wanted, found {len(given)}"
+
+    def _range_problems(self) -> Iterator[str]:
+        low, high = self.ends
+        for key in ("labels", "weights"):
+            if getattr(self, key) is not None:
+                yield f"{key} are for levels"
+        if not self.setting:
+            yield "setting: missing; which setting has this range?"
+        if not low < high:
+            yield f"low {low:g} must be below high {high:g}"
+        elif isinstance(self.distribution, Distribution):  # one that could be read
+            yield from self.distribution.problems_between(low, high)
+
+    def _level_problems(self) -> Iterator[str]:
+        if self.distribution is not None:
+            yield "distribution: this is for low and high; levels have weights"
+        if len(self.ends) < 2:
+            yield f"levels: two or more are wanted, found {len(self.ends)}"
+        elif len(set(self.names)) < len(self.names):
+            yield "levels: two are alike; give each its own, or its own label"
+        if self.setting:
+            return
+        if not all(isinstance(each, Mapping) and each for each in self.ends):
+            yield "setting: missing; without it each level is a table of settings"
+        elif self.labels is None:
+            yield "labels: missing; levels that are tables of settings want names"
+
+
+def _word(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:g}" if isinstance(value, float) else str(value)

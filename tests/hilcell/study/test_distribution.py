@@ -1,0 +1,108 @@
+"""Distributions of factors: what a Sobol design draws follows them, and mistakes are named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from hilcell.study.design import points
+from tests.hilcell.study.studies import study
+from tests.hilcell.study.test_study_file import factor, refused
+
+SOBOL = 'design = "sobol"\nsamples = 512\nmachines = 1'
+
+
+def drawn(folder: Path, table: str, low: float = 1.0, high: float = 9.0) -> list[float]:
+    """Return the sorted values of a factor with such a distribution."""
+    text = (
+        '\n[[factor]]\nname = "f"\nsetting = "layout.base.x_mm"\n'
+        f"low = {low}\nhigh = {high}\ndistribution = {{ {table} }}\n"
+    )
+    found = [each.choices[0].value for each in points(study(folder, text, SOBOL))]
+    assert all(isinstance(each, float) and low <= each <= high for each in found)
+    return sorted(float(str(each)) for each in found)
+
+
+@pytest.mark.parametrize(
+    ("table", "wanted"),
+    [
+        ('kind = "normal", mean = 4.0, sd = 1.5', stats.truncnorm(-2.0, 5 / 1.5, 4.0, 1.5)),
+        (
+            'kind = "lognormal", median = 3.0, ratio = 1.5',
+            stats.lognorm(np.log(1.5), scale=3.0),
+        ),
+        ('kind = "loguniform"', stats.loguniform(1.0, 9.0)),
+        ('kind = "triangular", mode = 2.0', stats.triang(0.125, 1.0, 8.0)),
+    ],
+    ids=["normal", "lognormal", "loguniform", "triangular"],
+)
+def test_a_sobol_design_follows_it(tmp_path: Path, table: str, wanted: stats.rv_continuous) -> None:
+    """Within 0.5 % everywhere, which 512 random draws would miss by far."""
+    found = np.array(drawn(tmp_path, table))
+    low, high = wanted.cdf(1.0), wanted.cdf(9.0)
+    shares = (wanted.cdf(found) - low) / (high - low)
+    assert np.abs(shares - (np.arange(512) + 0.5) / 512).max() < 0.005
+    assert found[0] == pytest.approx(1.0)
+
+
+def test_whole_numbers_stay_whole(tmp_path: Path) -> None:
+    text = factor(low=2, high=9, distribution={}).replace(
+        "{}", '{ kind = "normal", mean = 5, sd = 2.0 }'
+    )
+    values = [each.choices[0].value for each in points(study(tmp_path, text, SOBOL))]
+    assert set(values) == set(range(2, 10))
+    assert values.count(5) == pytest.approx(512 * 0.1974 / 0.9105, abs=3)  # within 0.25 sd
+
+
+def test_levels_have_weights(tmp_path: Path) -> None:
+    text = factor(levels=[2, 3, 5], weights=[1, 5, 2])
+    values = [each.choices[0].value for each in points(study(tmp_path, text, SOBOL))]
+    assert [values.count(level) for level in (2, 3, 5)] == [64, 320, 128]
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ('kind = "norml", mean = 2, sd = 1', "distribution.kind: 'norml' is none; did you mean"),
+        ('kind = "normal", mean = 2', "distribution.sd: missing; normal wants it"),
+        ('kind = "normal", mean = 2, sd = 0.0', "distribution.sd: "),
+        ('kind = "normal", mean = 2, sd = 1, mode = 2', "distribution.mode: normal has none"),
+        (
+            'kind = "normal", mean = 2, meddian = 1',
+            "distribution.meddian: unknown key; did",
+        ),
+        ('kind = "normal", mean = 90, sd = 1.0', "distribution: hardly any of it is within 2 .. 9"),
+        ('kind = "lognormal", median = 3, ratio = 1.0', "distribution.ratio: "),
+        ('kind = "triangular", mode = 12', "distribution.mode: 12 is outside 2 .. 9"),
+        ('kind = "normal", mean = nan, sd = 1.0', "distribution.mean: nan is not a finite number"),
+    ],
+)
+def test_a_distribution_that_says_none(tmp_path: Path, table: str, words: str) -> None:
+    text = factor(low=2, high=9, distribution={}).replace("{}", f"{{ {table} }}")
+    assert words in "\n".join(refused(tmp_path, text, SOBOL))
+
+
+@pytest.mark.parametrize(
+    ("keys", "head", "words"),
+    [
+        ({"levels": [2, 5], "weights": [1]}, SOBOL, "weights: 2 are wanted, found 1"),
+        ({"levels": [2, 5], "weights": [1, -1]}, SOBOL, "weights: "),
+        ({"low": 2, "high": 5, "weights": [1, 2]}, SOBOL, "weights are for levels"),
+        ({"levels": [2, 5], "weights": [1, 2]}, "machines = 1", 'this is for design = "sobol"'),
+    ],
+)
+def test_weights_that_say_nothing(
+    tmp_path: Path, keys: dict[str, object], head: str, words: str
+) -> None:
+    assert words in "\n".join(refused(tmp_path, factor(**keys), head))
+
+
+def test_a_logarithm_wants_a_low_above_nought(tmp_path: Path) -> None:
+    text = factor(setting="layout.base.x_mm", low=0.0, high=9.0, distribution={}).replace(
+        "{}", '{ kind = "loguniform" }'
+    )
+    (problem,) = refused(tmp_path, text, SOBOL)
+    assert problem == "factor[0].distribution: loguniform wants a low above 0, found 0"
