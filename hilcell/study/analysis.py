@@ -222,45 +222,54 @@ def _known(values: Iterable[float]) -> Interval:
     return interval(each for each in values if np.isfinite(each))
 
 
-def _columns(study: Study, designs: Sequence[Point]) -> Array:
-    """Return the additive model's matrix (N, 1 + columns): sum-to-zero levels, ranges -1 to 1."""
-    columns: list[Array] = [np.ones(len(designs))]
-    for n, factor in enumerate(study.factor):
-        share = np.array([each.choices[n].share for each in designs])
+def _seen(study: Study, found: Sequence[Point]) -> list[list[int]]:
+    """Return the levels that occur, by factor; none of a range."""
+    return [
+        [] if factor.is_range else sorted({int(each.choices[n].share) for each in found})
+        for n, factor in enumerate(study.factor)
+    ]
+
+
+def _columns(study: Study, found: Sequence[Point]) -> Array:
+    """Return the additive model's matrix (N, 1 + columns): sum-to-zero levels, ranges -1 to 1.
+
+    Levels that do not occur have no column: nothing is known of them.
+    """
+    columns: list[Array] = [np.ones(len(found))]
+    for n, (factor, seen) in enumerate(zip(study.factor, _seen(study, found), strict=True)):
+        at = np.array([each.choices[n].share for each in found])
         if factor.is_range:
-            columns.append(2.0 * share - 1.0)
+            columns.append(2.0 * at - 1.0)
         else:
-            last = len(factor.ends) - 1
-            columns += [(share == level).astype(float) - (share == last) for level in range(last)]
+            columns += [(at == level).astype(float) - (at == seen[-1]) for level in seen[:-1]]
     return np.stack(columns, axis=1)
 
 
 def _fitted(
     study: Study, all_points: Mapping[int, Point], own: Rows, key: str
 ) -> list[list[float]]:
-    """Return, by factor, the value at each level or end with all else averaged.
+    """Return, by factor, the value at each level or end with all else that occurs averaged.
 
     NaN for a level that no case was done with.
     """
-    designs = [all_points[row["point"]] for row in own]
+    own_points = [all_points[row["point"]] for row in own]
     values = np.array([row[key] for row in own], dtype=float)
-    found = np.linalg.lstsq(_columns(study, designs), values, rcond=None)[0]
+    found = np.linalg.lstsq(_columns(study, own_points), values, rcond=None)[0]
     levels, at = [], 1
-    for n, factor in enumerate(study.factor):
+    for factor, seen in zip(study.factor, _seen(study, own_points), strict=True):
         if factor.is_range:
             levels.append([float(found[0] - found[at]), float(found[0] + found[at])])
             at += 1
             continue
-        last = len(factor.ends) - 1
-        own_effects = [*found[at : at + last], -found[at : at + last].sum()]
-        seen = {each.choices[n].share for each in designs}
+        some = found[at : at + len(seen) - 1]
+        effects = dict(zip(seen, [*some, -some.sum()], strict=True))
+        at += len(seen) - 1
         levels.append(
             [
-                float(found[0] + effect) if level in seen else float("nan")
-                for level, effect in enumerate(own_effects)
+                float(found[0] + effects[level]) if level in effects else float("nan")
+                for level in range(len(factor.ends))
             ]
         )
-        at += last
     return levels
 
 

@@ -21,7 +21,7 @@ LEAST_SHARE = 1e-6  # of a distribution between low and high
 
 
 class Distribution(Frozen, frozen=True, kw_only=True):
-    """A ``kind`` and its parameters; what lies beyond low and high is cut off.
+    """A ``kind`` and its parameters, cut off at low and high.
 
     Of a lognormal 68 % lie within ``median`` / ``ratio`` and ``median`` x ``ratio``.
     """

@@ -1,4 +1,4 @@
-"""A factor of a study: what varies, by levels, or in a range with a distribution."""
+"""A factor of a study: by levels, or in a range with a distribution."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ Samples = Annotated[int, Meta(ge=2, le=65_536)]
 
 
 class Optimum(Frozen, frozen=True, kw_only=True):
-    """What an optimiser looks for, and how long: at most ``trials`` points, as ``seed`` draws them.
+    """The aim of an optimiser, which tries at most ``trials`` points, drawn by ``seed``.
 
     It minimises the accuracy plus ``mm_per_minute`` for each minute, among the points of at most
     ``most_minutes``.
@@ -111,7 +111,7 @@ class Study(Frozen, frozen=True, kw_only=True):
             if self.optimise is not None:
                 yield 'optimise: this is for design = "optimise"'
         elif self.optimise is None:
-            yield "optimise: missing; how many trials, and what is a minute worth?"
+            yield "optimise: missing; state its trials, and most_minutes or mm_per_minute"
 
     def _drawn_by_sobol(self) -> Iterator[str]:
         if self.design == "sobol":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Mapping
 from typing import Any
@@ -63,6 +64,8 @@ def front_sheet(study: Study, found: Answers) -> Sheet | None:
         return None
     names = [factor.name for factor in study.factor]
     money = [study.money] if study.has_costs else []
+    whole = study.machines * study.seeds
+    some = ["done"] if any(each.cases < whole for each in found.front) else []
     rows = [
         [
             str(each.point.number),
@@ -71,10 +74,11 @@ def front_sheet(study: Study, found: Answers) -> Sheet | None:
             *([f"{each.point.cost:g}"] if money else []),
             with_half(each.accuracy, 4),
             percent(each.covered),
+            *([f"{each.cases} of {whole}"] if some else []),
         ]
         for each in found.front
     ]
-    headers = ["point", *names, "minutes", *money, _accuracy(study), "covered %"]
+    headers = ["point", *names, "minutes", *money, _accuracy(study), "covered %", *some]
     against = "accuracy, minutes and money" if money else "accuracy and minutes"
     note = (
         f"Of {len(found.designs)} designs these are beaten by no other in {against}. "
@@ -132,8 +136,10 @@ def effects_sheet(study: Study, found: Answers) -> Sheet | None:
 
 def reasons_sheet(rows: Rows) -> Sheet | None:
     """Return why cases were not done, the most frequent reason first."""
-    counts = Counter((row["state"], brief(row["reason"])) for row in rows if row["state"] != DONE)
-    texts = [[state, reason, str(n)] for (state, reason), n in counts.most_common(MOST_REASONS)]
+    bad = [(row["state"], brief(row["reason"])) for row in rows if row["state"] != DONE]
+    counts = Counter((state, _kind(reason)) for state, reason in bad)
+    first = {(state, _kind(reason)): reason for state, reason in reversed(bad)}
+    texts = [[key[0], first[key], str(n)] for key, n in counts.most_common(MOST_REASONS)]
     more = len(counts) - len(texts)
     note = f"And {more} more reasons." if more > 0 else ""
     return Sheet("Cases without a result", ["state", "reason", "cases"], texts, 2, note) if (
@@ -170,9 +176,15 @@ def facts(study: Study, found: Answers, planned: int) -> dict[str, Any]:
 
 
 def brief(reason: str) -> str:
-    """Return the first cause of a refusal, without its list of poses."""
+    """Return the first cause of a refusal, without its list of poses and what to do about it."""
     lines = reason.splitlines()
-    return (lines[1] if len(lines) > 1 else reason).partition(": pose ")[0].strip()
+    first = lines[1] if len(lines) > 1 else reason
+    return first.partition(": pose ")[0].partition("; ")[0].strip()
+
+
+def _kind(reason: str) -> str:
+    """Return a reason without its figures: cases of one kind are counted together."""
+    return re.sub(r"\d+", "0", reason).replace("-0", "0").replace("+0", "0")
 
 
 def with_half(each: Interval, digits: int) -> str:

@@ -168,3 +168,33 @@ def test_the_front_in_the_table(tmp_path: Path) -> None:
     assert sheet is not None
     assert [row[0] for row in sheet.rows] == ["1", "2", "4"]
     assert "EUR" in sheet.headers
+
+
+def test_a_machine_without_a_level_does_not_spoil_the_others(tmp_path: Path) -> None:
+    """Machine 4 did no case at the far place: its effect of readings counts, undistorted."""
+    asked = study(tmp_path, head=FOUR)
+    measured = rows(asked, additive)
+    failed: Row = {"state": "failed", "reason": "the beam broke"} | dict.fromkeys(
+        ("minutes", "mean_mm", "covered", "targets")
+    )
+    measured = [
+        row | failed if (row["machine"], row["place"]) == (4, "far") else row for row in measured
+    ]
+    found = {(each.factor.name, each.word): each for each in answers(asked, measured).effects}
+    assert found["readings", "5"].change.mean == pytest.approx(-0.03)
+    assert found["readings", "5"].change.half == pytest.approx(0.0, abs=1e-12)
+    assert found["place", "far"].change.mean == pytest.approx(0.002)
+    near_mm = [0.1 + 0.01 * machine - 0.015 for machine in (1, 2, 3, 4)]
+    assert found["place", "near"].mean.mean == pytest.approx(np.mean(near_mm))
+    assert found["readings", "2"].mean.mean == pytest.approx(0.1 + 0.025 + 0.001 * 3 / 4)
+
+
+def test_reasons_that_differ_in_figures_are_one_kind(tmp_path: Path) -> None:
+    asked = study(tmp_path, head=FOUR)
+    failed: Row = dict.fromkeys(("minutes", "mean_mm", "covered", "targets"))
+    measured = [
+        row | failed | {"state": "failed", "reason": f"slide {-n / 2:+.2f} mm off; put it right"}
+        for n, row in enumerate(rows(asked, additive), start=-3)
+    ]
+    (reasons,) = sheets(asked, answers(asked, measured), measured)
+    assert reasons.rows == [["failed", "slide +1.50 mm off", "16"]]

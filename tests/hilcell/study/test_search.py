@@ -1,4 +1,4 @@
-"""The optimiser: it finds what is best, within its trials, and goes on where it was stopped."""
+"""The optimiser finds what is best, within its trials, and goes on where it was stopped."""
 
 from __future__ import annotations
 
@@ -18,26 +18,10 @@ from hilcell.study.results import Results, open_results, plain_rows
 from hilcell.study.study_file import Study
 from hilcell.study.tables import count_words, sheets
 from tests.hilcell.study.studies import study
+from tests.hilcell.study.test_design import RANGES
 from tests.hilcell.study.test_study_file import factor, refused
 
-FACTORS = """
-[[factor]]
-name = "readings"
-setting = "layout.nest_samples"
-low = 2
-high = 9
-
-[[factor]]
-name = "x"
-setting = "grid.centre.x_mm"
-low = 1800.0
-high = 1900.0
-
-[[factor]]
-name = "sweeps"
-setting = "sweeps.enabled"
-levels = [false, true]
-"""
+FACTORS = RANGES.replace("costs = [0, 700]\n", "").replace("minutes = [0, 30]\n", "")
 HEAD = 'design = "optimise"\nmachines = 2\noptimise = { trials = 60, mm_per_minute = 0.001 }'
 LIMITED = HEAD.replace("mm_per_minute = 0.001", "most_minutes = 25.0")
 
