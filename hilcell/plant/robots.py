@@ -8,10 +8,11 @@ from datetime import datetime
 
 import msgspec
 import numpy as np
-from sqlalchemy import Connection, and_, select
+from sqlalchemy import Connection, and_, or_, select
 
 from hilcell.journal.asset import Asset, same
 from hilcell.journal.index import RunRow
+from hilcell.journal.states import RunState
 from hilcell.plant.cells import CELL, Name, newest
 from hilcell.plant.course import Course, course, main_direction
 from hilcell.plant.tables import ALARM, DEVICE, FRAME, GRID, RUN, Found
@@ -21,6 +22,7 @@ YEAR_S = 365.25 * 86400.0
 ARM_MM = 1000.0  # two points of {B}, this far along its x and y, show how it turns
 ARM, BASE = "errors at the grid, in {B}", "base {B} in {W}"
 SEVERE = ("warning", "fault")
+FINISHED: RunState = "finished"
 
 
 class Change(msgspec.Struct, frozen=True, kw_only=True):
@@ -148,9 +150,10 @@ def _changes(
 
 def _said(connection: Connection, cell: Name, first: Found, second: Found) -> list[str]:
     """Return the devices that changed, the alarms and the re-checks that failed, run by run."""
+    broken_off = and_(RUN.c.digest == first.digest, RUN.c.state != FINISHED)  # after its grid
     then = and_(
         *(column == name for column, name in zip(CELL, cell, strict=True)),
-        RUN.c.ended > first.ended,
+        or_(RUN.c.ended > first.ended, broken_off),
         RUN.c.ended <= second.ended,
         newest(),
     )

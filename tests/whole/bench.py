@@ -177,14 +177,18 @@ def simulation(
     *,
     name: str = "paper",
     faults: str = "",
+    seed: int = 1,
 ) -> Iterator[Simulation]:
     """Run the simulated cell in threads of the test; ``values`` are those of its cell file.
+
+    ``seed`` is the machine's.
 
     As a process of its own it would take the time to start one.
     """
     cell: dict[str, Any] = msgspec.to_builtins(load_cell(name, values))
     given = {key: value for key, value in cell.items() if value is not None}
-    host = Host(Order(cell=given, speed=None if math.isinf(speed) else speed, faults=faults))
+    stepped = None if math.isinf(speed) else speed
+    host = Host(Order(cell=given, seed=seed, speed=stepped, faults=faults))
     serving = threading.Thread(target=host.run, name="simulated cell")
     serving.start()
     try:

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hilcell.commands.cli import main
 from hilcell.plant.database import Database
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.server import Server
-from tests.hilcell.plant.year import COLLISION, TURN_RAD, Model, Run, year
+from tests.hilcell.plant.year import COLLISION, TURN_RAD, Model, Run, noisy, turned, year
 
 DAY = timedelta(days=1)
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(scope="module")
@@ -87,6 +93,24 @@ def _check_collision(found: dict[str, Any]) -> None:
     assert not any(drift["drifts"] for each in found["robots"] for drift in each["drift"])
 
 
+def test_a_collision_after_the_grid_was_measured_is_named(
+    model: Model, office: Database, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The run that it ended is the last one before the step."""
+    runs, last = tmp_path / "runs", datetime.now(UTC) - 20 * DAY
+    hit = Run("hit", "middle", "HC-1", last - 81 * DAY, fault=COLLISION, late=True)
+    others = [Run(f"m{at}", "middle", "HC-1", last - 20 * at * DAY) for at in range(8)]
+    for at, run in enumerate([hit, *others]):
+        moved = turned if run is not hit and run.began > hit.began else np.zeros_like
+        model.write(runs, replace(run, moved=partial(noisy, at, moved)))
+    found = asked_after(f"sqlite:///{tmp_path}/plant.db", runs, capsys)
+    (change,) = found["robots"][0]["changes"]
+    assert (change["after"], change["before"]) == ("hit", "m4")
+    (words,) = change["said"]
+    assert words.startswith(COLLISION["code"])
+    assert words.endswith("(hit)")
+
+
 def test_tables_name_the_collision_too(
     runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -137,6 +161,14 @@ def asked_after(url: str, runs: Path, capsys: pytest.CaptureFixture[str]) -> dic
     assert main(["plant", "ship", str(runs), "--to", url]) == 0
     capsys.readouterr()
     return asked(url, capsys)
+
+
+@pytest.mark.nightly
+def test_a_year_of_calibrations_that_were_really_measured(tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "benchmarks.plant_year", str(tmp_path)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=ROOT)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.endswith("the collision is named\n")
 
 
 def test_nothing_shipped_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -24,6 +24,7 @@ from hilcell.ports import Array
 
 KEPT = ("plan", "state", "frame", "verdict", "end")
 GROUPS = ("world", "grid", "base")
+EARLY, LATE = 4, 3  # records before a fault, or after it
 NOISE_MM = 0.02
 TURN_RAD = 2e-4  # of the arm about its base, as a collision may leave it
 COLLISION = {
@@ -58,6 +59,7 @@ class Run:
     means_mm: dict[str, float] = field(default_factory=dict)
     scale_ppm: float = 0.0
     fault: dict[str, Any] | None = None
+    late: bool = False  # the fault came at the very end
 
 
 class Model:
@@ -78,7 +80,8 @@ class Model:
         first = datetime.fromisoformat(copied[0].t)
         moved_mm = run.moved(self.places_mm.reshape(-1, 3)).reshape(self.places_mm.shape)
         rows = []
-        for record in copied if run.fault is None else copied[:4]:
+        whole = len(copied) if run.fault is None else -LATE if run.late else EARLY
+        for record in copied[:whole]:
             t = run.began + (datetime.fromisoformat(record.t) - first)
             self._change(record, run, moved_mm)
             rows.append((t, record.kind, record.key, record.body))
