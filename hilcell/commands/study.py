@@ -77,7 +77,9 @@ def _perform(args: argparse.Namespace) -> int:
             except Cluster as error:
                 if not _has_rows(results, kept):
                     raise
-                print_message(f"hilcell: {error}")
+                print_message(
+                    f"hilcell: {error}; finished cases are kept, the same command goes on"
+                )
                 return EXIT_FAULT
             print_message(_ended(counts))
         else:

@@ -8,6 +8,7 @@ import logging
 import os
 import secrets
 import signal
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
@@ -26,10 +27,13 @@ CONNECT_S = 5.0
 WORKERS_S = 60.0
 AHEAD = 4  # cases a worker that are handed over before they are needed
 LEAST_AHEAD = 64
+LOOK_S = 5.0  # between two looks whether there are workers, where nothing comes
+WAIT_S = 0.02
 SETTINGS = {
     "distributed.comm.timeouts.connect": f"{CONNECT_S:g}s",
     "distributed.comm.retry.count": 0,
     "distributed.admin.log-length": 100,
+    "distributed.scheduler.allowed-failures": 1,  # a second worker tries
 }
 LOST = (asyncio.CancelledError, FutureCancelledError, CommClosedError, OSError, TimeoutError)
 
@@ -40,51 +44,86 @@ class Workers:
     def __init__(self, client: Client, name: str) -> None:
         self._client, self._name = client, name
         self._token = secrets.token_hex(4)
+        self._versions = versions()
+        self._seen_s = time.monotonic()  # since when there may be no worker
 
     def measure(self, cases: Iterable[tuple[Case, Cell]]) -> Iterator[tuple[Case, Row]]:
         """Yield cases as they are measured; ``cases`` are read a little ahead of the workers.
 
-        Raises `Cluster` where the scheduler is gone, or a worker has other versions.
+        A case whose worker died each time may have been beside the one that killed it: in the end
+        it is measured again, alone. Raises `Cluster` where the scheduler or all workers are gone,
+        or a worker has other versions.
         """
-        waiting = iter(cases)
-        running = as_completed(loop=self._client.loop)
-        asked: dict[Any, Case] = {}
-        ahead = max(LEAST_AHEAD, AHEAD * len(self._client.nthreads()))
+        killed: list[tuple[Case, Cell]] = []
+        ahead = max(LEAST_AHEAD, AHEAD * len(self._nthreads()))
+        for case, cell, found in self._measured(cases, ahead, "case"):
+            if isinstance(found, KilledWorker):
+                killed.append((case, cell))
+            else:
+                yield case, found
+        for case, _, found in self._measured(killed, 1, "alone"):
+            yield case, _killed(found) if isinstance(found, KilledWorker) else found
+
+    def _measured(
+        self, cases: Iterable[tuple[Case, Cell]], ahead: int, how: str
+    ) -> Iterator[tuple[Case, Cell, Row | KilledWorker]]:
+        waiting, running = iter(cases), as_completed(loop=self._client.loop)
+        asked: dict[Any, tuple[Case, Cell]] = {}
         with self._lost_is_an_error():
             while True:
                 for case, cell in itertools.islice(waiting, ahead - len(asked)):
-                    future = self._submit(case, cell)
-                    asked[future.key] = case
+                    future = self._submit(case, cell, how)
+                    asked[future.key] = case, cell
                     running.add(future)
                 if not asked:
                     return
-                future = next(running)
-                yield asked.pop(future.key), self._found(future)
+                future = self._next(running)
+                yield *asked.pop(future.key), self._found(future)
                 future.release()
 
-    def _submit(self, case: Case, cell: Cell) -> Future[Row]:
+    def _submit(self, case: Case, cell: Cell, how: str) -> Future[Row]:
         return self._client.submit(
             measured,
             packed(cell),
             case.machine,
             case.seed,
-            versions(),
-            key=f"case-{case.number}-{self._token}",
+            self._versions,
+            key=f"{how}-{case.number}-{self._token}",
             priority=-case.number,
         )
 
-    def _found(self, future: Future[Row]) -> Row:
+    def _next(self, running: as_completed) -> Future[Row]:
+        """Return a case that is done; raises `Cluster` where nobody is left to measure any."""
+        while not running.has_ready():
+            now_s = time.monotonic()
+            if now_s - self._seen_s >= LOOK_S and self._nthreads():
+                self._seen_s = now_s
+            if not now_s - self._seen_s < LOOK_S + WORKERS_S:
+                raise Cluster(f"{self._name} has had no worker for {WORKERS_S:g} s")
+            time.sleep(WAIT_S)
+        self._seen_s = time.monotonic()
+        found: Future[Row] = next(running)
+        return found
+
+    def _nthreads(self) -> Mapping[str, int]:
+        with self._lost_is_an_error():
+            found: Mapping[str, int] = self._client.nthreads()
+            return found
+
+    def _found(self, future: Future[Row]) -> Row | KilledWorker:
         try:
             row: Row = future.result()
         except KilledWorker as error:
-            last = error.last_worker.address
-            return {
-                "state": FAILED,
-                "reason": f"its worker was killed each time, the last one {last}",
-                "minutes": None,
-            }
+            return error
+        except LOST:
+            raise
+        except Exception as error:  # a worker that joined without hilcell, or with an older one
+            raise Cluster(
+                f"{self._name}: a worker cannot measure: {type(error).__name__}: {error}"
+            ) from error
         if other := row.get("other versions"):
-            raise Cluster(f"{self._name}: a worker has {_differences(other)}")
+            _check_versions(self._client, self._name)
+            raise Cluster(f"{self._name}: a worker had {_differences(other)}")
         return row
 
     @contextmanager
@@ -92,9 +131,7 @@ class Workers:
         try:
             yield
         except LOST as error:
-            raise Cluster(
-                f"{self._name} is gone; finished cases are kept, the same command goes on"
-            ) from error
+            raise Cluster(f"{self._name} is gone") from error
 
 
 @contextmanager
@@ -138,6 +175,15 @@ def workers_of(scheduler: str) -> Iterator[Workers]:
             ) from None
         _check_versions(client, name)
         yield Workers(client, name)
+
+
+def _killed(error: KilledWorker) -> Row:
+    last = error.last_worker.address
+    return {
+        "state": FAILED,
+        "reason": f"its worker was killed each time, alone at last; the last one was {last}",
+        "minutes": None,
+    }
 
 
 def _check_versions(client: Client, name: str) -> None:

@@ -10,7 +10,7 @@ import hashlib
 import io
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -72,14 +72,16 @@ class Results:
     def __init__(self, folder: Path, study: Study) -> None:
         self.folder, self.study = folder, study
         self._schema = schema(study)
+        self._question: Asked | None = None  # written before the first row
 
     @contextmanager
     def held(self) -> Iterator[None]:
         """Hold the folder for this study; raises `OtherStudy` where it has another's results."""
-        question = asked(self.study)
+        question = self._question = asked(self.study)
         _make(self.folder / CASES)
+        lock = self.folder / ".study.lock"
         try:
-            with locked(self.folder / ".study.lock", f"results {self.folder}", "study"):
+            with locked(lock, f"results {self.folder}", "study"):
                 place = self.folder / ASKED
                 if place.exists():
                     found = _asked_in(self.folder)
@@ -90,9 +92,11 @@ class Results:
                         )
                 elif any((self.folder / CASES).iterdir()):
                     raise OtherStudy(f"{self.folder} has results, and no {ASKED}; name another")
-                else:
-                    write_whole(place, msgspec.json.format(msgspec.json.encode(question)))
-                yield
+                try:
+                    yield
+                finally:
+                    if not any((self.folder / CASES).iterdir()) and not place.exists():
+                        _remove(self.folder, lock)
         except CellLocked:
             raise CellLocked(
                 f"results {self.folder} are written by another `hilcell study`; wait for its end"
@@ -101,6 +105,9 @@ class Results:
     def add(self, rows: Sequence[Row]) -> None:
         """Keep rows; they are durable when this returns."""
         if rows:
+            place = self.folder / ASKED
+            if self._question is not None and not place.exists():
+                write_whole(place, msgspec.json.format(msgspec.json.encode(self._question)))
             first = min(row["case"] for row in rows)
             self._write(pa.Table.from_pylist(rows, self._schema), f"part-{first:07d}.parquet")
 
@@ -214,6 +221,14 @@ def _make(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise NotWritten(f"{folder}: cannot be made: {error.strerror}") from error
+
+
+def _remove(folder: Path, lock: Path) -> None:
+    """Remove a folder in which nothing was kept; other files in it stay."""
+    with suppress(OSError):
+        lock.unlink()
+        (folder / CASES).rmdir()
+        folder.rmdir()
 
 
 def plain_rows(table: pa.Table) -> list[Mapping[str, Any]]:

@@ -17,8 +17,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from hilcell import __version__
 from hilcell.commands.cli import main
-from tests.hilcell.study.studies import TWO_FACTORS, written
+from hilcell.study import cluster
+from hilcell.study.design import cases
+from hilcell.study.errors import Cluster
+from hilcell.study.study_file import cell_of
+from tests.hilcell.study.studies import TWO_FACTORS, study, written
 from tests.whole.bench import HILCELL, hilcell
 
 READINGS = TWO_FACTORS.partition('\n[[factor]]\nname = "place"')[0]
@@ -174,10 +179,25 @@ def test_a_scheduler_that_vanishes_is_one_message(tmp_path: Path) -> None:
     assert table(folder)["case"].to_pylist() == list(range(1, 9))
 
 
+OLDER = """
+import hilcell
+hilcell.__version__ = "0.0.9"
+"""
+
+
+def site(folder: Path, **modules: str) -> dict[str, str]:
+    """Return the environment of a process that finds these modules."""
+    folder.mkdir(exist_ok=True)
+    for name, text in modules.items():
+        (folder / f"{name}.py").write_text(text)
+    return {"PYTHONPATH": str(folder)}
+
+
 def test_workers_that_differ_are_one_message(tmp_path: Path) -> None:
-    path = written(tmp_path, READINGS)
+    path, older = written(tmp_path, READINGS), site(tmp_path / "site", sitecustomize=OLDER)
     with (
         scheduler() as (address, _),
+        worker(address, **older),
         worker(address, OMP_NUM_THREADS="2"),
         worker(address, "--nthreads", "2"),
     ):
@@ -185,13 +205,87 @@ def test_workers_that_differ_are_one_message(tmp_path: Path) -> None:
     assert done.returncode == 2
     (line,) = [each for each in done.stderr.splitlines() if "workers differ" in each]
     assert f"scheduler {address}: workers differ: " in line
+    assert f"hilcell 0.0.9 (here {__version__})" in line
     assert "threads of BLAS 2 (here 1)" in line
     assert "2 threads, wanted --nthreads 1" in line
-    assert table_or_none(tmp_path / "r") is None
+    assert not (tmp_path / "r").exists()
 
 
-def table_or_none(folder: Path) -> pa.Table | None:
-    return table(folder) if any((folder / "cases").glob("*.parquet")) else None
+@pytest.mark.nightly
+def test_a_worker_of_another_version_that_comes_later(tmp_path: Path) -> None:
+    """Its first case ends the study, not with a row; those of the others are kept."""
+    path, folder = written(tmp_path, READINGS, head="machines = 9"), tmp_path / "r"
+    older = site(tmp_path / "site", sitecustomize=OLDER)
+    with (
+        scheduler() as (address, _),
+        worker(address),
+        studying(path, folder, address) as running,
+    ):
+        _first_part(folder, running)
+        with worker(address, **older):
+            _, errors = running.communicate(timeout=LIMIT_S)
+    assert running.returncode == 3
+    last = errors.splitlines()[-1]
+    assert f"hilcell 0.0.9 (here {__version__})" in last
+    assert last.endswith("finished cases are kept, the same command goes on")
+    assert set(table(folder)["state"].to_pylist()) == {"done"}
+
+
+DEADLY = """
+import os, signal
+
+class Deadly:
+    def __init__(self, cell, seed):
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+ENTRY = "[hilcell.in_process_cells]\ndeadly = deadly:Deadly\n"
+KILLS = """
+[[factor]]
+name = "cell"
+setting = "simulation.simulator"
+levels = ["paper", "deadly"]
+"""
+
+
+def test_a_case_that_kills_its_worker_each_time_is_a_row(tmp_path: Path) -> None:
+    """Two workers die of it among others' cases, two more of it alone; the study goes on."""
+    found = site(tmp_path / "site", deadly=DEADLY)
+    (tmp_path / "site/deadly-1.dist-info").mkdir()
+    (tmp_path / "site/deadly-1.dist-info/METADATA").write_text("Name: deadly\nVersion: 1\n")
+    (tmp_path / "site/deadly-1.dist-info/entry_points.txt").write_text(ENTRY)
+    path = written(tmp_path, KILLS, head="machines = 1")
+    done = subprocess.run(
+        [*HILCELL, "study", str(path), "-o", str(tmp_path / "r"), "--workers", "2"],
+        capture_output=True, text=True, timeout=LIMIT_S, check=False, env=os.environ | found,
+    )  # fmt: skip
+    assert done.returncode == 1, done.stderr
+    rows = table(tmp_path / "r").to_pylist()
+    assert [(row["cell"], row["state"]) for row in rows] == [
+        ("paper", "done"),
+        ("deadly", "failed"),
+    ]
+    assert rows[1]["reason"].startswith("its worker was killed each time, alone at last; the last")
+    assert "1 done, 1 failed" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_workers_that_are_all_gone_are_one_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster, "LOOK_S", 0.1)
+    monkeypatch.setattr(cluster, "WORKERS_S", 0.5)
+    asked = study(tmp_path, READINGS, "machines = 9")
+    waiting = ((case, cell_of(asked, case.point.values)) for case in cases(asked))
+    with (
+        scheduler() as (address, _),
+        worker(address) as last,
+        cluster.workers_of(address) as workers,
+    ):
+        rows = workers.measure(waiting)
+        assert next(rows)[1]["state"] == "done"
+        last.kill()
+        with pytest.raises(Cluster, match=r"scheduler .* has had no worker for 0\.5 s"):
+            list(rows)
 
 
 def test_no_scheduler_is_one_message(tmp_path: Path) -> None:
@@ -200,6 +294,7 @@ def test_no_scheduler_is_one_message(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert f"hilcell: scheduler {nowhere} does not answer" in done.stderr
     assert "Traceback" not in done.stderr
+    assert not (tmp_path / "r").exists()
 
 
 @pytest.mark.parametrize(
