@@ -190,6 +190,8 @@ def record_of(run: str, records: Sequence[Record], documents: Sequence[Document]
         ],
         documents=list(documents),
     )
+    if b"\\u0000" not in msgspec.json.encode(record):
+        return record
     return msgspec.convert(_without_nul(msgspec.to_builtins(record)), RunRecord)
 
 

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from hilcell.plant.database import Database
-from tests.hilcell.plant.server import MISSING, Server, server
+from tests.conftest import shared_folder
+from tests.hilcell.plant.server import BLANK, MISSING, Server, server, shared_server
 from tests.hilcell.plant.year import Model
 from tests.whole.golden import GoldenRuns
 
@@ -42,18 +43,28 @@ def office(blank: Path, tmp_path: Path) -> Iterator[Database]:
 
 
 @pytest.fixture(scope="session")
-def postgresql() -> Iterator[Server]:
-    """Return a server, or skip where PostgreSQL is not installed."""
+def _server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Server, Path]]:
     if MISSING:
         pytest.skip(MISSING)
-    with server() as found:
+    with shared_server(shared_folder(tmp_path_factory) / "plant") as found:
+        yield found
+
+
+@pytest.fixture(scope="session")
+def postgresql(_server: tuple[Server, Path]) -> Server:
+    """Return the server of all tests, or skip where PostgreSQL is not installed."""
+    return _server[0]
+
+
+@pytest.fixture(scope="module")
+def mortal(_server: tuple[Server, Path]) -> Iterator[Server]:
+    """Return a server that a test may kill and start again."""
+    with server(made=_server[1]) as found:
         yield found
 
 
 @pytest.fixture
-def plant(postgresql: Server, request: pytest.FixtureRequest) -> Iterator[Database]:
+def plant(postgresql: Server) -> Iterator[Database]:
     """Return a database of its own on the server, its tables made."""
-    database = Database(postgresql.make(request.node.name[:60]))
-    database.make()
-    yield database
-    database.close()
+    with closing(Database(postgresql.make(like=BLANK))) as database:
+        yield database

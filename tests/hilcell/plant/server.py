@@ -1,24 +1,35 @@
-"""A PostgreSQL server of the tests: in a folder of its own, on a socket there, ended with it."""
+"""PostgreSQL servers of the tests: each in a folder of its own, on a socket there.
+
+One is shared by all workers: the first makes and starts it, the last to leave ends it. Tests that
+kill a server have one of their own, a copy of the shared one as it was when it was made.
+"""
 
 from __future__ import annotations
 
+import fcntl
 import os
 import pwd
+import secrets
 import shutil
 import signal
 import subprocess
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from typing import IO
 
 import psycopg
+
+from hilcell.plant.database import Database
 
 BINARIES = sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)
 PLACES = os.pathsep.join([os.environ.get("PATH", ""), *map(str, BINARIES)])
 # Processes are killed, not the machine: the system keeps what was written to its files.
 FAST = ("fsync=off", "full_page_writes=off", "shared_buffers=32MB")
 READY_S = 60.0
+BLANK = "blank"  # a database with the plant's tables, of which others are copies
+MADE = "made"  # the folder of a server's data as it was when it was made
 
 
 def program(name: str) -> str | None:
@@ -41,7 +52,14 @@ class Server:
         if self._user:
             shutil.chown(folder, self._user)
         self._data = folder / "data"
+
+    def init(self) -> None:
+        """Make its data."""
         self._do("initdb", "-D", self._data, "-U", "owner", "-A", "trust", "-N", "-E", "UTF8")
+
+    def copy(self, to: Path) -> None:
+        """Copy its data, with their owner, to another folder."""
+        subprocess.run(["cp", "-a", self._data, to], check=True)
 
     def start(self) -> None:
         """Start it, and wait until it takes connections."""
@@ -72,10 +90,11 @@ class Server:
         """Return the URL of one of its databases."""
         return f"postgresql://{user}@/{database}?host={self._folder}"
 
-    def make(self, database: str) -> str:
-        """Make a database; return its URL."""
+    def make(self, database: str = "", like: str = "template1") -> str:
+        """Make a database like another, with a name of its own if it has none; return its URL."""
+        database = database or f"plant_{secrets.token_hex(6)}"
         with psycopg.connect(self.url(), autocommit=True) as connection:
-            connection.execute(f'CREATE DATABASE "{database}"'.encode())
+            connection.execute(f"CREATE DATABASE {database} TEMPLATE {like}".encode())
         return self.url(database)
 
     def _do(self, name: str, *words: object) -> None:
@@ -97,15 +116,61 @@ class Server:
 
 
 @contextmanager
-def server(settings: tuple[str, ...] = FAST) -> Iterator[Server]:
-    """Run a server in a folder of its own, which its user may enter."""
+def server(settings: tuple[str, ...] = FAST, made: Path | None = None) -> Iterator[Server]:
+    """Run a server in a folder of its own; ``made`` are data that it begins with a copy of."""
     with tempfile.TemporaryDirectory(prefix="hilcell-plant-") as folder:
         found = Server(Path(folder), settings)
+        if made is None:
+            found.init()
+        else:
+            subprocess.run(["cp", "-a", made, Path(folder, "data")], check=True)
         found.start()
         try:
             yield found
         finally:
             found.stop()
+
+
+@contextmanager
+def shared_server(notes: Path) -> Iterator[tuple[Server, Path]]:
+    """Run one server for all workers; yield it, and its data as they were when it was made.
+
+    ``notes`` is a folder that all workers share; the server's own user may not enter it.
+    """
+    notes.mkdir(exist_ok=True)
+    with (notes / "lock").open("w") as lock, (notes / "users").open("w") as users:
+        with _held(lock):
+            if not (notes / "place").exists():
+                place = Path(tempfile.mkdtemp(prefix="hilcell-plant-"))
+                _begin(Server(place), place / MADE)
+                (notes / "place").write_text(str(place))
+            fcntl.flock(users, fcntl.LOCK_SH)
+        place = Path((notes / "place").read_text())
+        try:
+            yield Server(place), place / MADE
+        finally:
+            with _held(lock), suppress(BlockingIOError):
+                fcntl.flock(users, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                Server(place).stop()
+                (notes / "place").unlink()
+                shutil.rmtree(place)
+
+
+def _begin(server: Server, made: Path) -> None:
+    server.init()
+    server.copy(made)
+    server.start()
+    with closing(Database(server.make(BLANK))) as database:
+        database.make()
+
+
+@contextmanager
+def _held(lock: IO[str]) -> Iterator[None]:
+    fcntl.flock(lock, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        fcntl.flock(lock, fcntl.LOCK_UN)
 
 
 def _user() -> str:

@@ -16,7 +16,7 @@ from psycopg.rows import dict_row
 from hilcell.plant.database import ENGINEER, Database
 from hilcell.plant.shipper import ship
 from tests.hilcell.plant.conftest import NOW
-from tests.hilcell.plant.server import Server
+from tests.hilcell.plant.server import BLANK, Server
 from tests.hilcell.plant.year import COLLISION, Model, year
 
 DASHBOARD = json.loads(
@@ -41,9 +41,8 @@ def rows(postgresql: Server, model: Model, tmp_path_factory: pytest.TempPathFact
     """Return what each panel is answered, asked by an engineer."""
     runs = tmp_path_factory.mktemp("dashboard")
     year(model, runs, NOW - timedelta(days=1), MONTHS)
-    url = postgresql.make("dashboard")
+    url = postgresql.make(like=BLANK)
     with closing(Database(url)) as database:
-        database.make()
         ship(runs, database)
     with psycopg.connect(url, autocommit=True, row_factory=dict_row) as connection:
         (variable,) = DASHBOARD["templating"]["list"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import random
-import secrets
 from collections import Counter
 from contextlib import closing
 from datetime import timedelta
@@ -21,7 +20,7 @@ from hilcell.plant.record import record_of
 from hilcell.plant.shipper import NAME, Shipped, ship
 from hilcell.plant.tables import PARTS, POINT, RUN
 from tests.hilcell.plant.conftest import NOW
-from tests.hilcell.plant.server import Server
+from tests.hilcell.plant.server import BLANK, Server
 from tests.hilcell.plant.shipping import MOMENTS, ship_and_die
 from tests.hilcell.plant.year import Model, Run, extend
 from tests.whole.bench import sweep
@@ -81,9 +80,8 @@ def test_a_shipper_that_is_killed(seed: int, kills: int, runs: Path, postgresql:
     rng = random.Random(seed)
     killed = 0
     while killed < kills:
-        url = postgresql.make(f"kills_{secrets.token_hex(4)}")
+        url = postgresql.make(like=BLANK)
         with closing(Database(url)) as database:
-            database.make()
             revisions = Counter({f"r{n}": 1 for n in range(RUNS)})
             killed += _until_shipped(rng, runs, url, MOST)
             ship(runs, database)
@@ -114,16 +112,16 @@ def _until_shipped(rng: random.Random, runs: Path, url: str, most: int) -> int:
 
 @pytest.mark.parametrize(("seed", "kills"), [(1, 4), *sweep((2, 80))])
 def test_a_server_that_is_killed_and_started_again(
-    seed: int, kills: int, runs: Path, postgresql: Server
+    seed: int, kills: int, runs: Path, mortal: Server
 ) -> None:
     rng = random.Random(seed)
     killed = 0
     while killed < kills:
-        url = postgresql.make(f"server_{secrets.token_hex(4)}")
+        url = mortal.make()
         with closing(Database(url)) as database:
             database.make()
-            killed += _with_a_kill(rng.randrange(1, 3 * ORDERS), runs, database, postgresql)
-            killed += _with_a_kill(rng.randrange(1, 3 * ORDERS), runs, database, postgresql)
+            killed += _with_a_kill(rng.randrange(1, 3 * ORDERS), runs, database, mortal)
+            killed += _with_a_kill(rng.randrange(1, 3 * ORDERS), runs, database, mortal)
             ship(runs, database)
             check(database, runs, Counter({f"r{n}": 1 for n in range(RUNS)}))
 
@@ -156,9 +154,8 @@ def test_a_shipper_that_is_killed_before_each_order_of_a_run(
     """Also after the commit, before the shipper has noted it."""
     folder = model.write(tmp_path / "runs", Run("r0", "north", "HC-1", NOW))
     points = len(record_of("r0", read_records(folder)).points)
-    url = postgresql.make("each_order")
+    url = postgresql.make(like=BLANK)
     with closing(Database(url)) as database:
-        database.make()
         order, ended = 1, False
         while not ended:
             (tmp_path / "runs" / NAME).unlink(missing_ok=True)
@@ -180,11 +177,11 @@ def test_a_shipper_that_is_killed_before_each_order_of_a_run(
 
 @pytest.mark.parametrize("order", [12, 16])
 def test_a_server_that_dies_meanwhile_is_one_line(
-    order: int, runs: Path, postgresql: Server, monkeypatch: pytest.MonkeyPatch,
+    order: int, runs: Path, mortal: Server, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     monkeypatch.setattr(logging.root, "handlers", [])  # as in a process of its own
-    url = postgresql.make(f"dies_{order}")
+    url = mortal.make()
     with closing(Database(url)) as database:
         database.make()
     left = [order]
@@ -192,14 +189,14 @@ def test_a_server_that_dies_meanwhile_is_one_line(
     def count(*_: object) -> None:
         left[0] -= 1
         if not left[0]:
-            postgresql.kill()
+            mortal.kill()
 
     event.listen(Engine, "before_cursor_execute", count)
     try:
         code = main(["plant", "ship", str(runs), "--to", url])
     finally:
         event.remove(Engine, "before_cursor_execute", count)
-        postgresql.start()
+        mortal.start()
     assert code == 7
     (line,) = capsys.readouterr().err.splitlines()
     assert "it cannot be used now" in line

@@ -30,6 +30,10 @@ def asking(url: str) -> Iterator[psycopg.Connection[tuple[object, ...]]]:
         yield connection
 
 
+def name_of(database: Database) -> str:
+    return str(database.engine.url.database)
+
+
 @pytest.fixture
 def runs(model: Model, tmp_path: Path) -> Path:
     for name, days in (("a", 60), ("b", 20)):
@@ -50,11 +54,11 @@ def _ours(thing: object, name: str, kind: str, reflected: bool, other: object) -
 
 
 def test_points_lie_in_the_partition_of_the_month_in_which_the_run_began(
-    plant: Database, runs: Path, model: Model, postgresql: Server, request: pytest.FixtureRequest
+    plant: Database, runs: Path, model: Model, postgresql: Server
 ) -> None:
     model.write(runs, Run("far", "north", "HC-1", datetime(2199, 5, 1, tzinfo=UTC)))
     ship(runs, plant)
-    with asking(postgresql.url(request.node.name[:60])) as connection:
+    with asking(postgresql.url(name_of(plant))) as connection:
         found = connection.execute(
             "SELECT tableoid::regclass::text, count(DISTINCT digest) FROM point GROUP BY 1"
         ).fetchall()
@@ -62,9 +66,9 @@ def test_points_lie_in_the_partition_of_the_month_in_which_the_run_began(
 
 
 def test_cells_may_insert_only_and_engineers_may_read_only(
-    plant: Database, runs: Path, postgresql: Server, request: pytest.FixtureRequest
+    plant: Database, runs: Path, postgresql: Server
 ) -> None:
-    name = request.node.name[:60]
+    name = name_of(plant)
     users = {"cell_user": CELL, "engineer_user": ENGINEER}
     with asking(postgresql.url(name)) as owner:
         for user, role in users.items():
@@ -94,10 +98,10 @@ def test_cells_may_insert_only_and_engineers_may_read_only(
 
 
 def test_a_right_that_is_missing_is_one_line(
-    plant: Database, runs: Path, postgresql: Server, request: pytest.FixtureRequest,
+    plant: Database, runs: Path, postgresql: Server,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    name = request.node.name[:60]
+    name = name_of(plant)
     with asking(postgresql.url(name)) as owner:
         owner.execute("CREATE ROLE nobody_s LOGIN")
     assert main(["plant", "ship", str(runs), "--to", postgresql.url(name, "nobody_s")]) == 2

@@ -152,7 +152,7 @@ def test_an_older_schema_is_brought_up_and_keeps_its_records(
     url = f"sqlite:///{tmp_path}/plant.db"
     if kind == "postgresql":
         server: Server = request.getfixturevalue("postgresql")
-        url = server.make("older")
+        url = server.make()
     old_schema(url)
     for words in (["ship", str(runs), "--to", url], ["show", "--from", url]):
         line = said(["plant", *words], 2, capsys)

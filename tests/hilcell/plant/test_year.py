@@ -31,6 +31,15 @@ def runs(model: Model, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def filed(runs: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return the URL of an office's database to which the year was shipped."""
+    url = f"sqlite:///{tmp_path_factory.mktemp('filed')}/plant.db"
+    assert main(["plant", "init", "--to", url]) == 0
+    assert main(["plant", "ship", str(runs), "--to", url]) == 0
+    return url
+
+
 def asked(url: str, capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
     assert main(["plant", "show", "--from", url, "--json", *words]) == 0
     found: dict[str, Any] = json.loads(capsys.readouterr().out)
@@ -50,7 +59,7 @@ def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     if request.param == "office":
         return f"sqlite:///{tmp_path}/plant.db"
     server: Server = request.getfixturevalue("postgresql")
-    return server.make(request.node.name[:60])
+    return server.make()
 
 
 def test_a_year_of_three_cells(url: str, runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -111,31 +120,23 @@ def test_a_collision_after_the_grid_was_measured_is_named(
     assert words.endswith("(hit)")
 
 
-def test_tables_name_the_collision_too(
-    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    url = f"sqlite:///{tmp_path}/plant.db"
-    shipped(url, runs, capsys)
-    assert main(["plant", "show", "--from", url]) == 0
+def test_tables_name_the_collision_too(filed: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plant", "show", "--from", filed]) == 0
     out = capsys.readouterr().out
     for words in ("middle-06", f"{COLLISION['code']} ", "(middle-hit)", "T-0, T-1", "S300"):
         assert words in out
 
 
-def test_one_cell_or_one_robot_alone(
-    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    url = f"sqlite:///{tmp_path}/plant.db"
-    shipped(url, runs, capsys)
-    of_cell = asked(url, capsys, "--cell", "north")
+def test_one_cell_or_one_robot_alone(filed: str, capsys: pytest.CaptureFixture[str]) -> None:
+    of_cell = asked(filed, capsys, "--cell", "north")
     assert {each["cell"] for each in of_cell["cells"]} == {"north"}
     assert {each["robot"] for each in of_cell["robots"]} == {"R-0"}
     assert of_cell["stations"] == of_cell["alarms"] == []
-    assert [each["robot"] for each in asked(url, capsys, "--robot", "R-2")["robots"]] == ["R-2"]
-    assert main(["plant", "show", "--from", url, "--cell", "nroth"]) == 2
+    assert [each["robot"] for each in asked(filed, capsys, "--robot", "R-2")["robots"]] == ["R-2"]
+    assert main(["plant", "show", "--from", filed, "--cell", "nroth"]) == 2
     assert 'did you mean "north"?' in capsys.readouterr().err
-    assert main(["plant", "show", "--from", url, "--robot", "R-9"]) == 2
-    old = asked(url, capsys, "--max-age", "10")
+    assert main(["plant", "show", "--from", filed, "--robot", "R-9"]) == 2
+    old = asked(filed, capsys, "--max-age", "10")
     assert {each["condition"] for each in old["cells"]} == {"too old"}
 
 
