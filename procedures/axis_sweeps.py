@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -52,10 +52,10 @@ class AxisSweeps:
             return Step(self.name, 0, 0.0, note=reason)
         station = cell.station_named(cell.grid.station)
         seconds, here_rad = 0.0, np.radians(cell.robot.safe_deg)
-        approach_rad = np.radians(cell.robot.approach_deg)
+        approach_rad, cube = np.radians(cell.robot.approach_deg), cube_joints(cell)
         for axis in axes_of(cell):
             for way in WAYS:
-                start_rad, end_rad = ends_rad(cell, axis, way)
+                start_rad, end_rad = ends_rad(cell, cube, axis, way)
                 check_sweep(cell, station, start_rad, end_rad, f"A{axis} swept {way}")
                 path_rad = np.linspace(start_rad, end_rad, SEEN_AT)
                 at_mm = forward(cell.robot.arm(), path_rad)[:, :3, 3]
@@ -78,21 +78,24 @@ class AxisSweeps:
             session.event(LEFT_OUT, reason=reason)
             return
         left = [axis for axis in axes_of(cell) if axis not in session.log.curves]
-        swept = [self._swept(session, axis) for axis in left]
+        cube = cube_joints(cell)
+        swept = [self._swept(session, cube, axis) for axis in left]
         session.close_step()
         for found in swept:
             session.curve(CurveRecord.of(found))
 
-    def _swept(self, session: CellSession, axis: int) -> SweptAxis:
+    def _swept(self, session: CellSession, cube: CubeJoints, axis: int) -> SweptAxis:
         """Return an axis's result, of further sweeps where the first cannot be used."""
         for attempt in range(1, ATTEMPTS + 1):
-            up, down = (self._sweep(session, axis, way, attempt) for way in WAYS)
+            up, down = (self._sweep(session, cube, axis, way, attempt) for way in WAYS)
             found = swept_axis(up, down, session.cell.robot.arm(), axis - 1)
             if not found.reason:
                 break
         return found
 
-    def _sweep(self, session: CellSession, axis: int, way: str, attempt: int = 1) -> SweepStream:
+    def _sweep(
+        self, session: CellSession, cube: CubeJoints, axis: int, way: str, attempt: int
+    ) -> SweepStream:
         """Return the stream of one sweep, in {B}."""
         again = "" if attempt == 1 else f"/{attempt}"
         cell, key = session.cell, f"sweep/A{axis}/{way}{again}"
@@ -100,7 +103,7 @@ class AxisSweeps:
         T_W_B = session.frames.base_in_world(station)
         if key not in session.log.streams:
             session.flange_at(station)
-            start_rad, end_rad = ends_rad(cell, axis, way)
+            start_rad, end_rad = ends_rad(cell, cube, axis, way)
             start_mm = (T_W_B @ forward(cell.robot.arm(), start_rad))[:3, 3]
             order = SweepOrder(
                 key,
@@ -166,9 +169,17 @@ def axes_of(cell: Cell) -> list[int]:
     return [axis for axis in cell.sweeps.axes if axis in QUICK_AXES or not cell.plan.quick]
 
 
-def ends_rad(cell: Cell, axis: int, way: str) -> tuple[Array, Array]:
+class CubeJoints(NamedTuple):
+    """The lowest and highest joints (6,) of the grid's cube, and those at its middle."""
+
+    low_rad: Array
+    high_rad: Array
+    middle_rad: Array
+
+
+def ends_rad(cell: Cell, cube: CubeJoints, axis: int, way: str) -> tuple[Array, Array]:
     """Return the joints (6,) at the begin and at the end of a sweep."""
-    low_rad, high_rad, middle_rad = cube_joints(cell)
+    low_rad, high_rad, middle_rad = cube
     centre_rad = (low_rad[axis - 1] + high_rad[axis - 1]) / 2
     half_rad = (high_rad[axis - 1] - low_rad[axis - 1]) / 2 + np.radians(cell.sweeps.margin_deg)
     half_rad *= QUICK_SHARE if cell.plan.quick else 1.0
@@ -177,13 +188,14 @@ def ends_rad(cell: Cell, axis: int, way: str) -> tuple[Array, Array]:
     return (start_rad, end_rad) if way == "up" else (end_rad, start_rad)
 
 
-def cube_joints(cell: Cell) -> tuple[Array, Array, Array]:
-    """Return the lowest and highest joints (6,) of the cube, and those at its middle."""
+def cube_joints(cell: Cell) -> CubeJoints:
+    """Return the joints that the grid's cube takes."""
     grid = grid_of(cell)
     edges = np.linspace(grid.origin_mm, grid.far_mm, LATTICE).T
     places_mm = np.stack(np.meshgrid(*edges, indexing="ij"), axis=-1).reshape(-1, 3)
     joints_rad = check_reach(cell, poses_at(cell, places_mm), "cube")
-    return joints_rad.min(axis=0), joints_rad.max(axis=0), joints_rad[len(joints_rad) // 2]
+    middle_rad = joints_rad[len(joints_rad) // 2]
+    return CubeJoints(joints_rad.min(axis=0), joints_rad.max(axis=0), middle_rad)
 
 
 def figures_of(record: CurveRecord) -> dict[str, Any]:

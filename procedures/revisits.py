@@ -94,9 +94,9 @@ class Revisits:
 
     def _judge(self, session: CellSession) -> None:
         turned = reversal(session.log) if self._kind == REVISIT else None
+        found = revisits(session.log, self._kind)
         if turned is not None:
             session.verdict("reversal", holds=turned.holds, **_figures(turned))
-        found = revisits(session.log, self._kind)
         suspicion = established(session.log, self._kind) or found.suspicion
         holds = found.holds and suspicion is None
         facts = {

@@ -125,7 +125,7 @@ def calibration_so_far(log: Log, run: str) -> Calibration | None:
     """Return the calibration of a log that has reached the fit, nothing before."""
     wanted = {"base", *(f"station.{station.name}" for station in log.cell.station)}
     reached = wanted <= log.frames.keys() and "fit" in log.verdicts
-    return calibration_of(log, run) if reached else None
+    return log.once(calibration_of, run) if reached else None
 
 
 def devices_of(log: Log) -> list[Device]:

@@ -19,7 +19,7 @@ from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.journal.reading_noise import noise_at, run_noise
 from hilcell.ports import Array
 
-STEPS = 200  # of the scatter's estimate
+STEPS, SETTLED = 200, 1e-15  # of the scatter's estimate; a share of it
 SMALLEST_MM2 = 1e-12  # far below any reading's variance: so that an inverse exists
 
 
@@ -40,6 +40,10 @@ class VisitNoise:
 
 def visit_noise(log: Log) -> VisitNoise:
     """Return what a run's readings and its repeated visits show."""
+    return log.once(_visit_noise)
+
+
+def _visit_noise(log: Log) -> VisitNoise:
     beam, visits = run_noise(log), repeated_visits(log)
     noise_mm2 = np.array([noise_at(beam, each).mean(axis=0) for each in visits])
     return VisitNoise(scatter_besides([positions_mm(each) for each in visits], noise_mm2), beam)
@@ -60,7 +64,10 @@ def scatter_besides(clouds_mm: Sequence[Array], noise_mm2: Array) -> Array:
         seen_mm2 = found + noise_mm2
         K = found @ np.linalg.inv(seen_mm2)
         beyond_mm2 = squares_mm2 - freedom[:, None, None] * seen_mm2
-        found = found + (K @ beyond_mm2 @ np.swapaxes(K, 1, 2)).sum(axis=0) / freedom.sum()
+        step = (K @ beyond_mm2 @ np.swapaxes(K, 1, 2)).sum(axis=0) / freedom.sum()
+        found = found + step
+        if np.abs(step).max() <= SETTLED * np.trace(found):
+            break
     return found
 
 

@@ -134,12 +134,14 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
         home_rad = np.radians(self.home_deg)
         return NominalRobot(self.arm(), self.status, self.margin_limits_rad, home_rad)
 
-    @property
+    @cached_property
     def margin_limits_rad(self) -> Array:
         """Return the limits (2, 6), lower and upper, less the margin; poses come from below."""
         margin_deg = self.joint_margin_deg
         low_deg = [joint.min_deg + max(margin_deg, self.approach_deg) for joint in self.joint]
-        return np.radians([low_deg, [joint.max_deg - margin_deg for joint in self.joint]])
+        limits = np.radians([low_deg, [joint.max_deg - margin_deg for joint in self.joint]])
+        limits.flags.writeable = False
+        return limits
 
 
 def arm_from_joints(joints: list[Joint], tool: Array) -> Arm:

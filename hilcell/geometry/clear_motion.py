@@ -20,11 +20,11 @@ from hilcell.geometry.clearance import (
     Bools,
     Boxes,
     Capsules,
-    Ints,
     clearance_mm,
     levers_mm,
     placed_mm,
 )
+from hilcell.geometry.frames import inverse
 from hilcell.geometry.kinematics import Arm, Array
 
 RESOLUTION_MM = 1.0  # a motion that is nearer than this to the wanted clearance is not proven
@@ -108,12 +108,10 @@ class Body:
 
     def clearances_mm(self, postures: Array, enough_mm: Array) -> Array:
         """Return `clearance.clearance_mm` (N, C, V) at postures (N, 7)."""
-        in_base = placed_mm(self.arm, self.capsules, postures[:, 1:])
-        at_mm = self.base[:3, 3] + postures[:, :1] * self.direction
-        in_world = in_base @ self.base[:3, :3].T + at_mm[:, None, None]
-        boxes, rides = self._boxes
-        ends_mm = np.stack([in_world, in_base])[rides]
-        return clearance_mm(ends_mm, self.capsules.radius_mm, boxes, enough_mm)
+        ends_mm = placed_mm(self.arm, self.capsules, postures[:, 1:])
+        boxes, along = self._boxes
+        shift_mm = postures[:, :1, None] * along
+        return clearance_mm(ends_mm, self.capsules.radius_mm, boxes, enough_mm, shift_mm)
 
     def _travel_mm(self, start: Array, end: Array) -> Array:
         """Return how far (N, C) any point of a capsule's segment can travel in {W} at most."""
@@ -122,14 +120,18 @@ class Body:
         return bound
 
     @cached_property
-    def _boxes(self) -> tuple[Boxes, Ints]:
-        """Return all boxes (V,), and 1 for each that rides, 0 for each that stands."""
-        standing, riding = self.standing, self.riding
+    def _boxes(self) -> tuple[Boxes, Array]:
+        """Return all boxes (V,) in {B} with the slide at 0, and its direction (V, 3), the axes of
+        each box; 0 for those that ride.
+        """
+        standing, riding, T_B_W = self.standing, self.riding, inverse(self.base)
         boxes = Boxes(
-            np.concatenate([standing.frames, riding.frames]),
+            np.concatenate([T_B_W @ standing.frames, riding.frames]),
             np.concatenate([standing.half_mm, riding.half_mm]),
         )
-        return boxes, np.repeat([0, 1], [len(standing.half_mm), len(riding.half_mm)])
+        along = (boxes.axes @ T_B_W[:3, :3] @ self.direction).reshape(-1, 3)
+        along[len(standing.half_mm) :] = 0.0
+        return boxes, along
 
     @cached_property
     def _levers_mm(self) -> Array:

@@ -42,6 +42,11 @@ class Boxes:
         """Return the motions (V, 4, 4) into the boxes' frames."""
         return inverse(self.frames)
 
+    @cached_property
+    def axes(self) -> Array:
+        """Return the boxes' axes (3V, 3), one below another."""
+        return self.into[:, :3, :3].reshape(-1, 3)
+
 
 def joint_lines(arm: Arm, link: int) -> Array:
     """Return the segments (S, 2, 3) along link 1 .. 6, from its joint to the next, in its frame.
@@ -108,24 +113,28 @@ def _axis_in_link(arm: Arm, row: int) -> tuple[Array, Array]:
     )
 
 
-def clearance_mm(ends_mm: Array, radius_mm: Array, boxes: Boxes, enough_mm: Array) -> Array:
+def clearance_mm(
+    ends_mm: Array, radius_mm: Array, boxes: Boxes, enough_mm: Array, shift_mm: Array
+) -> Array:
     """Return the clearances (N, C, V) of capsules with ends (N, C, 2, 3) from boxes.
 
-    Boxes in several frames want the ends in each box's own, (V, N, C, 2, 3).
+    ``shift_mm`` (N, V, 3) is how far each box sees the capsules moved, its axes.
     Negative where they overlap, down to the radius. Where a sphere around the capsule proves that
     there are ``enough_mm`` (N, C), the sphere's own clearance stands for the capsule's.
     """
-    T = boxes.into
-    within = ends_mm @ T[:, None, None, :3, :3].swapaxes(-1, -2) + T[:, None, None, None, :3, 3]
-    middle = (within[..., 0, :] + within[..., 1, :]) / 2
-    half_length = _lengths(ends_mm[..., 1, :] - ends_mm[..., 0, :]) / 2
-    from_box = _lengths(_outside(middle, boxes.half_mm[:, None, None]))
-    found = from_box - half_length - radius_mm
-    near = ~(found >= enough_mm)
+    origins = boxes.into[:, :3, 3] + shift_mm
+    middle = (ends_mm[..., 0, :] + ends_mm[..., 1, :]) / 2
+    within = (middle @ boxes.axes.T).reshape(*middle.shape[:2], -1, 3) + origins[:, None]
+    half_length = _lengths(ends_mm[..., 1, :] - ends_mm[..., 0, :])[..., None] / 2
+    from_box = _lengths(np.maximum(np.abs(within) - boxes.half_mm, 0.0))
+    found: Array = from_box - half_length - radius_mm[:, None]
+    near = ~(found >= enough_mm[..., None])
     if near.any():
-        volume, _, capsule = np.nonzero(near)
-        found[near] = segment_to_box_mm(within[near], boxes.half_mm[volume]) - radius_mm[capsule]
-    return found.transpose(1, 2, 0)
+        at, capsule, volume = np.nonzero(near)
+        axes = boxes.into[volume, :3, :3].swapaxes(-1, -2)
+        ends = ends_mm[at, capsule] @ axes + origins[at, volume, None]
+        found[near] = segment_to_box_mm(ends, boxes.half_mm[volume]) - radius_mm[capsule]
+    return found
 
 
 def segment_to_box_mm(ends_mm: Array, half_mm: Array) -> Array:

@@ -9,7 +9,8 @@ import msgspec
 
 from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.key_words import in_words
-from hilcell.journal.log import HELD_BY_SDO, Log
+from hilcell.journal.link_record import HELD_BY_SDO
+from hilcell.journal.log import Log
 from hilcell.journal.point_words import step_words
 
 ORDINALS = {1: "1st", 2: "2nd", 3: "3rd"}

@@ -6,9 +6,9 @@ from it, so a result can always be rebuilt.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, MutableMapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, MutableMapping, Sequence
 from itertools import chain
-from typing import Any
+from typing import Any, TypeVar, TypeVarTuple
 
 import msgspec
 import numpy as np
@@ -20,6 +20,7 @@ from hilcell.journal.asset import Asset, asset_of
 from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.driven import Driven
 from hilcell.journal.journal import NeverBegan, Record
+from hilcell.journal.link_record import LinkRecord
 from hilcell.journal.old_keys import id_of_key
 from hilcell.journal.packed import Packed
 from hilcell.journal.point_id import CONTROL, PointId
@@ -27,6 +28,9 @@ from hilcell.journal.set_ups import SetUps, carried, world_key
 from hilcell.journal.states import OVER, WAITING, CalibrationState, RunState
 from hilcell.journal.stream_file import StreamRecord
 from hilcell.ports import Air, Array
+
+T = TypeVar("T")
+Args = TypeVarTuple("Args")
 
 
 class ReadingTime(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -172,46 +176,6 @@ class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
         return self.seed if self.machine_seed is None else self.machine_seed
 
 
-HELD_BY_SDO = "the drive sent no PDO at the end, SDO confirmed that the slide is held"
-LOSSY = 0.005  # share of the frames on the rail's wire
-
-
-class LinkRecord(msgspec.Struct, frozen=True):
-    """Counts and losses of the rail's wire in one session."""
-
-    frames: int
-    bad_lines: int
-    refused: int
-    malformed: int
-    held_by_sdo: int = 0
-
-    @property
-    def lost_share(self) -> float:
-        """Return how much was lost, as a share of all."""
-        lost = self.bad_lines + self.refused + self.malformed
-        return lost / max(1, self.frames + lost)
-
-    @property
-    def warning(self) -> str:
-        """Return the warning that so much was lost; "" where the link is well."""
-        if self.lost_share < LOSSY:
-            return ""
-        return (
-            f"the rail's CAN link loses {100 * self.lost_share:.2f} %, a healthy one less than "
-            f"{100 * LOSSY:.1f} %: check its plugs, the shield, the two terminators and the "
-            "gateway's cable"
-        )
-
-    @property
-    def text(self) -> str:
-        """Return it in words."""
-        return (
-            f"{self.frames} frames, {self.bad_lines} bad lines, {self.refused} refused, "
-            f"{self.malformed} malformed ({100 * self.lost_share:.2f} % lost)"
-            f"{f'; {HELD_BY_SDO}' if self.held_by_sdo else ''}"
-        )
-
-
 class CutOff(msgspec.Struct, frozen=True):
     """A session without an end of its own: its last record, its state and the points by then.
 
@@ -258,6 +222,7 @@ class Log:
         self._worked: Record | None = None  # the newest that is no end: a refused resume has one
         self.order: Record | None = None  # the last motion that is not known to have ended
         self.cut_off: list[CutOff] = []  # earlier sessions that a crash has ended
+        self._computed: dict[Any, tuple[Record | None, Any]] = {}
         for record in records:
             self.take(record)
 
@@ -370,6 +335,15 @@ class Log:
             self.end, self.fault, self.moved = None, "", False
         if self.state == "faulted" and not self.fault:
             self.fault = str(body.get("reason", ""))
+
+    def once(self, compute: Callable[[Log, *Args], T], *args: *Args) -> T:
+        """Return ``compute(log, *args)``, which is computed once until the next record comes."""
+        key, newest = (compute, args), self.newest
+        known = self._computed.get(key)
+        if known is None or known[0] is not newest:
+            known = self._computed[key] = (newest, compute(self, *args))
+        found: T = known[1]
+        return found
 
     @property
     def states(self) -> dict[str, str]:

@@ -11,6 +11,10 @@ from hilcell.ports import Array
 
 def run_noise(log: Log) -> BeamNoise:
     """Return the noise that all points of a run show."""
+    return log.once(_run_noise)
+
+
+def _run_noise(log: Log) -> BeamNoise:
     points = list(log.points.values())
     std_mm = [point.std_mm for point in points]
     return beam_noise(positions_mm(points), std_mm, [point.samples for point in points])

@@ -102,9 +102,10 @@ def leaves_cube(cell: Cell, joints_rad: Array) -> Bools:
     off_mm = np.abs(found[:, :3, 3] - centre[:3, 3]) - np.array(cell.grid.size_mm) / 2
     cosine = (np.einsum("nij,ij->n", found[:, :3, :3], centre[:3, :3]) - 1.0) / 2.0  # of the turn
     stated = (off_mm <= CUBE_MM).all(axis=-1) & (cosine >= np.cos(CUBE_RAD))
-    table = cell.base_frame
-    stated |= _on_circle(joints_rad, 0, table.axis_1_deg, table.axis_1_sweep_deg)
-    stated |= _on_circle(joints_rad, 5, table.axis_6_deg, table.axis_6_sweep_deg)
+    if not bool(stated.all()):
+        table = cell.base_frame
+        stated |= _on_circle(joints_rad, 0, table.axis_1_deg, table.axis_1_sweep_deg)
+        stated |= _on_circle(joints_rad, 5, table.axis_6_deg, table.axis_6_sweep_deg)
     left: Bools = ~stated
     return left
 

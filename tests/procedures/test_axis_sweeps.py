@@ -19,7 +19,15 @@ from hilcell.identification.motion import SweepStream
 from hilcell.ports import Array, HilcellError, JointSample, NoReading, RobotReading, StreamBlock
 from hilcell.run import sweeping
 from procedures import axis_sweeps
-from procedures.axis_sweeps import COST, AxisSweeps, axes_of, ends_rad, left_out, sweep_table
+from procedures.axis_sweeps import (
+    COST,
+    AxisSweeps,
+    axes_of,
+    cube_joints,
+    ends_rad,
+    left_out,
+    sweep_table,
+)
 from tests.hilcell.identification.axis_streams import Axis, periodic
 from tests.hilcell.run.bed import CELL, Bed
 from tests.hilcell.run.rig import DeskRail, DeskRobot, DeskTracker, procedure
@@ -227,8 +235,9 @@ def test_a_cell_without_volumes_or_axes_sweeps_nothing() -> None:
 
 
 def test_each_axis_turns_alone_over_what_the_cube_needs() -> None:
+    cube = cube_joints(CELL)
     for axis in axes_of(CELL):
-        up, down = ends_rad(CELL, axis, "up"), ends_rad(CELL, axis, "down")
+        up, down = ends_rad(CELL, cube, axis, "up"), ends_rad(CELL, cube, axis, "down")
         moving = np.flatnonzero(up[0] != up[1])
         assert moving.tolist() == [axis - 1]
         assert up[0][axis - 1] < up[1][axis - 1]
@@ -236,9 +245,9 @@ def test_each_axis_turns_alone_over_what_the_cube_needs() -> None:
 
 
 def test_the_plan_states_how_long_the_sweeps_take() -> None:
-    step = AxisSweeps().plan(CELL, 1)
+    step, cube = AxisSweeps().plan(CELL, 1), cube_joints(CELL)
     turned_deg = sum(
-        2 * float(np.degrees(np.ptp(ends_rad(CELL, axis, "up"), axis=0)).max())
+        2 * float(np.degrees(np.ptp(ends_rad(CELL, cube, axis, "up"), axis=0)).max())
         for axis in axes_of(CELL)
     )
     assert turned_deg < step.duration_s < turned_deg + 60.0

@@ -9,7 +9,7 @@ import pytest
 from hilcell.cell.devices import load_entry
 from hilcell.commands.cli import main
 from hilcell.commands.run_output import RunOutput, print_end
-from hilcell.journal.log import LinkRecord
+from hilcell.journal.link_record import LinkRecord
 from hilcell.journal.runs import read_log
 from hilcell.report.facts import read_facts
 from hilcell.report.html import report_html

@@ -116,7 +116,9 @@ def test_clearances_are_exact_where_they_are_not_enough(seed: int, enough_mm: fl
     arm, boxes = arm_of(rng), boxes_of(rng)
     capsules = capsules_of(arm, rng)
     ends = placed_mm(arm, capsules, rng.uniform(-np.pi, np.pi, (4, 6)))
-    found = clearance_mm(ends, capsules.radius_mm, boxes, np.full(ends.shape[:2], enough_mm))
+    found = clearance_mm(
+        ends, capsules.radius_mm, boxes, np.full(ends.shape[:2], enough_mm), np.zeros((4, 3, 3))
+    )
     for volume, (frame, half_mm) in enumerate(zip(boxes.frames, boxes.half_mm, strict=True)):
         back = inverse(frame)
         within = ends @ back[:3, :3].T + back[:3, 3]
