@@ -11,6 +11,7 @@ positions are not.
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from hilcell.identification.curve import TransmissionCurve
 LENGTH_MM, ANGLE_RAD = 1.0, 2e-3  # prior sigmas of link parameters
 GRAVITY_RAD = 0.5e-3  # of the deflection at full load
 WAVE_RAD = 50e-6  # of the amplitudes of one and two waves a revolution
+JITTER = 1e-9  # of a prior's correlation, so that a singular one has a root
 SHIFT_PER_CYCLE = 1e-12  # a shift known exactly is known to this
 BASE, LINKS = 6, 30
 ORDERS = (1, 2)
@@ -116,6 +118,19 @@ class Kinematics:
 
         Base and reflectors count from where they were assumed.
         """
+        return self._prior
+
+    @cached_property
+    def prior_root(self) -> Array:
+        """Return W (P, P) with W'W the inverse of the prior's covariance."""
+        covariance = self._prior[1]
+        sigma = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+        correlation = covariance / np.outer(sigma, sigma) + JITTER * np.eye(len(sigma))
+        root: Array = np.linalg.inv(np.linalg.cholesky(correlation)) / sigma
+        return root
+
+    @cached_property
+    def _prior(self) -> tuple[Array, Array]:
         links = [LENGTH_MM if kind.endswith("mm") else ANGLE_RAD for kind in KINDS]
         assumed = self.assumed
         sigmas = [

@@ -20,7 +20,6 @@ from hilcell.identification.noise import Noise
 from hilcell.identification.readings import Bools, Ints, Readings
 
 LEAST_PIVOT = 1e-4  # of columns of unit length: their squares keep 8 digits
-JITTER = 1e-9  # of a prior's correlation, so that a singular one has a root
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +59,8 @@ class System:
         residual = np.where(known[..., None], readings.xyz_mm - found.positions_mm, 0.0)
         design = found.by_parameter.copy()
         design[~known] = 0.0
-        mean, covariance = kinematics.prior()
-        root = _root(covariance)
-        pull = root @ (mean - kinematics.flat(state))
+        root = kinematics.prior_root
+        pull = root @ (kinematics.prior()[0] - kinematics.flat(state))
         return cls(
             design.reshape(count, -1, design.shape[-1]),
             residual.reshape(count, -1),
@@ -216,11 +214,3 @@ def triangle(*blocks: Array) -> Array:
     if not np.diag(R).min() >= LEAST_PIVOT:
         return np.asarray(np.linalg.qr(np.concatenate(blocks), mode="r"))
     return R * scale
-
-
-def _root(covariance: Array) -> Array:
-    """Return W (P, P) with W'W the inverse of a covariance."""
-    sigma = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
-    correlation = covariance / np.outer(sigma, sigma) + JITTER * np.eye(len(sigma))
-    root: Array = np.linalg.inv(np.linalg.cholesky(correlation)) / sigma
-    return root
