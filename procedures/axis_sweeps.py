@@ -94,7 +94,7 @@ class AxisSweeps:
         return found
 
     def _sweep(
-        self, session: CellSession, cube: CubeJoints, axis: int, way: str, attempt: int
+        self, session: CellSession, cube: CubeJoints, axis: int, way: str, attempt: int = 1
     ) -> SweepStream:
         """Return the stream of one sweep, in {B}."""
         again = "" if attempt == 1 else f"/{attempt}"

@@ -175,7 +175,7 @@ def test_after_a_fault_the_sweep_that_was_finished_is_not_repeated(bed: Bed) -> 
 class UpAlone(Connected):
     def perform(self, session: Any) -> None:
         session.reach("connect")
-        self._sweep(session, 1, "up")
+        self._sweep(session, cube_joints(CELL), 1, "up")
 
 
 def test_a_stream_that_cannot_be_used_is_an_alarm_and_no_curve(bed: Bed) -> None:
