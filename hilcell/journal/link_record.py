@@ -1,4 +1,4 @@
-"""What the rail's wire has lost in a session, and whether that is too much."""
+"""Losses on the rail's wire in a session, and when they are too many."""
 
 from __future__ import annotations
 
