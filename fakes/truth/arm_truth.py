@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fakes.truth.joint_errors import URAD, Deflection, Loads, Ripple, slopes
+from fakes.truth.design import axis_6, design_of
+from fakes.truth.joint_errors import URAD, Deflection, Ripple
 from fakes.truth.machine import Errors, Machine, mounted
-from fakes.truth.repeatability import unit_rp_mm
 from fakes.truth.screws import Chain
 from fakes.truth.transforms import Array, carried, frame, rigid, rotation
 from hilcell.cell.tables import Point
@@ -54,19 +54,16 @@ class ArmTruth:
 
     def __init__(self, machine: Machine, smr_mm: Point, rng: np.random.Generator) -> None:
         self._machine, self._smr_mm = machine, smr_mm
-        self.design = machine.chain(smr_mm)
-        self._slopes = slopes(self.design)
+        self._design = design_of(machine, smr_mm)
+        self.design = self._design.chain
         sizes = machine.transmission
         self.ripple = Ripple(sizes, rng)
         self._lost_rad = np.zeros(6)
         self._half_gap_rad = (
             sizes.half_gap_urad * URAD * rng.uniform(1.0 - GAP_SPREAD, 1.0 + GAP_SPREAD, 6)
         )
-        self.targets_mm, self.commands_rad = reference_cube(machine, self.design)
-        self._loads = Loads(self.design, self.commands_rad)
-        self.joint_sigma_rad = sizes.rp_mm / float(
-            unit_rp_mm(self.design.jacobian(self.commands_rad)[:, :3]).mean()
-        )
+        self.targets_mm, self.commands_rad = self._design.targets_mm, self._design.commands_rad
+        self.joint_sigma_rad = sizes.rp_mm / self._design.unit_rp_mm
         self._settle(machine.errors, rng)
 
     def pose(self, joints_rad: Array, side: Array, landing_rad: Array, warm_k: float = 0) -> Array:
@@ -76,10 +73,17 @@ class ArmTruth:
         last motion, ``landing_rad`` (..., 6) this motion's repeatability error, ``warm_k`` how
         much warmer the arm is than the room's mean.
         """
-        strain = self._machine.transmission.growth_um_m_k * 1e-6 * warm_k
-        chain = self._chain.grown(strain) if strain else self._chain
+        return self.pose_of(self.true_joints(joints_rad, side, landing_rad), warm_k)
+
+    def true_joints(self, joints_rad: Array, side: Array, landing_rad: Array) -> Array:
+        """Return how the joints (..., 6) really are turned, however warm the arm is."""
         lost = side * self._half_gap_rad + landing_rad
-        return chain.pose(self._true_joints(joints_rad) + lost)
+        return self._by_angles(joints_rad) + lost
+
+    def pose_of(self, true_rad: Array, warm_k: float) -> Array:
+        """Return the reflector's frame in {R}, (..., 4, 4), with joints really turned so."""
+        strain = self._machine.transmission.growth_um_m_k * 1e-6 * warm_k
+        return self._chain.pose(true_rad, strain)
 
     def lose_zero(self, axis: int, lost_rad: float) -> None:
         """Turn an axis, 1 to 6, against its encoder for good."""
@@ -138,15 +142,15 @@ class ArmTruth:
     def _take(self, errors: _Errors) -> None:
         self._errors = errors
         self._chain = _displaced(self.design, errors, self._machine, self._smr_mm)
-        self.ideal_base = self._base_from_axes(np.radians(self._machine.reference.axis_6_deg))
+        self.ideal_base = self._base_from_axes(self._design.axis_6_rad)
 
-    def _true_joints(self, joints_rad: Array) -> Array:
+    def _by_angles(self, joints_rad: Array) -> Array:
         """Return joint angles (..., 6) with everything that depends on the angles alone."""
         ripple = self.ripple(joints_rad)
         share = self._machine.transmission.load_share
         if share:
-            ripple *= 1.0 + share * self._loads(joints_rad)
-        bent = self._errors.deflection(joints_rad, self._slopes)
+            ripple *= 1.0 + share * self._design.loads(joints_rad)
+        bent = self._errors.deflection(joints_rad, self._design.slopes)
         true: Array = joints_rad + self._errors.zero_rad + self._lost_rad + bent + ripple
         return true
 
@@ -156,28 +160,13 @@ class ArmTruth:
         Axis 1 is {R}'s own z. Axis 6 at the given joints gives x, and the centre of its circle
         the height, which is nominal by definition.
         """
-        joints = self._true_joints(axis_6_rad) + self._half_gap_rad
-        axis, centre_mm = _axis_6(self._chain, joints)
-        nominal_height_mm = _axis_6(self.design, axis_6_rad)[1][2]
+        joints = self._by_angles(axis_6_rad) + self._half_gap_rad
+        axis, centre_mm = axis_6(self._chain, joints)
         x = np.array([axis[0], axis[1], 0.0]) * np.sign(centre_mm[:2] @ axis[:2])
         x /= np.linalg.norm(x)
         z = np.array([0.0, 0.0, 1.0])
-        height_mm = centre_mm[2] - nominal_height_mm
+        height_mm = centre_mm[2] - self._design.axis_6_mm[2]
         return rigid(np.column_stack([x, np.cross(z, x), z]), height_mm * z)
-
-
-def reference_cube(machine: Machine, design: Chain) -> tuple[Array, Array]:
-    """Return targets (N, 3) in {B} through the machine's cube, and joints (N, 6) to command."""
-    reference = machine.reference
-    centre = frame(reference.centre)
-    axes = [
-        middle_mm + size_mm * np.linspace(-0.5, 0.5, reference.points)
-        for middle_mm, size_mm in zip(centre[:3, 3], reference.size_mm, strict=True)
-    ]
-    targets_mm = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    poses = np.tile(centre, (len(targets_mm), 1, 1))
-    poses[:, :3, 3] = targets_mm
-    return targets_mm, design.solve(poses, np.radians(reference.start_deg))
 
 
 def varying_rms_mm(targets_mm: Array, errors_mm: Array) -> float:
@@ -188,13 +177,6 @@ def varying_rms_mm(targets_mm: Array, errors_mm: Array) -> float:
     motion = np.column_stack([*shifts, *turns])
     left = errors_mm.ravel() - motion @ np.linalg.lstsq(motion, errors_mm.ravel(), rcond=None)[0]
     return float(np.sqrt((left**2).sum() / len(errors_mm)))
-
-
-def _axis_6(chain: Chain, joints_rad: Array) -> tuple[Array, Array]:
-    """Return axis 6 (3,) and the centre (3,) of the reflector's circle about it."""
-    axis, on_axis_mm = chain.axis(5, joints_rad)
-    reflector_mm = chain.pose(joints_rad)[:3, 3]
-    return axis, on_axis_mm + ((reflector_mm - on_axis_mm) @ axis) * axis
 
 
 def _displaced(design: Chain, errors: _Errors, machine: Machine, smr_mm: Point) -> Chain:

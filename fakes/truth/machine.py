@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
+from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -29,6 +30,7 @@ Rate = Annotated[float, Meta(ge=0, le=1000)]  # um, um/m, um/m/K
 Share = Annotated[float, Meta(ge=0, lt=1)]
 Cycles = tuple[Annotated[int, Meta(ge=1, le=1000)], Annotated[int, Meta(ge=1, le=1000)]]
 UNIT = 1e-6
+KNOWN = 4  # texts that are kept
 
 
 class JointAxis(Frozen, frozen=True, kw_only=True):
@@ -189,7 +191,7 @@ def load_machine(where: str, sizes: Mapping[str, Any] | None = None) -> Machine:
             text = (folder / f"{where}.toml").read_text("utf-8")
         else:
             text = read_text(Path(where))
-        values = tomllib.loads(text)
+        values = _tables(text)
     except FileNotFoundError:
         problem = f"no such file, and no machine of that name; known are: {', '.join(known)}"
         raise SettingsError(f"simulation.machine {where!r}", [problem]) from None
@@ -208,6 +210,11 @@ def _replaced(values: Mapping[str, Any], sizes: Mapping[str, Any]) -> dict[str, 
         if isinstance(each, Mapping) and isinstance(values.get(key), Mapping)
     }
     return {**values, **sizes, **inner}
+
+
+@lru_cache(KNOWN)
+def _tables(text: str) -> Mapping[str, Any]:
+    return tomllib.loads(text)
 
 
 def chain_of_cell(cell: Cell) -> Chain:

@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from fakes.truth.transforms import Array
 
 
-@dataclass(frozen=True, slots=True)
-class Segment:
+class Segment(NamedTuple):
     """Constant acceleration from ``start_s`` on; the last segment of a path stands still."""
 
     start_s: float
@@ -79,6 +82,16 @@ class Path:
         passed_s = max(0.0, now_s - segment.start_s)
         velocity = segment.velocity + segment.acceleration * passed_s
         return segment.position + 0.5 * (segment.velocity + velocity) * passed_s, velocity
+
+    def positions(self, times_s: Array) -> Array:
+        """Return the positions at times (N,)."""
+        segments = np.array(self._segments)
+        taken = np.searchsorted(self._starts_s, times_s, side="right").clip(1) - 1
+        start_s, position, velocity, acceleration = segments[taken].T
+        passed_s = np.maximum(0.0, times_s - start_s)
+        then = velocity + acceleration * passed_s
+        found: Array = position + 0.5 * (velocity + then) * passed_s
+        return found
 
     def corners(self, after_s: float, until_s: float) -> list[float]:
         """Return the positions where segments began in ``after_s < t <= until_s``."""

@@ -20,7 +20,7 @@ from fakes.truth.floor_truth import FloorTruth
 from fakes.truth.machine import Machine, machine_of
 from fakes.truth.noise import KeyedNoise
 from fakes.truth.rail_truth import RailTruth
-from fakes.truth.robot_motion import RobotMotion
+from fakes.truth.robot_motion import RobotMotion, RobotState
 from fakes.truth.stream_truth import StreamTruth
 from fakes.truth.tracker_truth import TrackerTruth
 from fakes.truth.transforms import Array, carried, rigid, rotation
@@ -54,8 +54,9 @@ class Plant:
         self._floor = _placed(cell.layout.floor, mounting.floor_nest_mm, fixed.generator("floor"))
         self._floor |= _bars(cell.layout, mounting.floor_nest_mm, fixed.generator("bars"))
         self._slide = _placed(cell.layout.slide, mounting.slide_nest_mm, fixed.generator("slide"))
-        self._places: tuple[tuple[object, ...], dict[str, Array]] = ((), {})  # for which state
-        self._on_slide: tuple[float, Array, dict[str, Array]] = (math.nan, np.eye(4), {})
+        self._stood: tuple[RobotState | None, Array] = (None, np.zeros(6))  # the true joints
+        self._bolts: tuple[float, Array, dict[str, Array]] = (math.nan, np.eye(4), {})
+        self._places: tuple[tuple[Array, Array, float], dict[str, Array]] | None = None
         self.seated = ""  # where the one reflector is that is carried by hand; "": out of sight
         self.tracker = TrackerTruth(cell, seed, faults, self.reflectors_in_world)
         self.streams = StreamTruth(seed, self.robot, self.tracker, self.path_in_world)
@@ -63,17 +64,18 @@ class Plant:
     def lose_zero(self, lost_rad: float, axis: int = 1) -> None:
         """Turn an axis of the robot, 1 to 6, against its encoder for good."""
         self.arm.lose_zero(axis, lost_rad)
-        self._places = ((), {})
+        self._forget()
 
     def lose_motion(self, lost_rad: float, axis: int = 3) -> None:
         """Widen the gap of an axis of the robot, 1 to 6, for good."""
         if lost_rad:
             self.arm.lose_motion(axis, lost_rad)
-            self._places = ((), {})
+            self._forget()
 
     def slip_mount(self, along_mm: float) -> None:
         """Shift the reflector on the flange along its x for good."""
         self._slipped[0, 3] += along_mm
+        self._forget()
 
     def seat(self, place: str) -> None:
         """Carry the reflector to a nest, the flange, or (empty) away; raises `ValueError`."""
@@ -109,29 +111,42 @@ class Plant:
 
     def places_in_world(self) -> dict[str, Array]:
         """Return where a reflector (3,) in each nest and on the flange really is, in {W}."""
-        robot, warm_k = self.robot.state(), self.tracker.warm_k
-        moves = (robot.joints_rad, robot.side, robot.landing_rad, self._bolted, self._slipped)
-        slide_mm = self.rail.slide_mm()
-        now = (slide_mm, warm_k, *(each.tobytes() for each in moves))
-        known, found = self._places
-        if now != known:  # at rest it is asked for several times a measurement
-            T_W_S, on_slide = self._slide_places(slide_mm)
-            found = self._floor | on_slide
-            arm = self.arm.pose(robot.joints_rad, robot.side, robot.landing_rad, warm_k)
-            tool = T_W_S @ self._bolted @ arm @ self._slipped
-            found[FLANGE] = tool[:3, 3]
-            found |= {name: carried(tool, at_mm) for name, at_mm in self._seats.items()}
-            self._places = (now, found)
+        true_rad, warm_k = self._true_joints(), self.tracker.warm_k
+        base, around = self._bolted_and_nests()
+        if self._places is not None:  # at rest it is asked for several times a measurement
+            (known_rad, known_base, known_k), found = self._places
+            if true_rad is known_rad and base is known_base and warm_k == known_k:
+                return found
+        tool = base @ self.arm.pose_of(true_rad, warm_k) @ self._slipped
+        found = around | {FLANGE: tool[:3, 3]}
+        found |= {name: carried(tool, at_mm) for name, at_mm in self._seats.items()}
+        self._places = ((true_rad, base, warm_k), found)
         return found
 
-    def _slide_places(self, slide_mm: float) -> tuple[Array, dict[str, Array]]:
-        """Return the slide in {W}, (4, 4), and its nests there; it stands while the arm moves."""
-        at_mm, T_W_S, places = self._on_slide
+    def _true_joints(self) -> Array:
+        """Return how the joints (6,) really are turned: the same array while the robot stands."""
+        robot = self.robot.state()
+        stood, true_rad = self._stood
+        if robot is not stood:
+            true_rad = self.arm.true_joints(robot.joints_rad, robot.side, robot.landing_rad)
+            self._stood = (robot, true_rad)
+        return true_rad
+
+    def _bolted_and_nests(self) -> tuple[Array, dict[str, Array]]:
+        """Return the robot's base (4, 4) and all nests, in {W}: the same while the slide stands."""
+        slide_mm = self.rail.slide_mm()
+        at_mm, base, nests = self._bolts
         if slide_mm != at_mm:
             T_W_S = self.rail.slide_pose()
-            places = {name: carried(T_W_S, nest_mm) for name, nest_mm in self._slide.items()}
-            self._on_slide = (slide_mm, T_W_S, places)
-        return T_W_S, places
+            base = T_W_S @ self._bolted
+            on_slide = {name: carried(T_W_S, nest_mm) for name, nest_mm in self._slide.items()}
+            nests = self._floor | on_slide
+            self._bolts = (slide_mm, base, nests)
+        return base, nests
+
+    def _forget(self) -> None:
+        """Compute from the start what is kept while nothing moves."""
+        self._stood, self._places = (None, np.zeros(6)), None
 
     def base_in_world(self) -> Array:
         """Return the base frame (4, 4) in {W} that a faultless section 4.2 would find now."""

@@ -70,6 +70,7 @@ class RailTruth:
         self._play_mm = POWER_ON_MM  # slide behind the backlash, in the motor's coordinate
         self._landing_mm = (0.0, 0.0)  # at the start and at the end of the motion
         self._path = Path(time.now_s(), POWER_ON_MM)
+        self._stands: tuple[Path, float] | None = None  # where the slide is after a path
         self._seen_s = time.now_s()
 
     # -- for the drive --------------------------------------------------------------------------
@@ -196,6 +197,9 @@ class RailTruth:
 
     def _follow(self, now_s: float) -> None:
         """Drag the slide behind the motor up to ``now_s``, through every turn of the path."""
+        if self._stands is not None and self._stands[0] is self._path:
+            self._seen_s = now_s
+            return
         corners = self._path.corners(self._seen_s, now_s)
         for motor_mm in (*corners, self._path.at(now_s)[0]):
             self._play_mm = min(max(self._play_mm, motor_mm), motor_mm + self._backlash_mm)
@@ -205,10 +209,15 @@ class RailTruth:
             self._zero_mm = self._path.end
 
     def _slide_mm(self, now_s: float) -> float:
+        if self._stands is not None and self._stands[0] is self._path:
+            return self._stands[1]
         motor_mm = self._path.at(now_s)[0]
         behind = (self._play_mm - motor_mm) / self._backlash_mm
         error_mm = self._shape.error_mm(self._play_mm, behind)
-        return self._play_mm + error_mm + self._landing(now_s) + self._slip_mm
+        slide_mm = self._play_mm + error_mm + self._landing(now_s) + self._slip_mm
+        if now_s >= self._path.end_s:
+            self._stands = (self._path, slide_mm)
+        return slide_mm
 
 
 class _Shape:
@@ -241,11 +250,10 @@ class _Shape:
         stays that of a rail.
         """
         largest_mm = self._sizes.curve_mm
-        positions_mm = [float(s) for s in np.linspace(0.0, self._sizes.curve_span_mm, 201)]
-        seen_mm = [
-            self._curve(s) * largest_mm + float(np.cross(self._lean_rad(s), lever_mm) @ self._along)
-            for s in positions_mm
-        ]
+        positions_mm = np.linspace(0.0, self._sizes.curve_span_mm, 201).tolist()
+        own_mm = largest_mm * np.array([self._curve(s) for s in positions_mm])
+        leans_rad = np.array([self._lean_rad(s) for s in positions_mm])
+        seen_mm = own_mm + np.vecdot(np.cross(leans_rad, lever_mm), self._along)
         return min(MOST_SHARE, largest_mm / float(np.abs(seen_mm).max()))
 
     def _lean_rad(self, slide_mm: float) -> Array:

@@ -60,7 +60,7 @@ class RobotMotion:
         self._rate = 1.0  # shares a second at full speed
         self._override = 1.0
         self._path = Path(time.now_s(), 0.0)
-        self._standing: Array | None = self._to
+        self._standing: RobotState | None = None
         self._legs: list[_Leg] = []
         self._remembered = 0
         self._keep_leg()
@@ -73,9 +73,9 @@ class RobotMotion:
             distance = self._to - self._from
             moved = np.abs(distance) > NOT_MOVED_RAD
             self._side = np.where(moved, np.sign(distance), self._side)
-            key = ",".join(f"{joint:.6f}" for joint in self._to)
+            key = ",".join(f"{joint:.6f}" for joint in self._to.tolist())
             self._landing = np.where(moved, self._landing_of(key), self._landing)
-            duration_s = float(np.max(np.abs(distance) / self._speed_rad_s))
+            duration_s = float((np.abs(distance) / self._speed_rad_s).max())
             self._rate = 1.0 / max(duration_s, 1e-6)
             self._share = speed_share
             self._path = Path(self._time.now_s(), 0.0)
@@ -119,22 +119,29 @@ class RobotMotion:
             legs = list(self._legs)
         starts_s = [leg.start_s for leg in legs]
         taken = np.searchsorted(starts_s, times_s, side="right").clip(1) - 1
-        rows = [(legs[number], float(at_s)) for number, at_s in zip(taken, times_s, strict=True)]
-        shares = np.array([[min(leg.path.at(at_s)[0], 1.0)] for leg, at_s in rows])
-        from_rad = np.array([leg.from_rad for leg, _ in rows])
-        to_rad = np.array([leg.to_rad for leg, _ in rows])
-        sides = np.array([leg.side for leg, _ in rows])
+        shares = np.zeros((len(times_s), 1))
+        for number in np.unique(taken):
+            rows = taken == number
+            shares[rows, 0] = legs[number].path.positions(times_s[rows]).clip(max=1.0)
+        from_rad = np.array([leg.from_rad for leg in legs])[taken]
+        to_rad = np.array([leg.to_rad for leg in legs])[taken]
         return (
             from_rad + shares * (to_rad - from_rad),
-            sides,
-            np.array([leg.landing_rad for leg, _ in rows]),
+            np.array([leg.side for leg in legs])[taken],
+            np.array([leg.landing_rad for leg in legs])[taken],
         )
 
     def state(self, at_s: float | None = None) -> RobotState:
-        """Return the state now, or as of a time just read; lets no time pass."""
+        """Return the state now, or as of a time just read; the same object at rest."""
         with self._lock:
+            if self._standing is not None:
+                return self._standing
             now_s = self._time.now_s() if at_s is None else at_s
-            return RobotState(self._joints(now_s), self._side, self._landing, self._moves(now_s))
+            moving = self._moves(now_s)
+            state = RobotState(self._joints(now_s), self._side, self._landing, moving)
+            if not moving:
+                self._standing = state
+            return state
 
     def measured(self, cycle_s: float) -> tuple[Array, int]:
         """Return the joints (6,) at the last tick of a controller's cycle, and the tick's number.
@@ -184,9 +191,7 @@ class RobotMotion:
 
     def _joints(self, now_s: float) -> Array:
         if self._standing is not None:
-            return self._standing
+            return self._standing.joints_rad
         share = self._path.at(now_s)[0]
         joints: Array = self._from + share * (self._to - self._from) if share < 1 else self._to
-        if not self._moves(now_s):
-            self._standing = joints
         return joints

@@ -7,11 +7,11 @@ positive sense is its axis's direction; there are no signs or offsets beside it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from fakes.truth.transforms import Array, rigid, turned
+from fakes.truth.transforms import Array, generators, rigid, turned, turned_by
 from hilcell.ports import HilcellError
 
 SCALE_MM = 1000.0  # a radian counts as much as this
@@ -27,11 +27,22 @@ class Chain:
     axes: Array
     points_mm: Array
     last: Array
+    _generators: tuple[Array, Array] = field(init=False, repr=False)
 
-    def pose(self, joints_rad: Array) -> Array:
-        """Return the last frame (..., 4, 4) at joints (..., 6)."""
-        T: Array = self._moved(joints_rad)[-1] @ self.last
-        return T
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_generators", generators(self.axes))
+
+    def pose(self, joints_rad: Array, strain: float = 0.0) -> Array:
+        """Return the last frame (..., 4, 4) at joints (..., 6).
+
+        All lengths of the arm are longer by a share ``strain``.
+        """
+        T, *behind = self._turns(joints_rad, self.points_mm * (1.0 + strain))
+        for each in behind:
+            T = T @ each
+        last = self.last.copy()
+        last[:3, 3] *= 1.0 + strain
+        return T @ last
 
     def axis(self, number: int, joints_rad: Array) -> tuple[Array, Array]:
         """Return direction (..., 3) and a point (..., 3) of one axis, counted from 0."""
@@ -60,12 +71,6 @@ class Chain:
             columns.append(np.concatenate([np.cross(direction, lever_mm), direction], axis=-1))
         return np.stack(columns, axis=-1)
 
-    def grown(self, strain: float) -> Chain:
-        """Return the arm with all its lengths longer by a share."""
-        last = self.last.copy()
-        last[:3, 3] *= 1.0 + strain
-        return replace(self, points_mm=self.points_mm * (1.0 + strain), last=last)
-
     def solve(self, poses: Array, start_rad: Array) -> Array:
         """Return joints (N, 6) for poses (N, 4, 4) by damped least squares from a start (6,).
 
@@ -86,14 +91,18 @@ class Chain:
 
     def _moved(self, joints_rad: Array) -> list[Array]:
         """Return the motion (..., 4, 4) of bodies behind 0, 1, .. 6 joints."""
-        R = turned(np.broadcast_to(self.axes, (*joints_rad.shape, 3)), joints_rad)
+        moved = [np.broadcast_to(np.eye(4), (*joints_rad.shape[:-1], 4, 4))]
+        for each in self._turns(joints_rad, self.points_mm):
+            moved.append(moved[-1] @ each)
+        return moved
+
+    def _turns(self, joints_rad: Array, points_mm: Array) -> list[Array]:
+        """Return the motion (..., 4, 4) of each joint alone, about its axis through a point."""
+        R = turned_by(*self._generators, joints_rad)
         single = np.zeros((*joints_rad.shape, 4, 4))
         single[..., :3, :3], single[..., 3, 3] = R, 1.0
-        single[..., :3, 3] = self.points_mm - (R @ self.points_mm[..., None])[..., 0]
-        moved = [np.broadcast_to(np.eye(4), (*joints_rad.shape[:-1], 4, 4))]
-        for number in range(6):
-            moved.append(moved[-1] @ single[..., number, :, :])
-        return moved
+        single[..., :3, 3] = points_mm - (R @ points_mm[..., None])[..., 0]
+        return [single[..., number, :, :] for number in range(6)]
 
 
 def from_rows(

@@ -70,7 +70,7 @@ class TrackerTruth:
         self.pose_in_world = frame(cell.tracker.pose) @ placed
         self._from_world = inverse(self.pose_in_world)
         self._drift = rng.standard_normal((2, 3)) * self._sizes.drift_mm
-        self._air_phases = rng.uniform(0.0, 2 * math.pi, 3)
+        self._air_phases: list[float] = rng.uniform(0.0, 2 * math.pi, 3).tolist()
         self._bump_mm, self._scale = np.zeros(3), 1.0
         self._lifted_mm: dict[str, float] = {}
         self._offset_mm = self._warmer_k = 0.0
@@ -94,13 +94,17 @@ class TrackerTruth:
         at_mm = np.array([*places.values()]) @ self._from_world[:3, :3].T + self._from_world[:3, 3]
         range_mm, off_mm = (np.sqrt((d * d).sum(axis=1)) for d in (at_mm, at_mm - near_mm))
         seen = (self._range_mm[0] <= range_mm) & (range_mm <= self._range_mm[1])
-        found = {name: off for name, off, sees in zip(places, off_mm, seen, strict=True) if sees}
-        if not found:
+        near = [
+            (off, name)
+            for off, name, sees in zip(off_mm.tolist(), places, seen.tolist(), strict=True)
+            if sees
+        ]
+        if not near:
             return None
-        order = sorted(found, key=found.__getitem__)
-        if len(order) > 1 and self._faults.take("tracker.wrong_target") is not None:
-            return order[1]
-        return order[0] if found[order[0]] <= radius_mm else None
+        if len(near) > 1 and self._faults.take("tracker.wrong_target") is not None:
+            return sorted(near)[1][1]
+        off, name = min(near)
+        return name if off <= radius_mm else None
 
     def measure(self, name: str) -> Measurement | None:
         """Return one measurement of a reflector, or None where it is out of range."""
@@ -115,20 +119,21 @@ class TrackerTruth:
         self._lifted_mm[name] = self._lifted_mm.get(name, 0.0) + lifted_mm
         at_mm = at_mm + self._lifted_mm[name] / math.sqrt(3.0)
         xyz_mm = self._scale * at_mm + self._bump_mm + self._slow_drift_mm()
-        range_mm = float(np.linalg.norm(xyz_mm))
+        range_mm = _length(xyz_mm)
         along = xyz_mm / range_mm
         self._warmer_k += self._faults.number("tracker.warmer") or 0.0
         self._offset_mm += self._faults.number("tracker.wrong_offset") or 0.0
         xyz_mm = xyz_mm + self._offset_mm * along
         # Coarse: a slide that lands a few micrometres off meets the same noise.
-        key = ",".join(f"{value / 10.0:.0f}" for value in xyz_mm)
+        key = ",".join(f"{value / 10.0:.0f}" for value in xyz_mm.tolist())
         draws = self._noise.normal(key, 6)
-        radial = (draws[:3] @ along) * along
+        radial = draws[:3].dot(along) * along
         radial_mm = self._sizes.radial_um * 1e-3
         across_mm = self._sizes.across_um_m * 1e-6 * range_mm
-        noise_mm = radial_mm * radial + across_mm * (draws[:3] - radial)
-        sigma_mm = np.sqrt((radial_mm * along) ** 2 + across_mm**2 * (1 - along**2))
-        if std_mm is not None:
+        if std_mm is None:
+            noise_mm = radial_mm * radial + across_mm * (draws[:3] - radial)
+            sigma_mm = np.sqrt((radial_mm * along) ** 2 + across_mm**2 * (1 - along**2))
+        else:
             noise_mm, sigma_mm = std_mm * draws[:3], np.full(3, std_mm / math.sqrt(3.0))
         xyz_mm = xyz_mm + noise_mm
         xyz_mm[2] += self._faults.number("tracker.spike") or 0.0
@@ -159,19 +164,22 @@ class TrackerTruth:
     def air(self) -> Air:
         """Return the air now."""
         age = self._measured * MEASUREMENT_S / AIR_PERIOD_S
-        waves = np.sin(2 * math.pi * age + self._air_phases)
+        waves = [math.sin(2 * math.pi * age + phase) for phase in self._air_phases]
         return Air(
-            temperature_c=float(
-                self._sizes.room_c + self._sizes.room_swing_k * waves[0] + self._warmer_k
-            ),
-            pressure_mbar=float(1009.0 + 2.0 * waves[1]),
-            humidity_percent=float(45.0 + 4.0 * waves[2]),
+            temperature_c=self._sizes.room_c + self._sizes.room_swing_k * waves[0] + self._warmer_k,
+            pressure_mbar=1009.0 + 2.0 * waves[1],
+            humidity_percent=45.0 + 4.0 * waves[2],
         )
 
     def _in_range(self, at_mm: Array) -> bool:
-        return self._range_mm[0] <= float(np.linalg.norm(at_mm)) <= self._range_mm[1]
+        return self._range_mm[0] <= _length(at_mm) <= self._range_mm[1]
 
     def _slow_drift_mm(self) -> Array:
         angle = 2 * math.pi * self._measured * MEASUREMENT_S / DRIFT_PERIOD_S
         drift: Array = self._drift[0] * math.sin(angle) + self._drift[1] * (1 - math.cos(angle))
         return drift
+
+
+def _length(vector_mm: Array) -> float:
+    """Return the length of a vector (3,)."""
+    return math.sqrt(vector_mm.dot(vector_mm))

@@ -12,18 +12,29 @@ from numpy.typing import NDArray
 from hilcell.cell.tables import Pose
 
 Array = NDArray[np.float64]
+UNTURNED = np.eye(3)
 GIMBAL = 1e-9  # cosine of B below which A and C turn about one line
 
 
 def turned(axes: Array, angles_rad: Array) -> Array:
     """Return rotations (..., 3, 3) by angles (...) about unit axes (..., 3), after Rodrigues."""
+    return turned_by(*generators(axes), angles_rad)
+
+
+def generators(axes: Array) -> tuple[Array, Array]:
+    """Return the matrices (..., 3, 3) of the cross product with unit axes (..., 3), and squares."""
     K = np.zeros((*axes.shape, 3))
     x, y, z = axes[..., 0], axes[..., 1], axes[..., 2]
     K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -z, y, -x
     K[..., 1, 0], K[..., 2, 0], K[..., 2, 1] = z, -y, x
+    return K, K @ K
+
+
+def turned_by(K: Array, squares: Array, angles_rad: Array) -> Array:
+    """Return what `turned` does, for axes of which the `generators` are known."""
     sine = np.sin(angles_rad)[..., None, None]
     versine = (1.0 - np.cos(angles_rad))[..., None, None]
-    R: Array = np.eye(3) + sine * K + versine * (K @ K)
+    R: Array = UNTURNED + sine * K + versine * squares
     return R
 
 

@@ -4,7 +4,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from fakes.truth.arm_truth import ArmTruth, reference_cube, varying_rms_mm
+from fakes.truth.arm_truth import ArmTruth, varying_rms_mm
+from fakes.truth.design import reference_cube
 from fakes.truth.joint_errors import Ripple
 from fakes.truth.machine import Machine, load_machine
 from fakes.truth.noise import KeyedNoise

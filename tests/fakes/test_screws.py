@@ -74,7 +74,7 @@ def test_a_pose_out_of_reach_is_refused(cell: Cell) -> None:
 
 def test_a_grown_arm_is_longer_by_the_strain(cell: Cell) -> None:
     chain, q = design(cell), joints(20)
-    shorter, longer = chain.pose(q), chain.grown(1e-3).pose(q)
+    shorter, longer = chain.pose(q), chain.pose(q, 1e-3)
     np.testing.assert_allclose(longer[:, :3, 3], 1.001 * shorter[:, :3, 3], atol=1e-9)
     np.testing.assert_allclose(longer[:, :3, :3], shorter[:, :3, :3], atol=1e-12)
 
