@@ -96,7 +96,6 @@ class RobotMotion:
         with self._lock:
             self._path = self._fresh_path().brake(self._rate / BRAKE_S)
             self._share = 0.0
-            self._standing = None
             self._keep_leg()
 
     def poll(self) -> RobotState:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -45,3 +46,12 @@ def test_position_is_continuous_and_arrives(
     assert all(abs(velocity) <= speed * (1 + 1e-9) for _, velocity in steps)
     for (before, _), (after, _) in pairwise(steps):
         assert abs(after - before) <= speed * path.end_s / 50 * (1 + 1e-6) + 1e-6
+
+
+@given(start=st.floats(-500, 500), target=st.floats(-500, 500), speed=numbers, ramp=numbers)
+def test_many_positions_are_those_of_each_time(
+    start: float, target: float, speed: float, ramp: float
+) -> None:
+    path = Path(1.0, start, velocity=speed).brake(ramp).travel(target, speed, ramp)
+    times_s = np.linspace(0.0, path.end_s + 1.0, 50)
+    assert path.positions(times_s).tolist() == [path.at(at_s)[0] for at_s in times_s.tolist()]

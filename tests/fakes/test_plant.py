@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import combinations
 
 import msgspec
@@ -162,6 +163,42 @@ def test_override_zero_holds_and_then_lets_go_on(cell: Cell) -> None:
     plant.time.advance(60.0)
     assert not plant.robot.moving
     np.testing.assert_allclose(plant.robot.state().joints_rad, POSES[1] * DEG)
+
+
+def slide_on(plant: Plant) -> None:
+    rail_of(plant).brake(closed=False)
+    rail_of(plant).move(100.0, 250.0, 200.0)
+    plant.time.advance(60.0)
+
+
+def measure_often(plant: Plant) -> None:
+    for _ in range(100):
+        plant.tracker.measure(FLANGE)
+
+
+CHANGES: dict[str, Callable[[Plant], None]] = {
+    "the robot moves": lambda plant: go(plant, POSES[1]),
+    "the slide moves": slide_on,
+    "it gets warmer": measure_often,
+    "the mount slips": lambda plant: plant.slip_mount(0.1),
+    "a zero is lost": lambda plant: plant.lose_zero(1e-3),
+    "motion is lost": lambda plant: plant.lose_motion(1e-3),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_what_stood_is_not_taken_for_what_is_now(change: str) -> None:
+    """Places are kept while nothing changes; two plants agree, one was asked in between."""
+    asked, other = plant_of(load_cell("hard")), plant_of(load_cell("hard"))
+    for plant in (asked, other):
+        go(plant, POSES[0])
+    before_mm = asked.places_in_world()[FLANGE]
+    assert asked.places_in_world()[FLANGE] is before_mm
+    for plant in (asked, other):
+        CHANGES[change](plant)
+    after_mm = asked.places_in_world()[FLANGE]
+    assert not np.allclose(after_mm, before_mm, atol=1e-4)
+    assert np.array_equal(after_mm, other.places_in_world()[FLANGE])
 
 
 def test_lost_zero_turns_the_tool(cell: Cell) -> None:
