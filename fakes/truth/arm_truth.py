@@ -73,16 +73,20 @@ class ArmTruth:
         last motion, ``landing_rad`` (..., 6) this motion's repeatability error, ``warm_k`` how
         much warmer the arm is than the room's mean.
         """
-        return self.pose_of(self.true_joints(joints_rad, side, landing_rad), warm_k)
+        true_rad = self.true_joints(joints_rad, side, landing_rad)
+        return self.pose_of(true_rad, self.strain(warm_k))
 
     def true_joints(self, joints_rad: Array, side: Array, landing_rad: Array) -> Array:
         """Return how the joints (..., 6) really are turned, however warm the arm is."""
         lost = side * self._half_gap_rad + landing_rad
         return self._by_angles(joints_rad) + lost
 
-    def pose_of(self, true_rad: Array, warm_k: float) -> Array:
+    def strain(self, warm_k: float) -> float:
+        """Return the share by which the arm is longer where it is so much warmer."""
+        return self._machine.transmission.growth_um_m_k * 1e-6 * warm_k
+
+    def pose_of(self, true_rad: Array, strain: float) -> Array:
         """Return the reflector's frame in {R}, (..., 4, 4), with joints really turned so."""
-        strain = self._machine.transmission.growth_um_m_k * 1e-6 * warm_k
         return self._chain.pose(true_rad, strain)
 
     def lose_zero(self, axis: int, lost_rad: float) -> None:

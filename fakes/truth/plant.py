@@ -111,16 +111,16 @@ class Plant:
 
     def places_in_world(self) -> dict[str, Array]:
         """Return where a reflector (3,) in each nest and on the flange really is, in {W}."""
-        true_rad, warm_k = self._true_joints(), self.tracker.warm_k
+        true_rad, strain = self._true_joints(), self.arm.strain(self.tracker.warm_k)
         base, around = self._bolted_and_nests()
         if self._places is not None:  # at rest it is asked for several times a measurement
-            (known_rad, known_base, known_k), found = self._places
-            if true_rad is known_rad and base is known_base and warm_k == known_k:
+            (known_rad, known_base, known_strain), found = self._places
+            if true_rad is known_rad and base is known_base and strain == known_strain:
                 return found
-        tool = base @ self.arm.pose_of(true_rad, warm_k) @ self._slipped
+        tool = base @ self.arm.pose_of(true_rad, strain) @ self._slipped
         found = around | {FLANGE: tool[:3, 3]}
         found |= {name: carried(tool, at_mm) for name, at_mm in self._seats.items()}
-        self._places = ((true_rad, base, warm_k), found)
+        self._places = ((true_rad, base, strain), found)
         return found
 
     def _true_joints(self) -> Array:
