@@ -1,4 +1,4 @@
-"""What all robots of one machine share: the arm as designed, and the poses that state its sizes."""
+"""A machine before its errors are drawn: the designed arm, and the poses that state its sizes."""
 
 from __future__ import annotations
 
