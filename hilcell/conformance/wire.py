@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import socket
@@ -11,7 +12,7 @@ import termios
 import threading
 import time
 import tty
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
@@ -24,6 +25,8 @@ RESET = struct.pack("ii", 1, 0)  # SO_LINGER: close by RST
 GLUE_S = 0.004  # replies that come within this time leave as one
 APART_S = 0.0005  # the system would hand pieces on together
 LOOK_S = 0.05
+BEHIND_S = 0.3
+AHEAD_S = 0.05  # of an old answer to the right one
 
 
 class End(Protocol):
@@ -102,14 +105,17 @@ class Wire:
     """Hands bytes on between pairs of ends; ``mode`` says how.
 
     ``pass``, ``blackhole`` (all is swallowed, nothing closed), ``mute`` (answers are swallowed),
-    ``hold`` (answers are kept until the mode changes), ``garbage`` (in place of answers), ``flood``
-    (without end), ``slices`` (1 byte each), ``pieces`` (one byte, then the rest in two), ``glue``,
-    ``slow`` (each piece of an answer ``delay_s`` late). ``rewrite``: bytes of answers to replace.
+    ``hold`` (answers are kept until the mode changes), ``behind`` (what is kept comes right behind
+    the driver's next request, `AHEAD_S` before its answer; where none is sent, after `BEHIND_S`),
+    ``garbage`` (in place of answers), ``flood`` (without end), ``slices`` (1 byte each), ``pieces``
+    (one byte, then the rest in two), ``glue``, ``slow`` (each piece of an answer ``delay_s`` late).
+    ``rewrite``: bytes of answers to replace. ``asked`` is called before a request is handed on.
     """
 
     def __init__(self) -> None:
         self.mode, self.delay_s = "pass", 0.0
         self.rewrite: dict[bytes, bytes] = {}
+        self.asked: Callable[[], None] = _unnoticed
         self._ended = False
         self._lock = threading.Lock()
         self._pairs: list[tuple[End, End]] = []
@@ -138,19 +144,26 @@ class Wire:
         thread.start()
 
     def _pump(self, near: End, far: End) -> None:
-        kept = b""
+        kept, due_s = b"", math.inf
         with suppress(OSError, ValueError):
             while not self._ended:
                 ready, _, _ = select.select([near, far], [], [], LOOK_S)
                 if self.mode == "flood":
                     near.send(NOISE)
-                if kept and self.mode not in ("hold", "mute"):
+                now_s = time.monotonic()
+                due_s = min(due_s, now_s + BEHIND_S) if self.mode == "behind" else math.inf
+                asked = near in ready and (data := self._received(near))
+                if asked:
+                    self.asked()
+                    self._pieces(data, far)
+                late = self.mode == "behind" and not asked and now_s < due_s
+                if kept and not late and self.mode not in ("hold", "mute"):
                     near.send(kept)
                     kept = b""
-                if near in ready and (data := self._received(near)):
-                    self._pieces(data, far)
+                    if self.mode == "behind":
+                        time.sleep(AHEAD_S)
                 if far in ready and (data := self._received(far)):
-                    if self.mode == "hold":
+                    if self.mode == "hold" or (kept and self.mode == "behind"):
                         kept += data
                     else:
                         self._answer(data, near)
@@ -293,6 +306,10 @@ class Line(Wire):
         self._folder.cleanup()
 
 
+def _unnoticed() -> None:
+    """Take no note of a request."""
+
+
 class Wires:
     """The wires before all places of one device; ``options`` lead the driver through them.
 
@@ -304,6 +321,7 @@ class Wires:
         self._lines: dict[str, Line] = {}
         self._parts: dict[str, Wires] = {}
         self.options = dict(address)
+        self._asking, self._asked, self._hold_from = threading.Lock(), 0, math.inf
         for key, value in address.items():
             if isinstance(value, Mapping):
                 self._parts[key] = Wires(value)
@@ -316,6 +334,8 @@ class Wires:
                 path, at, baud = value.partition("@")
                 self._lines[key] = Line(path)
                 self.options[key] = f"{self._lines[key].path}{at}{baud}"
+        for each in self.all:
+            each.asked = self._count
 
     @property
     def all(self) -> list[Proxy | Line]:
@@ -340,6 +360,18 @@ class Wires:
         for each in self.all:
             each.mode, each.delay_s = mode, delay_s
 
+    def hold_after(self, requests: int) -> None:
+        """Hand on so many more requests with their answers; keep the answers to all later ones."""
+        with self._asking:
+            self._hold_from = self._asked + requests
+
+    def _count(self) -> None:
+        with self._asking:
+            if self._asked >= self._hold_from:
+                self._hold_from = math.inf
+                self.set("hold")
+            self._asked += 1
+
     def rewrite(self, old: bytes, new: bytes) -> None:
         """Replace bytes of all answers from now on."""
         for each in self.all:
@@ -347,6 +379,7 @@ class Wires:
 
     def straight(self) -> None:
         """Hand everything on as it is."""
+        self._hold_from = math.inf
         for each in self.all:
             each.mode, each.rewrite = "pass", {}
 

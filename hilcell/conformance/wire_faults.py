@@ -13,7 +13,7 @@ from hilcell.conformance.bench import Bench
 from hilcell.conformance.child import Child
 from hilcell.conformance.connecting import near
 from hilcell.conformance.promise import Promise
-from hilcell.conformance.verdicts import Broken, fails, need
+from hilcell.conformance.verdicts import Broken, Port, fails, need
 from hilcell.errors import DeviceError, Stopped
 
 STOP_S = 0.02
@@ -24,6 +24,10 @@ UNDER_WAY_S = 0.7
 END_S = 10.0
 LONGEST_S = 60.0
 SLOW_S = 0.05
+TRAVELLED_S = 30.0  # of the cell: a motion from place to place has ended
+# Requests of a motion, or a measurement, after which answers are kept back; a tracker's first one
+# is kept back by itself.
+HELD_FROM: dict[Port, tuple[int, ...]] = {"rail": (0, 1), "robot": (0, 1), "tracker": (1,)}
 STANDS_S = 0.3
 # A device has seen by then that its client is gone; `travel` would have ended by then, too.
 GONE_S = 5.0
@@ -64,20 +68,47 @@ def silent(bench: Bench) -> None:
 
 
 def late(bench: Bench) -> None:
-    """Keep the answers of one question until the next."""
+    """Keep the answers of a question that the driver gives up; they come to the next question."""
     driver = bench.connected()
     near(bench, bench.acts.visit(driver, 0), 0)
     bench.wires.set("hold")
     with suppress(DeviceError):  # `silent` judges that
         bench.acts.ask(driver)
-    bench.wires.straight()
+    bench.wires.set("behind")
     try:
         reading = bench.acts.visit(driver, 1)
     except DeviceError:
+        bench.wires.straight()
         driver.connect()
         bench.acts.ready(driver)
         reading = bench.acts.visit(driver, 1)
     near(bench, reading, 1)
+    for requests in HELD_FROM[bench.port]:
+        bench.tidy()
+        _late_on_the_way(bench, requests)
+
+
+def _late_on_the_way(bench: Bench, requests: int) -> None:
+    """Do so with answers on the way to a place, after so many requests of the driver.
+
+    The next question comes when all has ended, so an old answer does not happen to be right.
+    """
+    driver = bench.connected()
+    bench.acts.visit(driver, 0)
+    bench.wires.hold_after(requests)
+    with suppress(DeviceError):
+        bench.acts.visit(driver, 1)
+    bench.clock.wait(TRAVELLED_S)
+    bench.wires.set("behind")
+    try:
+        reading = bench.acts.ask(driver)
+    except DeviceError:
+        return  # it refuses
+    bench.tidy()
+    other = bench.build()
+    other.connect()
+    apart = bench.acts.apart(reading, bench.acts.ask(other))
+    need(apart <= 1.0, f"an answer from before the question: {apart:.1f} of what a rest allows")
 
 
 def slow(bench: Bench) -> None:

@@ -9,6 +9,10 @@ from typing import Any
 import numpy as np
 
 from drivers.canopen.rail_setup import CONSUMER_HEARTBEAT
+from drivers.kuka.robot_eki import KukaEkiRobot
+from drivers.leica.geocom import Reply, Rpc
+from drivers.leica.tracker_geocom import LeicaGeocomTracker
+from hilcell.conformance.verdicts import Port
 from hilcell.errors import NoReading
 from hilcell.ports import StreamBlock
 from tests.hilcell.conformance.broken import COMMON, Base, Pieces, Slow
@@ -253,6 +257,47 @@ class TrackerStreamEnds(Base, TrackerSeams):
         stream._restore = lambda error: None  # type: ignore[method-assign]
         return stream
 
+
+# -- of other makes ---------------------------------------------------------------------------
+
+
+class EkiWithoutIds(KukaEkiRobot):
+    """Takes any state for the answer to its command."""
+
+    def connect(self) -> Any:
+        found = super().connect()
+        line: Any = self._controller._line  # type: ignore[union-attr]  # it is connected
+        ask, documents, numbers = line.ask, line._documents, [0]
+
+        def asked(number: int, document: bytes) -> Any:
+            numbers[0] = number
+            return ask(number, document)
+
+        line.ask = asked
+        line._documents = lambda operation: [(numbers[0], s) for _, s in documents(operation)]
+        return found
+
+
+class GeocomWithoutTransactions(LeicaGeocomTracker):
+    """Takes any reply for the one to its request."""
+
+    REPLY_S = MOVE_S = 0.5
+    asked = 0
+
+    def _send(self, rpc: Rpc, *parameters: float) -> int:
+        self.asked = super()._send(rpc, *parameters)
+        return self.asked
+
+    def _parsed(self, line: str) -> Reply:
+        return replace(super()._parsed(line), transaction=self.asked)
+
+
+# Drivers that do not compare the numbers of answers, and how they are reached.
+NUMBERLESS: list[tuple[Port, str, dict[str, str], type[Any]]] = [
+    ("robot", "kuka-eki", {}, EkiWithoutIds),
+    ("tracker", "leica-geocom", {"tracker.options.channel": "/dev/ttyUSB0"},
+     GeocomWithoutTransactions),
+]  # fmt: skip
 
 OWN: dict[str, dict[str, type[Base]]] = {
     "rail": {

@@ -17,7 +17,7 @@ from hilcell.conformance.promise import Outcome, Promise
 from hilcell.conformance.trial import Trial
 from hilcell.conformance.verdicts import PORTS, Port
 from hilcell.errors import Stopped
-from tests.hilcell.conformance.broken_drivers import BROKEN
+from tests.hilcell.conformance.broken_drivers import BROKEN, NUMBERLESS
 
 PAIRS = [(port, name) for port in PORTS for name in BROKEN[port]]
 # A rail that homes and a tracker that warms up in real time take long.
@@ -140,6 +140,16 @@ def test_a_broken_driver_breaks_its_promise(port: Port, part: int) -> None:
     with Trial(load_cell("paper"), port) as trial:
         outcomes = [judged(trial, port, name) for name in QUICK[port][part::PARTS]]
     assert [each.promise for each in outcomes if each.verdict != "broken" or not each.why] == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("port", "name", "sets", "kind"), NUMBERLESS)
+def test_a_driver_that_ignores_the_numbers_of_answers_takes_a_late_one(
+    port: Port, name: str, sets: dict[str, str], kind: type[Any]
+) -> None:
+    with Trial(driver_cell("paper", port, name, sets), port, kind=kind) as trial:
+        outcome = trial.judge(named(port, "late"))
+    assert (outcome.verdict, bool(outcome.why)) == ("broken", True)
 
 
 def judged(trial: Trial, port: Port, name: str) -> Outcome:

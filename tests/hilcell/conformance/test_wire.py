@@ -11,8 +11,10 @@ from contextlib import contextmanager
 
 import pytest
 
+from hilcell.conformance import wire
 from hilcell.conformance.wire import Line, Wires
 from tests.drivers.peers import Server
+from tests.fakes.wires import exactly
 
 WAIT_S = 5.0
 QUIET_S = 0.2
@@ -29,6 +31,13 @@ def client(wires: Wires) -> Iterator[socket.socket]:
     assert isinstance(port, int)
     with socket.create_connection(("127.0.0.1", port), WAIT_S) as link:
         yield link
+
+
+def nothing_comes(link: socket.socket) -> None:
+    link.settimeout(QUIET_S)
+    with pytest.raises(TimeoutError):
+        link.recv(100)
+    link.settimeout(WAIT_S)
 
 
 @pytest.fixture
@@ -50,20 +59,42 @@ def test_answers_do_not_come(wires: Wires, mode: str) -> None:
     with client(wires) as link:
         wires.set(mode)
         link.sendall(b"ask")
-        link.settimeout(QUIET_S)
-        with pytest.raises(TimeoutError):
-            link.recv(100)
+        nothing_comes(link)
 
 
 def test_held_answers_come_later(wires: Wires) -> None:
     with client(wires) as link:
         wires.set("hold")
         link.sendall(b"ask")
-        link.settimeout(QUIET_S)
-        with pytest.raises(TimeoutError):
-            link.recv(100)
+        nothing_comes(link)
         wires.straight()
-        link.settimeout(WAIT_S)
+        assert link.recv(100) == b"ask"
+
+
+def test_an_old_answer_comes_as_the_first_one_to_the_next_question(
+    wires: Wires, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(wire, "BEHIND_S", 1e3)
+    with client(wires) as link:
+        wires.hold_after(1)
+        link.sendall(b"one")
+        assert link.recv(100) == b"one"
+        link.sendall(b"two")
+        nothing_comes(link)
+        wires.set("behind")
+        nothing_comes(link)
+        link.sendall(b"three")
+        assert exactly(link, 8) == b"twothree"
+        link.sendall(b"four")
+        assert link.recv(100) == b"four"
+
+
+def test_an_old_answer_comes_though_nobody_asks(wires: Wires) -> None:
+    with client(wires) as link:
+        wires.set("hold")
+        link.sendall(b"ask")
+        nothing_comes(link)
+        wires.set("behind")
         assert link.recv(100) == b"ask"
 
 
