@@ -17,7 +17,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from hilcell.calibration.suspicions import Suspicion, left_by, patterns, strip_pattern
+from hilcell.calibration.suspicions import Suspicion, left_by, patterns, strip_pattern, weights_of
 from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.statistics import f_quantile
 from hilcell.ports import Array
@@ -102,13 +102,13 @@ class _Explained(NamedTuple):
 
 def _explained(found: Differences, arm: Arm, noticed_by: str) -> list[_Explained]:
     """Return every cause at every moment at which it may have come."""
-    explained = []
+    explained, weights = [], weights_of(found.covariance_mm2)
     strip = [strip_pattern(found.rail, len(found.joints_rad))] if found.rail.any() else []
     for cause, all_columns, factor, unit in [*patterns(arm, found.joints_rad), *strip]:
         for first in found.firsts:
             columns = all_columns.copy()
             columns[3 * first :] = 0.0
-            left, size = left_by(found.difference_mm, found.covariance_mm2, columns)
+            left, size = left_by(found.difference_mm, weights, columns)
             suspicion = Suspicion(cause, factor * size, unit, noticed_by)
             explained.append(_Explained(suspicion, left, columns.shape[1]))
     return explained

@@ -19,7 +19,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hilcell.calibration.suspicions import Suspicion, left_by, patterns
+from hilcell.calibration.suspicions import Suspicion, left_by, patterns, weights_of
 from hilcell.geometry.frames import cross_matrix, matrix, motion_levers
 from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.rotations import from_rotvec
@@ -157,7 +157,7 @@ def judged(found: Rechecked) -> Judgement:
     left_mm = found.errors_mm - (J @ motion).reshape(-1, 3)
     at_middle = np.hstack([np.eye(3), -cross_matrix(found.targets_mm.mean(axis=0))])
     drift_mm, drift_u_mm = _drift(found)
-    slipped, slip_mm = left_by(found.errors_mm, C, found.orientations.reshape(-1, SLIP))
+    slipped, slip_mm = left_by(found.errors_mm, weights_of(C), found.orientations.reshape(-1, SLIP))
     return Judgement(
         _test(explained, MOTION),
         _test(rest, 3 * count - MOTION),
@@ -189,9 +189,9 @@ def suspicions(
     if judgement.rest.holds:
         return []
     likely: list[tuple[float, Suspicion]] = []
-    moved = motion_columns(found.targets_mm)
+    moved, weights = motion_columns(found.targets_mm), weights_of(found.covariance_mm2)
     for cause, columns, factor, unit in patterns(arm, joints_rad):
-        chi2, size = left_by(found.errors_mm, found.covariance_mm2, columns, besides=moved)
+        chi2, size = left_by(found.errors_mm, weights, columns, besides=moved)
         freedom = judgement.rest.freedom - columns.shape[1]
         if _test(chi2, freedom).holds:
             likely.append((chi2 / freedom, Suspicion(cause, factor * size, unit, NOTICED_BY)))

@@ -99,18 +99,24 @@ def strip_pattern(rail: Sequence[float] | Array, count: int) -> Pattern:
     return Pattern("strip", np.tile(np.asarray(rail), count)[:, None], 1.0, "mm")
 
 
+def weights_of(covariance_mm2: Array) -> Array:
+    """Return the weights (3N, 3N) of errors with a covariance: its inverse."""
+    return np.array(np.linalg.inv(covariance_mm2), dtype=float)
+
+
 def left_by(
-    errors_mm: Array, covariance_mm2: Array, columns: Array, besides: Array | None = None
+    errors_mm: Array, weights: Array, columns: Array, besides: Array | None = None
 ) -> tuple[float, float]:
     """Return the chi^2 of errors (N, 3) that columns (3N, K) leave, and the columns' size.
 
+    ``weights`` (3N, 3N) are those of `weights_of`.
     ``besides`` (3N, M) may explain errors as well, and counts for no size. The size of a single
     column has its sign, that of three is their length.
     """
     own = columns.shape[1]
     J = columns if besides is None else np.hstack([columns, besides])
     e = errors_mm.reshape(-1)
-    weighted = np.linalg.solve(covariance_mm2, np.column_stack([J, e]))
+    weighted = weights @ np.column_stack([J, e])
     chi2, pull = float(e @ weighted[:, -1]), J.T @ weighted[:, -1]
     information = J.T @ weighted[:, :-1]
     scale = 1.0 / np.sqrt(np.diag(information))  # columns differ in units

@@ -23,6 +23,7 @@ Ints = NDArray[np.int_]
 SPHERICAL_ALPHA_RAD = np.radians([-90.0, 0.0, -90.0, 90.0, -90.0, 0.0])
 PARALLEL_ALPHA_RAD = np.radians([90.0, 0.0, 0.0, 90.0, -90.0, 0.0])
 BEHIND, BEYOND, FLIPPED = 1, 2, 4  # status bits
+ROUNDING = 1e-12  # of parameters in mm and rad
 SINGULAR = 1e-12  # sine of A5 below which A4 and A6 turn about one line
 
 
@@ -199,7 +200,7 @@ class _Family:
                 (_rows("d", self.zero_d), arm.d_mm[list(self.zero_d)], 0.0),
                 ("offset of axis 5", arm.offset_rad[4], 0.0),
             )
-            if not np.allclose(found, wanted, rtol=0.0, atol=1e-12)
+            if not bool(np.all(np.abs(found - wanted) <= ROUNDING))
         ]
 
 

@@ -75,7 +75,7 @@ class StreamFile:
         self._key, self._folder = key, run_folder / FOLDER
         name = re.sub(r"[^A-Za-z0-9_-]+", "-", key)[:60]
         self._path = self._folder / f"{name}-{secrets.token_hex(4)}.stream"
-        self._waiting: dict[np.dtype[np.void], list[Rows]] = {SAMPLES: [], JOINTS: []}
+        self._waiting = {SAMPLES: bytearray(), JOINTS: bytearray()}
         self._counts = {SAMPLES: 0, JOINTS: 0}
         self._first_s: float | None = None
         self._last_s = self._gap_s = 0.0
@@ -147,8 +147,8 @@ class StreamFile:
     def _append(self, rows: Rows) -> None:
         kind = rows.dtype
         self._counts[kind] += len(rows)
-        self._waiting[kind].append(rows)
-        if sum(map(len, self._waiting[kind])) >= ROWS:
+        self._waiting[kind] += rows.tobytes()
+        if len(self._waiting[kind]) >= ROWS * kind.itemsize:
             try:
                 self._write(kind)
             except OSError as error:
@@ -158,7 +158,8 @@ class StreamFile:
         if not self._waiting[kind]:
             return
         data = io.BytesIO()
-        np.lib.format.write_array(data, np.concatenate(self._waiting[kind]), version=(1, 0))
+        rows = np.frombuffer(bytes(self._waiting[kind]), kind)
+        np.lib.format.write_array(data, rows, version=(1, 0))
         self._waiting[kind].clear()
         self._digest.update(data.getvalue())
         self._file.write(data.getvalue())

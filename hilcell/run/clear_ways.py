@@ -57,11 +57,15 @@ def check_path(cell: Cell, station: Station, from_rad: Array, to_rad: Array, wha
 
 def check_poses(cell: Cell, station: Station, joints_rad: Array, what: str) -> None:
     """Refuse poses (N, 6) that a plan cannot drive to at ``station``, or back; raises `Blocked`."""
-    for joints in joints_rad:
+    low, high = cell.robot.margin_limits_rad
+    for joints in joints_rad[~((joints_rad >= low) & (joints_rad <= high)).all(axis=-1)]:
         check_joint_limits(cell, joints, what)
     if not bool(np.all(~leaves_cube(cell, joints_rad))):
         check_stated(cell, what)
-    for start, end in _legs(cell, joints_rad):
+    legs = _legs(cell, joints_rad)
+    if bool(clear(cell, station, *map(np.concatenate, zip(*legs, strict=True))).all()):
+        return
+    for start, end in legs:
         check_path(cell, station, start, end, what)
 
 
