@@ -57,7 +57,9 @@ class Controller:
     def _send_states(self, wire: socket.socket, packages: Packages) -> None:
         while True:
             while self.takes and select.select([wire], [], [], 0.0)[0]:
-                for _, payload in packages.feed(wire.recv(65536)):
+                if not (data := wire.recv(65536)):
+                    return
+                for _, payload in packages.feed(data):
                     self.question = QUESTION.unpack(payload)[1]
             question = float(self.question)
             self.due()
