@@ -6,6 +6,8 @@ the axes of {W}, as in `hilcell.geometry.frames`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from hilcell.calibration.frames import Frames
@@ -35,8 +37,9 @@ def world_covariance(log: Log, at_mm: Array, centring_mm2: float = 0.0) -> Array
     """
     std_mm = np.sqrt(variances_mm2(floor_points(log)) + centring_mm2)
     covariance: Array = np.zeros((6, 6))
+    motion = _world_motions(log, at_mm)
     for nest, axis in np.ndindex(std_mm.shape):
-        moved = world_motion(log, at_mm, nest, std_mm[nest, axis] * np.eye(3)[axis])
+        moved = motion(nest, std_mm[nest, axis] * np.eye(3)[axis])
         covariance += np.outer(moved, moved)
     return covariance
 
@@ -45,14 +48,23 @@ def world_motion(log: Log, at_mm: Array, nest: int, step_mm: Array) -> Array:
     """Return how a frame at ``at_mm`` (3,) moves (6,) in {W} where a nest is seen elsewhere, by
     ``step_mm`` (3,) in the tracker's frame.
     """
-    measured_mm = positions_mm(floor_points(log))
-    other_mm = measured_mm.copy()
-    other_mm[nest] += step_mm
-    T_W_L = log.matrix("world")
-    T = T_W_L @ three_point_frame(*measured_mm) @ inverse(three_point_frame(*other_mm))
-    turn = (T[:3, :3] @ T_W_L[:3, :3].T)[[2, 0, 1], [1, 2, 0]]
-    moved: Array = np.concatenate([apply(T, apply(inverse(T_W_L), at_mm[None]))[0] - at_mm, turn])
-    return moved
+    return _world_motions(log, at_mm)(nest, step_mm)
+
+
+def _world_motions(log: Log, at_mm: Array) -> Callable[[int, Array], Array]:
+    """Return `world_motion` of any nest and step."""
+    measured_mm, T_W_L = positions_mm(floor_points(log)), log.matrix("world")
+    before, seen_mm = T_W_L @ three_point_frame(*measured_mm), apply(inverse(T_W_L), at_mm[None])
+
+    def motion(nest: int, step_mm: Array) -> Array:
+        other_mm = measured_mm.copy()
+        other_mm[nest] += step_mm
+        T = before @ inverse(three_point_frame(*other_mm))
+        turn = (T[:3, :3] @ T_W_L[:3, :3].T)[[2, 0, 1], [1, 2, 0]]
+        moved: Array = np.concatenate([apply(T, seen_mm)[0] - at_mm, turn])
+        return moved
+
+    return motion
 
 
 def base_covariance(log: Log, station: Station) -> Array:

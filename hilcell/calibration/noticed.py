@@ -113,13 +113,14 @@ def _differences(log: Log, kind: str) -> Differences:
     if kind == CLOSING:  # the slide has left the station, and come back
         common += np.array(motion(R @ hold_covariance(log.cell) @ R.T))
     J = motion_levers(at_mm).reshape(-1, SIZE)
+    covariance_mm2 = of_differences(np.sum(visits_mm2, axis=0)) + J @ common @ J.T
     elsewhere = np.repeat([p.set_up != q.set_up for p, q in zip(before, now, strict=True)], 3)
-    framed = J * elsewhere[:, None]
+    if elsewhere.any():
+        framed = J * elsewhere[:, None]
+        covariance_mm2 += framed @ _framed_again(log, R) @ framed.T
     return Differences(
         at_mm - apply(T_B_L, positions_mm(before)),
-        of_differences(np.sum(visits_mm2, axis=0))
-        + J @ common @ J.T
-        + framed @ _framed_again(log, R) @ framed.T,
+        covariance_mm2,
         commanded_rad(now),
         3.0 * (visits - places),
         R @ np.array(log.cell.layout.rail_direction),

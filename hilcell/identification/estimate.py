@@ -83,15 +83,17 @@ def identify_trusted(
     """Return the same from readings of which none is gross."""
     _refuse_too_few(readings)
     noise = noise or Noise.of_poses(kinematics.reflectors)
-    state = solve(kinematics, readings, start, noise)
+    state, _ = solve(kinematics, readings, start, noise)
     noise = estimate_noise(kinematics, readings, state, noise)
-    state = solve(kinematics, readings, state, noise)
-    system = System.at(kinematics, state, readings, noise)
+    state, system = solve(kinematics, readings, state, noise)
     return Estimate(kinematics, readings, state, noise, system, np.zeros_like(readings.known))
 
 
-def solve(kinematics: Kinematics, readings: Readings, state: State, noise: Noise) -> State:
-    """Return the most probable state under a noise; raises `IdentificationError`.
+def solve(
+    kinematics: Kinematics, readings: Readings, state: State, noise: Noise
+) -> tuple[State, System]:
+    """Return the most probable state under a noise, and the system there; raises
+    `IdentificationError`.
 
     What the readings do not determine (with one orientation, where the reflector is) lies along
     curved valleys. Steps across them are held back, and creeping along them ends by itself.
@@ -112,7 +114,7 @@ def solve(kinematics: Kinematics, readings: Readings, state: State, noise: Noise
             f"kinematics do not settle: the last of {ITERATIONS} steps improves chi^2 by "
             f"{gain:.3g}, wanted <= {CREEPING:g}; check robot, units and joint signs"
         )
-    return state
+    return state, system
 
 
 def estimate_noise(kinematics: Kinematics, readings: Readings, state: State, noise: Noise) -> Noise:

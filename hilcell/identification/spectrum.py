@@ -363,11 +363,20 @@ def _even_waves(angle_rad: Array, cycles: Array) -> tuple[Complex, Complex]:
     """Return waves (N, F) at F frequencies in even steps, by adding angles, and their squares'
     sums (F,).
     """
-    coarse = np.exp(1j * angle_rad[:, None] * cycles[::BLOCK])
-    fine = np.exp(1j * angle_rad[:, None] * (cycles[:BLOCK] - cycles[0]))
+    step = np.exp(1j * angle_rad * (cycles[1] - cycles[0]))
+    fine = _series(np.ones_like(step), step, BLOCK)
+    first = np.exp(1j * angle_rad * cycles[0])
+    coarse = _series(first, fine[:, -1] * step, -(-len(cycles) // BLOCK))
     waves = (coarse[:, :, None] * fine[:, None, :]).reshape(len(angle_rad), -1)
     squares = ((coarse * coarse).T @ (fine * fine)).ravel()
     return waves[:, : len(cycles)], squares[: len(cycles)]
+
+
+def _series(first: Complex, ratio: Complex, count: int) -> Complex:
+    """Return geometric series (N, count)."""
+    factors = np.repeat(ratio[:, None], count, axis=1)
+    factors[:, 0] = first
+    return np.multiply.accumulate(factors, axis=1)
 
 
 def _sums(columns: Array, waves: Complex) -> Complex:
