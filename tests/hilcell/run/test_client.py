@@ -19,13 +19,14 @@ from tests.hilcell.tui.engine_peer import (
     SILENCE,
     STATUS,
     Peer,
+    none_before,
     nothing_left_open,
     says,
     short,
     usual,
 )
 
-__all__ = ["nothing_left_open", "short"]
+__all__ = ["none_before", "nothing_left_open", "short"]
 
 MANY_STOPS = 2000  # their answers fill any buffer
 

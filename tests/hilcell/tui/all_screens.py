@@ -18,7 +18,14 @@ from hilcell.tui.screens.base import Confirm
 from hilcell.tui.screens.pages import DetailPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary, StartScreen
-from tests.hilcell.tui.recording_app import RecordingApp, paint_at_rest, press, settle, text_of
+from tests.hilcell.tui.recording_app import (
+    RecordingApp,
+    paint_at_rest,
+    parse_once,
+    press,
+    settle,
+    text_at_rest,
+)
 from tests.hilcell.tui.sample_runs import BEGAN, RUN, STEPS
 
 PAGES = {
@@ -118,6 +125,7 @@ class _Ended:
 def isolated(monkeypatch: pytest.MonkeyPatch) -> None:
     """Replace everything outside the screen: the terminal, processes, the index, the browser."""
     paint_at_rest(monkeypatch)
+    parse_once(monkeypatch)
 
     async def run_command(*words: str) -> str:
         return SAID[words[0]]
@@ -138,7 +146,9 @@ def isolated(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
 
 
-async def screens_of(app: RecordingApp, pilot: Pilot[int], look: Look = text_of) -> dict[str, str]:
+async def screens_of(
+    app: RecordingApp, pilot: Pilot[int], look: Look = text_at_rest
+) -> dict[str, str]:
     """Return what every screen shows, or whatever ``look`` sees, by the screens' names."""
     await settle(pilot)
     home = app.screen
@@ -215,7 +225,9 @@ async def _palette(app: RecordingApp, pilot: Pilot[int], look: Look) -> dict[str
     return seen
 
 
-async def form_of(app: RecordingApp, pilot: Pilot[int], look: Look = text_of) -> dict[str, str]:
+async def form_of(
+    app: RecordingApp, pilot: Pilot[int], look: Look = text_at_rest
+) -> dict[str, str]:
     """Return what the form for a new run shows, and the summary of its plan."""
     await settle(pilot)
     assert isinstance(app.screen, StartScreen)

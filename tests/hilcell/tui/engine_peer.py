@@ -159,8 +159,15 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(feeds, "REOPEN_S", 0.5)
 
 
+@pytest.fixture(autouse=True, scope="module")
+def none_before() -> None:
+    """Leave what stands before these tests out of the collections after each of them."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.fixture(autouse=True)
-def nothing_left_open() -> Iterator[None]:
+def nothing_left_open(none_before: None) -> Iterator[None]:
     """Let what was leaked be found: what is left open, and what only a collection would close."""
     before = open_sockets()
     yield

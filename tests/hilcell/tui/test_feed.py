@@ -25,13 +25,14 @@ from tests.hilcell.tui.engine_peer import (
     STATUS,
     PauseGate,
     Peer,
+    none_before,
     nothing_left_open,
     says,
     short,
     usual,
 )
 
-__all__ = ["nothing_left_open", "short"]
+__all__ = ["none_before", "nothing_left_open", "short"]
 
 
 class Screen:

@@ -21,12 +21,13 @@ from tests.hilcell.tui.engine_peer import (
     LIMIT_S,
     PERIOD_S,
     Peer,
+    none_before,
     nothing_left_open,
     short,
     usual,
 )
 
-__all__ = ["nothing_left_open", "short"]
+__all__ = ["none_before", "nothing_left_open", "short"]
 
 
 def test_without_an_engine_nothing_is_asked_or_stopped(tmp_path: Path) -> None:

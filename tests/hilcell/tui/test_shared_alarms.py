@@ -19,11 +19,18 @@ from hilcell.tui.engine.session import Session, utc_now
 from tests.hilcell.run import bed as beds
 from tests.hilcell.run.bed import Bed, Live, broken_beam, until
 from tests.hilcell.run.rig import Points, procedure
-from tests.hilcell.tui.engine_peer import PERIOD_S, Peer, nothing_left_open, says, usual
+from tests.hilcell.tui.engine_peer import (
+    PERIOD_S,
+    Peer,
+    none_before,
+    nothing_left_open,
+    says,
+    usual,
+)
 from tests.hilcell.tui.recording_app import RUNS, RecordingApp, RecordingSession, press, run_app
 from tests.hilcell.tui.sample_runs import FAULT, FAULT_TEXT, measuring, sample_runs
 
-__all__ = ["nothing_left_open"]
+__all__ = ["none_before", "nothing_left_open"]
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ import pytest
 from textual.pilot import Pilot
 
 from tests.hilcell.tui.all_screens import form_of, isolated, screens_of
-from tests.hilcell.tui.recording_app import SIZE, RecordingApp, options, settle, text_of
+from tests.hilcell.tui.recording_app import SIZE, RecordingApp, options, settle, text_at_rest
 from tests.hilcell.tui.sample_runs import sample_runs
 
 FOLDER = Path(__file__).with_name("snapshots")
@@ -80,7 +80,7 @@ def named(prefix: str, seen: dict[str, str]) -> dict[str, str]:
 
 async def first_screen(app: RecordingApp, pilot: Pilot[int]) -> dict[str, str]:
     await settle(pilot)
-    return {"run": text_of(app)}
+    return {"run": text_at_rest(app)}
 
 
 @pytest.mark.parametrize("state", STATES)
