@@ -28,7 +28,7 @@ LONG = {
     if promise.paced
 }
 QUICK = {port: [name for name in BROKEN[port] if (port, name) not in LONG] for port in PORTS}
-PARTS = 3  # of each port's broken drivers: each takes some 10 s
+PARTS = 2  # of each port's broken drivers: each takes some 15 s
 
 
 # Every shipped driver, in a cell to which it belongs, and the promises that are none of its own.

@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.image import imread
-
-from hilcell.ports import Array
+from numpy.typing import NDArray
+from PIL import Image
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 QUIET = (
@@ -116,7 +115,7 @@ class Seen:
     width: int
     first: int
     signatures: int
-    pixels: Array
+    pixels: NDArray[np.int16]
 
     def inked(self, box: list[float]) -> float:
         """Return the share of pixels in a box that are not white."""
@@ -132,11 +131,12 @@ def looked_at(
     probed, picture = folder / "probed.html", folder / "screen.png"
     probed.write_text(page.read_text("utf-8").replace("<head>", f"<head>{_PROBE}", 1), "utf-8")
     window = f"--window-size={size[0]},{size[1]}"
-    dumped = browse(probed, window, "--virtual-time-budget=5000", "--dump-dom")
+    shot = [f"--screenshot={picture}"] if pixels else []
+    dumped = browse(probed, window, "--virtual-time-budget=5000", "--dump-dom", *shot)
     found = re.search(r'data-seen="([^"]*)"', dumped)
     assert found is not None, dumped[-2000:]
     boxes = json.loads(html.unescape(found[1]))
     if not pixels:
-        return Seen(**boxes, pixels=np.zeros((0, 0, 3)))
-    browse(probed, window, f"--screenshot={picture}")
-    return Seen(**boxes, pixels=np.round(imread(picture)[..., :3] * 255).astype(int))
+        return Seen(**boxes, pixels=np.zeros((0, 0, 3), np.int16))
+    with Image.open(picture) as image:
+        return Seen(**boxes, pixels=np.asarray(image.convert("RGB")).astype(np.int16))
