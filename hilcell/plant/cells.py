@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 
 import msgspec
 from sqlalchemy import CTE, ColumnElement, Connection, Text, and_, cast, or_, select
@@ -14,6 +14,7 @@ from hilcell.journal.standing import standings
 from hilcell.plant.tables import RUN
 
 CELL = (RUN.c.cell, RUN.c.serial, RUN.c.machine)
+LATEST, MOST_DAYS = datetime(9000, 1, 1, tzinfo=UTC), 300_000.0  # their sum is a date
 NONE = "no calibration that holds"
 BATCH = 200  # cells of one question
 Name = tuple[str, str, str]  # a cell: its name, its serial number, and which simulated machine
@@ -126,7 +127,7 @@ def _state(
         condition = known[last.name].text if last is not None else NONE
         return msgspec.convert(common | {"condition": condition}, CellState)
     made = next(datetime.fromisoformat(row.ended) for row in since if row.name == current)
-    until = made + timedelta(days=max_age_days)
+    until = min(made, LATEST) + timedelta(days=min(max_age_days, MOST_DAYS))
     condition = "valid" if now <= until else "too old"
     if made > now + CLOCK_ERROR:
         condition = "made in the future: check the clock of the cell's computer"

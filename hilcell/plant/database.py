@@ -10,9 +10,16 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from urllib.parse import quote
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, inspect, make_url, text
-from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError, SQLAlchemyError
+from sqlalchemy.exc import (
+    ArgumentError,
+    DBAPIError,
+    OperationalError,
+    SQLAlchemyError,
+    StatementError,
+)
 
 from hilcell.clean import clean
 from hilcell.errors import HilcellError
@@ -23,6 +30,7 @@ POSTGRESQL, SQLITE = "postgresql", "sqlite"
 DRIVERS = {POSTGRESQL: "postgresql+psycopg", SQLITE: "sqlite"}
 CONNECT_S, SILENT_MS, BUSY_S = 10, 30_000, 30.0
 HIDDEN = "***"
+LIMITS = "54"  # class of SQLSTATE: a key that is too long for an index, and the like
 CELL, ENGINEER = "hilcell_cell", "hilcell_engineer"  # the roles
 SECRET = ("password", "sslpassword")  # of the URL's own options
 KNOWN = ("run_key", "revision", "head")  # columns of `run` that cells may read
@@ -92,7 +100,7 @@ class Database:
         with self.transaction() as connection:
             before = _version(connection)
             if before is not None and before not in _known():
-                raise PlantError(self._newer(before))
+                raise PlantError(self._unknown(connection, before))
             config = Config()
             config.set_main_option("script_location", str(MIGRATIONS))
             config.attributes["connection"] = connection
@@ -118,7 +126,7 @@ class Database:
         if found is None:
             raise PlantError(self._none())
         if found not in _known():
-            raise PlantError(self._newer(found))
+            raise PlantError(self._unknown(connection, found))
         raise PlantError(
             f"plant database {self.name}: schema {found}, wanted {HEAD}; "
             "`hilcell plant init --to URL` brings it up to date"
@@ -130,7 +138,12 @@ class Database:
             "`hilcell plant init --to URL` makes their tables"
         )
 
-    def _newer(self, found: str) -> str:
+    def _unknown(self, connection: Connection, found: str) -> str:
+        if not inspect(connection).has_table(RUN.name):
+            return (
+                f"plant database {self.name}: it belongs to another program (its schema is "
+                f"{clean(found)}); name an empty database"
+            )
         return (
             f"plant database {self.name}: schema {clean(found)}, this hilcell knows {HEAD}; "
             "update hilcell on this PC"
@@ -138,12 +151,11 @@ class Database:
 
     def _error(self, error: SQLAlchemyError) -> HilcellError:
         """Return an error of the database in one line, without values and without a password."""
-        cause = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
+        cause = error.orig if isinstance(error, StatementError) and error.orig else error
         words = clean(" ".join(str(cause).split()))
         for secret in _secrets(self._url):
             words = words.replace(secret, HIDDEN)
-        gone = isinstance(error, DBAPIError) and error.connection_invalidated
-        if gone or isinstance(error, OperationalError):
+        if _away(error, cause):
             return PlantAway(
                 f"plant database {self.name}: it cannot be used now: {words}; nothing is lost: "
                 "check the server and the network, then repeat the command"
@@ -165,10 +177,20 @@ def _parsed(url: str) -> URL:
     return parsed.set(drivername=DRIVERS[backend])
 
 
+def _away(error: SQLAlchemyError, cause: BaseException) -> bool:
+    """Whether the database is not to be used at all, rather than by this order."""
+    if isinstance(error, DBAPIError) and error.connection_invalidated:
+        return True
+    limited = str(getattr(cause, "sqlstate", "")).startswith(LIMITS)
+    wrong = getattr(cause, "sqlite_errorname", "") == "SQLITE_ERROR"
+    return isinstance(error, OperationalError) and not (limited or wrong)
+
+
 def _shown(url: URL) -> str:
     """Return a URL without its passwords."""
     hidden = {name: HIDDEN for name in SECRET if name in url.query}
-    return url.update_query_dict(hidden).render_as_string(hide_password=True)
+    shown = url.update_query_dict(hidden).render_as_string(hide_password=True)
+    return shown.replace(quote(HIDDEN), HIDDEN)
 
 
 def _secrets(url: URL) -> list[str]:

@@ -224,7 +224,12 @@ def alarms(connection: Connection, cell: str = "") -> list[AlarmCount]:
 
 def doubts(connection: Connection) -> list[str]:
     """Return what is wrong with the records: serial numbers and clocks, one sentence each."""
-    return [*_shared_serials(connection), *_at_once(connection), *_ahead(connection)]
+    return [
+        *_shared_serials(connection),
+        *_at_once(connection),
+        *_ahead(connection),
+        *_set_back(connection),
+    ]
 
 
 def _shared_serials(connection: Connection) -> Iterator[str]:
@@ -287,4 +292,14 @@ def _ahead(connection: Connection) -> Iterator[str]:
         yield (
             f"cell {clean(row.cell)}: run {clean(row.name)} ended {hours:.1f} h after it arrived "
             "here: set the clock of its computer, or the server's"
+        )
+
+
+def _set_back(connection: Connection) -> Iterator[str]:
+    """Yield cells of which runs ended before they began."""
+    asked = select(RUN.c.cell, func.max(RUN.c.name).label("name"), func.count().label("times"))
+    for row in connection.execute(asked.where(RUN.c.ended < RUN.c.begun).group_by(RUN.c.cell)):
+        yield (
+            f"cell {clean(row.cell)}: {row.times} runs ended before they began, one of them "
+            f"{clean(row.name)}: the clock of its computer was set back meanwhile"
         )

@@ -214,7 +214,7 @@ def _frames(log: Log) -> Iterator[FrameEntry]:
 def _verdicts(log: Log) -> Iterator[VerdictEntry]:
     for key, body in log.verdicts.items():
         figures = [body.get(name) for name in ("mean_mm", "mean_U_mm", "mean_tolerance_mm")]
-        known = [each if isinstance(each, int | float) else None for each in figures]
+        known = [float(each) if isinstance(each, int | float) else None for each in figures]
         yield VerdictEntry(key, bool(body["holds"]), body, *known)
 
 

@@ -28,7 +28,15 @@ from hilcell.plant.record import NotOver, heads, record_of
 from hilcell.plant.store import Key, there, write
 
 NAME = "plant.sqlite"
-_BROKEN = (msgspec.ValidationError, KeyError, ValueError, TypeError, IndexError, AttributeError)
+_BROKEN = (
+    msgspec.ValidationError,
+    KeyError,
+    ValueError,
+    TypeError,
+    IndexError,
+    AttributeError,
+    ArithmeticError,
+)
 
 
 @dataclass
@@ -63,7 +71,7 @@ def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _:
         except PlantAway:
             raise
         except HilcellError as error:
-            done.refused[row.name] = str(error)
+            done.refused[row.name] = _of_run(row.name, str(error))
             continue
         except _BROKEN as error:
             done.refused[row.name] = f"run {row.name}: its journal is none of a run: {error}"
@@ -75,6 +83,11 @@ def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _:
         if new:
             tell(row.name)
     return done
+
+
+def _of_run(run: str, reason: str) -> str:
+    """Return a reason that names the run, as an error of the database does not."""
+    return reason if run in reason else f"run {run}: {reason}"
 
 
 def _order(row: RunRow) -> tuple[str, str, str]:

@@ -28,6 +28,7 @@ from hilcell.plant.tables import (
 )
 
 BATCH = 500  # keys of one question
+YEARS = (1980, 2200)  # a PC whose battery is empty begins with the first
 
 Key = tuple[UUID, int]  # of a run and its revision
 
@@ -187,4 +188,8 @@ def _point(entry: PointEntry) -> dict[str, Any]:
 
 
 def _moment(t: str) -> datetime:
-    return datetime.fromisoformat(t)
+    """Return a time; raises `ValueError` where no clock of a cell can have said it."""
+    found = datetime.fromisoformat(t)
+    if not YEARS[0] <= found.year < YEARS[1]:
+        raise ValueError(f"it says the time {t}, wanted are years of {YEARS[0]} to {YEARS[1]}")
+    return found

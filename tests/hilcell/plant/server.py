@@ -86,6 +86,13 @@ class Server:
         if (self._data / "postmaster.pid").exists():
             self._do("pg_ctl", "stop", "-m", "immediate", "-D", self._data)
 
+    def ask_password(self, user: str) -> None:
+        """Let a user in by a password alone, from the next connection on."""
+        rules = self._data / "pg_hba.conf"
+        rules.write_text(f"local all {user} scram-sha-256\n{rules.read_text()}")
+        with psycopg.connect(self.url(), autocommit=True) as connection:
+            connection.execute("SELECT pg_reload_conf()")
+
     def url(self, database: str = "postgres", user: str = "owner") -> str:
         """Return the URL of one of its databases."""
         return f"postgresql://{user}@/{database}?host={self._folder}"
@@ -108,9 +115,10 @@ class Server:
                 stdout=said, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
                 cwd=self._folder, env=environment, user=self._user or None, check=False,
             )  # fmt: skip
-        assert done.returncode == 0, f"{log.read_text()}\n{self._log()}"
+        assert done.returncode == 0, f"{log.read_text()}\n{self.log()}"
 
-    def _log(self) -> str:
+    def log(self) -> str:
+        """Return what it has logged."""
         log = self._folder / "log"
         return log.read_text() if log.exists() else ""
 

@@ -8,10 +8,11 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
+import psycopg
 import pytest
 from alembic import command
 from alembic.config import Config
-from sqlalchemy import select, text
+from sqlalchemy import make_url, select, text
 
 from hilcell.commands.cli import main
 from hilcell.plant.database import MIGRATIONS, Database
@@ -19,6 +20,7 @@ from hilcell.plant.tables import POINT
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.server import Server
 from tests.hilcell.plant.year import Model, Run
+from tests.whole.bench import hilcell
 
 SECRET = "s3cr-t%2Fp"  # as it stands in a URL
 PLAIN = "s3cr-t/p"
@@ -67,6 +69,33 @@ def test_a_server_that_is_away_is_one_line_and_costs_nothing(
 
 
 @pytest.mark.parametrize(
+    "form",
+    ["ann:{}@/{}?host={}", "ann@/{1}?host={2}&password={0}", "ann@/{1}?password={0}&host={2}"],
+)
+def test_a_wrong_password_is_in_no_output_file_or_log(
+    form: str, runs: Path, mortal: Server, tmp_path: Path
+) -> None:
+    """In a process of its own, whose every output is seen."""
+    wrong = "wr0ng-s3cr-t"
+    database = make_url(mortal.make())
+    with psycopg.connect(mortal.url(), autocommit=True) as connection:
+        connection.execute("DROP ROLE IF EXISTS ann")
+        connection.execute("CREATE ROLE ann LOGIN PASSWORD 'right'")
+    mortal.ask_password("ann")
+    url = "postgresql://" + form.format(wrong, database.database, database.query["host"])
+    for words in (["ship", str(runs), "--to", url], ["show", "--from", url, "--json"]):
+        done = hilcell("plant", *words)
+        assert (done.returncode, done.stdout) == (7, "")
+        (line,) = done.stderr.splitlines()
+        assert 'password authentication failed for user "ann"' in line
+        assert "***" in line
+        assert wrong not in line
+    kept = [path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()]
+    assert not any(wrong.encode() in content for content in kept)
+    assert wrong not in mortal.log()
+
+
+@pytest.mark.parametrize(
     ("url", "words"),
     [
         (f"postgresql//ann:{SECRET}@host/plant", "its URL cannot be read"),
@@ -109,6 +138,31 @@ def test_a_database_of_something_else_is_left_alone(
     line = said(["plant", "show", "--from", f"sqlite:///{tmp_path}/text.db"], 2, capsys)
     assert "file is not a database" in line
     assert file.read_bytes() == before
+
+
+@pytest.mark.parametrize("act", ["init", "ship", "show"])
+def test_a_database_of_another_program_with_versions_of_its_own_is_left_alone(
+    act: str, runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "other.db"
+    with closing(sqlite3.connect(file)) as base, base:
+        base.execute("CREATE TABLE alembic_version (version_num TEXT)")
+        base.execute("INSERT INTO alembic_version VALUES ('ae1027a6acf')")
+    before = file.read_bytes()
+    where = ["--from" if act == "show" else "--to", f"sqlite:///{file}"]
+    more = [str(runs)] if act == "ship" else []
+    line = said(["plant", act, *more, *where], 2, capsys)
+    assert "it belongs to another program (its schema is ae1027a6acf)" in line
+    assert file.read_bytes() == before
+
+
+def test_a_table_that_is_missing_is_no_server_that_is_away(
+    office: Database, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with office.transaction() as connection:
+        connection.execute(text("DROP TABLE verdict"))
+    line = said(["plant", "show", "--from", f"sqlite:///{tmp_path}/plant.db"], 2, capsys)
+    assert "refused: no such table: verdict" in line
 
 
 @pytest.mark.parametrize("act", ["init", "ship", "show"])

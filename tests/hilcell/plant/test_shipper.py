@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import random
 import shutil
 import socket
+import sqlite3
+import string
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
-from datetime import datetime, timedelta
+from contextlib import closing, contextmanager
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -19,11 +24,12 @@ from hilcell.journal.engine_file import ENGINE, EngineFile
 from hilcell.journal.journal import Record
 from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.plant.cells import cells
-from hilcell.plant.database import Database
+from hilcell.plant.database import Database, PlantAway
 from hilcell.plant.record import record_of
 from hilcell.plant.shipper import NAME, Shipped, ship
 from hilcell.plant.tables import PARTS, POINT, RUN
 from tests.hilcell.plant.conftest import NOW
+from tests.hilcell.plant.server import Server
 from tests.hilcell.plant.year import Model, Run, extend, write_journal
 
 DAY = timedelta(days=1)
@@ -224,6 +230,94 @@ def test_a_hostile_folder_is_one_line(
     assert len(said.splitlines()) == 2
     assert "\x1b" not in said
     assert len(kept(office)) == 3
+
+
+def spoilt(model: Model, runs: Path, name: str, *more: tuple[Any, str, dict[str, Any]]) -> None:
+    """Write a run that has further records before its end."""
+    folder = model.write(runs.parent, Run("as-it-was", "north", "HC-1", NOW))
+    rows = [(NOW, each.kind, each.key, each.body) for each in read_records(folder)]
+    shutil.rmtree(folder)
+    write_journal(runs / name, [*rows[:-2], *((NOW, *each) for each in more), *rows[-2:]])
+
+
+BIG = {"holds": True, "mean_mm": 10**400}
+STREAM = {
+    "what": "stream", "key": "../../x", "file": "../../../etc/passwd", "sha256": "0" * 900,
+    "samples": 2**40, "joint_samples": 1, "first_device_s": 0.0, "last_device_s": 1.0,
+    "longest_gap_s": 0.0,
+}  # fmt: skip
+
+
+def test_records_that_no_database_takes_are_named_and_stop_no_other(
+    runs: Path, model: Model, plant: Database
+) -> None:
+    """A server's limits are no server that is away: the next shipment would meet them again."""
+    key = "".join(random.Random(1).choices(string.ascii_letters, k=20_000))
+    spoilt(model, runs, "number", ("verdict", "big", BIG))
+    spoilt(model, runs, "key", ("verdict", key, {"holds": True}))
+    spoilt(model, runs, "stream", ("event", "", STREAM))
+    spoilt(model, runs, "line", ("event", "", {"what": "note", "text": "x" * 20_000_000}))
+    done = ship(runs, plant)
+    assert done.runs == 4
+    assert {name: reason.split(": ")[0] for name, reason in done.refused.items()} == {
+        name: f"run {name}" for name in ("number", "key", "stream")
+    }
+    assert "too large to convert" in done.refused["number"]
+    assert "index row" in done.refused["key"]
+    assert all("x" * 100 not in each and len(each) < 500 for each in done.refused.values())
+
+
+@pytest.mark.parametrize("year", [1, 1979, 2200, 9999])
+def test_a_clock_that_cannot_be_is_refused(
+    year: int, runs: Path, model: Model, office: Database
+) -> None:
+    model.write(runs, Run("x", "north", "HC-1", datetime(year, 6, 1, tzinfo=UTC)))
+    done = ship(runs, office)
+    assert "wanted are years of 1980 to 2200" in done.refused["x"]
+    assert done.runs == 3
+
+
+def test_links_and_what_is_no_journal(runs: Path, office: Database, tmp_path: Path) -> None:
+    """A run's folder may be a link, as to another disk; it is read, and nothing else is."""
+    (runs / "b").rename(tmp_path / "elsewhere")
+    (runs / "b").symlink_to(tmp_path / "elsewhere")
+    (runs / "loop").symlink_to(runs / "loop")
+    for name, target in (("text", "/etc/passwd"), ("endless", "/dev/zero")):
+        (runs / name).mkdir()
+        (runs / name / JOURNAL).symlink_to(target)
+    (runs / "pipe").mkdir()
+    os.mkfifo(runs / "pipe" / JOURNAL)
+    done = ship(runs, office)
+    assert (done.runs, list(done.refused)) == (3, ["text"])
+    assert "root:" not in done.refused["text"]
+
+
+def test_a_run_whose_bytes_were_changed_is_refused(runs: Path, office: Database) -> None:
+    with closing(sqlite3.connect(runs / "a" / JOURNAL)) as base, base:
+        for (name,) in base.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'"):
+            base.execute(f"DROP TRIGGER {name}")
+        base.execute("UPDATE record SET body = replace(body, '1', '2') WHERE seq = 9")
+    done = ship(runs, office)
+    assert "damaged at record 9: it is not the one that was written" in done.refused["a"]
+    assert done.runs == 2
+
+
+def test_a_server_that_was_away_for_a_month_gets_all_in_order(
+    model: Model, mortal: Server, tmp_path: Path
+) -> None:
+    runs, told = tmp_path / "runs", list[str]()
+    with closing(Database(mortal.make())) as database:
+        database.make()
+        mortal.kill()
+        for day in range(30):
+            model.write(runs, Run(f"d{day:02d}", "north", "HC-1", NOW - (40 - day) * DAY))
+            if day % 10 == 9:
+                with pytest.raises(PlantAway):
+                    ship(runs, database)
+        mortal.start()
+        assert ship(runs, database, told.append).runs == 30
+        assert ship(runs, database) == Shipped(before=30)
+    assert told == [f"d{day:02d}" for day in range(30)]
 
 
 def test_two_shippers_at_once_keep_each_run_once(runs: Path, office: Database) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -15,10 +16,20 @@ import numpy as np
 import pytest
 
 from hilcell.commands.cli import main
+from hilcell.journal.runs import read_records
 from hilcell.plant.database import Database
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.server import Server
-from tests.hilcell.plant.year import COLLISION, TURN_RAD, Model, Run, noisy, turned, year
+from tests.hilcell.plant.year import (
+    COLLISION,
+    TURN_RAD,
+    Model,
+    Run,
+    noisy,
+    turned,
+    write_journal,
+    year,
+)
 
 DAY = timedelta(days=1)
 ROOT = Path(__file__).parents[3]
@@ -136,6 +147,8 @@ def test_one_cell_or_one_robot_alone(filed: str, capsys: pytest.CaptureFixture[s
     assert main(["plant", "show", "--from", filed, "--cell", "nroth"]) == 2
     assert 'did you mean "north"?' in capsys.readouterr().err
     assert main(["plant", "show", "--from", filed, "--robot", "R-9"]) == 2
+    endless = asked(filed, capsys, "--max-age", "1e300")
+    assert {each["condition"] for each in endless["cells"]} == {"valid"}
     old = asked(filed, capsys, "--max-age", "10")
     assert {each["condition"] for each in old["cells"]} == {"too old"}
 
@@ -149,8 +162,16 @@ def test_doubtful_records_are_named(
     model.write(runs, Run("two", "north", "HC-1", NOW - 9 * DAY + DAY / 86400, real=True))
     model.write(runs, Run("three", "south", "HC-1", NOW - 8 * DAY, real=True))
     model.write(runs, Run("late", "west", "HC-2", now + 3 * DAY))
+    back = model.write(runs, Run("back", "east", "HC-3", NOW - 5 * DAY))
+    rows = [
+        (NOW - at * DAY, each.kind, each.key, each.body)
+        for at, each in enumerate(read_records(back))
+    ]
+    shutil.rmtree(back)
+    write_journal(back, rows)
     found = asked_after(url, runs, capsys)
-    serial, at_once, ahead = found["doubts"]
+    serial, at_once, ahead, set_back = found["doubts"]
+    assert "cell east: 1 runs ended before they began, one of them back" in set_back
     assert serial.startswith("serial number HC-1 is that of cells north, south")
     assert "cell north, serial number HC-1: 1 runs began while another was at work" in at_once
     assert "run late ended 72.0 h after it arrived" in ahead
