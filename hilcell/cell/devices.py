@@ -43,7 +43,7 @@ def load_entry(group: str, name: str) -> Any:
     Raises `SettingsError` where it is not installed, cannot be loaded, two packages have it, or a
     driver lacks a part of its port.
     """
-    entries = _installed(group, tuple(sys.path))
+    entries = _entries(group)
     found = {entry.value: entry for entry in entries if entry.name == name}
     if not found:
         known = ", ".join(sorted(entries.names)) or "none; is the package installed?"
@@ -66,16 +66,21 @@ def load_entry(group: str, name: str) -> Any:
 
 def installed(group: str) -> list[str]:
     """Return the names of the entry points of ``hilcell.<group>``."""
-    return sorted(_installed(group, tuple(sys.path)).names)
+    return sorted(_entries(group).names)
+
+
+def _entries(group: str) -> EntryPoints:
+    """Return the entry points of ``hilcell.<group>``."""
+    return _installed(tuple(sys.path)).select(group=f"hilcell.{group}")
 
 
 @cache
-def _installed(group: str, path: tuple[str, ...]) -> EntryPoints:
-    """Return the entry points of ``hilcell.<group>``; ``path`` is where packages are looked for.
+def _installed(path: tuple[str, ...]) -> EntryPoints:
+    """Return all entry points; ``path`` is where packages are looked for.
 
     They are asked for a dozen times a command, and each look reads every package's metadata.
     """
-    return entry_points(group=f"hilcell.{group}")
+    return entry_points()
 
 
 @dataclass(frozen=True, slots=True)

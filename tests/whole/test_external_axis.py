@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from drivers.kuka import robot as kuka_robot
 from drivers.kuka.c3 import C3Connection
 from hilcell.journal.runs import find_run, read_log
 from tests.whole.bench import (
@@ -88,7 +89,10 @@ def test_a_killed_engine_leaves_a_slide_that_brakes_by_itself(tmp_path: Path) ->
         ("rail.strip_jump", "HC-R53"),
     ],
 )
-def test_what_fails_is_named(tmp_path: Path, fault: str, code: str) -> None:
+def test_what_fails_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str, code: str
+) -> None:
+    monkeypatch.setattr(kuka_robot, "STALL_S", 1.0)
     value = 30.0 if fault == "rail.strip_jump" else True
     with simulation(values=E1) as cell:
         cell.ask(do="fault", name=fault, value=value, count=int(value is not True))

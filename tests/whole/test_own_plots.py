@@ -16,7 +16,7 @@ from hilcell.tui.text.plot_page import Choice, plot_lines
 from hilcell.tui.text.plots import Measured, tabs_of
 from hilcell.tui.text.points import point_page
 from hilcell.tui.text.side import side_lines
-from tests.whole.bench import SMALL, hilcell, sets
+from tests.whole.bench import SMALL, command, sets
 from tests.whole.golden import GoldenRuns
 
 LOOK = Look()
@@ -24,7 +24,7 @@ LOOK = Look()
 
 def view_of(runs: Path, *words: str) -> RunView:
     """Return the view of a run that was done in a cell of its own."""
-    done = hilcell("run", *words, "--unattended", "--name", "R", "--runs", runs)
+    done = command("run", *words, "--unattended", "--name", "R", "--runs", runs)
     assert done.returncode == 0, done.stderr
     view = RunView("R")
     for record in read_records(runs / "R"):

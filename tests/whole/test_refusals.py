@@ -1,11 +1,12 @@
 """Wrong input is refused with one clear message and its exit code before anything moves."""
 
 import socket
+import tempfile
 from pathlib import Path
 
 import pytest
 
-from tests.whole.bench import SMALL, Engine, command, end_of, events, hilcell, sets, simulation
+from tests.whole.bench import SMALL, Engine, command, end_of, events, sets, simulation
 
 
 def free_port() -> int:
@@ -201,17 +202,18 @@ def test_an_engine_that_finds_no_place_for_its_file_says_so_and_can_be_resumed(
 ) -> None:
     temporary = tmp_path / "temporary"
     temporary.mkdir()
-    monkeypatch.setenv("TMPDIR", str(temporary))
+    monkeypatch.setenv("TMPDIR", str(temporary))  # of the simulated cell's process
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     runs = tmp_path / "runs"
     (runs / "d" / "engine.json").mkdir(parents=True)  # as little to be written as on a full disk
     for words in (("run", "home", "--name", "d"), ("resume", "d")):
-        done = hilcell(*words, "--runs", runs)
+        done = command(*words, "--runs", runs)
         assert done.returncode == 7, done.stderr
         assert "engine.json is a folder" in done.stderr
         assert f"resume with: hilcell resume d --runs {runs}" in done.stderr
         assert "Traceback" not in done.stderr
     (runs / "d" / "engine.json").rmdir()
-    assert hilcell("resume", "d", "--runs", runs).returncode == 0
+    assert command("resume", "d", "--runs", runs).returncode == 0
     assert [path.name for path in temporary.iterdir() if "locks" not in path.name] == []
 
 

@@ -239,8 +239,9 @@ def test_rows_in_another_frame_give_the_same_figures() -> None:
     rows, test = measured(1, 40, ["SMR1"]), measured(2, 20, ["SMR1"])
     T = pose_from_zyx(-4000, 300, 20, 60, -45, 110)
     moved = [replace(each, xyz_mm=apply(T, each.xyz_mm)) for each in (rows, test)]
+    there = fit(IRB120, *moved)["methods"]
     for method, figures in fit(IRB120, rows, test)["methods"].items():
-        assert fit(IRB120, *moved)["methods"][method] == pytest.approx(figures, abs=1e-5)
+        assert there[method] == pytest.approx(figures, abs=1e-5)
 
 
 def test_an_unknown_target_is_refused() -> None:
