@@ -71,16 +71,18 @@ def installed(group: str) -> list[str]:
 
 def _entries(group: str) -> EntryPoints:
     """Return the entry points of ``hilcell.<group>``."""
-    return _installed(tuple(sys.path)).select(group=f"hilcell.{group}")
+    return _installed(tuple(sys.path)).get(f"hilcell.{group}", EntryPoints())
 
 
 @cache
-def _installed(path: tuple[str, ...]) -> EntryPoints:
-    """Return all entry points; ``path`` is where packages are looked for.
+def _installed(path: tuple[str, ...]) -> Mapping[str, EntryPoints]:
+    """Return hilcell's entry points by group; ``path`` is where packages are looked for.
 
     They are asked for a dozen times a command, and each look reads every package's metadata.
     """
-    return entry_points()
+    found = entry_points()
+    groups = [group for group in found.groups if group.startswith("hilcell.")]
+    return {group: found.select(group=group) for group in groups}
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,7 @@ from hilcell.commands.cli import main
 
 HILCELL = [sys.executable, "-m", "hilcell"]
 LIMIT_S = 200.0  # a busy machine may take long, and is not at fault
+LOOK_S = 0.02  # between two looks at what lasts: without a wait they keep a processor busy
 
 # A small calibration: every act of the real one, fewer points of each.
 SMALL = {

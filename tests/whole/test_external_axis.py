@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from drivers.kuka import robot as kuka_robot
 from drivers.kuka.c3 import C3Connection
 from hilcell.journal.runs import find_run, read_log
 from tests.whole.bench import (
+    LOOK_S,
     SMALL,
     Engine,
     command,
@@ -61,10 +63,10 @@ def test_a_killed_engine_leaves_a_slide_that_brakes_by_itself(tmp_path: Path) ->
         line = C3Connection("Robot", "127.0.0.1", port, lambda: None)
         before_mm = float(line.read("$AXIS_ACT.E1"))
         while abs(float(line.read("$AXIS_ACT.E1")) - before_mm) < 1.0:
-            pass  # the test's time limit bounds the wait
+            time.sleep(LOOK_S)  # the test's time limit bounds the wait
         engine.kill()
         while line.read("HC_ERR") != "8":
-            pass
+            time.sleep(LOOK_S)
         assert line.read("HC_HELD") == "TRUE"
         places = [float(line.read("$AXIS_ACT.E1")), 0.0]
         while abs(places[-1] - places[-2]) > 0.003:  # it dithers

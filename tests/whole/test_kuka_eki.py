@@ -16,7 +16,7 @@ from drivers.kuka import robot as kuka_robot
 from hilcell.alarms import alarms_of
 from hilcell.commands.cli import main
 from hilcell.journal.runs import read_log
-from tests.whole.bench import Engine, Simulation, command, end_of, sets, simulation
+from tests.whole.bench import LOOK_S, Engine, Simulation, command, end_of, sets, simulation
 from tests.whole.kuka_faults import KUKA_ENDS
 
 EKI = {"robot.driver": "kuka-eki"}
@@ -106,6 +106,7 @@ def ask(cell: Simulation, number: int, kind: int = 0, a1_deg: float = 0.0) -> di
                 text += piece
             if text:
                 return dict(re.findall(r'(\w+)="([^"]*)"', text.decode()))
+        time.sleep(LOOK_S)
     raise AssertionError("the channel stays taken")
 
 
@@ -114,6 +115,7 @@ def test_a_killed_engine_leaves_a_braked_robot_and_resume_goes_on(tmp_path: Path
     with simulation(10.0, EKI) as cell:
         found = ask(cell, 7, MOVE, 40.0)
         while found["Finished_Id"] != "7":
+            time.sleep(LOOK_S)
             found = ask(cell, -1)
         engine = Engine("run", "home", *words(cell, tmp_path, SHORT | SLOW))
         engine.until(lambda event: event.get("action") == "robot.park")
@@ -122,6 +124,7 @@ def test_a_killed_engine_leaves_a_braked_robot_and_resume_goes_on(tmp_path: Path
         killed_s = time.monotonic()
         while (found := ask(cell, -2))["Code"] != "8":
             assert time.monotonic() - killed_s < 2.5, found  # it asks, and gives no sign
+            time.sleep(LOOK_S)
         assert (found["Stopped"], found["Finished_Id"]) == ("TRUE", "7")
         assert 0.5 < float(found["A1"]) < 39.5
         done = command("resume", engine.run, "--unattended", "--runs", tmp_path, "--json")

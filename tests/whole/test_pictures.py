@@ -22,7 +22,16 @@ from hilcell.tui.app.app import HilcellApp
 from hilcell.tui.keys import load_keys
 from hilcell.tui.screens.base import Options
 from hilcell.tui.terminal.capabilities import UNICODE
-from tests.whole.bench import HILCELL, LIMIT_S, SMALL, Simulation, hilcell, sets, simulation
+from tests.whole.bench import (
+    HILCELL,
+    LIMIT_S,
+    LOOK_S,
+    SMALL,
+    Simulation,
+    hilcell,
+    sets,
+    simulation,
+)
 from tests.whole.golden import GoldenRuns
 
 ROOT = Path(__file__).parents[2]
@@ -93,6 +102,7 @@ def engine(runs: Path, *words: str) -> Iterator[None]:
     try:
         while not list(runs.glob("*/engine.json")):
             assert process.poll() is None
+            time.sleep(LOOK_S)
         yield
     finally:
         process.terminate()
