@@ -67,7 +67,7 @@ def wall_s(workers: int, cell: Cell) -> float:
         for numbers in (range(1, 1 + 2 * workers), range(100, 100 + CASES)):
             began_s = time.perf_counter()
             cases = [Case(n, Point(1, nothing), machine=n, seed=1) for n in numbers]
-            assert len(list(pool.measure((case, cell) for case in cases))) == len(cases)
+            assert len(list(pool.measure((case, packed(cell)) for case in cases))) == len(cases)
         return time.perf_counter() - began_s
 
 

@@ -30,6 +30,11 @@ def packed(cell: Cell) -> bytes:
     return msgspec.json.encode(cell)
 
 
+def unpacked(content: bytes) -> Cell:
+    """Return the cell of such bytes."""
+    return convert(_stated(msgspec.json.decode(content)), Cell, "cell")
+
+
 def measured(cell: bytes, machine: int, seed: int, wanted: Mapping[str, str]) -> Row:
     """Calibrate a cell without wires; return its state, reason, minutes and figures.
 
@@ -39,7 +44,7 @@ def measured(cell: bytes, machine: int, seed: int, wanted: Mapping[str, str]) ->
     here = versions()
     if here != dict(wanted):
         return {"other versions": here}
-    built = convert(_stated(msgspec.json.decode(cell)), Cell, "cell")
+    built = unpacked(cell)
     calibrate: Procedure = load_entry("procedures", "calibrate")
     try:
         plan = calibrate.plan(built, seed)

@@ -18,8 +18,7 @@ from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
 from distributed.client import FutureCancelledError
 from distributed.comm.core import CommClosedError
 
-from hilcell.cell.file import Cell
-from hilcell.study.case import FAILED, Row, measured, packed, versions
+from hilcell.study.case import FAILED, Row, measured, versions
 from hilcell.study.design import Case
 from hilcell.study.errors import Cluster
 
@@ -47,14 +46,14 @@ class Workers:
         self._versions = versions()
         self._seen_s = time.monotonic()  # since when there may be no worker
 
-    def measure(self, cases: Iterable[tuple[Case, Cell]]) -> Iterator[tuple[Case, Row]]:
-        """Yield cases as they are measured; ``cases`` are read a little ahead of the workers.
+    def measure(self, cases: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Row]]:
+        """Yield cases as they are measured; they come with their cells, a little ahead of workers.
 
         A case whose worker died each time may have been beside the one that killed it: in the end
         it is measured again, alone. Raises `Cluster` where the scheduler or all workers are gone,
         or a worker has other versions.
         """
-        killed: list[tuple[Case, Cell]] = []
+        killed: list[tuple[Case, bytes]] = []
         ahead = max(LEAST_AHEAD, AHEAD * len(self._nthreads()))
         for case, cell, found in self._measured(cases, ahead, "case"):
             if isinstance(found, KilledWorker):
@@ -65,10 +64,10 @@ class Workers:
             yield case, _killed(found) if isinstance(found, KilledWorker) else found
 
     def _measured(
-        self, cases: Iterable[tuple[Case, Cell]], ahead: int, how: str
-    ) -> Iterator[tuple[Case, Cell, Row | KilledWorker]]:
+        self, cases: Iterable[tuple[Case, bytes]], ahead: int, how: str
+    ) -> Iterator[tuple[Case, bytes, Row | KilledWorker]]:
         waiting, running = iter(cases), as_completed(loop=self._client.loop)
-        asked: dict[Any, tuple[Case, Cell]] = {}
+        asked: dict[Any, tuple[Case, bytes]] = {}
         with self._lost_is_an_error():
             while True:
                 for case, cell in itertools.islice(waiting, ahead - len(asked)):
@@ -81,10 +80,10 @@ class Workers:
                 yield *asked.pop(future.key), self._found(future)
                 future.release()
 
-    def _submit(self, case: Case, cell: Cell, how: str) -> Future[Row]:
+    def _submit(self, case: Case, cell: bytes, how: str) -> Future[Row]:
         return self._client.submit(
             measured,
-            packed(cell),
+            cell,
             case.machine,
             case.seed,
             self._versions,

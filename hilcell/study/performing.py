@@ -7,10 +7,9 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
-from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.study.analysis import designs, value
-from hilcell.study.case import CANNOT_BE, DONE, Row
+from hilcell.study.case import CANNOT_BE, DONE, Row, packed
 from hilcell.study.cluster import Workers
 from hilcell.study.design import Case, Point, cases, cases_at
 from hilcell.study.results import Results, plain_rows, row_of
@@ -19,7 +18,7 @@ from hilcell.study.study_file import Optimum, Study, cell_of
 
 NEVER = 1e9  # the value of a point that cannot be, or that failed on a machine
 BATCH_ROWS, BATCH_S = 64, 1.0
-MOST_CELLS = 256
+MOST_CELLS = 4096  # 6 kB each
 
 
 class Batch:
@@ -106,13 +105,13 @@ def _value(study: Study, wanted: Optimum, rows: Sequence[Row]) -> float:
 
 def _able(
     study: Study, waiting: Iterable[Case], keep: Callable[[Case, Row], None]
-) -> Iterator[tuple[Case, Cell]]:
+) -> Iterator[tuple[Case, bytes]]:
     """Yield cases with their cells as they are asked for; keep those whose cell cannot be."""
-    cells: dict[int, Cell] = {}  # of the last points: machines share them
+    cells: dict[int, bytes] = {}  # of the last points: machines share them
     for case in waiting:
         number = case.point.number
         try:
-            cell = cells[number] if number in cells else cell_of(study, case.point.values)
+            cell = cells.get(number) or packed(cell_of(study, case.point.values))
         except SettingsError as error:
             keep(case, {"state": CANNOT_BE, "reason": str(error), "minutes": None})
         else:

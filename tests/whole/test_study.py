@@ -20,6 +20,7 @@ import pytest
 from hilcell import __version__
 from hilcell.commands.cli import main
 from hilcell.study import cluster
+from hilcell.study.case import packed
 from hilcell.study.design import cases
 from hilcell.study.errors import Cluster
 from hilcell.study.study_file import cell_of
@@ -275,7 +276,7 @@ def test_workers_that_are_all_gone_are_one_message(
     monkeypatch.setattr(cluster, "LOOK_S", 0.1)
     monkeypatch.setattr(cluster, "WORKERS_S", 0.5)
     asked = study(tmp_path, READINGS, "machines = 9")
-    waiting = ((case, cell_of(asked, case.point.values)) for case in cases(asked))
+    waiting = ((case, packed(cell_of(asked, case.point.values))) for case in cases(asked))
     with (
         scheduler() as (address, _),
         worker(address) as last,

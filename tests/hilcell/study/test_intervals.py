@@ -41,3 +41,9 @@ def test_one_machine_gives_none() -> None:
     assert found.mean == 0.95
     assert math.isnan(found.low)
     assert found.ends == (0.95, 0.95)
+
+
+def test_machines_that_differ_widen_it() -> None:
+    alike, different = share([0.9] * 4, 400.0), share([0.8, 1.0, 0.8, 1.0], 400.0)
+    assert alike.mean == pytest.approx(different.mean)
+    assert different.high - different.low > 1.5 * (alike.high - alike.low)

@@ -9,10 +9,9 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from hilcell.cell.file import Cell
 from hilcell.errors import HilcellError
 from hilcell.run.cell_lock import CellLocked
-from hilcell.study.case import Row
+from hilcell.study.case import Row, unpacked
 from hilcell.study.design import Case, cases
 from hilcell.study.errors import Cluster, OtherStudy
 from hilcell.study.performing import perform
@@ -28,11 +27,11 @@ class Bench:
     def __init__(self, most: int = 10**9) -> None:
         self.most, self.measured = most, list[int]()
 
-    def measure(self, waiting: Iterable[tuple[Case, Cell]]) -> Iterator[tuple[Case, Row]]:
+    def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Row]]:
         for case, cell in waiting:
             if len(self.measured) == self.most:
                 raise Cluster("scheduler tcp://nowhere is gone")
-            assert cell.name == "paper"
+            assert unpacked(cell).name == "paper"
             self.measured.append(case.number)
             yield case, found(case)
 

@@ -10,7 +10,7 @@ import pytest
 
 from hilcell.cell.file import Cell
 from hilcell.study.analysis import answers
-from hilcell.study.case import Row
+from hilcell.study.case import Row, unpacked
 from hilcell.study.design import Case, cases
 from hilcell.study.errors import Cluster
 from hilcell.study.performing import perform
@@ -32,13 +32,13 @@ class Bench:
     def __init__(self, most: int = 10**9, *, backwards: bool = False) -> None:
         self.most, self.backwards, self.measured = most, backwards, list[int]()
 
-    def measure(self, waiting: Iterable[tuple[Case, Cell]]) -> Iterator[tuple[Case, Row]]:
+    def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Row]]:
         batch = list(waiting)
         for case, cell in reversed(batch) if self.backwards else batch:
             if len(self.measured) == self.most:
                 raise Cluster("scheduler tcp://nowhere is gone")
             self.measured.append(case.number)
-            yield case, truth(case, cell)
+            yield case, truth(case, unpacked(cell))
 
 
 def truth(case: Case, cell: Cell) -> Row:
@@ -127,8 +127,9 @@ def test_it_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
 
 def test_a_point_that_cannot_be_is_not_the_best(tmp_path: Path) -> None:
     class Picky(Bench):
-        def measure(self, waiting: Iterable[tuple[Case, Cell]]) -> Iterator[tuple[Case, Row]]:
-            for case, cell in waiting:
+        def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Row]]:
+            for case, content in waiting:
+                cell = unpacked(content)
                 good = cell.grid.centre.x_mm < 1850.0 or case.machine == 1
                 failed = {"state": "failed", "reason": "the beam broke", "minutes": None}
                 yield case, truth(case, cell) if good else failed

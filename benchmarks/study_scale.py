@@ -1,0 +1,153 @@
+"""A study of 10 000 cases: ``python -m benchmarks.study_scale``: memory, and overhead of a case.
+
+The whole path of `hilcell study --scheduler`: the file read, cells built, packed and sent, rows
+kept as Parquet, merged, and answered. Only the calibration is left out: a case takes no time and
+returns figures of its number. Scheduler, workers and client are processes of their own.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+from hilcell.study.analysis import answers
+from hilcell.study.case import measured, packed, versions
+from hilcell.study.cluster import workers_of
+from hilcell.study.design import most_cases
+from hilcell.study.outcome import RESULTS
+from hilcell.study.performing import perform
+from hilcell.study.results import Results, plain_rows
+from hilcell.study.study_file import cell_of, read_study
+
+REAL = 60
+STUDY = """
+name = "scale"
+design = "sobol"
+samples = 1024
+machines = 10
+
+[[factor]]
+name = "readings"
+setting = "layout.nest_samples"
+low = 1
+high = 20
+
+[[factor]]
+name = "touch poses"
+setting = "touch.poses"
+low = 0
+high = 12
+
+[[factor]]
+name = "backlash"
+setting = "simulation.sizes.rail.backlash_mm"
+low = 0.05
+high = 0.6
+"""
+
+
+def empty(cell: bytes, machine: int, seed: int, wanted: Mapping[str, str]) -> dict[str, Any]:
+    """Return a row at once."""
+    figures = dict.fromkeys(RESULTS, 0.05 + 0.001 * machine + 1e-6 * (len(cell) % 100))
+    return {"state": "done", "reason": "", "minutes": 20.0} | figures | {"targets": 50.0}
+
+
+@contextmanager
+def dask(*words: str, ready: str) -> Iterator[tuple[str, int]]:
+    """Run a command of Dask; yield its line with ``ready`` and its process."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "dask", *words, "--no-dashboard"],
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+    ) as process:
+        assert process.stderr is not None
+        try:
+            yield next(line for line in process.stderr if ready in line), process.pid
+        finally:
+            process.terminate()
+            process.stderr.read()
+
+
+def peak_mib(pid: int) -> float:
+    """Return the largest memory that a process ever had."""
+    status = Path(f"/proc/{pid}/status").read_text("ascii")
+    return int(status.partition("VmHWM:")[2].split()[0]) / 1024.0
+
+
+def processor_s(pid: int) -> float:
+    """Return the processor time of a process so far."""
+    fields = Path(f"/proc/{pid}/stat").read_text("ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def many_cases() -> None:
+    """Print what 10 240 empty cases take."""
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "study.toml"
+        path.write_text(STUDY)
+        study = read_study(path)
+        results = Results(Path(name) / "results", study)
+        start = ("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-show")
+        with dask(*start, ready="Scheduler at:") as (line, scheduler):
+            address = line.split()[-1]
+            work = ("worker", address, "--no-nanny", "--nthreads", "1")
+            with (
+                dask(*work, ready="Registered to") as (_, one),
+                dask(*work, ready="Registered to") as (_, two),
+                workers_of(address) as workers,
+                results.held(),
+            ):
+                processes = {"client": os.getpid(), "scheduler": scheduler, "worker": one}
+                before_s = {each: processor_s(pid) for each, pid in processes.items()}
+                began_s = time.perf_counter()
+                counts = perform(results, workers, lambda _: None)
+                took_s = time.perf_counter() - began_s
+                spent_s = {each: processor_s(pid) for each, pid in processes.items()}
+                assert counts == {"done": most_cases(study)}
+                print(f"{most_cases(study)} empty cases, two workers: {took_s:.0f} s of wall time")
+                for each, pid in processes.items():
+                    ms = 1e3 * (spent_s[each] - before_s[each]) / most_cases(study)
+                    print(f"{each:10} {peak_mib(pid):5.0f} MiB at most, {ms:5.2f} ms a case")
+                assert peak_mib(two) < 2048.0
+        began_s = time.process_time()
+        answers(study, plain_rows(results.table()))
+        print(f"answers    {peak_mib(os.getpid()):5.0f} MiB at most,", end=" ")
+        print(f"{time.process_time() - began_s:.1f} s of processor")
+
+
+def real_cases() -> None:
+    """Print whether a worker grows: real cases of 64 vertices and 30 targets, one after another."""
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "study.toml"
+        path.write_text(STUDY)
+        few = {"validation.per_cell": 1, "validation.others": 3, "sweeps.enabled": False}
+        cell = packed(cell_of(read_study(path), few))
+    here, grown = versions(), []
+    for number in range(1, REAL + 1):
+        assert measured(cell, number, 1, here)["state"] == "done"
+        if number in (REAL // 6, REAL):
+            grown.append(peak_mib(os.getpid()))
+    print(f"a worker's {REAL} real cases: {grown[0]:.0f} MiB after {REAL // 6}, ", end="")
+    print(f"{grown[1]:.0f} MiB after {REAL}")
+
+
+def main() -> None:
+    if sys.argv[1:] == ["real"]:
+        real_cases()
+        return
+    with patch("hilcell.study.cluster.measured", empty):
+        many_cases()
+    subprocess.run([sys.executable, "-m", "benchmarks.study_scale", "real"], check=True)
+
+
+if __name__ == "__main__":
+    main()
