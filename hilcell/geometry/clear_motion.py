@@ -75,10 +75,10 @@ class Body:
         count = len(travel)
         proven, share = np.zeros(count), np.full(count, 0.5)
         refused: Bools = ~np.all(travel <= FARTHEST_MM, axis=1)
-        motion, half = np.flatnonzero(~refused), 0.5
+        motion, half, way = np.flatnonzero(~refused), 0.5, end - start
         middle = np.full(len(motion), half)
         while len(motion):
-            postures = start[motion] + middle[:, None] * (end - start)[motion]
+            postures = start[motion] + middle[:, None] * way[motion]
             needed = half * travel[motion]
             spare = self._least_mm(postures, needed + wanted_mm) - wanted_mm
             done = (spare >= needed).all(axis=1)
@@ -139,6 +139,8 @@ class Body:
 
     def _least_mm(self, postures: Array, enough_mm: Array) -> Array:
         """Return the clearance (N, C) from the nearest box."""
+        if len(postures) <= AT_ONCE:
+            return np.array(self.clearances_mm(postures, enough_mm).min(axis=-1))
         parts = [
             self.clearances_mm(postures[some], enough_mm[some]).min(axis=-1)
             for some in _slices(len(postures))

@@ -47,7 +47,7 @@ class RigidFit:
 def inverse(T: Array) -> Array:
     """Return the inverse of rigid motions (..., 4, 4)."""
     R = np.swapaxes(T[..., :3, :3], -1, -2)
-    back = np.zeros_like(T, dtype=float)
+    back = np.zeros(T.shape)
     back[..., :3, :3] = R
     back[..., :3, 3] = -(R @ T[..., :3, 3, None])[..., 0]
     back[..., 3, 3] = 1.0
