@@ -19,6 +19,7 @@ import pytest
 
 from hilcell.conformance.kit import promises_of
 from hilcell.journal.runs import read_log
+from tests.hilcell.conformance.test_plugin import ALONE
 from tests.whole.bench import SMALL, end_of, sets
 
 ROOT = Path(__file__).parents[2]
@@ -82,12 +83,12 @@ def test_wrong_options_are_refused_with_their_names(run: Run) -> None:
 
 
 def test_its_own_tests_pass(run: Run) -> None:
-    done = run("pytest", "-q", "-p", "no:cacheprovider", "-W", "error", PACKAGE / "tests")
+    done = run("pytest", "-q", *ALONE, "-W", "error", PACKAGE / "tests")
     assert done.returncode == 0, done.stdout
 
 
 def test_the_kit_judges_it(run: Run) -> None:
-    done = run("pytest", "-q", "-p", "no:cacheprovider", KIT, "-k", "identity-same")
+    done = run("pytest", "-q", *ALONE, KIT, "-k", "identity-same")
     assert done.returncode == 0, done.stdout
     assert "1 passed" in done.stdout
 
@@ -144,7 +145,7 @@ def test_the_guide_quotes_the_package_word_for_word() -> None:
 
 @pytest.mark.nightly
 def test_every_promise_is_held_or_does_not_apply(run: Run) -> None:
-    done = run("pytest", "-q", "-p", "no:cacheprovider", "-rs", KIT)
+    done = run("pytest", "-q", *ALONE, "-rs", KIT)
     assert done.returncode == 0, done.stdout
     assert f"{len(promises_of('robot')) - 2} passed, 2 skipped" in done.stdout
     assert re.search(r"SKIPPED \[2\] .*: it does not sweep", done.stdout)

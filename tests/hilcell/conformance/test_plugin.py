@@ -8,10 +8,13 @@ from pathlib import Path
 
 from hilcell.conformance.kit import promises_of
 
+# Nothing is kept, and plug-ins that these tests do not need are not loaded: half of the time.
+ALONE = ("-p", "no:cacheprovider", "-p", "no:hypothesispytest", "-p", "no:randomly")
+
 
 def pytest_of(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *words],
+        [sys.executable, "-m", "pytest", "-q", *ALONE, *words],
         cwd=folder,
         capture_output=True,
         text=True,
