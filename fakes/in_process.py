@@ -240,11 +240,13 @@ class DirectTracker:
         """Measure the reflector nearest to (3,); raises `NoReading` where there is none."""
         name = self._found(near_mm)
         single = [self._single(name) for _ in range(samples)]
-        points_mm = np.array([each.xyz_mm for each in single])
-        std_mm = points_mm.std(axis=0, ddof=1) if samples > 1 else single[0].std_mm
+        xyz_mm, std_mm = single[0].xyz_mm, single[0].std_mm
+        if samples > 1:
+            points_mm = np.array([each.xyz_mm for each in single])
+            xyz_mm, std_mm = points_mm.mean(axis=0), points_mm.std(axis=0, ddof=1)
         air = self._plant.tracker.air()
         return TrackerReading(
-            points_mm.mean(axis=0),
+            xyz_mm,
             std_mm,
             samples,
             reflector,

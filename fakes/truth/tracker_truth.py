@@ -92,19 +92,13 @@ class TrackerTruth:
         if not places:
             return None
         at_mm = np.array([*places.values()]) @ self._from_world[:3, :3].T + self._from_world[:3, 3]
-        range_mm, off_mm = (np.sqrt((d * d).sum(axis=1)) for d in (at_mm, at_mm - near_mm))
-        seen = (self._range_mm[0] <= range_mm) & (range_mm <= self._range_mm[1])
-        near = [
-            (off, name)
-            for off, name, sees in zip(off_mm.tolist(), places, seen.tolist(), strict=True)
-            if sees
-        ]
-        if not near:
-            return None
-        if len(near) > 1 and self._faults.take("tracker.wrong_target") is not None:
-            return sorted(near)[1][1]
-        off, name = min(near)
-        return name if off <= radius_mm else None
+        off_mm = np.linalg.norm(at_mm - near_mm, axis=1)
+        names = [*places]
+        seen = (n for n in off_mm.argsort() if self._in_range(at_mm[n]))
+        best, next_best = next(seen, None), next(seen, None)
+        if next_best is not None and self._faults.take("tracker.wrong_target") is not None:
+            return names[next_best]
+        return names[best] if best is not None and off_mm[best] <= radius_mm else None
 
     def measure(self, name: str) -> Measurement | None:
         """Return one measurement of a reflector, or None where it is out of range."""
