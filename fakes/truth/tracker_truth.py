@@ -94,7 +94,8 @@ class TrackerTruth:
         at_mm = np.array([*places.values()]) @ self._from_world[:3, :3].T + self._from_world[:3, 3]
         off_mm = np.linalg.norm(at_mm - near_mm, axis=1)
         names = [*places]
-        seen = (n for n in off_mm.argsort() if self._in_range(at_mm[n]))
+        order: list[int] = off_mm.argsort(kind="stable").tolist()
+        seen = (n for n in order if self._in_range(at_mm[n]))
         best, next_best = next(seen, None), next(seen, None)
         if next_best is not None and self._faults.take("tracker.wrong_target") is not None:
             return names[next_best]
