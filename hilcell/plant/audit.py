@@ -89,6 +89,8 @@ def _manifest(source: Source, key: Ed25519PublicKey) -> Manifest:
         manifest = msgspec.json.decode(content, type=Manifest)
     except (msgspec.DecodeError, RecursionError) as error:
         raise NotProven(f"{source.name}: {MANIFEST} is none that is known: {error}") from None
+    if manifest.key != fingerprint(key):
+        raise NotProven(f"{source.name}: {MANIFEST} names another key than that which signed it")
     if manifest.form != FORM:
         raise NotProven(f"{source.name}: form {manifest.form}, this hilcell verifies {FORM}")
     outside = [name for name in manifest.files if not sound(name)]
@@ -167,8 +169,10 @@ class _Archive:
 def _opened(place: Path) -> Iterator[Source]:
     name = clean(str(place))
     with _as_not_proven(name):
-        folder = place.is_dir()
-        files = _Folder(place) if folder else zipfile.ZipFile(place)
+        kind = place.stat().st_mode
+        if not (stat.S_ISDIR(kind) or stat.S_ISREG(kind)):  # a device may never end
+            raise NotProven(f"{name}: it is neither a folder nor a file")
+        files = _Folder(place) if stat.S_ISDIR(kind) else zipfile.ZipFile(place)
     if isinstance(files, _Folder):
         yield files
         return

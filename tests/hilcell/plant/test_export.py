@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import getpass
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -219,6 +220,31 @@ def test_a_manifest_that_is_not_proven_is_one_line(
     assert words in said(auditor.verify(), 2, capsys)
 
 
+def test_what_is_no_record_is_one_line(
+    auditor: Auditor, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pipe = auditor.folder / "pipe"
+    os.mkfifo(pipe)
+    for place in (pipe, Path("/dev/zero")):
+        assert "neither a folder nor a file" in said(auditor.verify(place), 2, capsys)
+    (auditor.out / SIGNATURE).unlink()
+    os.mkfifo(auditor.out / SIGNATURE)
+    assert "manifest.sig is no plain file" in said(auditor.verify(), 2, capsys)
+
+
+def test_a_full_disk_leaves_nothing(empty: Auditor) -> None:
+    """Stood in for by a limit on the size of files, in a process of its own."""
+    before = empty.names
+    limit = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (8_000, 8_000));"
+    start = "from hilcell.__main__ import entry; sys.exit(entry())"
+    for place in (empty.out, empty.folder / "out.zip"):
+        words = [sys.executable, "-c", f"{limit} {start}", *empty.export(out=place)]
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout) == (7, "")
+        assert done.stderr == f"hilcell: {place}: cannot be written: File too large\n"
+    assert empty.names == before
+
+
 def test_another_key_proves_nothing(auditor: Auditor, capsys: pytest.CaptureFixture[str]) -> None:
     public(auditor.public, Ed25519PrivateKey.generate())
     assert "nothing in this record is proven" in said(auditor.verify(), 2, capsys)
@@ -242,6 +268,8 @@ def test_a_signed_manifest_of_another_form_is_refused(
     manifest = json.loads((auditor.out / MANIFEST).read_text())
     auditor.sign(manifest | {"form": 9})
     assert "form 9, this hilcell verifies 1" in said(auditor.verify(), 2, capsys)
+    auditor.sign(manifest | {"key": "SHA256:other"})
+    assert "names another key than that which signed it" in said(auditor.verify(), 2, capsys)
     auditor.sign({"files": []})
     assert "manifest.json is none that is known" in said(auditor.verify(), 2, capsys)
 

@@ -19,6 +19,7 @@ from hilcell.plant.shipper import NAME, ship
 from hilcell.plant.tables import HEAD, TABLES
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.server import Server
+from tests.hilcell.plant.test_export import private
 from tests.hilcell.plant.year import Model, Run
 
 DAY = timedelta(days=1)
@@ -79,7 +80,8 @@ def test_cells_may_insert_only_and_engineers_may_read_only(
         assert ship(runs, cell).before == 2
     asked = {
         "cell_user": [
-            "SELECT * FROM point", "SELECT name FROM run", "UPDATE run SET name = 'x'",
+            "SELECT * FROM point", "SELECT * FROM document",
+            "SELECT name FROM run", "UPDATE run SET name = 'x'",
             "DELETE FROM run", "DELETE FROM point", "SELECT * FROM verdict", "DROP TABLE run",
             "DELETE FROM alembic_version", "TRUNCATE point", "SELECT * FROM point_2026_09",
         ],
@@ -93,6 +95,10 @@ def test_cells_may_insert_only_and_engineers_may_read_only(
             for order in orders:
                 with pytest.raises(psycopg.errors.InsufficientPrivilege):
                     connection.execute(order.encode())
+    private(runs / "key")
+    exported = ["-o", str(runs / "out"), "--key", str(runs / "key")]
+    engineer_s = ["--from", postgresql.url(name, "engineer_user")]
+    assert main(["plant", "export", "north", *exported, *engineer_s]) == 0
     with asking(postgresql.url(name, "engineer_user")) as engineer:
         assert engineer.execute("SELECT count(DISTINCT digest) FROM point").fetchone() == (2,)
 
