@@ -47,6 +47,12 @@ def looked_at_mm(around: Body, start: Array, end: Array) -> float:
     return float(around.clearances_mm(ways, np.full((len(ways), 1), np.inf)).min())
 
 
+def test_what_rides_is_as_near_wherever_the_slide_stands() -> None:
+    around = body(NONE, box(1500.0, 0.0, 900.0))
+    near, far = (posture(at_mm, HOME) for at_mm in (0.0, 2000.0))
+    assert looked_at_mm(around, near, near) == looked_at_mm(around, far, far)
+
+
 @settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1))
 def test_what_is_proven_clear_is_clear(seed: int) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hilcell.geometry.kinematics import Array
 from hilcell.identification.motion import SweepStream
+from hilcell.identification.spectrum import Known, Records, Shift, Trial, without_lines
 from hilcell.identification.sweeps import SweptAxis, swept_axis
 from tests.hilcell.identification.axis_streams import (
     ARM,
@@ -215,3 +216,20 @@ def test_a_long_line_and_its_double_are_both_found(low: float) -> None:
     found = swept(axis)
     assert found.curve is not None
     np.testing.assert_allclose(found.curve.cycles, [low, 2 * low], atol=0.2)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_trial_has_the_amplitudes_of_least_squares_beside_smooth_errors(sign: float) -> None:
+    """Of shifted waves that both directions share, and of those that have opposite signs."""
+    rng, shift = np.random.default_rng(1), Shift(3e-3, 1e-4)
+    joint_rad, side = np.tile(np.linspace(-0.6, 0.6, 400), 2), np.repeat([1.0, -1.0], 400)
+    records = Records(joint_rad, rng.normal(0.0, 1e-5, 800), side)
+    lines, trial = without_lines(records, shift), Trial(records)
+    explained = trial.explained(Known(records, lines), shift)[0 if sign > 0 else 1]
+    phase = np.outer(records.angle_rad(shift.rad), trial.cycles[40:41])
+    waves = np.hstack([np.cos(phase), np.sin(phase)]) * np.where(side > 0, 1.0, sign)[:, None]
+    columns = np.hstack([records.smooth, waves])
+    prior = np.full(columns.shape[1], np.mean(lines.left_rad**2))
+    prior[-2:] = 0.0
+    best = np.linalg.solve(columns.T @ columns + np.diag(prior), columns.T @ records.error_rad)
+    np.testing.assert_allclose(explained.amplitude_rad[40], best[-2:], rtol=1e-5)
