@@ -2,8 +2,8 @@
 
 All nests averaged, best fit: the lever arm to the tool multiplies every angle. The station's frame
 and the reference's both carry noise, and both count. Distances between nests do not depend on any
-frame: a nest that has moved against the others is found by them, and left out. They are judged by
-the noise that all readings of the run show: the spread of a few readings says little.
+frame: a nest that has moved against the others is found by them, and left out. Both rest on the
+noise that all readings of the run show: the spread of a few readings says little.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from hilcell.geometry.frames import (
 )
 from hilcell.geometry.rigidity import SIGMAS, Moved, moved_points
 from hilcell.geometry.statistics import coverage_factor
-from hilcell.journal.log import Log, Point, covariances_mm2, positions_mm
+from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.journal.reading_noise import noise_at, run_noise
 from hilcell.ports import Array, DeviceError
@@ -213,13 +213,11 @@ def station_fit(log: Log, station: Station, reference: Station) -> RigidFit:
 
 def moved_nests(log: Log, station: Station, reference: Station) -> Moved:
     """Return which nests have moved on the slide between reference and station."""
-    R, noise = log.matrix("world")[:3, :3], run_noise(log)
-    before, now = slide_points(log, reference), slide_points(log, station)
     return moved_points(
         slide_in_world_mm(log, reference),
         slide_in_world_mm(log, station),
-        R @ (noise_at(noise, before) + noise_at(noise, now)) @ R.T,
-        coverage_factor(SIGMAS, noise.freedom),
+        _pair_noise_mm2(log, station, reference),
+        coverage_factor(SIGMAS, run_noise(log).freedom),
     )
 
 
@@ -276,9 +274,13 @@ def _pair_noise_mm2(log: Log, station: Station, reference: Station) -> Array:
 
 
 def slide_noise_mm2(log: Log, station: Station) -> Array:
-    """Return the covariances (N, 3, 3) in {W} of the averaged slide points, from their scatter."""
+    """Return the covariances (N, 3, 3) in {W} of the averaged slide points.
+
+    The noise is what all readings of the run so far have shown, at the nest.
+    """
     R = log.matrix("world")[:3, :3]
-    return covariances_mm2(slide_points(log, station), R)
+    noise_mm2: Array = R @ noise_at(run_noise(log), slide_points(log, station)) @ R.T
+    return noise_mm2
 
 
 def tool_uncertainty_mm(cell: Cell, fit: RigidFit) -> float:
