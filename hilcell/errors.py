@@ -51,6 +51,10 @@ class HilcellError(Exception):
         return {"code": self.code, "found": str(self)}
 
 
+class StoreAway(HilcellError):
+    """A store that is not this PC's cannot be used now; the same command may do it later."""
+
+
 class DriverDefect(HilcellError):
     """A driver did what its port rules out: a defect of the driver, not of hilcell or a device."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Iterable, Sequence
 from importlib.metadata import entry_points
@@ -11,6 +12,7 @@ from typing import Any, NoReturn
 from hilcell.commands.output import print_message, stdout_checked
 
 HELP = ("-h", "--help")  # no word is mistyped for it: each command has it
+PASSWORD = re.compile(r"(://[^:/@\s]*:)\S*@")  # of a URL that stands where none is wanted
 REFUSED = 2  # of `hilcell.run.exits`, which is heavy to import
 
 
@@ -52,7 +54,8 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print an error, and where the arguments are listed, and end with exit code 2."""
-        print_message(f"{self.prog}: {message}\n`{self.prog} --help` lists what there is")
+        words = PASSWORD.sub(r"\1***@", message)
+        print_message(f"{self.prog}: {words}\n`{self.prog} --help` lists what there is")
         self.exit(REFUSED)
 
     def _print_message(self, message: str, file: Any = None) -> None:

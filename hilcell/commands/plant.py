@@ -43,16 +43,11 @@ def init(args: argparse.Namespace) -> int:
 
 
 def ship(args: argparse.Namespace) -> int:
-    """Ship the runs of a folder that are over; exit code 7 where one or all could not be."""
-    from hilcell.plant.database import PlantAway
+    """Ship the runs of a folder that are over; exit code 7 where one could not be."""
     from hilcell.plant.shipper import ship as ship_runs
 
-    try:
-        with closing(open_database(args.plant)) as database:
-            done = ship_runs(args.runs, database)
-    except PlantAway as error:
-        print_message(f"hilcell: {error}")
-        return EXIT_STORAGE
+    with closing(open_database(args.plant)) as database:
+        done = ship_runs(args.runs, database)
     for reason in done.refused.values():
         print_message(f"hilcell: {reason}")
     print_answer(
@@ -73,16 +68,10 @@ def ship(args: argparse.Namespace) -> int:
 
 def show(args: argparse.Namespace) -> int:
     """Show what the plant's records say of cells, robots, stations, instruments and alarms."""
-    from hilcell.plant.database import PlantAway
-
-    try:
-        with closing(open_database(args.plant)) as database:
-            database.check()
-            with database.transaction() as connection:
-                found = _answers(connection, args)
-    except PlantAway as error:
-        print_message(f"hilcell: {error}")
-        return EXIT_STORAGE
+    with closing(open_database(args.plant)) as database:
+        database.check()
+        with database.transaction() as connection:
+            found = _answers(connection, args)
     if args.json:
         print_json(found)
         return EXIT_OK
@@ -113,7 +102,7 @@ def open_database(url: str | None) -> Database:
     url = url or os.environ.get(URL, "")
     if not url:
         raise HilcellError(
-            f"hilcell plant: no database is named; say its URL, or set {URL}: "
+            f"hilcell plant: no database is named; say its URL by --to or --from, or set {URL}: "
             "postgresql://USER@HOST/DATABASE or sqlite:///FILE"
         )
     from hilcell.plant.database import Database

@@ -7,30 +7,25 @@ import getpass
 import sys
 from contextlib import closing
 
-from hilcell.clean import harmless
+from hilcell.clean import encodable, harmless
 from hilcell.commands.output import print_answer, print_message
 from hilcell.commands.plant import open_database, require_packages
-from hilcell.run.exits import EXIT_OK, EXIT_OUT_OF_TOLERANCE, EXIT_STORAGE
+from hilcell.run.exits import EXIT_OK, EXIT_OUT_OF_TOLERANCE
 
 SIGNING = ("cryptography",)
 
 
 def export(args: argparse.Namespace) -> int:
-    """Write a cell's record with a signed manifest; exit code 7 where the database is away."""
+    """Write a cell's record with a signed manifest."""
     require_packages(SIGNING)
-    from hilcell.plant.database import PlantAway
     from hilcell.plant.export import export as export_cell
     from hilcell.plant.signing import read_private_key
 
     key = read_private_key(args.key, _passphrase)
-    try:
-        with closing(open_database(args.plant)) as database:
-            database.check()
-            with database.transaction() as connection:
-                found = export_cell(connection, args.cell, args.serial, args.out, key)
-    except PlantAway as error:
-        print_message(f"hilcell: {error}")
-        return EXIT_STORAGE
+    with closing(open_database(args.plant)) as database:
+        database.check()
+        with database.transaction() as connection:
+            found = export_cell(connection, args.cell, args.serial, args.out, key)
     simulated = f", {found.simulated_runs} of them simulated" if found.simulated_runs else ""
     print_answer(
         {"cell": found.cell, "serials": found.serials, "runs": found.runs,
@@ -58,7 +53,7 @@ def verify(args: argparse.Namespace) -> int:
     print_answer(
         {"cell": manifest.cell, "serials": manifest.serials, "runs": manifest.runs,
          "files": count, "made": manifest.made, "key": manifest.key, "holds": not findings,
-         "findings": {each.file: each.what for each in findings}},
+         "findings": {encodable(each.file): encodable(each.what) for each in findings}},
         f"cell {harmless(manifest.cell)}: {words}, on {harmless(manifest.made)} by {manifest.key}",
         as_json=args.json,
     )  # fmt: skip
@@ -69,4 +64,7 @@ def _passphrase() -> bytes | None:
     """Ask for the passphrase of an encrypted key, where somebody is there to be asked."""
     if not (sys.stdin is not None and sys.stdin.isatty()):
         return None
-    return getpass.getpass("passphrase of the key: ").encode()
+    try:
+        return getpass.getpass("passphrase of the key: ").encode()
+    except (EOFError, UnicodeError):  # nothing that could be one
+        return b""

@@ -29,7 +29,10 @@ from hilcell.plant.signing import fingerprint
 CHUNK = 2**20
 MOST_BYTES = 2**28  # of a manifest: of a million files
 SIGNATURE_BYTES = 64
-_SPOILED = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError)
+_SPOILED = (
+    zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError, UnicodeError
+)  # fmt: skip
+_PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)  # no error of their own
 DIFFERS, MISSING, EXTRA = "differs", "is missing", "is not in the manifest"
 
 
@@ -151,15 +154,15 @@ class _Folder:
 
 
 class _Archive:
-    """The files of an archive; one that is in it twice is no plain file."""
+    """The files of an archive; one that is in it twice, or packed by LZMA, is no plain file."""
 
     def __init__(self, archive: zipfile.ZipFile, name: str) -> None:
         self.name, self._archive = name, archive
         self.sizes: dict[str, int | None] = {}
         for each in archive.infolist():
             if not each.is_dir():
-                twice = each.filename in self.sizes
-                self.sizes[each.filename] = None if twice else each.file_size
+                plain = each.filename not in self.sizes and each.compress_type in _PACKED
+                self.sizes[each.filename] = each.file_size if plain else None
 
     def open(self, name: str) -> AbstractContextManager[IO[bytes]]:
         return self._archive.open(name)

@@ -7,6 +7,7 @@ not used.
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,7 +23,7 @@ from sqlalchemy.exc import (
 )
 
 from hilcell.clean import clean
-from hilcell.errors import HilcellError
+from hilcell.errors import HilcellError, StoreAway
 from hilcell.plant.tables import HEAD, PARTS, RUN
 
 MIGRATIONS = Path(__file__).with_name("migrations")
@@ -32,7 +33,7 @@ CONNECT_S, SILENT_MS, BUSY_S = 10, 30_000, 30.0
 HIDDEN = "***"
 LIMITS = "54"  # class of SQLSTATE: a key that is too long for an index, and the like
 CELL, ENGINEER = "hilcell_cell", "hilcell_engineer"  # the roles
-SECRET = ("password", "sslpassword")  # of the URL's own options
+SECRET = re.compile("passw|pwd", re.IGNORECASE)  # in the names of the URL's own options
 KNOWN = ("run_key", "revision", "head")  # columns of `run` that cells may read
 
 _UNHEARD = logging.NullHandler()
@@ -44,7 +45,7 @@ class PlantError(HilcellError):
     code = "HC-J21"
 
 
-class PlantAway(HilcellError):
+class PlantAway(StoreAway):
     """The database cannot be reached, or went away; journals keep the runs that it lacks."""
 
     code = "HC-J20"
@@ -56,8 +57,10 @@ class Database:
     def __init__(self, url: str) -> None:
         self._url = _parsed(url)
         self.name = clean(_shown(self._url))
+        self._places = "the folder, its rights and the disk"
         options: dict[str, float] = {}
         if self._url.get_backend_name() == POSTGRESQL:
+            self._places = "the server, the network, user and password"
             options = {
                 "connect_timeout": CONNECT_S,
                 "tcp_user_timeout": SILENT_MS,
@@ -101,6 +104,8 @@ class Database:
             before = _version(connection)
             if before is not None and before not in _known():
                 raise PlantError(self._unknown(connection, before))
+            if before is None:
+                self._check_empty(connection)
             config = Config()
             config.set_main_option("script_location", str(MIGRATIONS))
             config.attributes["connection"] = connection
@@ -132,6 +137,15 @@ class Database:
             "`hilcell plant init --to URL` brings it up to date"
         )
 
+    def _check_empty(self, connection: Connection) -> None:
+        """Refuse what holds other tables: a run's journal is such a file, too."""
+        others = sorted({*inspect(connection).get_table_names()} - {"alembic_version"})
+        if others:
+            raise PlantError(
+                f"plant database {self.name}: it belongs to another program (it has {len(others)} "
+                f"tables, the first is {clean(others[0])}); name an empty database"
+            )
+
     def _none(self) -> str:
         return (
             f"plant database {self.name}: it holds no plant records; "
@@ -158,7 +172,7 @@ class Database:
         if _away(error, cause):
             return PlantAway(
                 f"plant database {self.name}: it cannot be used now: {words}; nothing is lost: "
-                "check the server and the network, then repeat the command"
+                f"check {self._places}, then repeat the command"
             )
         return PlantError(f"plant database {self.name}: refused: {words}")
 
@@ -172,6 +186,8 @@ def _parsed(url: str) -> URL:
         raise PlantError(f"plant database: its URL cannot be read; {forms}") from None
     if backend not in DRIVERS:
         raise PlantError(f"plant database: {clean(backend)} is not known; {forms}")
+    if "@" in (parsed.host or ""):  # the rest of a password
+        raise PlantError("plant database: its URL cannot be read: write an @ of a password as %40")
     if backend == SQLITE and not parsed.database:
         raise PlantError(f"plant database: its URL names no file; {forms}")
     return parsed.set(drivername=DRIVERS[backend])
@@ -188,14 +204,15 @@ def _away(error: SQLAlchemyError, cause: BaseException) -> bool:
 
 def _shown(url: URL) -> str:
     """Return a URL without its passwords."""
-    hidden = {name: HIDDEN for name in SECRET if name in url.query}
-    shown = url.update_query_dict(hidden).render_as_string(hide_password=True)
+    hidden = {name: HIDDEN for name in url.query if SECRET.search(name)}
+    plain = url.set(drivername=url.get_backend_name()).update_query_dict(hidden)
+    shown = plain.render_as_string(hide_password=True)
     return shown.replace(quote(HIDDEN), HIDDEN)
 
 
 def _secrets(url: URL) -> list[str]:
     """Return the passwords of a URL, the longest first: one may be a part of another."""
-    given = [url.password, *(url.query.get(name) for name in SECRET)]
+    given = [url.password, *(word for name, word in url.query.items() if SECRET.search(name))]
     words = (each if isinstance(each, tuple) else (each,) for each in given)
     return sorted({str(word) for each in words for word in each if word}, key=len, reverse=True)
 

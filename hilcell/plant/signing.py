@@ -80,7 +80,7 @@ def _decrypted(path: Path, content: bytes, passphrase: bytes | None) -> object:
         raise _bad(path, "it is encrypted", "export in a terminal, which asks for its passphrase")
     try:
         return load_pem_private_key(content, passphrase)
-    except _WRONG:
+    except (*_WRONG, TypeError):  # the last of an empty one
         raise _bad(path, "its passphrase is another", "repeat the command") from None
 
 

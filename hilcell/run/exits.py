@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hilcell.cell.devices import ConnectFailed
-from hilcell.errors import DriverDefect
+from hilcell.errors import DriverDefect, StoreAway
 from hilcell.journal.journal import NeverBegan, StorageError
 from hilcell.ports import DeviceError, DeviceRefused, HilcellError, Stopped
 from hilcell.run.cell_lock import CellLocked
@@ -18,6 +18,7 @@ _TABLE: tuple[tuple[type[Exception], int], ...] = (
     (Stopped, EXIT_ABORTED),
     (NeverBegan, EXIT_REFUSED),
     (StorageError, EXIT_STORAGE),
+    (StoreAway, EXIT_STORAGE),
     (NotPrinted, EXIT_STORAGE),
     (DiskFailed, EXIT_STORAGE),
     (CellLocked, EXIT_LOCKED),

@@ -176,6 +176,7 @@ def test_each_file_that_was_touched_is_named(
     (folder / "devices.json").symlink_to(auditor.key)
     (auditor.out / "more.txt").write_text("more")
     (auditor.out / "linked").symlink_to(auditor.folder)
+    Path(os.fsdecode(bytes(auditor.out) + b"/no-text-\xff")).touch()
     assert main([*auditor.verify(), "--json"]) == 1
     found = json.loads(capsys.readouterr().out)
     name = f"runs/{folder.name}"
@@ -188,6 +189,7 @@ def test_each_file_that_was_touched_is_named(
         f"{name}/devices.json": "is no plain file",
         "more.txt": "is not in the manifest",
         "linked": "is not in the manifest",
+        "no-text-?": "is not in the manifest",
     }
 
 
@@ -243,6 +245,21 @@ def test_a_full_disk_leaves_nothing(empty: Auditor) -> None:
         assert (done.returncode, done.stdout) == (7, "")
         assert done.stderr == f"hilcell: {place}: cannot be written: File too large\n"
     assert empty.names == before
+
+
+def test_a_hostile_archive_is_one_line(empty: Auditor, capsys: pytest.CaptureFixture[str]) -> None:
+    """Packed by what has errors of its own, or named by what is no text."""
+    packed, named = empty.folder / "packed.zip", empty.folder / "named.zip"
+    for place, kind in ((packed, zipfile.ZIP_LZMA), (named, zipfile.ZIP_STORED)):
+        with zipfile.ZipFile(place, "w", kind) as archive:
+            archive.writestr(MANIFEST, bytes(1000))
+            archive.writestr("\xe9", b"")
+    packed.write_bytes(packed.read_bytes().replace(b"\x5d\x00", b"\xff\xff", 1))
+    named.write_bytes(named.read_bytes().replace("\xe9".encode(), b"\xff\xff"))
+    assert "manifest.json is no plain file" in said(empty.verify(packed), 2, capsys)
+    assert "it is neither an exported folder nor its archive" in said(
+        empty.verify(named), 2, capsys
+    )
 
 
 def test_another_key_proves_nothing(auditor: Auditor, capsys: pytest.CaptureFixture[str]) -> None:
@@ -316,12 +333,20 @@ def test_a_terminal_asks_for_the_passphrase(
     empty: Auditor, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     private(empty.key, empty.signer, BestAvailableEncryption(PASSPHRASE.encode()))
-    answers = ["wrong", PASSPHRASE]
+    answers: list[str | Exception] = ["wrong", "", "\udcff", EOFError(), PASSPHRASE]
+
+    def answered(_: str) -> str:
+        answer = answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
-    monkeypatch.setattr(getpass, "getpass", lambda _: answers.pop(0))
-    line = said(empty.export(), 2, capsys)
-    assert "its passphrase is another" in line
-    assert PASSPHRASE not in line
+    monkeypatch.setattr(getpass, "getpass", answered)
+    while len(answers) > 1:
+        line = said(empty.export(), 2, capsys)
+        assert "its passphrase is another" in line
+        assert PASSPHRASE not in line
     said(empty.export(), 0, capsys)
     said(empty.verify(), 0, capsys)
 

@@ -15,6 +15,7 @@ from alembic.config import Config
 from sqlalchemy import make_url, select, text
 
 from hilcell.commands.cli import main
+from hilcell.journal.runs import JOURNAL
 from hilcell.plant.database import MIGRATIONS, Database
 from hilcell.plant.tables import POINT
 from tests.hilcell.plant.conftest import NOW
@@ -52,12 +53,13 @@ def test_a_server_that_is_away_is_one_line_and_costs_nothing(
     runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     url = f"postgresql://ann:{SECRET}@127.0.0.1:{nowhere()}/plant"
-    for words in (["ship", str(runs), "--to", url], ["show", "--from", url]):
+    for words in (["init", "--to", url], ["ship", str(runs), "--to", url], ["show", "--from", url]):
         line = said(["plant", *words], 7, capsys)
         assert "cannot be used now" in line
         assert "refused" in line
         assert "nothing is lost" in line
-        assert "ann:***@127.0.0.1" in line
+        assert "check the server, the network, user and password" in line
+        assert "plant database postgresql://ann:***@127.0.0.1" in line
         assert SECRET not in line
         assert PLAIN not in line
     kept = [path.read_bytes() for path in runs.rglob("*") if path.is_file()]
@@ -116,6 +118,28 @@ def test_a_wrong_url_is_one_line_without_its_password(
     assert PLAIN not in line
 
 
+@pytest.mark.parametrize(
+    ("words", "shown"),
+    [
+        ("ship --to postgresql://ann:begin@endend@host/plant", "write an @ of a password as %40"),
+        ("ship --to postgresql://ann@127.0.0.1:1/plant?Password=endend", "Password=***: refused"),
+        ("init postgresql://ann:begin@endend@host/plant", "arguments: postgresql://ann:***@host"),
+        ("postgresql://ann:endend@host/plant", "postgresql://ann:***@host/plant"),
+    ],
+)
+def test_a_password_at_a_wrong_place_is_not_shown(
+    words: str, shown: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        code = main(["plant", *words.split()])
+    except SystemExit as end:
+        code = int(str(end.code))
+    err = capsys.readouterr().err
+    assert code == 2
+    assert shown in err
+    assert "endend" not in err
+
+
 def test_a_file_that_is_not_there_is_not_made(
     runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -134,10 +158,27 @@ def test_a_database_of_something_else_is_left_alone(
     before = file.read_bytes()
     line = said(["plant", "show", "--from", f"sqlite:///{file}"], 2, capsys)
     assert "it holds no plant records" in line
+    line = said(["plant", "init", "--to", f"sqlite:///{file}"], 2, capsys)
+    assert "another program (it has 1 tables, the first is customers)" in line
     file.with_name("text.db").write_text("no database, but long enough to be one" * 100)
     line = said(["plant", "show", "--from", f"sqlite:///{tmp_path}/text.db"], 2, capsys)
     assert "file is not a database" in line
     assert file.read_bytes() == before
+
+
+def test_init_writes_no_table_into_a_journal_or_beside_the_tables_of_others(
+    runs: Path, postgresql: Server, capsys: pytest.CaptureFixture[str]
+) -> None:
+    url = postgresql.make()
+    with closing(Database(url)) as database, database.transaction() as connection:
+        connection.execute(text("CREATE TABLE orders (n integer)"))
+    line = said(["plant", "init", "--to", url], 2, capsys)
+    assert "it belongs to another program (it has 1 tables, the first is orders)" in line
+    journal = runs / "a" / JOURNAL
+    before = journal.read_bytes()
+    line = said(["plant", "init", "--to", f"sqlite:///{journal}"], 2, capsys)
+    assert "it belongs to another program" in line
+    assert journal.read_bytes() == before
 
 
 @pytest.mark.parametrize("act", ["init", "ship", "show"])
