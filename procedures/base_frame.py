@@ -53,12 +53,14 @@ class BaseFrame:
 
     def _construct(self, session: CellSession) -> None:
         station = session.cell.station_named(session.cell.grid.station)
+        poses_rad = {axis: sweep(session.cell, axis) for axis in (1, 6)}
+        session.expect(station, np.vstack([*poses_rad.values()]))
         swept = [
             [
                 session.flange_point(PointId("base", axis=axis, number=n), station, joints)
-                for n, joints in enumerate(sweep(session.cell, axis))
+                for n, joints in enumerate(joints_rad)
             ]
-            for axis in (1, 6)
+            for axis, joints_rad in poses_rad.items()
         ]
         session.close_step()
         T_W_B, axis_1, axis_6 = frame_of_sweeps(session.cell, session.log, *swept)

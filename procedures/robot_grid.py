@@ -69,16 +69,19 @@ class RobotGrid:
         T_W_B = session.frames.base_in_world(station)
         ids = vertex_ids(grid)
         vertices = _sent(cell, T_W_B, ids, poses_at(cell, vertices_mm))
-        for each in vertices:
-            self._measure(session, station, each)
+        self._measure_all(session, station, vertices)
         for each in self._doubtful(session, vertices):
             self._measure(session, station, each, retake=True)
         for number, R in enumerate(more_orientations(cell), start=1):
             turned = [PointId(ORIENTED, vertex=id.vertex, place=number) for id in ids]
-            for each in _sent(cell, T_W_B, turned, matrix(R, vertices_mm)):
-                self._measure(session, station, each)
+            self._measure_all(session, station, _sent(cell, T_W_B, turned, matrix(R, vertices_mm)))
         session.close_step(carried=True)
         session.reach("measure_grid")
+
+    def _measure_all(self, session: CellSession, station: Station, vertices: list[Vertex]) -> None:
+        session.expect(station, np.array([joints_rad for _, joints_rad, *_ in vertices]))
+        for each in vertices:
+            self._measure(session, station, each)
 
     def _measure(
         self, session: CellSession, station: Station, vertex: Vertex, *, retake: bool = False

@@ -134,6 +134,7 @@ class Validate:
             if visit != session.log.visit:
                 sent = command(session, station, how, wanted, model)
                 joints_rad = session.cell.robot.nominal().joints_for(sent)
+                session.expect(station, joints_rad[n:])
                 visit = session.log.visit
             session.flange_point(
                 id, station, joints_rad[n], nominal_mm=nominal_mm[n], nominal_deg=nominal_deg[n],

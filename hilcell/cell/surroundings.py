@@ -93,6 +93,10 @@ class Surroundings:
         """Judge motions between postures (N, 7), `posture`; ``more_mm`` beyond the clearance."""
         return self._body.prove(start, end, self.wanted_mm + more_mm)
 
+    def apart_mm(self, one: Array, other: Array) -> float:
+        """Return how far the arm's points are from where another posture (7,) has them at most."""
+        return float(self._body.travel_mm(one[None], other[None]).max())
+
     def nearest(self, start: Array, end: Array, also: float) -> Nearest:
         """Return where a motion between postures (7,) is tightest; looks at share ``also``, too."""
         found = self._body.tightest(start, end, also)

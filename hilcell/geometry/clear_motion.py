@@ -71,7 +71,7 @@ class Body:
 
     def prove(self, start: Array, end: Array, wanted_mm: float) -> Proof:
         """Judge motions between postures (N, 7)."""
-        travel = self._travel_mm(start, end)
+        travel = self.travel_mm(start, end)
         count = len(travel)
         proven, share = np.zeros(count), np.full(count, 0.5)
         refused: Bools = ~np.all(travel <= FARTHEST_MM, axis=1)
@@ -113,7 +113,7 @@ class Body:
         shift_mm = postures[:, :1, None] * along
         return clearance_mm(ends_mm, self.capsules.radius_mm, boxes, enough_mm, shift_mm)
 
-    def _travel_mm(self, start: Array, end: Array) -> Array:
+    def travel_mm(self, start: Array, end: Array) -> Array:
         """Return how far (N, C) any point of a capsule's segment can travel in {W} at most."""
         way = np.abs(end - start)
         bound: Array = way[:, :1] + way[:, 1:] @ self._levers_mm.T

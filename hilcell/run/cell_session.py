@@ -102,6 +102,10 @@ class CellSession(RunContext):
         """Go to joints (6,), every axis from below, and settle."""
         return self._motion.robot_to(joints_rad, what)
 
+    def expect(self, station: Station, joints_rad: Array) -> None:
+        """Prove at once the ways to joints (N, 6) that the robot goes to next, in turn."""
+        self._motion.expect(station, joints_rad)
+
     def check_way(self, rail: RailReading, joints_rad: Array, what: str) -> None:
         """Refuse a motion from where the robot rests to joints (6,) that is not clear."""
         self._motion.check_way(rail, joints_rad, what)

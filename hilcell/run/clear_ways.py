@@ -127,11 +127,17 @@ def _on_circle(
 def _legs(cell: Cell, joints_rad: Array) -> list[tuple[Array, Array]]:
     """Return the ways between the safe pose and poses (N, 6): there from below, and back."""
     safe_rad = np.broadcast_to(np.radians(cell.robot.safe_deg), joints_rad.shape)
-    below_rad = joints_rad - np.radians(cell.robot.approach_deg)
+    below_rad = below(cell, joints_rad)
     return [(safe_rad, below_rad), (below_rad, joints_rad), (joints_rad, safe_rad)]
 
 
 # -- before a motion ------------------------------------------------------------------------------
+
+
+def below(cell: Cell, joints_rad: Array) -> Array:
+    """Return from where every axis comes to joints (..., 6)."""
+    beside: Array = joints_rad - np.radians(cell.robot.approach_deg)
+    return beside
 
 
 def check_way(cell: Cell, rail_mm: float, from_rad: Array, to_rad: Array, what: str) -> None:

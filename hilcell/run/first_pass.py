@@ -13,15 +13,15 @@ from hilcell.journal.driven import Driven
 from hilcell.journal.journal import StorageError
 from hilcell.journal.runs import read_log
 from hilcell.ports import Array
-from hilcell.run.clear_ways import leaves_cube
+from hilcell.run.coming_poses import ComingPoses
 from hilcell.run.run_context import RunContext
 
 
 class FirstPass:
     """Says how fast the robot may go to a pose, and who has to watch."""
 
-    def __init__(self, run: RunContext) -> None:
-        self._run = run
+    def __init__(self, run: RunContext, coming: ComingPoses) -> None:
+        self._run, self._coming = run, coming
         self._announced = False
 
     def speed_percent(self, strip_mm: float, joints_rad: Array, what: str) -> float:
@@ -31,7 +31,7 @@ class FirstPass:
         """
         cell = self._run.cell
         usual = cell.robot.speed_percent
-        if cell.surroundings is None or not leaves_cube(cell, joints_rad[None])[0]:
+        if cell.surroundings is None or not self._coming.leaves_cube(joints_rad):
             return usual
         if any(
             driven.has(strip_mm, joints_rad) for driven in (self._run.log.driven, *self._earlier)

@@ -10,7 +10,8 @@ import numpy as np
 from hilcell.cell.file import Station
 from hilcell.journal.log import ReadingTime
 from hilcell.ports import Array, RailReading, RobotReading
-from hilcell.run.clear_ways import check_way, stops_on_way
+from hilcell.run.clear_ways import below, check_way, stops_on_way
+from hilcell.run.coming_poses import ComingPoses
 from hilcell.run.first_pass import FirstPass
 from hilcell.run.fresh_readings import fresh
 from hilcell.run.interlocks import (
@@ -43,7 +44,8 @@ class Motion:
         self.held: Station | None = None
         self._last: RobotReading | None = None  # since which the robot has not moved
         self.began: ReadingTime | None = None  # the rail's, by which the robot's last motion began
-        self._first_pass = FirstPass(run)
+        self._coming = ComingPoses(run.cell)
+        self._first_pass = FirstPass(run, self._coming)
 
     # -- the rail -----------------------------------------------------------------------------
 
@@ -179,6 +181,10 @@ class Motion:
         self._run.clock.wait(self._run.cell.settle.robot_s)
         return reading
 
+    def expect(self, station: Station, joints_rad: Array) -> None:
+        """Prove at once the ways to joints (N, 6) that the robot goes to next, in turn."""
+        self._coming.expect(station.strip_mm, joints_rad)
+
     def check_way(self, rail: RailReading, joints_rad: Array, what: str) -> None:
         """Refuse a motion from where the robot rests to joints (6,) that is not clear."""
         if self._run.cell.surroundings is not None:
@@ -201,6 +207,8 @@ class Motion:
         """Return where to go, in turn, on the way to joints (6,)."""
         cell = self._run.cell
         now_rad = joints_rad if cell.surroundings is None else self._resting_rad()
+        if not above and self._coming.clear(rail.strip_mm, now_rad, joints_rad):
+            return [below(cell, joints_rad), joints_rad]
         return stops_on_way(cell, rail.strip_mm, now_rad, joints_rad, what, above=above)
 
     def _straight_stops(
