@@ -18,6 +18,7 @@ import re
 import sys
 import tempfile
 import time
+from concurrent.futures import ProcessPoolExecutor
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from importlib import resources
@@ -126,10 +127,10 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(sys.argv[1] if len(sys.argv) > 1 else temporary)
         began_s = time.monotonic()
-        with multiprocessing.get_context("spawn").Pool(
-            min(len(CELLS), os.cpu_count() or 1)
-        ) as pool:
-            taken_s = pool.map(partial(live, folder), CELLS, chunksize=1)
+        count = min(len(CELLS), os.cpu_count() or 1)
+        # Not a Pool: it ends its workers by SIGTERM, which a process that ran a cell only notes.
+        with ProcessPoolExecutor(count, multiprocessing.get_context("spawn")) as pool:
+            taken_s = list(pool.map(partial(live, folder), CELLS))
         url = f"sqlite:///{folder / 'plant.db'}"
         for words in (["init", "--to", url], ["ship", str(folder / "runs"), "--to", url]):
             assert hilcell(["plant", *words]) == 0

@@ -227,6 +227,7 @@ def doubts(connection: Connection) -> list[str]:
     return [
         *_shared_serials(connection),
         *_at_once(connection),
+        *_copied(connection),
         *_ahead(connection),
         *_set_back(connection),
     ]
@@ -264,6 +265,21 @@ def _at_once(connection: Connection) -> Iterator[str]:
         yield (
             f"cell {clean(row.cell)}, serial number {clean(row.serial)}: {row.times} runs began "
             "while another was at work: two computers ship as one cell, or their clocks disagree"
+        )
+
+
+def _copied(connection: Connection) -> Iterator[str]:
+    """Yield runs that have one journal: earlier versions shipped a copied folder as another run."""
+    asked = (
+        select(RUN.c.cell, func.min(RUN.c.name).label("one"), func.max(RUN.c.name).label("other"))
+        .group_by(RUN.c.cell, RUN.c.head)
+        .having(func.count(RUN.c.run_key.distinct()) > 1)
+    )
+    pairs = {tuple(row) for row in connection.execute(asked)}
+    for cell, one, other in sorted(pairs):
+        yield (
+            f"cell {clean(cell)}: runs {clean(one)} and {clean(other)} have the same journal: one "
+            "is a copy, and what they measured counts twice"
         )
 
 

@@ -20,6 +20,7 @@ import msgspec
 
 from hilcell.errors import HilcellError
 from hilcell.journal.index import NEVER_BEGAN, RunRow, read_index
+from hilcell.journal.journal import Record
 from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.journal.states import OVER
 from hilcell.plant.database import Database, PlantAway
@@ -64,7 +65,7 @@ def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _:
             records = read_records(runs / row.name)
             record = record_of(row.name, records, documents_of(runs / row.name, row))
             with database.transaction() as connection:
-                new = write(connection, record, heads(records))
+                new = write(connection, record, heads(records), _ended(records))
         except NotOver:
             done.waiting.append(row.name)
             continue
@@ -88,6 +89,11 @@ def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _:
 def _of_run(run: str, reason: str) -> str:
     """Return a reason that names the run, as an error of the database does not."""
     return reason if run in reason else f"run {run}: {reason}"
+
+
+def _ended(records: Sequence[Record]) -> int:
+    """Return the index of the first end of a run that is over."""
+    return next((n for n, record in enumerate(records) if record.kind == "end"), 0)
 
 
 def _order(row: RunRow) -> tuple[str, str, str]:

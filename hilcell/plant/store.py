@@ -50,12 +50,14 @@ def there(connection: Connection, keys: Iterable[Key]) -> set[Key]:
     return found
 
 
-def write(connection: Connection, record: RunRecord, heads: Sequence[str]) -> bool:
+def write(connection: Connection, record: RunRecord, heads: Sequence[str], ended: int = 0) -> bool:
     """Write a run in the transaction of ``connection``; return whether it was not there yet.
 
-    ``heads`` are the hashes of its journal after each record. Raises `Forked`.
+    ``heads`` are the hashes of its journal after each record, ``ended`` is the index of its first
+    end: no earlier one was ever shipped. Raises `Forked`.
     """
     _check_line(connection, record, heads)
+    _check_name(connection, record, heads[ended:])
     on_postgresql = connection.dialect.name == POSTGRESQL
     if on_postgresql:
         connection.execute(select(func.plant_month(date.fromisoformat(record.month))))
@@ -79,6 +81,18 @@ def _check_line(connection: Connection, record: RunRecord, heads: Sequence[str])
                 f"run {record.row.name}: the plant has another record {revision} of it: its "
                 "journal was changed, or its folder was copied and resumed twice; ship the right "
                 "one"
+            )
+
+
+def _check_name(connection: Connection, record: RunRecord, heads: Sequence[str]) -> None:
+    """Refuse a journal that was shipped under another name: its measurements would count twice."""
+    for start in range(0, len(heads), BATCH):
+        same = RUN.c.head.in_(heads[start : start + BATCH])
+        asked = select(RUN.c.revision).where(same, RUN.c.run_key != record.run_key).limit(1)
+        if connection.execute(asked).first() is not None:
+            raise Forked(
+                f"run {record.row.name}: the plant has its journal under another name: its folder "
+                "was renamed, or is a copy or a link; keep one, under the name that was shipped"
             )
 
 

@@ -33,7 +33,7 @@ from sqlalchemy import (
 )
 
 Found = Any  # a row of an answer: its columns by their names
-HEAD = "0002"  # the newest migration
+HEAD = "0003"  # the newest migration
 
 
 class Utc(TypeDecorator[datetime]):
@@ -106,6 +106,7 @@ Index(
     sqlite_where=text("proven"),
 )
 Index("run_of_robot", RUN.c.robot, RUN.c.ended)
+Index("run_of_head", RUN.c.head)
 
 FRAME = Table(
     "frame",

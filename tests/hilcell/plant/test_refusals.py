@@ -219,7 +219,7 @@ def test_a_newer_schema_asks_for_a_newer_hilcell(
     where = ["--from", url] if act == "show" else ["--to", url]
     more = [str(runs)] if act == "ship" else []
     line = said(["plant", act, *more, *where], 2, capsys)
-    assert "schema 0999, this hilcell knows 0002; update hilcell on this PC" in line
+    assert "schema 0999, this hilcell knows 0003; update hilcell on this PC" in line
 
 
 def old_schema(url: str) -> None:
@@ -251,8 +251,8 @@ def test_an_older_schema_is_brought_up_and_keeps_its_records(
     old_schema(url)
     for words in (["ship", str(runs), "--to", url], ["show", "--from", url]):
         line = said(["plant", *words], 2, capsys)
-        assert "schema 0001, wanted 0002; `hilcell plant init --to URL` brings it up" in line
-    assert "brought up from schema 0001, schema 0002" in said(
+        assert "schema 0001, wanted 0003; `hilcell plant init --to URL` brings it up" in line
+    assert "brought up from schema 0001, schema 0003" in said(
         ["plant", "init", "--to", url], 0, capsys
     )
     assert "1 runs shipped" in said(["plant", "ship", str(runs), "--to", url], 0, capsys)
@@ -264,9 +264,9 @@ def test_an_older_schema_is_brought_up_and_keeps_its_records(
 def test_init_may_be_repeated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     url = f"sqlite:///{tmp_path}/plant.db"
     assert main(["plant", "init", "--to", url]) == 0
-    assert "made, schema 0002" in capsys.readouterr().err
+    assert "made, schema 0003" in capsys.readouterr().err
     assert main(["plant", "init", "--to", url]) == 0
-    assert "is up to date, schema 0002" in capsys.readouterr().err
+    assert "is up to date, schema 0003" in capsys.readouterr().err
 
 
 def test_missing_packages_are_named(

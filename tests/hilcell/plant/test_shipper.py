@@ -25,8 +25,10 @@ from hilcell.journal.journal import Record
 from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.plant.cells import cells
 from hilcell.plant.database import Database, PlantAway
+from hilcell.plant.equipment import doubts
 from hilcell.plant.record import record_of
 from hilcell.plant.shipper import NAME, Shipped, ship
+from hilcell.plant.store import write
 from hilcell.plant.tables import PARTS, POINT, RUN
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.server import Server
@@ -179,14 +181,14 @@ def test_a_live_run_and_one_without_an_end_wait(runs: Path, office: Database) ->
 
 
 def test_a_journal_that_was_changed_is_refused_and_stops_no_other(
-    runs: Path, office: Database
+    model: Model, runs: Path, office: Database
 ) -> None:
     ship(runs, office)
     records = forged(read_records(runs / "a"))
     shutil.rmtree(runs / "a")
     rows = [(datetime.fromisoformat(each.t), each.kind, each.key, each.body) for each in records]
     write_journal(runs / "a", rows)
-    shutil.copytree(runs / "b", runs / "d")
+    model.write(runs, Run("d", "north", "HC-1", NOW - DAY / 2))
     done = ship(runs, office)
     assert list(done.refused) == ["a"]
     assert "journal was changed, or its folder was copied" in done.refused["a"]
@@ -290,6 +292,38 @@ def test_links_and_what_is_no_journal(runs: Path, office: Database, tmp_path: Pa
     done = ship(runs, office)
     assert (done.runs, list(done.refused)) == (3, ["text"])
     assert "root:" not in done.refused["text"]
+
+
+@pytest.mark.parametrize("place", ["same", "elsewhere"])
+def test_a_copy_under_another_name_is_refused_and_stops_no_other(
+    place: str, runs: Path, office: Database, tmp_path: Path
+) -> None:
+    """Else it would count twice, and stay valid where the run was revoked."""
+    copies = runs if place == "same" else tmp_path / "copies"
+    shutil.copytree(runs / "a", copies / "z backup")
+    first = ship(runs, office)
+    assert len(kept(office)) == 3
+    revoke(runs / "a")
+    shutil.copytree(runs / "a", copies / "revoked")
+    done = ship(copies, office)
+    assert first.refused.keys() | done.refused.keys() == {"z backup", "revoked"}
+    assert "the plant has its journal under another name" in done.refused["z backup"]
+    ship(runs, office)
+    with office.transaction() as connection:
+        (state,) = cells(connection, NOW)
+    assert (state.calibration, len(kept(office))) == ("c", 4)
+
+
+def test_copies_that_were_shipped_before_are_doubted(
+    model: Model, office: Database, tmp_path: Path
+) -> None:
+    folder = model.write(tmp_path / "runs", Run("a", "north", "HC-1", NOW))
+    with office.transaction() as connection:
+        for name in ("a", "b"):
+            record = record_of(name, read_records(folder))
+            assert write(connection, record, [])
+        (doubt,) = doubts(connection)
+    assert doubt.startswith("cell north: runs a and b have the same journal: one is a copy")
 
 
 def test_a_run_whose_bytes_were_changed_is_refused(runs: Path, office: Database) -> None:
