@@ -80,6 +80,7 @@ class Revisits:
         station, poses = cell.station_named(cell.grid.station), visits(cell, self._kind)
         T_W_B = session.frames.base_in_world(station)
         while waiting := [visit for visit in poses if _waits(log, visit.id)]:
+            session.expect(station, np.array([visit.joints_rad for visit in waiting]))
             for id, joints_rad, vertex_mm in waiting:
                 session.hold_station(station)
                 if again := log.find(id) is not None:

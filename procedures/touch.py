@@ -63,6 +63,7 @@ def _touch(session: CellSession, station: Station, model: ErrorModel) -> None:
     points, visit = [], -1
     while log.visit != visit:  # a retake at another station ends the visit
         visit = log.visit
+        session.expect(station, joints_rad)
         points = [
             session.flange_point(id, station, joint_rad, nominal_mm=at_mm)
             for id, joint_rad, at_mm in zip(

@@ -79,6 +79,9 @@ class Visits(FakeBench):
     def reach(self, trigger: str) -> None:
         pass
 
+    def expect(self, station: Station, joints_rad: Array) -> None:
+        pass
+
     def measured(self, id: PointId, joints_rad: Array, at_mm: Array, nominal_mm: Array) -> None:
         if id.kind == "grid":
             super().measured(id, joints_rad, at_mm, nominal_mm)
