@@ -56,8 +56,8 @@ def write(connection: Connection, record: RunRecord, heads: Sequence[str], ended
     ``heads`` are the hashes of its journal after each record, ``ended`` is the index of its first
     end: no earlier one was ever shipped. Raises `Forked`.
     """
-    _check_line(connection, record, heads)
-    _check_name(connection, record, heads[ended:])
+    if not _continues(connection, record, heads):
+        _check_name(connection, record, heads[ended:])
     on_postgresql = connection.dialect.name == POSTGRESQL
     if on_postgresql:
         connection.execute(select(func.plant_month(date.fromisoformat(record.month))))
@@ -72,16 +72,21 @@ def write(connection: Connection, record: RunRecord, heads: Sequence[str], ended
     return True
 
 
-def _check_line(connection: Connection, record: RunRecord, heads: Sequence[str]) -> None:
-    """Refuse a journal that does not go on from, or lead to, what was shipped of the run before."""
+def _continues(connection: Connection, record: RunRecord, heads: Sequence[str]) -> bool:
+    """Return whether the run was shipped before.
+
+    Refuses a journal that does not go on from, or lead to, what was shipped.
+    """
     asked = select(RUN.c.revision, RUN.c.head).where(RUN.c.run_key == record.run_key)
-    for revision, head in connection.execute(asked):
+    found = connection.execute(asked).all()
+    for revision, head in found:
         if revision <= len(heads) and heads[revision - 1] != head:
             raise Forked(
                 f"run {record.row.name}: the plant has another record {revision} of it: its "
                 "journal was changed, or its folder was copied and resumed twice; ship the right "
                 "one"
             )
+    return bool(found)
 
 
 def _check_name(connection: Connection, record: RunRecord, heads: Sequence[str]) -> None:

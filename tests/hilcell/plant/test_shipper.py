@@ -317,6 +317,7 @@ def test_a_copy_under_another_name_is_refused_and_stops_no_other(
 def test_copies_that_were_shipped_before_are_doubted(
     model: Model, office: Database, tmp_path: Path
 ) -> None:
+    """They keep no later revision of the run from being shipped."""
     folder = model.write(tmp_path / "runs", Run("a", "north", "HC-1", NOW))
     with office.transaction() as connection:
         for name in ("a", "b"):
@@ -324,6 +325,9 @@ def test_copies_that_were_shipped_before_are_doubted(
             assert write(connection, record, [])
         (doubt,) = doubts(connection)
     assert doubt.startswith("cell north: runs a and b have the same journal: one is a copy")
+    revoke(folder)
+    assert ship(tmp_path / "runs", office).refused == {}
+    assert kept(office)[-1] == ("a", len(read_records(folder)))
 
 
 def test_a_run_whose_bytes_were_changed_is_refused(runs: Path, office: Database) -> None:
