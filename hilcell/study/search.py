@@ -17,6 +17,7 @@ from hilcell.ports import Array
 from hilcell.study.design import Choice, Point, generation, placed, places
 from hilcell.study.study_file import Optimum, Study
 
+AGREE_MM = 1e-4  # the standard deviation of points that agree
 Measure = Callable[[Sequence[Point]], Mapping[int, float]]
 
 
@@ -53,6 +54,8 @@ def search(study: Study, wanted: Optimum, measure: Measure) -> None:
             init=np.array(places(study, generation(study, wanted))),
             rng=wanted.seed,
             maxiter=wanted.trials,
+            tol=0.0,  # a share of the mean: points that are all too long would agree
+            atol=AGREE_MM,
             polish=False,
             vectorized=True,
             updating="deferred",

@@ -91,6 +91,23 @@ def test_no_design_within_the_limit(tmp_path: Path) -> None:
     assert [each.title for each in sheets(asked, found, rows)] == ["Pareto front"]
 
 
+def test_a_limit_that_none_of_the_first_points_keeps(tmp_path: Path) -> None:
+    """All of them are too long, which is no agreement: the search goes on to shorter ones."""
+
+    class Slow(Bench):
+        def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Row]]:
+            for case, cell in waiting:
+                minutes = 10.0 + abs(unpacked(cell).grid.centre.x_mm - 1859.3)
+                yield case, truth(case, unpacked(cell)) | {"minutes": minutes}
+
+    asked = study(tmp_path, FACTORS, LIMITED.replace("25.0", "12.0"))
+    results = Results(tmp_path / "r", asked)
+    performed(results, Slow())
+    first = [row["minutes"] for row in plain_rows(results.table())[: 2 * 12]]
+    assert min(first) > 12.0
+    assert best(asked, results)["x"] == pytest.approx(1859.3, abs=2.0)
+
+
 def test_all_points_have_the_same_machines(tmp_path: Path) -> None:
     asked = study(tmp_path, FACTORS, HEAD)
     results = Results(tmp_path / "r", asked)
