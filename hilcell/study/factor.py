@@ -138,4 +138,4 @@ class Factor(Frozen, frozen=True, kw_only=True):
 def _word(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    return f"{value:.12g}" if isinstance(value, float) else str(value)

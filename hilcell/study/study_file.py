@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -129,6 +130,9 @@ class Study(Frozen, frozen=True, kw_only=True):
         for key, found in (("name", names), ("setting", settings)):
             for word in sorted({each for each in found if found.count(each) > 1}):
                 yield f"factor: two have the {key} {word!r}"
+        for whole, part in sorted(set(itertools.permutations(settings, 2))):
+            if part.startswith(f"{whole}."):
+                yield f"factor: {whole!r} contains {part!r}; one of them would undo the other"
         for each in self.factor:
             if each.name in (*RESULTS, *COLUMNS):
                 yield f"factor: the name {each.name!r} is one of a result"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from datetime import date
 from pathlib import Path
 
 import pytest
@@ -22,7 +23,8 @@ EXAMPLES = sorted(Path("docs/examples").glob("study-*.toml"))
 def factor(**keys: object) -> str:
     given = {"name": "f", "setting": "layout.nest_samples"} | keys
     return "\n[[factor]]\n" + "\n".join(
-        f"{key} = {json.dumps(each)}" for key, each in given.items()
+        f"{key} = {toml_value(each) if isinstance(each, list) else json.dumps(each)}"
+        for key, each in given.items()
     )
 
 
@@ -97,6 +99,7 @@ def test_a_factor_that_says_no_range(tmp_path: Path, keys: dict[str, object], wo
         ({"setting": "lay.nests", "levels": [2, 5]}, "unknown key"),
         ({"levels": [2, "five"]}, "whole number is wanted, found 'five'"),
         ({"levels": [2, 0]}, "layout.nest_samples: "),
+        ({"levels": [2, date(2026, 1, 31)]}, "layout.nest_samples: a whole number is wanted"),
         ({"low": 1.5, "high": 4.0}, "whole number is wanted"),
     ],
 )
@@ -119,6 +122,20 @@ def test_two_factors_of_one_setting(tmp_path: Path) -> None:
     problems = "\n".join(refused(tmp_path, twice))
     assert "two have the name 'f'" in problems
     assert "two have the setting 'layout.nest_samples'" in problems
+
+
+def test_a_factor_within_a_table_of_another(tmp_path: Path) -> None:
+    """The one that is set last undoes the other; its column would be one of luck."""
+    table = {"name": "g", "setting": "layout", "levels": [{"nest_samples": 3}, {"nest_samples": 4}]}
+    problems = refused(tmp_path, factor(**table, labels=["a", "b"]) + factor(levels=[2, 5]))
+    assert problems == [
+        "factor: 'layout' contains 'layout.nest_samples'; one of them would undo the other"
+    ]
+
+
+def test_levels_that_differ_little_are_two(tmp_path: Path) -> None:
+    pitch = factor(setting="grid.pitch_mm", levels=[450.0, 450.0001])
+    assert study(tmp_path, pitch).factor[0].names == ["450", "450.0001"]
 
 
 @pytest.mark.parametrize(
@@ -155,7 +172,10 @@ VALUES = st.recursive(
     st.booleans()
     | st.integers(-(2**53), 2**53)
     | st.floats(allow_nan=False)
-    | st.text("aä\"'\\ ."),
+    | st.text("aä\"'\\ .😀\x00\x1f\x7f\u2028")
+    | st.dates()
+    | st.times()
+    | st.datetimes(),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text("ab ."), inner, max_size=3),
     max_leaves=8,
 )
