@@ -13,7 +13,7 @@ from hilcell.clean import clean
 from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.commands.output_place import check_output
 from hilcell.errors import HilcellError
-from hilcell.run.exits import EXIT_FAULT, EXIT_OK, EXIT_OUT_OF_TOLERANCE
+from hilcell.run.exits import EXIT_ABORTED, EXIT_FAULT, EXIT_OK, EXIT_OUT_OF_TOLERANCE
 from hilcell.study.design import cases, most_cases
 from hilcell.study.errors import Cluster, missing
 from hilcell.study.study_file import Study, read_study
@@ -74,13 +74,15 @@ def _perform(args: argparse.Namespace) -> int:
                 with ExitStack() as stack:
                     workers = stack.enter_context(_workers(args))
                     counts = _measured(results, workers, planned, kept)
-            except Cluster as error:
+            except (Cluster, KeyboardInterrupt) as error:
                 if not _has_rows(results, kept):
                     raise
+                lost = isinstance(error, Cluster)
                 print_message(
-                    f"hilcell: {error}; finished cases are kept, the same command goes on"
+                    f"hilcell: {error if lost else 'interrupted'}; finished cases are kept, the "
+                    "same command goes on"
                 )
-                return EXIT_FAULT
+                return EXIT_FAULT if lost else EXIT_ABORTED
             print_message(_ended(counts))
         else:
             results.merge()

@@ -22,7 +22,7 @@ from hilcell.run.procedure import Procedure
 from hilcell.study.outcome import RESULTS
 
 Row = dict[str, Any]
-DONE, CANNOT_BE, FAILED = "done", "cannot be", "failed"
+STATES = DONE, CANNOT_BE, FAILED = "done", "cannot be", "failed"
 
 
 def packed(cell: Cell) -> bytes:

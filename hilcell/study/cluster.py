@@ -11,6 +11,7 @@ import signal
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from multiprocessing import get_context
 from typing import Any
 
 import dask
@@ -138,16 +139,25 @@ def local_workers(count: int) -> Iterator[Workers]:
     """Start worker processes on this PC, one thread each; end them."""
     with _quiet(), ExitStack() as stack:
         os.environ["OMP_NUM_THREADS"] = "1"
-        with _interrupts_ignored():  # ctrl-C reaches all processes of a terminal
-            cluster = stack.enter_context(
-                LocalCluster(
-                    n_workers=count,
-                    threads_per_worker=1,
-                    processes=True,
-                    host="127.0.0.1",
-                    dashboard_address=None,
+        os.environ["DASK_LOGGING__DISTRIBUTED"] = "critical"  # of the workers' processes
+        try:
+            get_context("spawn").Lock()  # they share some: without /dev/shm there is none
+            with _interrupts_ignored():  # ctrl-C reaches all processes of a terminal
+                cluster = stack.enter_context(
+                    LocalCluster(
+                        n_workers=count,
+                        threads_per_worker=1,
+                        processes=True,
+                        host="127.0.0.1",
+                        dashboard_address=None,
+                        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # not 8787
+                    )
                 )
-            )
+        except (OSError, RuntimeError) as error:
+            raise Cluster(
+                f"this PC starts no workers: {getattr(error, 'strerror', None) or error}; is there "
+                "a /dev/shm, and memory?"
+            ) from error
         client = stack.enter_context(Client(cluster))
         yield Workers(client, "the local cluster")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -21,8 +22,8 @@ import pyarrow.parquet as pq
 from hilcell.cell.settings import convert
 from hilcell.cell.source import read_source
 from hilcell.run.cell_lock import CellLocked, locked
-from hilcell.study.case import Row, versions
-from hilcell.study.design import Case
+from hilcell.study.case import DONE, STATES, Row, versions
+from hilcell.study.design import Case, chosen, most_cases
 from hilcell.study.errors import OtherStudy
 from hilcell.study.study_file import Study
 from hilcell.writing import NotWritten, write_whole
@@ -113,7 +114,7 @@ class Results:
 
     def table(self) -> pa.Table:
         """Return all rows in the order of their cases; raises `OtherStudy` for a damaged file."""
-        tables = [_read(path, self._schema) for path in self._parts()]
+        tables = [_read(path, self.study, self._schema) for path in self._parts()]
         whole = pa.concat_tables([*tables, self._schema.empty_table()]).sort_by("case")
         numbers = whole["case"].to_pylist()
         kept = [n for n, case in enumerate(numbers) if n == 0 or case != numbers[n - 1]]
@@ -140,7 +141,7 @@ class Results:
 
     def _write(self, table: pa.Table, name: str) -> None:
         content = io.BytesIO()
-        pq.write_table(table, content)
+        pq.write_table(table, content, write_page_checksum=True)
         path = self.folder / CASES / name
         write_whole(path, content.getvalue())
         for place in (path, path.parent):
@@ -203,11 +204,13 @@ def _asked_in(folder: Path) -> Asked:
     raise OtherStudy(f"{folder} is no folder of results: {reason}")
 
 
-def _read(path: Path, wanted: pa.Schema) -> pa.Table:
+def _read(path: Path, study: Study, wanted: pa.Schema) -> pa.Table:
     try:
-        found = pq.read_table(path)
+        found = pq.read_table(path, page_checksum_verification=True)
         if found.schema.remove_metadata() != wanted:
             raise pa.ArrowInvalid("its columns are not the study's")
+        for row in found.to_pylist():
+            _check_row(study, row)
     except (pa.ArrowException, OSError) as error:
         raise OtherStudy(
             f"{path} is damaged: {str(error).splitlines()[0]}; delete it, its cases are measured "
@@ -216,11 +219,29 @@ def _read(path: Path, wanted: pa.Schema) -> pa.Table:
     return found
 
 
+def _check_row(study: Study, row: Row) -> None:
+    """Raise `ArrowInvalid` for a row that no study has written."""
+    number, done = row["case"], row["state"] == DONE
+    used = [row[name] for name in ("minutes", study.accuracy, "covered", "targets")]
+    if not (number and 1 <= number <= most_cases(study) and row["state"] in STATES):
+        raise pa.ArrowInvalid(f"a row is no case of the study: {number}, {row['state']!r}")
+    if done and not all(each is not None and math.isfinite(each) for each in used):
+        raise pa.ArrowInvalid(f"case {number} was done, and has no figures")
+    try:
+        chosen(study, row)
+    except (TypeError, ValueError):
+        raise pa.ArrowInvalid(f"case {number} has a level that is not the study's") from None
+
+
 def _make(folder: Path) -> None:
+    """Make the folder of the rows; raises `NotWritten` where nothing can be written."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise NotWritten(f"{folder}: cannot be made: {error.strerror}") from error
+    for each in (folder.parent, folder):
+        if not os.access(each, os.W_OK | os.X_OK):
+            raise NotWritten(f"{each}: nothing can be written there; name another folder with -o")
 
 
 def _remove(folder: Path, lock: Path) -> None:

@@ -152,7 +152,10 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path: Path) -> None:
         os.killpg(running.pid, signal.SIGINT)
         _, errors = running.communicate(timeout=LIMIT_S)
     assert running.returncode == 4
-    assert errors.splitlines()[-1] == "hilcell: interrupted"
+    assert errors.splitlines()[-1] == (
+        "hilcell: interrupted; finished cases are kept, the same command goes on"
+    )
+    assert "distributed" not in errors  # no worker's own log
     assert "Traceback" not in errors
     assert 1 <= table(folder).num_rows < 18
 
@@ -287,6 +290,21 @@ def test_workers_that_are_all_gone_are_one_message(
         last.kill()
         with pytest.raises(Cluster, match=r"scheduler .* has had no worker for 0\.5 s"):
             list(rows)
+
+
+def test_a_pc_that_starts_no_worker_is_one_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As in a container without /dev/shm."""
+
+    def nothing_shared(_: str) -> None:
+        raise FileNotFoundError(2, "No such file or directory")
+
+    monkeypatch.setattr(cluster, "get_context", nothing_shared)
+    assert main(["study", str(written(tmp_path)), "-o", str(tmp_path / "r")]) == 2
+    errors = capsys.readouterr().err
+    assert "hilcell: this PC starts no workers: No such file or directory; is there a" in errors
+    assert not (tmp_path / "r").exists()
 
 
 def test_no_scheduler_is_one_message(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -16,6 +17,7 @@ from hilcell.study.design import Case, cases
 from hilcell.study.errors import Cluster, OtherStudy
 from hilcell.study.performing import perform
 from hilcell.study.results import Results, open_results, plain_rows, row_of
+from hilcell.writing import NotWritten
 from tests.hilcell.study.studies import TWO_FACTORS, study
 
 NO_PITCH = TWO_FACTORS.replace("grid.centre.x_mm", "grid.pitch_mm").replace("3850.0", "400.0")
@@ -152,6 +154,57 @@ def test_a_damaged_file_is_named(tmp_path: Path) -> None:
     bench = Bench()
     performed(results, bench)
     assert bench.measured == list(range(1, 9))
+
+
+def test_no_bit_that_has_turned_changes_a_figure(tmp_path: Path) -> None:
+    """Without sums of its pages a file whose figures have changed reads as if it were sound."""
+    results = Results(tmp_path / "r", study(tmp_path))
+    performed(results, Bench())
+    (file,) = (tmp_path / "r/cases").iterdir()
+    sound, wanted, named = file.read_bytes(), results.table(), 0
+    for at in range(0, len(sound), 29):
+        file.write_bytes(sound[:at] + bytes([sound[at] ^ 4]) + sound[at + 1 :])
+        try:
+            assert results.table() == wanted, at
+        except OtherStudy:
+            named += 1
+    assert named > 0
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"mean_mm": float("nan")}, "case 2 was done, and has no figures"),
+        ({"minutes": None}, "case 2 was done, and has no figures"),
+        ({"case": 9}, "a row is no case of the study: 9, 'done'"),
+        ({"case": None}, "a row is no case of the study: None, 'done'"),
+        ({"state": "perhaps"}, "a row is no case of the study: 2, 'perhaps'"),
+        ({"readings": 3.0}, "case 2 has a level that is not the study's"),
+        ({"place": None}, "case 2 has a level that is not the study's"),
+    ],
+)
+def test_a_row_that_no_study_wrote_is_named(
+    tmp_path: Path, wrong: dict[str, object], words: str
+) -> None:
+    results = Results(tmp_path / "r", study(tmp_path))
+    performed(results, Bench())
+    (file,) = (tmp_path / "r/cases").iterdir()
+    rows = pq.read_table(file).to_pylist()
+    rows[1] |= wrong
+    pq.write_table(pa.Table.from_pylist(rows, pq.read_schema(file)), file)
+    with pytest.raises(OtherStudy, match=rf"all\.parquet is damaged: {words}; delete it"):
+        results.table()
+
+
+def test_a_folder_that_takes_no_file_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hilcell.study.results.os.access", lambda *_: False)  # root may do all
+    with (
+        pytest.raises(NotWritten, match="r: nothing can be written there; name another folder"),
+        Results(tmp_path / "r", study(tmp_path)).held(),
+    ):
+        raise AssertionError("it is held")
 
 
 def test_a_file_with_other_columns_is_named(tmp_path: Path) -> None:
