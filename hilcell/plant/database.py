@@ -33,6 +33,8 @@ CONNECT_S, SILENT_MS, BUSY_S = 10, 30_000, 30.0
 HIDDEN = "***"
 LIMITS = "54"  # class of SQLSTATE: a key that is too long for an index, and the like
 CELL, ENGINEER = "hilcell_cell", "hilcell_engineer"  # the roles
+RIGHT = "42501"  # SQLSTATE: insufficient privilege
+GRANT = f"; a user ships in the role {CELL} and reads in the role {ENGINEER}; the owner makes both"
 SECRET = re.compile("passw|pwd", re.IGNORECASE)  # in the names of the URL's own options
 KNOWN = ("run_key", "revision", "head")  # columns of `run` that cells may read
 
@@ -174,7 +176,8 @@ class Database:
                 f"plant database {self.name}: it cannot be used now: {words}; nothing is lost: "
                 f"check {self._places}, then repeat the command"
             )
-        return PlantError(f"plant database {self.name}: refused: {words}")
+        act = GRANT if getattr(cause, "sqlstate", "") == RIGHT else ""
+        return PlantError(f"plant database {self.name}: refused: {words}{act}")
 
 
 def _parsed(url: str) -> URL:

@@ -77,11 +77,14 @@ def _serials(connection: Connection, cell: str, serial: str | None) -> list[str]
             f"cells of {len(found)} serial numbers have the name {clean(cell)}: "
             f"{', '.join(map(clean, found))}; say which with --serial"
         )
-    of_serial = "" if serial is None else f" of serial number {clean(serial)}"
     names = sorted({row.cell for row in known})
-    raise HilcellError(
-        f"cell {cell[:80]!r}{of_serial} has shipped no run{did_you_mean(cell, names)}"
-    )
+    if cell in names:
+        serials = ", ".join(clean(row.serial) for row in known if row.cell == cell)
+        raise HilcellError(
+            f"cell {clean(cell)} of serial number {clean(serial or '')} has shipped no run; "
+            f"there are {serials}"
+        )
+    raise HilcellError(f"cell {cell[:80]!r} has shipped no run{did_you_mean(cell, names)}")
 
 
 def _add_run(connection: Connection, run: Found, add: Add) -> None:

@@ -18,12 +18,13 @@ from uuid import UUID
 
 import msgspec
 
+from hilcell.clean import clean
 from hilcell.errors import HilcellError
 from hilcell.journal.index import NEVER_BEGAN, RunRow, read_index
 from hilcell.journal.journal import Record
 from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.journal.states import OVER
-from hilcell.plant.database import Database, PlantAway
+from hilcell.plant.database import Database, PlantAway, PlantError
 from hilcell.plant.documents import documents_of
 from hilcell.plant.record import NotOver, heads, record_of
 from hilcell.plant.store import Key, there, write
@@ -57,6 +58,8 @@ def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _:
     A run that cannot be shipped stops no other. Raises `PlantAway`, `PlantError`, and
     `StorageError` for a folder that cannot be read.
     """
+    if not runs.exists():  # else a timer with a mistyped folder ships nothing, and says 0
+        raise PlantError(f"runs folder {clean(str(runs))} is not there: name the folder of runs")
     database.check()
     done = Shipped()
     seen = _Seen(runs)

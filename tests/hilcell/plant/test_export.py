@@ -396,4 +396,4 @@ def test_two_cells_of_one_name_want_a_serial_number(
     assert folder.name.startswith("a__b-")
     assert "did you mean" in said(empty.export(cell="nroth"), 2, capsys)
     line = said(empty.export("--serial", "HC-9", cell="north"), 2, capsys)
-    assert "of serial number HC-9 has shipped no run" in line
+    assert "of serial number HC-9 has shipped no run; there are HC-1, HC-2" in line

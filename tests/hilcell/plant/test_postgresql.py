@@ -112,7 +112,7 @@ def test_a_right_that_is_missing_is_one_line(
         owner.execute("CREATE ROLE nobody_s LOGIN")
     assert main(["plant", "ship", str(runs), "--to", postgresql.url(name, "nobody_s")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "permission denied for table alembic_version" in line
+    assert "permission denied for table alembic_version; a user ships in the role hilcell_" in line
 
 
 def test_a_database_that_is_not_there_is_one_line(

@@ -140,6 +140,16 @@ def test_a_password_at_a_wrong_place_is_not_shown(
     assert "endend" not in err
 
 
+def test_a_folder_of_runs_that_is_not_there_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    url = f"sqlite:///{tmp_path}/plant.db"
+    assert main(["plant", "init", "--to", url]) == 0
+    capsys.readouterr()
+    line = said(["plant", "ship", str(tmp_path / "rusn"), "--to", url], 2, capsys)
+    assert "rusn is not there: name the folder of runs" in line
+
+
 def test_a_file_that_is_not_there_is_not_made(
     runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
