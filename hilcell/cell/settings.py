@@ -32,6 +32,7 @@ _KINDS = {
     "float": "a number", "int": "a whole number", "str": "a text", "bool": "true or false",
     "array": "a list", "object": "a table",
 }  # fmt: skip
+_MEMBER = re.compile(r" - at `\$\[(\d+)\]`$")
 _EXPECTED = re.compile(rf"Expected `({'|'.join(_KINDS)})`(?!.* - at `)")
 MOST_BYTES = 16_000_000  # of a file that is read at once
 
@@ -211,6 +212,10 @@ def _value(value: object, kind: Any, path: str, problems: list[str]) -> Any:
     try:
         return msgspec.convert(value, kind, strict=True)
     except msgspec.ValidationError as error:
+        member = _MEMBER.search(str(error))
+        if member and isinstance(value, list) and typing.get_origin(_stated(kind)) is list:
+            n, (inner,) = int(member[1]), typing.get_args(_stated(kind))
+            return _value(value[n], inner, f"{path}[{n}]", problems)
         allowed = range_text(kind)
         hint = f"; allowed: {allowed}" if allowed else ""
         if isinstance(value, str) and (words := _words(kind)):
@@ -230,6 +235,7 @@ def range_text(kind: Any) -> str:
 
     Empty without bounds.
     """
+    kind = _stated(kind)
     if typing.get_origin(kind) is typing.Literal:
         return ", ".join(f'"{word}"' for word in typing.get_args(kind))
     if typing.get_origin(kind) is tuple:
@@ -239,6 +245,13 @@ def range_text(kind: Any) -> str:
         limits = ((">", meta.gt), (">=", meta.ge), ("<", meta.lt), ("<=", meta.le))
         bounds += [f"{sign} {limit:g}" for sign, limit in limits if limit is not None]
     return ", ".join(bounds)
+
+
+def _stated(kind: Any) -> Any:
+    """Return the kind of a value that may be left out, without None."""
+    options = [each for each in typing.get_args(kind) if each is not types.NoneType]
+    union = typing.get_origin(kind) in (typing.Union, types.UnionType)
+    return options[0] if union and len(options) == 1 else kind
 
 
 def _words(kind: Any) -> str:

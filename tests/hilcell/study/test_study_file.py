@@ -86,6 +86,11 @@ def test_every_mistake_is_named_at_once(tmp_path: Path) -> None:
         ({"levels": [2, 5], "costs": [1, 2, 3]}, "costs: 2 are wanted, found 3"),
         ({"levels": [2, 5], "minutes": []}, "minutes: 2 are wanted, found 0"),
         ({"levels": [2, 5], "name": "mean_mm"}, "is one of a result"),
+        (
+            {"levels": [2, 5], "weights": [1, 0]},
+            "weights[1]: a number is wanted, found 0; allowed: > 0, <= 1e+12",
+        ),
+        ({"levels": [2, 5], "labels": ["a", 3]}, "labels[1]: a text is wanted, found 3"),
     ],
 )
 def test_a_factor_that_says_no_range(tmp_path: Path, keys: dict[str, object], words: str) -> None:
@@ -142,6 +147,7 @@ def test_levels_that_differ_little_are_two(tmp_path: Path) -> None:
     ("head", "words"),
     [
         ('design = "sobol"', "samples: missing"),
+        ("samples = 1", "samples: a whole number is wanted, found 1; allowed: >= 2, <= 65536"),
         ('design = "sobol"\nsamples = 100', "a power of two is wanted: 64 or 128"),
         ("samples = 8", 'samples: these are for design = "sobol"'),
         ('accuracy = "covered"', "accuracy: 'covered' is none"),
