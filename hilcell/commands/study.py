@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
 from collections import Counter
 from contextlib import AbstractContextManager, ExitStack
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from hilcell.study.results import Results
 
 REPORT = "report"
-MOST_REFUSALS = 3
+MOST_LISTED = 1000  # cases; a table of 65 536 takes half a minute
 
 
 def study(args: argparse.Namespace) -> int:
@@ -90,7 +91,7 @@ def _perform(args: argparse.Namespace) -> int:
 
 
 def _dry_run(asked: Study, *, as_json: bool) -> int:
-    found = list(cases(asked))
+    found = cases(asked)
     if as_json:
         print_json(
             {
@@ -111,10 +112,16 @@ def _dry_run(asked: Study, *, as_json: bool) -> int:
     rows = [
         [str(each.number), str(each.point.number), str(each.machine), str(each.seed),
          *(choice.word for choice in each.point.choices)]
-        for each in found
+        for each in itertools.islice(found, MOST_LISTED)
     ]  # fmt: skip
     names = [factor.name for factor in asked.factor]
     print_table((["case", "point", "machine", "seed", *names], rows))
+    if more := sum(1 for _ in found):
+        print_message(f"{more} more cases; --json lists all")
+    if asked.optimise is not None:
+        print_message(
+            f"the search goes on from these; it measures {most_cases(asked)} cases at most"
+        )
     return EXIT_OK
 
 

@@ -98,7 +98,8 @@ def points(study: Study) -> list[Point]:
     most_cases(study)
     match study.design, study.optimise:
         case "optimise", Optimum() as wanted:
-            found = _drawn(study, generation(study, wanted))
+            drawn = _drawn(study, generation(study, wanted))
+            found = iter({shares_of(each): each for each in drawn}.values())
         case "sobol", _:
             found = _drawn(study, study.samples or 0)
         case _:
@@ -203,3 +204,8 @@ def placed(study: Study, place: Sequence[float]) -> tuple[Choice, ...]:
 def generation(study: Study, wanted: Optimum) -> int:
     """Return how many points an optimiser asks for at once."""
     return min(wanted.trials, max(LEAST_GENERATION, PER_FACTOR * len(study.factor)))
+
+
+def shares_of(choices: Sequence[Choice]) -> tuple[float, ...]:
+    """Return what a point is known by: whole numbers and levels are rounded."""
+    return tuple(each.share for each in choices)

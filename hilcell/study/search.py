@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from hilcell.ports import Array
-from hilcell.study.design import Choice, Point, generation, placed, places
+from hilcell.study.design import Point, generation, placed, places, shares_of
 from hilcell.study.study_file import Optimum, Study
 
 AGREE_MM = 1e-4  # the standard deviation of points that agree
@@ -62,8 +62,3 @@ def search(study: Study, wanted: Optimum, measure: Measure) -> None:
         )
     except _SpentError:
         return
-
-
-def shares_of(choices: Sequence[Choice]) -> tuple[float, ...]:
-    """Return what a point is known by: whole numbers and levels are rounded."""
-    return tuple(each.share for each in choices)

@@ -350,6 +350,28 @@ def test_a_dry_run_lists_the_cases(tmp_path: Path, capsys: pytest.CaptureFixture
     assert not (tmp_path / "study-results").exists()
 
 
+def test_a_dry_run_of_many_cases_lists_the_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = written(tmp_path, head="machines = 300")
+    assert main(["study", str(path), "--dry-run"]) == 0
+    printed = capsys.readouterr()
+    assert "│ 1000 │" in printed.out
+    assert "│ 1001 │" not in printed.out
+    assert "200 more cases; --json lists all" in printed.err
+    assert main(["study", str(path), "--dry-run", "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["cases"]) == 1200
+
+
+def test_a_dry_run_of_a_search_says_that_more_follow(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wanted = "optimise = { trials = 20, most_minutes = 30 }"
+    path = written(tmp_path, head=f'machines = 2\ndesign = "optimise"\n{wanted}')
+    assert main(["study", str(path), "--dry-run"]) == 0
+    assert "it measures 40 cases at most" in capsys.readouterr().err
+
+
 def _first_part(folder: Path, running: subprocess.Popen[str]) -> None:
     """Wait until a row is kept."""
     while not any((folder / "cases").glob("*.parquet")):

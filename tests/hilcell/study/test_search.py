@@ -108,6 +108,19 @@ def test_a_limit_that_none_of_the_first_points_keeps(tmp_path: Path) -> None:
     assert best(asked, results)["x"] == pytest.approx(1859.3, abs=2.0)
 
 
+def test_the_cases_that_are_listed_are_those_that_it_begins_with(tmp_path: Path) -> None:
+    """Sobol points fall on the same few levels more than once; each is one point."""
+    few = factor(levels=[2, 5]) + factor(name="g", setting="sweeps.enabled", levels=[True, False])
+    asked = study(tmp_path, few, HEAD)
+    listed = list(cases(asked))
+    assert len(listed) == 4 * 2
+    results = Results(tmp_path / "r", asked)
+    performed(results, Bench())
+    rows = plain_rows(results.table())
+    wanted = [(case.number, *(each.shown for each in case.point.choices)) for case in listed]
+    assert [(row["case"], row["f"], row["g"]) for row in rows] == wanted
+
+
 def test_all_points_have_the_same_machines(tmp_path: Path) -> None:
     asked = study(tmp_path, FACTORS, HEAD)
     results = Results(tmp_path / "r", asked)
