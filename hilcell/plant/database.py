@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from urllib.parse import quote
+from urllib.parse import quote, unquote_to_bytes
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, inspect, make_url, text
 from sqlalchemy.exc import (
@@ -183,6 +183,8 @@ class Database:
 def _parsed(url: str) -> URL:
     forms = "postgresql://USER@HOST/DATABASE or sqlite:///FILE is wanted"
     try:
+        if b"\0" in unquote_to_bytes(url):  # libpq would read no further
+            raise ArgumentError
         parsed = make_url(url)
         backend = parsed.get_backend_name()
     except (ArgumentError, ValueError):  # both may repeat the URL, and so a password
@@ -193,7 +195,23 @@ def _parsed(url: str) -> URL:
         raise PlantError("plant database: its URL cannot be read: write an @ of a password as %40")
     if backend == SQLITE and not parsed.database:
         raise PlantError(f"plant database: its URL names no file; {forms}")
+    known = _options(backend)
+    for name in parsed.query:
+        if name not in known:
+            raise PlantError(
+                f"plant database: its URL has the option {clean(name)}, wanted are those of "
+                "PostgreSQL's own library, as ?sslmode=verify-full"
+            )
     return parsed.set(drivername=DRIVERS[backend])
+
+
+def _options(backend: str) -> set[str]:
+    """Return the options that a URL may have: the driver's own, as autocommit, would undo ours."""
+    if backend == SQLITE:
+        return set()
+    from psycopg.pq import Conninfo  # an optional package's
+
+    return {each.keyword.decode() for each in Conninfo.get_defaults()}
 
 
 def _away(error: SQLAlchemyError, cause: BaseException) -> bool:

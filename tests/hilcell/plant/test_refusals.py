@@ -104,6 +104,9 @@ def test_a_wrong_password_is_in_no_output_file_or_log(
         (f"postgresql://ann:{SECRET}@host:port/plant", "its URL cannot be read"),
         (f"oracle://ann:{SECRET}@host/plant", "oracle is not known"),
         (f"mysql://ann:{SECRET}@host/plant", "mysql is not known"),
+        (f"postgresql://ann:{SECRET}%00@host/plant", "its URL cannot be read"),
+        (f"postgresql://ann:{SECRET}\udcff@host/plant", "its URL cannot be read"),
+        ("sqlite:///\udcff.db", "its URL cannot be read"),
         ("sqlite://", "its URL names no file"),
         ("", "no database is named"),
     ],
@@ -119,10 +122,29 @@ def test_a_wrong_url_is_one_line_without_its_password(
 
 
 @pytest.mark.parametrize(
+    ("url", "name"),
+    [
+        ("postgresql://ann@host/plant?autocommit=1", "autocommit"),
+        ("postgresql://ann@host/plant?sslmode=require&row_factory=x", "row_factory"),
+        ("sqlite:///plant.db?isolation_level=IMMEDIATE", "isolation_level"),
+        ("sqlite:///plant.db?timeout=x", "timeout"),
+    ],
+)
+def test_an_option_that_would_undo_the_transactions_is_refused(
+    url: str, name: str, runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = said(["plant", "ship", str(runs), "--to", url], 2, capsys)
+    assert f"its URL has the option {name}, wanted are those of" in line
+
+
+@pytest.mark.parametrize(
     ("words", "shown"),
     [
         ("ship --to postgresql://ann:begin@endend@host/plant", "write an @ of a password as %40"),
-        ("ship --to postgresql://ann@127.0.0.1:1/plant?Password=endend", "Password=***: refused"),
+        (
+            "ship --to postgresql://ann@127.0.0.1:1/plant?Password=endend",
+            "its URL has the option Password",
+        ),
         ("init postgresql://ann:begin@endend@host/plant", "arguments: postgresql://ann:***@host"),
         ("postgresql://ann:endend@host/plant", "postgresql://ann:***@host/plant"),
     ],
