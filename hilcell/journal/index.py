@@ -425,8 +425,20 @@ def _keep(index: Path, rows: dict[str, RunRow], stamps: dict[str, str]) -> None:
             base.execute("COMMIT")
 
 
+def own_file(file: Path) -> Path:
+    """Return a file that may be written and thrown away; a link leads to what is somebody's.
+
+    Raises `sqlite3.DatabaseError`.
+    """
+    with suppress(FileNotFoundError):
+        found = file.lstat()
+        if stat.S_ISLNK(found.st_mode) or (stat.S_ISREG(found.st_mode) and found.st_nlink != 1):
+            raise sqlite3.DatabaseError(f"{file} is a link")
+    return file
+
+
 def _opened(index: Path) -> sqlite3.Connection:
-    base = sqlite3.connect(index, timeout=BUSY_S, isolation_level=None)
+    base = sqlite3.connect(own_file(index), timeout=BUSY_S, isolation_level=None)
     try:
         base.execute("PRAGMA synchronous=OFF")  # what power loss damages is made again
         if base.execute("PRAGMA user_version").fetchone() != (SCHEMA,):

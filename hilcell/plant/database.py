@@ -24,6 +24,7 @@ from sqlalchemy.exc import (
 
 from hilcell.clean import clean
 from hilcell.errors import HilcellError, StoreAway
+from hilcell.journal.index import NAME as INDEX
 from hilcell.plant.tables import HEAD, PARTS, RUN
 
 MIGRATIONS = Path(__file__).with_name("migrations")
@@ -32,6 +33,7 @@ DRIVERS = {POSTGRESQL: "postgresql+psycopg", SQLITE: "sqlite"}
 CONNECT_S, SILENT_MS, BUSY_S = 10, 30_000, 30.0
 HIDDEN = "***"
 LIMITS = "54"  # class of SQLSTATE: a key that is too long for an index, and the like
+SEEN = "plant.sqlite"  # beside the journals, of those that were shipped
 CELL, ENGINEER = "hilcell_cell", "hilcell_engineer"  # the roles
 RIGHT = "42501"  # SQLSTATE: insufficient privilege
 GRANT = f"; a user ships in the role {CELL} and reads in the role {ENGINEER}; the owner makes both"
@@ -195,6 +197,11 @@ def _parsed(url: str) -> URL:
         raise PlantError("plant database: its URL cannot be read: write an @ of a password as %40")
     if backend == SQLITE and not parsed.database:
         raise PlantError(f"plant database: its URL names no file; {forms}")
+    if backend == SQLITE and (name := Path(parsed.database or "").name) in (INDEX, SEEN):
+        raise PlantError(
+            f"plant database: {name} is a file of a folder of runs, which may be deleted at any "
+            "time; name another, as plant.db"
+        )
     known = _options(backend)
     for name in parsed.query:
         if name not in known:

@@ -20,16 +20,16 @@ import msgspec
 
 from hilcell.clean import clean
 from hilcell.errors import HilcellError
-from hilcell.journal.index import NEVER_BEGAN, RunRow, read_index
+from hilcell.journal.index import NEVER_BEGAN, RunRow, own_file, read_index
 from hilcell.journal.journal import Record
 from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.journal.states import OVER
-from hilcell.plant.database import Database, PlantAway, PlantError
+from hilcell.plant.database import SEEN, Database, PlantAway, PlantError
 from hilcell.plant.documents import documents_of
 from hilcell.plant.record import NotOver, heads, record_of
 from hilcell.plant.store import Key, there, write
 
-NAME = "plant.sqlite"
+NAME = SEEN
 _BROKEN = (
     msgspec.ValidationError,
     KeyError,
@@ -158,7 +158,7 @@ class _Seen:
         return hashlib.sha256(stamp).hexdigest()
 
     def _open(self) -> sqlite3.Connection:
-        base = sqlite3.connect(self._runs / NAME, isolation_level=None)
+        base = sqlite3.connect(own_file(self._runs / NAME), isolation_level=None)
         base.execute(
             "CREATE TABLE IF NOT EXISTS seen "
             "(run TEXT PRIMARY KEY, row TEXT, run_key TEXT, revision INTEGER) STRICT"

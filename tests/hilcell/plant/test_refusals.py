@@ -162,6 +162,14 @@ def test_a_password_at_a_wrong_place_is_not_shown(
     assert "endend" not in err
 
 
+@pytest.mark.parametrize("name", ["plant.sqlite", "index.sqlite"])
+def test_a_database_has_no_name_of_what_may_be_deleted(
+    name: str, runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = said(["plant", "init", "--to", f"sqlite:///{runs}/{name}"], 2, capsys)
+    assert f"{name} is a file of a folder of runs, which may be deleted at any time" in line
+
+
 def test_a_folder_of_runs_that_is_not_there_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

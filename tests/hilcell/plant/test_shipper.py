@@ -9,7 +9,7 @@ import socket
 import sqlite3
 import string
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -21,6 +21,7 @@ from sqlalchemy import func, select
 
 from hilcell.commands.cli import main
 from hilcell.journal.engine_file import ENGINE, EngineFile
+from hilcell.journal.index import NAME as INDEX
 from hilcell.journal.journal import Record
 from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.plant.cells import cells
@@ -328,6 +329,20 @@ def test_copies_that_were_shipped_before_are_doubted(
     revoke(folder)
     assert ship(tmp_path / "runs", office).refused == {}
     assert kept(office)[-1] == ("a", len(read_records(folder)))
+
+
+@pytest.mark.parametrize("link", [Path.symlink_to, Path.hardlink_to])
+def test_what_the_folder_s_own_databases_link_to_is_left_alone(
+    link: Callable[[Path, Path], None], runs: Path, office: Database, tmp_path: Path
+) -> None:
+    other = tmp_path / "other.db"
+    shutil.copy(runs / "a" / JOURNAL, other)
+    before = other.read_bytes()
+    for name in (NAME, INDEX):
+        link(runs / name, other)
+    assert ship(runs, office).runs == 3
+    assert ship(runs, office).before == 3
+    assert other.read_bytes() == before
 
 
 def test_a_run_whose_bytes_were_changed_is_refused(runs: Path, office: Database) -> None:
