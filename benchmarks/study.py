@@ -1,8 +1,7 @@
 """Cases of a study a second and core, and two workers beside one: ``python -m benchmarks.study``.
 
 Processor seconds count, so that other work on the machine matters little; a processor that is
-shared is slower all the same. Cases run in a process of their own, as a worker is: with one thread
-of BLAS, which is settled when numpy is loaded.
+shared is slower all the same.
 """
 
 from __future__ import annotations
@@ -11,8 +10,6 @@ import itertools
 import os
 import time
 from collections.abc import Mapping
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 
 from distributed import Client, LocalCluster, as_completed
 
@@ -81,8 +78,7 @@ def main() -> None:
         ("64 vertices, 30 targets", FEW),
         ("the same without sweeps", PLAIN),
     ):
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as worker:
-            found, points = worker.submit(rate, values).result()
+        found, points = rate(values)
         print(f"{name:26} {points:5} points  {found:5.2f} cases a second and core")
     cell = load_cell("paper", PLAIN)
     one_s, two_s = wall_s(1, cell), wall_s(2, cell)

@@ -35,6 +35,7 @@ SETTINGS = {
     "distributed.admin.log-length": 100,
     "distributed.scheduler.allowed-failures": 1,  # a second worker tries
 }
+WORKERS_ENVIRONMENT = {"OMP_NUM_THREADS": "1", "DASK_LOGGING__DISTRIBUTED": "critical"}
 LOST = (asyncio.CancelledError, FutureCancelledError, CommClosedError, OSError, TimeoutError)
 
 
@@ -137,9 +138,7 @@ class Workers:
 @contextmanager
 def local_workers(count: int) -> Iterator[Workers]:
     """Start worker processes on this PC, one thread each; end them."""
-    with _quiet(), ExitStack() as stack:
-        os.environ["OMP_NUM_THREADS"] = "1"
-        os.environ["DASK_LOGGING__DISTRIBUTED"] = "critical"  # of the workers' processes
+    with _quiet(), _environment(WORKERS_ENVIRONMENT), ExitStack() as stack:
         try:
             get_context("spawn").Lock()  # they share some: without /dev/shm there is none
             with _interrupts_ignored():  # ctrl-C reaches all processes of a terminal
@@ -231,6 +230,21 @@ def _quiet() -> Iterator[None]:
             yield
     finally:
         logging.disable(before)
+
+
+@contextmanager
+def _environment(values: Mapping[str, str]) -> Iterator[None]:
+    """Set variables that processes inherit which are started meanwhile."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 @contextmanager

@@ -42,16 +42,27 @@ class Dask:
             text=True,
             env=os.environ | {"OMP_NUM_THREADS": "1"} | environment,
         )
+        self.line, self._said = "", threading.Event()
+        self._reader = threading.Thread(target=self._read, args=(ready,))
+        self._reader.start()
+        if not (self._said.wait(LIMIT_S) and self.line):
+            self.kill()
+            pytest.fail(f"dask {words[0]} never said {ready!r}")
+
+    def _read(self, ready: str) -> None:
+        """Look for the line, then read on: the pipe never fills."""
         assert self.process.stderr is not None
-        self.line = next((each for each in self.process.stderr if ready in each), "")
-        self._rest = threading.Thread(target=self.process.stderr.read)  # its pipe never fills
-        self._rest.start()
+        for each in self.process.stderr:
+            if ready in each and not self.line:
+                self.line = each
+                self._said.set()
+        self._said.set()
 
     def kill(self) -> None:
         """End it, at once; a second time does nothing."""
         self.process.kill()
         self.process.wait(LIMIT_S)
-        self._rest.join(LIMIT_S)
+        self._reader.join(LIMIT_S)
         assert self.process.stderr is not None
         self.process.stderr.close()
 
@@ -301,7 +312,9 @@ def test_a_pc_that_starts_no_worker_is_one_message(
         raise FileNotFoundError(2, "No such file or directory")
 
     monkeypatch.setattr(cluster, "get_context", nothing_shared)
+    before = dict(os.environ)
     assert main(["study", str(written(tmp_path)), "-o", str(tmp_path / "r")]) == 2
+    assert dict(os.environ) == before  # what workers inherit is not left to others
     errors = capsys.readouterr().err
     assert "hilcell: this PC starts no workers: No such file or directory; is there a" in errors
     assert not (tmp_path / "r").exists()
