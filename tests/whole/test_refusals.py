@@ -1,7 +1,6 @@
 """Wrong input is refused with one clear message and its exit code before anything moves."""
 
 import socket
-import tempfile
 from pathlib import Path
 
 import pytest
@@ -198,12 +197,8 @@ def test_words_nobody_knows(words: list[str]) -> None:
 
 
 def test_an_engine_that_finds_no_place_for_its_file_says_so_and_can_be_resumed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, temporary: Path
 ) -> None:
-    temporary = tmp_path / "temporary"
-    temporary.mkdir()
-    monkeypatch.setenv("TMPDIR", str(temporary))  # of the simulated cell's process
-    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     runs = tmp_path / "runs"
     (runs / "d" / "engine.json").mkdir(parents=True)  # as little to be written as on a full disk
     for words in (("run", "home", "--name", "d"), ("resume", "d")):

@@ -419,15 +419,6 @@ def test_the_engine_s_file_is_never_seen_half_written(
     assert list(folder.iterdir()) == []
 
 
-@pytest.fixture
-def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return the folder of temporary files, a new one."""
-    folder = tmp_path / "temporary"
-    folder.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    return folder
-
-
 NO_ROOM = """
 import resource, sys, tempfile, threading
 from pathlib import Path
