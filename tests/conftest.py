@@ -62,6 +62,11 @@ def pytest_xdist_auto_num_workers() -> int:
     return 2 * (os.cpu_count() or 1) + 2
 
 
+def pytest_configure() -> None:
+    """Look for no garbage while tests are collected: what is made there stays."""
+    gc.disable()
+
+
 def pytest_collection_finish() -> None:
     """Keep what is imported out of garbage collections: it stays, and to look at it takes 0.2 s.
 
@@ -70,6 +75,7 @@ def pytest_collection_finish() -> None:
     gc.collect()
     gc.freeze()
     gc.set_threshold(20_000, 10, 10)
+    gc.enable()
 
 
 @pytest.hookimpl(trylast=True)

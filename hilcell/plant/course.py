@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import stats
 
 from hilcell.ports import Array
 
@@ -53,6 +52,8 @@ def course(years: Array, values: Array, temperatures_c: Array | None = None) -> 
 
     Values that are all the same have none either: a test would judge their rounding.
     """
+    from scipy import stats  # it takes half a second to import, and most questions need none
+
     count = len(values)
     if count < FEWEST or not float(np.ptp(years)) > 0.0:
         return None
@@ -120,6 +121,8 @@ def _fit(design: Array, values: Array) -> _Fit:
 
 def _next(base: list[Array], steps: list[int], values: Array) -> int | None:
     """Return where the best further step is, if it is one."""
+    from scipy import stats
+
     without = _fit(_design(base, steps), values)
     degrees = without.degrees - 1
     places = [at for at in range(1, len(values)) if at not in steps]

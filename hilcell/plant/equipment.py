@@ -11,7 +11,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from scipy import stats
 from sqlalchemy import Connection, func, select
 
 from hilcell.calibration.validity import CLOCK_ERROR
@@ -100,6 +99,8 @@ def worse_stations(connection: Connection, cell: str = "") -> list[StationCourse
 
 
 def _worse(place: tuple[str, ...], rows: Sequence[Found], judged: int) -> StationCourse | None:
+    from scipy import stats  # it takes half a second to import, and most questions need none
+
     years = np.array([row.ended.timestamp() for row in rows]) / YEAR_S
     means_mm = np.array([row.mean_mm for row in rows])
     grows = stats.kendalltau(years, means_mm, alternative="greater").pvalue
@@ -177,10 +178,12 @@ def _scales(connection: Connection) -> dict[str, tuple[float, float]]:
 
 
 def _scale(serial: str, scales: dict[str, tuple[float, float]]) -> dict[str, Any]:
+    from scipy.stats import norm
+
     if serial not in scales:
         return {}
     pairs = math.comb(len(scales), 2)
-    k = float(stats.norm.isf((1 - CONFIDENCE) / 2 / pairs)) if pairs else math.inf
+    k = float(norm.isf((1 - CONFIDENCE) / 2 / pairs)) if pairs else math.inf
 
     def differ(one: str, other: str) -> bool:
         (a_ppm, u_a), (b_ppm, u_b) = scales[one], scales[other]

@@ -6,15 +6,18 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from hilcell.cell.settings import SettingsError
 from hilcell.study.analysis import designs, value
 from hilcell.study.case import CANNOT_BE, DONE, Row, packed
-from hilcell.study.cluster import Workers
 from hilcell.study.design import Case, Point, cases, cases_at
 from hilcell.study.results import Results, plain_rows, row_of
 from hilcell.study.search import Measure, search
 from hilcell.study.study_file import Optimum, Study, cell_of
+
+if TYPE_CHECKING:
+    from hilcell.study.cluster import Workers
 
 NEVER = 1e9  # the value of a point that cannot be, or that failed on a machine
 BATCH_ROWS, BATCH_S = 64, 1.0

@@ -19,15 +19,15 @@ def month(*, grows_mb: float = 0.0, slows: float = 1.0) -> list[Usage]:
 
 
 @pytest.mark.parametrize(
-    ("usage", "holds"),
+    ("change", "holds"),
     [
-        (month(), True),
-        (month(grows_mb=0.005), True),
-        (month(grows_mb=0.006), False),
-        (month(slows=1.05), True),
-        (month(slows=1.3), False),
-        (month(grows_mb=math.nan), False),
+        ({}, True),
+        ({"grows_mb": 0.005}, True),
+        ({"grows_mb": 0.006}, False),
+        ({"slows": 1.05}, True),
+        ({"slows": 1.3}, False),
+        ({"grows_mb": math.nan}, False),
     ],
 )
-def test_growth_is_said(usage: list[Usage], holds: bool) -> None:
-    assert report(usage) == holds
+def test_growth_is_said(change: dict[str, float], holds: bool) -> None:
+    assert report(month(**change)) == holds
