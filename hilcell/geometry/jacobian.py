@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hilcell.geometry.frames import cross_matrix
-from hilcell.geometry.kinematics import Arm, Array, forward, link_transforms
+from hilcell.geometry.kinematics import Arm, Array, link_transforms
 
 KINDS = ("a_mm", "alpha_rad", "d_mm", "offset_rad", "beta_rad")
 PARAMETERS = (
@@ -47,30 +47,34 @@ def link_errors(arm: Arm) -> Array:
     return errors
 
 
+def tool_and_jacobian(arm: Arm, joints_rad: ArrayLike) -> tuple[Array, Array]:
+    """Return {T} in {B}, (..., 4, 4), as `forward` does, and `tool_jacobian`."""
+    links = link_transforms(arm, np.asarray(joints_rad, dtype=float))
+    errors = link_errors(arm)
+    shape = links.shape[:-3]
+    columns = np.zeros((*shape, 6, len(PARAMETERS)))
+    U: Array = np.broadcast_to(arm.tool, (*shape, 4, 4))
+    for row in reversed(range(6)):
+        moved = _carrier(U).reshape(-1, 6) @ errors[row]
+        columns[..., row:30:6] = moved.reshape(*shape, 6, 5)
+        U = links[..., row, :, :] @ U
+    columns[..., :3, 30:] = arm.tool[:3, :3].T
+    return U, columns
+
+
 def tool_jacobian(arm: Arm, joints_rad: ArrayLike) -> Array:
     """Return d(shift in mm, rotation vector in rad)/d(`PARAMETERS`), (..., 6, 33), axes of {T}.
 
     The columns are d^n and delta^n of eq 7, link by link ``U_{i+1}^-1 deltaA_i U_{i+1}`` of
     eq 6, for joints (..., 6).
     """
-    links = link_transforms(arm, np.asarray(joints_rad, dtype=float))
-    errors = link_errors(arm)
-    shape = links.shape[:-3]
-    jacobian = np.zeros((*shape, 6, 5, 6))
-    U = np.broadcast_to(arm.tool, (*shape, 4, 4))
-    for row in reversed(range(6)):
-        jacobian[..., row] = _carrier(U) @ errors[row]
-        U = links[..., row, :, :] @ U
-    columns = np.zeros((*shape, 6, len(PARAMETERS)))
-    columns[..., :30] = jacobian.reshape(*shape, 6, 30)
-    columns[..., :3, 30:] = arm.tool[:3, :3].T
-    return columns
+    return tool_and_jacobian(arm, joints_rad)[1]
 
 
 def parameter_jacobian(arm: Arm, joints_rad: ArrayLike) -> Array:
     """Return `tool_jacobian` with the axes of {B}, (..., 6, 33): d in {B} is R_T d^n."""
-    R = forward(arm, np.asarray(joints_rad, dtype=float))[..., :3, :3]
-    turned = tool_jacobian(arm, joints_rad)
+    T, turned = tool_and_jacobian(arm, joints_rad)
+    R = T[..., :3, :3]
     turned[..., :3, :] = R @ turned[..., :3, :]
     turned[..., 3:, :] = R @ turned[..., 3:, :]
     return turned

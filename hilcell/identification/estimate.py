@@ -132,21 +132,24 @@ def estimate_noise(kinematics: Kinematics, readings: Readings, state: State, noi
 def _robust(kinematics: Kinematics, readings: Readings, state: State) -> tuple[State, Bools]:
     """Return a state that gross readings did not move, and these readings (M, K)."""
     scale_mm = FIRST_SCALE_MM
-    lengths_mm = np.zeros(readings.known.shape)
+    known = readings.known
+    lengths_mm = np.zeros(known.shape)
+    found = kinematics.linearised(state, readings.joints_rad)
     for _ in range(ROBUST_STEPS):
         excess = scale_mm**2 * (lengths_mm / (CAUCHY * scale_mm)) ** 2
         weighted = replace(
             readings,
             covariance_mm2=readings.covariance_mm2 + excess[..., None, None] * np.eye(3),
         )
-        system = System.at(kinematics, state, weighted, Noise.independent(scale_mm))
+        system = System.of(kinematics, state, weighted, Noise.independent(scale_mm), found)
         state = kinematics.moved(state, system.step)
-        missed = readings.xyz_mm - kinematics.positions_mm(state, readings.joints_rad)
-        lengths_mm = np.linalg.norm(np.where(readings.known[..., None], missed, 0.0), axis=-1)
+        found = kinematics.linearised(state, readings.joints_rad)
+        missed = readings.xyz_mm - found.positions_mm
+        lengths_mm = np.linalg.norm(np.where(known[..., None], missed, 0.0), axis=-1)
         spent = float(np.sum(1.0 - np.einsum("mii->mi", system.precision * system.noise_mm2)))
-        rows = 3 * np.count_nonzero(readings.known)
+        rows = 3 * np.count_nonzero(known)
         share = max(1.0 - spent / rows, 0.1)
-        middle_mm = float(np.median(lengths_mm[readings.known]))
+        middle_mm = float(np.median(lengths_mm[known]))
         scale_mm = max(middle_mm / MEDIAN_LENGTH / share**0.5, LEAST_SCALE_MM)
     return state, lengths_mm > GROSS * scale_mm
 

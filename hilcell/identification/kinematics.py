@@ -11,12 +11,12 @@ positions are not.
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from hilcell.geometry.frames import cross_matrix, motion_levers
-from hilcell.geometry.jacobian import KINDS, tool_jacobian
+from hilcell.geometry.jacobian import KINDS, tool_and_jacobian
 from hilcell.geometry.kinematics import Arm, Array, forward
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.identification import gravity
@@ -188,57 +188,57 @@ class Kinematics:
     def linearised(self, state: State, joints_rad: Array) -> Linearised:
         """Return the positions with their derivatives."""
         arm = self.arm_of(state)
-        joints, basis, axes = self._bent(state, joints_rad)
-        flange = forward(arm, joints)
+        joints, basis = self._bent(state, joints_rad)
+        flange, J = tool_and_jacobian(arm, joints)
         turned = state.T[:3, :3] @ flange[:, :3, :3]
         levers = turned[:, None] @ motion_levers(state.smr_mm)[..., :6]
-        J = tool_jacobian(arm, joints)[..., :LINKS]
-        links = (levers.reshape(len(joints), -1, 6) @ J).reshape(*levers.shape[:3], LINKS)
+        links = levers.reshape(len(joints), -1, 6) @ J[..., :LINKS]
+        links = links.reshape(*levers.shape[:3], LINKS)
         by_joint = arm.sign * links[..., 3 * 6 : 4 * 6]  # a joint turns as its offset does
         positions = _carried(state.T @ flange, state.smr_mm)
         count, placed = len(joints), self.placed
-        derivatives = np.zeros((count, self.reflectors, 3, placed + LINKS + len(axes)))
+        derivatives = np.zeros((count, self.reflectors, 3, placed + LINKS + len(self._axes)))
         derivatives[..., :3] = np.eye(3)
         derivatives[..., 3:BASE] = -cross_matrix(positions - state.T[:3, 3])
         for k in range(self.reflectors):
             derivatives[:, k, :, BASE + 3 * k : BASE + 3 * k + 3] = turned
         derivatives[..., placed : placed + LINKS] = links
-        turns = by_joint[..., np.array(axes, dtype=int)]
+        turns = by_joint[..., self._axes]
         np.multiply(turns, basis[:, None, None], out=derivatives[..., placed + LINKS :])
         return Linearised(positions, derivatives, by_joint)
 
-    def _bent(self, state: State, joints_rad: Array) -> tuple[Array, Array, list[int]]:
-        """Return the true joints (M, 6), and by parameter behind the links how much it turns a
-        joint (M, V - 30) and which.
-        """
-        joints = np.asarray(joints_rad, dtype=float)
-        blocks: list[Array] = []
+    @cached_property
+    def _axes(self) -> list[int]:
+        """Return which joint (V - 30,) each parameter behind the links turns."""
         axes: list[int] = []
         if self.gravity:
-            blocks.append(gravity.gravity_basis(self.arm, joints))
             axes += gravity.AXES
         if self.waves:
-            blocks.append(_waves(joints))
             axes += [axis for axis in range(6) for _ in range(2 * len(ORDERS))]
         if self.tool:
-            blocks.append(gravity.tool_basis(self.arm, joints))
             axes += gravity.TOOL_AXES
+        for curve in self.curves:
+            axes += [curve.axis] * (2 * len(curve.cycles) + 1)
+        return axes
+
+    def _bent(self, state: State, joints_rad: Array) -> tuple[Array, Array]:
+        """Return the true joints (M, 6), and by parameter behind the links how much it turns its
+        joint (M, V - 30).
+        """
+        joints = np.asarray(joints_rad, dtype=float)
+        blocks = [_steady(self, joints.tobytes())]
         values = state.values[LINKS:]
-        linear = len(axes)
+        end = blocks[0].shape[1]
         for curve in self.curves:
             size = 2 * len(curve.cycles)
-            amplitude, shift = values[linear : linear + size], values[linear + size]
+            amplitude, shift = values[end : end + size], values[end + size]
             shifted, at = replace(curve, shift_rad=float(shift)), joints[:, curve.axis]
             blocks += [shifted.basis(at), shifted.slope(at) @ amplitude[:, None]]
-            axes += [curve.axis] * (size + 1)
-            linear += size + 1
-        basis = np.concatenate(blocks, axis=1) if blocks else np.zeros((len(joints), 0))
-        true = joints.copy()
-        turns = self._linear(values)
-        for axis in range(6):
-            own = np.array(axes, dtype=int) == axis
-            true[:, axis] += basis[:, own] @ (values * turns)[own]
-        return true, basis, axes
+            end += size + 1
+        basis = np.concatenate(blocks, axis=1)
+        by_axis = np.eye(6)[self._axes]
+        true: Array = joints + (basis * (values * self._linear(values))) @ by_axis
+        return true, basis
 
     def _linear(self, values: Array) -> Array:
         """Return 1 for the values that multiply their basis, 0 for shifts, which are in it."""
@@ -249,6 +249,22 @@ class Kinematics:
             linear[end] = 0.0
             end += 1
         return linear
+
+
+@lru_cache(maxsize=2)
+def _steady(kinematics: Kinematics, joints: bytes) -> Array:
+    """Return the basis at commanded joints (M, 6) as far as it does not depend on the state: every
+    step of an identification asks for it.
+    """
+    at = np.frombuffer(joints).reshape(-1, 6)
+    blocks = [np.zeros((len(at), 0))]
+    if kinematics.gravity:
+        blocks.append(gravity.gravity_basis(kinematics.arm, at))
+    if kinematics.waves:
+        blocks.append(_waves(at))
+    if kinematics.tool:
+        blocks.append(gravity.tool_basis(kinematics.arm, at))
+    return np.concatenate(blocks, axis=1)
 
 
 def _waves(joints: Array) -> Array:
