@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote, unquote_to_bytes
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, inspect, make_url, text
@@ -30,13 +31,24 @@ from hilcell.plant.tables import HEAD, PARTS, RUN
 MIGRATIONS = Path(__file__).with_name("migrations")
 POSTGRESQL, SQLITE = "postgresql", "sqlite"
 DRIVERS = {POSTGRESQL: "postgresql+psycopg", SQLITE: "sqlite"}
-CONNECT_S, SILENT_MS, BUSY_S = 10, 30_000, 30.0
+BUSY_S = 30.0  # that another may write an office's file
 HIDDEN = "***"
 LIMITS = "54"  # class of SQLSTATE: a key that is too long for an index, and the like
 SEEN = "plant.sqlite"  # beside the journals, of those that were shipped
 CELL, ENGINEER = "hilcell_cell", "hilcell_engineer"  # the roles
 RIGHT = "42501"  # SQLSTATE: insufficient privilege
 GRANT = f"; a user ships in the role {CELL} and reads in the role {ENGINEER}; the owner makes both"
+LOGIN = (
+    "; check the URL's user and database, and the password in ~/.pgpass; the owner lets users in"
+)
+# A connection that fails has no SQLSTATE: the words of an English server say why, or a password
+# that was asked for.
+FATAL = "FATAL: "  # the server's answer to a connection
+UNKNOWN = re.compile(
+    r"authentication failed|no pg_hba\.conf entry|pg_hba\.conf rejects|not permitted to log in|"
+    r"(role|database) .* does not exist|permission denied for database"
+)
+FULL = "too many connections"
 SECRET = re.compile("passw|pwd", re.IGNORECASE)  # in the names of the URL's own options
 KNOWN = ("run_key", "revision", "head")  # columns of `run` that cells may read
 
@@ -62,30 +74,30 @@ class Database:
         self._url = _parsed(url)
         self.name = clean(_shown(self._url))
         self._places = "the folder, its rights and the disk"
-        options: dict[str, float] = {}
-        if self._url.get_backend_name() == POSTGRESQL:
-            self._places = "the server, the network, user and password"
-            options = {
-                "connect_timeout": CONNECT_S,
-                "tcp_user_timeout": SILENT_MS,
-                "keepalives_idle": CONNECT_S,
-            }
-        else:
-            options = {"timeout": BUSY_S}
+        self._remote = self._url.get_backend_name() == POSTGRESQL
+        options: dict[str, float] = {} if self._remote else {"timeout": BUSY_S}
         # Its warnings repeat the error that is raised; without a handler they reach stderr.
         logging.getLogger("psycopg").addHandler(_UNHEARD)
         self.engine: Engine = create_engine(self._url, connect_args=options, pool_pre_ping=False)
-        if self._url.get_backend_name() == SQLITE:
+        if self._remote:
+            self._places = "the server and the network"
+            event.listen(self.engine, "do_connect", _connected)
+        else:
             event.listen(self.engine, "connect", _checked_keys)
 
     @contextmanager
-    def transaction(self) -> Iterator[Connection]:
+    def transaction(self, *, migrating: bool = False) -> Iterator[Connection]:
         """Yield a connection whose work is kept whole, or not at all.
 
         Raises `PlantAway` and `PlantError`.
         """
         try:
             with self.engine.begin() as connection:
+                if self._remote:
+                    from hilcell.plant import deadlines  # loads psycopg
+
+                    order_s = deadlines.MIGRATION_S if migrating else deadlines.ORDER_S
+                    deadlines.limit(connection, order_s)
                 yield connection
         except SQLAlchemyError as error:
             raise self._error(error) from None  # SQLAlchemy's own says the values of all rows
@@ -104,7 +116,7 @@ class Database:
         from alembic import command
         from alembic.config import Config
 
-        with self.transaction() as connection:
+        with self.transaction(migrating=True) as connection:
             before = _version(connection)
             if before is not None and before not in _known():
                 raise PlantError(self._unknown(connection, before))
@@ -170,9 +182,13 @@ class Database:
     def _error(self, error: SQLAlchemyError) -> HilcellError:
         """Return an error of the database in one line, without values and without a password."""
         cause = error.orig if isinstance(error, StatementError) and error.orig else error
-        words = clean(" ".join(str(cause).split()))
+        said = getattr(getattr(cause, "diag", None), "message_primary", None)  # no values
+        words = clean(" ".join((said or str(cause)).split()))
         for secret in _secrets(self._url):
             words = words.replace(secret, HIDDEN)
+        if _login_refused(cause, words):
+            answer = words.rpartition(FATAL)[2].strip()
+            return PlantError(f"plant database {self.name}: login refused: {answer}{LOGIN}")
         if _away(error, cause):
             return PlantAway(
                 f"plant database {self.name}: it cannot be used now: {words}; nothing is lost: "
@@ -221,6 +237,16 @@ def _options(backend: str) -> set[str]:
     return {each.keyword.decode() for each in Conninfo.get_defaults()}
 
 
+def _login_refused(cause: BaseException, words: str) -> bool:
+    """Whether the server answered that this user does not come in: no repetition helps."""
+    asked = getattr(cause, "pgconn", None)
+    if asked is None or getattr(cause, "sqlstate", None) is not None:
+        return False
+    if FATAL not in words:
+        return bool(asked.needs_password)  # and there was none
+    return bool(UNKNOWN.search(words) or (asked.used_password and FULL not in words))
+
+
 def _away(error: SQLAlchemyError, cause: BaseException) -> bool:
     """Whether the database is not to be used at all, rather than by this order."""
     if isinstance(error, DBAPIError) and error.connection_invalidated:
@@ -243,6 +269,13 @@ def _secrets(url: URL) -> list[str]:
     given = [url.password, *(word for name, word in url.query.items() if SECRET.search(name))]
     words = (each if isinstance(each, tuple) else (each,) for each in given)
     return sorted({str(word) for each in words for word in each if word}, key=len, reverse=True)
+
+
+def _connected(dialect: object, record: object, words: list[str], options: dict[str, Any]) -> Any:
+    """Open a connection as SQLAlchemy asks for it, with the deadlines of a server."""
+    from hilcell.plant import deadlines  # loads psycopg
+
+    return deadlines.connect(*words, **options)
 
 
 def _checked_keys(connection: object, _: object) -> None:

@@ -68,13 +68,21 @@ class Server:
         log = self._folder / "log"
         self._do("pg_ctl", "start", "-w", "-t", READY_S, "-D", self._data, "-l", log, "-o", options)
 
+    @contextmanager
+    def frozen(self) -> Iterator[None]:
+        """Let it stand still, as on a disk that hangs: its system still takes connections."""
+        pid = self._pid()
+        try:
+            os.kill(pid, signal.SIGSTOP)  # first: then it has no further children
+            _signal(_children(pid), signal.SIGSTOP)
+            yield
+        finally:
+            _signal([pid, *_children(pid)], signal.SIGCONT)
+
     def kill(self) -> None:
         """Kill it as a power loss would: every process at once."""
-        pid = int((self._data / "postmaster.pid").read_text().split()[0])
-        family = [pid, *_children(pid)]
-        for each in family:
-            with suppress(ProcessLookupError):
-                os.kill(each, signal.SIGKILL)
+        family = [self._pid(), *_children(self._pid())]
+        _signal(family, signal.SIGKILL)
         for each in family:
             _wait_gone(each)
         # Where nobody reaps it, a dead server's number looks alive to the next one.
@@ -103,6 +111,9 @@ class Server:
         with psycopg.connect(self.url(), autocommit=True) as connection:
             connection.execute(f"CREATE DATABASE {database} TEMPLATE {like}".encode())
         return self.url(database)
+
+    def _pid(self) -> int:
+        return int((self._data / "postmaster.pid").read_text().split()[0])
 
     def _do(self, name: str, *words: object) -> None:
         place = program(name)
@@ -197,6 +208,12 @@ def _children(pid: int) -> list[int]:
                 stat = (path / "stat").read_text().rsplit(")", 1)[1].split()
                 found += [int(path.name)] if int(stat[1]) == pid else []
     return found
+
+
+def _signal(pids: list[int], number: signal.Signals) -> None:
+    for pid in pids:
+        with suppress(ProcessLookupError):
+            os.kill(pid, number)
 
 
 def _wait_gone(pid: int) -> None:

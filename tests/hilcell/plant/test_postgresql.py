@@ -118,6 +118,6 @@ def test_a_right_that_is_missing_is_one_line(
 def test_a_database_that_is_not_there_is_one_line(
     postgresql: Server, runs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["plant", "ship", str(runs), "--to", postgresql.url("nowhere")]) == 7
+    assert main(["plant", "ship", str(runs), "--to", postgresql.url("nowhere")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert 'database "nowhere" does not exist' in line
+    assert 'login refused: database "nowhere" does not exist' in line

@@ -58,7 +58,7 @@ def test_a_server_that_is_away_is_one_line_and_costs_nothing(
         assert "cannot be used now" in line
         assert "refused" in line
         assert "nothing is lost" in line
-        assert "check the server, the network, user and password" in line
+        assert "check the server and the network" in line
         assert "plant database postgresql://ann:***@127.0.0.1" in line
         assert SECRET not in line
         assert PLAIN not in line
@@ -87,14 +87,34 @@ def test_a_wrong_password_is_in_no_output_file_or_log(
     url = "postgresql://" + form.format(wrong, database.database, database.query["host"])
     for words in (["ship", str(runs), "--to", url], ["show", "--from", url, "--json"]):
         done = hilcell("plant", *words)
-        assert (done.returncode, done.stdout) == (7, "")
+        assert (done.returncode, done.stdout) == (2, "")
         (line,) = done.stderr.splitlines()
-        assert 'password authentication failed for user "ann"' in line
+        assert 'login refused: password authentication failed for user "ann"; check' in line
         assert "***" in line
         assert wrong not in line
     kept = [path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()]
     assert not any(wrong.encode() in content for content in kept)
     assert wrong not in mortal.log()
+
+
+def test_only_an_answer_that_stays_the_same_refuses_a_login(
+    mortal: Server, capsys: pytest.CaptureFixture[str]
+) -> None:
+    database = make_url(mortal.make("shut"))
+    with psycopg.connect(mortal.url(), autocommit=True) as connection:
+        connection.execute("CREATE ROLE asked LOGIN PASSWORD 'right' CONNECTION LIMIT 0")
+        connection.execute("CREATE ROLE eve LOGIN")
+        connection.execute("REVOKE CONNECT ON DATABASE shut FROM public")
+        connection.execute("GRANT CONNECT ON DATABASE shut TO asked")
+    mortal.ask_password("asked")
+    for user, code, words in (
+        ("asked", 2, "login refused: "),
+        ("asked:right", 7, "too many connections"),
+        ("nobody", 2, "login refused: role"),
+        ("eve", 2, "login refused: permission denied for database"),
+    ):
+        url = f"postgresql://{user}@/shut?host={database.query['host']}"
+        assert words in said(["plant", "show", "--from", url], code, capsys)
 
 
 @pytest.mark.parametrize(

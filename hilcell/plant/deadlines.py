@@ -1,0 +1,83 @@
+"""Deadlines of a plant's server: no command waits for ever for a server that froze.
+
+The server itself ends what takes too long, or waits for a lock. One that stands still says nothing,
+and its system goes on acknowledging packets: only the silence, measured here, ends that wait.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Generator
+from typing import Any
+
+import psycopg
+from sqlalchemy import Connection, text
+
+CONNECT_S = 10
+UNACKNOWLEDGED_S = 30  # packets, and probes of a connection that is at rest
+LOCK_S = 30.0
+ORDER_S = 120.0  # one order to the server
+MIGRATION_S = 4 * 3600.0  # one order of a migration
+REST_S = 600.0  # of this side within a transaction; then the server frees its locks
+SLACK_S = 15.0  # the server's own word comes before the silence counts
+
+OPTIONS = {
+    "connect_timeout": CONNECT_S,
+    "tcp_user_timeout": UNACKNOWLEDGED_S * 1000,
+    "keepalives_idle": CONNECT_S,
+    "keepalives_interval": CONNECT_S,
+    "keepalives_count": 3,
+}
+Words = Generator[Any, Any, Any]  # psycopg's: it yields what it waits for, and gets what is ready
+SET = text(
+    "SELECT set_config('statement_timeout', :order, true), set_config('lock_timeout', :lock, true),"
+    " set_config('idle_in_transaction_session_timeout', :rest, true)"
+)
+
+
+class Bounded(psycopg.Connection[Any]):
+    """A connection that ends where its server says nothing for too long."""
+
+    order_s = ORDER_S
+
+    def wait(self, gen: Words, *args: Any, **options: Any) -> Any:
+        """Wait as psycopg does; a long silence closes the connection, and is an error."""
+        try:
+            return super().wait(_heard(gen, self.order_s + SLACK_S), *args, **options)
+        except Silent:
+            self.pgconn.finish()  # a rollback would wait as long again
+            raise
+
+
+class Silent(psycopg.OperationalError):
+    """The server said nothing for too long."""
+
+
+def connect(*args: Any, **options: Any) -> Bounded:
+    """Open a connection with these deadlines."""
+    return Bounded.connect(*args, **(options | OPTIONS))
+
+
+def limit(connection: Connection, order_s: float) -> None:
+    """Give the transaction of a connection its deadlines, in the server and here."""
+    own: Any = connection.connection.driver_connection  # one of `connect`
+    own.order_s = order_s
+    limits_s = {"order": order_s, "lock": LOCK_S, "rest": REST_S}
+    connection.execute(SET, {name: f"{limit_s * 1000:.0f}" for name, limit_s in limits_s.items()})
+
+
+def _heard(gen: Words, most_s: float) -> Words:
+    """Pass psycopg's generator through; raise `Silent` where its socket is not ready so long."""
+    heard_s = time.monotonic()
+    try:
+        wanted = next(gen)
+        while True:
+            ready = yield wanted
+            now_s = time.monotonic()
+            if ready:
+                heard_s = now_s
+            elif not now_s - heard_s < most_s:
+                raise Silent(f"no answer for {most_s:g} s: the server stands still")
+            wanted = gen.send(ready)
+    except StopIteration as end:
+        return end.value
