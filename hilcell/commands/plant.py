@@ -14,7 +14,14 @@ import msgspec
 
 from hilcell.cell.settings import did_you_mean
 from hilcell.clean import encodable, harmless
-from hilcell.commands.output import print_answer, print_json, print_message, print_table
+from hilcell.commands.output import (
+    harmless_lines,
+    print_answer,
+    print_data,
+    print_json,
+    print_message,
+    print_table,
+)
 from hilcell.errors import HilcellError
 from hilcell.run.exits import EXIT_OK, EXIT_STORAGE
 
@@ -82,7 +89,7 @@ def show(args: argparse.Namespace) -> int:
     _print_robots(found["robots"])
     _print_equipment(found)
     for doubt in found["doubts"]:
-        print_message(f"note: {doubt}")
+        print_data(harmless_lines(f"note: {doubt}"))
     return EXIT_OK
 
 
@@ -127,7 +134,7 @@ def _answers(connection: Connection, args: argparse.Namespace) -> dict[str, Any]
         "stations": worse_stations(connection, args.cell),
         "instruments": instruments(connection, args.cell),
         "alarms": alarms(connection, args.cell),
-        "doubts": doubts(connection),
+        "doubts": doubts(connection, args.cell),
     }
     if args.robot and not found["robots"]:
         raise HilcellError(f"robot {args.robot[:80]!r} has no calibration in these records")

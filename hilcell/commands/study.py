@@ -6,15 +6,23 @@ import argparse
 import itertools
 import os
 from collections import Counter
-from contextlib import AbstractContextManager, ExitStack
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hilcell.clean import clean
-from hilcell.commands.output import print_json, print_message, print_table
+from hilcell.commands.output import (
+    harmless_lines,
+    print_data,
+    print_json,
+    print_message,
+    print_table,
+)
 from hilcell.commands.output_place import check_output
 from hilcell.errors import HilcellError
 from hilcell.run.exits import EXIT_ABORTED, EXIT_FAULT, EXIT_OK, EXIT_OUT_OF_TOLERANCE
+from hilcell.run.signals import interrupted_once
 from hilcell.study.design import cases, most_cases
 from hilcell.study.errors import Cluster, missing
 from hilcell.study.study_file import Study, read_study
@@ -72,9 +80,8 @@ def _perform(args: argparse.Namespace) -> int:
         print_message(f"study {asked.name}: {planned} cases, {kept} of them kept in {folder}")
         if kept < planned:
             try:
-                with ExitStack() as stack:
-                    workers = stack.enter_context(_workers(args))
-                    counts = _measured(results, workers, planned, kept)
+                with interrupted_once() as check, _workers(args) as workers:
+                    counts = _measured(results, workers, planned, kept, check)
             except (Cluster, KeyboardInterrupt) as error:
                 if not _has_rows(results, kept):
                     raise
@@ -133,14 +140,21 @@ def _workers(args: argparse.Namespace) -> AbstractContextManager[Workers]:
     return local_workers(args.workers or len(os.sched_getaffinity(0)))
 
 
-def _measured(results: Results, workers: Workers, planned: int, kept: int) -> Counter[str]:
-    """Measure the cases that are left, with a progress bar on stderr."""
+def _measured(
+    results: Results, workers: Workers, planned: int, kept: int, check: Callable[[], None]
+) -> Counter[str]:
+    """Measure the cases that are left, with a progress bar on stderr; ``check`` may end it."""
     from hilcell.commands.run_output import progress_bar
     from hilcell.study.performing import perform
 
     with progress_bar() as progress:
         task = progress.add_task(clean(results.study.name), total=planned, completed=kept)
-        return perform(results, workers, lambda _: progress.advance(task))
+
+        def heard(_: object) -> None:
+            progress.advance(task)
+            check()
+
+        return perform(results, workers, heard)
 
 
 def _has_rows(results: Results, kept: int) -> bool:
@@ -183,9 +197,10 @@ def _answer(results: Results, planned: int, *, as_json: bool) -> int:
         print_json(facts(results.study, found, planned))
     else:
         for sheet in sheets(results.study, found, rows):
-            print_message(f"\n{sheet.title}")
+            print_data(harmless_lines(f"\n{sheet.title}"))
             print_table((sheet.headers, sheet.rows))
-            print_message(sheet.note)
+            if sheet.note:
+                print_data(harmless_lines(sheet.note))
     print_message(count_words(results.study, found, planned))
     bad = found.counts.get(FAILED, 0) or not found.counts.get(DONE, 0)
     return EXIT_OUT_OF_TOLERANCE if bad else EXIT_OK

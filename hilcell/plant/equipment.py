@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from datetime import datetime
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -225,31 +225,38 @@ def alarms(connection: Connection, cell: str = "") -> list[AlarmCount]:
     return sorted(counted, key=lambda each: (-each.count, each.code))
 
 
-def doubts(connection: Connection) -> list[str]:
-    """Return what is wrong with the records: serial numbers and clocks, one sentence each."""
-    return [
-        *_shared_serials(connection),
-        *_at_once(connection),
-        *_copied(connection),
-        *_ahead(connection),
-        *_set_back(connection),
-    ]
+class Doubt(NamedTuple):
+    """What is wrong with records of some cells, in a sentence."""
+
+    cells: list[str]
+    words: str
 
 
-def _shared_serials(connection: Connection) -> Iterator[str]:
+def doubts(connection: Connection, cell: str = "") -> list[str]:
+    """Return what is wrong with the records: serial numbers and clocks, one sentence each.
+
+    ``cell`` names the one whose records are wanted; all where it is empty.
+    """
+    kinds = (_shared_serials, _at_once, _copied, _ahead, _set_back)
+    found = (doubt for kind in kinds for doubt in kind(connection))
+    return [doubt.words for doubt in found if cell in ("", *doubt.cells)]
+
+
+def _shared_serials(connection: Connection) -> Iterator[Doubt]:
     asked = select(RUN.c.serial, RUN.c.cell).where(RUN.c.serial != "").distinct()
     found: defaultdict[str, list[str]] = defaultdict(list)
     for row in connection.execute(asked.order_by(RUN.c.serial, RUN.c.cell)):
         found[row.serial].append(row.cell)
     for serial, names in found.items():
         if len(names) > 1:
-            yield (
+            yield Doubt(
+                names,
                 f"serial number {clean(serial)} is that of cells {', '.join(map(clean, names))}: "
-                "give each its own in its cell file"
+                "give each its own in its cell file",
             )
 
 
-def _at_once(connection: Connection) -> Iterator[str]:
+def _at_once(connection: Connection) -> Iterator[Doubt]:
     """Yield real cells of which two runs were at work at once: two computers have one cell's name.
 
     A run that was opened again lasts from its begin to its last end, so that is no sign.
@@ -265,13 +272,14 @@ def _at_once(connection: Connection) -> Iterator[str]:
         .group_by(each.c.cell, each.c.serial)
     )
     for row in connection.execute(asked):
-        yield (
+        yield Doubt(
+            [row.cell],
             f"cell {clean(row.cell)}, serial number {clean(row.serial)}: {row.times} runs began "
-            "while another was at work: two computers ship as one cell, or their clocks disagree"
+            "while another was at work: two computers ship as one cell, or their clocks disagree",
         )
 
 
-def _copied(connection: Connection) -> Iterator[str]:
+def _copied(connection: Connection) -> Iterator[Doubt]:
     """Yield runs that have one journal: earlier versions shipped a copied folder as another run."""
     asked = (
         select(RUN.c.cell, func.min(RUN.c.name).label("one"), func.max(RUN.c.name).label("other"))
@@ -280,9 +288,10 @@ def _copied(connection: Connection) -> Iterator[str]:
     )
     pairs = {tuple(row) for row in connection.execute(asked)}
     for cell, one, other in sorted(pairs):
-        yield (
+        yield Doubt(
+            [cell],
             f"cell {clean(cell)}: runs {clean(one)} and {clean(other)} have the same journal: one "
-            "is a copy, and what they measured counts twice"
+            "is a copy, and what they measured counts twice",
         )
 
 
@@ -296,7 +305,7 @@ def _first_revision() -> object:
     )
 
 
-def _ahead(connection: Connection) -> Iterator[str]:
+def _ahead(connection: Connection) -> Iterator[Doubt]:
     """Yield cells whose runs ended later than the server's clock said when they arrived."""
     asked = select(RUN.c.cell, RUN.c.ended, RUN.c.shipped, RUN.c.name).where(
         RUN.c.ended > RUN.c.shipped
@@ -308,17 +317,19 @@ def _ahead(connection: Connection) -> Iterator[str]:
     }
     for row in ahead.values():
         hours = (row.ended - row.shipped).total_seconds() / 3600.0
-        yield (
+        yield Doubt(
+            [row.cell],
             f"cell {clean(row.cell)}: run {clean(row.name)} ended {hours:.1f} h after it arrived "
-            "here: set the clock of its computer, or the server's"
+            "here: set the clock of its computer, or the server's",
         )
 
 
-def _set_back(connection: Connection) -> Iterator[str]:
+def _set_back(connection: Connection) -> Iterator[Doubt]:
     """Yield cells of which runs ended before they began."""
     asked = select(RUN.c.cell, func.max(RUN.c.name).label("name"), func.count().label("times"))
     for row in connection.execute(asked.where(RUN.c.ended < RUN.c.begun).group_by(RUN.c.cell)):
-        yield (
+        yield Doubt(
+            [row.cell],
             f"cell {clean(row.cell)}: {row.times} runs ended before they began, one of them "
-            f"{clean(row.name)}: the clock of its computer was set back meanwhile"
+            f"{clean(row.name)}: the clock of its computer was set back meanwhile",
         )

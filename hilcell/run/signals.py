@@ -62,6 +62,40 @@ def signals_as_commands(post: Callable[[str], None]) -> Iterator[None]:
 
 
 @contextmanager
+def interrupted_once() -> Iterator[Callable[[], None]]:
+    """Let the first signal raise `KeyboardInterrupt`; later ones would interrupt its way out.
+
+    Python loses an exception that is raised in a callback of its garbage collection: what is
+    yielded raises it again. Signals that this process ignores, as under nohup, stay ignored.
+    """
+    noted: list[int] = []
+
+    def interrupt(number: int, _: object) -> None:
+        noted.append(number)
+        if len(noted) == 1:
+            raise KeyboardInterrupt
+
+    def check() -> None:
+        if noted:
+            raise KeyboardInterrupt
+
+    heard = [each for each in COMMANDS if signal.getsignal(each) is not signal.SIG_IGN]
+    with _handled(dict.fromkeys(heard, interrupt)):
+        yield check
+
+
+@contextmanager
+def postponed(*numbers: signal.Signals) -> Iterator[None]:
+    """Let signals wait until the end: what they would interrupt here could not be taken back."""
+    noted: list[int] = []
+    heard = [each for each in numbers if signal.getsignal(each) is not signal.SIG_IGN]
+    with _handled(dict.fromkeys(heard, lambda number, _: noted.append(number))):
+        yield
+    if noted:
+        signal.raise_signal(noted[0])
+
+
+@contextmanager
 def _handled(handlers: Mapping[signal.Signals, Callable[[int, Any], None]]) -> Iterator[None]:
     """Install signal handlers for a while, where this is the main thread."""
     if threading.current_thread() is not threading.main_thread():

@@ -19,6 +19,7 @@ from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
 from distributed.client import FutureCancelledError
 from distributed.comm.core import CommClosedError
 
+from hilcell.run.signals import postponed
 from hilcell.study.case import FAILED, Row, measured, versions
 from hilcell.study.design import Case
 from hilcell.study.errors import Cluster
@@ -141,7 +142,8 @@ def local_workers(count: int) -> Iterator[Workers]:
     with _quiet(), _environment(WORKERS_ENVIRONMENT), ExitStack() as stack:
         try:
             get_context("spawn").Lock()  # they share some: without /dev/shm there is none
-            with _interrupts_ignored():  # ctrl-C reaches all processes of a terminal
+            # Ctrl-C reaches all processes of a terminal; a cluster that is half started would stay.
+            with postponed(signal.SIGTERM, signal.SIGHUP), _interrupts_ignored():
                 cluster = stack.enter_context(
                     LocalCluster(
                         n_workers=count,

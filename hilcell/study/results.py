@@ -79,6 +79,7 @@ class Results:
     def held(self) -> Iterator[None]:
         """Hold the folder for this study; raises `OtherStudy` where it has another's results."""
         question = self._question = asked(self.study)
+        self._check_place()
         _make(self.folder / CASES)
         lock = self.folder / ".study.lock"
         try:
@@ -135,6 +136,15 @@ class Results:
     def files(self) -> list[Path]:
         """Return what the results are made of."""
         return [self.folder / ASKED, *self._parts()]
+
+    def _check_place(self) -> None:
+        """Refuse a folder within other results: their files would be taken for one another's."""
+        for outer in self.folder.absolute().resolve().parents:
+            if (outer / ASKED).is_file() and (outer / CASES).is_dir():
+                raise OtherStudy(
+                    f"{self.folder} lies within the results of a study, {outer}; name another "
+                    "folder with -o"
+                )
 
     def _parts(self) -> list[Path]:
         return sorted((self.folder / CASES).glob("*.parquet"))

@@ -175,6 +175,8 @@ def test_doubtful_records_are_named(
     assert serial.startswith("serial number HC-1 is that of cells north, south")
     assert "cell north, serial number HC-1: 1 runs began while another was at work" in at_once
     assert "run late ended 72.0 h after it arrived" in ahead
+    for cell, doubts in (("north", [serial, at_once]), ("south", [serial]), ("west", [ahead])):
+        assert asked(url, capsys, "--cell", cell)["doubts"] == doubts
     west = next(each for each in found["cells"] if each["cell"] == "west")
     assert west["condition"].startswith("made in the future")
 

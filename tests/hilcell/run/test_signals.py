@@ -4,13 +4,20 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from hilcell.ports import DeviceError, Stopped
 from hilcell.run.cell_session import CellSession
-from hilcell.run.signals import note_signals, signals_as_commands, stopped_by_signals
+from hilcell.run.signals import (
+    interrupted_once,
+    note_signals,
+    postponed,
+    signals_as_commands,
+    stopped_by_signals,
+)
 from tests.hilcell.run.bed import Bed
 from tests.hilcell.run.rig import Points, procedure
 
@@ -80,6 +87,56 @@ def test_while_a_run_starts_a_signal_ends_it_and_later_ones_do_not_interrupt_its
 def test_a_signal_noted_before_the_start_ends_it_too() -> None:
     with pytest.raises(Stopped, match="SIGINT"), stopped_by_signals([signal.SIGINT]):
         raise AssertionError("it has started")
+
+
+def interrupted(number: signal.Signals) -> list[str]:
+    """Get a signal where Python loses its exception, and another on the way out."""
+    steps = []
+    try:
+        with interrupted_once() as check:
+            check()
+            with suppress(KeyboardInterrupt):  # as a callback of the garbage collection does
+                signal.raise_signal(number)
+            steps.append("it is lost")
+            try:
+                check()
+            finally:
+                signal.raise_signal(number)
+                steps.append("the way out")
+    except KeyboardInterrupt:
+        steps.append("interrupted")
+    return steps
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_a_signal_interrupts_once_and_is_not_lost(number: signal.Signals) -> None:
+    before = signal.getsignal(number)
+    assert interrupted(number) == ["it is lost", "the way out", "interrupted"]
+    assert signal.getsignal(number) is before
+
+
+def test_signals_that_are_ignored_stay_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As SIGHUP under nohup."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with interrupted_once() as check, postponed(signal.SIGHUP):
+            signal.raise_signal(signal.SIGHUP)
+        check()
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_a_postponed_signal_comes_at_the_end() -> None:
+    steps = []
+    try:
+        with interrupted_once():
+            with postponed(signal.SIGTERM):
+                signal.raise_signal(signal.SIGTERM)
+                steps.append("done")
+            steps.append("not reached")
+    except KeyboardInterrupt:
+        steps.append("interrupted")
+    assert steps == ["done", "interrupted"]
 
 
 def test_a_signal_noted_while_the_run_is_set_up_stops_it(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from hilcell.commands.cli import main
 from hilcell.errors import HilcellError
 from hilcell.run.cell_lock import CellLocked
 from hilcell.study.case import Row, unpacked
@@ -112,6 +113,17 @@ def test_results_of_another_study_are_refused(tmp_path: Path) -> None:
     other = Results(tmp_path / "r", study(tmp_path, head="machines = 3"))
     with pytest.raises(OtherStudy, match="of another study: machines differ; name another folder"):
         performed(other, Bench())
+
+
+@pytest.mark.parametrize("place", ["cases", "cases/../cases/deeper", "other", "link"])
+def test_a_folder_within_other_results_is_refused_and_not_made(tmp_path: Path, place: str) -> None:
+    performed(Results(tmp_path / "r", study(tmp_path)), Bench())
+    (tmp_path / "link").symlink_to(tmp_path / "r/cases")
+    before = sorted(tmp_path.rglob("*"))
+    folder = tmp_path / place if place == "link" else tmp_path / "r" / place
+    with pytest.raises(OtherStudy, match=r"within the results of a study, .*/r; name another"):
+        performed(Results(folder, study(tmp_path)), Bench())
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_results_of_another_version_are_refused(
@@ -222,6 +234,21 @@ def test_a_folder_without_results(tmp_path: Path, content: bytes | None) -> None
         (tmp_path / "study.json").write_bytes(content)
     with pytest.raises(HilcellError, match="is no folder of results"):
         open_results(tmp_path)
+
+
+def test_a_report_in_a_file_has_each_table_under_its_heading(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    performed(Results(tmp_path / "r", study(tmp_path)), Bench())
+    assert main(["study", "report", str(tmp_path / "r")]) == 0
+    said = capsys.readouterr()
+    lines = said.out.splitlines()
+    titles = ("Pareto front", "Buy next", "Main effects")
+    assert [line for line in lines if line in titles] == list(titles)
+    for title in titles:
+        assert lines[lines.index(title) + 1].startswith("┏")
+    assert "Gain: by how much" in said.out
+    assert said.err.splitlines()[:-1] == ["8 cases: 8 done"]  # then where the page is
 
 
 def test_a_folder_says_what_was_asked(tmp_path: Path) -> None:
