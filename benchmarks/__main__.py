@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from benchmarks.words import parser
 from hilcell.journal.journal import Journal
 
 HILCELL = [sys.executable, "-m", "hilcell"]
@@ -62,6 +63,7 @@ def calibration(folder: Path) -> None:
 
 
 def main() -> None:
+    parser(__doc__).parse_args()
     print(f"{os.cpu_count()} cores, python {sys.version.split()[0]}")
     with tempfile.TemporaryDirectory() as folder:
         start_up()

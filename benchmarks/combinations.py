@@ -20,6 +20,8 @@ from importlib.metadata import entry_points
 from itertools import product
 from pathlib import Path
 
+from benchmarks.words import parser
+
 HILCELL = [sys.executable, "-m", "hilcell"]
 CELL_OF = {"ur-rtde": "lab"}  # others: paper
 RIDDEN = "kuka-e1"
@@ -115,6 +117,7 @@ def _line(cells: list[str]) -> str:
 
 def main() -> None:
     """Print the table."""
+    parser(__doc__).parse_args()
     print(HEAD)
     with tempfile.TemporaryDirectory() as runs:
         for combination in combinations():

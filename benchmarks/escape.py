@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import random
-import sys
 import tempfile
 import time
 from itertools import cycle, islice, product
@@ -17,6 +16,7 @@ from pathlib import Path
 
 from benchmarks.screen import PAGES
 from benchmarks.stop import PHASES, Rig, await_phase, connected, report
+from benchmarks.words import parser
 from tests.whole.terminal import Terminal
 
 STOPS = 200
@@ -45,7 +45,9 @@ def escape(rig: Rig, page: str, phase: str, rng: random.Random) -> float:
 
 
 def main() -> None:
-    stops = int(sys.argv[1]) if len(sys.argv) > 1 else STOPS
+    words = parser(__doc__)
+    words.add_argument("stops", type=int, nargs="?", default=STOPS, metavar="STOPS")
+    stops = words.parse_args().stops
     rng = random.Random(1)
     everything: list[float] = []
     for speed in (1.0, math.inf):

@@ -6,7 +6,6 @@ and what was said at, between and just before the records is compared with what 
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import tempfile
@@ -15,6 +14,7 @@ from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 
+from benchmarks.words import parser
 from hilcell.journal.journal import Record, read_journal
 from hilcell.run.forecast import Forecast
 
@@ -47,11 +47,11 @@ def moment(record: Record) -> datetime:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("procedure", nargs="?", default="calibrate")
-    parser.add_argument("--speed", default="60")
-    parser.add_argument("--seed", default="7")
-    args = parser.parse_args()
+    words = parser(__doc__)
+    words.add_argument("procedure", nargs="?", default="calibrate")
+    words.add_argument("--speed", default="60")
+    words.add_argument("--seed", default="7")
+    args = words.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run(
             [sys.executable, "-m", "hilcell", "run", args.procedure, "--unattended", "--json",

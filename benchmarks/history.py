@@ -15,6 +15,7 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
+from benchmarks.words import parser
 from hilcell.journal.index import NAME, SETTLED_S, matches, read_index
 from hilcell.journal.journal import Journal
 from hilcell.journal.runs import JOURNAL
@@ -83,7 +84,9 @@ def timed(what: str, runs: Path, words: str = "") -> float:
 
 
 def main() -> None:
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else RUNS
+    words = parser(__doc__)
+    words.add_argument("count", type=int, nargs="?", default=RUNS, metavar="RUNS")
+    count = words.parse_args().count
     print(f"{os.cpu_count()} cores, python {sys.version.split()[0]}, {count} runs")
     with tempfile.TemporaryDirectory() as folder:
         runs = Path(folder)

@@ -8,7 +8,6 @@ this one). pybotics has link parameters and no base, reflectors or priors: less 
 from __future__ import annotations
 
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -18,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
+from benchmarks.words import parser
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.identification.estimate import identify, solve
 from hilcell.identification.kinematics import Kinematics, State
@@ -89,6 +89,9 @@ def by_pybotics(python: str, readings: Readings) -> float:
 
 def main() -> None:
     """Print times and their ratios."""
+    words = parser(__doc__)
+    words.add_argument("python", nargs="?", metavar="PYTHON")
+    python = words.parse_args().python
     for reflectors, poses in ((1, 64), (3, 200)):
         kinematics = Kinematics(ARM, reflectors, tool=True)
         readings, start = measured(kinematics, poses)
@@ -101,8 +104,8 @@ def main() -> None:
             f"{poses} poses x {reflectors}   solve {ours * 1e3:7.1f} ms   least_squares "
             f"{theirs:6.2f} s = {theirs / ours:.0f} x   with outliers and noise {whole:.2f} s"
         )
-        if reflectors == 1 and len(sys.argv) > 1:
-            seconds = by_pybotics(sys.argv[1], readings)
+        if reflectors == 1 and python:
+            seconds = by_pybotics(python, readings)
             print(f"{'':14s}pybotics {seconds:6.2f} s = {seconds / ours:.0f} x")
     kinematics = Kinematics(ARM)
     readings, start = measured(kinematics, 64)

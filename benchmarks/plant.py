@@ -26,6 +26,7 @@ import numpy as np
 from sqlalchemy import Connection, select, text
 
 from benchmarks.__main__ import HILCELL, command
+from benchmarks.words import parser
 from hilcell.journal.calibration_facts import CalibrationFacts
 from hilcell.journal.index import RunRow
 from hilcell.plant.cells import cells
@@ -196,9 +197,11 @@ def shipping(url: str, folder: Path) -> None:
 
 
 def main() -> None:
+    words = parser(__doc__)
+    words.add_argument("sizes", type=int, nargs="*", default=SIZES, metavar="RUNS")
+    sizes = words.parse_args().sizes
     if MISSING:
         sys.exit(MISSING)
-    sizes = [int(word) for word in sys.argv[1:]] or list(SIZES)
     with server(settings=()) as found, tempfile.TemporaryDirectory() as folder:
         shipping(found.make("shipping"), Path(folder))
         print(f"load {os.getloadavg()[1]:.0f} on {os.cpu_count()} cores")

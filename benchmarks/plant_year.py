@@ -27,6 +27,7 @@ from typing import Any
 
 import msgspec
 
+from benchmarks.words import parser
 from hilcell.calibration.file import read_calibration, write_calibration
 from hilcell.commands.cli import main as hilcell
 from hilcell.journal.runs import CALIBRATION, read_records
@@ -124,8 +125,11 @@ def mistakes(found: dict[str, Any]) -> list[str]:
 
 
 def main() -> int:
+    line = parser(__doc__)
+    line.add_argument("folder", type=Path, nargs="?", metavar="FOLDER")
+    given = line.parse_args().folder
     with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(sys.argv[1] if len(sys.argv) > 1 else temporary)
+        folder = given or Path(temporary)
         began_s = time.monotonic()
         count = min(len(CELLS), os.cpu_count() or 1)
         # Not a Pool: it ends its workers by SIGTERM, which a process that ran a cell only notes.

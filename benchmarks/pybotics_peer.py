@@ -6,6 +6,7 @@ come before the joint i.
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
 
@@ -14,11 +15,14 @@ import numpy as np
 
 def main() -> None:
     """Read the file named by the first argument, and calibrate."""
+    words = argparse.ArgumentParser(description=__doc__)  # this one has nothing of hilcell
+    words.add_argument("readings", metavar="FILE")
+    args = words.parse_args()
     from pybotics.optimization import OptimizationHandler, optimize_accuracy
     from pybotics.robot import Robot
     from scipy.optimize import least_squares
 
-    data = np.load(sys.argv[1])
+    data = np.load(args.readings)
     alpha, a = np.roll(data["alpha"], 1), np.roll(data["a"], 1)
     robot = Robot.from_parameters(np.column_stack([alpha, a, data["offset"], data["d"]]))
     robot.joint_limits = np.array([[-10.0] * 6, [10.0] * 6])

@@ -14,6 +14,7 @@ import threading
 import time
 from pathlib import Path
 
+from benchmarks.words import parser
 from hilcell.alarms.acknowledged import Acknowledged
 from hilcell.journal.journal import Journal
 from hilcell.journal.runs import JOURNAL
@@ -183,6 +184,7 @@ def processor(folder: Path, speed: int) -> None:
 
 def main() -> None:
     """Measure everything."""
+    parser(__doc__).parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         first_screen(folder / "empty")

@@ -27,6 +27,7 @@ from typing import Any, cast
 import msgspec
 import numpy as np
 
+from benchmarks.words import parser
 from drivers.leica import emscon
 from hilcell.cell.devices import build_devices, start_simulation
 from hilcell.cell.file import Cell, Nest, load_cell
@@ -322,7 +323,9 @@ def report(name: str, taken_s: list[float]) -> None:
 
 
 def main() -> None:
-    stops = int(sys.argv[1]) if len(sys.argv) > 1 else STOPS
+    words = parser(__doc__)
+    words.add_argument("stops", type=int, nargs="?", default=STOPS, metavar="STOPS")
+    stops = words.parse_args().stops
     rng = random.Random(1)
     for speed in (1.0, math.inf):
         with tempfile.TemporaryDirectory() as folder:

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 
 from distributed import Client, LocalCluster, as_completed
 
+from benchmarks.words import parser
 from hilcell.cell.file import Cell, load_cell
 from hilcell.study.case import measured, packed, versions
 from hilcell.study.cluster import local_workers
@@ -72,6 +73,7 @@ def wall_s(workers: int, cell: Cell) -> float:
 
 
 def main() -> None:
+    parser(__doc__).parse_args()
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     for name, values in (
         ("full paper calibration", FULL),

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+from benchmarks.words import parser
 from hilcell.study.analysis import answers
 from hilcell.study.case import measured, packed, versions
 from hilcell.study.cluster import workers_of
@@ -141,7 +142,9 @@ def real_cases() -> None:
 
 
 def main() -> None:
-    if sys.argv[1:] == ["real"]:
+    words = parser(__doc__)
+    words.add_argument("part", nargs="?", choices=["real"], help="cases that calibrate, alone")
+    if words.parse_args().part:
         real_cases()
         return
     with patch("hilcell.study.cluster.measured", empty):

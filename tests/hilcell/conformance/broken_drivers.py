@@ -30,7 +30,8 @@ from tests.hilcell.conformance.seams import (
 
 class RailPieces(Pieces, RailSeams):
     def patch(self) -> None:
-        bus: Any = self._link.network.bus  # type: ignore[union-attr]  # it is connected
+        link: Any = self._link
+        bus = link.network.bus
         fill = bus._fill
 
         def filled(timeout_s: float) -> bool:
@@ -94,7 +95,8 @@ class RailCounts(Base, RailSeams):
 
 class RobotPieces(Pieces, RobotSeams):
     def patch(self) -> None:
-        link = self._controller._line._link  # type: ignore[union-attr]  # it is connected
+        controller: Any = self._controller
+        link = controller._line._link
         receive = link.receive
         link.receive = lambda size, patience: self.whole(receive(size, patience))
 
@@ -146,11 +148,9 @@ class RobotMoving(Base, RobotSeams):
 
 class TrackerPieces(Pieces, TrackerSeams):
     def patch(self) -> None:
-        link = self._link
-        receive = link.receive  # type: ignore[union-attr]  # it is connected
-        link.receive = lambda size, patience: self.whole(  # type: ignore[method-assign, union-attr]
-            receive(size, patience)
-        )
+        link: Any = self._link
+        receive = link.receive
+        link.receive = lambda size, patience: self.whole(receive(size, patience))
 
 
 class TrackerSlow(Base, TrackerSeams):
@@ -253,8 +253,8 @@ class TrackerStreamPlace(Streaming):
 
 class TrackerStreamEnds(Base, TrackerSeams):
     def stream(self, near_mm: Any, reflector: str, rate_hz: float) -> Any:
-        stream = super().stream(near_mm, reflector, rate_hz)
-        stream._restore = lambda error: None  # type: ignore[method-assign]
+        stream: Any = super().stream(near_mm, reflector, rate_hz)
+        stream._restore = lambda error: None
         return stream
 
 
@@ -266,7 +266,8 @@ class EkiWithoutIds(KukaEkiRobot):
 
     def connect(self) -> Any:
         found = super().connect()
-        line: Any = self._controller._line  # type: ignore[union-attr]  # it is connected
+        controller: Any = self._controller
+        line = controller._line
         ask, documents, numbers = line.ask, line._documents, [0]
 
         def asked(number: int, document: bytes) -> Any:
