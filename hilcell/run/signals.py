@@ -72,7 +72,7 @@ def interrupted_once() -> Iterator[Callable[[], None]]:
 
     def interrupt(number: int, _: object) -> None:
         noted.append(number)
-        if len(noted) == 1:
+        if noted == [number]:
             raise KeyboardInterrupt
 
     def check() -> None:
