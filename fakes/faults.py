@@ -205,9 +205,14 @@ class Faults:
             else:
                 self._armed.clear()
 
+    @property
+    def any_armed(self) -> bool:
+        """Whether a fault is armed; read without the lock: the usual case must cost nothing."""
+        return bool(self._armed)
+
     def take(self, name: str, *, moving: bool = True) -> Value | None:
         """Return the fault's value if it strikes on this occasion, ``moving`` or at rest."""
-        if not self._armed:  # read without the lock: the usual case must cost nothing
+        if not self.any_armed:
             return None
         with self._lock:
             armed = self._armed.get(name)

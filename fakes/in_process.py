@@ -21,7 +21,6 @@ from fakes.truth.plant import Plant
 from fakes.truth.rail_truth import RailTruth
 from fakes.truth.robot_motion import RobotMotion
 from fakes.truth.stream_truth import Followed
-from fakes.truth.tracker_truth import Measurement
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
 from hilcell.ports import (
@@ -238,12 +237,14 @@ class DirectTracker:
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         """Measure the reflector nearest to (3,); raises `NoReading` where there is none."""
-        name = self._found(near_mm)
-        single = [self._single(name) for _ in range(samples)]
-        xyz_mm, std_mm = single[0].xyz_mm, single[0].std_mm
+        found = self._plant.tracker.measurements(self._found(near_mm), samples)
+        if found is None:
+            raise NoReading("HC-T10", "Tracker", "measure", "the beam broke")
+        for _ in range(samples):
+            self._plant.time.advance(MEASURE_S)
+        xyz_mm, std_mm = found.xyz_mm[0], found.std_mm[0]
         if samples > 1:
-            points_mm = np.array([each.xyz_mm for each in single])
-            xyz_mm, std_mm = points_mm.mean(axis=0), points_mm.std(axis=0, ddof=1)
+            xyz_mm, std_mm = _mean_and_scatter(found.xyz_mm)
         air = self._plant.tracker.air()
         return TrackerReading(
             xyz_mm,
@@ -268,13 +269,6 @@ class DirectTracker:
 
     def close(self) -> None:
         """Do nothing."""
-
-    def _single(self, name: str) -> Measurement:
-        found = self._plant.tracker.measure(name)
-        if found is None:
-            raise NoReading("HC-T10", "Tracker", "measure", "the beam broke")
-        self._plant.time.advance(MEASURE_S)
-        return found
 
     def _found(self, near_mm: Array) -> str:
         name = self._plant.tracker.find(np.asarray(near_mm, dtype=float), self._radius_mm)
@@ -317,6 +311,13 @@ class DirectStream:
             )
             if last > first
         ]
+
+
+def _mean_and_scatter(points_mm: Array) -> tuple[Array, Array]:
+    """Return mean and sample deviation (3,) of readings (N, 3); numpy's take twice as long."""
+    mean_mm = points_mm.sum(axis=0) / len(points_mm)
+    off_mm = points_mm - mean_mm
+    return mean_mm, np.sqrt((off_mm * off_mm).sum(axis=0) / (len(points_mm) - 1))
 
 
 def _counted(value_mm: float, counts_per_mm: float) -> float:

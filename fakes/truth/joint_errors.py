@@ -121,12 +121,15 @@ class Deflection:
         """Return the deflection (..., 6) at joints (..., 6)."""
         orders = np.arange(1, self.harmonics_rad.shape[1] // 2 + 1)
         angles = joints_rad[..., None] * orders
-        waves = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        waves = np.empty((*angles.shape, 2))
+        np.cos(angles, out=waves[..., 0])
+        np.sin(angles, out=waves[..., 1])
         bent: Array = (self.harmonics_rad * waves.reshape(*joints_rad.shape, -1)).sum(axis=-1)
         g = self.gravity_rad
         upper, fore = slopes.angles(joints_rad)
-        bent[..., 1] += g[0] * np.cos(upper) + g[1] * np.sin(upper)
-        bent[..., 1] += g[2] * np.cos(fore) + g[3] * np.sin(fore)
-        bent[..., 1] += self.elastic_rad * np.cos(upper) * np.cos(fore)
-        bent[..., 2] += g[4] * np.cos(fore) + g[5] * np.sin(fore)
+        level, fore_level, fore_sine = np.cos(upper), np.cos(fore), np.sin(fore)
+        bent[..., 1] += g[0] * level + g[1] * np.sin(upper)
+        bent[..., 1] += g[2] * fore_level + g[3] * fore_sine
+        bent[..., 1] += self.elastic_rad * level * fore_level
+        bent[..., 2] += g[4] * fore_level + g[5] * fore_sine
         return bent

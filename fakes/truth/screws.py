@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fakes.truth.transforms import Array, generators, rigid, turned, turned_by
+from fakes.truth.transforms import Array, generators, product, rigid, turned, turned_by
 from hilcell.ports import HilcellError
 
 SCALE_MM = 1000.0  # a radian counts as much as this
@@ -37,12 +37,11 @@ class Chain:
 
         All lengths of the arm are longer by a share ``strain``.
         """
-        T, *behind = self._turns(joints_rad, self.points_mm * (1.0 + strain))
-        for each in behind:
-            T = T @ each
-        last = self.last.copy()
-        last[:3, 3] *= 1.0 + strain
-        return T @ last
+        points_mm, last = self.points_mm, self.last
+        if strain:
+            points_mm, last = points_mm * (1.0 + strain), last.copy()
+            last[:3, 3] *= 1.0 + strain
+        return product([*self._turns(joints_rad, points_mm), last])
 
     def axis(self, number: int, joints_rad: Array) -> tuple[Array, Array]:
         """Return direction (..., 3) and a point (..., 3) of one axis, counted from 0."""

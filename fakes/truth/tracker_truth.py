@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,10 +38,18 @@ class Air:
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """One stationary measurement: position (3,) and 1-sigma (3,), mm, tracker's frame."""
+    """Stationary measurements: position (..., 3) and 1-sigma (..., 3), mm, tracker's frame."""
 
     xyz_mm: Array
     std_mm: Array
+
+
+class _Struck(NamedTuple):
+    """The faults of one measurement."""
+
+    offset_mm: float
+    noisy_mm: float | None
+    spike_mm: float
 
 
 class TrackerTruth:
@@ -61,6 +70,7 @@ class TrackerTruth:
         rng = KeyedNoise(seed).generator("tracker")
         self._noise = KeyedNoise(seed, "tracker")
         self._faults, self._reflectors = faults, reflectors_in_world
+        self._seen: tuple[dict[str, Array], dict[str, Array]] = ({}, {})  # in {W}, and from here
         self._measured = 0
         self._range_mm = (cell.tracker.min_range_mm, cell.tracker.max_range_mm)
         machine = machine_of(cell)
@@ -69,70 +79,69 @@ class TrackerTruth:
         placed = rigid(rotation(turn), machine.mounting.tracker_mm * rng.standard_normal(3))
         self.pose_in_world = frame(cell.tracker.pose) @ placed
         self._from_world = inverse(self.pose_in_world)
-        self._drift = rng.standard_normal((2, 3)) * self._sizes.drift_mm
+        self._drift = tuple(rng.standard_normal((2, 3)) * self._sizes.drift_mm)
         self._air_phases: list[float] = rng.uniform(0.0, 2 * math.pi, 3).tolist()
         self._bump_mm, self._scale = np.zeros(3), 1.0
         self._lifted_mm: dict[str, float] = {}
         self._offset_mm = self._warmer_k = 0.0
 
     def reflectors(self) -> dict[str, Array]:
-        """Return where every reflector is."""
-        return {
-            name: carried(self._from_world, at_mm) for name, at_mm in self._reflectors().items()
-        }
+        """Return where every reflector is: the same dictionary while nothing moves."""
+        places = self._reflectors()
+        known, found = self._seen  # read as one: several threads ask
+        if places is not known:
+            found = {name: carried(self._from_world, at_mm) for name, at_mm in places.items()}
+            self._seen = (places, found)
+        return found
 
     def reflector(self, name: str) -> Array | None:
         """Return where one reflector is, None where it is not to be seen."""
-        at_mm = self._reflectors().get(name)
-        return None if at_mm is None else carried(self._from_world, at_mm)
+        return self.reflectors().get(name)
 
     def find(self, near_mm: Array, radius_mm: float) -> str | None:
         """Return the name of the reflector nearest to a point (3,), if within range and radius."""
-        places = self._reflectors()
-        if not places:
-            return None
-        at_mm = np.array([*places.values()]) @ self._from_world[:3, :3].T + self._from_world[:3, 3]
-        off_mm = np.linalg.norm(at_mm - near_mm, axis=1)
-        names = [*places]
-        order: list[int] = off_mm.argsort(kind="stable").tolist()
-        seen = (n for n in order if self._in_range(at_mm[n]))
+        places, near = self.reflectors(), near_mm.tolist()
+        off_mm = {name: math.dist(at_mm.tolist(), near) for name, at_mm in places.items()}
+        order = sorted(off_mm, key=off_mm.__getitem__)
+        seen = (name for name in order if self._in_range(places[name]))
         best, next_best = next(seen, None), next(seen, None)
         if next_best is not None and self._faults.take("tracker.wrong_target") is not None:
-            return names[next_best]
-        return names[best] if best is not None and off_mm[best] <= radius_mm else None
+            return next_best
+        return best if best is not None and off_mm[best] <= radius_mm else None
 
     def measure(self, name: str) -> Measurement | None:
         """Return one measurement of a reflector, or None where it is out of range."""
-        at_mm = self.reflector(name)
-        if at_mm is None or not self._in_range(at_mm):
-            return None
-        self._measured += 1
-        std_mm = self._faults.number("tracker.noisy")
-        self._bump_mm[0] += self._faults.number("tracker.drift_step") or 0.0
-        self._scale += 1e-6 * (self._faults.number("tracker.scale_ppm") or 0.0)
-        lifted_mm = self._faults.number("tracker.nest_lifted") or 0.0
-        self._lifted_mm[name] = self._lifted_mm.get(name, 0.0) + lifted_mm
-        at_mm = at_mm + self._lifted_mm[name] / math.sqrt(3.0)
-        xyz_mm = self._scale * at_mm + self._bump_mm + self._slow_drift_mm()
-        range_mm = _length(xyz_mm)
+        found = self.measurements(name, 1)
+        return None if found is None else Measurement(found.xyz_mm[0], found.std_mm[0])
+
+    def measurements(self, name: str, count: int) -> Measurement | None:
+        """Return measurements in a row, (N, 3) each, or None where one is out of range."""
+        struck: list[_Struck] = []
+        xyz_mm = np.empty((count, 3))
+        for row in range(count):
+            at_mm = self.reflector(name)
+            if at_mm is None or not self._in_range(at_mm):
+                return None
+            self._measured += 1
+            struck.append(self._strike(name))
+            at_mm = at_mm + self._lifted_mm.get(name, 0.0) / math.sqrt(3.0)
+            xyz_mm[row] = self._scale * at_mm + self._bump_mm + self._slow_drift_mm()
+        range_mm = np.sqrt(np.vecdot(xyz_mm, xyz_mm))[:, None]
         along = xyz_mm / range_mm
-        self._warmer_k += self._faults.number("tracker.warmer") or 0.0
-        self._offset_mm += self._faults.number("tracker.wrong_offset") or 0.0
-        xyz_mm = xyz_mm + self._offset_mm * along
-        # Coarse: a slide that lands a few micrometres off meets the same noise.
-        key = ",".join(f"{value / 10.0:.0f}" for value in xyz_mm.tolist())
-        draws = self._noise.normal(key, 6)
-        radial = draws[:3].dot(along) * along
-        radial_mm = self._sizes.radial_um * 1e-3
-        across_mm = self._sizes.across_um_m * 1e-6 * range_mm
-        if std_mm is None:
-            noise_mm = radial_mm * radial + across_mm * (draws[:3] - radial)
-            sigma_mm = np.sqrt((radial_mm * along) ** 2 + across_mm**2 * (1 - along**2))
-        else:
-            noise_mm, sigma_mm = std_mm * draws[:3], np.full(3, std_mm / math.sqrt(3.0))
-        xyz_mm = xyz_mm + noise_mm
-        xyz_mm[2] += self._faults.number("tracker.spike") or 0.0
-        return Measurement(xyz_mm, sigma_mm * (1.0 + 0.1 * np.tanh(draws[3:])))
+        xyz_mm += np.array([[each.offset_mm] for each in struck]) * along
+        draws = np.array([self._noise.normal(_coarse(each), 6) for each in xyz_mm.tolist()])
+        draws, std_draws = draws[:, :3], draws[:, 3:]
+        radial_mm, across_mm = self._sigma_mm(range_mm)
+        radial = np.vecdot(draws, along)[:, None] * along
+        noise_mm = radial_mm * radial + across_mm * (draws - radial)
+        sigma_mm = np.sqrt((radial_mm * along) ** 2 + across_mm**2 * (1 - along**2))
+        for row, each in enumerate(struck):
+            if each.noisy_mm is not None:
+                noise_mm[row] = each.noisy_mm * draws[row]
+                sigma_mm[row] = each.noisy_mm / math.sqrt(3.0)
+        xyz_mm += noise_mm
+        xyz_mm[:, 2] += [each.spike_mm for each in struck]
+        return Measurement(xyz_mm, sigma_mm * (1.0 + 0.1 * np.tanh(std_draws)))
 
     def read(self, at_world_mm: Array, draws: Array) -> Array:
         """Return single readings (M, 3) of positions (N, 3) in {W}, with unit noise (N, 3).
@@ -146,33 +155,63 @@ class TrackerTruth:
         lost = np.flatnonzero(~((low_mm <= range_mm) & (range_mm <= high_mm)))
         along = xyz_mm / range_mm[:, None]
         radial = (draws * along).sum(axis=1, keepdims=True) * along
-        across_mm = self._sizes.across_um_m * 1e-6 * range_mm[:, None]
-        noise_mm = self._sizes.radial_um * 1e-3 * radial + across_mm * (draws - radial)
+        radial_mm, across_mm = self._sigma_mm(range_mm[:, None])
+        noise_mm = radial_mm * radial + across_mm * (draws - radial)
         found: Array = (xyz_mm + noise_mm)[: lost[0] if len(lost) else None]
         return found
 
     @property
     def warm_k(self) -> float:
         """How much warmer the room is now than its mean."""
-        return self.air().temperature_c - self._sizes.room_c
+        return self._temperature_c() - self._sizes.room_c
 
     def air(self) -> Air:
         """Return the air now."""
-        age = self._measured * MEASUREMENT_S / AIR_PERIOD_S
-        waves = [math.sin(2 * math.pi * age + phase) for phase in self._air_phases]
         return Air(
-            temperature_c=self._sizes.room_c + self._sizes.room_swing_k * waves[0] + self._warmer_k,
-            pressure_mbar=1009.0 + 2.0 * waves[1],
-            humidity_percent=45.0 + 4.0 * waves[2],
+            temperature_c=self._temperature_c(),
+            pressure_mbar=1009.0 + 2.0 * self._air_wave(1),
+            humidity_percent=45.0 + 4.0 * self._air_wave(2),
         )
+
+    def _temperature_c(self) -> float:
+        swing_k = self._sizes.room_swing_k * self._air_wave(0)
+        return self._sizes.room_c + swing_k + self._warmer_k
+
+    def _air_wave(self, number: int) -> float:
+        age = self._measured * MEASUREMENT_S / AIR_PERIOD_S
+        return math.sin(2 * math.pi * age + self._air_phases[number])
+
+    def _strike(self, name: str) -> _Struck:
+        """Let the faults of one measurement happen."""
+        if self._faults.any_armed:
+            number = self._faults.number
+            noisy_mm = number("tracker.noisy")
+            self._bump_mm[0] += number("tracker.drift_step") or 0.0
+            self._scale += 1e-6 * (number("tracker.scale_ppm") or 0.0)
+            lifted_mm = number("tracker.nest_lifted") or 0.0
+            self._lifted_mm[name] = self._lifted_mm.get(name, 0.0) + lifted_mm
+            self._warmer_k += number("tracker.warmer") or 0.0
+            self._offset_mm += number("tracker.wrong_offset") or 0.0
+            return _Struck(self._offset_mm, noisy_mm, number("tracker.spike") or 0.0)
+        return _Struck(self._offset_mm, None, 0.0)
+
+    def _sigma_mm(self, range_mm: Array) -> tuple[float, Array]:
+        """Return the noise along the beam and, at ranges (N, 1), across it."""
+        return self._sizes.radial_um * 1e-3, self._sizes.across_um_m * 1e-6 * range_mm
 
     def _in_range(self, at_mm: Array) -> bool:
         return self._range_mm[0] <= _length(at_mm) <= self._range_mm[1]
 
     def _slow_drift_mm(self) -> Array:
         angle = 2 * math.pi * self._measured * MEASUREMENT_S / DRIFT_PERIOD_S
-        drift: Array = self._drift[0] * math.sin(angle) + self._drift[1] * (1 - math.cos(angle))
+        there, back = self._drift
+        drift: Array = there * math.sin(angle) + back * (1 - math.cos(angle))
         return drift
+
+
+def _coarse(xyz_mm: list[float]) -> str:
+    """Return a key that a slide which lands a few micrometres off does not change."""
+    return ",".join(f"{value / 10.0:.0f}" for value in xyz_mm)
 
 
 def _length(vector_mm: Array) -> float:
