@@ -12,7 +12,7 @@ import numpy as np
 from hilcell.calibration.bounds import coverages
 from hilcell.calibration.decision import check_limits, guard_of, judged, limits_of
 from hilcell.calibration.errors import validation
-from hilcell.calibration.file import calibration_so_far
+from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.frames import grid_of, measured_of
 from hilcell.calibration.influence import NoBound
 from hilcell.calibration.noticed import suspicions_of
@@ -210,7 +210,7 @@ def _places(cell: Cell) -> dict[str, list[str]]:
 
 def _coverage(log: Log, places: dict[str, list[str]]) -> dict[str, dict[str, Any]]:
     """Return the bounds of the corrected targets, where the run allows any."""
-    calibration = calibration_so_far(log, "")
+    calibration = learnt_so_far(log)
     if calibration is None:
         return {}
     try:

@@ -37,6 +37,7 @@ from hilcell.cell.file import Station
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import rectangular_variance, rms, trace_freedom
 from hilcell.journal.log import (
+    NO_READINGS,
     Log,
     Point,
     commanded_rad,
@@ -61,7 +62,7 @@ def uncertainty_of(log: Log) -> Uncertainty:
     return Uncertainty(
         [
             _repeatability(log),
-            _approach(stated.reversal_limit_mm, reversal(log)),
+            _approach(stated.reversal_limit_mm, log.once(reversal, besides=NO_READINGS)),
             _drift(log),
             _world(log),
             _tracker(log),

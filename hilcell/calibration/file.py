@@ -34,7 +34,7 @@ from hilcell.compensation.correction import corrected_poses
 from hilcell.geometry.frames import apply, inverse, poses_from_zyx, zyx_from_pose
 from hilcell.geometry.rotations import from_zyx
 from hilcell.journal.calibration_facts import VALIDATION
-from hilcell.journal.log import Log
+from hilcell.journal.log import NO_READINGS, Log
 from hilcell.ports import Array, HilcellError
 from hilcell.writing import write_whole
 
@@ -123,9 +123,23 @@ def _more_orientations(cell: Cell, method: str) -> list[list[list[float]]]:
 
 def calibration_so_far(log: Log, run: str) -> Calibration | None:
     """Return the calibration of a log that has reached the fit, nothing before."""
+    return log.once(calibration_of, run) if _fitted(log) else None
+
+
+def learnt_so_far(log: Log) -> Calibration | None:
+    """Return the same for what it was learnt from; verdicts that came since may be missing."""
+    if not _fitted(log):
+        return None
+    return log.once(_learnt, log.judged["fit"].seq, besides=NO_READINGS)
+
+
+def _learnt(log: Log, fit: int) -> Calibration:
+    return calibration_of(log, "")
+
+
+def _fitted(log: Log) -> bool:
     wanted = {"base", *(f"station.{station.name}" for station in log.cell.station)}
-    reached = wanted <= log.frames.keys() and "fit" in log.verdicts
-    return log.once(calibration_of, run) if reached else None
+    return wanted <= log.frames.keys() and "fit" in log.verdicts
 
 
 def devices_of(log: Log) -> list[Device]:

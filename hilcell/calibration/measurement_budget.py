@@ -21,7 +21,7 @@ from hilcell.calibration.frame_covariance import FLOOR_NESTS, floor_points, worl
 from hilcell.calibration.influence import ASSUMED, MEASURED
 from hilcell.geometry.frames import apply, motion_levers
 from hilcell.geometry.statistics import lengths_mm, rectangular_variance, rms
-from hilcell.journal.log import Log, Point, positions_mm, variances_mm2
+from hilcell.journal.log import NO_READINGS, Log, Point, positions_mm, variances_mm2
 from hilcell.ports import Array
 
 NOISE, WORLD = "Tracker, reading noise", "World frame"
@@ -59,6 +59,10 @@ class Budget:
 
 def budget_of(log: Log) -> Budget | None:
     """Return the budget, or nothing where the run has framed no world and measured no points."""
+    return log.once(_budget_of, besides=NO_READINGS)
+
+
+def _budget_of(log: Log) -> Budget | None:
     if "world" not in log.frames or not log.points:
         return None
     stated = log.cell.uncertainty

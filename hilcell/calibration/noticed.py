@@ -10,7 +10,7 @@ from hilcell.calibration.bounds import validated, validation_points
 from hilcell.calibration.budget import growth_since
 from hilcell.calibration.change import RISK, Change, Differences, changed, likeliest
 from hilcell.calibration.errors import errors_of, visit_scatter
-from hilcell.calibration.file import calibration_so_far
+from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.frame_covariance import hold_covariance, world_covariance
 from hilcell.calibration.influence import SIZE, NoBound, motion
 from hilcell.calibration.known_length import scale
@@ -22,7 +22,7 @@ from hilcell.calibration.suspicions import Suspicion
 from hilcell.calibration.visit_noise import of_differences, visit_noise
 from hilcell.geometry.frames import apply, inverse, motion_levers
 from hilcell.geometry.statistics import bounds95_mm, chance_of_at_most, rectangular_variance
-from hilcell.journal.log import Log, Point, commanded_rad, positions_mm
+from hilcell.journal.log import NO_READINGS, Log, Point, commanded_rad, positions_mm
 from hilcell.journal.point_id import CHECKS
 from hilcell.journal.set_ups import PROOFS
 from hilcell.ports import Array
@@ -47,10 +47,11 @@ def suspicions_of(log: Log) -> list[Suspicion]:
         if revisited(log, kind)
     )
     again = next((each for each in rounds if each is not None), None)
-    turned = reversal(log)
+    turned = log.once(reversal, besides=NO_READINGS)
     lost = turned.suspicion if turned is not None else None
     of_validation = _of_validation(log) if again is None else []
-    found = [scale(log), warm(log), risen_nest(log), mount_offset(log), lost, again, *of_validation]
+    mount = log.once(mount_offset, besides=NO_READINGS)
+    found = [scale(log), warm(log), risen_nest(log), mount, lost, again, *of_validation]
     return [each for each in found if each is not None]
 
 
@@ -93,6 +94,10 @@ def _before(log: Log, point: Point) -> Point:
 
 def revisits(log: Log, kind: str) -> Change:
     """Return whether the poses that were visited again are where they were."""
+    return log.once(_revisits, kind, besides=NO_READINGS)
+
+
+def _revisits(log: Log, kind: str) -> Change:
     return changed(_differences(log, kind), log.cell.robot.arm(), REVISITS[kind])
 
 
@@ -152,7 +157,12 @@ def _framed_again(log: Log, R: Array) -> Array:
 
 def _of_validation(log: Log) -> list[Suspicion]:
     """Return the causes that fit where corrected targets are not within their bounds."""
-    calibration = calibration_so_far(log, "")
+    fit = log.judged.get("fit")
+    return [] if fit is None else log.once(_of_targets, fit.seq, besides=NO_READINGS)
+
+
+def _of_targets(log: Log, fit: int) -> list[Suspicion]:
+    calibration = learnt_so_far(log)
     if calibration is None:
         return []
     curves = log.verdicts["fit"].get("curves", {}).get("used", False)

@@ -15,7 +15,7 @@ import numpy as np
 
 from hilcell.calibration.errors import repeated_visits
 from hilcell.geometry.beam_noise import BeamNoise
-from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.journal.log import NO_READINGS, Log, Point, positions_mm
 from hilcell.journal.reading_noise import noise_at, run_noise
 from hilcell.ports import Array
 
@@ -40,7 +40,7 @@ class VisitNoise:
 
 def visit_noise(log: Log) -> VisitNoise:
     """Return what a run's readings and its repeated visits show."""
-    return log.once(_visit_noise)
+    return log.once(_visit_noise, besides=NO_READINGS)
 
 
 def _visit_noise(log: Log) -> VisitNoise:

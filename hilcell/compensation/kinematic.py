@@ -330,6 +330,7 @@ def _mean_mm(estimate: Estimate) -> float:
     return float(lengths_mm(_left_out_mm(estimate)).mean())
 
 
+@lru_cache(maxsize=1)
 def _excess(estimate: Estimate) -> float:
     """Return by how much variances are larger than poses that err independently would have them.
 

@@ -19,7 +19,7 @@ from hilcell.geometry.statistics import reading_variances_mm2
 from hilcell.journal.asset import Asset, asset_of
 from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.driven import Driven
-from hilcell.journal.journal import NeverBegan, Record
+from hilcell.journal.journal import Kind, NeverBegan, Record
 from hilcell.journal.link_record import LinkRecord
 from hilcell.journal.old_keys import id_of_key
 from hilcell.journal.packed import Packed
@@ -31,6 +31,8 @@ from hilcell.ports import Air, Array
 
 T = TypeVar("T")
 Args = TypeVarTuple("Args")
+
+NO_READINGS: tuple[Kind, ...] = ("intent", "state", "verdict")  # records: no point, no frame
 
 
 class ReadingTime(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -219,10 +221,11 @@ class Log:
         self.curves: dict[int, CurveRecord] = {}  # by axis, 1 to 6
         self.assets: list[Asset] = []  # that answered when they were last connected
         self.newest: Record | None = None
+        self._newest: dict[Kind, int] = {}  # numbers of records
         self._worked: Record | None = None  # the newest that is no end: a refused resume has one
         self.order: Record | None = None  # the last motion that is not known to have ended
         self.cut_off: list[CutOff] = []  # earlier sessions that a crash has ended
-        self._computed: dict[Any, tuple[Record | None, Any]] = {}
+        self._computed: dict[Any, tuple[int, Any]] = {}
         for record in records:
             self.take(record)
 
@@ -230,6 +233,7 @@ class Log:
         """Add one record."""
         body, before = record.body, self._worked
         self.newest = record
+        self._newest[record.kind] = record.seq
         self._worked = before if record.kind == "end" else record
         match record.kind:
             case "plan":
@@ -336,11 +340,19 @@ class Log:
         if self.state == "faulted" and not self.fault:
             self.fault = str(body.get("reason", ""))
 
-    def once(self, compute: Callable[[Log, *Args], T], *args: *Args) -> T:
-        """Return ``compute(log, *args)``, which is computed once until the next record comes."""
-        key, newest = (compute, args), self.newest
+    def once(
+        self,
+        compute: Callable[[Log, *Args], T],
+        *args: *Args,
+        besides: Collection[Kind] = (),
+    ) -> T:
+        """Return ``compute(log, *args)``, which is computed once until the next record comes, but
+        for those of kinds ``besides``, which it does not read.
+        """
+        newest = max((n for kind, n in self._newest.items() if kind not in besides), default=0)
+        key = (compute, args)
         known = self._computed.get(key)
-        if known is None or known[0] is not newest:
+        if known is None or known[0] != newest:
             known = self._computed[key] = (newest, compute(self, *args))
         found: T = known[1]
         return found

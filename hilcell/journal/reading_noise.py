@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hilcell.geometry.beam_noise import BeamNoise, beam_noise
-from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.journal.log import NO_READINGS, Log, Point, positions_mm
 from hilcell.ports import Array
 
 
 def run_noise(log: Log) -> BeamNoise:
     """Return the noise that all points of a run show."""
-    return log.once(_run_noise)
+    return log.once(_run_noise, besides=NO_READINGS)
 
 
 def _run_noise(log: Log) -> BeamNoise:

@@ -76,7 +76,7 @@ def by_a_total_station(log: Log, seed: int) -> Log:
     return log
 
 
-def _computed(log: Log, compute: Callable[[Log], Any]) -> Any:
+def _computed(log: Log, compute: Callable[[Log], Any], *, besides: object) -> Any:
     return compute(log)
 
 

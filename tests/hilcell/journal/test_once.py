@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from hilcell.journal.journal import Record
-from hilcell.journal.log import Log
+from hilcell.journal.journal import Kind, Record
+from hilcell.journal.log import NO_READINGS, Log
 
 
 def test_a_result_is_computed_again_after_the_next_record() -> None:
@@ -18,3 +18,17 @@ def test_a_result_is_computed_again_after_the_next_record() -> None:
         assert [log.once(events), log.once(events)] == [seq, seq]
         assert log.once(events, "other") == seq
     assert asked == ["", "other"] * 2
+
+
+def test_a_record_that_is_not_read_leaves_a_result_as_it_is() -> None:
+    log, asked = Log(), list[int]()
+
+    def frames(log: Log) -> int:
+        asked.append(len(log.frames))
+        return len(log.frames)
+
+    kinds: tuple[Kind, ...] = ("frame", "verdict", "intent", "frame")
+    for seq, kind in enumerate(kinds, start=1):
+        log.take(Record(seq, "2026-01-01T00:00:00.000Z", kind, "base", {"holds": True}))
+        assert log.once(frames, besides=NO_READINGS) == 1
+    assert asked == [1, 1]
