@@ -12,6 +12,7 @@ import signal
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from signal import SIGHUP, SIGINT
 
 import pytest
 from hypothesis import HealthCheck, Phase, settings
@@ -63,8 +64,15 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 def pytest_configure() -> None:
-    """Look for no garbage while tests are collected: what is made there stays."""
+    """Heed signals, and look for no garbage while tests are collected: what is made there stays.
+
+    A shell lets what it starts in the background ignore SIGINT, nohup SIGHUP, and so would every
+    process of a test.
+    """
     gc.disable()
+    for number, handler in (SIGINT, signal.default_int_handler), (SIGHUP, signal.SIG_DFL):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, handler)
 
 
 def pytest_collection_finish() -> None:
