@@ -26,7 +26,7 @@ from sqlalchemy.exc import (
 from hilcell.clean import clean
 from hilcell.errors import HilcellError, StoreAway
 from hilcell.journal.index import NAME as INDEX
-from hilcell.plant.tables import HEAD, PARTS, RUN
+from hilcell.plant.tables import HEAD, PARTS, RUN, TABLES
 
 MIGRATIONS = Path(__file__).with_name("migrations")
 POSTGRESQL, SQLITE = "postgresql", "sqlite"
@@ -117,6 +117,8 @@ class Database:
         from alembic.config import Config
 
         with self.transaction(migrating=True) as connection:
+            if not self._remote:  # else sqlite3 keeps each table by itself
+                connection.exec_driver_sql("BEGIN IMMEDIATE")
             before = _version(connection)
             if before is not None and before not in _known():
                 raise PlantError(self._unknown(connection, before))
@@ -156,6 +158,11 @@ class Database:
     def _check_empty(self, connection: Connection) -> None:
         """Refuse what holds other tables: a run's journal is such a file, too."""
         others = sorted({*inspect(connection).get_table_names()} - {"alembic_version"})
+        if others and set(others) <= TABLES.tables.keys():
+            raise PlantError(
+                f"plant database {self.name}: an earlier version was interrupted while it made the "
+                "tables; delete this database, make an empty one, and repeat the command"
+            )
         if others:
             raise PlantError(
                 f"plant database {self.name}: it belongs to another program (it has {len(others)} "
@@ -211,7 +218,7 @@ def _parsed(url: str) -> URL:
         raise PlantError(f"plant database: {clean(backend)} is not known; {forms}")
     if "@" in (parsed.host or ""):  # the rest of a password
         raise PlantError("plant database: its URL cannot be read: write an @ of a password as %40")
-    if backend == SQLITE and not parsed.database:
+    if backend == SQLITE and parsed.database in (None, "", ":memory:"):
         raise PlantError(f"plant database: its URL names no file; {forms}")
     if backend == SQLITE and (name := Path(parsed.database or "").name) in (INDEX, SEEN):
         raise PlantError(

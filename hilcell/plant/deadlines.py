@@ -29,6 +29,7 @@ OPTIONS = {
     "keepalives_count": 3,
 }
 Words = Generator[Any, Any, Any]  # psycopg's: it yields what it waits for, and gets what is ready
+BAD, SERVER = "connection is bad: ", "connection to server"  # the second where one was asked
 SET = text(
     "SELECT set_config('statement_timeout', :order, true), set_config('lock_timeout', :lock, true),"
     " set_config('idle_in_transaction_session_timeout', :rest, true)"
@@ -55,7 +56,14 @@ class Silent(psycopg.OperationalError):
 
 def connect(*args: Any, **options: Any) -> Bounded:
     """Open a connection with these deadlines."""
-    return Bounded.connect(*args, **(options | OPTIONS))
+    try:
+        return Bounded.connect(*args, **(options | OPTIONS))
+    except UnicodeError as error:
+        raise psycopg.ProgrammingError(f"a host of that name cannot be: {error}") from error
+    except psycopg.OperationalError as error:
+        if str(error).startswith(BAD) and SERVER not in str(error):
+            raise psycopg.ProgrammingError(str(error).removeprefix(BAD)) from error
+        raise
 
 
 def limit(connection: Connection, order_s: float) -> None:

@@ -60,6 +60,10 @@ def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _:
     """
     if not runs.exists():  # else a timer with a mistyped folder ships nothing, and says 0
         raise PlantError(f"runs folder {clean(str(runs))} is not there: name the folder of runs")
+    if (runs / JOURNAL).is_file():
+        raise PlantError(
+            f"runs folder {clean(str(runs))} is that of one run: name the folder that it lies in"
+        )
     database.check()
     done = Shipped()
     seen = _Seen(runs)
@@ -90,8 +94,9 @@ def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _:
 
 
 def _of_run(run: str, reason: str) -> str:
-    """Return a reason that names the run, as an error of the database does not."""
-    return reason if run in reason else f"run {run}: {reason}"
+    """Return a reason in one line that names the run, as an error of the database does not."""
+    line = "; ".join(each.strip() for each in reason.splitlines())
+    return line if run in line else f"run {run}: {line}"
 
 
 def _ended(records: Sequence[Record]) -> int:

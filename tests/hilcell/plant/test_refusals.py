@@ -12,11 +12,11 @@ import psycopg
 import pytest
 from alembic import command
 from alembic.config import Config
-from sqlalchemy import make_url, select, text
+from sqlalchemy import event, make_url, select, text
 
 from hilcell.commands.cli import main
 from hilcell.journal.runs import JOURNAL
-from hilcell.plant.database import MIGRATIONS, Database
+from hilcell.plant.database import MIGRATIONS, Database, PlantAway
 from hilcell.plant.tables import POINT
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.server import Server
@@ -128,6 +128,7 @@ def test_only_an_answer_that_stays_the_same_refuses_a_login(
         (f"postgresql://ann:{SECRET}\udcff@host/plant", "its URL cannot be read"),
         ("sqlite:///\udcff.db", "its URL cannot be read"),
         ("sqlite://", "its URL names no file"),
+        ("sqlite:///:memory:", "its URL names no file"),
         ("", "no database is named"),
     ],
 )
@@ -188,6 +189,71 @@ def test_a_database_has_no_name_of_what_may_be_deleted(
 ) -> None:
     line = said(["plant", "init", "--to", f"sqlite:///{runs}/{name}"], 2, capsys)
     assert f"{name} is a file of a folder of runs, which may be deleted at any time" in line
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ("ann@h..example/plant", "a host of that name cannot be"),
+        ("ann@" + 70 * "h" + "/plant", "a host of that name cannot be"),
+        ("ann@127.0.0.1:70000/plant", 'invalid port number: "70000"'),
+        ("ann@127.0.0.1:1/plant?sslmode=verify", 'invalid sslmode value: "verify"'),
+        (f"ann:{SECRET}@/plant?host=/{'h' * 200}", "Unix-domain socket path"),
+    ],
+)
+def test_a_url_that_no_server_is_asked_with_is_refused(
+    place: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = said(["plant", "show", "--from", f"postgresql://{place}"], 2, capsys)
+    assert f"refused: {words}" in line
+    assert SECRET not in line
+
+
+@pytest.mark.parametrize(
+    ("old", "moment"),
+    [(False, "CREATE TABLE point"), (True, "INDEX run_of_head"), (True, "UPDATE alembic")],
+)
+def test_an_office_s_tables_are_made_or_brought_up_whole_or_not_at_all(
+    old: bool, moment: str, tmp_path: Path
+) -> None:
+    url = f"sqlite:///{tmp_path}/plant.db"
+    if old:
+        old_schema(url)
+
+    def full(*words: object) -> None:
+        if moment in str(words[2]).replace("\n", ""):
+            raise sqlite3.OperationalError("database or disk is full")
+
+    def kept() -> list[object]:
+        with closing(sqlite3.connect(tmp_path / "plant.db")) as base:
+            return base.execute("SELECT name, sql FROM sqlite_master ORDER BY name").fetchall()
+
+    before = kept()
+    with closing(Database(url)) as database:
+        event.listen(database.engine, "before_cursor_execute", full)
+        with pytest.raises(PlantAway, match="disk is full"):
+            database.make()
+        assert kept() == before
+        event.remove(database.engine, "before_cursor_execute", full)
+        database.make()
+        database.check()
+
+
+def test_tables_that_an_earlier_version_made_in_part_are_named_as_that(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with closing(sqlite3.connect(tmp_path / "plant.db")) as base, base:
+        base.execute("CREATE TABLE frame (digest TEXT)")
+    line = said(["plant", "init", "--to", f"sqlite:///{tmp_path}/plant.db"], 2, capsys)
+    assert "interrupted while it made the tables; delete this database" in line
+
+
+def test_the_folder_of_one_run_is_refused(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    url = f"sqlite:///{tmp_path}/plant.db"
+    line = said(["plant", "ship", str(runs / "a"), "--to", url], 2, capsys)
+    assert "is that of one run: name the folder that it lies in" in line
 
 
 def test_a_folder_of_runs_that_is_not_there_is_refused(

@@ -280,6 +280,15 @@ def test_a_clock_that_cannot_be_is_refused(
     assert done.runs == 3
 
 
+def test_a_cell_of_a_name_that_cannot_be_is_refused_in_one_line(
+    runs: Path, model: Model, office: Database
+) -> None:
+    model.write(runs, Run("x", "south ☃", "HC-1", NOW))
+    (reason,) = ship(runs, office).refused.values()
+    assert "run x: the journal's cell: 1 problem; name: 1 to 64 letters" in reason
+    assert "\n" not in reason
+
+
 def test_links_and_what_is_no_journal(runs: Path, office: Database, tmp_path: Path) -> None:
     """A run's folder may be a link, as to another disk; it is read, and nothing else is."""
     (runs / "b").rename(tmp_path / "elsewhere")
