@@ -226,7 +226,7 @@ def alarms(connection: Connection, cell: str = "") -> list[AlarmCount]:
 
 
 class Doubt(NamedTuple):
-    """What is wrong with records of some cells, in a sentence."""
+    """A doubt about the records of some cells, in a sentence."""
 
     cells: list[str]
     words: str

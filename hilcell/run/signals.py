@@ -65,8 +65,8 @@ def signals_as_commands(post: Callable[[str], None]) -> Iterator[None]:
 def interrupted_once() -> Iterator[Callable[[], None]]:
     """Let the first signal raise `KeyboardInterrupt`; later ones would interrupt its way out.
 
-    Python loses an exception that is raised in a callback of its garbage collection: what is
-    yielded raises it again. Signals that this process ignores, as under nohup, stay ignored.
+    Python loses an exception that is raised in a callback of its garbage collection, so the check
+    that is yielded raises it again. Signals that this process ignores, as under nohup, stay so.
     """
     noted: list[int] = []
 
@@ -86,7 +86,7 @@ def interrupted_once() -> Iterator[Callable[[], None]]:
 
 @contextmanager
 def postponed(*numbers: signal.Signals) -> Iterator[None]:
-    """Let signals wait until the end: what they would interrupt here could not be taken back."""
+    """Let signals wait until the end, where an interruption would leave things half made."""
     noted: list[int] = []
     heard = [each for each in numbers if signal.getsignal(each) is not signal.SIG_IGN]
     with _handled(dict.fromkeys(heard, lambda number, _: noted.append(number))):
