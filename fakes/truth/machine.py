@@ -191,15 +191,15 @@ def load_machine(where: str, sizes: Mapping[str, Any] | None = None) -> Machine:
             text = (folder / f"{where}.toml").read_text("utf-8")
         else:
             text = read_text(Path(where))
-        values = _tables(text)
+        tables = _tables(text)
     except FileNotFoundError:
         problem = f"no such file, and no machine of that name; known are: {', '.join(known)}"
         raise SettingsError(f"simulation.machine {where!r}", [problem]) from None
     except (OSError, ValueError) as error:
         raise unreadable(f"simulation.machine {where!r}", error, "machine file") from error
     if not sizes:
-        return convert(values, Machine, where)
-    return convert(_replaced(values, sizes), Machine, f"simulation.sizes of {where}")
+        return _described(text, where)
+    return convert(_replaced(tables, sizes), Machine, f"simulation.sizes of {where}")
 
 
 def _replaced(values: Mapping[str, Any], sizes: Mapping[str, Any]) -> dict[str, Any]:
@@ -215,6 +215,11 @@ def _replaced(values: Mapping[str, Any], sizes: Mapping[str, Any]) -> dict[str, 
 @lru_cache(KNOWN)
 def _tables(text: str) -> Mapping[str, Any]:
     return tomllib.loads(text)
+
+
+@lru_cache(KNOWN)
+def _described(text: str, where: str) -> Machine:
+    return convert(_tables(text), Machine, where)
 
 
 def chain_of_cell(cell: Cell) -> Chain:

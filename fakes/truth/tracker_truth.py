@@ -70,7 +70,6 @@ class TrackerTruth:
         rng = KeyedNoise(seed).generator("tracker")
         self._noise = KeyedNoise(seed, "tracker")
         self._faults, self._reflectors = faults, reflectors_in_world
-        self._seen: tuple[dict[str, Array], dict[str, Array]] = ({}, {})  # in {W}, and from here
         self._measured = 0
         self._range_mm = (cell.tracker.min_range_mm, cell.tracker.max_range_mm)
         machine = machine_of(cell)
@@ -86,24 +85,22 @@ class TrackerTruth:
         self._offset_mm = self._warmer_k = 0.0
 
     def reflectors(self) -> dict[str, Array]:
-        """Return where every reflector is: the same dictionary while nothing moves."""
-        places = self._reflectors()
-        known, found = self._seen  # read as one: several threads ask
-        if places is not known:
-            found = {name: carried(self._from_world, at_mm) for name, at_mm in places.items()}
-            self._seen = (places, found)
-        return found
+        """Return where every reflector is."""
+        return {
+            name: carried(self._from_world, at_mm) for name, at_mm in self._reflectors().items()
+        }
 
     def reflector(self, name: str) -> Array | None:
         """Return where one reflector is, None where it is not to be seen."""
-        return self.reflectors().get(name)
+        at_mm = self._reflectors().get(name)
+        return None if at_mm is None else carried(self._from_world, at_mm)
 
     def find(self, near_mm: Array, radius_mm: float) -> str | None:
         """Return the name of the reflector nearest to a point (3,), if within range and radius."""
-        places, near = self.reflectors(), near_mm.tolist()
+        places, near = self._reflectors(), carried(self.pose_in_world, near_mm).tolist()
         off_mm = {name: math.dist(at_mm.tolist(), near) for name, at_mm in places.items()}
         order = sorted(off_mm, key=off_mm.__getitem__)
-        seen = (name for name in order if self._in_range(places[name]))
+        seen = (name for name in order if self._in_range(carried(self._from_world, places[name])))
         best, next_best = next(seen, None), next(seen, None)
         if next_best is not None and self._faults.take("tracker.wrong_target") is not None:
             return next_best
