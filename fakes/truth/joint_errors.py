@@ -128,8 +128,8 @@ class Deflection:
         g = self.gravity_rad
         upper, fore = slopes.angles(joints_rad)
         level, fore_level, fore_sine = np.cos(upper), np.cos(fore), np.sin(fore)
-        bent[..., 1] += g[0] * level + g[1] * np.sin(upper)
-        bent[..., 1] += g[2] * fore_level + g[3] * fore_sine
-        bent[..., 1] += self.elastic_rad * level * fore_level
+        second = bent[..., 1] + (g[0] * level + g[1] * np.sin(upper))
+        second = second + (g[2] * fore_level + g[3] * fore_sine)
+        bent[..., 1] = second + self.elastic_rad * level * fore_level
         bent[..., 2] += g[4] * fore_level + g[5] * fore_sine
         return bent

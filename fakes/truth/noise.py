@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,10 +26,18 @@ class KeyedNoise:
         """Return ``size`` unit normal draws for the next occurrence of ``key``."""
         return self.next_generator(key).standard_normal(size)
 
+    def later_normal(self, key: str, size: int) -> Callable[[], NDArray[np.float64]]:
+        """Return what draws as `normal` would now: the occurrence counts, drawn or not."""
+        occurrence = self._next(key)
+        return lambda: self.generator(occurrence).standard_normal(size)
+
     def next_generator(self, key: str) -> np.random.Generator:
         """Return the generator that belongs to the next occurrence of ``key``."""
+        return self.generator(self._next(key))
+
+    def _next(self, key: str) -> str:
         self._seen[key] += 1
-        return self.generator(f"{key}#{self._seen[key]}")
+        return f"{key}#{self._seen[key]}"
 
     def generator(self, key: str) -> np.random.Generator:
         """Return the generator that belongs to ``key`` alone."""

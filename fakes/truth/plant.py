@@ -10,6 +10,7 @@ finds `base_in_world`.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -43,9 +44,7 @@ class Plant:
         self.cell, self.time = cell, time
         self.rail = RailTruth(cell, seed, time, faults) if cell.has_rail else FloorTruth(cell)
         arm = self.arm = _arm(cell, machine, fixed.generator("arm"))
-        self.robot = RobotMotion(
-            cell, time, lambda key: arm.joint_sigma_rad * landing.normal(key, 6)
-        )
+        self.robot = RobotMotion(cell, time, lambda key: _landing(arm, landing, key))
         rng = fixed.generator("base")
         turn = mounting.bolted_urad * 1e-6 * _limited(rng, 3)
         self._bolted = rigid(rotation(turn), mounting.bolted_mm * _limited(rng, 3))
@@ -152,6 +151,12 @@ class Plant:
         """Return the base frame (4, 4) in {W} that a faultless section 4.2 would find now."""
         base: Array = self.rail.slide_pose() @ self._bolted @ self.arm.ideal_base
         return base
+
+
+def _landing(arm: ArmTruth, noise: KeyedNoise, key: str) -> Callable[[], Array]:
+    """Return what draws by how much the joints (6,) miss this time."""
+    draw = noise.later_normal(key, 6)
+    return lambda: arm.joint_sigma_rad * draw()
 
 
 def _placed(nests: list[Nest], sigma_mm: float, rng: np.random.Generator) -> dict[str, Array]:

@@ -32,7 +32,7 @@ class ReplayPlant:
     def __init__(self, cell: Cell, data: Path, time: PlantTime, faults: Faults) -> None:
         self.cell, self.time = cell, time
         self.rail = RailTruth(cell, 0, time, faults) if cell.has_rail else FloorTruth(cell)
-        self.robot = RobotMotion(cell, time, lambda key: np.zeros(6))
+        self.robot = RobotMotion(cell, time, lambda key: lambda: np.zeros(6))
         self.tracker = ReplayTracker(data, self.robot)
         self.streams = None
 

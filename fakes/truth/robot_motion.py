@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fakes.time import PlantTime
 from fakes.truth.motion import Path
@@ -21,41 +23,57 @@ RAMP_S = 0.4  # from standstill to full speed
 BRAKE_S = 0.15  # and from full speed to standstill on a stop
 NOT_MOVED_RAD = 1e-9
 
-Landing = Callable[[str], Array]  # event -> repeatability error (6,) in rad
+Draw = Callable[[], Array]
+Landings = Callable[[str], Draw]  # event -> what draws the repeatability error (6,) in rad
 
 
-@dataclass(frozen=True, slots=True)
-class RobotState:
+class Landing:
+    """The repeatability error of one motion; drawn only where somebody asks for it."""
+
+    def __init__(self, draw: Draw) -> None:
+        self._draw = draw
+
+    @cached_property
+    def error_rad(self) -> Array:
+        """Return the error (6,)."""
+        return self._draw()
+
+
+class RobotState(NamedTuple):
     """Joints (6,) as the controller counts them, side of last motion, repeatability error."""
 
     joints_rad: Array
     side: Array
-    landing_rad: Array
+    landing: Landing
     moving: bool
 
+    @property
+    def landing_rad(self) -> Array:
+        """Return the repeatability error (6,)."""
+        return self.landing.error_rad
 
-@dataclass(frozen=True, slots=True)
-class _Leg:
+
+class _Leg(NamedTuple):
     """Motion from one moment on, until the next leg begins."""
 
     start_s: float
     from_rad: Array
     to_rad: Array
     side: Array
-    landing_rad: Array
+    landing: Landing
     path: Path
 
 
 class RobotMotion:
     """The motion of one robot; safe to use from several threads."""
 
-    def __init__(self, cell: Cell, time: PlantTime, landing: Landing) -> None:
+    def __init__(self, cell: Cell, time: PlantTime, landings: Landings) -> None:
         self._lock = threading.RLock()
-        self._time, self._landing_of = time, landing
+        self._time, self._landings = time, landings
         self._speed_rad_s = np.radians([joint.speed_deg_s for joint in cell.robot.joint])
         self._from = self._to = np.radians(cell.robot.home_deg)
         self._side = np.ones(6)
-        self._landing = landing("power-on")
+        self._landing = Landing(landings("power-on"))
         self._share = 1.0
         self._rate = 1.0  # shares a second at full speed
         self._override = 1.0
@@ -71,11 +89,12 @@ class RobotMotion:
             self._from = self._joints(self._time.now_s())
             self._to = np.array(target_rad, dtype=float)
             distance = self._to - self._from
-            moved = np.abs(distance) > NOT_MOVED_RAD
+            way_rad = np.abs(distance)
+            moved = way_rad > NOT_MOVED_RAD
             self._side = np.where(moved, np.sign(distance), self._side)
             key = ",".join(f"{joint:.6f}" for joint in self._to.tolist())
-            self._landing = np.where(moved, self._landing_of(key), self._landing)
-            duration_s = float((np.abs(distance) / self._speed_rad_s).max())
+            self._landing = _landed(moved, self._landings(key), self._landing)
+            duration_s = max((way_rad / self._speed_rad_s).tolist())
             self._rate = 1.0 / max(duration_s, 1e-6)
             self._share = speed_share
             self._path = Path(self._time.now_s(), 0.0)
@@ -127,7 +146,7 @@ class RobotMotion:
         return (
             from_rad + shares * (to_rad - from_rad),
             np.array([leg.side for leg in legs])[taken],
-            np.array([leg.landing_rad for leg in legs])[taken],
+            np.array([leg.landing.error_rad for leg in legs])[taken],
         )
 
     def state(self, at_s: float | None = None) -> RobotState:
@@ -194,3 +213,11 @@ class RobotMotion:
         share = self._path.at(now_s)[0]
         joints: Array = self._from + share * (self._to - self._from) if share < 1 else self._to
         return joints
+
+
+def _landed(moved: NDArray[np.bool_], draw: Draw, before: Landing) -> Landing:
+    """Return the landing of a motion: joints that have not moved (6,) keep their error."""
+    if moved.all():
+        return Landing(draw)
+    kept = np.where(moved, draw(), before.error_rad)
+    return Landing(lambda: kept)

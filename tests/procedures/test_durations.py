@@ -42,7 +42,7 @@ def test_a_robots_motion_takes_what_its_trapezoid_takes(
     cell = load_cell("paper", {"robot.speed_percent": str(percent)})
     here_rad, there_rad = np.radians(here_deg), np.radians(there_deg)
     time = PlantTime()
-    motion = RobotMotion(cell, time, lambda _: np.zeros(6))
+    motion = RobotMotion(cell, time, lambda _: lambda: np.zeros(6))
     motion.move(here_rad, 1.0)
     time.advance(1e4)
     began_s = time.now_s()
