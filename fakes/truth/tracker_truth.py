@@ -113,31 +113,35 @@ class TrackerTruth:
 
     def measurements(self, name: str, count: int) -> Measurement | None:
         """Return measurements in a row, (N, 3) each, or None where one is out of range."""
-        struck: list[_Struck] = []
+        struck: dict[int, _Struck] = {}  # rows with a fault
         xyz_mm = np.empty((count, 3))
         for row in range(count):
             at_mm = self.reflector(name)
             if at_mm is None or not self._in_range(at_mm):
                 return None
             self._measured += 1
-            struck.append(self._strike(name))
-            at_mm = at_mm + self._lifted_mm.get(name, 0.0) / math.sqrt(3.0)
+            if self._faults.any_armed or self._offset_mm:
+                struck[row] = self._strike(name)
+            if name in self._lifted_mm:
+                at_mm = at_mm + self._lifted_mm[name] / math.sqrt(3.0)
             xyz_mm[row] = self._scale * at_mm + self._bump_mm + self._slow_drift_mm()
         range_mm = np.sqrt(np.vecdot(xyz_mm, xyz_mm))[:, None]
         along = xyz_mm / range_mm
-        xyz_mm += np.array([[each.offset_mm] for each in struck]) * along
+        for row, fault in struck.items():
+            xyz_mm[row] += fault.offset_mm * along[row]
         draws = np.array([self._noise.normal(_coarse(each), 6) for each in xyz_mm.tolist()])
         draws, std_draws = draws[:, :3], draws[:, 3:]
         radial_mm, across_mm = self._sigma_mm(range_mm)
         radial = np.vecdot(draws, along)[:, None] * along
         noise_mm = radial_mm * radial + across_mm * (draws - radial)
         sigma_mm = np.sqrt((radial_mm * along) ** 2 + across_mm**2 * (1 - along**2))
-        for row, each in enumerate(struck):
-            if each.noisy_mm is not None:
-                noise_mm[row] = each.noisy_mm * draws[row]
-                sigma_mm[row] = each.noisy_mm / math.sqrt(3.0)
+        for row, fault in struck.items():
+            if fault.noisy_mm is not None:
+                noise_mm[row] = fault.noisy_mm * draws[row]
+                sigma_mm[row] = fault.noisy_mm / math.sqrt(3.0)
         xyz_mm += noise_mm
-        xyz_mm[:, 2] += [each.spike_mm for each in struck]
+        for row, fault in struck.items():
+            xyz_mm[row, 2] += fault.spike_mm
         return Measurement(xyz_mm, sigma_mm * (1.0 + 0.1 * np.tanh(std_draws)))
 
     def read(self, at_world_mm: Array, draws: Array) -> Array:
@@ -180,17 +184,15 @@ class TrackerTruth:
 
     def _strike(self, name: str) -> _Struck:
         """Let the faults of one measurement happen."""
-        if self._faults.any_armed:
-            number = self._faults.number
-            noisy_mm = number("tracker.noisy")
-            self._bump_mm[0] += number("tracker.drift_step") or 0.0
-            self._scale += 1e-6 * (number("tracker.scale_ppm") or 0.0)
-            lifted_mm = number("tracker.nest_lifted") or 0.0
-            self._lifted_mm[name] = self._lifted_mm.get(name, 0.0) + lifted_mm
-            self._warmer_k += number("tracker.warmer") or 0.0
-            self._offset_mm += number("tracker.wrong_offset") or 0.0
-            return _Struck(self._offset_mm, noisy_mm, number("tracker.spike") or 0.0)
-        return _Struck(self._offset_mm, None, 0.0)
+        number = self._faults.number
+        noisy_mm = number("tracker.noisy")
+        self._bump_mm[0] += number("tracker.drift_step") or 0.0
+        self._scale += 1e-6 * (number("tracker.scale_ppm") or 0.0)
+        lifted_mm = number("tracker.nest_lifted") or 0.0
+        self._lifted_mm[name] = self._lifted_mm.get(name, 0.0) + lifted_mm
+        self._warmer_k += number("tracker.warmer") or 0.0
+        self._offset_mm += number("tracker.wrong_offset") or 0.0
+        return _Struck(self._offset_mm, noisy_mm, number("tracker.spike") or 0.0)
 
     def _sigma_mm(self, range_mm: Array) -> tuple[float, Array]:
         """Return the noise along the beam and, at ranges (N, 1), across it."""
