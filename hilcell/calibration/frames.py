@@ -102,7 +102,9 @@ class Frames:
 
     def tracker_from_world(self, xyz_mm: Array) -> Array:
         """Carry positions (N, 3) in {W} into the tracker's frame."""
-        return apply(inverse(self.tracker_in_world()), np.atleast_2d(xyz_mm))
+        T_W_L = self.tracker_in_world()
+        carried: Array = (np.atleast_2d(xyz_mm) - T_W_L[:3, 3]) @ T_W_L[:3, :3]
+        return carried
 
 
 def world_from_tracker(cell: Cell, measured_mm: Array) -> Array:

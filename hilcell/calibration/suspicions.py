@@ -120,7 +120,9 @@ def left_by(
     chi2, pull = float(e @ weighted[:, -1]), J.T @ weighted[:, -1]
     information = J.T @ weighted[:, :-1]
     scale = 1.0 / np.sqrt(np.diag(information))  # columns differ in units
-    scaled = np.linalg.pinv(scale[:, None] * information * scale, hermitian=True)
-    x = scale * (scaled @ (scale * pull))
+    inverse = np.ones((1, 1))  # of one column, scaled
+    if len(scale) > 1:
+        inverse = np.linalg.pinv(scale[:, None] * information * scale, hermitian=True)
+    x = scale * (inverse @ (scale * pull))
     size = float(x[0]) if own == 1 else float(np.linalg.norm(x[:own]))
     return chi2 - float(x @ pull), size

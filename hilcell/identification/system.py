@@ -118,8 +118,9 @@ class System:
     def _precision_parts(self) -> tuple[Array, Array]:
         """Return C^-1 (M, N, N), and S (M, N, P) with P = C^-1 - S S'."""
         inverse = np.swapaxes(self._whitener, 1, 2) @ self._whitener
-        S: Array = inverse @ self.design @ np.linalg.inv(self._factor[0])
-        return np.asarray(inverse), S
+        size = self.design.shape[2]
+        S = (inverse @ self.design).reshape(-1, size) @ np.linalg.inv(self._factor[0])
+        return np.asarray(inverse), S.reshape(self.design.shape)
 
     @cached_property
     def weighted(self) -> Array:

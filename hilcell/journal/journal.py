@@ -15,7 +15,7 @@ import os
 import sqlite3
 import stat
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
@@ -256,8 +256,8 @@ def plain_body(body: dict[str, Any], what: str, then: str = "") -> tuple[dict[st
     text = msgspec.json.encode(plain)
     if NULL in text and (bad := _not_finite(plain)):
         raise NotFinite(
-            f"{what}: {bad}, wanted a finite number; nothing was written; check the device that "
-            f"it came from{then}"
+            f"{what}: {bad.removeprefix('.')}, wanted a finite number; nothing was written; check "
+            f"the device that it came from{then}"
         )
     return plain, text
 
@@ -267,16 +267,17 @@ def _plain(value: Any) -> Any:
     return value.tolist()
 
 
-def _not_finite(value: Any, name: str = "") -> str:
+def _not_finite(value: Any) -> str:
     """Return the first number below ``value`` that is not finite, by its place; "" for none."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return f"{name} is {value}"
-    parts: Iterable[tuple[str, Any]] = ()
+    if isinstance(value, float):
+        return "" if math.isfinite(value) else f" is {value}"
     if isinstance(value, dict):
-        parts = ((f"{name}.{key}" if name else str(key), part) for key, part in value.items())
+        parts = ((f".{key}", bad) for key, part in value.items() if (bad := _not_finite(part)))
     elif isinstance(value, list | tuple):
-        parts = ((f"{name}[{number}]", part) for number, part in enumerate(value))
-    return next((bad for where, part in parts if (bad := _not_finite(part, where))), "")
+        parts = ((f"[{n}]", bad) for n, part in enumerate(value) if (bad := _not_finite(part)))
+    else:
+        return ""
+    return next((where + bad for where, bad in parts), "")
 
 
 def is_there(path: Path) -> bool:

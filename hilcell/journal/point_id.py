@@ -7,6 +7,7 @@ import msgspec
 HELD, LENGTH = "held", "length"  # kinds of points that prove a hold, and the tracker's scale
 CHECKS = (HELD, LENGTH)  # of which nothing is built
 SEAT = "seat"  # begins the last part of a key of another reflector than the tool point
+SIDES = {1: "+", -1: "-"}  # of an approach, in a key
 CONTROL = "control"  # group of points that no plan counts
 _GROUPS = {  # not named by their fields
     "slide": "frames", "three": "three_points", "base": "base", HELD: CONTROL, LENGTH: CONTROL,
@@ -43,23 +44,22 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
     @property
     def key(self) -> str:
         """Return the point's name for people, files and commands: ``validate/S300/idw/012``."""
-        side = {1: "+", -1: "-"}.get(self.side, "")
         parts = (
             self.station,
-            "" if self.visit is None else f"v{self.visit}",
-            "" if self.turn is None else f"{self.session}-{self.turn}",
-            "-".join(map(str, self.vertex)),
+            self.visit is not None and f"v{self.visit}",
+            self.turn is not None and f"{self.session}-{self.turn}",
+            self.vertex and "-".join(map(str, self.vertex)),
             self.pose,
-            "" if self.place is None else str(self.place),
+            self.place is not None and str(self.place),
             self.how,
             self.way,
-            self._axis,
-            "" if self.number is None else f"{self.number:03d}{side}",
+            self.axis is not None and self._axis,
+            self.number is not None and f"{self.number:03d}{SIDES.get(self.side, '')}",
             self.nest,
             self.target,
-            "" if self.seat is None else f"{SEAT}{self.seat}",
+            self.seat is not None and f"{SEAT}{self.seat}",
         )
-        return "/".join((self.kind, *filter(None, parts)))
+        return "/".join([self.kind, *[part for part in parts if part]])
 
     @property
     def group(self) -> str:

@@ -199,7 +199,8 @@ class CellSession(RunContext):
         """Hold ``station`` and have the reflector on the flange."""
         self.checkpoint()
         self.hold_station(station)
-        self._operator.seat(FLANGE, self._parked_flange_mm(self.frames.base_in_world(station)))
+        if self.cell.layout.by_hand:
+            self._operator.seat(FLANGE, self._parked_flange_mm(self.frames.base_in_world(station)))
 
     def _flange_points(
         self,

@@ -142,7 +142,7 @@ def check_joint_limits(cell: Cell, joints_rad: Array, what: str) -> None:
     """Refuse joints (6,) outside the software limits less the margin."""
     low, high = cell.robot.margin_limits_rad
     inside = (joints_rad >= low) & (joints_rad <= high)
-    if not bool(np.all(inside)):
+    if not inside.all():
         axis = int(np.argmin(inside))
         raise Blocked(
             "HC-B33",

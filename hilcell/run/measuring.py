@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -105,7 +106,7 @@ class Measuring:
         self, key: str, reading: TrackerReading, expected_mm: Array, limit_mm: float
     ) -> None:
         found_mm = self._run.frames.world_from_tracker(reading.xyz_mm)[0]
-        off_mm = float(np.linalg.norm(found_mm - expected_mm))
+        off_mm = math.dist(found_mm, expected_mm)
         if not off_mm <= limit_mm:
             raise DeviceError(
                 "HC-T17",
