@@ -17,7 +17,8 @@ from typing import Any
 import dask
 from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
 from distributed.client import FutureCancelledError
-from distributed.comm.core import CommClosedError
+from distributed.comm.core import CommClosedError, connect
+from distributed.security import Security
 
 from hilcell.run.signals import postponed
 from hilcell.study.case import FAILED, Row, measured, versions
@@ -25,6 +26,7 @@ from hilcell.study.design import Case
 from hilcell.study.errors import Cluster
 
 CONNECT_S = 5.0
+ANSWER_S = 15.0  # of a scheduler to its first question
 WORKERS_S = 60.0
 AHEAD = 4  # cases a worker that are handed over before they are needed
 LEAST_AHEAD = 64
@@ -109,7 +111,10 @@ class Workers:
 
     def _nthreads(self) -> Mapping[str, int]:
         with self._lost_is_an_error():
-            found: Mapping[str, int] = self._client.nthreads()
+            scheduler: Any = self._client.scheduler  # `Client.nthreads` would wait for ever
+            found: Mapping[str, int] = self._client.sync(
+                scheduler.ncores, callback_timeout=WORKERS_S
+            )
             return found
 
     def _found(self, future: Future[Row]) -> Row | KilledWorker:
@@ -169,11 +174,13 @@ def workers_of(scheduler: str) -> Iterator[Workers]:
     name = f"scheduler {scheduler}"
     with _quiet(), ExitStack() as stack:
         try:
+            asyncio.run(asyncio.wait_for(_asked(scheduler), ANSWER_S))
             client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
-        except (OSError, ValueError, TimeoutError) as error:
+        except Exception as error:  # whatever listens there may answer anything
+            reason = str(error).partition("\n")[0] or f"nothing came for {ANSWER_S:g} s"
             raise Cluster(
-                f"{name} does not answer: {str(error).splitlines()[0]}; start it with `dask "
-                "scheduler`, or leave --scheduler out"
+                f"{name} does not answer: {reason}; start it with `dask scheduler`, or leave "
+                "--scheduler out"
             ) from error
         stack.callback(_close, client)
         try:
@@ -185,6 +192,16 @@ def workers_of(scheduler: str) -> Iterator[Workers]:
             ) from None
         _check_versions(client, name)
         yield Workers(client, name)
+
+
+async def _asked(scheduler: str) -> None:
+    """Ask a scheduler who it is; a client that is refused would go on trying while it is closed."""
+    found = await connect(scheduler, timeout=CONNECT_S, **Security().get_connection_args("client"))
+    try:
+        await found.write({"op": "identity", "reply": True})
+        await found.read()
+    finally:
+        found.abort()
 
 
 def _killed(error: KilledWorker) -> Row:
@@ -262,3 +279,4 @@ def _interrupts_ignored() -> Iterator[None]:
 def _close(client: Client) -> None:
     with suppress(*LOST):
         client.close(timeout=2.0)
+    client.status = "closed"  # else Dask tries again when the object is deleted

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pyarrow as pa
@@ -294,7 +295,7 @@ def test_a_case_that_kills_its_worker_each_time_is_a_row(tmp_path: Path) -> None
     assert "Traceback" not in done.stderr
 
 
-def test_workers_that_are_all_gone_are_one_message(
+def test_workers_that_are_all_gone_or_a_scheduler_that_froze_are_one_message(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cluster, "LOOK_S", 0.1)
@@ -302,7 +303,7 @@ def test_workers_that_are_all_gone_are_one_message(
     asked = study(tmp_path, READINGS, "machines = 9")
     waiting = ((case, packed(cell_of(asked, case.point.values))) for case in cases(asked))
     with (
-        scheduler() as (address, _),
+        scheduler() as (address, frozen),
         worker(address) as last,
         cluster.workers_of(address) as workers,
     ):
@@ -311,6 +312,12 @@ def test_workers_that_are_all_gone_are_one_message(
         last.kill()
         with pytest.raises(Cluster, match=r"scheduler .* has had no worker for 0\.5 s"):
             list(rows)
+        frozen.process.send_signal(signal.SIGSTOP)
+        try:
+            with pytest.raises(Cluster, match=r"scheduler .* is gone"):
+                list(workers.measure(iter(())))
+        finally:
+            frozen.process.send_signal(signal.SIGCONT)
 
 
 def test_a_pc_that_starts_no_worker_is_one_message(
@@ -330,13 +337,48 @@ def test_a_pc_that_starts_no_worker_is_one_message(
     assert not (tmp_path / "r").exists()
 
 
-def test_no_scheduler_is_one_message(tmp_path: Path) -> None:
-    path, nowhere = written(tmp_path, READINGS), "tcp://127.0.0.1:9"
-    done = hilcell("study", path, "-o", tmp_path / "r", "--scheduler", nowhere)
-    assert done.returncode == 2
-    assert f"hilcell: scheduler {nowhere} does not answer" in done.stderr
-    assert "Traceback" not in done.stderr
+@pytest.mark.parametrize(
+    ("kind", "answer", "words"),
+    [
+        ("tcp", None, "Timed out trying to connect"),
+        ("tcp", b"", "nothing came for 0.5 s"),  # as one that froze
+        ("tcp", b"\xff" * 4096, ""),
+        ("tls", b"", "TLS expects a `ssl_context`"),
+    ],
+)
+def test_no_scheduler_is_one_message(
+    kind: str, answer: bytes | None, words: str, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """Nobody, something else, or a scheduler whose certificates are not named here."""
+    monkeypatch.setattr(cluster, "CONNECT_S", 0.2)
+    monkeypatch.setattr(cluster, "ANSWER_S", 0.5)
+    path = written(tmp_path, READINGS)
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        address = f"{kind}://127.0.0.1:{listening.getsockname()[1]}"
+        if answer is not None:
+            listening.listen()
+        speaking = threading.Thread(target=_speak, args=(listening, answer))
+        if answer:
+            speaking.start()
+        code = main(["study", str(path), "-o", str(tmp_path / "r"), "--scheduler", address])
+        if answer:
+            speaking.join(LIMIT_S)
+    said = capsys.readouterr()
+    assert (code, said.out) == (2, "")
+    _, line = said.err.splitlines()
+    assert line.startswith(f"hilcell: scheduler {address} does not answer: {words}")
     assert not (tmp_path / "r").exists()
+
+
+def _speak(listening: socket.socket, answer: bytes) -> None:
+    """Answer the first connection at once, and read until it ends."""
+    connection, _ = listening.accept()
+    with connection, suppress(OSError):
+        connection.sendall(answer)
+        while connection.recv(4096):
+            pass
 
 
 @pytest.mark.parametrize(
