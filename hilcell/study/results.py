@@ -19,7 +19,7 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from hilcell.cell.settings import convert
+from hilcell.cell.settings import convert, read_text
 from hilcell.cell.source import read_source
 from hilcell.run.cell_lock import CellLocked, locked
 from hilcell.study.case import DONE, STATES, Row, versions
@@ -206,7 +206,7 @@ def row_of(case: Case, found: Row, study: Study) -> Row:
 def _asked_in(folder: Path) -> Asked:
     path = folder / ASKED
     try:
-        return msgspec.json.decode(path.read_bytes(), type=Asked)
+        return msgspec.json.decode(read_text(path), type=Asked)
     except OSError as error:
         reason = f"{path} cannot be read: {error.strerror}"
     except (msgspec.DecodeError, UnicodeDecodeError) as error:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import os
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -249,6 +250,23 @@ def test_a_report_in_a_file_has_each_table_under_its_heading(
         assert lines[lines.index(title) + 1].startswith("┏")
     assert "Gain: by how much" in said.out
     assert said.err.splitlines()[:-1] == ["8 cases: 8 done"]  # then where the page is
+
+
+@pytest.mark.parametrize("kind", ["pipe", "endless", "link to itself", "folder"])
+def test_a_question_that_is_no_file_is_refused(tmp_path: Path, kind: str) -> None:
+    place = tmp_path / "r/study.json"
+    place.parent.mkdir()
+    make: dict[str, Callable[[], None]] = {
+        "pipe": lambda: os.mkfifo(place),
+        "endless": lambda: place.symlink_to("/dev/zero"),
+        "link to itself": lambda: place.symlink_to(place),
+        "folder": place.mkdir,
+    }
+    make[kind]()
+    with pytest.raises(OtherStudy, match="is no folder of results"):
+        open_results(tmp_path / "r")
+    with pytest.raises(HilcellError):
+        performed(Results(tmp_path / "r", study(tmp_path)), Bench())
 
 
 def test_a_folder_says_what_was_asked(tmp_path: Path) -> None:
