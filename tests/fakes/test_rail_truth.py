@@ -155,6 +155,23 @@ def test_slip_and_backlash_faults_stay(cell: Cell) -> None:
     assert go(rail, 500.0).strip_mm - before == pytest.approx(3.5, abs=0.1)
 
 
+def test_faults_strike_a_slide_that_stands(cell: Cell) -> None:
+    faults = Faults()
+    rail = homed(cell, faults=faults)
+    go(rail, 500.0)
+    rail.brake(closed=True)
+    before = rail.poll()
+    faults.set("rail.reference_lost", 2.0)
+    lost = rail.poll()
+    assert lost.encoder_mm - before.encoder_mm == pytest.approx(2.0)
+    assert lost.strip_mm == before.strip_mm
+    faults.set("rail.pushed", 3.0)
+    pushed = rail.poll()
+    assert pushed.strip_mm - before.strip_mm == pytest.approx(3.0, abs=0.1)
+    rail.master()
+    assert abs(rail.poll().encoder_mm - pushed.encoder_mm) > 1.0
+
+
 def test_slide_pose_leans_a_little(cell: Cell) -> None:
     rail = homed(cell)
     go(rail, 1100.0)

@@ -17,8 +17,29 @@ def tracker_of(cell: Cell, faults: Faults) -> TrackerTruth:
 
 
 def readings(tracker: TrackerTruth, name: str, count: int) -> Array:
-    found = [tracker.measure(name) for _ in range(count)]
-    return np.array([reading.xyz_mm for reading in found if reading is not None])
+    found = tracker.measurements(name, count)
+    assert found is not None
+    return found.xyz_mm
+
+
+STRUCK = ("noisy", "drift_step", "scale_ppm", "nest_lifted", "spike", "warmer", "wrong_offset")
+
+
+@pytest.mark.parametrize("fault", STRUCK)
+def test_measurements_in_a_row_are_those_of_one_after_another(cell: Cell, fault: str) -> None:
+    """In one process a tracker takes them together, over wires one by one."""
+    together, singly = Faults(), Faults()
+    tracker, other = tracker_of(cell, together), tracker_of(cell, singly)
+    for faults in (together, singly):
+        faults.set(f"tracker.{fault}", 0.5, after=1, count=2)
+    row = tracker.measurements("far", 5)
+    single = [other.measure("far") for _ in range(5)]
+    assert row is not None
+    for xyz_mm, std_mm, each in zip(row.xyz_mm, row.std_mm, single, strict=True):
+        assert each is not None
+        assert np.array_equal(xyz_mm, each.xyz_mm)
+        assert np.array_equal(std_mm, each.std_mm)
+    assert tracker.air() == other.air()
 
 
 def test_noise_along_and_across_the_beam(cell: Cell) -> None:
