@@ -21,7 +21,8 @@ MIGRATION_S = 4 * 3600.0  # one order of a migration
 REST_S = 600.0  # of this side within a transaction; then the server frees its locks
 SLACK_S = 15.0  # the server's own word comes before the silence counts
 
-OPTIONS = {
+OPTIONS: dict[str, int | str] = {
+    "client_encoding": "utf8",  # where the database has none, psycopg would hand over bytes
     "connect_timeout": CONNECT_S,
     "tcp_user_timeout": UNACKNOWLEDGED_S * 1000,
     "keepalives_idle": CONNECT_S,

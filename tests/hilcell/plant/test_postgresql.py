@@ -12,11 +12,12 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
+from sqlalchemy import select
 
 from hilcell.commands.cli import main
 from hilcell.plant.database import CELL, ENGINEER, MIGRATIONS, Database
 from hilcell.plant.shipper import NAME, ship
-from hilcell.plant.tables import HEAD, TABLES
+from hilcell.plant.tables import HEAD, RUN, TABLES
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.server import Server
 from tests.hilcell.plant.test_export import private
@@ -52,6 +53,22 @@ def test_the_tables_are_those_of_the_migrations(plant: Database, office: Databas
 
 def _ours(thing: object, name: str, kind: str, reflected: bool, other: object) -> bool:
     return not (kind == "table" and name.startswith("point_"))
+
+
+@pytest.mark.parametrize("encoding", ["SQL_ASCII", "LATIN1"])
+def test_names_stay_whole_in_a_database_of_another_encoding(
+    encoding: str, model: Model, tmp_path: Path, postgresql: Server
+) -> None:
+    name = f"in_{encoding}".lower()
+    made = f"CREATE DATABASE {name} ENCODING '{encoding}' LOCALE 'C' TEMPLATE template0"
+    with asking(postgresql.url()) as owner:
+        owner.execute(made.encode())
+    model.write(tmp_path, Run("a", "Köln", "HC-1", NOW))
+    with closing(Database(postgresql.url(name))) as database:
+        database.make()
+        assert ship(tmp_path, database).runs == 1
+        with database.transaction() as connection:
+            assert connection.execute(select(RUN.c.cell)).scalar() == "Köln"
 
 
 def test_points_lie_in_the_partition_of_the_month_in_which_the_run_began(
