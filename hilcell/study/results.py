@@ -216,7 +216,8 @@ def _asked_in(folder: Path) -> Asked:
 
 def _read(path: Path, study: Study, wanted: pa.Schema) -> pa.Table:
     try:
-        found = pq.read_table(path, page_checksum_verification=True)
+        whole = path.absolute()  # else a folder `s3:` is an address, and `~` somebody's home
+        found = pq.read_table(whole, page_checksum_verification=True)
         if found.schema.remove_metadata() != wanted:
             raise pa.ArrowInvalid("its columns are not the study's")
         for row in found.to_pylist():

@@ -64,6 +64,16 @@ def test_a_study_is_kept_in_one_file(tmp_path: Path) -> None:
     assert table["max_mm"].null_count == 8  # not found by this bench
 
 
+@pytest.mark.parametrize("name", ["s3:", "file:", "hdfs:a b", "~", "*[é]\n"])
+def test_a_folder_may_have_any_name(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    results = Results(Path(name), study(tmp_path))
+    assert performed(results, Bench()) == {"done": 8}
+    assert len(open_results(Path(name)).finished()) == 8
+
+
 def test_a_study_goes_on_with_the_cases_that_are_left(tmp_path: Path) -> None:
     results, asked = Results(tmp_path / "r", study(tmp_path)), study(tmp_path)
     with pytest.raises(Cluster):
