@@ -216,8 +216,10 @@ def _asked_in(folder: Path) -> Asked:
 
 def _read(path: Path, study: Study, wanted: pa.Schema) -> pa.Table:
     try:
-        whole = path.absolute()  # else a folder `s3:` is an address, and `~` somebody's home
-        found = pq.read_table(whole, page_checksum_verification=True)
+        if not path.is_file():
+            raise pa.ArrowInvalid("it is no file")
+        with path.open("rb") as file:  # a path `s3:` would be an address, `~` somebody's home
+            found = pq.read_table(file, page_checksum_verification=True)
         if found.schema.remove_metadata() != wanted:
             raise pa.ArrowInvalid("its columns are not the study's")
         for row in found.to_pylist():

@@ -64,7 +64,7 @@ def test_a_study_is_kept_in_one_file(tmp_path: Path) -> None:
     assert table["max_mm"].null_count == 8  # not found by this bench
 
 
-@pytest.mark.parametrize("name", ["s3:", "file:", "hdfs:a b", "~", "*[é]\n"])
+@pytest.mark.parametrize("name", ["s3:", "file:", "hdfs:a b", "~", "*[é]\n", "\udcff"])
 def test_a_folder_may_have_any_name(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -236,6 +236,17 @@ def test_a_file_with_other_columns_is_named(tmp_path: Path) -> None:
     (file,) = (tmp_path / "r/cases").iterdir()
     pq.write_table(pq.read_table(file).drop_columns(["minutes"]), file)
     with pytest.raises(OtherStudy, match="its columns are not the study's; delete it"):
+        results.table()
+
+
+@pytest.mark.parametrize(
+    "make", [os.mkfifo, Path.mkdir, lambda place: place.symlink_to("/dev/zero")]
+)
+def test_rows_that_are_no_file_are_named(tmp_path: Path, make: Callable[[Path], None]) -> None:
+    results = Results(tmp_path / "r", study(tmp_path))
+    performed(results, Bench())
+    make(tmp_path / "r/cases/part-0000009.parquet")
+    with pytest.raises(OtherStudy, match=r"0009\.parquet is damaged: it is no file; delete it"):
         results.table()
 
 
