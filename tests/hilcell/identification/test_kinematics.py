@@ -1,5 +1,7 @@
 """Positions and derivatives against differences; the parameters' order against their names."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,7 +10,7 @@ from hypothesis import strategies as st
 from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward
 from hilcell.identification.gravity import AXES, gravity_basis
-from hilcell.identification.kinematics import Kinematics
+from hilcell.identification.kinematics import LINKS, Kinematics
 from tests.hilcell.identification.robots import ARM, SMR_MM, T_L_B, Robot, curve
 
 seeds = st.integers(0, 2**32 - 1)
@@ -80,6 +82,19 @@ def test_a_curve_turns_its_own_joint() -> None:
     np.testing.assert_allclose(turned[:, 0], CURVES[0].evaluate(joints[:, 0]), atol=1e-15)
     np.testing.assert_allclose(turned[:, 2], CURVES[1].evaluate(joints[:, 2]), atol=1e-15)
     assert not turned[:, [1, 3, 4, 5]].any()
+
+
+def test_gravity_bends_the_joints_by_its_loads() -> None:
+    """Of two robots at the same joints, each by its own: the loads are kept from step to step."""
+    bent, stiff = Kinematics(ARM, waves=False), Kinematics(ARM, waves=False, gravity=False)
+    state = replace(bent.start(T_L_B, SMR_MM), values=np.zeros(LINKS + len(AXES)))
+    state.values[LINKS:] = 1e-4 * np.arange(1.0, 7.0)
+    joints = Robot(bent, state).joints_rad(1, 5)
+    by_axis = np.eye(6)[list(AXES)]
+    wanted = (gravity_basis(ARM, joints) * state.values[LINKS:]) @ by_axis
+    for _ in range(2):
+        np.testing.assert_allclose(bent.joints_of(state, joints) - joints, wanted, atol=1e-15)
+        assert not (stiff.joints_of(stiff.start(T_L_B, SMR_MM), joints) - joints).any()
 
 
 @pytest.mark.parametrize("axis", [1, 2])
