@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING
 
 from hilcell.clean import harmless
@@ -10,6 +11,7 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 
+@cache  # to compile the templates takes longer than to fill them in
 def environment(package: str = "hilcell.report") -> Environment:
     """Return jinja2's environment: every value is escaped and in one line, none may be missing.
 

@@ -22,7 +22,8 @@ from hilcell.report.drift import Change, length_factor
 from hilcell.run.control import Control
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.run.test_control import Recorder
-from tests.whole.bench import SMALL, command, end_of, sets
+from tests.hilcell.run.test_direct_run import performed
+from tests.whole.bench import SMALL
 from tests.whole.golden import GoldenRuns
 
 Change_ = Callable[[Record], Record | None]
@@ -132,16 +133,14 @@ def test_a_run_is_as_itself(first: Log, records: list[Record]) -> None:
     assert found.notes == ["the tracker's place in {W} is of its set-up and is not compared"]
 
 
-def test_the_same_cell_measured_otherwise_has_not_drifted(
-    pair: tuple[Path, Path], first: Log, tmp_path: Path
-) -> None:
+def test_the_same_cell_measured_otherwise_has_not_drifted(first: Log, tmp_path: Path) -> None:
     """Other readings of nests and circles: another noise, the same truth, nothing is beyond."""
     words = SMALL | {"layout.nest_samples": "3", "base_frame.points": "7"}
-    end = end_of(command("run", "--json", "--runs", tmp_path, "--seed", "1", *sets(words)))
-    found = compare_runs(first, Log(read_journal(tmp_path / end["run"] / JOURNAL)))
+    found = compare_runs(first, performed(tmp_path, words))
     assert {each.key: (each.first, each.second) for each in found.settings} == {
         "layout.nest_samples": ("2", "3"),
         "base_frame.points": ("6", "7"),
+        "unattended": ("false", "true"),  # nobody attends a run without wires
     }
     assert found.drifted == []
     assert any(each.change != 0.0 for each in of(found, "frames"))
