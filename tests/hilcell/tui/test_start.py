@@ -69,9 +69,12 @@ def test_a_plan_of_earlier_fields_is_never_shown(monkeypatch: pytest.MonkeyPatch
     async def dry_run(request: process.RunRequest) -> dict[str, Any]:
         event = waits.setdefault(request.procedure, asyncio.Event())
         await event.wait()
-        return PLAN | {"points": 7 if request.procedure == "home" else 999}
+        return PLAN | {"points": 333 if request.procedure == "home" else 999}
 
     monkeypatch.setattr(process, "dry_run", dry_run)
+
+    def total(app: RecordingApp) -> str:
+        return "".join(line for line in text_of(app).splitlines() if " all " in line)
 
     async def run() -> None:
         app = RecordingApp(options(RUNS))
@@ -80,10 +83,10 @@ def test_a_plan_of_earlier_fields_is_never_shown(monkeypatch: pytest.MonkeyPatch
             type_ahead(app, "down")
             await until(pilot, lambda: "home" in waits)
             waits["home"].set()
+            await until(pilot, lambda: " 333 " in total(app))
             waits["calibrate"].set()  # late: its fields are no more
             await settle(pilot)
-            (total,) = [line for line in text_of(app).splitlines() if " all " in line]
-            assert " 7 " in total
+            assert " 333 " in total(app)
 
     asyncio.run(run())
 
