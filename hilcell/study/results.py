@@ -116,10 +116,11 @@ class Results:
     def table(self) -> pa.Table:
         """Return all rows in the order of their cases; raises `OtherStudy` for a damaged file."""
         tables = [_read(path, self.study, self._schema) for path in self._parts()]
-        whole = pa.concat_tables([*tables, self._schema.empty_table()]).sort_by("case")
-        numbers = whole["case"].to_pylist()
-        kept = [n for n, case in enumerate(numbers) if n == 0 or case != numbers[n - 1]]
-        return whole.take(pa.array(kept, pa.int64()))
+        whole = pa.concat_tables([*tables, self._schema.empty_table()])
+        kept: dict[int, int] = {}
+        for row, case in enumerate(whole["case"].to_pylist()):
+            kept.setdefault(case, row)
+        return whole.take(pa.array([kept[case] for case in sorted(kept)], pa.int64()))
 
     def finished(self) -> set[int]:
         """Return the numbers of the cases that are kept."""
@@ -219,7 +220,8 @@ def _read(path: Path, study: Study, wanted: pa.Schema) -> pa.Table:
         if not path.is_file():
             raise pa.ArrowInvalid("it is no file")
         with path.open("rb") as file:  # a path `s3:` would be an address, `~` somebody's home
-            found = pq.read_table(file, page_checksum_verification=True)
+            parquet = pq.ParquetFile(file, page_checksum_verification=True, pre_buffer=False)
+            found = parquet.read(use_threads=False)  # Arrow's threads may abort a process at its end
         if found.schema.remove_metadata() != wanted:
             raise pa.ArrowInvalid("its columns are not the study's")
         for row in found.to_pylist():

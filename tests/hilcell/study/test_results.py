@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -62,6 +64,27 @@ def test_a_study_is_kept_in_one_file(tmp_path: Path) -> None:
     assert table["cost"].to_pylist() == [0.0, 0.0, 100.0, 100.0] * 2
     assert table["mean_mm"].to_pylist()[:2] == [0.001, 0.002]
     assert table["max_mm"].null_count == 8  # not found by this bench
+
+
+NEW_THREADS = """
+import os, sys
+from pathlib import Path
+from hilcell.study.results import open_results
+results = open_results(Path(sys.argv[1]))
+before = set(os.listdir("/proc/self/task"))
+with results.held():
+    results.add(results.table().to_pylist())
+    results.merge()
+print(results.table().num_rows, *set(os.listdir("/proc/self/task")) - before)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="threads are seen on Linux")
+def test_rows_are_read_and_written_without_threads(tmp_path: Path) -> None:
+    """Arrow's threads now and then abort a process that has done all its work, at its end."""
+    performed(Results(tmp_path / "r", study(tmp_path)), Bench())
+    words = [sys.executable, "-c", NEW_THREADS, tmp_path / "r"]
+    assert subprocess.check_output(words, text=True).split() == ["8"]
 
 
 @pytest.mark.parametrize("name", ["s3:", "file:", "hdfs:a b", "~", "*[é]\n", "\udcff"])
