@@ -221,7 +221,7 @@ def _read(path: Path, study: Study, wanted: pa.Schema) -> pa.Table:
             raise pa.ArrowInvalid("it is no file")
         with path.open("rb") as file:  # a path `s3:` would be an address, `~` somebody's home
             parquet = pq.ParquetFile(file, page_checksum_verification=True, pre_buffer=False)
-            found = parquet.read(use_threads=False)  # Arrow's threads may abort a process at its end
+            found = parquet.read(use_threads=False)  # its threads may abort an exit
         if found.schema.remove_metadata() != wanted:
             raise pa.ArrowInvalid("its columns are not the study's")
         for row in found.to_pylist():

@@ -83,7 +83,7 @@ print(results.table().num_rows, *set(os.listdir("/proc/self/task")) - before)
 def test_rows_are_read_and_written_without_threads(tmp_path: Path) -> None:
     """Arrow's threads now and then abort a process that has done all its work, at its end."""
     performed(Results(tmp_path / "r", study(tmp_path)), Bench())
-    words = [sys.executable, "-c", NEW_THREADS, tmp_path / "r"]
+    words = [sys.executable, "-c", NEW_THREADS, str(tmp_path / "r")]
     assert subprocess.check_output(words, text=True).split() == ["8"]
 
 
