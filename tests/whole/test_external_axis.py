@@ -74,7 +74,7 @@ def test_a_killed_engine_leaves_a_slide_that_brakes_by_itself(tmp_path: Path) ->
         target_mm = float(line.read("HC_TGT").partition("E1 ")[2].partition(",")[0])
         assert abs(target_mm - places[-1]) > 5.0
         line.close()
-        again = Engine("resume", engine.run, "--runs", tmp_path)
+        again = Engine("resume", engine.run, "--runs", tmp_path, "--unattended")
         again.until(lambda event: event.get("position_mm") == 100.0)
         again.kill()
 
