@@ -12,18 +12,36 @@ ANSWER_S = 5.0
 
 
 class EngineFile(msgspec.Struct, frozen=True):
-    """Where a live engine listens."""
+    """Where a live engine listens, and the folder of its run; "" is not known."""
 
     pid: int
     socket: str
+    folder: str = ""
 
 
 def read_engine_file(folder: Path) -> EngineFile | None:
-    """Return where an engine of a run has listened last; None where the file says nothing."""
+    """Return where an engine of a run has listened last; None where the file says nothing.
+
+    That of a copied folder speaks of the original's engine, which moves the machine.
+    """
+    engine = _stated(folder)
+    return None if engine is None or _is_copied(engine, folder) else engine
+
+
+def _stated(folder: Path) -> EngineFile | None:
     try:
         return msgspec.json.decode((folder / ENGINE).read_bytes(), type=EngineFile)
     except (OSError, msgspec.DecodeError, UnicodeDecodeError):
         return None
+
+
+def _is_copied(engine: EngineFile, folder: Path) -> bool:
+    """Whether the file belongs to another folder, which still has it; a moved one has not."""
+    first = Path(engine.folder)
+    try:
+        return bool(engine.folder) and not first.samefile(folder) and _stated(first) == engine
+    except OSError:
+        return False
 
 
 def live_engine(folder: Path) -> EngineFile | None:

@@ -64,7 +64,9 @@ class Control:
         self._file = folder / ENGINE
         with ExitStack() as undo:
             path = self._listen(engine, undo)
-            _say_where(self._file, EngineFile(os.getpid(), str(path)))
+            # By a name that is no text no folder is found: a copy is then not recognised.
+            place = os.fsencode(folder.resolve()).decode(errors="replace")
+            _say_where(self._file, EngineFile(os.getpid(), str(path), place))
             undo.pop_all()
         self._thread = threading.Thread(
             target=self._server.serve_forever, args=(0.05,), name="control", daemon=True

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+from typing import Any
 
 from fakes.replay.dialects import Dialect
 
@@ -37,6 +39,6 @@ class TextApi(Dialect):
         return echo if echo and _ECHO.fullmatch(answer) else answer
 
 
-def dialects() -> dict[str, Dialect]:
+def dialects(_options: Mapping[str, Any]) -> dict[str, Dialect]:
     """Return the dialects of the driver's wires, by their names: there is one wire."""
     return {"": TextApi()}
