@@ -22,9 +22,10 @@ THIS_MACHINE = "this machine"
 def places(options: Mapping[str, object]) -> list[str]:
     """Return the places that a driver's options name, each in one spelling.
 
-    ``host`` and ``port``, or a ``channel``: a URL of a network gateway, a serial port with or
-    without its baud rate, a CAN interface; also those of a part with a table of its own, as a
-    strip's. A driver with other words is known by all its options.
+    ``host`` and ``port``, or ports with names of their own as ``rtde_port``; or a ``channel``: a
+    URL of a network gateway, a serial port with or without its baud rate, a CAN interface; also
+    those of a part with a table of its own, as a strip's. A driver with other words is known by
+    all its options.
     """
     parts = [part for part in options.values() if isinstance(part, Mapping)]
     of_parts = [
@@ -32,7 +33,9 @@ def places(options: Mapping[str, object]) -> list[str]:
     ]
     host, port, channel = (options.get(key) for key in ("host", "port", "channel"))
     if host is not None:
-        return _network(str(host), port) + of_parts
+        named = [each for key, each in options.items() if key.endswith("_port")]
+        ports = named if port is None and named else [port]
+        return [place for each in ports for place in _network(str(host), each)] + of_parts
     if channel is not None:
         return _channel(str(channel)) + of_parts
     return of_parts or [json.dumps(dict(options), sort_keys=True, default=str)]

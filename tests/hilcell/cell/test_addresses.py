@@ -26,6 +26,12 @@ def test_a_url_and_host_with_port_are_one_place() -> None:
     assert places({"channel": "socket://[::1]:3000"}) == ["this machine:3000"]
 
 
+def test_ports_with_names_of_their_own_are_places_each() -> None:
+    named = {"host": "10.0.0.3", "rtde_port": 30004, "script_port": 30002, "rate_hz": 125.0}
+    assert places(named) == ["10.0.0.3:30004", "10.0.0.3:30002"]
+    assert places(named | {"port": 7}) == ["10.0.0.3:7"]
+
+
 def test_other_hosts_and_ports_are_other_places() -> None:
     assert places({"host": "192.0.2.1", "port": 7000}) != places(
         {"host": "192.0.2.2", "port": 7000}

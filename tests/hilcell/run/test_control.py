@@ -1,7 +1,6 @@
 """The control channel and the locks, between real processes."""
 
 import math
-import shutil
 import signal
 import stat
 import subprocess
@@ -24,7 +23,7 @@ from hilcell.journal.journal import StorageError
 from hilcell.journal.runs import find_run, run_folders
 from hilcell.ports import HilcellError
 from hilcell.run.cell_lock import CellLocked, lock_of_device, lock_of_name, locked
-from hilcell.run.client import EngineClient, order
+from hilcell.run.client import order
 from hilcell.run.control import Control
 from hilcell.run.protocol import COMMANDS, TIMELESS, Command, Request, Status
 from tests.hilcell.run.bed import Screen, until
@@ -479,19 +478,6 @@ def test_a_socket_under_a_path_too_long_is_told(
     with pytest.raises(StorageError, match="path too long; make room there, or name another"):
         Control(tmp_path, desk)
     assert list(deep.iterdir()) == []
-
-
-def test_a_copied_folder_has_no_engine(tmp_path: Path) -> None:
-    """To resume it, or to stop it, would move the original's machine."""
-    run, copy, moved = tmp_path / "run", tmp_path / "copy", tmp_path / "moved"
-    run.mkdir()
-    with closing(Control(run, Recorder())):
-        shutil.copytree(run, copy)
-        assert live_engine(run) is not None
-        assert live_engine(copy) is None
-        assert EngineClient.of_run(copy) is None
-        run.rename(moved)
-        assert live_engine(moved) is not None
 
 
 def test_an_engine_ends_also_where_its_file_stays(tmp_path: Path, control: Control) -> None:
