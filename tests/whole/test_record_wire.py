@@ -257,6 +257,8 @@ def test_a_recording_of_another_driver_is_refused_with_its_name(tmp_path: Path) 
     wanted = "with driver 'leica-emscon', here it is 'leica-geocom'; add --set tracker.driver=leica"
     with pytest.raises(SettingsError, match=wanted):
         check_options(cell)
+    with pytest.raises(SettingsError, match="'mine' is not installed"):
+        check_options(load_cell("paper", drivers | {"robot.driver": "mine"}))
 
 
 def test_a_folder_without_recordings_is_refused() -> None:
