@@ -7,6 +7,7 @@ import math
 import re
 import unicodedata
 from datetime import datetime
+from pathlib import Path
 
 from hilcell.clean import clean
 
@@ -83,6 +84,18 @@ def reason(text: str) -> str:
     if not (found := clean(text)):
         raise argparse.ArgumentTypeError("words are wanted that say why")
     return found
+
+
+def folder(text: str) -> Path:
+    """Return the path of a folder."""
+    return Path(name(text))
+
+
+def name(text: str) -> str:
+    """Return a name, not empty."""
+    if not text:
+        raise argparse.ArgumentTypeError("a name is wanted, found ''")
+    return text
 
 
 def finite(text: str) -> float:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from hilcell.cell.settings import did_you_mean
-from hilcell.clean import encodable, harmless
+from hilcell.clean import clean, encodable, harmless
 from hilcell.commands.output import (
     harmless_lines,
     print_answer,
@@ -57,6 +57,8 @@ def ship(args: argparse.Namespace) -> int:
         done = ship_runs(args.runs, database)
     for reason in done.refused.values():
         print_message(f"hilcell: {reason}")
+    if not (done.runs or done.before or done.waiting or done.refused):
+        print_message(f"hilcell: no runs in {clean(str(args.runs))}")
     print_answer(
         {
             "plant": database.name,
@@ -122,22 +124,21 @@ def _answers(connection: Connection, args: argparse.Namespace) -> dict[str, Any]
     from hilcell.plant.equipment import alarms, doubts, instruments, worse_stations
     from hilcell.plant.robots import robots
 
+    cell, robot = args.cell or "", args.robot or ""
     states = cells(connection, datetime.now(UTC), args.max_age)
     names = sorted({state.cell for state in states})
-    if args.cell and args.cell not in names:
-        raise HilcellError(
-            f"cell {args.cell[:80]!r} has shipped no run{did_you_mean(args.cell, names)}"
-        )
+    if cell and cell not in names:
+        raise HilcellError(f"cell {cell[:80]!r} has shipped no run{did_you_mean(cell, names)}")
     found = {
-        "cells": [state for state in states if args.cell in ("", state.cell)],
-        "robots": robots(connection, args.robot, args.cell),
-        "stations": worse_stations(connection, args.cell),
-        "instruments": instruments(connection, args.cell),
-        "alarms": alarms(connection, args.cell),
-        "doubts": doubts(connection, args.cell),
+        "cells": [state for state in states if cell in ("", state.cell)],
+        "robots": robots(connection, robot, cell),
+        "stations": worse_stations(connection, cell),
+        "instruments": instruments(connection, cell),
+        "alarms": alarms(connection, cell),
+        "doubts": doubts(connection, cell),
     }
-    if args.robot and not found["robots"]:
-        raise HilcellError(f"robot {args.robot[:80]!r} has no calibration in these records")
+    if robot and not found["robots"]:
+        raise HilcellError(f"robot {robot[:80]!r} has no calibration in these records")
     plain: dict[str, Any] = msgspec.to_builtins(found)
     return plain
 

@@ -19,15 +19,20 @@ def add_plant(commands: argparse._SubParsersAction[Parser]) -> None:
     ship = _act(acts, "ship", "--to", "ship the runs that are over and not there yet")
     ship.add_argument(
         "runs",
-        type=Path,
+        type=arguments.folder,
         nargs="?",
         metavar="DIR",
         help="folder of runs (default: HILCELL_RUNS, or one for each user)",
     )
     options.add_json_option(ship, "one object")
     show = _act(acts, "show", "--from", "show cells, drift of robots, instruments and alarms")
-    show.add_argument("--cell", default="", metavar="NAME", help="of this cell alone")
-    show.add_argument("--robot", default="", metavar="SERIAL", help="the drift of this robot alone")
+    show.add_argument("--cell", type=arguments.name, metavar="NAME", help="of this cell alone")
+    show.add_argument(
+        "--robot",
+        type=arguments.name,
+        metavar="SERIAL",
+        help="the drift of this robot alone",
+    )
     show.add_argument(
         "--max-age",
         type=arguments.days,

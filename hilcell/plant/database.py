@@ -14,7 +14,18 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote, unquote_to_bytes
 
-from sqlalchemy import URL, Connection, Engine, create_engine, event, inspect, make_url, text
+from sqlalchemy import (
+    URL,
+    Connection,
+    Engine,
+    create_engine,
+    event,
+    inspect,
+    literal,
+    make_url,
+    select,
+    text,
+)
 from sqlalchemy.exc import (
     ArgumentError,
     DBAPIError,
@@ -50,6 +61,7 @@ UNKNOWN = re.compile(
 )
 FULL = "too many connections"
 SECRET = re.compile("passw|pwd", re.IGNORECASE)  # in the names of the URL's own options
+ADDED = {"superseded"}  # columns of later schemas than the first
 KNOWN = ("run_key", "revision", "head")  # columns of `run` that cells may read
 
 _UNHEARD = logging.NullHandler()
@@ -59,6 +71,10 @@ class PlantError(HilcellError):
     """The database refuses the work: its address, its schema, a right."""
 
     code = "HC-J21"
+
+
+class RightMissing(PlantError):
+    """The user may not do this: no repetition helps."""
 
 
 class PlantAway(StoreAway):
@@ -158,7 +174,7 @@ class Database:
     def _check_empty(self, connection: Connection) -> None:
         """Refuse what holds other tables: a run's journal is such a file, too."""
         others = sorted({*inspect(connection).get_table_names()} - {"alembic_version"})
-        if others and set(others) <= TABLES.tables.keys():
+        if others and all(_made_in_part(connection, name) for name in others):
             raise PlantError(
                 f"plant database {self.name}: an earlier version was interrupted while it made the "
                 "tables; delete this database, make an empty one, and repeat the command"
@@ -201,8 +217,10 @@ class Database:
                 f"plant database {self.name}: it cannot be used now: {words}; nothing is lost: "
                 f"check {self._places}, then repeat the command"
             )
-        act = GRANT if getattr(cause, "sqlstate", "") == RIGHT else ""
-        return PlantError(f"plant database {self.name}: refused: {words}{act}")
+        refused = f"plant database {self.name}: refused: {words}"
+        if getattr(cause, "sqlstate", "") == RIGHT:
+            return RightMissing(f"{refused}{GRANT}")
+        return PlantError(refused)
 
 
 def _parsed(url: str) -> URL:
@@ -295,6 +313,16 @@ def _version(connection: Connection) -> str | None:
         return None
     found = connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
     return None if found is None else str(found)
+
+
+def _made_in_part(connection: Connection, name: str) -> bool:
+    """Whether a table is one that the first schema made, and nothing was ever shipped to it."""
+    if name not in TABLES.tables:
+        return False
+    ours = TABLES.tables[name]
+    found = {each["name"] for each in inspect(connection).get_columns(name)}
+    empty = connection.execute(select(literal(1)).select_from(ours).limit(1)).first() is None
+    return found == set(ours.columns.keys()) - ADDED and empty
 
 
 def _known() -> set[str]:

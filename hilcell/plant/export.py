@@ -29,6 +29,7 @@ from hilcell.plant.tables import DOCUMENT, PARTS, POINT, RUN, Found
 from hilcell.writing import NotWritten, as_not_written
 
 ARCHIVE = ".zip"
+OTHERS = (".tar", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".rar")  # archives of other forms
 CHANGED = "the plant's database was changed or damaged; restore a backup, then ship again"
 LONGEST = 60  # letters of a run's name in that of its folder
 Add = Callable[[str, bytes], object]
@@ -142,10 +143,15 @@ def _made(place: Path) -> Iterator[Add]:
     """Yield what adds a file; all of them appear together, or nothing is left of them."""
     if place.is_symlink() or place.exists():
         raise NotWritten(f"{clean(str(place))}: it is there already; name a new folder or file")
+    if place.suffix.lower() in OTHERS:
+        raise NotWritten(
+            f"{clean(str(place))} is a {place.suffix} archive by its name; name a folder or a "
+            f"{ARCHIVE} file"
+        )
     part = place.with_name(f".{secrets.token_hex(8)}.part")
     try:
         with as_not_written(place):
-            if place.suffix == ARCHIVE:
+            if place.suffix.lower() == ARCHIVE:
                 with zipfile.ZipFile(part, "x", zipfile.ZIP_DEFLATED) as archive:
                     yield archive.writestr
             else:

@@ -24,7 +24,7 @@ from hilcell.journal.index import NEVER_BEGAN, RunRow, own_file, read_index
 from hilcell.journal.journal import Record
 from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.journal.states import OVER
-from hilcell.plant.database import SEEN, Database, PlantAway, PlantError
+from hilcell.plant.database import SEEN, Database, PlantAway, PlantError, RightMissing
 from hilcell.plant.documents import documents_of
 from hilcell.plant.record import NotOver, heads, record_of
 from hilcell.plant.store import Key, there, write
@@ -55,8 +55,8 @@ class Shipped:
 def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _: None) -> Shipped:
     """Ship all runs of a folder that are over, in the order of their ends.
 
-    A run that cannot be shipped stops no other. Raises `PlantAway`, `PlantError`, and
-    `StorageError` for a folder that cannot be read.
+    A run that cannot be shipped stops no other. Raises `PlantAway`, `PlantError`,
+    `RightMissing`, and `StorageError` for a folder that cannot be read.
     """
     if not runs.exists():  # else a timer with a mistyped folder ships nothing, and says 0
         raise PlantError(f"runs folder {clean(str(runs))} is not there: name the folder of runs")
@@ -76,7 +76,7 @@ def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _:
         except NotOver:
             done.waiting.append(row.name)
             continue
-        except PlantAway:
+        except (PlantAway, RightMissing):  # of every run
             raise
         except HilcellError as error:
             done.refused[row.name] = _of_run(row.name, str(error))

@@ -129,10 +129,20 @@ def test_an_export_holds_all_of_a_cell_and_is_proven(
     assert document == (journal / CALIBRATION).read_bytes()
 
 
+@pytest.mark.parametrize("name", ["x.tar.gz", "x.TGZ", "x.7z"])
+def test_an_archive_of_another_form_is_refused(
+    name: str, empty: Auditor, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = empty.names
+    line = said(empty.export(out=empty.folder / name), 2, capsys)
+    assert "archive by its name; name a folder or a .zip file" in line
+    assert empty.names == before
+
+
 def test_an_archive_is_proven_as_a_folder_is(
     auditor: Auditor, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    place = auditor.folder / "out.zip"
+    place = auditor.folder / "out.ZIP"
     said(auditor.export(out=place), 0, capsys)
     assert "are as they were signed" in said(auditor.verify(place), 0, capsys)
     with zipfile.ZipFile(place, "a") as archive:

@@ -84,7 +84,7 @@ def test_points_lie_in_the_partition_of_the_month_in_which_the_run_began(
 
 
 def test_cells_may_insert_only_and_engineers_may_read_only(
-    plant: Database, runs: Path, postgresql: Server
+    plant: Database, runs: Path, postgresql: Server, capsys: pytest.CaptureFixture[str]
 ) -> None:
     name = name_of(plant)
     users = {"cell_user": CELL, "engineer_user": ENGINEER}
@@ -112,6 +112,11 @@ def test_cells_may_insert_only_and_engineers_may_read_only(
             for order in orders:
                 with pytest.raises(psycopg.errors.InsufficientPrivilege):
                     connection.execute(order.encode())
+    (runs / NAME).unlink()
+    assert main(["plant", "ship", str(runs), "--to", postgresql.url(name, "engineer_user")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "permission denied" in line
+    assert "a user ships in the role hilcell_cell" in line
     private(runs / "key")
     exported = ["-o", str(runs / "out"), "--key", str(runs / "key")]
     engineer_s = ["--from", postgresql.url(name, "engineer_user")]

@@ -243,9 +243,43 @@ def test_tables_that_an_earlier_version_made_in_part_are_named_as_that(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with closing(sqlite3.connect(tmp_path / "plant.db")) as base, base:
-        base.execute("CREATE TABLE frame (digest TEXT)")
+        base.execute("CREATE TABLE frame (digest TEXT, key TEXT, matrix TEXT, covariance TEXT)")
     line = said(["plant", "init", "--to", f"sqlite:///{tmp_path}/plant.db"], 2, capsys)
     assert "interrupted while it made the tables; delete this database" in line
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        "CREATE TABLE run (x int)",
+        "CREATE TABLE frame AS SELECT 1 digest, 2 key, 3 matrix, 4 covariance",
+    ],
+)
+def test_tables_of_our_names_that_may_hold_something_are_not_to_be_deleted(
+    order: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with closing(sqlite3.connect(tmp_path / "plant.db")) as base, base:
+        base.execute(order)
+    line = said(["plant", "init", "--to", f"sqlite:///{tmp_path}/plant.db"], 2, capsys)
+    assert "it belongs to another program (it has 1 tables" in line
+    assert "delete" not in line
+
+
+def test_a_folder_without_runs_is_stated(
+    office: Database, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "none").mkdir()
+    assert main(["plant", "ship", str(tmp_path / "none"), "--to", office.name]) == 0
+    assert f"hilcell: no runs in {tmp_path}/none\n" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [("ship", ""), ("show", "--cell", ""), ("show", "--robot", "")])
+def test_an_empty_name_is_refused(
+    words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["plant", *words])
+    assert "a name is wanted, found ''" in capsys.readouterr().err
 
 
 def test_the_folder_of_one_run_is_refused(
