@@ -153,7 +153,7 @@ def test_a_run_into_a_full_disk_ends_with_exit_7_and_a_whole_journal(
 ) -> None:
     with full() as stdout:
         monkeypatch.setattr(sys, "stdout", stdout)
-        assert main(["run", "home", "--name", "r", "--runs", str(tmp_path), *words]) == 7
+        assert main(["run", "world-frame", "--name", "r", "--runs", str(tmp_path), *words]) == 7
     end = read_journal(tmp_path / "r" / JOURNAL)[-1]
     assert (end.kind, end.body["state"], end.body["exit"]) == ("end", "finished", 0)
     err = capsys.readouterr().err
