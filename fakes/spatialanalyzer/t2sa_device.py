@@ -199,11 +199,11 @@ class T2saDevice:
         if found is None:
             return refusal(NOT_MEASURED)
         xyz_mm = found.xyz_mm
-        if take("tracker.t2sa_nominal") is not None:
-            xyz_mm = aim_mm
         if self._former_mm is not None and take("tracker.t2sa_old_result") is not None:
             xyz_mm = self._former_mm
         self._former_mm = xyz_mm
+        if take("tracker.t2sa_nominal") is not None:
+            xyz_mm = aim_mm
         text = take("tracker.bad_number")
         line = self._result(path, self._in_units(xyz_mm), "" if text is None else str(text))
         return Answer(line, measured=True)
