@@ -21,16 +21,18 @@ import pyarrow.parquet as pq
 
 from hilcell.cell.settings import convert, read_text
 from hilcell.cell.source import read_source
+from hilcell.journal.journal import StorageError
 from hilcell.run.cell_lock import CellLocked, locked
 from hilcell.study.case import DONE, STATES, Row, versions
 from hilcell.study.design import Case, chosen, most_cases
 from hilcell.study.errors import OtherStudy
 from hilcell.study.study_file import Study
-from hilcell.writing import NotWritten, write_whole
+from hilcell.writing import STORAGE, DiskFailed, NotWritten, write_whole
 
 ASKED = "study.json"
 CASES = "cases"
 WHOLE = "all.parquet"
+OF_STUDY = b"hilcell.study"  # a file's metadata: the digest of the question that its rows answer
 
 
 class Asked(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -39,6 +41,12 @@ class Asked(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     study: dict[str, Any]
     cell_sha256: str
     versions: dict[str, str]
+
+    @property
+    def digest(self) -> bytes:
+        """Return what rows are known by as answers to this question."""
+        content = msgspec.json.encode(self, order="deterministic")
+        return hashlib.sha256(content).hexdigest().encode()
 
     def differences(self, other: Asked) -> Iterator[str]:
         """Yield in words what another question differs in."""
@@ -70,46 +78,39 @@ def asked(study: Study) -> Asked:
 class Results:
     """The rows of one study in one folder. A writer holds the folder's lock."""
 
-    def __init__(self, folder: Path, study: Study) -> None:
+    def __init__(self, folder: Path, study: Study, question: Asked | None = None) -> None:
         self.folder, self.study = folder, study
-        self._schema = schema(study)
-        self._question: Asked | None = None  # written before the first row
+        self._question = question or asked(study)
+        self._schema = schema(study).with_metadata({OF_STUDY: self._question.digest})
 
     @contextmanager
     def held(self) -> Iterator[None]:
         """Hold the folder for this study; raises `OtherStudy` where it has another's results."""
-        question = self._question = asked(self.study)
         self._check_place()
-        _make(self.folder / CASES)
         lock = self.folder / ".study.lock"
+        made = _make(self.folder / CASES)
         try:
             with locked(lock, f"results {self.folder}", "study"):
-                place = self.folder / ASKED
-                if place.exists():
-                    found = _asked_in(self.folder)
-                    if differ := list(found.differences(question)):
-                        raise OtherStudy(
-                            f"{self.folder} has results of another study: {'; '.join(differ)} "
-                            "differ; name another folder with -o, or delete this one"
-                        )
-                elif any((self.folder / CASES).iterdir()):
-                    raise OtherStudy(f"{self.folder} has results, and no {ASKED}; name another")
+                self._check_question()
                 try:
                     yield
                 finally:
-                    if not any((self.folder / CASES).iterdir()) and not place.exists():
-                        _remove(self.folder, lock)
+                    if not any((self.folder / CASES).iterdir()) and not self._asked.exists():
+                        _remove(lock, made)
         except CellLocked:
             raise CellLocked(
                 f"results {self.folder} are written by another `hilcell study`; wait for its end"
             ) from None
+        except StorageError as error:
+            if made:
+                _remove(lock, made)
+            raise _unusable(self.folder, error.__cause__) from error
 
     def add(self, rows: Sequence[Row]) -> None:
         """Keep rows; they are durable when this returns."""
         if rows:
-            place = self.folder / ASKED
-            if self._question is not None and not place.exists():
-                write_whole(place, msgspec.json.format(msgspec.json.encode(self._question)))
+            if not self._asked.exists():
+                write_whole(self._asked, msgspec.json.format(msgspec.json.encode(self._question)))
             first = min(row["case"] for row in rows)
             self._write(pa.Table.from_pylist(rows, self._schema), f"part-{first:07d}.parquet")
 
@@ -136,7 +137,22 @@ class Results:
 
     def files(self) -> list[Path]:
         """Return what the results are made of."""
-        return [self.folder / ASKED, *self._parts()]
+        return [self._asked, *self._parts()]
+
+    @property
+    def _asked(self) -> Path:
+        return self.folder / ASKED
+
+    def _check_question(self) -> None:
+        """Raise `OtherStudy` where the folder has results of another question, or of none."""
+        if not self._asked.exists():
+            if any((self.folder / CASES).iterdir()):
+                raise OtherStudy(f"{self.folder} has results, and no {ASKED}; name another")
+        elif differ := list(_asked_in(self.folder).differences(self._question)):
+            raise OtherStudy(
+                f"{self.folder} has results of another study: {'; '.join(differ)} differ; name "
+                "another folder with -o, or delete this one"
+            )
 
     def _check_place(self) -> None:
         """Refuse a folder within other results: their files would be taken for one another's."""
@@ -165,7 +181,8 @@ class Results:
 
 def open_results(folder: Path) -> Results:
     """Return the results of a folder, to read; raises `OtherStudy` where there are none."""
-    return Results(folder, convert(_asked_in(folder).study, Study, str(folder / ASKED)))
+    found = _asked_in(folder)
+    return Results(folder, convert(found.study, Study, str(folder / ASKED)), found)
 
 
 def schema(study: Study) -> pa.Schema:
@@ -222,7 +239,8 @@ def _read(path: Path, study: Study, wanted: pa.Schema) -> pa.Table:
         with path.open("rb") as file:  # a path `s3:` would be an address, `~` somebody's home
             parquet = pq.ParquetFile(file, page_checksum_verification=True, pre_buffer=False)
             found = parquet.read(use_threads=False)  # its threads may abort an exit
-        if found.schema.remove_metadata() != wanted:
+        _check_study(path, found.schema.metadata or {}, wanted.metadata)
+        if found.schema != wanted:
             raise pa.ArrowInvalid("its columns are not the study's")
         for row in found.to_pylist():
             _check_row(study, row)
@@ -232,6 +250,19 @@ def _read(path: Path, study: Study, wanted: pa.Schema) -> pa.Table:
             "again"
         ) from error
     return found
+
+
+def _check_study(path: Path, found: Mapping[bytes, bytes], wanted: Mapping[bytes, bytes]) -> None:
+    """Raise `OtherStudy` for rows that answer another question, whatever their columns."""
+    if OF_STUDY not in found:
+        raise OtherStudy(
+            f"{path} does not say of which study its rows are: an earlier hilcell wrote it, or "
+            "another program; measure the study in another folder"
+        )
+    if found[OF_STUDY] != wanted[OF_STUDY]:
+        raise OtherStudy(
+            f"{path} has rows of another study than {path.parent.with_name(ASKED)}; move it away"
+        )
 
 
 def _check_row(study: Study, row: Row) -> None:
@@ -248,23 +279,45 @@ def _check_row(study: Study, row: Row) -> None:
         raise pa.ArrowInvalid(f"case {number} has a level that is not the study's") from None
 
 
-def _make(folder: Path) -> None:
-    """Make the folder of the rows; raises `NotWritten` where nothing can be written."""
+def _make(folder: Path) -> list[Path]:
+    """Make the folder of the rows; return what was not there, the outermost first.
+
+    Raises `NotWritten` where nothing can be written.
+    """
+    made = [each for each in (*reversed(folder.parents), folder) if not each.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise NotWritten(f"{folder}: cannot be made: {error.strerror}") from error
+        _remove_empty(made)
+        raise _unusable(folder.parent, error) from error
     for each in (folder.parent, folder):
         if not os.access(each, os.W_OK | os.X_OK):
+            _remove_empty(made)
             raise NotWritten(f"{each}: nothing can be written there; name another folder with -o")
+    return made
 
 
-def _remove(folder: Path, lock: Path) -> None:
-    """Remove a folder in which nothing was kept; other files in it stay."""
+def _unusable(folder: Path, error: BaseException | None) -> NotWritten:
+    """Return the error for a folder of results in which the system writes nothing."""
+    number = error.errno if isinstance(error, OSError) else None
+    reason = error.strerror if isinstance(error, OSError) else error
+    full = number in STORAGE
+    act = "free space, or name another folder with -o" if full else "name another folder with -o"
+    failed = DiskFailed if full else NotWritten
+    return failed(f"results folder {folder} cannot be used: {reason}; {act}")
+
+
+def _remove(lock: Path, made: Sequence[Path]) -> None:
+    """Remove the lock and the folders that were made, where nothing was kept in them."""
     with suppress(OSError):
         lock.unlink()
-        (folder / CASES).rmdir()
-        folder.rmdir()
+    _remove_empty(made)
+
+
+def _remove_empty(made: Sequence[Path]) -> None:
+    for each in reversed(made):
+        with suppress(OSError):
+            each.rmdir()
 
 
 def plain_rows(table: pa.Table) -> list[Mapping[str, Any]]:

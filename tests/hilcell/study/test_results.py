@@ -251,6 +251,56 @@ def test_a_folder_that_takes_no_file_is_named(
         Results(tmp_path / "r", study(tmp_path)).held(),
     ):
         raise AssertionError("it is held")
+    assert not (tmp_path / "r").exists()
+
+
+FULL = """
+import resource, sys
+from pathlib import Path
+from hilcell.commands.cli import main
+resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))  # names are taken, but nothing stands in them
+sys.exit(main(["study", sys.argv[1], "-o", sys.argv[2]]))
+"""
+
+
+def test_a_full_disk_at_the_start_is_one_message_and_leaves_nothing(tmp_path: Path) -> None:
+    study(tmp_path)  # writes its file
+    (tmp_path / "mine").mkdir()
+    before = sorted(tmp_path.rglob("*"))
+    for place in ("mine", "new/r"):
+        folder = tmp_path / place
+        words = [sys.executable, "-c", FULL, str(tmp_path / "study.toml"), str(folder)]
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout) == (7, "")
+        assert done.stderr == (
+            f"hilcell: results folder {folder} cannot be used: File too large; free space, or name "
+            "another folder with -o\n"
+        )
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_rows_of_another_study_with_the_same_columns_are_refused(tmp_path: Path) -> None:
+    performed(Results(tmp_path / "other", study(tmp_path, head="machines = 3")), Bench())
+    results = Results(tmp_path / "r", study(tmp_path))
+    performed(results, Bench())
+    strange = tmp_path / "r/cases/part-0000001.parquet"
+    (tmp_path / "other/cases/all.parquet").rename(strange)
+    wanted = r"part-0000001\.parquet has rows of another study than .*study\.json; move it away"
+    with pytest.raises(OtherStudy, match=wanted):
+        performed(Results(tmp_path / "r", study(tmp_path)), Bench())
+    with pytest.raises(OtherStudy, match=wanted):
+        open_results(tmp_path / "r").table()
+    strange.unlink()
+    assert open_results(tmp_path / "r").table() == results.table()
+
+
+def test_rows_that_do_not_say_their_study_are_refused(tmp_path: Path) -> None:
+    """As an earlier hilcell wrote them."""
+    performed(Results(tmp_path / "r", study(tmp_path)), Bench())
+    file = tmp_path / "r/cases/all.parquet"
+    pq.write_table(pq.read_table(file).replace_schema_metadata(None), file)
+    with pytest.raises(OtherStudy, match="does not say of which study its rows are: an earlier"):
+        open_results(tmp_path / "r").table()
 
 
 def test_a_file_with_other_columns_is_named(tmp_path: Path) -> None:
