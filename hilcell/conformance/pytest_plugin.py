@@ -38,9 +38,15 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Collect the promises: beside the tests that were named, or in place of all."""
+    """Collect the promises: beside the tests that were named, or in place of all.
+
+    Raises `pytest.UsageError` where driver, cell or a value of it is not known.
+    """
     if config.getoption("--hilcell-driver") is None:
         return
+    from hilcell.conformance.pytest_options import options_of
+
+    options_of(config)
     if config.args_source is not config.ArgsSource.ARGS:
         config.args.clear()
     config.args.append(str(KEPT))

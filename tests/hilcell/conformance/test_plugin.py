@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+import hilcell
 from hilcell.conformance.kit import promises_of
+from hilcell.conformance.pytest_options import chosen
+
+CELLS = Path(hilcell.__file__).with_name("cells")
 
 # Nothing is kept, and plug-ins that these tests do not need are not loaded: half of the time.
 ALONE = ("-p", "no:cacheprovider", "-p", "no:hypothesispytest", "-p", "no:randomly")
+
+
+C3 = "robots:kuka-c3"
 
 
 def pytest_of(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
@@ -40,13 +50,37 @@ def test_beside_tests_of_ones_own(tmp_path: Path) -> None:
     assert "1 failed, 1 passed" in done.stdout
 
 
-def test_unknown_words_are_refused(tmp_path: Path) -> None:
-    done = pytest_of(tmp_path, "--hilcell-driver=arms:kuka-c3")
-    assert done.returncode != 0
-    assert "rails|robots|trackers:NAME is wanted, found arms:kuka-c3" in done.stdout + done.stderr
-    done = pytest_of(tmp_path, "--hilcell-driver=robots:kuka-c4", "-k", "identity-same")
-    assert done.returncode == 1
-    assert "'kuka-c4' is not installed" in done.stdout
+def test_unknown_words_are_one_usage_error_of_pytest(tmp_path: Path) -> None:
+    done = pytest_of(tmp_path, "--hilcell-driver=robots:nope")
+    assert done.returncode == pytest.ExitCode.USAGE_ERROR
+    assert done.stdout == ""
+    assert done.stderr.count("ERROR: ") == 1
+    assert "'nope' is not installed; installed: kuka-c3, kuka-eki, " in done.stderr
+    assert "name one of robots that is installed" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("driver", "cell", "sets", "wanted"),
+    [
+        ("arms:kuka-c3", "paper", [], "rails|robots|trackers:NAME is wanted, found arms:kuka-c3"),
+        (C3, "nope", [], "built in: fixed, hard, lab,"),
+        (C3, "nope", [], "name a simulated cell to which kuka-c3 belongs"),
+        (C3, "paper", ["robot.speed_percent"], "KEY=VALUE is wanted, found robot.speed_percent"),
+        (C3, "paper", ["robot.options.nope=3"], "nope: unknown key; known here: base, host,"),
+        (C3, "paper", ["tracker.driver=nope"], "installed: leica-emscon, leica-geocom,"),
+        (C3, "paper", ["robot.driver=kuka-eki"], "leave one of them out"),
+    ],
+)
+def test_each_unknown_word_is_refused(driver: str, cell: str, sets: list[str], wanted: str) -> None:
+    with pytest.raises(pytest.UsageError, match=re.escape(wanted)):
+        chosen(driver, cell, sets)
+
+
+def test_a_real_cell_is_no_place_for_the_plug_in(tmp_path: Path) -> None:
+    cell = tmp_path / "shop.toml"
+    cell.write_text((CELLS / "paper.toml").read_text("utf-8").split("[simulation]")[0])
+    with pytest.raises(pytest.UsageError, match="cell paper is real: nothing simulates its dev"):
+        chosen(C3, str(cell), [])
 
 
 def test_nothing_happens_without_the_option(tmp_path: Path) -> None:
