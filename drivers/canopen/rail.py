@@ -10,12 +10,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import Annotated
 
 import msgspec
 from msgspec import Meta
 
 from drivers.canopen import cia406, nmt, rail_setup
+from drivers.canopen.bus_choice import Interface, bus_problems
 from drivers.canopen.can_link import CanLink, open_bus
 from drivers.canopen.drive import Drive, Limits
 from drivers.canopen.node_watch import NodeWatch
@@ -28,10 +29,10 @@ from drivers.on_failure import on_failure
 from drivers.standing import check_travel
 from drivers.standstill import Windows
 from drivers.strips.makes import strip_of
-from drivers.strips.strip import StripFeed, StripOptions, summed
+from drivers.strips.strip import CountsPerMm, StripFeed, StripOptions, summed
 from drivers.supervision import Supervision
+from hilcell.cell.settings import refuse
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading
-from hilcell.wire.channel import parse_channel
 
 LATE_S = 0.8  # below the consumer time of the drive (1016h)
 WINDOW_MM = 0.05
@@ -55,13 +56,13 @@ class CanopenRail:
         travel_max_mm: float
         speed_mm_s: Positive
         acceleration_mm_s2: Positive
-        interface: Literal["slcan", "socketcan"] = "slcan"
-        bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 500_000
+        interface: Interface = "slcan"
+        bitrate: int = 500_000
         drive_node: Node = 5
         strip_node: Node = 6
         heartbeat_node: Node = 127
         counts_per_mm: Positive = 1000.0
-        strip_counts_per_mm: Positive = 100.0
+        strip_counts_per_mm: CountsPerMm = 100.0
         drive_vendor: U32 = 0x484
         drive_product: U32 = 0x402
         drive_serial: U32 = 0
@@ -75,8 +76,7 @@ class CanopenRail:
         strip: StripOptions | None = None  # one that is not on the bus
 
         def __post_init__(self) -> None:
-            if self.interface == "slcan":
-                parse_channel(self.channel)
+            refuse(bus_problems(self.interface, self.channel, self.bitrate))
             if len({self.drive_node, self.strip_node, self.heartbeat_node}) < 3:
                 raise ValueError("drive_node, strip_node and heartbeat_node must differ")
             if self.strip is not None and self.strip.channel == self.channel:

@@ -20,13 +20,13 @@ from typing import Any
 import can
 import serial
 
+from drivers.canopen.bus_choice import BIT_RATES
 from drivers.on_failure import on_failure
 from hilcell.wire.channel import Socket, parse_channel
 
 CONNECT_S = 5.0
 SEND_S = 0.2  # of a port that takes nothing; time in which this PC did nothing does not count
 LONGEST_LINE = 64
-BIT_RATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
 # CR ends a line, BELL refuses one; some gateways send CR LF.
 _END = re.compile(rb"[\r\n\a]")
 # Data (t, T) and remote frames (r, R), an optional time stamp of the gateway behind them.

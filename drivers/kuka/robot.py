@@ -47,6 +47,7 @@ from hilcell.ports import (
     RobotReading,
     says_simulated,
 )
+from hilcell.wire.channel import Host
 
 PROGRAM_VERSION, SWEEPING_VERSION = 1, 2
 MAX_SEQUENCE = 1_000_000_000
@@ -67,7 +68,7 @@ FRAME_TOLERANCE = 0.001  # mm and deg
 class KukaOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The wanted identity of the controller, whichever wire leads to it."""
 
-    host: str
+    host: Host
     smr_mm: tuple[float, float, float]
     joint: list[Joint]
     model: str = "KR210"

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import Annotated
-
-from msgspec import Meta
 
 from drivers.kuka import krl
 from drivers.kuka.c3 import C3Connection
@@ -20,6 +17,7 @@ from drivers.on_failure import on_failure
 from drivers.wires.keep_alive import KeepAlive
 from hilcell.clean import clean
 from hilcell.ports import Array, Clock
+from hilcell.wire.channel import Port
 
 PTP_JOINTS, PTP_SLIDE = 1, 2
 MEASURED = "$AXIS_ACT_MEAS"
@@ -199,7 +197,7 @@ class KukaC3Robot(SlidingKukaRobot):
     class Options(KukaOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Address and wanted identity of the controller."""
 
-        port: Annotated[int, Meta(ge=1, le=65535)] = 7000
+        port: Port = 7000
 
     def __init__(self, options: Options, clock: Clock) -> None:
         super().__init__(options, clock, partial(C3Controller, options))

@@ -12,9 +12,6 @@ import secrets
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Annotated
-
-from msgspec import Meta
 
 from drivers.kuka import eki, krl
 from drivers.kuka.controller import DEVICE, PROGRESS, integer, override_held, unreadable
@@ -27,6 +24,7 @@ from drivers.on_failure import on_failure
 from drivers.wires.keep_alive import KeepAlive
 from hilcell.clean import clean
 from hilcell.ports import Array, Clock
+from hilcell.wire.channel import Port
 
 DOCUMENTS_VERSION = 1
 LARGEST_ID = 1_000_000_000
@@ -188,8 +186,12 @@ class KukaEkiRobot(SlidingKukaRobot):
     class Options(KukaOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Address and wanted identity of the controller."""
 
-        port: Annotated[int, Meta(ge=1, le=65535)] = 54600
-        stop_port: Annotated[int, Meta(ge=1, le=65535)] = 54601
+        port: Port = 54600
+        stop_port: Port = 54601
+
+        def __post_init__(self) -> None:
+            if self.port == self.stop_port:
+                raise ValueError(f"stop_port: {self.stop_port} is that of port, too; they differ")
 
     def __init__(self, options: Options, clock: Clock) -> None:
         super().__init__(options, clock, partial(EkiController, options))

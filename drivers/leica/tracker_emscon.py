@@ -45,6 +45,7 @@ from hilcell.ports import (
     TrackerReading,
     says_simulated,
 )
+from hilcell.wire.channel import Host, Port
 
 BUSY_PAUSE_S = 0.1
 SEARCH_MS = 10_000  # how long the tracker may look around; less than MOVE_S
@@ -66,11 +67,11 @@ class LeicaEmsconTracker:
     class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Where the tracker is, and how it measures."""
 
-        host: str
+        host: Host
         reflector: str
         max_std_mm: Positive
         find_radius_mm: Positive
-        port: Annotated[int, Meta(ge=1, le=65535)] = 700
+        port: Port = 700
         serial: str = ""
         reading_s: Annotated[float, Meta(ge=0.1, le=100)] = 0.5
         stationary_ms: Annotated[int, Meta(ge=100, le=100_000)] | None = None

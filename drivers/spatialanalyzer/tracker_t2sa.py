@@ -48,6 +48,7 @@ from hilcell.ports import (
     TrackerReading,
     says_simulated,
 )
+from hilcell.wire.channel import Host, Port
 
 WARM_LOOK_S, WARM_S = 1.0, 300.0  # of the cell's time
 COMPARED = 5  # points of the list, from the first to the last
@@ -71,8 +72,8 @@ class T2saTracker:
         wire states no instrument: ``instrument`` and ``plate`` are those of its name plate.
         """
 
-        host: str
-        port: Annotated[int, Meta(ge=1, le=65535)] = t2sa.PORT
+        host: Host
+        port: Port = t2sa.PORT
         reflector: str
         max_std_mm: Positive
         find_radius_mm: Positive

@@ -13,13 +13,15 @@ from typing import Annotated, Literal, Protocol
 import msgspec
 from msgspec import Meta
 
+from drivers.canopen.bus_choice import Interface, bus_problems
+from hilcell.cell.settings import refuse
 from hilcell.ports import DeviceError, Identity, LinkStatistics
 from hilcell.wire.channel import parse_channel
 
 DEVICE = "Rail"
 LOST = 1 << 16  # beside the sensor's own alarm bits, of which there are 16
 
-Positive = Annotated[float, Meta(gt=0)]
+CountsPerMm = Annotated[float, Meta(gt=0, le=1e6)]  # of a strip: 1 nm and more
 U32 = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 
 
@@ -28,22 +30,23 @@ class StripOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
     driver: Literal["serial", "canopen"]
     channel: str
-    counts_per_mm: Positive = 100.0
+    counts_per_mm: CountsPerMm = 100.0
     serial: U32 = 0  # of the sensor; 0: any
-    interface: Literal["slcan", "socketcan"] = "slcan"  # from here on: of a CAN bus
-    bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 500_000
+    interface: Interface = "slcan"  # from here on: of a CAN bus
+    bitrate: int = 500_000
     node: Annotated[int, Meta(ge=1, le=127)] = 6
     vendor: U32 = 0x484
     product: U32 = 0x406
 
     def __post_init__(self) -> None:
         if self.driver == "serial":
-            plain = {each.name: each.default for each in msgspec.structs.fields(self)}
+            plain = {each.name: each.default for each in msgspec.structs.fields(StripOptions)}
             for key in ("interface", "bitrate", "node", "vendor", "product"):
                 if getattr(self, key) != plain[key]:
                     raise ValueError(f"{key}: only of a strip with driver canopen")
-        if self.driver == "serial" or self.interface == "slcan":
             parse_channel(self.channel)
+        else:
+            refuse(bus_problems(self.interface, self.channel, self.bitrate))
 
 
 class Strip(Protocol):

@@ -47,6 +47,7 @@ from hilcell.ports import (
     RobotReading,
     says_simulated,
 )
+from hilcell.wire.channel import Host, Port
 
 MAX_SEQUENCE = 1_000_000_000
 LIFE_S = 1.5  # longer than the PC may be late itself (`Supervision`), so that it reports that first
@@ -73,12 +74,12 @@ class UrRtdeRobot:
     class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Address and wanted identity of the controller."""
 
-        host: str
+        host: Host
         smr_mm: tuple[float, float, float]
         joint: list[Joint]
-        rtde_port: Annotated[int, Meta(ge=1, le=65535)] = 30004
-        script_port: Annotated[int, Meta(ge=1, le=65535)] = 30002
-        dashboard_port: Annotated[int, Meta(ge=1, le=65535)] = 29999
+        rtde_port: Port = 30004
+        script_port: Port = 30002
+        dashboard_port: Port = 29999
         rate_hz: Annotated[float, Meta(ge=10, le=500)] = 125.0
         model: str = "UR10"
         serial: str = ""

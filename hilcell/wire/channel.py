@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
+from typing import Annotated
 from urllib.parse import urlsplit
 
+from msgspec import Meta
+
 BAUD = 115_200
+SLOWEST_BAUD, FASTEST_BAUD = 50, 4_000_000
+_HOST = r"^([^\s/@:?#]+|[0-9A-Fa-f.]*:[0-9A-Fa-f.]*:[0-9A-Fa-f:.]*(%\w+)?)$"
+
+Host = Annotated[
+    str, Meta(pattern=_HOST, description="letters of a host name or of an IP address, no port,")
+]
+Port = Annotated[int, Meta(ge=1, le=65535)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +40,13 @@ def parse_channel(channel: str) -> Socket | SerialLine:
     if "://" in channel:
         return _socket(channel)
     path, at, baud = channel.partition("@")
-    if not path or (at and not (baud.isascii() and baud.isdecimal() and len(baud) < 9)):
+    if not path.strip() or (at and not (baud.isascii() and baud.isdecimal() and len(baud) < 9)):
         raise ValueError(f"channel: socket://HOST:PORT or PATH[@BAUD] is wanted, found {channel!r}")
+    if at and not SLOWEST_BAUD <= int(baud) <= FASTEST_BAUD:
+        raise ValueError(
+            f"channel: a baud rate is wanted behind @, found {channel!r}; "
+            f"allowed: {SLOWEST_BAUD} to {FASTEST_BAUD}, without @ it is {BAUD}"
+        )
     return SerialLine(path, int(baud) if at else BAUD)
 
 
@@ -40,6 +56,9 @@ def _socket(channel: str) -> Socket:
         port = url.port
     except ValueError:  # none that could be one
         port = None
-    if url.scheme != "socket" or not url.hostname or not port:
-        raise ValueError(f"channel: socket://HOST:PORT is wanted, found {channel!r}")
-    return Socket(url.hostname, port)
+    host, more = url.hostname or "", url.username or url.path or url.query or url.fragment
+    if url.scheme != "socket" or more or not re.match(_HOST, host) or not port:
+        raise ValueError(
+            f"channel: socket://HOST:PORT is wanted, found {channel!r}; allowed ports: 1 to 65535"
+        )
+    return Socket(host, port)
