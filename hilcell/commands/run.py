@@ -32,6 +32,7 @@ from hilcell.cell.devices import (
     start_simulation,
 )
 from hilcell.cell.file import Cell, load_cell
+from hilcell.cell.settings import SettingsError
 from hilcell.clean import encodable
 from hilcell.clock import WallClock
 from hilcell.commands.going_on import agrees, asks, check_unasked
@@ -163,6 +164,7 @@ def resume(args: argparse.Namespace) -> int:
         asked = _open_retakes(log, folder, args.retake)
         changes = NONE
         if asked or log.retakes or log.state != "finished":  # else all is measured
+            _check_here(cell, folder)
             found, somebody = changed_inputs(log, procedure.used_in(cell)), asks(args)
             askable = somebody or (args.screen and not args.unattended)
             changes = Changes(found, args.accept_changes, askable)
@@ -180,6 +182,19 @@ def resume(args: argparse.Namespace) -> int:
         points = log.points.items()
         output.skip_measured(key for key, at in points if at.id.group != CONTROL)
         return _perform(cell, procedure, journal, output, folder, args, changes)
+
+
+def _check_here(cell: Cell, folder: Path) -> None:
+    """Refuse a cell that this PC cannot run, before the journal is written to."""
+    try:
+        check_options(cell)
+    except SettingsError as error:
+        again = f"hilcell resume {folder.name}{runs_option(folder.parent)}"
+        raise HilcellError(
+            f"run {folder.name} cannot go on here; it is as it was. {error}\n"
+            f"  it keeps the cell that it began with: install here what is missing, then `{again}`",
+            code=error.code,
+        ) from error
 
 
 def _open_retakes(log: Log, folder: Path, retakes: Sequence[str]) -> list[str]:

@@ -88,7 +88,7 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def verdict(self) -> str:
         """Return how the run came out, in words; "" where it has not ended."""
-        code = None if self.live else self.exit
+        code = None if self.live or self.gone else self.exit
         return outcome(self.facts, self.state, code, self.points)
 
     @property
