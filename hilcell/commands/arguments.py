@@ -15,6 +15,7 @@ LEAST_SPEED, MOST_SPEED = 1.0, 1e6
 MOST_SEED = 2**63 - 1
 MOST_PORT = 65535
 MOST_WORKERS = 1024
+MOST_DAYS = 36_500.0
 STROKE_MM, MOST_STROKE_MM = 20.0, 200.0
 MOST_STROKE_MISS_MM = 5.0
 SIMULATED = ("rail", "robot", "tracker", "control")
@@ -107,10 +108,12 @@ def finite(text: str) -> float:
 
 
 def days(text: str) -> float:
-    """Return a number of days, 0 or more."""
+    """Return a number of days."""
     value = _number(text)
-    if not 0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"days, 0 or more, are wanted, found {text[:80]!r}")
+    if not 0 <= value <= MOST_DAYS:
+        raise argparse.ArgumentTypeError(
+            f"days of 0 .. {MOST_DAYS:g} are wanted, found {text[:80]!r}"
+        )
     return value
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
@@ -29,9 +29,11 @@ if TYPE_CHECKING:
     from sqlalchemy import Connection
 
     from hilcell.plant.database import Database
+    from hilcell.plant.shipper import Behind
 
 URL = "HILCELL_PLANT"
 PACKAGES = ("sqlalchemy", "alembic", "psycopg")  # of the database
+NAMED = 3  # runs, in a message
 
 
 def init(args: argparse.Namespace) -> int:
@@ -57,6 +59,10 @@ def ship(args: argparse.Namespace) -> int:
         done = ship_runs(args.runs, database)
     for reason in done.refused.values():
         print_message(f"hilcell: {reason}")
+    if done.waiting:
+        print_message(f"hilcell: not over yet, shipped after their end: {_names(done.waiting)}")
+    if done.behind:
+        print_message(f"hilcell: {_behind_words(done.behind)}")
     if not (done.runs or done.before or done.waiting or done.refused):
         print_message(f"hilcell: no runs in {clean(str(args.runs))}")
     print_answer(
@@ -67,12 +73,32 @@ def ship(args: argparse.Namespace) -> int:
             "before": done.before,
             "waiting": list(map(encodable, done.waiting)),
             "refused": {encodable(run): encodable(why) for run, why in done.refused.items()},
+            "behind": {encodable(run): each._asdict() for run, each in done.behind.items()},
         },
         f"{done.runs} runs shipped with {done.points} points, {done.before} were there, "
         f"{len(done.waiting)} not over yet, {len(done.refused)} refused",
         as_json=args.json,
     )
     return EXIT_STORAGE if done.refused else EXIT_OK
+
+
+def _names(every: Sequence[str]) -> str:
+    more = f" and {len(every) - NAMED} more" if len(every) > NAMED else ""
+    return ", ".join(map(clean, every[:NAMED])) + more
+
+
+def _behind_words(behind: Mapping[str, Behind]) -> str:
+    named = _names(
+        [
+            f"{run} (here up to record {each.here}, there {each.plant})"
+            for run, each in behind.items()
+        ]
+    )
+    return (
+        f"the plant has later records of {len(behind)} runs than this folder: {named}; it was "
+        "restored from an older backup, or is a copy: restore a newer one before these runs are "
+        "used or resumed"
+    )
 
 
 def show(args: argparse.Namespace) -> int:
@@ -129,16 +155,24 @@ def _answers(connection: Connection, args: argparse.Namespace) -> dict[str, Any]
     names = sorted({state.cell for state in states})
     if cell and cell not in names:
         raise HilcellError(f"cell {cell[:80]!r} has shipped no run{did_you_mean(cell, names)}")
-    found = {
-        "cells": [state for state in states if cell in ("", state.cell)],
-        "robots": robots(connection, robot, cell),
-        "stations": worse_stations(connection, cell),
-        "instruments": instruments(connection, cell),
-        "alarms": alarms(connection, cell),
-        "doubts": doubts(connection, cell),
-    }
-    if robot and not found["robots"]:
+    courses = robots(connection, robot, cell)
+    if robot and not courses:
         raise HilcellError(f"robot {robot[:80]!r} has no calibration in these records")
+    places = {(each.cell, each.serial, each.machine) for each in courses}
+    states = [
+        state
+        for state in states
+        if cell in ("", state.cell)
+        and (not robot or (state.cell, state.serial, state.machine) in places)
+    ]
+    found = {
+        "cells": states,
+        "robots": courses,
+        "stations": worse_stations(connection, cell, robot),
+        "instruments": instruments(connection, cell, robot),
+        "alarms": alarms(connection, cell, robot),
+        "doubts": doubts(connection, {state.cell for state in states}),
+    }
     plain: dict[str, Any] = msgspec.to_builtins(found)
     return plain
 

@@ -31,7 +31,7 @@ def add_plant(commands: argparse._SubParsersAction[Parser]) -> None:
         "--robot",
         type=arguments.name,
         metavar="SERIAL",
-        help="the drift of this robot alone",
+        help="of this robot and what was with it alone",
     )
     show.add_argument(
         "--max-age",

@@ -14,7 +14,7 @@ from hilcell.journal.standing import standings
 from hilcell.plant.tables import RUN
 
 CELL = (RUN.c.cell, RUN.c.serial, RUN.c.machine)
-LATEST, MOST_DAYS = datetime(9000, 1, 1, tzinfo=UTC), 300_000.0  # their sum is a date
+LATEST = datetime(9000, 1, 1, tzinfo=UTC)  # a time after which is a date, too
 NONE = "no calibration that holds"
 BATCH = 200  # cells of one question
 Name = tuple[str, str, str]  # a cell: its name, its serial number, and which simulated machine
@@ -48,6 +48,12 @@ def newest() -> ColumnElement[bool]:
         .where(later.c.run_key == RUN.c.run_key, later.c.revision > RUN.c.revision)
         .exists()
     )
+
+
+def chosen(cell: str, robot: str) -> list[ColumnElement[bool]]:
+    """Return the conditions that a run is of a cell and of a robot; "" for any."""
+    wanted = ((RUN.c.cell, cell), (RUN.c.robot, robot))
+    return [column == name for column, name in wanted if name]
 
 
 def cells(
@@ -127,7 +133,7 @@ def _state(
         condition = known[last.name].text if last is not None else NONE
         return msgspec.convert(common | {"condition": condition}, CellState)
     made = next(datetime.fromisoformat(row.ended) for row in since if row.name == current)
-    until = min(made, LATEST) + timedelta(days=min(max_age_days, MOST_DAYS))
+    until = min(made, LATEST) + timedelta(days=max_age_days)
     condition = "valid" if now <= until else "too old"
     if made > now + CLOCK_ERROR:
         condition = "made in the future: check the clock of the cell's computer"

@@ -63,6 +63,12 @@ FULL = "too many connections"
 SECRET = re.compile("passw|pwd", re.IGNORECASE)  # in the names of the URL's own options
 ADDED = {"superseded"}  # columns of later schemas than the first
 KNOWN = ("run_key", "revision", "head")  # columns of `run` that cells may read
+# By SQLite's own word for the error.
+DAMAGED = {
+    "SQLITE_NOTADB": "; name another file, or restore its backup",
+    "SQLITE_CORRUPT": "; restore its backup, or make another by `hilcell plant init --to URL` and "
+    "ship the runs again: each cell's journals keep them",
+}
 
 _UNHEARD = logging.NullHandler()
 
@@ -132,11 +138,12 @@ class Database:
         from alembic import command
         from alembic.config import Config
 
+        self._check_place()
         with self.transaction(migrating=True) as connection:
             if not self._remote:  # else sqlite3 keeps each table by itself
                 connection.exec_driver_sql("BEGIN IMMEDIATE")
             before = _version(connection)
-            if before is not None and before not in _known():
+            if before is not None and not (before in _known() and _ours(connection)):
                 raise PlantError(self._unknown(connection, before))
             if before is None:
                 self._check_empty(connection)
@@ -154,17 +161,33 @@ class Database:
 
     def _check_file(self) -> None:
         """Refuse a file that is not there: SQLite would make an empty one."""
-        file = self._url.database or ""
-        if self._url.get_backend_name() == SQLITE and not Path(file).is_file():
+        self._check_place()
+        if not (self._remote or Path(self._url.database or "").is_file()):
             raise PlantError(self._none())
+
+    def _check_place(self) -> None:
+        """Refuse a place at which no file can be: no repetition helps."""
+        if self._remote:
+            return
+        file = Path(self._url.database or "")
+        if file.is_dir():
+            raise PlantError(
+                f"plant database {self.name}: it is a folder; name a file, as plant.db in it"
+            )
+        if not file.parent.is_dir():
+            raise PlantError(
+                f"plant database {self.name}: the folder {clean(str(file.parent))} is not there; "
+                "make it, or name another file"
+            )
 
     def _check(self, connection: Connection) -> None:
         found = _version(connection)
-        if found == HEAD:
-            return
         if found is None:
             raise PlantError(self._none())
-        if found not in _known():
+        ours = _ours(connection)
+        if found == HEAD and ours:
+            return
+        if found not in _known() or not ours:
             raise PlantError(self._unknown(connection, found))
         raise PlantError(
             f"plant database {self.name}: schema {found}, wanted {HEAD}; "
@@ -192,7 +215,7 @@ class Database:
         )
 
     def _unknown(self, connection: Connection, found: str) -> str:
-        if not inspect(connection).has_table(RUN.name):
+        if not _ours(connection):
             return (
                 f"plant database {self.name}: it belongs to another program (its schema is "
                 f"{clean(found)}); name an empty database"
@@ -217,7 +240,8 @@ class Database:
                 f"plant database {self.name}: it cannot be used now: {words}; nothing is lost: "
                 f"check {self._places}, then repeat the command"
             )
-        refused = f"plant database {self.name}: refused: {words}"
+        kind = "_".join(getattr(cause, "sqlite_errorname", "").split("_")[:2])
+        refused = f"plant database {self.name}: refused: {words}{DAMAGED.get(kind, '')}"
         if getattr(cause, "sqlstate", "") == RIGHT:
             return RightMissing(f"{refused}{GRANT}")
         return PlantError(refused)
@@ -313,6 +337,13 @@ def _version(connection: Connection) -> str | None:
         return None
     found = connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
     return None if found is None else str(found)
+
+
+def _ours(connection: Connection) -> bool:
+    """Whether the table of runs is that of a plant, rather than another program's."""
+    found = inspect(connection)
+    names = found.get_columns(RUN.name) if found.has_table(RUN.name) else []
+    return {*KNOWN} <= {each["name"] for each in names}
 
 
 def _made_in_part(connection: Connection, name: str) -> bool:

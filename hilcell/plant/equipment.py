@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from datetime import datetime
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -17,7 +17,7 @@ from hilcell.calibration.validity import CLOCK_ERROR
 from hilcell.clean import clean
 from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.journal.point_words import OTHERS
-from hilcell.plant.cells import CELL, newest
+from hilcell.plant.cells import CELL, chosen, newest
 from hilcell.plant.course import CONFIDENCE, FEWEST, SIGNIFICANCE
 from hilcell.plant.record import TRACKER
 from hilcell.plant.robots import YEAR_S
@@ -78,16 +78,15 @@ class AlarmCount(msgspec.Struct, frozen=True, kw_only=True):
     last: datetime
 
 
-def worse_stations(connection: Connection, cell: str = "") -> list[StationCourse]:
+def worse_stations(connection: Connection, cell: str = "", robot: str = "") -> list[StationCourse]:
     """Return the stations whose error after correction grows from calibration to calibration."""
     asked = (
         select(*CELL, RUN.c.ended, VERDICT.c.key, VERDICT.c.mean_mm, VERDICT.c.mean_tolerance_mm)
         .join(VERDICT, VERDICT.c.digest == RUN.c.digest)
         .where(newest(), VERDICT.c.key.startswith(VALIDATION), VERDICT.c.mean_mm.is_not(None))
+        .where(*chosen(cell, robot))
         .order_by(RUN.c.ended)
     )
-    if cell:
-        asked = asked.where(RUN.c.cell == cell)
     found: defaultdict[tuple[str, ...], list[Found]] = defaultdict(list)
     for row in connection.execute(asked):
         station = row.key.removeprefix(VALIDATION)
@@ -119,17 +118,20 @@ def _worse(place: tuple[str, ...], rows: Sequence[Found], judged: int) -> Statio
     )  # fmt: skip
 
 
-def instruments(connection: Connection, cell: str = "") -> list[Instrument]:
-    """Return all devices with a serial number; trackers judged by lengths that are certified."""
+def instruments(connection: Connection, cell: str = "", robot: str = "") -> list[Instrument]:
+    """Return all devices with a serial number; trackers judged by lengths that are certified.
+
+    ``cell`` and ``robot`` choose the devices that were with it; a row counts all cells and runs.
+    """
     names = (DEVICE.c.kind, DEVICE.c.maker, DEVICE.c.model, DEVICE.c.serial)
     asked = (
         select(
-            *names, DEVICE.c.firmware, RUN.c.cell, func.count().label("runs"),
+            *names, DEVICE.c.firmware, RUN.c.cell, RUN.c.robot, func.count().label("runs"),
             func.min(RUN.c.begun).label("first"), func.max(RUN.c.ended).label("last"),
         )
         .join(RUN, RUN.c.digest == DEVICE.c.digest)
         .where(DEVICE.c.serial != "", newest())
-        .group_by(*names, DEVICE.c.firmware, RUN.c.cell)
+        .group_by(*names, DEVICE.c.firmware, RUN.c.cell, RUN.c.robot)
     )  # fmt: skip
     found: defaultdict[tuple[str, ...], list[Found]] = defaultdict(list)
     for row in connection.execute(asked):
@@ -146,7 +148,7 @@ def instruments(connection: Connection, cell: str = "") -> list[Instrument]:
             **(_scale(serial, scales) if kind == TRACKER else {}),
         )
         for (kind, serial, maker, model), rows in sorted(found.items())
-        if not cell or cell in {row.cell for row in rows}
+        if any(cell in ("", row.cell) and robot in ("", row.robot) for row in rows)
     ]  # fmt: skip
 
 
@@ -197,7 +199,7 @@ def _scale(serial: str, scales: dict[str, tuple[float, float]]) -> dict[str, Any
     return {"scale_ppm": scale_ppm, "u_ppm": u_ppm, "disagrees_with": sorted(agree)}
 
 
-def alarms(connection: Connection, cell: str = "") -> list[AlarmCount]:
+def alarms(connection: Connection, cell: str = "", robot: str = "") -> list[AlarmCount]:
     """Return the alarms by kind, the most frequent first."""
     asked = (
         select(
@@ -205,11 +207,9 @@ def alarms(connection: Connection, cell: str = "") -> list[AlarmCount]:
             func.count().label("times"), func.max(ALARM.c.t).label("last"),
         )
         .join(RUN, RUN.c.digest == ALARM.c.digest)
-        .where(newest())
+        .where(newest(), *chosen(cell, robot))
         .group_by(ALARM.c.code, ALARM.c.title, ALARM.c.severity, RUN.c.cell)
     )  # fmt: skip
-    if cell:
-        asked = asked.where(RUN.c.cell == cell)
     found: defaultdict[tuple[str, str, str], list[Found]] = defaultdict(list)
     for row in connection.execute(asked):
         found[row.code, row.title, row.severity].append(row)
@@ -232,14 +232,14 @@ class Doubt(NamedTuple):
     words: str
 
 
-def doubts(connection: Connection, cell: str = "") -> list[str]:
+def doubts(connection: Connection, cells: Collection[str] | None = None) -> list[str]:
     """Return what is wrong with the records: serial numbers and clocks, one sentence each.
 
-    ``cell`` names the one whose records are wanted; all where it is empty.
+    ``cells`` are the names of those whose records are wanted; None for all.
     """
     kinds = (_shared_serials, _at_once, _copied, _ahead, _set_back)
     found = (doubt for kind in kinds for doubt in kind(connection))
-    return [doubt.words for doubt in found if cell in ("", *doubt.cells)]
+    return [doubt.words for doubt in found if cells is None or not {*cells}.isdisjoint(doubt.cells)]
 
 
 def _shared_serials(connection: Connection) -> Iterator[Doubt]:

@@ -154,6 +154,12 @@ def heads(records: Sequence[Record]) -> list[str]:
     return found
 
 
+def key_of(run: str, records: Sequence[Record]) -> tuple[UUID, int]:
+    """Return the key of a run, and the revision that its journal has reached."""
+    first = chain(b"", records[0]).hex()
+    return short(f"{run}\n{first}".encode()), records[-1].seq
+
+
 def record_of(run: str, records: Sequence[Record], documents: Sequence[Document] = ()) -> RunRecord:
     """Return the record of a run that is over, with the documents of its folder.
 
@@ -164,10 +170,11 @@ def record_of(run: str, records: Sequence[Record], documents: Sequence[Document]
         raise NotOver(f"run {run}: it is {row.condition}; `hilcell resume {run}` ends it")
     chained = heads(records)
     first, last = records[0], records[-1]
+    run_key, revision = key_of(run, records)
     record = RunRecord(
         form=FORM,
-        run_key=short(f"{run}\n{chained[0]}".encode()),
-        revision=last.seq,
+        run_key=run_key,
+        revision=revision,
         head=chained[-1],
         month=f"{first.t[:MONTH]}-01",
         row=row,

@@ -13,7 +13,7 @@ from sqlalchemy import Connection, and_, or_, select
 from hilcell.journal.asset import Asset, same
 from hilcell.journal.index import RunRow
 from hilcell.journal.states import RunState
-from hilcell.plant.cells import CELL, Name, newest
+from hilcell.plant.cells import CELL, Name, chosen, newest
 from hilcell.plant.course import Course, course, main_direction
 from hilcell.plant.tables import ALARM, DEVICE, FRAME, GRID, RUN, Found
 from hilcell.ports import Array
@@ -77,13 +77,9 @@ def robots(connection: Connection, robot: str = "", cell: str = "") -> list[Robo
         )
         .join(GRID, GRID.c.digest == RUN.c.digest)
         .join(base, and_(base.c.digest == RUN.c.digest, base.c.key == "base"))
-        .where(newest(), RUN.c.robot != "")
+        .where(newest(), RUN.c.robot != "", *chosen(cell, robot))
         .order_by(RUN.c.ended)
     )  # fmt: skip
-    if robot:
-        asked = asked.where(RUN.c.robot == robot)
-    if cell:
-        asked = asked.where(RUN.c.cell == cell)
     found: defaultdict[tuple[str, Name], list[Found]] = defaultdict(list)
     for row in connection.execute(asked):
         found[row.robot, (row.cell, row.serial, row.machine)].append(row)

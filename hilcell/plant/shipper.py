@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 from uuid import UUID
 
 import msgspec
@@ -21,15 +22,16 @@ import msgspec
 from hilcell.clean import clean
 from hilcell.errors import HilcellError
 from hilcell.journal.index import NEVER_BEGAN, RunRow, own_file, read_index
-from hilcell.journal.journal import Record
+from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.journal.states import OVER
 from hilcell.plant.database import SEEN, Database, PlantAway, PlantError, RightMissing
 from hilcell.plant.documents import documents_of
-from hilcell.plant.record import NotOver, heads, record_of
-from hilcell.plant.store import Key, there, write
+from hilcell.plant.record import NotOver, heads, key_of, record_of
+from hilcell.plant.store import Key, newest_there, there, write
 
 NAME = SEEN
+MEND = "take its folder from a backup, or out of the runs folder"
 _BROKEN = (
     msgspec.ValidationError,
     KeyError,
@@ -41,15 +43,26 @@ _BROKEN = (
 )
 
 
+class Behind(NamedTuple):
+    """The last record of a run's journal here, and that of the newest one that the plant has."""
+
+    here: int
+    plant: int
+
+
 @dataclass
 class Shipped:
-    """The outcome for the runs of a folder. ``refused`` are reasons, one line each, by the run."""
+    """The outcome for the runs of a folder. ``refused`` are reasons, one line each, by the run.
+
+    ``behind`` are runs of which the plant has later records, as of a folder that a backup restored.
+    """
 
     runs: int = 0
     points: int = 0
     before: int = 0  # were there already
     waiting: list[str] = field(default_factory=list)  # live, or without an end of their own
     refused: dict[str, str] = field(default_factory=dict)
+    behind: dict[str, Behind] = field(default_factory=dict)
 
 
 def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _: None) -> Shipped:
@@ -67,9 +80,12 @@ def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _:
     database.check()
     done = Shipped()
     seen = _Seen(runs)
-    for row in _missing(sorted(read_index(runs), key=_order), database, seen, done):
+    rows = sorted(read_index(runs), key=_order)
+    here = seen.known(rows)
+    for row in _missing(rows, database, here, done):
         try:
             records = read_records(runs / row.name)
+            here[row.name] = key_of(row.name, records)
             record = record_of(row.name, records, documents_of(runs / row.name, row))
             with database.transaction() as connection:
                 new = write(connection, record, heads(records), _ended(records))
@@ -78,19 +94,46 @@ def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _:
             continue
         except (PlantAway, RightMissing):  # of every run
             raise
+        except StorageError as error:
+            done.refused[row.name] = _of_run(row.name, f"{error}; {MEND}")
+            continue
         except HilcellError as error:
             done.refused[row.name] = _of_run(row.name, str(error))
             continue
         except _BROKEN as error:
-            done.refused[row.name] = f"run {row.name}: its journal is none of a run: {error}"
+            done.refused[row.name] = (
+                f"run {row.name}: its journal is none of a run: {error}; {MEND}"
+            )
             continue
-        seen.note(row, (record.run_key, record.revision))
+        seen.note(row, here[row.name])
         done.before += not new
         done.runs += new
         done.points += len(record.points) if new else 0
         if new:
             tell(row.name)
+    here |= _waiting(runs, [row for row in rows if row.name in done.waiting and not row.live])
+    done.behind = _behind(database, here)
     return done
+
+
+def _waiting(runs: Path, rows: Sequence[RunRow]) -> dict[str, Key]:
+    """Return how far the journals of runs are that are not over."""
+    found: dict[str, Key] = {}
+    for row in rows:
+        with suppress(HilcellError, *_BROKEN):
+            found[row.name] = key_of(row.name, read_records(runs / row.name))
+    return found
+
+
+def _behind(database: Database, here: dict[str, Key]) -> dict[str, Behind]:
+    """Return the runs of which the plant has later records than this folder."""
+    with database.transaction() as connection:
+        newest = newest_there(connection, here.values())
+    return {
+        name: Behind(revision, newest[run_key])
+        for name, (run_key, revision) in here.items()
+        if newest.get(run_key, 0) > revision
+    }
 
 
 def _of_run(run: str, reason: str) -> str:
@@ -109,17 +152,16 @@ def _order(row: RunRow) -> tuple[str, str, str]:
 
 
 def _missing(
-    rows: Sequence[RunRow], database: Database, seen: _Seen, done: Shipped
+    rows: Sequence[RunRow], database: Database, known: dict[str, Key], done: Shipped
 ) -> Iterator[RunRow]:
     """Yield the runs that are over and that the database is not known to have."""
-    known = seen.known(rows)
     with database.transaction() as connection:
         kept = there(connection, known.values())
     for row in rows:
         if row.state == NEVER_BEGAN:
             continue  # nothing was recorded
         if not row.readable:
-            done.refused[row.name] = row.reason
+            done.refused[row.name] = _of_run(row.name, f"{row.reason}; {MEND}")
         elif row.live or row.gone or row.state not in OVER:
             done.waiting.append(row.name)
         elif row.name in known and known[row.name] in kept:

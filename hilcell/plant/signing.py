@@ -41,6 +41,8 @@ def read_private_key(path: Path, ask: Callable[[], bytes | None]) -> Ed25519Priv
     ``ask`` returns the passphrase of an encrypted one, or None where nobody can be asked.
     """
     content = _content(path, MAKE)
+    if b"PUBLIC KEY" in content:
+        raise _bad(path, "it is a public key, wanted the private one", f"name that one; {MAKE}")
     if os.name == "posix" and (mode := stat.S_IMODE(path.stat().st_mode)) & OTHERS:
         raise _bad(
             path, f"others than its owner may use it (mode {mode:04o})", "`chmod 600` that file"

@@ -39,6 +39,11 @@ class Forked(PlantError):
     code = "HC-J22"
 
 
+def newest_there(connection: Connection, keys: Iterable[Key]) -> dict[UUID, int]:
+    """Return the newest revision that the database has of each of these runs."""
+    return dict(sorted(there(connection, keys)))  # the last one stays
+
+
 def there(connection: Connection, keys: Iterable[Key]) -> set[Key]:
     """Return which revisions of runs the database has."""
     runs = sorted({run for run, _ in keys})

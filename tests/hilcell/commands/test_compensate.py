@@ -195,13 +195,13 @@ def test_settings_without_effect_are_refused(
     assert desk.files == ["calibration.json", "targets.csv"]
 
 
-@pytest.mark.parametrize("days", ["-1", "nan", "inf", "soon"])
+@pytest.mark.parametrize("days", ["-1", "nan", "inf", "soon", "36501", "1e300"])
 def test_an_age_is_a_number_of_days(
     desk: Workplace, capsys: pytest.CaptureFixture[str], days: str
 ) -> None:
     with pytest.raises(SystemExit, match="2"):
         desk.compensate("--max-age", days)
-    assert "days, 0 or more, are wanted" in capsys.readouterr().err
+    assert "days of 0 .. 36500 are wanted" in capsys.readouterr().err
 
 
 def test_a_program_of_no_known_format_is_named(

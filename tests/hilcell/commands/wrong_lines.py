@@ -19,7 +19,7 @@ BAD_VALUES = {
     "--theme": ["dark", "é"],
     "--colors": ["17"],
     "--temperature": ["nan", "warm"],
-    "--max-age": ["-1", "inf"],
+    "--max-age": ["-1", "inf", "1e300"],
     "--name": ["last", "../x", "é/", "_x", ""],
 }
 REFUSED_NAMES = ["compare", "show", "resume", "pause", "stop", "watch", "revoke", "explain"]

@@ -308,6 +308,27 @@ def test_a_file_that_is_not_there_is_not_made(
     assert not (tmp_path / "no.db").exists()
 
 
+@pytest.mark.parametrize("act", ["init", "ship", "show"])
+def test_a_place_at_which_no_file_can_be_is_refused(
+    act: str, runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    where = "--from" if act == "show" else "--to"
+    folder = [str(runs)] if act == "ship" else []
+    line = said(["plant", act, *folder, where, f"sqlite:///{runs}"], 2, capsys)
+    assert "it is a folder; name a file, as plant.db in it" in line
+    line = said(["plant", act, *folder, where, f"sqlite:///{runs}/no/plant.db"], 2, capsys)
+    assert f"the folder {runs}/no is not there; make it, or name another file" in line
+
+
+def test_a_damaged_database_is_one_line_with_the_next_act(
+    office: Database, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "plant.db"
+    file.write_bytes(file.read_bytes()[:5000])
+    line = said(["plant", "show", "--from", f"sqlite:///{file}"], 2, capsys)
+    assert "disk image is malformed; restore its backup, or make another by" in line
+
+
 def test_a_database_of_something_else_is_left_alone(
     runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -322,7 +343,7 @@ def test_a_database_of_something_else_is_left_alone(
     assert "another program (it has 1 tables, the first is customers)" in line
     file.with_name("text.db").write_text("no database, but long enough to be one" * 100)
     line = said(["plant", "show", "--from", f"sqlite:///{tmp_path}/text.db"], 2, capsys)
-    assert "file is not a database" in line
+    assert "file is not a database; name another file, or restore its backup" in line
     assert file.read_bytes() == before
 
 
@@ -341,19 +362,23 @@ def test_init_writes_no_table_into_a_journal_or_beside_the_tables_of_others(
     assert journal.read_bytes() == before
 
 
+@pytest.mark.parametrize("more", ["", "CREATE TABLE run (id INTEGER, revision INTEGER)"])
+@pytest.mark.parametrize("version", ["ae1027a6acf", "0001", "0003"])
 @pytest.mark.parametrize("act", ["init", "ship", "show"])
 def test_a_database_of_another_program_with_versions_of_its_own_is_left_alone(
-    act: str, runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    act: str, version: str, more: str, runs: Path, tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
     file = tmp_path / "other.db"
     with closing(sqlite3.connect(file)) as base, base:
         base.execute("CREATE TABLE alembic_version (version_num TEXT)")
-        base.execute("INSERT INTO alembic_version VALUES ('ae1027a6acf')")
+        base.execute("INSERT INTO alembic_version VALUES (?)", [version])
+        base.execute(more)
     before = file.read_bytes()
     where = ["--from" if act == "show" else "--to", f"sqlite:///{file}"]
-    more = [str(runs)] if act == "ship" else []
-    line = said(["plant", act, *more, *where], 2, capsys)
-    assert "it belongs to another program (its schema is ae1027a6acf)" in line
+    folder = [str(runs)] if act == "ship" else []
+    line = said(["plant", act, *folder, *where], 2, capsys)
+    assert f"it belongs to another program (its schema is {version})" in line
     assert file.read_bytes() == before
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import shutil
@@ -170,7 +171,36 @@ def test_an_older_revision_that_arrives_later_changes_nothing(
     assert state.calibration == "c"
 
 
-def test_a_live_run_and_one_without_an_end_wait(runs: Path, office: Database) -> None:
+def test_a_folder_that_is_behind_the_plant_is_stated(
+    runs: Path, plant: Database, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One that a backup restored, where a run had not ended or was not revoked yet."""
+    shutil.copytree(runs, tmp_path / "older")
+    last = len(read_records(runs / "a"))
+    records = read_records(runs / "b")[:10]
+    shutil.rmtree(tmp_path / "older" / "b")
+    rows = [(datetime.fromisoformat(each.t), each.kind, each.key, each.body) for each in records]
+    write_journal(tmp_path / "older" / "b", rows)
+    revoke(runs / "a")
+    assert ship(runs, plant).behind == {}
+    whole = len(read_records(runs / "b"))
+    for before in (2, 2):  # read from the journal, then known by the folder's own file
+        done = ship(tmp_path / "older", plant)
+        assert (done.before + done.runs, done.waiting) == (before, ["b"])
+        assert done.behind == {"a": (last, last + 1), "b": (10, whole)}
+    url = plant.engine.url.render_as_string(hide_password=False)
+    assert main(["plant", "ship", str(tmp_path / "older"), "--to", url, "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["behind"]["a"] == {"here": last, "plant": last + 1}
+    assert "the plant has later records of 2 runs than this folder: " in err
+    assert f"a (here up to record {last}, there {last + 1})" in err
+    revoke(tmp_path / "older" / "a")
+    assert ship(tmp_path / "older", plant).behind == {"b": (10, whole)}
+
+
+def test_a_live_run_and_one_without_an_end_wait(
+    runs: Path, office: Database, capsys: pytest.CaptureFixture[str]
+) -> None:
     records = read_records(runs / "b")[:10]
     rows = [(NOW - DAY, each.kind, each.key, each.body) for each in records]
     write_journal(runs / "cut", rows)
@@ -178,6 +208,8 @@ def test_a_live_run_and_one_without_an_end_wait(runs: Path, office: Database) ->
         done = ship(runs, office)
         assert sorted(done.waiting) == ["a", "cut"]
         assert [name for name, _ in kept(office)] == ["b", "c"]
+        assert main(["plant", "ship", str(runs), "--to", office.name]) == 0
+        assert "not over yet, shipped after their end: cut, a\n" in capsys.readouterr().err
     assert ship(runs, office).runs == 1
 
 
@@ -218,6 +250,7 @@ def test_a_broken_journal_is_named_and_stops_no_other(
     spoil(runs / "c" / JOURNAL)
     done = ship(runs, office)
     assert list(done.refused) == ["c"]
+    assert done.refused["c"].endswith("; take its folder from a backup, or out of the runs folder")
     assert [name for name, _ in kept(office)] == ["b", "a"]
 
 
@@ -230,6 +263,7 @@ def test_a_hostile_folder_is_one_line(
     said = capsys.readouterr().err
     assert "3 runs shipped" in said
     assert "1 refused" in said
+    assert "hilcell: run evil: " in said
     assert len(said.splitlines()) == 2
     assert "\x1b" not in said
     assert len(kept(office)) == 3
@@ -361,6 +395,7 @@ def test_a_run_whose_bytes_were_changed_is_refused(runs: Path, office: Database)
         base.execute("UPDATE record SET body = replace(body, '1', '2') WHERE seq = 9")
     done = ship(runs, office)
     assert "damaged at record 9: it is not the one that was written" in done.refused["a"]
+    assert done.refused["a"].endswith("; take its folder from a backup, or out of the runs folder")
     assert done.runs == 2
 
 

@@ -143,11 +143,18 @@ def test_one_cell_or_one_robot_alone(filed: str, capsys: pytest.CaptureFixture[s
     assert {each["cell"] for each in of_cell["cells"]} == {"north"}
     assert {each["robot"] for each in of_cell["robots"]} == {"R-0"}
     assert of_cell["stations"] == of_cell["alarms"] == []
-    assert [each["robot"] for each in asked(filed, capsys, "--robot", "R-2")["robots"]] == ["R-2"]
+    of_robot = asked(filed, capsys, "--robot", "R-2")
+    for table in ("cells", "robots", "stations"):
+        assert {each["cell"] for each in of_robot[table]} == {"south"}
+    devices = {each["serial"] for each in of_robot["instruments"]}
+    assert {"R-2", "T-2"} <= devices
+    assert not {"R-0", "T-0", "R-1", "T-1"} & devices
+    assert of_robot["alarms"] == []
+    assert len(asked(filed, capsys, "--robot", "R-1")["alarms"]) == 1
     assert main(["plant", "show", "--from", filed, "--cell", "nroth"]) == 2
     assert 'did you mean "north"?' in capsys.readouterr().err
     assert main(["plant", "show", "--from", filed, "--robot", "R-9"]) == 2
-    endless = asked(filed, capsys, "--max-age", "1e300")
+    endless = asked(filed, capsys, "--max-age", "36500")
     assert {each["condition"] for each in endless["cells"]} == {"valid"}
     old = asked(filed, capsys, "--max-age", "10")
     assert {each["condition"] for each in old["cells"]} == {"too old"}
