@@ -65,7 +65,7 @@ def handed_over_a_second(cell: Cell) -> float:
 def wall_s(workers: int, cell: Cell) -> float:
     """Return how long workers take for the cases, the start and the first of each left out."""
     nothing: tuple[Choice, ...] = ()
-    with local_workers(workers) as pool:
+    with local_workers(workers, print) as pool:
         for numbers in (range(1, 1 + 2 * workers), range(100, 100 + CASES)):
             began_s = time.perf_counter()
             cases = [Case(n, Point(1, nothing), machine=n, seed=1) for n in numbers]

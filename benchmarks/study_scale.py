@@ -104,7 +104,7 @@ def many_cases() -> None:
             with (
                 dask(*work, ready="Registered to") as (_, one),
                 dask(*work, ready="Registered to") as (_, two),
-                workers_of(address) as workers,
+                workers_of(address, print) as workers,
                 results.held(),
             ):
                 processes = {"client": os.getpid(), "scheduler": scheduler, "worker": one}

@@ -136,8 +136,8 @@ def _workers(args: argparse.Namespace) -> AbstractContextManager[Workers]:
     from hilcell.study.cluster import local_workers, workers_of
 
     if args.scheduler:
-        return workers_of(args.scheduler)
-    return local_workers(args.workers or len(os.sched_getaffinity(0)))
+        return workers_of(args.scheduler, print_message)
+    return local_workers(args.workers or len(os.sched_getaffinity(0)), print_message)
 
 
 def _measured(

@@ -9,8 +9,9 @@ import os
 import secrets
 import signal
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from multiprocessing import get_context
 from typing import Any
 
@@ -30,26 +31,45 @@ ANSWER_S = 15.0  # of a scheduler to its first question
 WORKERS_S = 60.0
 AHEAD = 4  # cases a worker that are handed over before they are needed
 LEAST_AHEAD = 64
-LOOK_S = 5.0  # between two looks whether there are workers, where nothing comes
+LOOK_S = 5.0  # between two looks whether there are workers, and whether they answer
+SILENT_S = 15.0  # two to thirty heartbeats, by the number of workers
+RESTARTED_S = 60.0  # in which a worker of this PC that froze has been restarted
 WAIT_S = 0.02
 SETTINGS = {
     "distributed.comm.timeouts.connect": f"{CONNECT_S:g}s",
     "distributed.comm.retry.count": 0,
     "distributed.admin.log-length": 100,
     "distributed.scheduler.allowed-failures": 1,  # a second worker tries
+    "distributed.scheduler.worker-ttl": f"{RESTARTED_S / 2:g}s",  # Dask looks as often
 }
 WORKERS_ENVIRONMENT = {"OMP_NUM_THREADS": "1", "DASK_LOGGING__DISTRIBUTED": "critical"}
+DROPPED = "after 5 to 10 minutes, or once to twice the scheduler's worker-ttl"
+Say = Callable[[str], object]  # takes a message for the user
 LOST = (asyncio.CancelledError, FutureCancelledError, CommClosedError, OSError, TimeoutError)
 
 
-class Workers:
-    """Workers that all have this hilcell's versions."""
+@dataclass(slots=True)
+class Heartbeat:
+    """The last of a worker: by the scheduler's clock, and since when it is known here."""
 
-    def __init__(self, client: Client, name: str) -> None:
+    scheduler_s: float
+    since_s: float
+    silent: bool = False  # the user knows
+
+
+class Workers:
+    """Workers that all have this hilcell's versions.
+
+    ``say`` takes a message on each that does not answer; ``dropped`` says when Dask drops it.
+    """
+
+    def __init__(self, client: Client, name: str, say: Say, dropped: str) -> None:
         self._client, self._name = client, name
+        self._say, self._dropped = say, dropped
         self._token = secrets.token_hex(4)
         self._versions = versions()
-        self._seen_s = time.monotonic()  # since when there may be no worker
+        self._looked_s = self._seen_s = time.monotonic()  # since when there may be no worker
+        self._heartbeats: dict[str, Heartbeat] = {}
 
     def measure(self, cases: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Row]]:
         """Yield cases as they are measured; they come with their cells, a little ahead of workers.
@@ -59,7 +79,7 @@ class Workers:
         or a worker has other versions.
         """
         killed: list[tuple[Case, bytes]] = []
-        ahead = max(LEAST_AHEAD, AHEAD * len(self._nthreads()))
+        ahead = max(LEAST_AHEAD, AHEAD * len(self._workers()))
         for case, cell, found in self._measured(cases, ahead, "case"):
             if isinstance(found, KilledWorker):
                 killed.append((case, cell))
@@ -98,28 +118,43 @@ class Workers:
 
     def _next(self, running: as_completed) -> Future[Row]:
         """Return a case that is done; raises `Cluster` where nobody is left to measure any."""
+        self._look()
         while not running.has_ready():
-            now_s = time.monotonic()
-            if now_s - self._seen_s >= LOOK_S and self._nthreads():
-                self._seen_s = now_s
-            if not now_s - self._seen_s < LOOK_S + WORKERS_S:
-                raise Cluster(f"{self._name} has had no worker for {WORKERS_S:g} s")
             time.sleep(WAIT_S)
-        self._seen_s = time.monotonic()
+            self._look()
         found: Future[Row] = next(running)
         return found
 
-    def _nthreads(self) -> Mapping[str, int]:
+    def _look(self) -> None:
+        """Now and then raise `Cluster` where there are no workers, and name those that froze."""
+        now_s = time.monotonic()
+        if not now_s - self._looked_s >= LOOK_S:
+            return
+        self._looked_s = now_s
+        found = self._workers()
+        if found:
+            self._seen_s = now_s
+        if not now_s - self._seen_s < WORKERS_S:
+            raise Cluster(f"{self._name} has had no worker for {WORKERS_S:g} s")
+        for address, scheduler_s in found.items():
+            last = self._heartbeats.get(address)
+            if last is None or last.scheduler_s != scheduler_s:
+                self._heartbeats[address] = Heartbeat(scheduler_s, now_s)
+            elif not last.silent and now_s - last.since_s >= SILENT_S:
+                last.silent = True
+                self._say(
+                    f"{self._name}: worker {address} has not answered for {SILENT_S:g} s; if it "
+                    f"stays silent, its cases are measured by another, {self._dropped}"
+                )
+
+    def _workers(self) -> Mapping[str, float]:
+        """Return by address when, by its clock, the scheduler heard of each worker."""
         with self._lost_is_an_error():
-            scheduler: Any = self._client.scheduler  # `Client.nthreads` would wait for ever
-            found: Mapping[str, int] = self._client.sync(
-                scheduler.ncores, callback_timeout=WORKERS_S
-            )
-            return found
+            return _last_heartbeats(self._client)
 
     def _found(self, future: Future[Row]) -> Row | KilledWorker:
         try:
-            row: Row = future.result()
+            row = self._row(future)
         except KilledWorker as error:
             return error
         except LOST:
@@ -133,6 +168,14 @@ class Workers:
             raise Cluster(f"{self._name}: a worker had {_differences(other)}")
         return row
 
+    def _row(self, future: Future[Row]) -> Row:
+        """Return what a worker found; it may have frozen before it sent that."""
+        while True:
+            with suppress(TimeoutError):
+                row: Row = future.result(timeout=LOOK_S)
+                return row
+            self._look()
+
     @contextmanager
     def _lost_is_an_error(self) -> Iterator[None]:
         try:
@@ -142,7 +185,7 @@ class Workers:
 
 
 @contextmanager
-def local_workers(count: int) -> Iterator[Workers]:
+def local_workers(count: int, say: Say) -> Iterator[Workers]:
     """Start worker processes on this PC, one thread each; end them."""
     with _quiet(), _environment(WORKERS_ENVIRONMENT), ExitStack() as stack:
         try:
@@ -165,11 +208,11 @@ def local_workers(count: int) -> Iterator[Workers]:
                 "a /dev/shm, and memory?"
             ) from error
         client = stack.enter_context(Client(cluster))
-        yield Workers(client, "the local cluster")
+        yield Workers(client, "the local cluster", say, f"within {RESTARTED_S:g} s")
 
 
 @contextmanager
-def workers_of(scheduler: str) -> Iterator[Workers]:
+def workers_of(scheduler: str, say: Say) -> Iterator[Workers]:
     """Use the workers of a scheduler; raises `Cluster` where they cannot be used."""
     name = f"scheduler {scheduler}"
     with _quiet(), ExitStack() as stack:
@@ -191,7 +234,7 @@ def workers_of(scheduler: str) -> Iterator[Workers]:
                 f"`dask worker {scheduler} --nthreads 1`"
             ) from None
         _check_versions(client, name)
-        yield Workers(client, name)
+        yield Workers(client, name, say, DROPPED)
 
 
 async def _asked(scheduler: str) -> None:
@@ -213,9 +256,23 @@ def _killed(error: KilledWorker) -> Row:
     }
 
 
+def _last_heartbeats(client: Client) -> Mapping[str, float]:
+    scheduler: Any = client.scheduler  # `Client.nthreads` would wait for ever
+    found: dict[str, Any] = client.sync(scheduler.identity, callback_timeout=WORKERS_S)
+    return {address: worker["last_seen"] for address, worker in found["workers"].items()}
+
+
 def _check_versions(client: Client, name: str) -> None:
     try:
-        found: dict[str, Any] = client.run(versions, on_error="return")
+        before = _last_heartbeats(client)
+        found: dict[str, Any] = client.run(versions, on_error="return", callback_timeout=ANSWER_S)
+    except TimeoutError as error:
+        after = _last_heartbeats(client)
+        silent = [address for address, seen_s in before.items() if after.get(address) == seen_s]
+        raise Cluster(
+            f"{name}: worker {', '.join(silent) or 'unknown'} does not answer; end it, or wait "
+            f"until Dask drops it, {DROPPED}"
+        ) from error
     except LOST as error:
         raise Cluster(f"{name} is gone: {error}") from error
     problems = []

@@ -21,71 +21,9 @@ import pytest
 from hilcell import __version__
 from hilcell.commands.cli import main
 from hilcell.study import cluster
-from hilcell.study.case import packed
-from hilcell.study.design import cases
-from hilcell.study.errors import Cluster
-from hilcell.study.study_file import cell_of
-from tests.hilcell.study.studies import TWO_FACTORS, study, written
+from tests.hilcell.study.studies import written
 from tests.whole.bench import HILCELL, hilcell
-
-READINGS = TWO_FACTORS.partition('\n[[factor]]\nname = "place"')[0]
-LIMIT_S = 120.0
-
-
-class Dask:
-    """A command of Dask, once it has printed ``ready``; that line is kept."""
-
-    def __init__(self, *words: str, ready: str, **environment: str) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "dask", *words, "--no-dashboard"],
-            stderr=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            text=True,
-            env=os.environ | {"OMP_NUM_THREADS": "1"} | environment,
-        )
-        self.line, self._said = "", threading.Event()
-        self._reader = threading.Thread(target=self._read, args=(ready,))
-        self._reader.start()
-        if not (self._said.wait(LIMIT_S) and self.line):
-            self.kill()
-            pytest.fail(f"dask {words[0]} never said {ready!r}")
-
-    def _read(self, ready: str) -> None:
-        """Look for the line, then read on: the pipe never fills."""
-        assert self.process.stderr is not None
-        for each in self.process.stderr:
-            if ready in each and not self.line:
-                self.line = each
-                self._said.set()
-        self._said.set()
-
-    def kill(self) -> None:
-        """End it, at once; a second time does nothing."""
-        self.process.kill()
-        self.process.wait(LIMIT_S)
-        self._reader.join(LIMIT_S)
-        assert self.process.stderr is not None
-        self.process.stderr.close()
-
-
-@contextmanager
-def scheduler() -> Iterator[tuple[str, Dask]]:
-    words = ("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-show")
-    started = Dask(*words, ready="Scheduler at:")
-    try:
-        yield started.line.split()[-1], started
-    finally:
-        started.kill()
-
-
-@contextmanager
-def worker(address: str, *words: str, **environment: str) -> Iterator[Dask]:
-    given = words or ("--nthreads", "1")
-    started = Dask("worker", address, "--no-nanny", *given, ready="Registered to", **environment)
-    try:
-        yield started
-    finally:
-        started.kill()
+from tests.whole.dask_bench import LIMIT_S, READINGS, scheduler, worker
 
 
 def table(folder: Path) -> pa.Table:
@@ -297,31 +235,6 @@ def test_a_case_that_kills_its_worker_each_time_is_a_row(tmp_path: Path) -> None
     assert rows[1]["reason"].startswith("its worker was killed each time, alone at last; the last")
     assert "1 done, 1 failed" in done.stderr
     assert "Traceback" not in done.stderr
-
-
-def test_workers_that_are_all_gone_or_a_scheduler_that_froze_are_one_message(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(cluster, "LOOK_S", 0.1)
-    monkeypatch.setattr(cluster, "WORKERS_S", 0.5)
-    asked = study(tmp_path, READINGS, "machines = 9")
-    waiting = ((case, packed(cell_of(asked, case.point.values))) for case in cases(asked))
-    with (
-        scheduler() as (address, frozen),
-        worker(address) as last,
-        cluster.workers_of(address) as workers,
-    ):
-        rows = workers.measure(waiting)
-        assert next(rows)[1]["state"] == "done"
-        last.kill()
-        with pytest.raises(Cluster, match=r"scheduler .* has had no worker for 0\.5 s"):
-            list(rows)
-        frozen.process.send_signal(signal.SIGSTOP)
-        try:
-            with pytest.raises(Cluster, match=r"scheduler .* is gone"):
-                list(workers.measure(iter(())))
-        finally:
-            frozen.process.send_signal(signal.SIGCONT)
 
 
 def test_a_pc_that_starts_no_worker_is_one_message(
