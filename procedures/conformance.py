@@ -20,8 +20,7 @@ from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Step, Table
-from procedures.guarded import GuardedBench
-from procedures.home import Home
+from procedures.guarded import GuardedBench, GuardedHome
 
 NAME = "conformance"
 SLOW_PERCENT, SLOW_MM_S = 10.0, 25.0
@@ -120,6 +119,6 @@ def conformance_table(result: dict[str, Any]) -> Table:
 CONFORMANCE = Procedure(
     NAME,
     "whether the drivers keep the promises of their ports",
-    (Home(), Conformance()),
+    (GuardedHome(), Conformance()),
     conformance_table,
 )

@@ -12,6 +12,9 @@ from hilcell.conformance.bench import Bench, BenchClock
 from hilcell.conformance.verdicts import NeedsPerson, Port
 from hilcell.ports import Array, RailReading, RobotReading, Stream, TrackerReading
 from hilcell.run.cell_session import CellSession
+from procedures.home import Home
+
+STANDS_DEG = 0.05  # an axis that turns by less is not announced
 
 
 class GuardedBench(Bench):
@@ -39,7 +42,12 @@ class GuardedRail:
 
     def move_to(self, position_mm: float) -> None:
         """Move after the operator's word."""
-        _agreed(self._session, f"the slide moves to {position_mm:g} mm")
+        cell, now_mm = self._session.cell, self.read().position_mm
+        _agreed(
+            self._session,
+            f"rail ({cell.rail.driver}): the slide moves from {now_mm:.2f} to {position_mm:.2f} mm "
+            f"at {cell.rail.speed_mm_s:g} mm/s; the robot goes to its safe pose first",
+        )
         self._session.rail_to(position_mm)
 
     def settle(self) -> RailReading:
@@ -59,9 +67,15 @@ class GuardedRobot:
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
         """Move after the operator's word, at the cell's speed, which is slow."""
-        percent = min(speed_percent, self._session.cell.robot.speed_percent)
-        to_deg = ", ".join(f"{angle:.1f}" for angle in np.degrees(joints_rad))
-        _agreed(self._session, f"the robot moves at {percent:g} % or less to {to_deg} deg")
+        cell = self._session.cell
+        percent = min(speed_percent, cell.robot.speed_percent)
+        turns = _turns(self.read().joints_rad, joints_rad)
+        back_deg = cell.robot.approach_deg
+        _agreed(
+            self._session,
+            f"robot ({cell.robot.driver}): {turns} at {percent:g} % or less, every axis from "
+            f"{back_deg:g} deg below",
+        )
         return self._session.robot_to(joints_rad, "conformance")
 
     def read(self) -> RobotReading:
@@ -92,12 +106,48 @@ class GuardedStreams(GuardedTracker):
         return streams_of(self._session.devices.tracker).stream(near_mm, reflector, rate_hz)
 
 
+class GuardedHome(Home):
+    """The way to safe pose and reference: real devices set out after the operator's word."""
+
+    def home_rail(self, session: CellSession) -> None:
+        """Announce both motions, and make them; an unattended run makes them as any run."""
+        cell = session.cell
+        if cell.simulation is None and not session.log.inputs.unattended:
+            safe = _turns(session.devices.robot.read().joints_rad, np.radians(cell.robot.safe_deg))
+            to_reference = (
+                f"; then rail ({cell.rail.driver}): the slide moves from "
+                f"{session.devices.rail.read().position_mm:.2f} mm to its reference switch"
+                if cell.has_rail
+                else ""
+            )
+            _agreed(
+                session,
+                f"robot ({cell.robot.driver}): to its safe pose, {safe}, at "
+                f"{cell.robot.speed_percent:g} % or less{to_reference}",
+            )
+        super().home_rail(session)
+
+
+def _turns(now_rad: Array, to_rad: Array) -> str:
+    """Return which axes turn, from where to where."""
+    now_deg, to_deg = np.degrees(now_rad), np.degrees(to_rad)
+    turns = [
+        f"A{axis} from {now:.2f} to {to:.2f} deg"
+        for axis, (now, to) in enumerate(zip(now_deg, to_deg, strict=True), start=1)
+        if not abs(to - now) <= STANDS_DEG
+    ]
+    return ", ".join(turns) or "all axes turn to where they stand"
+
+
 def _agreed(session: CellSession, what: str) -> None:
     """Announce a motion and pause before it; an unattended run has nobody who agrees."""
     if session.log.inputs.unattended:
         raise NeedsPerson(f"{what}: somebody has to agree; run it attended")
     session.event("announced", motion=what)
-    session.pause(f"conformance: {what}; clear the cell, stay at the E-stop")
+    session.pause(
+        f'conformance: {what}; clear the cell, stay at the E-stop, then type "yes" at '
+        f"`hilcell resume {session.folder.name}`, or let it go on at the screen"
+    )
 
 
 _GUARDED = {"rail": GuardedRail, "robot": GuardedRobot, "tracker": GuardedTracker}

@@ -28,8 +28,12 @@ class Home:
         """Reference the drive."""
         session.reach("connect")
         if not (session.reached("referenced") and session.rail_referenced()):
-            session.home_rail()
+            self.home_rail(session)
         session.reach("reference")
+
+    def home_rail(self, session: CellSession) -> None:
+        """Bring the robot to its safe pose and the slide to its reference."""
+        session.home_rail()
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return nothing: homing has no figure."""

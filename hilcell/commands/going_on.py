@@ -40,27 +40,62 @@ def check_unasked(run: str, log: Log, procedure: Procedure, args: argparse.Names
     print_message(f"{kind_of(log)} {run}: nobody is asked, nothing real moves: {moves}")
 
 
+def awaited_motion(log: Log) -> str:
+    """Return the announced motion for which a live run waits, "" where it waits for none."""
+    announced = [each for each in log.events if each.body["what"] == "announced"]
+    went_on = max((each.seq for each in log.life if each.body["to"] == "running"), default=0)
+    return str(announced[-1].body["motion"]) if announced and announced[-1].seq > went_on else ""
+
+
+def check_word(run: str, motion: str, log: Log) -> None:
+    """Refuse a real motion that needs a typed word where nobody can type it."""
+    if motion and not log.inputs.simulated:
+        raise HilcellError(
+            f"run {run}: nobody can be asked whether the robot may go on, for this is no terminal; "
+            f'it waits before a motion: {motion}; type "yes" at `hilcell resume {run}` in a '
+            "terminal, or let it go on at `hilcell tui`",
+            code="HC-C31",
+        )
+
+
 def agrees(
     run: str, log: Log, procedure: Procedure, changes: Sequence[str], reason: str = ""
 ) -> bool:
     """Say what moves when the run goes on, and return whether the operator wants that.
 
-    ``reason`` is what a live run waits for.
+    ``reason`` is what a live run waits for. Real devices move by the full word alone.
     """
     print_message(f"{kind_of(log)} {run}: {log.state}, {log.counted} points are measured")
     if reason:
         print_message(f"it waits: {reason}")
     for change in changes:
         print_message(f"not as before: {change}")
-    print_message(
-        f"it goes on at once: {_moves(log, procedure)}; the robot goes to its safe pose before the "
-        "slide moves. Clear the cell, and stay at the E-stop."
-    )
-    print("go on? [y/N] ", end="", file=sys.stderr, flush=True)
-    if sys.stdin.readline().strip().lower() in ("y", "yes"):
+    if reason and awaited_motion(log):
+        print_message("your answer is for this motion alone; the next one is asked for again")
+    else:
+        print_message(
+            f"what goes on: {_moves(log, procedure)}; the robot goes to its safe pose before the "
+            "slide moves. Clear the cell, and stay at the E-stop."
+        )
+    real = not log.inputs.simulated
+    question = 'type "yes" to go on; any other answer moves nothing: ' if real else "go on? [y/N] "
+    print(question, end="", file=sys.stderr, flush=True)
+    answer = sys.stdin.readline().strip()
+    if answer.lower() in (("yes",) if real else ("y", "yes")):
         return True
-    print_message("nothing was moved")
+    short = real and answer.lower() == "y"
+    print_message('nothing was moved: "yes" is wanted in full' if short else "nothing was moved")
     return False
+
+
+def say_under_way(run: str, log: Log, procedure: Procedure) -> None:
+    """Say what a run does that waits for nobody."""
+    announced = [each for each in log.events if each.body["what"] == "announced"]
+    what = str(announced[-1].body["motion"]) if announced else _moves(log, procedure)
+    print_message(
+        f"{kind_of(log)} {run}: {log.state}; it waits for no answer, and nothing was asked of it. "
+        f"Under way: {what}"
+    )
 
 
 def _moves(log: Log, procedure: Procedure) -> str:

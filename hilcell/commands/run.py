@@ -35,7 +35,14 @@ from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.clean import encodable
 from hilcell.clock import WallClock
-from hilcell.commands.going_on import agrees, asks, check_unasked
+from hilcell.commands.going_on import (
+    agrees,
+    asks,
+    awaited_motion,
+    check_unasked,
+    check_word,
+    say_under_way,
+)
 from hilcell.commands.output import print_message
 from hilcell.commands.run_output import (
     JsonOutput,
@@ -257,21 +264,34 @@ def check_attended(cell: Cell, *, unattended: bool) -> None:
 
 
 def _resume_live(folder: Path, args: argparse.Namespace) -> int:
-    """Let a live run go on; one that nobody attends, or that a screen shows, asks nobody here."""
-    somebody, status, asked_at = asks(args), order(folder, "status"), 0
+    """Let a live run go on; one that nobody attends, or that a screen shows, asks nobody here.
+
+    A motion that was announced waits for a typed word, also where a screen is open.
+    """
+    somebody, status = asks(args), order(folder, "status")
+    log = read_log(folder)
+    procedure: Procedure = load_entry("procedures", log.inputs.procedure)
+    if not somebody:
+        check_word(folder.name, awaited_motion(log), log)
     if somebody or not (status.unattended or status.screens):
-        log = read_log(folder)
-        procedure: Procedure = load_entry("procedures", log.inputs.procedure)
         if not somebody:
             check_unasked(folder.name, log, procedure, args)
+        elif status.state == "running" and not status.pausing:
+            _order_retakes(folder, args)
+            say_under_way(folder.name, log, procedure)
+            return 0
         elif not agrees(folder.name, log, procedure, [], _waits_for(log)):
             return EXIT_ABORTED
-        asked_at = log.newest.seq if log.newest is not None else 0
-    for key in args.retake:
-        order(folder, "retake", key=key)
-    answer = order(folder, "proceed", until=asked_at)
+    seen = log.newest.seq if log.newest is not None else 0
+    _order_retakes(folder, args)
+    answer = order(folder, "proceed", until=seen)
     print_message(f"run {folder.name}: asked to go on; it was {answer.state}")
     return 0
+
+
+def _order_retakes(folder: Path, args: argparse.Namespace) -> None:
+    for key in args.retake:
+        order(folder, "retake", key=key)
 
 
 def _waits_for(log: Log) -> str:

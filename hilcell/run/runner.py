@@ -135,6 +135,8 @@ class Runner:
         """Return why an agreement to what was asked at record ``since`` holds no more, else ""."""
         if any(each.seq > since and each.body["to"] == "running" for each in self.log.life):
             return "it has gone on since you were asked, so nothing was done; ask again"
+        if any(each.seq > since and each.body["what"] == "announced" for each in self.log.events):
+            return "a motion was announced since you were asked, so nothing was done; ask again"
         return ""
 
     def answer(self) -> str:

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from drivers.on_failure import on_failure
 from fakes.canopen import rail_drive, rail_strip
 from fakes.kuka.controller import KrlController
 from fakes.leica.emscon_packets import wide
@@ -23,8 +24,13 @@ from tests.whole.bench import HILCELL, LIMIT_S, Engine, command, sets, simulatio
 from tests.whole.terminal import Terminal
 
 PAPER = Path(__file__).parents[2] / "hilcell/cells/paper.toml"
-FIRST, SECOND = "the slide moves to 320 mm", "the slide moves to 300 mm"
-QUESTION = "go on? [y/N]"
+FIRST, SECOND = (
+    f"rail (canopen): the slide moves from {start} to {end} mm at 25 mm/s; the robot goes to its "
+    "safe pose first"
+    for start, end in (("0.00", "320.00"), ("320.00", "300.00"))
+)
+HOME = ("robot (kuka-c3): to its safe pose, ", "rail (canopen): the slide moves from ")
+QUESTION = 'type "yes" to go on; any other answer moves nothing:'
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +67,12 @@ class Attended:
     def __init__(self, shop: list[str], runs: Path) -> None:
         self.runs = runs
         self.engine = Engine("run", "conformance", "--runs", runs, *shop)
-        self.waits_before(FIRST)
+        with on_failure(self.engine.process.kill):
+            paused = self.paused()
+            assert [each for each in HOME if each not in paused["reason"]] == []
+            assert self.intents == []
+            order(runs / self.engine.run, "proceed", until=paused["seq"])
+            self.waits_before(FIRST)
         self.homed = len(self.intents)
 
     def __enter__(self) -> Attended:
@@ -72,11 +83,16 @@ class Attended:
             command("stop", self.engine.run, "--runs", self.runs)
             self.engine.rest()
 
+    def paused(self) -> dict[str, Any]:
+        """Read events until the run is paused; return the last."""
+        return self.engine.until(lambda event: event.get("to") == "paused")
+
     def waits_before(self, motion: str) -> None:
         """Read events until the run is paused; the motion must have been announced."""
-        paused = self.engine.until(lambda event: event.get("to") == "paused")
-        reason = f"conformance: {motion}; clear the cell, stay at the E-stop"
-        assert paused["reason"] == reason
+        paused = self.paused()
+        typed = f'then type "yes" at `hilcell resume {self.engine.run}`'
+        reason = f"conformance: {motion}; clear the cell, stay at the E-stop, {typed}"
+        assert paused["reason"].startswith(reason)
         announced = [e for e in self.engine.events if e.get("what") == "announced"]
         assert announced[-1]["motion"] == motion
 
@@ -113,6 +129,7 @@ def attended(shop: list[str], tmp_path: Path) -> Iterator[Attended]:
 def test_yes_lets_the_one_motion_go_that_was_announced(attended: Attended) -> None:
     with attended.terminal() as terminal:
         assert f"it waits: conformance: {FIRST}; clear the cell" in terminal.text
+        assert "your answer is for this motion alone" in terminal.text
         assert "SIMULATED" not in terminal.text
         assert attended.moved == []
         terminal.answer("yes\n")
@@ -124,8 +141,8 @@ def test_yes_lets_the_one_motion_go_that_was_announced(attended: Attended) -> No
     assert [each["verdict"] for each in held] == ["held"]
 
 
-@pytest.mark.parametrize("word", ["yess", "\x03", *sweep("no", "", "go", "\x04")],
-                         ids=["typo", "ctrl-C", "no", "enter", "another", "ctrl-D"])  # fmt: skip
+@pytest.mark.parametrize("word", ["yess", "\x03", *sweep("y", "no", "", "go", "\x04")],
+                         ids=["typo", "ctrl-C", "y", "no", "enter", "other", "ctrl-D"])  # fmt: skip
 def test_any_other_word_moves_nothing(attended: Attended, word: str) -> None:
     with attended.terminal() as terminal:
         terminal.answer(word if word in ("\x03", "\x04") else f"{word}\n")
@@ -227,5 +244,5 @@ def test_all_promises_that_a_machine_may_be_asked_for_are_held(
     assert set(verdicts) == {"held", "not applicable"}
     announced = [e for e in engine.events if e.get("what") == "announced"]
     moved = [e for e in attended.intents[attended.homed :] if e["action"].endswith("move")]
-    assert len(announced) == len(moved)
+    assert len(announced) == 1 + len(moved)  # to reference once
     assert not last["result"]["simulated"]

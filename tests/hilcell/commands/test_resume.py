@@ -117,8 +117,9 @@ def test_scripts_and_screens_are_not_asked(
 
 @pytest.mark.parametrize(
     ("words", "answer", "code"),
-    [((), None, 2), (("--unattended",), None, 0), (("--screen",), None, 0), ((), "y\n", 0)],
-)
+    [((), None, 2), (("--unattended",), None, 0), (("--screen",), None, 0), ((), "yes\n", 0),
+     ((), "YES\n", 0), ((), "y\n", 4), ((), "yess\n", 4)],
+)  # fmt: skip
 def test_a_real_robot_does_not_go_on_where_nobody_can_be_asked(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -134,6 +135,7 @@ def test_a_real_robot_does_not_go_on_where_nobody_can_be_asked(
     said = capsys.readouterr().err
     assert ("add --unattended" in said) is (code == 2)
     assert ("step 1 of 1, home, moves the robot" in said) is (answer is not None)
+    assert ('"yes" is wanted in full' in said) is (answer == "y\n")
     assert read_journal(folder / JOURNAL) == before
 
 
@@ -175,6 +177,59 @@ def test_a_live_run_is_let_go_on_by_the_same_rule(
     monkeypatch.setattr(command, "live_engine", lambda folder: EngineFile(1, "here"))
     assert main(["resume", "r", "--runs", str(folder.parent), *words]) == code
     assert ("proceed" in ordered) is (code == 0)
+
+
+MOTION = "rail (canopen): the slide moves from 300.00 to 320.00 mm at 25 mm/s"
+
+
+def live(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], *life: str, **status: Any
+) -> tuple[int, list[str]]:
+    """Resume a live real run that has announced a motion; return the exit code and the orders."""
+    journal = Journal(left(folder, simulated=False) / JOURNAL, "r", create=False)
+    journal.append("event", "", {"what": "announced", "motion": MOTION})
+    for to in life:
+        journal.append("state", "", {"machine": "run", "to": to, "reason": f"waits: {MOTION}"})
+    journal.close()
+    ordered: list[str] = []
+
+    def order(folder: Path, command: str, *, key: str = "", until: int = 0) -> Status:
+        ordered.append(command)
+        return Status(**status)
+
+    monkeypatch.setattr(command, "order", order)
+    monkeypatch.setattr(command, "live_engine", lambda folder: EngineFile(1, "here"))
+    return main(["resume", "r", "--runs", str(folder.parent), *words]), ordered
+
+
+@pytest.mark.parametrize("words", [(), ("--unattended",)])
+@pytest.mark.parametrize("watching", [{"screens": 1}, {"unattended": True}, {}])
+def test_a_real_motion_that_was_announced_waits_for_a_typed_word(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: tuple[str, ...],
+    watching: dict[str, Any],
+) -> None:
+    found = live(
+        tmp_path / "r", monkeypatch, words, "pausing", "paused", state="paused", **watching
+    )
+    assert found == (2, ["status"])
+    said = capsys.readouterr().err
+    assert MOTION in said
+    assert 'type "yes" at `hilcell resume r`' in said
+
+
+def test_a_motion_under_way_is_named_and_nothing_is_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "stdin", Terminal("yes\n"))
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    life = ("pausing", "paused", "running")
+    assert live(tmp_path / "r", monkeypatch, (), *life, state="running") == (0, ["status"])
+    said = capsys.readouterr().err
+    assert f"it waits for no answer, and nothing was asked of it. Under way: {MOTION}" in said
+    assert "type" not in said
 
 
 CHANGE = f"hilcell 0.0.1 began this run, this is {__version__}"

@@ -3,14 +3,17 @@
 import signal
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from hilcell.journal.journal import StorageError, read_journal
+from hilcell.journal.journal import Record, StorageError, read_journal
+from hilcell.journal.log import Log
 from hilcell.ports import DeviceError, DeviceRefused
 from hilcell.run import stopping
 from hilcell.run.cell_session import CellSession
+from hilcell.run.runner import Runner
 from tests.hilcell.run.bed import Bed, broken_beam
 from tests.hilcell.run.rig import Points, hang, procedure
 
@@ -170,3 +173,20 @@ def test_a_defect_of_the_main_thread_stops_everything_too(
     assert bed.rail.stopped_s is not None
     assert bed.rail.closed == 1
     assert bed.states()[-1] == "faulted"
+
+
+@pytest.mark.parametrize(
+    ("since", "refused"),
+    [(0, "it has gone on since"), (3, "a motion was announced since"), (5, "")],
+)
+def test_an_agreement_holds_for_what_was_asked_last(since: int, refused: str) -> None:
+    log, time = Log(), "2026-01-01T00:00:00+00:00"
+    announced = {"what": "announced", "motion": "the slide moves"}
+    for seq, to in ((1, "paused"), (2, "running"), (3, "pausing"), (5, "paused")):
+        if seq == 5:
+            log.take(Record(4, time, "event", "", announced))
+        log.take(Record(seq, time, "state", "", {"machine": "run", "from": "idle", "to": to}))
+    engine: Any = SimpleNamespace(log=log)
+    found = Runner.gone_on(engine, since)
+    assert found.startswith(refused)
+    assert bool(found) is bool(refused)
