@@ -23,6 +23,7 @@ from hilcell.wire.recording import Piece
 _NUMBER = re.compile(rb"-?\d{1,9}\.\d{3,}")
 NEAR = 1e-4  # deg, mm or rad
 STUCK = 200  # times that a part's last answer is repeated
+APART_S = 1e-9  # of messages in one piece, so that what parts the recording has a before
 ALIVE_S = 0.5  # after the last sign of life that was recorded
 
 
@@ -56,7 +57,9 @@ def exchanges(pieces: Sequence[Piece], dialect: Dialect) -> list[Exchange]:
         if piece.e == ">":
             messages, asking = dialect.split_questions(asking + piece.data)
             found += [
-                Exchange(each, time_s=piece.t) for each in messages if not dialect.unheard(each)
+                Exchange(each, time_s=piece.t + n * APART_S)
+                for n, each in enumerate(messages)
+                if not dialect.unheard(each)
             ]
         elif piece.e == "<":
             answers, answering = dialect.split(answering + piece.data)

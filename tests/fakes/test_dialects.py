@@ -8,8 +8,9 @@ import pytest
 
 from fakes.replay.dialects import Dialect, Slcan, StripLine, dialects_of
 from fakes.replay.event_time import EventTime, RecordedLooks
-from fakes.replay.recorded_script import Exchange, Flow, Names, Pulse, Script
+from fakes.replay.recorded_script import Exchange, Flow, Names, Pulse, Script, exchanges
 from fakes.universal_robots.dialect import Rtde
+from hilcell.wire.recording import Piece
 
 OUTPUTS, DATA = 79, 85
 FIELDS = ("timestamp", "actual_q", "output_int_register_26", "output_int_register_27",
@@ -129,6 +130,20 @@ def test_a_command_that_was_sent_twice_parts_the_recording_twice() -> None:
     assert [script.reply(sync), script.reply(sync)] == [[b"1"], [b"1"]]
     assert [script.reply(move), script.reply(sync)] == [[b"2"], [b"3"]]
     assert [script.reply(move), script.reply(sync), script.reply(sync)] == [[b"5"], [b"6"], [b"6"]]
+
+
+def test_a_question_sent_with_a_command_and_before_it_is_asked_before_it() -> None:
+    pieces = [
+        Piece.of(1.0, 1, ">", b"poll\nmove 1\n"), Piece.of(1.5, 1, "<", b"begins\n"),
+        Piece.of(2.0, 1, ">", b"poll\n"), Piece.of(2.5, 1, "<", b"moves\n"),
+        Piece.of(3.0, 1, ">", b"poll\n"), Piece.of(3.5, 1, "<", b"arrived\n"),
+    ]  # fmt: skip
+    recorded, time = exchanges(pieces, Dialect()), EventTime()
+    asked_s = [each.time_s for each in recorded[1:]]
+    time.expect(asked_s, asked_s[1:2])
+    script = Script(recorded, Dialect(), time, {b"move 1"})
+    replies = [script.reply(asked) for asked in (b"poll", b"move 1", b"poll", b"poll")]
+    assert replies == [[], [b"begins\n"], [b"moves\n"], [b"arrived\n"]]
 
 
 def test_samples_of_a_stream_come_when_their_time_has_come() -> None:
