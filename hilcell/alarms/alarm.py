@@ -242,7 +242,7 @@ def _temperature(log: Log) -> Iterator[_Moment]:
 def _verdicts(log: Log) -> Iterator[_Moment]:
     for key, record in log.judged.items():
         if not record.body["holds"]:
-            code = code_of_verdict(key)
+            code = code_of_verdict(key, str(record.body.get("outcome", "")))
             finding = _cell(code, f"verdict {key}", _figures(record.body))
             yield _Moment(finding, record.t, record.seq)
 

@@ -45,6 +45,7 @@ class Entry:
     then: Literal["resume", "new run", "nothing"] = "resume"
     passes: bool = False  # it shows a condition, and goes when that is put right
     verdict: str = ""  # the verdict that raises it where it does not hold
+    outcome: str = ""  # the one of that verdict which alone raises it
     by: tuple[By, ...] = ()
 
     def __post_init__(self) -> None:
@@ -118,8 +119,11 @@ def entry_of(code: str, device: str = "") -> Entry:
     return entries.get(code) or entries[UNKNOWN.get(device, UNKNOWN[""])]
 
 
-def code_of_verdict(name: str) -> str:
-    """Return the code that a verdict raises: by its name, or by the part before its first dot."""
+def code_of_verdict(name: str, outcome: str = "") -> str:
+    """Return the code that a verdict raises: by its name, or by the part before its first dot.
+
+    An entry of its very outcome goes before one of any.
+    """
     kind = name.partition(".")[0]
-    found = (entry.code for entry in catalogue().values() if entry.verdict == kind)
-    return next(found, UNKNOWN_VERDICT)
+    found = {e.outcome: e.code for e in catalogue().values() if e.verdict == kind}
+    return found.get(outcome) or found.get("", UNKNOWN_VERDICT)

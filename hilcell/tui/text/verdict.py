@@ -15,7 +15,7 @@ import msgspec
 from textual.content import Content
 
 from hilcell.alarms import Alarm
-from hilcell.alarms.catalogue import SEVERITIES, code_of_verdict
+from hilcell.alarms.catalogue import SEVERITIES, entry_of
 from hilcell.calibration.decision import Turn
 from hilcell.clean import harmless
 from hilcell.journal.calibration_facts import OUTCOMES
@@ -320,7 +320,7 @@ def _advice(
     """Return why the run failed, with the stations concerned, and the steps, each whole."""
     where = f"{alarm.where}: " if alarm.where else ""
     words = in_words(f"{where}{alarm.found}", view.log)
-    if alarm.code == code_of_verdict(VALIDATION):
+    if entry_of(alarm.code, "").verdict == VALIDATION:
         words = reason_words(found) or words
     lines = wrapped(harmless(f"{alarm.code} {words}"), width - 4)
     head = Content.styled(f" {glyphs.warned} ", "bold $fault")

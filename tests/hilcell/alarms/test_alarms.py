@@ -89,6 +89,7 @@ BY_EVENTS: dict[str, tuple[Row, ...]] = {
     "HC-V04": (point("a"), point("b", 22.5), *OVER),
     "HC-V05": (*BEGUN, event("outlier measured again", key="grid/1-2-3"), *DONE),
     "HC-V06": (*BEGUN, event("curve", **REFUSED), *DONE),
+    "HC-V17": (*OVER, ("verdict", "validation.S1", {"holds": False, "outcome": "undecided"})),
     "HC-V99": (*OVER, ("verdict", "beauty", {"holds": False})),
 }
 
@@ -333,6 +334,17 @@ def test_temperature_is_judged_from_the_first_point_and_reported_once() -> None:
 def test_figures_of_a_verdict_carry_their_unit() -> None:
     (alarm,) = alarms(*BY_EVENTS["HC-V01"])
     assert (alarm.where, alarm.found) == ("Cell: verdict validation.others", "max 0.500 mm")
+
+
+@pytest.mark.parametrize(
+    ("outcome", "code"), [("rejected", "HC-V01"), ("undecided", "HC-V17"), ("other", "HC-V01")]
+)
+def test_only_what_was_rejected_is_called_out_of_tolerance(outcome: str, code: str) -> None:
+    body = {"holds": False, "outcome": outcome}
+    (alarm,) = alarms(*OVER, ("verdict", "validation.S1100", body))
+    assert alarm.code == code
+    (alarm,) = alarms(*OVER, ("verdict", "sign", body))
+    assert alarm.code == "HC-V02"
 
 
 def test_newest_is_last() -> None:
