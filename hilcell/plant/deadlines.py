@@ -1,16 +1,20 @@
 """Deadlines of a plant's server: no command waits for ever for a server that froze.
 
 The server itself ends what takes too long, or waits for a lock. One that stands still says nothing,
-and its system goes on acknowledging packets: only the silence, measured here, ends that wait.
+and its system goes on acknowledging packets: only the silence, measured here, ends that wait. In a
+migration, whose orders may take hours, a silent server is asked for a second connection: one that
+answers is at work.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from typing import Any
 
 import psycopg
+from psycopg.conninfo import make_conninfo
+from psycopg.pq import PGconn, Ping
 from sqlalchemy import Connection, text
 
 CONNECT_S = 10
@@ -20,6 +24,7 @@ ORDER_S = 120.0  # one order to the server
 MIGRATION_S = 4 * 3600.0  # one order of a migration
 REST_S = 600.0  # of this side within a transaction; then the server frees its locks
 SLACK_S = 15.0  # the server's own word comes before the silence counts
+ANSWER_S = 60  # that a server may take to answer a second connection
 
 OPTIONS: dict[str, int | str] = {
     "client_encoding": "utf8",  # where the database has none, psycopg would hand over bytes
@@ -45,10 +50,16 @@ class Bounded(psycopg.Connection[Any]):
     def wait(self, gen: Words, *args: Any, **options: Any) -> Any:
         """Wait as psycopg does; a long silence closes the connection, and is an error."""
         try:
-            return super().wait(_heard(gen, self.order_s + SLACK_S), *args, **options)
+            heard = _heard(gen, ORDER_S + SLACK_S, self.order_s + SLACK_S, self._answers)
+            return super().wait(heard, *args, **options)
         except Silent:
             self.pgconn.finish()  # a rollback would wait as long again
             raise
+
+    def _answers(self) -> bool:
+        """Whether the server answers a second connection; it need not let it in."""
+        asked = make_conninfo(self.info.dsn, connect_timeout=ANSWER_S)
+        return PGconn.ping(asked.encode()) in (Ping.OK, Ping.REJECT)
 
 
 class Silent(psycopg.OperationalError):
@@ -75,18 +86,24 @@ def limit(connection: Connection, order_s: float) -> None:
     connection.execute(SET, {name: f"{limit_s * 1000:.0f}" for name, limit_s in limits_s.items()})
 
 
-def _heard(gen: Words, most_s: float) -> Words:
-    """Pass psycopg's generator through; raise `Silent` where its socket is not ready so long."""
-    heard_s = time.monotonic()
+def _heard(gen: Words, quiet_s: float, most_s: float, answers: Callable[[], bool]) -> Words:
+    """Pass psycopg's generator through; raise `Silent` where its socket is not ready for long.
+
+    A server that is quiet must answer otherwise; after ``most_s`` even that is not enough.
+    """
+    heard_s = asked_s = time.monotonic()
     try:
         wanted = next(gen)
         while True:
             ready = yield wanted
             now_s = time.monotonic()
             if ready:
-                heard_s = now_s
-            elif not now_s - heard_s < most_s:
-                raise Silent(f"no answer for {most_s:g} s: the server stands still")
+                heard_s = asked_s = now_s
+            elif not now_s - asked_s < quiet_s:
+                if not (now_s - heard_s < most_s and answers()):
+                    silent_s = time.monotonic() - heard_s
+                    raise Silent(f"no answer for {silent_s:.1f} s: the server stands still")
+                asked_s = time.monotonic()
             wanted = gen.send(ready)
     except StopIteration as end:
         return end.value

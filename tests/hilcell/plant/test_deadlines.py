@@ -61,13 +61,35 @@ def test_a_server_that_freezes_in_mid_transaction_loses_and_doubles_nothing(
                 stack.enter_context(mortal.frozen())
 
         event.listen(database.engine, moment, freeze)
-        with pytest.raises(PlantAway, match=r"no answer for 0\.2 s: the server stands still"):
+        with pytest.raises(PlantAway, match=r"no answer for 0\.[2-9] s: the server stands still"):
             ship(runs, database)
         stack.close()
         monkeypatch.undo()
         done = ship(runs, database)
         assert done.runs + done.before == 2
         assert ship(runs, database) == Shipped(before=2)
+
+
+def test_a_server_that_freezes_while_tables_are_made_is_not_waited_for_as_one_at_work(
+    mortal: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An order of a migration may take hours; the server must answer others meanwhile."""
+    short(monkeypatch, "ORDER_S", "SLACK_S")
+    monkeypatch.setattr(deadlines, "ANSWER_S", 2)  # libpq's least
+    with closing(Database(mortal.make())) as database, ExitStack() as stack:
+
+        def freeze(*words: object) -> None:
+            if "CREATE TABLE point" in str(words[2]).replace("\n", ""):
+                stack.enter_context(mortal.frozen())
+
+        event.listen(database.engine, "before_cursor_execute", freeze)
+        with pytest.raises(PlantAway, match=r"no answer for \d\.\d s: the server stands still"):
+            database.make()
+        stack.close()
+        event.remove(database.engine, "before_cursor_execute", freeze)
+        assert database.make() == ""
+        with database.transaction(migrating=True) as connection:
+            connection.execute(text("SELECT pg_sleep(0.5)"))
 
 
 def test_a_server_that_stands_still_takes_no_connection(
