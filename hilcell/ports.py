@@ -306,6 +306,14 @@ class Streams(Protocol):
 
 
 @runtime_checkable
+class StatesAccuracy(Protocol):
+    """Options of a tracker's driver that state the accuracy class of the instrument."""
+
+    def accuracy(self, range_m: float) -> tuple[float, float]:
+        """Return 1 sigma of one reading: along the beam, mm, and of the angles across it, rad."""
+
+
+@runtime_checkable
 class Sweeps(Protocol):
     """A robot that turns one axis slowly."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -10,7 +11,7 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.bounds import coverages
-from hilcell.calibration.decision import check_limits, guard_of, judged, limits_of
+from hilcell.calibration.decision import check_limits, class_warning, guard_of, judged, limits_of
 from hilcell.calibration.errors import validation
 from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.frames import grid_of, measured_of
@@ -71,9 +72,12 @@ class Validate:
         check_limits(cell)
         check_turn_limit(cell)
         here, points, spans = cell.station_named(cell.grid.station), 0, []
+        T_W_T, ranges_mm = inverse(cell.tracker.pose.matrix()), list[float]()
         for name, poses in target_poses(cell, seed).items():
             station = cell.station_named(name)
             joints_rad = check_targets(cell, station, poses, f"target at {name}")
+            at_mm = apply(T_W_T @ cell.layout.nominal_base(station.strip_mm), poses[:, :3, 3])
+            ranges_mm.append(float(np.linalg.norm(at_mm, axis=1).mean()))
             if cell.plan.quick and here != station:  # one stop, to frame and to validate
                 spans += frame_spans(cell, here, station)
                 points += nest_points(cell)
@@ -88,7 +92,8 @@ class Validate:
                 spans += [*measured, *proofs]
                 points += count
             here = station
-        return step(self.name, points, spans)
+        found = step(self.name, points, spans)
+        return replace(found, warning=class_warning(cell, min(ranges_mm)))
 
     def perform(self, session: CellSession) -> None:
         """Validate at the grid's station, then at the others with transferred data."""

@@ -94,6 +94,11 @@ class LeicaGeocomTracker:
         def __post_init__(self) -> None:
             parse_channel(self.channel)
 
+        def accuracy(self, range_m: float) -> tuple[float, float]:
+            """Return 1 sigma of one reading: along the beam, mm, and across it, rad."""
+            along_mm = self.distance_mm + self.distance_ppm * 1e-3 * range_m
+            return along_mm, self.angle_arcsec * geocom.RAD_PER_ARCSEC
+
     def __init__(self, options: Options, clock: Clock) -> None:
         self._options, self._clock = options, clock
         self._lines: TextLines | None = None
@@ -135,9 +140,7 @@ class LeicaGeocomTracker:
             std_mm = std_of_repeats(points_mm, options.max_std_mm)
         else:
             range_m = float(np.linalg.norm(points_mm[0])) / geocom.MM_PER_M
-            along_mm = options.distance_mm + options.distance_ppm * 1e-3 * range_m
-            across_rad = options.angle_arcsec * geocom.RAD_PER_ARCSEC
-            std_mm = geocom.class_std_mm(points_mm[0], along_mm, across_rad)
+            std_mm = geocom.class_std_mm(points_mm[0], *options.accuracy(range_m))
         return TrackerReading(
             points_mm.mean(axis=0), std_mm, samples, reflector, None, self._arrived_s
         )

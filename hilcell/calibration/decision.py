@@ -21,6 +21,7 @@ import msgspec
 
 from hilcell.calibration.contribution import expanded_mm
 from hilcell.calibration.measurement_budget import budget_of
+from hilcell.cell.devices import tracker_class
 from hilcell.cell.file import Cell
 from hilcell.geometry.sequential import Outcome
 from hilcell.geometry.statistics import figures_of, lengths_mm, rectangular_variance
@@ -148,9 +149,7 @@ def check_limits(cell: Cell) -> None:
 
     Hours of measurement could then accept nothing.
     """
-    stated = cell.uncertainty
-    limits_mm = (stated.tracker_limit_mm, stated.smr_centring_limit_mm)
-    least_mm = expanded_mm(math.sqrt(sum(map(rectangular_variance, limits_mm))))
+    least_mm = expanded_mm(math.sqrt(stated_mm2(cell)))
     for name, limit_mm in (("mean", cell.validation.mean_tolerance_mm),
                            ("max", cell.validation.max_tolerance_mm)):  # fmt: skip
         if not limit_mm > least_mm:
@@ -160,6 +159,38 @@ def check_limits(cell: Cell) -> None:
                 "wanted more",
                 code="HC-C10",
             )
+
+
+def stated_mm2(cell: Cell) -> float:
+    """Return the variance of one coordinate of a reflector by the stated limits."""
+    limits_mm = (cell.uncertainty.tracker_limit_mm, cell.uncertainty.smr_centring_limit_mm)
+    return sum(map(rectangular_variance, limits_mm))
+
+
+def class_warning(cell: Cell, range_mm: float) -> str:
+    """Return why hardly any largest error could be accepted, by the class that the tracker's driver
+    states; "" where there is room, or no class.
+    """
+    stated = tracker_class(cell)
+    if stated is None:
+        return ""
+    samples, limit_mm = cell.tracker.samples, cell.validation.max_tolerance_mm
+    along_mm, across_rad = stated.accuracy(range_mm / 1000.0)
+    single_mm2 = (along_mm**2 + 2.0 * (across_rad * range_mm) ** 2) / 3.0  # of one coordinate
+    known_mm2 = stated_mm2(cell)
+    least_mm = expanded_mm(math.sqrt(single_mm2 / samples + known_mm2))
+    if limit_mm > least_mm:
+        return ""
+    left_mm2 = (limit_mm / expanded_mm(1.0)) ** 2 - known_mm2
+    enough = math.floor(single_mm2 / left_mm2) + 1
+    return (
+        f"no result can be shown to be in tolerance: by its class the tracker has U = "
+        f"{least_mm:.2f} mm (k = 2) with {samples} "
+        f"{'reading' if samples == 1 else 'readings'} a target at {range_mm / 1000:.1f} m, wanted "
+        f'less than validation.max_tolerance_mm {limit_mm:g}; the run ends "undecided" or out '
+        f"of tolerance (exit 1). State tracker.samples {enough} or more, a tolerance above "
+        f"{least_mm:.2f} mm with room for the robot's error, or a finer instrument"
+    )
 
 
 def guard_of(log: Log, count: int) -> Guard:

@@ -19,7 +19,7 @@ import numpy as np
 
 from hilcell.calibration.bounds import HOW, driven_poses, lines_in_use, lines_in_validation
 from hilcell.calibration.contribution import expanded_mm
-from hilcell.calibration.decision import UNKNOWN_TURN, Turn
+from hilcell.calibration.decision import UNKNOWN_TURN, Turn, stated_mm2
 from hilcell.calibration.errors import HOWS
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.frame_covariance import FLOOR_NESTS, floor_points, world_covariance
@@ -189,7 +189,7 @@ def turned_rad2(log: Log, turned: Turned, *, readings: bool = True) -> Array:
     attainments of a pose share are without the noise of ``readings``.
     """
     stated = log.cell.uncertainty
-    covariance_rad2 = _stated_mm2(log.cell) * turned.per_mm2_rad2
+    covariance_rad2 = stated_mm2(log.cell) * turned.per_mm2_rad2
     if readings:
         covariance_rad2 = covariance_rad2 + turned.reading_rad2
     if len(floor_points(log)) == FLOOR_NESTS:
@@ -205,7 +205,7 @@ def check_turn_limit(cell: Cell) -> None:
         return
     levers = turn_levers(cell.robot.seats_mm, np.eye(3)[None])
     per_mm2_rad2 = np.sum(levers @ np.swapaxes(levers, -1, -2), axis=1)
-    (least_deg,) = _expanded_deg(_stated_mm2(cell) * per_mm2_rad2)
+    (least_deg,) = _expanded_deg(stated_mm2(cell) * per_mm2_rad2)
     if not limit_deg > least_deg:
         raise HilcellError(
             f"validation.max_tolerance_deg {limit_deg:g}: nothing could be accepted, the tracker "
@@ -213,12 +213,6 @@ def check_turn_limit(cell: Cell) -> None:
             "more, or reflectors further apart",
             code="HC-C10",
         )
-
-
-def _stated_mm2(cell: Cell) -> float:
-    """Return the variance of one coordinate of a reflector by the stated limits."""
-    limits_mm = (cell.uncertainty.tracker_limit_mm, cell.uncertainty.smr_centring_limit_mm)
-    return sum(map(rectangular_variance, limits_mm))
 
 
 def _expanded_deg(covariances_rad2: Array) -> Array:

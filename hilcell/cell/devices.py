@@ -28,6 +28,7 @@ from hilcell.ports import (
     RidesOnRobot,
     Robot,
     SimulatedCell,
+    StatesAccuracy,
     Streams,
     Sweeps,
     Tracker,
@@ -133,6 +134,16 @@ def sweeps_of(robot: Robot) -> Sweeps:
 def sights_apart_rad(cell: Cell) -> float:
     """Return how far apart in direction the tracker wants reflectors; 0 where it does not say."""
     return float(getattr(load_entry("trackers", cell.tracker.driver), "SIGHTS_APART_RAD", 0.0))
+
+
+def tracker_class(cell: Cell) -> StatesAccuracy | None:
+    """Return the tracker's accuracy class, None where its driver states none."""
+    anywhere = {} if cell.simulation is None else stand_ins(cell).get("tracker", {})
+    try:
+        _, options = driver_options(cell, "tracker", "trackers", anywhere)
+    except SettingsError:
+        return None  # reported where the options are checked
+    return options if isinstance(options, StatesAccuracy) else None
 
 
 def abilities(cell: Cell) -> dict[str, bool]:

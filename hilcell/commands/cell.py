@@ -51,6 +51,7 @@ def check(args: argparse.Namespace) -> int:
         "points": plan.points,
         "duration_s": plan.duration_s,
         "notes": plan.notes,
+        "warnings": plan.warnings,
         "ok": True,
     }
     words = (
@@ -60,7 +61,8 @@ def check(args: argparse.Namespace) -> int:
         f"this robot sweeps an axis: {_word(able['robot_sweeps'])}; "
         f"the arm keeps clear of: {', '.join(facts['keep_out']) or 'nothing that is stated'}"
     )
-    print_answer(facts, "\n".join([words, *plan.notes]), as_json=args.json)
+    warnings = [f"warning: {each}" for each in plan.warnings]
+    print_answer(facts, "\n".join([words, *plan.notes, *warnings]), as_json=args.json)
     return 0
 
 

@@ -52,6 +52,7 @@ from hilcell.commands.run_output import (
     print_end,
     print_lost,
     print_unclosed,
+    print_warnings,
 )
 from hilcell.journal.disk_space import check_space
 from hilcell.journal.engine_file import live_engine
@@ -126,6 +127,7 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         print_dry_run(cell, procedure, plan, as_json=args.json)
         return 0
+    print_warnings(plan)
     check_space(args.runs, plan.points)
     earlier = {
         "driven_by": _finished_runs(args.runs, cell),

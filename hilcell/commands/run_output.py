@@ -307,3 +307,10 @@ def print_dry_run(cell: Cell, procedure: Procedure, plan: Plan, *, as_json: bool
     print_table((["step", "points", "minutes"], rows))
     for note in plan.notes:
         print_message(note)
+    print_warnings(plan)
+
+
+def print_warnings(plan: Plan) -> None:
+    """Print what the run can hardly end with."""
+    for warning in plan.warnings:
+        print_message(f"warning: {warning}")

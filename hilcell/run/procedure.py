@@ -36,6 +36,7 @@ class Step:
     duration_s: float
     spans: tuple[Span, ...] = ()  # in their order; for the forecast
     note: str = ""  # why an act does nothing
+    warning: str = ""  # why its result is not what is wanted
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +59,11 @@ class Plan:
     def notes(self) -> list[str]:
         """Return in words which steps do nothing, and why."""
         return [f"{step.name} does nothing: {step.note}" for step in self.steps if step.note]
+
+    @property
+    def warnings(self) -> list[str]:
+        """Return in words what the run can hardly end with, and the next act."""
+        return [f"{step.name}: {step.warning}" for step in self.steps if step.warning]
 
 
 class Part(Protocol):

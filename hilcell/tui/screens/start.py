@@ -328,9 +328,10 @@ def plan_summary(request: process.RunRequest, plan: dict[str, Any]) -> Content:
     )
     has_rail = bool(plan.get("rail", True))
     notes = [
-        f"{step_words(step['name'], has_rail=has_rail)}: {step['note']}\n"
+        f"{step_words(step['name'], has_rail=has_rail)}: {step[key]}\n"
         for step in plan["steps"]
-        if step.get("note")
+        for key in ("note", "warning")
+        if step.get(key)
     ]
     return Content.assemble(
         (f"Start {procedure_words(plan['procedure'])} on cell {plan['cell']}?\n", "bold $ask"),

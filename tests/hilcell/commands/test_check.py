@@ -68,6 +68,34 @@ def test_steps_that_do_nothing_are_named_with_their_cost(
     assert json.loads(capsys.readouterr().out)["notes"] == []
 
 
+@pytest.mark.parametrize(
+    ("settings", "warned"),
+    [
+        ((), "U = 0.70 mm (k = 2) with 1 reading a target at 4.4 m"),
+        (("tracker.samples=5",), "U = 0.31 mm (k = 2) with 5 readings"),
+        (("tracker.samples=6",), ""),
+        (("validation.max_tolerance_mm=0.8",), ""),
+        (("tracker.options.distance_mm=0.1",), ""),
+        (("tracker.driver=leica-emscon",), ""),
+    ],
+)
+def test_an_instrument_whose_class_leaves_no_room_is_a_warning_and_no_refusal(
+    capsys: pytest.CaptureFixture[str], settings: tuple[str, ...], warned: str
+) -> None:
+    words = ["--set", "tracker.driver=leica-geocom", *(w for s in settings for w in ("--set", s))]
+    assert main(["check", "paper", *words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["warnings"]
+    assert len(found) == bool(warned)
+    assert warned in "".join(found)
+    assert all("State tracker.samples 6 or more" in each for each in found)
+    for command in (["check", "paper"], ["run", "--cell", "paper", "--dry-run"]):
+        assert main([*command, *words]) == 0
+        said = capsys.readouterr().err
+        assert ("warning: validate: no result can be shown to be in tolerance" in said) is bool(
+            warned
+        )
+
+
 def test_problems_stand_in_the_order_of_their_lines(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
