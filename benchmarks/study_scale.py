@@ -22,7 +22,6 @@ from benchmarks.words import parser
 from hilcell.study.analysis import answers
 from hilcell.study.case import measured, packed, versions
 from hilcell.study.cluster import workers_of
-from hilcell.study.design import most_cases
 from hilcell.study.outcome import RESULTS
 from hilcell.study.performing import perform
 from hilcell.study.results import Results, plain_rows
@@ -113,10 +112,10 @@ def many_cases() -> None:
                 counts = perform(results, workers, lambda _: None)
                 took_s = time.perf_counter() - began_s
                 spent_s = {each: processor_s(pid) for each, pid in processes.items()}
-                assert counts == {"done": most_cases(study)}
-                print(f"{most_cases(study)} empty cases, two workers: {took_s:.0f} s of wall time")
+                assert counts == {"done": study.most_cases}
+                print(f"{study.most_cases} empty cases, two workers: {took_s:.0f} s of wall time")
                 for each, pid in processes.items():
-                    ms = 1e3 * (spent_s[each] - before_s[each]) / most_cases(study)
+                    ms = 1e3 * (spent_s[each] - before_s[each]) / study.most_cases
                     print(f"{each:10} {peak_mib(pid):5.0f} MiB at most, {ms:5.2f} ms a case")
                 assert peak_mib(two) < 2048.0
         began_s = time.process_time()

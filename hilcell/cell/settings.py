@@ -15,7 +15,7 @@ import stat
 import tomllib
 import types
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -29,11 +29,13 @@ LONGEST_VALUE = 80
 _PATH = re.compile(r"(\w+)[\w.\[\]]*:")  # with which a table's own check names the field
 _UNREAD = object()
 _KINDS = {
-    "float": "a number", "int": "a whole number", "str": "a text", "bool": "true or false",
-    "array": "a list", "object": "a table",
+    "float": "a number", "int": "a whole number", "int | float": "a number", "str": "a text",
+    "bool": "true or false", "array": "a list", "object": "a table",
 }  # fmt: skip
 _MEMBER = re.compile(r" - at `\$\[(\d+)\]`$")
-_EXPECTED = re.compile(rf"Expected `({'|'.join(_KINDS)})`(?!.* - at `)")
+_EXPECTED = re.compile(
+    rf"Expected `({'|'.join(map(re.escape, _KINDS))})(?: \| null)?`(?!.* - at `)"
+)
 MOST_BYTES = 16_000_000  # of a file that is read at once
 
 T = TypeVar("T", bound=msgspec.Struct)
@@ -84,11 +86,21 @@ def unreadable(source: str, error: Exception, kind: str = "file") -> SettingsErr
     return SettingsError(source, [problem])
 
 
-def convert(values: Mapping[str, object], kind: type[T], source: str) -> T:
-    """Build ``kind`` from plain values; raises `SettingsError` naming all problems at once."""
+def convert(
+    values: Mapping[str, object],
+    kind: type[T],
+    source: str,
+    also: Callable[[T], Iterable[str]] = lambda _: (),
+) -> T:
+    """Build ``kind`` from plain values; raises `SettingsError` naming all problems at once.
+
+    ``also`` yields further problems. A table that it gets may lack a field that could not be read:
+    that raises AttributeError.
+    """
     problems: list[str] = []
     try:
         built = _struct(values, kind, "", problems)
+        problems += also(built)
     except RecursionError:
         raise SettingsError(source, ["nested too deeply"]) from None
     if problems:

@@ -23,7 +23,7 @@ from hilcell.commands.output_place import check_output
 from hilcell.errors import HilcellError
 from hilcell.run.exits import EXIT_ABORTED, EXIT_FAULT, EXIT_OK, EXIT_OUT_OF_TOLERANCE
 from hilcell.run.signals import interrupted_once
-from hilcell.study.design import cases, most_cases
+from hilcell.study.design import cases
 from hilcell.study.errors import Cluster, missing
 from hilcell.study.study_file import Study, read_study
 from hilcell.writing import write_whole
@@ -74,7 +74,7 @@ def _perform(args: argparse.Namespace) -> int:
     from hilcell.study.results import Results
 
     results = Results(folder, asked)
-    planned = most_cases(asked)
+    planned = asked.most_cases
     with results.held():
         kept = len(results.finished())
         print_message(f"study {asked.name}: {planned} cases, {kept} of them kept in {folder}")
@@ -127,7 +127,7 @@ def _dry_run(asked: Study, *, as_json: bool) -> int:
         print_message(f"{more} more cases; --json lists all")
     if asked.optimise is not None:
         print_message(
-            f"the search goes on from these; it measures {most_cases(asked)} cases at most"
+            f"the search goes on from these; it measures {asked.most_cases} cases at most"
         )
     return EXIT_OK
 
@@ -176,7 +176,7 @@ def _report(args: argparse.Namespace) -> int:
     from hilcell.study.analysis import answers
 
     rows = plain_rows(results.table())
-    planned = most_cases(results.study)
+    planned = results.study.most_cases
     html = page(results.study, answers(results.study, rows), rows, planned)
     write_whole(place, html.encode(), inputs=results.files())
     code = _answer(results, planned, as_json=args.json)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hilcell.cell.settings import SettingsError
 from hilcell.study.factor import Factor
-from hilcell.study.study_file import MOST_CASES, Optimum, Study
+from hilcell.study.study_file import Optimum, Study
 
 LEAST_GENERATION, PER_FACTOR = 8, 4
 
@@ -91,11 +89,10 @@ class Case:
 
 
 def points(study: Study) -> list[Point]:
-    """Return the points of the design; raises `SettingsError` for too many cases.
+    """Return the points of the design.
 
     Of an optimiser, which asks for others by their results, those that it begins with.
     """
-    most_cases(study)
     match study.design, study.optimise:
         case "optimise", Optimum() as wanted:
             drawn = _drawn(study, generation(study, wanted))
@@ -105,20 +102,6 @@ def points(study: Study) -> list[Point]:
         case _:
             found = _factorial(study)
     return [Point(n, choices) for n, choices in enumerate(found, start=1)]
-
-
-def most_cases(study: Study) -> int:
-    """Return how many cases are measured, by an optimiser at most.
-
-    Raises `SettingsError` for too many.
-    """
-    count = study.samples or math.prod(len(each.ends) for each in study.factor)
-    if study.optimise is not None:
-        count = study.optimise.trials
-    count *= study.machines * study.seeds
-    if not count <= MOST_CASES:
-        raise SettingsError(study.name, [f"{count} cases, at most {MOST_CASES} are measured"])
-    return count
 
 
 def cases(study: Study) -> Iterator[Case]:

@@ -17,6 +17,7 @@ KINDS: Mapping[str, tuple[str, ...]] = {
     "loguniform": (),
     "triangular": ("mode",),
 }
+PARAMETERS = tuple(dict.fromkeys(key for keys in KINDS.values() for key in keys))
 LEAST_SHARE = 1e-6  # of a distribution between low and high
 
 
@@ -39,8 +40,7 @@ class Distribution(Frozen, frozen=True, kw_only=True):
     @property
     def stated(self) -> Mapping[str, float]:
         """Return its parameters."""
-        keys = dict.fromkeys(key for keys in KINDS.values() for key in keys)
-        return {key: getattr(self, key) for key in keys if getattr(self, key) is not None}
+        return {key: getattr(self, key) for key in PARAMETERS if getattr(self, key) is not None}
 
     @property
     def words(self) -> str:
@@ -93,7 +93,9 @@ class Distribution(Frozen, frozen=True, kw_only=True):
             hint = did_you_mean(self.kind, KINDS) or f"; known: {', '.join(KINDS)}"
             yield f"kind: {self.kind!r} is none{hint}"
             return
-        yield from (f"{key}: {self.kind} has none" for key in self.stated if key not in wanted)
-        for key in wanted:
-            if key not in self.stated:
+        for key in PARAMETERS:
+            is_stated = getattr(self, key, 0.0) is not None  # one that could not be read is stated
+            if is_stated and key not in wanted:
+                yield f"{key}: {self.kind} has none"
+            elif key in wanted and not is_stated:
                 yield f"{key}: missing; {self.kind} wants it"

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import bisect
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Annotated, Any
 
 from msgspec import Meta
@@ -15,6 +16,8 @@ from hilcell.study.distribution import Distribution
 
 Money = Annotated[float, Meta(ge=-1e12, le=1e12)]
 Weight = Annotated[float, Meta(gt=0, le=1e12)]
+OF_EACH = ("labels", "weights", "costs", "minutes")  # one for each level, or each end
+UNREAD = object()  # stands for a field that has a problem of its own
 
 
 class Factor(Frozen, frozen=True, kw_only=True):
@@ -38,7 +41,20 @@ class Factor(Frozen, frozen=True, kw_only=True):
     minutes: list[Money] | None = None
 
     def __post_init__(self) -> None:
-        refuse(self._problems())
+        refuse(line for check in self.checks() for line in check())
+
+    def checks(self) -> Sequence[Callable[[], Iterator[str]]]:
+        """Return checks of the whole, each of which needs a few fields only."""
+        return [
+            self._stated,
+            self._range_without_levels,
+            self._range_of_one_setting,
+            self._range_ascends,
+            self._levels_without_range,
+            self._levels_apart,
+            self._levels_named,
+            *(partial(self._one_each, key) for key in OF_EACH),
+        ]
 
     @property
     def is_range(self) -> bool:
@@ -97,42 +113,63 @@ class Factor(Frozen, frozen=True, kw_only=True):
         sums = list(itertools.accumulate(weights))
         return min(bisect.bisect_right(sums, share * sums[-1]), len(weights) - 1)
 
-    def _problems(self) -> Iterator[str]:
-        stated = self.levels is not None, self.low is not None, self.high is not None
-        if stated not in ((True, False, False), (False, True, True)):
-            yield "levels are wanted, or low and high"
-            return
-        yield from self._range_problems() if self.is_range else self._level_problems()
-        for key in ("labels", "weights", "costs", "minutes"):
-            given = getattr(self, key)
-            if given is not None and len(given) != len(self.ends):
-                yield f"{key}: {len(self.ends)} are wanted, found {len(given)}"
+    @property
+    def _has_range(self) -> bool:
+        ends = getattr(self, "low", UNREAD), getattr(self, "high", UNREAD)
+        return self.is_range and None not in ends
 
-    def _range_problems(self) -> Iterator[str]:
-        low, high = self.ends
+    @property
+    def _has_levels(self) -> bool:
+        return not self.is_range and self.low is None and self.high is None
+
+    def _stated(self) -> Iterator[str]:
+        if not (self._has_range or self._has_levels):
+            yield "levels are wanted, or low and high"
+
+    def _range_without_levels(self) -> Iterator[str]:
         for key in ("labels", "weights"):
-            if getattr(self, key) is not None:
-                yield f"{key} are for levels"
-        if not self.setting:
+            if self._has_range and getattr(self, key, UNREAD) is not None:
+                yield f"{key}: these are for levels"
+
+    def _range_of_one_setting(self) -> Iterator[str]:
+        if self._has_range and not self.setting:
             yield "setting: missing; which setting has this range?"
+
+    def _range_ascends(self) -> Iterator[str]:
+        if not self._has_range:
+            return
+        low, high = self.ends
         if not low < high:
             yield f"low {low:g} must be below high {high:g}"
         elif isinstance(self.distribution, Distribution):  # one that could be read
             yield from self.distribution.problems_between(low, high)
 
-    def _level_problems(self) -> Iterator[str]:
-        if self.distribution is not None:
+    def _levels_without_range(self) -> Iterator[str]:
+        if self._has_levels and getattr(self, "distribution", UNREAD) is not None:
             yield "distribution: this is for low and high; levels have weights"
+
+    def _levels_apart(self) -> Iterator[str]:
+        if not self._has_levels:
+            return
         if len(self.ends) < 2:
             yield f"levels: two or more are wanted, found {len(self.ends)}"
         elif len(set(self.names)) < len(self.names):
             yield "levels: two are alike; give each its own, or its own label"
-        if self.setting:
+
+    def _levels_named(self) -> Iterator[str]:
+        if not self._has_levels or self.setting:
             return
         if not all(isinstance(each, Mapping) and each for each in self.ends):
             yield "setting: missing; without it each level is a table of settings"
         elif self.labels is None:
             yield "labels: missing; levels that are tables of settings want names"
+
+    def _one_each(self, key: str) -> Iterator[str]:
+        given = getattr(self, key)
+        if not (self._has_range or self._has_levels) or given is None:
+            return
+        if len(given) != len(self.ends):
+            yield f"{key}: {len(self.ends)} are wanted, found {len(given)}"
 
 
 def _word(value: object) -> str:

@@ -24,7 +24,7 @@ from hilcell.cell.source import read_source
 from hilcell.journal.journal import StorageError
 from hilcell.run.cell_lock import CellLocked, locked
 from hilcell.study.case import DONE, STATES, Row, versions
-from hilcell.study.design import Case, chosen, most_cases
+from hilcell.study.design import Case, chosen
 from hilcell.study.errors import OtherStudy
 from hilcell.study.study_file import Study
 from hilcell.writing import STORAGE, DiskFailed, NotWritten, write_whole
@@ -269,7 +269,7 @@ def _check_row(study: Study, row: Row) -> None:
     """Raise `ArrowInvalid` for a row that no study has written."""
     number, done = row["case"], row["state"] == DONE
     used = [row[name] for name in ("minutes", study.accuracy, "covered", "targets")]
-    if not (number and 1 <= number <= most_cases(study) and row["state"] in STATES):
+    if not (number and 1 <= number <= study.most_cases and row["state"] in STATES):
         raise pa.ArrowInvalid(f"a row is no case of the study: {number}, {row['state']!r}")
     if done and not all(each is not None and math.isfinite(each) for each in used):
         raise pa.ArrowInvalid(f"case {number} was done, and has no figures")

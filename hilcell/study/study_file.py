@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -22,7 +23,7 @@ from hilcell.cell.settings import (
 )
 from hilcell.cell.source import built_in_cells, parsed
 from hilcell.cell.tables import Frozen, Name
-from hilcell.study.factor import Factor
+from hilcell.study.factor import UNREAD, Factor
 from hilcell.study.outcome import RESULTS
 from hilcell.study.toml_value import toml_value
 
@@ -77,8 +78,19 @@ class Study(Frozen, frozen=True, kw_only=True):
             self._samples_wanted,
             self._optimum_wanted,
             self._drawn_by_sobol,
-            self._factors_apart,
+            self._count_of_factors,
+            self._names_apart,
+            self._settings_apart,
+            self._count_of_cases,
         ]
+
+    @property
+    def most_cases(self) -> int:
+        """How many cases are measured, by an optimiser at most."""
+        points = self.samples or math.prod(len(each.ends) for each in self.factor)
+        if self.optimise is not None:
+            points = self.optimise.trials
+        return points * self.machines * self.seeds
 
     @property
     def has_costs(self) -> bool:
@@ -119,23 +131,31 @@ class Study(Frozen, frozen=True, kw_only=True):
             return
         for n, each in enumerate(self.factor):
             for key in ("distribution", "weights"):
-                if getattr(each, key) is not None:
+                if getattr(each, key, UNREAD) is not None:
                     yield f'factor[{n}].{key}: this is for design = "sobol"'
 
-    def _factors_apart(self) -> Iterator[str]:
+    def _count_of_factors(self) -> Iterator[str]:
         if not 1 <= len(self.factor) <= MOST_FACTORS:
             yield f"factor: 1 to {MOST_FACTORS} are wanted, found {len(self.factor)}"
-        names = [str(getattr(each, "name", n)) for n, each in enumerate(self.factor)]
-        settings = [key for each in self.factor for key in each.settings_named]
-        for key, found in (("name", names), ("setting", settings)):
-            for word in sorted({each for each in found if found.count(each) > 1}):
-                yield f"factor: two have the {key} {word!r}"
+
+    def _names_apart(self) -> Iterator[str]:
+        names = [each.name for each in self.factor if hasattr(each, "name")]
+        yield from _twice("name", names)
+        for name in names:
+            if name in (*RESULTS, *COLUMNS):
+                yield f"factor: the name {name!r} is one of a result"
+
+    def _settings_apart(self) -> Iterator[str]:
+        readable = [each for each in self.factor if hasattr(each, "settings_named")]
+        settings = [key for each in readable for key in each.settings_named]
+        yield from _twice("setting", settings)
         for whole, part in sorted(set(itertools.permutations(settings, 2))):
             if part.startswith(f"{whole}."):
                 yield f"factor: {whole!r} contains {part!r}; one of them would undo the other"
-        for each in self.factor:
-            if each.name in (*RESULTS, *COLUMNS):
-                yield f"factor: the name {each.name!r} is one of a result"
+
+    def _count_of_cases(self) -> Iterator[str]:
+        if not self.most_cases <= MOST_CASES:
+            yield f"{self.most_cases} cases, at most {MOST_CASES} are measured"
 
 
 COLUMNS = ("case", "point", "machine", "seed", "state", "reason", "minutes", "cost")
@@ -148,51 +168,83 @@ def read_study(path: Path) -> Study:
         text = read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise unreadable(source, error, "study file") from error
-    study = convert(parsed(text, source), Study, source)
-    if study.cell not in built_in_cells():
-        study = msgspec.structs.replace(study, cell=str(path.parent / study.cell))
-    if problems := [*_unlike_the_cell(study)]:
-        raise SettingsError(source, problems)
-    return study
+
+    def unlike_the_cell(found: Study) -> Iterator[str]:
+        if hasattr(found, "cell") and hasattr(found, "settings"):
+            yield from _unlike_the_cell(found, _place(found.cell, path.parent))
+
+    study = convert(parsed(text, source), Study, source, unlike_the_cell)
+    return msgspec.structs.replace(study, cell=_place(study.cell, path.parent))
+
+
+def _place(cell: str, folder: Path) -> str:
+    """Return a built-in cell, or the file beside the study's."""
+    return cell if cell in built_in_cells() else str(folder / cell)
 
 
 def cell_of(study: Study, values: Mapping[str, object]) -> Cell:
     """Return the base cell with these settings; raises `SettingsError`."""
-    given = {**study.settings, **values}
-    return load_cell(study.cell, {key: toml_value(value) for key, value in given.items()})
+    return _cell(study.cell, {**study.settings, **values})
 
 
-def _unlike_the_cell(study: Study) -> Iterator[str]:
+def _cell(where: str, settings: Mapping[str, object]) -> Cell:
+    return load_cell(where, {key: toml_value(value) for key, value in settings.items()})
+
+
+def _unlike_the_cell(study: Study, where: str) -> Iterator[str]:
     """Yield what is wrong with the base cell, and values that a factor's setting can never take.
 
     A value that only goes ill with the others' is not refused: its cases cannot be, which is a
-    finding of the study.
+    finding of the study. Factors are tried without the settings of the base cell that are wrong.
     """
+    base, sound = list[str](), dict(study.settings)
+    while new := [line for line in _wrong_base(where, sound) if line not in base]:
+        base += new
+        for key in [key for key in sound if any(_names(each, key) for each in new)]:
+            del sound[key]
+    yield from (f"cell {where}: {line}" for line in base)
+    known = {_without_line(line) for line in base}
+    for n, factor in enumerate(getattr(study, "factor", ())):
+        place = "setting" if getattr(factor, "setting", "") else "levels"
+        for line in dict.fromkeys(_never(where, sound, factor)):
+            if line not in known:
+                yield f"factor[{n}].{place}: {line}"
+
+
+def _wrong_base(where: str, settings: Mapping[str, object]) -> Iterator[str]:
     try:
-        base = cell_of(study, {})
+        cell = _cell(where, settings)
     except SettingsError as error:
-        yield from (f"cell {study.cell}: {line}" for line in error.problems)
+        yield from error.problems
         return
-    if base.simulation is None:
-        yield f"cell {study.cell}: it has real devices only; a study simulates"
-        return
-    for n, factor in enumerate(study.factor):
-        place = "setting" if factor.setting else "levels"
-        for line in dict.fromkeys(_never(study, factor)):
-            yield f"factor[{n}].{place}: {line}"
+    if cell.simulation is None:
+        yield "it has real devices only; a study simulates"
+    else:
+        yield from _no_machine(cell)
 
 
-def _never(study: Study, factor: Factor) -> Iterator[str]:
-    for value in factor.ends:
-        given = factor.settings(value)
+def _never(where: str, sound: Mapping[str, object], factor: Factor) -> Iterator[str]:
+    """Yield why values of a factor, as far as they could be read, can never be."""
+    if not hasattr(factor, "ends") or not hasattr(factor, "setting"):
+        return
+    values = [value for value in factor.ends if value is not None]
+    if not factor.setting:  # each is a table of settings, where it is sound
+        values = [value for value in values if isinstance(value, Mapping)]
+    for given in map(factor.settings, values):
         try:
-            cell = cell_of(study, given)
+            cell = _cell(where, {**sound, **given})
         except SettingsError as error:
-            found = ((_without_line(line), key) for line in error.problems for key in given)
-            yield from (line for line, key in found if _is_of(line, key))
+            lines = [_without_line(line) for line in error.problems]
+            yield from (line for line in lines for key in given if _is_of(line, key))
             continue
         if any(key.startswith(MACHINE) for key in given):
             yield from _no_machine(cell)
+
+
+def _names(problem: str, key: str) -> bool:
+    """Whether a problem of the base cell, or of its machine, is one of this setting's."""
+    plain = _without_line(problem)
+    return _is_of(plain, key) or plain.startswith(f"{key} ")
 
 
 def _is_of(problem: str, key: str) -> bool:
@@ -206,7 +258,9 @@ def _no_machine(cell: Cell) -> Iterator[str]:
     try:
         in_process_cell(cell, seed=1)
     except SettingsError as error:
-        if error.source.startswith(MACHINE):
+        if error.source == "in_process_cells":
+            yield from (f"simulation.simulator: {line}" for line in error.problems)
+        elif error.source.startswith(MACHINE):
             yield from (f"{error.source}: {line}" for line in error.problems)
 
 
@@ -214,6 +268,11 @@ def _without_line(problem: str) -> str:
     """Return a problem of a cell file without the number of its line, where it has one."""
     first, _, rest = problem.partition(": ")
     return rest if first.rpartition(":")[2].isdecimal() else problem
+
+
+def _twice(kind: str, words: Sequence[str]) -> Iterator[str]:
+    for word in sorted({each for each in words if words.count(each) > 1}):
+        yield f"factor: two have the {kind} {word!r}"
 
 
 def _unknown(name: str, known: Sequence[str] = tuple(RESULTS)) -> str:

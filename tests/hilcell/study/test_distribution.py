@@ -90,7 +90,7 @@ def test_a_distribution_that_says_none(tmp_path: Path, table: str, words: str) -
     [
         ({"levels": [2, 5], "weights": [1]}, SOBOL, "weights: 2 are wanted, found 1"),
         ({"levels": [2, 5], "weights": [1, -1]}, SOBOL, "weights[1]: a number is wanted"),
-        ({"low": 2, "high": 5, "weights": [1, 2]}, SOBOL, "weights are for levels"),
+        ({"low": 2, "high": 5, "weights": [1, 2]}, SOBOL, "weights: these are for levels"),
         ({"levels": [2, 5], "weights": [1, 2]}, "machines = 1", 'this is for design = "sobol"'),
     ],
 )

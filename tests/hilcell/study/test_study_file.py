@@ -73,6 +73,117 @@ def test_every_mistake_is_named_at_once(tmp_path: Path) -> None:
         assert words in problems
 
 
+LAYERS = """
+name = "trial"
+machines = 0
+seeds = "two"
+samples = 3
+
+[settings]
+"layout.nest_samples" = 0
+"grid.ptch_mm" = 450.0
+"simulation.machine" = "papr"
+
+[[factor]]
+name = "grid (mm)"
+setting = "grid.pich_mm"
+levels = [450.0, 300.0]
+
+[[factor]]
+name = "mean_mm"
+setting = "tracker.samples"
+levels = [0]
+
+[[factor]]
+setting = "grid.centre.x_mm"
+levels = 3
+costs = ["a"]
+minutes = "b"
+
+[[factor]]
+name = "speed"
+setting = "rail.speed_mm_s"
+low = -1
+high = "x"
+distribution = { kind = "normal", mean = "x" }
+labels = ["a", "b"]
+
+[[factor]]
+name = "speed"
+setting = "simulation.sizes.rail.backlas_mm"
+levels = [0.1, 0.2]
+costs = [1]
+weights = [0]
+"""
+FOUND = """
+machines: a whole number is wanted, found 0; allowed: >= 1, <= 10000
+seeds: a whole number is wanted, found 'two'; allowed: >= 1, <= 10000
+samples: these are for design = "sobol"
+factor[0].name: 1 to 64 letters, digits
+factor[1].levels: two or more are wanted, found 1
+factor[2].name: missing
+factor[2].levels: a list is wanted, found 3
+factor[2].costs[0]: a number is wanted, found 'a'; allowed: >= -1e+12, <= 1e+12
+factor[2].minutes: a list is wanted, found 'b'
+factor[3].high: a number is wanted, found 'x'
+factor[3].labels: these are for levels
+factor[3].distribution.mean: a number is wanted, found 'x'
+factor[3].distribution.sd: missing; normal wants it
+factor[3].distribution: this is for design = "sobol"
+factor[4].weights[0]: a number is wanted, found 0; allowed: > 0, <= 1e+12
+factor[4].weights: this is for design = "sobol"
+factor[4].costs: 2 are wanted, found 1
+factor: two have the name 'speed'
+factor: the name 'mean_mm' is one of a result
+cell paper: grid.ptch_mm: unknown key; did you mean "pitch_mm"?
+cell paper: layout.nest_samples: a whole number is wanted, found 0; allowed: >= 1, <= 1000
+cell paper: simulation.machine 'papr': no such file, and no machine of that name
+factor[0].setting: grid.pich_mm: unknown key; did you mean "pitch_mm"?
+factor[1].setting: tracker.samples: a whole number is wanted, found 0; allowed: >= 1, <= 1000
+factor[4].setting: simulation.sizes of paper: rail.backlas_mm: unknown key
+"""
+
+
+def test_no_mistake_hides_another(tmp_path: Path) -> None:
+    """Of the file, its factors, the base cell, the values of a setting, the machine."""
+    path = tmp_path / "study.toml"
+    path.write_text(LAYERS)
+    with pytest.raises(SettingsError) as found:
+        read_study(path)
+    missed = [
+        wanted
+        for wanted in FOUND.strip().splitlines()
+        if not any(line.startswith(wanted) for line in found.value.problems)
+    ]
+    assert missed == []
+    assert len(found.value.problems) == len(FOUND.strip().splitlines())
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ('"simulation.machine" = "papr"', "simulation.machine 'papr': no such file"),
+        ('"simulation.simulator" = "none"', "simulation.simulator: 'none' is not installed"),
+        ('"simulation.sizes.rail.backlash_mm" = -1.0', "rail.backlash_mm: a number is wanted"),
+    ],
+)
+def test_a_base_cell_without_a_machine_is_refused(tmp_path: Path, setting: str, words: str) -> None:
+    """Every case of it could not be."""
+    path = written(tmp_path)
+    path.write_text(path.read_text().replace("[settings]", f"[settings]\n{setting}"))
+    with pytest.raises(SettingsError) as found:
+        read_study(path)
+    (problem,) = found.value.problems
+    assert problem.startswith("cell paper: ")
+    assert words in problem
+
+
+def test_too_many_cases_are_refused_with_the_rest(tmp_path: Path) -> None:
+    problems = refused(tmp_path, factor(levels=[2, 0]), "machines = 9999\nseeds = 9999")
+    assert problems[0] == "file: 199960002 cases, at most 1000000 are measured"
+    assert problems[1].startswith("factor[0].setting: layout.nest_samples: ")
+
+
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
@@ -80,7 +191,7 @@ def test_every_mistake_is_named_at_once(tmp_path: Path) -> None:
         ({"low": 1}, "levels are wanted, or low and high"),
         ({"low": 1, "high": 3, "levels": [1, 2]}, "levels are wanted, or low and high"),
         ({"low": 3, "high": 3}, "low 3 must be below high 3"),
-        ({"low": 1, "high": 3, "labels": ["a", "b"]}, "labels are for levels"),
+        ({"low": 1, "high": 3, "labels": ["a", "b"]}, "labels: these are for levels"),
         ({"levels": [2, 2]}, "two are alike"),
         ({"levels": [2, 5], "labels": ["a"]}, "labels: 2 are wanted, found 1"),
         ({"levels": [2, 5], "costs": [1, 2, 3]}, "costs: 2 are wanted, found 3"),
@@ -156,6 +267,16 @@ def test_levels_that_differ_little_are_two(tmp_path: Path) -> None:
 )
 def test_a_design_that_cannot_be_drawn(tmp_path: Path, head: str, words: str) -> None:
     assert words in "\n".join(refused(tmp_path, factor(levels=[2, 5]), head))
+
+
+def test_a_mistake_of_a_cell_file_has_its_line(tmp_path: Path) -> None:
+    text = Path("hilcell/cells/paper.toml").read_text("utf-8")
+    (tmp_path / "own.toml").write_text(text.replace("pitch_mm", "ptch_mm"))
+    problems = refused(tmp_path, factor(levels=[2, 0]), 'cell = "own.toml"')
+    assert [line.partition(": ")[0] for line in problems] == [
+        f"cell {tmp_path}/own.toml", f"cell {tmp_path}/own.toml", "factor[0].setting",
+    ]  # fmt: skip
+    assert f"cell {tmp_path}/own.toml: {tmp_path}/own.toml:" in problems[0]
 
 
 def test_a_cell_of_real_devices_is_refused(tmp_path: Path) -> None:
