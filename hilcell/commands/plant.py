@@ -147,7 +147,8 @@ def open_database(url: str | None) -> Database:
 
 def _answers(connection: Connection, args: argparse.Namespace) -> dict[str, Any]:
     from hilcell.plant.cells import cells
-    from hilcell.plant.equipment import alarms, doubts, instruments, worse_stations
+    from hilcell.plant.doubts import doubts
+    from hilcell.plant.equipment import alarms, instruments, worse_stations
     from hilcell.plant.robots import robots
 
     cell, robot = args.cell or "", args.robot or ""

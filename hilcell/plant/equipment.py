@@ -1,20 +1,18 @@
-"""Stations that get worse, instruments by serial number, alarms by kind, records to doubt."""
+"""Stations that get worse, instruments by serial number, alarms by kind."""
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Sequence
 from datetime import datetime
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 import numpy as np
 from sqlalchemy import Connection, func, select
 
-from hilcell.calibration.validity import CLOCK_ERROR
-from hilcell.clean import clean
 from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.journal.point_words import OTHERS
 from hilcell.plant.cells import CELL, chosen, newest
@@ -223,113 +221,3 @@ def alarms(connection: Connection, cell: str = "", robot: str = "") -> list[Alar
         for (code, title, severity), rows in found.items()
     ]  # fmt: skip
     return sorted(counted, key=lambda each: (-each.count, each.code))
-
-
-class Doubt(NamedTuple):
-    """A doubt about the records of some cells, in a sentence."""
-
-    cells: list[str]
-    words: str
-
-
-def doubts(connection: Connection, cells: Collection[str] | None = None) -> list[str]:
-    """Return what is wrong with the records: serial numbers and clocks, one sentence each.
-
-    ``cells`` are the names of those whose records are wanted; None for all.
-    """
-    kinds = (_shared_serials, _at_once, _copied, _ahead, _set_back)
-    found = (doubt for kind in kinds for doubt in kind(connection))
-    return [doubt.words for doubt in found if cells is None or not {*cells}.isdisjoint(doubt.cells)]
-
-
-def _shared_serials(connection: Connection) -> Iterator[Doubt]:
-    asked = select(RUN.c.serial, RUN.c.cell).where(RUN.c.serial != "").distinct()
-    found: defaultdict[str, list[str]] = defaultdict(list)
-    for row in connection.execute(asked.order_by(RUN.c.serial, RUN.c.cell)):
-        found[row.serial].append(row.cell)
-    for serial, names in found.items():
-        if len(names) > 1:
-            yield Doubt(
-                names,
-                f"serial number {clean(serial)} is that of cells {', '.join(map(clean, names))}: "
-                "give each its own in its cell file",
-            )
-
-
-def _at_once(connection: Connection) -> Iterator[Doubt]:
-    """Yield real cells of which two runs were at work at once: two computers have one cell's name.
-
-    A run that was opened again lasts from its begin to its last end, so that is no sign.
-    """
-    before = func.lag(RUN.c.ended).over(partition_by=CELL, order_by=RUN.c.begun)
-    first = select(*CELL, RUN.c.begun, before.label("before")).where(
-        RUN.c.machine == "", RUN.c.revision == _first_revision()
-    )
-    each = first.subquery("each")
-    asked = (
-        select(each.c.cell, each.c.serial, func.count().label("times"))
-        .where(each.c.begun < each.c.before)
-        .group_by(each.c.cell, each.c.serial)
-    )
-    for row in connection.execute(asked):
-        yield Doubt(
-            [row.cell],
-            f"cell {clean(row.cell)}, serial number {clean(row.serial)}: {row.times} runs began "
-            "while another was at work: two computers ship as one cell, or their clocks disagree",
-        )
-
-
-def _copied(connection: Connection) -> Iterator[Doubt]:
-    """Yield runs that have one journal: earlier versions shipped a copied folder as another run."""
-    asked = (
-        select(RUN.c.cell, func.min(RUN.c.name).label("one"), func.max(RUN.c.name).label("other"))
-        .group_by(RUN.c.cell, RUN.c.head)
-        .having(func.count(RUN.c.run_key.distinct()) > 1)
-    )
-    pairs = {tuple(row) for row in connection.execute(asked)}
-    for cell, one, other in sorted(pairs):
-        yield Doubt(
-            [cell],
-            f"cell {clean(cell)}: runs {clean(one)} and {clean(other)} have the same journal: one "
-            "is a copy, and what they measured counts twice",
-        )
-
-
-def _first_revision() -> object:
-    other = RUN.alias("other")
-    return (
-        select(func.min(other.c.revision))
-        .where(other.c.run_key == RUN.c.run_key)
-        .correlate(RUN)
-        .scalar_subquery()
-    )
-
-
-def _ahead(connection: Connection) -> Iterator[Doubt]:
-    """Yield cells whose runs ended later than the server's clock said when they arrived."""
-    asked = select(RUN.c.cell, RUN.c.ended, RUN.c.shipped, RUN.c.name).where(
-        RUN.c.ended > RUN.c.shipped
-    )
-    ahead = {
-        row.cell: row
-        for row in connection.execute(asked.order_by(RUN.c.ended))
-        if row.ended > row.shipped + CLOCK_ERROR
-    }
-    for row in ahead.values():
-        hours = (row.ended - row.shipped).total_seconds() / 3600.0
-        yield Doubt(
-            [row.cell],
-            f"cell {clean(row.cell)}: run {clean(row.name)} ended {hours:.1f} h after it arrived "
-            "here: set the clock of its computer, or the server's",
-        )
-
-
-def _set_back(connection: Connection) -> Iterator[Doubt]:
-    """Yield cells of which runs ended before they began."""
-    asked = select(RUN.c.cell, func.max(RUN.c.name).label("name"), func.count().label("times"))
-    for row in connection.execute(asked.where(RUN.c.ended < RUN.c.begun).group_by(RUN.c.cell)):
-        yield Doubt(
-            [row.cell],
-            f"cell {clean(row.cell)}: {row.times} runs ended before they began, one of them "
-            f"{clean(row.name)}: the clock of its computer was set back meanwhile",
-        )

@@ -27,7 +27,7 @@ from hilcell.journal.journal import Record
 from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.plant.cells import cells
 from hilcell.plant.database import Database, PlantAway
-from hilcell.plant.equipment import doubts
+from hilcell.plant.doubts import doubts
 from hilcell.plant.record import record_of
 from hilcell.plant.shipper import NAME, Shipped, ship
 from hilcell.plant.store import write

@@ -25,6 +25,7 @@ from tests.hilcell.plant.year import (
     TURN_RAD,
     Model,
     Run,
+    extend,
     noisy,
     turned,
     write_journal,
@@ -186,6 +187,31 @@ def test_doubtful_records_are_named(
         assert asked(url, capsys, "--cell", cell)["doubts"] == doubts
     west = next(each for each in found["cells"] if each["cell"] == "west")
     assert west["condition"].startswith("made in the future")
+
+
+@pytest.mark.parametrize("real", [False, True])
+def test_a_robot_in_two_cells_and_runs_of_one_name_are_doubted(
+    real: bool, model: Model, office: Database, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    url, runs = f"sqlite:///{tmp_path}/plant.db", tmp_path / "runs"
+    for days, cell, robot in (
+        (9, "north", "R-1"), (8, "south", "R-1"), (7, "north", "R-1"),
+        (9, "east", "R-2"), (8, "east", "R-2"), (7, "west", "R-2"),
+    ):  # fmt: skip
+        began = NOW - days * DAY
+        model.write(runs, Run(f"{cell}-{days}", cell, f"HC-{cell}", began, robot, real=real))
+    other = Run("east-9", "east", "HC-east", NOW - 20 * DAY, "R-2", real=real)
+    model.write(tmp_path / "more", other)
+    assert main(["plant", "ship", str(runs), "--to", url]) == 0
+    extend(runs / "west-7", [(NOW, "event", "", {"what": "note", "text": "a further revision"})])
+    assert main(["plant", "ship", str(tmp_path / "more"), "--to", url]) == 0
+    found = asked_after(url, runs, capsys)["doubts"]
+    robot, name = found
+    assert robot.startswith("robot R-1 worked in 2 cells in turns (north, south): two robots have")
+    assert name.startswith("cell east, serial number HC-east: several runs have one name")
+    assert "(1 names, the first east-9): two folders or computers" in name
+    assert asked(url, capsys, "--cell", "south")["doubts"] == [robot]
+    assert asked(url, capsys, "--robot", "R-2")["doubts"] == [name]
 
 
 def asked_after(url: str, runs: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
