@@ -234,7 +234,7 @@ def test_a_value_that_only_goes_ill_with_others_is_no_mistake(tmp_path: Path) ->
 
 
 def test_two_factors_of_one_setting(tmp_path: Path) -> None:
-    twice = factor(levels=[2, 5]) + factor(levels=[2, 3]) + factor(levels=3)
+    twice = factor(levels=[2, 5]) + factor(levels=[2, 3]) + factor(setting="", levels=3)
     problems = "\n".join(refused(tmp_path, twice))
     assert "two have the name 'f'" in problems
     assert "two have the setting 'layout.nest_samples'" in problems
