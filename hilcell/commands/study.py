@@ -121,7 +121,7 @@ def _dry_run(asked: Study, *, as_json: bool) -> int:
          *(choice.word for choice in each.point.choices)]
         for each in itertools.islice(found, MOST_LISTED)
     ]  # fmt: skip
-    names = [factor.name for factor in asked.factor]
+    names = [factor.title for factor in asked.factor]
     print_table((["case", "point", "machine", "seed", *names], rows))
     if more := sum(1 for _ in found):
         print_message(f"{more} more cases; --json lists all")

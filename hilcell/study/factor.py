@@ -17,6 +17,10 @@ from hilcell.study.distribution import Distribution
 Money = Annotated[float, Meta(ge=-1e12, le=1e12)]
 Weight = Annotated[float, Meta(gt=0, le=1e12)]
 OF_EACH = ("labels", "weights", "costs", "minutes")  # one for each level, or each end
+UNITS = {
+    "_mm_s2": "mm/s²", "_mm_s": "mm/s", "_percent": "%", "_urad": "µrad", "_mm": "mm",
+    "_deg": "deg", "_s": "s",
+}  # fmt: skip
 UNREAD = object()  # stands for a field that has a problem of its own
 
 
@@ -82,6 +86,13 @@ class Factor(Frozen, frozen=True, kw_only=True):
     def names(self) -> list[str]:
         """Return what each level, or each end, is called."""
         return self.labels or [_word(each) for each in self.ends]
+
+    @property
+    def title(self) -> str:
+        """Return its name as a heading: with the unit of its numbers, which its setting ends in."""
+        unit = next((UNITS[end] for end in UNITS if self.setting.endswith(end)), "")
+        wanted = unit and self.is_number and self.name.split()[-1] != unit
+        return f"{self.name} {unit}" if wanted else self.name
 
     @property
     def settings_named(self) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import groupby
 from typing import NamedTuple
 
@@ -22,6 +22,7 @@ from hilcell.report.drawings.drawing import (
     shortened,
     svg,
     text,
+    wide_mm,
 )
 from hilcell.study.analysis import Answers, Design, Effect
 from hilcell.study.intervals import Interval, Share
@@ -29,7 +30,8 @@ from hilcell.study.study_file import Study
 
 WIDTH_MM, HEIGHT_MM = 178.0, 92.0
 LEFT_MM, RIGHT_MM, TOP_MM, BOTTOM_MM = 14.0, 4.0, 8.0, 10.0
-NAMES_MM, LEVELS_MM, ROW_MM, GAP_MM = 34.0, 26.0, 5.2, 2.4
+MOST_NAMES_MM, MOST_LEVELS_MM, BESIDE_MM = 40.0, 40.0, 4.0
+ROW_MM, GAP_MM = 5.2, 2.4
 FIGURES_MM = 34.0
 NOMINAL = 95.0  # % of targets within a bound
 MOST_LABELS = 20
@@ -143,8 +145,10 @@ def _levels(
     margin = 0.06 * max(high - low, 1e-4 * max(abs(high), 1e-3))
     groups = [list(own) for _, own in groupby(effects, key=lambda each: each.factor.name)]
     height = TOP_MM + ROW_MM * len(effects) + GAP_MM * len(groups)
+    names_mm = _column((each.factor.title for each in effects), MOST_NAMES_MM)
+    levels_mm = _column((each.word for each in effects), MOST_LEVELS_MM)
     scale = Scale(
-        low - margin, min(high + margin, most), NAMES_MM + LEVELS_MM, WIDTH_MM - FIGURES_MM
+        low - margin, min(high + margin, most), names_mm + levels_mm, WIDTH_MM - FIGURES_MM
     )
     parts = [*_ticks(scale, TOP_MM - 4.0, height, name)]
     if line is not None:
@@ -152,19 +156,27 @@ def _levels(
         parts.append(path([(at, TOP_MM - 4.0), (at, height)], INK, 0.3, "1.2 0.8"))
     y = TOP_MM
     for own in groups:
-        parts.append(text(0.0, y + 1.0, shortened(own[0].factor.name, NAMES_MM - 2.0), bold=True))
+        parts.append(
+            text(0.0, y + 1.0, shortened(own[0].factor.title, names_mm - BESIDE_MM), bold=True)
+        )
         for n, each in enumerate(own):
-            parts += _level(scale, each.word, value(each), y + n * ROW_MM)
+            word = shortened(each.word, levels_mm - BESIDE_MM)
+            parts.append(text(names_mm, y + n * ROW_MM + 1.0, word))
+            parts += _level(scale, value(each), y + n * ROW_MM)
         y += ROW_MM * len(own) + GAP_MM
     return svg(WIDTH_MM, height + BOTTOM_MM, title, parts, True)
 
 
-def _level(scale: Scale, word: str, each: Bar, y: float) -> Iterator[str]:
+def _column(words: Iterable[str], most_mm: float) -> float:
+    """Return how wide a column of words is, with the space beside it."""
+    return min(most_mm, max(map(wide_mm, words)) + BESIDE_MM)
+
+
+def _level(scale: Scale, each: Bar, y: float) -> Iterator[str]:
     x = scale.one(each.mean)
     if each.low < each.high:
         yield path([(scale.one(each.low), y), (scale.one(each.high), y)], AFTER, 0.5)
     yield circle(x, y, 1.1, AFTER, AFTER)
-    yield text(NAMES_MM, y + 1.0, shortened(word, LEVELS_MM - 2.0))
     yield text(WIDTH_MM, y + 1.0, each.shown, "end", AFTER)
 
 

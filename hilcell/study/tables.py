@@ -17,6 +17,7 @@ from hilcell.study.study_file import Study
 
 MOST_REASONS = 10
 WITHOUT = "one machine gives no interval; state more `machines`"
+WAITING = "one machine gives no interval; the others are not measured yet"
 
 
 def sheets(study: Study, found: Answers, rows: Rows) -> list[Sheet]:
@@ -45,7 +46,7 @@ def best_sheet(study: Study, found: Answers) -> Sheet | None:
         ]
         for each in tried
     ]
-    headers = ["point", *(each.name for each in study.factor), "minutes", _accuracy(study)]
+    headers = ["point", *(each.title for each in study.factor), "minutes", _accuracy(study)]
     goal = [f"{study.accuracy[:-3]} error"]
     if wanted.mm_per_minute:
         goal.append(f"{wanted.mm_per_minute:g} mm a minute")
@@ -62,7 +63,7 @@ def front_sheet(study: Study, found: Answers) -> Sheet | None:
     """Return the designs that no other beats in everything, the fastest first."""
     if not found.front:
         return None
-    names = [factor.name for factor in study.factor]
+    names = [factor.title for factor in study.factor]
     money = [study.money] if study.has_costs else []
     whole = study.machines * study.seeds
     some = ["done"] if any(each.cases < whole for each in found.front) else []
@@ -84,7 +85,7 @@ def front_sheet(study: Study, found: Answers) -> Sheet | None:
         f"Of {len(found.designs)} designs these are beaten by no other in {against}. "
         f"{RESULTS[study.accuracy][0].capitalize()}."
     )
-    return Sheet("Pareto front", headers, rows, 1 + len(names), note + _one_machine(found))
+    return Sheet("Pareto front", headers, rows, 1 + len(names), note + _one_machine(study, found))
 
 
 def purchases_sheet(study: Study, found: Answers) -> Sheet | None:
@@ -95,7 +96,7 @@ def purchases_sheet(study: Study, found: Answers) -> Sheet | None:
     first = {id(each.factor): each.word for each in reversed(found.effects)}
     rows = [
         [
-            each.factor.name,
+            each.factor.title,
             first[id(each.factor)],
             each.word,
             with_half(Interval(-each.change.mean, each.change.half), 4),
@@ -107,14 +108,14 @@ def purchases_sheet(study: Study, found: Answers) -> Sheet | None:
     ]
     headers = ["factor", "from", "to", "gain mm", "shown", "more minutes", *money]
     note = "Gain: by how much the error falls when this factor alone changes, all else averaged."
-    return Sheet("Buy next", headers, rows, 3, note + _one_machine(found))
+    return Sheet("Buy next", headers, rows, 3, note + _one_machine(study, found))
 
 
 def effects_sheet(study: Study, found: Answers) -> Sheet | None:
     """Return the accuracy at each level of each factor, all else averaged."""
     rows = [
         [
-            each.factor.name,
+            each.factor.title,
             each.word,
             with_half(each.mean, 4),
             with_half(each.change, 4) if each.change.mean else "",
@@ -189,7 +190,7 @@ def _kind(reason: str) -> str:
 
 def with_half(each: Interval, digits: int) -> str:
     """Return a figure with its interval, where it has one."""
-    shown = f"{each.mean:.{digits}f}".replace("-", "−")
+    shown = f"{each.mean:z.{digits}f}".replace("-", "−")  # z: no -0
     return shown if math.isnan(each.half) else f"{shown} ± {each.half:.{digits}f}"
 
 
@@ -215,9 +216,10 @@ def _shown(each: Effect) -> str:
     return "gain" if each.change.mean < 0.0 else "loss"
 
 
-def _one_machine(found: Answers) -> str:
-    one = found.covered is not None and math.isnan(found.covered.low)
-    return f" Without intervals: {WITHOUT}." if one else ""
+def _one_machine(study: Study, found: Answers) -> str:
+    if found.covered is None or not math.isnan(found.covered.low):
+        return ""
+    return f" Without intervals: {WITHOUT if study.machines == 1 else WAITING}."
 
 
 def _design(each: Design) -> dict[str, Any]:

@@ -13,11 +13,18 @@ from scipy.stats import t as student
 
 from hilcell.study.analysis import answers, on_front
 from hilcell.study.design import Case, cases
-from hilcell.study.intervals import interval
+from hilcell.study.intervals import Interval, interval
 from hilcell.study.page import page
 from hilcell.study.results import row_of
 from hilcell.study.study_file import Study
-from hilcell.study.tables import count_words, facts, front_sheet, purchases_sheet, sheets
+from hilcell.study.tables import (
+    count_words,
+    facts,
+    front_sheet,
+    purchases_sheet,
+    sheets,
+    with_half,
+)
 from tests.hilcell.study.studies import study
 from tests.hilcell.study.test_design import RANGES, SOBOL
 
@@ -89,9 +96,53 @@ def test_one_machine_gives_no_interval(tmp_path: Path) -> None:
     sheet = purchases_sheet(asked, found)
     assert sheet is not None
     assert [row[4] for row in sheet.rows] == ["no", "no"]
-    assert "one machine gives no interval" in sheet.note
+    assert "one machine gives no interval; state more `machines`" in sheet.note
     assert facts(asked, found, 4)["effects"][0]["accuracy_mm"]["half95"] is None
     assert "<svg" in page(asked, found, measured, 4)
+
+
+def test_a_study_that_goes_on_has_stated_its_machines(tmp_path: Path) -> None:
+    asked = study(tmp_path)
+    measured = [row for row in rows(asked, additive) if row["machine"] == 1]
+    sheet = purchases_sheet(asked, answers(asked, measured))
+    assert sheet is not None
+    assert "one machine gives no interval; the others are not measured yet" in sheet.note
+
+
+PITCH = """
+[[factor]]
+name = "pitch"
+setting = "grid.pitch_mm"
+levels = [450.0, 300.0]
+
+[[factor]]
+name = "radius mm"
+setting = "tracker.find_radius_mm"
+levels = [5.0, 6.0]
+
+[[factor]]
+name = "place"
+setting = "grid.centre.x_mm"
+levels = [1850.0, 3850.0]
+labels = ["beside the press line", "far"]
+"""
+
+
+def test_numbers_have_their_unit_and_words_are_whole(tmp_path: Path) -> None:
+    asked = study(tmp_path, PITCH)
+    measured = rows(asked, lambda _: 0.1)
+    found = answers(asked, measured)
+    sheet = front_sheet(asked, found)
+    assert sheet is not None
+    assert sheet.headers[1:4] == ["pitch mm", "radius mm", "place"]
+    html = page(asked, found, measured, 16)
+    assert html.count(">beside the press line</text>") == 2  # of both plots by levels
+    assert html.count(">pitch mm</text>") == 2
+
+
+def test_a_change_that_is_rounding_has_no_sign() -> None:
+    assert with_half(Interval(-1e-18, 1e-17), 4) == "0.0000 ± 0.0000"
+    assert with_half(Interval(-0.25, 0.5), 1) == "−0.2 ± 0.5"
 
 
 def test_ranges_of_a_sobol_design(tmp_path: Path) -> None:
