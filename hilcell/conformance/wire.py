@@ -107,8 +107,10 @@ class Wire:
     ``pass``, ``blackhole`` (all is swallowed, nothing closed), ``mute`` (answers are swallowed),
     ``hold`` (answers are kept until the mode changes), ``behind`` (what is kept comes right behind
     the driver's next request, `AHEAD_S` before its answer; where none is sent, after `BEHIND_S`),
-    ``garbage`` (in place of answers), ``flood`` (without end), ``slices`` (1 byte each), ``pieces``
-    (one byte, then the rest in two), ``glue``, ``slow`` (each piece of an answer ``delay_s`` late).
+    ``keep`` (answers pass, and are copied), ``again`` (the copy comes, once, right behind the
+    driver's next request, `AHEAD_S` before its answer), ``garbage`` (in place of answers),
+    ``flood`` (without end), ``slices`` (1 byte each), ``pieces`` (one byte, then the rest in two),
+    ``glue``, ``slow`` (each piece of an answer ``delay_s`` late).
     ``rewrite``: bytes of answers to replace. ``asked`` is called before a request is handed on.
     """
 
@@ -144,7 +146,7 @@ class Wire:
         thread.start()
 
     def _pump(self, near: End, far: End) -> None:
-        kept, due_s = b"", math.inf
+        kept, copy, due_s = b"", b"", math.inf
         with suppress(OSError, ValueError):
             while not self._ended:
                 ready, _, _ = select.select([near, far], [], [], LOOK_S)
@@ -156,6 +158,10 @@ class Wire:
                 if asked:
                     self.asked()
                     self._pieces(data, far)
+                if asked and copy and self.mode == "again":
+                    near.send(copy)
+                    copy = b""
+                    time.sleep(AHEAD_S)
                 late = self.mode == "behind" and not asked and now_s < due_s
                 if kept and not late and self.mode not in ("hold", "mute"):
                     near.send(kept)
@@ -166,6 +172,7 @@ class Wire:
                     if self.mode == "hold" or (kept and self.mode == "behind"):
                         kept += data
                     else:
+                        copy += data if self.mode == "keep" else b""
                         self._answer(data, near)
         for each in (near, far):
             each.close(reset=False)

@@ -62,6 +62,22 @@ def test_answers_do_not_come(wires: Wires, mode: str) -> None:
         nothing_comes(link)
 
 
+def test_an_old_answer_comes_once_more_ahead_of_the_next_one(wires: Wires) -> None:
+    with client(wires) as link:
+        wires.set("keep")
+        link.sendall(b"old")
+        assert link.recv(100) == b"old"
+        wires.straight()
+        link.sendall(b"mid")
+        assert link.recv(100) == b"mid"
+        wires.set("again")
+        link.sendall(b"new")
+        assert exactly(link, 6) == b"oldnew"
+        link.sendall(b"end")
+        assert exactly(link, 3) == b"end"
+        nothing_comes(link)
+
+
 def test_held_answers_come_later(wires: Wires) -> None:
     with client(wires) as link:
         wires.set("hold")
