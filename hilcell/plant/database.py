@@ -48,7 +48,10 @@ LIMITS = "54"  # class of SQLSTATE: a key that is too long for an index, and the
 SEEN = "plant.sqlite"  # beside the journals, of those that were shipped
 CELL, ENGINEER = "hilcell_cell", "hilcell_engineer"  # the roles
 RIGHT = "42501"  # SQLSTATE: insufficient privilege
-GRANT = f"; a user ships in the role {CELL} and reads in the role {ENGINEER}; the owner makes both"
+GRANT = (
+    f"; a user ships in the role {CELL} and reads in the role {ENGINEER}; the owner of the "
+    "database makes both by `hilcell plant init`"
+)
 LOGIN = (
     "; check the URL's user and database, and the password in ~/.pgpass; the owner lets users in"
 )

@@ -135,6 +135,9 @@ def test_a_right_that_is_missing_is_one_line(
     assert main(["plant", "ship", str(runs), "--to", postgresql.url(name, "nobody_s")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "permission denied for table alembic_version; a user ships in the role hilcell_" in line
+    assert main(["plant", "init", "--to", postgresql.url(name, "nobody_s")]) == 2
+    said = capsys.readouterr().err
+    assert "the owner of the database makes both by `hilcell plant init`" in said
 
 
 def test_a_database_that_is_not_there_is_one_line(
