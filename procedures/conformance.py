@@ -34,7 +34,10 @@ class Conformance:
 
     name = NAME
     needs = "devices connected"
-    moves = "simulated devices of its own; real ones 20 mm and 5 deg at most, slowly"
+    moves = (
+        "simulated devices of its own; real ones slowly: the slide to the first station and 60 mm "
+        "beyond, the robot 5 deg about its safe pose"
+    )
     measures = "three floor nests"
     yields = "a verdict on each promise of each driver"
 
