@@ -38,9 +38,9 @@ if TYPE_CHECKING:
 __all__ = [
     "Air", "Array", "AxisReading", "Clock", "DeviceError", "DeviceRefused", "Exercise",
     "ExternalAxis", "HilcellError", "Identity", "InProcessCell", "JointSample", "LinkStatistics",
-    "NoReading", "Rail", "RailReading", "RidesOnRobot", "Robot", "RobotReading", "SimulatedCell",
-    "Stopped", "Stream", "StreamBlock", "Streams", "StripLost", "Sweep", "Sweeps", "Tracker",
-    "TrackerReading", "Training", "says_simulated",
+    "NoReading", "Rail", "RailReading", "RepeatsRun", "RidesOnRobot", "Robot", "RobotReading",
+    "SimulatedCell", "Stopped", "Stream", "StreamBlock", "Streams", "StripLost", "Sweep", "Sweeps",
+    "Tracker", "TrackerReading", "Training", "says_simulated",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -374,6 +374,15 @@ class SimulatedCell(Protocol):
 
     def close(self) -> None:
         """Let go of the cell; end its process, if it was started here."""
+
+
+@runtime_checkable
+class RepeatsRun(Protocol):
+    """A simulated cell that repeats one recorded run; its class takes ``session``, from 1 on."""
+
+    @classmethod
+    def check_run(cls, cell: Cell, procedure: str, seed: int) -> None:
+        """Refuse another procedure, seed or cell than was recorded; raises `SettingsError`."""
 
 
 class InProcessCell(Protocol):

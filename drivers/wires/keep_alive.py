@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Generic, Protocol, TypeVar
 
-from hilcell.ports import DeviceError, Stopped
+from hilcell.ports import HilcellError, Stopped
 
 IDLE_S = 8.0
 LOOK_S = 1.0
@@ -32,7 +32,7 @@ class KeepAlive(Generic[Kept]):
 
     def __init__(self, connections: Sequence[Kept], ask: Callable[[Kept], object]) -> None:
         self._connections, self._ask = connections, ask
-        self._failure: DeviceError | None = None
+        self._failure: HilcellError | None = None
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="keep-alive", daemon=True)
         self._thread.start()
@@ -53,7 +53,7 @@ class KeepAlive(Generic[Kept]):
                 self._ask_idle()
         except Stopped:
             return  # the run ends; nothing needs these connections any longer
-        except DeviceError as error:
+        except HilcellError as error:
             self._failure = error
 
     def _ask_idle(self) -> None:

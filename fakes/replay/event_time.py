@@ -14,6 +14,9 @@ import time
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Sequence
 
+SILENCE_S = 1.5  # of waiting, after the end of a recording
+LOOK_S = 0.1  # at most between two looks of one wait
+
 
 class EventTime:
     """Seconds of the recording, one for all wires; safe to use from several threads."""
@@ -24,12 +27,52 @@ class EventTime:
         self._lock = threading.Lock()
         self._followers: tuple[Callable[[float], None], ...] = ()
         self._landmark_s = 0.0  # that was passed last
+        self._end_s, self._end = 0.0, ""  # of all wires
+        self._left = ""
+        self.stop_s, self._stop = float("inf"), ""
+        self._looked_s, self._idle_s = time.monotonic(), 0.0  # real time
         self.now_s = 0.0
 
     def expect(self, asked_s: Iterable[float], landmarks_s: Iterable[float]) -> None:
         """Take the times at which a wire was asked, and those of what it was asked once only."""
         self._asked_s = sorted([*self._asked_s, *asked_s])
         self._landmarks_s = sorted([*self._landmarks_s, *landmarks_s])
+
+    def end_at(self, time_s: float, place: str) -> None:
+        """Take the end of a wire's recording, and where that is written: nobody waits behind it."""
+        self._end_s, self._end = max((self._end_s, self._end), (time_s, place))
+
+    def stop_at(self, time_s: float, place: str) -> None:
+        """Take when the recorded run was to stop. All later times are of its stop."""
+        self.stop_s, self._stop = time_s, place
+
+    def leave(self, found: str) -> None:
+        """A question was asked that the recording has no answer to; the first one counts."""
+        self._left = self._left or found
+
+    def left(self) -> str:
+        """Return where and why the replay goes no further; "" while it may.
+
+        The recording is over where all that was asked was asked, and a wait on the wires brings
+        nothing more. A silence at its end belongs to it: a device that did not answer.
+        """
+        if self._end:
+            self._look()
+        return self._left
+
+    def _look(self) -> None:
+        now_s = time.monotonic()
+        with self._lock:
+            between_s, self._looked_s = now_s - self._looked_s, now_s
+            if between_s < LOOK_S:  # else nobody was waiting
+                self._idle_s += between_s
+        silent_s = max(0.0, self._end_s - self.now_s)
+        if self.next_asked_s() == float("inf") and silent_s < SILENCE_S < self._idle_s:
+            self.leave(f"the recording ends at {self._end}, and this run goes on")
+
+    def went_on(self) -> None:
+        """Something was answered that had not been before."""
+        self._idle_s = 0.0
 
     def part(self) -> tuple[float, float]:
         """Return the times of the landmarks between which the replay is."""
@@ -48,7 +91,10 @@ class EventTime:
     def reach(self, time_s: float) -> None:
         """Be at ``time_s``; all that had come by then is handed out before this returns."""
         with self._lock:
-            self.now_s = max(self.now_s, time_s)
+            if time_s > self.now_s:
+                self.now_s, self._idle_s = time_s, 0.0
+        if self.now_s >= self.stop_s:
+            self.leave(f"the recording ends at {self._stop}, where its run was stopped")
         for follower in self._followers:
             follower(self.now_s)
 

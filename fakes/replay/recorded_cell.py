@@ -7,7 +7,7 @@ cell pass at once; its clock shows what it showed.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from threading import Event
 
@@ -15,19 +15,23 @@ import msgspec
 
 from fakes.replay.dialects import Dialect, dialects_of
 from fakes.replay.event_time import EventTime, RecordedLooks
+from fakes.replay.recorded_run import Recorded, check_run, folder_of, read_run, sessions
 from fakes.replay.recorded_wire import RecordedWire
 from hilcell.cell.devices import TABLES, driver_options, stand_ins
 from hilcell.cell.file import Cell
-from hilcell.cell.settings import SettingsError
-from hilcell.ports import Stopped
-from hilcell.wire.recording import CLOCK, SUFFIX, drivers_of, looks, read_recording, recordings
-from hilcell.wire.wires import addressed, can_interfaces, joined, wires_of
+from hilcell.ports import HilcellError, Stopped
+from hilcell.wire.recording import CLOCK, Piece, ended_with, head_of, looks
+from hilcell.wire.wires import addressed
 
 NO_PORTS: Mapping[str, int] = {}
+ENDED = "HC-C26"
+EXIT_FAULT, EXIT_ABORTED = 3, 4  # of the recorded run
+ACT = "use the procedure, cell and settings of the recorded run, or record it again"
+AGAIN = "there the recorded run ended, and was resumed: `hilcell resume` this one, too"
 
 
 class RecordedCell:
-    """Satisfies `hilcell.ports.SimulatedCell`."""
+    """Satisfies `hilcell.ports.SimulatedCell` and `hilcell.ports.RepeatsRun`."""
 
     def __init__(
         self,
@@ -35,26 +39,41 @@ class RecordedCell:
         *,
         seed: int | None = None,
         speed: float = math.inf,
+        session: int = 1,
         **_: object,
     ) -> None:
-        self.check(cell)
+        paths, pieces = read_run(cell, session)
+        self._resumed = len(sessions(folder_of(cell))) > session
         self.options: dict[str, dict[str, object]] = {}
         self.address = ""
         self._wires: list[RecordedWire] = []
-        time, channels = EventTime(), dict[str, dict[str, str]]()
-        paths = recordings(_folder(cell))
-        clock = paths.pop(CLOCK, None)
-        self._looks = RecordedLooks(time, *looks([] if clock is None else read_recording(clock)))
+        self._time, channels = EventTime(), dict[str, dict[str, str]]()
+        clock = pieces.pop(CLOCK, ())
+        self._looks = RecordedLooks(self._time, *looks(clock))
+        self._expect_end(paths, clock, pieces)
         tables = {table: getattr(cell, table) for table, _group in TABLES}
         dialects = {table: dialects_of(one.driver, one.options) for table, one in tables.items()}
-        for name, path in paths.items():
+        for name, found in pieces.items():
             table, _dot, wire = name.partition(".")
             dialect = dialects[table].get(wire, Dialect())
-            self._wires.append(RecordedWire(read_recording(path), dialect, time))
+            self._wires.append(RecordedWire(found, dialect, self._time, str(paths[name])))
             channels.setdefault(table, {})[wire] = self._wires[-1].channel
         for each in self._wires:
             each.start()
         self._address(cell, channels)
+
+    def _expect_end(
+        self, paths: Mapping[str, Path], clock: Sequence[Piece], wires: Recorded
+    ) -> None:
+        """Let the replay know where its recording ends, but for one that a fault has ended."""
+        ended = ended_with(clock)
+        if head_of(clock) is None or ended == EXIT_FAULT:
+            return
+        for name, found in wires.items():
+            self._time.end_at(found[-1].t, f"{paths[name]}:{len(found)}")
+        for line, piece in enumerate(clock, 1):
+            if piece.e == "stopped" and ended == EXIT_ABORTED:
+                self._time.stop_at(piece.t, f"{paths[CLOCK]}:{line}")
 
     def _address(self, cell: Cell, channels: Mapping[str, Mapping[str, str]]) -> None:
         """Let the drivers find the recorded wires."""
@@ -66,21 +85,17 @@ class RecordedCell:
 
     @classmethod
     def check(cls, cell: Cell) -> None:
-        """Refuse a folder without a wire of the cell, or of other drivers; `SettingsError`."""
-        folder = _folder(cell)
-        found = recordings(folder)
-        if not found:
-            raise SettingsError(
-                "simulation.data",
-                [f"{folder}: no recording (*{SUFFIX}) there; make one with `run --record-wire`"],
-            )
-        missing = [f"{folder}: {problem}" for problem in _missing(cell, set(found))]
-        if problems := _other_drivers(cell, folder) or missing:
-            raise SettingsError("simulation.data", problems)
+        """Refuse a folder that is not whole, or of another cell; raises `SettingsError`."""
+        read_run(cell)
+
+    @classmethod
+    def check_run(cls, cell: Cell, procedure: str, seed: int) -> None:
+        """Refuse another procedure or seed than was recorded; raises `SettingsError`."""
+        check_run(cell, procedure, seed)
 
     def clock(self, stop: Event) -> RecordedClock:
         """Return the cell's clock."""
-        return RecordedClock(self._looks, stop)
+        return RecordedClock(self._looks, self._time, stop, AGAIN if self._resumed else ACT)
 
     def close(self) -> None:
         """Stop serving."""
@@ -89,10 +104,14 @@ class RecordedCell:
 
 
 class RecordedClock:
-    """The cell's clock as it was, in which every wait is over at once."""
+    """The cell's clock as it was, in which every wait is over at once.
 
-    def __init__(self, looks: RecordedLooks, stop: Event) -> None:
-        self._looks, self._stop = looks, stop
+    Every wait on a wire looks here, so here a run learns that its recording goes no further.
+    """
+
+    def __init__(self, looks: RecordedLooks, time: EventTime, stop: Event, act: str) -> None:
+        """``act`` is what to do where the recording ends."""
+        self._looks, self._time, self._stop, self._act = looks, time, stop, act
         self.now_s = looks.now_s
 
     def wait(self, duration_s: float) -> None:
@@ -101,40 +120,8 @@ class RecordedClock:
         self.check()
 
     def check(self) -> None:
-        """Raise `Stopped` if a stop was asked for."""
+        """Raise `Stopped` if a stop was asked for, `HilcellError` where the recording has ended."""
         if self._stop.is_set():
             raise Stopped("a stop was asked for")
-
-
-def _other_drivers(cell: Cell, folder: Path) -> list[str]:
-    """Return which devices were recorded with another driver than the cell's, where that is known.
-
-    Raises `SettingsError` for what is no recording.
-    """
-    clock = recordings(folder).get(CLOCK)
-    recorded = drivers_of([] if clock is None else read_recording(clock))
-    return [
-        f"{folder}: the {table} was recorded with driver {driver!r}, here it is "
-        f"{getattr(cell, table).driver!r}; add --set {table}.driver={driver}"
-        for table, driver in recorded.items()
-        if driver != getattr(cell, table).driver
-    ]
-
-
-def _missing(cell: Cell, found: Set[str]) -> Iterator[str]:
-    """Return, in words, the wires of a cell of which there is no recording."""
-    anywhere = stand_ins(cell)
-    for table, group in TABLES:
-        if table not in anywhere:
-            continue  # its driver is not installed, which the check of the cell states
-        _, options = driver_options(cell, table, group, anywhere[table])
-        stated = msgspec.to_builtins(options)
-        for channel in can_interfaces(stated):
-            yield f"{table}: {channel} is a CAN interface, of which no recording can be played"
-        for wire in wires_of(stated):
-            if (name := joined(table, wire)) not in found:
-                yield f"no {name}{SUFFIX}; use the whole folder, with the cell of the recorded run"
-
-
-def _folder(cell: Cell) -> Path:
-    return Path("" if cell.simulation is None else cell.simulation.data)
+        if found := self._time.left():
+            raise HilcellError(f"{found}; {self._act}", code=ENDED)

@@ -4,8 +4,8 @@ The driver may ask more or less often than when it was recorded: how often a mot
 matter of time. So questions that were asked once only (a motion, a command) part the recording
 (`event_time`). In each part a question gets the answers to its name in their order, and at
 last the last one again; one that is asked on and on has come to the part's end. Samples of a stream
-come when their time has come. A question that was never recorded gets no answer, as from a device
-that hangs: there this run has left the recorded one.
+come when their time has come. A question that was never recorded gets no answer: there this run
+has left the recorded one, which `recorded_wire` says.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ class Exchange:
     answers: list[bytes] = field(default_factory=list)
     time_s: float = 0.0
     came_s: list[float] = field(default_factory=list)  # the answers, each
+    cut: bool = False  # the recording ends before the answer does
 
     def __post_init__(self) -> None:
         self.came_s = self.came_s or [self.time_s] * len(self.answers)
@@ -66,6 +67,8 @@ def exchanges(pieces: Sequence[Piece], dialect: Dialect) -> list[Exchange]:
             for answer in answers:
                 of = (each for each in reversed(found) if dialect.belongs(answer, each.asked))
                 next(of, found[-1]).add(answer, piece.t)
+    ended = any(piece.e in ("end", "lost") for piece in pieces)
+    found[-1].cut = not ended and (bool(answering) or not found[-1].answers)
     if answering and not dialect.flows:
         found[-1].add(answering, pieces[-1].t)
     return found
@@ -145,7 +148,14 @@ class Script:
         self._names = Names(self._named)
         self._next: Counter[bytes] = Counter()
         self._repeated = 0
+        self._cut = False
+        before = [each for each in recorded[1:] if each.time_s < time.stop_s]
+        self._last = before[-1] if before else None  # that was asked before the run was stopped
         self.samples: deque[tuple[float, bytes]] = deque()  # of a stream, and when they come
+
+    def knows(self, asked: bytes) -> bool:
+        """Whether a question was recorded, the last one with its answer."""
+        return not self._cut and self._names.of(self._dialect.name(asked)) in self._named
 
     def reply(self, asked: bytes) -> list[bytes]:
         """Return the answers to a question, in their pieces; samples behind them come later."""
@@ -160,12 +170,20 @@ class Script:
         taken = self._taken(name, found)
         if taken is None:
             return []
+        self._cut = taken.cut
         self._dialect.heard(asked, taken.asked)
         answers = [self._dialect.answer(asked, taken.asked, each) for each in taken.answers]
         count = taken.awaited(self._dialect)
         self.samples.extend(zip(taken.came_s[count:], answers[count:], strict=True))
-        self._time.reach(taken.came_s[0] if count else taken.time_s)
-        return answers[:count]
+        came_s = taken.came_s[0] if count else taken.time_s
+        self._time.reach(came_s)
+        if taken.time_s >= self._time.stop_s or self._time.stop_s == float("inf"):
+            return answers[:count]
+        before = bisect_left(taken.came_s, self._time.stop_s, hi=count)
+        silent = taken is self._last and not taken.answers and not self._dialect.is_command(asked)
+        if before < count or silent:  # the others answer the stop
+            self._time.reach(self._time.stop_s)
+        return answers[:before]
 
     def _taken(self, name: bytes, found: list[Exchange]) -> Exchange | None:
         begin_s, end_s = self._time.part()
@@ -174,6 +192,7 @@ class Script:
         at = max(self._next[name], first)
         if at < end:
             self._next[name], self._repeated = at + 1, 0
+            self._time.went_on()
             return found[at]
         self._repeated += 1
         if self._repeated >= STUCK and end_s < float("inf"):
@@ -199,6 +218,10 @@ class Flow:
         self._at = self._taken = 0
         self._asked = b""
         self._silent = False
+
+    def knows(self, asked: bytes) -> bool:
+        """Whether a question was recorded, here or later."""
+        return self._names.of(self._dialect.name(asked)) in self._order[self._at :]
 
     def ask(self, asked: bytes) -> None:
         """Go on with the messages that came after a question; with none if it was never asked."""

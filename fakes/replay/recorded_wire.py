@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import select
 import socket
 import threading
 import time
+from bisect import bisect_right
 from collections.abc import Sequence
 
 from fakes.replay.dialects import Dialect
@@ -15,6 +17,8 @@ from fakes.wires.listener import HOST, Listener
 from hilcell.wire.recording import Piece
 
 RECEIVE = 65536
+LONGEST = 60  # of a question in a message
+_WORDS = re.compile(rb"[ -~]{3,}")
 FLOW_S = 0.001  # between two messages that come by themselves
 BEAT_S = 0.2  # between two signs of life
 
@@ -22,7 +26,11 @@ BEAT_S = 0.2  # between two signs of life
 class RecordedWire:
     """Serves the recorded connections of one wire in their order; a further one gets the last's."""
 
-    def __init__(self, pieces: Sequence[Piece], dialect: Dialect, time: EventTime) -> None:
+    def __init__(
+        self, pieces: Sequence[Piece], dialect: Dialect, time: EventTime, place: str
+    ) -> None:
+        """``place`` names the recording."""
+        self._place, self._came_s = place, [piece.t for piece in pieces]
         self._recorded = connections(pieces, dialect)
         self._dialect, self._time = dialect, time
         self._landmarks = landmarks(self._recorded, dialect)
@@ -50,6 +58,15 @@ class RecordedWire:
     def close(self) -> None:
         """Stop serving."""
         self._listener.close()
+
+    def _look_up(self, script: Script | Flow, asked: bytes) -> None:
+        """Let the replay end where the driver asks what was never recorded."""
+        if script.knows(asked):
+            return
+        line, count = bisect_right(self._came_s, self._time.now_s), len(self._came_s)
+        found = "ends at" if line == count else "has no answer behind"
+        words = b" ".join(_WORDS.findall(asked))[:LONGEST].decode() or asked[:LONGEST].hex()
+        self._time.leave(f"the recording {found} {self._place}:{line}: this run asks {words!r}")
 
     def _next(self) -> Sequence[Exchange]:
         with self._lock:
@@ -89,6 +106,7 @@ class RecordedWire:
                     if not self._dialect.unheard(message):
                         send_due(float("inf"))  # they had come before it was asked
                         send(script.reply(message))
+                        self._look_up(script, message)
         finally:
             self._time.unfollow(send_due)
 
@@ -103,5 +121,6 @@ class RecordedWire:
                     if self._dialect.unheard(message):
                         self._dialect.passed(message)
                     else:
+                        self._look_up(flow, message)
                         flow.ask(message)
             client.sendall(b"".join(flow.next()))

@@ -25,6 +25,7 @@ from hilcell.ports import (
     Identity,
     InProcessCell,
     Rail,
+    RepeatsRun,
     RidesOnRobot,
     Robot,
     SimulatedCell,
@@ -315,17 +316,27 @@ def _simulator_problems(simulator: type[SimulatedCell], cell: Cell) -> list[str]
     return []
 
 
+def check_repeated(cell: Cell, procedure: str, seed: int) -> None:
+    """Refuse what a cell that repeats a recorded run was not recorded with; `SettingsError`."""
+    if cell.simulation is not None:
+        simulator = load_entry("simulators", cell.simulation.simulator)
+        if issubclass(simulator, RepeatsRun):
+            simulator.check_run(cell, procedure, seed)
+
+
 def start_simulation(
-    cell: Cell, *, seed: int | None, speed: float, **more: object
+    cell: Cell, *, seed: int | None, speed: float, session: int = 1, **more: object
 ) -> SimulatedCell | None:
     """Start the simulated cell beside the engine, where the cell file asks for one.
 
-    ``seed`` is its machine's, None for one that runs already. ``more`` is for `hilcell sim` alone:
-    faults, ports, truth.
+    ``seed`` is its machine's, None for one that runs already. ``session`` is the run's, which one
+    that repeats a run has to know. ``more`` is for `hilcell sim` alone: faults, ports, truth.
     """
     if cell.simulation is None:
         return None
     simulator = load_entry("simulators", cell.simulation.simulator)
+    if issubclass(simulator, RepeatsRun):
+        more["session"] = session
     simulated: SimulatedCell = simulator(cell, seed=seed, speed=speed, **more)
     return simulated
 

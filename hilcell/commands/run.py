@@ -8,7 +8,6 @@ import math
 import platform
 import signal
 import sys
-import threading
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
 from importlib.metadata import version
@@ -27,6 +26,7 @@ from hilcell.cell.copied import check_copied
 from hilcell.cell.devices import (
     build_devices,
     check_options,
+    check_repeated,
     device_places,
     load_entry,
     start_simulation,
@@ -90,6 +90,7 @@ from hilcell.run.runner import Runner, finish
 from hilcell.run.same_cell import NONE, Changes, accepted, cell_file, changed_inputs
 from hilcell.run.signals import note_signals, stopped_by_signals
 from hilcell.wire.record import Addresses, WireRecording
+from hilcell.wire.recording import Head, TimedStop
 from hilcell.writing import NotWritten
 
 RUNS_LOOKED_AT = 5  # for poses that were driven before
@@ -124,6 +125,7 @@ def run(args: argparse.Namespace) -> int:
             args.machine_seed = calibrated_machine(cell, uses)
     plan = procedure.plan(cell, args.seed)
     check_options(cell)
+    check_repeated(cell, args.procedure, args.seed)
     if args.dry_run:
         print_dry_run(cell, procedure, plan, as_json=args.json)
         return 0
@@ -347,13 +349,15 @@ def _run(
     changes: Changes,
 ) -> Ending:
     """Bring up devices and perform; failures before the runner lives are journalled here."""
-    log, inputs, stop = journal.log, journal.log.inputs, threading.Event()
+    log, inputs, stop = journal.log, journal.log.inputs, TimedStop()
     sys.setswitchinterval(SWITCH_S)
     try:
         with ExitStack() as stack:
             speed = inputs.speed or math.inf
             with stopped_by_signals(noted):  # it waits for another process
-                simulated = start_simulation(cell, seed=inputs.truth_seed, speed=speed)
+                simulated = start_simulation(
+                    cell, seed=inputs.truth_seed, speed=speed, session=log.session + 1
+                )
                 if simulated is not None:
                     stack.callback(simulated.close)
             addresses: Addresses = simulated.options if simulated is not None else {}
@@ -361,7 +365,10 @@ def _run(
                 _lock_devices(cell, addresses, journal.run, stack)  # nobody else has our own ones
             clock: Clock = simulated.clock(stop) if simulated is not None else WallClock(stop)
             if args.record_wire:
-                addresses, clock = _recorded(cell, addresses, clock, folder, stack)
+                head = _head(cell, log, folder)
+                recording = _recording(cell, addresses, folder, head)
+                stack.callback(lambda: recording.close((log.end or {}).get("exit")))
+                addresses, clock = recording.addresses, recording.clock(clock, stop)
             devices = build_devices(cell, addresses, clock)
             runner = Runner(
                 cell,
@@ -398,15 +405,18 @@ def _run(
         return Ending(code, error)
 
 
-def _recorded(
-    cell: Cell, addresses: Addresses, clock: Clock, folder: Path, stack: ExitStack
-) -> tuple[Addresses, Clock]:
-    """Return the addresses of relays that record the devices' wires, and a clock that is."""
-    recording = WireRecording(cell, addresses, folder)
-    stack.callback(recording.close)
+def _head(cell: Cell, log: Log, folder: Path) -> Head:
+    """Return what a recording states of its run."""
+    inputs, stated = log.inputs, msgspec.to_builtins(cell)
+    return Head(folder.name, inputs.procedure, inputs.seed, log.session + 1, stated)
+
+
+def _recording(cell: Cell, addresses: Addresses, folder: Path, head: Head) -> WireRecording:
+    """Return the relays that record the devices' wires, and say which are left out."""
+    recording = WireRecording(cell, addresses, folder, head)
     for table, why in recording.left_out.items():
         print_message(f"warning: the wire of the {table} is not recorded: {why}")
-    return recording.addresses, recording.clock(clock)
+    return recording
 
 
 def _lock_devices(cell: Cell, addresses: Addresses, run: str, stack: ExitStack) -> None:

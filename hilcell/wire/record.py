@@ -15,7 +15,15 @@ from hilcell.cell.devices import TABLES, driver_options
 from hilcell.cell.file import Cell
 from hilcell.errors import HilcellError
 from hilcell.ports import Clock
-from hilcell.wire.recording import CLOCK, SUFFIX, RecordedLooks, Recorder, recordings
+from hilcell.wire.recording import (
+    CLOCK,
+    SUFFIX,
+    Head,
+    RecordedLooks,
+    Recorder,
+    TimedStop,
+    recordings,
+)
 from hilcell.wire.relay import WireOrder
 from hilcell.wire.wires import addressed, can_interfaces, joined, wires_of
 
@@ -29,7 +37,7 @@ class WireRecording:
     ``left_out`` names devices whose wires cannot be recorded here, with the reason.
     """
 
-    def __init__(self, cell: Cell, addresses: Addresses, folder: Path) -> None:
+    def __init__(self, cell: Cell, addresses: Addresses, folder: Path, head: Head) -> None:
         """Start the relay; raises `HilcellError` where it cannot reach a serial line."""
         self.left_out: dict[str, str] = {}
         folder, began_s = _unused(folder), time.monotonic()
@@ -64,13 +72,16 @@ class WireRecording:
         self._recorder = Recorder(self._looks, began_s)
         drivers = {table: getattr(cell, table).driver for table, _group in TABLES}
         self._recorder.take(0, "drivers", msgspec.json.encode(drivers))
+        self._recorder.take(0, "run", msgspec.json.encode(head))
 
-    def clock(self, clock: Clock) -> Clock:
+    def clock(self, clock: Clock, stop: TimedStop) -> Clock:
         """Return the cell's clock as one whose looks are recorded: wires are paired by them."""
-        return RecordedLooks(clock, self._recorder)
+        return RecordedLooks(clock, self._recorder, stop)
 
-    def close(self) -> None:
-        """End the relay."""
+    def close(self, exit_code: int | None = None) -> None:
+        """End the relay, and state how the run has ended."""
+        if exit_code is not None:
+            self._recorder.take(0, "over", b"%d" % exit_code)
         self._recorder.close()
         self._looks.close()
         try:

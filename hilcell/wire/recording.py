@@ -5,8 +5,12 @@ recording of all wires began, the number of the connection, what happened, the b
 CRC-32 of all that. ``>`` went to the device, ``<`` came from it; ``open``, ``end`` (by the driver),
 ``lost`` (by the device) and ``refused`` carry no bytes. A recording may be packed by ``xz``.
 
+The first line of a wire is ``began``, with its name; a wire that was never opened has no other.
+
 The cell's clock is recorded like a wire: ``now`` is a look at it, with what it showed. Its first
-line, ``drivers``, states the drivers of the recorded run by table, as JSON.
+lines state the recorded run as JSON: ``drivers`` by table, and ``run``, its `Head`. ``stopped`` is
+when the run was to stop; all later pieces are of its stop. ``over`` is
+the last line, with the run's exit code; a run that was killed has none.
 """
 
 from __future__ import annotations
@@ -17,19 +21,24 @@ import threading
 import time
 import zlib
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Literal, Self
+from typing import IO, Any, Literal, Self
 
 import msgspec
 
 from hilcell.cell.settings import SettingsError
-from hilcell.ports import Clock
+from hilcell.ports import Clock, Stopped
 
+COPY_AGAIN = "copy it again from the PC that recorded it"
 CLOCK = "clock"  # in the place of a wire's name
 _SHOWN = struct.Struct(">d")
 SUFFIX = ".wire.jsonl"
 PACKED = ".xz"
-Event = Literal["open", ">", "<", "end", "lost", "refused", "now", "drivers"]
+Event = Literal[
+    "open", ">", "<", "end", "lost", "refused", "now", "drivers", "began", "run", "stopped",
+    "over",
+]  # fmt: skip
 
 
 class Piece(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -58,6 +67,16 @@ class Piece(msgspec.Struct, frozen=True, omit_defaults=True):
         return bytes.fromhex(self.b)
 
 
+class Head(msgspec.Struct, frozen=True):
+    """The run that was recorded, and which of its sessions: a run that is resumed has several."""
+
+    run: str
+    procedure: str
+    seed: int
+    session: int
+    cell: dict[str, Any]
+
+
 class Recorder:
     """Writes one recording; safe to use from several threads. A full disk ends it, no wire."""
 
@@ -67,12 +86,14 @@ class Recorder:
         self._lock = threading.Lock()
         self._began_s = began_s
 
-    def take(self, connection: int, event: Event, data: bytes = b"") -> None:
-        """Write what happened."""
+    def take(
+        self, connection: int, event: Event, data: bytes = b"", at_s: float | None = None
+    ) -> None:
+        """Write what happened, now or at ``at_s`` (monotonic)."""
         with self._lock:
             if self._file is None:
                 return
-            t = round(time.monotonic() - self._began_s, 6)
+            t = round((time.monotonic() if at_s is None else at_s) - self._began_s, 6)
             try:
                 self._file.write(msgspec.json.encode(Piece.of(t, connection, event, data)) + b"\n")
                 self._file.flush()
@@ -85,12 +106,44 @@ class Recorder:
             self._file = None
 
 
+class TimedStop(threading.Event):
+    """A stop that knows when it was asked for: the devices hear of it before the run does."""
+
+    set_s: float | None = None  # monotonic
+
+    def set(self) -> None:
+        """Ask for the stop."""
+        if self.set_s is None:
+            self.set_s = time.monotonic()
+        super().set()
+
+
 class RecordedLooks:
     """Satisfies `hilcell.ports.Clock`: another clock, whose looks are recorded."""
 
-    def __init__(self, clock: Clock, recorder: Recorder) -> None:
-        self._clock, self._recorder = clock, recorder
-        self.wait, self.check = clock.wait, clock.check
+    def __init__(self, clock: Clock, recorder: Recorder, stop: TimedStop) -> None:
+        self._clock, self._recorder, self._stop = clock, recorder, stop
+        self._stopped = False
+
+    def wait(self, duration_s: float) -> None:
+        """Let cell time pass; raise `Stopped` within 20 ms of a stop."""
+        with self._note_stop():
+            self._clock.wait(duration_s)
+
+    def check(self) -> None:
+        """Raise `Stopped` if a stop was asked for."""
+        with self._note_stop():
+            self._clock.check()
+
+    @contextmanager
+    def _note_stop(self) -> Iterator[None]:
+        try:
+            yield
+        except Stopped:
+            if not self._stopped:
+                self._stopped = True
+                self._recorder.take(0, "stopped", at_s=self._stop.set_s)
+            raise
 
     def now_s(self) -> float:
         """Return the cell's time, which never runs back."""
@@ -111,6 +164,18 @@ def drivers_of(pieces: Iterable[Piece]) -> dict[str, str]:
     return msgspec.json.decode(next(stated, b"{}"), type=dict[str, str])
 
 
+def head_of(pieces: Iterable[Piece]) -> Head | None:
+    """Return the recorded run; None where its clock's recording does not state it."""
+    stated = next((piece.data for piece in pieces if piece.e == "run"), None)
+    return None if stated is None else msgspec.json.decode(stated, type=Head)
+
+
+def ended_with(pieces: Iterable[Piece]) -> int | None:
+    """Return the exit code of a recorded run; None where its clock's recording has none."""
+    stated = next((piece.data for piece in pieces if piece.e == "over"), None)
+    return None if stated is None else int(stated)
+
+
 def recordings(folder: Path) -> dict[str, Path]:
     """Return the recordings in a folder by the names of their wires."""
     paths = [path for end in ("", PACKED) for path in folder.glob(f"*{SUFFIX}{end}")]
@@ -118,21 +183,33 @@ def recordings(folder: Path) -> dict[str, Path]:
 
 
 def read_recording(path: Path) -> list[Piece]:
-    """Return the pieces of a recording; a last line that was cut off is left out.
+    """Return the pieces of a recording, all of which are as they were written.
 
     Raises `SettingsError`.
     """
     try:
         data = path.read_bytes()
-        return list(_pieces(lzma.decompress(data) if path.suffix == PACKED else data))
-    except (OSError, lzma.LZMAError, msgspec.DecodeError, ValueError) as error:
-        raise SettingsError(str(path), [f"no recording of a wire: {error}"]) from error
+        return list(_pieces(lzma.decompress(data) if path.suffix == PACKED else data, path))
+    except (OSError, lzma.LZMAError, EOFError, ValueError) as error:
+        found = f"no recording of a wire: {error}; {COPY_AGAIN}"
+        raise SettingsError(str(path), [found]) from error
 
 
-def _pieces(text: bytes) -> Iterator[Piece]:
-    whole, _, _ = text.rpartition(b"\n")
-    for number, line in enumerate(whole.splitlines(), 1):
-        piece = msgspec.json.decode(line, type=Piece)
+def _pieces(text: bytes, path: Path) -> Iterator[Piece]:
+    *lines, rest = text.split(b"\n")
+    if rest:
+        at = f"{path}:{len(lines) + 1}"
+        raise ValueError(f"the file ends within a line, {at}, or delete that line")
+    if not lines:
+        raise ValueError("the file is empty")
+    for number, line in enumerate(lines, 1):
+        try:
+            piece = msgspec.json.decode(line, type=Piece)
+        except msgspec.DecodeError as error:
+            raise ValueError(f"{path}:{number} is no line of one: {error}") from error
         if piece.k != piece.check:
-            raise ValueError(f"line {number} was changed: its check is {piece.k or 'missing'}")
+            found = piece.k or "none"
+            raise ValueError(
+                f"{path}:{number} was changed: check sum {piece.check} is wanted, found {found}"
+            )
         yield piece

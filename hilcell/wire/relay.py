@@ -143,8 +143,10 @@ def serve(orders: list[WireOrder], until_ended: Callable[[dict[str, str]], None]
         for order in orders:
             file = stack.enter_context(Path(order.file).open("ab"))
             place, recorder = order.place, Recorder(file, order.began_s)
+            recorder.take(0, "began", order.wire.encode())
             if isinstance(place, Socket):
                 channels[order.wire] = SocketRelay(place, recorder).channel
             else:
                 channels[order.wire] = SerialRelay(place, recorder).channel
+                stack.callback(recorder.take, 1, "end")
         until_ended(channels)

@@ -33,7 +33,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.journal.runs import read_log
 from hilcell.wire.channel import SerialLine, Socket
 from hilcell.wire.record import WireRecording
-from hilcell.wire.recording import PACKED, SUFFIX, Piece, Recorder, read_recording, recordings
+from hilcell.wire.recording import PACKED, SUFFIX, Head, Piece, Recorder, read_recording, recordings
 from hilcell.wire.relay import SerialRelay, SocketRelay
 from tests.whole.bench import command, sets
 
@@ -43,6 +43,7 @@ FACTS = "facts.json"
 RESULT = bytes.fromhex("9c000000 02000000")
 SMALL = {"base_frame.points": "4", "layout.nest_samples": "2"}
 STRIP = '{driver = "serial", channel = "socket://127.0.0.1:1", counts_per_mm = 100.0}'
+HEAD = Head("r1", "home", 1, 1, msgspec.to_builtins(load_cell("paper")))
 SWEPT = "kuka-c3,leica-emscon,canopen-swept"
 PAIRS = {
     "kuka-c3,leica-emscon,canopen": ["--cell", "paper"],
@@ -232,25 +233,11 @@ def test_another_byte_on_a_wire_is_another_run(
     assert code != 0 or facts(again) != kept["facts"]
 
 
-def test_a_recording_that_ends_early_is_a_device_that_hangs(tmp_path: Path) -> None:
-    """The run ends as it would have ended there, by the alarm of a lost tracker."""
-    pair, cut = "kuka-c3,leica-emscon,canopen", tmp_path / "cut"
-    cut.mkdir()
-    for name, path in recordings(KEPT / pair).items():
-        lines = lzma.decompress(path.read_bytes()).splitlines(keepends=True)
-        kept = len(lines) // 2 if name == "tracker" else len(lines)
-        text = b"".join(lines[:kept]) + b'{"t":1.0,"c"'
-        (cut / f"{name}{SUFFIX}").write_bytes(text)
-    code, again = repeat(pair, cut, tmp_path)
-    assert code == 3
-    assert "Tracker" in str((read_log(again).end or {}).get("reason"))
-
-
 def test_a_recording_of_another_driver_is_refused_with_its_name(tmp_path: Path) -> None:
     folder = tmp_path / "r1"
     folder.mkdir()
     cell = load_cell("paper")
-    WireRecording(cell, stand_ins(cell), folder).close()
+    WireRecording(cell, stand_ins(cell), folder, HEAD).close()
     drivers = {"simulation.simulator": "recorded", "simulation.data": str(folder)}
     check_options(load_cell("paper", drivers))
     cell = load_cell("paper", drivers | {"tracker.driver": "leica-geocom"})
@@ -365,7 +352,7 @@ def test_a_can_interface_is_left_out_with_its_reason(tmp_path: Path) -> None:
     strip = {"driver": "canopen", "interface": "socketcan", "channel": "can1"}
     options = {"interface": "socketcan", "channel": "can0", "strip": strip}
     cell = msgspec.structs.replace(cell, rail=msgspec.structs.replace(cell.rail, options=options))
-    recording = WireRecording(cell, {}, tmp_path)
+    recording = WireRecording(cell, {}, tmp_path, HEAD)
     recording.close()
     assert recording.left_out == {
         "rail": "can0 is a CAN interface: record it with `candump -l can0`; "
@@ -401,14 +388,14 @@ def test_a_changed_byte_is_noticed(packed: bool, tmp_path: Path) -> None:
 def test_a_resumed_run_is_recorded_in_a_folder_of_its_own(tmp_path: Path) -> None:
     cell = load_cell("paper")
     for _ in range(3):
-        WireRecording(cell, {}, tmp_path).close()
+        WireRecording(cell, {}, tmp_path, HEAD).close()
     for folder in (tmp_path, tmp_path / "wires-2", tmp_path / "wires-3"):
         assert set(recordings(folder)) == {"clock", "rail", "robot", "tracker"}
 
 
 def test_every_wire_of_a_device_is_recorded(tmp_path: Path) -> None:
     cell = load_cell("lab", {"rail.options.strip": STRIP})
-    recording = WireRecording(cell, {}, tmp_path)
+    recording = WireRecording(cell, {}, tmp_path, HEAD)
     recording.close()
     assert set(recordings(tmp_path)) == {
         "clock", "rail", "rail.strip", "robot.rtde", "robot.script", "robot.dashboard", "tracker"

@@ -1,0 +1,202 @@
+"""A recording that is not whole, or not of this run, blames no device."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from subprocess import CompletedProcess
+from typing import Any
+
+import msgspec
+import pytest
+
+from hilcell.journal.runs import read_log
+from hilcell.wire.recording import SUFFIX, Head, Piece, read_recording, recordings
+from tests.whole.bench import command, sets
+from tests.whole.test_record_wire import KEPT, PAIRS, SMALL
+
+ENDED = "HC-C26"
+RAN = "home"
+KILLED = "kuka-c3,leica-emscon,canopen-swept"
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a recorded run."""
+    runs = tmp_path_factory.mktemp("runs")
+    done = command("run", RAN, "--unattended", "--record-wire", "--runs", runs, "--name", "whole")
+    assert done.returncode == 0, done.stderr
+    return runs / "whole"
+
+
+@pytest.fixture
+def recorded(whole: Path, tmp_path: Path) -> Path:
+    """Return a copy of its recording that a test may spoil."""
+    folder = tmp_path / "recorded"
+    folder.mkdir()
+    for path in recordings(whole).values():
+        shutil.copy(path, folder)
+    return folder
+
+
+def replayed(
+    folder: Path, *words: str, run: str = RAN, runs: Path | None = None
+) -> CompletedProcess[str]:
+    """Run against a recording."""
+    played = sets({"simulation.simulator": "recorded", "simulation.data": str(folder)})
+    kept = folder.parent / "replays" if runs is None else runs
+    return command(
+        "run", run, *words, *played, "--unattended", "--runs", kept, "--name", "again"
+    )  # fmt: skip
+
+
+def refused(folder: Path, *words: str, run: str = RAN) -> str:
+    """Return why a recording is refused before there is a run."""
+    done = replayed(folder, *words, run=run)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert not (folder.parent / "replays").exists()
+    return done.stderr
+
+
+def lines_of(path: Path) -> list[bytes]:
+    return path.read_bytes().splitlines(keepends=True)
+
+
+def fault(folder: Path) -> dict[str, Any]:
+    """Return the error that ended a run."""
+    error: dict[str, Any] = (read_log(folder).end or {})["error"]
+    return error
+
+
+@pytest.mark.parametrize(
+    ("spoil", "found"),
+    [
+        (lambda data: b"", "the file is empty"),
+        (lambda data: data[:-9], ":{lines}, or delete that line"),
+        (lambda data: data.replace(b'"t":', b'"t":1', 1), ":1 was changed: check sum "),
+        (lambda data: b"\n" + data, ":1 is no line of one"),
+    ],
+)
+@pytest.mark.parametrize("wire", ["tracker", "clock"])
+def test_a_file_that_is_not_whole_is_refused_with_its_line(
+    wire: str, spoil: Callable[[bytes], bytes], found: str, recorded: Path
+) -> None:
+    path = recorded / f"{wire}{SUFFIX}"
+    lines = len(lines_of(path))
+    path.write_bytes(spoil(path.read_bytes()))
+    said = refused(recorded)
+    assert f"{path.name}: no recording of a wire: " in said
+    assert found.format(lines=lines) in said
+    assert "copy it again from the PC that recorded it" in said
+
+
+def test_all_files_that_are_not_whole_are_named_at_once(recorded: Path) -> None:
+    for wire in ("rail", "robot"):
+        (recorded / f"{wire}{SUFFIX}").write_bytes(b"")
+    assert "2 problems" in refused(recorded)
+
+
+def test_a_renamed_file_is_refused_with_its_name(recorded: Path) -> None:
+    robot, tracker = (recorded / f"{wire}{SUFFIX}" for wire in ("robot", "tracker"))
+    robot.rename(recorded / "x")
+    tracker.rename(robot)
+    (recorded / "x").rename(tracker)
+    said = refused(recorded)
+    assert f"{robot}: it was recorded as tracker{SUFFIX}; rename it back" in said
+    assert f"{tracker}: it was recorded as robot{SUFFIX}; rename it back" in said
+
+
+def test_a_folder_that_is_not_there_is_no_folder(recorded: Path) -> None:
+    assert "no such folder" in refused(recorded.rename(recorded.parent / "moved").parent / "old")
+
+
+@pytest.mark.parametrize(
+    ("words", "run", "found"),
+    [
+        ((), "world-frame", "recorded was home --seed 1, asked was world-frame --seed 1; replay "),
+        (("--seed", "2"), RAN, "recorded was home --seed 1, asked was home --seed 2; replay with"),
+        (("--cell", "lab"), RAN, "recorded was cell 'paper', asked was 'lab'; name that one's"),
+        (("--set", "tracker.reading_s=0.7"), RAN, "other settings: tracker.reading_s 0.5 -> 0.7"),
+        (("--set", "rail.options.drive_node=9"), RAN, "rail.options.drive_node None -> 9"),
+    ],
+)
+def test_another_run_than_the_recorded_one_is_refused(
+    words: tuple[str, ...], run: str, found: str, recorded: Path
+) -> None:
+    assert found in refused(recorded, *words, run=run)
+
+
+def test_addresses_may_be_others_and_two_replay_at_once(recorded: Path, tmp_path: Path) -> None:
+    other = ("--set", "robot.options.host=10.0.0.1", "--set", "robot.options.port=7001")
+    inner: list[int] = []
+
+    def hear(event: dict[str, Any]) -> None:
+        if event["kind"] == "frame" or (event["kind"] == "state" and not inner):
+            inner.append(replayed(recorded, *other, runs=tmp_path / "inner").returncode)
+
+    played = sets({"simulation.simulator": "recorded", "simulation.data": str(recorded)})
+    words = ["--unattended", "--json", "--runs", str(tmp_path / "outer"), "--name", "again"]
+    assert command("run", RAN, *played, *words, hear=hear).returncode == 0
+    assert inner[:1] == [0]
+
+
+@pytest.mark.parametrize("wire", ["tracker", "robot", "rail"])
+def test_a_recording_that_was_cut_ends_at_its_line(wire: str, recorded: Path) -> None:
+    path = recorded / f"{wire}{SUFFIX}"
+    path.write_bytes(b"".join((lines := lines_of(path))[: len(lines) // 2]))
+    done = replayed(recorded)
+    assert done.returncode in (2, 3)  # as to whether anything had moved
+    error = fault(recorded.parent / "replays" / "again")
+    assert error["code"] == ENDED
+    assert f"{path}:" in str(error["found"])
+    assert "the recorded run, or record it again" in done.stderr
+    assert "hilcell resume" not in done.stderr
+
+
+def killed(folder: Path) -> Path:
+    """Write a recording as a kill of its engine in a sweep has left it, with a head."""
+    folder.mkdir()
+    found = {name: list(read_recording(path)) for name, path in recordings(KEPT / KILLED).items()}
+    ends_s = found["tracker"][-1].t - 0.5
+    head = Head("r", "axis-sweeps", 1, 1, {"name": "paper"})
+    found["clock"] = [Piece.of(0.0, 0, "run", msgspec.json.encode(head)), *found["clock"]]
+    for name, pieces in found.items():
+        lines = [msgspec.json.encode(each) + b"\n" for each in pieces if each.t < ends_s]
+        (folder / f"{name}{SUFFIX}").write_bytes(b"".join(lines))
+    return folder
+
+
+def test_a_sweep_in_which_the_engine_was_killed(tmp_path: Path) -> None:
+    """The robot's last state came again and again: HC-B31."""
+    done = replayed(killed(tmp_path / "cut"), *PAIRS[KILLED], *sets(SMALL), run="axis-sweeps")
+    assert done.returncode == 3
+    assert fault(tmp_path / "replays" / "again")["code"] == ENDED
+    assert "the recording ends at " in done.stderr
+
+
+def test_a_resumed_run_replays_by_resuming_its_replay(tmp_path: Path) -> None:
+    points: list[str] = []
+
+    def stop(event: dict[str, Any]) -> None:
+        if event["kind"] == "point":
+            points.append(event["key"])
+            if len(points) == 2:
+                os.kill(os.getpid(), signal.SIGTERM)
+
+    words = ["--unattended", "--record-wire", "--json", "--runs", str(tmp_path)]
+    first = command("run", "world-frame", *words, "--name", "first", hear=stop)
+    assert first.returncode == 4
+    assert command("resume", "first", *words).returncode == 0
+    folder = tmp_path / "first"
+    assert "name the run's own folder" in refused(folder / "wires-2", run="world-frame")
+    assert replayed(folder, run="world-frame", runs=tmp_path).returncode == 3
+    assert fault(tmp_path / "again")["code"] in (ENDED, "HC-T16")  # that the stop interrupted
+    done = command("resume", "again", "--unattended", "--runs", tmp_path)
+    assert done.returncode == 0, done.stderr
+    again, once = (read_log(tmp_path / name).points for name in ("again", "first"))
+    assert {key: at.xyz_mm for key, at in again.items()} == {
+        key: at.xyz_mm for key, at in once.items()
+    }
