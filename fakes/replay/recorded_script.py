@@ -194,6 +194,9 @@ class Script:
             self._next[name], self._repeated = at + 1, 0
             self._time.went_on()
             return found[at]
+        if self._time.next_asked_s() >= self._time.stop_s < float("inf"):
+            self._time.reach(self._time.stop_s)  # the stop came before this was asked
+            return None
         self._repeated += 1
         if self._repeated >= STUCK and end_s < float("inf"):
             self._repeated = 0

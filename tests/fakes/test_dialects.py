@@ -146,6 +146,18 @@ def test_a_question_sent_with_a_command_and_before_it_is_asked_before_it() -> No
     assert replies == [[], [b"begins\n"], [b"moves\n"], [b"arrived\n"]]
 
 
+def test_no_old_answer_stands_for_one_that_a_stop_came_before() -> None:
+    pieces = [Piece.of(1.0, 1, ">", b"measure\n"), Piece.of(1.5, 1, "<", b"7.1\n")]
+    recorded, time = exchanges(pieces, Dialect()), EventTime()
+    time.stop_at(2.0, "clock:3")
+    time.expect([1.0], [])
+    script = Script(recorded, Dialect(), time, {})
+    assert [script.reply(b"measure"), time.left()] == [[b"7.1\n"], ""]
+    assert [script.reply(b"measure"), time.left()] == [
+        [], "the recording ends at clock:3, where its run was stopped"
+    ]  # fmt: skip
+
+
 def test_samples_of_a_stream_come_when_their_time_has_come() -> None:
     def packet(kind: int, number: int) -> bytes:
         return struct.pack("<3I", 12, kind, number)
