@@ -23,7 +23,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from hilcell.clean import clean
 from hilcell.errors import HilcellError
-from hilcell.plant.manifest import FORM, MANIFEST, SIGNATURE, FileEntry, Manifest, sound
+from hilcell.plant.manifest import FORMS, MANIFEST, SIGNATURE, FileEntry, Manifest, sound
 from hilcell.plant.signing import fingerprint
 
 CHUNK = 2**20
@@ -94,8 +94,11 @@ def _manifest(source: Source, key: Ed25519PublicKey) -> Manifest:
         raise NotProven(f"{source.name}: {MANIFEST} is none that is known: {error}") from None
     if manifest.key != fingerprint(key):
         raise NotProven(f"{source.name}: {MANIFEST} names another key than that which signed it")
-    if manifest.form != FORM:
-        raise NotProven(f"{source.name}: form {manifest.form}, this hilcell verifies {FORM}")
+    if manifest.form not in FORMS:
+        raise NotProven(
+            f"{source.name}: form {manifest.form}, this hilcell verifies 1 to {FORMS[-1]}; "
+            "update hilcell on this PC"
+        )
     outside = [name for name in manifest.files if not sound(name)]
     if outside:
         raise NotProven(

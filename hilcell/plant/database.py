@@ -64,7 +64,7 @@ UNKNOWN = re.compile(
 )
 FULL = "too many connections"
 SECRET = re.compile("passw|pwd", re.IGNORECASE)  # in the names of the URL's own options
-ADDED = {"superseded"}  # columns of later schemas than the first
+ADDED = {"superseded", "form"}  # columns of later schemas than the first
 KNOWN = ("run_key", "revision", "head")  # columns of `run` that cells may read
 # By SQLite's own word for the error.
 DAMAGED = {

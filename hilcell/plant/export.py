@@ -16,14 +16,16 @@ from typing import Any
 
 import msgspec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection, Select, Table, select
 
 from hilcell import __version__
 from hilcell.cell.settings import did_you_mean
 from hilcell.clean import clean
 from hilcell.errors import HilcellError
 from hilcell.plant.database import PlantError
-from hilcell.plant.manifest import FORM, MANIFEST, RECORD, SIGNATURE, FileEntry, Manifest
+from hilcell.plant.manifest import FORMS, MANIFEST, RECORD, SIGNATURE, FileEntry, Manifest
+from hilcell.plant.record import FORM
+from hilcell.plant.rows import digest_of
 from hilcell.plant.signing import fingerprint
 from hilcell.plant.tables import DOCUMENT, PARTS, POINT, RUN, Found
 from hilcell.writing import NotWritten, as_not_written
@@ -31,6 +33,7 @@ from hilcell.writing import NotWritten, as_not_written
 ARCHIVE = ".zip"
 OTHERS = (".tar", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".rar")  # archives of other forms
 CHANGED = "the plant's database was changed or damaged; restore a backup, then ship again"
+NAMED = 3  # runs, in a message
 LONGEST = 60  # letters of a run's name in that of its folder
 Add = Callable[[str, bytes], object]
 
@@ -46,6 +49,8 @@ def export(
     serials = _serials(connection, cell, serial)
     files: dict[str, FileEntry] = {}
     runs = simulated = 0
+    unchecked: list[str] = []
+    changed: list[str] = []
     with _made(place) as put:
 
         def add(name: str, content: bytes) -> None:
@@ -53,13 +58,21 @@ def export(
             put(name, content)
 
         asked = select(RUN).where(RUN.c.cell == cell, RUN.c.serial.in_(serials))
-        for run in connection.execute(asked.order_by(RUN.c.ended, RUN.c.revision)).mappings().all():
-            _add_run(connection, run, add)
+        for run in _read(connection, asked.order_by(RUN.c.ended, RUN.c.revision), cell):
+            folder = f"runs/{_safe(run['name'])}-{run['revision']}-{run['digest'].hex[:12]}"
+            rows = _add_run(connection, run, folder, add)
+            if run["form"] != FORM:
+                unchecked.append(folder)
+            elif digest_of(rows) != run["digest"]:
+                changed.append(run["name"])
             runs, simulated = runs + 1, simulated + run["simulated"]
+        if changed:
+            raise PlantError(_changed_words(changed))
         manifest = Manifest(
-            form=FORM, cell=cell, serials=serials, runs=runs, simulated_runs=simulated,
+            form=FORMS[-1], cell=cell, serials=serials, runs=runs, simulated_runs=simulated,
             made=datetime.now(UTC).isoformat(timespec="seconds"),
             software=f"hilcell {__version__}", key=fingerprint(key.public_key()), files=files,
+            unchecked=unchecked,
         )  # fmt: skip
         content = _json(manifest)
         put(MANIFEST, content)
@@ -88,16 +101,16 @@ def _serials(connection: Connection, cell: str, serial: str | None) -> list[str]
     raise HilcellError(f"cell {cell[:80]!r} has shipped no run{did_you_mean(cell, names)}")
 
 
-def _add_run(connection: Connection, run: Found, add: Add) -> None:
-    """Add the files of one revision of a run."""
-    folder = f"runs/{_safe(run['name'])}-{run['revision']}-{run['digest'].hex[:12]}"
+def _add_run(connection: Connection, run: Found, folder: str, add: Add) -> dict[Table, list[Found]]:
+    """Add the files of one revision of a run; return its rows as they were read."""
+    found = {RUN: [run]}
     add(f"{folder}/{RECORD}", _json(dict(run)))
     for table in PARTS:
         own = [table.c.digest == run["digest"]]
         if table is POINT:
             own.append(table.c.month == run["month"])  # the partition
         asked = select(table).where(*own).order_by(*table.primary_key)
-        rows = connection.execute(asked).mappings().all()
+        rows = found[table] = _read(connection, asked, f"run {clean(run['name'])}")
         if table is DOCUMENT:
             for row in rows:
                 add(f"{folder}/documents/{_safe(row['name'])}", _document(run, row))
@@ -105,6 +118,22 @@ def _add_run(connection: Connection, run: Found, add: Add) -> None:
             add(f"{folder}/{table.name}s.json", _json([_part(row) for row in rows]))
         if table is POINT:
             _check_points(run, sum(not row["superseded"] for row in rows))
+    return found
+
+
+def _read(connection: Connection, asked: Select[Any], what: str) -> list[Found]:
+    """Return rows; one that holds no value of its column's type was not written by a shipper."""
+    try:
+        return list(connection.execute(asked).mappings())
+    except (ValueError, TypeError, AttributeError):
+        raise PlantError(f"{what}: the plant has values that cannot be read: {CHANGED}") from None
+
+
+def _changed_words(names: list[str]) -> str:
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    named = ", ".join(map(clean, names[:NAMED])) + more
+    are = "1 run is" if len(names) == 1 else f"{len(names)} runs are"
+    return f"{are} not as shipped: {named}: {CHANGED}"
 
 
 def _check_points(run: Found, found: int) -> None:

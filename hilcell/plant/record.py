@@ -1,10 +1,9 @@
-"""A run as a plant keeps it: a plain record, computed from its journal, with a digest.
+"""A run as a plant keeps it: a plain record, computed from its journal.
 
-Two readings of one journal give the same record and the same digest; the documents of the run's
-folder are a part of both. ``run_key`` names the run by
-its first record, so runs of one name in two cells stay apart. A journal only grows, so the number
-of its last record is the revision of a run that was opened again, and ``head``, the hash of its
-chain, proves which journal that was.
+Two readings of one journal give the same record; the documents of the run's folder are a part of
+it. ``run_key`` names the run by its first record, so runs of one name in two cells stay apart. A
+journal only grows, so the number of its last record is the revision of a run that was opened again,
+and ``head``, the hash of its chain, proves which journal that was.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from hilcell.journal.index import RunRow, row_of_records
 from hilcell.journal.journal import Record, chain
 from hilcell.journal.log import Log, Point
 
-FORM = 2  # to be raised whenever the record changes, or the meaning of its fields
+FORM = 3  # to be raised whenever the record, a table or the meaning of a field changes
 ROBOT, TRACKER = "robot", "tracker"
 MONTH = 7  # letters of 2026-11
 
@@ -133,11 +132,6 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     grid: GridErrors | None
     streams: list[StreamEntry]
     documents: list[Document]
-
-    @property
-    def digest(self) -> UUID:
-        """Return the digest of all fields."""
-        return short(msgspec.json.encode(self, order="sorted"))
 
     def serial(self, kind: str) -> str:
         """Return the serial number of the device of a kind; "" where none answered."""

@@ -33,7 +33,7 @@ from sqlalchemy import (
 )
 
 Found = Any  # a row of an answer: its columns by their names
-HEAD = "0003"  # the newest migration
+HEAD = "0004"  # the newest migration
 
 
 class Utc(TypeDecorator[datetime]):
@@ -44,7 +44,7 @@ class Utc(TypeDecorator[datetime]):
 
     def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:
         """Return what is stored."""
-        return None if value is None else value.astimezone(UTC)
+        return self.in_utc(value)
 
     def process_result_value(self, value: Any, dialect: Dialect) -> datetime | None:
         """Return what was stored, with its zone."""
@@ -52,6 +52,11 @@ class Utc(TypeDecorator[datetime]):
             return None
         found: datetime = value
         return found.astimezone(UTC) if found.tzinfo else found.replace(tzinfo=UTC)
+
+    @staticmethod
+    def in_utc(value: datetime | None) -> datetime | None:
+        """Return a moment as it is kept."""
+        return None if value is None else value.astimezone(UTC)
 
 
 TABLES = MetaData()
@@ -95,6 +100,7 @@ RUN = Table(
     _words("version"),
     Column("row", JSON, nullable=False),
     Column("shipped", Utc, nullable=False, server_default=func.now()),
+    Column("form", Integer, nullable=False, server_default="2"),  # of the record
     UniqueConstraint("run_key", "revision", name="run_revision"),
     Index("run_of_cell", "cell_key", "ended", "revision"),
 )

@@ -11,6 +11,7 @@ import sys
 import zipfile
 from collections.abc import Callable
 from contextlib import closing
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
@@ -24,7 +25,7 @@ from cryptography.hazmat.primitives.serialization import (
     PrivateFormat,
     PublicFormat,
 )
-from sqlalchemy import Executable, delete, update
+from sqlalchemy import Executable, delete, text, update
 
 from hilcell.commands.cli import main
 from hilcell.journal.runs import CALIBRATION, read_records
@@ -294,7 +295,7 @@ def test_a_signed_manifest_of_another_form_is_refused(
 ) -> None:
     manifest = json.loads((auditor.out / MANIFEST).read_text())
     auditor.sign(manifest | {"form": 9})
-    assert "form 9, this hilcell verifies 1" in said(auditor.verify(), 2, capsys)
+    assert "form 9, this hilcell verifies 1 to 2; update" in said(auditor.verify(), 2, capsys)
     auditor.sign(manifest | {"key": "SHA256:other"})
     assert "names another key than that which signed it" in said(auditor.verify(), 2, capsys)
     auditor.sign({"files": []})
@@ -389,6 +390,68 @@ def test_a_database_that_was_changed_is_not_signed(
     for place in (empty.out, empty.folder / "out.zip"):
         assert "points that count: the plant's database" in said(empty.export(out=place), 2, capsys)
     assert empty.names == before
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        "UPDATE point SET x_mm = x_mm + 5 WHERE seq = (SELECT min(seq) FROM point)",
+        "UPDATE point SET strip_mm = 9e999 WHERE seq = (SELECT min(seq) FROM point)",
+        "UPDATE point SET t = '2026-01-01 00:00:00.000000'",
+        "UPDATE verdict SET mean_mm = 0.001 WHERE mean_mm IS NOT NULL",
+        "UPDATE frame SET matrix = replace(matrix, '1.0', '1.5') WHERE key = 'world'",
+        "UPDATE run SET exit = 1",
+        "UPDATE run SET \"row\" = replace(\"row\", 'finished', 'aborted')",
+        "DELETE FROM verdict",
+        "INSERT INTO alarm SELECT digest, 99, ended, 'HC-B23', 'x', 'x', 'x', 'x' FROM run",
+        "UPDATE device SET serial = 'other' WHERE kind = 'tracker'",
+    ],
+)
+def test_a_value_that_was_changed_in_the_database_is_not_signed(
+    order: str, empty: Auditor, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = empty.names
+    change(empty.url, text(order))
+    line = said(empty.export(), 2, capsys)
+    assert "1 run is not as shipped: small: the plant's database was changed or damaged" in line
+    assert empty.names == before
+
+
+def test_a_value_that_its_column_cannot_hold_is_one_line(
+    empty: Auditor, capsys: pytest.CaptureFixture[str]
+) -> None:
+    change(empty.url, text("UPDATE point SET t = 'yesterday'"))
+    assert "run small: the plant has values that cannot be read" in said(empty.export(), 2, capsys)
+
+
+def test_every_run_that_was_changed_is_named(
+    empty: Auditor, model: Model, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = empty.folder / "more"
+    for hours, name in enumerate("abcde"):
+        model.write(runs, Run(name, "north", "HC-1", NOW - timedelta(hours=hours)))
+    assert main(["plant", "ship", str(runs), "--to", empty.url]) == 0
+    capsys.readouterr()
+    said(empty.export(cell="north", out=empty.folder / "before"), 0, capsys)
+    change(empty.url, text("UPDATE run SET robot = 'R-9' WHERE name <> 'b' AND cell = 'north'"))
+    line = said(empty.export(cell="north"), 2, capsys)
+    assert "4 runs are not as shipped: e, d, c and 1 more" in line
+
+
+def test_a_run_of_an_earlier_version_is_exported_and_named_as_not_proven(
+    empty: Auditor, capsys: pytest.CaptureFixture[str]
+) -> None:
+    change(empty.url, update(RUN).values(form=2))
+    words = "note: 1 of 1 records came from another version of hilcell: whether the plant has them"
+    for command in (empty.export(), empty.verify()):
+        assert main(command) == 0
+        assert words in capsys.readouterr().err
+    (folder,) = (empty.out / "runs").iterdir()
+    manifest = json.loads((empty.out / MANIFEST).read_text())
+    assert manifest["unchecked"] == [f"runs/{folder.name}"]
+    empty.sign(manifest | {"form": 1, "unchecked": None})
+    assert main([*empty.verify(), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["unchecked"] == 1
 
 
 def test_two_cells_of_one_name_want_a_serial_number(

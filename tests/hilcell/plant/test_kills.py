@@ -17,6 +17,7 @@ from hilcell.commands.cli import main
 from hilcell.journal.runs import read_records
 from hilcell.plant.database import Database, PlantAway
 from hilcell.plant.record import record_of
+from hilcell.plant.rows import rows_of
 from hilcell.plant.shipper import NAME, Shipped, ship
 from hilcell.plant.tables import PARTS, POINT, RUN
 from tests.hilcell.plant.conftest import NOW
@@ -55,9 +56,10 @@ def check(database: Database, runs: Path, revisions: Counter[str]) -> None:
         assert Counter(names) == revisions
         for folder in runs.glob("r*"):
             record = record_of(folder.name, read_records(folder))
+            (run,) = rows_of(record)[RUN]
             counts = {
                 table.name: connection.execute(
-                    select(func.count()).select_from(table).where(table.c.digest == record.digest)
+                    select(func.count()).select_from(table).where(table.c.digest == run["digest"])
                 ).scalar_one()
                 for table in PARTS
             }

@@ -5,19 +5,27 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from datetime import UTC, datetime, timedelta
+from itertools import cycle
+from math import nextafter
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import psycopg
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from sqlalchemy import select
+from sqlalchemy import Table, select
 
 from hilcell.commands.cli import main
+from hilcell.journal.runs import read_records
 from hilcell.plant.database import CELL, ENGINEER, MIGRATIONS, Database
+from hilcell.plant.record import GridErrors, LengthEntry, heads, record_of
+from hilcell.plant.rows import digest_of
 from hilcell.plant.shipper import NAME, ship
-from hilcell.plant.tables import HEAD, RUN, TABLES
+from hilcell.plant.store import write
+from hilcell.plant.tables import HEAD, PARTS, POINT, RUN, TABLES
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.server import Server
 from tests.hilcell.plant.test_export import private
@@ -69,6 +77,57 @@ def test_names_stay_whole_in_a_database_of_another_encoding(
         assert ship(tmp_path, database).runs == 1
         with database.transaction() as connection:
             assert connection.execute(select(RUN.c.cell)).scalar() == "Köln"
+
+
+def test_the_digest_of_what_is_read_back_is_that_of_what_was_written(
+    plant: Database, office: Database, model: Model, tmp_path: Path
+) -> None:
+    """To the last digit of each number, in both stores."""
+    records = read_records(model.write(tmp_path, Run("a", "north", "HC-1", NOW)))
+    record = record_of("a", records)
+    numbers = (0.1 + 0.2, 5e-324, -0.0, 1.7976931348623157e308, 1e22, -123456789.123456789, 1 / 3)
+    points = [
+        msgspec.structs.replace(
+            each,
+            point=msgspec.structs.replace(
+                each.point, xyz_mm=numbers[:3], std_mm=numbers[3:6], strip_mm=number,
+                reflector="K\u00f6ln\u2028\U0001f916 '\\\"",
+                joints_deg=numbers, nominal_mm=(0.0, number, -number),
+            ),
+        )
+        for each, number in zip(record.points, cycle(numbers), strict=False)
+    ]  # fmt: skip
+    lengths = [LengthEntry("1-2", 1000, 1000.0, number) for number in numbers]
+    grid = GridErrors([list(numbers[:3])], [list(numbers[3:6])], 20)
+    record = msgspec.structs.replace(record, points=points, lengths=lengths, grid=grid)
+    for database in (plant, office):
+        with database.transaction() as connection:
+            assert write(connection, record, heads(records))
+        with database.transaction() as connection:
+            found: dict[Table, list[dict[str, Any]]] = {
+                table: [dict(row) for row in connection.execute(select(table)).mappings()]
+                for table in (RUN, *PARTS)
+            }
+        (run,) = found[RUN]
+        assert len(found[POINT]) == len(points) > len(numbers)
+        assert digest_of(found) == run["digest"]
+        found[POINT][0]["x_mm"] = nextafter(found[POINT][0]["x_mm"], 1)
+        assert digest_of(found) != run["digest"]
+
+
+def test_a_changed_value_on_a_server_is_not_signed(
+    plant: Database, runs: Path, postgresql: Server, capsys: pytest.CaptureFixture[str]
+) -> None:
+    url = postgresql.url(name_of(plant))
+    ship(runs, plant)
+    exported = ["--key", str(private(runs / "key")), "--from", url, "-o"]
+    assert main(["plant", "export", "north", *exported, str(runs / "before")]) == 0
+    with asking(url) as owner:
+        owner.execute("UPDATE verdict SET mean_mm = 0.001 WHERE key = 'validation.S300'")
+    capsys.readouterr()
+    assert main(["plant", "export", "north", *exported, str(runs / "after")]) == 2
+    assert "2 runs are not as shipped: a, b: " in capsys.readouterr().err
+    assert not (runs / "after").exists()
 
 
 def test_points_lie_in_the_partition_of_the_month_in_which_the_run_began(

@@ -367,7 +367,7 @@ def test_init_writes_no_table_into_a_journal_or_beside_the_tables_of_others(
 
 
 @pytest.mark.parametrize("more", ["", "CREATE TABLE run (id INTEGER, revision INTEGER)"])
-@pytest.mark.parametrize("version", ["ae1027a6acf", "0001", "0003"])
+@pytest.mark.parametrize("version", ["ae1027a6acf", "0001", "0004"])
 @pytest.mark.parametrize("act", ["init", "ship", "show"])
 def test_a_database_of_another_program_with_versions_of_its_own_is_left_alone(
     act: str, version: str, more: str, runs: Path, tmp_path: Path,
@@ -408,7 +408,7 @@ def test_a_newer_schema_asks_for_a_newer_hilcell(
     where = ["--from", url] if act == "show" else ["--to", url]
     more = [str(runs)] if act == "ship" else []
     line = said(["plant", act, *more, *where], 2, capsys)
-    assert "schema 0999, this hilcell knows 0003; update hilcell on this PC" in line
+    assert "schema 0999, this hilcell knows 0004; update hilcell on this PC" in line
 
 
 def old_schema(url: str) -> None:
@@ -440,8 +440,8 @@ def test_an_older_schema_is_brought_up_and_keeps_its_records(
     old_schema(url)
     for words in (["ship", str(runs), "--to", url], ["show", "--from", url]):
         line = said(["plant", *words], 2, capsys)
-        assert "schema 0001, wanted 0003; `hilcell plant init --to URL` brings it up" in line
-    assert "brought up from schema 0001, schema 0003" in said(
+        assert "schema 0001, wanted 0004; `hilcell plant init --to URL` brings it up" in line
+    assert "brought up from schema 0001, schema 0004" in said(
         ["plant", "init", "--to", url], 0, capsys
     )
     assert "1 runs shipped" in said(["plant", "ship", str(runs), "--to", url], 0, capsys)
@@ -453,9 +453,9 @@ def test_an_older_schema_is_brought_up_and_keeps_its_records(
 def test_init_may_be_repeated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     url = f"sqlite:///{tmp_path}/plant.db"
     assert main(["plant", "init", "--to", url]) == 0
-    assert "made, schema 0003" in capsys.readouterr().err
+    assert "made, schema 0004" in capsys.readouterr().err
     assert main(["plant", "init", "--to", url]) == 0
-    assert "is up to date, schema 0003" in capsys.readouterr().err
+    assert "is up to date, schema 0004" in capsys.readouterr().err
 
 
 def test_missing_packages_are_named(

@@ -29,6 +29,7 @@ from hilcell.plant.cells import cells
 from hilcell.plant.database import Database, PlantAway
 from hilcell.plant.doubts import doubts
 from hilcell.plant.record import record_of
+from hilcell.plant.rows import rows_of
 from hilcell.plant.shipper import NAME, Shipped, ship
 from hilcell.plant.store import write
 from hilcell.plant.tables import PARTS, POINT, RUN
@@ -90,15 +91,16 @@ def test_runs_are_shipped_in_the_order_of_their_ends_and_once(runs: Path, office
 def test_all_of_a_run_is_kept(runs: Path, office: Database) -> None:
     ship(runs, office)
     record = record_of("a", read_records(runs / "a"))
+    (run,) = rows_of(record)[RUN]
     with office.transaction() as connection:
         counts = {
             table.name: connection.execute(
-                select(func.count()).select_from(table).where(table.c.digest == record.digest)
+                select(func.count()).select_from(table).where(table.c.digest == run["digest"])
             ).scalar_one()
             for table in PARTS
         }
         first = connection.execute(
-            select(POINT).where(POINT.c.digest == record.digest).order_by(POINT.c.seq)
+            select(POINT).where(POINT.c.digest == run["digest"]).order_by(POINT.c.seq)
         ).first()
     assert counts == {
         "stream": 0, "document": 0,
