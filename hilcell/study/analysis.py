@@ -7,18 +7,21 @@ machines could differ. One machine alone gives no interval.
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from hilcell.ports import Array
+from hilcell.study.additive import Additive
 from hilcell.study.case import DONE
 from hilcell.study.design import Point, chosen
 from hilcell.study.factor import Factor
 from hilcell.study.intervals import Interval, Share, interval, share
+from hilcell.study.not_estimable import not_estimable
 from hilcell.study.study_file import Optimum, Study
 
 TOO_LONG = 1e6  # of a design with too many minutes, which are added
@@ -40,26 +43,38 @@ class Design:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """The accuracy at one level, or at one end of a range, and its change from the first."""
+    """The accuracy at one level, or at one end of a range, and its change from the start."""
 
     factor: Factor
     word: str
-    mean: Interval  # the accuracy itself, all else averaged
-    change: Interval  # from the first level
-    minutes: float  # from the first level
+    start: str  # the first level that has results, which changes are counted from
+    mean: Interval  # the accuracy itself, all else averaged; NaN where it is not estimable
+    change: Interval
+    minutes: float
     cost: float
     covered: Share
+
+    @property
+    def is_step(self) -> bool:
+        """Whether it is a change that is estimable."""
+        return self.word != self.start and math.isfinite(self.change.mean)
 
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """All that is computed of a study's rows. ``share`` is what main effects alone explain."""
+    """All that is computed of a study's rows. ``share`` is what main effects alone explain.
+
+    It is NaN where no more points were done than the model has ``unknowns``.
+    ``not_estimable`` says why effects have no figures.
+    """
 
     designs: list[Design]
-    effects: list[Effect]
     covered: Share | None
-    share: float
     counts: Mapping[str, int]
+    effects: list[Effect] = field(default_factory=list)
+    not_estimable: list[str] = field(default_factory=list)
+    share: float = float("nan")
+    unknowns: int = 0
     best: Design | None = None  # of an optimiser
 
     @property
@@ -70,8 +85,7 @@ class Answers:
     @property
     def purchases(self) -> list[Effect]:
         """Return the steps from first levels, the largest gain that is shown first."""
-        first = {id(each.factor): each.word for each in reversed(self.effects)}
-        steps = [each for each in self.effects if each.word != first[id(each.factor)]]
+        steps = [each for each in self.effects if each.is_step]
         return sorted(steps, key=lambda each: (not _gains(each), each.change.mean))
 
 
@@ -86,15 +100,25 @@ def answers(study: Study, rows: Rows) -> Answers:
         counts[row["state"]] += 1
     done = [row for row in rows if row["state"] == DONE]
     found = designs(study, done)
+    within = covered(done) if done else None
     if study.optimise is not None:  # its points are crowded round the best: no design for effects
-        return Answers(found, [], covered(done) if done else None, float("nan"), dict(counts),
-                       best_of(study, study.optimise, found))  # fmt: skip
+        return Answers(found, within, dict(counts), best=best_of(study, study.optimise, found))
+    if not done:
+        return Answers(found, within, dict(counts))
+    all_points = points_of(study, done)
+    model = Additive(study.factor, list(all_points.values()))
+    effects = _effects(study, model, done)
+    steps = {(each.factor.name, each.word) for each in effects if each.is_step}
     return Answers(
         found,
-        _effects(study, done) if done else [],
-        covered(done) if done else None,
-        _share(study, done) if done else float("nan"),
+        within,
         dict(counts),
+        effects,
+        not_estimable(
+            study, model, all_points.values(), points_of(study, rows).values(), steps, counts
+        ),
+        model.explained(_means(study, done)),
+        model.unknowns,
     )
 
 
@@ -124,12 +148,8 @@ def covered(rows: Rows) -> Share:
 
 
 def points_of(study: Study, rows: Rows) -> dict[int, Point]:
-    """Return the points of rows by number."""
-    return {row["point"]: chosen(study, row) for row in _first_of_each(rows)}
-
-
-def _first_of_each(rows: Rows) -> Iterable[Mapping[str, Any]]:
-    return {row["point"]: row for row in reversed(rows)}.values()
+    """Return the points of rows by number, in that order."""
+    return {number: chosen(study, own[0]) for number, own in _by(rows, "point").items()}
 
 
 def _by(rows: Rows, key: str) -> dict[int, list[Mapping[str, Any]]]:
@@ -170,39 +190,42 @@ def on_front(place: Array, places: Array) -> bool:
     return not bool((as_good & better).any())
 
 
-def _effects(study: Study, done: Rows) -> list[Effect]:
+def _effects(study: Study, model: Additive, done: Rows) -> list[Effect]:
     """Return the effects of an additive model, fitted on each machine by itself."""
     all_points = points_of(study, done)
     by_machine = _by(done, "machine").values()
     targets = _targets(study, all_points, done)
-    fits = {
-        key: [_fitted(study, all_points, own, key) for own in by_machine]
-        for key in (study.accuracy, "minutes", "covered")
-    }
+    keys = (study.accuracy, "minutes", "covered")
+    fits = [
+        (
+            Additive(study.factor, [all_points[row["point"]] for row in own]),
+            np.array([[row[key] for key in keys] for row in own], dtype=float),
+        )
+        for own in by_machine
+    ]
     found = []
     for n, factor in enumerate(study.factor):
-        costs = factor.costs or [0.0] * len(factor.ends)
+        costs, start = factor.costs or [0.0] * len(factor.ends), model.start(n)
+        changes: Array = np.array([
+            [fit.values(fit.change(n, level, start), own) for fit, own in fits]
+            for level in range(len(factor.names))
+        ])  # fmt: skip
+        if not np.isfinite(np.delete(changes, start, axis=0)).any():
+            changes[start] = np.nan  # nothing is counted from it
         for level, word in enumerate(factor.names):
-            mean, change, minutes, within = (
-                [fit[n][level] - (fit[n][0] if relative else 0.0) for fit in fits[key]]
-                for key, relative in (
-                    (study.accuracy, False), (study.accuracy, True), ("minutes", True),
-                    ("covered", False),
+            means = np.array([fit.values(fit.mean(n, level), own) for fit, own in fits])
+            found.append(
+                Effect(
+                    factor,
+                    word,
+                    factor.names[start],
+                    _known(means[:, 0]),
+                    _known(changes[level, :, 0]),
+                    _known(changes[level, :, 1]).mean,
+                    costs[level] - costs[start],
+                    share(filter(np.isfinite, means[:, 2]), targets[n][level]),
                 )
-            )  # fmt: skip
-            known = [each for each in mean if np.isfinite(each)]
-            if known:
-                found.append(
-                    Effect(
-                        factor,
-                        word,
-                        interval(known),
-                        _known(change),
-                        _known(minutes).mean,
-                        costs[level] - costs[0],
-                        share(filter(np.isfinite, within), targets[n][level]),
-                    )
-                )
+            )
     return found
 
 
@@ -222,65 +245,7 @@ def _known(values: Iterable[float]) -> Interval:
     return interval(each for each in values if np.isfinite(each))
 
 
-def _seen(study: Study, found: Sequence[Point]) -> list[list[int]]:
-    """Return the levels that occur, by factor; none of a range."""
-    return [
-        [] if factor.is_range else sorted({int(each.choices[n].share) for each in found})
-        for n, factor in enumerate(study.factor)
-    ]
-
-
-def _columns(study: Study, found: Sequence[Point]) -> Array:
-    """Return the additive model's matrix (N, 1 + columns): sum-to-zero levels, ranges -1 to 1.
-
-    Levels that do not occur have no column: nothing is known of them.
-    """
-    columns: list[Array] = [np.ones(len(found))]
-    for n, (factor, seen) in enumerate(zip(study.factor, _seen(study, found), strict=True)):
-        at = np.array([each.choices[n].share for each in found])
-        if factor.is_range:
-            columns.append(2.0 * at - 1.0)
-        else:
-            columns += [(at == level).astype(float) - (at == seen[-1]) for level in seen[:-1]]
-    return np.stack(columns, axis=1)
-
-
-def _fitted(
-    study: Study, all_points: Mapping[int, Point], own: Rows, key: str
-) -> list[list[float]]:
-    """Return, by factor, the value at each level or end with all else that occurs averaged.
-
-    NaN for a level that no case was done with.
-    """
-    own_points = [all_points[row["point"]] for row in own]
-    values = np.array([row[key] for row in own], dtype=float)
-    found = np.linalg.lstsq(_columns(study, own_points), values, rcond=None)[0]
-    levels, at = [], 1
-    for factor, seen in zip(study.factor, _seen(study, own_points), strict=True):
-        if factor.is_range:
-            levels.append([float(found[0] - found[at]), float(found[0] + found[at])])
-            at += 1
-            continue
-        some = found[at : at + len(seen) - 1]
-        effects = dict(zip(seen, [*some, -some.sum()], strict=True))
-        at += len(seen) - 1
-        levels.append(
-            [
-                float(found[0] + effects[level]) if level in effects else float("nan")
-                for level in range(len(factor.ends))
-            ]
-        )
-    return levels
-
-
-def _share(study: Study, done: Rows) -> float:
-    """Return how much of the differences between points the main effects explain, 0 to 1."""
-    all_points = points_of(study, done)
-    by_point = _by(done, "point")
-    values = np.array([np.mean([row[study.accuracy] for row in own]) for own in by_point.values()])
-    A = _columns(study, [all_points[number] for number in by_point])
-    total = float(((values - values.mean()) ** 2).sum())
-    if not total > 0.0:
-        return 1.0
-    rest = values - A @ np.linalg.lstsq(A, values, rcond=None)[0]
-    return 1.0 - float((rest**2).sum()) / total
+def _means(study: Study, done: Rows) -> Array:
+    """Return the accuracy of each point that was done, in the order of their numbers."""
+    by_point = _by(done, "point").values()
+    return np.array([np.mean([row[study.accuracy] for row in own]) for own in by_point])

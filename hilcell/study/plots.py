@@ -72,7 +72,7 @@ def front_plot(study: Study, found: Answers) -> str:
 def effects_plot(study: Study, found: Answers) -> str:
     """Return the accuracy at each level of each factor, all else averaged; "" without any."""
     return _levels(
-        found.effects,
+        _estimable(found),
         lambda each: Bar(each.mean.mean, *each.mean.ends, _figure(each.mean)),
         f"{study.accuracy[:-3]} error, mm; bars: 95 % interval over machines",
         "Accuracy at each level of each factor",
@@ -82,13 +82,17 @@ def effects_plot(study: Study, found: Answers) -> str:
 def coverage_plot(found: Answers) -> str:
     """Return the share of targets within their bound at each level; "" without any."""
     return _levels(
-        found.effects,
+        _estimable(found),
         lambda each: _percent(each.covered),
         "targets within their 95 % bound, %; bars: 95 % interval over machines",
         "Coverage of bounds at each level of each factor",
         line=NOMINAL,
         most=100.0,
     )
+
+
+def _estimable(found: Answers) -> list[Effect]:
+    return [each for each in found.effects if math.isfinite(each.mean.mean)]
 
 
 def _figure(each: Interval) -> str:

@@ -16,6 +16,7 @@ from hilcell.study.outcome import RESULTS
 from hilcell.study.study_file import Study
 
 MOST_REASONS = 10
+NONE = "–"  # stands for a figure that is not estimable
 WITHOUT = "one machine gives no interval; state more `machines`"
 WAITING = "one machine gives no interval; the others are not measured yet"
 
@@ -82,9 +83,10 @@ def front_sheet(study: Study, found: Answers) -> Sheet | None:
     headers = ["point", *names, "minutes", *money, _accuracy(study), "covered %", *some]
     against = "accuracy, minutes and money" if money else "accuracy and minutes"
     note = (
-        f"Of {len(found.designs)} designs these are beaten by no other in {against}. "
-        f"{RESULTS[study.accuracy][0].capitalize()}."
-    )
+        f"Of {len(found.designs)} designs these are beaten by no other in {against}."
+        if len(found.designs) > 1
+        else "No other design has a result."
+    ) + f" {RESULTS[study.accuracy][0].capitalize()}."
     return Sheet("Pareto front", headers, rows, 1 + len(names), note + _one_machine(study, found))
 
 
@@ -93,11 +95,10 @@ def purchases_sheet(study: Study, found: Answers) -> Sheet | None:
     if not found.purchases:
         return None
     money = [f"more {study.money}"] if study.has_costs else []
-    first = {id(each.factor): each.word for each in reversed(found.effects)}
     rows = [
         [
             each.factor.title,
-            first[id(each.factor)],
+            each.start,
             each.word,
             with_half(Interval(-each.change.mean, each.change.half), 4),
             _shown(each),
@@ -108,6 +109,8 @@ def purchases_sheet(study: Study, found: Answers) -> Sheet | None:
     ]
     headers = ["factor", "from", "to", "gain mm", "shown", "more minutes", *money]
     note = "Gain: by how much the error falls when this factor alone changes, all else averaged."
+    if any(each.word != each.start and not each.is_step for each in found.effects):
+        note += " Steps that the cases cannot separate are left out; main effects say why."
     return Sheet("Buy next", headers, rows, 3, note + _one_machine(study, found))
 
 
@@ -118,7 +121,7 @@ def effects_sheet(study: Study, found: Answers) -> Sheet | None:
             each.factor.title,
             each.word,
             with_half(each.mean, 4),
-            with_half(each.change, 4) if each.change.mean else "",
+            with_half(each.change, 4) if each.word != each.start else "",
             signed(each.minutes, 0),
             percent(each.covered),
         ]
@@ -127,12 +130,21 @@ def effects_sheet(study: Study, found: Answers) -> Sheet | None:
     if not rows:
         return None
     headers = ["factor", "level", _accuracy(study), "change mm", "minutes", "covered %"]
-    overall = "" if found.covered is None else f" Over all designs {percent(found.covered)} % of "
-    note = (
-        f"Main effects alone explain {100.0 * found.share:.0f} % of the differences between "
-        f"designs.{overall}targets lie within their 95 % bound."
-    )
+    note = "\n".join([*found.not_estimable, _explained(found)])
+    if found.covered is not None:
+        within = f"{percent(found.covered)} % of targets lie within their 95 % bound."
+        note += f"Over all designs {within}"
     return Sheet("Main effects", headers, rows, 2, note)
+
+
+def _explained(found: Answers) -> str:
+    if found.unknowns == 1:  # nothing varies
+        return ""
+    counts = f"(designs: {len(found.designs)}, unknowns: {found.unknowns})"
+    if math.isnan(found.share):
+        return f"Whether effects add up is not checked, as there are too few designs {counts}. "
+    share = f"{100.0 * found.share:.0f} % of the differences between designs"
+    return f"Main effects alone explain {share} {counts}. "
 
 
 def reasons_sheet(rows: Rows) -> Sheet | None:
@@ -173,6 +185,7 @@ def facts(study: Study, found: Answers, planned: int) -> dict[str, Any]:
         "buy_next": [_effect(each) for each in found.purchases],
         "covered": None if found.covered is None else _share(found.covered),
         "explained": _finite(found.share),
+        "not_estimable": found.not_estimable,
     }
 
 
@@ -189,19 +202,25 @@ def _kind(reason: str) -> str:
 
 
 def with_half(each: Interval, digits: int) -> str:
-    """Return a figure with its interval, where it has one."""
+    """Return a figure with its interval, where it has one; a dash for none."""
+    if math.isnan(each.mean):
+        return NONE
     shown = f"{each.mean:z.{digits}f}".replace("-", "−")  # z: no -0
     return shown if math.isnan(each.half) else f"{shown} ± {each.half:.{digits}f}"
 
 
 def percent(each: Share) -> str:
-    """Return a share in %, with its interval."""
+    """Return a share in %, with its interval; a dash for none."""
+    if math.isnan(each.mean):
+        return NONE
     low, high = (f"{100.0 * end:.1f}" for end in each.ends)
     return f"{100.0 * each.mean:.1f}" + (f" ({low} .. {high})" if low != high else "")
 
 
 def signed(value: float, digits: int) -> str:
-    """Return a difference; nothing for none."""
+    """Return a difference; a dash where it is not known."""
+    if math.isnan(value):
+        return NONE
     shown = f"{value:+.{digits}f}"
     return "0" if float(shown) == 0.0 else shown.replace("-", "−")
 
@@ -238,9 +257,10 @@ def _effect(each: Effect) -> dict[str, Any]:
     return {
         "factor": each.factor.name,
         "level": each.word,
+        "from": each.start,
         "accuracy_mm": _interval(each.mean),
         "change_mm": _interval(each.change),
-        "minutes": each.minutes,
+        "minutes": _finite(each.minutes),
         "cost": each.cost,
         "covered": _share(each.covered),
     }
@@ -251,7 +271,7 @@ def _interval(each: Interval) -> Mapping[str, float | None]:
 
 
 def _share(each: Share) -> Mapping[str, float | None]:
-    return {"mean": each.mean, "low95": _finite(each.low), "high95": _finite(each.high)}
+    return {"mean": _finite(each.mean), "low95": _finite(each.low), "high95": _finite(each.high)}
 
 
 def _finite(value: float) -> float | None:
