@@ -1,4 +1,4 @@
-"""Losses on the rail's wire in a session, and when they are too many."""
+"""Losses on the rail's wire, and when they are too many."""
 
 from __future__ import annotations
 
@@ -9,13 +9,23 @@ LOSSY = 0.005  # share of the frames on the rail's wire
 
 
 class LinkRecord(msgspec.Struct, frozen=True):
-    """Counts and losses of the rail's wire in one session."""
+    """Counts and losses of the rail's wire in one session, or in several together."""
 
     frames: int
     bad_lines: int
     refused: int
     malformed: int
     held_by_sdo: int = 0
+
+    def followed_by(self, later: LinkRecord) -> LinkRecord:
+        """Return the counts of both; how the slide was held is of the later end."""
+        return LinkRecord(
+            self.frames + later.frames,
+            self.bad_lines + later.bad_lines,
+            self.refused + later.refused,
+            self.malformed + later.malformed,
+            later.held_by_sdo,
+        )
 
     @property
     def lost_share(self) -> float:

@@ -214,7 +214,7 @@ class Log:
         self.driven = Driven()
         self.set_ups = SetUps()
         self.retakes: dict[str, None] = {}  # keys of points that wait to be re-measured
-        self.link: LinkRecord | None = None  # of the last session that ended
+        self.link: LinkRecord | None = None  # of all sessions that have ended by themselves
         self.seated = ""  # the place of a reflector that is carried by hand
         self.sights: dict[str, Seated] = {}
         self.streams: dict[str, StreamRecord] = {}
@@ -308,7 +308,8 @@ class Log:
             case "station held":
                 self.order = None
             case "link":
-                self.link = msgspec.convert(body, LinkRecord)
+                link = msgspec.convert(body, LinkRecord)  # each session counts from its connect
+                self.link = link if self.link is None else self.link.followed_by(link)
             case "connected":
                 self.assets = [asset_of(entry) for entry in body["devices"]]
                 if any(asset.simulated for asset in self.assets):

@@ -236,7 +236,7 @@ DEVICES: tuple[Column[Asset], ...] = tuple(
 def devices(facts: Facts) -> Sheet | None:
     """Return the devices that answered."""
     link = facts.log.link
-    note = f"CAN link in the last session: {link.text}." if link is not None else ""
+    note = f"CAN link: {link.text}." if link is not None else ""
     if link is not None and link.warning:
         note += f" Warning: {link.warning}."
     return sheet("Devices", DEVICES, facts.log.assets, note)
