@@ -151,14 +151,16 @@ def _current(runs: Path, cell: Cell, table: str) -> Path:
 
     A touched base is of a visit that ends when the run that looks for one homes the slide.
     """
-    gone, unproven = "", None
+    gone, unproven, foreign, simulated = "", None, None, cell.simulation is not None
     known = standings(read_index(runs))
     for folder in newest_first(runs):
         path = folder / CALIBRATION
         if not path.is_file() or (made := read_calibration(path).provenance).cell != cell.name:
             continue
         standing = known.get(folder.name)
-        if made.is_of_visit:
+        if made.simulated != simulated:
+            foreign = foreign or path  # a real cell and a simulated one of its name are two
+        elif made.is_of_visit:
             gone = gone or f" (that of run {folder.name} has a base that was touched on a visit)"
         elif standing is not None and standing.state == "current":
             return path
@@ -166,8 +168,8 @@ def _current(runs: Path, cell: Cell, table: str) -> Path:
             unproven = unproven or path
         else:
             gone = gone or f" (that of run {folder.name} is {standing.text})"
-    if unproven is not None:
-        return unproven
+    if found := unproven or (None if gone else foreign):  # which is refused with its reason
+        return found
     raise NoCalibration(
         f"no finished run in {runs} has calibrated cell {cell.name}{gone}; `hilcell run calibrate` "
         f"first, or name a run or its calibration.json with --set {table}.calibration=RUN"

@@ -316,6 +316,13 @@ def _simulator_problems(simulator: type[SimulatedCell], cell: Cell) -> list[str]
     return []
 
 
+def is_replay(cell: Cell) -> bool:
+    """Whether a run of the cell only repeats a recorded one."""
+    return cell.simulation is not None and issubclass(
+        load_entry("simulators", cell.simulation.simulator), RepeatsRun
+    )
+
+
 def check_repeated(cell: Cell, procedure: str, seed: int) -> None:
     """Refuse what a cell that repeats a recorded run was not recorded with; `SettingsError`."""
     if cell.simulation is not None:

@@ -28,6 +28,7 @@ from hilcell.cell.devices import (
     check_options,
     check_repeated,
     device_places,
+    is_replay,
     load_entry,
     start_simulation,
 )
@@ -249,11 +250,15 @@ def _check_of_simulator(cell: Cell, option: str, value: float | None) -> None:
 
 
 def _finished_runs(runs: Path, cell: Cell) -> list[str]:
-    """Return the newest finished runs of a cell that states its volumes: poses known from them."""
+    """Return the newest finished runs of a cell that states its volumes: poses known from them.
+
+    Where a simulated cell or a replay went, nothing is known of the real one.
+    """
     if cell.surroundings is None:
         return []
-    rows = [row for row in read_index(runs) if row.state == "finished"]
-    same = [row.name for row in rows if (row.cell, row.serial) == (cell.name, cell.serial)]
+    of_cell = cell.name, cell.serial, cell.simulation is not None
+    rows = [row for row in read_index(runs) if row.state == "finished" and not row.replayed]
+    same = [row.name for row in rows if (row.cell, row.serial, row.simulated) == of_cell]
     return same[:RUNS_LOOKED_AT]
 
 
@@ -454,6 +459,7 @@ def _plan_record(
         "cell_file": cell_file(args.cell),
         "seed": args.seed,
         "machine_seed": machine_seed(cell, args),
+        "replayed": is_replay(cell),
         "speed": speed,
         "unattended": args.unattended,
         "operator": args.operator,

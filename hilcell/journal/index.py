@@ -26,7 +26,7 @@ from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.journal.states import OVER, RunState
 
 NAME = "index.sqlite"
-SCHEMA = 6  # to be raised whenever `RunRow` changes, or what its fields mean
+SCHEMA = 7  # to be raised whenever `RunRow` changes, or what its fields mean
 BUSY_S = 2.0  # another process writes; without its leave the journals are read instead
 SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file may still change
 UNREADABLE, NEVER_BEGAN = "unreadable", "never began"  # states that no journal holds
@@ -73,12 +73,13 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
     chosen_max_mm: float | None = None
     machine_seed: int | None = None
     moved: bool = False
+    replayed: bool = False
     facts: CalibrationFacts = CalibrationFacts()
 
     @property
     def calibrates(self) -> bool:
-        """Whether the run ended with a calibration."""
-        return self.finished and self.facts.kind != ""
+        """Whether the run ended with a calibration; a replay only repeats that of another run."""
+        return self.finished and self.facts.kind != "" and not self.replayed
 
     @property
     def finished(self) -> bool:
@@ -210,6 +211,7 @@ class _Plan(msgspec.Struct):
     seed: int
     simulated: bool
     machine_seed: int | None = None
+    replayed: bool = False
 
     @property
     def truth_seed(self) -> int | None:
@@ -326,6 +328,7 @@ def _row(
         seed=inputs.seed,
         simulated=inputs.simulated,
         machine_seed=inputs.truth_seed,
+        replayed=inputs.replayed,
         points=points,
         exit=last.exit if last is not None else None,
         before_mean_mm=before_mean_mm,

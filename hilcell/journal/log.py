@@ -165,6 +165,7 @@ class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
     ] = []  # runs finished before, newest first: the poses that they drove are known
     accepted: list[str] = []  # why the calibration that it uses should not be used
     floor_before: FloorBefore | None = None  # of the run that made the cell's current calibration
+    replayed: bool = False  # it only repeats a recorded run, and measures nothing
 
     @property
     def truth_seed(self) -> int | None:

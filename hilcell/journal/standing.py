@@ -6,6 +6,8 @@ verdict is redo revokes the one that it judged, `hilcell revoke` any; one that w
 one is revoked as well. One that somebody has revoked supersedes nothing: it is as if it had not
 been made. A touched base is out of date as soon as the cell has moved in a later run.
 
+A replay of a recorded run measures nothing: it changes no standing, and has one of its own.
+
 Simulated cells of one name are as many cells as machines were started for them: each has a current
 calibration, and is named where there are several.
 """
@@ -22,7 +24,7 @@ from hilcell.journal.index import RunRow
 
 State = Literal[
     "current", "superseded", "revoked", "in doubt", "out of date", "not validated", "undecided",
-    "suspected",
+    "suspected", "replayed",
 ]  # fmt: skip
 
 
@@ -53,11 +55,13 @@ class Standing:
 
 def standings(rows: Iterable[RunRow]) -> dict[str, Standing]:
     """Return the standing of each calibration of finished runs, by the run's name."""
-    known = {row.name: row for row in rows if row.readable}
+    rows = list(rows)
+    known = {row.name: row for row in rows if row.readable and not row.replayed}
     cells = {name: (*_cell(row), _machine(row, known)) for name, row in known.items()}
     calibrated = {cells[name] for name, row in known.items() if row.calibrates}
     ordered = sorted(known.values(), key=lambda row: (cells[row.name], row.order))
-    found: dict[str, Standing] = {}
+    repeats = (row for row in rows if row.replayed and row.finished and row.facts.kind)
+    found = {row.name: Standing("replayed", "", "a replay measures nothing") for row in repeats}
     for cell, of_cell in groupby(ordered, key=lambda row: cells[row.name]):
         several = sum(other[:-1] == cell[:-1] for other in calibrated) > 1
         machine = cell[-1] if several else ""
@@ -73,7 +77,7 @@ def current_of(
 ) -> str:
     """Return the run of a cell's current calibration, for a simulated one of a machine; else ""."""
     rows = list(rows)
-    known = {row.name: row for row in rows if row.readable}
+    known = {row.name: row for row in rows if row.readable and not row.replayed}
     wanted = (cell, serial, str(simulated), _simulated(machine_seed) if simulated else "")
     return next(
         (

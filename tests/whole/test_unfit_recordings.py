@@ -13,6 +13,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from hilcell.journal.index import row_of
 from hilcell.journal.runs import read_log
 from hilcell.wire.recording import SUFFIX, Head, Piece, read_recording, recordings
 from tests.whole.bench import command, sets
@@ -193,6 +194,7 @@ def test_a_resumed_run_replays_by_resuming_its_replay(tmp_path: Path) -> None:
     folder = tmp_path / "first"
     assert "name the run's own folder" in refused(folder / "wires-2", run="world-frame")
     assert replayed(folder, run="world-frame", runs=tmp_path).returncode == 3
+    assert [row_of(tmp_path / name).replayed for name in ("first", "again")] == [False, True]
     assert fault(tmp_path / "again")["code"] == ENDED
     done = command("resume", "again", "--unattended", "--runs", tmp_path)
     assert done.returncode == 0, done.stderr

@@ -60,6 +60,17 @@ def test_the_newest_calibration_of_this_cell_is_taken(tmp_path: Path) -> None:
     assert cell.digest == CELL.digest
 
 
+def test_a_real_cell_never_takes_that_of_a_simulated_one(tmp_path: Path) -> None:
+    made(tmp_path, "1-real", simulated=False)
+    made(tmp_path, "2-simulated")
+    _written(tmp_path / "1-real" / JOURNAL, 1)
+    _written(tmp_path / "2-simulated" / JOURNAL, 2)
+    real = msgspec.structs.replace(using(), simulation=None)
+    for cell, wanted in ((real, "1-real"), (using(), "2-simulated")):
+        found = with_calibration(cell, "recheck", tmp_path).cell
+        assert calibration_named(found, "recheck").provenance.run == wanted
+
+
 def _written(path: Path, seconds: int) -> None:
     os.utime(path, (1_000_000 + seconds, 1_000_000 + seconds))
 

@@ -128,6 +128,38 @@ def test_cells_and_machines_are_apart() -> None:
         assert states(made("01"), each) == {"01": "current", "02": "current"}
 
 
+@pytest.mark.parametrize(
+    "replay",
+    [
+        made("02"),
+        row("02", kind="base", used="01", code=1),
+        row("02", redo=True, used="01", code=1),
+        row("02", kind="touch", used="01"),
+    ],
+)
+def test_a_replay_changes_nothing(replay: RunRow) -> None:
+    replay = msgspec.structs.replace(replay, replayed=True)
+    found = standings([made("01"), replay])
+    assert found["01"] == Standing("current", current="01")
+    assert current_of([made("01"), replay], "paper", "P-1", False, None) == "01"
+    assert not replay.calibrates
+    if replay.facts.kind:
+        assert found["02"].text == "replayed: a replay measures nothing"
+        assert not found["02"].usable
+    touched = row("02", kind="touch", used="01")
+    moved = msgspec.structs.replace(row("03"), replayed=True)
+    assert states(made("01"), touched, moved)["02"] == "current"
+
+
+@pytest.mark.parametrize("real_first", [True, False])
+def test_a_simulated_run_never_supersedes_a_real_one(real_first: bool) -> None:
+    first, second = ("01", "02") if real_first else ("02", "01")
+    rows = [made(first), simulated(made(second), 1), simulated(row("03", redo=True), None)]
+    found = standings(rows)
+    assert (found[first].state, found[first].current) == ("current", first)
+    assert current_of(rows, "paper", "P-1", False, None) == first
+
+
 def simulated(row: RunRow, seed: int | None) -> RunRow:
     return msgspec.structs.replace(row, simulated=True, machine_seed=seed)
 
