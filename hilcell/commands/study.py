@@ -83,9 +83,9 @@ def _perform(args: argparse.Namespace) -> int:
                 with interrupted_once() as check, _workers(args) as workers:
                     counts = _measured(results, workers, planned, kept, check)
             except (Cluster, KeyboardInterrupt) as error:
-                if not _has_rows(results, kept):
-                    raise
                 lost = isinstance(error, Cluster)
+                if not _has_rows(results, kept if lost else 0):
+                    raise
                 print_message(
                     f"hilcell: {error if lost else 'interrupted'}; finished cases are kept, the "
                     "same command goes on"

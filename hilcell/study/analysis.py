@@ -124,9 +124,13 @@ def answers(study: Study, rows: Rows) -> Answers:
 
 def best_of(study: Study, wanted: Optimum, found: Sequence[Design]) -> Design | None:
     """Return the design with the least value, of those that every machine did."""
-    whole = [each for each in found if each.cases == study.machines * study.seeds]
-    best = min(whole, key=lambda each: value(wanted, each), default=None)
+    best = min(whole(study, found), key=lambda each: value(wanted, each), default=None)
     return None if best is None or not value(wanted, best) < TOO_LONG else best
+
+
+def whole(study: Study, found: Sequence[Design]) -> list[Design]:
+    """Return the designs that every machine did."""
+    return [each for each in found if each.cases == study.machines * study.seeds]
 
 
 def value(wanted: Optimum, design: Design) -> float:

@@ -9,11 +9,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from hilcell.report.columns import Sheet, present
-from hilcell.study.analysis import Answers, Design, Effect, Rows
+from hilcell.study.analysis import Answers, Design, Effect, Rows, whole
 from hilcell.study.case import CANNOT_BE, DONE, FAILED
 from hilcell.study.intervals import Interval, Share
 from hilcell.study.outcome import RESULTS
-from hilcell.study.study_file import Study
+from hilcell.study.study_file import Optimum, Study
 
 MOST_REASONS = 10
 NONE = "–"  # stands for a figure that is not estimable
@@ -66,8 +66,8 @@ def front_sheet(study: Study, found: Answers) -> Sheet | None:
         return None
     names = [factor.title for factor in study.factor]
     money = [study.money] if study.has_costs else []
-    whole = study.machines * study.seeds
-    some = ["done"] if any(each.cases < whole for each in found.front) else []
+    of_all = study.machines * study.seeds
+    some = ["done"] if any(each.cases < of_all for each in found.front) else []
     rows = [
         [
             str(each.point.number),
@@ -76,7 +76,7 @@ def front_sheet(study: Study, found: Answers) -> Sheet | None:
             *([f"{each.point.cost:g}"] if money else []),
             with_half(each.accuracy, 4),
             percent(each.covered),
-            *([f"{each.cases} of {whole}"] if some else []),
+            *([f"{each.cases} of {of_all}"] if some else []),
         ]
         for each in found.front
     ]
@@ -166,9 +166,21 @@ def count_words(study: Study, found: Answers, planned: int) -> str:
     ended = [f"{counts[state]} {state}" for state in (DONE, CANNOT_BE, FAILED) if state in counts]
     kept = sum(counts.values())
     if study.optimise is not None:
-        return f"{kept} cases, at most {planned}: {', '.join(ended) or 'none measured'}"
+        cases = f"{kept} cases, at most {planned}: {', '.join(ended) or 'none measured'}"
+        return cases + (_none_found(study, found, study.optimise) if kept else "")
     waiting = [f"{planned - kept} not measured yet"] if kept < planned else []
     return f"{planned} cases: {', '.join([*ended, *waiting]) or 'none measured'}"
+
+
+def _none_found(study: Study, found: Answers, wanted: Optimum) -> str:
+    """Return why a search has no best design; nothing where it has one."""
+    minutes = [each.minutes for each in whole(study, found.designs)]
+    if not minutes:
+        return "; no design was done on every machine"
+    if found.best is not None or wanted.most_minutes is None:
+        return ""
+    shortest = math.ceil(10.0 * min(minutes)) / 10.0  # never below the limit that it exceeds
+    return f"; no design of at most {wanted.most_minutes:g} minutes, the shortest took {shortest:g}"
 
 
 def facts(study: Study, found: Answers, planned: int) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 
 import pyarrow as pa
@@ -21,6 +21,9 @@ import pytest
 from hilcell import __version__
 from hilcell.commands.cli import main
 from hilcell.study import cluster
+from hilcell.study.design import cases
+from hilcell.study.results import Results, row_of
+from hilcell.study.study_file import read_study
 from tests.hilcell.study.studies import written
 from tests.whole.bench import HILCELL, hilcell
 from tests.whole.dask_bench import LIMIT_S, READINGS, scheduler, worker
@@ -119,6 +122,32 @@ def test_an_interruption_keeps_what_is_finished(
     assert "Traceback" not in errors
     assert "leaked" not in errors
     assert 1 <= table(folder).num_rows < 198
+
+
+@pytest.mark.parametrize(
+    ("kept", "words"),
+    [(1, "interrupted; finished cases are kept, the same command goes on"), (0, "interrupted")],
+)
+def test_an_interruption_before_the_first_new_case(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    kept: int, words: str,
+) -> None:  # fmt: skip
+    """As a restart of the PC while workers start: cases of an earlier session are kept."""
+
+    class Stopped:
+        def measure(self, _: object) -> Iterator[object]:
+            signal.raise_signal(signal.SIGTERM)
+            yield from ()
+
+    path = written(tmp_path, READINGS)
+    asked, figures = read_study(path), {"mean_mm": 0.1, "covered": 1.0, "targets": 8.0}
+    results = Results(tmp_path / "r", asked)
+    row = {"state": "done", "reason": "", "minutes": 9.0} | figures
+    with results.held():
+        results.add([row_of(case, row, asked) for case in list(cases(asked))[:kept]])
+    monkeypatch.setattr("hilcell.commands.study._workers", lambda _: nullcontext(Stopped()))
+    assert main(["study", str(path), "-o", str(tmp_path / "r")]) == 4
+    assert capsys.readouterr().err.splitlines()[-1] == f"hilcell: {words}"
 
 
 def test_a_scheduler_that_vanishes_is_one_message(tmp_path: Path) -> None:

@@ -13,9 +13,10 @@ from hilcell.study.analysis import answers
 from hilcell.study.case import Row, unpacked
 from hilcell.study.design import Case, cases
 from hilcell.study.errors import Cluster
+from hilcell.study.page import page
 from hilcell.study.performing import perform
-from hilcell.study.results import Results, open_results, plain_rows
-from hilcell.study.study_file import Study
+from hilcell.study.results import Results, open_results, plain_rows, row_of
+from hilcell.study.study_file import Study, cell_of
 from hilcell.study.tables import count_words, sheets
 from tests.hilcell.study.studies import study
 from tests.hilcell.study.test_design import RANGES
@@ -89,6 +90,26 @@ def test_no_design_within_the_limit(tmp_path: Path) -> None:
     found = answers(asked, rows)
     assert found.best is None
     assert [each.title for each in sheets(asked, found, rows)] == ["Pareto front"]
+    assert count_words(asked, found, 120).endswith(
+        " done; no design of at most 5 minutes, the shortest took 18"
+    )
+    html = page(asked, found, rows, 120)
+    assert "no design of at most 5 minutes, the shortest took 18" in html
+    failed = [{**row, "state": "failed", "reason": "the beam broke"} for row in rows]
+    assert count_words(asked, answers(asked, failed), 120).endswith(
+        " failed; no design was done on every machine"
+    )
+
+
+def test_a_shortest_that_is_a_little_too_long(tmp_path: Path) -> None:
+    """Its minutes are rounded up: never to less than the limit."""
+    asked = study(tmp_path, FACTORS, LIMITED.replace("25.0", "17.92"))
+    bench = [truth(case, cell_of(asked, case.point.values)) for case in list(cases(asked))[:2]]
+    found = answers(asked, [
+        row_of(case, row | {"minutes": 17.93}, asked)
+        for case, row in zip(cases(asked), bench, strict=False)
+    ])  # fmt: skip
+    assert "at most 17.92 minutes, the shortest took 18" in count_words(asked, found, 120)
 
 
 def test_a_limit_that_none_of_the_first_points_keeps(tmp_path: Path) -> None:
