@@ -15,7 +15,7 @@ import stat
 import tomllib
 import types
 import typing
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -218,8 +218,8 @@ def _value(value: object, kind: Any, path: str, problems: list[str]) -> Any:
     item = _item_struct(kind)
     if item is not None and isinstance(value, list):
         return [_struct(each, item, f"{path}[{n}].", problems) for n, each in enumerate(value)]
-    if not _finite(value):
-        problems.append(f"{path}: {_short(value)} is not a finite number")
+    if bad := list(_not_finite(value, path)):
+        problems += bad
         return _UNREAD
     try:
         return msgspec.convert(value, kind, strict=True)
@@ -286,12 +286,13 @@ def _item_struct(kind: Any) -> type[msgspec.Struct] | None:
     return None
 
 
-def _finite(value: object) -> bool:
-    if isinstance(value, float):
-        return math.isfinite(value)
-    if isinstance(value, list):
-        return all(_finite(each) for each in value)
-    return True
+def _not_finite(value: object, path: str) -> Iterator[str]:
+    """Yield the members of a value that are not finite, each with its place."""
+    if isinstance(value, float) and not math.isfinite(value):
+        yield f"{path}: {value} is not a finite number"
+    elif isinstance(value, list):
+        for n, each in enumerate(value):
+            yield from _not_finite(each, f"{path}[{n}]")
 
 
 def override_all(values: dict[str, Any], changed: Mapping[str, str]) -> None:

@@ -169,11 +169,13 @@ def read_study(path: Path) -> Study:
     except (OSError, UnicodeDecodeError) as error:
         raise unreadable(source, error, "study file") from error
 
+    stated = parsed(text, source)
+
     def unlike_the_cell(found: Study) -> Iterator[str]:
         if hasattr(found, "cell") and hasattr(found, "settings"):
-            yield from _unlike_the_cell(found, _place(found.cell, path.parent))
+            yield from _unlike_the_cell(found, _place(found.cell, path.parent), stated)
 
-    study = convert(parsed(text, source), Study, source, unlike_the_cell)
+    study = convert(stated, Study, source, unlike_the_cell)
     return msgspec.structs.replace(study, cell=_place(study.cell, path.parent))
 
 
@@ -191,7 +193,7 @@ def _cell(where: str, settings: Mapping[str, object]) -> Cell:
     return load_cell(where, {key: toml_value(value) for key, value in settings.items()})
 
 
-def _unlike_the_cell(study: Study, where: str) -> Iterator[str]:
+def _unlike_the_cell(study: Study, where: str, stated: Mapping[str, Any]) -> Iterator[str]:
     """Yield what is wrong with the base cell, and values that a factor's setting can never take.
 
     A value that only goes ill with the others' is not refused: its cases cannot be, which is a
@@ -206,7 +208,10 @@ def _unlike_the_cell(study: Study, where: str) -> Iterator[str]:
     known = {_without_line(line) for line in base}
     for n, factor in enumerate(getattr(study, "factor", ())):
         place = "setting" if getattr(factor, "setting", "") else "levels"
-        for line in dict.fromkeys(_never(where, sound, factor)):
+        if not hasattr(factor, "setting"):
+            continue
+        values = factor.ends if hasattr(factor, "ends") else _finite_levels(stated["factor"][n])
+        for line in dict.fromkeys(_never(where, sound, factor, values)):
             if line not in known:
                 yield f"factor[{n}].{place}: {line}"
 
@@ -223,11 +228,18 @@ def _wrong_base(where: str, settings: Mapping[str, object]) -> Iterator[str]:
         yield from _no_machine(cell)
 
 
-def _never(where: str, sound: Mapping[str, object], factor: Factor) -> Iterator[str]:
+def _finite_levels(stated: Mapping[str, Any]) -> Sequence[Any]:
+    """Return the levels of a factor whose others are not finite."""
+    levels = stated.get("levels")
+    some = levels if isinstance(levels, list) else []
+    return [each for each in some if not (isinstance(each, float) and not math.isfinite(each))]
+
+
+def _never(
+    where: str, sound: Mapping[str, object], factor: Factor, some: Sequence[Any]
+) -> Iterator[str]:
     """Yield why values of a factor, as far as they could be read, can never be."""
-    if not hasattr(factor, "ends") or not hasattr(factor, "setting"):
-        return
-    values = [value for value in factor.ends if value is not None]
+    values = [value for value in some if value is not None]
     if not factor.setting:  # each is a table of settings, where it is sound
         values = [value for value in values if isinstance(value, Mapping)]
     for given in map(factor.settings, values):

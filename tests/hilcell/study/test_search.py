@@ -80,6 +80,8 @@ def test_a_limit_on_minutes_is_kept(tmp_path: Path) -> None:
     results = Results(tmp_path / "r", asked)
     performed(results, Bench())
     assert best(asked, results)["readings"] == 3
+    found = answers(asked, plain_rows(results.table()))
+    assert count_words(asked, found, 120).endswith(" done")
 
 
 def test_no_design_within_the_limit(tmp_path: Path) -> None:

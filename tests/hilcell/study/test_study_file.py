@@ -376,3 +376,15 @@ def test_levels_of_several_settings_are_read_strictly(
 def test_a_setting_in_two_factors(tmp_path: Path) -> None:
     twice = STRIP + factor(setting="rail.strip_tolerance_mm", levels=[0.01, 0.02])
     assert "two have the setting 'rail.strip_tolerance_mm'" in "\n".join(refused(tmp_path, twice))
+
+
+def test_all_values_that_are_none_are_named(tmp_path: Path) -> None:
+    levels = 'name = "p"\nsetting = "grid.pitch_mm"\nlevels = [450.0, -3.0, nan, inf]'
+    assert refused(tmp_path, f"[[factor]]\n{levels}") == [
+        "factor[0].levels[2]: nan is not a finite number",
+        "factor[0].levels[3]: inf is not a finite number",
+        (
+            "factor[0].setting: grid.pitch_mm: a number is wanted, found -3.0; allowed: >= 0.01, "
+            "<= 1e+06"
+        ),
+    ]
