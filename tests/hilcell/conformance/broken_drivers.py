@@ -18,7 +18,7 @@ from drivers.supervision import Patience
 from hilcell.conformance.verdicts import Port
 from hilcell.errors import NoReading
 from hilcell.ports import StreamBlock
-from tests.hilcell.conformance.broken import COMMON, Base, Pieces, Slow
+from tests.hilcell.conformance.broken import COMMON, GOOD_VISITS, Base, Pieces, ReadsBack, Slow
 from tests.hilcell.conformance.seams import (
     Call,
     RailSeams,
@@ -40,16 +40,21 @@ class RailPieces(Pieces, RailSeams):
         fill = bus._fill
 
         def filled(timeout_s: float) -> bool:
+            before = len(bus._bytes)
             found = bool(fill(timeout_s))
-            if not bus._bytes.endswith((b"\r", b"\a")):
+            if self.torn(bus._bytes[before:]):
                 bus._bytes = b""
             return found
 
         bus._fill = filled
 
 
+class RailReadsBack(ReadsBack, RailSeams):
+    good_visits = GOOD_VISITS + 1  # one makes it ready
+
+
 class RailSlow(Slow, RailSeams):
-    limit_s = 0.05
+    limit_s = 0.13  # a prompt wire: 0.11 s where a motion was stopped
 
 
 class RailClientKilled(Base, RailSeams):
@@ -66,6 +71,8 @@ class RailUnits(Base, RailSeams):
     def visited(self, call: Call) -> Any:
         reading = super().visited(call)
         return replaced(reading, strip_mm=1.05 * reading.strip_mm)
+
+    asked = visited
 
 
 class RailHandedness(Base, RailSeams):
@@ -84,7 +91,7 @@ class RailHeld(Base, RailSeams):
 class RailTravel(Base, RailSeams):
     def move_to(self, position_mm: float) -> None:
         options = self._options
-        if position_mm > options.travel_max_mm or position_mm < options.travel_min_mm:
+        if np.isfinite(position_mm):
             position_mm = min(max(position_mm, options.travel_min_mm), options.travel_max_mm)
         super().move_to(position_mm)
 
@@ -329,6 +336,7 @@ NUMBERLESS: list[tuple[Port, str, dict[str, str], type[Any]]] = [
 OWN: dict[str, dict[str, type[Base]]] = {
     "rail": {
         "pieces": RailPieces,
+        "reads-back": RailReadsBack,
         "slow": RailSlow,
         "client-killed": RailClientKilled,
         "units": RailUnits,
