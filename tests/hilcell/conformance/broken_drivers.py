@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -16,9 +17,9 @@ from drivers.leica.geocom import Reply, Rpc
 from drivers.leica.tracker_geocom import LeicaGeocomTracker
 from drivers.supervision import Patience
 from hilcell.conformance.verdicts import Port
-from hilcell.errors import NoReading
+from hilcell.errors import DeviceError, NoReading
 from hilcell.ports import StreamBlock
-from tests.hilcell.conformance.broken import COMMON, GOOD_VISITS, Base, Pieces, ReadsBack, Slow
+from tests.hilcell.conformance.broken import COMMON, GOOD_VISITS, Base, Pieces, ReadsBack
 from tests.hilcell.conformance.seams import (
     Call,
     RailSeams,
@@ -28,6 +29,7 @@ from tests.hilcell.conformance.seams import (
     replaced,
 )
 
+RAIL_SOON_S = 0.04
 C3_HEADER = 4  # bytes: tag and length
 
 # -- the rail ---------------------------------------------------------------------------------
@@ -53,8 +55,22 @@ class RailReadsBack(ReadsBack, RailSeams):
     good_visits = GOOD_VISITS + 1  # one makes it ready
 
 
-class RailSlow(Slow, RailSeams):
-    limit_s = 0.13  # a prompt wire: 0.11 s where a motion was stopped
+class RailSlow(Base, RailSeams):
+    def connect(self) -> Any:
+        found = super().connect()
+        image: Any = self._image
+        inbox = image._inbox
+        arrive = inbox._await
+
+        def soon(*words: Any) -> bool:
+            began_s = time.monotonic()
+            arrived = bool(arrive(*words))
+            if arrived and time.monotonic() - began_s > RAIL_SOON_S:
+                raise DeviceError("HC-C99", "Device", "read", "too slow")
+            return arrived
+
+        inbox._await = soon
+        return found
 
 
 class RailClientKilled(Base, RailSeams):
