@@ -38,9 +38,9 @@ if TYPE_CHECKING:
 __all__ = [
     "Air", "Array", "AxisReading", "Clock", "DeviceError", "DeviceRefused", "Exercise",
     "ExternalAxis", "HilcellError", "Identity", "InProcessCell", "JointSample", "LinkStatistics",
-    "NoReading", "Rail", "RailReading", "RepeatsRun", "RidesOnRobot", "Robot", "RobotReading",
-    "SimulatedCell", "Stopped", "Stream", "StreamBlock", "Streams", "StripLost", "Sweep", "Sweeps",
-    "Tracker", "TrackerReading", "Training", "says_simulated",
+    "NoReading", "Rail", "RailReading", "RecordingEnded", "RepeatsRun", "RidesOnRobot", "Robot",
+    "RobotReading", "SimulatedCell", "Stopped", "Stream", "StreamBlock", "Streams", "StripLost",
+    "Sweep", "Sweeps", "Tracker", "TrackerReading", "Training", "says_simulated",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -383,6 +383,10 @@ class RepeatsRun(Protocol):
     @classmethod
     def check_run(cls, cell: Cell, procedure: str, seed: int) -> None:
         """Refuse another procedure, seed or cell than was recorded; raises `SettingsError`."""
+
+
+class RecordingEnded(HilcellError):
+    """A run has come to the end of the recording that it repeats: no device was reached."""
 
 
 class InProcessCell(Protocol):

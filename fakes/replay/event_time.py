@@ -28,6 +28,7 @@ class EventTime:
         self._followers: tuple[Callable[[float], None], ...] = ()
         self._landmark_s = 0.0  # that was passed last
         self._end_s, self._end = 0.0, ""  # of all wires
+        self._cuts: list[tuple[float, str]] = []
         self._left = ""
         self.stop_s, self._stop = float("inf"), ""
         self._looked_s, self._idle_s = time.monotonic(), 0.0  # real time
@@ -42,6 +43,10 @@ class EventTime:
         """Take the end of a wire's recording, and where that is written: nobody waits behind it."""
         self._end_s, self._end = max((self._end_s, self._end), (time_s, place))
 
+    def cut_at(self, time_s: float, place: str) -> None:
+        """Take when a wire was used last, of which the rest of the recording is missing."""
+        self._cuts.append((time_s, place))
+
     def stop_at(self, time_s: float, place: str) -> None:
         """Take when the recorded run was to stop. All later times are of its stop."""
         self.stop_s, self._stop = time_s, place
@@ -53,10 +58,11 @@ class EventTime:
     def left(self) -> str:
         """Return where and why the replay goes no further; "" while it may.
 
-        The recording is over where all that was asked was asked, and a wait on the wires brings
-        nothing more. A silence at its end belongs to it: a device that did not answer.
+        The recording is over where all that was asked was asked, on all wires or on one that was
+        cut, and a wait on the wires brings nothing more. A silence at its end belongs to it: a
+        device that did not answer.
         """
-        if self._end:
+        if self._end or self._cuts:
             self._look()
         return self._left
 
@@ -67,8 +73,10 @@ class EventTime:
             if between_s < LOOK_S:  # else nobody was waiting
                 self._idle_s += between_s
         silent_s = max(0.0, self._end_s - self.now_s)
-        if self.next_asked_s() == float("inf") and silent_s < SILENCE_S < self._idle_s:
-            self.leave(f"the recording ends at {self._end}, and this run goes on")
+        over = self._end if self.next_asked_s() == float("inf") and silent_s < SILENCE_S else ""
+        over = next((place for time_s, place in self._cuts if self.now_s >= time_s), over)
+        if over and self._idle_s > SILENCE_S:
+            self.leave(f"the recording ends at {over}, and this run goes on")
 
     def went_on(self) -> None:
         """Something was answered that had not been before."""

@@ -19,7 +19,7 @@ from fakes.replay.recorded_run import Recorded, check_run, folder_of, read_run, 
 from fakes.replay.recorded_wire import RecordedWire
 from hilcell.cell.devices import TABLES, driver_options, stand_ins
 from hilcell.cell.file import Cell
-from hilcell.ports import HilcellError, Stopped
+from hilcell.ports import RecordingEnded, Stopped
 from hilcell.wire.recording import CLOCK, Piece, ended_with, head_of, looks
 from hilcell.wire.wires import addressed
 
@@ -53,10 +53,13 @@ class RecordedCell:
         self._expect_end(paths, clock, pieces)
         tables = {table: getattr(cell, table) for table, _group in TABLES}
         dialects = {table: dialects_of(one.driver, one.options) for table, one in tables.items()}
+        known = head_of(clock) is not None  # else it may have been cut by hand, for a test
         for name, found in pieces.items():
             table, _dot, wire = name.partition(".")
             dialect = dialects[table].get(wire, Dialect())
-            self._wires.append(RecordedWire(found, dialect, self._time, str(paths[name])))
+            self._wires.append(
+                RecordedWire(found, dialect, self._time, str(paths[name]), may_be_cut=known)
+            )
             channels.setdefault(table, {})[wire] = self._wires[-1].channel
         for each in self._wires:
             each.start()
@@ -120,8 +123,8 @@ class RecordedClock:
         self.check()
 
     def check(self) -> None:
-        """Raise `Stopped` if a stop was asked for, `HilcellError` where the recording has ended."""
+        """Raise `Stopped` if a stop was asked for, `RecordingEnded`."""
         if self._stop.is_set():
             raise Stopped("a stop was asked for")
         if found := self._time.left():
-            raise HilcellError(f"{found}; {self._act}", code=ENDED)
+            raise RecordingEnded(f"{found}; {self._act}", code=ENDED)

@@ -82,6 +82,13 @@ def connections(pieces: Sequence[Piece], dialect: Dialect) -> list[list[Exchange
     return [_merged(each, dialect) for each in found] if dialect.flows else found
 
 
+def cut_connections(pieces: Sequence[Piece]) -> list[bool]:
+    """Return for each connection whether its end is missing: the file was cut, or all died."""
+    opened = sorted({piece.c for piece in pieces if piece.e == "open"})
+    ended = {piece.c for piece in pieces if piece.e in ("end", "lost")}
+    return [number not in ended for number in opened]
+
+
 def _merged(recorded: Sequence[Exchange], dialect: Dialect) -> list[Exchange]:
     """Return exchanges in which questions in a row that ask the same are one."""
     found, name = [recorded[0]], b""
@@ -138,8 +145,14 @@ class Script:
         dialect: Dialect,
         time: EventTime,
         landmarks: Collection[bytes],
+        *,
+        cut: bool = False,
     ) -> None:
-        """``landmarks`` are the names of questions that part the recording."""
+        """``landmarks`` are the names of questions that part the recording.
+
+        Behind the last question of one that was ``cut``, an earlier answer is not given again.
+        """
+        self._last_s = recorded[-1].time_s if cut else float("inf")
         self._dialect, self._time, self._landmarks = dialect, time, landmarks
         self.greeting = recorded[0].answers
         self._named: dict[bytes, list[Exchange]] = {}
@@ -197,6 +210,9 @@ class Script:
         if self._time.next_asked_s() >= self._time.stop_s < float("inf"):
             self._time.reach(self._time.stop_s)  # the stop came before this was asked
             return None
+        if self._time.now_s >= self._last_s:
+            self._cut = True
+            return None
         self._repeated += 1
         if self._repeated >= STUCK and end_s < float("inf"):
             self._repeated = 0
@@ -223,8 +239,10 @@ class Flow:
         self._silent = False
 
     def knows(self, asked: bytes) -> bool:
-        """Whether a question was recorded, here or later."""
-        return self._names.of(self._dialect.name(asked)) in self._order[self._at :]
+        """Whether a question was recorded, here or later, the last one with its answer."""
+        name = self._names.of(self._dialect.name(asked))
+        at = self._order.index(name, self._at) if name in self._order[self._at :] else -1
+        return at >= 0 and not self._recorded[at].cut
 
     def ask(self, asked: bytes) -> None:
         """Go on with the messages that came after a question; with none if it was never asked."""
@@ -259,13 +277,18 @@ class Flow:
 class Pulse:
     """Signs of life that a device gives by itself: the last ones again, while it gave any."""
 
-    def __init__(self, recorded: Sequence[Exchange], dialect: Dialect, time: EventTime) -> None:
+    def __init__(
+        self, recorded: Sequence[Exchange], dialect: Dialect, time: EventTime, *, cut: bool = False
+    ) -> None:
+        """One whose recording was ``cut`` while it gave them goes on to."""
         self._dialect, self._time = dialect, time
+        ends_s = max((each.came_s[-1] for each in recorded if each.came_s), default=0.0)
         self._last: dict[bytes, bytes] = {}
         self._ends_s: dict[bytes, float] = {}
         for each in recorded:
             for answer, came_s in zip(each.answers, each.came_s, strict=True):
-                self._ends_s[dialect.beat(answer)] = came_s + ALIVE_S
+                gives = cut and ends_s - came_s < ALIVE_S
+                self._ends_s[dialect.beat(answer)] = float("inf") if gives else came_s + ALIVE_S
 
     def take(self, answers: Sequence[bytes]) -> None:
         """Take note of signs of life among answers."""

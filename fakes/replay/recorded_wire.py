@@ -12,7 +12,15 @@ from collections.abc import Sequence
 
 from fakes.replay.dialects import Dialect
 from fakes.replay.event_time import EventTime
-from fakes.replay.recorded_script import Exchange, Flow, Pulse, Script, connections, landmarks
+from fakes.replay.recorded_script import (
+    Exchange,
+    Flow,
+    Pulse,
+    Script,
+    connections,
+    cut_connections,
+    landmarks,
+)
 from fakes.wires.listener import HOST, Listener
 from hilcell.wire.recording import Piece
 
@@ -27,9 +35,15 @@ class RecordedWire:
     """Serves the recorded connections of one wire in their order; a further one gets the last's."""
 
     def __init__(
-        self, pieces: Sequence[Piece], dialect: Dialect, time: EventTime, place: str
+        self,
+        pieces: Sequence[Piece],
+        dialect: Dialect,
+        time: EventTime,
+        place: str,
+        *,
+        may_be_cut: bool = False,
     ) -> None:
-        """``place`` names the recording."""
+        """``place`` names the recording. A connection without an end was cut where it may be."""
         self._place, self._came_s = place, [piece.t for piece in pieces]
         self._recorded = connections(pieces, dialect)
         self._dialect, self._time = dialect, time
@@ -40,6 +54,12 @@ class RecordedWire:
             for each in asked
             if dialect.name(each.asked) in self._landmarks or dialect.is_command(each.asked)
         ]
+        self._cut = [may_be_cut and each for each in cut_connections(pieces)]
+        if any(self._cut):
+            asked_s = max((each.time_s for each in asked), default=self._came_s[-1])
+            time.cut_at(self._came_s[-1] if dialect.flows else asked_s, f"{place}:{len(pieces)}")
+        if not self._recorded:  # nobody had opened it
+            self._recorded, self._cut = [[Exchange(b"")]], [may_be_cut]
         time.expect((each.time_s for each in asked), (each.time_s for each in once))
         self._lock = threading.Lock()
         self._served = 0
@@ -59,25 +79,32 @@ class RecordedWire:
         """Stop serving."""
         self._listener.close()
 
+    def _leave(self, found: str) -> None:
+        line, count = bisect_right(self._came_s, self._time.now_s), len(self._came_s)
+        where = "ends at" if line == count else "has no answer behind"
+        self._time.leave(f"the recording {where} {self._place}:{line}: this run {found}")
+
     def _look_up(self, script: Script | Flow, asked: bytes) -> None:
         """Let the replay end where the driver asks what was never recorded."""
         if script.knows(asked):
             return
-        line, count = bisect_right(self._came_s, self._time.now_s), len(self._came_s)
-        found = "ends at" if line == count else "has no answer behind"
         words = b" ".join(_WORDS.findall(asked))[:LONGEST].decode() or asked[:LONGEST].hex()
-        self._time.leave(f"the recording {found} {self._place}:{line}: this run asks {words!r}")
+        self._leave(f"asks {words!r}")
 
-    def _next(self) -> Sequence[Exchange]:
+    def _next(self) -> tuple[Sequence[Exchange], bool]:
+        """Return the exchanges of the next connection, and whether the rest of them is missing."""
         with self._lock:
             number = min(self._served, len(self._recorded) - 1)
             self._served += 1
-        return self._recorded[number] if number >= 0 else [Exchange(b"")]
+        recorded, cut = self._recorded[number], self._cut[number]
+        if cut and len(recorded) == 1 and not recorded[0].answers:
+            self._leave("opens that wire")
+        return recorded, cut
 
     def _serve(self, client: socket.socket) -> None:
-        recorded = self._next()
-        script = Script(recorded, self._dialect, self._time, self._landmarks)
-        pulse, sending = Pulse(recorded, self._dialect, self._time), threading.Lock()
+        (recorded, cut), sending = self._next(), threading.Lock()
+        script = Script(recorded, self._dialect, self._time, self._landmarks, cut=cut)
+        pulse = Pulse(recorded, self._dialect, self._time, cut=cut)
 
         def send_due(now_s: float) -> None:
             with sending:
@@ -111,7 +138,7 @@ class RecordedWire:
             self._time.unfollow(send_due)
 
     def _serve_flow(self, client: socket.socket) -> None:
-        flow, rest = Flow(self._next(), self._dialect, self._time), b""
+        flow, rest = Flow(self._next()[0], self._dialect, self._time), b""
         while True:
             if select.select([client], [], [], FLOW_S)[0]:
                 if not (data := client.recv(RECEIVE)):

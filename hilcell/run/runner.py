@@ -24,7 +24,7 @@ from hilcell.errors import DriverDefect, facts_of
 from hilcell.journal.journal import StorageError
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.states import PASSING
-from hilcell.ports import Clock, DeviceError, HilcellError, Stopped
+from hilcell.ports import Clock, DeviceError, HilcellError, RecordingEnded, Stopped
 from hilcell.run.exits import (
     EXIT_FAULT,
     EXIT_OK,
@@ -87,6 +87,7 @@ class Runner:
         if unattended or not ordered:
             self._worker.screen_known.set()
         self._fault: Exception | None = None
+        self._clock = clock
         self._unclosed: dict[str, Exception] | None = None  # None: the devices are still open
         self._life = StateMachine(RUN, journal)
 
@@ -117,7 +118,7 @@ class Runner:
     @property
     def unclosed(self) -> dict[str, Exception]:
         """Return, by device, why it could not be left held and closed at the run's end."""
-        return self._unclosed or {}
+        return self._left_moving(self._unclosed or {})
 
     # -- any thread ---------------------------------------------------------------------------
 
@@ -368,6 +369,18 @@ class Runner:
         self._journal.append("end", "", {"state": self.log.state} | body)
         return code
 
+    def _left_moving(self, problems: dict[str, Exception]) -> dict[str, Exception]:
+        """Return problems of stopping and closing; devices whose recording has ended have none."""
+        ended = isinstance(self._fault, RecordingEnded)
+        if problems and not ended:
+            try:
+                self._clock.check()
+            except RecordingEnded:
+                ended = True
+            except Stopped:
+                pass
+        return {} if ended else problems
+
     def _close_devices(self) -> dict[str, Exception]:
         """Close all devices, once; return the problems by device."""
         if self._unclosed is None:
@@ -391,7 +404,7 @@ class Runner:
             self._journal.append("event", "", {"what": "internal error", "trace": trace})
 
     def _note(self, what: str, problems: dict[str, Exception], **facts: object) -> None:
-        body = {"what": what} | facts | facts_of_problems(problems)
+        body = {"what": what} | facts | facts_of_problems(self._left_moving(problems))
         try:
             self._journal.append("event", "", body)
         except StorageError as error:

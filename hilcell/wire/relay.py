@@ -59,9 +59,15 @@ class SocketRelay:
     def __init__(self, place: Socket, recorder: Recorder) -> None:
         self._place, self._recorder = place, recorder
         self._count = 0
+        self._open: set[int] = set()
         self._listening = socket.create_server((LOOPBACK, 0))
         self.channel = f"socket://{LOOPBACK}:{self._listening.getsockname()[1]}"
         threading.Thread(target=self._accept, daemon=True).start()
+
+    def close(self) -> None:
+        """End the recording: without its end a connection would look cut off."""
+        for number in sorted(self._open.copy()):
+            self._recorder.take(number, "end")
 
     def _accept(self) -> None:
         while True:
@@ -78,6 +84,7 @@ class SocketRelay:
                 return
             far.settimeout(None)
             self._recorder.take(number, "open")
+            self._open.add(number)
             with far:
                 for end in (near, far):
                     end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -96,6 +103,7 @@ class SocketRelay:
             while data := source.recv(READ):
                 self._recorder.take(number, ">" if outward else "<", data)
                 sink.sendall(data)
+        self._open.discard(number)
         self._recorder.take(number, "end" if outward else "lost")
         for each in (source, sink):
             with suppress(OSError):
@@ -145,7 +153,9 @@ def serve(orders: list[WireOrder], until_ended: Callable[[dict[str, str]], None]
             place, recorder = order.place, Recorder(file, order.began_s)
             recorder.take(0, "began", order.wire.encode())
             if isinstance(place, Socket):
-                channels[order.wire] = SocketRelay(place, recorder).channel
+                relay = SocketRelay(place, recorder)
+                channels[order.wire] = relay.channel
+                stack.callback(relay.close)
             else:
                 channels[order.wire] = SerialRelay(place, recorder).channel
                 stack.callback(recorder.take, 1, "end")

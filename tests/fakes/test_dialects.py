@@ -8,7 +8,16 @@ import pytest
 
 from fakes.replay.dialects import Dialect, Slcan, StripLine, dialects_of
 from fakes.replay.event_time import EventTime, RecordedLooks
-from fakes.replay.recorded_script import Exchange, Flow, Names, Pulse, Script, exchanges
+from fakes.replay.recorded_script import (
+    Exchange,
+    Flow,
+    Names,
+    Pulse,
+    Script,
+    connections,
+    cut_connections,
+    exchanges,
+)
 from fakes.universal_robots.dialect import Rtde
 from hilcell.wire.recording import Piece
 
@@ -118,6 +127,58 @@ def test_heartbeats_go_on_while_the_node_gave_any() -> None:
     assert pulse.due() == b"t705105\rt706105\r"
     time.reach(5.0)  # the drive had fallen silent
     assert pulse.due() == b"t706105\r"
+
+
+def test_heartbeats_go_on_behind_a_cut_of_the_recording() -> None:
+    """The other wires go on: a node that was alive at the cut is not to blame."""
+    time, rail = EventTime(), dialects_of("canopen")[""]
+    answers = [b"t706105\r", b"t705105\r", b"t0858\r"]
+    recorded = [Exchange(b"t000201\r", answers, came_s=[1.0, 8.6, 9.0])]
+    pulse = Pulse(recorded, rail, time, cut=True)
+    pulse.take(answers)
+    time.reach(90.0)
+    assert pulse.due() == b"t705105\r"
+
+
+@pytest.mark.parametrize("cut", [True, False])
+def test_behind_a_cut_no_old_answer_stands_for_a_new_one(cut: bool) -> None:
+    pieces = [
+        Piece.of(1.0, 1, "open"), Piece.of(1.1, 1, ">", b"read\n"), Piece.of(1.2, 1, "<", b"0\n"),
+        Piece.of(1.3, 1, ">", b"write 2\n"), Piece.of(1.4, 1, "<", b"written\n"),
+        *([] if cut else [Piece.of(1.5, 1, "end")]),
+    ]  # fmt: skip
+    assert cut_connections(pieces) == [cut]
+    (recorded,), time = connections(pieces, Dialect()), EventTime()
+    time.expect([1.1, 1.3], [1.3])
+    script = Script(recorded, Dialect(), time, {b"write 2"}, cut=cut)
+    replies = [script.reply(asked) for asked in (b"read", b"read", b"write 2")]
+    assert replies == [[b"0\n"], [b"0\n"], [b"written\n"]]
+    assert script.reply(b"read") == ([] if cut else [b"0\n"])
+    assert script.knows(b"read") is not cut
+
+
+def test_a_question_behind_which_a_flow_was_cut_was_never_answered() -> None:
+    states, _ = rtde()
+    recorded = [Exchange(b""), Exchange(write(1, 0), [state(1.0, 1, 1)]), Exchange(write(2, 0))]
+    assert Flow(recorded, states, EventTime()).knows(write(2, 0))
+    recorded[-1].cut = True
+    flow = Flow(recorded, states, EventTime())
+    assert [flow.knows(write(number, 0)) for number in (1, 2, 3)] == [True, False, False]
+
+
+def test_a_wait_on_a_wire_that_was_cut_is_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = 0.0
+    monkeypatch.setattr("fakes.replay.event_time.time.monotonic", lambda: now_s)
+    time = EventTime()
+    time.expect([1.0, 50.0], [])
+    time.end_at(60.0, "robot:9")
+    time.cut_at(1.0, "rail:4")
+    for at_s, left in ((0.9, ""), (1.0, "the recording ends at rail:4, and this run goes on")):
+        time.reach(at_s)
+        for _ in range(100):
+            now_s += 0.02
+            found = time.left()
+        assert found == left
 
 
 def test_a_command_that_was_sent_twice_parts_the_recording_twice() -> None:

@@ -144,10 +144,28 @@ def test_addresses_may_be_others_and_two_replay_at_once(recorded: Path, tmp_path
     assert inner[:1] == [0]
 
 
-@pytest.mark.parametrize("wire", ["tracker", "robot", "rail"])
-def test_a_recording_that_was_cut_ends_at_its_line(wire: str, recorded: Path) -> None:
+def cut(path: Path, behind: bytes = b"") -> None:
+    """Keep a recording up to the answer to a question, or its first half."""
+    lines, pieces = lines_of(path), read_recording(path)
+    asked = (n for n, piece in enumerate(pieces, 1) if piece.e == ">" and behind in piece.data)
+    path.write_bytes(b"".join(lines[: next(asked) + 1 if behind else len(lines) // 2]))
+
+
+@pytest.mark.parametrize(
+    ("wire", "behind"),
+    [
+        ("tracker", b""),
+        ("robot", b""),
+        ("rail", b""),
+        ("rail", b"t60582F001A0002"),  # that object was read before: HC-R09
+        ("rail", b"t60582F60600006"),  # all are connected: HC-C03
+    ],
+)
+def test_a_recording_that_was_cut_ends_at_its_line(
+    wire: str, behind: bytes, recorded: Path
+) -> None:
     path = recorded / f"{wire}{SUFFIX}"
-    path.write_bytes(b"".join((lines := lines_of(path))[: len(lines) // 2]))
+    cut(path, behind)
     done = replayed(recorded)
     assert done.returncode in (2, 3)  # as to whether anything had moved
     error = fault(recorded.parent / "replays" / "again")
@@ -155,6 +173,21 @@ def test_a_recording_that_was_cut_ends_at_its_line(wire: str, recorded: Path) ->
     assert f"{path}:" in str(error["found"])
     assert "the recorded run, or record it again" in done.stderr
     assert "hilcell resume" not in done.stderr
+    assert "E-stop" not in done.stderr  # no device was reached
+
+
+def test_a_recording_that_was_cut_in_its_closing_leaves_nothing_to_stop(recorded: Path) -> None:
+    cut(
+        recorded / f"rail{SUFFIX}", b"t60582316100100000000"
+    )  # the drive's watch on the PC is taken off
+    done = replayed(recorded)
+    assert (done.returncode, "E-stop" in done.stderr) == (0, False)
+
+
+def test_a_wire_of_which_only_the_beginning_is_left_ends_the_replay(recorded: Path) -> None:
+    path = recorded / f"robot{SUFFIX}"
+    path.write_bytes(lines_of(path)[0])
+    assert f"the recording ends at {path}:1: this run opens that wire" in replayed(recorded).stderr
 
 
 def killed(folder: Path) -> Path:
