@@ -15,6 +15,7 @@ from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert
 from hilcell.wire.recording import (
     CLOCK,
+    COPY_AGAIN,
     SUFFIX,
     Head,
     Piece,
@@ -63,6 +64,7 @@ def read_run(cell: Cell, session: int = 1) -> tuple[dict[str, Path], dict[str, S
             problems += _renamed(name, path, pieces[name])
     if not problems:
         clock = pieces.get(CLOCK, ())
+        problems += _headless(folder, pieces)
         problems += [] if session > 1 else _resumed(folder, clock)
         problems = problems or _other_name(cell, folder, head_of(clock))
         problems = problems or _other_drivers(cell, folder, clock)
@@ -94,6 +96,21 @@ def folder_of(cell: Cell) -> Path:
 def _renamed(name: str, path: Path, pieces: Sequence[Piece]) -> list[str]:
     began = pieces[0].data.decode() if pieces[0].e == "began" else name
     return [] if began == name else [f"{path}: it was recorded as {began}{SUFFIX}; rename it back"]
+
+
+def _headless(folder: Path, pieces: Recorded) -> list[str]:
+    """Return that a recording does not state its run, where hilcell has written that.
+
+    One of before has no `began` in its wires.
+    """
+    began = any(found[0].e == "began" for name, found in pieces.items() if name != CLOCK)
+    if not began or head_of(pieces.get(CLOCK, ())) is not None:
+        return []
+    if CLOCK not in pieces:
+        return [
+            f"{folder}: no {CLOCK}{SUFFIX}, which states the recorded run; use the whole folder"
+        ]
+    return [f"{folder}: {CLOCK}{SUFFIX} does not state the recorded run; {COPY_AGAIN}"]
 
 
 def _resumed(folder: Path, clock: Sequence[Piece]) -> list[str]:

@@ -110,6 +110,22 @@ def test_a_renamed_file_is_refused_with_its_name(recorded: Path) -> None:
     assert f"{tracker}: it was recorded as robot{SUFFIX}; rename it back" in said
 
 
+@pytest.mark.parametrize(
+    ("kept", "found"),
+    [
+        (0, f"no clock{SUFFIX}, which states the recorded run; use the whole folder"),
+        (1, f"clock{SUFFIX} does not state the recorded run; copy it again"),
+    ],
+)
+def test_a_recording_that_states_no_run_is_refused(kept: int, found: str, recorded: Path) -> None:
+    path = recorded / f"clock{SUFFIX}"
+    lines = lines_of(path)
+    path.unlink()
+    if kept:
+        path.write_bytes(b"".join(lines[:kept]))
+    assert found in refused(recorded, run="world-frame")
+
+
 def test_a_folder_that_is_not_there_is_no_folder(recorded: Path) -> None:
     assert "no such folder" in refused(recorded.rename(recorded.parent / "moved").parent / "old")
 
