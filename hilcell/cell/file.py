@@ -20,13 +20,14 @@ from hilcell.cell.fixed import NO_RAIL, completed
 from hilcell.cell.in_use import RecheckTable, TargetsTable, TouchTable
 from hilcell.cell.iso9283 import Iso9283Table
 from hilcell.cell.layout import Layout, Nest
-from hilcell.cell.lines import with_lines
+from hilcell.cell.lines import of_options, with_lines
 from hilcell.cell.plan import QUICK_NEST_SAMPLES, QUICK_PROOF_SAMPLES, PlanTable
 from hilcell.cell.robot import Joint, RobotTable, arm_from_joints
 from hilcell.cell.room import RoomTable
 from hilcell.cell.settings import (
     SettingsError,
     convert,
+    exchanged_drivers,
     override_all,
     refuse,
 )
@@ -469,7 +470,13 @@ def load_cell(where: str, overrides: Mapping[str, str] | None = None) -> Cell:
 
 
 def located(where: str, problems: Iterable[str], overrides: Mapping[str, str]) -> SettingsError:
-    """Return the problems of a cell file, each with its line where it has one."""
+    """Return the problems of a cell file, each with its line where it has one.
+
+    Options of a driver that an override has exchanged are not those of the file.
+    """
+    exchanged = exchanged_drivers(parsed(read_source(where), where), overrides)
+    problems = [of_options(each, exchanged) for each in problems]
+    overrides = {**overrides, **{f"{table}.options": "" for table in exchanged}}
     if where in built_in_cells():
         return SettingsError(where, list(problems))
     return SettingsError(where, with_lines(problems, read_source(where), where, overrides))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 CLOSED_BY = ("", "\n]", "\n]\n]")
@@ -28,6 +28,18 @@ def with_lines(problems: Iterable[str], text: str, where: str, changed: Iterable
         line = None if any(_overlap(path, each) for each in changed) else line_of(text, path)
         located.append(problem if line is None else f"{where}:{line}: {problem}")
     return by_line(located, where)
+
+
+def of_options(problem: str, exchanged: Mapping[str, tuple[str, str]]) -> str:
+    """Return a problem of options with why the file's do not count, where a driver is exchanged."""
+    table, _, found = problem.partition(".options: ")
+    if not found or table not in exchanged:
+        return problem
+    then, now = exchanged[table]
+    return (
+        f"{problem}; the options of {then!r} in the cell file do not apply to {now!r}: "
+        f"state them by --set {table}.options.KEY=VALUE, or driver and options in the file"
+    )
 
 
 def by_line(problems: Iterable[str], where: str) -> list[str]:

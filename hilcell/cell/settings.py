@@ -298,12 +298,25 @@ def _not_finite(value: object, path: str) -> Iterator[str]:
 def override_all(values: dict[str, Any], changed: Mapping[str, str]) -> None:
     """Set every key as `override`; options of a driver that is exchanged are not the new one's."""
     drivers = [key for key in changed if key.endswith(".driver")]
-    for key in drivers:
-        table = values.get(key.removesuffix(".driver"))
-        if isinstance(table, dict) and table.get("driver") != changed[key].strip("\"' "):
-            table.pop("options", None)
+    for name in exchanged_drivers(values, changed):
+        values[name].pop("options")
     for key in (*drivers, *(key for key in changed if key not in drivers)):
         override(values, key, changed[key])
+
+
+def exchanged_drivers(
+    values: Mapping[str, Any], changed: Mapping[str, str]
+) -> dict[str, tuple[str, str]]:
+    """Return the drivers of then and now of each table whose options are of another driver."""
+    found = {}
+    for key in changed:
+        name, _, last = key.rpartition(".")
+        table = values.get(name)
+        if last == "driver" and isinstance(table, dict) and "options" in table:
+            then, now = str(table.get("driver")), changed[key].strip("\"' ")
+            if then != now:
+                found[name] = then, now
+    return found
 
 
 def override(values: dict[str, Any], key: str, text: str) -> None:

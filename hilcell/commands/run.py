@@ -32,7 +32,7 @@ from hilcell.cell.devices import (
     load_entry,
     start_simulation,
 )
-from hilcell.cell.file import Cell, load_cell
+from hilcell.cell.file import Cell, load_cell, located
 from hilcell.cell.settings import SettingsError
 from hilcell.clean import encodable
 from hilcell.clock import WallClock
@@ -125,7 +125,10 @@ def run(args: argparse.Namespace) -> int:
         if args.machine_seed is None:  # the machine that was calibrated, not the seed's
             args.machine_seed = calibrated_machine(cell, uses)
     plan = procedure.plan(cell, args.seed)
-    check_options(cell)
+    try:
+        check_options(cell)
+    except SettingsError as error:
+        raise located(args.cell, error.problems, dict(args.set)) from None
     check_repeated(cell, args.procedure, args.seed)
     if args.dry_run:
         print_dry_run(cell, procedure, plan, as_json=args.json)

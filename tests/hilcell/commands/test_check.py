@@ -35,6 +35,20 @@ def test_an_unknown_driver_is_named_beside_the_other_problems(
         assert ("grid.pitch: unknown key" in found) is (changed is not text)
 
 
+@pytest.mark.parametrize("words", [["check"], ["run", "home", "--cell"]])
+def test_options_of_a_driver_that_was_exchanged_are_not_the_files(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = resources.files("hilcell.cells").joinpath("paper.toml").read_text("utf-8")
+    cell = tmp_path / "mine.toml"
+    own = text.replace('name = "paper"', 'name = "mine"', 1).replace("HC-2014", "M-1")
+    cell.write_text(own.partition("[simulation]")[0], "utf-8")
+    assert main([*words, str(cell), "--set", "robot.driver=kuka-eki"]) == 2
+    found = capsys.readouterr().err
+    assert "  robot.options: host: missing; the options of 'kuka-c3' in the cell file do" in found
+    assert "to 'kuka-eki': state them by --set robot.options.KEY=VALUE, or" in found
+
+
 def test_a_file_that_is_no_toml_is_refused_by_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
