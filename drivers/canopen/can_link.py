@@ -18,6 +18,7 @@ import canopen
 
 from drivers.canopen.link_time import LinkTime
 from drivers.canopen.slcan_bus import SlcanBus
+from drivers.wires.serial_link import system_words
 from hilcell.ports import DeviceError, LinkStatistics
 
 RECEIVE_S = 0.02
@@ -41,7 +42,7 @@ def open_bus(device: str, interface: str, channel: str, bitrate: int) -> can.Bus
             "HC-R04",
             device,
             "connect",
-            f"{interface} {channel}: {error}",
+            f"{interface} {channel}: {system_words(error)}",
             act="check the CAN gateway, its cable and rail.options",
             fields={"interface": interface, "channel": channel, "bitrate": bitrate},
         ) from error

@@ -37,7 +37,7 @@ class SerialLink:
                 alarms.unreachable,
                 device,
                 "connect",
-                f"{line.path} at {line.baud} baud: {_words(error)}",
+                f"{line.path} at {line.baud} baud: {system_words(error)}",
                 act="check the cable, the path (/dev/serial/by-id keeps its name), the right to "
                 "open it, and that no other program has it",
                 fields={"address": line.path, "baud": line.baud},
@@ -71,7 +71,7 @@ class SerialLink:
         return self._alarms.broken(self.device, self.address, operation, found)
 
     def _gone(self, operation: str, error: Exception) -> DeviceError:
-        found = f"the line failed: {_words(error)}"
+        found = f"the line failed: {system_words(error)}"
         return self.broken(operation, f"{found}; was its cable pulled, or its path renamed?")
 
     def close(self) -> None:
@@ -79,7 +79,7 @@ class SerialLink:
         self._port.close()
 
 
-def _words(error: Exception) -> str:
+def system_words(error: Exception) -> str:
     """Return the system's words alone: pyserial repeats the path and the error's number."""
     numbers = [getattr(each, "errno", None) for each in (error, error.__context__)]
     number = next(filter(None, numbers), None)

@@ -25,10 +25,18 @@ from fakes.wires.listener import HOST, Listener
 from hilcell.wire.recording import Piece
 
 RECEIVE = 65536
-LONGEST = 60  # of a question in a message
+LONGEST, SHOWN = 60, 24  # bytes of a question in a message, as text and in hex
 _WORDS = re.compile(rb"[ -~]{3,}")
 FLOW_S = 0.001  # between two messages that come by themselves
 BEAT_S = 0.2  # between two signs of life
+
+
+def shown(asked: bytes) -> str:
+    """Return the words of a question, or its bytes in hex where it is mostly no text."""
+    words = b" ".join(_WORDS.findall(asked))
+    if 2 * len(words) < len(asked.strip(b"\0")):
+        return f"{asked[:SHOWN].hex(' ')}{' ..' if len(asked) > SHOWN else ''} (hex)"
+    return repr(words[:LONGEST].decode())
 
 
 class RecordedWire:
@@ -88,8 +96,7 @@ class RecordedWire:
         """Let the replay end where the driver asks what was never recorded."""
         if script.knows(asked):
             return
-        words = b" ".join(_WORDS.findall(asked))[:LONGEST].decode() or asked[:LONGEST].hex()
-        self._leave(f"asks {words!r}")
+        self._leave(f"asks {shown(asked)}")
 
     def _next(self) -> tuple[Sequence[Exchange], bool]:
         """Return the exchanges of the next connection, and whether the rest of them is missing."""

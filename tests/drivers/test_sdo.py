@@ -44,6 +44,13 @@ def channel_to(peer: CanPeer, check: Callable[[], None] = lambda: None) -> Itera
         link.close()
 
 
+def test_a_gateway_that_is_not_there_is_named_once() -> None:
+    with pytest.raises(DeviceError) as caught:
+        open_bus("Rail", "slcan", "/dev/no-gateway@115200", 500_000)
+    found = "slcan /dev/no-gateway@115200: No such file or directory;"
+    assert found in str(caught.value)
+
+
 def test_a_value_is_typed_by_the_eds(peer: CanPeer) -> None:
     peer.objects[DRIVE][0x607C, 0] = u32(2**32 - 5)
     with channel_to(peer) as channel:

@@ -18,6 +18,7 @@ from fakes.replay.recorded_script import (
     cut_connections,
     exchanges,
 )
+from fakes.replay.recorded_wire import shown
 from fakes.universal_robots.dialect import Rtde
 from hilcell.wire.recording import Piece
 
@@ -164,6 +165,20 @@ def test_a_question_behind_which_a_flow_was_cut_was_never_answered() -> None:
     recorded[-1].cut = True
     flow = Flow(recorded, states, EventTime())
     assert [flow.knows(write(number, 0)) for number in (1, 2, 3)] == [True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        (b"!HALT\r\n", "'!HALT'"),
+        (b"%R1Q,2008,5:1\r\n", "'%R1Q,2008,5:1'"),
+        (bytes.fromhex("000b55 01") + b"abcdefg", "'abcdefg'"),
+        (bytes.fromhex("0010") + b"ABC" + bytes(range(1, 30)),
+         "00 10 41 42 43 01 02 03 04 05 06 07 08 09 0a 0b 0c 0d 0e 0f 10 11 12 13 .. (hex)"),
+    ],
+)  # fmt: skip
+def test_a_question_is_shown_as_text_or_in_hex(asked: bytes, words: str) -> None:
+    assert shown(asked) == words
 
 
 def test_a_wait_on_a_wire_that_was_cut_is_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
