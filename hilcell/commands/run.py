@@ -281,19 +281,19 @@ def _resume_live(folder: Path, args: argparse.Namespace) -> int:
     A motion that was announced waits for a typed word, also where a screen is open.
     """
     somebody, status = asks(args), order(folder, "status")
-    log = read_log(folder)
+    log, under_way = read_log(folder), status.state == "running" and not status.pausing
     procedure: Procedure = load_entry("procedures", log.inputs.procedure)
     if not somebody:
         check_word(folder.name, awaited_motion(log), log)
     if somebody or not (status.unattended or status.screens):
         if not somebody:
             check_unasked(folder.name, log, procedure, args)
-        elif status.state == "running" and not status.pausing:
-            _order_retakes(folder, args)
-            say_under_way(folder.name, log, procedure)
-            return 0
-        elif not agrees(folder.name, log, procedure, [], _waits_for(log)):
+        elif not under_way and not agrees(folder.name, log, procedure, [], _waits_for(log)):
             return EXIT_ABORTED
+    if under_way:
+        _order_retakes(folder, args)
+        say_under_way(folder.name, log, procedure)
+        return 0
     seen = log.newest.seq if log.newest is not None else 0
     _order_retakes(folder, args)
     answer = order(folder, "proceed", until=seen)

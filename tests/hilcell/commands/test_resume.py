@@ -232,6 +232,16 @@ def test_a_motion_under_way_is_named_and_nothing_is_asked(
     assert "type" not in said
 
 
+def test_a_run_that_nobody_attends_is_under_way_as_well(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = live(
+        tmp_path / "r", monkeypatch, ("--unattended",), "running", state="running", unattended=True
+    )
+    assert found == (0, ["status"])
+    assert "it waits for no answer, and nothing was asked of it" in capsys.readouterr().err
+
+
 CHANGE = f"hilcell 0.0.1 began this run, this is {__version__}"
 
 
