@@ -321,6 +321,19 @@ def test_bytes_pass_unchanged_both_ways_and_are_kept(kept: tuple[Recorder, Path]
     assert times == sorted(times)
 
 
+def test_a_relay_that_ends_leaves_no_connection_open(kept: tuple[Recorder, Path]) -> None:
+    """A recording without the end of a connection is one that was cut."""
+    recorder, path = kept
+    with socket.create_server(("127.0.0.1", 0)) as device:
+        relay = SocketRelay(Socket("127.0.0.1", device.getsockname()[1]), recorder)
+        host, port = relay.channel.removeprefix("socket://").split(":")
+        with socket.create_connection((host, int(port))) as driver, device.accept()[0]:
+            driver.sendall(b"ask")
+            recorded_until(path, ">")
+            relay.close()
+            assert [piece.e for piece in read_recording(path)] == ["open", ">", "end"]
+
+
 def test_a_device_that_is_not_there_hangs_up(kept: tuple[Recorder, Path]) -> None:
     recorder, path = kept
     with socket.create_server(("127.0.0.1", 0)) as closed:
