@@ -43,11 +43,18 @@ MIGRATIONS = Path(__file__).with_name("migrations")
 POSTGRESQL, SQLITE = "postgresql", "sqlite"
 DRIVERS = {POSTGRESQL: "postgresql+psycopg", SQLITE: "sqlite"}
 BUSY_S = 30.0  # that another may write an office's file
+ALONE = "SELECT pg_advisory_xact_lock(hashtext('hilcell.plant_init'))"
 HIDDEN = "***"
 LIMITS = "54"  # class of SQLSTATE: a key that is too long for an index, and the like
 SEEN = "plant.sqlite"  # beside the journals, of those that were shipped
 CELL, ENGINEER = "hilcell_cell", "hilcell_engineer"  # the roles
 RIGHT = "42501"  # SQLSTATE: insufficient privilege
+# The server's other databases share the roles: another `init` may make them at this moment.
+MAKE_ROLE = """
+DO $$ BEGIN CREATE ROLE {} NOLOGIN;
+EXCEPTION WHEN duplicate_object OR unique_violation THEN NULL;
+END $$
+"""
 GRANT = (
     f"; a user ships in the role {CELL} and reads in the role {ENGINEER}; the owner of the "
     "database makes both by `hilcell plant init`"
@@ -143,8 +150,8 @@ class Database:
 
         self._check_place()
         with self.transaction(migrating=True) as connection:
-            if not self._remote:  # else sqlite3 keeps each table by itself
-                connection.exec_driver_sql("BEGIN IMMEDIATE")
+            # One at a time; sqlite3 would also keep each table by itself.
+            connection.exec_driver_sql(ALONE if self._remote else "BEGIN IMMEDIATE")
             before = _version(connection)
             if before is not None and not (before in _known() and _ours(connection)):
                 raise PlantError(self._unknown(connection, before))
@@ -371,7 +378,7 @@ def _grant(connection: Connection) -> None:
     for role in (CELL, ENGINEER):
         there = text("SELECT 1 FROM pg_roles WHERE rolname = :role")
         if connection.execute(there, {"role": role}).scalar() is None:
-            connection.execute(text(f"CREATE ROLE {role} NOLOGIN"))
+            connection.execute(text(MAKE_ROLE.format(role)))
     tables = ", ".join(table.name for table in (RUN, *PARTS))
     for order in (
         f"GRANT INSERT ON {tables} TO {CELL}",

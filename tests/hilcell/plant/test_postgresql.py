@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from datetime import UTC, datetime, timedelta
@@ -16,7 +18,7 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from sqlalchemy import Table, select
+from sqlalchemy import Table, event, make_url, select
 
 from hilcell.commands.cli import main
 from hilcell.journal.runs import read_records
@@ -128,6 +130,34 @@ def test_a_changed_value_on_a_server_is_not_signed(
     assert main(["plant", "export", "north", *exported, str(runs / "after")]) == 2
     assert "2 runs are not as shipped: a, b: " in capsys.readouterr().err
     assert not (runs / "after").exists()
+
+
+def test_two_that_make_the_tables_at_once_make_them_once(postgresql: Server) -> None:
+    url = postgresql.make()
+    own = f"FROM pg_stat_activity WHERE datname = '{make_url(url).database}'"
+    asked = f"SELECT 1 {own} AND wait_event_type = 'Lock'".encode()
+    others: list[subprocess.Popen[str]] = []
+
+    def wait(*words: object) -> None:
+        """Begin another, and go on when it waits for a lock."""
+        if "CREATE TABLE point" in str(words[2]) and not others:
+            others.append(
+                subprocess.Popen(
+                    [sys.executable, "-m", "hilcell", "plant", "init", "--to", url],
+                    stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+                )
+            )  # fmt: skip
+            with asking(postgresql.url()) as owner:
+                while owner.execute(asked).fetchone() is None:
+                    assert others[0].poll() is None
+
+    with closing(Database(url)) as database:
+        event.listen(database.engine, "before_cursor_execute", wait)
+        assert database.make() == ""
+    (other,) = others
+    _, said = other.communicate()
+    assert "is up to date, schema" in said
+    assert other.returncode == 0
 
 
 def test_points_lie_in_the_partition_of_the_month_in_which_the_run_began(
