@@ -22,7 +22,7 @@ import msgspec
 
 from hilcell.journal.calibration_facts import CalibrationFacts, CalibrationReader, outcome
 from hilcell.journal.journal import ABSENT, NeverBegan, Record, StorageError
-from hilcell.journal.runs import JOURNAL, read_records
+from hilcell.journal.runs import JOURNAL, read_records, unusable
 from hilcell.journal.states import OVER, RunState
 
 NAME = "index.sqlite"
@@ -366,7 +366,7 @@ def _stamps(runs: Path) -> dict[str, str]:
     except FileNotFoundError:
         return {}  # no run was ever made there
     except OSError as error:
-        raise StorageError(f"runs folder {runs} cannot be used: {error.strerror}") from error
+        raise unusable(runs, error) from error
     now_s = time.time()
     found = ((name, _stamp(f"{runs}/{name}/{JOURNAL}", now_s)) for name in names)
     return {name: stamp for name, stamp in found if stamp is not None}

@@ -70,8 +70,15 @@ def run_folders(runs: Path) -> list[Path]:
     except FileNotFoundError:
         return []  # no run was ever made there
     except OSError as error:
-        raise StorageError(f"runs folder {runs} cannot be used: {error.strerror}") from error
+        raise unusable(runs, error) from error
     return sorted(filter(is_run, folders))
+
+
+def unusable(runs: Path, error: OSError) -> HilcellError:
+    """Return the error of a folder of runs that cannot be read; another name mends a file."""
+    if isinstance(error, NotADirectoryError):
+        return HilcellError(f"runs folder {runs} is a file: name the folder of runs")
+    return StorageError(f"runs folder {runs} cannot be used: {error.strerror}")
 
 
 def is_run(folder: Path) -> bool:

@@ -23,7 +23,7 @@ from hilcell.clean import clean
 from hilcell.errors import HilcellError
 from hilcell.journal.index import NEVER_BEGAN, RunRow, own_file, read_index
 from hilcell.journal.journal import Record, StorageError
-from hilcell.journal.runs import JOURNAL, read_records
+from hilcell.journal.runs import CALIBRATION, JOURNAL, is_run, read_records
 from hilcell.journal.states import OVER
 from hilcell.plant.database import SEEN, Database, PlantAway, PlantError, RightMissing
 from hilcell.plant.documents import documents_of
@@ -111,9 +111,17 @@ def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _:
         done.points += len(record.points) if new else 0
         if new:
             tell(row.name)
+    for name in _without_journal(runs):
+        done.refused[name] = f"run {name}: {CALIBRATION} is there, {JOURNAL} is not; {MEND}"
     here |= _waiting(runs, [row for row in rows if row.name in done.waiting and not row.live])
     done.behind = _behind(database, here)
     return done
+
+
+def _without_journal(runs: Path) -> list[str]:
+    """Return the folders with the calibration of a run and no journal: its records are lost."""
+    folders = sorted({path.parent for path in runs.glob(f"*/{CALIBRATION}")})
+    return [each.name for each in folders if not is_run(each)]
 
 
 def _waiting(runs: Path, rows: Sequence[RunRow]) -> dict[str, Key]:
