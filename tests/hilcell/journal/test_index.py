@@ -18,10 +18,11 @@ import msgspec
 import pytest
 
 from hilcell.commands.cli import main
+from hilcell.errors import HilcellError
 from hilcell.journal import index
 from hilcell.journal.engine_file import EngineFile
 from hilcell.journal.index import NAME, RunRow, matches, read_index
-from hilcell.journal.journal import Journal, StorageError
+from hilcell.journal.journal import Journal
 from hilcell.journal.log import Log
 from hilcell.journal.runs import JOURNAL, find_run, read_log, read_records, run_folders
 from tests.hilcell.report.journals import AFTER_MM, BEFORE_MM, Writer
@@ -407,7 +408,7 @@ def test_no_runs(tmp_path: Path) -> None:
     assert read_index(tmp_path / "none") == []
     assert read_index(tmp_path) == []
     assert list(tmp_path.iterdir()) == []
-    with pytest.raises(StorageError, match="cannot be used: Not a directory"):
+    with pytest.raises(HilcellError, match="is a file: name the folder of runs"):
         read_index(written(tmp_path / "a") / JOURNAL)
 
 

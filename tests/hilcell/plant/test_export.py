@@ -398,6 +398,7 @@ def test_a_database_that_was_changed_is_not_signed(
         "UPDATE point SET x_mm = x_mm + 5 WHERE seq = (SELECT min(seq) FROM point)",
         "UPDATE point SET strip_mm = 9e999 WHERE seq = (SELECT min(seq) FROM point)",
         "UPDATE point SET t = '2026-01-01 00:00:00.000000'",
+        "UPDATE point SET t = substr(t, 1, 11) || '03:03:03.000000'",  # of the same day
         "UPDATE verdict SET mean_mm = 0.001 WHERE mean_mm IS NOT NULL",
         "UPDATE frame SET matrix = replace(matrix, '1.0', '1.5') WHERE key = 'world'",
         "UPDATE run SET exit = 1",

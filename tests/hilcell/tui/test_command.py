@@ -42,7 +42,7 @@ def test_a_defect_of_the_screen_is_reported_and_fails(
     ("words", "code", "reported"),
     [
         (["nope"], 2, "run 'nope' is not in"),
-        (["--runs", __file__], 7, "cannot be used: Not a directory"),
+        (["--runs", __file__], 2, "is a file: name the folder of runs"),
     ],
 )
 def test_a_run_that_cannot_be_opened_is_reported_in_the_shell(
