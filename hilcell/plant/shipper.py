@@ -111,17 +111,17 @@ def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _:
         done.points += len(record.points) if new else 0
         if new:
             tell(row.name)
-    for name in _without_journal(runs):
-        done.refused[name] = f"run {name}: {CALIBRATION} is there, {JOURNAL} is not; {MEND}"
+    done.refused |= _without_journal(runs)
     here |= _waiting(runs, [row for row in rows if row.name in done.waiting and not row.live])
     done.behind = _behind(database, here)
     return done
 
 
-def _without_journal(runs: Path) -> list[str]:
-    """Return the folders with the calibration of a run and no journal: its records are lost."""
-    folders = sorted({path.parent for path in runs.glob(f"*/{CALIBRATION}")})
-    return [each.name for each in folders if not is_run(each)]
+def _without_journal(runs: Path) -> dict[str, str]:
+    """Return the folders that have a run's calibration and no journal, each with what is wrong."""
+    folders = sorted(path.parent for path in runs.glob(f"*/{CALIBRATION}"))
+    wrong = f"{CALIBRATION} is there, {JOURNAL} is not; {MEND}"
+    return {each.name: f"run {each.name}: {wrong}" for each in folders if not is_run(each)}
 
 
 def _waiting(runs: Path, rows: Sequence[RunRow]) -> dict[str, Key]:
