@@ -304,20 +304,6 @@ def test_a_file_is_no_folder_of_runs(tmp_path: Path, capsys: pytest.CaptureFixtu
         assert "file is a file: name the folder of runs" in said(words, 2, capsys)
 
 
-def test_a_run_that_has_lost_its_journal_is_named(
-    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    url = f"sqlite:///{tmp_path}/plant.db"
-    (runs / "lost").mkdir()
-    (runs / "lost" / "calibration.json").write_text("{}")
-    (runs / "notes").mkdir()
-    assert main(["plant", "init", "--to", url]) == 0
-    assert main(["plant", "ship", str(runs), "--to", url]) == 7
-    line = capsys.readouterr().err
-    assert "run lost: calibration.json is there, journal.sqlite is not; take" in line
-    assert "notes" not in line
-
-
 def test_a_folder_of_runs_that_is_not_there_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -78,6 +78,18 @@ def live(folder: Path) -> Iterator[None]:
         (folder / ENGINE).unlink()
 
 
+def test_a_run_that_has_lost_its_journal_is_named(
+    runs: Path, office: Database, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (runs / "lost").mkdir()
+    (runs / "lost" / "calibration.json").write_text("{}")
+    (runs / "notes").mkdir()
+    assert main(["plant", "ship", str(runs), "--to", office.name]) == 7
+    said = capsys.readouterr().err
+    assert "run lost: calibration.json is there, journal.sqlite is not; take" in said
+    assert "notes" not in said
+
+
 def test_runs_are_shipped_in_the_order_of_their_ends_and_once(runs: Path, office: Database) -> None:
     told: list[str] = []
     done = ship(runs, office, told.append)
