@@ -294,16 +294,6 @@ def test_the_folder_of_one_run_is_refused(
     assert "is that of one run: name the folder that it lies in" in line
 
 
-def test_a_file_is_no_folder_of_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "file").touch()
-    url = f"sqlite:///{tmp_path}/plant.db"
-    assert main(["plant", "init", "--to", url]) == 0
-    capsys.readouterr()
-    for words in (["plant", "ship", str(tmp_path / "file"), "--to", url],
-                  ["runs", "--runs", str(tmp_path / "file")]):  # fmt: skip
-        assert "file is a file: name the folder of runs" in said(words, 2, capsys)
-
-
 def test_a_folder_of_runs_that_is_not_there_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -78,6 +78,17 @@ def live(folder: Path) -> Iterator[None]:
         (folder / ENGINE).unlink()
 
 
+def test_a_file_is_no_folder_of_runs(
+    office: Database, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place = tmp_path / "file"
+    place.touch()
+    for words in (["plant", "ship", str(place), "--to", office.name],
+                  ["runs", "--runs", str(place)]):  # fmt: skip
+        assert main(words) == 2
+        assert "file is a file: name the folder of runs" in capsys.readouterr().err
+
+
 def test_a_run_that_has_lost_its_journal_is_named(
     runs: Path, office: Database, capsys: pytest.CaptureFixture[str]
 ) -> None:
