@@ -176,7 +176,7 @@ def test_check_tells_all_drivers_problems_and_an_unknown_simulator() -> None:
 @pytest.mark.parametrize("folder", ["/etc/passwd", "/proc/x", "x" * 300])
 def test_a_runs_folder_that_cannot_be_used(folder: str) -> None:
     done = command("run", "--runs", folder)
-    is_file = Path(folder).is_file()
+    is_file = folder == "/etc/passwd"
     assert done.returncode == (2 if is_file else 7)
     found = "is a file: name the folder of runs" if is_file else "cannot be used: "
     assert done.stderr.startswith(f"hilcell: runs folder {folder} {found}")
