@@ -140,7 +140,7 @@ def test_a_kept_recording_repeats(pair: str, tmp_path: Path) -> None:
     if os.environ.get(SWITCH) == "write":
         keep(record(pair, tmp_path, "new"), KEPT / pair)
     code, again = repeat(pair, KEPT / pair, tmp_path)
-    assert code == 0
+    assert code == 0, read_log(again).end
     kept = json.loads((KEPT / pair / FACTS).read_bytes())
     assert facts(again) == kept["facts"]
     assert joints_deg(again) == pytest.approx(kept["joints_deg"], abs=JOINT_DEG)
