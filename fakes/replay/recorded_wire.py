@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import select
 import socket
@@ -69,10 +70,10 @@ class RecordedWire:
         if not self._recorded:  # nobody had opened it
             self._recorded, self._cut = [[Exchange(b"")]], [may_be_cut]
         time.expect((each.time_s for each in asked), (each.time_s for each in once))
-        self._lock = threading.Lock()
-        self._served = 0
+        self._count = itertools.count()
+        self._numbers: dict[socket.socket, int] = {}
         serve = self._serve_flow if dialect.flows else self._serve
-        self._listener = Listener("recorded wire", serve, limit=100)
+        self._listener = Listener("recorded wire", serve, limit=100, accepted=self._take_note)
 
     @property
     def channel(self) -> str:
@@ -98,18 +99,19 @@ class RecordedWire:
             return
         self._leave(f"asks {shown(asked)}")
 
-    def _next(self) -> tuple[Sequence[Exchange], bool]:
-        """Return the exchanges of the next connection, and whether the rest of them is missing."""
-        with self._lock:
-            number = min(self._served, len(self._recorded) - 1)
-            self._served += 1
+    def _take_note(self, client: socket.socket) -> None:
+        self._numbers[client] = next(self._count)
+
+    def _recorded_for(self, client: socket.socket) -> tuple[Sequence[Exchange], bool]:
+        """Return the exchanges of a connection, and whether the rest of them is missing."""
+        number = min(self._numbers.pop(client), len(self._recorded) - 1)
         recorded, cut = self._recorded[number], self._cut[number]
         if cut and len(recorded) == 1 and not recorded[0].answers:
             self._leave("opens that wire")
         return recorded, cut
 
     def _serve(self, client: socket.socket) -> None:
-        (recorded, cut), sending = self._next(), threading.Lock()
+        (recorded, cut), sending = self._recorded_for(client), threading.Lock()
         script = Script(recorded, self._dialect, self._time, self._landmarks, cut=cut)
         pulse = Pulse(recorded, self._dialect, self._time, cut=cut)
 
@@ -145,7 +147,8 @@ class RecordedWire:
             self._time.unfollow(send_due)
 
     def _serve_flow(self, client: socket.socket) -> None:
-        flow, rest = Flow(self._next()[0], self._dialect, self._time), b""
+        flow = Flow(self._recorded_for(client)[0], self._dialect, self._time)
+        rest = b""
         while True:
             if select.select([client], [], [], FLOW_S)[0]:
                 if not (data := client.recv(RECEIVE)):

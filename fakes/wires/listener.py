@@ -40,8 +40,11 @@ class Listener:
         *,
         limit: int = 10,
         port: int = 0,
+        accepted: Callable[[socket.socket], None] | None = None,
     ) -> None:
+        """``accepted`` takes note of each client, in the order in which they come."""
         self._name, self._serve, self._limit = name, serve, limit
+        self._accepted = accepted
         self._socket = listen(port)
         self.port: int = self._socket.getsockname()[1]
         self._lock = threading.Lock()
@@ -87,6 +90,8 @@ class Listener:
                     client.close()
                     continue
                 self._clients[client] = thread
+            if self._accepted is not None:
+                self._accepted(client)
             thread.start()
 
     def _run(self, client: socket.socket) -> None:

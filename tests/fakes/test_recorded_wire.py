@@ -1,0 +1,57 @@
+"""A recorded wire over real sockets."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+
+import pytest
+
+from fakes.replay.dialects import Dialect
+from fakes.replay.event_time import EventTime
+from fakes.replay.recorded_wire import RecordedWire
+from fakes.wires.listener import Listener
+from hilcell.wire.channel import Socket, parse_channel
+from hilcell.wire.recording import Piece
+
+ANSWER_S = 5.0
+
+
+@contextmanager
+def wire(*connections: tuple[bytes, bytes]) -> Iterator[tuple[str, int]]:
+    """Serve connections that were open at once, each with one question and its answer."""
+    pieces = [Piece.of(0.1 * n, n, "open") for n in range(1, len(connections) + 1)]
+    for n, (asked, answer) in enumerate(connections, 1):
+        pieces += [Piece.of(n, n, ">", asked), Piece.of(n + 0.5, n, "<", answer)]
+    pieces += [Piece.of(9, n, "end") for n in range(1, len(connections) + 1)]
+    served = RecordedWire(pieces, Dialect(), EventTime(), "here")
+    served.start()
+    with closing(served):
+        place = parse_channel(served.channel)
+        assert isinstance(place, Socket)
+        yield place.host, place.port
+
+
+def test_connections_are_served_in_the_order_in_which_they_were_opened(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A busy PC may run the thread of the second one first."""
+    second, serve = threading.Event(), Listener._run
+
+    def run_later(self: Listener, client: socket.socket) -> None:
+        first = client.getpeername() == one.getsockname()
+        assert not first or second.wait(ANSWER_S)
+        serve(self, client)
+
+    with wire((b"first\n", b"1\n"), (b"second\n", b"2\n")) as place:
+        monkeypatch.setattr(Listener, "_run", run_later)
+        one = socket.create_connection(place, ANSWER_S)
+        two = socket.create_connection(place, ANSWER_S)
+        with one, two:
+            two.sendall(b"second\n")
+            assert two.recv(9) == b"2\n"
+            second.set()
+            one.sendall(b"first\n")
+            assert one.recv(9) == b"1\n"
