@@ -20,7 +20,7 @@ from drivers.kuka.health import AXES, HEALTH, STOPPED
 from drivers.kuka.life import LOST
 from drivers.motion_limits import MotionLimits, planned_s
 from drivers.supervision import Patience
-from hilcell.ports import Array, Clock, DeviceError, JointSample, RobotReading, Stopped
+from hilcell.ports import Array, Clock, DeviceError, HilcellError, JointSample, RobotReading, Stopped
 
 OVERRIDE, PERCENT = "$OV_PRO", 100
 STALL_S = 5.0
@@ -182,10 +182,10 @@ class KukaSweep:
                 access.give_back_override()
             if self._under_way and not isinstance(error, Stopped):
                 self._robot.take_back()
-        except DeviceError as failure:
+        except HilcellError as failure:  # a stop, too, would hide the error
             if error is None:
                 raise
-            error.add_note(f"$OV_PRO was not given back: {failure}; the next connect does it")
+            error.add_note(f"not all was taken back: {failure}; the next connect does it")
 
 
 def split_speed(share: float, override: int) -> tuple[int, int]:

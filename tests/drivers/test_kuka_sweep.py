@@ -130,6 +130,23 @@ def test_a_stop_brakes_and_gives_back_but_stays(peer: KukaPeer) -> None:
     robot.close()
 
 
+def test_a_stop_while_a_failed_sweep_is_given_back_does_not_hide_the_failure(
+    peer: KukaPeer,
+) -> None:
+    stop = threading.Event()
+    robot = robot_for(peer, clock=WallClock(stop))
+    robot.connect()
+
+    def fail_and_stop() -> None:
+        stop.set()
+        lose_beam()
+
+    with pytest.raises(NoReading, match="the beam broke"):
+        sweep(robot, fail_and_stop)
+    assert override(peer) == ("100", "0")
+    robot.close()
+
+
 def test_a_stop_before_the_kickoff_gives_back(peer: KukaPeer) -> None:
     stop = threading.Event()
     robot = robot_for(peer, clock=WallClock(stop))

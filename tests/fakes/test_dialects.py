@@ -130,6 +130,15 @@ def test_heartbeats_go_on_while_the_node_gave_any() -> None:
     assert pulse.due() == b"t706105\r"
 
 
+def test_a_node_boots_once() -> None:
+    """Its boot-up message would say that the node was reset, where a busy PC takes long."""
+    time, rail = EventTime(), dialects_of("canopen")[""]
+    answers = [b"t706100\r", b"t70517F\r"]
+    pulse = Pulse([Exchange(b"t000281\r", answers, came_s=[1.0, 1.1])], rail, time)
+    pulse.take(answers)
+    assert pulse.due() == b"t70517F\r"
+
+
 def test_heartbeats_go_on_behind_a_cut_of_the_recording() -> None:
     """The other wires go on: a node that was alive at the cut is not to blame."""
     time, rail = EventTime(), dialects_of("canopen")[""]
