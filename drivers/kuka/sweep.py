@@ -20,7 +20,15 @@ from drivers.kuka.health import AXES, HEALTH, STOPPED
 from drivers.kuka.life import LOST
 from drivers.motion_limits import MotionLimits, planned_s
 from drivers.supervision import Patience
-from hilcell.ports import Array, Clock, DeviceError, HilcellError, JointSample, RobotReading, Stopped
+from hilcell.ports import (
+    Array,
+    Clock,
+    DeviceError,
+    HilcellError,
+    JointSample,
+    RobotReading,
+    Stopped,
+)
 
 OVERRIDE, PERCENT = "$OV_PRO", 100
 STALL_S = 5.0

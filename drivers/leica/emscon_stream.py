@@ -17,7 +17,7 @@ from drivers.leica.emscon import Change, Command, Failure, Multi, Packet, Reply,
 from drivers.leica.emscon_errors import failed
 from drivers.supervision import Patience
 from drivers.tracker_readings import DEVICE
-from hilcell.ports import Array, Clock, DeviceError, NoReading, Stopped, StreamBlock
+from hilcell.ports import Array, Clock, DeviceError, HilcellError, NoReading, Stopped, StreamBlock
 
 SLOWEST_HZ, FASTEST_HZ = 0.1, 1000.0
 SILENT_S = 3.0  # wire deadline: from one packet to the next, on top of a packet's own time
@@ -232,7 +232,7 @@ class EmsconStream:
             if self._running:
                 self._stop()
             self._tracker.set_mode(emscon.STATIONARY_MODE)
-        except DeviceError as failure:
+        except HilcellError as failure:  # a stop, too, would hide the error
             if error is None:
                 raise
             error.add_note(f"the stream was not ended: {failure}; the next connect ends it")

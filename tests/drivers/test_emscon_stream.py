@@ -191,6 +191,21 @@ def test_a_stop_is_not_waited_for_but_restores(peer: EmsconPeer) -> None:
     tracker.close()
 
 
+def test_a_stop_while_a_failed_stream_ends_does_not_hide_the_failure(peer: EmsconPeer) -> None:
+    stop = threading.Event()
+    tracker = tracker_at(peer.server.port, WallClock(stop))
+    tracker.connect()
+
+    def fail_and_stop() -> None:
+        stop.set()
+        raise KeyError
+
+    with pytest.raises(KeyError) as caught:
+        fly(tracker, fail_and_stop)
+    assert "the next connect ends it" in caught.value.__notes__[0]
+    tracker.close()
+
+
 def test_a_stream_left_behind_is_ended_by_connect(peer: EmsconPeer) -> None:
     peer.settings[25] = CONTINUOUS
     tracker = tracker_at(peer.server.port)

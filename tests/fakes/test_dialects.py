@@ -271,6 +271,21 @@ def test_the_clock_shows_what_it_showed_when_it_was_looked_at_next() -> None:
     assert looks.now_s() == 70.0
 
 
+def test_a_pause_of_the_pc_is_none_of_the_recorded_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is paired by the clock would else be paired otherwise than it was."""
+    now_s = 7.0
+    monkeypatch.setattr("fakes.replay.event_time.time.monotonic", lambda: now_s)
+    time = EventTime()
+    time.expect([1.0, 2.0], [])
+    looks = RecordedLooks(time, [1.1, 2.1], [50.0, 60.0])
+    time.reach(1.05)
+    shown_s = [looks.now_s()]
+    for pause_s in (0.03, 1.7):
+        now_s += pause_s
+        shown_s.append(looks.now_s())
+    assert shown_s == pytest.approx([50.0, 50.03, 50.13])
+
+
 def test_a_write_that_only_lives_asks_nothing_new() -> None:
     states, _ = rtde()
     name = states.name(write(3, 10))
