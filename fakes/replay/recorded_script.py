@@ -3,7 +3,8 @@
 The driver may ask more or less often than when it was recorded: how often a motion is polled is a
 matter of time. So questions that were asked once only (a motion, a command) part the recording
 (`event_time`). In each part a question gets the answers to its name in their order, and at
-last the last one again; one that is asked on and on has come to the part's end. Samples of a stream
+last the last one again, or before its first part the first one; one that is asked on and on has
+come to the part's end. Samples of a stream
 come when their time has come. A question that was never recorded gets no answer: there this run
 has left the recorded one, which `recorded_wire` says.
 """
@@ -14,7 +15,7 @@ import re
 from bisect import bisect_left
 from collections import Counter, deque
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from fakes.replay.dialects import Dialect
 from fakes.replay.event_time import EventTime
@@ -217,7 +218,14 @@ class Script:
         if self._repeated >= STUCK and end_s < float("inf"):
             self._repeated = 0
             self._time.pass_landmark(end_s)
-        return found[end - 1] if end > 0 else None
+        return found[end - 1] if end > 0 else self._early(found[0])
+
+    def _early(self, first: Exchange) -> Exchange | None:
+        """Return the answer to a question that is asked before the part in which it was."""
+        now_s = self._time.now_s
+        if not first.time_s < self._time.stop_s:
+            return None
+        return replace(first, time_s=now_s, came_s=[now_s] * len(first.answers))
 
 
 def _time_s(exchange: Exchange) -> float:

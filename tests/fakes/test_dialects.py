@@ -231,6 +231,18 @@ def test_a_question_sent_with_a_command_and_before_it_is_asked_before_it() -> No
     assert replies == [[], [b"begins\n"], [b"moves\n"], [b"arrived\n"]]
 
 
+def test_a_sign_of_life_that_is_due_earlier_than_it_was_is_answered() -> None:
+    time = EventTime()
+    order = [(1.0, b"go 1"), (2.0, b"go 2"), (3.0, b"alive"), (4.0, b"alive")]
+    recorded = [Exchange(b""), *(Exchange(asked, [b"ok"], at_s) for at_s, asked in order)]
+    time.expect([at_s for at_s, _ in order], [1.0, 2.0])
+    script = Script(recorded, Dialect(), time, {b"go 1", b"go 2"})
+    assert [script.reply(asked) for asked in (b"go 1", b"alive")] == [[b"ok"]] * 2
+    assert time.now_s == 1.0
+    assert [script.reply(asked) for asked in (b"go 2", b"alive")] == [[b"ok"]] * 2
+    assert time.now_s == 3.0
+
+
 def test_no_old_answer_stands_for_one_that_a_stop_came_before() -> None:
     pieces = [Piece.of(1.0, 1, ">", b"measure\n"), Piece.of(1.5, 1, "<", b"7.1\n")]
     recorded, time = exchanges(pieces, Dialect()), EventTime()
