@@ -211,6 +211,10 @@ def _print_robots(robots: list[dict[str, Any]]) -> None:
     ]  # fmt: skip
     if rows:
         print_table((headers, rows))
+    for each in robots:
+        for what, reason in each["not_judged"].items():
+            who = f"robot {_word(each['robot'])} in {_word(each['cell'])}"
+            print_data(f"{who}: no drift stated of {what}: {reason}")
     steps = [(each, change) for each in robots for change in each["changes"]]
     if steps:
         changes = [

@@ -47,18 +47,24 @@ class Course:
     steps: list[Step] = field(default_factory=list)
 
 
-def course(years: Array, values: Array, temperatures_c: Array | None = None) -> Course | None:
-    """Return the course of values (N,) at times (N,) in years; None where they are too few.
+def hindrance(years: Array, values: Array) -> str:
+    """Return why calibrations with values (N,) at times (N,) in years have no course, or ""."""
+    if len(values) < FEWEST:
+        return f"{len(values)} of the {FEWEST} calibrations that are needed"
+    if not float(np.ptp(years)) > 0.0:
+        return "all calibrations ended at the same time"
+    if not float(np.ptp(values)) > LEAST_RANGE:  # a test would judge their rounding
+        return "all calibrations found the same"
+    return ""
 
-    Values that are all the same have none either: a test would judge their rounding.
-    """
+
+def course(years: Array, values: Array, temperatures_c: Array | None = None) -> Course | None:
+    """Return the course of values (N,) at times (N,) in years; None where `hindrance` says why."""
     from scipy import stats  # it takes half a second to import, and most questions need none
 
+    if hindrance(years, values):
+        return None
     count = len(values)
-    if count < FEWEST or not float(np.ptp(years)) > 0.0:
-        return None
-    if not float(np.ptp(values)) > LEAST_RANGE:
-        return None
     base = [np.ones(count), years - years.mean()]
     if temperatures_c is not None and float(np.ptp(temperatures_c)) >= LEAST_SPAN_K:
         base.append(temperatures_c - temperatures_c.mean())

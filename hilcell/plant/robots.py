@@ -14,7 +14,7 @@ from hilcell.journal.asset import Asset, same
 from hilcell.journal.index import RunRow
 from hilcell.journal.states import RunState
 from hilcell.plant.cells import CELL, Name, chosen, newest
-from hilcell.plant.course import Course, course, main_direction
+from hilcell.plant.course import Course, course, hindrance, main_direction
 from hilcell.plant.tables import ALARM, DEVICE, FRAME, GRID, RUN, Found
 from hilcell.ports import Array
 
@@ -53,7 +53,7 @@ class Drift(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class RobotCourse(msgspec.Struct, frozen=True, kw_only=True):
-    """One robot in one cell. Nothing is said of drift where there are too few calibrations."""
+    """One robot in one cell. ``not_judged`` says by quantity why no drift of it is stated."""
 
     robot: str
     cell: str
@@ -64,6 +64,7 @@ class RobotCourse(msgspec.Struct, frozen=True, kw_only=True):
     last: datetime
     left_out: int
     drift: list[Drift]
+    not_judged: dict[str, str]
     changes: list[Change]
 
 
@@ -91,6 +92,7 @@ def _robot(connection: Connection, robot: str, cell: Name, rows: Sequence[Found]
     years = np.array([row.ended.timestamp() for row in alike]) / YEAR_S
     celsius = _celsius(alike)
     drift: list[Drift] = []
+    not_judged: dict[str, str] = {}
     changes: list[Change] = []
     for what, vectors in ((ARM, _errors_mm(alike)), (BASE, _bases_mm(alike))):
         along_mm = main_direction(vectors) / np.sqrt(vectors.shape[1] / 3)  # rms of its points
@@ -101,10 +103,13 @@ def _robot(connection: Connection, robot: str, cell: Name, rows: Sequence[Found]
                 noise_mm=seen.noise,
             ))  # fmt: skip
             changes += _changes(connection, cell, what, alike, seen)
+        else:
+            not_judged[what] = hindrance(years, along_mm)
     return RobotCourse(
         robot=robot, cell=cell[0], serial=cell[1], machine=cell[2],
         calibrations=len(alike), first=alike[0].ended, last=alike[-1].ended,
-        left_out=len(rows) - len(alike), drift=drift, changes=changes,
+        left_out=len(rows) - len(alike), drift=drift,
+        not_judged=not_judged, changes=changes,
     )  # fmt: skip
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hilcell.plant.course import FEWEST, SIGNIFICANCE, course, main_direction
+from hilcell.plant.course import FEWEST, SIGNIFICANCE, course, hindrance, main_direction
 from hilcell.ports import Array
 
 YEARS = np.arange(24) / 12.0
@@ -68,14 +68,22 @@ def test_a_run_that_alone_differs_at_the_end_is_seen_once() -> None:
     assert [(step.at, step.after) for step in found.steps] == [(23, 1)]
 
 
-@pytest.mark.parametrize("values", [np.zeros(24), np.full(24, 0.3)])
-def test_values_that_never_change_have_no_course(values: Array) -> None:
-    assert course(YEARS, values) is None
+@pytest.mark.parametrize(
+    ("years", "values", "reason"),
+    [
+        (YEARS, np.zeros(24), "all calibrations found the same"),
+        (YEARS, np.full(24, 0.3), "all calibrations found the same"),
+        (np.full(24, 0.5), noise(1), "all calibrations ended at the same time"),
+        (YEARS[: FEWEST - 1], noise(1, FEWEST - 1), "5 of the 6 calibrations that are needed"),
+    ],
+)
+def test_what_has_no_course_has_a_reason(years: Array, values: Array, reason: str) -> None:
+    assert course(years, values) is None
+    assert hindrance(years, values) == reason
 
 
-def test_few_runs_have_no_course() -> None:
-    few = FEWEST - 1
-    assert course(YEARS[:few], noise(1, few)) is None
+def test_what_has_a_course_has_no_hindrance() -> None:
+    assert hindrance(YEARS[:FEWEST], noise(1, FEWEST)) == ""
 
 
 def test_the_main_direction_is_that_of_the_change_whatever_the_order() -> None:

@@ -212,6 +212,11 @@ def test_a_robot_in_two_cells_and_runs_of_one_name_are_doubted(
     assert "(1 names, the first east-9): two folders or computers" in name
     assert asked(url, capsys, "--cell", "south")["doubts"] == [robot]
     assert asked(url, capsys, "--robot", "R-2")["doubts"] == [name]
+    assert main(["plant", "show", "--from", url, "--cell", "west"]) == 0
+    out = capsys.readouterr().out
+    for what in ("errors at the grid, in {B}", "base {B} in {W}"):
+        line = f"robot R-2 in west: no drift stated of {what}: 1 of the 6 calibrations"
+        assert line in out
 
 
 def asked_after(url: str, runs: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
