@@ -210,7 +210,8 @@ def _residual_mm2(model: type[Interpolation], lattice: MeasuredGrid) -> Array:
     readings += _at(own, lows[:, None, :] + inner).sum(axis=(0, 1))
     values, axes = np.linalg.eigh(missed.T @ missed - readings)
     share: float = len(lows) * float(_unshared(weights).sum())
-    residual: Array = (axes * np.maximum(values, 0.0)) @ axes.T / share
+    half = axes * np.sqrt(np.maximum(values, 0.0))
+    residual: Array = half @ half.T / share
     return residual
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
@@ -203,6 +203,7 @@ def test_at_a_vertex_the_covariance_is_the_vertex_s_own(model: Kind, seed: int) 
 
 
 @given(seeds)
+@example(222)  # a covariance that nearly vanishes
 @models
 def test_covariances_are_symmetric_and_no_variance_is_below_zero(model: Kind, seed: int) -> None:
     learnt = model.learn(measured(GRID, random_errors(seed), random_covariances(seed)))

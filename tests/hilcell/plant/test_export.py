@@ -249,9 +249,10 @@ def test_a_full_disk_leaves_nothing(empty: Auditor) -> None:
     """Stood in for by a limit on the size of files, in a process of its own."""
     before = empty.names
     limit = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (8_000, 8_000));"
+    unkept = "sys.dont_write_bytecode = True;"  # Python would keep half of a module's
     start = "from hilcell.__main__ import entry; sys.exit(entry())"
     for place in (empty.out, empty.folder / "out.zip"):
-        words = [sys.executable, "-c", f"{limit} {start}", *empty.export(out=place)]
+        words = [sys.executable, "-c", f"{limit} {unkept} {start}", *empty.export(out=place)]
         done = subprocess.run(words, capture_output=True, text=True, check=False)
         assert (done.returncode, done.stdout) == (7, "")
         assert done.stderr == f"hilcell: {place}: cannot be written: File too large\n"
