@@ -26,6 +26,7 @@ _GEOCOM = re.compile(rb"(%R1[QP],\d+,)(\d+)(:)")
 _HEARTBEAT = re.compile(rb"t7[0-7][0-9A-F]")
 _BOOT_UP = b"100"  # behind a node's identifier: it has begun, once
 _STRIP = re.compile(rb"[Aa][0-9]|[^Aa]")
+_WRITE, _LIFE, _WRITTEN = b"\1", b"$TIMER[10]", b"\0\1\1"  # C3 Bridge
 GROUP = "wire_dialects"
 Options = Mapping[str, Any]
 NONE: Options = MappingProxyType({})
@@ -78,6 +79,12 @@ class Dialect:
     def beat(self, answer: bytes) -> bytes:
         """Return whose sign of life an answer is; b"" for any other one."""
         return b""
+
+    def alive(self, asked: bytes) -> list[bytes]:
+        """Return the answers to a driver's sign of life that was never recorded: a short motion
+        needs none, unless the PC is busy. None for any other message.
+        """
+        return []
 
     def repeats(self, answer: bytes) -> bool:
         """Whether an answer comes by itself again and again, until there is a next one."""
@@ -165,6 +172,14 @@ class C3(Sized):
     def answer(self, asked: bytes, recorded: bytes, answer: bytes) -> bytes:
         """Return the reply with the tag of this request."""
         return asked[:2] + answer[2:]
+
+    def alive(self, asked: bytes) -> list[bytes]:
+        """Return the reply to a write of the timer that ends a motion which nobody watches."""
+        if asked[4:5] != _WRITE or _LIFE not in asked:
+            return []
+        value = asked.partition(_LIFE)[2]  # with its length
+        rest = _WRITE + value + _WRITTEN
+        return [asked[:2] + struct.pack(">H", len(rest)) + rest]
 
 
 class Emscon(Sized):

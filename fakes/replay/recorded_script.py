@@ -14,8 +14,9 @@ from __future__ import annotations
 import re
 from bisect import bisect_left
 from collections import Counter, deque
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 from fakes.replay.dialects import Dialect
 from fakes.replay.event_time import EventTime
@@ -25,6 +26,7 @@ _NUMBER = re.compile(rb"-?\d{1,9}\.\d{3,}")
 NEAR = 1e-4  # deg, mm or rad
 STUCK = 200  # times that a part's last answer is repeated
 APART_S = 1e-9  # of messages in one piece, so that what parts the recording has a before
+NOWHERE: Mapping[bytes, Exchange] = MappingProxyType({})
 ALIVE_S = 0.5  # after the last sign of life that was recorded
 
 
@@ -112,6 +114,15 @@ def landmarks(opened: Sequence[Sequence[Exchange]], dialect: Dialect) -> set[byt
     return {name for name, count in counts.items() if count == 1}
 
 
+def first_of_each(opened: Sequence[Sequence[Exchange]], dialect: Dialect) -> dict[bytes, Exchange]:
+    """Return the first exchange of each name that was answered, on all connections of a wire."""
+    found: dict[bytes, Exchange] = {}
+    for each in sorted((each for one in opened for each in one[1:]), key=_time_s):
+        if each.answers:
+            found.setdefault(dialect.name(each.asked), each)
+    return found
+
+
 class Names:
     """Names of questions. Two are one whose numbers are near: a target that is computed again from
     the same answers may differ in its last digits.
@@ -146,15 +157,20 @@ class Script:
         dialect: Dialect,
         time: EventTime,
         landmarks: Collection[bytes],
+        elsewhere: Mapping[bytes, Exchange] = NOWHERE,
         *,
         cut: bool = False,
     ) -> None:
         """``landmarks`` are the names of questions that part the recording.
 
+        ``elsewhere`` are what was asked on any connection of the wire: one that is idle for longer
+        than it was is kept alive by such a question.
+
         Behind the last question of one that was ``cut``, an earlier answer is not given again.
         """
         self._last_s = recorded[-1].time_s if cut else float("inf")
         self._dialect, self._time, self._landmarks = dialect, time, landmarks
+        self._elsewhere = elsewhere
         self.greeting = recorded[0].answers
         self._named: dict[bytes, list[Exchange]] = {}
         for each in recorded[1:]:
@@ -169,14 +185,16 @@ class Script:
 
     def knows(self, asked: bytes) -> bool:
         """Whether a question was recorded, the last one with its answer."""
-        return not self._cut and self._names.of(self._dialect.name(asked)) in self._named
+        name = self._names.of(self._dialect.name(asked))
+        known = name in self._named or bool(self._beside(asked, name))
+        return known and not self._cut
 
     def reply(self, asked: bytes) -> list[bytes]:
         """Return the answers to a question, in their pieces; samples behind them come later."""
         name = self._names.of(self._dialect.name(asked))
         found = self._named.get(name)
         if found is None:
-            return []
+            return self._beside(asked, name)
         if name in self._landmarks:
             self._time.pass_landmark(found[0].time_s)
         elif self._dialect.is_command(asked):
@@ -198,6 +216,13 @@ class Script:
         if before < count or silent:  # the others answer the stop
             self._time.reach(self._time.stop_s)
         return answers[:before]
+
+    def _beside(self, asked: bytes, name: bytes) -> list[bytes]:
+        """Return the answers to a question that this connection was not asked; no time passes."""
+        other = None if name in self._landmarks else self._elsewhere.get(name)
+        if other is None:
+            return self._dialect.alive(asked)
+        return [self._dialect.answer(asked, other.asked, each) for each in other.answers]
 
     def _taken(self, name: bytes, found: list[Exchange]) -> Exchange | None:
         begin_s, end_s = self._time.part()

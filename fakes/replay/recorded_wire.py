@@ -20,6 +20,7 @@ from fakes.replay.recorded_script import (
     Script,
     connections,
     cut_connections,
+    first_of_each,
     landmarks,
 )
 from fakes.wires.listener import HOST, Listener
@@ -57,6 +58,7 @@ class RecordedWire:
         self._recorded = connections(pieces, dialect)
         self._dialect, self._time = dialect, time
         self._landmarks = landmarks(self._recorded, dialect)
+        self._elsewhere = first_of_each(self._recorded, dialect)
         asked = [each for one in self._recorded for each in one[1:]]
         once = [
             each
@@ -67,7 +69,8 @@ class RecordedWire:
         if any(self._cut):
             asked_s = max((each.time_s for each in asked), default=self._came_s[-1])
             time.cut_at(self._came_s[-1] if dialect.flows else asked_s, f"{place}:{len(pieces)}")
-        if not self._recorded:  # nobody had opened it
+        self._unopened = not self._recorded
+        if self._unopened:
             self._recorded, self._cut = [[Exchange(b"")]], [may_be_cut]
         time.expect((each.time_s for each in asked), (each.time_s for each in once))
         self._count = itertools.count()
@@ -106,13 +109,15 @@ class RecordedWire:
         """Return the exchanges of a connection, and whether the rest of them is missing."""
         number = min(self._numbers.pop(client), len(self._recorded) - 1)
         recorded, cut = self._recorded[number], self._cut[number]
-        if cut and len(recorded) == 1 and not recorded[0].answers:
+        if cut and self._unopened:
             self._leave("opens that wire")
         return recorded, cut
 
     def _serve(self, client: socket.socket) -> None:
         (recorded, cut), sending = self._recorded_for(client), threading.Lock()
-        script = Script(recorded, self._dialect, self._time, self._landmarks, cut=cut)
+        script = Script(
+            recorded, self._dialect, self._time, self._landmarks, self._elsewhere, cut=cut
+        )
         pulse = Pulse(recorded, self._dialect, self._time, cut=cut)
 
         def send_due(now_s: float) -> None:

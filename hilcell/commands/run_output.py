@@ -30,6 +30,7 @@ from hilcell.commands.output import (
 )
 from hilcell.errors import DeviceError, facts_of
 from hilcell.journal.calibration_facts import OUTCOMES
+from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.journal import Record
 from hilcell.journal.key_words import verdict_words
 from hilcell.journal.log import Log
@@ -185,6 +186,9 @@ class ProgressOutput(RunOutput):
             self._progress.update(self._task, description=harmless(promise))
             if body["verdict"] == "broken":
                 self._print(f"{promise}: broken: {body['why']}")
+        elif record.kind == "event" and body["what"] == "curve":
+            if not (curve := msgspec.convert(body, CurveRecord)).holds:
+                self._print(curve.words)
         elif record.kind == "event" and body["what"] == "no reading":
             self._print(f"{body['key']}: {body['reason']} (try {body['tries']})")
 

@@ -9,7 +9,8 @@ from contextlib import closing, contextmanager
 
 import pytest
 
-from fakes.replay.dialects import Dialect
+from drivers.kuka.c3 import decode_body, encode_write
+from fakes.replay.dialects import Dialect, dialects_of
 from fakes.replay.event_time import EventTime
 from fakes.replay.recorded_wire import RecordedWire
 from fakes.wires.listener import Listener
@@ -55,3 +56,20 @@ def test_connections_are_served_in_the_order_in_which_they_were_opened(
             second.set()
             one.sendall(b"first\n")
             assert one.recv(9) == b"1\n"
+
+
+def test_an_idle_connection_is_kept_alive_by_what_another_was_asked() -> None:
+    with wire((b"mode\nmode\n", b"1\n"), (b"stop\n", b"2\n")) as place:
+        one, two = (socket.create_connection(place, ANSWER_S) for _ in range(2))
+        with one, two:
+            two.sendall(b"mode\n")
+            assert two.recv(9) == b"1\n"
+
+
+def test_a_robot_takes_a_sign_of_life_that_was_never_given() -> None:
+    """A motion that is over within the time of one, as it was recorded."""
+    c3 = dialects_of("kuka-c3")[""]
+    (reply,) = c3.alive(encode_write(7, "$TIMER[10]", "-1500"))
+    assert reply[:4] == bytes((0, 7, 0, len(reply) - 4))
+    assert decode_body(7, reply[4:]).value == "-1500"
+    assert c3.alive(encode_write(8, "HC_STOP", "TRUE")) == []

@@ -192,6 +192,14 @@ def test_a_recording_that_was_cut_ends_at_its_line(
     assert "E-stop" not in done.stderr  # no device was reached
 
 
+def test_a_robot_that_was_cut_moves_until_there(recorded: Path) -> None:
+    """The end of its idle connection for stops is missing, too."""
+    path = recorded / f"robot{SUFFIX}"
+    path.write_bytes(b"".join(lines_of(path)[:-8]))
+    assert "opens that wire" not in (done := replayed(recorded)).stderr
+    assert done.returncode in (0, 3)
+
+
 def test_a_recording_that_was_cut_in_its_closing_leaves_nothing_to_stop(recorded: Path) -> None:
     cut(
         recorded / f"rail{SUFFIX}", b"t60582316100100000000"

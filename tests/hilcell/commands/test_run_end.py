@@ -11,12 +11,14 @@ from hilcell.cell.devices import ConnectFailed, load_entry
 from hilcell.commands.cli import main
 from hilcell.commands.run_output import ProgressOutput, RunOutput, failed_words, print_end
 from hilcell.errors import DeviceError
+from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.journal import Record
 from hilcell.journal.runs import read_log
 from tests.hilcell.report.journals import Writer
 
 LOST = DeviceError("HC-T02", "Tracker", "measure", "no answer")
 REFUSED = DeviceError("HC-R01", "Rail", "connect", "no gateway")
+LISTS = ("cycles", "amplitude_rad", "covariance_rad2", "shown", "spectrum")
 STRANGE = DeviceError("XY-1", "Tracker", "measure", "no answer")
 
 
@@ -145,6 +147,20 @@ def test_a_broken_promise_is_shown_at_once(capsys: pytest.CaptureFixture[str]) -
     said = capsys.readouterr().err
     assert said.count("tracker late: broken: 3 mm off\n") == 1
     assert said.splitlines()[-1].startswith("tracker late ")
+
+
+@pytest.mark.parametrize("reason", ["", "the axis paused; sweep again"])
+def test_an_axis_whose_sweeps_are_not_used_is_shown(
+    reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    figures = (each for each in CurveRecord.__struct_fields__ if each not in ("axis", "reason"))
+    body: dict[str, Any] = {
+        each: [] if each in LISTS else 0 if each == "lost" else 0.0 for each in figures
+    }
+    with ProgressOutput("r", 0) as output:
+        facts = {"what": "curve", "axis": 2, "reason": reason}
+        output.print_record(Record(1, "", "event", "", body | facts))
+    assert capsys.readouterr().err.count(f"A2 not used: {reason}\n") == bool(reason)
 
 
 def test_watch_states_the_fault_that_ended_a_run(
