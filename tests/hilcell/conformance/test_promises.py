@@ -173,7 +173,8 @@ def test_a_broken_driver_breaks_its_long_promise(
 def test_and_no_other(port: Port, name: str, trials: dict[Port, Trial]) -> None:
     trials[port].try_kind(BROKEN[port][name])
     outcomes = [trials[port].judge(promise) for promise in promises_of(port)]
-    assert [each.promise for each in outcomes if each.verdict == "broken"] == [name]
+    broken = {each.promise: each.why for each in outcomes if each.verdict == "broken"}
+    assert list(broken) == [name], broken
 
 
 def named(port: Port, name: str) -> Promise:
