@@ -2,11 +2,10 @@
 
 The driver may ask more or less often than when it was recorded: how often a motion is polled is a
 matter of time. So questions that were asked once only (a motion, a command) part the recording
-(`event_time`). In each part a question gets the answers to its name in their order, and at
-last the last one again, or before its first part the first one; one that is asked on and on has
-come to the part's end. Samples of a stream
-come when their time has come. A question that was never recorded gets no answer: there this run
-has left the recorded one, which `recorded_wire` says.
+(`event_time`). In each part a question gets the answers to its name in their order, and at last the
+last one again, or before its first part the first one; one that is asked on and on has come to the
+part's end. Samples of a stream come when their time has come. A question that was never recorded
+gets no answer: there this run has left the recorded one, which `recorded_wire` says.
 """
 
 from __future__ import annotations
