@@ -18,7 +18,8 @@ test: $(VENV)/more  ## lint beside the tests
 	$(MAKE) --no-print-directory --jobs 2 lint suite
 
 suite: $(VENV)/compiled  ## every test but the long sweeps, in random order on all cores
-	$(BIN)/python -m pytest -n auto --dist worksteal
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not nightly and not wall"
+	$(BIN)/python -m pytest -m "wall and not nightly"
 
 nightly: lint  ## every test and every long sweep, property tests with fresh seeds
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "" --timeout 1200 --hypothesis-profile nightly
