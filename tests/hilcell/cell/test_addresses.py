@@ -77,7 +77,7 @@ def test_a_name_server_that_hangs_is_not_waited_for(monkeypatch: pytest.MonkeyPa
     answered = threading.Event()
 
     def hang(*_: object, **__: object) -> list[object]:
-        answered.wait(10)
+        answered.wait()
         return []
 
     monkeypatch.setattr(socket, "getaddrinfo", hang)
@@ -98,16 +98,6 @@ def test_defaults_of_the_driver_are_part_of_the_place() -> None:
 def test_devices_at_one_place_are_named_together() -> None:
     one = load_cell("paper", {"robot.options.port": "700"})
     assert device_places(one, {})["this machine:700"] == ["robot", "tracker"]
-
-
-def test_own_addresses_other_than_loopback_are_this_machine() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(("192.0.2.1", 9))  # sends nothing: it only chooses an address
-        except OSError:
-            return  # a machine without a network has no other address
-        own = str(probe.getsockname()[0])
-    assert places({"host": own, "port": 1}) == ["this machine:1"]
 
 
 def test_the_line_of_a_strip_is_a_place_beside_the_bus() -> None:

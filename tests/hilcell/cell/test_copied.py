@@ -30,22 +30,23 @@ def file(tmp_path: Path) -> Path:
 def test_a_real_cell_with_the_name_and_serial_of_a_built_in_one_is_refused(file: Path) -> None:
     with pytest.raises(SettingsError) as caught:
         warning_of(file, REAL)
-    assert caught.value.problems == [
-        "name: 'paper' is that of the built-in cell paper; give this cell one of its own",
-        "serial: 'HC-2014' is that of the built-in cell paper; give this cell one of its own",
-    ]
+    assert [problem.split(":")[0] for problem in caught.value.problems] == ["name", "serial"]
 
 
 def test_one_of_both_is_enough(file: Path) -> None:
-    with pytest.raises(SettingsError, match="1 problem\n  serial: "):
-        warning_of(file, REAL.replace('"paper"', '"shop"', 1))
-    with pytest.raises(SettingsError, match="1 problem\n  name: "):
-        warning_of(file, REAL.replace("HC-2014", "HC-7"))
+    for text, key in (
+        (own(REAL).replace("HC-7", "HC-2014"), "serial"),
+        (REAL.replace("HC-2014", "HC-7"), "name"),
+    ):
+        with pytest.raises(SettingsError) as caught:
+            warning_of(file, text)
+        (problem,) = caught.value.problems
+        assert problem.startswith(f"{key}: ")
 
 
 def test_a_simulated_cell_that_differs_is_warned_of(file: Path) -> None:
     warning = warning_of(file, PAPER.replace("speed_mm_s = 250.0", "speed_mm_s = 200.0"))
-    assert "name: 'paper' is that of the built-in cell paper" in warning
+    assert "name: " in warning
     assert str(file) in warning
 
 

