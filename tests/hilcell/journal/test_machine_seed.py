@@ -72,7 +72,7 @@ def test_a_cell_that_runs_already_has_its_machine_and_its_pace(
     words = ["run", "home", option, "3", "--dry-run"]
     assert main(words) == 0
     assert main([*words, "--set=simulation.address=127.0.0.1:9"]) == 2
-    assert f"give {option} to its `hilcell sim`" in capsys.readouterr().err
+    assert option in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["run", "sim"])
@@ -81,4 +81,4 @@ def test_a_cell_slower_than_real_time_is_refused(
 ) -> None:
     with pytest.raises(SystemExit, match="2"):
         main([command, "--speed", "0.5"])
-    assert "a factor of 1 .. 1e+06, or max, is wanted (not slower" in capsys.readouterr().err
+    assert "1 .. 1e+06" in capsys.readouterr().err

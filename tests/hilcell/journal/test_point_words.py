@@ -5,13 +5,10 @@ from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 
-import pytest
-
 import hilcell
 import procedures
 from hilcell.calibration.noticed import VERDICTS
-from hilcell.journal.point_id import PointId
-from hilcell.journal.point_words import KINDS, counted_words, point_words, short_words
+from hilcell.journal.point_words import KINDS, counted_words
 from hilcell.report.facts import read_facts
 from tests.whole.golden import GoldenRuns
 
@@ -47,36 +44,3 @@ def test_the_points_of_a_run_are_counted_in_words(golden: GoldenRuns) -> None:
     counted = {counted_words(point.id) for point in points}
     assert {"targets, corrected", "sign check, as sent", "repeated poses, place 1"} <= counted
     assert not [words for words in counted if "_" in words]
-
-
-@pytest.mark.parametrize(
-    ("id", "words", "short", "counted"),
-    [
-        (
-            PointId("repeat", how="strip", way="one_side", number=2, side=-1),
-            "approach of the station from one side by the strip 3-",
-            "approach from one side by the strip 3-",
-            "approaches of the station, by the strip, from one side",
-        ),
-        (
-            PointId("survey", way="forth", number=3, nest="N1"),
-            "rail survey N1 forth 4",
-            "survey N1 forth 4",
-            "rail survey, forth",
-        ),
-        (
-            PointId("iso9283", pose="P1", number=0, seat=2),
-            "ISO 9283 pose P1 1, seat 2",
-            "pose P1 1, seat 2",
-            "ISO 9283 poses, other reflectors",
-        ),
-        (
-            PointId("own", number=0),
-            "own 1",
-            "own 1",
-            "own",
-        ),
-    ],
-)
-def test_a_point_in_words(id: PointId, words: str, short: str, counted: str) -> None:
-    assert (point_words(id), short_words(id), counted_words(id)) == (words, short, counted)
