@@ -28,7 +28,9 @@ from hilcell.study.errors import Cluster
 
 CONNECT_S = 5.0
 ANSWER_S = 15.0  # of a scheduler to its first question
-WORKERS_S = 60.0
+VERSIONS_S = 15.0  # of all workers to the question for their versions
+SCHEDULER_S = 60.0  # of a scheduler at work to any question
+WORKERS_S = 60.0  # without any worker
 AHEAD = 4  # cases a worker that are handed over before they are needed
 LEAST_AHEAD = 64
 LOOK_S = 5.0  # between two looks whether there are workers, and whether they answer
@@ -258,14 +260,14 @@ def _killed(error: KilledWorker) -> Row:
 
 def _last_heartbeats(client: Client) -> Mapping[str, float]:
     scheduler: Any = client.scheduler  # `Client.nthreads` would wait for ever
-    found: dict[str, Any] = client.sync(scheduler.identity, callback_timeout=WORKERS_S)
+    found: dict[str, Any] = client.sync(scheduler.identity, callback_timeout=SCHEDULER_S)
     return {address: worker["last_seen"] for address, worker in found["workers"].items()}
 
 
 def _check_versions(client: Client, name: str) -> None:
     try:
         before = _last_heartbeats(client)
-        found: dict[str, Any] = client.run(versions, on_error="return", callback_timeout=ANSWER_S)
+        found: dict[str, Any] = client.run(versions, on_error="return", callback_timeout=VERSIONS_S)
     except TimeoutError as error:
         after = _last_heartbeats(client)
         silent = [address for address, seen_s in before.items() if after.get(address) == seen_s]

@@ -14,7 +14,6 @@ import pytest
 from tests.hilcell.study.studies import TWO_FACTORS
 
 READINGS = TWO_FACTORS.partition('\n[[factor]]\nname = "place"')[0]
-LIMIT_S = 120.0
 
 
 class Dask:
@@ -31,7 +30,8 @@ class Dask:
         self.line, self.lines, self._said = "", list[str](), threading.Event()
         self._reader = threading.Thread(target=self._read, args=(ready,))
         self._reader.start()
-        if not (self._said.wait(LIMIT_S) and self.line):
+        self._said.wait()
+        if not self.line:
             self.kill()
             pytest.fail(f"dask {words[0]} never said {ready!r}")
 
@@ -53,8 +53,8 @@ class Dask:
     def kill(self) -> None:
         """End it, at once; a second time does nothing."""
         self.process.kill()
-        self.process.wait(LIMIT_S)
-        self._reader.join(LIMIT_S)
+        self.process.wait()
+        self._reader.join()
         assert self.process.stderr is not None
         self.process.stderr.close()
 

