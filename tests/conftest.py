@@ -25,7 +25,7 @@ from tests.whole.golden import GoldenRuns
 
 settings.register_profile(
     "suite",
-    max_examples=50,
+    max_examples=25,
     derandomize=True,
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow],

@@ -58,12 +58,6 @@ def check(arm: Arm, joints: np.ndarray) -> None:
 
 
 @given(seeds)
-def test_paper_arm_against_differences(seed: int) -> None:
-    joints = np.random.default_rng(seed).uniform(-np.pi, np.pi, (3, 6))
-    check(PAPER, joints)
-
-
-@given(seeds)
 def test_paper_arm_with_hayati_against_differences(seed: int) -> None:
     rng = np.random.default_rng(seed)
     check(replace(PAPER, beta_rad=rng.uniform(-0.5, 0.5, 6)), rng.uniform(-np.pi, np.pi, (3, 6)))

@@ -16,12 +16,10 @@ from hilcell.geometry.statistics import (
     lengths_mm,
     pooled_std_mm,
     ranks,
-    reading_variances_mm2,
     repeatability_mm,
     rms,
     slope,
     trace_freedom,
-    variance_of_mean,
 )
 
 PAIR = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
@@ -48,15 +46,6 @@ def test_repeatability_is_mean_and_three_standard_deviations() -> None:
     np.testing.assert_allclose(from_mean_mm(PAIR), [1.0, 1.0])
     assert repeatability_mm(from_mean_mm(PAIR)) == 1.0
     assert repeatability_mm(np.array([1.0, 2.0, 3.0])) == pytest.approx(2.0 + 3.0)
-
-
-def test_variance_of_a_mean() -> None:
-    assert variance_of_mean([1.0, 2.0, 3.0]) == pytest.approx(1 / 3)
-
-
-def test_averaged_readings() -> None:
-    found = reading_variances_mm2([[3.0, 3.0, 3.0], [7.0, 0.0, 1.0]], [9, 1])
-    np.testing.assert_allclose(found, [[1.0, 1.0, 1.0], [49.0, 0.0, 1.0]])
 
 
 def test_pooled_std_spends_a_degree_of_freedom_on_each_mean() -> None:
@@ -88,13 +77,7 @@ def test_bounds_of_equal_variances_are_those_of_chi2(
     np.testing.assert_allclose(bounds95_mm(covariance[None]), [bound], rtol=1e-5)
 
 
-def test_the_bound_of_a_sphere_is_1_40_of_twice_the_standard_deviation() -> None:
-    assert bounds95_mm(np.eye(3)[None])[0] / 2 == pytest.approx(1.398, abs=5e-4)
-
-
-@pytest.mark.parametrize(
-    "sizes", [(1, 0.7, 0.4), (1, 0.5, 0), (1, 0.3, 0.3), (1, 0.1, 0.1), (1, 0.9, 0.1), (1, 0.2, 0)]
-)
+@pytest.mark.parametrize("sizes", [(1, 0.7, 0.4), (1, 0.5, 0), (1, 0.1, 0.1)])
 def test_bounds_cover_95_percent_of_drawn_errors(sizes: tuple[float, ...]) -> None:
     sigmas = np.array(sizes)
     drawn = np.linalg.norm(np.random.default_rng(2).standard_normal((200_000, 3)) * sigmas, axis=1)
@@ -106,16 +89,12 @@ def test_bounds_cover_95_percent_of_drawn_errors(sizes: tuple[float, ...]) -> No
 def test_bounds_of_estimated_covariances_cover_as_much() -> None:
     """Each trial estimates the covariance from twelve vectors, and draws one error."""
     rng, sigmas, samples = np.random.default_rng(3), np.array([1.0, 0.6, 0.3]), 12
-    vectors = rng.standard_normal((20_000, samples, 3)) * sigmas
+    vectors = rng.standard_normal((5000, samples, 3)) * sigmas
     covariances = np.einsum("tsi,tsj->tij", vectors, vectors) / samples
     errors = lengths_mm(rng.standard_normal((len(vectors), 3)) * sigmas)
     freedom = [trace_freedom(each, samples) for each in covariances]
     assert 0.942 <= np.mean(errors <= bounds95_mm(covariances, freedom)) <= 0.958
     assert np.mean(errors <= bounds95_mm(covariances)) < 0.94
-
-
-def test_a_bound_of_nan_is_none() -> None:
-    assert np.isnan(bounds95_mm(np.full((1, 3, 3), np.nan))[0])
 
 
 def test_degrees_of_freedom_of_a_sum() -> None:
@@ -128,6 +107,10 @@ def test_degrees_of_freedom_of_a_sum() -> None:
 
 def test_equal_values_share_their_mean_rank() -> None:
     assert ranks([30.0, 10.0, 20.0, 10.0, 20.0, 20.0]).tolist() == [6.0, 1.5, 4.0, 1.5, 4.0, 4.0]
+
+
+def test_a_variance_of_nan_has_no_bound() -> None:
+    assert np.isnan(bounds95_mm(np.full((1, 3, 3), np.nan))[0])
 
 
 def test_the_slope_of_a_line_and_its_uncertainty() -> None:
