@@ -1,5 +1,5 @@
-"""Tests of everything, on one thread of linear algebra as the command has it."""
+"""Tests of hilcell; workers are as many as processors, so each computes in one thread."""
 
 import os
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy is imported
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is loaded
