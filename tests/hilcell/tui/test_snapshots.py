@@ -1,4 +1,4 @@
-"""Every screen in every state as text, compared with the files in ``snapshots/``.
+"""Every state of a run and every page once as text, compared with the files in ``snapshots/``.
 
 To write them again after an intended change, then read the difference before it is committed:
 
@@ -10,148 +10,164 @@ from __future__ import annotations
 import asyncio
 import difflib
 import os
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import pytest
+from textual.command import CommandList, CommandPalette
 from textual.pilot import Pilot
 
 from tests.hilcell.tui.all_screens import form_of, isolated, screens_of
-from tests.hilcell.tui.recording_app import SIZE, RecordingApp, options, settle, text_at_rest
+from tests.hilcell.tui.recording_app import (
+    RUNS,
+    SIZE,
+    RecordingApp,
+    options,
+    press,
+    settle,
+    text_at_rest,
+)
 from tests.hilcell.tui.sample_runs import sample_runs
+
+__all__ = ["isolated"]
 
 FOLDER = Path(__file__).with_name("snapshots")
 SWITCH = "HILCELL_SNAPSHOTS"
+WIDE, LOW, TINY = (160, 40), (60, 15), (20, 5)
+STATES = tuple(sample_runs())
+# A page that each state shows best, with the keys that open it.
+PAGES: dict[str, dict[str, tuple[str, ...]]] = {
+    "running": {
+        "interlocks": ("i",),
+        "log": ("l",),
+        "help": ("question_mark",),
+        "asks-abort": ("a",),
+        "asks-quit": ("ctrl+q",),
+        "asks-retake": ("r",),
+        "point": ("enter",),
+        "palette": ("ctrl+p", *"alarm"),
+    },
+    "paused": {"asks-pause": ("space",)},
+    "fault": {"alarms": ("e",), "points": ("enter",)},
+    "done": {
+        "report": ("o",),
+        "plot-1": ("p", "1"),
+        "plot-2": ("p", "2"),
+        "plot-3": ("p", "3"),
+        "plot-4": ("p", "4"),
+        "history": ("h",),
+        "compare": ("h", "x", "down", "x", "c"),
+    },
+}
+
+pytestmark = pytest.mark.usefixtures("isolated")
 
 
-def differences(seen: dict[str, str], prefix: str) -> str:
-    """Return a unified diff of all screens whose names begin so; nothing where all are alike.
-
-    ``seen`` maps names to texts. A file that no screen stands for any more is a difference, too.
-    """
+def differences(seen: dict[str, str]) -> str:
+    """Return a unified diff with the files of these names; nothing where all are alike."""
     if os.environ.get(SWITCH) == "write":
-        _write(seen, prefix)
-    known = {path.stem: path.read_text("utf-8") for path in FOLDER.glob(f"{prefix}*.txt")}
-    names = sorted(known.keys() | seen.keys())
-    return "\n".join(_diff(name, known.get(name, ""), seen.get(name, "")) for name in names).strip()
+        for name, text in seen.items():
+            (FOLDER / f"{name}.txt").write_text(text, "utf-8")
+    return "\n".join(filter(None, map(_difference, seen, seen.values())))
 
 
-def _diff(name: str, known: str, seen: str) -> str:
+def _difference(name: str, seen: str) -> str:
+    file = FOLDER / f"{name}.txt"
+    known = file.read_text("utf-8") if file.exists() else ""
     lines = difflib.unified_diff(
         known.splitlines(), seen.splitlines(), f"{name} as kept", f"{name} now", lineterm=""
     )
     return "\n".join(lines)
 
 
-def _write(seen: dict[str, str], prefix: str) -> None:
-    FOLDER.mkdir(exist_ok=True)
-    for path in FOLDER.glob(f"{prefix}*.txt"):
-        if path.stem not in seen:
-            path.unlink()
-    for name, text in seen.items():
-        (FOLDER / f"{name}.txt").write_text(text, "utf-8")
-
-
-__all__ = ["isolated"]
-
-STATES = tuple(sample_runs())
-RUNS = Path("/runs")  # no folder of this machine: nothing is read there
-LEAST = 100
-THOROUGH = ("suspended", "intolerant")  # every screen also where it is crowded
-WIDE, LOW, TINY = (160, 40), (60, 15), (20, 5)
-
-pytestmark = pytest.mark.usefixtures("isolated")
-Walk = Callable[[RecordingApp, Pilot[int]], Awaitable[dict[str, str]]]
-
-
-def seen_on(app: RecordingApp, walk: Walk, size: tuple[int, int] = SIZE) -> dict[str, str]:
-    """Return what a walk sees on a terminal of some size."""
-
-    async def run_app() -> dict[str, str]:
-        async with app.run_test(size=size) as pilot:
-            return await walk(app, pilot)
-
-    return asyncio.run(run_app())
-
-
-def named(prefix: str, seen: dict[str, str]) -> dict[str, str]:
-    return {f"{prefix}-{name}": text for name, text in seen.items()}
-
-
-async def first_screen(app: RecordingApp, pilot: Pilot[int]) -> dict[str, str]:
+async def _pages(app: RecordingApp, pilot: Pilot[int], state: str) -> dict[str, str]:
+    """Return the run's screen and the pages that are kept of this state."""
     await settle(pilot)
-    return {"run": text_at_rest(app)}
+    home, seen = app.screen, {f"{state}-run": text_at_rest(app)}
+    for name, keys in PAGES.get(state, {}).items():
+        await press(pilot, *keys)
+        if isinstance(app.screen, CommandPalette):
+            while not app.screen.query_one(CommandList).option_count:
+                await settle(pilot)
+            await settle(pilot)
+        seen[f"{state}-{name}"] = text_at_rest(app)
+        while app.screen is not home:
+            app.pop_screen()
+            await settle(pilot)
+    return seen
+
+
+def first_screen(state: str, size: tuple[int, int], *, ascii_only: bool = False) -> str:
+    """Return what the run's screen shows on a terminal of some size."""
+    app = RecordingApp(options(RUNS, ascii_only=ascii_only), state)
+
+    async def look() -> str:
+        async with app.run_test(size=size) as pilot:
+            await settle(pilot)
+            return text_at_rest(app)
+
+    return asyncio.run(look())
 
 
 @pytest.mark.parametrize("state", STATES)
 def test_every_screen_looks_as_it_did(state: str) -> None:
-    seen = seen_on(RecordingApp(options(RUNS), state), screens_of)
-    problems = differences(named(state, seen), f"{state}-")
+    app = RecordingApp(options(RUNS), state)
+
+    async def look() -> dict[str, str]:
+        async with app.run_test(size=SIZE) as pilot:
+            return await _pages(app, pilot, state)
+
+    seen = asyncio.run(look())
+    problems = differences(seen)
     assert not problems, problems
     assert all(len(line) <= SIZE[0] for text in seen.values() for line in text.splitlines())
 
 
 def test_the_form_and_its_plan_look_as_they_did() -> None:
-    seen = seen_on(RecordingApp(options(RUNS)), form_of)
-    problems = differences(named("new", seen), "new-")
+    app = RecordingApp(options(RUNS))
+
+    async def look() -> dict[str, str]:
+        async with app.run_test(size=SIZE) as pilot:
+            return await form_of(app, pilot)
+
+    problems = differences({f"new-{name}": text for name, text in asyncio.run(look()).items()})
     assert not problems, problems
-
-
-def test_there_are_enough_of_them() -> None:
-    names = [path.stem for path in FOLDER.glob("*.txt")]
-    assert len([name for name in names if name.split("-")[0] in STATES]) >= LEAST
 
 
 @pytest.mark.parametrize("state", ["running", "suspended", "fault", "done"])
 def test_wider_terminals_add_panels(state: str) -> None:
-    seen = seen_on(RecordingApp(options(RUNS), state), first_screen, WIDE)
-    problems = differences(named(f"wide-{state}", seen), f"wide-{state}-")
-    assert not problems, problems
-    assert "map: |e|" in seen["run"]
-
-
-@pytest.mark.parametrize(
-    ("size", "has_map"), [((99, 24), False), ((100, 24), True), ((120, 24), False)]
-)
-def test_the_map_stands_where_the_table_needs_no_room(size: tuple[int, int], has_map: bool) -> None:
-    text = seen_on(RecordingApp(options(RUNS), "running"), first_screen, size)["run"]
-    assert ("map: " in text) == has_map
-    assert all(len(line) <= size[0] for line in text.splitlines())
-
-
-@pytest.mark.parametrize("rows", [28, 36, 45])
-def test_taller_terminals_add_interlocks_steps_and_events(rows: int) -> None:
-    text = seen_on(RecordingApp(options(RUNS), "running"), first_screen, (80, rows))["run"]
-    heads = ("interlocks", "next steps", "newest events")
-    found = [f"─ {head} ─" in text for head in heads]
-    assert found == [True, rows > 28, rows > 28]
-    lines = text.splitlines()
-    assert len(lines) == rows
-    assert "Esc STOP" in lines[-2]
-
-
-@pytest.mark.parametrize("state", STATES)
-def test_small_terminals_keep_the_state(state: str) -> None:
-    tiny = RecordingApp(options(RUNS), state)
-    walk = screens_of if state in THOROUGH else first_screen
-    for text in seen_on(tiny, walk, TINY).values():
-        assert tiny.glyphs.states[state] in text.splitlines()[0] or "╭" in text, text
-    low = seen_on(RecordingApp(options(RUNS), state), first_screen, LOW)
-    problems = differences(named(f"low-{state}", low), f"low-{state}-")
+    problems = differences({f"wide-{state}-run": first_screen(state, WIDE)})
     assert not problems, problems
 
 
+def test_no_file_is_kept_of_a_screen_that_is_gone() -> None:
+    seen = {f"{state}-run" for state in STATES} | {"new-form", "new-plan"}
+    seen |= {f"{state}-{name}" for state, pages in PAGES.items() for name in pages}
+    seen |= {f"wide-{state}-run" for state in ("running", "suspended", "fault", "done")}
+    assert {path.stem for path in FOLDER.iterdir()} == seen
+
+
 @pytest.mark.parametrize("state", STATES)
+def test_small_terminals_keep_the_state_and_the_stop(state: str) -> None:
+    for size in (LOW, TINY):
+        lines = first_screen(state, size).splitlines()
+        assert options(RUNS).glyphs.states[state] in lines[0]
+        assert all(len(line) <= size[0] for line in lines)
+        assert len(lines) == size[1]
+
+
+@pytest.mark.parametrize("state", [*STATES, ""])
 def test_ascii_is_ascii_on_every_screen(state: str) -> None:
-    walk = screens_of if state in THOROUGH else first_screen
-    seen = seen_on(RecordingApp(options(RUNS, ascii_only=True), state), walk)
-    for name, text in seen.items():
-        foreign = {letter for letter in text if not letter.isascii()}
-        assert not foreign, f"{name}: {foreign}\n{text}"
-    problems = differences({f"ascii-{state}-run": seen["run"]}, f"ascii-{state}-")
-    assert not problems, problems
+    """On one crowded state's every page, and on the first screen of all others."""
+    app = RecordingApp(options(RUNS, ascii_only=True), state)
 
+    async def look() -> dict[str, str]:
+        async with app.run_test(size=SIZE) as pilot:
+            if not state:
+                return await form_of(app, pilot)
+            if state == "intolerant":
+                return await screens_of(app, pilot)
+            await settle(pilot)
+            return {"run": text_at_rest(app)}
 
-def test_the_form_is_ascii_too() -> None:
-    seen = seen_on(RecordingApp(options(RUNS, ascii_only=True)), form_of)
-    assert "".join(seen.values()).isascii()
+    foreign = {name: set(text) for name, text in asyncio.run(look()).items() if not text.isascii()}
+    assert not foreign
