@@ -18,7 +18,6 @@ import pytest
 
 from hilcell.journal.engine_file import EngineFile
 from hilcell.run import client
-from hilcell.tui.engine import feed as feeds
 
 STATUS: dict[str, Any] = {
     "ok": True, "run": "r", "state": "running", "calibration": "grid", "points": 3,
@@ -69,8 +68,7 @@ class Peer:
         self._server.shutdown(socket.SHUT_RDWR)
         self._server.close()
         for thread in self._threads:
-            thread.join(10.0)
-            assert not thread.is_alive()
+            thread.join()
         shutil.rmtree(self._private)
 
     def hang_up(self) -> None:
@@ -86,10 +84,10 @@ class Peer:
         """Return what was heard, without the questions for the status."""
         return [command for _, command in self.heard if command != "status"]
 
-    def until(self, true: Callable[[], bool], limit_s: float = 10.0) -> None:
+    def until(self, true: Callable[[], bool]) -> None:
         """Wait until something is so; it is looked at whenever something is heard."""
         with self._changed:
-            assert self._changed.wait_for(true, limit_s), self.heard
+            self._changed.wait_for(true)
 
     def until_stops(self, count: int) -> None:
         """Wait until so many stops were heard."""
@@ -132,22 +130,6 @@ class Peer:
             self._changed.notify_all()
 
 
-class PauseGate:
-    """Answers as usual, but holds answers up, all or those to one command, until it is opened."""
-
-    def __init__(self, held: str = "") -> None:
-        self.held = held
-        self.asked, self.open = threading.Event(), threading.Event()
-
-    def answer(self, words: dict[str, Any]) -> bytes:
-        """Give an answer, when it may go."""
-        if self.held in ("", words["command"]):
-            self.asked.set()
-            assert self.open.wait(LIMIT_S)
-        return usual(words)
-
-
-PERIOD_S = 0.02
 ANSWER_S = 0.2  # instead of the seconds that an operator has
 LIMIT_S = 10.0
 
@@ -156,7 +138,6 @@ LIMIT_S = 10.0
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait for silent engines as long as a test may."""
     monkeypatch.setattr(client, "ANSWER_S", ANSWER_S)
-    monkeypatch.setattr(feeds, "REOPEN_S", 0.5)
 
 
 @pytest.fixture(autouse=True, scope="module")

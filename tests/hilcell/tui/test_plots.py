@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from pathlib import Path
 from typing import Any
 
@@ -209,22 +208,6 @@ def test_series_are_shown_one_by_one_and_then_all() -> None:
         choice.turn_series(3)
     assert seen == [0, 1, 2, 3]
     assert choice.series == 0
-
-
-def test_a_redraw_of_150_targets_is_quick() -> None:
-    story = measuring(0)
-    chance = np.random.default_rng(1)
-    for how, size in (("before", 1.2), ("chosen", 0.1)):
-        for number in range(75):
-            id = PointId("validate", station="S1100", how=how, number=number)
-            story.point(id, (1000.0, 200.0, 300.0), tuple(chance.normal(0.0, size, 3).tolist()))
-    of = measured_of(story)
-    choice, best_s = Choice(tab=1), math.inf
-    for _ in range(5):
-        began_s = time.perf_counter()
-        plot_lines(Measured(of.log), choice, 120, 33, Look())
-        best_s = min(best_s, time.perf_counter() - began_s)
-    assert best_s < 0.060
 
 
 def test_a_robot_on_the_floor_has_no_strip(tmp_path: Path) -> None:

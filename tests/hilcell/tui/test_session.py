@@ -2,57 +2,53 @@
 
 from __future__ import annotations
 
-import signal
-import subprocess
-import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 
 from hilcell.errors import HilcellError
+from hilcell.tui.engine import session as sessions
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import EngineState
-from hilcell.tui.engine.session import Session, utc_now
-from tests.hilcell.tui.engine_peer import (
-    ANSWER_S,
-    LIMIT_S,
-    PERIOD_S,
-    Peer,
-    none_before,
-    nothing_left_open,
-    short,
-    usual,
-)
+from hilcell.tui.engine.session import PATIENCE_S, Session, utc_now
+from tests.hilcell.tui.engine_peer import Peer
+from tests.hilcell.tui.scripted_engine import ScriptedEngine
 
-__all__ = ["none_before", "nothing_left_open", "short"]
+
+class Process:
+    """An engine's process, which a stop may end."""
+
+    ended = False
+
+    def poll(self) -> int | None:
+        """Return how it ended."""
+        return -15 if self.ended else None
+
+    def terminate(self) -> None:
+        """End."""
+        self.ended = True
+
+
+def session_of(folder: Path, process: Process | None = None) -> Session:
+    return Session(folder, lambda _: None, 1.0, cast("Any", process))
 
 
 def test_without_an_engine_nothing_is_asked_or_stopped(tmp_path: Path) -> None:
-    session = Session(tmp_path / "r", lambda _: None, PERIOD_S)
-    with pytest.raises(HilcellError, match="pause: no engine is running for r"):
+    session = session_of(tmp_path / "r")
+    with pytest.raises(HilcellError) as refused:
         session.ask("pause")
+    assert refused.value.code == "HC-J08"
     assert not session.stop()
     session.close(leave=True)
 
 
-def test_a_stop_finds_a_line_of_its_own(tmp_path: Path) -> None:
-    with Peer(tmp_path) as peer:
-        session = Session(tmp_path, lambda _: None, PERIOD_S)
-        assert session.stop()
-        peer.until(lambda: peer.commands == ["stop"] and peer.open == 0)
-        assert session.stop_heard
-        session.close(leave=True)
-
-
 def test_a_stop_that_was_heard_is_known_until_the_run_is_seen_to_have_ended(tmp_path: Path) -> None:
     with Peer(tmp_path) as peer:
-        session = Session(tmp_path, lambda _: None, PERIOD_S)
+        session = session_of(tmp_path)
         session.take(RunUpdate([], engine=EngineState.ANSWERING), utc_now())
-        assert session.stop()
-        peer.until(lambda: peer.commands == ["stop"])
+        assert session.stop()  # over a line of its own
+        peer.until(lambda: peer.commands == ["stop"] and peer.open == 0)
     # By now the stop has ended the engine.
     assert (session.stop(), session.stop_heard) == (False, True)
     session.take(RunUpdate([], engine=EngineState.NONE), utc_now())
@@ -60,49 +56,30 @@ def test_a_stop_that_was_heard_is_known_until_the_run_is_seen_to_have_ended(tmp_
     session.close(leave=True)
 
 
-def test_an_answer_may_take_as_long_as_a_look_of_the_tracker(tmp_path: Path) -> None:
-    looked = threading.Event()
-
-    def slow(command: dict[str, str]) -> bytes:
-        if command["command"] == "answer":
-            assert looked.wait(LIMIT_S)
-        return usual(command)
-
-    with Peer(tmp_path, slow):
-        session = Session(tmp_path, lambda _: None, PERIOD_S)
-        later = threading.Timer(3 * ANSWER_S, looked.set)
-        later.start()
-        session.ask("answer")  # raises where it gives up
-        later.join()
-        session.close(leave=True)
-
-
-# -- an engine that is being started ---------------------------------------------------------------
-
-
-@contextmanager
-def child() -> Iterator[subprocess.Popen[bytes]]:
-    """Give a process that does nothing, until the block is left."""
-    process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.communicate()
+def test_an_answer_may_take_as_long_as_a_look_of_the_tracker(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = ScriptedEngine()
+    monkeypatch.setattr(sessions, "EngineClient", engine)
+    session = session_of(tmp_path)
+    session.ask("answer")
+    assert (engine.asked, engine.patience_s) == (["answer"], [PATIENCE_S["answer"]])
+    assert engine.open == 0  # a line of its own
+    session.close(leave=True)
 
 
 def test_a_stop_ends_an_engine_that_hears_nobody_yet(tmp_path: Path) -> None:
-    with child() as process:
-        session = Session(tmp_path, lambda _: None, PERIOD_S, process)
-        assert session.stop()
-        assert process.wait(LIMIT_S) == -signal.SIGTERM
-        assert session.stop()  # said again, it is still so
+    process = Process()
+    session = session_of(tmp_path, process)
+    assert session.stop()
+    assert process.ended
+    assert session.stop()  # said again, it is still so
 
 
 def test_an_engine_that_was_heard_once_is_never_killed(tmp_path: Path) -> None:
-    with child() as process:
-        session = Session(tmp_path, lambda _: None, PERIOD_S, process)
-        session.take(RunUpdate([], engine=EngineState.ANSWERING), utc_now())
-        session.take(RunUpdate([], engine=EngineState.NONE), utc_now())
-        assert not session.stop()
-        assert process.poll() is None
+    process = Process()
+    session = session_of(tmp_path, process)
+    session.take(RunUpdate([], engine=EngineState.ANSWERING), utc_now())
+    session.take(RunUpdate([], engine=EngineState.NONE), utc_now())
+    assert not session.stop()
+    assert not process.ended

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import pytest
@@ -12,31 +12,25 @@ from textual.pilot import Pilot
 
 from hilcell.alarms.acknowledged import Acknowledged
 from hilcell.journal.journal import Record
+from hilcell.run import client
 from hilcell.run.control import Control
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import EngineState
 from hilcell.tui.engine.session import Session, utc_now
 from tests.hilcell.run import bed as beds
-from tests.hilcell.run.bed import Bed, Live, broken_beam, until
+from tests.hilcell.run.bed import Bed, Live, broken_beam
 from tests.hilcell.run.rig import Points, procedure
-from tests.hilcell.tui.engine_peer import (
-    PERIOD_S,
-    Peer,
-    none_before,
-    nothing_left_open,
-    says,
-    usual,
-)
 from tests.hilcell.tui.recording_app import RUNS, RecordingApp, RecordingSession, press, run_app
 from tests.hilcell.tui.sample_runs import FAULT, FAULT_TEXT, measuring, sample_runs
 
-__all__ = ["none_before", "nothing_left_open"]
+PERIOD_S = 0.02
 
 
 @pytest.fixture
 def asking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
     """A run that asks, because the beam is broken; screens may attend."""
     monkeypatch.setitem(beds.PLAN, "cell", msgspec.to_builtins(beds.CELL))
+    monkeypatch.setattr(client, "ANSWER_S", 600.0)  # a slow machine is not silent
     bed = Bed(tmp_path, unattended=False)
     bed.tracker.answer = broken_beam(10**6)
     with Live(bed, procedure(Points(1))) as live:
@@ -47,11 +41,24 @@ def asking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
         control.close()
 
 
-def screen(folder: Path) -> Session:
-    session = Session(folder, lambda update: session.take(update, utc_now()), PERIOD_S)
-    session.feed.start()
-    until(lambda: bool(session.latch.standing()) and session.feed.client is not None)
-    return session
+class Screen:
+    """A session that takes what its feed brings."""
+
+    def __init__(self, folder: Path) -> None:
+        self._looked = threading.Condition()
+        self.session = Session(folder, self._take, PERIOD_S)
+        self.session.feed.start()
+        self.until(lambda: bool(waiting(self.session)) and self.session.feed.client is not None)
+
+    def _take(self, update: RunUpdate) -> None:
+        with self._looked:
+            self.session.take(update, utc_now())
+            self._looked.notify_all()
+
+    def until(self, true: Callable[[], bool]) -> None:
+        """Wait until something is so after a look."""
+        with self._looked:
+            self._looked.wait_for(true)
 
 
 def waiting(session: Session) -> dict[str, bool]:
@@ -60,35 +67,16 @@ def waiting(session: Session) -> dict[str, bool]:
 
 
 def test_another_screen_and_a_later_one_know_it(tmp_path: Path, asking: Live) -> None:
-    first, second = screen(tmp_path), screen(tmp_path)
-    assert waiting(first) == waiting(second) == {"HC-T10": True}
-    first.send(first.acknowledge())
-    until(lambda: waiting(second) == {"HC-T10": False})
-    later = screen(tmp_path)
-    assert waiting(later) == {"HC-T10": False}
+    first, second = Screen(tmp_path), Screen(tmp_path)
+    assert waiting(first.session) == waiting(second.session) == {"HC-T10": True}
+    first.session.send(first.session.acknowledge())
+    second.until(lambda: waiting(second.session) == {"HC-T10": False})
+    later = Screen(tmp_path)
+    assert waiting(later.session) == {"HC-T10": False}
     (event,) = asking.bed.events("acknowledged")
     assert event["codes"] == ["HC-T10"]
     for each in (first, second, later):
-        each.close(leave=True)
-
-
-def test_an_older_engine_refuses_and_this_screen_alone_knows_it(tmp_path: Path) -> None:
-    def older(words: dict[str, Any]) -> bytes:
-        refused = says({"ok": False, "error": "commands: status, pause"})
-        return refused if words["command"] == "acknowledge" else usual(words)
-
-    run = measuring().state("suspended", reason=FAULT_TEXT, error=FAULT)
-    with Peer(tmp_path, older) as peer:
-        first = Session(tmp_path, lambda _: None, PERIOD_S)
-        first.feed.start()
-        peer.until(lambda: "attend" in peer.commands)
-        until(lambda: first.feed.client is not None)
-        first.take(RunUpdate(run.records, EngineState.ANSWERING), run.now)
-        first.send(first.acknowledge())
-        peer.until(lambda: "acknowledge" in peer.commands)
-        first.take(RunUpdate([], EngineState.ANSWERING), run.now)
-        assert waiting(first) == {"HC-T99": False}
-        first.close(leave=True)
+        each.session.close(leave=True)
 
 
 def test_without_an_engine_this_screen_alone_knows_it(tmp_path: Path) -> None:

@@ -16,15 +16,18 @@ import msgspec
 import pytest
 
 from hilcell.journal.journal import Journal, Record
-from hilcell.journal.runs import JOURNAL
+from hilcell.journal.runs import CALIBRATION, JOURNAL
 from hilcell.run.protocol import Status
-from hilcell.tui.engine.run_view import EngineState
 from tests.hilcell.tui.engine_peer import STATUS, Peer, says
 from tests.hilcell.tui.sample_runs import fresh, sample_runs, status
+from tests.hilcell.tui.terminal_colours import colours_of
 from tests.hilcell.tui.untrusted_text import NASTY, poisoned
 from tests.whole.terminal import Terminal
 
+pytestmark = pytest.mark.wall
+
 NAME = "20260304-080000-calibrate-ab12"
+OTHER = "20260303-080000-calibrate-cd34"
 ESC, ENTER, CTRL_C, CTRL_P, CTRL_Q = "\x1b", "\r", "\x03", "\x10", "\x11"
 # Every hostile piece as bytes; what Textual itself sends is none of them.
 PIECES = [
@@ -59,23 +62,29 @@ def live(folder: Path, name: str) -> Iterator[tuple[Terminal, Peer]]:
         Peer(folder, lambda _: says(reported(status(name)))) as peer,
         Terminal(["tui", folder.name, "--runs", str(folder.parent)]) as terminal,
     ):
-        terminal.shows("LIVE")
-        terminal.shows("Tracker 1.")
+        terminal.shows("LIVE", "Tracker 1.")
         yield terminal, peer
 
 
-# -- hostile words ---------------------------------------------------------------------------------
-
-
-def harmless(raw: bytes) -> None:
-    for piece in PIECES:
-        before, found, after = raw.partition(piece)
-        assert not found, (piece, before[-60:], after[:60])
-    assert not C1.search(raw)
+@contextmanager
+def past(runs: Path, *words: str, **environment: str) -> Iterator[Terminal]:
+    """Show the points of a run that is done."""
+    write(runs / NAME, fresh("done").records)
+    (runs / NAME / CALIBRATION).write_text("{}", encoding="utf-8")
+    order = ["tui", "last", "--runs", str(runs), *words]
+    with Terminal(order, columns=80, rows=24, **environment) as terminal:
+        terminal.shows("DONE", "w worst")
+        terminal.press("b")
+        terminal.press("b")
+        terminal.until(lambda text: "\n▌►" in text or "\n|>" in text)
+        yield terminal
 
 
 def gone(terminal: Terminal, title: str) -> None:
     terminal.until(lambda shown: title not in shown)
+
+
+# -- hostile words ---------------------------------------------------------------------------------
 
 
 WALK = (
@@ -88,19 +97,14 @@ WALK = (
 )
 
 
-@pytest.mark.parametrize("state", ["suspended", "fault"])
-def test_no_hostile_byte_reaches_the_terminal(tmp_path: Path, state: str) -> None:
-    text = "".join(text[:200] for text in NASTY.values())
-    found = poisoned(state, text)
+def test_no_hostile_byte_reaches_the_terminal(tmp_path: Path) -> None:
+    found = poisoned("suspended", "".join(text[:200] for text in NASTY.values()))
     folder = tmp_path / "runs" / NAME
     write(folder, found.records)
     named = os.fsencode(tmp_path / "runs") + b"/r\x1b[31mPWNED\xc2\x9b\x07\xe2\x80\xae\xff\xfe"
     write(Path(os.fsdecode(named)), fresh("done").records)
     words = ["tui", NAME, "--runs", str(folder.parent)]
-    with Peer(folder, lambda _: says(reported(found.status))) as peer, Terminal(words) as terminal:
-        if found.engine is EngineState.NONE:
-            peer.hang_up()
-            (folder / "engine.json").unlink()
+    with Peer(folder, lambda _: says(reported(found.status))), Terminal(words) as terminal:
         terminal.shows("PWNED")
         for key, title in WALK:
             terminal.press(key)
@@ -108,24 +112,17 @@ def test_no_hostile_byte_reaches_the_terminal(tmp_path: Path, state: str) -> Non
             terminal.press("q")
             gone(terminal, title)
         terminal.press("\x1b[200~" + "a\x07\u202eb" + "\x1b[201~/")
-        harmless(bytes(terminal.raw))
+        raw = bytes(terminal.raw)
+        assert [piece for piece in PIECES if piece in raw] == []
+        assert not C1.search(raw)
         assert not terminal.ended
-
-
-def test_a_run_whose_name_is_hostile_is_shown_by_it(tmp_path: Path) -> None:
-    folder = tmp_path / "r\x1b[31mPWNED\x9b[@click=app.quit][nope]\u202e"
-    write(folder, sample_runs()["done"].records)
-    with Terminal(["tui", "last", "--runs", str(tmp_path)], columns=200) as terminal:
-        terminal.shows("DONE")
-        terminal.press("h")
-        terminal.shows("[@click=app.quit][nope]")
-        harmless(bytes(terminal.raw))
 
 
 # -- stop ------------------------------------------------------------------------------------------
 
 
 def test_every_esc_reaches_the_engine_wherever_it_is_pressed(tmp_path: Path) -> None:
+    """Also together with the next key."""
     places = (
         ("", "LIVE", ""),
         ("/xyz", "no such point", "\x7f\x7f\x7f\r"),
@@ -149,94 +146,102 @@ def test_every_esc_reaches_the_engine_wherever_it_is_pressed(tmp_path: Path) -> 
                 gone(terminal, seen)
             terminal.until(lambda shown: "rms  state" in shown and "? help" in shown)
         assert set(peer.commands) == {"attend", "stop"}
+        stops = peer.commands.count("stop")
+        terminal.press(f"{ESC} ")
+        peer.until(lambda: peer.commands.count("stop") > stops)
 
 
-def look_at_another(terminal: Terminal) -> None:
-    """Open the run before the live one."""
-    terminal.press("h")
-    terminal.shows("2 of 2 runs")
-    terminal.press(f"\x1b[B{ENTER}")
-    terminal.shows("Esc still stops it")
-    terminal.answer(ENTER)
-
-
-def test_esc_stops_the_live_run_from_which_one_looked_at_another(tmp_path: Path) -> None:
-    write(tmp_path / "20260303-080000-calibrate-cd34", sample_runs()["done"].records)
+def test_a_live_run_behind_another_is_stopped_and_left_and_its_end_is_reported(
+    tmp_path: Path,
+) -> None:
+    write(tmp_path / OTHER, sample_runs()["done"].records)
     with live(tmp_path / NAME, "running") as (terminal, peer):
-        look_at_another(terminal)
-        terminal.shows("behind: RUNNING; q goes back, Esc stops")
+        terminal.press("h")
+        terminal.shows("2 of 2 runs")
+        terminal.press(f"\x1b[B{ENTER}")
+        terminal.shows("Esc still stops it")
+        terminal.answer(ENTER)
+        terminal.shows("behind: RUNNING")
         stops = peer.commands.count("stop") + 2
         terminal.press(ESC)
         peer.until_stops(stops)
         terminal.shows("STOP sent")
-        assert "leave" not in peer.commands  # a lost screen would be reported
-        terminal.press("q")
-        terminal.shows("LIVE")
-        terminal.press(ENTER)
-
-
-def test_a_background_run_that_ends_is_reported(tmp_path: Path) -> None:
-    write(tmp_path / "20260303-080000-calibrate-cd34", sample_runs()["done"].records)
-    with live(tmp_path / NAME, "running") as (terminal, peer):
-        look_at_another(terminal)
-        terminal.shows("behind: RUNNING")
-        (tmp_path / NAME / "engine.json").unlink()
-        peer.hang_up()
-        terminal.shows("the run behind,")
-        terminal.shows("has ended: ENGINE GONE")
-        terminal.shows("nothing is connected")
-
-
-@pytest.mark.parametrize("key", [CTRL_C, CTRL_Q])
-def test_leaving_with_a_live_run_behind_asks(tmp_path: Path, key: str) -> None:
-    write(tmp_path / "20260303-080000-calibrate-cd34", sample_runs()["done"].records)
-    with live(tmp_path / NAME, "running") as (terminal, peer):
-        look_at_another(terminal)
-        terminal.shows("behind: RUNNING")
-        terminal.press("n")
-        terminal.shows("new run: a run is live: stop, abort or detach from it first")
-        terminal.press(key)
+        terminal.answer(CTRL_C)
         terminal.shows("A run is live.")
         assert not terminal.ended
-        assert "leave" not in peer.commands
-        terminal.answer("y")
-        assert terminal.ends() == 0
-        peer.until(lambda: peer.open == 0)
-        assert peer.commands == ["attend", "leave"]
-
-
-def test_esc_with_the_next_key_in_one_breath_stops(tmp_path: Path) -> None:
-    with live(tmp_path / NAME, "running") as (terminal, peer):
-        terminal.press(f"{ESC} ")
-        peer.until(lambda: "stop" in peer.commands)
-
-
-def test_arrows_and_other_sequences_do_not_stop(tmp_path: Path) -> None:
-    with live(tmp_path / NAME, "suspended") as (terminal, peer):
-        terminal.press("\x1b[A\x1b[B\x1bOA\x1b[5~\x1b[6~\x1b[1;5C\x1b[I\x1b[200~x\x1b[201~")
-        terminal.answer(ENTER)
-        peer.until(lambda: "answer" in peer.commands)
-        assert set(peer.commands) == {"attend", "answer"}
+        terminal.answer("n")
+        gone(terminal, "A run is live.")
+        assert "leave" not in peer.commands  # a lost screen would be reported
+        (tmp_path / NAME / "engine.json").unlink()
+        peer.hang_up()
+        terminal.shows("has ended: ENGINE GONE")
 
 
 # -- leaving ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("key", [CTRL_C, CTRL_Q])
-def test_leaving_a_live_run_asks_and_is_reported_to_the_engine(tmp_path: Path, key: str) -> None:
-    with live(tmp_path / NAME, "running") as (terminal, peer):
-        terminal.press(key)
+def test_leaving_a_live_run_asks_and_is_reported_to_the_engine(tmp_path: Path) -> None:
+    """Before it, arrows and other sequences, which begin as Esc does, stop nothing."""
+    with live(tmp_path / NAME, "suspended") as (terminal, peer):
+        terminal.press("\x1b[A\x1b[B\x1bOA\x1b[5~\x1b[6~\x1b[1;5C\x1b[I\x1b[200~x\x1b[201~")
+        terminal.answer(ENTER)
+        peer.until(lambda: "answer" in peer.commands)
+        terminal.answer(CTRL_Q)
         terminal.shows("A run is live.")
         assert not terminal.ended
         terminal.answer("y")
         assert terminal.ends() == 0
         peer.until(lambda: peer.open == 0)
-        assert peer.commands == ["attend", "leave"]
+        assert peer.commands == ["attend", "answer", "leave"]
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGHUP, signal.SIGTERM])
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGHUP])
 def test_a_lost_screen_sends_no_leave(tmp_path: Path, how: signal.Signals) -> None:
     with live(tmp_path / NAME, "running") as (terminal, peer):
         os.kill(terminal.pid, how)
         peer.until(lambda: peer.open == 0)
         assert peer.commands == ["attend"]
+
+
+# -- colours and shapes: `test_capabilities` has the matrix ---------------------------------------
+
+
+def marked(terminal: Terminal, words: str) -> str:
+    """Return what of these words, where they are first seen, is in reverse video."""
+    rows = terminal.text.split("\n")
+    y = next(n for n, row in enumerate(rows) if words in row)
+    across = range(rows[y].index(words), rows[y].index(words) + len(words))
+    row = terminal.screen.buffer[y]
+    return "".join(row[x].data for x in across if row[x].reverse)
+
+
+def test_without_colours_none_is_sent_and_reverse_video_marks(tmp_path: Path) -> None:
+    unnamed = {"LC_ALL": "", "LC_CTYPE": "", "LANG": ""}  # a locale: shapes are believed to show
+    with past(tmp_path, "--theme", "daylight", NO_COLOR="1", **unnamed) as terminal:
+        chosen = next(row[1:] for row in terminal.text.split("\n") if row.startswith("▌►"))
+        for words in (" ● DONE ", "HISTORIC", " SIMULATION ", chosen):
+            assert marked(terminal, words) == words
+        assert marked(terminal, "r  re-measure") == "r "
+        terminal.press("/x")
+        terminal.until(lambda text: "no such point" in text and "▌x" in text)
+        (box,) = (row for row in terminal.screen.buffer.values() if row[1].data == "x")
+        assert [box[x].underscore for x in range(1, 5)] == [True, False, True, True]
+        assert [box[x].reverse for x in range(1, 5)] == [False, True, False, False]
+        terminal.press("\x7f\r\x10")
+        terminal.shows("bad only: show")
+        terminal.press("\x1b[B")
+        terminal.until(lambda _: marked(terminal, "bad only: show") == "bad only: show")
+        cells = (cell for row in terminal.screen.buffer.values() for cell in row.values())
+        assert {colour for cell in cells for colour in (cell.fg, cell.bg)} == {"default"}
+        assert colours_of(bytes(terminal.raw)) == set()
+
+
+def test_sixteen_colours_and_ascii_are_all_that_is_sent_where_they_are_asked_for(
+    tmp_path: Path,
+) -> None:
+    with past(tmp_path, "--colors", "16", NO_COLOR="1", LC_ALL="C") as terminal:
+        state, simulation = terminal.screen.buffer[0][1], terminal.text.index("SIMULATION")
+        assert (state.fg, state.bg) == ("black", "brightgreen")  # passed
+        assert terminal.screen.buffer[0][simulation].bg.endswith("magenta")
+        assert colours_of(bytes(terminal.raw)) == {"16"}
+        assert terminal.raw.isascii()
