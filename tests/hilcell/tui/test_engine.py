@@ -64,6 +64,7 @@ def test_commands_are_processes_whose_refusals_say_why(tmp_path: Path) -> None:
     assert "\n" not in str(refused.value)
     first, second = (start_engine(tmp_path, "r", ["run", "nothing"]) for _ in range(2))
     for engine in (first, second):
+        assert "--screen" in cast("list[str]", engine.process.args)  # moves before its eyes alone
         assert "'nothing'" in engine.wait_for_end()
     assert first.log_file != second.log_file
 
