@@ -146,6 +146,8 @@ def plan_of(cell: Cell, phase: str) -> PlanRecord:
         cell=msgspec.to_builtins(cell),
         digest=cell.digest,
         seed=1,
+        machine_seed=1,
+        cell_file=cell.name,
         speed=None,
         unattended=False,
         operator="",

@@ -99,7 +99,7 @@ def calibrated_machine(cell: Cell, table: str) -> int | None:
     folder = Path(chosen.calibration).parent
     if not is_run(folder):
         return None
-    return read_log(folder).inputs.truth_seed
+    return read_log(folder).inputs.machine_seed
 
 
 def record_of(calibration: Calibration, path: str) -> dict[str, Any]:

@@ -132,7 +132,7 @@ def show(args: argparse.Namespace) -> int:
     summary = _summary(row_of(folder), standings(read_index(folder.parent)).get(folder.name)) | {
         "digest": inputs.digest,
         "seed": inputs.seed,
-        "machine_seed": inputs.truth_seed,
+        "machine_seed": inputs.machine_seed,
         "calibration": log.calibration,
         "accepted": inputs.accepted or None,
         "fault": log.fault,

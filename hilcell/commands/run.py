@@ -364,7 +364,7 @@ def _run(
             speed = inputs.speed or math.inf
             with stopped_by_signals(noted):  # it waits for another process
                 simulated = start_simulation(
-                    cell, seed=inputs.truth_seed, speed=speed, session=log.session + 1
+                    cell, seed=inputs.machine_seed, speed=speed, session=log.session + 1
                 )
                 if simulated is not None:
                     stack.callback(simulated.close)

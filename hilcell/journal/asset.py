@@ -13,7 +13,7 @@ class Asset(msgspec.Struct, frozen=True, kw_only=True):
     ``device`` is the port by which it was reached: drive and strip are both at "Rail".
     """
 
-    kind: str
+    kind: str = ""
     device: str = ""
     maker: str = ""
     model: str = ""
@@ -29,14 +29,9 @@ class Asset(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def asset_of(entry: dict[str, Any]) -> Asset:
-    """Return a device of the event `connected`.
-
-    Journals without kinds say drive and strip of a rail by the first word of the model.
-    """
-    kind = entry.get("kind") or str(entry.get("device", "")).lower()
-    if kind == "rail":
-        kind = str(entry.get("model", "")).partition(" ")[0] or kind
-    return msgspec.convert(entry | {"kind": kind}, Asset)
+    """Return a device of the event `connected`; its name is its kind where it has no other."""
+    asset = msgspec.convert(entry, Asset)
+    return asset if asset.kind else msgspec.structs.replace(asset, kind=asset.device.lower())
 
 
 def same(before: Asset | None, now: Asset | None) -> bool:

@@ -192,15 +192,10 @@ class _Grid(msgspec.Struct):
     station: str
 
 
-class _Simulation(msgspec.Struct):
-    address: str = ""
-
-
 class _Cell(msgspec.Struct):
     name: str
     serial: str
     grid: _Grid
-    simulation: _Simulation | None = None
 
 
 class _Plan(msgspec.Struct):
@@ -210,15 +205,8 @@ class _Plan(msgspec.Struct):
     job: str
     seed: int
     simulated: bool
-    machine_seed: int | None = None
-    replayed: bool = False
-
-    @property
-    def truth_seed(self) -> int | None:
-        """Return the seed of the simulated machine, as `PlanRecord.truth_seed` has it."""
-        if self.cell.simulation is None or self.cell.simulation.address:
-            return None
-        return self.seed if self.machine_seed is None else self.machine_seed
+    machine_seed: int | None
+    replayed: bool
 
 
 class _Device(msgspec.Struct):
@@ -327,7 +315,7 @@ def _row(
         job=inputs.job,
         seed=inputs.seed,
         simulated=inputs.simulated,
-        machine_seed=inputs.truth_seed,
+        machine_seed=inputs.machine_seed,
         replayed=inputs.replayed,
         points=points,
         exit=last.exit if last is not None else None,

@@ -25,9 +25,8 @@ import msgspec
 
 from hilcell.errors import HilcellError
 from hilcell.journal.open_file import OpenFile
-from hilcell.journal.wal import damage_of
 
-SCHEMA = 1
+FORM = 2
 READ_BACK = 500  # records between two checks that the file holds what was acknowledged
 CACHE_KIB = 256  # of SQLite's pages: a writer that appends needs the last ones only
 ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)  # other errors hide a file
@@ -132,7 +131,6 @@ class Journal:
         self._listeners: list[Callable[[Record], None]] = []
         if not create and not path.is_file():
             raise StorageError(f"journal {path}: no such file; `hilcell runs` lists the runs")
-        _check_wal(path)
         try:
             self._base = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
             self._base.execute("PRAGMA journal_mode=WAL")
@@ -140,7 +138,7 @@ class Journal:
             self._base.execute(f"PRAGMA cache_size=-{CACHE_KIB}")
             if create:
                 self._base.executescript(f"BEGIN;{_TABLES}")  # all of it, or a file without tables
-                meta = (("schema", str(SCHEMA)), ("run", run))
+                meta = (("form", str(FORM)), ("run", run))
                 self._base.executemany("INSERT INTO meta VALUES (?, ?)", meta)
                 self._base.execute("COMMIT")
         except sqlite3.Error as error:
@@ -307,8 +305,6 @@ def read_journal(path: Path, after: int = 0) -> list[Record]:
     try:
         if not is_there(path):
             raise StorageError(f"journal {path}: no such file; `hilcell runs` lists the runs")
-        if not after:
-            _check_wal(path)
         with closing(_reader(path)) as base:
             return [record for record, _ in _stored(base, path, after)]
     except sqlite3.Error as error:
@@ -334,24 +330,6 @@ def session_began_s(path: Path, unknown_s: float) -> float:
 def _wal(path: Path) -> Path:
     """Return where the records are that are not in the journal's own file yet."""
     return path.with_name(f"{path.name}-wal")
-
-
-def _check_wal(path: Path) -> None:
-    """Refuse damage that SQLite takes for the journal's end: it would then delete what follows."""
-    damage = damage_of(_wal(path))
-    if damage is None:
-        return
-    with closing(_reader(path)) as base:
-        made = base.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]
-        query = "SELECT coalesce(max(seq), 0) FROM record" if made else "SELECT 0"
-        (kept,) = base.execute(query).fetchone()
-    raise StorageError(
-        f"journal {path}: damaged at record {kept + 1}: {damage.lost} records after it are lost; "
-        f"{_wal(path).name} was changed or damaged after the run was killed; fetch the run's "
-        "folder from the backup, or start a new run",
-        code="HC-J02",
-        record=kept + 1,
-    )
 
 
 def _reader(path: Path) -> sqlite3.Connection:
@@ -383,10 +361,10 @@ def _stored(base: sqlite3.Connection, path: Path, after: int = 0) -> Iterator[tu
             _check_pages(base, path)
         if not base.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
             return  # killed while it was made: nothing was recorded
-        found = dict(base.execute("SELECT name, value FROM meta")).get("schema")
-        if found != str(SCHEMA):
+        found = dict(base.execute("SELECT name, value FROM meta")).get("form")
+        if found != str(FORM):
             raise StorageError(
-                f"journal {path}: schema {found!r}, this hilcell reads {SCHEMA}; "
+                f"journal {path}: form {found or 'none'}, expected {FORM}; "
                 "open it with the version that wrote it",
                 code="HC-J03",
             )

@@ -7,17 +7,24 @@ of a point; everywhere else the screen says *grid point 1-0-0 at S1100*.
 from __future__ import annotations
 
 import re
-
-import msgspec
+from typing import Any
 
 from hilcell.journal.log import Log
-from hilcell.journal.old_keys import id_of_key
 from hilcell.journal.point_id import SEAT, PointId
-from hilcell.journal.point_words import KINDS, NEST_KINDS, point_words, target_words
+from hilcell.journal.point_words import (
+    HOLDS,
+    KINDS,
+    NEST_KINDS,
+    SIDES,
+    point_words,
+    target_words,
+)
 
 _KEY = re.compile(rf"(?<![\w/.])(?:{'|'.join(KINDS)})/[^\s,;:()]*[^\s,;:().]")
 _VERDICT = re.compile(r"(?<![\w/])verdict (?P<key>[^\s,;:]*[^\s,;:.])")
-_SEAT = re.compile(rf"(?P<rest>.+)/{SEAT}(?P<seat>\d{{1,3}})")
+_NUMBERED = re.compile(
+    rf"(?P<number>\d{{3}})(?P<side>[+-])?|(?P<place>\d)|axis(?P<axis>\d)|{SEAT}(?P<seat>\d{{1,3}})"
+)
 _AT = "validation."  # begins a verdict of one place
 _VERDICTS = {
     "sign": "sign check",
@@ -45,7 +52,7 @@ def key_words(key: str, log: Log) -> str:
     point = log.points.get(key)
     if point is not None:
         return point_words(point.id, point.station)
-    id = _id(key, log)
+    id = id_of(key, log)
     of_grid = id.kind == "grid" and log.plan is not None and not id.station
     return point_words(id, log.cell.grid.station if of_grid else "")
 
@@ -57,17 +64,24 @@ def verdict_words(key: str) -> str:
     return _VERDICTS.get(key, key.replace("-", " "))
 
 
-def _id(key: str, log: Log) -> PointId:
-    """Return the identity of a point that is not measured, as far as its key shows it."""
-    if found := _SEAT.fullmatch(key):
-        return msgspec.structs.replace(_id(found["rest"], log), seat=int(found["seat"]))
-    id = id_of_key(key)
-    if not id.target:
-        return id
-    parts = id.target.split("/")
+def id_of(key: str, log: Log) -> PointId:
+    """Return a point's identity, as far as its key shows it where it is not measured."""
+    if key in log.points:
+        return log.points[key].id
+    kind, *parts = key.split("/")
     stations = {each.name for each in log.cell.station} if log.plan is not None else set()
-    station = next((part for part in parts if part in stations), "")
-    kept = [part for part in parts if part != station]
-    if id.kind in NEST_KINDS:  # before it stands how often the nest was measured
-        kept = kept[-1:]
-    return PointId(id.kind, station=station, target=" ".join(kept))
+    found: dict[str, Any] = {}
+    rest: list[str] = []
+    for part in parts:
+        if part in stations:
+            found["station"] = part
+        elif match := _NUMBERED.fullmatch(part):
+            digits = match.groupdict() | {"side": match["side"] and f"{match['side']}1"}
+            found |= {name: int(text) for name, text in digits.items() if text}
+        elif kind in ("sign", "validate") or part in HOLDS:
+            found["how"] = part
+        else:
+            rest.append(SIDES.get(part, part))
+    if kind in NEST_KINDS:  # before it stands how often the nest was measured
+        rest = rest[-1:]
+    return PointId(kind, target=" ".join(rest), **found)

@@ -21,7 +21,6 @@ from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.driven import Driven
 from hilcell.journal.journal import Kind, NeverBegan, Record
 from hilcell.journal.link_record import LinkRecord
-from hilcell.journal.old_keys import id_of_key
 from hilcell.journal.packed import Packed
 from hilcell.journal.point_id import CONTROL, PointId
 from hilcell.journal.set_ups import SetUps, carried, world_key
@@ -158,25 +157,12 @@ class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
     steps: list[dict[str, Any]]
     points: int
     duration_s: float
-    machine_seed: int | None = None
-    cell_file: str = ""  # where the cell came from; "" in journals that do not say it
-    driven_by: list[
-        str
-    ] = []  # runs finished before, newest first: the poses that they drove are known
+    machine_seed: int | None  # of the simulated machine; None where this run did not start it
+    cell_file: str  # where the cell came from
+    driven_by: list[str] = []  # runs finished before, newest first: the poses they drove are known
     accepted: list[str] = []  # why the calibration that it uses should not be used
     floor_before: FloorBefore | None = None  # of the run that made the cell's current calibration
     replayed: bool = False  # it only repeats a recorded run, and measures nothing
-
-    @property
-    def truth_seed(self) -> int | None:
-        """The seed of the simulated machine; only a run that started the simulator knows it.
-
-        Runs of old had one seed for both, and some recorded it where nobody knew it.
-        """
-        simulation = self.cell.get("simulation")
-        if simulation is None or simulation.get("address"):
-            return None
-        return self.seed if self.machine_seed is None else self.machine_seed
 
 
 class CutOff(msgspec.Struct, frozen=True):
@@ -265,7 +251,7 @@ class Log:
 
     def read(self, record: Record) -> Point:
         """Return the point of a record, a later one may count, as seen from the first set-up."""
-        return self._carried(_point(record))
+        return self._carried(msgspec.convert(record.body | {"key": record.key}, Point))
 
     def _carried(self, point: Point) -> Point:
         """Return a point as its tracker would have seen it from the first set-up."""
@@ -454,13 +440,6 @@ class Log:
     def matrix(self, frame: str) -> Array:
         """Return a frame's homogeneous matrix (4, 4)."""
         return np.array(self.frames[frame]["matrix"], dtype=float)
-
-
-def _point(record: Record) -> Point:
-    body = record.body | {"key": record.key}
-    if "id" not in body:
-        body["id"] = msgspec.to_builtins(id_of_key(record.key))
-    return msgspec.convert(body, Point)
 
 
 def positions_mm(points: Iterable[Point]) -> Array:

@@ -7,8 +7,7 @@ records only.
 
 The file is a row of arrays in numpy's .npy format (version 1.0), each of dtype `SAMPLES` or
 `JOINTS`, in the order in which they came; times are the cell's clock's, but for ``device_s``, which
-is NaN where a robot's controller states none. Files of earlier versions have no ``device_s`` of the
-joints.
+is NaN where a robot's controller states none.
 """
 
 from __future__ import annotations
@@ -36,8 +35,9 @@ ROWS = 512  # rows that are gathered before an array is written
 SAMPLES = np.dtype(
     [("device_s", "<f8"), ("xyz_mm", "<f8", (3,)), ("after_s", "<f8"), ("by_s", "<f8")]
 )
-UNSTAMPED = np.dtype([("joints_rad", "<f8", (6,)), ("before_s", "<f8"), ("after_s", "<f8")])
-JOINTS = np.dtype([*UNSTAMPED.descr, ("device_s", "<f8")])
+JOINTS = np.dtype(
+    [("joints_rad", "<f8", (6,)), ("before_s", "<f8"), ("after_s", "<f8"), ("device_s", "<f8")]
+)
 Rows = NDArray[np.void]
 
 
@@ -189,7 +189,7 @@ def read_stream(run_folder: Path, record: StreamRecord) -> StreamData:
     source = io.BytesIO(data)
     while source.tell() < len(data):
         rows = np.lib.format.read_array(source, allow_pickle=False)
-        found[JOINTS if rows.dtype == UNSTAMPED else rows.dtype].append(_stamped(rows))
+        found[rows.dtype].append(rows)
     samples, joints = (np.concatenate(found[kind]) for kind in (SAMPLES, JOINTS))
     return StreamData(
         samples["device_s"],
@@ -199,16 +199,6 @@ def read_stream(run_folder: Path, record: StreamRecord) -> StreamData:
         np.column_stack([joints["before_s"], joints["after_s"]]),
         joints["device_s"],
     )
-
-
-def _stamped(rows: Rows) -> Rows:
-    """Return rows as they are written now."""
-    if rows.dtype != UNSTAMPED:
-        return rows
-    found = np.full(len(rows), np.nan, JOINTS)
-    for name in UNSTAMPED.names or ():
-        found[name] = rows[name]
-    return found
 
 
 def _sync_folder(folder: Path) -> None:

@@ -177,7 +177,7 @@ def _notes(first: Log, second: Log, *, grids: bool) -> Iterator[str]:
             yield f"the {which} run's tracker had no weather station: the air is not compared"
     for one, other in differing(first.assets, second.assets):
         yield f"the {one.kind} differs: {one.text} in the first run, {other.text} in the second"
-    seeds = (first.inputs.truth_seed, second.inputs.truth_seed)
+    seeds = (first.inputs.machine_seed, second.inputs.machine_seed)
     if None not in seeds and seeds[0] != seeds[1]:
         yield "the machines' seeds differ: these are two simulated cells, not one that drifted"
     measured = [bool(log.select("grid")) for log in (first, second)]
@@ -202,7 +202,7 @@ def _inputs(log: Log) -> dict[str, str]:
     inputs = log.inputs
     cell = {key: value for key, value in inputs.cell.items() if key != "simulation"}
     run = {"procedure": inputs.procedure, "seed": inputs.seed, "unattended": inputs.unattended}
-    machine = {} if inputs.truth_seed is None else {"machine_seed": inputs.truth_seed}
+    machine = {} if inputs.machine_seed is None else {"machine_seed": inputs.machine_seed}
     versions = {"versions": {"hilcell": inputs.versions.get("hilcell", "")}}
     return dict(_leaves(run | machine | versions | cell, ""))
 

@@ -203,7 +203,7 @@ def run_table(facts: Facts) -> list[Row]:
         ["digest", inputs.digest],
         ["journal", facts.fingerprint],
         ["seed", inputs.seed],
-        ["machine_seed", "" if inputs.truth_seed is None else inputs.truth_seed],
+        ["machine_seed", "" if inputs.machine_seed is None else inputs.machine_seed],
         ["simulated", _yes(inputs.simulated)],
         ["operator", inputs.operator],
         ["job", inputs.job],

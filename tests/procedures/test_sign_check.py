@@ -42,7 +42,8 @@ class FakeBench:
         self.keep("frame", "base", {"matrix": BASE.tolist()})
         values = msgspec.to_builtins(CELL)
         self.keep("plan", "", {
-            "procedure": "sign-check", "cell": values, "digest": "", "seed": 1, "speed": None,
+            "procedure": "sign-check", "cell": values, "digest": "", "seed": 1,
+            "machine_seed": 1, "cell_file": "paper", "speed": None,
             "unattended": True, "operator": "", "job": "", "simulated": True, "versions": {},
             "settings": {}, "steps": [], "points": 0, "duration_s": 0.0,
         })  # fmt: skip

@@ -182,7 +182,7 @@ def test_the_tool_really_is_turned_less(golden: GoldenRuns) -> None:
     the controller's zero of it cannot be told from the reflectors' mounting.
     """
     log = read_log(golden["seats"].folder)
-    cell, seed = log.cell, log.inputs.truth_seed
+    cell, seed = log.cell, log.inputs.machine_seed
     assert seed is not None
     arm = Plant(cell, seed, PlantTime(), Faults()).arm
     T_W_B = Frames(cell, log).base_in_world(cell.station_named("BASE"))
@@ -206,7 +206,7 @@ def test_bounds_in_use_cover_the_true_turns_and_a_measured_one_has_the_noise_of_
     """By the simulator's truth, in the {W} that the nests span, for visits of the same targets."""
     folder = golden["seats"].folder
     log, made = read_log(folder), read_calibration(folder / "calibration.json")
-    cell, seed, seats = log.cell, log.inputs.truth_seed, seats_of(log)
+    cell, seed, seats = log.cell, log.inputs.machine_seed, seats_of(log)
     assert seed is not None
     assert seats is not None
     plant, rng = Plant(cell, seed, PlantTime(), Faults()), np.random.default_rng(53)

@@ -17,9 +17,8 @@ from hilcell.calibration.pose_test import ISO
 from hilcell.cell.devices import load_entry
 from hilcell.clean import harmless
 from hilcell.errors import HilcellError
-from hilcell.journal.key_words import in_words
+from hilcell.journal.key_words import id_of, in_words
 from hilcell.journal.log import Log
-from hilcell.journal.old_keys import id_of_key
 from hilcell.journal.point_words import short_words
 from hilcell.journal.ways_sent import AS_SENT, CORRECTED, PAPER
 from hilcell.tui.engine.run_view import RunView
@@ -230,7 +229,10 @@ def _limit(limit_mm: float | None) -> str:
 def _of_recheck(found: _Recheck, log: Log) -> Result:
     worst = sorted(found.poses, key=lambda each: -gravest(each.error_mm))
     rows = [
-        [_target(each.pose, log), *map(figure, (each.bound_mm, each.error_mm, each.left_mm))]
+        [
+            short_words(id_of(each.pose, log)),
+            *map(figure, (each.bound_mm, each.error_mm, each.left_mm)),
+        ]
         for each in worst
     ]
     limits_mm = found.mean_tolerance_mm, found.max_tolerance_mm
@@ -242,11 +244,6 @@ def _of_recheck(found: _Recheck, log: Log) -> Result:
     headers = ["worst first", "predicted below mm", "now mm", "less the base's motion mm"]
     head = Head(*RECHECKED[found.verdict], figures)
     return Result(head, found.text, (headers, rows) if rows else None)
-
-
-def _target(key: str, log: Log) -> str:
-    point = log.points.get(key)
-    return short_words(id_of_key(key) if point is None else point.id)
 
 
 # -- drawing ---------------------------------------------------------------------------------------

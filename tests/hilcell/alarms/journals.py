@@ -51,7 +51,9 @@ def ended(error: HilcellError | None, code: int = 3, to: str = "faulted") -> Row
 
 
 def point(key: str, temperature_c: float | None = 20.0) -> Row:
+    kind, _, target = key.partition("/")
     return ("point", key, {
+        "id": {"kind": kind, "target": target},
         "group": "grid", "station": "S1100", "frame": "tracker", "reflector": "SMR", "samples": 1,
         "xyz_mm": (1.0, 2.0, 3.0), "std_mm": (0.0, 0.0, 0.0), "temperature_c": temperature_c,
         "pressure_mbar": 1013.0, "humidity_percent": 50.0, "session": 1,

@@ -101,41 +101,6 @@ def test_a_page_that_hides_its_last_records_is_noticed(tmp_path: Path) -> None:
 FRAME = 24 + 4096  # bytes of a -wal, after 32
 
 
-@pytest.mark.timeout(1200)
-@pytest.mark.parametrize("count", [12, pytest.param(1000, marks=pytest.mark.nightly)])
-def test_a_byte_changed_after_a_kill_cuts_off_no_records_in_silence(
-    tmp_path: Path, count: int
-) -> None:
-    """SQLite ends its -wal at the first frame that is bad, as after a loss of power."""
-    path = tmp_path / "journal.sqlite"
-    wal = path.with_name(f"{path.name}-wal")
-    content = killed(path, 30)
-    whole = read_journal(path)
-    assert len(whole) == 30
-    for at, change in places(len(content) - 2 * FRAME, count):  # the last commit may be torn
-        wal.write_bytes(content[:at] + bytes([content[at] ^ change]) + content[at + 1 :])
-        for _ in range(2):  # what was refused once is still there
-            with pytest.raises(StorageError, match="records after it are lost") as refused:
-                read_journal(path)
-        with pytest.raises(StorageError, match="records after it are lost"):
-            Journal(path, "r", create=False)
-        assert refused.value.code == "HC-J02"
-        assert wal.stat().st_size == len(content)
-    wal.write_bytes(content)
-    assert read_journal(path) == whole
-
-
-def test_the_refusal_counts_what_is_lost(tmp_path: Path) -> None:
-    path = tmp_path / "journal.sqlite"
-    wal = path.with_name(f"{path.name}-wal")
-    content = bytearray(killed(path, 30))
-    at = content.index(b"p/24")  # in the page as it was when this record was the newest
-    content[at] ^= 1
-    wal.write_bytes(content)
-    with pytest.raises(StorageError, match="damaged at record 25: 5 records after it are lost"):
-        read_journal(path)
-
-
 def test_a_torn_end_is_what_was_never_acknowledged(tmp_path: Path) -> None:
     path = tmp_path / "journal.sqlite"
     wal = path.with_name(f"{path.name}-wal")
@@ -145,14 +110,3 @@ def test_a_torn_end_is_what_was_never_acknowledged(tmp_path: Path) -> None:
         assert len(read_journal(path)) == 11
     wal.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
     assert len(read_journal(path)) == 11
-
-
-def test_frames_of_before_a_checkpoint_are_no_damage(tmp_path: Path) -> None:
-    path = tmp_path / "journal.sqlite"
-    written = Journal(path, "r", create=True)
-    for part in range(3):  # each shorter than what its -wal held before
-        for number in range(12 - 4 * part):
-            written.append("point", f"p/{part}/{number}", {"note": "x" * 250})
-        written.read_back()
-    assert len(read_journal(path)) == 24
-    written.close()

@@ -128,7 +128,7 @@ def test_a_changed_file_is_refused(path: Path, statement: str) -> None:
 
 def test_another_version_is_refused(path: Path) -> None:
     base = sqlite3.connect(filled(path))
-    base.execute("UPDATE meta SET value = '99' WHERE name = 'schema'")
+    base.execute("UPDATE meta SET value = '99' WHERE name = 'form'")
     base.commit()
     base.close()
     with pytest.raises(StorageError, match="99"):

@@ -39,9 +39,7 @@ def test_a_resumed_run_has_the_machine_that_it_began_with(
     assert main(["resume", "R", "--runs", str(tmp_path)]) == 3
     assert started == [5, 5]
     inputs = read_log(tmp_path / "R").inputs
-    assert (inputs.seed, inputs.machine_seed, inputs.truth_seed) == (2, 5, 5)
-    of_old = msgspec.structs.replace(inputs, machine_seed=None)
-    assert of_old.truth_seed == 2  # journals of schema 1 had one seed for both
+    assert (inputs.seed, inputs.machine_seed) == (2, 5)
 
 
 @pytest.mark.parametrize("address", ["", "127.0.0.1:9"])
@@ -60,9 +58,7 @@ def test_a_machine_that_this_run_did_not_start_has_no_seed_in_the_record(
     words = ["--name", "R", "--runs", str(tmp_path), f"--set=simulation.address={address}"]
     assert main(["run", "home", *words]) == 3
     inputs = read_log(tmp_path / "R").inputs
-    assert (inputs.seed, inputs.machine_seed, inputs.truth_seed) == (1, None, None)
-    of_old = msgspec.structs.replace(inputs, machine_seed=1)  # recorded, though nobody knew it
-    assert of_old.truth_seed is None
+    assert (inputs.seed, inputs.machine_seed) == (1, None)
 
 
 @pytest.mark.parametrize("option", ["--machine-seed", "--speed"])

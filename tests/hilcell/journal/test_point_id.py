@@ -1,4 +1,4 @@
-"""A point's identity gives its key; old journals have the key alone."""
+"""A point's identity gives its key and its group."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ import pytest
 
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
-from hilcell.journal.old_keys import id_of_key
 from hilcell.journal.point_id import PointId
 
-# Key and group of one point of every kind, as journals without identities hold them.
-OLD = [
+# Key and group of one point of every kind.
+KEYS = [
     ("world/F1", "world", PointId("world", nest="F1")),
     ("control/1-13/F3", "control", PointId("control", session=1, turn=13, nest="F3")),
     ("base/axis6/023", "base", PointId("base", axis=6, number=23)),
@@ -31,7 +30,6 @@ OLD = [
      PointId("repeat", how="plain", way="random", number=0, side=1)),
     ("campaign/17/SMR2", "campaign", PointId("campaign", pose="17", target="SMR2")),
 ]  # fmt: skip
-# A record of an old journal, as it is.
 BODY = {
     "group": "control", "station": "", "frame": "tracker", "reflector": "SMR 1.5in",
     "xyz_mm": [4394.250549462381, 245.22254947698647, -1507.8305077985306],
@@ -41,14 +39,9 @@ BODY = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("key", "group", "id"), OLD)
+@pytest.mark.parametrize(("key", "group", "id"), KEYS)
 def test_keys_and_groups_are_what_they_were(key: str, group: str, id: PointId) -> None:
     assert (id.key, id.group) == (key, group)
-
-
-@pytest.mark.parametrize(("key", "group", "id"), OLD)
-def test_an_old_journals_keys_are_read(key: str, group: str, id: PointId) -> None:
-    assert id_of_key(key) == id
 
 
 def test_a_pose_s_other_reflectors_are_points_of_their_own() -> None:
@@ -65,42 +58,19 @@ def test_a_pose_s_other_reflectors_are_points_of_their_own() -> None:
     assert [point.id for point in log.select("validate", seat=3)] == [third]
 
 
-@pytest.mark.parametrize(("key", "group", "id"), OLD)
+@pytest.mark.parametrize(("key", "group", "id"), KEYS)
 def test_identities_survive_a_journal(key: str, group: str, id: PointId) -> None:
     assert msgspec.json.decode(msgspec.json.encode(id), type=PointId) == id
 
 
-@pytest.mark.parametrize(
-    "key",
-    [
-        "grid",
-        "grid/0-0",
-        "grid/00-0-0",
-        "repeatability/0/1",
-        "mine/a/b",
-        "validate/S1/idw/x",
-        "=1+1",
-    ],
-)
-def test_a_key_of_another_form_is_kept_whole(key: str) -> None:
-    found = id_of_key(key)
-    assert found.key == key
-    assert (found.vertex, found.place, found.number) == ((), None, None)
-
-
-def test_a_record_of_an_old_journal_is_a_point() -> None:
-    log = Log([Record(1, "", "point", "control/1-1/F1", BODY)])
-    (point,) = log.select("control")
-    assert point.id == PointId("control", session=1, turn=1, nest="F1")
-    assert log.find(point.id) == point
-    assert log.find(PointId("world", nest="F1")) is None
-
-
 def test_points_are_selected_by_fields() -> None:
     log = Log(
-        Record(seq, "", "point", id.key, BODY | {"group": group, "station": id.station})
-        for seq, (_, group, id) in enumerate(OLD, start=1)
-    )
+        Record(
+            seq, "", "point", id.key,
+            BODY | {"group": group, "station": id.station, "id": msgspec.to_builtins(id)},
+        )
+        for seq, (_, group, id) in enumerate(KEYS, start=1)
+    )  # fmt: skip
     for found, wanted in (
         (log.select("frames", "S300", axis=1), ["frames/S300/axis1/000"]),
         (log.select("frames", axis=6), []),

@@ -1,11 +1,9 @@
 from __future__ import annotations
 
-import hashlib
 import os
 import stat
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -53,19 +51,6 @@ def test_the_controller_s_own_times_are_kept(tmp_path: Path) -> None:
         file.take([block(0, 3)], [JointSample(JOINTS_RAD, 1.0, 2.0, 77.5)])
         record = file.finish()
     assert read_stream(tmp_path, record).stamped_s.tolist() == [77.5]
-
-
-def test_a_file_of_an_earlier_version_has_none(tmp_path: Path) -> None:
-    rows = np.zeros(2, stream_file.UNSTAMPED)
-    rows["before_s"], rows["after_s"] = [1.0, 2.0], [1.5, 2.5]
-    record = written(tmp_path, 3)
-    path = tmp_path / FOLDER / record.file
-    with path.open("ab") as file:
-        np.lib.format.write_array(file, rows, version=(1, 0))
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    data = read_stream(tmp_path, msgspec.structs.replace(record, sha256=digest))
-    assert data.asked_s.tolist() == [[0, 0.25], [1, 1.5], [2, 2.5]]
-    assert np.isnan(data.stamped_s).all()
 
 
 def test_a_stream_is_on_the_disk_before_it_has_its_name(

@@ -97,6 +97,7 @@ def plan_record() -> dict[str, Any]:
     cell = load_cell("paper")
     return {
         "procedure": "home", "cell": msgspec.to_builtins(cell), "digest": cell.digest, "seed": 7,
+        "machine_seed": 7, "replayed": False, "cell_file": "paper",
         "speed": None, "unattended": True, "operator": "A. Technician", "job": "J-17",
         "simulated": True, "versions": {"hilcell": "0.1.0", "python": "3.11"}, "settings": {},
         "steps": [], "points": 8, "duration_s": 60.0,

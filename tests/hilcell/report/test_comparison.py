@@ -275,6 +275,7 @@ def test_settings_are_compared_key_by_key(first: Log, records: list[Record]) -> 
         cell["robot"]["joint"][2]["d_mm"] = -1.0
         cell["layout"]["slide"][0]["name"] = "P9"
         cell["simulation"]["address"] = "127.0.0.1:9"
+        plan["machine_seed"] = None
         plan["versions"]["hilcell"] = "9.9.9"
 
     found = {

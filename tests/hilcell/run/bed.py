@@ -27,7 +27,8 @@ from tests.hilcell.run.rig import DeskRail, DeskRobot, DeskTracker, desk
 QUICK = {"settle.robot_s": "0.0", "settle.rail_s": "0.0", "plan.unattended_wait_s": "0"}
 CELL = load_cell("paper", QUICK)
 PLAN = {
-    "procedure": "desk", "cell": {}, "digest": "", "seed": 1, "speed": None, "unattended": True,
+    "procedure": "desk", "cell": {}, "digest": "", "seed": 1, "machine_seed": 1,
+    "cell_file": "paper", "replayed": False, "speed": None, "unattended": True,
     "operator": "", "job": "", "simulated": True, "versions": {}, "settings": {}, "steps": [],
     "points": 3, "duration_s": 1.0,
 }  # fmt: skip

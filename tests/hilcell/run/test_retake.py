@@ -18,6 +18,7 @@ from tests.hilcell.run.bed import Bed, Live, until
 from tests.hilcell.run.rig import procedure
 
 POINT = {
+    "id": {"kind": "grid", "target": "key"},
     "reflector": "SMR",
     "xyz_mm": (0.0, 0.0, 0.0),
     "std_mm": (0.0, 0.0, 0.0),

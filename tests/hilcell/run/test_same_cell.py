@@ -105,7 +105,7 @@ def other_rail(bed: Bed) -> str:
 
     assert bed.run(procedure(Points(2, fail))) == 3
     bed.rail.identity = replace(bed.rail.identity, serial="77")
-    return "desk: desk, serial 1 before, desk, serial 77 now"
+    return "rail: desk, serial 1 before, desk, serial 77 now"
 
 
 def test_nobody_there_another_rail_is_refused_again_and_again(tmp_path: Path) -> None:

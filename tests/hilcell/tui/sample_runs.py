@@ -89,7 +89,8 @@ def _plan() -> dict[str, Any]:
     cell = load_cell("paper", {})
     return {
         "procedure": "calibrate", "cell": msgspec.to_builtins(cell), "digest": cell.digest,
-        "seed": 1, "speed": None, "unattended": False, "operator": "Ann", "job": "J-7",
+        "seed": 1, "machine_seed": 1, "cell_file": "paper", "speed": None,
+        "unattended": False, "operator": "Ann", "job": "J-7",
         "simulated": True, "versions": {"hilcell": "0.1.0"}, "settings": {},
         "steps": [{"name": n, "points": p, "duration_s": d} for n, p, d in STEPS],
         "points": sum(p for _, p, _ in STEPS), "duration_s": sum(d for _, _, d in STEPS),
