@@ -1,5 +1,5 @@
-"""Tests of hilcell; workers are as many as processors, so each computes in one thread."""
+"""Tests of everything, on one thread of linear algebra as the command has it."""
 
 import os
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is loaded
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy is imported
