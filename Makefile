@@ -24,8 +24,8 @@ suite: $(VENV)/compiled  ## every test but the long sweeps, in random order on a
 nightly: lint  ## every test and every long sweep, property tests with fresh seeds
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "" --timeout 1200 --hypothesis-profile nightly
 
-mutants: $(VENV)/more  ## deliberate breaks, each of which a test must notice; ONLY=name for one
-	$(BIN)/python -m tests.mutants $(ONLY)
+mutants: $(VENV)/more  ## deliberate breaks, each of which a test must notice; ONLY=name, or ONLY=hilcell.run
+	$(BIN)/python -m campaigns.breaks $(ONLY)
 
 torture: $(VENV)/more  ## the long campaigns: faults, disturbances, kills, fuzz, days, ..; ONLY=name for one
 	$(BIN)/python -m tests.torture $(ONLY)

@@ -34,7 +34,7 @@ settings.register_profile(
     "nightly", settings.get_profile("suite"), derandomize=False, max_examples=1000
 )
 settings.register_profile(  # of a break: whether an example fails, not which is the least
-    "mutants", settings.get_profile("suite"), phases=(Phase.explicit, Phase.generate)
+    "breaks", settings.get_profile("suite"), phases=(Phase.explicit, Phase.generate)
 )
 settings.load_profile("suite")
 

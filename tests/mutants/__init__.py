@@ -1,1 +1,0 @@
-"""Deliberate breaks of the product, each of which `make test` must notice: `make mutants`."""
