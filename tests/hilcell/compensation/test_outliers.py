@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hilcell.compensation.outliers import _quantile, outlying
+from hilcell.compensation.outliers import outlying
 from hilcell.geometry.kinematics import Array
 
 SHAPE = (4, 4, 4)
@@ -50,14 +50,6 @@ def test_less_than_a_reading_may_deviate_never_stands_out() -> None:
 
 def test_nan_stands_out() -> None:
     assert len(found(np.full((*SHAPE, 3), np.nan))) == 64
-
-
-@pytest.mark.parametrize(
-    ("share", "exact"), [(0.5, 1.5382), (0.95, 2.7955), (0.99, 3.3682), (0.9999, 4.5943)]
-)
-def test_quantiles_of_a_distance(share: float, exact: float) -> None:
-    """Roots of tabulated chi-square quantiles, 3 degrees of freedom."""
-    assert _quantile(share) == pytest.approx(exact, rel=0.02)
 
 
 def test_two_neighbours_that_stand_out_are_both_found() -> None:

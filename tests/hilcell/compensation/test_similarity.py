@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -36,7 +36,7 @@ def test_eq_8(one: np.ndarray, other: np.ndarray) -> None:
         assert found == pytest.approx(1 / np.linalg.norm(one - other))
 
 
-def test_equal_errors_are_infinitely_similar_by_definition() -> None:
+def test_equal_errors_are_infinitely_similar() -> None:
     found = similarity([[1.0, 2.0, 3.0]] * 2, [[1.0, 2.0, 3.0], [1.0, 2.0, 5.0]])
     np.testing.assert_array_equal(found, [np.inf, 0.5])
 
@@ -70,6 +70,7 @@ def clouds(rng: np.random.Generator) -> np.ndarray:
     return (centres[:, None] + rng.normal(0, 0.05, (20, 15, 6))).reshape(-1, 6)
 
 
+@settings(max_examples=10)
 @given(seeds)
 def test_similarity_falls_with_joint_distance(seed: int) -> None:
     pairs = pairs_of(clouds(np.random.default_rng(seed)), seed)
@@ -80,6 +81,7 @@ def test_similarity_falls_with_joint_distance(seed: int) -> None:
     assert known[0] > 4 * known[-1]  # far poses differ alike, however far
 
 
+@settings(max_examples=8)
 @given(seeds)
 def test_at_one_orientation_and_configuration_points_stand_for_joints(seed: int) -> None:
     pairs = pairs_of(fixed_joints(np.random.default_rng(seed)), seed)
@@ -142,10 +144,17 @@ def test_edges_that_do_not_rise_are_refused(edges: list[float]) -> None:
         binned(np.ones(3), np.ones(3), edges)
 
 
-def test_what_makes_no_pairs_is_refused() -> None:
-    with pytest.raises(SimilarityError, match="N >= 2"):
-        similarity_pairs(np.zeros((1, 6)), np.zeros((1, 3)), np.zeros((1, 3)))
-    with pytest.raises(SimilarityError, match="shapes"):
-        similarity_pairs(np.zeros((3, 6)), np.zeros((2, 3)), np.zeros((3, 3)))
-    with pytest.raises(SimilarityError, match="finite"):
-        similarity_pairs(np.full((3, 6), np.nan), np.zeros((3, 3)), np.zeros((3, 3)))
+@pytest.mark.parametrize(
+    ("joints", "points", "errors_mm"),
+    [
+        (np.zeros((1, 6)), np.zeros((1, 3)), np.zeros((1, 3))),
+        (np.zeros((3, 6)), np.zeros((2, 3)), np.zeros((3, 3))),
+        (np.full((3, 6), np.nan), np.zeros((3, 3)), np.zeros((3, 3))),
+    ],
+    ids=["one pose", "other shapes", "not finite"],
+)
+def test_what_makes_no_pairs_is_refused(
+    joints: np.ndarray, points: np.ndarray, errors_mm: np.ndarray
+) -> None:
+    with pytest.raises(SimilarityError):
+        similarity_pairs(joints, points, errors_mm)

@@ -83,7 +83,7 @@ def test_a_posture_that_is_no_number_proves_nothing() -> None:
         spoilt = [each.copy()[None] for each in ends]
         spoilt[which][0, axis] = value
         with np.errstate(invalid="ignore"):
-            assert around.prove(*spoilt, WANTED_MM).clear.tolist() == [False]
+            assert around.prove(spoilt[0], spoilt[1], WANTED_MM).clear.tolist() == [False]
 
 
 def test_a_base_that_is_no_number_proves_nothing() -> None:
