@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from hilcell.plant.database import Database
-from tests.conftest import shared_folder
-from tests.hilcell.plant.server import BLANK, MISSING, Server, server, shared_server
+from tests.hilcell.plant.server import BLANK, MISSING, Server, server
 from tests.hilcell.plant.year import Model
 from tests.whole.golden import GoldenRuns
 
@@ -43,24 +42,21 @@ def office(blank: Path, tmp_path: Path) -> Iterator[Database]:
 
 
 @pytest.fixture(scope="session")
-def _server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Server, Path]]:
+def _server() -> Iterator[Server]:
     if MISSING:
         pytest.skip(MISSING)
-    with shared_server(shared_folder(tmp_path_factory) / "plant") as found:
+    with server() as found:
+        with closing(Database(found.make(BLANK))) as database:
+            database.make()
         yield found
 
 
-@pytest.fixture(scope="session")
-def postgresql(_server: tuple[Server, Path]) -> Server:
-    """Return the server of all tests, or skip where PostgreSQL is not installed."""
-    return _server[0]
-
-
-@pytest.fixture(scope="module")
-def mortal(_server: tuple[Server, Path]) -> Iterator[Server]:
-    """Return a server that a test may kill and start again."""
-    with server(made=_server[1]) as found:
-        yield found
+@pytest.fixture
+def postgresql(_server: Server) -> Server:
+    """Return a server that a test may kill, or skip where PostgreSQL is not installed."""
+    if not _server.runs:
+        _server.start()
+    return _server
 
 
 @pytest.fixture

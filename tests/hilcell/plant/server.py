@@ -1,12 +1,7 @@
-"""PostgreSQL servers of the tests: each in a folder of its own, on a socket there.
-
-One is shared by all workers: the first makes and starts it, the last to leave ends it. Tests that
-kill a server have one of their own, a copy of the shared one as it was when it was made.
-"""
+"""A PostgreSQL server in a folder of its own, on a socket there."""
 
 from __future__ import annotations
 
-import fcntl
 import os
 import pwd
 import secrets
@@ -15,13 +10,12 @@ import signal
 import subprocess
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO
 
 import psycopg
 
-from hilcell.plant.database import Database
+from tests.whole.bench import children, wait_gone
 
 BINARIES = sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)
 PLACES = os.pathsep.join([os.environ.get("PATH", ""), *map(str, BINARIES)])
@@ -29,7 +23,6 @@ PLACES = os.pathsep.join([os.environ.get("PATH", ""), *map(str, BINARIES)])
 FAST = ("fsync=off", "full_page_writes=off", "shared_buffers=32MB")
 READY_S = 60.0
 BLANK = "blank"  # a database with the plant's tables, of which others are copies
-MADE = "made"  # the folder of a server's data as it was when it was made
 
 
 def program(name: str) -> str | None:
@@ -57,10 +50,6 @@ class Server:
         """Make its data."""
         self._do("initdb", "-D", self._data, "-U", "owner", "-A", "trust", "-N", "-E", "UTF8")
 
-    def copy(self, to: Path) -> None:
-        """Copy its data, with their owner, to another folder."""
-        subprocess.run(["cp", "-a", self._data, to], check=True)
-
     def start(self) -> None:
         """Start it, and wait until it takes connections."""
         options = f"-k {self._folder} -c listen_addresses= "
@@ -74,24 +63,29 @@ class Server:
         pid = self._pid()
         try:
             os.kill(pid, signal.SIGSTOP)  # first: then it has no further children
-            _signal(_children(pid), signal.SIGSTOP)
+            _signal(children(pid), signal.SIGSTOP)
             yield
         finally:
-            _signal([pid, *_children(pid)], signal.SIGCONT)
+            _signal([pid, *children(pid)], signal.SIGCONT)
 
     def kill(self) -> None:
         """Kill it as a power loss would: every process at once."""
-        family = [self._pid(), *_children(self._pid())]
+        family = [self._pid(), *children(self._pid())]
         _signal(family, signal.SIGKILL)
         for each in family:
-            _wait_gone(each)
+            wait_gone(each)
         # Where nobody reaps it, a dead server's number looks alive to the next one.
         for left in (self._data / "postmaster.pid", *self._folder.glob(".s.PGSQL.*")):
             left.unlink(missing_ok=True)
 
+    @property
+    def runs(self) -> bool:
+        """Whether it was started and not killed since."""
+        return (self._data / "postmaster.pid").exists()
+
     def stop(self) -> None:
         """End it, if it runs."""
-        if (self._data / "postmaster.pid").exists():
+        if self.runs:
             self._do("pg_ctl", "stop", "-m", "immediate", "-D", self._data)
 
     def ask_password(self, user: str) -> None:
@@ -135,61 +129,16 @@ class Server:
 
 
 @contextmanager
-def server(settings: tuple[str, ...] = FAST, made: Path | None = None) -> Iterator[Server]:
-    """Run a server in a folder of its own; ``made`` are data that it begins with a copy of."""
+def server(settings: tuple[str, ...] = FAST) -> Iterator[Server]:
+    """Run a server in a folder of its own."""
     with tempfile.TemporaryDirectory(prefix="hilcell-plant-") as folder:
         found = Server(Path(folder), settings)
-        if made is None:
-            found.init()
-        else:
-            subprocess.run(["cp", "-a", made, Path(folder, "data")], check=True)
+        found.init()
         found.start()
         try:
             yield found
         finally:
             found.stop()
-
-
-@contextmanager
-def shared_server(notes: Path) -> Iterator[tuple[Server, Path]]:
-    """Run one server for all workers; yield it, and its data as they were when it was made.
-
-    ``notes`` is a folder that all workers share; the server's own user may not enter it.
-    """
-    notes.mkdir(exist_ok=True)
-    with (notes / "lock").open("w") as lock, (notes / "users").open("w") as users:
-        with _held(lock):
-            if not (notes / "place").exists():
-                place = Path(tempfile.mkdtemp(prefix="hilcell-plant-"))
-                _begin(Server(place), place / MADE)
-                (notes / "place").write_text(str(place))
-            fcntl.flock(users, fcntl.LOCK_SH)
-        place = Path((notes / "place").read_text())
-        try:
-            yield Server(place), place / MADE
-        finally:
-            with _held(lock), suppress(BlockingIOError):
-                fcntl.flock(users, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                Server(place).stop()
-                (notes / "place").unlink()
-                shutil.rmtree(place)
-
-
-def _begin(server: Server, made: Path) -> None:
-    server.init()
-    server.copy(made)
-    server.start()
-    with closing(Database(server.make(BLANK))) as database:
-        database.make()
-
-
-@contextmanager
-def _held(lock: IO[str]) -> Iterator[None]:
-    fcntl.flock(lock, fcntl.LOCK_EX)
-    try:
-        yield
-    finally:
-        fcntl.flock(lock, fcntl.LOCK_UN)
 
 
 def _user() -> str:
@@ -200,23 +149,7 @@ def _user() -> str:
     return "postgres" if "postgres" in known else "nobody"
 
 
-def _children(pid: int) -> list[int]:
-    found = []
-    for path in Path("/proc").iterdir():
-        if path.name.isdigit():
-            with suppress(OSError):
-                stat = (path / "stat").read_text().rsplit(")", 1)[1].split()
-                found += [int(path.name)] if int(stat[1]) == pid else []
-    return found
-
-
 def _signal(pids: list[int], number: signal.Signals) -> None:
     for pid in pids:
         with suppress(ProcessLookupError):
             os.kill(pid, number)
-
-
-def _wait_gone(pid: int) -> None:
-    from tests.whole.bench import wait_gone
-
-    wait_gone(pid)

@@ -1,13 +1,14 @@
-"""A shipper in a process of its own that dies at a moment that the test chose."""
+"""A shipper that dies at a moment that the test chose."""
 
 from __future__ import annotations
 
 import os
 import signal
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 
-from sqlalchemy import event
+from sqlalchemy import Engine, event
 
 from hilcell.plant.database import Database
 from hilcell.plant.shipper import ship
@@ -15,18 +16,41 @@ from hilcell.plant.shipper import ship
 MOMENTS = ("before_cursor_execute", "commit", "checkin")  # of a connection: the commit is done
 
 
-def ship_and_die(runs: str, url: str, order: int, seconds: float) -> None:
-    """Ship; die before the ``order``-th order to the database, or after so many seconds."""
+class Killed(BaseException):
+    """Nothing of the shipper runs any more."""
+
+
+def _die() -> None:
+    raise Killed
+
+
+@contextmanager
+def dying_before(
+    order: int, engine: Engine | type[Engine], die: Callable[[], None] = _die
+) -> Iterator[None]:
+    """Call ``die`` before the ``order``-th order to the database, once."""
     left = [order]
 
     def count(*_: object) -> None:
         left[0] -= 1
         if not left[0]:
-            os.kill(os.getpid(), signal.SIGKILL)
+            die()
 
-    signal.setitimer(signal.ITIMER_REAL, seconds)  # SIGALRM ends the process at once
-    with closing(Database(url)) as database:
+    for name in MOMENTS:
+        event.listen(engine, name, count)
+    try:
+        yield
+    finally:
         for name in MOMENTS:
-            event.listen(database.engine, name, count)
+            event.remove(engine, name, count)
+
+
+def ship_and_die(runs: str, url: str, order: int, seconds: float) -> None:
+    """Ship in a process of its own; end it before an order, or after so many seconds."""
+    signal.setitimer(signal.ITIMER_REAL, seconds)  # SIGALRM ends the process at once
+    with (
+        closing(Database(url)) as database,
+        dying_before(order, database.engine, lambda: os.kill(os.getpid(), signal.SIGKILL)),
+    ):
         ship(Path(runs), database)
     signal.setitimer(signal.ITIMER_REAL, 0.0)

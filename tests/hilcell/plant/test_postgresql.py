@@ -1,9 +1,8 @@
-"""What only a server has: roles, partitions, rights; and the schema on both stores."""
+"""What only a server has: roles, partitions, rights, logins; and the schema on both stores."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
+import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from datetime import UTC, datetime, timedelta
@@ -18,9 +17,8 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from sqlalchemy import Table, event, make_url, select
+from sqlalchemy import Table, event, make_url, select, text
 
-from hilcell.commands.cli import main
 from hilcell.journal.runs import read_records
 from hilcell.plant.database import CELL, ENGINEER, MIGRATIONS, Database
 from hilcell.plant.record import GridErrors, LengthEntry, heads, record_of
@@ -32,8 +30,10 @@ from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.server import Server
 from tests.hilcell.plant.test_export import private
 from tests.hilcell.plant.year import Model, Run
+from tests.whole.bench import command
 
 DAY = timedelta(days=1)
+BOTH = ["office", pytest.param("plant", marks=pytest.mark.wall)]
 
 
 @contextmanager
@@ -53,38 +53,20 @@ def runs(model: Model, tmp_path: Path) -> Path:
     return tmp_path / "runs"
 
 
-def test_the_tables_are_those_of_the_migrations(plant: Database, office: Database) -> None:
-    for database in (plant, office):
-        with database.transaction() as connection:
-            context = MigrationContext.configure(connection, opts={"include_object": _ours})
-            assert compare_metadata(context, TABLES) == []
-    assert ScriptDirectory(str(MIGRATIONS)).get_heads() == [HEAD]
-
-
 def _ours(thing: object, name: str, kind: str, reflected: bool, other: object) -> bool:
     return not (kind == "table" and name.startswith("point_"))
 
 
-@pytest.mark.parametrize("encoding", ["SQL_ASCII", "LATIN1"])
-def test_names_stay_whole_in_a_database_of_another_encoding(
-    encoding: str, model: Model, tmp_path: Path, postgresql: Server
+@pytest.mark.parametrize("kind", BOTH)
+def test_a_store_keeps_each_number_to_its_last_digit(
+    kind: str, model: Model, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
-    name = f"in_{encoding}".lower()
-    made = f"CREATE DATABASE {name} ENCODING '{encoding}' LOCALE 'C' TEMPLATE template0"
-    with asking(postgresql.url()) as owner:
-        owner.execute(made.encode())
-    model.write(tmp_path, Run("a", "Köln", "HC-1", NOW))
-    with closing(Database(postgresql.url(name))) as database:
-        database.make()
-        assert ship(tmp_path, database).runs == 1
-        with database.transaction() as connection:
-            assert connection.execute(select(RUN.c.cell)).scalar() == "Köln"
-
-
-def test_the_digest_of_what_is_read_back_is_that_of_what_was_written(
-    plant: Database, office: Database, model: Model, tmp_path: Path
-) -> None:
-    """To the last digit of each number, in both stores."""
+    """Its tables are those of the migrations; what is read back has the digest of what was kept."""
+    database: Database = request.getfixturevalue(kind)
+    with database.transaction() as connection:
+        context = MigrationContext.configure(connection, opts={"include_object": _ours})
+        assert compare_metadata(context, TABLES) == []
+    assert ScriptDirectory(str(MIGRATIONS)).get_heads() == [HEAD]
     records = read_records(model.write(tmp_path, Run("a", "north", "HC-1", NOW)))
     record = record_of("a", records)
     numbers = (0.1 + 0.2, 5e-324, -0.0, 1.7976931348623157e308, 1e22, -123456789.123456789, 1 / 3)
@@ -102,84 +84,92 @@ def test_the_digest_of_what_is_read_back_is_that_of_what_was_written(
     lengths = [LengthEntry("1-2", 1000, 1000.0, number) for number in numbers]
     grid = GridErrors([list(numbers[:3])], [list(numbers[3:6])], 20)
     record = msgspec.structs.replace(record, points=points, lengths=lengths, grid=grid)
-    for database in (plant, office):
-        with database.transaction() as connection:
-            assert write(connection, record, heads(records))
-        with database.transaction() as connection:
-            found: dict[Table, list[dict[str, Any]]] = {
-                table: [dict(row) for row in connection.execute(select(table)).mappings()]
-                for table in (RUN, *PARTS)
-            }
-        (run,) = found[RUN]
-        assert len(found[POINT]) == len(points) > len(numbers)
-        assert digest_of(found) == run["digest"]
-        found[POINT][0]["x_mm"] = nextafter(found[POINT][0]["x_mm"], 1)
-        assert digest_of(found) != run["digest"]
+    with database.transaction() as connection:
+        assert write(connection, record, heads(records))
+    with database.transaction() as connection:
+        found: dict[Table, list[dict[str, Any]]] = {
+            table: [dict(row) for row in connection.execute(select(table)).mappings()]
+            for table in (RUN, *PARTS)
+        }
+    (run,) = found[RUN]
+    assert len(found[POINT]) == len(points) > len(numbers)
+    assert digest_of(found) == run["digest"]
+    found[POINT][0]["x_mm"] = nextafter(found[POINT][0]["x_mm"], 1)
+    assert digest_of(found) != run["digest"]
 
 
-def test_a_changed_value_on_a_server_is_not_signed(
-    plant: Database, runs: Path, postgresql: Server, capsys: pytest.CaptureFixture[str]
+@pytest.mark.wall
+def test_tables_are_made_once_in_any_encoding_and_in_months(
+    plant: Database, runs: Path, model: Model, postgresql: Server
 ) -> None:
-    url = postgresql.url(name_of(plant))
+    _two_that_make_the_tables_at_once_make_them_once(postgresql)
+    for encoding in ("SQL_ASCII", "LATIN1"):
+        name = f"in_{encoding}".lower()
+        made = f"CREATE DATABASE {name} ENCODING '{encoding}' LOCALE 'C' TEMPLATE template0"
+        with asking(postgresql.url()) as owner:
+            owner.execute(made.encode())
+        model.write(runs / name, Run("a", "Köln", "HC-1", NOW))
+        with closing(Database(postgresql.url(name))) as database:
+            database.make()
+            assert ship(runs / name, database).runs == 1
+            with database.transaction() as connection:
+                assert connection.execute(select(RUN.c.cell)).scalar() == "Köln"
+    model.write(runs, Run("far", "north", "HC-1", datetime(2199, 5, 1, tzinfo=UTC)))
     ship(runs, plant)
-    exported = ["--key", str(private(runs / "key")), "--from", url, "-o"]
-    assert main(["plant", "export", "north", *exported, str(runs / "before")]) == 0
-    with asking(url) as owner:
-        owner.execute("UPDATE verdict SET mean_mm = 0.001 WHERE key = 'validation.S300'")
-    capsys.readouterr()
-    assert main(["plant", "export", "north", *exported, str(runs / "after")]) == 2
-    assert "2 runs are not as shipped: a, b: " in capsys.readouterr().err
-    assert not (runs / "after").exists()
+    with asking(postgresql.url(name_of(plant))) as asked:
+        months = asked.execute(
+            "SELECT tableoid::regclass::text, count(DISTINCT digest) FROM point GROUP BY 1"
+        ).fetchall()
+    assert sorted(months) == [("point_2026_09", 1), ("point_2026_10", 1), ("point_other", 1)]
+    url = postgresql.make()
+    with closing(Database(url)) as database, database.transaction() as connection:
+        connection.execute(text("CREATE TABLE orders (n integer)"))
+    assert "orders" in _refused("plant", "init", "--to", url)
 
 
-def test_two_that_make_the_tables_at_once_make_them_once(postgresql: Server) -> None:
+def _two_that_make_the_tables_at_once_make_them_once(postgresql: Server) -> None:
     url = postgresql.make()
     own = f"FROM pg_stat_activity WHERE datname = '{make_url(url).database}'"
     asked = f"SELECT 1 {own} AND wait_event_type = 'Lock'".encode()
-    others: list[subprocess.Popen[str]] = []
+    made: list[str] = []
+
+    def make() -> None:
+        with closing(Database(url)) as other:
+            made.append(other.make())
+
+    second = threading.Thread(target=make)
 
     def wait(*words: object) -> None:
         """Begin another, and go on when it waits for a lock."""
-        if "CREATE TABLE point" in str(words[2]) and not others:
-            others.append(
-                subprocess.Popen(
-                    [sys.executable, "-m", "hilcell", "plant", "init", "--to", url],
-                    stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-                )
-            )  # fmt: skip
+        if "CREATE TABLE point" in str(words[2]) and second.ident is None:
+            second.start()
             with asking(postgresql.url()) as owner:
                 while owner.execute(asked).fetchone() is None:
-                    assert others[0].poll() is None
+                    assert second.is_alive()
 
     with closing(Database(url)) as database:
         event.listen(database.engine, "before_cursor_execute", wait)
         assert database.make() == ""
-    (other,) = others
-    _, said = other.communicate()
-    assert "is up to date, schema" in said
-    assert other.returncode == 0
+    second.join()
+    assert made == [HEAD]
 
 
-def test_points_lie_in_the_partition_of_the_month_in_which_the_run_began(
-    plant: Database, runs: Path, model: Model, postgresql: Server
-) -> None:
-    model.write(runs, Run("far", "north", "HC-1", datetime(2199, 5, 1, tzinfo=UTC)))
-    ship(runs, plant)
-    with asking(postgresql.url(name_of(plant))) as connection:
-        found = connection.execute(
-            "SELECT tableoid::regclass::text, count(DISTINCT digest) FROM point GROUP BY 1"
-        ).fetchall()
-    assert sorted(found) == [("point_2026_09", 1), ("point_2026_10", 1), ("point_other", 1)]
+def _refused(*words: str | Path) -> str:
+    """Return the one line with which a command is refused."""
+    done = command(*words)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
+    return done.stderr
 
 
+@pytest.mark.wall
 def test_cells_may_insert_only_and_engineers_may_read_only(
-    plant: Database, runs: Path, postgresql: Server, capsys: pytest.CaptureFixture[str]
+    plant: Database, runs: Path, postgresql: Server
 ) -> None:
     name = name_of(plant)
-    users = {"cell_user": CELL, "engineer_user": ENGINEER}
+    users = {"cell_user": f"IN ROLE {CELL}", "engineer_user": f"IN ROLE {ENGINEER}", "nobody_s": ""}
     with asking(postgresql.url(name)) as owner:
         for user, role in users.items():
-            owner.execute(f"CREATE ROLE {user} LOGIN IN ROLE {role}".encode())
+            owner.execute(f"CREATE ROLE {user} LOGIN {role}".encode())
     with closing(Database(postgresql.url(name, "cell_user"))) as cell:
         assert ship(runs, cell).runs == 2
         (runs / NAME).unlink()
@@ -202,36 +192,46 @@ def test_cells_may_insert_only_and_engineers_may_read_only(
                 with pytest.raises(psycopg.errors.InsufficientPrivilege):
                     connection.execute(order.encode())
     (runs / NAME).unlink()
-    assert main(["plant", "ship", str(runs), "--to", postgresql.url(name, "engineer_user")]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "permission denied" in line
-    assert "a user ships in the role hilcell_cell" in line
-    private(runs / "key")
-    exported = ["-o", str(runs / "out"), "--key", str(runs / "key")]
-    engineer_s = ["--from", postgresql.url(name, "engineer_user")]
-    assert main(["plant", "export", "north", *exported, *engineer_s]) == 0
-    with asking(postgresql.url(name, "engineer_user")) as engineer:
-        assert engineer.execute("SELECT count(DISTINCT digest) FROM point").fetchone() == (2,)
-
-
-def test_a_right_that_is_missing_is_one_line(
-    plant: Database, runs: Path, postgresql: Server,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
-    name = name_of(plant)
+    for user in ("engineer_user", "nobody_s"):
+        said = _refused("plant", "ship", runs, "--to", postgresql.url(name, user))
+        assert CELL in said
+    _refused("plant", "init", "--to", postgresql.url(name, "nobody_s"))
+    assert "nowhere" in _refused("plant", "ship", runs, "--to", postgresql.url("nowhere"))
+    key = ("--key", private(runs / "key"), "--from", postgresql.url(name, "engineer_user"))
+    assert command("plant", "export", "north", *key, "-o", runs / "out").returncode == 0
     with asking(postgresql.url(name)) as owner:
-        owner.execute("CREATE ROLE nobody_s LOGIN")
-    assert main(["plant", "ship", str(runs), "--to", postgresql.url(name, "nobody_s")]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "permission denied for table alembic_version; a user ships in the role hilcell_" in line
-    assert main(["plant", "init", "--to", postgresql.url(name, "nobody_s")]) == 2
-    said = capsys.readouterr().err
-    assert "the owner of the database makes both by `hilcell plant init`" in said
+        owner.execute("UPDATE verdict SET mean_mm = 0.001 WHERE key = 'validation.S300'")
+    assert "a, b" in _refused("plant", "export", "north", *key, "-o", runs / "after")
+    assert not (runs / "after").exists()
 
 
-def test_a_database_that_is_not_there_is_one_line(
-    postgresql: Server, runs: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.wall
+def test_a_login_is_refused_and_its_password_is_nowhere(
+    runs: Path, postgresql: Server, tmp_path: Path
 ) -> None:
-    assert main(["plant", "ship", str(runs), "--to", postgresql.url("nowhere")]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert 'login refused: database "nowhere" does not exist' in line
+    """Only an answer that stays the same refuses a login."""
+    wrong, database = "wr0ng-s3cr-t", "shut"
+    host = make_url(postgresql.make(database)).query["host"]
+    with asking(postgresql.url()) as owner:
+        for order in (
+            "CREATE ROLE ann LOGIN PASSWORD 'right'",
+            "CREATE ROLE asked LOGIN PASSWORD 'right' CONNECTION LIMIT 0",
+            "CREATE ROLE eve LOGIN",
+            "REVOKE CONNECT ON DATABASE shut FROM public",
+            "GRANT CONNECT ON DATABASE shut TO asked",
+        ):
+            owner.execute(order.encode())
+    for user in ("ann", "asked"):
+        postgresql.ask_password(user)
+    for place in (f"ann:{wrong}@/shut?host={host}", f"ann@/shut?password={wrong}&host={host}"):
+        url = f"postgresql://{place}"
+        for words in (("ship", runs, "--to", url), ("show", "--from", url, "--json")):
+            line = _refused("plant", *words)
+            assert "***" in line
+            assert wrong not in line
+    kept = [path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()]
+    assert not any(wrong.encode() in content for content in kept)
+    assert wrong not in postgresql.log()
+    for user, code in (("asked", 2), ("asked:right", 7), ("nobody", 2), ("eve", 2)):
+        url = f"postgresql://{user}@/shut?host={host}"
+        assert command("plant", "show", "--from", url).returncode == code

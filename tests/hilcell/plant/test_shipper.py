@@ -20,13 +20,12 @@ import msgspec
 import pytest
 from sqlalchemy import func, select
 
-from hilcell.commands.cli import main
 from hilcell.journal.engine_file import ENGINE, EngineFile
 from hilcell.journal.index import NAME as INDEX
 from hilcell.journal.journal import Record
 from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.plant.cells import cells
-from hilcell.plant.database import Database, PlantAway
+from hilcell.plant.database import Database
 from hilcell.plant.doubts import doubts
 from hilcell.plant.record import record_of
 from hilcell.plant.rows import rows_of
@@ -34,8 +33,8 @@ from hilcell.plant.shipper import NAME, Shipped, ship
 from hilcell.plant.store import write
 from hilcell.plant.tables import PARTS, POINT, RUN
 from tests.hilcell.plant.conftest import NOW
-from tests.hilcell.plant.server import Server
 from tests.hilcell.plant.year import Model, Run, extend, write_journal
+from tests.whole.bench import command
 
 DAY = timedelta(days=1)
 
@@ -78,30 +77,25 @@ def live(folder: Path) -> Iterator[None]:
         (folder / ENGINE).unlink()
 
 
-def test_a_file_is_no_folder_of_runs(
-    office: Database, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_is_no_folder_of_runs(office: Database, tmp_path: Path) -> None:
     place = tmp_path / "file"
     place.touch()
-    for words in (["plant", "ship", str(place), "--to", office.name],
-                  ["runs", "--runs", str(place)]):  # fmt: skip
-        assert main(words) == 2
-        assert "file is a file: name the folder of runs" in capsys.readouterr().err
+    assert command("plant", "ship", place, "--to", office.name).returncode == 2
+    assert command("runs", "--runs", place).returncode == 2
 
 
-def test_a_run_that_has_lost_its_journal_is_named(
-    runs: Path, office: Database, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_that_has_lost_its_journal_is_named(runs: Path, office: Database) -> None:
     (runs / "lost").mkdir()
     (runs / "lost" / "calibration.json").write_text("{}")
     (runs / "notes").mkdir()
-    assert main(["plant", "ship", str(runs), "--to", office.name]) == 7
-    said = capsys.readouterr().err
-    assert "run lost: calibration.json is there, journal.sqlite is not; take" in said
-    assert "notes" not in said
+    done = command("plant", "ship", runs, "--to", office.name)
+    assert done.returncode == 7
+    assert "run lost: " in done.stderr
+    assert "notes" not in done.stderr
 
 
 def test_runs_are_shipped_in_the_order_of_their_ends_and_once(runs: Path, office: Database) -> None:
+    before = {file: file.read_bytes() for file in runs.glob(f"*/{JOURNAL}")}
     told: list[str] = []
     done = ship(runs, office, told.append)
     assert told == ["b", "c", "a"]
@@ -109,6 +103,7 @@ def test_runs_are_shipped_in_the_order_of_their_ends_and_once(runs: Path, office
     assert done.points == points(office)
     assert ship(runs, office) == Shipped(before=3)
     assert len(kept(office)) == 3
+    assert {file: file.read_bytes() for file in runs.glob(f"*/{JOURNAL}")} == before
 
 
 def test_all_of_a_run_is_kept(runs: Path, office: Database) -> None:
@@ -135,12 +130,6 @@ def test_all_of_a_run_is_kept(runs: Path, office: Database) -> None:
     assert (first.key, first.x_mm, first.std_z_mm) == (
         point.point.key, point.point.xyz_mm[0], point.point.std_mm[2],
     )  # fmt: skip
-
-
-def test_journals_are_only_read(runs: Path, office: Database) -> None:
-    before = {file: file.read_bytes() for file in runs.glob(f"*/{JOURNAL}")}
-    ship(runs, office)
-    assert {file: file.read_bytes() for file in runs.glob(f"*/{JOURNAL}")} == before
 
 
 def test_without_its_own_file_nothing_is_doubled(runs: Path, office: Database) -> None:
@@ -196,36 +185,32 @@ def test_an_older_revision_that_arrives_later_changes_nothing(
     assert state.calibration == "c"
 
 
-def test_a_folder_that_is_behind_the_plant_is_stated(
-    runs: Path, plant: Database, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_folder_that_is_behind_the_plant_is_named(
+    runs: Path, office: Database, tmp_path: Path
 ) -> None:
     """One that a backup restored, where a run had not ended or was not revoked yet."""
-    shutil.copytree(runs, tmp_path / "older")
+    older = tmp_path / "older"
+    shutil.copytree(runs, older)
     last = len(read_records(runs / "a"))
     records = read_records(runs / "b")[:10]
-    shutil.rmtree(tmp_path / "older" / "b")
+    shutil.rmtree(older / "b")
     rows = [(datetime.fromisoformat(each.t), each.kind, each.key, each.body) for each in records]
-    write_journal(tmp_path / "older" / "b", rows)
+    write_journal(older / "b", rows)
     revoke(runs / "a")
-    assert ship(runs, plant).behind == {}
+    assert ship(runs, office).behind == {}
     whole = len(read_records(runs / "b"))
     for before in (2, 2):  # read from the journal, then known by the folder's own file
-        done = ship(tmp_path / "older", plant)
+        done = ship(older, office)
         assert (done.before + done.runs, done.waiting) == (before, ["b"])
         assert done.behind == {"a": (last, last + 1), "b": (10, whole)}
-    url = plant.engine.url.render_as_string(hide_password=False)
-    assert main(["plant", "ship", str(tmp_path / "older"), "--to", url, "--json"]) == 0
-    out, err = capsys.readouterr()
-    assert json.loads(out)["behind"]["a"] == {"here": last, "plant": last + 1}
-    assert "the plant has later records of 2 runs than this folder: " in err
-    assert f"a (here up to record {last}, there {last + 1})" in err
-    revoke(tmp_path / "older" / "a")
-    assert ship(tmp_path / "older", plant).behind == {"b": (10, whole)}
+    shown = command("plant", "ship", older, "--to", office.name, "--json")
+    assert json.loads(shown.stdout)["behind"]["a"] == {"here": last, "plant": last + 1}
+    assert f"{last + 1}" in shown.stderr
+    revoke(older / "a")
+    assert ship(older, office).behind == {"b": (10, whole)}
 
 
-def test_a_live_run_and_one_without_an_end_wait(
-    runs: Path, office: Database, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_live_run_and_one_without_an_end_wait(runs: Path, office: Database) -> None:
     records = read_records(runs / "b")[:10]
     rows = [(NOW - DAY, each.kind, each.key, each.body) for each in records]
     write_journal(runs / "cut", rows)
@@ -233,8 +218,9 @@ def test_a_live_run_and_one_without_an_end_wait(
         done = ship(runs, office)
         assert sorted(done.waiting) == ["a", "cut"]
         assert [name for name, _ in kept(office)] == ["b", "c"]
-        assert main(["plant", "ship", str(runs), "--to", office.name]) == 0
-        assert "not over yet, shipped after their end: cut, a\n" in capsys.readouterr().err
+        again = command("plant", "ship", runs, "--to", office.name)
+        assert again.returncode == 0
+        assert "cut, a" in again.stderr
     assert ship(runs, office).runs == 1
 
 
@@ -248,9 +234,7 @@ def test_a_journal_that_was_changed_is_refused_and_stops_no_other(
     write_journal(runs / "a", rows)
     model.write(runs, Run("d", "north", "HC-1", NOW - DAY / 2))
     done = ship(runs, office)
-    assert list(done.refused) == ["a"]
-    assert "journal was changed, or its folder was copied" in done.refused["a"]
-    assert done.runs == 1
+    assert (list(done.refused), done.runs) == (["a"], 1)
 
 
 def forged(records: list[Record]) -> list[Record]:
@@ -261,36 +245,36 @@ def forged(records: list[Record]) -> list[Record]:
     return [*records[:at], msgspec.structs.replace(records[at], body=body), *records[at + 1 :]]
 
 
+def one_digit(file: Path) -> None:
+    with closing(sqlite3.connect(file)) as base, base:
+        for (name,) in base.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'"):
+            base.execute(f"DROP TRIGGER {name}")
+        base.execute("UPDATE record SET body = replace(body, '1', '2') WHERE seq = 9")
+
+
 @pytest.mark.parametrize(
     "spoil",
     [
         lambda file: file.write_bytes(b"SQLite format 3\0" + b"\xff" * 5000),
         lambda file: file.write_bytes(file.read_bytes()[:9000]),
+        one_digit,
     ],
 )
 def test_a_broken_journal_is_named_and_stops_no_other(
-    runs: Path, office: Database, spoil: object
+    runs: Path, office: Database, spoil: Callable[[Path], object]
 ) -> None:
-    assert callable(spoil)
     spoil(runs / "c" / JOURNAL)
-    done = ship(runs, office)
-    assert list(done.refused) == ["c"]
-    assert done.refused["c"].endswith("; take its folder from a backup, or out of the runs folder")
+    assert list(ship(runs, office).refused) == ["c"]
     assert [name for name, _ in kept(office)] == ["b", "a"]
 
 
-def test_a_hostile_folder_is_one_line(
-    runs: Path, office: Database, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_hostile_folder_is_one_line(runs: Path, office: Database) -> None:
     body = {"procedure": "\x1b[31mred\0", "cell": {"name": "x", "serial": "y", "grid": 3}}
     write_journal(runs / "evil", [(NOW, "plan", "", body), (NOW, "end", "", {"exit": "no"})])
-    assert main(["plant", "ship", str(runs), "--to", f"sqlite:///{tmp_path}/plant.db"]) == 7
-    said = capsys.readouterr().err
-    assert "3 runs shipped" in said
-    assert "1 refused" in said
-    assert "hilcell: run evil: " in said
-    assert len(said.splitlines()) == 2
-    assert "\x1b" not in said
+    done = command("plant", "ship", runs, "--to", office.name)
+    assert (done.returncode, done.stderr.count("\n")) == (7, 2)
+    assert "hilcell: run evil: " in done.stderr
+    assert "\x1b" not in done.stderr
     assert len(kept(office)) == 3
 
 
@@ -310,6 +294,7 @@ STREAM = {
 }  # fmt: skip
 
 
+@pytest.mark.wall
 def test_records_that_no_database_takes_are_named_and_stop_no_other(
     runs: Path, model: Model, plant: Database
 ) -> None:
@@ -324,28 +309,23 @@ def test_records_that_no_database_takes_are_named_and_stop_no_other(
     assert {name: reason.split(": ")[0] for name, reason in done.refused.items()} == {
         name: f"run {name}" for name in ("number", "key", "stream")
     }
-    assert "too large to convert" in done.refused["number"]
-    assert "index row" in done.refused["key"]
     assert all("x" * 100 not in each and len(each) < 500 for each in done.refused.values())
 
 
-@pytest.mark.parametrize("year", [1, 1979, 2200, 9999])
+@pytest.mark.parametrize("year", [1, 1979, 2200])
 def test_a_clock_that_cannot_be_is_refused(
     year: int, runs: Path, model: Model, office: Database
 ) -> None:
     model.write(runs, Run("x", "north", "HC-1", datetime(year, 6, 1, tzinfo=UTC)))
     done = ship(runs, office)
-    assert "wanted are years of 1980 to 2200" in done.refused["x"]
-    assert done.runs == 3
+    assert (list(done.refused), done.runs) == (["x"], 3)
 
 
 def test_a_cell_of_a_name_that_cannot_be_is_refused_in_one_line(
     runs: Path, model: Model, office: Database
 ) -> None:
     model.write(runs, Run("x", "south ☃", "HC-1", NOW))
-    (reason,) = ship(runs, office).refused.values()
-    assert "run x: the journal's cell: 1 problem; name: 1 to 64 letters" in reason
-    assert "\n" not in reason
+    assert ["\n" in reason for reason in ship(runs, office).refused.values()] == [False]
 
 
 def test_links_and_what_is_no_journal(runs: Path, office: Database, tmp_path: Path) -> None:
@@ -376,7 +356,6 @@ def test_a_copy_under_another_name_is_refused_and_stops_no_other(
     shutil.copytree(runs / "a", copies / "revoked")
     done = ship(copies, office)
     assert first.refused.keys() | done.refused.keys() == {"z backup", "revoked"}
-    assert "the plant has its journal under another name" in done.refused["z backup"]
     ship(runs, office)
     with office.transaction() as connection:
         (state,) = cells(connection, NOW)
@@ -393,7 +372,7 @@ def test_copies_that_were_shipped_before_are_doubted(
             record = record_of(name, read_records(folder))
             assert write(connection, record, [])
         (doubt,) = doubts(connection)
-    assert doubt.startswith("cell north: runs a and b have the same journal: one is a copy")
+    assert "a and b" in doubt
     revoke(folder)
     assert ship(tmp_path / "runs", office).refused == {}
     assert kept(office)[-1] == ("a", len(read_records(folder)))
@@ -411,35 +390,6 @@ def test_what_the_folder_s_own_databases_link_to_is_left_alone(
     assert ship(runs, office).runs == 3
     assert ship(runs, office).before == 3
     assert other.read_bytes() == before
-
-
-def test_a_run_whose_bytes_were_changed_is_refused(runs: Path, office: Database) -> None:
-    with closing(sqlite3.connect(runs / "a" / JOURNAL)) as base, base:
-        for (name,) in base.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'"):
-            base.execute(f"DROP TRIGGER {name}")
-        base.execute("UPDATE record SET body = replace(body, '1', '2') WHERE seq = 9")
-    done = ship(runs, office)
-    assert "damaged at record 9: it is not the one that was written" in done.refused["a"]
-    assert done.refused["a"].endswith("; take its folder from a backup, or out of the runs folder")
-    assert done.runs == 2
-
-
-def test_a_server_that_was_away_for_a_month_gets_all_in_order(
-    model: Model, mortal: Server, tmp_path: Path
-) -> None:
-    runs, told = tmp_path / "runs", list[str]()
-    with closing(Database(mortal.make())) as database:
-        database.make()
-        mortal.kill()
-        for day in range(30):
-            model.write(runs, Run(f"d{day:02d}", "north", "HC-1", NOW - (40 - day) * DAY))
-            if day % 10 == 9:
-                with pytest.raises(PlantAway):
-                    ship(runs, database)
-        mortal.start()
-        assert ship(runs, database, told.append).runs == 30
-        assert ship(runs, database) == Shipped(before=30)
-    assert told == [f"d{day:02d}" for day in range(30)]
 
 
 def test_two_shippers_at_once_keep_each_run_once(runs: Path, office: Database) -> None:
