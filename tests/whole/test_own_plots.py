@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from hilcell.journal.log import Log
 from hilcell.journal.runs import read_records
@@ -16,15 +16,18 @@ from hilcell.tui.text.plot_page import Choice, plot_lines
 from hilcell.tui.text.plots import Measured, tabs_of
 from hilcell.tui.text.points import point_page
 from hilcell.tui.text.side import side_lines
-from tests.whole.bench import SMALL, command, sets
+from tests.whole.bench import SMALL, command, sets, simulation
 from tests.whole.golden import GoldenRuns
 
 LOOK = Look()
 
 
-def view_of(runs: Path, *words: str) -> RunView:
+def view_of(runs: Path, procedure: str, cell: str, values: dict[str, str]) -> RunView:
     """Return the view of a run that was done in a cell of its own."""
-    done = command("run", *words, "--unattended", "--name", "R", "--runs", runs)
+    with simulation(math.inf, values, name=cell) as machines:
+        words = sets(values | {"simulation.address": machines.control})
+        words += ["--unattended", "--name", "R", "--runs", str(runs)]
+        done = command("run", procedure, "--cell", cell, *words)
     assert done.returncode == 0, done.stderr
     view = RunView("R")
     for record in read_records(runs / "R"):
@@ -46,10 +49,9 @@ def beside(view: RunView) -> str:
     return "\n".join(line.plain for line in lines)
 
 
-@pytest.mark.timeout(180)
 def test_a_pose_test_shows_each_pose_with_its_limit(tmp_path: Path) -> None:
     short = SMALL | {"base_frame.points": "5", "iso9283.cycles": "3", "iso9283.ap_limit_mm": "3"}
-    view = view_of(tmp_path, "iso9283", "--cell", "fixed", *sets(short))
+    view = view_of(tmp_path, "iso9283", "fixed", short)
     of, log = Measured(view.log), view.log
     assert log.end is not None
     wanted = log.end["result"]["iso9283"]["poses"]
@@ -67,10 +69,9 @@ def test_a_pose_test_shows_each_pose_with_its_limit(tmp_path: Path) -> None:
     assert "rail" not in text.replace("rails", "")
 
 
-@pytest.mark.timeout(300)
 def test_a_recheck_shows_each_target_with_its_bound(golden: GoldenRuns, tmp_path: Path) -> None:
     words = SMALL | {"recheck.calibration": str(golden["small"].folder)}
-    view = view_of(tmp_path, "recheck", "--seed", "1", *sets(words))
+    view = view_of(tmp_path, "recheck", "paper", words)
     of, log = Measured(view.log), view.log
     assert log.end is not None
     wanted = log.end["result"]["recheck"]["poses"]

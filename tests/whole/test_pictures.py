@@ -10,9 +10,8 @@ import asyncio
 import os
 import re
 import subprocess
-import time
-from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
-from contextlib import asynccontextmanager, contextmanager
+from collections.abc import AsyncIterator, Mapping, Sequence
+from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
@@ -24,7 +23,6 @@ from hilcell.tui.screens.base import Options
 from hilcell.tui.terminal.capabilities import UNICODE
 from tests.whole.bench import (
     HILCELL,
-    LIMIT_S,
     LOOK_S,
     SMALL,
     Simulation,
@@ -73,10 +71,8 @@ def shown(app: HilcellApp) -> str:
 
 async def until(pilot: Pilot[int], words: str) -> None:
     """Wait until the screen shows words, a regular expression."""
-    deadline_s = time.monotonic() + LIMIT_S
     while not re.search(words, shown(app_of(pilot))):
-        assert time.monotonic() < deadline_s, shown(app_of(pilot))
-        await pilot.pause(0.05)
+        await pilot.pause(LOOK_S)
 
 
 @asynccontextmanager
@@ -94,19 +90,19 @@ def app_of(pilot: Pilot[int]) -> HilcellApp:
     return pilot.app
 
 
-@contextmanager
-def engine(runs: Path, *words: str) -> Iterator[None]:
+@asynccontextmanager
+async def engine(runs: Path, *words: str) -> AsyncIterator[None]:
     """Have a run under way."""
     order = [*HILCELL, "run", *words, "--runs", str(runs)]
     process = subprocess.Popen(order, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         while not list(runs.glob("*/engine.json")):
             assert process.poll() is None
-            time.sleep(LOOK_S)
+            await asyncio.sleep(LOOK_S)
         yield
     finally:
         process.terminate()
-        process.wait(LIMIT_S)
+        process.wait()
 
 
 @asynccontextmanager
@@ -114,35 +110,42 @@ async def cell_and_screen(
     runs: Path, values: Mapping[str, str], words: Sequence[str]
 ) -> AsyncIterator[tuple[Simulation, Pilot[int]]]:
     """Run an engine against a cell that stands beside it, and look at it."""
-    with (
-        simulation(60.0, values) as cell,
-        engine(runs, *words, "--set", f"simulation.address={cell.control}"),
-    ):
-        async with screen(runs, "last", (80, 24)) as pilot:
+    with simulation(60.0, values) as cell:
+        async with (
+            engine(runs, *words, "--set", f"simulation.address={cell.control}"),
+            screen(runs, "last", (80, 24)) as pilot,
+        ):
             yield cell, pilot
 
 
-@pytest.mark.nightly  # of live engines: by day, `test_screen` looks at the same
-@pytest.mark.timeout(180)
-def test_a_live_run(tmp_path: Path) -> None:
-    asyncio.run(a_live_run(tmp_path))
+@pytest.mark.wall
+@pytest.mark.nightly  # by day the snapshots look at the same
+def test_pictures_are_drawn(tmp_path: Path, golden: GoldenRuns) -> None:
+    for name in ("live", "fault", "prompt", "done", "new"):
+        (tmp_path / name).mkdir()
+    asyncio.run(a_live_run(tmp_path / "live"))
+    asyncio.run(a_fault(tmp_path / "fault"))
+    asyncio.run(a_prompt(tmp_path / "prompt"))
+    if WANTED:
+        done = hilcell("run", "--runs", tmp_path / "done", *WORDS)
+        assert done.returncode == 0, done.stderr
+    else:
+        golden["small"].copied_to(tmp_path / "done")
+    asyncio.run(a_finished_run(tmp_path / "done"))
+    asyncio.run(a_plan(tmp_path / "new"))
 
 
 async def a_live_run(tmp_path: Path) -> None:
-    with engine(tmp_path, "--speed", "60", *WORDS):
-        async with screen(tmp_path, "last", (80, 24)) as pilot:
-            await until(pilot, r"Robot grid +([5-9]|\d\d) of")
-            assert "► RUNNING" in shown(app_of(pilot))
-            keep(app_of(pilot), "screen-running")
-            app_of(pilot).theme = "daylight"
-            await pilot.pause(0.5)
-            keep(app_of(pilot), "screen-running-light")
-
-
-@pytest.mark.nightly
-@pytest.mark.timeout(180)
-def test_a_fault(tmp_path: Path) -> None:
-    asyncio.run(a_fault(tmp_path))
+    async with (
+        engine(tmp_path, "--speed", "60", *WORDS),
+        screen(tmp_path, "last", (80, 24)) as pilot,
+    ):
+        await until(pilot, r"Robot grid +([5-9]|\d\d) of")
+        assert "► RUNNING" in shown(app_of(pilot))
+        keep(app_of(pilot), "screen-running")
+        app_of(pilot).theme = "daylight"
+        await pilot.pause(0.5)
+        keep(app_of(pilot), "screen-running-light")
 
 
 async def a_fault(tmp_path: Path) -> None:
@@ -154,12 +157,6 @@ async def a_fault(tmp_path: Path) -> None:
         keep(app_of(pilot), "screen-fault")
 
 
-@pytest.mark.nightly
-@pytest.mark.timeout(180)
-def test_a_prompt(tmp_path: Path) -> None:
-    asyncio.run(a_prompt(tmp_path))
-
-
 async def a_prompt(tmp_path: Path) -> None:
     words = ("world-frame", *sets(BY_HAND), *WORDS)
     async with cell_and_screen(tmp_path, BY_HAND, words) as (cell, pilot):
@@ -167,16 +164,6 @@ async def a_prompt(tmp_path: Path) -> None:
         assert cell.ask(do="seat", place="F1")["ok"]
         await until(pilot, "tracker sees it")
         keep(app_of(pilot), "screen-prompt")
-
-
-@pytest.mark.timeout(180)
-def test_a_finished_run(tmp_path: Path, golden: GoldenRuns) -> None:
-    if WANTED:
-        done = hilcell("run", "--runs", tmp_path, *WORDS)
-        assert done.returncode == 0, done.stderr
-    else:
-        golden["small"].copied_to(tmp_path)
-    asyncio.run(a_finished_run(tmp_path))
 
 
 async def a_finished_run(tmp_path: Path) -> None:
@@ -195,11 +182,6 @@ async def a_finished_run(tmp_path: Path) -> None:
         await until(pilot, "map: ")
         await pilot.pause(0.5)
         keep(app_of(pilot), "screen-wide")
-
-
-@pytest.mark.timeout(60)
-def test_a_plan(tmp_path: Path) -> None:
-    asyncio.run(a_plan(tmp_path))
 
 
 async def a_plan(tmp_path: Path) -> None:

@@ -6,6 +6,8 @@ import json
 import subprocess
 from pathlib import Path
 
+import pytest
+
 from fakes.exercises import EXERCISES
 from fakes.faults import KNOWN
 from fakes.page import page
@@ -16,6 +18,7 @@ from tests.whole.test_alarms import ENDS
 PAGE = Path(__file__).parents[2] / "docs/training.md"
 
 
+@pytest.mark.wall
 def test_a_fault_is_practised(tmp_path: Path) -> None:
     titles = [each.title for each in EXERCISES]
     number = titles.index("the E-stop was pressed") + 1
@@ -47,7 +50,7 @@ def test_a_fault_is_practised(tmp_path: Path) -> None:
         assert end_of(resumed)["exit"] == 0, resumed.stderr
         sim.stdin.write("q\n")
         sim.stdin.close()
-        assert sim.wait(20) == 0
+        assert sim.wait() == 0
 
 
 def test_each_exercise_is_a_fault_that_raises_its_alarm() -> None:
