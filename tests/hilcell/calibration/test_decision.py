@@ -83,7 +83,6 @@ def test_orientation_keeps_its_limit_by_the_same_rule(turn: Turn, outcome: Outco
     found = judged(0.01, 0.02, ORIENTED, GUARD, turn=turn)
     assert (found.outcome, found.holds) == (outcome, outcome == "accepted")
     assert judged_again(found) == found or math.isnan(sum(turn))
-    assert f"orientation {turn.max_deg:.4f} + U {turn.U_deg:.4f} deg at most" in found.figures
     read = msgspec.json.decode(msgspec.json.encode(found), type=Judged)  # NaN is null there
     assert judged_again(read).outcome == outcome
 
@@ -94,12 +93,6 @@ def test_orientation_is_judged_only_where_it_is_limited_and_measured() -> None:
         assert found.holds
         assert found.turn is None
         assert "max_deg" not in msgspec.to_builtins(found)
-    assert "orientation" not in judged(0.01, 0.02, LIMITS, GUARD).figures
-
-
-def test_the_words_of_another_test_are_its_own() -> None:
-    found = judged(0.01, 0.02, ORIENTED, GUARD, turn=Turn(9.0, 0.01), words="shown by 32 targets")
-    assert found.decision == "out of tolerance, the uncertainty taken off"
 
 
 def test_what_is_left_of_a_tolerance() -> None:
@@ -111,7 +104,7 @@ def test_a_limit_that_nothing_could_keep_is_refused_before_anything_moves(name: 
     """U of 0.015 and 0.0127 mm, rectangular, is 0.0227 mm."""
     check_limits(load_cell("paper", {f"validation.{name}_tolerance_mm": "0.023"}))
     cell = load_cell("paper", {f"validation.{name}_tolerance_mm": "0.0226"})
-    with pytest.raises(HilcellError, match=rf"validation\.{name}_tolerance_mm .* U = 0\.023 mm"):
+    with pytest.raises(HilcellError, match=rf"validation\.{name}_tolerance_mm .*0\.023 mm"):
         Validate().plan(cell, 1)
 
 
@@ -130,5 +123,6 @@ def test_the_noise_of_readings_averages_and_nothing_else(tmp_path: Path) -> None
 
 
 def test_nothing_is_judged_without_a_world(tmp_path: Path) -> None:
-    with pytest.raises(HilcellError, match="no position was measured"):
+    with pytest.raises(HilcellError) as caught:
         guard_of(Writer(tmp_path / "none").began().facts().log, 3)
+    assert caught.value.code == "HC-C21"

