@@ -128,8 +128,8 @@ def test_locks_long_orders_and_frozen_cells_are_ended_by_the_server(
             assert ship(runs, plant).runs == 2  # waits until the server has freed the lock
             connection.execute(text("SELECT 1"))
 
-    with closing(Database(url)) as other, pytest.raises(PlantAway, match="idle-in-transaction"):
-        frozen(other)
+    with closing(Database(url)) as cell, pytest.raises(PlantAway, match="idle-in-transaction"):
+        frozen(cell)
 
 
 def test_an_office_s_file_that_another_writes_is_one_line(

@@ -8,7 +8,7 @@ import os
 import shutil
 import sys
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import closing
 from datetime import timedelta
 from pathlib import Path
@@ -249,38 +249,46 @@ def test_a_manifest_that_names_a_file_outside_is_refused(name: str, auditor: Aud
 
 
 def test_a_signed_manifest_of_another_form_is_refused(auditor: Auditor) -> None:
-    manifest = json.loads((auditor.out / MANIFEST).read_text())
-    for other in (manifest | {"form": 9}, manifest | {"key": "SHA256:other"}, {"files": []}):
+    manifest: dict[str, object] = json.loads((auditor.out / MANIFEST).read_text())
+    for other in (manifest | {"form": 9}, manifest | {"key": "SHA256:other"}, {"files": ()}):
         auditor.sign(other)
         auditor.said(auditor.verify())
 
 
-def test_a_key_that_cannot_be_used_is_one_line_and_writes_nothing(empty: Auditor) -> None:
-    def spoilt() -> Iterator[object]:
-        yield private(empty.key, generate_private_key(65537, 2048))
-        yield private(empty.key, encryption=BestAvailableEncryption(PASSPHRASE.encode()))
-        yield empty.key.write_text("-----BEGIN PRIVATE KEY-----\nno\n")
-        yield empty.key.write_bytes(empty.public.read_bytes())
-        yield private(empty.key).chmod(0o640)
-        yield empty.key.write_bytes(bytes(100_000))
-        yield empty.key.unlink()
-
-    for _ in spoilt():
-        assert str(empty.key) in empty.said(empty.export())
-        assert not empty.out.exists()
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda key: private(key, generate_private_key(65537, 2048)),
+        lambda key: private(key, encryption=BestAvailableEncryption(PASSPHRASE.encode())),
+        lambda key: key.write_text("-----BEGIN PRIVATE KEY-----\nno\n"),
+        lambda key: key.write_bytes(key.with_name("pub").read_bytes()),
+        lambda key: key.chmod(0o640),
+        lambda key: key.write_bytes(bytes(100_000)),
+        Path.unlink,
+    ],
+)
+def test_a_key_that_cannot_be_used_is_one_line_and_writes_nothing(
+    spoil: Callable[[Path], object], empty: Auditor
+) -> None:
+    spoil(empty.key)
+    assert str(empty.key) in empty.said(empty.export())
+    assert not empty.out.exists()
     assert not any(name.endswith(".part") for name in empty.names)
 
 
-def test_a_public_key_that_cannot_be_used_is_one_line(auditor: Auditor) -> None:
-    def spoilt() -> Iterator[object]:
-        yield auditor.public.write_bytes(auditor.key.read_bytes())
-        yield auditor.public.write_text("no key")
-        rsa = generate_private_key(65537, 2048).public_key()
-        form = (Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
-        yield auditor.public.write_bytes(rsa.public_bytes(*form))
+def rsa(key: Path) -> None:
+    made = generate_private_key(65537, 2048).public_key()
+    key.write_bytes(made.public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo))
 
-    for _ in spoilt():
-        assert str(auditor.public) in auditor.said(auditor.verify())
+
+@pytest.mark.parametrize(
+    "spoil", [rsa, lambda pub: private(pub, None), lambda pub: pub.write_text("no key")]
+)
+def test_a_public_key_that_cannot_be_used_is_one_line(
+    spoil: Callable[[Path], object], auditor: Auditor
+) -> None:
+    spoil(auditor.public)
+    assert str(auditor.public) in auditor.said(auditor.verify())
 
 
 def test_a_terminal_asks_for_the_passphrase(
