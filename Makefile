@@ -28,7 +28,7 @@ mutants: $(VENV)/more  ## deliberate breaks, each of which a test must notice; O
 	$(BIN)/python -m campaigns.breaks $(ONLY)
 
 torture: $(VENV)/more  ## the long campaigns: faults, disturbances, kills, fuzz, days, ..; ONLY=name for one
-	$(BIN)/python -m tests.torture $(ONLY)
+	$(BIN)/python -m campaigns $(ONLY)
 
 lint: $(VENV)/more  ## style, types and the import contract
 	$(BIN)/ruff check .

@@ -202,7 +202,7 @@ def test_no_fault_is_left_out() -> None:
         "tracker.scale_ppm",
         "robot.lost_motion",
     }
-    # Their alarm depends on the moment: `tests.torture` strikes them in each phase.
+    # Their alarm depends on the moment: `campaigns.faults` strikes them in each phase.
     timely = {"rail.pushed", "rail.reference_lost"}
     timely |= {"tracker.nest_lifted", "tracker.warmer", "tracker.wrong_offset"}
     eki = {"robot.xml_bomb", "robot.no_end", "robot.glued_reply"}  # `test_kuka_eki` strikes them

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
+from campaigns.kills import figures, killed, problems
 from hilcell.commands.cli import main
 from hilcell.run.exits import EXIT_STORAGE
 from tests.fakes.rail_bench import Line
-from tests.torture.kills import figures, killed, problems
 from tests.whole.bench import (
     SMALL,
     Engine,

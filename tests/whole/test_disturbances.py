@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
+from campaigns.disturbances import PLACES, calibrated
 from hilcell.journal.set_ups import TRACKER_MOVED
-from tests.torture.disturbances import PLACES, calibrated
 from tests.whole.bench import (
     SMALL,
     Engine,

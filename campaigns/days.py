@@ -22,6 +22,7 @@ import msgspec
 import numpy as np
 
 from benchmarks.stop import plan_of
+from campaigns.spread import print_table
 from hilcell.calibration.frames import grid_of
 from hilcell.cell.devices import build_devices, start_simulation
 from hilcell.cell.file import Cell, load_cell
@@ -33,7 +34,6 @@ from hilcell.journal.runs import JOURNAL
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Step
 from hilcell.run.runner import Runner
-from tests.torture.spread import print_table
 
 COUNT = 5000
 DAYS = 30.0
@@ -120,7 +120,7 @@ def engine(points: int) -> int:
 def campaign(points: range) -> int:
     """Measure so many points in a run of 30 days, and print what they take."""
     done = subprocess.run(
-        [sys.executable, "-m", "tests.torture.days", str(len(points))],
+        [sys.executable, "-m", "campaigns.days", str(len(points))],
         stdout=subprocess.PIPE,
         text=True,
         check=False,

@@ -1,4 +1,4 @@
-"""A part of `make torture` that every `make test` runs."""
+"""Two cases of the campaign of faults; its table and its page are in order."""
 
 from __future__ import annotations
 
@@ -6,24 +6,28 @@ import re
 
 import pytest
 
-from tests.torture.bed import hasten
-from tests.torture.faults import cases, judge_case
-from tests.torture.injections import Injection, Knob
-from tests.torture.page import PAGE
-from tests.torture.phases import Phase
-from tests.torture.script import Case
-from tests.torture.table import FAULTS
+from campaigns.faults.bed import hasten
+from campaigns.faults.campaign import cases, judge_case
+from campaigns.faults.injections import Injection, Knob
+from campaigns.faults.page import PAGE
+from campaigns.faults.phases import Phase
+from campaigns.faults.script import Case
+from campaigns.faults.table import FAULTS
+from tests.whole.bench import sweep
 
 SOME = [
-    (Knob("tracker.beam_break_after", count=6), 29, Phase.MEASURING, "suspended, went on"),
-    (Knob("tracker.beam_break_after"), 29, Phase.PAUSED, "safe stop HC-T10"),
     (Knob("robot.e_stop", count=1), 46, Phase.PAUSED, "safe stop HC-B10"),
-    (Knob("rail.node_reset", 5, 1), 10, Phase.ROBOT, "safe stop HC-R03"),
-    (Knob("robot.bad_number", "1e308"), 44, Phase.RESUMING, "safe stop HC-B26"),
     (Knob("rail.emcy", 0x4210, 1), 11, Phase.TEARDOWN, "stopped"),
+    *sweep(
+        (Knob("tracker.beam_break_after", count=6), 29, Phase.MEASURING, "suspended, went on"),
+        (Knob("tracker.beam_break_after"), 29, Phase.PAUSED, "safe stop HC-T10"),
+        (Knob("rail.node_reset", 5, 1), 10, Phase.ROBOT, "safe stop HC-R03"),
+        (Knob("robot.bad_number", "1e308"), 44, Phase.RESUMING, "safe stop HC-B26"),
+    ),
 ]
 
 
+@pytest.mark.wall
 @pytest.mark.parametrize(("injection", "number", "phase", "reaction"), SOME)
 def test_a_fault_in_a_phase(
     injection: Injection,

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import os
+import signal
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 
+from campaigns.faults.bed import RUN, Bed
+from campaigns.faults.cell import ThreadedCell
+from campaigns.faults.injections import Injection
+from campaigns.faults.phases import MOMENTS, Event, Phase, begins, is_point
 from hilcell.journal.journal import StorageError, read_journal
 from hilcell.run.cell_lock import OVERRIDE
-from tests.torture.bed import RUN, Bed
-from tests.torture.cell import ThreadedCell
-from tests.torture.injections import Injection
-from tests.torture.phases import MOMENTS, Event, Phase, begins, is_point
 
 PAPER = Path(__file__).parents[2] / "hilcell/cells/paper.toml"
 TO_RESUME = (2, 3, 4, 7)
@@ -42,6 +44,22 @@ class Ran:
     struck: bool
     session: int  # how many exits were there when the struck session had ended
     T_W_B: list[list[float]]  # true base frame when its last point was measured
+
+
+@contextmanager
+def limited(limit_s: int) -> Iterator[None]:
+    """Raise `TimeoutError` in a case that hangs."""
+
+    def give_up(number: int, frame: FrameType | None) -> None:
+        raise TimeoutError(f"hangs for {limit_s} s")
+
+    before = signal.signal(signal.SIGALRM, give_up)
+    signal.alarm(limit_s)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def play(case: Case) -> Ran:
@@ -76,7 +94,7 @@ def play_struck(
 def _bed(procedure: str, injections: Sequence[Injection]) -> Iterator[Bed]:
     """Prepare a run on a new cell."""
     with ExitStack() as stack:
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torture-")))
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="faults-")))
         proxied = any(each.proxied for each in injections)
         cell = stack.enter_context(ThreadedCell(proxied=proxied))
         bed = Bed(folder, cell, procedure, apart=any(each.apart for each in injections))

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from tests.torture.judging import Judged
-from tests.torture.phases import Phase
-from tests.torture.script import Case
-from tests.torture.table import FAULTS, Fault
+from campaigns.faults.judging import Judged
+from campaigns.faults.phases import Phase
+from campaigns.faults.script import Case
+from campaigns.faults.table import FAULTS, Fault
 
 PAGE = Path(__file__).parents[2] / "docs/faults.md"
 HEAD = """# Faults
 
 Each fault of the catalogue, really brought about on the simulated cell in each phase of a run, and
-the reaction that was seen. `make torture` (`python -m tests.torture faults`) runs all cases and
+the reaction that was seen. `make torture` (`python -m campaigns faults`) runs all cases and
 writes this page. Of each run the alarm, the exit code, the trace checker
 (`hilcell show RUN --check`), the result, and the resume after the cause was put right are judged.
 

@@ -3,7 +3,7 @@
 ``reaction`` is that of the catalogue: R bounded retry, P pause or suspend, S safe stop and latch,
 X refuse, I invalidate and measure again, L refuse the second, "-" must go on as if nothing were.
 ``ends`` are the ends that a case may have in the three phases in which devices work: its letters
-are those of `tests.torture.judging`.
+are those of `campaigns.faults.judging`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from signal import SIGHUP, SIGINT, SIGTERM
 
-from tests.torture.injections import (
+from campaigns.faults.injections import (
     Clock,
     Corrupted,
     EditedCell,
@@ -25,7 +25,7 @@ from tests.torture.injections import (
     Signals,
     Wire,
 )
-from tests.torture.phases import Phase
+from campaigns.faults.phases import Phase
 
 RAIL, ROBOT, MEASURING = Phase.RAIL, Phase.ROBOT, Phase.MEASURING
 PAUSED, RESUMING, TEARDOWN = Phase.PAUSED, Phase.RESUMING, Phase.TEARDOWN

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from tests.torture.days import Usage, report
+from campaigns.days import Usage, report
 
 
 def month(*, grows_mb: float = 0.0, slows: float = 1.0) -> list[Usage]:

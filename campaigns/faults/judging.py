@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from campaigns.faults.phases import Phase
+from campaigns.faults.script import Case, Ran
+from campaigns.faults.table import Fault
 from hilcell.ports import Array
-from tests.torture.phases import Phase
-from tests.torture.script import Case, Ran
-from tests.torture.table import Fault
 from tests.whole.trace import judge as broken_invariants
 
 LETTERS = {0: "-", 1: "N", 2: "X", 3: "S", 4: "A", 7: "J", -9: "K"}

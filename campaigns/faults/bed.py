@@ -9,6 +9,8 @@ import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from campaigns.faults.cell import ThreadedCell
+from campaigns.faults.phases import Event
 from drivers.canopen import drive, rail_setup
 from drivers.kuka import robot as kuka_robot
 from drivers.leica.tracker_emscon import LeicaEmsconTracker
@@ -17,8 +19,6 @@ from hilcell.journal.runs import JOURNAL
 from hilcell.run import device_status
 from hilcell.run.client import order
 from hilcell.run.protocol import Command
-from tests.torture.cell import ThreadedCell
-from tests.torture.phases import Event
 from tests.whole.bench import SMALL, command, sets
 
 RUN = "x"
@@ -148,7 +148,7 @@ class Bed:
 APART = """
 import sys
 from hilcell.commands.cli import main
-from tests.torture.bed import hasten
+from campaigns.faults.bed import hasten
 hasten()
 sys.exit(main(sys.argv[1:]))
 """

@@ -20,12 +20,12 @@ from typing import Any
 
 import numpy as np
 
+from campaigns.spread import print_table, progress, spread
+from campaigns.truth import Truth, machine, true_errors_mm
 from fakes.simulator import PaperCell
 from hilcell.calibration.noticed import CLOSING
 from hilcell.cell.file import Cell, load_cell
 from hilcell.ports import HilcellError
-from tests.torture.spread import print_table, progress, spread
-from tests.torture.truth import Truth, machine, true_errors_mm
 from tests.whole.bench import SMALL, Simulation, command, events, sets
 from tests.whole.trace import judge
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.torture.disturbances import KINDS, Calibrated, Case, Disturbance, drawn, report
+from campaigns.disturbances import KINDS, Calibrated, Case, Disturbance, drawn, report
 
 SUSPECTED = [{"cause": "strip", "size": 1.0, "unit": "mm", "noticed_by": "re-visits"}]
 

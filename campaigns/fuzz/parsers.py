@@ -18,6 +18,7 @@ import can
 import canopen
 import msgspec
 
+from campaigns.fuzz.wire_parsers import WIRE_PARSERS
 from drivers.canopen import nmt, sdo
 from drivers.canopen.can_link import CanLink
 from drivers.canopen.node_watch import NodeWatch
@@ -51,7 +52,6 @@ from tests.drivers.program_krl.samples import DAT, SRC
 from tests.hilcell.calibration.calibrations import calibration as made_calibration
 from tests.hilcell.tui.sample_runs import fresh, status
 from tests.hilcell.tui.untrusted_text import NASTY, dangerous, poison
-from tests.torture.wire_parsers import WIRE_PARSERS
 
 CONTEXT = AlarmContext(None, {action.name: action.keys for action in ACTIONS}, UNICODE)
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")

@@ -1,22 +1,20 @@
-"""``python -m tests.torture faults``: every fault in every phase, and the table of reactions."""
+"""``python -m campaigns faults``: every fault in every phase, and the table of reactions."""
 
 from __future__ import annotations
 
 import argparse
-import signal
 import time
 from collections.abc import Iterator, Sequence
 from functools import cache
-from types import FrameType
 
-from tests.torture.bed import hasten
-from tests.torture.injections import Injection
-from tests.torture.judging import Judged, judged
-from tests.torture.page import PAGE, page
-from tests.torture.phases import Phase
-from tests.torture.script import Case, Ran, play
-from tests.torture.spread import spread
-from tests.torture.table import FAULTS, Fault
+from campaigns.faults.bed import hasten
+from campaigns.faults.injections import Injection
+from campaigns.faults.judging import Judged, judged
+from campaigns.faults.page import PAGE, page
+from campaigns.faults.phases import Phase
+from campaigns.faults.script import Case, Ran, limited, play
+from campaigns.faults.table import FAULTS, Fault
+from campaigns.spread import spread
 
 LIMIT_S = 90
 AT_ONCE = 2  # a driver often waits for an answer that does not come
@@ -40,20 +38,12 @@ def fault_of(number: int) -> Fault:
 
 def judge_case(case: Case) -> Judged:
     """Play and judge one case; one that hangs is judged so."""
-
-    def give_up(number: int, frame: FrameType | None) -> None:
-        raise TimeoutError(f"hangs for {LIMIT_S} s")
-
     hasten()
-    before = signal.signal(signal.SIGALRM, give_up)
-    signal.alarm(LIMIT_S)
     try:
-        return judged(fault_of(case.number), case, play(case), undisturbed(case.procedure))
+        with limited(LIMIT_S):
+            return judged(fault_of(case.number), case, play(case), undisturbed(case.procedure))
     except TimeoutError as error:
         return Judged("hangs", (str(error),))
-    finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
 
 
 @cache
@@ -74,7 +64,7 @@ def campaign(seeds: Sequence[int]) -> int:
 
 def main(words: Sequence[str]) -> int:
     """Run the faults of some numbers, or of one phase; return 0 where every case holds."""
-    parser = argparse.ArgumentParser(prog="python -m tests.torture faults")
+    parser = argparse.ArgumentParser(prog="python -m campaigns faults")
     parser.add_argument("number", nargs="*", type=int)
     parser.add_argument("--phase", choices=[phase.value for phase in Phase])
     args = parser.parse_args(words)

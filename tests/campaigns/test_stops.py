@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.stop import report as rows
-from tests.torture.stops import report
+from campaigns.stops import report
 
 
 @pytest.mark.parametrize(

@@ -7,20 +7,18 @@ they strike, and the records after which. All that a single fault may not do, tw
 from __future__ import annotations
 
 import random
-import signal
 import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import FrameType
 
-from tests.torture.bed import hasten
-from tests.torture.faults import undisturbed
-from tests.torture.injections import Injection, Knob, Wire
-from tests.torture.judging import broken, unlike
-from tests.torture.script import PAIR, Ran, play_struck
-from tests.torture.spread import print_table, progress, spread
-from tests.torture.table import FAULTS
+from campaigns.faults.bed import hasten
+from campaigns.faults.campaign import undisturbed
+from campaigns.faults.injections import Injection, Knob, Wire
+from campaigns.faults.judging import broken, unlike
+from campaigns.faults.script import PAIR, Ran, limited, play_struck
+from campaigns.faults.table import FAULTS
+from campaigns.spread import print_table, progress, spread
 
 COUNT = 10_000
 # Seeds that have failed once, to be replayed.
@@ -77,22 +75,14 @@ def _varied(injection: Injection, chance: random.Random) -> Injection:
 
 def judge_pair(seed: int) -> Verdict:
     """Play and judge one pair; one that hangs is judged so."""
-
-    def give_up(number: int, frame: FrameType | None) -> None:
-        raise TimeoutError(f"hangs for {LIMIT_S} s")
-
     hasten()
     pair = pair_of(seed)
-    before = signal.signal(signal.SIGALRM, give_up)
-    signal.alarm(LIMIT_S)
     try:
-        ran = play_struck(PAIR, pair.injections, pair.moments, QUIET)
-        return Verdict(pair, ran.exits[0], tuple(_problems(pair, ran)))
+        with limited(LIMIT_S):
+            ran = play_struck(PAIR, pair.injections, pair.moments, QUIET)
+            return Verdict(pair, ran.exits[0], tuple(_problems(pair, ran)))
     except TimeoutError as error:
         return Verdict(pair, -1, (str(error),))
-    finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
 
 
 def _problems(pair: Pair, ran: Ran) -> list[str]:

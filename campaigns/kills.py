@@ -17,9 +17,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from campaigns.spread import print_table, progress, spread
 from fakes.simulator import PaperCell
 from hilcell.cell.file import load_cell
-from tests.torture.spread import print_table, progress, spread
 from tests.whole.bench import SMALL, Engine, command, events, sets
 from tests.whole.trace import judge
 

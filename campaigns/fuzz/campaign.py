@@ -18,7 +18,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
-from tests.torture.spread import print_table, progress, spread
+from campaigns.spread import print_table, progress, spread
 
 COUNT = 1_000_000
 NAMES = (
@@ -60,7 +60,7 @@ def fuzzed(budget: Budget, name: str) -> Fuzzed:
     memory = Path("/dev/shm")  # files that live for one input need no disk
     with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as files:
         done = subprocess.run(
-            [sys.executable, "-m", "tests.torture.fuzzer", by, name, *words],
+            [sys.executable, "-m", "campaigns.fuzz.fuzzer", by, name, *words],
             capture_output=True,
             text=True,
             errors="replace",

@@ -14,8 +14,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from campaigns.faults.bed import Bed
 from hilcell.journal import journal as journal_module
-from tests.torture.bed import Bed
 from tests.whole.bench import hilcell
 
 FOR_EVER = 0

@@ -1,4 +1,4 @@
-"""``python -m tests.torture.fuzzer BY NAME INPUTS SECONDS SEED``: fuzz one parser.
+"""``python -m campaigns.fuzz.fuzzer BY NAME INPUTS SECONDS SEED``: fuzz one parser.
 
 ``BY`` is ``atheris`` or ``mutation``. The last line states the inputs and the seconds.
 """
@@ -20,7 +20,7 @@ LONGEST = 20_000  # bytes of an input
 
 def main(by: str, name: str, inputs: int, seconds: int, seed: int) -> int:
     if by == "mutation":
-        return mutate(import_module("tests.torture.parsers").PARSERS[name], inputs, seconds, seed)
+        return mutate(import_module("campaigns.fuzz.parsers").PARSERS[name], inputs, seconds, seed)
     return guided(name, inputs, seconds, seed)
 
 
@@ -29,7 +29,7 @@ def guided(name: str, inputs: int, seconds: int, seed: int) -> int:
     import atheris
 
     with atheris.instrument_imports(include=["drivers", "hilcell"]):
-        parsers = import_module("tests.torture.parsers")
+        parsers = import_module("campaigns.fuzz.parsers")
     parser = parsers.PARSERS[name]
     corpus = Path(parsers.folder().name, "corpus")
     corpus.mkdir()

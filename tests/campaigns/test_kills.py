@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.torture.kills import Case, Killed, problems, report
+from campaigns.kills import Case, Killed, problems, report
 
 
 def point(key: str, x_mm: float = 0.0) -> dict[str, Any]:
@@ -51,7 +51,7 @@ def test_what_a_kill_must_not_do_is_said(
     journal: list[dict[str, Any]],
     wanted: str,
 ) -> None:
-    monkeypatch.setattr("tests.torture.kills.judge", lambda events: [])
+    monkeypatch.setattr("campaigns.kills.judge", lambda events: [])
     said = problems(Killed(1, acknowledged, journal), WHOLE)
     assert any(text.startswith(wanted) for text in said) if wanted else said == []
     assert report({"at random": [Case("seed 1", 1, 2, said)]}) == (not wanted)

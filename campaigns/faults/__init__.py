@@ -1,0 +1,1 @@
+"""Faults, and pairs of faults, in every phase of a run."""

@@ -1,1 +1,0 @@
-"""Long campaigns that ``make test`` has no time for: ``python -m tests.torture NAME...``."""
