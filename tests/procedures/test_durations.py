@@ -88,13 +88,6 @@ def test_the_trackers_times_are_those_of_the_cell(stated: dict[str, str]) -> Non
     assert durations.measure_s(CELL, 3) == pytest.approx(CELL.tracker.pointing_s + 1.5)
 
 
-def test_a_plan_takes_homing_and_ramps_from_the_cell() -> None:
-    slow = load_cell("paper", {"rail.homing_mm_s": "50.0", "robot.ramp_s": "1.0"})
-    travel_mm = CELL.rail.travel_max_mm / 2
-    assert durations.homing_s(slow) - durations.homing_s(CELL) == pytest.approx(travel_mm / 100)
-    assert durations.park_s(slow) > durations.park_s(CELL)
-
-
 @pytest.mark.parametrize("name", PARTS)
 def test_spans_add_up_to_their_step(name: str) -> None:
     planned = step(name)

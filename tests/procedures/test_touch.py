@@ -156,7 +156,7 @@ def test_a_total_station_is_sent_to_no_place_before_or_behind_a_nest() -> None:
 def test_targets_before_or_behind_a_nest_are_drawn_again() -> None:
     coarse = load_cell("paper", {"tracker.driver": "leica-geocom"})
     redrawn = 0
-    for seed in range(20):
+    for seed in range(6):
         drawn = targets(coarse, seed)
         for name, poses in target_poses(coarse, seed).items():
             station = coarse.station_named(name)
@@ -165,7 +165,7 @@ def test_targets_before_or_behind_a_nest_are_drawn_again() -> None:
             assert np.array_equal(same, ~beside)
             assert not beside_nest(coarse, station, poses[:, :3, 3]).any()
             redrawn += int(beside.sum())
-    assert redrawn > 5
+    assert redrawn > 1
 
 
 def test_without_touch_poses_the_slip_stays_in_the_figures() -> None:
@@ -280,7 +280,7 @@ def test_a_lost_zero_is_refused(turn_rad: list[float]) -> None:
     with pytest.raises(DeviceError) as raised:
         touch_base(bench, HERE, model_of(bench.log))
     assert raised.value.code == "HC-T63"
-    assert str(raised.value).startswith("Cell: ")  # nothing is wrong with the tracker
+    assert raised.value.device == "Cell"  # nothing is wrong with the tracker
     assert "touch.S1100" not in bench.log.frames
 
 

@@ -98,7 +98,7 @@ def test_tree_is_the_least(seed: int, count: int) -> None:
     assert _evaluated(distance, price)[0] == pytest.approx(wanted)
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(seeds, st.integers(1, 60))
 def test_every_hole_once_and_the_length_is_true(seed: int, count: int) -> None:
     points = scattered(seed, count)

@@ -37,7 +37,7 @@ def test_how_much_shares_miss() -> None:
     assert cut.missed(edges, np.array([1.0, 1.0, 0.5])) == pytest.approx(7.5)
 
 
-@settings(max_examples=10)
+@settings(max_examples=4)
 @given(st.integers(0, 2**32 - 1))
 def test_grown_stars_have_a_node_of_every_tooth_in_every_shell(seed: int) -> None:
     """Where rows end on another row."""
