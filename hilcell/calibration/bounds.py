@@ -154,11 +154,6 @@ def coverages(
 
 
 def _stated(calibration: Calibration) -> Uncertainty:
-    if calibration.uncertainty is None:
-        raise NoBound(
-            f"the calibration of {calibration.provenance.named} states no uncertainty, as those "
-            "of earlier versions; calibrate again"
-        )
     if calibration.uncertainty.missing:
         raise NoBound(calibration.uncertainty.missing)
     return calibration.uncertainty
@@ -169,8 +164,6 @@ def _bounds(
 ) -> Bounds:
     T_W_B = _base(calibration, station)
     model_mm2 = calibration.error_model().predict(inverse(T_W_B) @ poses).covariance_mm2
-    if not np.isfinite(model_mm2).all():
-        raise NoBound(f"its error model {calibration.method} states no covariance; calibrate again")
     samples = _stated(calibration).model_samples
     return bounds_of(model_mm2, lines, T_W_B, poses, samples)
 

@@ -21,7 +21,6 @@ from hilcell.ports import Array, HilcellError
 MOST_ERROR_MM = 100.0  # beyond is no robot's error
 MOST_MM = 1e6
 MOST_TURN_DEG = 180.0
-LAST_WITHOUT_VERDICTS = 2  # schema
 MOST_C = 100.0
 RIGID = 1e-6  # of a rotation matrix times its transpose, and of a whole number of pitches
 ROUNDING = 1e-6  # of a covariance, relative
@@ -32,7 +31,7 @@ MOST_VARIANCE = 1e12  # likewise
 def problems_of(calibration: Calibration) -> list[str]:
     """Return in words everything that is wrong, each with the name of its field."""
     found = [
-        *_method(calibration),
+        *_name(calibration),
         *_validity(calibration.validity),
         *_grid(calibration),
         *_stations(calibration.stations),
@@ -44,12 +43,10 @@ def problems_of(calibration: Calibration) -> list[str]:
     return found or list(_model(calibration))
 
 
-def _method(calibration: Calibration) -> Iterator[str]:
-    method, model = calibration.method, calibration.model
-    if method not in MODELS:
-        yield f"method: {method[:40]!r} is unknown; known here: {', '.join(MODELS)}"
-    elif model is not None and model.name != method:
-        yield f"model.name: {model.name[:40]!r}, wanted the method's {method!r}"
+def _name(calibration: Calibration) -> Iterator[str]:
+    name = calibration.model.name
+    if name not in MODELS:
+        yield f"model.name: {name[:40]!r} is unknown; known here: {', '.join(MODELS)}"
 
 
 def _model(calibration: Calibration) -> Iterator[str]:
@@ -118,7 +115,7 @@ def _stations(stations: dict[str, StationEntry]) -> Iterator[str]:
 
 def _uncertainty(calibration: Calibration) -> Iterator[str]:
     stated = calibration.uncertainty
-    if stated is None or stated.missing:
+    if stated.missing:
         return
     if stated.stations.keys() != calibration.stations.keys():
         found = ", ".join(stated.stations) or "none"
@@ -170,11 +167,9 @@ def _targets(calibration: Calibration) -> Iterator[str]:
 
 
 def _verdicts(calibration: Calibration) -> Iterator[str]:
-    if calibration.verdicts is None and calibration.schema > LAST_WITHOUT_VERDICTS:
-        yield "verdicts: missing"
-    for place, each in (calibration.verdicts or {}).items():
+    for place, each in calibration.verdicts.items():
         at = f"verdicts.{place[:40]}"
-        figures = (each.mean_mm, each.max_mm, each.mean_U_mm or 0.0, each.max_U_mm or 0.0)
+        figures = (each.mean_mm, each.max_mm, each.mean_U_mm, each.max_U_mm)
         if not all(0 <= figure <= MOST_MM for figure in figures):
             yield f"{at}: {', '.join(f'{each:g}' for each in figures)}, wanted 0 .. {MOST_MM:g} mm"
         elif each.turn is not None and not all(0 <= deg <= MOST_TURN_DEG for deg in each.turn):

@@ -66,8 +66,7 @@ NO_GUARD = Guard(0.0, 0.0)  # before anything is measured
 class Judged(msgspec.Struct, frozen=True, omit_defaults=True):
     """Figures against their limits, as verdicts in journals and calibration files have them.
 
-    U is None in verdicts of earlier versions, which did not add it. Orientation has figures where
-    it was judged.
+    Orientation has figures where it was judged; null, a NaN in JSON, is None.
     """
 
     holds: bool
@@ -75,10 +74,10 @@ class Judged(msgspec.Struct, frozen=True, omit_defaults=True):
     mean_tolerance_mm: float
     max_mm: float
     max_tolerance_mm: float
-    mean_U_mm: float | None = None
-    max_U_mm: float | None = None
-    outcome: Outcome | None = None
-    decision: str = ""
+    mean_U_mm: float
+    max_U_mm: float
+    outcome: Outcome
+    decision: str
     max_deg: float | None = None
     max_tolerance_deg: float | None = None
     max_U_deg: float | None = None
@@ -252,11 +251,8 @@ def judged(
 
 
 def judged_again(stated: Judged, limits: Limits | None = None) -> Judged:
-    """Return the decision on a verdict's figures, by its own or other limits.
-
-    What a verdict of earlier versions does not state counts as nought.
-    """
-    guard = Guard(stated.mean_U_mm or 0.0, stated.max_U_mm or 0.0)
+    """Return the decision on a verdict's figures, by its own or other limits."""
+    guard = Guard(stated.mean_U_mm, stated.max_U_mm)
     return judged(stated.mean_mm, stated.max_mm, limits or stated.limits, guard, turn=stated.turn)
 
 

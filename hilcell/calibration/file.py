@@ -38,9 +38,7 @@ from hilcell.journal.log import NO_READINGS, Log
 from hilcell.ports import Array, HilcellError
 from hilcell.writing import write_whole
 
-SCHEMA = 3  # 3: with verdicts; 2: sealed, and since then with the model's own table; 1: neither
-READ = (3, 2, 1)
-UNSEALED = 1
+SCHEMA = 4  # to be raised whenever `Calibration` changes, or what its fields mean
 SEAL = "seal"
 ORIENTATION_TOLERANCE_DEG = 2.0
 NAMED = 5  # targets that one message names
@@ -73,7 +71,6 @@ def calibration_of(log: Log, run: str) -> Calibration:
             station.name: _entry(log, frames.base_in_world(station), station.name)
             for station in cell.station
         },
-        "method": method,
         "pitch_mm": grid.pitch_mm,
         "grid_errors_mm": measured.grid.errors_mm.tolist(),
         "model": ModelEntry(method, MODELS[method].learn(measured).parameters()),
@@ -173,9 +170,9 @@ def read_calibration(path: Path) -> Calibration:
     try:
         data = path.read_bytes()
         schema = msgspec.json.decode(data, type=_Head).schema
-        if schema not in READ:
-            known = ", ".join(map(str, READ))
-            raise SettingsError(str(path), [f"schema {schema:.6g}, this hilcell reads {known}"])
+        if schema != SCHEMA:
+            found = f"schema {schema:.6g}, expected {SCHEMA}; calibrate again"
+            raise SettingsError(str(path), [found])
         content = msgspec.json.decode(data)
         problems = seal_problems(content)
         calibration = msgspec.convert(content, Calibration)
@@ -200,9 +197,7 @@ def _seal(content: dict[str, Any]) -> str:
 
 def seal_problems(content: dict[str, Any]) -> list[str]:
     """Return what is wrong with the seal of a calibration file's content, if anything is."""
-    old = content["schema"] == UNSEALED and "model" not in content  # written without both
-    wanted = None if old else _seal(content)
-    if content.get(SEAL) == wanted:
+    if content.get(SEAL) == _seal(content):
         return []
     return ["was changed after it was written: its seal does not hold; take the run's own file"]
 

@@ -16,8 +16,7 @@ import numpy as np
 from hilcell.calibration.decision import Judged
 from hilcell.calibration.influence import Uncertainty
 from hilcell.compensation.choice import MODELS
-from hilcell.compensation.grid import Grid, MeasuredGrid
-from hilcell.compensation.interpolation import Idw, Trilinear
+from hilcell.compensation.grid import Grid
 from hilcell.compensation.model import ErrorModel
 from hilcell.compensation.remainder import Pass, Remainder, WithRemainder
 from hilcell.geometry.frames import matrix, poses_from_zyx
@@ -58,14 +57,14 @@ class Validity(msgspec.Struct, frozen=True):
 
 
 class Device(msgspec.Struct, frozen=True):
-    """An asset that measured; files of old know no kind, maker and firmware."""
+    """An asset that measured."""
 
     device: str
     model: str
     serial: str
-    kind: str = ""
-    maker: str = ""
-    firmware: str = ""
+    kind: str
+    maker: str
+    firmware: str
 
 
 class Update(msgspec.Struct, frozen=True):
@@ -88,8 +87,7 @@ class Provenance(msgspec.Struct, frozen=True):
 
     ``points`` are the journal's keys of the grid, ``scores`` mean, p95 and max (mm) by which each
     candidate's cross-validation was judged. ``run`` is the one that measured the model, ``updates``
-    are later ones, and ``written`` is when the last of them changed it. The fields from
-    ``versions`` on are empty in files without a ``model``.
+    are later ones, and ``written`` is when the last of them changed it.
     """
 
     run: str
@@ -100,11 +98,11 @@ class Provenance(msgspec.Struct, frozen=True):
     job: str
     software: str
     written: str
-    sign_checked: bool = False
-    versions: dict[str, str] = {}
-    devices: list[Device] = []
-    points: list[str] = []
-    scores: dict[str, dict[str, float]] = {}
+    sign_checked: bool
+    versions: dict[str, str]
+    devices: list[Device]
+    points: list[str]
+    scores: dict[str, dict[str, float]]
     updates: list[Update] = []
 
     @property
@@ -179,26 +177,23 @@ class Targets(msgspec.Struct, frozen=True):
 
 
 class Calibration(msgspec.Struct, frozen=True, dict=True):
-    """The file. ``method`` is the model's name, for readers that know no ``model``.
+    """The file. ``targets`` are those that later runs have measured.
 
-    Files of old state no ``uncertainty``. ``targets`` are those that later runs have measured.
-    ``verdicts`` are the validation's by place, none where it was not made; files of schema 1 and 2
-    state None. ``failed`` are other verdicts of the same run that do not hold, each in words,
-    suspicions among them.
+    ``verdicts`` are the validation's by place, none where it was not made. ``failed`` are other
+    verdicts of the same run that do not hold, each in words, suspicions among them.
     """
 
     schema: int
     provenance: Provenance
     validity: Validity
     stations: dict[str, StationEntry]
-    method: str
     pitch_mm: float
     grid_errors_mm: list[list[list[tuple[float, float, float]]]]
-    model: ModelEntry | None = None
-    uncertainty: Uncertainty | None = None
+    model: ModelEntry
+    uncertainty: Uncertainty
+    verdicts: dict[str, Judged]
+    failed: dict[str, str]
     targets: Targets | None = None
-    verdicts: dict[str, Judged] | None = None
-    failed: dict[str, str] = {}
 
     def grid(self) -> Grid:
         """Return the grid in {B}."""
@@ -229,13 +224,9 @@ class Calibration(msgspec.Struct, frozen=True, dict=True):
         return model if self.targets is None else WithRemainder(model, self.targets.remainder())
 
     def learnt_model(self) -> ErrorModel:
-        """Return the model as learnt; a file without parameters states no covariance: it is NaN."""
-        grid, errors_mm = self.grid(), np.array(self.grid_errors_mm)
-        if self.model is not None:
-            return MODELS[self.model.name].restore(grid, errors_mm, self.model.parameters)
-        unknown = np.full((*grid.shape, 3, 3), np.nan)
-        old = Idw if self.method == "idw" else Trilinear
-        return old.of_grid(MeasuredGrid(grid, errors_mm, unknown))
+        """Return the model as learnt."""
+        errors_mm = np.array(self.grid_errors_mm)
+        return MODELS[self.model.name].restore(self.grid(), errors_mm, self.model.parameters)
 
 
 def written_now() -> str:

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from hilcell.calibration.decision import Judged, limits_of
-from hilcell.calibration.file import read_calibration, verdicts_of
+from hilcell.calibration.decision import limits_of
+from hilcell.calibration.file import read_calibration
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.validity import Unfit, check_fitness
 from hilcell.cell.file import Cell
@@ -66,7 +66,7 @@ def with_calibration(cell: Cell, table: str, runs: Path, accepts: Accepts = NOTH
         return Chosen(cell, [])  # the plan says which keys it lacks
     named = chosen.calibration
     path = _named(runs, named) if named else _current(runs, cell, table)
-    calibration = with_verdicts(read_calibration(path), path)
+    calibration = read_calibration(path)
     standing = standing_by_name(calibration, path, runs)
     accepted = _accepted(calibration, path, cell, standing, accepts)
     changed = msgspec.structs.replace(chosen, calibration=str(path.resolve()))
@@ -176,20 +176,6 @@ def _current(runs: Path, cell: Cell, table: str) -> Path:
     )
 
 
-def with_verdicts(calibration: Calibration, path: Path) -> Calibration:
-    """Return a file of an earlier version with the verdicts that its run's journal holds.
-
-    As it is, where that run is not beside it, or cannot be read.
-    """
-    origin = path.parent.parent / calibration.provenance.run
-    if calibration.verdicts is not None or not is_run(path.parent) or not is_run(origin):
-        return calibration
-    with suppress(HilcellError):
-        found = msgspec.convert(verdicts_of(read_log(origin)), dict[str, Judged])
-        return msgspec.structs.replace(calibration, verdicts=found)
-    return calibration
-
-
 def standing_of(folder: Path) -> Standing | None:
     """Return how the calibration of a run stands among those of its folder of runs.
 
@@ -251,10 +237,8 @@ def _foreign(calibration: Calibration, path: Path, cell: Cell) -> Iterator[str]:
     if made.simulated != (cell.simulation is not None):
         kinds = ("a simulated", "a real") if made.simulated else ("a real", "a simulated")
         yield f"it is of {kinds[0]} cell, this is {kinds[1]} one; calibrate this cell"
-    stated = calibration.uncertainty
-    if stated is None or stated.missing:
-        why = "as those of earlier versions" if stated is None else stated.missing
-        yield f"it states no uncertainty to judge by: {why}; calibrate again"
+    if missing := calibration.uncertainty.missing:
+        yield f"it states no uncertainty to judge by: {missing}; calibrate again"
     if cell.grid.station not in calibration.stations:
         yield f"station {cell.grid.station} is not calibrated by it"
     if made.digest == cell.digest:

@@ -325,8 +325,7 @@ def _bounds_deg(
         if line.frame in axes:  # the tool's is the stated limit of what is measured here
             own = axes[line.frame]
             frames_rad2 += own @ np.array(line.covariance)[TURNS, TURNS] @ own.T
-    stated = calibration.uncertainty
-    samples = None if stated is None else stated.model_samples
+    samples = calibration.uncertainty.model_samples
     freedom = trace_freedom(model_rad2.mean(axis=0), samples) if samples else math.inf
     rest_rad2 = frames_rad2 + own_rad2
     traces = [np.trace(each, axis1=1, axis2=2) for each in (model_rad2, rest_rad2)]

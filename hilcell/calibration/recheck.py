@@ -204,11 +204,6 @@ def _check(found: Rechecked) -> None:
         raise NotJudged(f"re-check: {count} poses, wanted at least {FEWEST}")
     if not np.isfinite(found.errors_mm).all():
         raise NotJudged("re-check: an error is not finite; measure again")
-    if not (np.isfinite(found.own_mm2).all() and np.isfinite(found.common_mm2).all()):
-        raise NotJudged(
-            "re-check: the calibration states no covariance, as those of earlier versions; "
-            "calibrate again"
-        )
 
 
 def motion_columns(targets_mm: Array) -> Array:

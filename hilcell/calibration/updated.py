@@ -58,7 +58,7 @@ def _rebased(calibration: Calibration, found: Judgement, run: str) -> Calibratio
     )
     changes: dict[str, Any] = {"stations": stations, "provenance": _with(calibration, update)}
     stated = calibration.uncertainty
-    if stated is not None and not stated.missing:
+    if not stated.missing:
         how = f"{len(found.left_mm)} poses of the re-check, less what its frames are uncertain by"
         line = Influence(BASE_UPDATE, MEASURED, how, "4.2.2", "base", moved_frame(found.covariance))
         lines = [each for each in stated.lines if each.name != BASE_UPDATE]
@@ -75,7 +75,7 @@ def _touched(calibration: Calibration, log: Log, run: str) -> Calibration:
     stations = calibration.stations | {name: entry}
     changes: dict[str, Any] = {"stations": stations, "provenance": _with(calibration, update)}
     stated, line = calibration.uncertainty, touched(log, log.cell.station_named(name))
-    if stated is not None and not stated.missing and line is not None:
+    if not stated.missing and line is not None:
         line = msgspec.structs.replace(line, counts="always")
         placed = stated.stations | {name: [line]}
         changes["uncertainty"] = msgspec.structs.replace(stated, stations=placed)

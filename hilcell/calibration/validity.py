@@ -21,7 +21,6 @@ from hilcell.ports import HilcellError
 
 TEMPERATURE_MARGIN_K = 2.0
 MAX_AGE_DAYS = 180.0
-OLD_DEFAULT = Limits(0.2, 1.0)  # of cells that state none, when files had no verdicts
 CLOCK_ERROR = timedelta(hours=1)
 
 
@@ -72,15 +71,12 @@ def check_fitness(
 def out_of_tolerance(calibration: Calibration, limits: Limits | None = None) -> list[str]:
     """Return why a calibration is not known to be in tolerance, with the figures.
 
-    ``limits`` are those of the cell; None is those that it was judged by. Files of old state no
-    verdict: nothing is known against them.
+    ``limits`` are those of the cell; None is those that it was judged by.
     """
-    if calibration.verdicts is None:
-        return []
     if not calibration.verdicts:
         return ["its correction was never validated: its run ended before, or measures none"]
     reasons = [
-        f"validation at {place}: {each.decision or 'does not hold'}: {each.figures}"
+        f"validation at {place}: {each.decision}: {each.figures}"
         for place, each in calibration.verdicts.items()
         if not each.holds
     ]
@@ -138,9 +134,9 @@ def _age(calibration: Calibration, now: datetime, max_age_days: float) -> str:
 
 def _other_cell(calibration: Calibration, cell: Cell, calibrated: Cell | None) -> str:
     """Say that the cell differs; in its tolerance alone is no other cell, and judged apart."""
-    found, verdicts = calibration.provenance.digest, calibration.verdicts or {}
-    limits = {each.limits for each in verdicts.values()}
-    possible = [each for each in limits or {OLD_DEFAULT} if each.max_deg is None or cell.orients]
+    found = calibration.provenance.digest
+    limits = {each.limits for each in calibration.verdicts.values()}
+    possible = [each for each in limits if each.max_deg is None or cell.orients]
     if found in {cell.digest, *(_judged_by(cell, each) for each in possible)}:
         return ""
     name = calibration.provenance.cell

@@ -63,8 +63,8 @@ def _noise(
     count twice. The drill is no part of it.
     """
     stated = calibration.uncertainty
-    if stated is None or stated.missing:
-        raise NoBound(stated.missing if stated is not None else "the file states no uncertainty")
+    if stated.missing:
+        raise NoBound(stated.missing)
     air_c, then_c = log.temperatures_c(), calibration.validity.temperature_c
     now_c = float(np.mean(air_c)) if air_c and then_c is not None else None
     air = temperature(stated.growth_per_k, then_c, stated.air_range_k, now_c)

@@ -40,7 +40,7 @@ def bounds_of_targets(
     """
     try:
         stated = calibration.uncertainty
-        if drill_offset_mm is not None and stated is not None and not stated.missing:
+        if drill_offset_mm is not None and not stated.missing:
             stated = with_drill(stated, drill_offset_mm)
             calibration = msgspec.structs.replace(calibration, uncertainty=stated)
         return target_bounds(calibration, station, poses_from_zyx(targets), temperature_c)

@@ -11,12 +11,7 @@ from pathlib import Path
 
 from hilcell.calibration.file import read_calibration
 from hilcell.calibration.form import Calibration, written_now
-from hilcell.calibration.in_use import (
-    cell_calibrated,
-    standing_by_name,
-    with_verdicts,
-    written_by,
-)
+from hilcell.calibration.in_use import cell_calibrated, standing_by_name, written_by
 from hilcell.calibration.validity import check_fitness
 from hilcell.cell.file import Cell
 from hilcell.compensation.stamp import Stamp
@@ -42,7 +37,6 @@ class Released:
         """Return the stamp of targets that are corrected now."""
         made = self.calibration.provenance
         remarks = ["OUT OF TOLERANCE (accepted)"] if self.accepted else []
-        remarks += ["no verdict stated"] if self.calibration.verdicts is None else []
         if self.standing is None:
             remarks.append(UNKNOWN)
         elif not self.standing.usable:
@@ -66,12 +60,6 @@ class Released:
             )
         elif not self.standing.usable:
             yield f"accepted although it is {self.standing.text}"
-        if self.calibration.verdicts is None:
-            yield (
-                f"warning: the calibration of run {made.latest} is of an earlier version and "
-                "states no verdict: whether its validation was in tolerance is not known; see "
-                "`hilcell show`"
-            )
         if made.simulated:
             yield (
                 f"hilcell: SIMULATED: run {made.run} measured no real robot; the output is for "
@@ -87,7 +75,7 @@ def released(args: argparse.Namespace, cell: Cell | None) -> Released:
     where = Path(args.calibration)
     is_file = os.path.isfile(where)  # noqa: PTH113 - Path.is_file raises for a name too long
     path = where if is_file else written_by(find_run(args.runs, args.calibration))
-    calibration = with_verdicts(read_calibration(path), path)
+    calibration = read_calibration(path)
     standing = standing_by_name(calibration, path, args.runs)
     accepted = check_fitness(
         calibration,

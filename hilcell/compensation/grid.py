@@ -117,7 +117,7 @@ class MeasuredGrid:
     """Errors e = actual - nominal at a grid's vertices, in the grid's frame.
 
     ``errors_mm`` (nx, ny, nz, 3) is NaN where no vertex was measured; ``covariance_mm2``
-    (nx, ny, nz, 3, 3) is that of each averaged reading, NaN where it is unknown.
+    (nx, ny, nz, 3, 3) is that of each averaged reading.
     """
 
     grid: Grid

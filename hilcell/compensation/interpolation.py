@@ -66,7 +66,7 @@ class Interpolation(ABC):
 
     @classmethod
     def of_grid(cls, lattice: MeasuredGrid) -> Self:
-        """Return the model with R estimated, NaN where the vertices' covariances are unknown."""
+        """Return the model with R estimated."""
         return cls(lattice, _residual_mm2(cls, lattice))
 
     @classmethod
@@ -201,8 +201,6 @@ def _missed_mm(model: type[Interpolation], lattice: MeasuredGrid) -> Array:
 def _residual_mm2(model: type[Interpolation], lattice: MeasuredGrid) -> Array:
     """Return the covariance R (3, 3) of left-out vertices' misses beyond their readings."""
     own = lattice.covariance_mm2
-    if not np.isfinite(own).all():
-        return np.full((3, 3), np.nan)
     lows, inner, weights = _wide_cells(model, lattice)
     missed = _missed_mm(model, lattice)
     corners = _at(own, _wide_corners(lattice.grid, lows))

@@ -72,7 +72,7 @@ class CurvesUsed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     without_mm: float | None = None
 
 
-class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The identified robot.
 
     ``base`` (4, 4), ``reflector_mm`` (3,), ``values`` by name (V,), and the ``covariance`` (P, P)
@@ -98,8 +98,8 @@ class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_d
     directions: int
     condition: float
     outliers: list[int]
-    more_reflectors_mm: list[list[float]] = []
-    pose_mm: float | None = None
+    more_reflectors_mm: list[list[float]]
+    pose_mm: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +187,7 @@ class Kinematic:
             self.condition,
             self.outliers,
             self.state.smr_mm[1:].tolist(),
-            self.noise.pose_mm or None,  # absent, as in files of one reflector
+            self.noise.pose_mm,
         )  # fmt: skip
         found: dict[str, Any] = msgspec.to_builtins(entry)
         return found
@@ -215,7 +215,7 @@ class Kinematic:
             _numbers("values", entry.values, (size - placed,), MOST_MM),
             np.zeros(placed),
         )
-        deviations = [entry.reading_mm, entry.pose_mm or 0.0, *entry.joint_rad]
+        deviations = [entry.reading_mm, entry.pose_mm, *entry.joint_rad]
         scatter = _numbers("reading_mm, pose_mm and joint_rad", deviations, (8,), MOST_MM)
         if not (scatter >= 0.0).all():
             raise ModelError("reading_mm, pose_mm and joint_rad: a standard deviation below zero")

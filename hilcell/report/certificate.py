@@ -180,8 +180,6 @@ def conformity_words(facts: Facts) -> str:
     limits, plan = facts.cell.validation, facts.cell.plan
     judged = [v for key, v in facts.log.verdicts.items() if key.startswith(VALIDATION)]
     rule = RULE
-    if any("mean_U_mm" not in each for each in judged):  # of an earlier version
-        rule = "simple acceptance: the measured figure against the limit, uncertainty not added"
     if "recheck" in facts.log.verdicts:
         return "chi-square tests of the errors against those that the calibration predicts"
     if plan.quick and not facts.procedure.used_in(facts.cell):

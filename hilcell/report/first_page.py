@@ -174,7 +174,7 @@ def verdict_word(facts: Facts) -> str:
 def deciding(facts: Facts) -> str:
     """Return where which figures decided that the run does not pass, after a colon."""
     failed = {place: each for place, each in judged_places(facts).items() if not each.holds}
-    outcomes = [each.outcome for each in failed.values() if each.outcome is not None]
+    outcomes = [each.outcome for each in failed.values()]
     if not outcomes:
         return ""
     found = [

@@ -14,7 +14,7 @@ from hilcell.calibration.decision import Judged
 from hilcell.calibration.known_length import LengthFound
 from hilcell.calibration.pose_test import ISO
 from hilcell.calibration.recheck import WORDS
-from hilcell.journal.calibration_facts import OUTCOMES, VALIDATION
+from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.journal.key_words import verdict_words
 from hilcell.report.columns import Column, Sheet, sheet
 from hilcell.report.facts import Facts
@@ -53,7 +53,7 @@ def _words(key: str, body: Body) -> str:
     group = VALIDATION if key.startswith(VALIDATION) else key
     try:
         return FIGURES.get(group, _plain)(body)
-    except (KeyError, msgspec.ValidationError):  # an earlier version's lacks a figure
+    except (KeyError, msgspec.ValidationError):  # another procedure's of that name
         return _plain(body)
 
 
@@ -73,8 +73,7 @@ VERDICTS: tuple[Column[tuple[str, Body]], ...] = (
 
 def _validation(body: Body) -> str:
     judged = msgspec.convert(body, Judged)
-    outcome = judged.decision or OUTCOMES.get(judged.outcome or "", "")
-    return f"{judged.figures}{f': {outcome}' if outcome else ''}"
+    return f"{judged.figures}: {judged.decision}"
 
 
 def _revisits(body: Body) -> str:

@@ -7,17 +7,16 @@ targets: never one word for both. A run that ended before has no verdict.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import msgspec
 from textual.content import Content
 
 from hilcell.alarms import Alarm
 from hilcell.alarms.catalogue import SEVERITIES, entry_of
-from hilcell.calibration.decision import Turn
+from hilcell.calibration.decision import Judged, Turn
 from hilcell.clean import harmless
+from hilcell.geometry.sequential import Outcome
 from hilcell.journal.calibration_facts import OUTCOMES
 from hilcell.journal.key_words import in_words
 from hilcell.journal.outcome import run_outcome
@@ -51,7 +50,8 @@ class _Place(msgspec.Struct):
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """Errors (mm) of one station's targets; expanded uncertainties are NaN where not stated.
+    """Errors (mm) of one station's targets, as they were judged.
+
     ``turn`` is the error of orientation where that was judged.
     """
 
@@ -63,7 +63,7 @@ class Station:
     max_mm: float
     mean_U_mm: float
     max_U_mm: float
-    outcome: str
+    outcome: Outcome
     turn: Turn | None = None
 
     @property
@@ -118,14 +118,16 @@ def verdict_of(view: RunView) -> Verdict | None:
     places = _places(view)
     order = [each.name for each in view.log.cell.station]
     names = [name for name in order if name in places] or list(places)
-    if not names:
+    verdicts = {name: view.log.verdicts.get(f"{VALIDATION}.{name}") for name in names}
+    judged = {n: msgspec.convert(body, Judged) for n, body in verdicts.items() if body}
+    if not judged:
         return None
     limits = view.log.cell.validation
     floors = [place.floor.mean for place in places.values() if place.floor is not None]
     return Verdict(
         passed=view.state == "done",
         outcome=run_outcome(view.log).partition(";")[0],
-        stations=tuple(_station(view, name, places[name]) for name in names),
+        stations=tuple(_station(name, places[name], found) for name, found in judged.items()),
         mean_limit_mm=limits.mean_tolerance_mm,
         max_limit_mm=limits.max_tolerance_mm,
         floor_mm=max(floors, default=math.nan),
@@ -142,29 +144,11 @@ def _places(view: RunView) -> dict[str, _Place]:
         return {}
 
 
-def _station(view: RunView, name: str, place: _Place) -> Station:
-    judged = view.log.verdicts.get(f"validation.{name}", {})
-    outcome = judged.get("outcome") or ("accepted" if judged.get("holds", True) else "rejected")
-    mean_U_mm, max_U_mm = (_number(judged.get(f"{name}_U_mm")) for name in ("mean", "max"))
-    by = (judged.get("mean_mm"), judged.get("max_mm"))  # the figures that it was judged by
-    mean_mm = by[0] if isinstance(by[0], float) else place.chosen.mean
-    max_mm = by[1] if isinstance(by[1], float) else place.chosen.max
+def _station(name: str, place: _Place, judged: Judged) -> Station:
     return Station(
-        name, place.points, place.before.mean, mean_mm, place.chosen.p95, max_mm,
-        mean_U_mm, max_U_mm, str(outcome), _turn(judged),
+        name, place.points, place.before.mean, judged.mean_mm, place.chosen.p95, judged.max_mm,
+        judged.mean_U_mm, judged.max_U_mm, judged.outcome, judged.turn,
     )  # fmt: skip
-
-
-def _turn(judged: Mapping[str, Any]) -> Turn | None:
-    """Return the error of orientation of a verdict, None where it judged none."""
-    if judged.get("max_tolerance_deg") is None:
-        return None
-    stated = (judged.get(key) for key in ("max_deg", "max_U_deg"))
-    return Turn(*(each if isinstance(each, float) else math.nan for each in stated))
-
-
-def _number(stated: float | None) -> float:
-    return math.nan if stated is None else float(stated)
 
 
 # -- drawing ---------------------------------------------------------------------------------------
@@ -203,17 +187,12 @@ def _head(found: Verdict) -> Head:
     mean, single = found.worst_mean, found.worst_single
     figures = (
         Figure("worst mean |e|, mm", mean.mean_mm, f"at {mean.name}", found.mean_limit_mm,
-               _where_stated(mean.mean_U_mm)),
+               mean.mean_U_mm),
         Figure("worst single |e|, mm", single.max_mm, f"at {single.name}", found.max_limit_mm,
-               _where_stated(single.max_U_mm)),
+               single.max_U_mm),
     )  # fmt: skip
     role = "passed" if found.passed else "ask" if found.undecided else "fault"
     return Head((word,), stated, role, figures)
-
-
-def _where_stated(U_mm: float) -> float:
-    """Return an uncertainty; 0 for none, as the verdict's own decision takes it."""
-    return 0.0 if math.isnan(U_mm) else U_mm
 
 
 def _table(found: Verdict, glyphs: Glyphs, room: int) -> list[Content]:
@@ -230,20 +209,12 @@ def _table(found: Verdict, glyphs: Glyphs, room: int) -> list[Content]:
     return [*lines, Content.styled(f" {name:<34}{limit}", "$label")]
 
 
-def _is_doubtful(each: Station, found: Verdict) -> bool:
-    """Whether a station was judged as pass although a figure of it is over its limit."""
-    kept = each.mean_mm <= found.mean_limit_mm and each.max_mm <= found.max_limit_mm
-    return each.outcome == "accepted" and not (kept and found.turn_is_kept(each.turn))
-
-
 def _row(each: Station, found: Verdict, glyphs: Glyphs) -> Content:
     said = {
         "accepted": (f"{glyphs.fresh} pass", "$passed"),
         "rejected": (f"{glyphs.warned} FAIL", "bold $fault"),
     }
     word, tone = said.get(each.outcome, (f"{glyphs.warned} {OUTCOMES['undecided']}", "$ask"))
-    if _is_doubtful(each, found):  # never a plain pass beside a figure that is over
-        word, tone = f"{glyphs.warned} pass?", "$ask"
     mean_style = "bold" if each.mean_mm <= found.mean_limit_mm else "bold $fault"
     max_style = "" if each.max_mm <= found.max_limit_mm else "bold $fault"
     name = Content(harmless(each.name)).truncate(13, ellipsis=True).plain
@@ -264,19 +235,10 @@ def _facts(
     if not found.passed and view.alarms:
         return _advice(view, found, max(view.alarms, key=_severity), glyphs, width)
     sure = max(found.stations, key=lambda each: gravest(each.sure_mm))
-    known = math.isfinite(sure.sure_mm)
-    bound = f"below {sure.sure_mm:.3f} mm at {_short(sure.name)}" if known else "not stated"
+    bound = f"below {sure.sure_mm:.3f} mm", f" at {_short(sure.name)}"
     floor = f"   floor: {found.floor_mm:.3f} mm" if math.isfinite(found.floor_mm) else ""
-    doubtful = [
-        Content.styled(
-            f" {glyphs.warned} {_short(each.name)}: judged as pass, yet a figure is over its limit",
-            "$ask",
-        )
-        for each in found.stations if _is_doubtful(each, found)
-    ]  # fmt: skip
     return [
-        *doubtful[:1],
-        _whole(width, (" true mean, 95 % sure: ", "$label"), bound, (floor, "$label")),
+        _whole(width, (" true mean, 95 % sure: ", "$label"), *bound, (floor, "$label")),
         *_orientation(found),
         _written(view, found, glyphs, width),
         _drift(view, glyphs, standing, width),
@@ -353,8 +315,8 @@ def _reason(each: Station, found: Verdict) -> str:
     if not found.turn_is_kept(each.turn, sure=True) and each.turn is not None:
         turned = f"orientation {each.turn.max_deg:.4f}°, U {each.turn.U_deg:.4f}°"
         return f"{turned}: not shown below {found.max_limit_deg:g}°"
-    U = f", U {each.mean_U_mm:.3f}" if math.isfinite(each.mean_U_mm) else ""
-    return f"mean {figure(each.mean_mm)}{U}: not shown below {found.mean_limit_mm:.3f}"
+    mean = f"mean {figure(each.mean_mm)}, U {each.mean_U_mm:.3f}"
+    return f"{mean}: not shown below {found.mean_limit_mm:.3f}"
 
 
 def _written(view: RunView, found: Verdict, glyphs: Glyphs, width: int) -> Content:

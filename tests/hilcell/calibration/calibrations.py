@@ -64,7 +64,7 @@ def calibration(
         f"{datetime.now(UTC):{STAMP}}",
         True,
         {"hilcell": "0"},
-        [Device("tracker", "a tracker", "T-1")],
+        [Device("tracker", "a tracker", "T-1", "tracker", "", "")],
         ["grid/0-0-0"],
         {"idw": {"mean": 0.2, "p95": 0.4, "max": 0.5}},
     )
@@ -90,11 +90,11 @@ def calibration(
             (22.0, 23.0),
         ),
         "stations": {"S1100": entry},
-        "method": method,
         "pitch_mm": PITCH_MM,
         "grid_errors_mm": field_mm(size_mm).tolist(),
         "model": ModelEntry(method, MODELS[method].learn(measured(size_mm)).parameters()),
         "uncertainty": uncertainty,
+        "failed": {},
         "verdicts": {"S1100": judged(0.03, 0.09, LIMITS, Guard(0.04, 0.05))},
     }
     return msgspec.convert(msgspec.to_builtins(values), Calibration)

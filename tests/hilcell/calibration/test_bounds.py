@@ -17,7 +17,6 @@ from hilcell.calibration.bounds import (
     validated,
 )
 from hilcell.calibration.budget import TEMPERATURE, temperature
-from hilcell.calibration.file import read_calibration
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import ASSUMED, MEASURED, MODEL, Influence, NoBound, motion
 from hilcell.compensation.grid import OutsideGrid
@@ -95,23 +94,9 @@ def test_through_the_cube() -> None:
     assert np.trace(model_mm2, axis1=1, axis2=2).min() > 0
 
 
-def test_old_files_state_no_bound_and_say_why() -> None:
-    old = read_calibration(GOLDEN)
-    assert old.uncertainty is None
-    (station, *_) = old.stations
-    with pytest.raises(NoBound, match="states no uncertainty, as those of earlier versions"):
-        target_bounds(old, station, TARGETS)
-
-
 def test_a_missing_part_is_the_reason() -> None:
     with pytest.raises(NoBound, match="nothing was visited"):
         target_bounds(changed(missing="nothing was visited"), "S1100", TARGETS)
-
-
-def test_a_model_without_covariance_states_no_bound() -> None:
-    bare = msgspec.structs.replace(calibration(), model=None)
-    with pytest.raises(NoBound, match="trilinear"):
-        target_bounds(bare, "S1100", TARGETS)
 
 
 def test_coverage_counts_errors_inside_their_own_bounds() -> None:

@@ -115,7 +115,6 @@ def test_no_drift_is_nought_with_a_finite_uncertainty() -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"own_mm2": np.full((7, 3, 3), np.nan)}, "covariance"),
         ({"errors_mm": np.full((7, 3), np.nan)}, "finite"),
         ({"errors_mm": np.zeros((3, 3))}, "3 poses"),
     ],

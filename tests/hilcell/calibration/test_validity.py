@@ -134,14 +134,6 @@ def test_another_verdict_that_does_not_hold() -> None:
         check_fitness(failed, NOW)
 
 
-def test_files_of_earlier_versions_state_no_verdict() -> None:
-    then = {"validation.mean_tolerance_mm": "0.2", "validation.max_tolerance_mm": "1.0"}
-    made = aged(1, digest=load_cell("paper", then).digest)
-    old = msgspec.structs.replace(made, verdicts=None, schema=2)
-    assert check_fitness(old, NOW) == []
-    assert check_fitness(old, NOW, cell=CELL) == []  # the default of then was no part of the file
-
-
 def test_the_run_that_wrote_it_is_named_and_the_one_that_it_is_based_on() -> None:
     update = Update("2-recheck", "base", "2026-11-22T10:00:00Z", 7)
     bad = aged(400, run="1-made", updates=[update])

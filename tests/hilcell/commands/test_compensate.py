@@ -15,7 +15,7 @@ import pytest
 from hilcell.calibration.budget import DRILL
 from hilcell.calibration.decision import Guard, judged
 from hilcell.calibration.file import write_calibration
-from hilcell.calibration.influence import ASSUMED, Influence, motion
+from hilcell.calibration.influence import ASSUMED, Influence, Uncertainty, motion
 from hilcell.cell.file import load_cell
 from hilcell.commands.cli import main
 from hilcell.compensation.stamp import COLUMN, Stamp
@@ -147,14 +147,14 @@ def test_bounds_replace_no_other_file(
 
 def test_bounds_that_cannot_be_stated(desk: Workplace, capsys: pytest.CaptureFixture[str]) -> None:
     """Targets are corrected without; asked for, bounds are refused before anything is written."""
-    old = msgspec.structs.replace(calibration(), uncertainty=None)
-    write_calibration(old, desk.folder / "calibration.json")
+    bare = msgspec.structs.replace(calibration(), uncertainty=Uncertainty(missing="no visits"))
+    write_calibration(bare, desk.folder / "calibration.json")
     bounds = desk.folder / "bounds.csv"
     assert desk.compensate("--bounds", str(bounds)) == 2
     assert desk.files == ["calibration.json", "targets.csv"]
     assert desk.compensate() == 0
     told = capsys.readouterr().err
-    assert told.count("no 95 % bounds of corrected targets: the calibration of run 2026") == 2
+    assert told.count("no 95 % bounds of corrected targets: no visits") == 2
 
 
 def test_bounds_hold_at_the_drill_of_the_cell(
@@ -245,12 +245,6 @@ def test_an_unproven_calibration_is_refused(
     desk.calibrate(sign_checked=False)
     assert desk.compensate() == 2
     assert "sign check did not hold" in capsys.readouterr().err
-    file = desk.folder / "calibration.json"
-    desk.calibrate()
-    file.write_text(file.read_text().replace(',\n  "sign_checked": true', ""))
-    assert "sign_checked" not in file.read_text()
-    assert desk.compensate() == 2
-    assert "was changed after it was written" in capsys.readouterr().err
     assert desk.files == ["calibration.json", "targets.csv"]
 
 
@@ -449,17 +443,6 @@ def test_a_failed_validation_corrects_nothing_unasked(
     assert "accepted although validation at S1100" in capsys.readouterr().err
     _, _, (stamp,) = read_corrected(desk.out)
     assert re.fullmatch(rf"{STAMP}; OUT OF TOLERANCE \(accepted\); {UNKNOWN}", stamp)
-
-
-def test_a_file_of_an_earlier_version_says_that_it_has_no_verdict(
-    desk: Workplace, capsys: pytest.CaptureFixture[str]
-) -> None:
-    old = msgspec.structs.replace(calibration(), verdicts=None, schema=2)
-    write_calibration(old, desk.folder / "calibration.json")
-    assert desk.compensate() == 0
-    assert "states no verdict" in capsys.readouterr().err
-    _, _, (stamp,) = read_corrected(desk.out)
-    assert stamp.endswith(f"; no verdict stated; {UNKNOWN}")
 
 
 def test_a_long_name_takes_no_warning_off_a_stamp() -> None:

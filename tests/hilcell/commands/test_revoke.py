@@ -7,11 +7,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.file import write_calibration
 from hilcell.commands.cli import main
 from hilcell.compensation.targets import write_targets
 from hilcell.journal.index import read_index, row_of
@@ -19,7 +17,6 @@ from hilcell.journal.journal import StorageError
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import CALIBRATION, JOURNAL, find_run, read_log
 from hilcell.run.cell_lock import lock_of_name, locked
-from tests.hilcell.calibration.calibrations import calibration
 from tests.hilcell.commands.finished_runs import MADE, REDO, finished
 from tests.hilcell.commands.workplace import read_corrected
 
@@ -98,24 +95,6 @@ def test_a_re_check_with_redo_leaves_none(runs: Path, capsys: pytest.CaptureFixt
     refusal = capsys.readouterr().err
     assert "it is revoked by 2-recheck: its re-check says redo" in refusal
     assert "no calibration of the cell is current: calibrate again" in refusal
-
-
-@pytest.mark.parametrize("holds", [True, False])
-def test_the_verdicts_of_an_earlier_version_are_taken_from_its_journal(
-    runs: Path, capsys: pytest.CaptureFixture[str], holds: bool
-) -> None:
-    """Versions before this one journalled the figures, without U, and not in the file."""
-    figures = {
-        "holds": holds, "mean_mm": 0.03, "mean_tolerance_mm": 0.2, "max_mm": 0.1,
-        "max_tolerance_mm": 1.0,
-    }  # fmt: skip
-    finished(runs, "2-old", {"fit": {}, "validation.S1100": figures})
-    old = msgspec.structs.replace(calibration(run="2-old"), verdicts=None, schema=2)
-    write_calibration(old, runs / "2-old" / CALIBRATION)
-    assert compensate(runs, "2-old") == (0 if holds else 2)
-    said = capsys.readouterr().err
-    assert "states no verdict" not in said
-    assert ("validation at S1100: does not hold: mean 0.0300 mm, wanted <= 0.2" in said) != holds
 
 
 def test_runs_and_show_say_how_it_stands(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -243,16 +243,6 @@ def test_a_linear_field_leaves_no_residual_with_trilinear_only() -> None:
     assert np.diag(Idw.learn(linear).residual_mm2).min() > 1e-3
 
 
-@models
-def test_an_unknown_covariance_stays_unknown(model: Kind) -> None:
-    """Of a file that states none, and of a grid of one cell too."""
-    for grid in (GRID, Grid(GRID.origin_mm, 900.0, (2, 2, 2))):
-        unknown = measured(grid, np.zeros((*grid.shape, 3)), np.nan)
-        found = model.learn(unknown).predict(level(targets_of(1)))
-        assert np.isfinite(found.error_mm).all()
-        assert np.isnan(found.covariance_mm2).all()
-
-
 @given(seeds)
 @models
 def test_a_model_comes_back_from_its_parameters(model: Kind, seed: int) -> None:

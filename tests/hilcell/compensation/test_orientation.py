@@ -200,7 +200,6 @@ def test_one_reflector_tells_no_orientation_and_no_more_of_the_position(known: K
     alone = Kinematic.learn(replace(measured(), others=None))
     poses, arm = poses_at(drawn_mm(9, 60)), crooked(3)
     assert alone.predict(poses).turn is None
-    assert not {"more_reflectors_mm", "pose_mm"} & alone.parameters().keys()  # as in old files
     wanted_mm = seen_mm(arm, poses)[:, 0] - poses[:, :3, 3]
     one_mm, three_mm = (
         lengths_mm(model.predict(poses).error_mm - wanted_mm).mean() for model in (alone, known[0])

@@ -34,6 +34,7 @@ from tests.whole.golden import GoldenRuns
 JUDGED = {
     "holds": True, "mean_mm": 0.05, "mean_tolerance_mm": 0.12, "mean_U_mm": 0.04,
     "max_mm": 0.2, "max_tolerance_mm": 0.3, "max_U_mm": 0.05,
+    "outcome": "accepted", "decision": "in tolerance",
 }  # fmt: skip
 TRACKER = {"device": "Tracker", "model": "AT960", "serial": "750123", "kind": "tracker"}
 

@@ -15,6 +15,7 @@ from tests.whole.golden import GoldenRuns
 JUDGED = {
     "holds": True, "mean_mm": 0.0771, "mean_tolerance_mm": 0.3, "max_mm": 0.14975,
     "max_tolerance_mm": 1.0, "mean_U_mm": 0.0485, "max_U_mm": 0.0522, "outcome": "accepted",
+    "decision": "in tolerance",
 }  # fmt: skip
 
 

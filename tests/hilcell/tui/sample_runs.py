@@ -135,6 +135,10 @@ def validated(*, worst_mm: float = 0.1) -> SampleRun:
 
 
 FIGURES = {"mean": 0.1, "p95": 0.1, "max": 0.1}
+JUDGED = {
+    "mean_mm": 0.1, "mean_tolerance_mm": 0.12, "mean_U_mm": 0.005,
+    "max_mm": 0.1, "max_tolerance_mm": 0.3, "max_U_mm": 0.0,
+}  # fmt: skip
 RESULT = {
     "method": "trilinear",
     "validation": {
@@ -159,10 +163,13 @@ def sample_runs() -> dict[str, SampleRun]:
         "paused": measuring().state("paused"),
         "suspended": measuring().state("suspended", reason=FAULT_TEXT, error=FAULT),
         "stopping": measuring().state("stopping"),
-        "done": validated().state("finished").add(
+        "done": validated().add(
+            "verdict", "validation.S1100", **JUDGED, holds=True, outcome="accepted", decision="",
+        ).state("finished").add(
             "end", state="finished", exit=0, result=RESULT),
         "intolerant": validated(worst_mm=1.2).add(
-            "verdict", "validation.S1100", holds=False, mean_mm=0.3, mean_tolerance_mm=0.2,
+            "verdict", "validation.S1100", **JUDGED | {"mean_mm": 0.3}, holds=False,
+            outcome="rejected", decision="",
         ).state("finished").add("end", state="finished", exit=1, result=RESULT),
         "aborted": measuring().state("stopping").state("aborted").add(
             "end", state="aborted", exit=4, result={}, reason="stopped by the operator"),
