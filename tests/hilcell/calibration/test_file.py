@@ -186,7 +186,7 @@ def test_bytes_that_are_no_text(tmp_path: Path) -> None:
         lambda values: values["verdicts"]["S1100"].update(mean_U_mm=-1.0),
         lambda values: values["verdicts"]["S1100"].update(max_tolerance_mm=0.0),
     ],
-    ids=["missing", "mean", "U", "tolerance"],
+    ids=["mean", "U", "tolerance"],
 )
 def test_verdicts_that_cannot_be(file: Path, change: Callable[[Any], Any]) -> None:
     assert "verdicts" in spoilt(change, file)
