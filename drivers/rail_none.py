@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import msgspec
 
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading
@@ -18,7 +16,7 @@ class NoRail:
         """None: there is nothing to reach."""
 
     def __init__(self, options: Options, clock: Clock) -> None:
-        """Nothing is kept."""
+        self._clock = clock
 
     def connect(self) -> list[Identity]:
         """Return no asset."""
@@ -46,7 +44,7 @@ class NoRail:
 
     def read(self) -> RailReading:
         """Return that nothing moves."""
-        return RailReading(0.0, 0.0, 0.0, still=True, powered=False, taken_s=time.monotonic())
+        return RailReading(0.0, 0.0, 0.0, still=True, powered=False, taken_s=self._clock.pc_s())
 
     def hold(self) -> None:
         """Do nothing."""

@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from hilcell.ports import DeviceError
+from hilcell.ports import Clock, DeviceError
 
 LOOK_S = 0.1  # several times the period of a wait on a wire
 LATE_S = 1.0
@@ -41,9 +41,9 @@ class Patience:
 class Supervision:
     """Sees to it that a moving device is looked at; ``look`` belongs into every wait."""
 
-    def __init__(self, device: str, code: str, late_s: float = LATE_S) -> None:
+    def __init__(self, device: str, code: str, clock: Clock, late_s: float = LATE_S) -> None:
         """``code`` is that of the alarm where nobody looked."""
-        self._device, self._code, self._late_s = device, code, late_s
+        self._device, self._code, self._clock, self._late_s = device, code, clock, late_s
         self._looked_s: float | None = None
 
     @property
@@ -53,7 +53,7 @@ class Supervision:
 
     def begin(self) -> None:
         """Something begins to move."""
-        self._looked_s = time.monotonic()
+        self._looked_s = self._clock.pc_s()
 
     def end(self) -> None:
         """It stands."""
@@ -72,19 +72,19 @@ class Supervision:
         """Note a look; raises `DeviceError` where the last one is too long ago."""
         if self._looked_s is None:
             return
-        gap_s = time.monotonic() - self._looked_s
+        gap_s = self._clock.pc_s() - self._looked_s
         self._looked_s += gap_s
         self._check(gap_s)
 
     def check(self) -> None:
         """Raise `DeviceError` where the last look is too long ago."""
         if self._looked_s is not None:
-            self._check(time.monotonic() - self._looked_s)
+            self._check(self._clock.pc_s() - self._looked_s)
 
     def attended(self) -> bool:
         """Whether a heartbeat may go on: nothing moves, or it was looked at just now."""
         looked_s = self._looked_s
-        return looked_s is None or time.monotonic() - looked_s <= ATTENDED_S
+        return looked_s is None or self._clock.pc_s() - looked_s <= ATTENDED_S
 
     def _check(self, gap_s: float) -> None:
         if not gap_s <= self._late_s:

@@ -7,7 +7,6 @@ late and split answers, dither of the counts, faults, the controller's rounding 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
@@ -15,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from fakes.faults import Faults
-from fakes.time import PlantTime
+from fakes.time import PatientTime, PlantTime
 from fakes.truth.controller_arm import controller_arm
 from fakes.truth.plant import Plant
 from fakes.truth.rail_truth import RailTruth
@@ -56,9 +55,9 @@ class InProcessCell:
         self.clock: Clock = EventClock(passing)
         self.rail: Rail = load_entry("rails", "none")(None, self.clock)
         if isinstance(plant.rail, RailTruth):
-            self.rail = DirectRail(plant.rail, passing, cell)
-        self.robot: Robot = DirectRobot(plant.robot, passing, cell)
-        self.tracker: Tracker = DirectTracker(plant, cell)
+            self.rail = DirectRail(plant.rail, passing, self.clock, cell)
+        self.robot: Robot = DirectRobot(plant.robot, passing, self.clock, cell)
+        self.tracker: Tracker = DirectTracker(plant, self.clock, cell)
 
 
 class EventClock:
@@ -66,6 +65,7 @@ class EventClock:
 
     def __init__(self, passing: PlantTime) -> None:
         self._time = passing
+        self.pc_s = PatientTime().now_s
 
     def now_s(self) -> float:
         """Return the cell's seconds."""
@@ -82,8 +82,8 @@ class EventClock:
 class DirectRail:
     """Satisfies `hilcell.ports.Rail`."""
 
-    def __init__(self, truth: RailTruth, passing: PlantTime, cell: Cell) -> None:
-        self._truth, self._time = truth, passing
+    def __init__(self, truth: RailTruth, passing: PlantTime, clock: Clock, cell: Cell) -> None:
+        self._truth, self._time, self._clock = truth, passing, clock
         self._ramp = cell.rail.speed_mm_s, cell.rail.acceleration_mm_s2
         self._powered = False
         self._ended_s: float | None = None
@@ -118,7 +118,7 @@ class DirectRail:
             state.velocity_mm_s,
             not state.moving,
             self._powered,
-            time.monotonic(),
+            self._clock.pc_s(),
             self._ended_s,
         )
 
@@ -144,14 +144,15 @@ class DirectRail:
     def _rest(self) -> None:
         self._time.advance(max(0.0, self._truth.rests_s - self._time.now_s()))
         self._truth.poll()
-        self._ended_s = time.monotonic()
+        self._ended_s = self._clock.pc_s()
 
 
 class DirectRobot:
     """Satisfies `hilcell.ports.Robot` and `Sweeps`."""
 
-    def __init__(self, motion: RobotMotion, passing: PlantTime, cell: Cell) -> None:
-        self._motion, self._time, self._arm = motion, passing, controller_arm(cell)
+    def __init__(self, motion: RobotMotion, passing: PlantTime, clock: Clock, cell: Cell) -> None:
+        self._motion, self._time, self._clock = motion, passing, clock
+        self._arm = controller_arm(cell)
         self._full_rad_s = np.radians([joint.speed_deg_s for joint in cell.robot.joint])
         self._ended_s: float | None = None
 
@@ -168,7 +169,7 @@ class DirectRobot:
     def rest(self) -> RobotReading:
         """Let the motion come to its end; return the reading."""
         self._time.advance(max(0.0, self._motion.rests_s - self._time.now_s()))
-        self._ended_s = time.monotonic()
+        self._ended_s = self._clock.pc_s()
         return self.read()
 
     def read(self) -> RobotReading:
@@ -176,7 +177,7 @@ class DirectRobot:
         state = self._motion.state()
         pose = self._arm.chain.pose(state.joints_rad)
         return RobotReading(
-            state.joints_rad.copy(), pose, not state.moving, time.monotonic(), self._ended_s
+            state.joints_rad.copy(), pose, not state.moving, self._clock.pc_s(), self._ended_s
         )
 
     @contextmanager
@@ -228,8 +229,8 @@ class DirectSweep:
 class DirectTracker:
     """Satisfies `hilcell.ports.Tracker` and `Streams`."""
 
-    def __init__(self, plant: Plant, cell: Cell) -> None:
-        self._plant, self._radius_mm = plant, cell.tracker.find_radius_mm
+    def __init__(self, plant: Plant, clock: Clock, cell: Cell) -> None:
+        self._plant, self._clock, self._radius_mm = plant, clock, cell.tracker.find_radius_mm
 
     def connect(self) -> list[Identity]:
         """Return the asset."""
@@ -252,7 +253,7 @@ class DirectTracker:
             samples,
             reflector,
             Air(air.temperature_c, air.pressure_mbar, air.humidity_percent),
-            time.monotonic(),
+            self._clock.pc_s(),
         )
 
     @contextmanager

@@ -12,7 +12,8 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from types import MappingProxyType
 from typing import IO, Any, cast
@@ -22,6 +23,7 @@ import msgspec
 from fakes.exercises import FaultExercise, exercises_of
 from fakes.faults import load_faults
 from fakes.site import servers_of
+from fakes.time import PatientTime
 from fakes.truth.machine import machine_of
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
@@ -144,6 +146,8 @@ class SimulatedClock:
 
     def __init__(self, control: Control, speed: float, stop: threading.Event) -> None:
         self._control, self._speed, self._stop = control, speed, stop
+        stepped = math.isinf(speed)  # then the cell waits for its PC
+        self.pc_s: Callable[[], float] = PatientTime().now_s if stepped else time.monotonic
 
     def now_s(self) -> float:
         """Return the cell's seconds."""

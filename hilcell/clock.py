@@ -18,6 +18,10 @@ class WallClock:
         """Return monotonic seconds."""
         return time.monotonic()
 
+    def pc_s(self) -> float:
+        """Return monotonic seconds."""
+        return time.monotonic()
+
     def wait(self, duration_s: float) -> None:
         """Wait; raise `Stopped` at once when a stop is asked for."""
         self._stop.wait(duration_s)

@@ -7,7 +7,7 @@ out a flyer: prepared by ``with``, started by ``kickoff``, read by ``collect``, 
 
 A driver is one plain class that satisfies one of these; it is built as ``Driver(options, clock)``
 with its own checked options (``Driver.Options``, a msgspec Struct) and the clock of the cell. A
-reading is only as good as its age: ``taken_s`` is ``time.monotonic()`` at the moment the bytes that
+reading is only as good as its age: ``taken_s`` is ``clock.pc_s()`` at the moment the bytes that
 carry the reading arrived; nobody may use one older than its limit.
 """
 
@@ -187,6 +187,13 @@ class Clock(Protocol):
 
     def check(self) -> None:
         """Raise `Stopped` if a stop was asked for; to be called in every wait on a wire."""
+
+    def pc_s(self) -> float:
+        """Return this PC's time, by which readings age and the PC is late; it never runs back.
+
+        It is real time, except where a simulated cell waits for its PC: there it only counts, so
+        that readings have an order and no age.
+        """
 
 
 class Rail(Protocol):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import subprocess
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,10 +18,13 @@ from signal import SIGHUP, SIGINT
 import pytest
 from hypothesis import HealthCheck, Phase, settings
 
+from fakes import simulator
 from hilcell.journal.runs_folder import OVERRIDE as RUNS
 from hilcell.run.cell_lock import OVERRIDE
 from hilcell.run.signals import COMMANDS
+from tests.cell_here import start_here
 from tests.hilcell.report.browser import NAMES, found
+from tests.leaks import no_leaks
 from tests.whole.golden import GoldenRuns
 
 settings.register_profile(
@@ -49,6 +53,25 @@ def _signals_put_back() -> Iterator[None]:
             signal.signal(number, handler)
 
 
+@pytest.fixture(autouse=True)
+def _leaves_nothing() -> Iterator[None]:
+    """Fail the test that leaves a thread, a file, a socket or a process behind, and name it."""
+    with no_leaks():
+        yield
+
+
+@pytest.fixture(autouse=True)
+def _starts_no_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Serve simulated cells in this process, and start no other; tests marked ``wall`` may."""
+    if request.node.get_closest_marker("wall") is None:
+        monkeypatch.setattr(simulator, "_start", start_here)
+        monkeypatch.setattr(subprocess.Popen, "__init__", _no_process)
+
+
+def _no_process(_: object, words: object, *__: object, **___: object) -> None:
+    raise AssertionError(f"{words}: a test that starts a process is marked `wall`")
+
+
 @pytest.fixture
 def temporary(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Yield the folder of temporary files, a new one whose name leaves room for a socket's."""
@@ -59,8 +82,8 @@ def temporary(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """Return two for each processor and two more: most of a test's time is waiting."""
-    return 2 * (os.cpu_count() or 1) + 2
+    """Return one for each processor that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def pytest_configure() -> None:

@@ -26,6 +26,7 @@ from drivers.wires.text_lines import TextLines
 from fakes.kuka.eki_server import BOMB
 from hilcell.clock import WallClock
 from hilcell.errors import DeviceError, HilcellError
+from tests.clocks import DrivenClock
 from tests.drivers.program_urscript.samples import SCRIPT
 
 ASKED = -7
@@ -184,7 +185,7 @@ def bridge_samples() -> Iterable[bytes]:
 
 def strip_answers(data: bytes) -> None:
     """Answers of a strip on a serial line."""
-    strip = SerialStrip(StripOptions(driver="serial", channel="/dev/null"), lambda: None)
+    strip = SerialStrip(StripOptions(driver="serial", channel="/dev/null"), DrivenClock())
     strip._link = cast("Any", Wire(data))
     strip._lines = TextLines(cast("Any", strip._link), end=b"", split=rb"\r")
     strip._identify("fuzz")

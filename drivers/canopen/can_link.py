@@ -19,7 +19,7 @@ import canopen
 from drivers.canopen.link_time import LinkTime
 from drivers.canopen.slcan_bus import SlcanBus
 from drivers.wires.serial_link import system_words
-from hilcell.ports import DeviceError, LinkStatistics
+from hilcell.ports import Clock, DeviceError, LinkStatistics
 
 RECEIVE_S = 0.02
 HEARTBEAT_PERIOD_S = 0.05
@@ -71,10 +71,10 @@ class _Network(canopen.Network):
 class CanLink:
     """A bus with its canopen network, receiving in a thread of its own."""
 
-    def __init__(self, device: str, bus: can.BusABC) -> None:
-        self.device = device
+    def __init__(self, device: str, bus: can.BusABC, clock: Clock) -> None:
+        self.device, self.clock = device, clock
         self.network = _Network(bus, self.check, self._fail)
-        self.time = LinkTime()
+        self.time = LinkTime(clock)
         self._frames = self._malformed = 0
         self._bus = bus
         self._beat_s: float | None = None  # when the PC's last heartbeat went out
@@ -149,10 +149,10 @@ class CanLink:
             self._fail(ConnectionError("closed"))  # nobody hears the bus from here on
 
     def _next(self) -> can.Message | None:
-        now_s = time.monotonic()
+        now_s, pc_s = time.monotonic(), self.clock.pc_s()
         message = self._bus.recv(0.0)
         if message is None:
-            self.time.emptied(now_s)
+            self.time.emptied(now_s, pc_s)
             message = self._bus.recv(RECEIVE_S)
         else:
             self.time.behind(now_s)

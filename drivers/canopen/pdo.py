@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import struct
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -73,16 +72,16 @@ class Inbox:
         A lost frame costs one more SYNC; raises `DeviceError` when so many of them bring nothing.
         Values that have waited in this PC for `STALE_S` are asked for again.
         """
-        before, sent_s = self._counted(), time.monotonic()
+        before, sent_s = self._counted(), self._link.clock.pc_s()
         for _ in range(self._syncs):
             self._link.send(SYNC, b"")
             if self._await(before, check):
                 with self._changed:
                     taken_s = max(sent_s, min(self._arrived_s.values()))
                     values = dict(self._values)
-                if time.monotonic() - taken_s <= STALE_S:
+                if self._link.clock.pc_s() - taken_s <= STALE_S:
                     return values, taken_s
-                before, sent_s = self._counted(), time.monotonic()
+                before, sent_s = self._counted(), self._link.clock.pc_s()
         missing = [f"0x{cob_id:03X}" for cob_id in before if self._count[cob_id] == before[cob_id]]
         if not missing:
             raise DeviceError(

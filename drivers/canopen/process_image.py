@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import struct
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -112,7 +111,7 @@ class ProcessImage:
 
         Raises `DeviceError` for one that enables the drive by a reading that is too old.
         """
-        age_s = time.monotonic() - self._taken_s
+        age_s = self._link.clock.pc_s() - self._taken_s
         if cia402.enables(controlword) and not age_s <= COMMAND_AGE_S:
             raise DeviceError(
                 "HC-R39",

@@ -7,7 +7,6 @@ loop above it decides.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Annotated
@@ -100,7 +99,7 @@ class CanopenRail:
         self._watches: tuple[NodeWatch, ...] = ()
         self._feed: StripFeed | None = None  # of a strip that is not on the bus
         if options.strip is not None:
-            self._feed = StripFeed(strip_of(options.strip, clock.check))
+            self._feed = StripFeed(strip_of(options.strip, clock))
 
     # -- the port -----------------------------------------------------------------------------
 
@@ -109,7 +108,7 @@ class CanopenRail:
         self._close_link()
         options = self._options
         bus = open_bus(DEVICE, options.interface, options.channel, options.bitrate)
-        self._link = CanLink(DEVICE, bus)
+        self._link = CanLink(DEVICE, bus, self._clock)
         with on_failure(self._close_link):
             return self._set_up(self._link)
 
@@ -172,7 +171,7 @@ class CanopenRail:
             self._watches = (*self._watches, of_strip)
         nodes = (options.drive_node, options.strip_node)
         image = ProcessImage(link, *nodes, None if feed is None else feed.poll)
-        supervision = Supervision(DEVICE, "HC-R39", LATE_S)
+        supervision = Supervision(DEVICE, "HC-R39", self._clock, LATE_S)
         identities = self._identify(link, drive_sdo, strip_sdo)
         if feed is not None:
             identities.append(feed.connect())
@@ -296,7 +295,7 @@ class CanopenRail:
         self._ended_s = None
         with on_failure(self._stop_after_failure):
             motion()
-        self._ended_s = time.monotonic()
+        self._ended_s = self._clock.pc_s()
 
     def _stop_after_failure(self) -> None:
         try:

@@ -112,7 +112,7 @@ class Release:
             self._sdo.read(index, tries=1)
             for index in (cia402.STATUSWORD, cia402.VELOCITY_ACTUAL, cia402.POSITION_ACTUAL)
         )
-        return Snapshot(statusword, position, velocity, 0, 0, NO_STRIP, time.monotonic())
+        return Snapshot(statusword, position, velocity, 0, 0, NO_STRIP, self._link.clock.pc_s())
 
 
 def go_on() -> None:

@@ -7,7 +7,6 @@ and the program's timer brakes the slide as it brakes the arm when the PC dies.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -73,7 +72,7 @@ class SlidingKukaRobot(KukaRobot):
 
     def read_axis(self) -> AxisReading:
         """Return a reading; its time is that of the question."""
-        taken_s = time.monotonic()
+        taken_s = self._clock.pc_s()
         self.wire().check()
         self.wire().look()
         return AxisReading(*self.slides().slide(), taken_s)

@@ -7,7 +7,6 @@ it: readings of drive and strip together, standstill over a dwell, the travel. E
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -71,7 +70,7 @@ class KukaE1Rail:
     def __init__(self, options: Options, clock: Clock) -> None:
         self._options, self._clock = options, clock
         self._robot: ExternalAxis | None = None
-        self._strip = StripFeed(strip_of(options.strip, clock.check))
+        self._strip = StripFeed(strip_of(options.strip, clock))
         per_mm = options.strip.counts_per_mm
         spread = max(STRIP_SPREAD_COUNTS, round(STRIP_SPREAD_MM * per_mm))
         windows = Windows(
@@ -133,7 +132,7 @@ class KukaE1Rail:
         self._ended_s = None
         with on_failure(self._stop_after_failure):
             axis.move_axis(position_mm, options.speed_mm_s, options.full_mm_s)
-        self._ended_s = time.monotonic()
+        self._ended_s = self._clock.pc_s()
 
     def settle(self) -> RailReading:
         """Return a reading at rest: medians of five in a row within the windows, over the dwell."""

@@ -9,7 +9,6 @@ the last digit.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import cycle
@@ -86,7 +85,7 @@ class KukaRobot:
         """``wires`` opens the wires to the controller."""
         self._options, self._clock, self._wires = options, clock, wires
         self._controller: Controller | None = None
-        self._watch = Supervision(DEVICE, "HC-B27")
+        self._watch = Supervision(DEVICE, "HC-B27", clock)
         self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
         self._override, self._version = 100, PROGRAM_VERSION
         self._rest_deg = np.zeros(6)
@@ -144,7 +143,7 @@ class KukaRobot:
         Its time is that of the question: no part of the answer is older.
         """
         self.wire().check()
-        taken_s = time.monotonic()
+        taken_s = self._clock.pc_s()
         self.wire().look()
         before = self._axes()
         self._clock.wait(DWELL_S)
@@ -320,7 +319,7 @@ class KukaRobot:
         patience, wanted = Patience(REST_S, POLL_LOOK_S), self._whole(target_deg)
         over = False
         while True:
-            taken_s = time.monotonic()
+            taken_s = self._clock.pc_s()
             controller.look()
             axes, before = self._axes(), self._pose()
             self._clock.wait(DWELL_S)

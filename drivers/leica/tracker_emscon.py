@@ -7,7 +7,6 @@ failed is stopped and the stop awaited, and a result far from the expected place
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Callable
 from struct import Struct
@@ -439,7 +438,7 @@ class LeicaEmsconTracker:
             data = self._wire().receive(emscon.LARGEST, patience)
             if not data:
                 return None
-            self._arrived_s = time.monotonic()
+            self._arrived_s = self._clock.pc_s()
             try:
                 self._packets.extend(self._reader.feed(data))
             except emscon.EmsconError as error:

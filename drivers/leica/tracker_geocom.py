@@ -310,7 +310,7 @@ class LeicaGeocomTracker:
 
     def _parsed(self, line: str) -> Reply:
         """Return a reply; the line is lost where it is none, or tells that the wire failed."""
-        self._arrived_s = time.monotonic()
+        self._arrived_s = self._clock.pc_s()
         try:
             reply = geocom.parse(line)
         except geocom.GeocomError as error:

@@ -7,7 +7,6 @@ any other silence, and after a stop, the connection is not used any more.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 from drivers.spatialanalyzer import t2sa
@@ -120,7 +119,7 @@ class T2saBridge:
         self._clock.check()  # the answer to a stop is none to a request
         if line is None:
             return None
-        self.arrived_s = time.monotonic()
+        self.arrived_s = self._clock.pc_s()
         try:
             return t2sa.parse(line)
         except T2saError as error:

@@ -17,7 +17,7 @@ from drivers.canopen.rail_setup import Expected
 from drivers.canopen.sdo import open_channel
 from drivers.on_failure import on_failure
 from drivers.strips.strip import DEVICE, StripOptions
-from hilcell.ports import DeviceError, Identity, LinkStatistics
+from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics
 
 SYNCS = 2  # while they bring nothing nobody looks at a slide that may move
 
@@ -25,8 +25,8 @@ SYNCS = 2  # while they bring nothing nobody looks at a slide that may move
 class CanopenStrip:
     """Satisfies `drivers.strips.strip.Strip`."""
 
-    def __init__(self, options: StripOptions, check: Callable[[], None]) -> None:
-        self._options, self._check = options, check
+    def __init__(self, options: StripOptions, clock: Clock) -> None:
+        self._options, self._clock = options, clock
         self._pdo = strip_mapping(options.node)
         self._link: CanLink | None = None
         self._watch: NodeWatch | None = None
@@ -38,7 +38,7 @@ class CanopenStrip:
         self._statistics = LinkStatistics()
         options = self._options
         bus = open_bus(DEVICE, options.interface, options.channel, options.bitrate)
-        self._link = CanLink(DEVICE, bus)
+        self._link = CanLink(DEVICE, bus, self._clock)
         with on_failure(self.close):
             return self._set_up(self._link)
 
@@ -74,7 +74,7 @@ class CanopenStrip:
             link.close()
 
     def _set_up(self, link: CanLink) -> Identity:
-        options, check = self._options, self._check
+        options, check = self._options, self._clock.check
         sdo = open_channel(DEVICE, link, options.node, "strip.eds", check)
         watch = NodeWatch(DEVICE, link, options.node, in_pdo=cia406.SENSOR_ERRORS)
         inbox = Inbox(DEVICE, link, (self._pdo,), SYNCS)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from drivers.strips.canopen import CanopenStrip
 from drivers.strips.serial import SerialStrip
 from drivers.strips.strip import Strip, StripOptions
+from hilcell.ports import Clock
 
 
-def strip_of(options: StripOptions, check: Callable[[], None]) -> Strip:
-    """Return the strip, not connected; ``check`` ends every wait of its connect."""
+def strip_of(options: StripOptions, clock: Clock) -> Strip:
+    """Return the strip, not connected; a stop on ``clock`` ends every wait of its connect."""
     if options.driver == "canopen":
-        return CanopenStrip(options, check)
-    return SerialStrip(options, check)
+        return CanopenStrip(options, clock)
+    return SerialStrip(options, clock)

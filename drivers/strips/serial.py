@@ -18,7 +18,14 @@ from drivers.wires.link import Link, open_link
 from drivers.wires.tcp import Alarms
 from drivers.wires.text_lines import TextLines
 from hilcell.clean import clean
-from hilcell.ports import DeviceError, DeviceRefused, Identity, LinkStatistics, says_simulated
+from hilcell.ports import (
+    Clock,
+    DeviceError,
+    DeviceRefused,
+    Identity,
+    LinkStatistics,
+    says_simulated,
+)
 
 REPLY_S = 0.3  # 11 characters at 4800 baud take 25 ms
 ALARMS = Alarms(unreachable="HC-S11", lost="HC-S12")
@@ -38,8 +45,8 @@ _BITS = {
 class SerialStrip:
     """Satisfies `drivers.strips.strip.Strip`."""
 
-    def __init__(self, options: StripOptions, check: Callable[[], None]) -> None:
-        self._options, self._check = options, check
+    def __init__(self, options: StripOptions, clock: Clock) -> None:
+        self._options, self._clock = options, clock
         self._link: Link | None = None
         self._lines: TextLines | None = None
         self._answers = self._bad = 0
@@ -47,7 +54,7 @@ class SerialStrip:
     def connect(self) -> Identity:
         """Open the line and verify who answers."""
         self._answers = self._bad = 0
-        self._link = open_link(DEVICE, self._options.channel, self._check, ALARMS)
+        self._link = open_link(DEVICE, self._options.channel, self._clock.check, ALARMS)
         self._lines = TextLines(self._link, end=b"", split=rb"\r")
         with on_failure(self.close):
             self._lines.drop_pending()

@@ -62,7 +62,6 @@ class UrLink:
         self._writing, self._life = threading.Lock(), 0
         # The register keeps the last number of the connection before.
         self._question = secrets.randbelow(MAX_QUESTION) + 1
-        self.asked_s = 0.0  # when `fresh` was last called (monotonic)
         with on_failure(self._link.close):
             self.version = self._set_up()
         self._thread.start()
@@ -73,7 +72,7 @@ class UrLink:
         ``patiently`` waits on when a stop was asked for. Raises `DeviceError`.
         """
         self._question = self._question % MAX_QUESTION + 1
-        self.asked_s = seen_s = time.monotonic()
+        seen_s = time.monotonic()
         with self._writing:
             self._link.send(self._echo.encode({ECHO: (self._question,)}), "ask for a state")
         patience, over = Patience(ANSWER_S), False

@@ -89,13 +89,14 @@ class UrRtdeRobot:
         self._link: UrLink | None = None
         self._dashboard: Dashboard | None = None
         self._stop_line: Dashboard | None = None
-        self._watch = Supervision(DEVICE, "HC-B27")
+        self._watch = Supervision(DEVICE, "HC-B27", clock)
         self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
         self._session = 0
         self._order = Order(0, np.zeros(6), 0.0)
         self._rest_rad = np.zeros(6)
         self._count, self._counted_s = 0, 0.0  # of the script's loop, and when it last changed
         self._life_due_s = self._seen_s = 0.0
+        self._asked_s = 0.0  # when the state of the last reading was asked for
         self._under_way = self._stopped = False
         self._ended_s: float | None = None  # when the last motion was seen to have ended
 
@@ -337,7 +338,7 @@ class UrRtdeRobot:
         """Return the reading at rest at joints (6,), after an acknowledged motion."""
         patience, over = Patience(REST_S, LOOK_S), False
         while True:
-            states = self._dwell()
+            began_s, states = self._clock.pc_s(), self._dwell()
             self.look(states)
             last = states[-1]
             arrived = np.abs(last.joints_rad - target_rad) <= AXIS_TOLERANCE_RAD
@@ -345,7 +346,7 @@ class UrRtdeRobot:
                 # The pose means something only with the tool that connect has verified.
                 self._check_tool(last)
                 self._under_way, self._rest_rad = False, target_rad
-                self._ended_s = states[0].after_s
+                self._ended_s = began_s
                 return self._reading(last, still=True)
             if over:
                 break
@@ -359,6 +360,7 @@ class UrRtdeRobot:
         link = self.link()
         first = link.next()
         self._clock.wait(DWELL_S)
+        self._asked_s = self._clock.pc_s()
         last, patience, over = link.fresh(), Patience(CLOCK_S, LOOK_S), False
         while not last.timestamp_s > first.timestamp_s:  # several packages may have been under way
             if over:
@@ -374,8 +376,7 @@ class UrRtdeRobot:
 
     def _reading(self, state: UrState, *, still: bool) -> RobotReading:
         """Return a reading of a dwell's last state; no part of it is older than its time."""
-        taken_s = self.link().asked_s
-        return RobotReading(state.joints_rad, state.pose, still, taken_s, self._ended_s)
+        return RobotReading(state.joints_rad, state.pose, still, self._asked_s, self._ended_s)
 
     # -- for a sweep as well ------------------------------------------------------------------
 

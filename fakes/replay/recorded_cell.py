@@ -17,6 +17,7 @@ from fakes.replay.dialects import Dialect, dialects_of
 from fakes.replay.event_time import EventTime, RecordedLooks
 from fakes.replay.recorded_run import Recorded, check_run, folder_of, read_run, sessions
 from fakes.replay.recorded_wire import RecordedWire
+from fakes.time import PatientTime
 from hilcell.cell.devices import TABLES, driver_options, stand_ins
 from hilcell.cell.file import Cell
 from hilcell.ports import RecordingEnded, Stopped
@@ -115,7 +116,7 @@ class RecordedClock:
     def __init__(self, looks: RecordedLooks, time: EventTime, stop: Event, act: str) -> None:
         """``act`` is what to do where the recording ends."""
         self._looks, self._time, self._stop, self._act = looks, time, stop, act
-        self.now_s = looks.now_s
+        self.now_s, self.pc_s = looks.now_s, PatientTime().now_s
 
     def wait(self, duration_s: float) -> None:
         """Let cell time pass."""

@@ -44,6 +44,10 @@ class BenchClock:
         """Return the cell's time."""
         return self._clock().now_s()
 
+    def pc_s(self) -> float:
+        """Return this PC's time, by which the driver's readings age."""
+        return self._clock().pc_s()
+
     def wait(self, duration_s: float) -> None:
         """Let time pass."""
         self.check()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from functools import partial
 
 from hilcell.conformance.bench import Bench
@@ -18,9 +17,9 @@ def taken(bench: Bench) -> None:
     """Compare a reading's time with those of the question and the answer."""
     driver = bench.connected()
     for ask in (bench.acts.ask, lambda device: bench.acts.visit(device, 1), bench.acts.ask):
-        asked_s = time.monotonic()
+        asked_s = bench.clock.pc_s()
         taken_s = ask(driver).taken_s
-        early_ms, late_ms = 1000 * (asked_s - taken_s), 1000 * (taken_s - time.monotonic())
+        early_ms, late_ms = 1000 * (asked_s - taken_s), 1000 * (taken_s - bench.clock.pc_s())
         need(early_ms <= 0, f"taken {early_ms:.1f} ms before the question")
         need(late_ms <= 0, f"taken {late_ms:.1f} ms after the answer")
 
@@ -54,7 +53,7 @@ def ended(bench: Bench) -> None:
     """Compare the end of a motion with the readings before and after it."""
     bench.present()
     driver = bench.connected()
-    began_s = time.monotonic()
+    began_s = bench.clock.pc_s()
     reading = bench.acts.visit(driver, 1)
     need(reading.ended_s is not None, "no end of the motion is stated")
     need(began_s <= reading.ended_s, "the motion ended before it was asked for")

@@ -17,6 +17,7 @@ from hilcell.cell.devices import Devices, streams_of, sweeps_of
 from hilcell.errors import DriverDefect, HilcellError, with_place
 from hilcell.ports import (
     Array,
+    Clock,
     DeviceError,
     Identity,
     LinkStatistics,
@@ -42,8 +43,8 @@ Reading = TypeVar("Reading", RailReading, RobotReading, TrackerReading)
 class DeviceMonitor:
     """The known state of one device: written by the worker alone, read by any thread."""
 
-    def __init__(self, device: str) -> None:
-        self._device = device
+    def __init__(self, device: str, clock: Clock) -> None:
+        self._device, self._clock = device, clock
         self.moving = False
         self.reason = ""  # why the device is lost
         self.error: DeviceError | None = None  # by which it is
@@ -86,9 +87,9 @@ class DeviceMonitor:
         if not isinstance(found, kind):
             problem = f"its driver returned {type(found).__name__}, wanted {kind.__name__}"
             raise DriverDefect(self._device, problem)
-        ahead_s = found.taken_s - time.monotonic()
+        ahead_s = found.taken_s - self._clock.pc_s()
         if ahead_s > 0.0:  # NaN is refused where its age is judged
-            problem = f"a reading is {ahead_s:.3f} s ahead of now; taken_s is time.monotonic()"
+            problem = f"a reading is {ahead_s:.3f} s ahead of now; taken_s is clock.pc_s()"
             raise DriverDefect(self._device, problem)
         return found
 
@@ -99,24 +100,27 @@ class DeviceMonitor:
         problem = f"connect returned {type(found).__name__}, wanted a list of Identity"
         raise DriverDefect(self._device, problem)
 
-    def status(self, now_s: float) -> DeviceStatus:
+    def status(self) -> DeviceStatus:
         """Return it in words."""
         state = "unknown" if self.taken_s is None else "fresh"
         if self.reason:
             state = "lost"
         elif self.moving:
             state = "moving"
-        age_s = None if self.taken_s is None else round(max(0.0, now_s - self.taken_s), 2)
+        age_s = None
+        if self.taken_s is not None:
+            age_s = round(max(0.0, self._clock.pc_s() - self.taken_s), 2)
         return DeviceStatus(state, age_s, self.text, self.reason)
 
 
 class CellMonitor:
     """The monitors of a cell's devices, and the devices as the run uses them."""
 
-    def __init__(self, devices: Devices, *, has_rail: bool = True) -> None:
+    def __init__(self, devices: Devices, clock: Clock, *, has_rail: bool = True) -> None:
         self._has_rail = has_rail
-        self.rail, self.strip = DeviceMonitor("Rail"), DeviceMonitor("Strip")
-        self.robot, self.tracker = DeviceMonitor("Robot"), DeviceMonitor("Tracker")
+        self.rail, self.strip = DeviceMonitor("Rail", clock), DeviceMonitor("Strip", clock)
+        self.robot = DeviceMonitor("Robot", clock)
+        self.tracker = DeviceMonitor("Tracker", clock)
         self.rail_reading: RailReading | None = None
         self.robot_reading: RobotReading | None = None
         self.devices = Devices(
@@ -176,10 +180,9 @@ class CellMonitor:
 
     def status(self) -> dict[str, DeviceStatus]:
         """Return the status of all devices by name; without a rail, none of rail and strip."""
-        now_s = time.monotonic()
         of_rail = {"rail": self.rail, "strip": self.strip} if self._has_rail else {}
         monitors = of_rail | {"robot": self.robot, "tracker": self.tracker}
-        return {name: monitor.status(now_s) for name, monitor in monitors.items()}
+        return {name: monitor.status() for name, monitor in monitors.items()}
 
 
 class WatchedRail:

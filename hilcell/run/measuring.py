@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -86,7 +85,7 @@ class Measuring:
 
     def _reading(self, key: str, near_mm: Array, samples: int) -> TrackerReading:
         """Return one measurement; raises `NoReading`."""
-        reflector, began_s = self._run.cell.tracker.reflector, time.monotonic()
+        reflector, began_s = self._run.cell.tracker.reflector, self._run.clock.pc_s()
         reading = self._run.devices.tracker.measure(near_mm, reflector, samples)
         _check_fresh(key, reading, began_s)
         return reading
@@ -96,7 +95,7 @@ class Measuring:
         try:
             reading = self._reading(key, near_mm, 1)
         except DeviceError as error:
-            at_s, silent = time.monotonic(), not isinstance(error, NoReading)
+            at_s, silent = self._run.clock.pc_s(), not isinstance(error, NoReading)
             return Look(None, error.summary, at_s, lost=silent)
         x, y, z = (float(value) for value in reading.xyz_mm)
         off_mm = float(np.linalg.norm(reading.xyz_mm - near_mm))
@@ -145,7 +144,7 @@ class Measuring:
             "humidity_percent": reading.air and reading.air.humidity_percent,
             "rail_mm": rail.position_mm,
             "strip_mm": rail.strip_mm,
-            "readings": _times(reading, rail, robot, self._motion.began),
+            "readings": _times(reading, rail, robot, self._motion.began, self._run.clock.pc_s()),
         }
         if robot is not None:
             body |= {"joints_deg": np.degrees(robot.joints_rad), "pose": robot.pose}
@@ -157,8 +156,8 @@ def _times(
     rail: RailReading,
     robot: RobotReading | None,
     began: ReadingTime | None,
+    now_s: float,
 ) -> Readings:
-    now_s = time.monotonic()
     measured = ReadingTime(tracker.taken_s, now_s - tracker.taken_s)
     if robot is None:
         return Readings(measured, time_of(rail, now_s))

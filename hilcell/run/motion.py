@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -116,13 +115,18 @@ class Motion:
         self._run.checkpoint()
         robot, _ = self._check_parked(self.park_robot())  # read at rest, after its motion ended
         self.held = None
-        self._run.intend("", action, **facts, seen=seen(robot))
+        self._run.intend("", action, **facts, seen=seen(robot, self._run.clock.pc_s()))
         return time_of(*self._check_parked(robot))  # the commit may have taken long
 
     def _check_parked(self, taken: RobotReading) -> tuple[RobotReading, float]:
         """Return a young reading of a robot that lets the slide move, and when it was judged."""
-        robot = fresh(self._run.devices.robot.read, self._run.cell.settle.reading_age_s, taken)
-        now_s = time.monotonic()
+        robot = fresh(
+            self._run.devices.robot.read,
+            self._run.clock,
+            self._run.cell.settle.reading_age_s,
+            taken,
+        )
+        now_s = self._run.clock.pc_s()
         rail_may_move(self._run.cell, robot, now_s)
         return robot, now_s
 
@@ -146,7 +150,7 @@ class Motion:
         self._last = now
         self.check_way(rail, safe_rad, "park")
         rail = self.check_held(self.held, rail)
-        self._run.intend("", "robot.park", seen=seen(rail))
+        self._run.intend("", "robot.park", seen=seen(rail, self._run.clock.pc_s()))
         return self._drive([safe_rad], self._run.cell.robot.speed_percent, rail, self.held, "park")
 
     def robot_to(
@@ -176,7 +180,7 @@ class Motion:
         place = {"joints_deg": np.degrees(joints_rad), "strip_mm": rail.strip_mm}
         if straight is not None:
             place |= {"from_deg": np.degrees(straight.from_rad), "speed_percent": speed_percent}
-        self._run.intend(what, "robot.move", **place, seen=seen(rail))
+        self._run.intend(what, "robot.move", **place, seen=seen(rail, self._run.clock.pc_s()))
         reading = self._drive(stops, speed_percent, rail, self.held, what)
         self._run.clock.wait(self._run.cell.settle.robot_s)
         return reading
@@ -198,8 +202,10 @@ class Motion:
         self, station: Station | None, taken: RailReading | None
     ) -> tuple[RailReading, float]:
         """Return the reading, and when it was judged."""
-        rail = fresh(self._run.devices.rail.read, self._run.cell.settle.reading_age_s, taken)
-        now_s = time.monotonic()
+        rail = fresh(
+            self._run.devices.rail.read, self._run.clock, self._run.cell.settle.reading_age_s, taken
+        )
+        now_s = self._run.clock.pc_s()
         robot_may_move(self._run.cell, rail, station, now_s)
         return rail, now_s
 
@@ -225,8 +231,8 @@ class Motion:
     def _resting_rad(self) -> Array:
         """Return the joints (6,) where the robot rests, by a reading young enough to move by."""
         limit_s = self._run.cell.settle.reading_age_s
-        robot = fresh(self._run.devices.robot.read, limit_s, self._last)
-        check_rests(self._run.cell, robot, time.monotonic())
+        robot = fresh(self._run.devices.robot.read, self._run.clock, limit_s, self._last)
+        check_rests(self._run.cell, robot, self._run.clock.pc_s())
         self._last = robot
         return robot.joints_rad
 

@@ -7,7 +7,6 @@ earlier looks prove nothing (fault 72). Looks are the worker's, answers come fro
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
@@ -15,6 +14,7 @@ from dataclasses import dataclass, replace
 import msgspec
 
 from hilcell.errors import DeviceError, NoReading
+from hilcell.ports import Clock
 from hilcell.run.protocol import PromptStatus
 
 LOOK_S = 0.5
@@ -55,8 +55,8 @@ class Look:
 class Asking:
     """The prompt that stands, the last look at its place, and the answers that wait for one."""
 
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
+    def __init__(self, clock: Clock) -> None:
+        self._clock, self._lock = clock, threading.Lock()
         self._asked = threading.Event()
         self._prompt: Prompt | None = None
         self._look: Look | None = None
@@ -81,7 +81,7 @@ class Asking:
             prompt, look = self._prompt, self._look
         if prompt is None:
             return None
-        age_s = None if look is None else round(max(0.0, time.monotonic() - look.taken_s), 2)
+        age_s = None if look is None else round(max(0.0, self._clock.pc_s() - look.taken_s), 2)
         seen_mm = None if look is None or look.seen_mm is None else round(look.seen_mm, 3)
         return PromptStatus(
             title=prompt.title,

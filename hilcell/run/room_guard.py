@@ -6,8 +6,6 @@ While the run is suspended the tracker looks at a floor nest for its weather sta
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from hilcell.calibration.room import NOTICED_BY, reference_c
@@ -85,7 +83,7 @@ class RoomGuard:
         try:
             reading = self._run.devices.tracker.measure(near_mm, reflector, 1)
         except DeviceError as error:
-            at_s, silent = time.monotonic(), not isinstance(error, NoReading)
+            at_s, silent = self._run.clock.pc_s(), not isinstance(error, NoReading)
             return Look(None, error.summary, at_s, lost=silent)
         now_s = self._run.clock.now_s()
         off_k = np.nan if reading.air is None else reading.air.temperature_c - then_c

@@ -206,7 +206,7 @@ class Runner:
             monitor.rail.moving,
             monitor.robot.moving,
             None if session is None else session.held,
-            time.monotonic(),
+            self._clock.pc_s(),
         )
 
     # -- the main thread: messages ------------------------------------------------------------

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from hilcell.journal.log import ReadingTime
@@ -15,9 +13,9 @@ def time_of(reading: RailReading | RobotReading, now_s: float) -> ReadingTime:
     return ReadingTime(reading.taken_s, now_s - reading.taken_s, reading.ended_s)
 
 
-def seen(reading: RailReading | RobotReading) -> dict[str, object]:
+def seen(reading: RailReading | RobotReading, now_s: float) -> dict[str, object]:
     """Return a reading of the other device: it rests, and is held or where it may be."""
-    when = time_of(reading, time.monotonic())
+    when = time_of(reading, now_s)
     facts = {"taken_s": when.taken_s, "age_s": when.age_s, "ended_s": when.ended_s}
     if isinstance(reading, RobotReading):
         state: dict[str, object] = {"joints_deg": np.degrees(reading.joints_rad)}

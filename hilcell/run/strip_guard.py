@@ -6,8 +6,6 @@ afterwards: the next act that needs one approaches it and proves it by a nest.
 
 from __future__ import annotations
 
-import time
-
 from hilcell.ports import DeviceError, NoReading, StripLost
 from hilcell.run.measuring import Ask
 from hilcell.run.motion import Motion
@@ -47,7 +45,7 @@ class StripGuard:
         try:
             reading = self._run.devices.rail.read()
         except DeviceError as error:
-            at_s, silent = time.monotonic(), not isinstance(error, NoReading)
+            at_s, silent = self._run.clock.pc_s(), not isinstance(error, NoReading)
             return Look(None, error.summary, at_s, lost=silent)
         if not reading.still:
             return Look(

@@ -58,7 +58,7 @@ def record_sweep(session: CellSession, order: SweepOrder) -> StreamRecord:
     joints_deg = np.degrees(order.target_rad)
     rail = session.check_held()
     target = {"axis": order.axis + 1, "joints_deg": joints_deg}
-    session.intend(order.key, "robot.sweep", **target, seen=seen(rail))
+    session.intend(order.key, "robot.sweep", **target, seen=seen(rail, session.clock.pc_s()))
     with (
         StreamFile(session.folder, order.key) as file,
         tracker.stream(order.near_mm, reflector, order.rate_hz) as stream,

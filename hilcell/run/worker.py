@@ -97,10 +97,10 @@ class Worker:
         unattended: bool,
         changes: Changes = NONE,
     ) -> None:
-        self.monitor = CellMonitor(devices, has_rail=cell.has_rail)
+        self.monitor = CellMonitor(devices, clock, has_rail=cell.has_rail)
         self.devices = self.monitor.devices
         self.gate = PauseGate(lambda: send(AtRest()))
-        self.asking = Asking()
+        self.asking = Asking(clock)
         self.leave, self.screen_known = threading.Event(), threading.Event()
         self.session: CellSession | None = None
         self._cell, self._procedure = cell, procedure

@@ -123,6 +123,7 @@ class RecordedLooks:
 
     def __init__(self, clock: Clock, recorder: Recorder, stop: TimedStop) -> None:
         self._clock, self._recorder, self._stop = clock, recorder, stop
+        self.pc_s = clock.pc_s
         self._stopped = False
 
     def wait(self, duration_s: float) -> None:

@@ -11,27 +11,28 @@ from drivers.canopen import pdo, sdo
 from drivers.canopen.can_link import CanLink
 from drivers.canopen.link_time import PAUSE_S, LinkTime
 from drivers.canopen.rail import CanopenRail
+from tests.clocks import DrivenClock
 from tests.drivers.can_peer import CanPeer
 from tests.drivers.rail_bed import rail_for
 
 
 def test_link_time_counts_a_pause_of_the_pc_as_a_short_one() -> None:
-    link_time = LinkTime()
-    start_s = link_time.emptied_s
-    link_time.emptied(start_s + 0.02)
+    link_time = LinkTime(DrivenClock())
+    start_s = link_time.counted_s
+    link_time.emptied(start_s + 0.02, 1.0)
     assert link_time.listened_s == pytest.approx(0.02)
-    link_time.emptied(start_s + 100.0)
+    link_time.emptied(start_s + 100.0, 2.0)
     assert link_time.listened_s == pytest.approx(0.02 + PAUSE_S)
-    assert link_time.emptied_s == start_s + 100.0
+    assert link_time.emptied_s == 2.0
 
 
 def test_a_bus_that_is_never_empty_does_not_stop_the_time() -> None:
-    link_time = LinkTime()
-    start_s = link_time.emptied_s
+    link_time = LinkTime(DrivenClock(pc_at_s=1.0))
+    start_s = link_time.counted_s
     for frame in range(3000):
         link_time.behind(start_s + frame / 1000)
     assert link_time.listened_s == pytest.approx(2 * PAUSE_S)
-    assert link_time.emptied_s == start_s, "what comes now may have waited since then"
+    assert link_time.emptied_s == 1.0, "what comes now may have waited since then"
 
 
 class DeafReceiver:

@@ -12,6 +12,7 @@ from drivers.canopen import sdo
 from drivers.canopen.can_link import CanLink, open_bus
 from drivers.canopen.sdo import Aborted, SdoChannel
 from hilcell.ports import DeviceError, Stopped
+from tests.clocks import DrivenClock
 from tests.drivers.can_peer import DRIVE, CanPeer, u32
 from tests.drivers.peers import WAIT_S
 
@@ -33,7 +34,7 @@ def peer() -> Iterator[CanPeer]:
 
 @contextlib.contextmanager
 def channel_to(peer: CanPeer, check: Callable[[], None] = lambda: None) -> Iterator[SdoChannel]:
-    link = CanLink("Rail", open_bus("Rail", "slcan", peer.channel, 500_000))
+    link = CanLink("Rail", open_bus("Rail", "slcan", peer.channel, 500_000), DrivenClock())
     with resources.as_file(resources.files("drivers.canopen") / "eds" / "drive.eds") as path:
         node = canopen.RemoteNode(DRIVE, canopen.import_od(str(path), DRIVE))
     channel = SdoChannel("Rail", DRIVE, node, link, check)

@@ -14,6 +14,7 @@ from drivers.canopen.rail import CanopenRail
 from drivers.strips.canopen import CanopenStrip
 from drivers.strips.strip import LOST, StripFeed, StripOptions
 from hilcell.ports import DeviceError, DeviceRefused, Stopped, StripLost
+from tests.clocks import DrivenClock
 from tests.drivers.can_peer import STRIP, CanPeer, u8, u32
 from tests.drivers.rail_bed import rail_for, short_deadlines
 
@@ -36,14 +37,14 @@ def bus() -> Iterator[CanPeer]:
 
 @pytest.fixture
 def strip(bus: CanPeer) -> Iterator[CanopenStrip]:
-    strip = CanopenStrip(options_for(bus), never)
+    strip = CanopenStrip(options_for(bus), DrivenClock())
     strip.connect()
     yield strip
     strip.close()
 
 
 def test_identity_readings_alarms_and_counts(bus: CanPeer) -> None:
-    strip = CanopenStrip(options_for(bus), never)
+    strip = CanopenStrip(options_for(bus), DrivenClock())
     identity = strip.connect()
     assert (identity.kind, identity.serial) == ("strip", "4711")
     assert identity.address == f"{bus.channel} node {STRIP}"
@@ -76,14 +77,14 @@ def test_nothing_is_sent_that_could_move_a_drive(bus: CanPeer, strip: CanopenStr
     ],
 )
 def test_another_sensor_is_refused(bus: CanPeer, more: dict[str, Any], found: str) -> None:
-    strip = CanopenStrip(options_for(bus, **more), never)
+    strip = CanopenStrip(options_for(bus, **more), DrivenClock())
     with pytest.raises(DeviceRefused, match=found):
         strip.connect()
     assert bus.nmt[STRIP] != 5
 
 
 def test_a_sensor_that_is_reset_falls_silent_or_leaves_the_bus_is_lost(bus: CanPeer) -> None:
-    feed = StripFeed(CanopenStrip(options_for(bus), never))
+    feed = StripFeed(CanopenStrip(options_for(bus), DrivenClock()))
     causes = (
         (lambda: bus.send(0x700 + STRIP, u8(0)), "unexpected boot-up"),
         (lambda: bus.nmt.__setitem__(STRIP, 0x7F), "not operational"),
@@ -182,6 +183,6 @@ def test_options(strip: dict[str, Any], found: str | None) -> None:
 def test_the_step_may_be_absent(bus: CanPeer) -> None:
     del bus.objects[STRIP][0x6005, 1]
     bus.objects[STRIP][0x1018, 4] = u32(99)
-    strip = CanopenStrip(options_for(bus, serial=99, counts_per_mm=50.0), never)
+    strip = CanopenStrip(options_for(bus, serial=99, counts_per_mm=50.0), DrivenClock())
     assert strip.connect().serial == "99"
     strip.close()

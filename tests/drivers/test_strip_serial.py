@@ -13,6 +13,7 @@ from drivers.strips import serial as strip_serial
 from drivers.strips.serial import SerialStrip
 from drivers.strips.strip import LOST, StripFeed, StripOptions
 from hilcell.ports import DeviceError, DeviceRefused, Stopped
+from tests.clocks import DrivenClock
 from tests.drivers.strip_peer import StripPeer
 
 
@@ -22,7 +23,7 @@ def never() -> None:
 
 def strip_for(channel: str, serial: int = 0) -> SerialStrip:
     options = StripOptions(driver="serial", channel=channel, serial=serial)
-    return SerialStrip(options, never)
+    return SerialStrip(options, DrivenClock())
 
 
 @pytest.fixture(autouse=True)

@@ -7,6 +7,7 @@ import pytest
 from drivers import supervision
 from drivers.supervision import LATE_S, Patience, Supervision
 from hilcell.ports import DeviceError
+from tests.clocks import DrivenClock
 
 
 class Time:
@@ -47,35 +48,41 @@ def test_a_limit_that_is_no_number_is_over_at_once(time: Time) -> None:
     assert Patience(float("nan")).over()
 
 
-def test_a_motion_without_a_look_stops(time: Time) -> None:
-    watch = Supervision("Robot", "HC-B27")
+def test_a_motion_without_a_look_stops() -> None:
+    clock = DrivenClock()
+    watch = Supervision("Robot", "HC-B27", clock)
     watch.begin()
-    time.now_s += LATE_S - 0.01
+    clock.pc_at_s += LATE_S - 0.01
     watch.look()
-    time.now_s += LATE_S + 0.5
-    with pytest.raises(DeviceError, match=r"PC late: 1\.50 s without a look .* <= 1\.00 s; give"):
+    clock.pc_at_s += LATE_S + 0.5
+    with pytest.raises(DeviceError) as late:
         watch.look()
+    assert late.value.code == "HC-B27"
+    assert late.value.fields == {"gap_s": pytest.approx(1.5), "limit_s": 1.0}
 
 
-def test_nobody_needs_to_look_at_what_stands(time: Time) -> None:
-    watch = Supervision("Robot", "HC-B27")
+def test_nobody_needs_to_look_at_what_stands() -> None:
+    clock = DrivenClock()
+    watch = Supervision("Robot", "HC-B27", clock)
     watch.look()
     watch.begin()
     watch.end()
-    time.now_s += 60.0
+    clock.pc_at_s += 60.0
     watch.look()
 
 
-def test_a_heartbeat_pauses_when_nobody_looks_at_the_motion(time: Time) -> None:
-    watch = Supervision("Rail", "HC-R39", late_s=0.8)
+def test_a_heartbeat_pauses_when_nobody_looks_at_the_motion() -> None:
+    clock = DrivenClock()
+    watch = Supervision("Rail", "HC-R39", clock, late_s=0.8)
     with watch.motion():
-        time.now_s += 0.41
+        clock.pc_at_s += 0.41
         assert not watch.attended()
         watch.check()
         watch.look()
         assert watch.attended()
-        time.now_s += 0.81
-        with pytest.raises(DeviceError, match=r"Rail: move: PC late: 0\.81 s .* <= 0\.80 s"):
+        clock.pc_at_s += 0.81
+        with pytest.raises(DeviceError) as late:
             watch.check()
+        assert late.value.fields == {"gap_s": pytest.approx(0.81), "limit_s": 0.8}
     assert watch.attended()
     watch.check()

@@ -14,9 +14,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from tests.whole.bench import SEATS, SMALL, end_of, events, hilcell, sets
+from tests.whole.bench import SEATS, SMALL, command, end_of, events, sets
 
-LIMIT_S = 600.0  # many workers may need the processors
 PAPER = ("--seed", "2", "--unattended")
 FEWER_TARGETS = {"validation.per_cell": "2", "validation.others": "50"}  # two of five, a third
 RUNS: dict[str, tuple[str, ...]] = {
@@ -72,7 +71,7 @@ class GoldenRuns:
             fcntl.flock(lock, fcntl.LOCK_EX)
             if not said.exists():
                 words = ("run", *RUNS[name], "--json", "--name", name, "--runs", str(runs))
-                done = hilcell(*words, limit_s=LIMIT_S)
+                done = command(*words)
                 said.write_text(json.dumps([done.returncode, done.stdout, done.stderr]))
         code, out, err = json.loads(said.read_text())
         return GoldenRun(runs / name, subprocess.CompletedProcess(name, code, out, err))

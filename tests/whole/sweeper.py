@@ -27,7 +27,7 @@ class Watched:
 
     def __init__(self, clock: Clock, after: Callable[[int], None]) -> None:
         self._clock, self._after, self._count = clock, after, 0
-        self.now_s, self.check = clock.now_s, clock.check
+        self.now_s, self.pc_s, self.check = clock.now_s, clock.pc_s, clock.check
 
     def wait(self, duration_s: float) -> None:
         self._clock.wait(duration_s)

@@ -17,8 +17,8 @@ from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.runs import CALIBRATION, read_log
 from procedures.plan import poses_at
-from tests.whole.bench import command, end_of, events, hilcell, sweep
-from tests.whole.golden import LIMIT_S, RUNS, GoldenRun, GoldenRuns
+from tests.whole.bench import command, end_of, events, sweep
+from tests.whole.golden import RUNS, GoldenRun, GoldenRuns
 from tests.whole.trace import judge
 
 SAME = 1e-6  # of a figure
@@ -26,7 +26,7 @@ SPREAD = 0.42  # of the length of a normal vector, as a share of its mean
 CHI2_95 = 7.815  # three degrees of freedom
 SEEDS = {"paper": 2, "calibration": 3}
 TARGETS = {"paper": (54, 50), "calibration": (135, 150)}  # at the grid's station, at the others
-pytestmark = pytest.mark.timeout(LIMIT_S)
+pytestmark = pytest.mark.timeout(600)
 
 
 @pytest.fixture(params=["paper", *sweep("calibration")])
@@ -72,7 +72,7 @@ def test_the_same_seed_gives_the_same_figures(
     They are the same to the last digit, unless one PC was late and took a reading again before a
     motion: that takes time of the plant, of which the last digits of a stream's times depend.
     """
-    again = hilcell("run", *RUNS[name], "--json", "--runs", tmp_path, limit_s=LIMIT_S)
+    again = command("run", *RUNS[name], "--json", "--runs", tmp_path)
     assert dict(leaves(end_of(again)["result"])) == {
         place: pytest.approx(figure, rel=SAME) if isinstance(figure, float) else figure
         for place, figure in leaves(golden[name].result)

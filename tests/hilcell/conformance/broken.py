@@ -293,6 +293,9 @@ class DeafClock:
     def now_s(self) -> float:
         return float(self._clock.now_s())
 
+    def pc_s(self) -> float:
+        return float(self._clock.pc_s())
+
     def wait(self, duration_s: float) -> None:
         with suppress(Stopped):
             self._clock.wait(duration_s)

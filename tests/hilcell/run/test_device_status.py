@@ -14,12 +14,14 @@ import numpy as np
 import pytest
 
 from hilcell.cell.devices import Devices, streams_of, sweeps_of
+from hilcell.clock import WallClock
 from hilcell.errors import DriverDefect
 from hilcell.ports import DeviceError, DeviceRefused, NoReading, RailReading, TrackerReading
 from hilcell.run import device_status
 from hilcell.run.device_status import CellMonitor
 from hilcell.run.exits import EXIT_INTERNAL, exit_code
 from hilcell.run.protocol import DeviceStatus
+from tests.clocks import DrivenClock
 from tests.hilcell.run.bed import CELL, until
 from tests.hilcell.run.rig import DeskRail, DeskRobot, DeskTracker, desk, hang
 
@@ -33,7 +35,7 @@ class Board:
         assert isinstance(bare.robot, DeskRobot)
         assert isinstance(bare.tracker, DeskTracker)
         self.rail, self.robot, self.tracker = bare.rail, bare.robot, bare.tracker
-        self.monitor = CellMonitor(bare)
+        self.monitor = CellMonitor(bare, WallClock(threading.Event()))
         self.devices = self.monitor.devices
 
     def of(self, name: str) -> DeviceStatus:
@@ -80,7 +82,7 @@ def test_a_robot_that_sweeps_moves(board: Board) -> None:
         def sweep(self, *order: float) -> Iterator[Any]:
             yield order
 
-    monitor = CellMonitor(Devices(board.rail, Sweeping(CELL), board.tracker))
+    monitor = CellMonitor(Devices(board.rail, Sweeping(CELL), board.tracker), DrivenClock())
     moving = []
     with sweeps_of(monitor.devices.robot).sweep(0, 1.0, 0.1):
         moving.append(monitor.robot.moving)

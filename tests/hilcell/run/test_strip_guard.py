@@ -17,6 +17,7 @@ from hilcell.run import unattended_wait
 from hilcell.run.cell_session import CellSession
 from hilcell.run.device_status import CellMonitor
 from hilcell.run.strip_guard import STRIP_BACK
+from tests.clocks import DrivenClock
 from tests.hilcell.run.bed import CELL, Bed, Live
 from tests.hilcell.run.rig import DeskRail, Points, procedure
 
@@ -137,7 +138,7 @@ def test_a_frozen_strip_is_not_believed_before_it_is_where_the_drive_is(
 
 def test_a_strip_that_is_lost_in_a_pause_is_shown_as_lost(bed: Bed) -> None:
     rail = rail_of(bed)
-    monitor = CellMonitor(bed.devices)
+    monitor = CellMonitor(bed.devices, DrivenClock())
     rail.dirty = 1
     with pytest.raises(StripLost):
         monitor.devices.rail.read()

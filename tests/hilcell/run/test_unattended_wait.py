@@ -13,26 +13,12 @@ from hilcell.journal.journal import read_journal
 from hilcell.run import unattended_wait
 from hilcell.run.measuring import MEASURE_TRIES
 from hilcell.run.unattended_wait import UnattendedWait
+from tests.clocks import DrivenClock
 from tests.hilcell.run.bed import CELL, Bed, Live, broken_beam
 from tests.hilcell.run.rig import Points, procedure
 
 
-class StepClock:
-    """Time that passes only when it is waited for."""
-
-    def __init__(self) -> None:
-        self.at_s = 0.0
-
-    def now_s(self) -> float:
-        return self.at_s
-
-    def wait(self, duration_s: float) -> None:
-        self.at_s += duration_s
-
-    def check(self) -> None: ...
-
-
-def looks(wait: UnattendedWait, clock: StepClock) -> list[float]:
+def looks(wait: UnattendedWait, clock: DrivenClock) -> list[float]:
     """Return when looks are due until the time is over."""
     found = []
     while not wait.over:
@@ -42,12 +28,12 @@ def looks(wait: UnattendedWait, clock: StepClock) -> list[float]:
 
 
 def test_looks_come_less_and_less_often_and_once_more_at_the_end() -> None:
-    clock = StepClock()
+    clock = DrivenClock()
     assert looks(UnattendedWait(clock, 900.0), clock) == [10, 30, 70, 150, 310, 610, 900]
 
 
 def test_all_waits_of_a_session_share_the_time() -> None:
-    clock = StepClock()
+    clock = DrivenClock()
     wait = UnattendedWait(clock, 100.0)
     while not wait.look_due():
         pass
@@ -58,7 +44,7 @@ def test_all_waits_of_a_session_share_the_time() -> None:
 
 
 def test_a_cause_that_is_back_at_once_is_looked_at_less_and_less_often() -> None:
-    clock = StepClock()
+    clock = DrivenClock()
     wait, found = UnattendedWait(clock, 900.0), []
     while not wait.over:
         wait.begin()
@@ -70,7 +56,7 @@ def test_a_cause_that_is_back_at_once_is_looked_at_less_and_less_often() -> None
 
 
 def test_without_time_there_is_no_wait() -> None:
-    assert UnattendedWait(StepClock(), 0.0).over
+    assert UnattendedWait(DrivenClock(), 0.0).over
 
 
 def waiting(limit_s: float) -> Cell:

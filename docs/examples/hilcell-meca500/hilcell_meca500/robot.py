@@ -7,7 +7,6 @@ motion sets the controller's connection watchdog again, so that a PC that dies, 
 
 from __future__ import annotations
 
-import time
 from typing import Annotated, NamedTuple
 
 import msgspec
@@ -74,7 +73,7 @@ class MecaRobot:
     def __init__(self, options: Options, clock: Clock) -> None:
         self._options, self._clock = options, clock
         self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
-        self._watch = Supervision(DEVICE, "HC-B27")
+        self._watch = Supervision(DEVICE, "HC-B27", clock)
         self._wire: Wire | None = None
         self._number = 0  # of the last checkpoint
         self._under_way = self._stopped = False
@@ -257,7 +256,7 @@ class MecaRobot:
     def _look(self) -> Look:
         wire = self._connected()
         joints = wire.numbers("GetRtJointPos()", 2210, 7)
-        taken_s = time.monotonic()
+        taken_s = self._clock.pc_s()
         place = wire.numbers("GetRtCartPos()", 2211, 7)
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = rotations(place[4:]), place[1:4]

@@ -1,0 +1,60 @@
+"""What a test has left behind: threads, open files and sockets, processes."""
+
+from __future__ import annotations
+
+import gc
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+END_S = 5.0  # a thread that was told to end may need a while on a busy PC
+POOLED = ("ThreadPoolExecutor", "asyncio_", "execnet")  # kept by a library for its next use
+NOBODYS = ("/dev/", "/proc/", "anon_inode:", ".pyc", ".ttf", ".so")
+
+
+@contextmanager
+def no_leaks() -> Iterator[None]:
+    """Raise `AssertionError` that names all that was opened meanwhile and is still there."""
+    threads, files, processes = set(threading.enumerate()), open_files(), children()
+    yield
+    left = [f"thread {each.name}" for each in _running(threads)]
+    if open_files() - files:
+        gc.collect()
+    left += sorted(f"file {place}" for _, place in open_files() - files)
+    left += [f"process {pid}: {command}" for pid, command in children() - processes]
+    if left:
+        raise AssertionError("left behind: " + "; ".join(left))
+
+
+def _running(before: set[threading.Thread]) -> Iterator[threading.Thread]:
+    for each in threading.enumerate():
+        if each not in before and not each.name.startswith(POOLED):
+            each.join(END_S)
+            if each.is_alive():
+                yield each
+
+
+def open_files() -> set[tuple[int, str]]:
+    """Return numbers and places of what this process holds open; empty where no system says."""
+    found = set()
+    with suppress(FileNotFoundError):
+        for each in Path("/proc/self/fd").iterdir():
+            with suppress(FileNotFoundError):
+                place = str(each.readlink())
+                if not any(word in place for word in NOBODYS):
+                    found.add((int(each.name), place))
+    return found
+
+
+def children() -> set[tuple[int, str]]:
+    """Return the processes that this one has started and that are there, also dead ones."""
+    found = set()
+    with suppress(FileNotFoundError):
+        for task in Path("/proc/self/task").iterdir():
+            with suppress(FileNotFoundError):
+                for pid in (task / "children").read_text().split():
+                    with suppress(FileNotFoundError):
+                        words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+                        found.add((int(pid), b" ".join(words).decode(errors="replace")[:120]))
+    return found
