@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import count
+from types import SimpleNamespace
+
 import pytest
 
 from drivers.canopen import release
@@ -88,3 +91,17 @@ def test_close_by_pdo_says_nothing_of_sdo(peer: CanPeer) -> None:
     rail = holding(peer)
     rail.close()
     assert not rail.statistics().held_by_sdo
+
+
+def test_close_stops_no_slide_that_stands_because_the_pc_looks_seldom(
+    peer: CanPeer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rail = holding(peer, standstill_dwell_s=0.2)
+    peer.axis.hunts = True
+    looks_s = count(0.0, 3.0)  # of a PC that is busy
+    monkeypatch.setattr(
+        release, "time", SimpleNamespace(monotonic=lambda: next(looks_s), sleep=lambda _: None)
+    )
+    rail.close()
+    assert peer.axis.state == DISABLED
+    assert not peer.quick_stopped.is_set()

@@ -179,10 +179,11 @@ def test_a_pc_that_does_not_look_while_it_moves_stops(
 ) -> None:
     late_s = [0.0]
     peer.moved = lambda: late_s.__setitem__(0, late_s[0] + 2.0)
-    clock = SimpleNamespace(monotonic=lambda: time.monotonic() + late_s[0])
-    monkeypatch.setattr(supervision, "time", clock)
-    with pytest.raises(DeviceError, match=r"Robot: move: PC late: 2\.\d\d s without a look"):
+    monkeypatch.setattr(robot._clock, "pc_s", lambda: late_s[0])
+    with pytest.raises(DeviceError) as late:
         robot.move_to(TARGET_RAD, 30.0)
+    assert late.value.code == "HC-B27"
+    assert late.value.fields["gap_s"] == 2.0
     robot.close()
     assert peer.stopped.wait(5)
 
