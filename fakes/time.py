@@ -16,7 +16,7 @@ from collections.abc import Callable
 from itertools import count
 
 EXCHANGE_S = 0.008  # one question to a robot's controller and its answer
-
+PAUSE_S = 0.1
 TICK_S = 1e-6
 
 Follower = Callable[[], None]
@@ -31,6 +31,26 @@ class PatientTime:
     def now_s(self) -> float:
         """Return a time behind all earlier ones."""
         return next(self._looks) * TICK_S
+
+
+class OwnTime:
+    """Real seconds, of which a pause of this PC counts as `PAUSE_S` at most.
+
+    Heartbeats and watchdogs of simulated devices run in it: their PC shares a processor with the
+    one that they watch.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._passed_s, self._looked_s = 0.0, time.monotonic()
+
+    def now_s(self) -> float:
+        """Return the time; to be called at least every `PAUSE_S`."""
+        with self._lock:
+            now_s = time.monotonic()
+            self._passed_s += min(now_s - self._looked_s, PAUSE_S)
+            self._looked_s = now_s
+            return self._passed_s
 
 
 class PlantTime:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import socket
 import threading
-import time
 from collections.abc import Callable
 from contextlib import suppress
 
 from fakes.canopen.slcan_gateway import SlcanGateway
+from fakes.time import PAUSE_S, OwnTime
 
 
 class BusThread:
@@ -22,6 +22,7 @@ class BusThread:
         tick: Callable[[float], None],
     ) -> None:
         self._gateway, self._wait_s, self._tick = gateway, wait_s, tick
+        self.now_s = OwnTime().now_s
         self._closing = threading.Event()
         self._wake, self._waker = socket.socketpair()
         self._thread = threading.Thread(target=self._run, name=name)
@@ -44,8 +45,8 @@ class BusThread:
     def _run(self) -> None:
         try:
             while not self._closing.is_set():
-                self._gateway.serve(self._wait_s(), self._wake)
-                self._tick(time.monotonic())
+                self._gateway.serve(min(self._wait_s(), PAUSE_S), self._wake)
+                self._tick(self.now_s())
                 self._gateway.flush()
         finally:
             # Should a fault's value make no sense here, clients see the end, not silence.

@@ -9,7 +9,6 @@ brakes by itself is looked at until it stands.
 
 from __future__ import annotations
 
-import time
 from functools import partial
 
 from fakes.canopen import rail_drive, rail_strip
@@ -100,7 +99,7 @@ class RailServer:
         due_s = min(node.next_s() for node in self._nodes.values())
         due_s = min([due_s, *(late[0] for late in self._late)])
         longest_s = LOOK_PERIOD_S if self._watches() else IDLE_S
-        return min(max(0.0, due_s - time.monotonic()), longest_s)
+        return min(max(0.0, due_s - self._bus.now_s()), longest_s)
 
     def _watches(self) -> bool:
         """Whether the slide must be looked at although no client asks."""
@@ -134,10 +133,10 @@ class RailServer:
         if not self._booted:
             self._booted = True
             for node in self._nodes.values():
-                node.boot(time.monotonic())
+                node.boot(self._bus.now_s())
 
     def _receive(self, cob_id: int, data: bytes) -> None:
-        now_s = time.monotonic()
+        now_s = self._bus.now_s()
         self._delay_s = 0.0
         if cob_id == SYNC_COB_ID:
             self._delay_s = self._faults.number("rail.late_tpdo") or 0.0
@@ -161,7 +160,7 @@ class RailServer:
         if twin is not None and cob_id in (0x580 + twin, 0x700 + twin):
             self._gateway.send(cob_id, data)
         if self._delay_s:
-            self._late.append((time.monotonic() + self._delay_s, cob_id, data))
+            self._late.append((self._bus.now_s() + self._delay_s, cob_id, data))
         else:
             self._gateway.send(cob_id, data)
 

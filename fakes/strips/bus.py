@@ -5,8 +5,6 @@ Faults of a gateway are those of the drive's bus; here the sensor's strike, and 
 
 from __future__ import annotations
 
-import time
-
 from fakes.canopen.bus_thread import BusThread
 from fakes.canopen.rail_strip import NODE, RailStrip
 from fakes.canopen.slave import SYNC_COB_ID
@@ -48,12 +46,12 @@ class StripBus:
         self._bus.close()
 
     def _wait_s(self) -> float:
-        return min(max(0.0, self._strip.next_s() - time.monotonic()), IDLE_S)
+        return min(max(0.0, self._strip.next_s() - self._bus.now_s()), IDLE_S)
 
     def _boot(self) -> None:
         if not self._booted:
             self._booted = True
-            self._strip.boot(time.monotonic())
+            self._strip.boot(self._bus.now_s())
 
     def _hear(self, cob_id: int, data: bytes) -> None:
         if cob_id in OF_NODE and self._faults.take("rail.strip_silent") is not None:
@@ -61,4 +59,4 @@ class StripBus:
         if cob_id == SYNC_COB_ID:
             self._strip.strike()
             self._strip.observe(self._rail.poll())
-        self._strip.receive(cob_id, data, time.monotonic())
+        self._strip.receive(cob_id, data, self._bus.now_s())

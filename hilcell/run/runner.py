@@ -109,6 +109,8 @@ class Runner:
                 return EXIT_STORAGE
             finally:
                 self._worker.release()
+                if self._unclosed is not None:
+                    self._safe_stop.dismiss()
 
     @property
     def fault(self) -> Exception | None:

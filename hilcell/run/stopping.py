@@ -36,6 +36,11 @@ class SafeStop:
         self._go.set()
         return self._acts.wait(STOP_S)
 
+    def dismiss(self) -> None:
+        """Let the threads end, where nothing was stopped; all devices are closed."""
+        self._acts.dismiss()
+        self._go.set()
+
 
 def close_all(devices: Devices) -> dict[str, Exception]:
     """Close all devices at once, in bounded time; return the problems by device."""
@@ -77,6 +82,10 @@ class Acts:
             except Exception as error:  # noqa: BLE001 - one device's failure must not keep the others
                 self._problems[name] = error
             self._done[name].set()
+
+    def dismiss(self) -> None:
+        """Leave undone what nobody has begun yet."""
+        self._waiting.clear()
 
     def wait(self, limit_s: float) -> dict[str, Exception]:
         """Return the problems by name, among them the acts that take longer than ``limit_s``."""
