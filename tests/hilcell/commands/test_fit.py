@@ -2,15 +2,16 @@
 
 import csv
 import json
+import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hilcell.commands.cli import main
 from hilcell.fit.robot_file import HEADER, Measurements
 from tests.hilcell.fit.test_fit import measured
 from tests.hilcell.fit.urdfs import PLAIN
+from tests.whole.bench import command
 
 ROBOT = '[robot]\nname = "IRB 120"\nconvention = "standard-dh"\n'
 ROWS = [(0, -90, 290, 0), (270, 0, 0, -90), (70, -90, 0, 0), (0, 90, 302, 0), (0, -90, 0, 0),
@@ -40,93 +41,71 @@ def write_rows(path: Path, rows: Measurements) -> None:
             writer.writerow([pose, target, *np.round(joints, 8), *np.round(xyz, 6)])
 
 
-def fit(folder: Path, robot: str, *words: str) -> int:
-    return main(
-        ["fit", "--robot", str(folder / robot), "--train", str(folder / "train.csv"), *words]
-    )
+def fit(folder: Path, robot: str, *words: str | Path) -> subprocess.CompletedProcess[str]:
+    train = folder / "train.csv"
+    return command("fit", "--robot", folder / robot, "--train", train, *words)
 
 
-def test_a_urdf_gives_the_figures_of_its_dh_rows(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_urdf_gives_the_figures_of_its_dh_rows(folder: Path) -> None:
     found = []
     for robot in ("robot.toml", "robot.urdf"):
-        assert fit(folder, robot, "--json") == 0
-        printed = json.loads(capsys.readouterr().out)
+        printed = json.loads(fit(folder, robot, "--json").stdout)
         assert np.shape(printed["covariance"]) == (len(printed["model"]["names"]),) * 2
         found.append(printed["methods"])
     for method, figures in found[0].items():
         assert found[1][method] == pytest.approx(figures, abs=1e-6)
 
 
-def test_a_tip_is_one_of_a_urdf(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert fit(folder, "robot.urdf", "--tip", "link_6") == 0
-    assert fit(folder, "robot.urdf", "--tip", "nose") == 2
-    assert "no joint leads to link nose" in capsys.readouterr().err
-    assert fit(folder, "robot.toml", "--tip", "tool0") == 2
-    assert "--tip tool0 names a link of a URDF" in capsys.readouterr().err
+def test_a_tip_is_one_of_a_urdf(folder: Path) -> None:
+    assert fit(folder, "robot.urdf", "--tip", "link_6").returncode == 0
+    for robot, tip in (("robot.urdf", "nose"), ("robot.toml", "tool0")):
+        done = fit(folder, robot, "--tip", tip)
+        assert done.returncode == 2
+        assert tip in done.stderr
 
 
-def test_the_identified_arm_is_written(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_identified_arm_is_written(folder: Path) -> None:
     out, table = folder / "c.urdf", folder / "dh.csv"
-    assert fit(folder, "robot.urdf", "--urdf-out", str(out), "--dh-out", str(table), "--json") == 0
-    printed = capsys.readouterr()
-    rigid = json.loads(printed.out)["rigid"]
+    done = fit(folder, "robot.urdf", "--urdf-out", out, "--dh-out", table, "--json")
+    rigid = json.loads(done.stdout)["rigid"]
     assert 0 < rigid["mean_mm"] < rigid["p95_mm"] < rigid["max_mm"] < 0.2
-    line = f"By itself it leaves mean {rigid['mean_mm']:.4f}, p95 {rigid['p95_mm']:.4f}, max"
-    assert line in printed.err
-    assert f"the identified arm is in {out} and {table}" in printed.err
-    assert line in out.read_text()
-    assert "25 rows of train.csv" in out.read_text()
+    for words in (done.stderr, out.read_text()):
+        assert f"mean {rigid['mean_mm']:.4f}, p95 {rigid['p95_mm']:.4f}" in words
+    assert "train.csv" in out.read_text()
     assert len(table.read_text().splitlines()) == 31
-    assert fit(folder, "c.urdf") == 0
+    assert fit(folder, "c.urdf").returncode == 0
 
 
-def test_inputs_are_never_written_over(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_inputs_are_never_written_over(folder: Path) -> None:
     before = (folder / "robot.urdf").read_bytes()
-    assert fit(folder, "robot.urdf", "--urdf-out", str(folder / "robot.urdf")) == 2
-    assert "robot.urdf is what is read; write elsewhere" in capsys.readouterr().err
-    both = str(folder / "out")
-    assert fit(folder, "robot.urdf", "--urdf-out", both, "--dh-out", both) == 2
+    assert fit(folder, "robot.urdf", "--urdf-out", folder / "robot.urdf").returncode == 2
+    both = folder / "out"
+    assert fit(folder, "robot.urdf", "--urdf-out", both, "--dh-out", both).returncode == 2
     assert (folder / "robot.urdf").read_bytes() == before
 
 
-def test_rows_that_are_left_out_are_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rows_that_are_left_out_are_named(folder: Path) -> None:
     rows = measured(1, 25, ["SMR1"])
     rows.xyz_mm[3] += [0.0, 6.0, 0.0]
     write_rows(folder / "train.csv", rows)
-    assert fit(folder, "robot.urdf", "--test", str(folder / "train.csv")) == 0
-    printed = capsys.readouterr()
-    assert "pose 1003 target SMR1 contradicts the others by 6" in printed.err
-    assert "within 95 % bounds of 0." in printed.out
-    assert "chosen: " in printed.out
+    done = fit(folder, "robot.urdf", "--test", folder / "train.csv")
+    assert done.returncode == 0
+    assert "pose 1003 target SMR1" in done.stderr
+    assert "25 rows of" in done.stderr, "the test rows were learnt from"
 
 
-def test_a_reflector_that_was_knocked_in_between_is_named(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_reflector_that_was_knocked_in_between_is_named(folder: Path) -> None:
     rows = measured(1, 40, ["SMR1", "SMR2", "SMR3"])
     rows.xyz_mm[:45:3] += [0.0, 2.0, 0.0]
     write_rows(folder / "train.csv", rows)
-    assert fit(folder, "robot.urdf") == 0
-    said = capsys.readouterr().err
-    assert "warning: 15 of 120 training rows are left out, wanted at most 10%" in said
-    assert "bounds may be too small; look at reflector SMR1, 15 of them" in said
+    done = fit(folder, "robot.urdf")
+    assert done.returncode == 0
+    assert "15 of 120" in done.stderr
+    assert "reflector SMR1" in done.stderr
 
 
-def test_why_no_robot_is_identified_is_said(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_why_no_robot_is_identified_is_said(folder: Path) -> None:
     write_rows(folder / "train.csv", measured(1, 14, ["SMR1"]))
-    assert fit(folder, "robot.urdf") == 0
-    assert "no robot is identified: kinematics: 14 poses" in capsys.readouterr().err
-
-
-def test_test_rows_that_were_learnt_from_are_named(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_rows(folder / "other.csv", measured(2, 5, ["SMR1"]))
-    assert fit(folder, "robot.toml", "--test", str(folder / "other.csv")) == 0
-    assert "training rows too" not in capsys.readouterr().err
-    assert fit(folder, "robot.toml", "--test", str(folder / "train.csv")) == 0
-    assert "25 rows of" in capsys.readouterr().err
+    done = fit(folder, "robot.urdf")
+    assert done.returncode == 0
+    assert "14 poses" in done.stderr
