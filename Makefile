@@ -1,6 +1,7 @@
-# Everything a fresh clone needs: python 3.11 or newer, pip and make.
+# Everything a fresh clone needs: Python 3.11, 3.12 or 3.13, pip and make. Another Python than the
+# machine's own has an environment beside the first: `make test PYTHON=python3.13`.
 PYTHON ?= python3
-VENV := .venv
+VENV := .venv$(if $(filter-out python3,$(PYTHON)),-$(notdir $(PYTHON)))
 BIN := $(VENV)/bin
 COMPILE := uv pip compile pyproject.toml --universal --generate-hashes \
   --no-emit-index-url --no-header
@@ -9,7 +10,7 @@ COMPILE := uv pip compile pyproject.toml --universal --generate-hashes \
 export PYTHONDONTWRITEBYTECODE =
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: run test suite nightly mutants torture lint bench bundle lock clean
+.PHONY: run test suite nightly mutants torture lint gauges bench bundle lock clean
 
 run: $(VENV)/ready  ## calibrate the simulated paper cell and print the table
 	$(BIN)/hilcell run
@@ -35,6 +36,9 @@ lint: $(VENV)/more  ## style, types and the import contract
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+gauges:  ## modules, lines, names, Any, shapes of each noun, habits of speech; docs/architecture.md
+	@$(PYTHON) benchmarks/gauges.py
 
 bench: $(VENV)/more  ## timings, as ratios within one run
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks
@@ -65,4 +69,4 @@ lock:  ## pin every dependency by hash, for all supported pythons; those of a ru
 	$(COMPILE) --extra offline --constraint requirements.lock --output-file requirements-run.lock
 
 clean:
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf .venv* .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
