@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -12,6 +9,7 @@ import pytest
 from hilcell.commands.cli import main
 from tests.hilcell.commands.terminal import Terminal
 from tests.hilcell.commands.wrong_lines import wrong_lines
+from tests.whole.bench import command
 
 SEED, ALL, DAILY = 7, 300, 40
 Change = tuple[str, dict[str, str], list[str]]  # the encoding, variables that are set, and unset
@@ -54,7 +52,7 @@ def test_a_wrong_line_is_refused_in_words(
 ) -> None:
     encoding = enter(place, tmp_path, monkeypatch)
     begin = list(PLACES).index(place)
-    for line in wrong_lines(DAILY * len(PLACES), SEED)[begin :: 4 * len(PLACES)]:
+    for line in wrong_lines(DAILY * len(PLACES), SEED)[begin :: 6 * len(PLACES)]:
         check_refused(line, encoding, monkeypatch)
 
 
@@ -74,14 +72,37 @@ def test_all_wrong_lines_are_refused_in_words(
         check_refused(line, encoding, monkeypatch)
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("place", PLACES)
-def test_wrong_lines_are_refused_by_the_process(
-    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    enter(place, tmp_path, monkeypatch)
-    for line in wrong_lines(ALL, SEED)[::20]:
-        words = [os.fsencode(word) for word in (sys.executable, "-m", "hilcell", *line)]
-        done = subprocess.run(words, capture_output=True, check=False, stdin=subprocess.DEVNULL)
-        assert done.returncode == 2, (line, done.stderr)
-        assert b"Traceback" not in done.stderr, (line, done.stderr)
+NEAREST = [
+    ("rn", '"run"'),
+    ("calibrate", "hilcell run calibrate"),
+    ("zzz", "zzz"),
+    ("--verison", '"--version"'),
+    ("compensate --stationn x", '"--station"'),
+    ("run --oprator=Ann", '"--operator"'),
+    ("run home --dry", '"--dry-run"'),
+    ("show last --cel", '"--check"'),
+    ("completion --sel", "--sel"),
+    ("show", "RUN"),
+    ("run calibrat", '"calibrate"'),
+    ("check papr", '"paper"'),
+]
+
+
+@pytest.mark.parametrize(("words", "nearest"), NEAREST)
+def test_the_nearest_word_is_named(words: str, nearest: str) -> None:
+    done = command(*words.split())
+    assert (done.returncode, done.stdout) == (2, "")
+    assert nearest in done.stderr
+
+
+def test_words_after_two_dashes_are_no_options() -> None:
+    done = command("explain", "--", "--HC-R31")
+    assert done.returncode == 2
+    assert "'--HC-R31'" in done.stderr
+
+
+def test_without_words_the_first_steps_are_shown() -> None:
+    done = command()
+    assert (done.returncode, done.stdout) == (2, "")
+    for step in ("hilcell run", "hilcell show last", "hilcell check", "hilcell tui"):
+        assert step in done.stderr
