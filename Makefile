@@ -10,16 +10,19 @@ COMPILE := uv pip compile pyproject.toml --universal --generate-hashes \
 export PYTHONDONTWRITEBYTECODE =
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: run test suite nightly mutants torture lint gauges bench bundle lock clean
+.PHONY: run test together alone nightly mutants torture lint gauges bench bundle lock clean
 
 run: $(VENV)/ready  ## calibrate the simulated paper cell and print the table
 	$(BIN)/hilcell run
 
-test: $(VENV)/more  ## lint beside the tests
-	$(MAKE) --no-print-directory --jobs 2 lint suite
+test: $(VENV)/more  ## lint beside the tests that start no process, then the others
+	$(MAKE) --no-print-directory --jobs 2 lint together
+	$(MAKE) --no-print-directory alone
 
-suite: $(VENV)/compiled  ## every test but the long sweeps, in random order on all cores
+together: $(VENV)/compiled  ## tests in event time, in random order on all cores
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not nightly and not wall"
+
+alone: $(VENV)/compiled  ## tests of real processes and deadlines, one at a time
 	$(BIN)/python -m pytest -m "wall and not nightly"
 
 nightly: lint  ## every test and every long sweep, property tests with fresh seeds

@@ -30,7 +30,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.clean import harmless
 from hilcell.ports import DeviceError, Exercise, HilcellError, Stopped
 
-ANSWER_S = 10.0
+ANSWER_S = 60.0  # a simulated cell waits for its PC, and the PC for the cell
 END_S = 5.0
 LONGEST_WORDS = 2000
 LAST_PORT = 65535
