@@ -22,7 +22,7 @@ import pytest
 from campaigns.breaks.patch import Patch, install
 
 LIMIT_S = 600.0
-TEST_S = 30
+TEST_S = 60
 PYTEST = (
     "-q", "--timeout", f"{TEST_S}", "-p", "no:randomly", "-p", "no:cacheprovider",
     "--assert", "plain", "--tb", "short", "--hypothesis-profile", "breaks",
