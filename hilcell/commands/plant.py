@@ -37,12 +37,12 @@ NAMED = 3  # runs, in a message
 
 
 def init(args: argparse.Namespace) -> int:
-    """Make the tables of a plant's database, or bring them up to this version's."""
+    """Make the tables of a plant's database, where they are not there."""
     with closing(open_database(args.plant)) as database:
         before = database.make()
     from hilcell.plant.tables import HEAD
 
-    words = {"": "made", HEAD: "is up to date"}.get(before, f"brought up from schema {before}")
+    words = "is up to date" if before else "made"
     print_answer(
         {"plant": database.name, "schema": HEAD, "before": before or None},
         f"plant database {database.name}: {words}, schema {HEAD}",

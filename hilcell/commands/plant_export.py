@@ -6,15 +6,11 @@ import argparse
 import getpass
 import sys
 from contextlib import closing
-from typing import TYPE_CHECKING
 
 from hilcell.clean import encodable, harmless
 from hilcell.commands.output import print_answer, print_message
 from hilcell.commands.plant import open_database, require_packages
 from hilcell.run.exits import EXIT_OK, EXIT_OUT_OF_TOLERANCE
-
-if TYPE_CHECKING:
-    from hilcell.plant.manifest import Manifest
 
 SIGNING = ("cryptography",)
 
@@ -30,12 +26,10 @@ def export(args: argparse.Namespace) -> int:
         database.check()
         with database.transaction() as connection:
             found = export_cell(connection, args.cell, args.serial, args.out, key)
-    _print_unproven(found)
     simulated = f", {found.simulated_runs} of them simulated" if found.simulated_runs else ""
     print_answer(
         {"cell": found.cell, "serials": found.serials, "runs": found.runs,
-         "files": len(found.files), "key": found.key, "out": harmless(str(args.out)),
-         "unchecked": found.unproven_runs},
+         "files": len(found.files), "key": found.key, "out": harmless(str(args.out))},
         f"cell {harmless(found.cell)}: {found.runs} records of runs{simulated}, "
         f"{len(found.files)} files written to {harmless(str(args.out))}, signed by {found.key}",
         as_json=args.json,
@@ -52,7 +46,6 @@ def verify(args: argparse.Namespace) -> int:
     manifest, findings = verify_record(args.record, read_public_key(args.public_key))
     for each in findings:
         print_message(f"{harmless(each.file)}: {harmless(each.what)}")
-    _print_unproven(manifest)
     count = len(manifest.files)
     are = "1 file is not as it was" if len(findings) == 1 else (
         f"{len(findings)} files are not as they were"
@@ -63,20 +56,11 @@ def verify(args: argparse.Namespace) -> int:
     print_answer(
         {"cell": manifest.cell, "serials": manifest.serials, "runs": manifest.runs,
          "files": count, "made": manifest.made, "key": manifest.key, "holds": not findings,
-         "unchecked": manifest.unproven_runs,
          "findings": {encodable(each.file): encodable(each.what) for each in findings}},
         f"cell {harmless(manifest.cell)}: {words}, on {harmless(manifest.made)} by {manifest.key}",
         as_json=args.json,
     )  # fmt: skip
     return EXIT_OUT_OF_TOLERANCE if findings else EXIT_OK
-
-
-def _print_unproven(manifest: Manifest) -> None:
-    if manifest.unproven_runs:
-        print_message(
-            f"note: {manifest.unproven_runs} of {manifest.runs} records came from another version "
-            "of hilcell: whether the plant has them as they were shipped is not proven"
-        )
 
 
 def _passphrase() -> bytes | None:

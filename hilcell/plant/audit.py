@@ -23,7 +23,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from hilcell.clean import clean
 from hilcell.errors import HilcellError
-from hilcell.plant.manifest import FORMS, MANIFEST, SIGNATURE, FileEntry, Manifest, sound
+from hilcell.plant.manifest import FORM, MANIFEST, SIGNATURE, FileEntry, Manifest, sound
 from hilcell.plant.signing import fingerprint
 
 CHUNK = 2**20
@@ -60,6 +60,10 @@ class Finding:
     what: str
 
 
+class _Head(msgspec.Struct):
+    form: int
+
+
 def verify(place: Path, key: Ed25519PublicKey) -> tuple[Manifest, list[Finding]]:
     """Return the manifest, and every file that differs, is missing or is extra.
 
@@ -89,16 +93,17 @@ def _manifest(source: Source, key: Ed25519PublicKey) -> Manifest:
             f"{fingerprint(key)}; nothing in this record is proven"
         ) from None
     try:
+        form = msgspec.json.decode(content, type=_Head).form
+        if form != FORM:
+            raise NotProven(
+                f"{source.name}: {MANIFEST} of form {form}, expected {FORM}; verify it with the "
+                "hilcell that exported it"
+            )
         manifest = msgspec.json.decode(content, type=Manifest)
     except (msgspec.DecodeError, RecursionError) as error:
         raise NotProven(f"{source.name}: {MANIFEST} is none that is known: {error}") from None
     if manifest.key != fingerprint(key):
         raise NotProven(f"{source.name}: {MANIFEST} names another key than that which signed it")
-    if manifest.form not in FORMS:
-        raise NotProven(
-            f"{source.name}: form {manifest.form}, this hilcell verifies 1 to {FORMS[-1]}; "
-            "update hilcell on this PC"
-        )
     outside = [name for name in manifest.files if not sound(name)]
     if outside:
         raise NotProven(

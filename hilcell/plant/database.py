@@ -21,9 +21,7 @@ from sqlalchemy import (
     create_engine,
     event,
     inspect,
-    literal,
     make_url,
-    select,
     text,
 )
 from sqlalchemy.exc import (
@@ -37,7 +35,7 @@ from sqlalchemy.exc import (
 from hilcell.clean import clean
 from hilcell.errors import HilcellError, StoreAway
 from hilcell.journal.index import NAME as INDEX
-from hilcell.plant.tables import HEAD, PARTS, RUN, TABLES
+from hilcell.plant.tables import HEAD, PARTS, RUN
 
 MIGRATIONS = Path(__file__).with_name("migrations")
 POSTGRESQL, SQLITE = "postgresql", "sqlite"
@@ -71,7 +69,6 @@ UNKNOWN = re.compile(
 )
 FULL = "too many connections"
 SECRET = re.compile("passw|pwd", re.IGNORECASE)  # in the names of the URL's own options
-ADDED = {"superseded", "form"}  # columns of later schemas than the first
 KNOWN = ("run_key", "revision", "head")  # columns of `run` that cells may read
 # By SQLite's own word for the error.
 DAMAGED = {
@@ -141,7 +138,7 @@ class Database:
             self._check(connection)
 
     def make(self) -> str:
-        """Make the schema, or bring it up to this version's; return which it was before, or "".
+        """Make the schema where there is none; return which it was before, or "".
 
         Raises `PlantAway` and `PlantError`.
         """
@@ -153,10 +150,10 @@ class Database:
             # One at a time; sqlite3 would also keep each table by itself.
             connection.exec_driver_sql(ALONE if self._remote else "BEGIN IMMEDIATE")
             before = _version(connection)
-            if before is not None and not (before in _known() and _ours(connection)):
-                raise PlantError(self._unknown(connection, before))
             if before is None:
                 self._check_empty(connection)
+            else:
+                self._check(connection)
             config = Config()
             config.set_main_option("script_location", str(MIGRATIONS))
             config.attributes["connection"] = connection
@@ -194,24 +191,20 @@ class Database:
         found = _version(connection)
         if found is None:
             raise PlantError(self._none())
-        ours = _ours(connection)
-        if found == HEAD and ours:
-            return
-        if found not in _known() or not ours:
-            raise PlantError(self._unknown(connection, found))
-        raise PlantError(
-            f"plant database {self.name}: schema {found}, wanted {HEAD}; "
-            "`hilcell plant init --to URL` brings it up to date"
-        )
+        if not _ours(connection):
+            raise PlantError(
+                f"plant database {self.name}: it belongs to another program (its schema is "
+                f"{clean(found)}); name an empty database"
+            )
+        if found != HEAD:
+            raise PlantError(
+                f"plant database {self.name}: schema {clean(found)}, expected {HEAD}; use the "
+                "hilcell that made it, or ship the runs again to an empty database"
+            )
 
     def _check_empty(self, connection: Connection) -> None:
         """Refuse what holds other tables: a run's journal is such a file, too."""
         others = sorted({*inspect(connection).get_table_names()} - {"alembic_version"})
-        if others and all(_made_in_part(connection, name) for name in others):
-            raise PlantError(
-                f"plant database {self.name}: an earlier version was interrupted while it made the "
-                "tables; delete this database, make an empty one, and repeat the command"
-            )
         if others:
             raise PlantError(
                 f"plant database {self.name}: it belongs to another program (it has {len(others)} "
@@ -222,17 +215,6 @@ class Database:
         return (
             f"plant database {self.name}: it holds no plant records; "
             "`hilcell plant init --to URL` makes their tables"
-        )
-
-    def _unknown(self, connection: Connection, found: str) -> str:
-        if not _ours(connection):
-            return (
-                f"plant database {self.name}: it belongs to another program (its schema is "
-                f"{clean(found)}); name an empty database"
-            )
-        return (
-            f"plant database {self.name}: schema {clean(found)}, this hilcell knows {HEAD}; "
-            "update hilcell on this PC"
         )
 
     def _error(self, error: SQLAlchemyError) -> HilcellError:
@@ -354,23 +336,6 @@ def _ours(connection: Connection) -> bool:
     found = inspect(connection)
     names = found.get_columns(RUN.name) if found.has_table(RUN.name) else []
     return {*KNOWN} <= {each["name"] for each in names}
-
-
-def _made_in_part(connection: Connection, name: str) -> bool:
-    """Whether a table is one that the first schema made, and nothing was ever shipped to it."""
-    if name not in TABLES.tables:
-        return False
-    ours = TABLES.tables[name]
-    found = {each["name"] for each in inspect(connection).get_columns(name)}
-    empty = connection.execute(select(literal(1)).select_from(ours).limit(1)).first() is None
-    return found == set(ours.columns.keys()) - ADDED and empty
-
-
-def _known() -> set[str]:
-    """Return the versions that this hilcell has migrations of."""
-    from alembic.script import ScriptDirectory
-
-    return {each.revision for each in ScriptDirectory(str(MIGRATIONS)).walk_revisions()}
 
 
 def _grant(connection: Connection) -> None:

@@ -1,4 +1,4 @@
-"""Records to doubt: serial numbers and names that several have, copies, clocks that disagree."""
+"""Records to doubt: serial numbers and names that several have, clocks that disagree."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def doubts(connection: Connection, cells: Collection[str] | None = None) -> list
 
     ``cells`` are the names of those whose records are wanted; None for all.
     """
-    kinds = (_shared_serials, _shared_robots, _namesakes, _at_once, _copied, _ahead, _set_back)
+    kinds = (_shared_serials, _shared_robots, _namesakes, _at_once, _ahead, _set_back)
     found = (doubt for kind in kinds for doubt in kind(connection))
     return [doubt.words for doubt in found if cells is None or not {*cells}.isdisjoint(doubt.cells)]
 
@@ -108,22 +108,6 @@ def _at_once(connection: Connection) -> Iterator[Doubt]:
             [row.cell],
             f"cell {clean(row.cell)}, serial number {clean(row.serial)}: {row.times} runs began "
             "while another was at work: two computers ship as one cell, or their clocks disagree",
-        )
-
-
-def _copied(connection: Connection) -> Iterator[Doubt]:
-    """Yield runs that have one journal: earlier versions shipped a copied folder as another run."""
-    asked = (
-        select(RUN.c.cell, func.min(RUN.c.name).label("one"), func.max(RUN.c.name).label("other"))
-        .group_by(RUN.c.cell, RUN.c.head)
-        .having(func.count(RUN.c.run_key.distinct()) > 1)
-    )
-    pairs = {tuple(row) for row in connection.execute(asked)}
-    for cell, one, other in sorted(pairs):
-        yield Doubt(
-            [cell],
-            f"cell {clean(cell)}: runs {clean(one)} and {clean(other)} have the same journal: one "
-            "is a copy, and what they measured counts twice",
         )
 
 

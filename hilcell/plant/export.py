@@ -23,8 +23,7 @@ from hilcell.cell.settings import did_you_mean
 from hilcell.clean import clean
 from hilcell.errors import HilcellError
 from hilcell.plant.database import PlantError
-from hilcell.plant.manifest import FORMS, MANIFEST, RECORD, SIGNATURE, FileEntry, Manifest
-from hilcell.plant.record import FORM
+from hilcell.plant.manifest import FORM, MANIFEST, RECORD, SIGNATURE, FileEntry, Manifest
 from hilcell.plant.rows import digest_of
 from hilcell.plant.signing import fingerprint
 from hilcell.plant.tables import DOCUMENT, PARTS, POINT, RUN, Found
@@ -49,7 +48,6 @@ def export(
     serials = _serials(connection, cell, serial)
     files: dict[str, FileEntry] = {}
     runs = simulated = 0
-    unchecked: list[str] = []
     changed: list[str] = []
     with _made(place) as put:
 
@@ -61,18 +59,15 @@ def export(
         for run in _read(connection, asked.order_by(RUN.c.ended, RUN.c.revision), cell):
             folder = f"runs/{_safe(run['name'])}-{run['revision']}-{run['digest'].hex[:12]}"
             rows = _add_run(connection, run, folder, add)
-            if run["form"] != FORM:
-                unchecked.append(folder)
-            elif digest_of(rows) != run["digest"]:
+            if digest_of(rows) != run["digest"]:
                 changed.append(run["name"])
             runs, simulated = runs + 1, simulated + run["simulated"]
         if changed:
             raise PlantError(_changed_words(changed))
         manifest = Manifest(
-            form=FORMS[-1], cell=cell, serials=serials, runs=runs, simulated_runs=simulated,
+            form=FORM, cell=cell, serials=serials, runs=runs, simulated_runs=simulated,
             made=datetime.now(UTC).isoformat(timespec="seconds"),
             software=f"hilcell {__version__}", key=fingerprint(key.public_key()), files=files,
-            unchecked=unchecked,
         )  # fmt: skip
         content = _json(manifest)
         put(MANIFEST, content)

@@ -10,7 +10,7 @@ from pathlib import PurePosixPath
 
 import msgspec
 
-FORMS = (1, 2)  # that are verified; the last one is written
+FORM = 3  # of a manifest
 MANIFEST, SIGNATURE = "manifest.json", "manifest.sig"
 RECORD = "run.json"
 
@@ -23,11 +23,7 @@ class FileEntry(msgspec.Struct, frozen=True):
 
 
 class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The cell, the time (UTC) and the key of an export, and its ``files`` by name.
-
-    ``unchecked`` are the folders of records that another version of hilcell shipped: nothing says
-    whether the plant's database still has them as they were shipped. None in the first form.
-    """
+    """The cell, the time (UTC) and the key of an export, and its ``files`` by name."""
 
     form: int
     cell: str
@@ -38,12 +34,6 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     software: str
     key: str
     files: dict[str, FileEntry]
-    unchecked: list[str] | None = None
-
-    @property
-    def unproven_runs(self) -> int:
-        """Return the number of records that were not compared with what was shipped."""
-        return self.runs if self.unchecked is None else len(self.unchecked)
 
 
 def sound(name: str) -> bool:

@@ -25,7 +25,6 @@ from hilcell.journal.index import RunRow, row_of_records
 from hilcell.journal.journal import Record, chain
 from hilcell.journal.log import Log, Point
 
-FORM = 3  # to be raised whenever the record, a table or the meaning of a field changes
 ROBOT, TRACKER = "robot", "tracker"
 MONTH = 7  # letters of 2026-11
 
@@ -116,7 +115,6 @@ class Document(msgspec.Struct, frozen=True):
 class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     """The whole record. ``month`` is that in which the run began: the key of the partition."""
 
-    form: int
     run_key: UUID
     revision: int
     head: str
@@ -166,7 +164,6 @@ def record_of(run: str, records: Sequence[Record], documents: Sequence[Document]
     first, last = records[0], records[-1]
     run_key, revision = key_of(run, records)
     record = RunRecord(
-        form=FORM,
         run_key=run_key,
         revision=revision,
         head=chained[-1],

@@ -68,7 +68,6 @@ def _lines(table: Table, rows: Iterable[Mapping[str, Any]]) -> Iterator[str]:
 def _run(record: RunRecord) -> Values:
     row = record.row
     return {
-        "form": record.form,
         "run_key": record.run_key,
         "revision": record.revision,
         "head": record.head,

@@ -27,13 +27,12 @@ from sqlalchemy import (
     TypeDecorator,
     UniqueConstraint,
     Uuid,
-    false,
     func,
     text,
 )
 
 Found = Any  # a row of an answer: its columns by their names
-HEAD = "0004"  # the newest migration
+HEAD = "0001"  # of the schema; raised when a table, a record or a meaning changes
 
 
 class Utc(TypeDecorator[datetime]):
@@ -100,7 +99,6 @@ RUN = Table(
     _words("version"),
     Column("row", JSON, nullable=False),
     Column("shipped", Utc, nullable=False, server_default=func.now()),
-    Column("form", Integer, nullable=False, server_default="2"),  # of the record
     UniqueConstraint("run_key", "revision", name="run_revision"),
     Index("run_of_cell", "cell_key", "ended", "revision"),
 )
@@ -201,7 +199,7 @@ POINT = Table(
     Column("session", Integer, nullable=False),
     Column("set_up", Integer, nullable=False),
     Column("retaken", Boolean, nullable=False),
-    Column("superseded", Boolean, nullable=False, server_default=false()),
+    Column("superseded", Boolean, nullable=False),
     *(
         Column(name, Double)
         for name in (

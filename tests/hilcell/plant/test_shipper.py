@@ -26,11 +26,9 @@ from hilcell.journal.journal import Record
 from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.plant.cells import cells
 from hilcell.plant.database import Database
-from hilcell.plant.doubts import doubts
 from hilcell.plant.record import record_of
 from hilcell.plant.rows import rows_of
 from hilcell.plant.shipper import NAME, Shipped, ship
-from hilcell.plant.store import write
 from hilcell.plant.tables import PARTS, POINT, RUN
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.year import Model, Run, extend, write_journal
@@ -360,22 +358,6 @@ def test_a_copy_under_another_name_is_refused_and_stops_no_other(
     with office.transaction() as connection:
         (state,) = cells(connection, NOW)
     assert (state.calibration, len(kept(office))) == ("c", 4)
-
-
-def test_copies_that_were_shipped_before_are_doubted(
-    model: Model, office: Database, tmp_path: Path
-) -> None:
-    """They keep no later revision of the run from being shipped."""
-    folder = model.write(tmp_path / "runs", Run("a", "north", "HC-1", NOW))
-    with office.transaction() as connection:
-        for name in ("a", "b"):
-            record = record_of(name, read_records(folder))
-            assert write(connection, record, [])
-        (doubt,) = doubts(connection)
-    assert "a and b" in doubt
-    revoke(folder)
-    assert ship(tmp_path / "runs", office).refused == {}
-    assert kept(office)[-1] == ("a", len(read_records(folder)))
 
 
 @pytest.mark.parametrize("link", [Path.symlink_to, Path.hardlink_to])
