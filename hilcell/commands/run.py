@@ -150,11 +150,11 @@ def run(args: argparse.Namespace) -> int:
                 f"run {name} exists already in {args.runs}; choose another --name", code="HC-J09"
             )
         make_folder(folder)
-        journal = RunJournal(folder / JOURNAL, name, create=True)
-        output = _output(args.json, name, plan.points, journal)
-        journal.append("plan", "", _plan_record(cell, procedure, plan, args) | earlier)
         try:
-            return _perform(cell, procedure, journal, output, folder, args)
+            with closing(RunJournal(folder / JOURNAL, name, create=True)) as journal:
+                output = _output(args.json, name, plan.points, journal)
+                journal.append("plan", "", _plan_record(cell, procedure, plan, args) | earlier)
+                return _perform(cell, procedure, journal, output, folder, args)
         except CellLocked:
             forget(folder)
             raise

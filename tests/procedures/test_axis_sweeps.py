@@ -87,7 +87,7 @@ class SweepingRobot(DeskRobot):
 
 class StreamingTracker(DeskTracker):
     def __init__(self, robot: SweepingRobot) -> None:
-        super().__init__()
+        super().__init__(robot.clock)
         self.robot, self.streams, self.lost = robot, 0, 0
 
     @contextmanager
@@ -115,8 +115,8 @@ def blocks(stream: SweepStream) -> list[StreamBlock]:
 def bed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bed:
     monkeypatch.setattr(sweeping, "PACE_S", 0.0)
     made = Bed(tmp_path, cell=SWEPT)
-    robot = SweepingRobot(SWEPT)
-    made.devices = Devices(DeskRail(SWEPT), robot, StreamingTracker(robot))
+    robot = SweepingRobot(SWEPT, made.clock)
+    made.devices = Devices(DeskRail(SWEPT, made.clock), robot, StreamingTracker(robot))
     return made
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ import msgspec
 
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell, load_cell
-from hilcell.clock import WallClock
 from hilcell.journal.engine_file import EngineFile
 from hilcell.journal.journal import Record, read_journal
 from hilcell.journal.log import Log
@@ -22,7 +20,7 @@ from hilcell.ports import NoReading
 from hilcell.run.procedure import Procedure
 from hilcell.run.runner import Runner
 from hilcell.run.same_cell import NONE, Changes
-from tests.hilcell.run.rig import DeskRail, DeskRobot, DeskTracker, desk
+from tests.hilcell.run.rig import DeskClock, DeskRail, DeskRobot, DeskTracker, desk
 
 QUICK = {"settle.robot_s": "0.0", "settle.rail_s": "0.0", "plan.unattended_wait_s": "0"}
 CELL = load_cell("paper", QUICK)
@@ -47,7 +45,8 @@ class Bed:
     ) -> None:
         self.path = folder / "journal.sqlite"
         self.cell = cell
-        self.devices: Devices = desk(cell)
+        self.clock = DeskClock()
+        self.devices: Devices = desk(cell, self.clock)
         self.unattended, self.ordered = unattended, ordered
 
     @property
@@ -65,19 +64,23 @@ class Bed:
         assert isinstance(self.devices.robot, DeskRobot)
         return self.devices.robot
 
-    def runner(self, what: Procedure, changes: Changes = NONE) -> Runner:
+    def open_journal(self) -> None:
+        """Begin the run's journal, or open it again."""
         fresh = not self.path.exists()
         self.journal = RunJournal(self.path, "r", create=fresh)
         if fresh:
             self.journal.append("plan", "", PLAN)
-        stop = threading.Event()
+
+    def runner(self, what: Procedure, changes: Changes = NONE) -> Runner:
+        self.open_journal()
+        self.clock.stop = threading.Event()
         return Runner(
             self.cell,
             what,
             self.journal,
             devices=self.devices,
-            clock=WallClock(stop),
-            stop=stop,
+            clock=self.clock,
+            stop=self.clock.stop,
             unattended=self.unattended,
             ordered=self.ordered,
             changes=changes,
@@ -123,9 +126,8 @@ class Live:
     def __exit__(self, kind: object, *rest: object) -> None:
         if kind is not None:
             self.runner.stop()
-        self._thread.join(10)
+        self._thread.join()
         self.bed.journal.close()
-        assert not self._thread.is_alive()
 
     def status(self, key: str) -> Any:
         return msgspec.to_builtins(self.runner.status())[key]
@@ -140,7 +142,6 @@ class Screen:
     def __init__(self, folder: Path) -> None:
         file = msgspec.json.decode((folder / "engine.json").read_bytes(), type=EngineFile)
         self.link = socket.socket(socket.AF_UNIX)
-        self.link.settimeout(10)
         self.link.connect(file.socket)
         self.lines = self.link.makefile("rb")
 
@@ -156,11 +157,11 @@ class Screen:
         self.link.close()
 
 
-def until(condition: Callable[[], bool], limit_s: float = 60.0) -> None:
-    deadline = time.monotonic() + limit_s
+def until(condition: Callable[[], bool]) -> None:
+    """Look until something is so: what another thread does tells nobody."""
+    looks = threading.Event()
     while not condition():
-        assert time.monotonic() < deadline, "waited too long"
-        time.sleep(0.002)
+        looks.wait(0.001)  # lets the other thread work
 
 
 def broken_beam(times: int) -> Callable[[], None]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from typing import Any, NoReturn
 
@@ -16,19 +15,39 @@ from hilcell.journal.point_id import PointId
 from hilcell.ports import (
     Air,
     Array,
+    Clock,
     Identity,
     LinkStatistics,
     RailReading,
     RobotReading,
+    Stopped,
     TrackerReading,
 )
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Step
+from tests.clocks import DrivenClock
+
+
+class DeskClock(DrivenClock):
+    """The clock of a run and of its desk devices; every wait ends at once, and by a stop."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stop = threading.Event()
+
+    def wait(self, duration_s: float) -> None:
+        super().wait(duration_s)
+        self.check()
+
+    def check(self) -> None:
+        if self.stop.is_set():
+            raise Stopped("a stop was asked for")
 
 
 class DeskRail:
-    def __init__(self, cell: Cell) -> None:
+    def __init__(self, cell: Cell, clock: Clock) -> None:
         self.cell, self.position_mm, self.powered = cell, 1100.0, False
+        self.clock = clock
         self.stopped_s: float | None = None
         self.ended_s: float | None = None
         self.closed = 0
@@ -42,14 +61,14 @@ class DeskRail:
         self.position_mm = 0.0
 
     def move_to(self, position_mm: float) -> None:
-        self.position_mm, self.powered, self.ended_s = position_mm, True, time.monotonic()
+        self.position_mm, self.powered, self.ended_s = position_mm, True, self.clock.pc_s()
 
     def settle(self) -> RailReading:
         return self.read()
 
     def read(self) -> RailReading:
         at_mm = self.position_mm
-        now_s = time.monotonic()
+        now_s = self.clock.pc_s()
         return RailReading(at_mm, at_mm, 0.0, True, self.powered, now_s, self.ended_s)
 
     def hold(self) -> None:
@@ -59,7 +78,7 @@ class DeskRail:
         return self.link
 
     def stop(self) -> None:
-        self.stopped_s = time.monotonic()
+        self.stopped_s = self.clock.pc_s()
 
     def close(self) -> None:
         self.closed += 1
@@ -67,7 +86,8 @@ class DeskRail:
 
 
 class DeskRobot:
-    def __init__(self, cell: Cell) -> None:
+    def __init__(self, cell: Cell, clock: Clock) -> None:
+        self.clock = clock
         self.joints_rad = np.radians(cell.robot.safe_deg)
         self.moves = 0
         self.ended_s: float | None = None
@@ -79,11 +99,11 @@ class DeskRobot:
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
         self.joints_rad = np.array(joints_rad)
         self.moves += 1
-        self.ended_s = time.monotonic()
+        self.ended_s = self.clock.pc_s()
         return self.read()
 
     def read(self) -> RobotReading:
-        return RobotReading(self.joints_rad, np.eye(4), True, time.monotonic(), self.ended_s)
+        return RobotReading(self.joints_rad, np.eye(4), True, self.clock.pc_s(), self.ended_s)
 
     def stop(self) -> None:
         self.stopped += 1
@@ -94,7 +114,8 @@ class DeskRobot:
 class DeskTracker:
     """``answer`` may raise, block, or change what is measured."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
         self.answer: Callable[[], None] = lambda: None
         self.off_mm = np.zeros(3)
         self.air: Air | None = Air(22.0, 1013.0, 45.0)
@@ -113,7 +134,7 @@ class DeskTracker:
             samples,
             reflector,
             self.air,
-            time.monotonic(),
+            self.clock.pc_s(),
         )
 
     def stop(self) -> None: ...
@@ -121,8 +142,8 @@ class DeskTracker:
     def close(self) -> None: ...
 
 
-def desk(cell: Cell) -> Devices:
-    return Devices(DeskRail(cell), DeskRobot(cell), DeskTracker())
+def desk(cell: Cell, clock: Clock) -> Devices:
+    return Devices(DeskRail(cell, clock), DeskRobot(cell, clock), DeskTracker(clock))
 
 
 class Points:
@@ -166,6 +187,6 @@ def hang(entered: threading.Event, release: threading.Event) -> Callable[[], Non
 
     def answer() -> None:
         entered.set()
-        release.wait(30.0)
+        release.wait()
 
     return answer

