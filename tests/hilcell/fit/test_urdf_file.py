@@ -199,7 +199,7 @@ def test_odd_files_are_refused_by_name(written: Write, old: str, new: str, named
         "<robot/>",
         "<sdf/>",
         IRB120.encode("utf-16"),
-        '<!DOCTYPE robot [<!ENTITY a "b">]><robot name="&a;"/>',
+        IRB120.replace("<robot", '<!DOCTYPE robot [<!ENTITY a "b">]><robot', 1),
         "<robot>" + 100_000 * "<a>",
     ],
     ids=["empty", "no XML", "no joint", "another root", "UTF-16", "document type", "too deep"],
