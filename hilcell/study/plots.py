@@ -160,12 +160,13 @@ def _levels(
         parts.append(path([(at, TOP_MM - 4.0), (at, height)], INK, 0.3, "1.2 0.8"))
     y = TOP_MM
     for own in groups:
-        parts.append(
-            text(0.0, y + 1.0, shortened(own[0].factor.title, names_mm - BESIDE_MM), bold=True)
-        )
+        room_mm = names_mm - BESIDE_MM
+        factor = shortened(own[0].factor.title, room_mm)
+        parts.append(text(0.0, y + 1.0, factor, bold=True, most_mm=room_mm))
         for n, each in enumerate(own):
-            word = shortened(each.word, levels_mm - BESIDE_MM)
-            parts.append(text(names_mm, y + n * ROW_MM + 1.0, word))
+            room_mm = levels_mm - BESIDE_MM
+            word = shortened(each.word, room_mm)
+            parts.append(text(names_mm, y + n * ROW_MM + 1.0, word, most_mm=room_mm))
             parts += _level(scale, value(each), y + n * ROW_MM)
         y += ROW_MM * len(own) + GAP_MM
     return svg(WIDTH_MM, height + BOTTOM_MM, title, parts, True)

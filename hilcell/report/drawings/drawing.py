@@ -21,6 +21,7 @@ NEAREST_MM = 3.4  # of two labels in a column
 LEAST = 1e-9  # range of a scale
 NARROW, MEDIUM, WIDE = 0.34, 0.61, 0.74  # of a letter, to its height
 NARROW_LETTERS = " .,:;-|ijlt()"
+WIDEST = 1.25  # letters of the widest font of `report.css` to those of Arial
 TICKS = (1.0, 2.0, 2.5, 5.0, 10.0)
 ENDS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)  # of a scale
 
@@ -41,12 +42,22 @@ def svg(width: float, height: float, title: str, parts: Iterable[str], simulated
 
 
 def text(
-    x: float, y: float, words: str, anchor: str = "start", colour: str = INK, bold: bool = False
+    x: float,
+    y: float,
+    words: str,
+    anchor: str = "start",
+    colour: str = INK,
+    bold: bool = False,
+    most_mm: float = math.inf,
 ) -> str:
-    """Return words on a base line."""
+    """Return words on a base line; a font in which they would be too wide is squeezed."""
     weight = ' font-weight="bold"' if bold else ""
+    length = ""
+    if wide_mm(words) * WIDEST > most_mm:
+        fixed_mm = min(wide_mm(words), most_mm)
+        length = f' textLength="{fixed_mm:.2f}" lengthAdjust="spacingAndGlyphs"'
     return (
-        f'<text x="{x:.2f}" y="{y:.2f}" text-anchor="{anchor}" fill="{colour}"{weight}>'
+        f'<text x="{x:.2f}" y="{y:.2f}" text-anchor="{anchor}" fill="{colour}"{weight}{length}>'
         f"{escape(words)}</text>"
     )
 
@@ -209,9 +220,12 @@ class Frame:
 
 
 def labels(
-    x: float, named: Sequence[tuple[float, str, str]], lowest: float = math.inf
+    x: float,
+    named: Sequence[tuple[float, str, str]],
+    lowest: float = math.inf,
+    most_mm: float = math.inf,
 ) -> Iterator[str]:
     """Yield labels of (height, words, colour) in a column, apart, none below ``lowest``."""
     heights = apart([each[0] for each in named], most=lowest)
     for y, (_, words, colour) in zip(heights, named, strict=True):
-        yield text(x, y + 1.0, words, colour=colour, bold=True)
+        yield text(x, y + 1.0, words, colour=colour, bold=True, most_mm=most_mm)

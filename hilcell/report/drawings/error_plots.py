@@ -91,14 +91,14 @@ def enlarged(facts: Facts, budget: TargetBudget) -> str:
         words = f"95 % bounds {bounds_mm.min():.3f} to {bounds_mm.max():.3f}"
         parts.append(text(frame.x.begin + 2.0, top - 1.0, words))
     parts.append(frame.drawn("share of targets, %", "3-D error after, mm", PERCENTS))
-    named = []
+    named, room_mm = [], RIGHT_MM - 1.0
     for name, dash in zip(nearest, DASHES, strict=False):
         parts.append(_curve(frame, found[name], AFTER, dash))
         high = float(found[name].max())
         figure = f" {high:.3f}"
-        shown = shortened(name, RIGHT_MM - 1.0 - wide_mm(figure))
+        shown = shortened(name, room_mm - wide_mm(figure))
         named.append((frame.y.one(high), shown + figure, AFTER))
-    parts += labels(frame.x.end + 1.0, named)
+    parts += labels(frame.x.end + 1.0, named, most_mm=room_mm)
     return svg(WIDTH_MM, HEIGHT_MM, "Errors after correction, enlarged", parts,
                facts.inputs.simulated)  # fmt: skip
 

@@ -103,8 +103,9 @@ class _Plan:
                 yield f'<circle cx="{x:.2f}" cy="{y:.2f}" r="1.6" fill="#fff" stroke="{INK}"/>'
             beside = self._rail_corners() if not self._cell.has_rail else (at + across, at - across)
             right = max(self._at(corner)[0] for corner in beside)
-            name = shortened(station.name, self._room_mm(right + 0.8))
-            yield text(right + 0.8, y + 0.9, name, bold=bold)
+            room_mm = self._room_mm(right + 0.8)
+            name = shortened(station.name, room_mm)
+            yield text(right + 0.8, y + 0.9, name, bold=bold, most_mm=room_mm)
 
     def _volumes(self) -> Iterator[str]:
         for station in self._cell.station:
@@ -117,8 +118,9 @@ class _Plan:
             right = max(self._at(corner)[0] for corner in corners_mm)
             top = min(self._at(corner)[1] for corner in corners_mm)
             y = top + 2.0 if own else self._at(corners_mm.mean(axis=0))[1] + 0.9
-            name = shortened(station.name, self._room_mm(right + 0.8))
-            yield text(right + 0.8, y, name, "start", AFTER, own)
+            room_mm = self._room_mm(right + 0.8)
+            name = shortened(station.name, room_mm)
+            yield text(right + 0.8, y, name, "start", AFTER, own, room_mm)
         middle_mm = self._volume_mm(self._cell.station_named(self._cell.grid.station)).mean(axis=0)
         yield self._line(
             self._tracker_mm, middle_mm, f'stroke="{MUTED}" stroke-dasharray="0.5 0.8"'

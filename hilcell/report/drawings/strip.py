@@ -51,7 +51,8 @@ def strip(results: list[tuple[str, Result]], simulated: bool) -> str:
 def _row(name: str, result: Result, scale: Scale, y: float) -> Iterator[str]:
     limit, after = scale.one(result.limit_mm), scale.one(result.after_mm)
     named = [(after, f"after {result.after_mm:.3f}", AFTER)]
-    yield text(0.0, y + 1.0, shortened(name, LEFT_MM - 1.0), bold=True)
+    room_mm = LEFT_MM - 1.0
+    yield text(0.0, y + 1.0, shortened(name, room_mm), bold=True, most_mm=room_mm)
     yield hatched(limit, y - 2.4, scale.end - limit, 5.0)
     yield path([(scale.begin, y), (scale.end, y)], "#c9d0d8", 0.2)
     yield path([(limit, y - 2.6), (limit, y + 2.8)], INK, 0.8)

@@ -60,7 +60,8 @@ def _row(name: str, errors: Errors, colour: str, top: float) -> Iterator[str]:
     low, span = _cube(errors)
     scale = PANEL_MM / span
     factor = round_down(SHARE * span / max(errors.figures.max, 1e-6))
-    yield text(0.0, top + 3.0, f"{name}, {factor:g} times enlarged", bold=True)
+    title = f"{name}, {factor:g} times enlarged"
+    yield text(0.0, top + 3.0, title, bold=True, most_mm=WIDTH_MM)
     for n, (seen, across, up) in enumerate(VIEWS):
         left = LEFT_MM + n * (PANEL_MM + GAP_MM)
         box = top + TOP_MM

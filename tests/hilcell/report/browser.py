@@ -1,18 +1,17 @@
-"""A real browser without a screen: what the page looks like, on screen and on paper."""
+"""A real browser without a screen, with the fonts that matplotlib brings on any machine."""
 
 from __future__ import annotations
 
 import html
 import json
-import os
 import re
 import shutil
-import signal
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -24,7 +23,8 @@ QUIET = (
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
     "--disable-dev-shm-usage", "--hide-scrollbars", "--no-pdf-header-footer",
 )  # fmt: skip
-LIMIT_S = 60.0
+FONTS = """<?xml version="1.0"?><!DOCTYPE fontconfig SYSTEM "fonts.dtd">
+<fontconfig><dir>{fonts}</dir><cachedir>{cache}</cachedir></fontconfig>"""
 
 
 def found() -> str:
@@ -32,32 +32,13 @@ def found() -> str:
     return next((path for path in map(shutil.which, NAMES) if path), "")
 
 
-def browser() -> str:
-    """Return the browser; a report that nobody has looked at in one is not tested."""
-    return found() or pytest.skip(
-        f"no browser found ({', '.join(NAMES)}): install chromium, "
-        "on Debian and Ubuntu `apt-get install chromium`"
-    )
-
-
-def browse(page: Path, *words: str) -> str:
-    """Open a page, do what ``words`` say, and end with every process that was started.
-
-    Returns what the browser printed.
-    """
-    profile = page.with_name("profile")
-    command = [browser(), *QUIET, f"--user-data-dir={profile}", *words, page.as_uri()]
-    process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
-    )
-    try:
-        output, _ = process.communicate(timeout=LIMIT_S)
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-        output, _ = process.communicate()
-        raise AssertionError(f"the browser did not end within {LIMIT_S} s:\n{output}") from None
-    assert process.returncode == 0, output
-    return output
+def use_fonts(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let browsers use these fonts alone; skip where there is no browser."""
+    if not found():
+        pytest.skip(f"no browser found ({', '.join(NAMES)}): install chromium")
+    file, fonts = folder / "fonts.conf", Path(mpl.get_data_path()) / "fonts" / "ttf"
+    file.write_text(FONTS.format(fonts=fonts, cache=folder / "fonts"))
+    monkeypatch.setenv("FONTCONFIG_FILE", str(file))
 
 
 # Runs before the page's policy is read, and so is not blocked by it. An image of an SVG has no
@@ -79,15 +60,11 @@ addEventListener("load", async () => {
       return {width: image.naturalWidth, box: box(each)};
     }));
   const drawings = [...document.querySelectorAll("figure svg")].map(box);
-  const words = [...document.querySelectorAll("svg.drawn")].map((each) => ({
-    drawing: each.getAttribute("aria-label"), box: box(each),
-    words: [...each.querySelectorAll('text:not([fill="none"])')].map(
-      (text) => [text.textContent, box(text)])}));
   const sheets = [...document.querySelectorAll(".sheet")].map(
     (each) => [box(each), box(each.querySelector("table"))]);
   const verdicts = [...document.querySelectorAll(".first .sheet td:last-child")].map(box);
   document.documentElement.dataset.seen = JSON.stringify({
-    blocked, images, drawings, words, sheets, verdicts, width: document.documentElement.scrollWidth,
+    blocked, images, drawings, sheets, verdicts, width: document.documentElement.scrollWidth,
     first: document.querySelector(".first")?.offsetHeight ?? 0,
     signatures: document.querySelector(".signatures")?.offsetHeight ?? 0});
 });
@@ -100,16 +77,14 @@ class Seen:
 
     ``images`` have their ``width`` in pixels, 0 where they were not shown, and their ``box``;
     a box is left, top, width, height. ``sheets`` are those of each table's section and of the table
-    in it, ``words`` those of each drawing and of the words in it, ``verdicts`` of the last cells of
-    page 1. ``width`` is that of the page, which a printer shrinks to its paper, ``first`` the
-    height of its first sheet, ``signatures`` that of the row to sign in. ``pixels`` are (rows,
-    columns, 3), of 0 to 255.
+    in it, ``verdicts`` of the last cells of page 1. ``width`` is that of the page, which a printer
+    shrinks to its paper, ``first`` the height of its first sheet, ``signatures`` that of the row to
+    sign in. ``pixels`` are (rows, columns, 3), of 0 to 255.
     """
 
     blocked: list[str]
     images: list[dict[str, Any]]
     drawings: list[list[float]]
-    words: list[dict[str, Any]]
     sheets: list[tuple[list[float], list[float]]]
     verdicts: list[list[float]]
     width: int
@@ -124,18 +99,19 @@ class Seen:
         return float(np.mean(np.any(inside < 250, axis=2)))
 
 
-def looked_at(
-    page: Path, folder: Path, size: tuple[int, int] = (900, 3000), pixels: bool = True
-) -> Seen:
-    """Show a page on a screen of a size, and look at it; without ``pixels`` at its boxes only."""
+def looked_at(page: str, folder: Path, width: int, *, pixels: bool = False) -> Seen:
+    """Show a page on a screen so wide, and look at its boxes, or at its ``pixels`` as well."""
     probed, picture = folder / "probed.html", folder / "screen.png"
-    probed.write_text(page.read_text("utf-8").replace("<head>", f"<head>{_PROBE}", 1), "utf-8")
-    window = f"--window-size={size[0]},{size[1]}"
-    shot = [f"--screenshot={picture}"] if pixels else []
-    dumped = browse(probed, window, "--virtual-time-budget=5000", "--dump-dom", *shot)
-    found = re.search(r'data-seen="([^"]*)"', dumped)
-    assert found is not None, dumped[-2000:]
-    boxes = json.loads(html.unescape(found[1]))
+    probed.write_text(page.replace("<head>", f"<head>{_PROBE}", 1), "utf-8")
+    words = [f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=5000", "--dump-dom"]
+    shot = [f"--window-size={width},9000", f"--screenshot={picture}"]
+    words += shot if pixels else [f"--window-size={width},1000"]
+    done = subprocess.run(
+        [found(), *QUIET, *words, probed.as_uri()], capture_output=True, text=True, check=True
+    )
+    seen = re.search(r'data-seen="([^"]*)"', done.stdout)
+    assert seen is not None, done.stdout[-2000:]
+    boxes = json.loads(html.unescape(seen[1]))
     if not pixels:
         return Seen(**boxes, pixels=np.zeros((0, 0, 3), np.int16))
     with Image.open(picture) as image:

@@ -3,7 +3,6 @@
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,6 @@ from hilcell.cell.file import load_cell
 from hilcell.journal.point_id import PointId
 from hilcell.journal.reading_noise import run_noise
 from hilcell.report.drawings.drawing import (
-    LABEL_MM,
     MUTED,
     NEAREST_MM,
     Frame,
@@ -37,6 +35,7 @@ from hilcell.report.target_budget import TargetBudget, target_budget
 from hilcell.report.volume import volume_sheet
 from hilcell.report.worst import worst
 from hilcell.run.tracker_guard import limits_of
+from tests.hilcell.report.drawn import assert_apart
 from tests.hilcell.report.journals import Writer, validated_run
 from tests.whole.golden import GoldenRuns
 
@@ -165,32 +164,15 @@ def test_the_worst_come_first_with_both_values(tmp_path: Path) -> None:
     assert found.title == "The worst targets"
 
 
-LETTER_MM = 0.6 * LABEL_MM  # wide, at most, of a font that is not bold
-
-
-def boxes(svg: str) -> list[tuple[str, float, float, float, float]]:
-    """Return each label that is read with its left, right, top and bottom."""
-    found = []
-    for each in ET.fromstring(svg).iter("text"):
-        if each.attrib["fill"] == "none":
-            continue
-        said, x, y = "".join(each.itertext()), float(each.attrib["x"]), float(each.attrib["y"])
-        wide = LETTER_MM * len(said)
-        left = x - {"start": 0.0, "middle": wide / 2, "end": wide}[each.attrib["text-anchor"]]
-        found.append((said, left, left + wide, y - 0.75 * LABEL_MM, y))
-    return found
-
-
 @pytest.mark.parametrize("tracker_mm", [(4400.0, 100.0, 1500.0), (2500.0, 0.0, 1500.0),
                                         (250.0, 0.0, 600.0)])  # fmt: skip
 @pytest.mark.parametrize("name", ["paper", "fixed"])
 def test_no_label_of_the_side_view_lies_on_another(
     name: str, tracker_mm: tuple[float, ...]
 ) -> None:
-    found = boxes(side_view(load_cell(name), np.array(tracker_mm), simulated=True))
-    assert {"tracker", "z 800", "z 1700"} <= {each[0] for each in found}
-    for (one, l1, r1, t1, b1), (other, l2, r2, t2, b2) in combinations(found, 2):
-        assert r1 <= l2 or r2 <= l1 or b1 <= t2 or b2 <= t1, (one, other)
+    drawn = side_view(load_cell(name), np.array(tracker_mm), simulated=True)
+    assert {"tracker", "z 800", "z 1700"} <= set(words(drawn))
+    assert_apart(drawn)
 
 
 def test_the_nests_are_drawn_below_their_limit(real: tuple[Facts, TargetBudget]) -> None:
@@ -213,28 +195,6 @@ def test_the_volume_in_numbers() -> None:
     assert rows["z"] == ("800", "1700")
     assert rows["y, S300"] == ("\N{MINUS SIGN}1250", "\N{MINUS SIGN}350")
     assert found.note == "Tracker to corners: 4.0 to 5.1 m."
-
-
-LETTER = 0.56  # mean width of a letter over its height
-ANCHORS = {"start": 0.0, "middle": 0.5, "end": 1.0}
-
-
-def boxes_mm(drawn: str) -> list[tuple[str, float, float, float, float]]:
-    """Return the words of a drawing with left, right, top and base line of each."""
-    found = []
-    for each in ET.fromstring(drawn).iter("text"):
-        shown = "".join(each.itertext())
-        wide_mm = LETTER * LABEL_MM * len(shown)
-        left_mm = float(each.attrib["x"]) - ANCHORS[each.attrib["text-anchor"]] * wide_mm
-        base_mm = float(each.attrib["y"])
-        found.append((shown, left_mm, left_mm + wide_mm, base_mm - 0.75 * LABEL_MM, base_mm))
-    return found
-
-
-def assert_apart(drawn: str, room_mm: float = 0.0) -> None:
-    for (one, a, b, top, base), (other, c, d, above, below) in combinations(boxes_mm(drawn), 2):
-        beside = b <= c or d <= a
-        assert beside or base + room_mm <= above or below + room_mm <= top, (one, other)
 
 
 @pytest.mark.parametrize("limit_mm", [0.006, 0.03, 0.09, 0.3])
@@ -268,4 +228,4 @@ def test_labels_of_the_errors_in_order_do_not_overlap(
     for each in [each for each in drawn if each.attrib.get("fill") in ("none", MUTED)]:
         if "dotted" not in "".join(each.itertext()):
             drawn.remove(each)  # ticks, below which nothing is written, and the watermark
-    assert_apart(ET.tostring(drawn, "unicode"))
+    assert_apart(drawn)
