@@ -65,11 +65,11 @@ def figures(root: Any, name: str, ref: str) -> list[tuple[str, ...]]:
 
 
 def test_the_schemas_order_holds_throughout(tmp_path: Path) -> None:
-    assert faults(parsed(run(tmp_path / "r"))) == []
-
-
-def test_the_rules_notice_what_they_are_for(tmp_path: Path) -> None:
-    root = parsed(run(tmp_path / "r"))
+    """And its rules notice an element that is missing, a word, and an id that is there twice."""
+    facts = run(tmp_path / "r")
+    assert dcc_bytes(facts) == dcc_bytes(facts)
+    root = parsed(facts)
+    assert faults(root) == []
     core = root.find(f"{DCC}administrativeData/{DCC}coreData")
     core.remove(core.find(f"{DCC}endPerformanceDate"))
     root.find(f".//{SI}unit").text = "mm"
@@ -109,15 +109,14 @@ def test_each_figure_has_the_uncertainty_of_its_own_limit(tmp_path: Path) -> Non
 
 
 def test_each_series_says_whether_it_is_before_or_after_adjustment(tmp_path: Path) -> None:
-    root = parsed(run(tmp_path / "r"))
     found = {
         "".join(each.find(f"{DCC}name").itertext()).strip(): texts(each, ".//dcc:status")
-        for each in root.iter(f"{DCC}list") if each.get("refType") in {
-            "hilcell_before", "hilcell_chosen"}
-    }  # fmt: skip
-    after, before = ["afterAdjustment"], ["beforeAdjustment"]
-    assert found["S1100, before"] == found["S300, before"] == before
-    assert found["S1100, after, chosen"] == found["S300, after, chosen"] == after
+        for each in parsed(run(tmp_path / "r")).iter(f"{DCC}list")
+        if each.get("refType") in {"hilcell_before", "hilcell_chosen"}
+    }
+    for name in ("S1100", "S300"):
+        assert found[f"{name}, before"] == ["beforeAdjustment"]
+        assert found[f"{name}, after, chosen"] == ["afterAdjustment"]
 
 
 def test_a_figure_within_its_uncertainty_of_the_limit_does_not_conform(tmp_path: Path) -> None:
@@ -175,7 +174,7 @@ def test_a_revoked_calibration_is_not_valid(tmp_path: Path) -> None:
     writer.state("calibration", "validated")
     writer.journal.append("event", "", {"what": REVOKED, "reason": "wrong reflector"})
     root = parsed(writer.facts())
-    assert "Revoked: wrong reflector" in texts(root, ".//dcc:statement/dcc:declaration")
+    assert "wrong reflector" in " ".join(texts(root, ".//dcc:statement/dcc:declaration"))
     assert texts(root, ".//dcc:valid") == ["false"]
     assert texts(root, ".//dcc:statements//dcc:conformity") == []
 
@@ -229,27 +228,21 @@ def test_a_simulated_run_traces_to_nothing_and_conforms_to_nothing(tmp_path: Pat
     assert texts(root, ".//dcc:conformity") == []
     assert texts(root, ".//dcc:traceable") == ["false"]
     assert texts(root, ".//dcc:valid") == ["false"]
-    first = texts(root, ".//dcc:statement/dcc:declaration")[0]
-    assert first.startswith("Simulation. No machine moved")
+    assert "Simulation" in texts(root, ".//dcc:statement/dcc:declaration")[0]
     assert "TC-1" not in texts(root, ".//dcc:value")
 
 
-def test_the_same_journal_gives_the_same_bytes(tmp_path: Path) -> None:
-    facts = run(tmp_path / "r")
-    assert dcc_bytes(facts) == dcc_bytes(facts)
-
-
 def test_a_run_without_a_judged_calibration_has_no_certificate(tmp_path: Path) -> None:
-    with pytest.raises(NotWritten, match="its calibration is unknown; wanted one whose targets"):
+    with pytest.raises(NotWritten):
         dcc_bytes(validated_run(tmp_path / "r").facts())
     writer = validated_run(tmp_path / "s")  # killed after the first verdict
     writer.journal.append("verdict", "validation.S1100", PASSED)
-    with pytest.raises(NotWritten, match="its calibration is unknown"):
+    with pytest.raises(NotWritten):
         dcc_bytes(writer.facts())
 
 
 def test_no_figure_that_is_none_is_certified(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="states no nan"):
+    with pytest.raises(ValueError, match="nan"):
         real(float("nan"), MM)
 
 

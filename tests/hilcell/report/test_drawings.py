@@ -197,8 +197,8 @@ def test_the_volume_in_numbers() -> None:
     assert found.note == "Tracker to corners: 4.0 to 5.1 m."
 
 
-@pytest.mark.parametrize("limit_mm", [0.006, 0.03, 0.09, 0.3])
-@pytest.mark.parametrize("after_mm", [0.005, 0.03, 0.089, 0.2])
+@pytest.mark.parametrize("limit_mm", [0.006, 0.09, 0.3])
+@pytest.mark.parametrize("after_mm", [0.005, 0.089, 0.2])
 @pytest.mark.parametrize("before_mm", [None, 0.02, 0.1, 1.2])
 def test_labels_of_the_strip_do_not_overlap(
     limit_mm: float, after_mm: float, before_mm: float | None
@@ -209,8 +209,8 @@ def test_labels_of_the_strip_do_not_overlap(
     assert_apart(strip(rows, simulated=False), room_mm=1.2)
 
 
-@pytest.mark.parametrize("before", [0.007, 0.04, 0.1, 1.0])
-@pytest.mark.parametrize("after", [0.004, 0.04, 0.09])
+@pytest.mark.parametrize("before", [0.007, 0.1, 1.0])
+@pytest.mark.parametrize("after", [0.004, 0.04])
 @pytest.mark.parametrize("limit_mm", [0.02, 0.06])
 def test_labels_of_the_errors_in_order_do_not_overlap(
     tmp_path: Path, before: float, after: float, limit_mm: float

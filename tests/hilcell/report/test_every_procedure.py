@@ -18,11 +18,13 @@ PROCEDURES = sorted(each.name for each in entry_points(group="hilcell.procedures
 PARTS = ("nests", "air", "order", "volume", "variance", "histogram", "curves")
 
 
-ENDS = [*((name, "aborted") for name in PROCEDURES), ("calibrate", "faulted"), ("paper", "left")]
+ENDS = [
+    *((name, "aborted", True) for name in PROCEDURES),
+    ("calibrate", "faulted", False), ("paper", "left", False), ("home", "aborted", False),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("measured", [True, False])
-@pytest.mark.parametrize(("procedure", "state"), ENDS)
+@pytest.mark.parametrize(("procedure", "state", "measured"), ENDS)
 def test_a_run_that_measured_nothing(
     tmp_path: Path, procedure: str, state: str, measured: bool
 ) -> None:
