@@ -10,7 +10,7 @@ import grimp
 import pytest
 
 ROOT = Path(__file__).parents[1]
-ROOMS = ("hilcell", "drivers", "procedures", "fakes", "tests", "benchmarks")
+ROOMS = ("hilcell", "drivers", "procedures", "fakes", "tests", "benchmarks", "campaigns")
 MODULES = [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))]
 
 PROSE = [
