@@ -45,7 +45,7 @@ from tests.hilcell.tui.sample_runs import BEGAN, RUN, fresh, sample_runs
 
 DEFAULT_KEYS = {action.name: action.keys for action in ACTIONS}
 SIZE = (80, 24)
-ROUNDS = 3  # a key opens a screen, the screen begins its work, the work is shown
+ROUNDS = 9  # more than any key needs
 BURSTS = count(1)  # each comes at a second of its own
 PARSED: dict[tuple[object, ...], list[RuleSet]] = {}  # rules of style sheets, of all applications
 LETTERS = {"space": " ", "slash": "/", "question_mark": "?"}
@@ -151,13 +151,22 @@ async def settle(pilot: Pilot[int]) -> None:
     """
     for _ in range(ROUNDS):
         await _round(pilot)
+        if _is_quiet(pilot.app):
+            break
         with suppress(WorkerCancelled):  # a screen that was left takes its work along
             await pilot.app.workers.wait_for_complete()
-    await _round(pilot)
     if pilot.app.is_running:
         strips = painted(pilot.app)  # what cannot be painted breaks the test
         if isinstance(pilot.app, RecordingApp):
             pilot.app.at_rest = strips
+
+
+def _is_quiet(app: App[int]) -> bool:
+    """Whether nobody has work, or a message that is not dealt with."""
+    if not app.screen_stack or any(not worker.is_finished for worker in app.workers):
+        return False
+    nodes = (app, *app.screen_stack, *app.screen.walk_children())
+    return all(node._message_queue.empty() and not node._next_callbacks for node in nodes)
 
 
 async def _round(pilot: Pilot[int]) -> None:
