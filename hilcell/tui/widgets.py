@@ -326,7 +326,8 @@ class Table(ScrollView, can_focus=True):
 
     def _cells(self, cells: Sequence[str]) -> list[str]:
         safe = [self._shown(clean(cell)) for cell in cells]
-        return [_fit(text, column) for text, column in zip(safe, self.columns, strict=False)]
+        fitted = (_fit(text, column) for text, column in zip(safe, self.columns, strict=False))
+        return [self._shown(text) for text in fitted]  # the mark of what is cut, too
 
 
 def _fit(text: str, column: Column) -> str:
