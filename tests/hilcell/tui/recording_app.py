@@ -225,7 +225,7 @@ def _text(strips: list[Strip]) -> str:
 
 
 RUNS = Path("/runs")
-ROOMY = (240, 30)  # a footer that holds every key
+ROOMY = (137, 24)  # as wide as it gets without panels beside the table
 PAGES: dict[str, type[BaseScreen]] = {
     "e": AlarmPage,
     "i": InterlockPage,
