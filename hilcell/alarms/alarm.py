@@ -190,7 +190,7 @@ def _moments(
     cause: Cause = "over",
 ) -> Iterator[_Moment]:
     """Yield the alarms of a record's error."""
-    for finding in findings_of(body):
+    for finding in findings_of(body["error"]):
         yield _Moment(finding, t, seq, severity, cause)
 
 
@@ -200,8 +200,7 @@ def _cell(code: str, operation: str, found: str, wanted: str = "") -> Finding:
 
 def _problem(name: str, body: dict[str, Any]) -> str:
     """Return the message of a device's error, with its name once and without its advice."""
-    error = body.get("errors", {}).get(name, {})
-    finding = findings_of({"error": error} if error else {"reason": body["problems"][name]})[0]
+    finding = findings_of(body["errors"][name])[0]
     text = f"{finding.where}: {finding.text}" if finding.where else finding.text
     return text if text.startswith(f"{name}: ") else f"{name}: {text}"
 

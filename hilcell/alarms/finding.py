@@ -9,10 +9,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from hilcell.alarms.catalogue import UNKNOWN
 from hilcell.clean import clean
 
-PARTS = ("device", "operation", "found", "wanted", "act")
+PARTS = ("code", "device", "operation", "found", "wanted", "act")
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,28 +49,8 @@ def line(text: str) -> str:
     return clean("; ".join(" ".join(each.split()) for each in text.splitlines() if each.strip()))
 
 
-def findings_of(body: Mapping[str, Any]) -> list[Finding]:
-    """Return the findings of a journal's record; devices that failed together have one each.
-
-    Older records have no code, and some no parts: their alarm is the device's general one.
-    """
-    error = body.get("error")
-    if isinstance(error, Mapping):
-        return _findings(error)
-    if body.get("device"):
-        return [_finding(UNKNOWN.get(str(body["device"]), UNKNOWN[""]), body)]
-    reason = str(body.get("reason", ""))
-    head = reason.partition(": ")[0]
-    return [Finding(UNKNOWN.get(head, UNKNOWN[""]), "", "", reason)]
-
-
-def _findings(error: Mapping[str, Any]) -> list[Finding]:
-    causes = error.get("causes")
-    known = [each for each in causes if isinstance(each, Mapping)] if causes else []
-    if known:
-        return [finding for cause in known for finding in _findings(cause)]
-    return [_finding(str(error.get("code", "")), error)]
-
-
-def _finding(code: str, parts: Mapping[str, Any]) -> Finding:
-    return Finding(code, *(str(parts.get(name, "")) for name in PARTS))
+def findings_of(error: Mapping[str, Any]) -> list[Finding]:
+    """Return the findings of an error's facts; devices that failed together have one each."""
+    if causes := error.get("causes"):
+        return [finding for cause in causes for finding in findings_of(cause)]
+    return [Finding(*(str(error.get(name, "")) for name in PARTS))]

@@ -1,4 +1,4 @@
-"""The bodies of records as the rules read them: typed, with None where a journal lacks a fact."""
+"""The bodies of records as the rules read them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Life(msgspec.Struct, frozen=True):
     before: str = msgspec.field(name="from")
     to: str
     reason: str = ""
-    by: str | None = None
+    by: str = ""
 
 
 class Seen(msgspec.Struct, frozen=True, kw_only=True):
@@ -38,8 +38,8 @@ class Motion(msgspec.Struct, frozen=True, kw_only=True):
     """A motion that is about to begin."""
 
     action: str
-    session: int | None = None
-    seen: Seen | None = None
+    session: int
+    seen: Seen
 
 
 class Begun(msgspec.Struct, frozen=True):
@@ -53,21 +53,21 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True):
     """A point, raw."""
 
     group: str
-    station: str = ""
-    session: int | None = None
+    station: str
+    session: int
     set_up: int = 0
     retaken: bool = False
-    xyz_mm: Three | None = None
-    std_mm: Three | None = None
-    samples: int = 1
-    strip_mm: float | None = None
+    xyz_mm: Three
+    std_mm: Three
+    samples: int
+    strip_mm: float
     smr_mm: Three | None = None
     commanded_deg: tuple[float, ...] | None = None
-    readings: Readings | None = None
+    readings: Readings
 
 
 class Framed(msgspec.Struct, frozen=True):
-    """A frame; ``points`` are the keys of those it was computed from, where the journal says it."""
+    """A frame; ``points`` are the keys of those it was computed from, if of any."""
 
     points: list[str] | None = None
 

@@ -27,7 +27,7 @@ class Identities:
 
     def _connected(self, record: Record) -> None:
         now = {each.kind: each for each in map(asset_of, record.body["devices"])}
-        hilcell = record.body.get("hilcell") or self._hilcell  # old journals do not keep it
+        hilcell = record.body["hilcell"]
         if self._before:
             kinds = self._before.keys() | now.keys()
             changed = [k for k in sorted(kinds) if not same(self._before.get(k), now.get(k))]

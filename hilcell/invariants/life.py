@@ -53,10 +53,9 @@ class LifeRules:
         match record.body.get("what"):
             case "closed":
                 self._closings.append(record.body)
-                took_s = record.body.get("took_s")
-                if took_s is not None:
-                    what = f"the teardown took {took_s:.1f} s, at most {TEARDOWN_S:g} s"
-                    self._check("I7", record, 0.0 <= took_s <= TEARDOWN_S, what)
+                took_s = record.body["took_s"]
+                what = f"the teardown took {took_s:.1f} s, at most {TEARDOWN_S:g} s"
+                self._check("I7", record, 0.0 <= took_s <= TEARDOWN_S, what)
             case "safe stop" if record.body.get("cause"):
                 self._reason = self._reason or record.body["cause"]
             case "acknowledged":
@@ -67,7 +66,7 @@ class LifeRules:
     def _life(self, record: Record, life: Life) -> None:
         what = f"state was {self._state}, not {life.before}"
         self._check("I9", record, life.before == self._state, what)
-        if life.to == "running" and self._state in WAITING and life.by is not None:
+        if life.to == "running" and self._state in WAITING:
             found = f"{self._state} went on by {life.by or 'nobody'}"
             self._check("I13", record, life.by in GOES_ON[self._state], found)
         if life.to == "checking":

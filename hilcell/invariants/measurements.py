@@ -31,14 +31,12 @@ class Measurements:
         self._check("I3", record, allowed, f"{key} measured while {scene.state}")
         once = key not in scene.points or point.retaken
         self._check("I8", record, once, f"{key} counted twice")
-        if point.session is not None:
-            found = f"{key} measured by session {point.session}, {scene.session} holds the run"
-            self._check("I11", record, point.session == scene.session, found)
+        found = f"{key} measured by session {point.session}, {scene.session} holds the run"
+        self._check("I11", record, point.session == scene.session, found)
         self._carries(record, point)
         if point.station:
             self._at_station(record, point)
-        if point.readings is not None:
-            self._times(record, point, point.readings)
+        self._times(record, point.readings)
         if scene.session > 1 and scene.framed and not is_proof(key):
             what = f"{key} added before the tracker was verified"
             self._check("I9", record, scene.verified, what)
@@ -60,12 +58,11 @@ class Measurements:
         self._check("I9" if resumed else "I2", record, scene.held == name, what)
         station = scene.station(name)
         wanted_mm = math.nan if station is None else station.strip_mm
-        found_mm = math.nan if point.strip_mm is None else point.strip_mm
         limit_mm = 2 * scene.cell.rail.strip_tolerance_mm
-        held = abs(found_mm - wanted_mm) <= limit_mm + 1e-9
-        self._check("I2", record, held, f"{record.key}: strip {found_mm:.2f} mm at {name}")
+        held = abs(point.strip_mm - wanted_mm) <= limit_mm + 1e-9
+        self._check("I2", record, held, f"{record.key}: strip {point.strip_mm:.2f} mm at {name}")
 
-    def _times(self, record: Record, point: Measured, readings: Readings) -> None:
+    def _times(self, record: Record, readings: Readings) -> None:
         scene, key = self._scene, record.key
         taken_s, settle = readings.tracker.taken_s, scene.cell.settle
         axes = [("slide", readings.rail, scene.rail_moved, settle.rail_s)]

@@ -33,9 +33,8 @@ class Motions:
         action = motion.action
         allowed = not (scene.ended or scene.waits)
         self._check("I5", record, allowed, f"{action} begun while {scene.state}")
-        if motion.session is not None:
-            found = f"{action} ordered by session {motion.session}, {scene.session} holds the run"
-            self._check("I11", record, motion.session == scene.session, found)
+        found = f"{action} ordered by session {motion.session}, {scene.session} holds the run"
+        self._check("I11", record, motion.session == scene.session, found)
         if of_rail(motion):
             self._rail(record, motion)
         else:
@@ -45,18 +44,15 @@ class Motions:
         last = self._scene.last
         parked = last is None or of_rail(last) or last.action == "robot.park"
         self._check("I1", record, parked, f"{motion.action}: the robot was not parked before")
-        if motion.seen is not None:
-            self._young(record, motion.action, motion.seen.age_s)
-            wrong = _not_parked(motion.seen, self._scene)
-            self._check("I1", record, not wrong, f"{motion.action}: {wrong}")
+        self._young(record, motion.action, motion.seen.age_s)
+        wrong = _not_parked(motion.seen, self._scene)
+        self._check("I1", record, not wrong, f"{motion.action}: {wrong}")
 
     def _robot(self, record: Record, motion: Motion) -> None:
         scene, key = self._scene, record.key
         if key and key in scene.points:
             asked = key in scene.again
             self._check("I9", record, asked, f"{key} is acknowledged, and is driven to again")
-        if motion.seen is None:
-            return
         self._young(record, motion.action, motion.seen.age_s)
         station = scene.station(scene.held)
         wanted_mm = None if station is None else station.strip_mm

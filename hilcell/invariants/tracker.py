@@ -156,8 +156,7 @@ class TrackerSetUps:
 
 def _stated(point: Measured) -> bool:
     """Whether a point's place and scatter are numbers."""
-    known = [*(point.xyz_mm or ()), *(point.std_mm or ())]
-    return len(known) == 6 and all(map(math.isfinite, known)) and point.samples >= 1
+    return all(map(math.isfinite, (*point.xyz_mm, *point.std_mm))) and point.samples >= 1
 
 
 def _columns(points: Sequence[Measured]) -> tuple[Array, Array, Array]:
@@ -168,6 +167,4 @@ def _columns(points: Sequence[Measured]) -> tuple[Array, Array, Array]:
 
 
 def _apart_mm(one: Measured, other: Measured) -> float:
-    if one.xyz_mm is None or other.xyz_mm is None:
-        return math.nan
     return math.dist(one.xyz_mm, other.xyz_mm)

@@ -12,13 +12,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from operator import attrgetter
 
-import msgspec
 import numpy as np
 
-from hilcell.calibration.decision import Judged, guard_of, judged, limits_of
-from hilcell.calibration.errors import counting, errors_of, validation
+from hilcell.calibration.errors import counting, errors_of
 from hilcell.calibration.orientation import seats_of, turned_each_time
-from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.journal.log import Log, Point
 from hilcell.journal.point_words import point_words
 from hilcell.ports import Array
@@ -31,7 +28,6 @@ REASONS = {
     "visited once more": "visited once more",
 }
 INVALIDATED = "measured before the tracker was found moved"
-ROUNDING_MM = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,10 +75,9 @@ def remeasured(facts: Facts) -> Sheet | None:
     what = "error of position and that of orientation count" if turned else "error counts"
     note = f"Every value stays in the journal. Of a target the larger {what}, whatever the reason; "
     note += "of other points the later value."
-    earlier = " ".join(_judged_by_the_later(facts.log))
     note += " Once more: hilcell resume RUN --retake KEY; hilcell export RUN --csv lists every key."
     columns = (*REPEATS, *TURNS, KEYS) if turned else (*REPEATS, KEYS)
-    return sheet("Points measured more than once", columns, found, f"{note} {earlier}".rstrip())
+    return sheet("Points measured more than once", columns, found, note)
 
 
 def repeats(facts: Facts) -> list[Repeat]:
@@ -152,21 +147,3 @@ def _error_mm(log: Log, point: Point) -> float | None:
     if point.nominal_mm is None or "world" not in log.frames:
         return None
     return float(errors_of(log, [point]).norms_mm[0])
-
-
-def _judged_by_the_later(log: Log) -> Iterator[str]:
-    """Yield what was judged by an earlier version, which counted the later values."""
-    for key, body in log.verdicts.items():
-        series = validation(log, [key.removeprefix(VALIDATION)]) if VALIDATION in key else {}
-        if "chosen" not in series:
-            continue
-        was, count = msgspec.convert(body, Judged), len(series["chosen"])
-        mean_mm, _, max_mm = series["chosen"].figures
-        if max(mean_mm - was.mean_mm, max_mm - was.max_mm) > ROUNDING_MM:
-            holds = judged(mean_mm, max_mm, limits_of(log.cell), guard_of(log, count)).holds
-            yield (
-                f"{key.removeprefix(VALIDATION)} was judged by the later values, mean "
-                f"{was.mean_mm:.4f} and largest {was.max_mm:.4f} mm; the larger ones are "
-                f"{mean_mm:.4f} and {max_mm:.4f} mm, which "
-                f"{'keeps' if holds else 'would NOT keep'} the limits."
-            )

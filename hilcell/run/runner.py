@@ -44,7 +44,6 @@ from hilcell.run.stopping import SafeStop, close_all, facts_of_problems
 from hilcell.run.worker import Asked, AtRest, Ended, Halted, Message, Proven, Started, Worker
 
 SIGNAL_S = 0.05
-PARTS = ("device", "operation", "found", "wanted", "act")  # of a fault, for readers of schema 1
 WORKER_S = 10.0  # the worker leaves a wire within this time after a stop
 
 
@@ -399,8 +398,7 @@ class Runner:
         if isinstance(error, Stopped):
             self._life.fire("abort")
             return
-        parts = {name: str(getattr(error, name, "")) for name in PARTS}
-        self._life.fire("fault", reason=str(error), **parts, error=facts_of(error))
+        self._life.fire("fault", reason=str(error), error=facts_of(error))
         if isinstance(error, DriverDefect) or not isinstance(error, HilcellError):
             trace = "".join(traceback.format_exception(error))
             self._journal.append("event", "", {"what": "internal error", "trace": trace})

@@ -103,6 +103,7 @@ def test_an_error_that_nobody_expected_is_printed_with_its_trace(
 POSITION = {
     "holds": False, "mean_mm": 0.0311, "mean_tolerance_mm": 0.12, "mean_U_mm": 0.04,
     "max_mm": 0.1, "max_tolerance_mm": 0.3, "max_U_mm": 0.05,
+    "decision": "not in tolerance",
 }  # fmt: skip
 
 

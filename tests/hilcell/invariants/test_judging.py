@@ -74,7 +74,7 @@ CASES: list[tuple[str, Doctored]] = [
     ("I6", Doctored().change("end 1", reason="Robot: link lost")),
     ("I6", Doctored().change("fault", reason="")),
     ("I7", Doctored().without("closed")),
-    ("I7", Doctored().after("closed", event("twice", "closed", problems={}))),
+    ("I7", Doctored().after("closed", event("twice", "closed", problems={}, took_s=0.1))),
     ("I7", Doctored().change("closed", took_s=15.1)),
     ("I7", Doctored().change("closed", took_s=NAN)),
     ("I8", Doctored().after("point 1", flange("twice", "grid/1", 1))),
@@ -136,14 +136,13 @@ def test_a_gap_is_found() -> None:
         .change("connected again", devices=OTHER),
         Doctored().change("connected again", devices=[{**each, "firmware": "1.2"}
                                                       for each in DEVICES]),
-        Doctored().change("connected", hilcell=None).change("connected again", hilcell="0.2.0"),
         Doctored().after("point 3", event("odd", "outlier measured again", key="grid/3"),
                          robot("odd move", "grid/3", 2),
                          flange("odd point", "grid/3", 2, 1)).change("odd point", retaken=True),
         Doctored().after("point 1", flange("another reflector", "grid/1/seat2", 1))
         .change("end 2", result={"points": {"world": 6, "grid": 4, "control": 18}}),
     ],
-    ids=["accepted", "firmware not stated once", "version not kept", "retake", "seat"],
+    ids=["accepted", "firmware not stated once", "retake", "seat"],
 )  # fmt: skip
 def test_what_was_agreed_to_breaks_nothing(journal: Doctored) -> None:
     assert broken(journal) == {}
@@ -155,16 +154,6 @@ def test_a_device_that_cannot_tell_is_not_proven() -> None:
     assert verdict.holds
     assert len(verdict.unproven) == 1
     assert verdict.checked == 1  # the robot
-
-
-def test_a_lost_fact_is_not_judged() -> None:
-    """Journals of earlier versions lack facts: nothing is claimed, nothing breaks."""
-    journal = Doctored()
-    for name in ("approach", "move 1", "move 2", "move 2 again", "park", "move 3"):
-        journal.change(name, seen=None, session=None)
-    journal.change("proceed", by=None).change("closed", took_s=None)
-    assert broken(journal) == {}
-    assert judge(journal.records())["I13"].checked == 0
 
 
 def test_a_reflector_that_is_carried_proves_less_often() -> None:

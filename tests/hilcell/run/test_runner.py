@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from hilcell.errors import facts_of
 from hilcell.journal.journal import Record, StorageError, read_journal
 from hilcell.journal.log import Log
 from hilcell.ports import DeviceError, DeviceRefused
@@ -61,8 +62,7 @@ def test_a_fault_stops_everything_once_and_is_kept(bed: Bed, error: Exception, c
     log = bed.log()
     assert log.fault == str(error)
     faulted = bed.records("state")[-1].body
-    for name in ("device", "operation", "found", "wanted", "act"):
-        assert faulted[name] == getattr(error, name, "")
+    assert faulted["error"] == facts_of(error)
     assert len(log.points) == 2
     assert read_journal(bed.path)[-1].body["exit"] == code
 
