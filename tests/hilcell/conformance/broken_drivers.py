@@ -1,135 +1,292 @@
-"""The broken drivers of each port, by the promise that they break."""
+"""Drivers broken on purpose: each breaks one promise of its port, and keeps all others.
+
+What a promise checks is the same at every port, so those of all ports are broken at the robot's.
+"""
 
 from __future__ import annotations
 
 import time
-from contextlib import contextmanager
+from collections import deque
+from collections.abc import Callable
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any
 
+import msgspec
 import numpy as np
 
-from drivers.canopen.rail_setup import CONSUMER_HEARTBEAT
+from drivers.canopen.rail import CanopenRail
 from drivers.kuka.c3 import REPLY_S, decode_header
 from drivers.kuka.robot_c3 import KukaC3Robot
-from drivers.kuka.robot_eki import KukaEkiRobot
-from drivers.leica.geocom import Reply, Rpc
-from drivers.leica.tracker_geocom import LeicaGeocomTracker
+from drivers.leica.tracker_emscon import LeicaEmsconTracker
 from drivers.supervision import Patience
 from hilcell.conformance.verdicts import Port
-from hilcell.errors import DeviceError, NoReading
+from hilcell.errors import DeviceError, DeviceRefused, NoReading, Stopped
 from hilcell.ports import StreamBlock
-from tests.hilcell.conformance.broken import COMMON, GOOD_VISITS, Base, Pieces, ReadsBack
-from tests.hilcell.conformance.seams import (
-    Call,
-    RailSeams,
-    RobotSeams,
-    Seams,
-    TrackerSeams,
-    replaced,
-)
 
-RAIL_SOON_S = 0.04
+Call = Callable[[], Any]
+LIMIT_S = 0.1
+GOOD_VISITS = 4
+TORN, LATELY = 3, 9  # receptions of one byte, among the last ones
 C3_HEADER = 4  # bytes: tag and length
 
-# -- the rail ---------------------------------------------------------------------------------
+# -- the robot: the promises of all ports, and its own --------------------------------------------
 
 
-class RailPieces(Pieces, RailSeams):
-    def patch(self) -> None:
-        link: Any = self._link
-        bus = link.network.bus
-        fill = bus._fill
+class Robot(KukaC3Robot):
+    """The shipped driver; ``asked`` is a question, ``visited`` a motion and its reading."""
 
-        def filled(timeout_s: float) -> bool:
-            before = len(bus._bytes)
-            found = bool(fill(timeout_s))
-            if self.torn(bus._bytes[before:]):
-                bus._bytes = b""
-            return found
+    takes_anything = False
+    up = failed = False
+    last: Any = None
 
-        bus._fill = filled
-
-
-class RailReadsBack(ReadsBack, RailSeams):
-    good_visits = GOOD_VISITS + 1  # one makes it ready
-
-
-class RailSlow(Base, RailSeams):
-    def connect(self) -> Any:
-        found = super().connect()
-        image: Any = self._image
-        inbox = image._inbox
-        arrive = inbox._await
-
-        def soon(*words: Any) -> bool:
-            began_s = time.monotonic()
-            arrived = bool(arrive(*words))
-            if arrived and time.monotonic() - began_s > RAIL_SOON_S:
-                raise DeviceError("HC-C99", "Device", "read", "too slow")
-            return arrived
-
-        inbox._await = soon
-        return found
-
-
-class RailClientKilled(Base, RailSeams):
-    """Has the drive listen to no heartbeat of the PC."""
+    def __init__(self, options: Any, clock: Any) -> None:
+        self.visits = 0
+        self.missed = self.stopped = self.connecting = self.was_closed = False
+        self.options = options
+        super().__init__(options, clock)
 
     def connect(self) -> Any:
-        found = super().connect()
-        drive: Any = self._drive
-        drive._sdo.write(CONSUMER_HEARTBEAT, 1, 0)
+        self.connecting = True
+        try:
+            found = super().connect()
+        finally:
+            self.connecting = False
+        self.missed = self.stopped = self.was_closed = self.failed = False
+        self.up = True
         return found
 
-
-class RailUnits(Base, RailSeams):
-    def visited(self, call: Call) -> Any:
-        reading = super().visited(call)
-        return replaced(reading, strip_mm=1.05 * reading.strip_mm)
-
-    asked = visited
-
-
-class RailHandedness(Base, RailSeams):
-    def visited(self, call: Call) -> Any:
-        reading = super().visited(call)
-        return replaced(reading, strip_mm=-reading.strip_mm)
-
-    asked = visited
-
-
-class RailHeld(Base, RailSeams):
-    def hold(self) -> None:
-        pass
-
-
-class RailTravel(Base, RailSeams):
-    def move_to(self, position_mm: float) -> None:
-        options = self._options
-        if np.isfinite(position_mm):
-            position_mm = min(max(position_mm, options.travel_min_mm), options.travel_max_mm)
-        super().move_to(position_mm)
-
-
-class RailCounts(Base, RailSeams):
     def close(self) -> None:
         super().close()
-        self._statistics = type(self._statistics)()
+        self.up = False
+
+    def read(self) -> Any:
+        return self.asked(super().read)
+
+    def move_to(self, joints_rad: Any, speed_percent: float) -> Any:
+        if self.takes_anything and not np.all(np.isfinite(joints_rad)):
+            return self.read()
+        go = super().move_to
+        return self.visited(lambda: go(joints_rad, speed_percent))
+
+    def asked(self, call: Call) -> Any:
+        return self._noted(call)
+
+    def visited(self, call: Call) -> Any:
+        return self._noted(call)
+
+    def cause(self, error: DeviceError) -> str:
+        """Return how the wire failed: silent, noise, cut, or "" where it did not."""
+        if "no answer within" in error.found:
+            return "silent"
+        if "announced" in error.found:
+            return "noise"
+        words = ("Broken pipe", "closed", "Connection reset")
+        return "cut" if any(each in error.found for each in words) else ""
+
+    def _noted(self, call: Call) -> Any:
+        try:
+            reading = call()
+        except DeviceError:
+            self.failed = True
+            raise
+        if reading is not None:
+            self.last = reading
+        return reading
 
 
-# -- the robot --------------------------------------------------------------------------------
+def replaced(reading: Any, **changed: Any) -> Any:
+    """Return a frozen reading with other values."""
+    names = reading.__dataclass_fields__
+    return type(reading)(**{name: getattr(reading, name) for name in names} | changed)
 
 
-class RobotPieces(Pieces, RobotSeams):
-    def patch(self) -> None:
+class IdentitySame(Robot):
+    connects = 0
+
+    def connect(self) -> Any:
+        type(self).connects += 1
+        return [replace(each, serial=f"{each.serial}{self.connects}") for each in super().connect()]
+
+
+class IdentityClean(Robot):
+    def connect(self) -> Any:
+        return [replace(each, model=f"{each.model}\x1b[2J") for each in super().connect()]
+
+
+class IdentityWrong(Robot):
+    def __init__(self, options: Any, clock: Any) -> None:
+        serials = [key for key in options.__struct_fields__ if key.endswith("serial")]
+        anyone = {key: type(getattr(options, key))() for key in serials}
+        super().__init__(msgspec.structs.replace(options, **anyone), clock)
+
+
+class Unreachable(Robot):
+    def connect(self) -> Any:
+        try:
+            return super().connect()
+        except DeviceError as error:
+            if "Connection refused" in error.found:
+                raise ConnectionRefusedError(error.found) from error
+            raise
+
+
+class NotConnected(Robot):
+    def asked(self, call: Call) -> Any:
+        if not (self.up or self.failed):
+            raise AttributeError("'NoneType' object has no attribute 'send'")
+        return super().asked(call)
+
+
+class ConnectTwice(Robot):
+    def connect(self) -> Any:
+        if self.up and not self.failed:
+            raise DeviceRefused("HC-C99", "Device", "connect", "connected already")
+        return super().connect()
+
+
+class CloseTwice(Robot):
+    def close(self) -> None:
+        if self.was_closed and not self.connecting:
+            raise RuntimeError("closed already")
+        self.was_closed = self.up
+        super().close()
+
+
+class StopTwice(Robot):
+    def stop(self) -> None:
+        if self.was_closed:
+            raise DeviceError("HC-C99", "Device", "stop", "not connected")
+        super().stop()
+
+    def close(self) -> None:
+        super().close()
+        self.was_closed = True
+
+
+class Taken(Robot):
+    def asked(self, call: Call) -> Any:
+        reading = super().asked(call)
+        return replaced(reading, taken_s=reading.taken_s + 10.0)
+
+
+class NoNumber(Robot):
+    takes_anything = True
+
+
+class ReadsBack(Robot):
+    def visited(self, call: Call) -> Any:
+        reading = super().visited(call)
+        self.visits += 1
+        if self.visits <= GOOD_VISITS:
+            return reading
+        return replaced(reading, joints_rad=reading.joints_rad + np.radians(0.05))
+
+
+class AtRest(Robot):
+    def asked(self, call: Call) -> Any:
+        return replaced(super().asked(call), still=False)
+
+
+class Ended(Robot):
+    def asked(self, call: Call) -> Any:
+        return replaced(super().asked(call), ended_s=None)
+
+
+class Silent(Robot):
+    def asked(self, call: Call) -> Any:
+        try:
+            return super().asked(call)
+        except DeviceError as error:
+            if self.cause(error) == "silent" and self.last is not None:
+                return self.last
+            raise
+
+
+class Late(Robot):
+    def asked(self, call: Call) -> Any:
+        if self.missed:
+            return self.last
+        try:
+            return super().asked(call)
+        except DeviceError as error:
+            self.missed = self.cause(error) == "silent"
+            raise
+
+    def visited(self, call: Call) -> Any:
+        return self.last if self.missed else super().visited(call)
+
+
+class LateByTag(KukaC3Robot):
+    """Takes any reply for the one to its request."""
+
+    def connect(self) -> Any:
+        found = super().connect()
+        controller: Any = self._controller
+        line = controller._line
+        receive = line._receive
+
+        def received(operation: str, tag: int) -> Any:
+            line._await(C3_HEADER, operation, Patience(REPLY_S))
+            came, _ = decode_header(line._received[:C3_HEADER])
+            return receive(operation, came)
+
+        line._receive = received
+        return found
+
+
+class Slow(Robot):
+    def asked(self, call: Call) -> Any:
+        began_s = time.monotonic()
+        reading = super().asked(call)
+        if time.monotonic() - began_s > LIMIT_S:
+            raise DeviceError("HC-C99", "Device", "read", "too slow")
+        return reading
+
+
+class Pieces(Robot):
+    """Does not take answers of which one byte came alone again and again."""
+
+    def connect(self) -> Any:
+        found = super().connect()
+        sizes = deque[int](maxlen=LATELY)
         controller: Any = self._controller
         link = controller._line._link
         receive = link.receive
-        link.receive = lambda size, patience: self.whole(receive(size, patience))
+
+        def whole(size: int, patience: Any) -> Any:
+            data = receive(size, patience)
+            if data:
+                sizes.append(len(data))
+            if sizes.count(1) >= TORN:
+                raise DeviceError("HC-C99", "Device", "receive", "answers of one byte")
+            return data
+
+        link.receive = whole
+        return found
 
 
-class RobotClientKilled(Base, RobotSeams):
+class Garbage(Robot):
+    def asked(self, call: Call) -> Any:
+        try:
+            return super().asked(call)
+        except DeviceError as error:
+            if self.cause(error) == "noise":
+                raise ValueError(error.found) from error
+            raise
+
+
+class DeviceKilled(Robot):
+    def asked(self, call: Call) -> Any:
+        try:
+            return super().asked(call)
+        except DeviceError as error:
+            if self.cause(error) == "cut":
+                raise ConnectionResetError(error.found) from error
+            raise
+
+
+class ClientKilled(Robot):
     """Gives the controller ten minutes in which the PC may keep silent."""
 
     def begin(self, start: Any) -> int:
@@ -140,7 +297,65 @@ class RobotClientKilled(Base, RobotSeams):
         return number
 
 
-class RobotUnits(Base, RobotSeams):
+class StopAtOnce(Robot):
+    def stop(self) -> None:
+        time.sleep(0.1)
+        super().stop()
+
+
+class StopRests(Robot):
+    """Notes a stop, and lets the device move on."""
+
+    def stop(self) -> None:
+        self.stopped = True
+
+    def visited(self, call: Call) -> Any:
+        self._check()
+        return super().visited(call)
+
+    def _check(self) -> None:
+        if self.stopped:
+            raise DeviceError("HC-C99", "Device", "move", "it was stopped")
+
+
+class StopHolds(Robot):
+    def stop(self) -> None:
+        self.stopped = True
+        super().stop()
+
+    def visited(self, call: Call) -> Any:
+        self._again()
+        return super().visited(call)
+
+    def _again(self) -> None:
+        if self.stopped:
+            self.connect()
+
+
+class DeafClock:
+    def __init__(self, clock: Any) -> None:
+        self._clock = clock
+
+    def now_s(self) -> float:
+        return float(self._clock.now_s())
+
+    def pc_s(self) -> float:
+        return float(self._clock.pc_s())
+
+    def wait(self, duration_s: float) -> None:
+        with suppress(Stopped):
+            self._clock.wait(duration_s)
+
+    def check(self) -> None:
+        pass
+
+
+class Checked(Robot):
+    def __init__(self, options: Any, clock: Any) -> None:
+        super().__init__(options, DeafClock(clock))
+
+
+class RobotUnits(Robot):
     def visited(self, call: Call) -> Any:
         reading = super().visited(call)
         pose = reading.pose.copy()
@@ -148,7 +363,7 @@ class RobotUnits(Base, RobotSeams):
         return replaced(reading, pose=pose)
 
 
-class RobotHandedness(Base, RobotSeams):
+class RobotHandedness(Robot):
     def visited(self, call: Call) -> Any:
         reading = super().visited(call)
         pose = reading.pose.copy()
@@ -156,50 +371,86 @@ class RobotHandedness(Base, RobotSeams):
         return replaced(reading, pose=pose)
 
 
-class RobotSpeed(Base, RobotSeams):
+class RobotSpeed(Robot):
     def move_to(self, joints_rad: Any, speed_percent: float) -> Any:
         return super().move_to(joints_rad, speed_percent if 1 <= speed_percent <= 100 else 10.0)
 
 
-class RobotSweep(Base, RobotSeams):
+class RobotSweep(Robot):
     def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> Any:
         return super().sweep(axis, end_rad, 3.0 * speed_rad_s)
 
 
-class RobotMoving(Base, RobotSeams):
+class RobotMoving(Robot):
     def asked(self, call: Call) -> Any:
         return replaced(super().asked(call), still=True)
 
 
-# -- the tracker ------------------------------------------------------------------------------
+# -- the rail's own --------------------------------------------------------------------------------
 
 
-class TrackerPieces(Pieces, TrackerSeams):
-    def patch(self) -> None:
-        link: Any = self._link
-        receive = link.receive
-        link.receive = lambda size, patience: self.whole(receive(size, patience))
+class Rail(CanopenRail):
+    def read(self) -> Any:
+        return self.told(super().read())
+
+    def settle(self) -> Any:
+        return self.told(super().settle())
+
+    def told(self, reading: Any) -> Any:
+        return reading
 
 
-class TrackerSlow(Base, TrackerSeams):
-    REPLY_S = 0.04
+class RailUnits(Rail):
+    def told(self, reading: Any) -> Any:
+        return replaced(reading, strip_mm=1.05 * reading.strip_mm)
 
 
-class TrackerUnits(Base, TrackerSeams):
-    def visited(self, call: Call) -> Any:
-        reading = super().visited(call)
+class RailHandedness(Rail):
+    def told(self, reading: Any) -> Any:
+        return replaced(reading, strip_mm=-reading.strip_mm)
+
+
+class RailHeld(Rail):
+    def hold(self) -> None:
+        pass
+
+
+class RailTravel(Rail):
+    def move_to(self, position_mm: float) -> None:
+        options = self._options
+        if np.isfinite(position_mm):
+            position_mm = min(max(position_mm, options.travel_min_mm), options.travel_max_mm)
+        super().move_to(position_mm)
+
+
+class RailCounts(Rail):
+    def close(self) -> None:
+        super().close()
+        self._statistics = type(self._statistics)()
+
+
+# -- the tracker's own -----------------------------------------------------------------------------
+
+
+class Tracker(LeicaEmsconTracker):
+    REPLY_S = MOVE_S = RESULT_S = 0.5
+
+
+class TrackerUnits(Tracker):
+    def measure(self, *words: Any) -> Any:
+        reading = super().measure(*words)
         return replaced(reading, xyz_mm=1.009 * reading.xyz_mm)
 
 
-class TrackerHandedness(Base, TrackerSeams):
+class TrackerHandedness(Tracker):
     """Has the third nest on the other side of the plane of tracker and the two before."""
 
     def __init__(self, options: Any, clock: Any) -> None:
         self.seen: list[Any] = []
         super().__init__(options, clock)
 
-    def visited(self, call: Call) -> Any:
-        reading = super().visited(call)
+    def measure(self, *words: Any) -> Any:
+        reading = super().measure(*words)
         at_mm = reading.xyz_mm
         if all(np.linalg.norm(at_mm - each) > 100.0 for each in self.seen):
             self.seen.append(at_mm)
@@ -210,27 +461,24 @@ class TrackerHandedness(Base, TrackerSeams):
         return replaced(reading, xyz_mm=at_mm - 2.0 * float(normal @ at_mm) * normal)
 
 
-class TrackerSamples(Base, TrackerSeams):
-    def visited(self, call: Call) -> Any:
-        return replaced(super().visited(call), samples=1)
+class TrackerSamples(Tracker):
+    def measure(self, *words: Any) -> Any:
+        return replaced(super().measure(*words), samples=1)
 
 
-class TrackerNothingThere(Base, TrackerSeams):
-    def visited(self, call: Call) -> Any:
+class TrackerNothingThere(Tracker):
+    last: Any = "a reading that nobody took"
+
+    def measure(self, near_mm: Any, reflector: str, samples: int) -> Any:
         try:
-            return super().visited(call)
+            self.last = super().measure(near_mm, reflector, samples)
         except NoReading as error:
             if "expected place" in error.found:
                 raise  # an old result came
-            return self.last or super().visited(call)
-
-    def connect(self) -> Any:
-        found = super().connect()
-        self.last = self.last or "a reading that nobody took"
-        return found
+        return self.last
 
 
-class TrackerReflector(Base, TrackerSeams):
+class TrackerReflector(Tracker):
     def measure(self, near_mm: Any, reflector: str, samples: int) -> Any:
         return super().measure(near_mm, self._options.reflector, samples)
 
@@ -251,7 +499,7 @@ class Streamed:
         return [found for each in self._stream.complete() if (found := self._tracker.block(each))]
 
 
-class Streaming(Base, TrackerSeams):
+class Streaming(Tracker):
     def stream(self, near_mm: Any, reflector: str, rate_hz: float) -> Any:
         return self._changed(super().stream(near_mm, reflector, rate_hz))
 
@@ -281,98 +529,53 @@ class TrackerStreamPlace(Streaming):
         return replace(block, xyz_mm=block.xyz_mm + 100.0)
 
 
-class TrackerStreamEnds(Base, TrackerSeams):
+class TrackerStreamEnds(Tracker):
     def stream(self, near_mm: Any, reflector: str, rate_hz: float) -> Any:
         stream: Any = super().stream(near_mm, reflector, rate_hz)
         stream._restore = lambda error: None
         return stream
 
 
-# -- of other makes ---------------------------------------------------------------------------
-
-
-class C3WithoutTags(KukaC3Robot):
-    """Takes any reply for the one to its request."""
-
-    def connect(self) -> Any:
-        found = super().connect()
-        controller: Any = self._controller
-        line = controller._line
-        receive = line._receive
-
-        def received(operation: str, tag: int) -> Any:
-            line._await(C3_HEADER, operation, Patience(REPLY_S))
-            came, _ = decode_header(line._received[:C3_HEADER])
-            return receive(operation, came)
-
-        line._receive = received
-        return found
-
-
-class EkiWithoutIds(KukaEkiRobot):
-    """Takes any state for the answer to its command."""
-
-    def connect(self) -> Any:
-        found = super().connect()
-        controller: Any = self._controller
-        line = controller._line
-        ask, documents, numbers = line.ask, line._documents, [0]
-
-        def asked(number: int, document: bytes) -> Any:
-            numbers[0] = number
-            return ask(number, document)
-
-        line.ask = asked
-        line._documents = lambda operation: [(numbers[0], s) for _, s in documents(operation)]
-        return found
-
-
-class GeocomWithoutTransactions(LeicaGeocomTracker):
-    """Takes any reply for the one to its request."""
-
-    REPLY_S = MOVE_S = 0.5
-    asked = 0
-
-    def _send(self, rpc: Rpc, *parameters: float) -> int:
-        self.asked = super()._send(rpc, *parameters)
-        return self.asked
-
-    def _parsed(self, line: str) -> Reply:
-        return replace(super()._parsed(line), transaction=self.asked)
-
-
-# Drivers that do not compare the numbers of answers, and how they are reached.
-NUMBERLESS: list[tuple[Port, str, dict[str, str], type[Any]]] = [
-    ("robot", "kuka-c3", {}, C3WithoutTags),
-    ("robot", "kuka-eki", {}, EkiWithoutIds),
-    ("tracker", "leica-geocom", {"tracker.options.channel": "/dev/ttyUSB0"},
-     GeocomWithoutTransactions),
-]  # fmt: skip
-
-OWN: dict[str, dict[str, type[Base]]] = {
-    "rail": {
-        "pieces": RailPieces,
-        "reads-back": RailReadsBack,
-        "slow": RailSlow,
-        "client-killed": RailClientKilled,
-        "units": RailUnits,
-        "handedness": RailHandedness,
-        "held": RailHeld,
-        "travel": RailTravel,
-        "counts": RailCounts,
-    },
+BROKEN: dict[Port, dict[str, type[Any]]] = {
     "robot": {
-        "pieces": RobotPieces,
-        "client-killed": RobotClientKilled,
+        "identity-same": IdentitySame,
+        "identity-clean": IdentityClean,
+        "identity-wrong": IdentityWrong,
+        "unreachable": Unreachable,
+        "not-connected": NotConnected,
+        "connect-twice": ConnectTwice,
+        "close-twice": CloseTwice,
+        "stop-twice": StopTwice,
+        "taken": Taken,
+        "no-number": NoNumber,
+        "reads-back": ReadsBack,
+        "at-rest": AtRest,
+        "ended": Ended,
+        "silent": Silent,
+        "late": Late,
+        "slow": Slow,
+        "pieces": Pieces,
+        "garbage": Garbage,
+        "device-killed": DeviceKilled,
+        "client-killed": ClientKilled,
+        "stop-at-once": StopAtOnce,
+        "stop-rests": StopRests,
+        "stop-holds": StopHolds,
+        "checked": Checked,
         "units": RobotUnits,
         "handedness": RobotHandedness,
         "speed": RobotSpeed,
         "sweep": RobotSweep,
         "moving": RobotMoving,
     },
+    "rail": {
+        "units": RailUnits,
+        "handedness": RailHandedness,
+        "held": RailHeld,
+        "travel": RailTravel,
+        "counts": RailCounts,
+    },
     "tracker": {
-        "pieces": TrackerPieces,
-        "slow": TrackerSlow,
         "units": TrackerUnits,
         "handedness": TrackerHandedness,
         "samples": TrackerSamples,
@@ -384,20 +587,3 @@ OWN: dict[str, dict[str, type[Base]]] = {
         "stream-ends": TrackerStreamEnds,
     },
 }
-RESTS = {"at-rest", "ended", "stop-rests", "stop-holds"}  # of what moves by itself
-SEAMS: dict[str, type[Seams]] = {"rail": RailSeams, "robot": RobotSeams, "tracker": TrackerSeams}
-
-
-def _of(port: str, seams: type[Seams]) -> dict[str, type[Any]]:
-    """Return the broken drivers of a port by promise; each stands in this module by its name."""
-    found: dict[str, type[Any]] = {}
-    for promise, broken in COMMON.items():
-        if promise not in OWN[port] and not (port == "tracker" and promise in RESTS):
-            name = f"{port}_{broken.__name__}"
-            found[promise] = globals()[name] = type(
-                name, (broken, seams), {"__module__": __name__, "__qualname__": name}
-            )
-    return found | OWN[port]
-
-
-BROKEN = {port: _of(port, seams) for port, seams in SEAMS.items()}

@@ -7,7 +7,8 @@ import socket
 import threading
 import tty
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
 import pytest
 
@@ -16,147 +17,209 @@ from hilcell.conformance.wire import Line, Wires
 from tests.drivers.peers import Server
 from tests.fakes.wires import exactly
 
-WAIT_S = 5.0
-QUIET_S = 0.2
+
+class Looks:
+    """The time of a wire, which stands; counts how often the wire looks at it, once a round."""
+
+    def __init__(self) -> None:
+        self.now_s, self._rounds, self._changed = 0.0, 0, threading.Condition()
+
+    def monotonic(self) -> float:
+        with self._changed:
+            self._rounds += 1
+            self._changed.notify_all()
+        return self.now_s
+
+    def sleep(self, duration_s: float) -> None:
+        """Let no time pass."""
+
+    def taken(self) -> None:
+        """Wait until the wire has taken what had come: three rounds have begun since."""
+        with self._changed:
+            wanted = self._rounds + 3  # the first may have looked before, the third has handled
+            self._changed.wait_for(lambda: self._rounds >= wanted)
 
 
-def echo(connection: socket.socket) -> None:
-    while data := connection.recv(4096):
-        connection.sendall(data)
+@pytest.fixture(autouse=True)
+def looks(monkeypatch: pytest.MonkeyPatch) -> Looks:
+    looks = Looks()
+    monkeypatch.setattr(wire, "time", looks)
+    monkeypatch.setattr(wire, "LOOK_S", 0.001)
+    return looks
+
+
+class Echo:
+    """Answers all that it hears."""
+
+    def __init__(self) -> None:
+        self._answered = threading.Semaphore(0)
+
+    def __call__(self, connection: socket.socket) -> None:
+        with suppress(ConnectionResetError):
+            while data := connection.recv(4096):
+                connection.sendall(data)
+                self._answered.release()
+
+    def heard(self, link: socket.socket, data: bytes) -> None:
+        """Send data, and wait until it is answered on the wire's far side."""
+        link.sendall(data)
+        self._answered.acquire()
 
 
 @contextmanager
 def client(wires: Wires) -> Iterator[socket.socket]:
     port = wires.options["port"]
     assert isinstance(port, int)
-    with socket.create_connection(("127.0.0.1", port), WAIT_S) as link:
+    with socket.create_connection(("127.0.0.1", port)) as link:
         yield link
 
 
-def nothing_comes(link: socket.socket) -> None:
-    link.settimeout(QUIET_S)
-    with pytest.raises(TimeoutError):
-        link.recv(100)
-    link.settimeout(WAIT_S)
+@pytest.fixture
+def echo() -> Echo:
+    return Echo()
 
 
 @pytest.fixture
-def wires() -> Iterator[Wires]:
+def wires(echo: Echo) -> Iterator[Wires]:
     with Server(echo) as server:
         found = Wires({"host": "127.0.0.1", "port": server.port})
         yield found
         found.close()
 
 
-def test_bytes_pass(wires: Wires) -> None:
+@pytest.fixture
+def link(wires: Wires) -> Iterator[socket.socket]:
     with client(wires) as link:
-        link.sendall(b"ask")
-        assert link.recv(100) == b"ask"
+        yield link
 
 
-@pytest.mark.parametrize("mode", ["mute", "hold", "blackhole"])
-def test_answers_do_not_come(wires: Wires, mode: str) -> None:
-    with client(wires) as link:
-        wires.set(mode)
-        link.sendall(b"ask")
-        nothing_comes(link)
+def said(link: socket.socket, data: bytes) -> bytes:
+    """Send data; return the answer."""
+    link.sendall(data)
+    return link.recv(100)
 
 
-def test_an_old_answer_comes_once_more_ahead_of_the_next_one(wires: Wires) -> None:
-    with client(wires) as link:
-        wires.set("keep")
-        link.sendall(b"old")
-        assert link.recv(100) == b"old"
-        wires.straight()
-        link.sendall(b"mid")
-        assert link.recv(100) == b"mid"
-        wires.set("again")
-        link.sendall(b"new")
-        assert exactly(link, 6) == b"oldnew"
-        link.sendall(b"end")
-        assert exactly(link, 3) == b"end"
-        nothing_comes(link)
+def test_bytes_pass(link: socket.socket) -> None:
+    assert said(link, b"ask") == b"ask"
 
 
-def test_held_answers_come_later(wires: Wires) -> None:
-    with client(wires) as link:
-        wires.set("hold")
-        link.sendall(b"ask")
-        nothing_comes(link)
-        wires.straight()
-        assert link.recv(100) == b"ask"
+@pytest.mark.parametrize(("mode", "later"), [("mute", b"end"), ("hold", b"askend")])
+def test_answers_do_not_come_or_come_later(
+    wires: Wires, link: socket.socket, echo: Echo, looks: Looks, mode: str, later: bytes
+) -> None:
+    wires.set(mode)
+    echo.heard(link, b"ask")
+    looks.taken()
+    wires.straight()
+    link.sendall(b"end")
+    assert exactly(link, len(later)) == later
+
+
+def test_requests_are_swallowed(wires: Wires, link: socket.socket, looks: Looks) -> None:
+    assert said(link, b"one") == b"one"
+    wires.set("blackhole")
+    link.sendall(b"ask")
+    looks.taken()
+    wires.straight()
+    assert said(link, b"end") == b"end"
+
+
+def test_an_old_answer_comes_once_more_ahead_of_the_next_one(
+    wires: Wires, link: socket.socket
+) -> None:
+    wires.set("keep")
+    assert said(link, b"old") == b"old"
+    wires.straight()
+    assert said(link, b"mid") == b"mid"
+    wires.set("again")
+    link.sendall(b"new")
+    assert exactly(link, 6) == b"oldnew"
+    assert said(link, b"end") == b"end"
 
 
 def test_an_old_answer_comes_as_the_first_one_to_the_next_question(
-    wires: Wires, monkeypatch: pytest.MonkeyPatch
+    wires: Wires, link: socket.socket, echo: Echo, looks: Looks
 ) -> None:
-    monkeypatch.setattr(wire, "BEHIND_S", 1e3)
-    with client(wires) as link:
-        wires.hold_after(1)
-        link.sendall(b"one")
-        assert link.recv(100) == b"one"
-        link.sendall(b"two")
-        nothing_comes(link)
-        wires.set("behind")
-        nothing_comes(link)
-        link.sendall(b"three")
-        assert exactly(link, 8) == b"twothree"
-        link.sendall(b"four")
-        assert link.recv(100) == b"four"
+    wires.hold_after(1)
+    echo.heard(link, b"one")
+    assert link.recv(100) == b"one"
+    echo.heard(link, b"two")
+    looks.taken()
+    wires.set("behind")
+    looks.taken()
+    link.setblocking(False)
+    with pytest.raises(BlockingIOError):
+        link.recv(100)
+    link.setblocking(True)
+    link.sendall(b"three")
+    assert exactly(link, 8) == b"twothree"
+    assert said(link, b"four") == b"four"
 
 
-def test_an_old_answer_comes_though_nobody_asks(wires: Wires) -> None:
-    with client(wires) as link:
-        wires.set("hold")
-        link.sendall(b"ask")
-        nothing_comes(link)
-        wires.set("behind")
-        assert link.recv(100) == b"ask"
+def test_an_old_answer_comes_though_nobody_asks(
+    wires: Wires, link: socket.socket, echo: Echo, looks: Looks
+) -> None:
+    wires.set("hold")
+    echo.heard(link, b"ask")
+    looks.taken()
+    wires.set("behind")
+    looks.taken()
+    looks.now_s = 1e3
+    assert link.recv(100) == b"ask"
 
 
-def test_answers_come_in_pieces_as_noise_and_rewritten(wires: Wires) -> None:
-    with client(wires) as link:
-        wires.set("pieces")
-        found: list[bytes] = []
-        while len(found) < 2:  # a busy PC may read all pieces at once; never every time
-            found = []
-            link.sendall(b"answer")
-            while sum(map(len, found)) < len(b"answer"):
-                found.append(link.recv(100))
-            assert b"".join(found) == b"answer"
-        wires.set("garbage")
-        link.sendall(b"answer")
-        assert link.recv(100) == b"tttttt"
-        wires.straight()
-        wires.rewrite(b"swe", b"SWE")
-        link.sendall(b"answer")
-        assert link.recv(100) == b"anSWEr"
+def test_answers_come_in_pieces_as_noise_and_rewritten(wires: Wires, link: socket.socket) -> None:
+    wires.set("pieces")
+    link.sendall(b"answer")
+    assert exactly(link, 6) == b"answer"
+    wires.set("garbage")
+    assert said(link, b"answer") == b"tttttt"
+    wires.straight()
+    wires.rewrite(b"swe", b"SWE")
+    assert said(link, b"answer") == b"anSWEr"
 
 
-def test_nobody_is_there_and_comes_back(wires: Wires) -> None:
-    with client(wires) as link:
-        link.sendall(b"ask")
-        assert link.recv(100) == b"ask"
-        wires.refuse()
-        with pytest.raises(ConnectionResetError):
-            link.recv(100)
+def test_nobody_is_there_and_comes_back(wires: Wires, link: socket.socket) -> None:
+    assert said(link, b"ask") == b"ask"
+    wires.refuse()
+    with pytest.raises(ConnectionResetError):
+        link.recv(100)
     with pytest.raises(ConnectionRefusedError), client(wires):
         pass
     wires.admit()
-    with client(wires) as link:
-        link.sendall(b"ask")
-        assert link.recv(100) == b"ask"
+    with client(wires) as again:
+        assert said(again, b"ask") == b"ask"
 
 
 def test_a_url_leads_through_and_another_device_may_be_behind() -> None:
-    with Server(echo) as one, Server(lambda link: link.sendall(b"other")) as other:
+    with Server(Echo()) as one, Server(lambda link: link.sendall(b"other")) as other:
         wires = Wires({"channel": f"socket://127.0.0.1:{one.port}", "baud": "115200"})
         try:
             assert wires.options["baud"] == "115200"
             wires.lead_to({"channel": f"socket://127.0.0.1:{other.port}"})
             port = int(str(wires.options["channel"]).rpartition(":")[2])
-            with socket.create_connection(("127.0.0.1", port), WAIT_S) as link:
+            with socket.create_connection(("127.0.0.1", port)) as link:
                 assert link.recv(100) == b"other"
+        finally:
+            wires.close()
+
+
+def test_a_part_with_a_table_of_its_own_has_its_wire() -> None:
+    with Server(Echo()) as one, Server(Echo()) as other:
+        part = {"driver": "serial", "channel": f"socket://127.0.0.1:{other.port}"}
+        wires = Wires({"host": "127.0.0.1", "port": one.port, "strip": part})
+        try:
+            strip = wires.options["strip"]
+            assert isinstance(strip, dict)
+            assert strip["driver"] == "serial"
+            port = int(strip["channel"].rpartition(":")[2])
+            assert port != other.port
+            wires.rewrite(b"a", b"b")
+            with socket.create_connection(("127.0.0.1", port)) as link:
+                assert said(link, b"a") == b"b"
+                wires.drop()
+                with pytest.raises(ConnectionResetError):
+                    link.recv(100)
         finally:
             wires.close()
 
@@ -177,7 +240,7 @@ def test_a_serial_line() -> None:
         with pytest.raises(OSError, match=r"."):
             _until_gone(lambda: os.read(ask, 100))
         os.close(ask)
-        assert not os.path.exists(path)  # noqa: PTH110 - the path is a link whose end is gone
+        assert not Path(path).is_symlink()
         wires.admit()
         ask = os.open(path, os.O_RDWR | os.O_NOCTTY)
         os.write(ask, b"end\n")
@@ -186,7 +249,7 @@ def test_a_serial_line() -> None:
     finally:
         wires.close()
         os.close(far)
-        answering.join(WAIT_S)
+        answering.join()
         os.close(near)
     assert all(isinstance(each, Line) for each in wires.all)
 
@@ -201,24 +264,3 @@ def _until_gone(read: Callable[[], bytes]) -> None:
     while read():
         pass
     raise OSError("gone")
-
-
-def test_a_part_with_a_table_of_its_own_has_its_wire() -> None:
-    with Server(echo) as one, Server(echo) as other:
-        part = {"driver": "serial", "channel": f"socket://127.0.0.1:{other.port}"}
-        wires = Wires({"host": "127.0.0.1", "port": one.port, "strip": part})
-        try:
-            strip = wires.options["strip"]
-            assert isinstance(strip, dict)
-            assert strip["driver"] == "serial"
-            port = int(strip["channel"].rpartition(":")[2])
-            assert port != other.port
-            wires.rewrite(b"a", b"b")
-            with socket.create_connection(("127.0.0.1", port), WAIT_S) as link:
-                link.sendall(b"a")
-                assert link.recv(100) == b"b"
-                wires.drop()
-                with pytest.raises(ConnectionResetError):
-                    link.recv(100)
-        finally:
-            wires.close()
