@@ -77,7 +77,7 @@ def station_table(result: dict[str, Any]) -> Table:
             f"{each['strip_mm']:.2f}",
             f"{each['rms_mm']:.4f}",
             f"{each['tool_uncertainty_mm']:.4f}",
-            "" if each["cube_uncertainty_mm"] is None else f"{each['cube_uncertainty_mm']:.4f}",
+            f"{each['cube_uncertainty_mm']:.4f}",
             ", ".join(each["left_out"]) or "none",
         ]
         for name, each in result["stations"].items()

@@ -22,10 +22,7 @@ APPROACHES = 2  # first by the drive, then by the strip's reading
 
 def measure_s(cell: Cell, samples: int) -> float:
     """Return how long the mean of ``samples`` readings of one reflector takes."""
-    tracker = cell.tracker
-    stated_ms = tracker.options.get("stationary_ms")  # of older cell files
-    reading_s = stated_ms / 1000 if isinstance(stated_ms, int) else tracker.reading_s
-    return tracker.pointing_s + samples * reading_s
+    return cell.tracker.pointing_s + samples * cell.tracker.reading_s
 
 
 def readings(cell: Cell, count: int, samples: int) -> Span:

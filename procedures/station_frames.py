@@ -169,7 +169,7 @@ def _figures(frame: dict[str, Any]) -> dict[str, Any]:
         "T_W_S": frame["matrix"],
         "rms_mm": frame["rms_mm"],
         "tool_uncertainty_mm": frame["tool_uncertainty_mm"],
-        "cube_uncertainty_mm": frame.get("cube_uncertainty_mm"),  # not in journals of old
+        "cube_uncertainty_mm": frame["cube_uncertainty_mm"],
         "left_out": frame.get("left_out", []),
     }
 

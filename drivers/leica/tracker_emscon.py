@@ -73,12 +73,6 @@ class LeicaEmsconTracker:
         port: Port = 700
         serial: str = ""
         reading_s: Annotated[float, Meta(ge=0.1, le=100)] = 0.5
-        stationary_ms: Annotated[int, Meta(ge=100, le=100_000)] | None = None
-
-        @property
-        def measuring_ms(self) -> int:
-            """Return how long one stationary measurement takes; `stationary_ms` goes first."""
-            return self.stationary_ms or round(1000 * self.reading_s)
 
     def __init__(self, options: Options, clock: Clock) -> None:
         self._options, self._clock = options, clock
@@ -188,7 +182,7 @@ class LeicaEmsconTracker:
     def _set_up(self) -> None:
         options, number = self._options, emscon.NUMBER
         lengths, handed = emscon.MILLIMETRE_UNITS, (emscon.RIGHT_HANDED,)
-        reading, search = (options.measuring_ms, 1), (options.find_radius_mm, SEARCH_MS)
+        reading, search = (round(1000 * options.reading_s), 1), (options.find_radius_mm, SEARCH_MS)
         set_to, c = self.set_checked, Command
         set_to("units", c.SET_UNITS, c.GET_UNITS, emscon.UNITS, lengths)
         set_to(
@@ -324,7 +318,7 @@ class LeicaEmsconTracker:
             raise failed(Command.START_MEASUREMENT, reply.status)
 
     def _await_result(self) -> Single:
-        limit_s = self._options.measuring_ms / 1000.0 + self.RESULT_S
+        limit_s = self._options.reading_s + self.RESULT_S
         patience = Patience(limit_s)
         while (packet := self.next_packet(patience)) is not None:
             if isinstance(packet, Single):

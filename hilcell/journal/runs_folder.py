@@ -1,8 +1,6 @@
 """The folder of runs where none is named: one for each user, whatever the current directory.
 
-``HILCELL_RUNS`` names another. A folder ``runs`` of the current directory that has runs in it is
-used before the user's own: earlier versions made it there, and a calibration is judged among the
-runs of its folder.
+``HILCELL_RUNS`` names another.
 """
 
 from __future__ import annotations
@@ -13,8 +11,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
-
-from hilcell.journal.runs import is_run
 
 OVERRIDE = "HILCELL_RUNS"
 HERE = Path("runs")
@@ -33,12 +29,6 @@ def usual_runs(environment: Mapping[str, str]) -> RunsFolder:
     """Return the folder of runs that holds without ``--runs``."""
     if named := environment.get(OVERRIDE):
         return RunsFolder(at_home(Path(named)))
-    if _has_runs(HERE):
-        return RunsFolder(
-            HERE,
-            f"the runs of this directory are used, {HERE.resolve()}; --runs DIR or {OVERRIDE} "
-            "names others",
-        )
     own = _data_home(environment)
     if own is None:
         return RunsFolder(
@@ -67,9 +57,3 @@ def _data_home(environment: Mapping[str, str]) -> Path | None:
         return stated
     home = Path(environment.get("HOME", "") or os.path.expanduser("~"))  # noqa: PTH111 - never raises
     return home / XDG_USUAL if home.is_absolute() else None
-
-
-def _has_runs(folder: Path) -> bool:
-    with suppress(OSError):
-        return any(map(is_run, folder.iterdir()))
-    return False

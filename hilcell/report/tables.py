@@ -98,7 +98,7 @@ STATIONS: tuple[Column[tuple[Station, Mapping[str, Any]]], ...] = (
     Column("strip, found", lambda row: row[1]["strip_mm"], "mm", ".3f"),
     Column("fit rms", lambda row: row[1]["rms_mm"], "mm", ".3f"),
     Column("tool point u", lambda row: row[1]["tool_uncertainty_mm"], "mm", ".4f"),
-    Column("worst corner u", lambda row: row[1].get("cube_uncertainty_mm"), "mm", ".4f"),
+    Column("worst corner u", lambda row: row[1]["cube_uncertainty_mm"], "mm", ".4f"),
     Column("nests left out", lambda row: ", ".join(row[1].get("left_out", [])) or "none"),
 )
 

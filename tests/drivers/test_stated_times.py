@@ -1,7 +1,6 @@
 """The drivers set what the cell file states and a plan counts on."""
 
 import struct
-from typing import Any
 
 import pytest
 
@@ -10,18 +9,12 @@ from tests.drivers.emscon_peer import EmsconPeer
 from tests.drivers.test_tracker_leica_emscon import tracker_at
 
 
-@pytest.mark.parametrize(
-    ("stated", "milliseconds"),
-    [({"reading_s": 0.2}, 200), ({"reading_s": 0.2, "stationary_ms": 700}, 700), ({}, 500)],
-)
-def test_a_tracker_measures_as_long_as_stated(stated: dict[str, Any], milliseconds: int) -> None:
-    """``stationary_ms`` is what older cell files state."""
+def test_a_tracker_measures_as_long_as_stated() -> None:
     with EmsconPeer() as peer:
-        options: dict[str, Any] = {"stationary_ms": None} | stated
-        tracker = tracker_at(peer.server.port, **options)
+        tracker = tracker_at(peer.server.port, reading_s=0.2)
         tracker.connect()
         tracker.close()
-        assert peer.settings[29] == struct.pack("<ii", milliseconds, 1)
+        assert peer.settings[29] == struct.pack("<ii", 200, 1)
 
 
 @pytest.mark.parametrize(("homing_mm_s", "counts_s"), [(80.0, 80_000), (400.0, 250_000)])

@@ -49,7 +49,7 @@ def tracker_at(port: int, clock: WallClock | None = None, **options: Any) -> Qui
         "reflector": SMR,
         "max_std_mm": 0.05,
         "find_radius_mm": 5.0,
-        "stationary_ms": 100,
+        "reading_s": 0.1,
     }
     return Quick(Quick.Options(**(values | options)), clock or wall_clock())
 

@@ -79,11 +79,8 @@ def test_a_farther_station_takes_longer_and_the_robot_is_parked_first() -> None:
     assert proof.duration_s == pytest.approx(durations.measure_s(CELL, 1))
 
 
-@pytest.mark.parametrize(
-    "stated", [{"tracker.options.stationary_ms": "2000"}, {"tracker.reading_s": "2.0"}]
-)
-def test_the_trackers_times_are_those_of_the_cell(stated: dict[str, str]) -> None:
-    slow = load_cell("paper", stated | {"tracker.pointing_s": "1.5"})
+def test_the_trackers_times_are_those_of_the_cell() -> None:
+    slow = load_cell("paper", {"tracker.reading_s": "2.0", "tracker.pointing_s": "1.5"})
     assert durations.measure_s(slow, 3) == pytest.approx(1.5 + 6.0)
     assert durations.measure_s(CELL, 3) == pytest.approx(CELL.tracker.pointing_s + 1.5)
 

@@ -156,7 +156,7 @@ class Session:
         return made
 
     def send(self, made: Acknowledged) -> None:
-        """Have the engine journal it; where none does, as an older one, only this screen knows."""
+        """Have the engine journal it; where none does, only this screen knows."""
         with suppress(HilcellError):
             self.ask("acknowledge", codes=made.codes, until=made.until)
 

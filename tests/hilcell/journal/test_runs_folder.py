@@ -1,4 +1,4 @@
-"""The folder of runs: named, else the one of this directory that has runs, else the user's own."""
+"""The folder of runs: named, else the user's own."""
 
 from pathlib import Path
 
@@ -36,16 +36,6 @@ def test_a_user_without_a_home(here: Path) -> None:
     assert f"{here / 'runs'}" in usual.note
 
 
-def test_runs_of_this_directory_stay_in_use(here: Path) -> None:
-    (here / "runs" / "photos").mkdir(parents=True)
-    assert usual_runs({"HOME": "/h"}).path.is_absolute()  # no run is in it
-    finished(here / "runs", "1-made", MADE)
-    usual = usual_runs({"HOME": "/h"})
-    assert usual.path == Path("runs")
-    assert f"{here / 'runs'}" in usual.note
-    assert usual_runs({"HOME": "/h", OVERRIDE: "/data"}) == (Path("/data"), "")
-
-
 def test_commands_find_a_run_from_any_directory(
     here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -60,16 +50,6 @@ def test_commands_find_a_run_from_any_directory(
     printed = capsys.readouterr()
     assert "1-made" in printed.out
     assert printed.err == ""
-
-
-def test_one_line_says_that_those_of_this_directory_are_used(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    finished(here / "runs", "1-made", MADE)
-    assert main(["runs", "--json"]) == 0
-    assert capsys.readouterr().err.count(f"{here / 'runs'}") == 1
-    assert main(["runs", "--runs", "runs"]) == 0
-    assert capsys.readouterr().err == ""
 
 
 def test_a_tilde_that_no_shell_has_expanded_is_the_home(
