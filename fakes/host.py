@@ -56,10 +56,13 @@ class Host:
         time = PlantTime(math.inf if order.speed is None else order.speed)
         plant = _plant(cell, order, time, faults)
         site = Site(cell, plant, faults, time)
-        self._devices: dict[str, SimulatedDevice] = {
-            table: _served(table, partial(serve, site, getattr(ports, table)))
-            for table, serve in servers_of(cell).items()
-        }
+        self._devices: dict[str, SimulatedDevice] = {}
+        with ExitStack() as made:  # what was made before one that is broken is closed again
+            for table, serve in servers_of(cell).items():
+                device = _served(table, partial(serve, site, getattr(ports, table)))
+                made.callback(device.close)
+                self._devices[table] = device
+            made.pop_all()
         self._control = ControlServer(
             time,
             faults,

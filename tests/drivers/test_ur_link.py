@@ -87,7 +87,7 @@ def test_a_fresh_state_is_waited_for_without_spinning(monkeypatch: pytest.Monkey
     with link_to(controller, lambda: looks.append(None)) as link:
         link.next()
         sent = controller.sent
-        until(lambda: controller.sent > sent, "a state waits in the buffer")
+        until(lambda: controller.sent > sent)
         looks.clear()
         assert link.fresh().timestamp_s > sent
         assert len(looks) <= 50  # of 20 ms, while three states of 50 ms are waited for
@@ -111,7 +111,7 @@ def test_a_state_that_was_under_way_is_no_fresh_one(monkeypatch: pytest.MonkeyPa
         asking.start()
         asked.wait()
         sent = controller.sent
-        until(lambda: controller.sent > sent + 20, "states come that were taken before")
+        until(lambda: controller.sent > sent + 20)
         assert not states
         late, controller.takes = controller.sent, True
         asking.join()
@@ -133,7 +133,7 @@ def test_states_that_nobody_wants_block_no_controller(monkeypatch: pytest.Monkey
     monkeypatch.setattr(ur_link, "IDLE_S", 0.01)
     controller = Controller(besides=encode(Kind.TEXT, bytes(4000)))
     with link_to(controller) as link:
-        until(lambda: controller.sent > 5000, "20 MB have left, more than all buffers hold")
+        until(lambda: controller.sent > 5000)
         assert link.next().timestamp_s > 0.0
 
 
@@ -145,7 +145,7 @@ def test_a_failure_that_nobody_looked_at_is_not_forgotten(monkeypatch: pytest.Mo
         link.next()
         controller.number = 2  # of another recipe
         sent = controller.sent
-        until(lambda: controller.sent > sent + 50, "they have been fetched")
+        until(lambda: controller.sent > sent + 50)
         controller.number = 1
         for _ in range(2):
             with pytest.raises(DeviceError, match="by recipe 02") as found:

@@ -7,7 +7,7 @@ from statistics import median
 import pytest
 
 from fakes.truth.dither import STEPS, Dither
-from tests.fakes.rail_bench import HUNTING, Master, served
+from tests.fakes.rail_bench import HUNTING, Bus, on_bus
 
 
 @pytest.mark.parametrize("reach", [1, 2, 5])
@@ -23,27 +23,23 @@ def test_the_middle_of_any_five_steps_is_zero(reach: int) -> None:
     assert 0 not in changes
 
 
-def looks(master: Master) -> list[tuple[int, int]]:
+def looks(bus: Bus) -> list[tuple[int, int]]:
     """Return position and speed of the drive at 20 SYNCs."""
     seen = []
     for _ in range(20):
-        master.network.sync.transmit()
-        seen.append((master.read(0x6064, 0, "i"), master.read(0x606C, 0, "i")))
+        bus.sync()
+        seen.append((bus.position(), bus.read(0x606C, 0, "i")))
     return seen
 
 
 def test_a_servo_dithers_while_it_has_power() -> None:
-    with served() as bench, Master(bench.server.port) as master:
-        assert set(looks(master)) == {(0, 0)}, "the brake holds it"
-        master.enable(1)
-        positions, speeds = zip(*looks(master), strict=True)
-        assert bench.rail.still
+    with on_bus() as bus:
+        assert set(looks(bus)) == {(0, 0)}, "the brake holds it"
+        bus.enable(1)
+        positions, speeds = zip(*looks(bus), strict=True)
+        assert bus.rail.still
         assert 2 <= max(positions) - min(positions) <= 4
         assert all(0 < abs(speed) <= HUNTING for speed in speeds)
-
-
-def test_the_drive_has_windows_of_position_and_speed() -> None:
-    with served() as bench, Master(bench.server.port) as master:
         for index, kind in ((0x6067, "I"), (0x6068, "H"), (0x606F, "H"), (0x6070, "H")):
-            master.write(index, 0, 77, kind)
-            assert master.read(index, 0, kind) == 77
+            bus.write(index, 0, 77, kind)  # the drive's own windows of position and speed
+            assert bus.read(index, 0, kind) == 77

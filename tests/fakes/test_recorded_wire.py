@@ -17,8 +17,6 @@ from fakes.wires.listener import Listener
 from hilcell.wire.channel import Socket, parse_channel
 from hilcell.wire.recording import Piece
 
-ANSWER_S = 5.0
-
 
 @contextmanager
 def wire(*connections: tuple[bytes, bytes]) -> Iterator[tuple[str, int]]:
@@ -40,30 +38,36 @@ def test_connections_are_served_in_the_order_in_which_they_were_opened(
 ) -> None:
     """A busy PC may run the thread of the second one first."""
     second, serve = threading.Event(), Listener._run
+    one, two = socket.socket(), socket.socket()
+    one.bind(("127.0.0.1", 0))
+    first = one.getsockname()
 
     def run_later(self: Listener, client: socket.socket) -> None:
-        first = client.getpeername() == one.getsockname()
-        assert not first or second.wait(ANSWER_S)
+        if client.getpeername() == first:
+            second.wait()
         serve(self, client)
 
-    with wire((b"first\n", b"1\n"), (b"second\n", b"2\n")) as place:
-        monkeypatch.setattr(Listener, "_run", run_later)
-        one = socket.create_connection(place, ANSWER_S)
-        two = socket.create_connection(place, ANSWER_S)
-        with one, two:
+    monkeypatch.setattr(Listener, "_run", run_later)
+    with wire((b"first\n", b"1\n"), (b"second\n", b"2\n")) as place, one, two:
+        try:
+            one.connect(place)
+            two.connect(place)
             two.sendall(b"second\n")
             assert two.recv(9) == b"2\n"
+        finally:
             second.set()
-            one.sendall(b"first\n")
-            assert one.recv(9) == b"1\n"
+        one.sendall(b"first\n")
+        assert one.recv(9) == b"1\n"
 
 
 def test_an_idle_connection_is_kept_alive_by_what_another_was_asked() -> None:
-    with wire((b"mode\nmode\n", b"1\n"), (b"stop\n", b"2\n")) as place:
-        one, two = (socket.create_connection(place, ANSWER_S) for _ in range(2))
-        with one, two:
-            two.sendall(b"mode\n")
-            assert two.recv(9) == b"1\n"
+    with (
+        wire((b"mode\nmode\n", b"1\n"), (b"stop\n", b"2\n")) as place,
+        socket.create_connection(place),
+        socket.create_connection(place) as two,
+    ):
+        two.sendall(b"mode\n")
+        assert two.recv(9) == b"1\n"
 
 
 def test_a_robot_takes_a_sign_of_life_that_was_never_given() -> None:

@@ -21,6 +21,7 @@ from fakes.universal_robots import server as ur_server
 from fakes.universal_robots.server import UrServer
 from fakes.wires import listener
 from hilcell.cell.file import load_cell
+from tests.fakes.conftest import OwnTime
 from tests.fakes.rail_bench import until
 from tests.fakes.wires import REGISTERS, RtdeClient, connected, exactly
 
@@ -79,7 +80,7 @@ def test_the_program_moves_and_acknowledges(robot: Robot) -> None:
         client.begin()
         client.write(4, 1, target)
         # Two ports have no order: the registers come first here.
-        until(lambda: robot.server._controller._inputs["input_int_register_24"] == 4, "they came")
+        until(lambda: robot.server._controller._inputs["input_int_register_24"] == 4)
         assert client.state()[-2] == 0  # no program plays
         script.sendall(SCRIPT[:20].encode())
         script.sendall(SCRIPT[20:].encode())
@@ -93,19 +94,16 @@ def test_the_program_moves_and_acknowledges(robot: Robot) -> None:
         assert np.abs(np.array(state[2:8]) - target).max() < 1e-4
 
 
-def test_without_a_sign_of_life_a_motion_is_braked(
-    robot: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("fakes.universal_robots.controller.LIFE_MS", 50)
+def test_without_a_sign_of_life_a_motion_is_braked(own_time: OwnTime, robot: Robot) -> None:
     with connected(robot.port("rtde")) as wire, connected(robot.port("script")) as script:
         client = RtdeClient(wire)
         client.begin()
         script.sendall(SCRIPT.encode())
-        until(lambda: robot.ask("running") == ["Program running: true"], "the program runs")
+        until(lambda: robot.ask("running") == ["Program running: true"])
         robot.site.faults.set("robot.frozen")
         client.write(1, 1, [*(HOME + 1.0)])
         while (state := client.state())[-2] != 1:
-            pass
+            own_time.at_s += 0.1
         assert state[-1] == 8
 
 
@@ -142,6 +140,7 @@ print(json.dumps(found))
 """
 
 
+@pytest.mark.wall
 def test_ur_rtde_reads_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """The peer knows one port: an address of its own keeps other tests from it."""
     number = os.getpid()

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import select
 import socket
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-DEADLINE_S = 10.0
 STATES = "timestamp,actual_q,robot_mode,output_int_register_24,output_int_register_25"
 REGISTERS = [f"input_int_register_{n}" for n in range(24, 28)]
 REGISTERS += [f"input_double_register_{n}" for n in range(24, 31)]
@@ -15,7 +15,7 @@ REGISTERS += [f"input_double_register_{n}" for n in range(24, 31)]
 
 @contextmanager
 def connected(port: int) -> Iterator[socket.socket]:
-    with socket.create_connection(("127.0.0.1", port), DEADLINE_S) as wire:
+    with socket.create_connection(("127.0.0.1", port)) as wire:
         wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         yield wire
 
@@ -30,6 +30,11 @@ def exactly(wire: socket.socket, count: int) -> bytes:
     return data
 
 
+def quiet(wire: socket.socket) -> bool:
+    """Whether nothing has come that was not read."""
+    return not select.select([wire], [], [], 0.0)[0]
+
+
 class C3Client:
     def __init__(self, wire: socket.socket) -> None:
         self.wire = wire
@@ -37,16 +42,19 @@ class C3Client:
 
     def request(self, kind: int, name: str, value: str | None = None) -> tuple[str, bytes]:
         """Return the value and the three bytes of the footer."""
-        self.tag += 1
-        body = struct.pack("!BH", kind, len(name)) + name.encode()
-        if value is not None:
-            body += struct.pack("!H", len(value)) + value.encode()
-        self.wire.sendall(struct.pack("!HH", self.tag, len(body)) + body)
+        self.send(kind, name, value)
         tag, length = struct.unpack("!HH", exactly(self.wire, 4))
         reply = exactly(self.wire, length)
         assert tag == self.tag
         (size,) = struct.unpack_from("!H", reply, 1)
         return reply[3 : 3 + size].decode(), reply[3 + size :]
+
+    def send(self, kind: int, name: str, value: str | None = None) -> None:
+        self.tag += 1
+        body = struct.pack("!BH", kind, len(name)) + name.encode()
+        if value is not None:
+            body += struct.pack("!H", len(value)) + value.encode()
+        self.wire.sendall(struct.pack("!HH", self.tag, len(body)) + body)
 
     def read(self, name: str) -> str:
         value, footer = self.request(0, name)

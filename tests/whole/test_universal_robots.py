@@ -66,7 +66,7 @@ class Bench:
         assert isinstance(port, int)
         with connected(port) as wire:
             wire.sendall(script)
-            until(lambda: self.controller.ask("running").endswith("true"), "it plays")
+            until(lambda: self.controller.ask("running").endswith("true"))
 
 
 @pytest.fixture
@@ -108,7 +108,7 @@ def test_it_goes_where_it_is_sent(bench: Bench) -> None:
     assert again.still
     assert again.taken_s > reading.taken_s
     port.close()
-    until(lambda: bench.controller.ask("running").endswith("false"), "the script has ended")
+    until(lambda: bench.controller.ask("running").endswith("false"))
 
 
 def test_packages_that_are_split_and_glued(bench: Bench, robot: UrRtdeRobot) -> None:
@@ -225,26 +225,26 @@ def moving(bench: Bench, robot: UrRtdeRobot, joints: Any = FAR) -> list[BaseExce
             errors.append(error)
 
     threading.Thread(target=move, daemon=True).start()
-    until(lambda: bench.plant.robot.moving, "it moves")
+    until(lambda: bench.plant.robot.moving)
     return errors
 
 
 def test_another_script_in_its_place(bench: Bench, robot: UrRtdeRobot) -> None:
     errors = moving(bench, robot)
     bench.play(OTHER)
-    until(lambda: bool(errors), "the driver sees it")
+    until(lambda: bool(errors))
     assert isinstance(errors[0], DeviceError)
     assert errors[0].code == "HC-B66"
-    until(lambda: not bench.plant.robot.moving, "it stands")
+    until(lambda: not bench.plant.robot.moving)
 
 
 def test_a_stop_from_another_thread(bench: Bench, robot: UrRtdeRobot) -> None:
     errors = moving(bench, robot)
     bench.stop.set()
     robot.stop()
-    until(lambda: bool(errors), "the motion ends")
+    until(lambda: bool(errors))
     assert isinstance(errors[0], Stopped)
-    until(lambda: not bench.plant.robot.moving, "it stands")
+    until(lambda: not bench.plant.robot.moving)
     with pytest.raises(DeviceError) as found:
         robot.move_to(HOME, 100.0)
     assert found.value.code == "HC-B21"
