@@ -122,9 +122,10 @@ class UrSweep:
                 error.add_note(f"the brake was not confirmed: {failure}")
 
     def kickoff(self) -> None:
-        """Start the motion."""
+        """Start the motion; return when the controller has the order."""
         self._number = self._robot.command(self._target_rad, self._wanted_rad_s)
         self._under_way = True
+        self._robot.link().fresh()
 
     def collect(self) -> JointSample:
         """Return the joints as they left the controller after this call began."""

@@ -33,6 +33,7 @@ MOVE_JOINTS = 1
 DITHER_RAD, DITHER_RAD_S = 5e-6, 4e-4  # of a joint that holds
 STEP_S = 0.002  # of the controller
 LIFE_MS = 1500
+LIFE = "input_int_register_26"  # the PC's sign
 INTEGERS, FLOATS = range(24, 29), range(24, 31)  # that a client may write
 NAME = re.compile(r"^\s*def\s+(\w+)\s*\(", re.ASCII)
 SESSION = re.compile(r"write_output_integer_register\(26, (\d+)\)", re.ASCII)
@@ -104,12 +105,14 @@ class UrController:
         """Take a client's registers."""
         with self._lock:
             self._strike_on_request()
-            life = self._inputs["input_int_register_26"]
+            changed = {name for name, value in values.items() if self._inputs[name] != value}
             self._inputs |= values
-            if self._inputs["input_int_register_26"] != life:
+            if LIFE in changed:
                 self._timer.set_ms(-LIFE_MS)
             self._run()
-            if self._time.followed:  # an exchange takes its time, and nothing else lets it pass
+            # An exchange takes its time, and nothing else lets it pass; a sign of life takes none,
+            # for the slower the PC, the more of them it gives.
+            if self._time.followed and changed != {LIFE}:
                 self._motion.poll()
 
     def play(self, script: str) -> None:

@@ -194,7 +194,9 @@ def simulation(
     serving.start()
     try:
         addresses = host.addresses()
-        yield Simulation(addresses, addresses["control"])
+        found = Simulation(addresses, addresses["control"])
+        found.ask(do="now")  # the last to serve, so all threads are there
+        yield found
     finally:
         host.end()
         serving.join()
@@ -251,7 +253,7 @@ def cut(whole: Path, folder: Path, seq: int) -> None:
     copy = sqlite3.connect(folder / "journal.sqlite")
     source.backup(copy)
     source.close()
-    copy.executescript("DROP TRIGGER record_is_never_deleted")
+    copy.executescript("DROP TRIGGER IF EXISTS record_is_never_deleted")
     copy.execute("DELETE FROM record WHERE seq > ?", (seq,))
     copy.commit()
     copy.close()

@@ -1,7 +1,5 @@
 """One reflector carried by hand: a test plays the operator, with status and orders alone."""
 
-import threading
-import time
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -13,15 +11,16 @@ from hilcell.run.client import order
 from hilcell.run.protocol import PromptStatus, Status
 from tests.whole.bench import (
     SMALL,
-    Engine,
     Simulation,
     command,
+    cut,
     end_of,
     events,
     sets,
     simulation,
     sweep,
 )
+from tests.whole.threaded import Event, Stands, ThreadedRun, is_state
 from tests.whole.trace import judge
 
 BY_HAND = SMALL | {"layout.reflectors": "by_hand"}
@@ -30,54 +29,62 @@ BY_HAND = SMALL | {"layout.reflectors": "by_hand"}
 class Operator:
     """Somebody at the cell who sees the run's status and carries the reflector."""
 
-    def __init__(self, folder: Path, cell: Simulation) -> None:
-        self.folder, self.cell = folder, cell
+    def __init__(self, run: ThreadedRun, cell: Simulation) -> None:
+        self.run, self.cell = run, cell
         self.seats: list[str] = []
 
     def status(self) -> Status:
-        return order(self.folder, "status")
+        return order(self.run.folder, "status")
 
-    def prompt(self, place: str = "") -> PromptStatus:
-        """Wait until something is asked, and return it."""
-        deadline = time.monotonic() + 60
-        while time.monotonic() < deadline:
+    def asked(self) -> bool:
+        """Wait for a question or for the end; return whether it is a question."""
+        return self.run.until(lambda event: suspended(event) or event["kind"] == "end")["kind"] != (
+            "end"
+        )
+
+    def prompt(self, place: str = "", *, seen: bool = False) -> PromptStatus:
+        """Wait until a place is asked for, and with ``seen`` until the reflector is seen there."""
+        while True:
             status = self.status()
             prompt = status.prompt
-            if status.state == "suspended" and prompt is not None:
+            if status.state == "suspended" and prompt is not None and (prompt.ready or not seen):
                 assert place in ("", prompt.place), prompt
                 return prompt
-            time.sleep(0.01)
-        raise AssertionError("nothing was asked")
-
-    def wanted(self) -> bool:
-        """Wait for a prompt or for the end; return whether it is a prompt."""
-        while True:
-            try:
-                status = self.status()
-            except HilcellError:
-                return False
-            if status.prompt is not None and status.state == "suspended":
-                return True
-            time.sleep(0.01)
 
     def seat(self, place: str) -> None:
         assert self.cell.ask(do="seat", place=place)["ok"]
 
-    def answer(self) -> str:
-        """Return why the answer was refused."""
+    def answer(self) -> bool:
+        """Say that it is done; return whether that is taken."""
         try:
-            order(self.folder, "answer")
-        except HilcellError as error:
-            return str(error)
-        return ""
+            order(self.run.folder, "answer")
+        except HilcellError:
+            return False
+        return True
 
-    def obey(self, place: str = "") -> str:
-        """Do what is asked, say so, and return the place."""
-        asked = str(self.prompt(place).place)
-        self.seat(asked)
-        assert self.answer() == ""
-        self.seats.append(asked)
-        return asked
+    def obey(self, *places: str) -> None:
+        """Do what is asked, place by place, and say so."""
+        for place in places or ("",):
+            asked = str(self.prompt(place).place)
+            self.seat(asked)
+            assert self.answer()
+            self.seats.append(asked)
+            assert self.asked()
+
+
+def suspended(event: Event) -> bool:
+    return is_state(event, "suspended")
+
+
+def never(_: Event) -> bool:
+    return False
+
+
+def carried(cell: Simulation, runs: Path, *words: str, stands: Stands = never) -> ThreadedRun:
+    """Return a run, or a resumed one, in which the reflector is carried by hand."""
+    if words[0] == "run":
+        words += ("--name", "hand", *sets(BY_HAND | {"simulation.address": cell.control}))
+    return ThreadedRun(runs, *words, stands=stands)
 
 
 @pytest.fixture(scope="module")
@@ -92,82 +99,73 @@ def taken_away(cell: Simulation) -> None:
     assert cell.ask(do="seat", place="")["ok"]
 
 
-def words(cell: Simulation, runs: Path, name: str = "hand") -> list[str | Path]:
-    values = sets(BY_HAND | {"simulation.address": cell.control})
-    return ["--name", name, "--runs", runs, *values]
-
-
-@pytest.mark.timeout(300)
-@pytest.mark.long
 @pytest.mark.parametrize("procedure", ["base-frame", *sweep("calibrate")])
 def test_a_whole_run_with_one_reflector(tmp_path: Path, cell: Simulation, procedure: str) -> None:
-    engine = Engine("run", procedure, *words(cell, tmp_path))
-    engine.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")
-    operator = Operator(tmp_path / "hand", cell)
-
-    first = operator.prompt("F1")
-    assert first.title == "Seat the reflector in F1"
-    assert "nest F1 on the floor, x 0, y 0, z 0 mm in {W}" in first.text
-    assert (first.seen_mm, first.ready, first.check) == (None, False, True)
-    assert "sees no reflector at F1" in operator.answer()  # said without doing it
-    assert operator.status().state == "suspended"
-    operator.seat("F2")  # the wrong nest
-    assert "sees no reflector at F1" in operator.answer()
-    operator.seat("F1")
-    while not operator.prompt("F1").ready:
-        time.sleep(0.01)
-    assert operator.status().state == "suspended"  # seen, but nobody has said so
-    assert operator.answer() == ""
-    operator.seats.append("F1")
-
-    # Its events are read all the while, for a full pipe would hold the run.
-    listener = threading.Thread(target=engine.until, args=(lambda event: event["kind"] == "end",))
-    listener.start()
-    while operator.wanted():
-        operator.obey()
-    listener.join(60)
-    printed = engine.rest()
-    assert printed[-1]["exit"] == 0, engine.errors
+    with carried(cell, tmp_path, "run", procedure) as run:
+        operator = Operator(run, cell)
+        assert operator.asked()
+        first = operator.prompt("F1")
+        assert (first.seen_mm, first.ready, first.check) == (None, False, True)
+        assert not operator.answer()  # said without doing it
+        operator.seat("F2")  # the wrong nest
+        assert not operator.answer()
+        operator.seat("F1")
+        operator.prompt("F1", seen=True)
+        assert operator.status().state == "suspended"  # seen, but nobody has said so
+        assert operator.answer()
+        operator.seats.append("F1")
+        while operator.asked():
+            place = str(operator.prompt().place)
+            operator.seat(place)
+            assert operator.answer()
+            operator.seats.append(place)
+        assert run.rest()["exit"] == 0
+    printed = run.events
     assert judge(printed) == []
     seated = [e["place"] for e in printed if e.get("what") == "seated"]
     assert seated == operator.seats
     assert seated[:6] == ["F1", "F2", "F3", "B1", "B2", "flange"]
     assert not [one for one, other in pairwise(seated) if one == other]
     assert len(seated) <= 57
-    refused = [e for e in printed if e.get("what") == "answer refused"]
-    assert len(refused) == 2
-    suspended = [e for e in printed if e["kind"] == "state" and e["to"] == "suspended"]
-    assert len(suspended) == len(seated)
-    after = [e["prompt"]["limit_mm"] for e in suspended if e["prompt"]["place"] == "F1"]
+    assert len([e for e in printed if e.get("what") == "answer refused"]) == 2
+    asked = [e["prompt"] for e in printed if suspended(e)]
+    assert len(asked) == len(seated)
+    after = [prompt["limit_mm"] for prompt in asked if prompt["place"] == "F1"]
     assert after == [50.0] + [5.0] * (len(after) - 1)
 
 
 def test_kill_9_during_a_prompt_begins_the_frame_again(tmp_path: Path, cell: Simulation) -> None:
     """All nests of a frame are measured by one engine: nobody knows whether the tracker stood."""
-    engine = Engine("run", *words(cell, tmp_path))
-    engine.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")
-    operator = Operator(tmp_path / "hand", cell)
-    operator.obey("F1")
-    operator.prompt("F2")
-    operator.seat("F2")  # carried, not yet answered
-    engine.kill()
 
-    again = Engine("resume", "hand", "--runs", tmp_path)
-    again.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")
-    assert operator.prompt("F1").title == "No good reading of F1"  # where it was seen last
-    operator.obey("F1")
-    operator.prompt("F2")
-    again.kill()
+    def killed(operator: Operator, name: str) -> None:
+        """Leave the journal that an engine leaves that is killed at this prompt."""
+        seq = operator.run.events[-1]["seq"]
+        order(operator.run.folder, "stop")
+        operator.run.rest()
+        cut(operator.run.folder, tmp_path / name, seq)
 
-    last = Engine("resume", "hand", "--runs", tmp_path)
-    last.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")
-    assert "Take the reflector from nest F1" in operator.prompt("F2").text  # it sits there still
-    for place in ("F2", "F3", "B1", "B2"):
-        operator.obey(place)
-    operator.prompt("flange")
-    order(tmp_path / "hand", "abort")
-    assert last.rest()[-1]["exit"] == 4
-    journal = events(command("watch", "hand", "--runs", tmp_path, "--json").stdout)
+    with carried(cell, tmp_path, "run") as run:
+        operator = Operator(run, cell)
+        assert operator.asked()
+        operator.obey("F1")
+        operator.prompt("F2")
+        operator.seat("F2")  # carried, not yet answered
+        killed(operator, "once")
+    with carried(cell, tmp_path, "resume", "once") as again:
+        operator = Operator(again, cell)
+        assert operator.asked()
+        operator.obey("F1")  # where it was seen last
+        operator.prompt("F2")
+        killed(operator, "twice")
+    with carried(cell, tmp_path, "resume", "twice") as last:
+        operator = Operator(last, cell)
+        assert operator.asked()
+        assert "from nest F1" in operator.prompt("F2").text  # it sits there still
+        operator.obey("F2", "F3", "B1", "B2")
+        operator.prompt("flange")
+        order(last.folder, "abort")
+        assert last.rest()["exit"] == 4
+    journal = events(command("watch", "twice", "--runs", tmp_path, "--json").stdout)
     assert judge(journal) == []
     points = [e["key"] for e in journal if e["kind"] == "point"]
     asked = ["world/F1", "world/F2", "world/F3", "length/B1", "length/B2"]
@@ -177,50 +175,47 @@ def test_kill_9_during_a_prompt_begins_the_frame_again(tmp_path: Path, cell: Sim
 def test_a_reflector_taken_away_asks_and_resume_alone_does_not_go_on(
     tmp_path: Path, cell: Simulation
 ) -> None:
-    engine = Engine("run", "base-frame", *words(cell, tmp_path))
-    engine.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")
-    operator = Operator(tmp_path / "hand", cell)
-    for place in ("F1", "F2", "F3", "B1", "B2", "flange"):
-        operator.obey(place)
-    engine.until(lambda event: event["kind"] == "point" and event["group"] == "base")
-    operator.seat("")
-    prompt = operator.prompt("flange")
-    assert prompt.title == "No good reading of flange"
-    assert command("resume", "hand", "--runs", tmp_path).returncode == 0
-    engine.until(lambda event: event.get("what") == "answer refused")
-    assert operator.status().state == "suspended"
-    operator.seat("flange")
-    assert command("resume", "hand", "--runs", tmp_path).returncode == 0
-    assert engine.rest()[-1]["exit"] == 0, engine.errors
-    assert judge(engine.events) == []
+    resume = ("resume", "hand", "--runs", tmp_path)
+
+    def on_flange(event: Event) -> bool:
+        return bool(event["kind"] == "point" and event["group"] == "base")
+
+    with carried(cell, tmp_path, "run", "base-frame", stands=on_flange) as run:
+        operator = Operator(run, cell)
+        assert operator.asked()
+        operator.obey("F1", "F2", "F3", "B1", "B2")
+        operator.seat("flange")
+        assert operator.answer()
+        run.until(on_flange)
+        operator.seat("")
+        assert operator.asked()
+        operator.prompt("flange")
+        assert command(*resume).returncode == 0
+        run.until(lambda event: event.get("what") == "answer refused")
+        assert operator.status().state == "suspended"
+        operator.seat("flange")
+        assert command(*resume).returncode == 0
+        assert run.rest()["exit"] == 0
+    assert judge(run.events) == []
 
 
-@pytest.mark.parametrize("word", ["run", "resume"])
-def test_nobody_is_left_alone_with_it(tmp_path: Path, cell: Simulation, word: str) -> None:
-    if word == "run":
-        done = command("run", *words(cell, tmp_path), "--unattended", "--json")
-    else:
-        engine = Engine("run", *words(cell, tmp_path))
-        engine.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")
-        engine.kill()
-        done = command("resume", "hand", "--runs", tmp_path, "--unattended")
-    assert done.returncode == 2
-    assert "layout.reflectors is by_hand: somebody must be there" in done.stderr
-    if word == "run":
-        assert end_of(done)["state"] == "idle"
-        assert not list(tmp_path.iterdir())
+def test_nobody_is_left_alone_with_it(tmp_path: Path, cell: Simulation) -> None:
+    words = sets(BY_HAND | {"simulation.address": cell.control})
+    refused = command("run", "--unattended", "--json", "--runs", tmp_path, *words)
+    assert (refused.returncode, end_of(refused)["state"]) == (2, "idle")
+    assert "layout.reflectors" in refused.stderr
+    assert list(tmp_path.iterdir()) == []
+    with carried(cell, tmp_path, "run") as run:
+        run.until(suspended)
+        order(run.folder, "stop")
+        assert run.rest()["exit"] == 4
+    assert judge(run.events) == []
+    refused = command("resume", "hand", "--runs", tmp_path, "--unattended")
+    assert refused.returncode == 2
+    assert "layout.reflectors" in refused.stderr
 
 
 def test_a_campaign_needs_mounted_reflectors() -> None:
     done = command("run", "campaign", "--dry-run", *sets(BY_HAND))
     assert done.returncode == 2
-    assert "must be mounted" in done.stderr
-
-
-def test_stop_from_a_prompt(tmp_path: Path, cell: Simulation) -> None:
-    engine = Engine("run", *words(cell, tmp_path))
-    engine.until(lambda event: event["kind"] == "state" and event["to"] == "suspended")
-    order(tmp_path / "hand", "stop")
-    printed = engine.rest()
-    assert printed[-1]["exit"] == 4
-    assert judge(printed) == []
+    assert "by_hand" in done.stderr

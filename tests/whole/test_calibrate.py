@@ -1,8 +1,6 @@
 """The built-in cell is calibrated over its wires, and the figures are the paper's."""
 
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,11 +15,10 @@ from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.runs import CALIBRATION, read_log
 from procedures.plan import poses_at
-from tests.whole.bench import command, end_of, events, sweep
-from tests.whole.golden import RUNS, GoldenRun, GoldenRuns
+from tests.whole.bench import command, events, sweep
+from tests.whole.golden import GoldenRun, GoldenRuns
 from tests.whole.trace import judge
 
-SAME = 1e-6  # of a figure
 SPREAD = 0.42  # of the length of a normal vector, as a share of its mean
 CHI2_95 = 7.815  # three degrees of freedom
 SEEDS = {"paper": 2, "calibration": 3}
@@ -61,32 +58,6 @@ def test_the_end_event_has_the_figures(whole: GoldenRun) -> None:
         assert place["chosen"]["bound95_mean"] == bounds["mean_mm"]
         assert 0.85 <= bounds["coverage"] <= 1.0
         assert place["chosen"]["mean"] < bounds["mean_mm"] <= bounds["max_mm"] < 0.5
-
-
-@pytest.mark.parametrize("name", sweep("small", "calibration", "paper"))
-def test_the_same_seed_gives_the_same_figures(
-    golden: GoldenRuns, tmp_path: Path, name: str
-) -> None:
-    """That of a small one is run again by `test_story`, from the form.
-
-    They are the same to the last digit, unless one PC was late and took a reading again before a
-    motion: that takes time of the plant, of which the last digits of a stream's times depend.
-    """
-    again = command("run", *RUNS[name], "--json", "--runs", tmp_path)
-    assert dict(leaves(end_of(again)["result"])) == {
-        place: pytest.approx(figure, rel=SAME) if isinstance(figure, float) else figure
-        for place, figure in leaves(golden[name].result)
-    }
-
-
-def leaves(found: Any, place: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the values of a result that hold no others, with their places in it."""
-    if isinstance(found, dict | list):
-        parts = found.items() if isinstance(found, dict) else enumerate(found)
-        for name, part in parts:
-            yield from leaves(part, f"{place}/{name}")
-    else:
-        yield place, found
 
 
 def test_sweeps_find_the_lines_of_the_machine_s_gears(whole: GoldenRun) -> None:

@@ -1,4 +1,4 @@
-"""A run in a thread of the test, which stands still at every event until the test has read it.
+"""A run in a thread of the test, which stands still at events until the test lets it go on.
 
 Its control socket answers meanwhile, so that screens and orders come exactly when they are to.
 """
@@ -17,13 +17,17 @@ from hilcell.run.client import stop_engine
 from tests.whole.bench import command
 
 Event = dict[str, Any]
+Stands = Callable[[Event], bool]
 
 
 class ThreadedRun:
-    """`hilcell run` or `resume`; one that outlives its block is stopped."""
+    """`hilcell run` or `resume`; one that outlives its block is stopped.
 
-    def __init__(self, runs: Path, *words: str | Path) -> None:
-        self.runs = runs
+    It stands still at each event, or at those of ``stands``.
+    """
+
+    def __init__(self, runs: Path, *words: str | Path, stands: Stands = lambda _: True) -> None:
+        self.runs, self._stands = runs, stands
         self.events: list[Event] = []
         self.done: CompletedProcess[str] | None = None
         self._came: SimpleQueue[Event | None] = SimpleQueue()
@@ -64,7 +68,8 @@ class ThreadedRun:
     def _next(self) -> Event | None:
         if self.done is not None:
             return None
-        self._may_go_on.release()
+        if not self.events or self._stands(self.events[-1]):
+            self._may_go_on.release()
         event = self._came.get()
         if event is not None:
             self.events.append(event)
@@ -77,7 +82,8 @@ class ThreadedRun:
 
     def _hear(self, event: Event) -> None:
         self._came.put(event)
-        self._may_go_on.acquire()
+        if self._stands(event):
+            self._may_go_on.acquire()
 
 
 def is_state(event: Event, name: str) -> bool:
