@@ -38,9 +38,8 @@ class Operator:
 
     def asked(self) -> bool:
         """Wait for a question or for the end; return whether it is a question."""
-        return self.run.until(lambda event: suspended(event) or event["kind"] == "end")["kind"] != (
-            "end"
-        )
+        event = self.run.until(lambda event: suspended(event) or event["kind"] == "end")
+        return suspended(event)
 
     def prompt(self, place: str = "", *, seen: bool = False) -> PromptStatus:
         """Wait until a place is asked for, and with ``seen`` until the reflector is seen there."""
