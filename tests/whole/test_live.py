@@ -134,51 +134,47 @@ class Screen:
 @pytest.mark.parametrize("attended", [True, False])
 def test_losing_the_last_screen_pauses_an_attended_run_only(tmp_path: Path, attended: bool) -> None:
     """One that leaves on purpose, and one of two that is lost, let it go on."""
-    with simulation(math.inf, SMALL) as cell:
-        words = sets(SMALL | {"simulation.address": cell.control})
-        words += [] if attended else ["--unattended"]
-        with ThreadedRun(tmp_path, "run", *words) as run:
-            run.until(is_point)
-            left, one, other = (Screen(run.folder) for _ in range(3))
-            assert [each.ask("attend")["screens"] for each in (left, one, other)] == [1, 2, 3]
-            assert left.ask("leave")["screens"] == 2
-            left.vanish()
-            one.vanish()
-            run.until(is_point)
-            while other.ask("status")["screens"] != 1:
-                continue  # its end is still being read
-            assert other.ask("status")["state"] == "running"
-            assert not [event for event in run.events if event.get("what") == "screen lost"]
-            other.vanish()
-            run.until(lambda event: event.get("what") == "screen lost")
-            run.until(lambda event: is_state(event, "paused") if attended else is_point(event))
-            order(run.folder, "stop")
-            assert run.rest()["exit"] == 4
-        assert judge(run.events) == []
+    words = sets(SMALL) if attended else [*sets(SMALL), "--unattended"]
+    with ThreadedRun(tmp_path, "run", *words) as run:
+        run.until(is_point)
+        left, one, other = (Screen(run.folder) for _ in range(3))
+        assert [each.ask("attend")["screens"] for each in (left, one, other)] == [1, 2, 3]
+        assert left.ask("leave")["screens"] == 2
+        left.vanish()
+        one.vanish()
+        run.until(is_point)
+        while other.ask("status")["screens"] != 1:
+            continue  # its end is still being read
+        assert other.ask("status")["state"] == "running"
+        assert not [event for event in run.events if event.get("what") == "screen lost"]
+        other.vanish()
+        run.until(lambda event: event.get("what") == "screen lost")
+        run.until(lambda event: is_state(event, "paused") if attended else is_point(event))
+        order(run.folder, "stop")
+        assert run.rest()["exit"] == 4
+    assert judge(run.events) == []
 
 
 def test_a_run_that_a_screen_ordered_moves_only_before_its_eyes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with simulation(math.inf, SMALL) as cell:
-        words = sets(SMALL | {"simulation.address": cell.control})
-        with monkeypatch.context() as patched:
-            patched.setattr(worker, "SCREEN_S", 0.0)  # none will come
-            with ThreadedRun(tmp_path, "run", "--screen", "--name", "x", *words) as run:
-                run.until(lambda event: event.get("what") == "screen lost")
-                run.until(lambda event: is_state(event, "paused"))
-                order(run.folder, "stop")
-                assert run.rest()["exit"] == 4
-            assert not [event for event in run.events if event["kind"] in ("intent", "point")]
-        with ThreadedRun(tmp_path, "resume", "x", "--screen") as resumed:
-            resumed.until(lambda event: event.get("what") == "connected")
-            screen = Screen(resumed.folder)
-            screen.ask("attend")
-            resumed.until(is_point)
-            assert not [event for event in resumed.events if is_state(event, "paused")]
-            assert screen.ask("stop")["ok"] is True
-            assert resumed.rest()["exit"] == 4
-            screen.vanish()
+    with monkeypatch.context() as patched:
+        patched.setattr(worker, "SCREEN_S", 0.0)  # none will come
+        with ThreadedRun(tmp_path, "run", "--screen", "--name", "x", *sets(SMALL)) as run:
+            run.until(lambda event: event.get("what") == "screen lost")
+            run.until(lambda event: is_state(event, "paused"))
+            order(run.folder, "stop")
+            assert run.rest()["exit"] == 4
+        assert not [event for event in run.events if event["kind"] in ("intent", "point")]
+    with ThreadedRun(tmp_path, "resume", "x", "--screen") as resumed:
+        resumed.until(lambda event: event.get("what") == "connected")
+        screen = Screen(resumed.folder)
+        screen.ask("attend")
+        resumed.until(is_point)
+        assert not [event for event in resumed.events if is_state(event, "paused")]
+        assert screen.ask("stop")["ok"] is True
+        assert resumed.rest()["exit"] == 4
+        screen.vanish()
 
 
 def test_an_axis_that_loses_its_zero_in_the_grid_ends_the_run(tmp_path: Path) -> None:

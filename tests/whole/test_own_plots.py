@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from hilcell.tui.text.plot_page import Choice, plot_lines
 from hilcell.tui.text.plots import Measured, tabs_of
 from hilcell.tui.text.points import point_page
 from hilcell.tui.text.side import side_lines
-from tests.whole.bench import SMALL, command, sets, simulation
+from tests.whole.bench import SMALL, command, sets
 from tests.whole.golden import GoldenRuns
 
 LOOK = Look()
@@ -24,10 +23,8 @@ LOOK = Look()
 
 def view_of(runs: Path, procedure: str, cell: str, values: dict[str, str]) -> RunView:
     """Return the view of a run that was done in a cell of its own."""
-    with simulation(math.inf, values, name=cell) as machines:
-        words = sets(values | {"simulation.address": machines.control})
-        words += ["--unattended", "--name", "R", "--runs", str(runs)]
-        done = command("run", procedure, "--cell", cell, *words)
+    words = ["--unattended", "--name", "R", "--runs", str(runs), *sets(values)]
+    done = command("run", procedure, "--cell", cell, *words)
     assert done.returncode == 0, done.stderr
     view = RunView("R")
     for record in read_records(runs / "R"):

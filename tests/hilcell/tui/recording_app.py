@@ -17,6 +17,7 @@ from textual.app import App
 from textual.css.model import RuleSet
 from textual.css.stylesheet import Stylesheet
 from textual.events import Key
+from textual.message_pump import MessagePump
 from textual.pilot import Pilot
 from textual.screen import Screen
 from textual.strip import Strip
@@ -165,8 +166,8 @@ def _is_quiet(app: App[int]) -> bool:
     """Whether nobody has work, or a message that is not dealt with."""
     if not app.screen_stack or any(not worker.is_finished for worker in app.workers):
         return False
-    nodes = (app, *app.screen_stack, *app.screen.walk_children())
-    return all(node._message_queue.empty() and not node._next_callbacks for node in nodes)
+    nodes: list[MessagePump] = [app, *app.screen_stack, *app.screen.walk_children()]
+    return not any(node.message_queue_size or node._next_callbacks for node in nodes)
 
 
 async def _round(pilot: Pilot[int]) -> None:
