@@ -203,14 +203,6 @@ def test_an_axis_is_swept_again_where_the_first_sweeps_cannot_be_used(bed: Bed) 
     assert "sweep/A1/down/2" in bed.log().streams
 
 
-def test_an_act_that_is_left_out_says_why_in_plan_and_journal(tmp_path: Path) -> None:
-    cell = load_cell("paper", {"sweeps.enabled": "false"})
-    assert "sweeps.enabled" in AxisSweeps().plan(cell, 1).note
-    bed = Bed(tmp_path, cell=cell)
-    assert bed.run(ACT) == 0
-    assert AxisSweeps().result(bed.log())["sweeps"]["left_out"].startswith("sweeps.enabled")
-
-
 @pytest.mark.parametrize(
     ("streams", "sweeps", "named"),
     [(False, True, "leica-emscon"), (True, False, "kuka-c3"), (True, True, "")],

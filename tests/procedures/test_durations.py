@@ -62,12 +62,6 @@ def test_the_slides_travel_takes_what_its_trapezoid_takes(distance_mm: float, ba
     )
 
 
-def test_a_slide_that_stands_there_travels_no_time() -> None:
-    seen_s = durations.SEEN_S + CELL.rail.standstill_dwell_s
-    assert durations.rail_travel_s(CELL, 0.0) == pytest.approx(seen_s)
-    assert durations.leg(CELL, CELL.station[0], CELL.station[0]) == []
-
-
 def test_a_farther_station_takes_longer_and_the_robot_is_parked_first() -> None:
     near, far = (Station(name=n, rail_mm=mm, strip_mm=mm) for n, mm in (("N", 500.0), ("F", 2e3)))
     here = CELL.station[0]

@@ -162,14 +162,6 @@ def test_a_nest_that_moved_is_left_out_and_named(nest: str) -> None:
     assert off_mm(bench, "S300") < 3 * found["S300"]["tool_uncertainty_mm"]
 
 
-def test_a_nest_that_was_badly_seated_at_the_grids_station_counts_nowhere_else() -> None:
-    bench: Any = Slide()
-    bench.moved_mm["S1100", "P4"] = np.array([0.0, 0.2, 0.1])
-    StationFrames().perform(bench)
-    found = StationFrames().result(bench.log)["stations"]
-    assert [found[name]["left_out"] for name in ("S300", "S1900")] == [["P4"], ["P4"]]
-
-
 def test_too_few_nests_that_agree_refuse_the_station() -> None:
     nests = "[" + ", ".join(
         f'{{ name = "{n.name}", x_mm = {n.x_mm}, y_mm = {n.y_mm}, z_mm = {n.z_mm} }}'

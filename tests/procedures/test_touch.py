@@ -253,24 +253,6 @@ def test_a_resumed_run_measures_only_what_is_missing_of_a_visit() -> None:
     assert len(bench.log.select("touch")) == 8
 
 
-def test_a_retake_at_another_station_ends_the_visit() -> None:
-    """Poses of two stops are never mixed."""
-    bench: Any = Visits()
-    model, point = model_of(bench.log), bench._point
-
-    def asked(id: PointId, xyz_mm: Array, **robot: Any) -> None:
-        point(id, xyz_mm, **robot)
-        if len(bench.log.select("touch")) == 3:
-            bench.waiting = [HERE]
-
-    bench._point = asked
-    touch_base(bench, FAR, model)
-    assert bench.frames.touched(FAR)
-    visit = bench.log.frames["touch.S300"]["visit"]
-    assert visit == bench.log.visit
-    assert sum(each.id.visit == visit for each in bench.log.select("touch")) == 8
-
-
 @pytest.mark.parametrize("turn_rad", [[0.0, 0.0, 1e-4], [0.0, 1e-4, 0.0]], ids=["A1", "A2"])
 def test_a_lost_zero_is_refused(turn_rad: list[float]) -> None:
     """A turn of axis 1 is a slip that is too large; one of axis 2 is no slip."""

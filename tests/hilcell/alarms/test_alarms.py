@@ -9,7 +9,6 @@ from hilcell.alarms import alarms_of
 from hilcell.cell.devices import ConnectFailed
 from hilcell.cell.settings import SettingsError
 from hilcell.errors import DeviceError, DeviceRefused, HilcellError, NoReading
-from hilcell.geometry.closed_form import ReachError
 from hilcell.identification.sweeps import SweptAxis
 from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.log import Log
@@ -25,7 +24,6 @@ from tests.hilcell.alarms.journals import (
     ended,
     event,
     faulted,
-    log_of,
     no_reading,
     point,
     problem,
@@ -172,16 +170,6 @@ def test_a_run_that_asks_for_it_is_a_warning_while_it_asks() -> None:
     assert [a.severity for a in alarms(*asking, state("running"), live=True)] == ["notice"]
 
 
-def test_a_question_that_no_error_raised_is_no_alarm() -> None:
-    asking = (*BEGUN, state("suspended", reason="move the reflector to nest F2"))
-    assert alarms(*asking, live=True) == []
-
-
-def test_unattended_it_is_the_run_s_fault() -> None:
-    *_, alarm = alarms(*BEGUN, NO_READING, CLOSED, faulted(BEAM.of_point("grid/1")))
-    assert (alarm.code, alarm.severity) == ("HC-T10", "fault")
-
-
 def test_what_stopped_an_earlier_session_was_dealt_with() -> None:
     first = (
         *BEGUN,
@@ -270,19 +258,6 @@ def test_a_device_s_hostile_words_stay_words() -> None:
             assert len(text) <= 420
 
 
-@pytest.mark.parametrize(
-    ("error", "code"),
-    [
-        (HilcellError("run x: no engine is running", code="HC-J08"), "HC-J08"),
-        (HilcellError(""), "HC-C99"),
-        (ReachError("1 pose is out of reach"), "HC-C10"),
-    ],
-)
-def test_an_error_of_no_device_has_its_alarm(error: HilcellError, code: str) -> None:
-    (alarm,) = alarms(*BEGUN, faulted(error))
-    assert alarm.code == code
-
-
 @pytest.mark.parametrize("error", [{}, {"code": 7, "causes": None}])
 def test_facts_that_hilcell_has_not_written_are_a_general_alarm(error: dict[str, object]) -> None:
     (alarm,) = alarms(*BEGUN, state("faulted", reason="x", error=error))
@@ -308,9 +283,3 @@ def test_a_calibration_without_a_file_is_reported_with_its_remedy() -> None:
 )
 def test_a_run_that_owes_no_file_has_lost_none(rows: tuple[Row, ...], live: bool) -> None:
     assert NO_FILE not in [alarm.code for alarm in alarms(*rows, live=live, lost=True)]
-
-
-def test_the_key_that_goes_on_is_the_screen_s_own() -> None:
-    log = log_of(*BEGUN, CLOSED, faulted(STALLED))
-    (alarm,) = alarms_of(log, RUN, live=False, go_on="f8")
-    assert "f8" in alarm.do[-1]

@@ -41,14 +41,6 @@ def test_the_highest_severity_and_the_newest_words_are_kept() -> None:
     assert only.alarm == notice
 
 
-def test_the_same_journal_read_again_counts_nothing_twice() -> None:
-    latch = Latch()
-    again = replace(ONE, seq=9)
-    for _ in range(3):
-        latch.take([ONE, again])
-    assert standing(latch) == [("HC-T10", "warning", 2)]
-
-
 def test_acknowledged_is_gone_until_it_comes_again() -> None:
     latch = Latch()
     other = replace(ONE, code="HC-R31", severity="fault", seq=6)
@@ -135,30 +127,6 @@ def test_a_cause_is_not_gone_where_nothing_has_proven_it() -> None:
     assert latch.standing() == []
 
 
-def test_a_cause_that_is_back_is_not_gone() -> None:
-    latch = Latch()
-    watched = replace(ONE, cause="watched")
-    for raised, gone in (([watched], ""), ([], "t2"), ([watched], "")):
-        latch.take(raised, "t2")
-        assert [each.gone for each in latch.standing()] == [gone]
-
-
-def test_what_is_raised_no_more_stays_until_acknowledged() -> None:
-    latch = Latch()
-    fault = replace(ONE, code="HC-R31", severity="fault", seq=6)
-    latch.take([ONE, fault])
-    latch.take([], "t2")
-    assert standing(latch) == [("HC-R31", "fault", 1), ("HC-T10", "warning", 1)]
-
-
-def test_an_alarm_of_one_moment_is_not_raised_twice() -> None:
-    latch = Latch()
-    for raised in ([ONE], [], [ONE]):
-        latch.take(raised, "t2")
-        latch.acknowledge()
-    assert standing(latch) == []
-
-
 def test_an_alarm_of_a_condition_comes_back_with_it() -> None:
     latch = Latch()
     passing = replace(ONE, passes=True, cause="watched")
@@ -218,21 +186,6 @@ def test_a_refused_resume_does_not_count_a_crash_twice() -> None:
     assert ("HC-J05", "fault", 1) in standing(latch)
     (crash,) = [each for each in latch.standing() if each.alarm.code == "HC-J05"]
     assert crash.alarm.seq == 5, "its time is that of the last record before the resume"
-
-
-def test_an_acknowledged_crash_is_over_once_the_run_goes_on() -> None:
-    latch = Latch()
-    latch.take(alarms(*BEGUN))
-    latch.acknowledge()
-    assert standing(latch) == [("HC-J05", "fault", 1)], "nobody watches the cell yet"
-    latch.take(alarms(*BEGUN, *BEGUN, live=True), "t7")
-    assert standing(latch) == []
-
-
-def test_a_crash_of_a_run_that_has_finished_since_is_a_notice() -> None:
-    done = (CLOSED, state("finished"), ended(None, 0, "finished"))
-    crash = alarms(*BEGUN, *BEGUN, *done)
-    assert [(each.code, each.severity, each.seq) for each in crash] == [("HC-J05", "notice", 4)]
 
 
 def test_a_device_that_is_lost_while_the_run_waits_stands_until_it_is_back() -> None:

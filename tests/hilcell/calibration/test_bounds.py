@@ -18,8 +18,7 @@ from hilcell.calibration.bounds import (
 )
 from hilcell.calibration.budget import TEMPERATURE, temperature
 from hilcell.calibration.form import Calibration
-from hilcell.calibration.influence import ASSUMED, MEASURED, MODEL, Influence, NoBound, motion
-from hilcell.compensation.grid import OutsideGrid
+from hilcell.calibration.influence import ASSUMED, MEASURED, MODEL, Influence, motion
 from hilcell.geometry.frames import apply, pose_from_zyx
 from hilcell.geometry.statistics import bounds95_mm
 from hilcell.journal.point_id import PointId
@@ -79,13 +78,6 @@ def test_the_arm_s_growth(range_c: Any, now_c: Any, std_k: float) -> None:
     assert line.covariance[6][6] == pytest.approx((10e-6 * std_k) ** 2 / 3)  # a share of 0 .. 1
 
 
-def test_a_known_temperature_narrows_the_bound() -> None:
-    anywhere, here = (
-        target_bounds(calibration(), "S1100", TARGETS, celsius).radii_mm for celsius in (None, 22.6)
-    )
-    assert (here < 0.99 * anywhere).all()
-
-
 def test_through_the_cube() -> None:
     found = cube_bounds(calibration(), "S1100")
     assert len(found.radii_mm) == 4**3  # two places along each axis of 2 x 2 x 2 cells
@@ -94,22 +86,10 @@ def test_through_the_cube() -> None:
     assert np.trace(model_mm2, axis1=1, axis2=2).min() > 0
 
 
-def test_a_missing_part_is_the_reason() -> None:
-    with pytest.raises(NoBound, match="nothing was visited"):
-        target_bounds(changed(missing="nothing was visited"), "S1100", TARGETS)
-
-
 def test_coverage_counts_errors_inside_their_own_bounds() -> None:
     found = Coverage(np.array([0.1, 0.2, 0.3, np.nan]), np.array([0.1, 0.3, 0.2, 1.0]))
     assert (len(found), found.inside, found.share) == (4, 2, 0.5)
     assert found.figures == {"coverage": 0.5, "mean_mm": pytest.approx(0.4), "max_mm": 1.0}
-
-
-def test_targets_outside_of_the_cube_are_refused() -> None:
-    far = TARGETS[:1].copy()
-    far[0, :3, 3] = LOW_MM - 5000.0
-    with pytest.raises(OutsideGrid):
-        target_bounds(calibration(), "S1100", far)
 
 
 ERRORS_MM = (0.01, 0.5)

@@ -163,12 +163,6 @@ def test_what_the_cell_states(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.diag(across), [turn * 200.0**2] * 2 + [0], atol=1e-12)
 
 
-def test_programs_that_approach_from_below_cost_nothing(log: Log) -> None:
-    line = lines(log)["Approach direction"]
-    assert "from below on every axis" in line.how
-    assert not np.array(line.covariance).any()
-
-
 def test_readings_and_air_of_the_validation(tmp_path: Path) -> None:
     writer = calibrated(tmp_path / "air")
     writer.point(PointId("grid", vertex=(0, 0, 0)), (0, 0, 0), temperature_c=21.0)
@@ -198,17 +192,6 @@ def test_touch_poses_take_in_the_growth_until_then(tmp_path: Path) -> None:
     assert math.sqrt(3 * over_cube.covariance[6][6]) == pytest.approx(23e-6 * 1.0)
     assert later.origin_mm == (0.0, 0.0, 0.0)
     assert math.sqrt(3 * later.covariance[6][6]) == pytest.approx(23e-6 * 0.5)
-
-
-def test_air_that_was_not_measured_is_no_line(tmp_path: Path) -> None:
-    writer = calibrated(tmp_path / "none")
-    writer.air["temperature_c"] = None
-    writer.point(PointId("grid", vertex=(0, 0, 0)), (0, 0, 0))
-    id = PointId("validate", station="S1100", how="chosen", number=0)
-    writer.point(id, (0, 0, 0), "S1100")
-    log = writer.facts().log
-    (readings,) = in_validation(log, HERE, log.select("validate"))
-    assert readings.counts == "in validation"
 
 
 def test_a_touched_base_has_its_own_covariance(tmp_path: Path) -> None:

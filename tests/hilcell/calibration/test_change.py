@@ -7,7 +7,7 @@ import pytest
 
 from hilcell.calibration.change import Differences, changed
 from hilcell.cell.file import load_cell
-from hilcell.geometry.kinematics import Arm, forward
+from hilcell.geometry.kinematics import forward
 from hilcell.ports import Array
 from procedures.plan import poses_at
 from tests.whole.bench import sweep
@@ -102,8 +102,3 @@ def test_wider_scatter_is_found_by_all_differences_together() -> None:
 def test_not_a_number_does_not_hold() -> None:
     nowhere = np.full((COUNT, 3), np.nan)
     assert not changed(measured(0, nowhere), ARM, "x").holds
-
-
-def test_an_arm_of_another_kind_has_its_own_columns() -> None:
-    other: Arm = load_cell("six-r").robot.arm()
-    assert not changed(measured(3, turned(3, 1, 0.2)), other, "x").holds

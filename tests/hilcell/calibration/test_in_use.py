@@ -112,19 +112,6 @@ def test_a_file_alone_must_be_of_the_same_cell_file(tmp_path: Path) -> None:
         with_calibration(using(str(alone)), "recheck", tmp_path)
 
 
-def test_an_old_one_is_no_reason(tmp_path: Path) -> None:
-    made(tmp_path, "1-old", written="2020-01-01T00:00:00Z")
-    with_calibration(using(), "recheck", tmp_path)
-
-
-def test_a_changed_file_is_refused(tmp_path: Path) -> None:
-    made(tmp_path, "1-old")
-    path = tmp_path / "1-old" / CALIBRATION
-    path.write_text(path.read_text().replace('"pitch_mm": 450', '"pitch_mm": 451'))
-    with pytest.raises(SettingsError, match="seal"):
-        with_calibration(using(), "recheck", tmp_path)
-
-
 @pytest.mark.parametrize("verdict", [{"verdict": "valid"}, {"verdict": "redo"}, None])
 def test_a_run_that_wrote_none_says_what_to_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verdict: dict[str, str] | None
@@ -134,3 +121,11 @@ def test_a_run_that_wrote_none_says_what_to_name(
     monkeypatch.setattr(in_use, "read_log", lambda folder: log)
     with pytest.raises(NoCalibration, match=r"r1 .*1-old"):
         written_by(tmp_path / "r1")
+
+
+def test_a_changed_file_is_refused(tmp_path: Path) -> None:
+    made(tmp_path, "1-old")
+    path = tmp_path / "1-old" / CALIBRATION
+    path.write_text(path.read_text().replace('"pitch_mm": 450', '"pitch_mm": 451'))
+    with pytest.raises(SettingsError, match="seal"):
+        with_calibration(using(), "recheck", tmp_path)

@@ -97,12 +97,3 @@ def test_the_circle_of_axis_6_shows_a_radius_that_is_not_stated(fine: Log, sign:
     assert found.size == pytest.approx(2.01)
     assert found.noticed_by == CIRCLE
     assert mount_offset(wide(fine, 1.99 * sign)) is None
-
-
-def test_so_it_does_for_a_coarse_instrument(coarse: Log) -> None:
-    found = mount_offset(wide(coarse, 5.0))
-    assert found is not None
-    assert found.size == pytest.approx(5.0)
-    assert found.noticed_by == CIRCLE
-    assert mount_offset(wide(coarse, 2.01)) is None
-    assert mount_offset(wide(coarse, float("nan"))) is not None

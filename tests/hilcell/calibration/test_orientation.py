@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -19,15 +18,13 @@ from hilcell.calibration.orientation import (
     largest_turn,
     largest_turned,
     moved_on_flange_mm,
-    seats_of,
     turn_bounds_deg,
     turn_coverages,
     turned_of,
 )
 from hilcell.cell.file import load_cell
 from hilcell.compensation.model import Prediction, Turn
-from hilcell.geometry.frames import apply, pose_from_zyx, zyx_from_pose
-from hilcell.geometry.kinematics import forward
+from hilcell.geometry.frames import pose_from_zyx, zyx_from_pose
 from hilcell.geometry.rotations import from_rotvec, from_zyx
 from hilcell.geometry.statistics import bounds95_mm
 from hilcell.journal.journal import Kind, Record
@@ -205,13 +202,6 @@ def test_a_bound_in_the_validation_has_the_readings_in_it(monkeypatch: pytest.Mo
     assert found["mean_deg"] == pytest.approx(np.degrees(wanted_rad.mean()), rel=1e-3)
 
 
-def test_a_pose_whose_reflectors_were_not_all_seen_counts_not() -> None:
-    id = ids("validate", 1)[0]
-    log = logged([(id, ORIENTED)], {"validate": SEATS_MM[:2]})
-    assert len(turned_of(log, log.select("validate"), SEATS_MM)) == 0
-    assert seats_of(log) is None  # and nothing was framed or measured
-
-
 @pytest.mark.parametrize(("shift_mm", "moved"), [(0.0, False), (0.02, False), (0.05, True)])
 def test_a_reflector_that_was_knocked_is_seen(shift_mm: float, moved: bool) -> None:
     knocked_mm = SEATS_MM + np.array([[0.0] * 3, [0.0] * 3, [0.0, -shift_mm, 0.0]])
@@ -231,16 +221,3 @@ def test_a_limit_that_nothing_could_keep_is_refused_before_anything_moves() -> N
     check_turn_limit(wide)
     with pytest.raises(HilcellError, match=r"max_tolerance_deg .*0\.0115 deg"):
         Validate().plan(narrow, 1)
-
-
-def test_no_layout_of_reflectors_tells_the_zero_of_axis_6() -> None:
-    """A wrong zero and reflectors that are mounted further round give the same readings."""
-    arm, rng, zero_rad = CELL.robot.arm(), np.random.default_rng(606), 7e-4
-    flange = replace(arm, tool=np.eye(4))
-    joints_rad = rng.uniform(-1.0, 1.0, (20, 6))
-    wrong_rad = joints_rad + zero_rad * np.eye(6)[5]
-    turn = from_rotvec(arm.sign[5] * zero_rad * np.eye(3)[2])
-    seats_mm = rng.uniform(-200.0, 200.0, (5, 3))
-    right, wrong = (forward(flange, each) for each in (joints_rad, wrong_rad))
-    for one, other in zip(wrong, right, strict=True):
-        np.testing.assert_allclose(apply(one, seats_mm), apply(other, seats_mm @ turn.T), atol=1e-9)

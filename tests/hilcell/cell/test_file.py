@@ -113,14 +113,6 @@ def test_a_station_whose_strip_is_another_s_or_disagrees_with_its_rail(strip_mm:
     assert load_cell("paper", stations(("S1100", 1100.0, 1101.9))).station[0].strip_mm == 1101.9
 
 
-def test_stations_and_sweeps_may_be_stated_downwards() -> None:
-    down = stations(("S1900", 1900.0, 1900.0), ("S1100", 1100.0, 1100.0), ("S300", 300.0, 300.0))
-    down["base_frame.axis_1_sweep_deg"] = "[60.0, -60.0]"
-    cell = load_cell("paper", down)
-    assert [station.name for station in cell.station] == ["S1900", "S1100", "S300"]
-    assert cell.base_frame.axis_1_sweep_deg == (60.0, -60.0)
-
-
 def nests(*rows: tuple[str, float, float, float]) -> str:
     tables = (f'{{name="{n}", x_mm={x}, y_mm={y}, z_mm={z}}}' for n, x, y, z in rows)
     return f"[{', '.join(tables)}]"
@@ -197,11 +189,6 @@ def test_the_digest_leaves_out_what_changes_nothing_that_stands_there(same: dict
     cell = load_cell("paper")
     assert load_cell("paper", same).digest == cell.digest
     assert load_cell("paper", {"rail.speed_mm_s": "251.0"}).digest != cell.digest
-
-
-def test_an_override_may_be_bare_text() -> None:
-    cell = load_cell("paper", {"rail.options.channel": "socket://127.0.0.1:1"})
-    assert cell.rail.options["channel"] == "socket://127.0.0.1:1"
 
 
 CAPSULE = "{{link={}, from_mm=[0.0, 0.0, 0.0], to_mm=[0.0, 0.0, 1.0], radius_mm={}}}"

@@ -59,19 +59,6 @@ def test_not_finite_is_outside(bad: float) -> None:
         GRID.cells([[1500.0, bad, 600.0]])
 
 
-def test_rounding_on_a_face_is_inside() -> None:
-    cell, place = GRID.cells([GRID.far_mm + 1e-9, GRID.origin_mm - 1e-9])
-    np.testing.assert_array_equal(cell, [[2, 2, 2], [0, 0, 0]])
-    assert ((place >= 0) & (place <= 1)).all()
-
-
-@given(st.lists(st.floats(-5000, 5000), min_size=3, max_size=3))
-def test_clamped_is_inside_and_leaves_the_inside_alone(point: list[float]) -> None:
-    inside = GRID.clamped([point])
-    GRID.check_inside(inside)
-    np.testing.assert_array_equal(GRID.clamped(inside), inside)
-
-
 @pytest.mark.parametrize(
     ("origin", "pitch", "shape"),
     [

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
 from hilcell.compensation.choice import chosen
-from hilcell.compensation.grid import Grid, GridError, OutsideGrid
+from hilcell.compensation.grid import Grid, GridError
 from hilcell.compensation.interpolation import Idw, Trilinear
 from hilcell.compensation.model import ModelError
 from hilcell.geometry.kinematics import Array
@@ -46,15 +46,6 @@ def test_vertices_are_exact(model: Kind, seed: int) -> None:
     errors = random_errors(seed)
     found = predicted_mm(model, GRID, errors, GRID.vertices_mm().reshape(-1, 3))
     np.testing.assert_allclose(found, errors.reshape(-1, 3), rtol=0, atol=1e-12)
-
-
-@given(seeds)
-@models
-def test_the_middle_of_a_cell_is_the_mean_of_its_vertices(model: Kind, seed: int) -> None:
-    errors = random_errors(seed)
-    middle = GRID.origin_mm + 300 * np.array([2.5, 0.5, 1.5])
-    mean = errors[2:4, 0:2, 1:3].mean(axis=(0, 1, 2))
-    np.testing.assert_allclose(predicted_mm(model, GRID, errors, [middle])[0], mean, atol=1e-12)
 
 
 @given(seeds)
@@ -110,12 +101,6 @@ def test_trilinear_has_a_linear_field_and_idw_has_not() -> None:
     left = np.abs(predicted_mm(Idw, GRID, errors, targets) - exact)[:, 0] / (0.002 * 300)
     assert left.mean() == pytest.approx(0.154, abs=0.002)
     assert left.max() == pytest.approx(0.365, abs=0.003)
-
-
-@models
-def test_outside_is_refused(model: Kind) -> None:
-    with pytest.raises(OutsideGrid, match="target 1"):
-        predicted_mm(model, GRID, random_errors(0), GRID.far_mm + np.array([[1, 0, 0]]))
 
 
 @models
@@ -191,21 +176,6 @@ def test_covariances_are_symmetric_and_no_variance_is_below_zero(model: Kind, se
     assert np.linalg.eigvalsh(found).min() > 0
 
 
-@given(seeds, st.floats(0.01, 100))
-@models
-def test_the_vertices_covariance_scales_the_propagated_part(
-    model: Kind, seed: int, scale: float
-) -> None:
-    errors, covariances = random_errors(seed), random_covariances(seed)
-    one, other, none = (
-        model(lattice(GRID, errors, factor * covariances), np.eye(3))
-        .predict(level(targets_of(seed)))
-        .covariance_mm2
-        for factor in (1.0, scale, 0.0)
-    )
-    np.testing.assert_allclose(other - none, scale * (one - none), rtol=1e-9, atol=1e-12)
-
-
 @models
 def test_noise_of_the_vertices_scatters_predictions_as_propagated(model: Kind) -> None:
     grid, rng = Grid(np.zeros(3), 300.0, (2, 2, 2)), np.random.default_rng(3)
@@ -235,12 +205,6 @@ def test_the_residual_is_what_vertices_left_out_miss_beyond_their_readings(model
     nothing = model.learn(measured(grid, noise, readings)).residual_mm2
     np.testing.assert_allclose(np.diag(both), np.diag(alone), rtol=0.3, atol=2e-4)
     assert np.trace(nothing) < 0.15 * np.trace(alone)
-
-
-def test_a_linear_field_leaves_no_residual_with_trilinear_only() -> None:
-    linear = measured(GRID, GRID.vertices_mm() * 0.001)
-    assert np.abs(Trilinear.learn(linear).residual_mm2).max() < 1e-20
-    assert np.diag(Idw.learn(linear).residual_mm2).min() > 1e-3
 
 
 @given(seeds)

@@ -46,14 +46,3 @@ def test_less_than_a_reading_may_deviate_never_stands_out() -> None:
     errors_mm[1, 1, 1, 0] += 0.04
     assert found(errors_mm) == [(1, 1, 1)]
     assert found(errors_mm, least_mm=0.05) == []
-
-
-def test_nan_stands_out() -> None:
-    assert len(found(np.full((*SHAPE, 3), np.nan))) == 64
-
-
-def test_two_neighbours_that_stand_out_are_both_found() -> None:
-    errors_mm = field_mm(1, 0.05)
-    errors_mm[1, 1, 1] += (1.0, 0.0, 0.0)
-    errors_mm[1, 1, 2] += (0.6, 0.0, 0.0)
-    assert found(errors_mm) == [(1, 1, 1), (1, 1, 2)]

@@ -123,21 +123,6 @@ def same_point(rng: np.random.Generator) -> np.ndarray:
     return posture(ARM, turned, CELL.robot.status, LIMITS, HOME)
 
 
-def test_every_pair_once() -> None:
-    joints = np.arange(24.0).reshape(4, 6)
-    pairs = similarity_pairs(joints, joints[:, :3], joints[:, 3:])
-    assert len(pairs.joint_rad) == 6
-    np.testing.assert_allclose(pairs.joint_rad / pairs.cartesian_mm, np.sqrt(2))
-    np.testing.assert_allclose(pairs.similarity * pairs.difference_mm, 1.0)
-
-
-def test_bins_hold_their_lower_edge_and_empty_ones_say_so() -> None:
-    bins = binned(np.array([0.0, 1, 2]), np.array([1.0, 3, 5]), [0, 1, 2, 9, 10])
-    np.testing.assert_array_equal(bins.count, [1, 1, 1, 0])
-    np.testing.assert_array_equal(bins.difference_mm, [1, 3, 5, np.nan])
-    np.testing.assert_array_equal(bins.centre, [0.5, 1.5, 5.5, 9.5])
-
-
 @pytest.mark.parametrize("edges", [[1.0], [1.0, 1.0], [2.0, 1.0], [0.0, np.nan]])
 def test_edges_that_do_not_rise_are_refused(edges: list[float]) -> None:
     with pytest.raises(SimilarityError, match="edges"):

@@ -99,20 +99,6 @@ def test_joints_in_a_singular_wrist_are_named() -> None:
         reach().near(poses, start, ["a", "b"])
 
 
-def test_joints_beyond_their_limits_are_named() -> None:
-    start = joints(2)
-    limits = np.array([start.min(axis=0) - 1.0, start.max(axis=0) + 1.0])
-    limits[1, 2] = start[1, 2]
-    poses = reach().poses(start)
-    poses[:, :3, 3] += [1.0, 0.0, -1.0]
-    here = replace(reach(), limits_rad=limits)
-    turned = here.limits_rad[1, 2] < reach().near(poses, start, ["a", "b"])[:, 2]
-    named = [name for name, beyond in zip("ab", turned, strict=True) if beyond]
-    assert named
-    with pytest.raises(TargetError, match=", ".join(named)):
-        here.near(poses, start, ["a", "b"])
-
-
 def test_poses_are_read_and_written(tmp_path: Path) -> None:
     poses = reach().poses(joints(3))
     write_poses(tmp_path / "t.csv", list("abc"), poses, inputs=[])

@@ -59,11 +59,6 @@ def test_a_segment_is_as_near_as_its_nearest_point(seed: int, grid_mm: float) ->
         assert nearest_mm - step_mm / 2 - 1e-9 <= found <= nearest_mm + 1e-9
 
 
-def test_a_segment_that_goes_through_a_box_is_at_no_distance() -> None:
-    through = np.array([[[-50.0, 3.0, 4.0], [50.0, 3.0, 4.0]]])
-    assert segment_to_box_mm(through, np.full((1, 3), 10.0)).tolist() == [0.0]
-
-
 @pytest.mark.parametrize("where", list(np.ndindex(2, 3)))
 def test_an_end_that_is_no_number_has_no_distance(where: tuple[int, int]) -> None:
     ends = np.array([[0.0, 0.0, 50.0], [30.0, 0.0, 50.0]])
@@ -88,12 +83,6 @@ def test_lines_run_from_joint_to_joint(seed: int) -> None:
     np.testing.assert_allclose(chain[2::2], chain[1:-1:2], atol=1e-6)  # without a gap
     for origin in origins[1:]:
         assert np.linalg.norm(chain - origin, axis=1).min() < 1e-6
-
-
-def test_a_link_without_length_is_a_ball() -> None:
-    zeros = np.zeros(6)
-    arm = Arm(zeros, zeros, zeros, zeros, np.ones(6), np.eye(4))
-    assert [len(joint_lines(arm, link)) for link in range(1, 7)] == [1] * 6
 
 
 @given(SEEDS)

@@ -23,10 +23,3 @@ def test_it_is_the_sum_of_its_waves_at_the_shifted_angle() -> None:
     wanted = 30e-6 * np.cos(40 * at) - 10e-6 * np.sin(40 * at) + 20e-6 * np.sin(203.5 * at)
     np.testing.assert_allclose(CURVE.evaluate(q), wanted, atol=1e-18)
     assert CURVE.basis(q.reshape(7, 1)).shape == (7, 1, 4)
-
-
-def test_without_waves_it_is_zero() -> None:
-    none = TransmissionCurve(
-        0, np.zeros(0), np.zeros((0, 2)), np.zeros((0, 0)), 0.0, 1e-3, -1.0, 1.0, 5e-6
-    )
-    np.testing.assert_array_equal(none.evaluate(np.linspace(-1, 1, 5)), np.zeros(5))

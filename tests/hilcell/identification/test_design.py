@@ -60,14 +60,3 @@ def test_it_stops_where_noise_is_all_that_is_left() -> None:
     found = design(CANDIDATES, noisy, PRIOR, bound_mm=0.1, counts=(0, 20))
     assert 0 < len(found.chosen) < 5
     assert found.bounds_mm[-1] <= 1.1 * 2.7955
-
-
-def test_it_takes_no_more_than_there_are() -> None:
-    few = Rows(CANDIDATES.by_parameter[:3], CANDIDATES.noise_mm2[:3])
-    assert sorted(design(few, VOLUME, PRIOR, bound_mm=1e-6, counts=(0, 9)).chosen) == [0, 1, 2]
-
-
-def test_the_least_count_is_measured_though_the_bound_is_reached() -> None:
-    found = design(CANDIDATES, VOLUME, PRIOR, bound_mm=1e3, counts=(3, 3))
-    assert len(found.chosen) == 3
-    assert len(found.bounds_mm) == 4

@@ -17,7 +17,6 @@ from tests.hilcell.identification.axis_streams import (
     ARM,
     Axis,
     Ripple,
-    none,
     periodic,
 )
 
@@ -87,13 +86,6 @@ def test_other_axes_and_other_sizes(axis: int, size_urad: float) -> None:
     rng = np.random.default_rng([axis, int(size_urad)])
     tried = Axis(axis, periodic(rng, size_urad * URAD), seed=axis)
     assert left_urad(tried, swept(tried)) < (4.0 if axis < 4 else 8.0)
-
-
-def test_a_gear_without_lines_has_a_curve_without_lines() -> None:
-    found = swept(Axis(0, none))
-    assert found.curve is not None
-    assert len(found.curve.cycles) == 0
-    assert found.differ_rad == 0.0
 
 
 @pytest.mark.parametrize(
@@ -190,11 +182,6 @@ def test_a_stream_that_cannot_be_used_is_named(name: str) -> None:
     found = swept_axis(SPOILT[name](up), down, ARM, 0)
     assert found.curve is None
     assert found.reason
-
-
-def test_two_sweeps_of_one_direction_are_refused() -> None:
-    up, _ = AXIS_1.streams()
-    assert swept_axis(up, up, ARM, 0).curve is None
 
 
 def test_directions_that_differ_are_refused() -> None:

@@ -8,7 +8,6 @@ import sqlite3
 import subprocess
 import sys
 import tempfile
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,8 +22,7 @@ from hilcell.journal import index
 from hilcell.journal.engine_file import EngineFile
 from hilcell.journal.index import NAME, RunRow, matches, read_index
 from hilcell.journal.journal import Journal
-from hilcell.journal.log import Log
-from hilcell.journal.runs import JOURNAL, find_run, read_log, read_records, run_folders
+from hilcell.journal.runs import JOURNAL, read_log, read_records, run_folders
 from tests.hilcell.report.journals import AFTER_MM, BEFORE_MM, Writer
 
 PLACES = {
@@ -126,17 +124,6 @@ def test_only_what_changed_is_opened(runs: Path, opened: Opened) -> None:
     assert "1-finished" in opened.since()
 
 
-def test_a_run_that_has_just_ended_may_still_change(tmp_path: Path, opened: Opened) -> None:
-    folder = Writer(tmp_path / "young").began().ended()
-    read_index(tmp_path)
-    read_index(tmp_path)
-    assert opened.since() == ["young", "young"]
-    settled(folder)
-    read_index(tmp_path)
-    read_index(tmp_path)
-    assert opened.since() == ["young"]
-
-
 def test_a_resumed_run_is_seen_though_its_file_is_as_it_was(runs: Path) -> None:
     read_index(runs)
     file = runs / "2-faulted" / JOURNAL
@@ -147,12 +134,6 @@ def test_a_resumed_run_is_seen_though_its_file_is_as_it_was(runs: Path) -> None:
     row = {row.name: row for row in read_index(runs)}["2-faulted"]
     assert (row.state, row.exit, row.ended, row.reason) == ("checking", None, "", "")
     journal.close()
-
-
-def test_a_refused_resume_does_not_bring_the_engine_back(tmp_path: Path) -> None:
-    written(tmp_path / "r", "running")
-    (row,) = read_index(tmp_path)
-    assert (row.exit, row.condition) == (0, "running, engine gone")
 
 
 @contextmanager
@@ -174,15 +155,6 @@ def test_a_live_run_is_told(runs: Path, opened: Opened) -> None:
     opened.since()
     assert not any(row.live for row in read_index(runs))
     assert opened.since() == ["3-abandoned"]
-
-
-def test_a_run_at_its_last_breath_is_not_kept(runs: Path, opened: Opened) -> None:
-    """Its end is written, its engine still there."""
-    with engine(runs / "1-finished"):
-        read_index(runs)
-    opened.since()
-    assert not any(row.live for row in read_index(runs))
-    assert opened.since() == ["1-finished", "3-abandoned"]
 
 
 def test_figures_are_of_the_grids_station(tmp_path: Path) -> None:
@@ -366,18 +338,6 @@ def test_several_processes_at_once(tmp_path: Path) -> None:
     base.close()
 
 
-def test_several_threads_at_once(runs: Path) -> None:
-    found: list[int] = []
-    threads = [
-        threading.Thread(target=lambda: found.append(len(read_index(runs)))) for _ in range(4)
-    ]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert found == [3] * 4
-
-
 def test_strange_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     strange = [os.fsdecode(b"not\xfftext"), "[b]bold[b]", "ESC\x1b[2J", "a'b\"c;--", "run\u202e"]
     for number, name in enumerate(strange):
@@ -419,13 +379,6 @@ def test_words_choose_runs() -> None:
     assert [words for words in (*chosen, *others) if matches(ROW, words)] == chosen
 
 
-def test_a_row_without_a_seed_matches_no_seed() -> None:
-    unreadable = RunRow(name="x", begun="", state="unreadable", reason="damaged")
-    assert not matches(unreadable, "seed:1")
-    assert matches(unreadable, "state:unreadable -seed:1 damaged")
-    assert unreadable.condition == "unreadable"
-
-
 def test_the_command_keeps_its_keys(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (runs / "0-damaged").mkdir()
     (runs / "0-damaged" / JOURNAL).write_bytes(b"x" * 5000)
@@ -441,10 +394,3 @@ def test_the_command_keeps_its_keys(runs: Path, capsys: pytest.CaptureFixture[st
     assert listed[2] | wanted == listed[2]
     assert listed[3]["state"] == "running, engine gone"
     assert listed[3]["exit"] is None
-
-
-def test_find_run_takes_the_folder(runs: Path) -> None:
-    """What the index leaves in the folder is no run."""
-    read_index(runs)
-    assert find_run(runs, "1").name == "1-finished"
-    assert Log(read_records(find_run(runs, "2"))).inputs.operator == "Bob"

@@ -61,15 +61,6 @@ def test_what_is_not_finite_is_refused_before_it_is_written(
     assert [record.kind for record in read_journal(path)][5:] == ["event"]
 
 
-def test_events_carry_the_record(path: Path) -> None:
-    event = read_journal(filled(path))[0].event("r")
-    assert event["run"] == "r"
-    assert event["seq"] == 1
-    assert event["kind"] == "point"
-    assert event["key"] == "p/0"
-    assert event["xyz_mm"] == [0.0, 1.0, 2.0]
-
-
 def test_a_listener_hears_only_what_is_durable(path: Path) -> None:
     journal = Journal(path, "r", create=True)
     heard = []
@@ -89,13 +80,6 @@ def test_what_is_acknowledged_is_on_the_disk(path: Path) -> None:
     ]
     journal.close()
     assert settings == ["wal", 2]  # 2: FULL
-
-
-def test_reopened_it_continues_the_chain(path: Path) -> None:
-    journal = Journal(filled(path), "r", create=False)
-    assert journal.append("event", "", {"what": "more"}).seq == 6
-    journal.close()
-    assert len(read_journal(path)) == 6
 
 
 @pytest.mark.parametrize("statement", ["DELETE FROM record", "UPDATE record SET body = '{}'"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from hilcell.journal.journal import Kind, Record
 from hilcell.journal.log import NO_READINGS, Log
-from tests.hilcell.journal.test_packed import POINT, record
 
 
 def test_a_result_is_computed_again_after_the_next_record() -> None:
@@ -33,15 +32,3 @@ def test_a_record_that_is_not_read_leaves_a_result_as_it_is() -> None:
         log.take(Record(seq, "2026-01-01T00:00:00.000Z", kind, "base", {"holds": True}))
         assert log.once(frames, besides=NO_READINGS) == 1
     assert asked == [1, 1]
-
-
-def test_a_point_a_frame_and_an_event_are_read_by_every_result() -> None:
-    log, kinds = Log(), list[Kind](["event", "point", "frame", "event"])
-    bodies = {"point": record(POINT, 1).body, "frame": {"holds": True}, "event": {"what": "said"}}
-    for seq, kind in enumerate(kinds, start=1):
-        log.take(Record(seq, "2026-01-01T00:00:00.000Z", kind, POINT.key, bodies[kind]))
-        assert log.once(_records, besides=NO_READINGS) == seq
-
-
-def _records(log: Log) -> int:
-    return len(log.points) + len(log.frames) + len(log.events)

@@ -4,7 +4,6 @@ import tracemalloc
 
 import msgspec
 import numpy as np
-import pytest
 
 from hilcell.journal.driven import Driven
 from hilcell.journal.journal import Record
@@ -79,12 +78,3 @@ def test_a_motion_takes_its_numbers_only() -> None:
     assert len(driven._ends) == 7 * 1000
     assert driven.has(1100.0, np.zeros(6))
     assert not driven.has(1200.0, np.zeros(6))
-
-
-def test_a_key_that_was_not_set_is_not_there() -> None:
-    log = Log()
-    with pytest.raises(KeyError):
-        log.points["grid/2-1-0"]
-    assert log.points.get("grid/2-1-0") is None
-    assert "grid/2-1-0" not in log.points
-    assert len(log.points) == 0

@@ -60,11 +60,6 @@ def test_a_doubt_goes_on_to_what_is_made_of_it() -> None:
     assert states(made("01"), msgspec.structs.replace(doubted, facts=REVOKED))["01"] == "current"
 
 
-def test_what_was_not_validated_is_superseded() -> None:
-    assert states(made("01", validated=False)) == {"01": "not validated"}
-    assert states(made("01", validated=False), made("02"))["01"] == "superseded by 02"
-
-
 @pytest.mark.parametrize("kind", ["base", "targets"])
 def test_an_update_of_the_current_one_supersedes_it(kind: str) -> None:
     update = row("02", kind=kind, used="01", code=1)
@@ -164,22 +159,10 @@ def simulated(row: RunRow, seed: int | None) -> RunRow:
     return msgspec.structs.replace(row, simulated=True, machine_seed=seed)
 
 
-def test_current_ones_of_several_machines_name_them() -> None:
-    both = [simulated(made("01"), 1), simulated(made("02"), 2)]
-    assert states(*both) == {
-        "01": "current of simulated machine 1", "02": "current of simulated machine 2",
-    }  # fmt: skip
-    assert states(both[0], simulated(made("02"), 1))["02"] == "current"
-
-
 def test_a_run_is_of_the_machine_whose_calibration_it_uses() -> None:
     """A re-check of a cell that is simulated elsewhere does not know the machine's seed."""
     update = simulated(row("02", kind="base", used="01", code=1), None)
     assert states(simulated(made("01"), 1), update) == {"01": "superseded by 02", "02": "current"}
-
-
-def test_one_that_is_undecided_is_not_called_unvalidated() -> None:
-    assert states(made("01", validated=False, undecided=True, code=1)) == {"01": "undecided"}
 
 
 def test_the_run_whose_calibration_is_current() -> None:

@@ -70,12 +70,6 @@ def test_a_stream_is_on_the_disk_before_it_has_its_name(
     assert synced == ["file .part", f"folder {Path(record.file).suffix}"]
 
 
-def test_the_longest_gap_is_told(tmp_path: Path) -> None:
-    with StreamFile(tmp_path, "k") as file:
-        file.take([block(0, 3), block(9, 3)])
-        assert file.finish().longest_gap_s == pytest.approx(0.07)
-
-
 def test_without_an_end_there_is_no_file(tmp_path: Path) -> None:
     with StreamFile(tmp_path, "k") as file:
         file.take([block(0, 3)])
@@ -111,13 +105,6 @@ def test_a_file_that_is_too_short_is_found(tmp_path: Path, size: int) -> None:
     record = written(tmp_path, 30)
     path = tmp_path / FOLDER / record.file
     path.write_bytes(path.read_bytes()[:size])
-    with pytest.raises(StorageError, match=record.file):
-        read_stream(tmp_path, record)
-
-
-def test_a_file_that_is_not_there_is_told(tmp_path: Path) -> None:
-    record = written(tmp_path, 3)
-    (tmp_path / FOLDER / record.file).unlink()
     with pytest.raises(StorageError, match=record.file):
         read_stream(tmp_path, record)
 

@@ -122,11 +122,6 @@ def test_stations_are_visited_along_the_rail_from_where_homing_leaves_the_slide(
     assert along_rail({1: 5.0}) == [1]
 
 
-def test_one_station_in_the_middle_of_its_holes_where_one_does() -> None:
-    (only,) = plan(CELL, wall(2, 30, 500.0)).stations
-    assert only.station.name == "S1100"
-
-
 def test_recorded_stations_come_first_and_free_ones_serve_where_they_do_not() -> None:
     near = wall(4, 20, 300.0)
     assert [each.station for each in plan(CELL, near, free=True).stations] == [CELL.station[1]]
@@ -156,17 +151,6 @@ def test_what_nobody_reaches_is_refused_with_the_reason(
         plan(CELL, holes)
     assert "1 of 2" in str(raised.value)
     assert "H1" not in str(raised.value)
-
-
-def test_joint_limits_are_named_with_values() -> None:
-    joints = [
-        msgspec.structs.replace(j, max_deg=60.0) if n == 2 else j
-        for n, j in enumerate(CELL.robot.joint)
-    ]
-    rest_deg = (0.0, -90.0, 50.0, 0.0, -30.0, 0.0)
-    robot = msgspec.structs.replace(CELL.robot, joint=joints, home_deg=rest_deg, safe_deg=rest_deg)
-    with pytest.raises(UnreachableHoles, match=r"A3 .*58\.00 deg"):
-        plan(msgspec.structs.replace(CELL, robot=robot), holes_at([(0, 0, 1000.0)]))
 
 
 def test_a_hole_out_of_the_trackers_range_is_refused_though_reached() -> None:

@@ -156,18 +156,3 @@ def test_single_rows_that_meet_need_the_stars() -> None:
     assert len(found.order) == 250
     assert 1.0 <= found.travel_mm / found.bound_mm <= 1.05
     assert lower_bound(cdist(points, points), found.order) < found.travel_mm / 1.05
-
-
-def test_the_same_holes_get_the_same_route() -> None:
-    points = np.random.default_rng(7).uniform(-500, 500, (120, 3))
-    np.testing.assert_array_equal(route(points).order, route(points).order)
-
-
-def test_bound_of_a_straight_row_is_its_length() -> None:
-    points = np.arange(30.0)[:, None] * [20.0, 0.0, 0.0]
-    assert lower_bound(cdist(points, points), np.arange(30)) == pytest.approx(580.0, rel=1e-6)
-
-
-def test_holes_at_one_place_need_no_travel() -> None:
-    found = route(np.ones((12, 3)))
-    assert found.travel_mm == found.bound_mm == 0.0

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.cell.file import Cell, KeepOut, Pose, load_cell
+from hilcell.cell.file import Cell, KeepOut, Pose
 from hilcell.geometry.clearance import placed_mm
 from hilcell.journal.journal import Record
 from hilcell.ports import Array, RobotReading
@@ -55,14 +55,6 @@ def with_box(
 
 # A post 1.5 m in front of the robot at S1100: the arm cannot turn past it, but it can draw back.
 POST = with_box(CELL, -350.0, 0.0, 1500.0, (60.0, 60.0, 4000.0))
-
-
-def test_ways_beside_the_volumes_are_clear() -> None:
-    assert clear(CELL, S1100, np.array([LEFT, HOME]), np.array([RIGHT, SAFE])).tolist() == [
-        True,
-        True,
-    ]
-    check_path(CELL, S1100, LEFT, RIGHT, "a way")
 
 
 def test_a_way_through_a_volume_is_refused_with_all_that_matters() -> None:
@@ -187,14 +179,6 @@ def test_a_cell_without_volumes_stays_where_it_was_stated() -> None:
         assert caught.value.code == "HC-B35"
 
 
-def test_poses_beyond_a_limit_are_refused() -> None:
-    beyond = HOME + np.radians([0, 0, 0, 0, 0, 400.0])
-    assert clear_poses(CELL, S1100, np.array([HOME, beyond])).tolist() == [True, False]
-    with pytest.raises(Blocked) as caught:
-        check_poses(CELL, S1100, beyond[None], "a pose")
-    assert caught.value.code == "HC-B33"
-
-
 def test_the_slide_rides_with_a_safe_pose_that_is_clear_everywhere() -> None:
     check_rides(CELL)
     check_rides(bare(CELL))
@@ -303,13 +287,6 @@ def test_a_robot_that_cannot_park_on_a_clear_way_stays(post: Bed) -> None:
     assert post.robot.moves == 0
 
 
-@pytest.mark.parametrize("name", ["paper", "six-r"])
-def test_built_in_cells_have_their_volumes(name: str) -> None:
-    cell = load_cell(name)
-    assert {volume.name for volume in cell.keep_out} == {"floor", "rail bed", "slide", "tracker"}
-    check_rides(cell)
-
-
 @pytest.mark.parametrize(("cell", "code"), [(POST, "HC-B34"), (bare(CELL), "HC-B35")])
 def test_a_sweep_through_a_volume_is_not_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cell: Cell, code: str
@@ -325,3 +302,11 @@ def test_a_sweep_through_a_volume_is_not_made(
 
     assert fault_of(bed, go) == code
     assert bed.robot.moves == (2 if code == "HC-B34" else 0)  # to its start
+
+
+def test_poses_beyond_a_limit_are_refused() -> None:
+    beyond = HOME + np.radians([0, 0, 0, 0, 0, 400.0])
+    assert clear_poses(CELL, S1100, np.array([HOME, beyond])).tolist() == [True, False]
+    with pytest.raises(Blocked) as caught:
+        check_poses(CELL, S1100, beyond[None], "a pose")
+    assert caught.value.code == "HC-B33"

@@ -5,10 +5,9 @@ import signal
 import stat
 import subprocess
 import sys
-import tempfile
 import threading
 from collections.abc import Iterator
-from contextlib import closing, suppress
+from contextlib import closing
 from pathlib import Path
 
 import msgspec
@@ -153,15 +152,6 @@ def test_the_last_screen_that_is_lost_is_told(desk: Recorder, screen: Screen) ->
     until(lambda: desk.told == ["lost"])
 
 
-def test_closing_ends_connections_and_takes_nobody_for_lost_twice(
-    desk: Recorder, control: Control, screen: Screen
-) -> None:
-    screen.ask("attend")
-    control.close()
-    assert screen.lines.readline() == b""
-    until(lambda: desk.told == ["lost"])
-
-
 def test_only_the_owner_may_connect(tmp_path: Path, control: Control) -> None:
     path = Path(
         msgspec.json.decode((tmp_path / "engine.json").read_bytes(), type=EngineFile).socket
@@ -188,15 +178,6 @@ def test_nonsense_is_answered_and_harmless(desk: Recorder, screen: Screen, line:
     assert answer["ok"] is False
     assert screen.ask("stop")["ok"] is True
     assert desk.told == ["stop"]
-
-
-def test_a_line_too_long_is_answered_and_ends_the_connection(
-    desk: Recorder, screen: Screen
-) -> None:
-    assert screen.raw(b"\xff" * 5000)["ok"] is False
-    with suppress(ConnectionResetError):  # what it did not read of the line
-        assert screen.lines.readline() == b""
-    assert desk.told == []
 
 
 def test_a_dead_engine_is_told(tmp_path: Path, control: Control) -> None:
@@ -419,33 +400,3 @@ def test_a_full_disk_is_a_storage_fault_and_leaves_nothing(tmp_path: Path, tempo
     assert threads == "1"
     assert list(folder.iterdir()) == []
     assert list(temporary.iterdir()) == []
-
-
-def test_a_folder_of_temporary_files_that_cannot_be_used_is_named(
-    tmp_path: Path, desk: Recorder, temporary: Path
-) -> None:
-    temporary.rmdir()
-    with pytest.raises(StorageError, match=f"{temporary}"):
-        Control(tmp_path / "r", desk)
-
-
-def test_a_socket_under_a_path_too_long_is_told(
-    tmp_path: Path, desk: Recorder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    deep = tmp_path / ("x" * 120)
-    deep.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(deep))
-    with pytest.raises(StorageError, match="too long"):
-        Control(tmp_path, desk)
-    assert list(deep.iterdir()) == []
-
-
-def test_an_engine_ends_also_where_its_file_stays(tmp_path: Path, control: Control) -> None:
-    """A disk that has become read-only keeps the file; nobody listens behind it."""
-    file = tmp_path / "engine.json"
-    where = msgspec.json.decode(file.read_bytes(), type=EngineFile)
-    file.unlink()
-    file.mkdir()
-    control.close()
-    assert not Path(where.socket).parent.exists()
-    assert live_engine(tmp_path) is None

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hilcell.cell.devices import Devices, streams_of, sweeps_of
+from hilcell.cell.devices import Devices, sweeps_of
 from hilcell.errors import DriverDefect
-from hilcell.ports import DeviceError, DeviceRefused, NoReading, RailReading, TrackerReading
+from hilcell.ports import DeviceError, RailReading, TrackerReading
 from hilcell.run import device_status
 from hilcell.run.device_status import CellMonitor
 from hilcell.run.exits import EXIT_INTERNAL, exit_code
@@ -53,14 +53,6 @@ def test_a_reading_of_the_rail_lights_rail_and_strip(board: Board) -> None:
         assert (device.state, device.text, device.reason) == ("fresh", text, "")
         assert device.age_s == 0.0
     assert board.of("robot").state == "unknown"
-
-
-def test_devices_that_cannot_fly_are_refused_by_name(board: Board) -> None:
-    tracker, robot = streams_of(board.devices.tracker), sweeps_of(board.devices.robot)
-    with pytest.raises(DeviceRefused, match="tracker"):
-        tracker.stream(np.zeros(3), "SMR", 100.0).__enter__()
-    with pytest.raises(DeviceRefused, match="robot"):
-        robot.sweep(0, 1.0, 0.1).__enter__()
 
 
 def test_a_robot_that_sweeps_moves(board: Board) -> None:
@@ -167,17 +159,6 @@ def test_a_device_that_fails_is_lost_until_it_answers(
     assert board.of("robot").state == "fresh"
 
 
-def test_a_measurement_that_fails_leaves_the_tracker_well(board: Board) -> None:
-    def broken() -> None:
-        raise NoReading("HC-T10", "Tracker", "measure", "beam broken")
-
-    board.tracker.answer = broken
-    with pytest.raises(NoReading):
-        board.devices.tracker.measure(np.zeros(3), "SMR", 1)
-    assert board.of("tracker").state == "unknown"
-    assert board.of("tracker").reason == ""
-
-
 def test_refresh_reads_what_grows_old_and_no_oftener(
     board: Board, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -194,13 +175,3 @@ def test_refresh_reads_what_grows_old_and_no_oftener(
         now_s = began_s + passed_s
         board.monitor.refresh()
     assert [each_s - began_s for each_s in reads] == [0.0, 0.5, 1.0, 3.0, 3.5]
-
-
-def test_a_stop_reaches_the_device_itself(board: Board) -> None:
-    board.devices.rail.stop()
-    board.devices.robot.stop()
-    board.devices.tracker.stop()
-    assert board.rail.stopped_s is not None
-    assert board.robot.stopped == 1
-    board.devices.rail.close()
-    assert board.rail.closed == 1

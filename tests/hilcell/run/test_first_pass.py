@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.cell.file import Cell, load_cell
+from hilcell.cell.file import Cell
 from hilcell.ports import Array, RobotReading
 from hilcell.run.cell_session import CellSession
 from procedures.plan import joints_for
@@ -50,13 +50,6 @@ def go(*poses: Array) -> Callable[[CellSession, int], None]:
 
 def run(bed: Bed, *poses: Array) -> None:
     assert bed.run(procedure(Points(1, go(*poses)))) == 0
-
-
-def test_the_cube_is_known(tmp_path: Path) -> None:
-    bed = Watched(tmp_path)
-    run(bed, CUBE)
-    assert set(bed.speeds) == {USUAL}
-    assert bed.events("first pass") == []
 
 
 def test_a_pose_outside_is_driven_to_slowly_once(tmp_path: Path) -> None:
@@ -117,13 +110,6 @@ def test_a_finished_run_s_poses_are_known_to_the_next(
     assert event["run"] == "deleted"
 
 
-def test_a_robot_that_is_slow_anyway_is_not_made_faster(tmp_path: Path) -> None:
-    cell = load_cell("paper", {"robot.speed_percent": "5.0", "settle.robot_s": "0.0"})
-    bed = Watched(tmp_path, cell=cell)
-    run(bed, OUT)
-    assert bed.speeds == [5.0, 5.0]
-
-
 def test_an_attended_run_pauses_before_the_first_of_them(tmp_path: Path) -> None:
     bed = Watched(tmp_path, cell=pausing(CELL), unattended=False)
     with Live(bed, procedure(Points(1, go(CUBE, OUT, HOME)))) as live:
@@ -150,10 +136,3 @@ def test_a_run_that_nobody_attends_goes_on(tmp_path: Path) -> None:
     run(bed, OUT)
     assert bed.speeds == [SLOW, SLOW]
     assert "paused" not in bed.states()
-
-
-def test_a_cell_without_volumes_knows_no_first_pass(tmp_path: Path) -> None:
-    robot = msgspec.structs.replace(CELL.robot, envelope=None)
-    bed = Watched(tmp_path, cell=msgspec.structs.replace(CELL, robot=robot, keep_out=[]))
-    run(bed, OUT)
-    assert bed.speeds == [USUAL, USUAL]

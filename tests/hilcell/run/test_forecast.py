@@ -85,12 +85,6 @@ def test_a_plan_of_a_real_cell_is_believed_before_anything_happened() -> None:
     assert tape.remaining_s == pytest.approx(80.0 + CLOSING_S)
 
 
-def test_a_stated_speed_shortens_the_plan() -> None:
-    tape = Tape()
-    tape.plan([step("home", 0, 30.0), step("grid", 10, 50.0)], 20.0)
-    assert tape.remaining_s == pytest.approx(4.0 + CLOSING_S)
-
-
 def test_nothing_is_predicted_without_a_plan_or_a_pace() -> None:
     tape = Tape()
     assert tape.remaining_s is None
@@ -103,29 +97,6 @@ def test_nothing_is_predicted_without_a_plan_or_a_pace() -> None:
     assert tape.remaining_s is None  # the way to the first is not like the others
     tape.point(0.5)
     assert tape.remaining_s == pytest.approx(8 * 0.5 + CLOSING_S)
-
-
-def test_streams_are_the_measurements_of_sweeps() -> None:
-    tape = Tape()
-    tape.plan([step("axis-sweeps", 0, 80.0, span("sweep", 4, 80.0))], None, real=True)
-    tape.start()
-    tape.step(1)
-    for left_s in (60.0, 40.0):
-        tape.pass_s(20.0)
-        tape.write("event", what="stream")
-        assert tape.remaining_s == pytest.approx(left_s + CLOSING_S)
-
-
-def test_time_since_the_last_point_counts_for_the_next_but_for_no_more() -> None:
-    tape = Tape()
-    tape.plan([step("grid", 10, 50.0)], None, real=True)
-    tape.start()
-    tape.step(1)
-    rests = []
-    for _ in range(4):
-        rests.append(tape.remaining_s)
-        tape.pass_s(2.0)
-    assert rests == pytest.approx([each + CLOSING_S for each in (50.0, 48.0, 46.0, 45.0)])
 
 
 def test_each_kind_learns_its_own_pace() -> None:
@@ -225,20 +196,6 @@ def test_a_pause_counts_for_nothing() -> None:
     assert tape.total_s == pytest.approx(30.0 + CLOSING_S)
 
 
-def test_a_point_that_ends_in_a_pause_teaches_nothing() -> None:
-    tape = Tape()
-    tape.plan([step("grid", 10, 30.0)], None)
-    tape.start()
-    tape.step(1)
-    tape.point(3.0)
-    tape.point(3.0)
-    tape.state("paused")
-    tape.point(3.0)  # it was under way
-    tape.state("running")
-    tape.point(3.0)
-    assert tape.remaining_s == pytest.approx(6 * 3.0 + CLOSING_S)
-
-
 @pytest.mark.parametrize("ends", [["stopping", "aborted"], ["faulted"], []])
 def test_the_time_between_two_sessions_counts_for_nothing(ends: list[str]) -> None:
     tape = Tape()
@@ -263,18 +220,6 @@ def test_the_time_between_two_sessions_counts_for_nothing(ends: list[str]) -> No
         tape.point(3.0)
     assert tape.remaining_s == pytest.approx(CLOSING_S)
     assert tape.forecast.elapsed_s(tape.now) == pytest.approx(40.0)
-
-
-def test_a_finished_run_has_nothing_left() -> None:
-    tape = Tape()
-    tape.plan([step("grid", 10, 30.0)], None, real=True)
-    tape.start()
-    tape.step(1)
-    tape.pass_s(7.0)
-    tape.state("finished")
-    tape.pass_s(100.0)
-    assert tape.remaining_s == 0.0
-    assert tape.total_s == pytest.approx(7.0)
 
 
 seconds = st.floats(0.0, 100.0)

@@ -79,18 +79,6 @@ def test_a_screen_that_never_attends_is_a_lost_one(bed: Bed) -> None:
     assert told == ["screen lost", "screen back"]
 
 
-def test_a_screen_that_dies_before_it_attends_is_waited_for(bed: Bed) -> None:
-    with waiting(bed) as live:
-        screen = Screen(bed.path.parent)
-        screen.ask("status")
-        screen.close()
-        assert live.status("state") == "checking"
-        live.runner.post("lost")  # its terminal has hung up
-        live.until("state", "paused")
-        live.runner.stop()
-    assert bed.log().points == {}
-
-
 def test_a_screen_that_has_left_is_not_waited_for(
     bed: Bed, monkeypatch: pytest.MonkeyPatch
 ) -> None:

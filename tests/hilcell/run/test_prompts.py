@@ -115,39 +115,6 @@ def test_a_reflector_far_off_is_refused_with_its_distance(
         assert live.runner.answer() == ""
 
 
-def test_a_tracker_that_is_lost_at_a_prompt_refuses_and_is_no_fault(bed: Bed) -> None:
-    def gone() -> None:
-        raise DeviceError("HC-R01", "Tracker", "receive", "link lost")
-
-    with Live(bed, procedure(Points(1))) as live:
-        live.until("state", "suspended")
-        bed.tracker.answer = gone
-        assert "link lost" in live.runner.answer()
-        assert live.status("devices")["tracker"]["state"] == "lost"
-        assert live.status("state") == "suspended"
-        live.runner.post("stop")
-    assert live.code == 4
-
-
-def test_proceed_is_proven_as_an_answer_is(bed: Bed) -> None:
-    with Live(bed, procedure(Points(1))) as live:
-        live.until("state", "suspended")
-        live.runner.post("proceed")
-        until(lambda: len(bed.events("answer refused")) == 1)
-        assert live.status("state") == "suspended"
-        bed.tracker.answer = clear
-        live.runner.post("proceed")
-    assert live.code == 0
-
-
-def test_nothing_is_answered_where_nothing_is_asked(bed: Bed) -> None:
-    runner = bed.runner(procedure(Points(1)))
-    assert runner.answer()
-    bed.tracker.answer = clear
-    assert runner.run() == 0
-    bed.journal.close()
-
-
 @pytest.mark.parametrize("command", ["stop", "abort"])
 def test_a_prompt_is_left_by_stop_and_abort(bed: Bed, command: str) -> None:
     with Live(bed, procedure(Points(1))) as live:
@@ -282,3 +249,14 @@ def test_a_device_lost_at_the_answer_is_read_before_it_counts(
         assert "rail" in live.runner.answer()
         monkeypatch.setattr(bed.rail, "read", read)
         assert live.runner.answer() == ""
+
+
+def test_proceed_is_proven_as_an_answer_is(bed: Bed) -> None:
+    with Live(bed, procedure(Points(1))) as live:
+        live.until("state", "suspended")
+        live.runner.post("proceed")
+        until(lambda: len(bed.events("answer refused")) == 1)
+        assert live.status("state") == "suspended"
+        bed.tracker.answer = clear
+        live.runner.post("proceed")
+    assert live.code == 0

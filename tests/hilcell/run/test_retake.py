@@ -170,19 +170,6 @@ def test_a_finished_run_is_opened_again(bed: Bed) -> None:
     assert bed.log().session == 2
 
 
-def test_what_waits_survives_the_engine(bed: Bed) -> None:
-    def die(session: CellSession, number: int) -> None:
-        if number == 1:
-            raise RuntimeError("power cut")
-
-    first = bed.runner(procedure(Flange(2, "validate", die)))
-    assert first.run() == 5
-    assert first.retake("validate/000") == ""
-    bed.journal.close()
-    assert bed.run(procedure(Flange(2, "validate"))) == 0
-    assert keys(bed) == ["validate/000", "validate/000", "validate/001"]
-
-
 def test_one_that_came_too_late_is_refused_and_told(bed: Bed) -> None:
     def act(session: CellSession, number: int) -> None:
         if number == 1:

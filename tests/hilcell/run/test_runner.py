@@ -88,12 +88,6 @@ def test_a_broken_beam_is_tried_again(bed: Bed) -> None:
     assert tries == [1, 2]
 
 
-def test_unattended_a_lasting_break_is_a_fault(bed: Bed) -> None:
-    bed.tracker.answer = broken_beam(3)
-    assert bed.run(procedure(Points(1))) == 3
-    assert "beam broken" in bed.log().fault
-
-
 def test_a_full_disk_stops_safely_with_exit_7(bed: Bed, monkeypatch: pytest.MonkeyPatch) -> None:
     runner = bed.runner(procedure(Points(5)))
     real = bed.journal.append
@@ -112,23 +106,6 @@ def test_a_full_disk_stops_safely_with_exit_7(bed: Bed, monkeypatch: pytest.Monk
     assert bed.rail.closed == 1
     bed.journal.close()
     assert sorted(bed.log().points) == ["p/0", "p/1"]
-
-
-def test_every_part_is_announced(bed: Bed) -> None:
-    seen: list[int] = []
-    both = procedure(
-        Points(1), Points(1, lambda session, number: seen.append(len(session.log.points)))
-    )
-    assert bed.run(both) == 0
-    assert bed.events("step") == [
-        {"what": "step", "name": "points", "number": number, "of": 2} for number in (1, 2)
-    ]
-    kinds = [
-        r.body.get("number", r.key)
-        for r in read_journal(bed.path)
-        if r.body.get("what") == "step" or r.kind == "point"
-    ]
-    assert kinds == [1, "p/0", 2]
 
 
 def test_a_slide_that_cannot_be_left_held_is_reported(

@@ -84,11 +84,6 @@ def test_while_a_run_starts_a_signal_ends_it_and_later_ones_do_not_interrupt_its
     signal.raise_signal(signal.SIGTERM)
 
 
-def test_a_signal_noted_before_the_start_ends_it_too() -> None:
-    with pytest.raises(Stopped, match="SIGINT"), stopped_by_signals([signal.SIGINT]):
-        raise AssertionError("it has started")
-
-
 def interrupted(number: signal.Signals) -> list[str]:
     """Get a signal where Python loses its exception, and another on the way out."""
     steps = []
