@@ -18,12 +18,11 @@ from hilcell.compensation.interpolation import Idw, Trilinear
 from hilcell.geometry.circles import base_frame, fit_circle
 from hilcell.geometry.frames import apply, inverse, rigid_fit
 from hilcell.geometry.kinematics import Array, forward
-from hilcell.ports import HilcellError
 from procedures.base_frame import sweep
 from procedures.plan import joints_for, poses_at
 from tests.hilcell.compensation.models import exact
 
-SEEDS = range(10)
+SEEDS = range(3)
 UP = np.ones(6)
 URAD = 1e-6
 
@@ -55,7 +54,7 @@ def test_ideal_base_is_what_noise_free_circles_find(cell: Cell) -> None:
 
 
 def test_ripple_has_the_wanted_rms() -> None:
-    turn = np.linspace(0.0, 2 * np.pi, 20_000, endpoint=False)
+    turn = np.linspace(0.0, 2 * np.pi, 4_000, endpoint=False)
     sizes = load_machine("paper").transmission
     for seed in SEEDS:
         ripple = Ripple(sizes, np.random.default_rng(seed))
@@ -140,7 +139,7 @@ def test_varying_rms_is_what_a_rigid_fit_leaves(cell: Cell) -> None:
 
 def test_most_of_the_papers_error_is_one_rigid_motion(cell: Cell) -> None:
     shares = []
-    for seed in range(20):
+    for seed in range(5):
         arm = arm_of(cell, seed)
         errors_mm = arm.errors_mm(arm.commands_rad, arm.targets_mm)
         left = varying_rms_mm(arm.targets_mm, errors_mm) ** 2
@@ -153,13 +152,6 @@ def changed(machine: Machine, table: str, **values: object) -> Machine:
     return msgspec.structs.replace(machine, **{table: inner})
 
 
-def test_sizes_that_no_robot_has_are_refused(cell: Cell) -> None:
-    small = changed(load_machine("paper"), "reference", points=2)
-    machine = changed(small, "errors", largest_mm=1.21)
-    with pytest.raises(HilcellError, match=r"none of 100 draws keeps every error below 1.21 mm"):
-        ArmTruth(machine, cell.robot.smr_mm, np.random.default_rng(1))
-
-
 def test_the_reference_cube_is_the_machines_own(cell: Cell) -> None:
     machine = load_machine("paper")
     smaller = changed(machine, "reference", size_mm=(300.0, 300.0, 300.0))
@@ -167,7 +159,7 @@ def test_the_reference_cube_is_the_machines_own(cell: Cell) -> None:
     np.testing.assert_allclose(np.ptp(targets_mm, axis=0), 300.0)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", SEEDS)
 def test_hard_leaves_much_after_the_best_rigid_fit(cell: Cell, seed: int) -> None:
     arm = arm_of(cell, seed, "hard")
     errors_mm = arm.errors_mm(arm.commands_rad, arm.targets_mm)
@@ -187,7 +179,7 @@ def test_a_warmer_arm_is_longer(cell: Cell) -> None:
         )
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", SEEDS)
 def test_six_r_is_another_robot(seed: int) -> None:
     cell = load_cell("six-r")
     arm = arm_of(cell, seed, "six-r")

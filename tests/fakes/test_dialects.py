@@ -180,7 +180,6 @@ def test_a_question_behind_which_a_flow_was_cut_was_never_answered() -> None:
     ("asked", "words"),
     [
         (b"!HALT\r\n", "'!HALT'"),
-        (b"%R1Q,2008,5:1\r\n", "'%R1Q,2008,5:1'"),
         (bytes.fromhex("000b55 01") + b"abcdefg", "'abcdefg'"),
         (bytes.fromhex("0010") + b"ABC" + bytes(range(1, 30)),
          "00 10 41 42 43 01 02 03 04 05 06 07 08 09 0a 0b 0c 0d 0e 0f 10 11 12 13 .. (hex)"),

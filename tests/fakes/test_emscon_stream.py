@@ -232,7 +232,7 @@ def test_what_a_tracker_does_not_stream(cell: Cell) -> None:
     assert struct.unpack_from("<IIII", packet) == (16, 1, MODE, NOT_IMPLEMENTED)
 
 
-@pytest.mark.parametrize("separation_ms", [0, -1, 100_001])
-def test_an_impossible_separation_is_refused(tracker: Streaming, separation_ms: int) -> None:
-    assert tracker.client.ask(PARAMETERS, "4i", separation_ms, 0, 0, 0)[0] == OUT_OF_RANGE
+def test_an_impossible_separation_is_refused(tracker: Streaming) -> None:
+    for separation_ms in (0, -1, 100_001):
+        assert tracker.client.ask(PARAMETERS, "4i", separation_ms, 0, 0, 0)[0] == OUT_OF_RANGE
     assert tracker.client.ask(GET_PARAMETERS) == (OK, struct.pack("<4i", 500, 0, 0, 0))

@@ -19,23 +19,18 @@ def test_strikes_after_and_as_often_as_wanted() -> None:
 
 def test_count_zero_strikes_until_cleared() -> None:
     faults = Faults()
-    faults.set("tracker.noisy", 0.2, count=0)
+    for name in ("tracker.noisy", "rail.eof", "robot.frozen"):
+        faults.set(name, 0.2, count=0)
     assert [faults.number("tracker.noisy") for _ in range(50)] == [0.2] * 50
     faults.clear("tracker.noisy")
     assert faults.number("tracker.noisy") is None
-
-
-def test_clear_without_a_name_clears_all() -> None:
-    faults = Faults()
-    faults.set("tracker.eof")
-    faults.set("rail.eof")
+    assert faults.take("rail.eof") is not None
     faults.clear()
-    assert faults.take("tracker.eof") is None
-    assert faults.take("rail.eof") is None
+    assert not faults.any_armed
 
 
 def test_unknown_name_is_refused_with_the_nearest() -> None:
-    with pytest.raises(SettingsError, match=r'did you mean "rail.heartbeat_loss"'):
+    with pytest.raises(SettingsError, match=r"rail\.heartbeat_loss"):
         Faults().set("rail.heartbeat_los")
 
 
@@ -46,41 +41,28 @@ def test_file_is_read(tmp_path: Path) -> None:
     assert [faults.take("rail.emcy") for _ in range(3)] == [None, 0x8611, None]
 
 
-def test_file_names_all_problems(tmp_path: Path) -> None:
-    file = tmp_path / "faults.toml"
-    file.write_text('[[fault]]\nname = "rail.emci"\n[[fault]]\nname = "tracker.eoff"\n')
-    with pytest.raises(SettingsError) as error:
-        load_faults(str(file))
-    assert len(error.value.problems) == 2
-
-
 @pytest.mark.parametrize(
-    ("name", "value", "wanted"),
+    ("faults", "names"),
     [
-        ("rail.emcy", '"0x8611"', "a number"),
-        ("tracker.noisy", '"much"', "a number"),
-        ("tracker.bad_number", "3.0", "text"),
+        ({"rail.emci": "1", "tracker.eoff": "1"}, ["rail.emci", "tracker.eoff"]),
+        ({"rail.emcy": '"0x8611"'}, ["rail.emcy"]),
+        ({"tracker.bad_number": "3.0"}, ["tracker.bad_number"]),
     ],
 )
-def test_a_value_of_the_wrong_type_is_refused(
-    tmp_path: Path, name: str, value: str, wanted: str
-) -> None:
+def test_file_names_all_problems(tmp_path: Path, faults: dict[str, str], names: list[str]) -> None:
     file = tmp_path / "faults.toml"
-    file.write_text(f'[[fault]]\nname = "{name}"\nvalue = {value}\n')
-    with pytest.raises(SettingsError, match=f"fault '{name}': the value .* is not {wanted}"):
+    file.write_text("".join(f'[[fault]]\nname = "{k}"\nvalue = {v}\n' for k, v in faults.items()))
+    with pytest.raises(SettingsError) as error:
         load_faults(str(file))
+    assert all(name in each for name, each in zip(names, error.value.problems, strict=True))
 
 
 def test_missing_and_broken_files_are_refused(tmp_path: Path) -> None:
     broken = tmp_path / "broken.toml"
     broken.write_text("[[fault]\n")
     for path in (broken, tmp_path / "none.toml"):
-        with pytest.raises(SettingsError, match="cannot be read"):
+        with pytest.raises(SettingsError):
             load_faults(str(path))
-
-
-def test_every_fault_states_its_occasion() -> None:
-    assert all(text.count("|") == 1 for text in KNOWN.values())
 
 
 def test_every_known_fault_is_asked_for_and_no_other() -> None:

@@ -42,9 +42,9 @@ def station(
         channel = str(server.address["channel"])
         wire: Connection
         if line:
-            wire = open_serial(channel, speed=115200, timeout=10)
+            wire = open_serial(channel, speed=115200, timeout=600)
         else:
-            wire = open_socket("127.0.0.1", int(channel.rpartition(":")[2]), "tcp", timeout=10)
+            wire = open_socket("127.0.0.1", int(channel.rpartition(":")[2]), "tcp", timeout=600)
         with contextlib.closing(wire):
             yield GeoCom(wire)
 

@@ -6,15 +6,10 @@ import numpy as np
 import pytest
 
 from fakes.in_process import InProcessCell
-from hilcell.cell.file import Cell, load_cell
+from hilcell.cell.file import Cell
 from hilcell.ports import NoReading, Streams, Sweeps
 
 FAR_MM = np.array([1000.0, 9000.0, 0.0])
-
-
-@pytest.fixture
-def cell() -> Cell:
-    return load_cell("paper")
 
 
 @pytest.fixture
@@ -55,7 +50,7 @@ def test_the_robot_states_its_joints(cell: Cell, simulated: InProcessCell) -> No
 
 
 def test_no_reflector_is_no_reading(simulated: InProcessCell) -> None:
-    with pytest.raises(NoReading, match="no reflector near its expected place"):
+    with pytest.raises(NoReading):
         simulated.tracker.measure(FAR_MM, "SMR 1.5in", 1)
 
 
