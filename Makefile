@@ -10,7 +10,7 @@ COMPILE := uv pip compile pyproject.toml --universal --generate-hashes \
 export PYTHONDONTWRITEBYTECODE =
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: run test together alone nightly mutants torture lint gauges bench bundle lock clean
+.PHONY: run test together alone recordings nightly mutants torture lint gauges bench bundle lock clean
 
 run: $(VENV)/ready  ## calibrate the simulated paper cell and print the table
 	$(BIN)/hilcell run
@@ -24,6 +24,9 @@ together: $(VENV)/compiled  ## tests in event time, in random order on all cores
 
 alone: $(VENV)/compiled  ## tests of real processes and deadlines, one at a time
 	$(BIN)/python -m pytest -m "wall and not nightly"
+
+recordings: $(VENV)/more  ## tests/wires: run each kept recording's run again, keep it in its place
+	$(BIN)/python -m tests.whole.recordings
 
 nightly: lint  ## every test and every long sweep, property tests with fresh seeds
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "" --timeout 1200 --hypothesis-profile nightly

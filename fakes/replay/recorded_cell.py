@@ -21,7 +21,7 @@ from fakes.time import PatientTime
 from hilcell.cell.devices import TABLES, driver_options, stand_ins
 from hilcell.cell.file import Cell
 from hilcell.ports import RecordingEnded, Stopped
-from hilcell.wire.recording import CLOCK, Piece, ended_with, head_of, looks
+from hilcell.wire.recording import CLOCK, Piece, ended_with, looks
 from hilcell.wire.wires import addressed
 
 NO_PORTS: Mapping[str, int] = {}
@@ -49,18 +49,15 @@ class RecordedCell:
         self.address = ""
         self._wires: list[RecordedWire] = []
         self._time, channels = EventTime(), dict[str, dict[str, str]]()
-        clock = pieces.pop(CLOCK, ())
+        clock = pieces.pop(CLOCK)
         self._looks = RecordedLooks(self._time, *looks(clock))
         self._expect_end(paths, clock, pieces)
         tables = {table: getattr(cell, table) for table, _group in TABLES}
         dialects = {table: dialects_of(one.driver, one.options) for table, one in tables.items()}
-        known = head_of(clock) is not None  # else it may have been cut by hand, for a test
         for name, found in pieces.items():
             table, _dot, wire = name.partition(".")
             dialect = dialects[table].get(wire, Dialect())
-            self._wires.append(
-                RecordedWire(found, dialect, self._time, str(paths[name]), may_be_cut=known)
-            )
+            self._wires.append(RecordedWire(found, dialect, self._time, str(paths[name])))
             channels.setdefault(table, {})[wire] = self._wires[-1].channel
         for each in self._wires:
             each.start()
@@ -71,7 +68,7 @@ class RecordedCell:
     ) -> None:
         """Let the replay know where its recording ends, but for one that a fault has ended."""
         ended = ended_with(clock)
-        if head_of(clock) is None or ended == EXIT_FAULT:
+        if ended == EXIT_FAULT:
             return
         for name, found in wires.items():
             self._time.end_at(found[-1].t, f"{paths[name]}:{len(found)}")

@@ -15,11 +15,9 @@ from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert
 from hilcell.wire.recording import (
     CLOCK,
-    COPY_AGAIN,
     SUFFIX,
     Head,
     Piece,
-    drivers_of,
     head_of,
     read_recording,
     recordings,
@@ -60,27 +58,28 @@ def read_run(cell: Cell, session: int = 1) -> tuple[dict[str, Path], dict[str, S
             pieces[name] = read_recording(path)
         except SettingsError as error:
             problems += [f"{path.name}: {problem}" for problem in error.problems]
-        else:
-            problems += _renamed(name, path, pieces[name])
+    if not (problems or CLOCK in pieces):
+        what = f"no {CLOCK}{SUFFIX}, which states the recorded run; use the whole folder"
+        problems = [f"{folder}: {what}"]
     if not problems:
-        clock = pieces.get(CLOCK, ())
-        problems += _headless(folder, pieces)
-        problems += [] if session > 1 else _resumed(folder, clock)
-        problems = problems or _other_name(cell, folder, head_of(clock))
-        problems = problems or _other_drivers(cell, folder, clock)
+        head = head_of(pieces[CLOCK], paths[CLOCK])
+        problems += [found for name in paths for found in _renamed(name, paths[name], pieces[name])]
+        problems += [] if session > 1 else _resumed(folder, head)
+        problems = problems or _other_name(cell, folder, head)
+        problems = problems or _other_drivers(cell, folder, head)
         problems = problems or [f"{folder}: {each}" for each in _missing(cell, set(pieces))]
-        problems = problems or [*_other_settings(cell, folder, head_of(clock))]
+        problems = problems or [*_other_settings(cell, folder, head)]
     if problems:
         raise SettingsError(DATA, problems)
     return paths, pieces
 
 
 def check_run(cell: Cell, procedure: str, seed: int) -> None:
-    """Refuse another procedure or seed than was recorded, where that is known."""
+    """Refuse another procedure or seed than was recorded."""
     folder = folder_of(cell)
-    clock = recordings(folder).get(CLOCK)
-    head = None if clock is None else head_of(read_recording(clock))
-    if head is not None and (head.procedure, head.seed) != (procedure, seed):
+    path = recordings(folder)[CLOCK]
+    head = head_of(read_recording(path), path)
+    if (head.procedure, head.seed) != (procedure, seed):
         recorded, asked = (
             f"{p} --seed {s}" for p, s in ((head.procedure, head.seed), (procedure, seed))
         )
@@ -94,44 +93,26 @@ def folder_of(cell: Cell) -> Path:
 
 
 def _renamed(name: str, path: Path, pieces: Sequence[Piece]) -> list[str]:
-    began = pieces[0].data.decode() if pieces[0].e == "began" else name
+    began = name if name == CLOCK else pieces[0].data.decode()
     return [] if began == name else [f"{path}: it was recorded as {began}{SUFFIX}; rename it back"]
 
 
-def _headless(folder: Path, pieces: Recorded) -> list[str]:
-    """Return that a recording does not state its run, where hilcell has written that.
-
-    One of before has no `began` in its wires.
-    """
-    began = any(found[0].e == "began" for name, found in pieces.items() if name != CLOCK)
-    if not began or head_of(pieces.get(CLOCK, ())) is not None:
-        return []
-    if CLOCK not in pieces:
-        return [
-            f"{folder}: no {CLOCK}{SUFFIX}, which states the recorded run; use the whole folder"
-        ]
-    return [f"{folder}: {CLOCK}{SUFFIX} does not state the recorded run; {COPY_AGAIN}"]
-
-
-def _resumed(folder: Path, clock: Sequence[Piece]) -> list[str]:
+def _resumed(folder: Path, head: Head) -> list[str]:
     """Return why a session that was resumed is no beginning of a run."""
-    head = head_of(clock)
-    if head is None and not _RESUMED.fullmatch(folder.resolve().name):
+    if head.session == 1:
         return []
-    if head is not None and head.session == 1:
-        return []
-    run = "a run" if head is None else f"run {head.run}"
-    what = f"the wires of {run} after it was resumed, and no beginning"
+    what = f"the wires of run {head.run} after it was resumed, and no beginning"
     act = "name the run's own folder, and resume the replay where it ends"
     return [f"{folder}: {what}; {act}"]
 
 
-def _other_drivers(cell: Cell, folder: Path, clock: Sequence[Piece]) -> list[str]:
-    """Return which devices were recorded with another driver than the cell's, where it is known."""
+def _other_drivers(cell: Cell, folder: Path, head: Head) -> list[str]:
+    """Return which devices were recorded with another driver than the cell's."""
+    drivers = {table: head.cell[table]["driver"] for table, _group in TABLES}
     return [
         f"{folder}: the {table} was recorded with driver {driver!r}, here it is "
         f"{getattr(cell, table).driver!r}; add --set {table}.driver={driver}"
-        for table, driver in drivers_of(clock).items()
+        for table, driver in drivers.items()
         if driver != getattr(cell, table).driver
     ]
 
@@ -151,21 +132,16 @@ def _missing(cell: Cell, found: Set[str]) -> Iterator[str]:
                 yield f"no {name}{SUFFIX}; use the whole folder, with the cell of the recorded run"
 
 
-def _other_name(cell: Cell, folder: Path, head: Head | None) -> list[str]:
-    name = cell.name if head is None else head.cell.get("name")
+def _other_name(cell: Cell, folder: Path, head: Head) -> list[str]:
+    name = head.cell["name"]
     if name == cell.name:
         return []
     return [f"{folder}: recorded was cell {name!r}, asked was {cell.name!r}; name that one's file"]
 
 
-def _other_settings(cell: Cell, folder: Path, head: Head | None) -> Iterator[str]:
+def _other_settings(cell: Cell, folder: Path, head: Head) -> Iterator[str]:
     """Return, in words, what was recorded with other settings."""
-    if head is None:
-        return
-    try:
-        recorded = convert(head.cell, Cell, DATA)
-    except SettingsError:  # of a version of hilcell with other keys
-        return
+    recorded = convert(head.cell, Cell, DATA)
     if changed := differences(_common(recorded), _common(cell)):
         act = f"use the cell file and settings of run {head.run}"
         yield f"{folder}: recorded with other settings: {changed}; {act}"

@@ -50,10 +50,8 @@ class RecordedWire:
         dialect: Dialect,
         time: EventTime,
         place: str,
-        *,
-        may_be_cut: bool = False,
     ) -> None:
-        """``place`` names the recording. A connection without an end was cut where it may be."""
+        """``place`` names the recording. A connection without an end was cut."""
         self._place, self._came_s = place, [piece.t for piece in pieces]
         self._recorded = connections(pieces, dialect)
         self._dialect, self._time = dialect, time
@@ -65,13 +63,13 @@ class RecordedWire:
             for each in asked
             if dialect.name(each.asked) in self._landmarks or dialect.is_command(each.asked)
         ]
-        self._cut = [may_be_cut and each for each in cut_connections(pieces)]
+        self._cut = cut_connections(pieces)
         if any(self._cut):
             asked_s = max((each.time_s for each in asked), default=self._came_s[-1])
             time.cut_at(self._came_s[-1] if dialect.flows else asked_s, f"{place}:{len(pieces)}")
         self._unopened = not self._recorded
         if self._unopened:
-            self._recorded, self._cut = [[Exchange(b"")]], [may_be_cut]
+            self._recorded, self._cut = [[Exchange(b"")]], [True]
         time.expect((each.time_s for each in asked), (each.time_s for each in once))
         self._count = itertools.count()
         self._numbers: dict[socket.socket, int] = {}

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from hilcell.journal.journal import StorageError
 from hilcell.ports import Array, JointSample, NoReading, StreamBlock
 
+FORM = 1  # of the file; to be raised whenever its arrays change
 FOLDER = "streams"
 UNFINISHED = ".part"
 ROWS = 512  # rows that are gathered before an array is written
@@ -53,6 +54,7 @@ class StreamRecord(msgspec.Struct, frozen=True, kw_only=True):
     last_device_s: float
     longest_gap_s: float  # between two samples
     set_up: int = 0  # of the tracker
+    form: int
 
 
 @dataclass(frozen=True)
@@ -138,6 +140,7 @@ class StreamFile:
             first_device_s=self._first_s,
             last_device_s=self._last_s,
             longest_gap_s=self._gap_s,
+            form=FORM,
         )
 
     @property
@@ -175,6 +178,12 @@ class StreamFile:
 def read_stream(run_folder: Path, record: StreamRecord) -> StreamData:
     """Return a stream by its journal's record; raises `StorageError` where it is another's."""
     path = run_folder / FOLDER / Path(record.file).name
+    if record.form != FORM:
+        raise StorageError(
+            f"stream {path}: form {record.form}, expected {FORM}; open it with the version that "
+            "wrote it",
+            code="HC-J03",
+        )
     try:
         data = path.read_bytes()
     except OSError as error:

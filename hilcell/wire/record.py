@@ -70,8 +70,6 @@ class WireRecording:
         }
         self._looks = (folder / f"{CLOCK}{SUFFIX}").open("ab")
         self._recorder = Recorder(self._looks, began_s)
-        drivers = {table: getattr(cell, table).driver for table, _group in TABLES}
-        self._recorder.take(0, "drivers", msgspec.json.encode(drivers))
         self._recorder.take(0, "run", msgspec.json.encode(head))
 
     def clock(self, clock: Clock, stop: TimedStop) -> Clock:

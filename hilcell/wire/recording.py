@@ -8,9 +8,9 @@ CRC-32 of all that. ``>`` went to the device, ``<`` came from it; ``open``, ``en
 The first line of a wire is ``began``, with its name; a wire that was never opened has no other.
 
 The cell's clock is recorded like a wire: ``now`` is a look at it, with what it showed. Its first
-lines state the recorded run as JSON: ``drivers`` by table, and ``run``, its `Head`. ``stopped`` is
-when the run was to stop; all later pieces are of its stop. ``over`` is
-the last line, with the run's exit code; a run that was killed has none.
+line is ``run``, the recorded run's `Head` as JSON. ``stopped`` is when the run was to stop; all
+later pieces are of its stop. ``over`` is the last line, with the run's exit code; a run that was
+killed has none.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import struct
 import threading
 import time
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, Literal, Self
@@ -30,14 +30,14 @@ import msgspec
 from hilcell.cell.settings import SettingsError
 from hilcell.ports import Clock, Stopped
 
+FORM = 1  # of all recordings of a run; to be raised whenever one changes
 COPY_AGAIN = "copy it again from the PC that recorded it"
 CLOCK = "clock"  # in the place of a wire's name
 _SHOWN = struct.Struct(">d")
 SUFFIX = ".wire.jsonl"
 PACKED = ".xz"
 Event = Literal[
-    "open", ">", "<", "end", "lost", "refused", "now", "drivers", "began", "run", "stopped",
-    "over",
+    "open", ">", "<", "end", "lost", "refused", "now", "began", "run", "stopped", "over"
 ]  # fmt: skip
 
 
@@ -75,6 +75,11 @@ class Head(msgspec.Struct, frozen=True):
     seed: int
     session: int
     cell: dict[str, Any]
+    form: int = FORM
+
+
+class _Form(msgspec.Struct):
+    form: int | None = None
 
 
 class Recorder:
@@ -159,20 +164,20 @@ def looks(pieces: Iterable[Piece]) -> tuple[list[float], list[float]]:
     return [at_s for at_s, _ in found], [shown_s for _, shown_s in found]
 
 
-def drivers_of(pieces: Iterable[Piece]) -> dict[str, str]:
-    """Return the drivers of a recorded run by table; none where its clock's recording has none."""
-    stated = (piece.data for piece in pieces if piece.e == "drivers")
-    return msgspec.json.decode(next(stated, b"{}"), type=dict[str, str])
-
-
-def head_of(pieces: Iterable[Piece]) -> Head | None:
-    """Return the recorded run; None where its clock's recording does not state it."""
-    stated = next((piece.data for piece in pieces if piece.e == "run"), None)
-    return None if stated is None else msgspec.json.decode(stated, type=Head)
+def head_of(clock: Sequence[Piece], path: Path) -> Head:
+    """Return the recorded run of a clock's recording; raises `SettingsError`."""
+    stated = next((piece.data for piece in clock if piece.e == "run"), b"")
+    if not stated:
+        raise SettingsError(str(path), [f"does not state the recorded run; {COPY_AGAIN}"])
+    form = msgspec.json.decode(stated, type=_Form).form
+    if form != FORM:
+        found = f"form {form or 'none'}, expected {FORM}; record the run again"
+        raise SettingsError(str(path), [found])
+    return msgspec.json.decode(stated, type=Head)
 
 
 def ended_with(pieces: Iterable[Piece]) -> int | None:
-    """Return the exit code of a recorded run; None where its clock's recording has none."""
+    """Return the exit code of a recorded run; None for one that was killed."""
     stated = next((piece.data for piece in pieces if piece.e == "over"), None)
     return None if stated is None else int(stated)
 

@@ -1,9 +1,8 @@
 """A recorded wire is a device: a run repeats from its recording alone.
 
 `tests/wires` keeps a recording of each driver with its simulated device, and what the recorded run
-has journalled. A driver that asks otherwise than before needs new ones:
-
-    HILCELL_RECORDINGS=write pytest tests/whole/test_record_wire.py
+has journalled. A driver that asks otherwise than before, or another form of the files, needs new
+ones: `make recordings`.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ import tty
 from collections.abc import Callable, Iterator
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import pytest
@@ -36,86 +34,25 @@ from hilcell.wire.record import WireRecording
 from hilcell.wire.recording import PACKED, SUFFIX, Head, Piece, Recorder, read_recording, recordings
 from hilcell.wire.relay import SerialRelay, SocketRelay
 from tests.whole.bench import command, sets
+from tests.whole.recordings import (
+    FACTS,
+    KEPT,
+    PAIRS,
+    SMALL,
+    STRIP,
+    curves,
+    facts,
+    joints_deg,
+    places_mm,
+    procedure,
+    record,
+)
 
-SWITCH = "HILCELL_RECORDINGS"
-KEPT = Path(__file__).parent.parent / "wires"
-FACTS = "facts.json"
 RESULT = bytes.fromhex("9c000000 02000000")
-SMALL = {"base_frame.points": "4", "layout.nest_samples": "2"}
-STRIP = '{driver = "serial", channel = "socket://127.0.0.1:1", counts_per_mm = 100.0}'
 HEAD = Head("r1", "home", 1, 1, msgspec.to_builtins(load_cell("paper")))
-SWEPT = "kuka-c3,leica-emscon,canopen-swept"
-PAIRS = {
-    "kuka-c3,leica-emscon,canopen": ["--cell", "paper"],
-    "kuka-c3,leica-emscon,kuka-e1": ["--cell", "paper", *sets({"rail.driver": "kuka-e1"})],
-    "kuka-eki,leica-geocom,kuka-e1": ["--cell", "paper", *sets({
-        "robot.driver": "kuka-eki", "tracker.driver": "leica-geocom", "rail.driver": "kuka-e1",
-    })],
-    "kuka-c3,t2sa,canopen": ["--cell", "paper", *sets({
-        "tracker.driver": "t2sa",
-        "tracker.options.points": str(Path(__file__).parent / "t2sa_points.csv"),
-    })],
-    "ur-rtde,leica-geocom,canopen-strip": [
-        "--cell", "lab", *sets({"rail.options.strip": STRIP})
-    ],
-}  # fmt: skip
-PAIRS[SWEPT] = [*PAIRS["kuka-c3,leica-emscon,canopen"], *sets({"sweeps.axes": "[1]"})]
 PLACE_MM = 0.02  # a busy PC polls more often, and so takes medians of others
 CURVE = 0.1  # cycles, urad and ms
 JOINT_DEG = 0.002  # a robot of Universal Robots dithers, and any of its states may be read
-
-
-def facts(folder: Path) -> dict[str, Any]:
-    """Return what a run has journalled: its devices, and its points by their keys."""
-    log = read_log(folder)
-    (connected,) = (r.body["devices"] for r in log.events if r.body["what"] == "connected")
-    devices = [{k: v for k, v in each.items() if k != "address"} for each in connected]
-    points = {
-        key: {
-            "xyz_mm": point.xyz_mm, "std_mm": point.std_mm, "samples": point.samples,
-            "commanded_deg": point.commanded_deg, "temperature_c": point.temperature_c,
-        }
-        for key, point in log.points.items()
-    }  # fmt: skip
-    found: dict[str, Any] = json.loads(json.dumps({"devices": devices, "points": points}))
-    return found
-
-
-def procedure(pair: str) -> str:
-    """Return what a recorded run has performed."""
-    return "axis-sweeps" if pair == SWEPT else "base-frame"
-
-
-def curves(folder: Path) -> list[float]:
-    """Return the transmission curves: waves, amplitudes in urad and the tracker's lag in ms."""
-    return [
-        figure
-        for curve in read_log(folder).curves.values()
-        for figure in (*curve.cycles, *(1e6 * curve.amplitudes_rad), 1e3 * curve.lag_s)
-    ]
-
-
-def places_mm(folder: Path) -> list[float]:
-    """Return where drive and strip had the slide at all points."""
-    points = read_log(folder).points
-    return [
-        mm for point in points.values() for mm in (point.rail_mm, point.strip_mm) if mm is not None
-    ]
-
-
-def joints_deg(folder: Path) -> list[float]:
-    """Return the joints of all points that the robot had a part in."""
-    points = read_log(folder).points
-    return [deg for point in points.values() for deg in point.joints_deg or ()]
-
-
-def record(pair: str, runs: Path, name: str) -> Path:
-    """Run and record; return the folder of the run."""
-    wanted: list[str | Path] = [*PAIRS[pair]]
-    wanted += [*sets(SMALL), "--unattended", "--record-wire", "--runs", runs, "--name", name]
-    done = command("run", procedure(pair), *wanted)
-    assert done.returncode == 0, done.stderr
-    return runs / name
 
 
 def repeat(pair: str, recording: Path, runs: Path) -> tuple[int, Path]:
@@ -137,8 +74,6 @@ def test_a_run_is_recorded_and_repeats_from_its_recording_alone(tmp_path: Path) 
 
 @pytest.mark.parametrize("pair", PAIRS)
 def test_a_kept_recording_repeats(pair: str, tmp_path: Path) -> None:
-    if os.environ.get(SWITCH) == "write":
-        keep(record(pair, tmp_path, "new"), KEPT / pair)
     code, again = repeat(pair, KEPT / pair, tmp_path)
     assert code == 0, read_log(again).end
     kept = json.loads((KEPT / pair / FACTS).read_bytes())
@@ -146,18 +81,6 @@ def test_a_kept_recording_repeats(pair: str, tmp_path: Path) -> None:
     assert joints_deg(again) == pytest.approx(kept["joints_deg"], abs=JOINT_DEG)
     assert places_mm(again) == pytest.approx(kept["places_mm"], abs=PLACE_MM)
     assert curves(again) == pytest.approx(kept["curves"], abs=CURVE)
-
-
-def keep(run: Path, folder: Path) -> None:
-    """Keep the recording of a run, packed, with its facts."""
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir()
-    for name, path in recordings(run).items():
-        packed = lzma.compress(path.read_bytes(), preset=9 | lzma.PRESET_EXTREME)
-        (folder / f"{name}{SUFFIX}{PACKED}").write_bytes(packed)
-    kept = {"facts": facts(run), "joints_deg": joints_deg(run), "places_mm": places_mm(run)}
-    kept["curves"] = curves(run)
-    (folder / FACTS).write_text(json.dumps(kept, indent=1) + "\n", "utf-8")
 
 
 def test_every_shipped_driver_has_a_kept_recording() -> None:

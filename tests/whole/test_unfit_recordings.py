@@ -15,9 +15,9 @@ import pytest
 
 from hilcell.journal.index import row_of
 from hilcell.journal.runs import read_log
-from hilcell.wire.recording import SUFFIX, Head, Piece, read_recording, recordings
+from hilcell.wire.recording import SUFFIX, Piece, read_recording, recordings
 from tests.whole.bench import command, sets
-from tests.whole.test_record_wire import KEPT, PAIRS, SMALL
+from tests.whole.recordings import KEPT, PAIRS, SMALL
 
 ENDED = "HC-C26"
 RAN = "home"
@@ -110,20 +110,27 @@ def test_a_renamed_file_is_refused_with_its_name(recorded: Path) -> None:
     assert f"{tracker}: it was recorded as robot{SUFFIX}; rename it back" in said
 
 
+def test_a_recording_without_its_clock_is_refused(recorded: Path) -> None:
+    (recorded / f"clock{SUFFIX}").unlink()
+    assert f"no clock{SUFFIX}" in refused(recorded)
+
+
 @pytest.mark.parametrize(
-    ("kept", "found"),
+    ("head", "found"),
     [
-        (0, f"no clock{SUFFIX}, which states the recorded run; use the whole folder"),
-        (1, f"clock{SUFFIX} does not state the recorded run; copy it again"),
+        (None, f"clock{SUFFIX}: does not state the recorded run"),
+        ({"run": "r"}, "form none, expected 1"),
+        ({"run": "r", "form": 99}, "form 99, expected 1"),
     ],
 )
-def test_a_recording_that_states_no_run_is_refused(kept: int, found: str, recorded: Path) -> None:
+def test_a_recording_of_another_form_is_refused(
+    head: dict[str, Any] | None, found: str, recorded: Path
+) -> None:
     path = recorded / f"clock{SUFFIX}"
-    lines = lines_of(path)
-    path.unlink()
-    if kept:
-        path.write_bytes(b"".join(lines[:kept]))
-    assert found in refused(recorded, run="world-frame")
+    first = Piece.of(0.0, 0, "run", msgspec.json.encode(head))
+    lines = [msgspec.json.encode(first) + b"\n"] if head else []
+    path.write_bytes(b"".join([*lines, *lines_of(path)[1:]]))
+    assert found in refused(recorded)
 
 
 def test_a_folder_that_is_not_there_is_no_folder(recorded: Path) -> None:
@@ -215,12 +222,10 @@ def test_a_wire_of_which_only_the_beginning_is_left_ends_the_replay(recorded: Pa
 
 
 def killed(folder: Path) -> Path:
-    """Write a recording as a kill of its engine in a sweep has left it, with a head."""
+    """Write a recording as a kill of its engine in a sweep has left it."""
     folder.mkdir()
     found = {name: list(read_recording(path)) for name, path in recordings(KEPT / KILLED).items()}
     ends_s = found["tracker"][-1].t - 0.5
-    head = Head("r", "axis-sweeps", 1, 1, {"name": "paper"})
-    found["clock"] = [Piece.of(0.0, 0, "run", msgspec.json.encode(head)), *found["clock"]]
     for name, pieces in found.items():
         lines = [msgspec.json.encode(each) + b"\n" for each in pieces if each.t < ends_s]
         (folder / f"{name}{SUFFIX}").write_bytes(b"".join(lines))
@@ -232,7 +237,7 @@ def test_a_sweep_in_which_the_engine_was_killed(tmp_path: Path) -> None:
     done = replayed(killed(tmp_path / "cut"), *PAIRS[KILLED], *sets(SMALL), run="axis-sweeps")
     assert done.returncode == 3
     assert fault(tmp_path / "replays" / "again")["code"] == ENDED
-    assert "the recording ends at " in done.stderr
+    assert f"/cut/tracker{SUFFIX}:" in done.stderr
 
 
 def test_a_resumed_run_replays_by_resuming_its_replay(tmp_path: Path) -> None:

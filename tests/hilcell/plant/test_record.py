@@ -122,7 +122,7 @@ def test_a_stream_is_kept_by_its_digest(records: list[Record]) -> None:
     stream = {
         "key": "sweep/A1/up", "file": "sweep-A1-up-00.stream", "sha256": "ab" * 32,
         "samples": 977, "joint_samples": 183, "first_device_s": 0.0, "last_device_s": 9.0,
-        "longest_gap_s": 0.1,
+        "longest_gap_s": 0.1, "form": 1,
     }  # fmt: skip
     at = len(records) - 5
     event = msgspec.structs.replace(

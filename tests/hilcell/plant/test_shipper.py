@@ -288,7 +288,7 @@ BIG = {"holds": True, "mean_mm": 10**400}
 STREAM = {
     "what": "stream", "key": "../../x", "file": "../../../etc/passwd", "sha256": "0" * 900,
     "samples": 2**40, "joint_samples": 1, "first_device_s": 0.0, "last_device_s": 1.0,
-    "longest_gap_s": 0.0,
+    "longest_gap_s": 0.0, "form": 1,
 }  # fmt: skip
 
 
