@@ -98,6 +98,7 @@ def test_the_report_column_shows_its_header_and_value(
     made = eval(BLOCKS["hilcell/report/tables.py, in STATIONS"], {"Column": Column})
     monkeypatch.setattr(tables, "STATIONS", (*tables.STATIONS, *made))
     run = validated_run(tmp_path / "r")
-    run.frame("station.S1100", strip_mm=1100.01, rms_mm=0.02, tool_uncertainty_mm=0.03)
+    run.frame("station.S1100", strip_mm=1100.01, rms_mm=0.02, tool_uncertainty_mm=0.03,
+              cube_uncertainty_mm=0.04)  # fmt: skip
     (row,) = Page(report_html(run.facts())).table("Stations")
     assert row["strip off mm"] == "+0.010"

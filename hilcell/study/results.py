@@ -254,12 +254,7 @@ def _read(path: Path, study: Study, wanted: pa.Schema) -> pa.Table:
 
 def _check_study(path: Path, found: Mapping[bytes, bytes], wanted: Mapping[bytes, bytes]) -> None:
     """Raise `OtherStudy` for rows that answer another question, whatever their columns."""
-    if OF_STUDY not in found:
-        raise OtherStudy(
-            f"{path} does not say of which study its rows are: an earlier hilcell wrote it, or "
-            "another program; measure the study in another folder"
-        )
-    if found[OF_STUDY] != wanted[OF_STUDY]:
+    if found.get(OF_STUDY) != wanted[OF_STUDY]:
         raise OtherStudy(
             f"{path} has rows of another study than {path.parent.with_name(ASKED)}; move it away"
         )
