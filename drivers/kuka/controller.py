@@ -11,6 +11,7 @@ from hilcell.ports import Array, DeviceError
 
 DEVICE = "Robot"
 PROGRESS = "$AXIS_ACT"
+PROGRAM_VERSION = 4  # of hilcell.src
 
 
 class Access(Protocol):
@@ -49,8 +50,8 @@ class Controller(Access, Protocol):
         """Return where the controller is."""
 
     @property
-    def versions(self) -> Mapping[str, tuple[int, int]]:
-        """Return what must be installed: the lowest and the highest number of each."""
+    def versions(self) -> Mapping[str, int]:
+        """Return what must be installed: the number of each."""
 
     @property
     def rounds(self) -> Sequence[tuple[str, ...]]:
@@ -63,11 +64,8 @@ class Controller(Access, Protocol):
     def text(self, name: str) -> str:
         """Return a text, cleaned."""
 
-    def start(self, number: int, target_deg: Array, speed_percent: int, version: int) -> None:
-        """Hand a motion to joints (6,) over to a program of this version.
-
-        The place of a slide in mm that is held may stand behind them (7,).
-        """
+    def start(self, number: int, target_deg: Array, speed_percent: int) -> None:
+        """Hand a motion to joints (6,) over; a held slide's place (mm) may follow (7,)."""
 
     def sign(self) -> None:
         """Give the program a sign of life, if one is due."""
@@ -94,7 +92,7 @@ class SlidingController(Controller, Protocol):
     def mastered(self) -> bool:
         """Whether E1 is; True where the controller does not tell, for then it refuses itself."""
 
-    def start_slide(self, number: int, place_mm: float, speed_percent: int, version: int) -> None:
+    def start_slide(self, number: int, place_mm: float, speed_percent: int) -> None:
         """Hand a motion of E1 alone over."""
 
     def hold_slide(self, held: bool) -> None:

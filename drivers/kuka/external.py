@@ -12,7 +12,6 @@ from dataclasses import replace
 
 from drivers.kuka.controller import PROGRESS, SlidingController
 from drivers.kuka.health import SLIDE
-from drivers.kuka.life import SLIDING_VERSION
 from drivers.kuka.robot import POLL_S, STALL_S, KukaOptions, KukaRobot
 from drivers.motion_limits import MotionLimits
 from hilcell.ports import AxisReading, Clock, DeviceError, DeviceRefused, Identity
@@ -64,7 +63,6 @@ class SlidingKukaRobot(KukaRobot):
                 "the controller has no external axis: $EX_AX_NUM is 0",
                 "is this the robot on the rail? correct rail.driver or robot.options",
             )
-        self.need(SLIDING_VERSION, "connect")
         if not self.slides().mastered():
             raise _refused("HC-R51", "$AXIS_JUS[7] is FALSE", "master E1 at the panel, then resume")
         of = self._identity
@@ -87,8 +85,7 @@ class SlidingKukaRobot(KukaRobot):
         self._free, self._seen = True, None
         try:
             controller.hold_slide(held=False)
-            version = SLIDING_VERSION
-            number = self.begin(lambda n: controller.start_slide(n, position_mm, percent, version))
+            number = self.begin(lambda n: controller.start_slide(n, position_mm, percent))
             self.slide_mm = position_mm
             while not self.acknowledged(number):
                 self.check_round(next(self._round), limits, number)
@@ -142,8 +139,7 @@ class SlidingKukaRobot(KukaRobot):
         controller = self.slides()
         if not controller.has_slide():
             return
-        if self._version >= SLIDING_VERSION:
-            self.hold_axis()
+        self.hold_axis()
         (self.slide_mm,) = controller.numbers(PROGRESS, (SLIDE,))
 
 

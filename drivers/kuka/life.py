@@ -7,13 +7,12 @@ only from the thread that watches the motion: an engine that hangs gives none.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 
 from drivers.kuka.c3 import C3Connection
 
-LIVING_VERSION = 3  # of the program, since which it wants a sign
-SLIDING_VERSION = 4  # since which it moves external axis E1
 LIFE_S = 1.5  # longer than the PC may be late itself (`Supervision`), so that it reports that first
 EVERY_S = 0.2
 TIMER, LIMIT = "$TIMER[10]", "HC_LIFE"
@@ -21,27 +20,18 @@ LOST = 8  # HC_ERR
 
 
 class LifeSign:
-    """Signs of life to one controller's program; none to a program that wants none."""
+    """Signs of life to one controller's program, from its first motion on."""
 
     def __init__(self) -> None:
-        self._wanted = False
-        self._due_s = 0.0
+        self._due_s = math.inf
 
-    def begin(self, write: Callable[[str, str], None], version: int) -> None:
+    def begin(self, write: Callable[[str, str], None]) -> None:
         """A motion is about to begin: tell the program how long the PC may keep silent."""
-        self._wanted = version >= LIVING_VERSION
-        if self._wanted:
-            write(LIMIT, str(round(LIFE_S * 1000)))
-            self._due_s = time.monotonic() + EVERY_S
+        write(LIMIT, str(round(LIFE_S * 1000)))
+        self._due_s = time.monotonic() + EVERY_S
 
     def give(self, line: C3Connection) -> None:
         """Give a sign, if one is due."""
-        if self._wanted and time.monotonic() >= self._due_s:
+        if time.monotonic() >= self._due_s:
             self._due_s = time.monotonic() + EVERY_S
             line.write(TIMER, str(round(-LIFE_S * 1000)))
-
-
-def program_text(version: int) -> str:
-    """Return the program's version in words."""
-    without = "" if version >= LIVING_VERSION else ", goes on when the PC dies"
-    return f"hilcell.src {version}{without}"

@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from drivers.kuka.controller import DEVICE, PROGRESS, Controller, integer
+from drivers.kuka.controller import DEVICE, PROGRAM_VERSION, PROGRESS, Controller, integer
 from drivers.kuka.health import (
     AXES,
     FRAME,
@@ -29,7 +29,6 @@ from drivers.kuka.health import (
     refused_motion,
     unwell,
 )
-from drivers.kuka.life import program_text
 from drivers.kuka.sweep import KukaSweep, give_back_left_behind
 from drivers.motion_limits import MotionLimits, planned_s
 from drivers.on_failure import on_failure
@@ -41,14 +40,12 @@ from hilcell.ports import (
     Array,
     Clock,
     DeviceError,
-    DeviceRefused,
     Identity,
     RobotReading,
     says_simulated,
 )
 from hilcell.wire.channel import Host
 
-PROGRAM_VERSION, SWEEPING_VERSION = 1, 2
 MAX_SEQUENCE = 1_000_000_000
 POLL_S = 0.03
 POLL_LOOK_S = 0.5  # one poll counts for this long, at most
@@ -87,7 +84,7 @@ class KukaRobot:
         self._controller: Controller | None = None
         self._watch = Supervision(DEVICE, "HC-B27", clock)
         self._speed_deg_s = np.array([joint.speed_deg_s for joint in options.joint])
-        self._override, self._version = 100, PROGRAM_VERSION
+        self._override = 100
         self._rest_deg = np.zeros(6)
         self.slide_mm: float | None = None  # where a slide is held that is an axis of this robot
         self._sequence = 0
@@ -109,7 +106,7 @@ class KukaRobot:
             self._check_frame("$TOOL", (*self._options.smr_mm, 0.0, 0.0, 0.0))
             self._check_frame("$BASE", (0.0,) * 6)
             self._take_back_stop()
-        return [replace(identity, firmware=program_text(self._version))]
+        return [replace(identity, firmware=f"hilcell.src {PROGRAM_VERSION}")]
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
         """Move all axes (PTP); return the reading at rest, after motion ended."""
@@ -155,7 +152,6 @@ class KukaRobot:
 
     def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> KukaSweep:
         """Return a motion of one axis (0 to 5) alone, at the next speed below ``speed_rad_s``."""
-        self.need(SWEEPING_VERSION, "sweep")
         self.wire().check()
         end_deg, speed_deg_s = float(np.degrees(end_rad)), float(np.degrees(speed_rad_s))
         return KukaSweep(self, self._clock, axis, end_deg, speed_deg_s, self._speed_deg_s)
@@ -215,15 +211,14 @@ class KukaRobot:
         number = self.integer(name)
         if name == "$OV_PRO":
             self._override = number
-        elif name == "HC_VER":
-            self._version = number
         tool, base = self._options.tool, self._options.base
         install = "install the program that belongs to this hilcell, see docs/hardware.md"
         code, low, high, act = {
+            **{name: ("HC-B17", n, n, install) for name, n in self.wire().versions.items()},
             "$OV_PRO": ("HC-B16", 1, 100, "raise the programme override"),
             "$ACT_TOOL": ("HC-B07", tool, tool, "restart the program hilcell"),
             "$ACT_BASE": ("HC-B07", base, base, "restart the program hilcell"),
-        }.get(name) or ("HC-B17", *self.wire().versions[name], install)
+        }[name]
         if low <= number <= high:
             return None
         wanted = str(low) if low == high else f"{low} to {high}"
@@ -246,8 +241,7 @@ class KukaRobot:
         """The reset edge: only a new connection takes a stop back, and nothing moves by it."""
         controller = self.wire()
         controller.look()
-        if self._version >= SWEEPING_VERSION:
-            give_back_left_behind(controller)
+        give_back_left_behind(controller)
         controller.release()
         patience = Patience(CATCH_UP_S, POLL_LOOK_S)
         self._sequence = self.integer("HC_SEQ")
@@ -274,7 +268,7 @@ class KukaRobot:
     def command(self, target_deg: Array, speed_percent: int) -> int:
         """Start a motion to joints (6,); return its number."""
         target = self._whole(target_deg)
-        return self.begin(lambda n: self.wire().start(n, target, speed_percent, self._version))
+        return self.begin(lambda n: self.wire().start(n, target, speed_percent))
 
     def begin(self, start: Callable[[int], None]) -> int:
         """Start a motion by its number; return that."""
@@ -378,18 +372,6 @@ class KukaRobot:
     def integer(self, name: str) -> int:
         """Return a whole number that the controller has."""
         return integer(self.wire(), name)
-
-    def need(self, version: int, operation: str) -> None:
-        """Refuse a program that is older than ``version``."""
-        if self._version < version:
-            raise DeviceRefused(
-                "HC-B17",
-                DEVICE,
-                operation,
-                f"HC_VER is {self._version}",
-                wanted=f"{version}",
-                act="install drivers/kuka/krl/hilcell.src and hilcell.dat",
-            )
 
     def _check_stopped(self) -> None:
         if self._stopped:

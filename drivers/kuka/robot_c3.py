@@ -8,10 +8,17 @@ from functools import partial
 
 from drivers.kuka import krl
 from drivers.kuka.c3 import C3Connection
-from drivers.kuka.controller import DEVICE, PROGRESS, integer, override_held, unreadable
+from drivers.kuka.controller import (
+    DEVICE,
+    PROGRAM_VERSION,
+    PROGRESS,
+    integer,
+    override_held,
+    unreadable,
+)
 from drivers.kuka.external import SlidingKukaRobot
 from drivers.kuka.health import AXES, SLIDE
-from drivers.kuka.life import SLIDING_VERSION, LifeSign
+from drivers.kuka.life import LifeSign
 from drivers.kuka.robot import KukaOptions
 from drivers.on_failure import on_failure
 from drivers.wires.keep_alive import KeepAlive
@@ -100,7 +107,7 @@ class C3Controller(C3Access):
     def __init__(self, options: KukaC3Robot.Options, robot: SlidingKukaRobot) -> None:
         self._open = partial(C3Connection, DEVICE, options.host, options.port)
         self.address = f"{options.host}:{options.port}"
-        self.versions = {"HC_VER": (1, SLIDING_VERSION)}
+        self.versions = {"HC_VER": PROGRAM_VERSION}
         super().__init__(self._open(robot.attend))
         with on_failure(self._line.close):
             # The stop must get through while the run is already stopping.
@@ -118,16 +125,16 @@ class C3Controller(C3Access):
         """Return a CHAR array; some servers leave the quotes out, or pad it."""
         return clean(self._line.read(name).strip("\0 \t\r\n").strip('"').strip())
 
-    def start(self, number: int, target_deg: Array, speed_percent: int, version: int) -> None:
+    def start(self, number: int, target_deg: Array, speed_percent: int) -> None:
         """Write the target, and the number last."""
         axes = dict(zip((*AXES, SLIDE), target_deg.tolist(), strict=False))
-        self._start(number, axes, PTP_JOINTS, speed_percent, version)
+        self._start(number, axes, PTP_JOINTS, speed_percent)
 
-    def start_slide(self, number: int, place_mm: float, speed_percent: int, version: int) -> None:
+    def start_slide(self, number: int, place_mm: float, speed_percent: int) -> None:
         """Write the target of E1, and the number last; the program looks at no other axis of it."""
         joints_deg = self.numbers(PROGRESS, AXES)
         axes = dict(zip((*AXES, SLIDE), [*joints_deg, place_mm], strict=True))
-        self._start(number, axes, PTP_SLIDE, speed_percent, version)
+        self._start(number, axes, PTP_SLIDE, speed_percent)
 
     def has_slide(self) -> bool:
         """Whether the controller counts an external axis."""
@@ -148,13 +155,11 @@ class C3Controller(C3Access):
             raise unreadable(PLACE, f"{place_mm!r} is no place")
         return float(place_mm), self.value(HELD) is True
 
-    def _start(
-        self, number: int, axes: dict[str, float], command: int, speed_percent: int, version: int
-    ) -> None:
+    def _start(self, number: int, axes: dict[str, float], command: int, speed_percent: int) -> None:
         self._line.write("HC_TGT", krl.structure("E6AXIS", axes))
         self._write_once("HC_VEL", str(speed_percent))
         self._write_once("HC_CMD", str(command))
-        self._life.begin(self._write_once, version)
+        self._life.begin(self._write_once)
         self._line.write("HC_SEQ", str(number))
 
     def sign(self) -> None:

@@ -14,11 +14,18 @@ from contextlib import contextmanager
 from functools import partial
 
 from drivers.kuka import eki, krl
-from drivers.kuka.controller import DEVICE, PROGRESS, integer, override_held, unreadable
+from drivers.kuka.controller import (
+    DEVICE,
+    PROGRAM_VERSION,
+    PROGRESS,
+    integer,
+    override_held,
+    unreadable,
+)
 from drivers.kuka.eki_wire import EkiChannel, open_channel
 from drivers.kuka.external import SlidingKukaRobot
 from drivers.kuka.health import HEALTH
-from drivers.kuka.life import LIFE_S, SLIDING_VERSION
+from drivers.kuka.life import LIFE_S
 from drivers.kuka.robot import KukaOptions
 from drivers.on_failure import on_failure
 from drivers.wires.keep_alive import KeepAlive
@@ -39,10 +46,7 @@ class EkiController:
 
     def __init__(self, options: KukaEkiRobot.Options, robot: SlidingKukaRobot) -> None:
         self.address = f"{options.host}:{options.port}"
-        self.versions = {
-            "HC_VER": (SLIDING_VERSION, SLIDING_VERSION),
-            "HE_VER": (DOCUMENTS_VERSION, DOCUMENTS_VERSION),
-        }
+        self.versions = {"HC_VER": PROGRAM_VERSION, "HE_VER": DOCUMENTS_VERSION}
         opened = partial(open_channel, DEVICE, options.host)
         # Answers to an earlier session must not pass for answers to this one.
         self._number = -1 - secrets.randbelow(LARGEST_ID)
@@ -80,12 +84,12 @@ class EkiController:
         except eki.EkiError as error:
             raise unreadable(name, error) from error
 
-    def start(self, number: int, target_deg: Array, speed_percent: int, version: int) -> None:
+    def start(self, number: int, target_deg: Array, speed_percent: int) -> None:
         """Send a motion; the Id of its document is its number."""
         axes, e1 = target_deg[:6].tolist(), float(sum(target_deg[6:]))
         self._start(number, eki.MOVE, speed_percent, axes=axes, e1=e1)
 
-    def start_slide(self, number: int, place_mm: float, speed_percent: int, version: int) -> None:
+    def start_slide(self, number: int, place_mm: float, speed_percent: int) -> None:
         """Send a motion of E1 alone."""
         self._start(number, eki.MOVE_SLIDE, speed_percent, e1=place_mm)
 

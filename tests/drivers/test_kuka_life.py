@@ -46,18 +46,6 @@ def test_signs_cost_five_exchanges_a_second() -> None:
     assert kuka_life.LIFE_S > LATE_S + kuka_life.EVERY_S
 
 
-@pytest.mark.parametrize("version", ["1", "2"])
-def test_an_older_program_works_and_is_said_to_have_no_watchdog(version: str) -> None:
-    with KukaPeer(HC_VER=version) as peer:
-        del peer.variables["HC_LIFE"]
-        robot = robot_for(peer)
-        (identity,) = robot.connect()
-        assert identity.firmware == f"hilcell.src {version}, goes on when the PC dies"
-        robot.move_to(TARGET_RAD, 30.0)
-        assert not [name for name in peer.requests if "TIMER" in name or "HC_LIFE" in name]
-        robot.close()
-
-
 def test_a_robot_that_has_braked_by_itself_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kuka_robot, "STALL_S", 0.2)
     with KukaPeer() as peer:

@@ -14,7 +14,7 @@ from drivers.kuka import sweep as kuka_sweep
 from drivers.kuka.robot_c3 import KukaC3Robot
 from drivers.kuka.sweep import split_speed
 from hilcell.clock import WallClock
-from hilcell.ports import DeviceError, DeviceRefused, JointSample, NoReading, Stopped, Sweep, Sweeps
+from hilcell.ports import DeviceError, JointSample, NoReading, Stopped, Sweep, Sweeps
 from tests.drivers.kuka_peer import KukaPeer
 from tests.drivers.peers import wall_clock
 from tests.drivers.test_robot_kuka_c3 import JOINTS, robot_for
@@ -234,17 +234,6 @@ def test_connect_keeps_an_override_that_was_changed_since(peer: KukaPeer) -> Non
     robot.close()
 
 
-def test_an_old_program_does_not_sweep_but_moves(peer: KukaPeer) -> None:
-    peer.variables["HC_VER"] = "1"
-    del peer.variables["HC_OV_OLD"], peer.variables["HC_OV_SET"]
-    robot = robot_for(peer)
-    robot.connect()
-    with pytest.raises(DeviceRefused, match="HC_VER is 1, wanted 2"):
-        robot.sweep(0, END_RAD, SLOW_RAD_S)
-    assert robot.move_to(np.zeros(6), 30.0).still
-    robot.close()
-
-
 @pytest.mark.parametrize(
     ("axis", "end_rad", "speed_deg_s"),
     [(6, 0.0, 1.0), (-1, 0.0, 1.0), (0, np.nan, 1.0), (0, 0.0, 0.0), (0, 0.0, 101.0),
@@ -269,5 +258,5 @@ def test_the_speed_is_the_next_from_below(share: float, found: int) -> None:
 def test_before_connect_nothing_is_known_of_the_program() -> None:
     options: dict[str, Any] = {"host": "127.0.0.1", "smr_mm": (0.0, 0.0, 0.0), "joint": JOINTS}
     robot = KukaC3Robot(KukaC3Robot.Options(**options), wall_clock())
-    with pytest.raises(DeviceRefused):
+    with pytest.raises(DeviceError):
         robot.sweep(0, 0.0, 1.0)

@@ -209,7 +209,6 @@ def test_the_controllers_own_limit_stops_it(bench: Bench) -> None:
     [
         ({"$EX_AX_NUM": "0"}, "HC-R50"),
         ({"$AXIS_JUS[7]": "FALSE"}, "HC-R51"),
-        ({"HC_VER": "3"}, "HC-B17"),
     ],
 )
 def test_a_robot_that_cannot_move_it_is_refused(

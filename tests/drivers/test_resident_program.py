@@ -5,8 +5,9 @@ from importlib import resources
 from xml.etree import ElementTree
 
 from drivers.kuka import eki
+from drivers.kuka.controller import PROGRAM_VERSION
 from drivers.kuka.health import FRAME
-from drivers.kuka.life import LIFE_S, SLIDING_VERSION, TIMER
+from drivers.kuka.life import LIFE_S, TIMER
 from drivers.kuka.robot_eki import DOCUMENTS_VERSION
 from tests.drivers.kuka_peer import VARIABLES
 
@@ -31,8 +32,8 @@ def test_the_program_and_the_driver_have_one_timer_and_one_version() -> None:
     data = (folder / "hilcell.dat").read_text("ascii")
     number = TIMER.removeprefix("$TIMER")
     assert set(re.findall(r"\$TIMER(?:_STOP|_FLAG)?(\[\d+\])", source)) == {number}
-    assert f"HC_VER = {SLIDING_VERSION}\n" in source
-    assert f"HC_VER={SLIDING_VERSION}\n" in data
+    assert f"HC_VER = {PROGRAM_VERSION}\n" in source
+    assert f"HC_VER={PROGRAM_VERSION}\n" in data
     assert f"HC_LIFE={1000 * LIFE_S:.0f}\n" in data
 
 

@@ -248,7 +248,7 @@ ALARMS = {
     ("name", "value", "message"),
     [
         ("$TRAFONAME[]", '"#KR16"', "model '#KR16', wanted 'KR210'"),
-        ("HC_VER", "5", "HC_VER is 5, wanted 1 to 4; install"),
+        ("HC_VER", "5", "HC_VER is 5, wanted 4; install"),
         ("$MODE_OP", "#T1", r"\$MODE_OP is #T1, wanted #EX or #AUT"),
         ("$PERI_RDY", "FALSE", "drives have no power"),
         ("$ALARM_STOP", "FALSE", "emergency stop"),
