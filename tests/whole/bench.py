@@ -179,17 +179,18 @@ def simulation(
     name: str = "paper",
     faults: str = "",
     seed: int = 1,
+    truth: bool = False,
 ) -> Iterator[Simulation]:
     """Run the simulated cell in threads of the test; ``values`` are those of its cell file.
 
-    ``seed`` is the machine's.
+    ``seed`` is the machine's; with ``truth`` it tells where everything really is.
 
     As a process of its own it would take the time to start one.
     """
     cell: dict[str, Any] = msgspec.to_builtins(load_cell(name, values))
     given = {key: value for key, value in cell.items() if value is not None}
     stepped = None if math.isinf(speed) else speed
-    host = Host(Order(cell=given, seed=seed, speed=stepped, faults=faults))
+    host = Host(Order(cell=given, seed=seed, speed=stepped, faults=faults, truth=truth))
     serving = threading.Thread(target=host.run, name="simulated cell")
     serving.start()
     try:

@@ -1,7 +1,6 @@
 """kill -9 at any moment, then resume: nothing acknowledged is lost or measured twice."""
 
 import random
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ from tests.fakes.rail_bench import Line
 from tests.whole.bench import (
     SMALL,
     Engine,
-    Simulation,
     children,
     command,
     cut,
@@ -29,21 +27,23 @@ from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
 
 
-@pytest.mark.timeout(1200)
-@pytest.mark.long
-def test_kills_change_nothing(tmp_path: Path, golden: GoldenRuns) -> None:
-    whole = golden["small"].events
+@pytest.mark.wall
+def test_kills_change_nothing(tmp_path: Path) -> None:
+    """Of a short run: `make torture` kills whole calibrations."""
+    words = ("base-frame", *sets(SMALL | {"base_frame.points": "4"}))
+    whole = events(command("run", *words, "--json", "--runs", tmp_path / "whole").stdout)
     # Where to die: after so many records, spread over the whole run but not by a pattern.
-    moments = sorted(random.Random(2014).sample(range(5, len(whole) - 5), 3))
+    moments = sorted(random.Random(2014).sample(range(5, len(whole) - 5), 2))
     with simulation() as cell:
-        words = ("calibrate", *sets(SMALL | {"simulation.address": cell.control}))
-        found = killed(tmp_path, words, moments, later_s=iter([0.0] * 3))
+        words = (*words, *sets({"simulation.address": cell.control}))
+        found = killed(tmp_path / "killed", words, moments, later_s=iter([0.0] * 2))
     assert problems(found, whole) == []
 
 
 LAST_ERROR = b"t60584003100100000000", b"t58584303100130810000"  # 1003h:01 of the drive: 8130h
 
 
+@pytest.mark.wall
 def test_a_drive_that_has_latched_the_lost_heartbeat_starts_again(tmp_path: Path) -> None:
     """It takes START only after the first new heartbeat of the engine that resumes."""
     with simulation(20.0) as cell:
@@ -68,8 +68,7 @@ def after_every_kind(printed: list[dict[str, Any]]) -> list[int]:
 
 
 @pytest.mark.timeout(1200)
-@pytest.mark.parametrize("cuts", [slice(9, None, 8), *sweep(slice(None))], ids=["some", "all"])
-@pytest.mark.long
+@pytest.mark.parametrize("cuts", [slice(9, None, 16), *sweep(slice(None))], ids=["some", "all"])
 def test_a_run_resumes_from_between_any_two_records(
     tmp_path: Path,
     golden: GoldenRuns,
@@ -97,11 +96,10 @@ def test_a_lost_calibration_file_is_written_again(tmp_path: Path, golden: Golden
     done = command("resume", "copy", "--runs", tmp_path, "--json")
     assert done.returncode == whole.done.returncode, done.stderr
     assert (tmp_path / "copy" / "calibration.json").is_file()
-    again = command("resume", "copy", "--runs", tmp_path)
-    assert again.returncode == 2
-    assert "is finished" in again.stderr
+    assert command("resume", "copy", "--runs", tmp_path).returncode == 2  # it is finished
 
 
+@pytest.mark.wall
 def test_a_killed_run_takes_its_simulation_along(tmp_path: Path) -> None:
     engine = Engine("run", "--runs", tmp_path, "--speed", "20", *sets(SMALL))
     engine.until(lambda event: event["kind"] == "intent")
@@ -112,34 +110,8 @@ def test_a_killed_run_takes_its_simulation_along(tmp_path: Path) -> None:
         wait_gone(pid)
     (run,) = events(command("runs", "--json", "--runs", tmp_path).stdout)[0]["runs"]
     assert "engine gone" in run["state"]
-    shown = command("show", engine.run, "--runs", tmp_path)
-    assert "engine gone" in shown.stdout
     resumed = command("resume", engine.run, "--runs", tmp_path, "--json", "--speed", "1")
     assert resumed.returncode == 2  # the speed of a run is frozen in its journal
-
-
-def struck(
-    cell: Simulation, runs: Path, procedure: str, moment: str, fault: str
-) -> subprocess.CompletedProcess[str]:
-    """Run a procedure which a fault strikes once a point is measured."""
-
-    def hear(event: dict[str, Any]) -> None:
-        if event["kind"] == "point" and event["key"] == moment:
-            assert cell.ask(do="fault", name=fault)["ok"]
-
-    words = sets(SMALL | {"simulation.address": cell.control})
-    return command("run", procedure, "--name", "x", "--json", "--runs", runs, *words, hear=hear)
-
-
-def faulted(done: subprocess.CompletedProcess[str], device: str) -> None:
-    """The run ends safely with exit 3; its journal is whole and names the device."""
-    printed = events(done.stdout)
-    assert printed[-1]["exit"] == 3, printed[-1]
-    assert printed[-1]["state"] == "faulted"
-    assert device.capitalize() in printed[-1]["reason"]
-    assert any(e["kind"] == "event" and e["what"] == "safe stop" for e in printed)
-    assert "hilcell resume" in done.stderr
-    assert judge(printed) == []
 
 
 # Of a calibration in the grid, and of a shorter run once {W} is framed: all devices work then.
@@ -147,28 +119,34 @@ MOMENTS = [("base-frame", "world/F3"), *sweep(("calibrate", "grid/0-0-0"))]
 
 
 @pytest.mark.parametrize(("procedure", "moment"), MOMENTS)
-@pytest.mark.parametrize("device", ["rail", "robot", "tracker"])
-def test_a_device_that_vanishes_in_mid_motion(
-    tmp_path: Path, device: str, procedure: str, moment: str
+@pytest.mark.parametrize(
+    ("fault", "back"),
+    [("rail.vanish", False), ("rail.eof", True), ("robot.idle_close", True), ("tracker.eof", True)],
+)
+def test_a_device_that_is_lost_in_mid_run(
+    tmp_path: Path, fault: str, back: bool, procedure: str, moment: str
 ) -> None:
-    """Safe stop, journal intact, exit 3; without the device a resume says so."""
+    """Safe stop, journal intact, exit 3; a resume goes on, or says that the device is not there."""
+
+    def hear(event: dict[str, Any]) -> None:
+        if event["kind"] == "point" and event["key"] == moment:
+            assert cell.ask(do="fault", name=fault)["ok"]
+
     with simulation() as cell:
-        faulted(struck(cell, tmp_path, procedure, moment, f"{device}.vanish"), device)
+        words = sets(SMALL | {"simulation.address": cell.control})
+        run = ("run", procedure, "--name", "x", "--json", "--runs", tmp_path)
+        printed = events(command(*run, *words, hear=hear).stdout)
         again = command("resume", "x", "--runs", tmp_path, "--json")
-    end = end_of(again)
-    assert end["exit"] == 3
-    assert device.capitalize() in end["reason"]
-
-
-@pytest.mark.parametrize(("procedure", "moment"), MOMENTS)
-@pytest.mark.parametrize("fault", ["rail.eof", "robot.idle_close", "tracker.eof"])
-def test_a_connection_that_breaks_is_resumed(
-    tmp_path: Path, fault: str, procedure: str, moment: str
-) -> None:
-    with simulation() as cell:
-        faulted(struck(cell, tmp_path, procedure, moment, fault), fault.split(".", maxsplit=1)[0])
-        done = command("resume", "x", "--runs", tmp_path, "--json")
-    assert end_of(done)["state"] == "finished", done.stderr
+    end, device = printed[-1], fault.partition(".")[0].capitalize()
+    assert (end["exit"], end["state"]) == (3, "faulted"), end
+    assert device in end["reason"]
+    assert any(e["kind"] == "event" and e["what"] == "safe stop" for e in printed)
+    assert judge(printed) == []
+    if back:
+        assert end_of(again)["state"] == "finished", again.stderr
+    else:
+        assert end_of(again)["exit"] == 3
+        assert device in end_of(again)["reason"]
     journal = events(command("watch", "x", "--runs", tmp_path, "--json").stdout)
     assert judge(journal) == []
 
