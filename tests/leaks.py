@@ -9,7 +9,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 END_S = 5.0  # a thread that was told to end may need a while on a busy PC
-POOLED = ("ThreadPoolExecutor", "asyncio_", "execnet")  # kept by a library for its next use
+# Kept by a library for its next use.
+POOLED = ("ThreadPoolExecutor", "asyncio_", "execnet", "Dask-Offload")
 NOBODYS = ("/dev/", "/proc/", "anon_inode:", ".pyc", ".ttf", ".so")
 
 

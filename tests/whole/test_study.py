@@ -11,7 +11,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
-from multiprocessing import active_children
+from multiprocessing import active_children, resource_tracker
 from pathlib import Path
 
 import pyarrow as pa
@@ -50,7 +50,14 @@ def measured_here(path: Path, folder: Path) -> pa.Table:
     return table(folder)
 
 
+@pytest.fixture(scope="module")
+def _tracker() -> None:
+    """Start the process that Python keeps beside workers of its own; it stays."""
+    resource_tracker.ensure_running()
+
+
 @pytest.mark.wall
+@pytest.mark.usefixtures("_tracker")
 def test_workers_find_the_digits_of_this_process(tmp_path: Path) -> None:
     path, folder = written(tmp_path, READINGS), tmp_path / "r"
     done = command("study", path, "--workers", "2", "-o", folder, "--json")
@@ -67,9 +74,9 @@ def test_workers_find_the_digits_of_this_process(tmp_path: Path) -> None:
 
 @contextmanager
 def studying(path: Path, folder: Path) -> Iterator[subprocess.Popen[str]]:
-    """Run a study with two workers, in a session of its own as in a terminal."""
+    """Run a study with a worker, in a session of its own as in a terminal."""
     running = subprocess.Popen(
-        [*HILCELL, "study", str(path), "-o", str(folder), "--workers", "2"],
+        [*HILCELL, "study", str(path), "-o", str(folder), "--workers", "1"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip
     try:
@@ -134,44 +141,22 @@ class Frozen(Exception):
 
 
 @pytest.mark.wall
-def test_workers_that_are_all_gone_or_a_scheduler_that_froze_end_a_study(
+def test_workers_and_schedulers_that_froze_or_are_gone_are_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each limit is shortened where nothing can answer any more."""
-    monkeypatch.setattr(cluster, "LOOK_S", 0.1)
-    asked = study(tmp_path, READINGS, "machines = 99")
-    waiting = ((case, packed(cell_of(asked, case.point.values))) for case in cases(asked))
-    with (
-        scheduler() as (address, frozen),
-        worker(address) as last,
-        cluster.workers_of(address, print) as workers,
-    ):
-        rows = workers.measure(waiting)
-        assert next(rows)[1]["state"] == "done"
-        last.kill()
-        monkeypatch.setattr(cluster, "WORKERS_S", 0.5)
-        with pytest.raises(Cluster, match=r"no worker for 0\.5 s"):
-            list(rows)
-        frozen.process.send_signal(signal.SIGSTOP)
-        monkeypatch.setattr(cluster, "SCHEDULER_S", 0.5)
-        try:
-            with pytest.raises(Cluster, match=address):
-                list(workers.measure(iter(())))
-        finally:
-            frozen.process.send_signal(signal.SIGCONT)
+    """Each limit is shortened where nothing can answer any more.
 
-
-@pytest.mark.wall
-def test_a_worker_that_froze_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In the middle of a study, where it may hold rows that nobody has read, and before one.
-
-    The other worker may be late as well on a busy PC: what is said of it does not matter.
+    A worker freezes in the middle of a study, where it may hold rows that nobody has read, and
+    before one. The other may be late as well on a busy PC: what is said of it does not matter.
     """
     monkeypatch.setattr(cluster, "LOOK_S", 0.1)
     monkeypatch.setattr(cluster, "SILENT_S", 2.0)
-    asked = study(tmp_path, READINGS, "machines = 9")
-    waiting = ((case, packed(cell_of(asked, case.point.values))) for case in cases(asked))
-    with scheduler() as (address, _), worker(address), worker(address) as frozen:
+    with (
+        scheduler() as (address, asked),
+        worker(address) as last,
+        worker(address) as frozen,
+        monkeypatch.context() as patch,
+    ):
         at = frozen.named
 
         def said(words: str) -> None:
@@ -179,18 +164,40 @@ def test_a_worker_that_froze_is_named(tmp_path: Path, monkeypatch: pytest.Monkey
                 raise Frozen
 
         with cluster.workers_of(address, said) as workers:
-            rows = workers.measure(waiting)
-            assert next(rows)[1]["state"] == "done"
+            rows = _begun(workers, tmp_path)
             frozen.process.send_signal(signal.SIGSTOP)
             with pytest.raises(Frozen):
                 list(rows)
-        monkeypatch.setattr(cluster, "VERSIONS_S", 1.0)  # the frozen worker answers at no time
+        patch.setattr(cluster, "VERSIONS_S", 1.0)
         with pytest.raises(Cluster, match=at), cluster.workers_of(address, print):
             raise AssertionError("it can be used")
+        patch.undo()
+        frozen.kill()
+        with cluster.workers_of(address, print) as workers:
+            rows = _begun(workers, tmp_path)
+            last.kill()
+            patch.setattr(cluster, "WORKERS_S", 0.5)
+            with pytest.raises(Cluster, match=r"no worker for 0\.5 s"):
+                list(rows)
+            asked.process.send_signal(signal.SIGSTOP)
+            patch.setattr(cluster, "SCHEDULER_S", 0.5)
+            with pytest.raises(Cluster, match=address):
+                list(workers.measure(iter(())))
+            asked.process.send_signal(signal.SIGCONT)
+
+
+def _begun(workers: cluster.Workers, folder: Path) -> Iterator[tuple[Case, Row]]:
+    """Begin a long study; return its rows after the first."""
+    asked = study(folder, READINGS, "machines = 99")
+    waiting = ((case, packed(cell_of(asked, case.point.values))) for case in cases(asked))
+    rows = workers.measure(waiting)
+    assert next(rows)[1]["state"] == "done"
+    return rows
 
 
 @pytest.mark.nightly
 @pytest.mark.wall
+@pytest.mark.usefixtures("_tracker")
 def test_a_worker_of_this_pc_that_froze_is_restarted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -239,16 +246,13 @@ OLDER = 'import hilcell\nhilcell.__version__ = "0.0.9"\n'
 @pytest.mark.wall
 def test_a_worker_that_differs_measures_nothing(tmp_path: Path) -> None:
     """One that comes later ends the study, not with a row."""
-    asked = study(tmp_path, READINGS, "machines = 99")
-    waiting = ((case, packed(cell_of(asked, case.point.values))) for case in cases(asked))
     (tmp_path / "site").mkdir()
     (tmp_path / "site/sitecustomize.py").write_text(OLDER)
     with ExitStack() as stack:
         address, _ = stack.enter_context(scheduler())
         stack.enter_context(worker(address))
         with cluster.workers_of(address, print) as workers:
-            rows = workers.measure(waiting)
-            assert next(rows)[1]["state"] == "done"
+            rows = _begun(workers, tmp_path)
             site = str(tmp_path / "site")
             stack.enter_context(worker(address, "--nthreads", "2", PYTHONPATH=site))
             with pytest.raises(Cluster, match=r"0\.0\.9"):
@@ -279,10 +283,12 @@ levels = ["paper", "deadly"]
 
 
 @pytest.mark.wall
+@pytest.mark.usefixtures("_tracker")
 def test_a_case_that_kills_its_worker_each_time_is_a_row(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two workers die of it among others' cases, two more of it alone; the study goes on."""
+    """One worker dies of it among others' cases, one more of it alone; the study goes on."""
+    monkeypatch.setitem(cluster.SETTINGS, "distributed.scheduler.allowed-failures", 0)
     install(tmp_path / "site", ENTRY, deadly=DEADLY)
     monkeypatch.syspath_prepend(tmp_path / "site")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path / "site"))

@@ -47,7 +47,8 @@ def dying_before(
 
 def ship_and_die(runs: str, url: str, order: int, seconds: float) -> None:
     """Ship in a process of its own; end it before an order, or after so many seconds."""
-    signal.setitimer(signal.ITIMER_REAL, seconds)  # SIGALRM ends the process at once
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)  # it ends the process at once
+    signal.setitimer(signal.ITIMER_REAL, seconds)
     with (
         closing(Database(url)) as database,
         dying_before(order, database.engine, lambda: os.kill(os.getpid(), signal.SIGKILL)),
