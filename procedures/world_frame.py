@@ -5,16 +5,48 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 
+from hilcell.calibration.known_length import VERDICT, LengthFound, known_lengths
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
+from hilcell.journal.point_id import LENGTH, PointId
 from hilcell.journal.set_ups import world_key
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Step
-from procedures.durations import closing, floor_points, step
-from procedures.known_length import check_lengths, length_result, length_spans
+from hilcell.run.procedure import Span, Step
+from procedures.durations import closing, floor_points, readings, step
 from procedures.plan import check_range
+
+
+def length_spans(cell: Cell) -> list[Span]:
+    """Return the span of the bars' nests; those on the floor are measured anyway."""
+    count = len(cell.layout.bar)
+    return [readings(cell, count, cell.nest_samples)] if count else []
+
+
+def check_lengths(session: CellSession) -> None:
+    """Measure and judge the certified lengths, once; a wrong one pauses an attended run."""
+    layout = session.cell.layout
+    if not layout.length or VERDICT in session.log.verdicts:
+        return
+    for nest in layout.bar:
+        session.floor_point(PointId(LENGTH, nest=nest.name), nest)
+    found = known_lengths(session.cell, session.log)
+    wrong = [each.text for each in found if not each.holds]
+    session.verdict(
+        "known-length", holds=not wrong, lengths=msgspec.to_builtins(found), wrong=wrong
+    )
+    if wrong:
+        session.pause(f"the tracker's scale is not the certificate's: {'; '.join(wrong)}")
+
+
+def length_result(log: Log) -> dict[str, Any]:
+    """Return the certified lengths as found, where there are any."""
+    rows = log.verdicts.get(VERDICT, {}).get("lengths", [])
+    found = [(row, msgspec.convert(row, LengthFound)) for row in rows]
+    lengths = [row | {"off_ppm": each.off_ppm, "holds": each.holds} for row, each in found]
+    return {"known_lengths": lengths} if lengths else {}
 
 
 @dataclass(frozen=True)

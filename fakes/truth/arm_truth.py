@@ -9,16 +9,91 @@ frame in which the axes are drawn; `ideal_base` relates them.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
+import msgspec
 import numpy as np
 
-from fakes.truth.design import axis_6, design_of
-from fakes.truth.joint_errors import URAD, Deflection, Ripple
+from fakes.truth.joint_errors import URAD, Deflection, Loads, Ripple, slopes
 from fakes.truth.machine import Errors, Machine, mounted
 from fakes.truth.screws import Chain
 from fakes.truth.transforms import Array, carried, frame, rigid, rotation
 from hilcell.cell.tables import Point
 from hilcell.ports import HilcellError
+
+# RP = mean + 3 s of the 3-D distances from the mean position (ISO 9283, 7.2.2).
+
+# Substitution t = exp(u) for the integral below; the range covers distances of any shape.
+EXPONENTS = np.linspace(-30.0, 30.0, 601)
+
+
+def unit_rp_mm(jacobians_mm: Array) -> Array:
+    """Return RP (N,) for independent normal noise of 1 rad in every joint.
+
+    ``jacobians_mm`` (N, 3, 6) are d(position) / d(joints). With eigenvalues l of the covariance J
+    J', mean distance = 1 / (2 sqrt(pi)) * integral of (1 - prod (1 + 2 l t)^-1/2) t^-3/2 dt, which
+    is the usual form of E[sqrt(Q)] for a quadratic form Q; its mean square is the trace.
+    """
+    eigenvalues = np.linalg.eigvalsh(jacobians_mm @ np.swapaxes(jacobians_mm, -1, -2))
+    total = eigenvalues.sum(axis=-1)
+    shares = eigenvalues / total[:, None]
+    t = np.exp(EXPONENTS)
+    left = 1.0 - np.prod(1.0 / np.sqrt(1.0 + 2.0 * shares[:, :, None] * t), axis=1)
+    step = EXPONENTS[1] - EXPONENTS[0]
+    mean = (left / np.sqrt(t)).sum(axis=-1) * step / (2.0 * np.sqrt(np.pi))
+    rp: Array = np.sqrt(total) * (mean + 3.0 * np.sqrt(1.0 - mean**2))
+    return rp
+
+
+KNOWN = 4  # designs that are kept: a study has few, and draws many robots of each
+
+
+class Design:
+    """An arm as designed; its last frame is the reflector's, mounted at ``smr_mm`` (3,)."""
+
+    def __init__(self, machine: Machine, smr_mm: Point) -> None:
+        self.chain = machine.chain(smr_mm)
+        self.slopes = slopes(self.chain)
+        self.targets_mm, self.commands_rad = reference_cube(machine, self.chain)
+        for shared in (self.targets_mm, self.commands_rad):
+            shared.flags.writeable = False
+        self.loads = Loads(self.chain, self.commands_rad)
+        jacobians_mm = self.chain.jacobian(self.commands_rad)[:, :3]
+        self.unit_rp_mm = float(unit_rp_mm(jacobians_mm).mean())
+        self.axis_6_rad: Array = np.radians(machine.reference.axis_6_deg)
+        self.axis_6_mm = axis_6(self.chain, self.axis_6_rad)[1]
+
+
+def design_of(machine: Machine, smr_mm: Point) -> Design:
+    """Return a machine's design; raises `HilcellError` where a reference pose is out of reach."""
+    return _known(msgspec.json.encode(machine), smr_mm)
+
+
+@lru_cache(KNOWN)
+def _known(machine: bytes, smr_mm: Point) -> Design:
+    return Design(msgspec.json.decode(machine, type=Machine), smr_mm)
+
+
+def reference_cube(machine: Machine, chain: Chain) -> tuple[Array, Array]:
+    """Return targets (N, 3) in {B} through the machine's cube, and joints (N, 6) to command."""
+    reference = machine.reference
+    centre = frame(reference.centre)
+    axes = [
+        middle_mm + size_mm * np.linspace(-0.5, 0.5, reference.points)
+        for middle_mm, size_mm in zip(centre[:3, 3], reference.size_mm, strict=True)
+    ]
+    targets_mm = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    poses = np.tile(centre, (len(targets_mm), 1, 1))
+    poses[:, :3, 3] = targets_mm
+    return targets_mm, chain.solve(poses, np.radians(reference.start_deg))
+
+
+def axis_6(chain: Chain, joints_rad: Array) -> tuple[Array, Array]:
+    """Return axis 6 (3,) and the centre (3,) of the reflector's circle about it."""
+    axis, on_axis_mm = chain.axis(5, joints_rad)
+    reflector_mm = chain.pose(joints_rad)[:3, 3]
+    return axis, on_axis_mm + ((reflector_mm - on_axis_mm) @ axis) * axis
+
 
 DRAWS = 100
 SOLVED_MM = 1e-10

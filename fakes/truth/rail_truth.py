@@ -19,9 +19,32 @@ from fakes.time import PlantTime
 from fakes.truth.machine import Machine, machine_of
 from fakes.truth.motion import Path
 from fakes.truth.noise import KeyedNoise
-from fakes.truth.smooth import SmoothCurve
 from fakes.truth.transforms import Array, frame, rotation
 from hilcell.cell.file import Cell
+
+
+class SmoothCurve:
+    """A random Fourier series, zero at position 0, of about the wanted standard deviation."""
+
+    def __init__(
+        self, rng: np.random.Generator, deviation: float, period_mm: float, harmonics: int = 4
+    ) -> None:
+        orders = np.arange(1, harmonics + 1)
+        weights = rng.standard_normal(harmonics) / orders
+        weights *= deviation * math.sqrt(2.0) / float(np.linalg.norm(weights))
+        phases = rng.uniform(0.0, 2 * math.pi, harmonics)
+        rates = 2 * math.pi * orders / period_mm
+        self._terms = list(zip(weights.tolist(), rates.tolist(), phases.tolist(), strict=True))
+        self._zero = 0.0
+        self._zero = self(0.0)
+
+    def __call__(self, position_mm: float) -> float:
+        """Return the curve's value."""
+        total = -self._zero
+        for weight, rate, phase in self._terms:
+            total += weight * math.sin(rate * position_mm + phase)
+        return total
+
 
 LONG_MOVE_MM = 100.0  # from which on the landing noise is that of a long move
 POLE_PITCH_MM = 5.0

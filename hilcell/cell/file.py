@@ -15,15 +15,10 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta, field
 
-from hilcell.cell.certificate import CertificateTable
-from hilcell.cell.fixed import NO_RAIL, completed
-from hilcell.cell.in_use import RecheckTable, TargetsTable, TouchTable
-from hilcell.cell.iso9283 import Iso9283Table
 from hilcell.cell.layout import Layout, Nest
 from hilcell.cell.lines import of_options, with_lines
 from hilcell.cell.plan import QUICK_NEST_SAMPLES, QUICK_PROOF_SAMPLES, PlanTable
 from hilcell.cell.robot import Joint, RobotTable, arm_from_joints
-from hilcell.cell.room import RoomTable
 from hilcell.cell.settings import (
     SettingsError,
     convert,
@@ -39,7 +34,6 @@ from hilcell.cell.surroundings import (
     Surroundings,
     keep_out_problems,
 )
-from hilcell.cell.sweeps import SweepsTable
 from hilcell.cell.tables import (
     Acceleration,
     Count,
@@ -47,6 +41,7 @@ from hilcell.cell.tables import (
     Frozen,
     Length,
     Name,
+    Percent,
     Point,
     Pose,
     Six,
@@ -59,6 +54,156 @@ from hilcell.cell.tables import (
     refuse_descending,
 )
 from hilcell.cell.uncertainty import UncertaintyTable, with_certificates
+
+# A cell file without ``[rail]`` is completed here alone: by a rail whose driver is `NO_RAIL`, a
+# slide that never moves and has no nests, and one station at 0. So base, journal, plans and
+# calibration files have one form, with a rail or without.
+
+NO_RAIL = "none"  # the driver of a rail that is not there
+STATION = "BASE"
+AT_0 = {"rail_mm": 0.0, "strip_mm": 0.0}
+RAIL = {
+    "driver": NO_RAIL,
+    "travel_min_mm": 0.0,
+    "travel_max_mm": 0.0,
+    "speed_mm_s": 1.0,
+    "acceleration_mm_s2": 1.0,
+}
+
+
+def completed(values: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return a cell file's tables, with those of a robot that stands where there is no rail."""
+    if "rail" in values:
+        return values
+    stations = values.get("station", [{"name": STATION}])
+    if isinstance(stations, list):
+        stations = [_with(AT_0, station) for station in stations]
+    name = stations[0].get("name", STATION) if _tables(stations) else STATION
+    return {
+        **values,
+        "rail": RAIL,
+        "station": stations,
+        "grid": _with({"station": name}, values.get("grid", {})),
+        "layout": _with({"rail_direction": [0.0, 0.0, 0.0], "slide": []}, values.get("layout", {})),
+        "touch": _with({"poses": 0}, values.get("touch", {})),
+    }
+
+
+def _with(defaults: Mapping[str, object], table: Any) -> Any:
+    """Return a table with defaults; a value that is no table stays, and the checks refuse it."""
+    return {**defaults, **table} if isinstance(table, Mapping) else table
+
+
+def _tables(found: object) -> bool:
+    return isinstance(found, list) and bool(found) and isinstance(found[0], Mapping)
+
+
+Mass = Annotated[float, Meta(ge=0, le=10_000)]
+Minutes = Annotated[float, Meta(ge=0, le=100_000)]
+
+
+class Iso9283Table(Frozen, frozen=True, kw_only=True):
+    """How the test is made, and what the laboratory states of it.
+
+    ``velocity_percent`` of the rated velocity, None for `robot.speed_percent`. ``calibration``: a
+    run whose correction the commanded poses carry, "" for the robot as it is. Limits of AP_p, RP_l,
+    AD and RD are judged where they are stated, and with several reflectors on the flange those of
+    the largest AP and RP of an angle (deg); AP of angles wants a calibration.
+    """
+
+    cycles: Annotated[int, Meta(ge=3, le=1000)] = 30
+    velocity_percent: Percent | None = None
+    load_kg: Mass | None = None
+    rated_load_kg: Mass | None = None
+    warm_up_min: Minutes | None = None
+    calibration: str = ""
+    ap_limit_mm: Size | None = None
+    rp_limit_mm: Size | None = None
+    ad_limit_mm: Size | None = None
+    rd_limit_mm: Size | None = None
+    ap_limit_deg: Turn | None = None
+    rp_limit_deg: Turn | None = None
+
+
+class RecheckTable(Frozen, frozen=True, kw_only=True):
+    """Which calibration is re-checked, "" for the cell's current one, and by how many poses."""
+
+    calibration: str = ""
+    poses: Annotated[int, Meta(ge=4, le=10)] = 7
+
+
+class TouchTable(Frozen, frozen=True, kw_only=True):
+    """Poses by which a station is measured again after each stop, 0: none.
+
+    For the procedure of that name: the station ("" for the grid's), the calibration as above.
+    """
+
+    poses: Annotated[int, Meta(ge=0, le=100)] = 8
+    station: str = ""
+    calibration: str = ""
+
+
+class TargetsTable(Frozen, frozen=True, kw_only=True):
+    """Targets to measure: a CSV, the station ("" for the grid's), the calibration as above."""
+
+    file: str
+    station: str = ""
+    calibration: str = ""
+
+
+Axis = Annotated[int, Meta(ge=1, le=6)]
+
+
+class SweepsTable(Frozen, frozen=True, kw_only=True):
+    """Axes 1 to 6, each swept over what the cube needs of it and ``margin_deg`` more.
+
+    An axis faster than 1 deg/s excites the arm; axes 4 and 6 hardly move a tool point.
+    """
+
+    enabled: bool = True
+    axes: tuple[Axis, ...] = (1, 2, 3, 5)
+    speed_deg_s: Annotated[float, Meta(ge=0.1, le=1.0)] = 1.0
+    rate_hz: Annotated[float, Meta(ge=10, le=1000)] = 20.0
+    margin_deg: Annotated[float, Meta(ge=0, le=30)] = 1.0
+
+    def __post_init__(self) -> None:
+        if len(set(self.axes)) != len(self.axes):
+            raise ValueError(f"axes must differ, found {', '.join(map(str, self.axes))}")
+
+
+Country = Annotated[str, Meta(pattern="^([A-Z]{2})?$")]
+
+
+class CertificateTable(Frozen, frozen=True, kw_only=True):
+    """Laboratory and customer as the first page and the DCC name them; "" is a line to fill in.
+
+    ``country`` is the laboratory's, two letters (ISO 3166-1).
+    """
+
+    laboratory: str = ""
+    laboratory_address: str = ""
+    laboratory_email: str = ""
+    country: Country = ""
+    customer: str = ""
+    customer_address: str = ""
+    customer_email: str = ""
+
+
+Kelvin = Annotated[float, Meta(gt=0, le=60)]
+
+
+class RoomTable(Frozen, frozen=True, kw_only=True):
+    """From the grid's first point on: suspended beyond ``range_k``, resumed within ``back_k`` for
+    ``steady_s``.
+    """
+
+    range_k: Kelvin = 3.0
+    back_k: Kelvin = 2.0
+    steady_s: Wait = 120.0
+
+    def __post_init__(self) -> None:
+        refuse_descending(self, "back_k", "range_k")
+
 
 __all__ = [
     "BaseFrameTable", "CampaignTable", "CapsuleTable", "Cell", "CertificateTable", "EnvelopeTable",

@@ -5,15 +5,141 @@ A limit is the half-width of a rectangular distribution (GUM 4.3.7); an angle is
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import msgspec
 from msgspec import Meta
 
-from hilcell.cell.instrument_dcc import NotRead, read_dcc
-from hilcell.cell.settings import SettingsError
+from hilcell.cell.settings import SettingsError, read_text
 from hilcell.cell.tables import Frozen, Point, Rate
+from hilcell.clean import clean
+
+# The file is not trusted: it has a size limit and no document type, so nothing in it is expanded
+# or fetched. DCC 2 and 3 are read, with the uncertainty of D-SI 1 and of D-SI 2.2.
+
+DCC, SI = "{https://ptb.de/dcc}", "{https://ptb.de/si}"
+LONGEST = 4_000_000  # characters
+MOST_MM = 10.0  # as a limit in the cell file
+MM = {"\\metre": 1e3, "\\milli\\metre": 1.0, "\\micro\\metre": 1e-3, "\\nano\\metre": 1e-6}
+EXPANDED = (  # U and its k: of single values and of lists, as D-SI 2.2 and earlier ones say it
+    ("valueExpandedMU", "coverageFactor"),
+    ("valueExpandedMUXMLList", "coverageFactorXMLList"),
+    ("uncertainty", "coverageFactor"),
+    ("uncertaintyXMLList", "coverageFactorXMLList"),
+)
+COVERAGE_FACTOR = 2.0
+
+
+class NotRead(Exception):
+    """A certificate that does not say what is wanted; the text says what was found."""
+
+
+@dataclass(frozen=True, slots=True)
+class InstrumentDcc:
+    """A certificate: ``words`` are number, date and laboratory."""
+
+    words: str
+    root: Element
+
+    def largest_error_mm(self, id: str) -> float:
+        """Return the largest |error| + U (k = 2) of the quantity with this id.
+
+        The quantity is a list or a single value of errors that the instrument has shown; so large
+        may each of its readings be off (GUM F.2.4.5: an error that is not corrected).
+        """
+        found = [each for each in self.root.iter(f"{DCC}quantity") if each.get("id") == id]
+        if len(found) != 1:
+            raise NotRead(f"{len(found)} quantities have the id {id!r}, wanted 1")
+        lengths = [each for each in found[0].iter() if _unit(each) in MM]
+        if not lengths:
+            raise NotRead(f"quantity {id!r} is no length in {', '.join(MM)}")
+        values, expanded = _values(lengths[0], id)
+        largest_mm = MM[_unit(lengths[0])] * max(
+            abs(value) + U for value, U in zip(values, expanded, strict=True)
+        )
+        if not largest_mm <= MOST_MM:
+            raise NotRead(
+                f"quantity {id!r} has the error {largest_mm:g} mm, wanted at most {MOST_MM:g}"
+            )
+        return largest_mm
+
+
+def read_dcc(path: Path) -> InstrumentDcc:
+    """Read a certificate; raises `NotRead`."""
+    try:
+        text = read_text(path)
+    except UnicodeDecodeError:
+        raise NotRead("is no text in UTF-8") from None
+    except OSError as error:
+        raise NotRead(f"cannot be read: {error.strerror}") from error
+    if len(text) > LONGEST:
+        raise NotRead(f"has {len(text)} characters, wanted at most {LONGEST}")
+    if "<!DOCTYPE" in text:
+        raise NotRead("declares a document type; a DCC has none")
+    try:
+        root = ElementTree.fromstring(text)  # noqa: S314 - without a document type, see above
+    except (ElementTree.ParseError, ValueError) as error:
+        raise NotRead(f"is no XML: {error}") from None
+    if root.tag != f"{DCC}digitalCalibrationCertificate":
+        raise NotRead(f"is no DCC: its root is {clean(root.tag)}")
+    core = f"{DCC}administrativeData/{DCC}coreData/{DCC}"
+    laboratory = f"{DCC}administrativeData/{DCC}calibrationLaboratory/{DCC}contact/{DCC}name/"
+    number, date = _text(root, f"{core}uniqueIdentifier"), _text(root, f"{core}endPerformanceDate")
+    words = f"{number}, {date}, {_text(root, f'{laboratory}{DCC}content')}"
+    return InstrumentDcc(words, root)
+
+
+def _text(root: Element, path: str) -> str:
+    found = clean(root.findtext(path, ""))
+    if not found:
+        raise NotRead(f"does not say {path.rpartition(DCC)[2]}")
+    return found
+
+
+def _unit(quantity: Element) -> str:
+    """Return the one unit of a quantity of D-SI, "" where it has none of its own."""
+    texts = (quantity.findtext(f"{SI}{name}", "") for name in ("unit", "unitXMLList"))
+    units = {unit for text in texts for unit in text.split()}
+    return units.pop() if len(units) == 1 else ""
+
+
+def _values(quantity: Element, id: str) -> tuple[list[float], list[float]]:
+    """Return the values of a quantity and their U (k = 2), as many."""
+    values = [each for name in ("value", "valueXMLList") for each in _floats(quantity, name)]
+    pairs = ((list(_floats(quantity, U)), list(_floats(quantity, k))) for U, k in EXPANDED)
+    expanded, factors = next(((U, k) for U, k in pairs if U and k), ([], []))
+    if not values or not expanded or not min(factors) > 0 or not min(expanded) >= 0:
+        raise NotRead(f"quantity {id!r} states no value with expanded uncertainty (>= 0) and k > 0")
+    sizes = {len(values), len(expanded), len(factors)} - {1}
+    if len(sizes) > 1:
+        raise NotRead(f"quantity {id!r} has {len(values)} values and {len(expanded)} U")
+    count = len(values)
+    wide = [U * (count if len(U) == 1 else 1) for U in (expanded, factors)]
+    return values, [U * COVERAGE_FACTOR / k for U, k in zip(*wide, strict=True)]
+
+
+def _floats(quantity: Element, name: str) -> Iterator[float]:
+    """Yield the figures of a quantity's own element, or of its uncertainty's."""
+    element = next(quantity.iter(f"{SI}{name}"), None)
+    for word in ("" if element is None else element.text or "").split():
+        figure = _float(word)
+        if not math.isfinite(figure):
+            raise NotRead(f"{name} is {clean(word)!r}, wanted a figure")
+        yield figure
+
+
+def _float(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        return math.nan
+
 
 Limit = Annotated[float, Meta(ge=0, le=10)]
 Urad = Annotated[float, Meta(ge=0, le=100_000)]

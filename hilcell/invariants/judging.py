@@ -2,19 +2,390 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Protocol
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import combinations
+from typing import Any, Protocol
 
 import msgspec
+import numpy as np
 
-from hilcell.invariants.identities import Identities
-from hilcell.invariants.life import LifeRules
-from hilcell.invariants.measurements import Measurements
-from hilcell.invariants.motions import Motions
-from hilcell.invariants.scene import Scene
+from hilcell.alarms.acknowledged import Acknowledged
+from hilcell.geometry.beam_noise import beam_noise
+from hilcell.geometry.kinematics import Array
+from hilcell.geometry.statistics import coverage_factor
+from hilcell.invariants.bodies import Ended, Framed, Life, Measured
+from hilcell.invariants.motions import FUTURE_S, Motions
+from hilcell.invariants.scene import Scene, is_proof, is_world, nest_of, pose_of, set_up_of
 from hilcell.invariants.tally import Tally, Verdict
-from hilcell.invariants.tracker import TrackerSetUps
+from hilcell.journal.asset import Asset, asset_of, same
 from hilcell.journal.journal import Record, StorageError
+from hilcell.journal.log import Readings, ReadingTime
+from hilcell.journal.set_ups import PROVEN, TRACKER_MOVED
+from hilcell.journal.states import OVER, WAITING
+
+SIGMAS = 4.0
+FRAMING = "world"  # kind of the points of which {W} is framed
+
+
+class TrackerSetUps:
+    """Judges what was measured at which set-up, and when the tracker was proven."""
+
+    def __init__(self, tally: Tally, scene: Scene) -> None:
+        self._check, self._scene = tally.check, scene
+
+    def take(self, record: Record) -> None:
+        """Judge a record."""
+        match record.kind:
+            case "point":
+                self._point(record, msgspec.convert(record.body, Measured))
+            case "frame":
+                self._frame(record, msgspec.convert(record.body, Framed))
+            case "state" if record.body.get("machine") == "run":
+                if msgspec.convert(record.body, Life).to == "finished":
+                    self._closed(record, "the run's end", list(self._scene.unproven))
+            case "event":
+                self._event(record)
+
+    def _event(self, record: Record) -> None:
+        body, scene = record.body, self._scene
+        match body.get("what"):
+            case "step":
+                here = [key for key, session in scene.unproven.items() if session == scene.session]
+                self._closed(record, f"step {body['name']}", here)
+            case "stream":
+                self._followed(record, body["key"])
+            case found if found == PROVEN:
+                self._proof(record)
+            case found if found == TRACKER_MOVED:
+                kept = sorted(scene.unproven.keys() - set(body["invalid"]))
+                what = f"kept {', '.join(kept)} of a tracker that had moved"
+                self._check("I10", record, not kept, what)
+
+    def _point(self, record: Record, point: Measured) -> None:
+        scene = self._scene
+        what = f"{record.key} is of set-up {point.set_up}, the tracker at {scene.set_up}"
+        self._check("I15", record, point.set_up == scene.set_up, what)
+        if not is_proof(record.key):
+            self._followed(record, record.key)
+
+    def _followed(self, record: Record, key: str) -> None:
+        """Judge what is added: after a pause the tracker comes first."""
+        scene = self._scene
+        if self._mounted and scene.framed and scene.state != "checking":
+            what = f"{key} added before the tracker was proven after a pause"
+            self._check("I16", record, not scene.interrupted, what)
+
+    def _closed(self, record: Record, before: str, unproven: list[str]) -> None:
+        """Judge the end of what was measured before a step, or before the end.
+
+        A step that an earlier session has begun goes on, and is proven first.
+        """
+        if self._mounted and self._scene.framed:
+            what = f"{len(unproven)} points unproven before {before}: {', '.join(unproven[:3])}"
+            self._check("I16", record, not unproven, what)
+
+    @property
+    def _mounted(self) -> bool:
+        """Whether all nests have reflectors; one that is carried proves the tracker less often."""
+        return self._scene.cell.layout.reflectors == "mounted"
+
+    def _frame(self, record: Record, frame: Framed) -> None:
+        scene = self._scene
+        if is_world(record.key):
+            self._world(record)
+        if frame.points is None:
+            return
+        lost = [key for key in frame.points if key not in scene.points]
+        what = f"{record.key} is built of {', '.join(lost[:3])}, not valid"
+        self._check("I10", record, not lost, what)
+        of = {scene.points[key].set_up for key in frame.points if key in scene.points}
+        what = f"{record.key} is built of points of set-ups {sorted(of)}, {{W}} known of "
+        what += f"{sorted(scene.framed)}"
+        known = of == {set_up_of(record.key)} if is_world(record.key) else of <= scene.framed
+        self._check("I15" if is_world(record.key) else "I10", record, known, what)
+
+    def _world(self, record: Record) -> None:
+        """Judge a {W}: of nests at its own set-up, which stand as they did at the first."""
+        number = set_up_of(record.key)
+        nests = self._nests(number)
+        what = f"{record.key} framed at set-up {self._scene.set_up} by {len(nests)} nests"
+        self._check("I15", record, number == self._scene.set_up and len(nests) >= 3, what)
+        if number:
+            for what, off_mm, limit_mm in self._changes(self._nests(0), nests):
+                text = f"{record.key}: {what} changed by {off_mm:.3f} mm, at most {limit_mm:.3f}"
+                self._check("I15", record, off_mm <= limit_mm, text)
+
+    def _proof(self, record: Record) -> None:
+        """Judge the proof by its points: each nest is where it was when {W} was framed."""
+        before, now = self._nests(self._scene.set_up), self._scene.control
+        self._check("I15", record, bool(before) and before.keys() == now.keys(), "nests missing")
+        for nest in before.keys() & now.keys():
+            off_mm = _apart_mm(before[nest], now[nest])
+            limit_mm = self._limit_mm(before[nest], now[nest])
+            what = f"proven with {nest} {off_mm:.3f} mm off, at most {limit_mm:.3f} mm"
+            self._check("I15", record, off_mm <= limit_mm, what)
+
+    def _nests(self, set_up: int) -> dict[str, Measured]:
+        """Return the points of which {W} was framed at a set-up, by nest."""
+        points = self._scene.points.items()
+        return {
+            nest_of(key): point
+            for key, point in points
+            if key.startswith(f"{FRAMING}/") and point.set_up == set_up
+        }
+
+    def _changes(
+        self, before: dict[str, Measured], now: dict[str, Measured]
+    ) -> Iterator[tuple[str, float, float]]:
+        """Yield each two nests, by how much their distance has changed, and its limit."""
+        for one, other in combinations(sorted(before.keys() & now.keys()), 2):
+            then_mm = _apart_mm(before[one], before[other])
+            off_mm = abs(_apart_mm(now[one], now[other]) - then_mm)
+            four = (before[one], before[other], now[one], now[other])
+            yield f"{one} to {other}", off_mm, self._limit_mm(*four)
+
+    def _limit_mm(self, *points: Measured) -> float:
+        """Return by how much points may differ: stated drift, and the readings' noise.
+
+        The noise is what all points so far have shown, at the places of these.
+        """
+        found = [point for point in self._scene.points.values() if _stated(point)]
+        if not all(_stated(point) for point in points):
+            return math.nan
+        noise = beam_noise(*_columns(found or points))
+        at_mm, _, samples = _columns(points)
+        noise_mm2 = float(np.trace(noise.at(at_mm, samples), axis1=-2, axis2=-1).sum())
+        drift_mm = math.sqrt(3.0) * self._scene.cell.uncertainty.drift_limit_mm
+        return drift_mm + coverage_factor(SIGMAS, noise.freedom) * math.sqrt(noise_mm2)
+
+
+def _stated(point: Measured) -> bool:
+    """Whether a point's place and scatter are numbers."""
+    return all(map(math.isfinite, (*point.xyz_mm, *point.std_mm))) and point.samples >= 1
+
+
+def _columns(points: Sequence[Measured]) -> tuple[Array, Array, Array]:
+    """Return positions (N, 3), standard deviations (N, 3) and numbers of samples (N,)."""
+    rows = [(point.xyz_mm, point.std_mm, point.samples) for point in points]
+    at_mm, std_mm, samples = zip(*rows, strict=True)
+    return np.array(at_mm), np.array(std_mm), np.array(samples, dtype=float)
+
+
+def _apart_mm(one: Measured, other: Measured) -> float:
+    return math.dist(one.xyz_mm, other.xyz_mm)
+
+
+TEARDOWN_S = 15.0
+HELD_DEVICES = ("Rail", "Robot")
+GOES_ON = {  # by what a waiting run may: a good look is an unattended one's, after a failed reading
+    "paused": ("command",),
+    "suspended": ("command", "answer", "look"),
+}
+
+
+class LifeRules:
+    """Judges states, teardowns and ends."""
+
+    def __init__(self, tally: Tally, scene: Scene) -> None:
+        self._tally, self._scene = tally, scene
+        self._check = tally.check
+        self._seq = 0
+        self._state = "idle"
+        self._closings: list[dict[str, Any]] = []  # of this session
+        self._reason = ""  # the first of this session's fault
+        self._failed: set[str] = set()  # the keys of verdicts that do not hold now
+
+    def take(self, record: Record) -> None:
+        """Judge a record."""
+        gap = f"record {self._seq} came before"
+        self._check("I8", record, record.seq == self._seq + 1, gap)
+        self._seq = record.seq
+        match record.kind:
+            case "state" if record.body.get("machine") == "run":
+                self._life(record, msgspec.convert(record.body, Life))
+            case "verdict":
+                (self._failed.discard if record.body["holds"] else self._failed.add)(record.key)
+            case "event":
+                self._event(record)
+            case "end":
+                self._end(record, msgspec.convert(record.body, Ended))
+
+    def _event(self, record: Record) -> None:
+        match record.body.get("what"):
+            case "closed":
+                self._closings.append(record.body)
+                took_s = record.body["took_s"]
+                what = f"the teardown took {took_s:.1f} s, at most {TEARDOWN_S:g} s"
+                self._check("I7", record, 0.0 <= took_s <= TEARDOWN_S, what)
+            case "safe stop" if record.body.get("cause"):
+                self._reason = self._reason or record.body["cause"]
+            case "acknowledged":
+                until = msgspec.convert(record.body, Acknowledged).until
+                unseen = f"alarms up to record {until} were acknowledged before it was written"
+                self._check("I17", record, until < record.seq, unseen)
+
+    def _life(self, record: Record, life: Life) -> None:
+        what = f"state was {self._state}, not {life.before}"
+        self._check("I9", record, life.before == self._state, what)
+        if life.to == "running" and self._state in WAITING:
+            found = f"{self._state} went on by {life.by or 'nobody'}"
+            self._check("I13", record, life.by in GOES_ON[self._state], found)
+        if life.to == "checking":
+            self._closings, self._reason = [], ""
+        self._state = life.to
+        if life.to in OVER:
+            count = len(self._closings)
+            self._check("I7", record, count == 1, f"teardown ran {count} times")
+        if life.to in ("aborted", "faulted"):
+            self._held(record)
+        if life.to == "faulted":
+            self._first_reason(record, life.reason)
+
+    def _held(self, record: Record) -> None:
+        """Judge that slide and robot were left held: a device that cannot tell is no proof."""
+        problems = self._closings[-1].get("problems", {}) if self._closings else {}
+        for device in HELD_DEVICES:
+            if device in problems:
+                self._tally.unproven("I12", record, f"{device}: {problems[device]}")
+            else:
+                self._check("I12", record, bool(self._closings), f"{device} was not closed")
+
+    def _first_reason(self, record: Record, reason: str) -> None:
+        self._reason = self._reason or reason
+        kept = f"the reason became {reason!r}, first it was {self._reason!r}"
+        self._check("I6", record, bool(reason) and reason == self._reason, kept)
+
+    def _end(self, record: Record, end: Ended) -> None:
+        if end.state == "faulted":
+            self._first_reason(record, end.reason)
+        if end.state == "finished":
+            failed = ", ".join(sorted(self._failed))
+            what = f"exit {end.exit}, and {failed} does not hold"
+            self._check("I17", record, not (self._failed and end.exit == 0), what)
+            if isinstance(counts := end.result.get("points"), dict):
+                self._counts(record, counts)
+
+    def _counts(self, record: Record, counts: dict[str, int]) -> None:
+        """Judge that the result counts each valid point once."""
+        points, dropped = self._scene.points, self._scene.dropped
+        valid = Counter(point.group for point in points.values())
+        more = {
+            group
+            for group in {point.group for point in dropped.values()}
+            if counts.get(group, 0) > valid[group]
+        }
+        what = f"the result counts points that are not valid: {', '.join(sorted(more))}"
+        self._check("I10", record, not more, what)
+        wrong = [g for g in sorted({*valid, *counts}) if counts.get(g, 0) != valid[g]]
+        figures = ", ".join(f"{g} {counts.get(g, 0)} of {valid[g]}" for g in wrong)
+        self._check("I8", record, not wrong, f"the result counts {figures}")
+
+
+CARRIES = ("reflector", "temperature_c", "frame", "station")  # None where nothing measures it
+
+
+class Measurements:
+    """Judges each point."""
+
+    def __init__(self, tally: Tally, scene: Scene) -> None:
+        self._check, self._scene = tally.check, scene
+
+    def take(self, record: Record) -> None:
+        """Judge a record."""
+        if record.kind != "point":
+            return
+        point, scene, key = msgspec.convert(record.body, Measured), self._scene, record.key
+        allowed = not (scene.ended or scene.waits)
+        self._check("I3", record, allowed, f"{key} measured while {scene.state}")
+        once = key not in scene.points or point.retaken
+        self._check("I8", record, once, f"{key} counted twice")
+        found = f"{key} measured by session {point.session}, {scene.session} holds the run"
+        self._check("I11", record, point.session == scene.session, found)
+        self._carries(record, point)
+        if point.station:
+            self._at_station(record, point)
+        self._times(record, point.readings)
+        if scene.session > 1 and scene.framed and not is_proof(key):
+            what = f"{key} added before the tracker was verified"
+            self._check("I9", record, scene.verified, what)
+
+    def _carries(self, record: Record, point: Measured) -> None:
+        missing = [name for name in CARRIES if name not in record.body]
+        if point.station and point.commanded_deg and point.smr_mm is None:
+            missing.append("smr_mm")
+        self._check("I4", record, not missing, f"{record.key} lacks {', '.join(missing)}")
+        if point.commanded_deg and point.group != "campaign":
+            last = self._scene.last_key or "none"
+            here = pose_of(last) == pose_of(record.key)
+            self._check("I4", record, here, f"{record.key}: the last motion: {last}")
+
+    def _at_station(self, record: Record, point: Measured) -> None:
+        scene, name = self._scene, point.station
+        resumed = scene.session > 1
+        what = f"{record.key}: {name} was not found held since the run resumed"
+        self._check("I9" if resumed else "I2", record, scene.held == name, what)
+        station = scene.station(name)
+        wanted_mm = math.nan if station is None else station.strip_mm
+        limit_mm = 2 * scene.cell.rail.strip_tolerance_mm
+        held = abs(point.strip_mm - wanted_mm) <= limit_mm + 1e-9
+        self._check("I2", record, held, f"{record.key}: strip {point.strip_mm:.2f} mm at {name}")
+
+    def _times(self, record: Record, readings: Readings) -> None:
+        scene, key = self._scene, record.key
+        taken_s, settle = readings.tracker.taken_s, scene.cell.settle
+        axes = [("slide", readings.rail, scene.rail_moved, settle.rail_s)]
+        if readings.robot is not None:
+            axes.append(("robot", readings.robot, scene.robot_moved, settle.robot_s))
+        for name, reading, moved, rest_s in axes:
+            if moved:
+                rested_s = math.nan if reading.ended_s is None else taken_s - reading.ended_s
+                self._rested(record, name, rested_s, rest_s)
+        confirmed = readings.rail.taken_s >= taken_s
+        self._check("I14", record, confirmed, f"{key}: the rail was not read after it")
+        ages = [each.age_s for each in (readings.tracker, readings.rail, *_one(readings.robot))]
+        known = all(FUTURE_S <= age_s < math.inf for age_s in ages)
+        self._check("I14", record, known, f"{key}: readings {ages} s old")
+
+    def _rested(self, record: Record, name: str, rested_s: float, rest_s: float) -> None:
+        wanted_s = rest_s / self._scene.inputs.time_factor
+        what = f"{record.key}: {rested_s:.3f} s after the {name}'s motion, wanted {wanted_s:g} s"
+        self._check("I3", record, rested_s >= wanted_s, what)
+        self._check("I4", record, rested_s >= 0.0, f"{record.key}: older than the {name}'s motion")
+
+
+def _one(reading: ReadingTime | None) -> list[ReadingTime]:
+    return [] if reading is None else [reading]
+
+
+class Identities:
+    """Compares what answered with what answered before."""
+
+    def __init__(self, tally: Tally, scene: Scene) -> None:
+        self._check, self._scene = tally.check, scene
+        self._before: dict[str, Asset] = {}
+        self._hilcell = ""
+        self._accepted = False  # since the last connection
+
+    def take(self, record: Record) -> None:
+        """Judge a record."""
+        match record.body.get("what") if record.kind == "event" else "":
+            case "changes accepted":
+                self._accepted = True
+            case "connected":
+                self._connected(record)
+
+    def _connected(self, record: Record) -> None:
+        now = {each.kind: each for each in map(asset_of, record.body["devices"])}
+        hilcell = record.body["hilcell"]
+        if self._before:
+            kinds = self._before.keys() | now.keys()
+            changed = [k for k in sorted(kinds) if not same(self._before.get(k), now.get(k))]
+            changed += ["hilcell"] if self._hilcell not in ("", hilcell) else []
+            what = f"changed, and nobody has accepted it: {', '.join(changed)}"
+            self._check("I18", record, self._accepted or not changed, what)
+        self._before, self._hilcell, self._accepted = now, hilcell, False
 
 
 class Rules(Protocol):

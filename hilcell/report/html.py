@@ -5,10 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from functools import partial
+from operator import attrgetter
+
+import numpy as np
 
 from hilcell import __version__
 from hilcell.calibration.errors import places, validation
 from hilcell.calibration.measurement_budget import Budget, budget_of
+from hilcell.journal.curve_record import URAD, CurveRecord
 from hilcell.journal.outcome import run_outcome
 from hilcell.journal.point_id import CONTROL
 from hilcell.ports import Array
@@ -21,9 +25,8 @@ from hilcell.report.certificate import (
     procedure_words,
     title,
 )
-from hilcell.report.columns import KEY, Sheet, present
+from hilcell.report.columns import KEY, Column, Sheet, present, sheet
 from hilcell.report.course import STOPS, course
-from hilcell.report.curves import curves
 from hilcell.report.drawings.curve_plots import curve_plots
 from hilcell.report.drawings.error_plots import enlarged, in_order, over_bound
 from hilcell.report.drawings.over_time import air, floor_moves
@@ -44,7 +47,6 @@ from hilcell.report.first_page import (
     validity_facts,
     verdict_word,
 )
-from hilcell.report.glossary import words_of
 from hilcell.report.method import models
 from hilcell.report.pose_test import tests_poses
 from hilcell.report.remeasured import remeasured
@@ -53,6 +55,69 @@ from hilcell.report.templates import environment
 from hilcell.report.verdicts import verdicts
 from hilcell.report.volume import volume_sheet
 from hilcell.report.worst import worst
+
+
+def _lines(record: CurveRecord) -> str:
+    pairs = zip(record.cycles, record.amplitudes_rad * URAD, strict=True)
+    return ", ".join(f"{cycles:.1f}: {size:.1f}" for cycles, size in pairs) or "none"
+
+
+CURVES: tuple[Column[CurveRecord], ...] = (
+    Column("axis", lambda row: f"A{row.axis}"),
+    Column("cycles: amplitude", _lines, "µrad"),
+    Column("used", lambda row: "yes" if row.holds else f"no: {row.reason}"),
+    Column("from", lambda row: float(np.degrees(row.low_rad)), "°", ".1f"),
+    Column("to", lambda row: float(np.degrees(row.high_rad)), "°", ".1f"),
+    Column("lag", lambda row: row.lag_s * 1e3, "ms", ".2f"),
+    Column("lag u", lambda row: row.lag_sigma_s * 1e3, "ms", ".2f"),
+    Column("noise", lambda row: row.noise_rad * URAD, "µrad", ".1f"),
+    Column("signal", lambda row: 100 * row.share, "%", ".0f"),
+    Column("samples lost", attrgetter("lost"), form="d"),
+)
+
+
+def curves(facts: Facts) -> Sheet | None:
+    """Return the swept axes with their lines."""
+    note = (
+        "Found by slow sweeps in both directions: lines in cycles per revolution of the joint. "
+        "Lag: how much older the joints' readings are than the tracker's. Noise: of one sample. "
+        "Signal: share of the short-wave variance that the lines explain."
+    )
+    return sheet("Transmission errors", CURVES, facts.log.curves.values(), note)
+
+
+WORDS = (
+    ("3-D error", r"\b3-?D\b", "length from the place commanded to the place measured"),
+    ("95 % bound", r"95 % bound",
+     "length that the 3-D error of a corrected target keeps with 95 % probability"),
+    ("u", r"\bu\b", "standard uncertainty, k = 1; of one coordinate, where nothing else is said"),
+    ("U, k", r"\bU\b", "expanded uncertainty U = k u, about 95 %; k: coverage factor"),
+    ("AP, RP", r"\bAP_p\b",
+     "ISO 9283: mean position less the commanded one; radius that repeated arrivals keep"),
+    ("AD, RD", r"\bAD_x\b", "accuracy and repeatability of a distance (ISO 9283)"),
+    ("{W}", r"\{W\}", "world frame, of the floor nests"),
+    ("{B}", r"\{B\}", "base frame of the robot"),
+    ("A, B, C", r"\bA °", "angles about z, y and x, turned in this order"),
+    ("Station", r"\bS\d+\b|\b[Ss]tations\b", "place of the robot on the rail, held by the strip"),
+    ("Touch pose", r"[Tt]ouch pose", "pose measured to find where the slide came to rest"),
+    ("SMR", r"\bSMR\b", "spherically mounted retroreflector, seen by the tracker"),
+    ("RMS, rms", r"\b(rms|RMS)\b", "root mean square"),
+    ("p95", r"\bp95\b", "95 % of the figures are below it"),
+    ("IDW", r"\b(IDW|idw)\b", "error as the mean of the vertices' errors by inverse distance"),
+)  # fmt: skip
+WITHOUT_RAIL = {"Station": "place of the robot, on the floor"}
+
+
+def words_of(html: str, has_rail: bool = True) -> list[tuple[str, str]]:
+    """Return the words that stand in a page, with their meaning in such a cell."""
+    text = re.sub(r"<[^>]*>", " ", html)
+    own = {} if has_rail else WITHOUT_RAIL
+    return [
+        (name, own.get(name, meaning))
+        for name, pattern, meaning in WORDS
+        if re.search(pattern, text)
+    ]
+
 
 POSITION_ERRORS = "position errors of the tool point"
 PARTS = {

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
-from hilcell.cell.file import Station
+from hilcell.cell.file import RailTable, Station
+from hilcell.journal.driven import Driven
+from hilcell.journal.journal import StorageError
 from hilcell.journal.log import ReadingTime
-from hilcell.ports import Array, RailReading, RobotReading
+from hilcell.journal.runs import read_log
+from hilcell.ports import Array, Clock, DeviceError, Rail, RailReading, RobotReading, StripLost
 from hilcell.run.clear_ways import below, check_way, stops_on_way
 from hilcell.run.coming_poses import ComingPoses
-from hilcell.run.first_pass import FirstPass
-from hilcell.run.fresh_readings import fresh
 from hilcell.run.interlocks import (
     check_joint_limits,
     check_rests,
@@ -22,7 +26,166 @@ from hilcell.run.interlocks import (
 )
 from hilcell.run.run_context import RunContext
 from hilcell.run.seen import seen, time_of
-from hilcell.run.strip_loop import approach_station
+
+# The trap: the drive's encoder is blind to backlash. So the last motion always comes from the
+# same side, and only the strip, read at rest, says where the slide is.
+
+
+@dataclass(frozen=True, slots=True)
+class Approach:
+    """A held station: the reading at rest and how many approaches it took."""
+
+    station: str
+    reading: RailReading
+    tries: int
+
+
+def approach_station(rail: Rail, table: RailTable, station: Station) -> Approach:
+    """Bring the slide to ``station`` from below; raises `DeviceError` when it does not hold.
+
+    Raises `StripLost` for a strip that does not follow at all. Every approach must shrink the
+    error; the side of approach never changes.
+    """
+    command_mm = station.rail_mm
+    error_mm = float("inf")
+    for tries in range(1, table.max_approaches + 1):
+        before = _back_off(rail, table, command_mm)
+        rail.move_to(command_mm)
+        reading = rail.settle()
+        _check_strip_follows(table, station, before, reading)
+        found_mm = station.strip_mm - reading.strip_mm
+        if abs(found_mm) <= table.strip_tolerance_mm + 1e-9:
+            return Approach(station.name, reading, tries)
+        if not abs(found_mm) < abs(error_mm):
+            break
+        error_mm = found_mm
+        command_mm += found_mm
+    raise DeviceError(
+        "HC-S04",
+        "Rail",
+        f"station {station.name} not held",
+        f"strip {reading.strip_mm:.2f} mm",
+        wanted=f"{station.strip_mm:.2f} +-{table.strip_tolerance_mm:.2f} mm in {tries} approaches",
+        act="check the strip head and the slide's friction, then resume",
+        fields={
+            "station": station.name,
+            "strip_mm": reading.strip_mm,
+            "wanted_mm": station.strip_mm,
+            "tolerance_mm": table.strip_tolerance_mm,
+            "tries": tries,
+        },
+    )
+
+
+def _back_off(rail: Rail, table: RailTable, command_mm: float) -> RailReading:
+    rail.move_to(command_mm - table.back_off_mm)
+    return rail.settle()
+
+
+def _check_strip_follows(
+    table: RailTable, station: Station, before: RailReading, reading: RailReading
+) -> None:
+    motor_mm = abs(reading.position_mm - before.position_mm)
+    strip_mm = abs(reading.strip_mm - before.strip_mm)
+    if motor_mm > 0.4 and not strip_mm > 0.0:
+        raise StripLost(
+            "HC-S02",
+            "Rail",
+            f"approach of {station.name}",
+            f"strip frozen at {reading.strip_mm:.2f} mm while the drive moved {motor_mm:.2f} mm",
+            act="check the strip head and its cable",
+            fields={"station": station.name, "strip_mm": reading.strip_mm, "moved_mm": motor_mm},
+        )
+    slip_mm = reading.position_mm - reading.strip_mm
+    if not abs(slip_mm) <= table.slip_limit_mm:
+        raise DeviceError(
+            "HC-S03",
+            "Rail",
+            f"approach of {station.name}",
+            f"drive {reading.position_mm:.2f} mm and strip {reading.strip_mm:.2f} mm differ",
+            wanted=f"<= {table.slip_limit_mm:.2f} mm apart",
+            act="the slide slipped or this is another station; home and check the coupling",
+            fields={
+                "station": station.name,
+                "drive_mm": reading.position_mm,
+                "strip_mm": reading.strip_mm,
+                "limit_mm": table.slip_limit_mm,
+            },
+        )
+
+
+# Their volumes are only as right as the cell file. So the robot goes there slowly the first time,
+# and an attended run pauses before the first of them, unless the cell file says otherwise. A pose
+# is known once this run, or one of those finished before it, was driven there.
+
+
+class FirstPass:
+    """Says how fast the robot may go to a pose, and who has to watch."""
+
+    def __init__(self, run: RunContext, coming: ComingPoses) -> None:
+        self._run, self._coming = run, coming
+        self._announced = False
+
+    def speed_percent(self, strip_mm: float, joints_rad: Array, what: str) -> float:
+        """Return the speed to joints (6,) with the slide there.
+
+        The first pose that is not known is announced; an attended run then pauses here.
+        """
+        cell = self._run.cell
+        usual = cell.robot.speed_percent
+        if cell.surroundings is None or not self._coming.leaves_cube(joints_rad):
+            return usual
+        if any(
+            driven.has(strip_mm, joints_rad) for driven in (self._run.log.driven, *self._earlier)
+        ):
+            return usual
+        slow = min(cell.robot.first_pass_percent, usual)
+        if not self._announced:
+            self._announced = True
+            self._announce(what, slow)
+        return slow
+
+    def _announce(self, what: str, percent: float) -> None:
+        self._run.event("first pass", key=what, speed_percent=percent)
+        if self._run.cell.robot.first_pass_pause:
+            self._run.pause(
+                f"{what}: the robot leaves the grid's cube, to where it was never driven in this "
+                f"cell, at {percent:g} %; clear the cell and stay at the E-stop"
+            )
+
+    @cached_property
+    def _earlier(self) -> list[Driven]:
+        """Return where the runs before this one were driven; a deleted one proves nothing."""
+        found, plan = [], self._run.log.plan
+        for name in plan.driven_by if plan else []:
+            try:
+                found.append(read_log(self._run.folder.parent / name).driven)
+            except StorageError as error:
+                self._run.event("earlier run unreadable", run=name, reason=str(error))
+        return found
+
+
+# A PC that did not run between a reading and its use has an old reading and a device that is
+# well. So it reads again; the interlocks judge the age of the new reading all the same.
+
+TRIES = 5
+SHARE = 0.8  # of the limit: the rest is left until the motion begins
+
+R = TypeVar("R", RailReading, RobotReading)
+
+
+def fresh(read: Callable[[], R], clock: Clock, limit_s: float, taken: R | None = None) -> R:
+    """Return ``taken`` if it is well below ``limit_s`` old, or the first of some readings that is.
+
+    Where none is, the last one is returned.
+    """
+    reading = read() if taken is None else taken
+    for _ in range(TRIES - 1):
+        if clock.pc_s() - reading.taken_s <= SHARE * limit_s:
+            break
+        reading = read()
+    return reading
+
 
 SAME_RAD = 1e-4  # of joints read back: the robot stands at that pose
 

@@ -20,12 +20,107 @@ from hilcell.ports import Clock, DeviceError, Identity, NoReading, Stopped
 from hilcell.run.cell_lock import lock_of_device, locked
 from hilcell.run.cell_session import CellSession
 from hilcell.run.device_status import CellMonitor
-from hilcell.run.pause_gate import REST_S, PauseGate
 from hilcell.run.procedure import Procedure
 from hilcell.run.prompts import LOOK_S, Asking, Look, Prompt, passes, refusal, unanswered
 from hilcell.run.protocol import PromptStatus
 from hilcell.run.same_cell import NONE, Changes, accepted, changed_assets
-from hilcell.run.unattended_wait import UnattendedWait
+
+REST_S = 0.02
+
+
+class PauseGate:
+    """Open at first. ``reached`` is called when the worker stands before the closed gate.
+
+    A gate that opens and closes again at once must find the worker either resting or gone, never
+    in between, and an open gate is never reported as reached; so a thread that changes or reports
+    either holds the lock. ``reached`` must not wait.
+    """
+
+    def __init__(self, reached: Callable[[], None]) -> None:
+        self._reached = reached
+        self._lock = threading.Lock()
+        self._open = threading.Event()
+        self._open.set()
+        self._resting = False
+
+    @property
+    def closed(self) -> bool:
+        """Whether the worker may not pass."""
+        return not self._open.is_set()
+
+    @property
+    def resting(self) -> bool:
+        """Whether the worker waits here."""
+        return self._resting
+
+    def close(self) -> None:
+        """Let the worker wait when it comes here next."""
+        with self._lock:
+            self._open.clear()
+            if self._resting:
+                self._reached()
+
+    def open(self) -> None:
+        """Let the worker pass."""
+        with self._lock:
+            self._open.set()
+
+    def passage(self, at_rest: Callable[[], None]) -> None:
+        """Wait while the gate is closed, calling ``at_rest`` all the while; it may raise."""
+        while not self._passed():
+            at_rest()
+            self._open.wait(REST_S)
+
+    def _passed(self) -> bool:
+        with self._lock:
+            if self._open.is_set():
+                self._resting = False
+            elif not self._resting:
+                self._resting = True
+                self._reached()
+            return not self._resting
+
+
+# A person who walks through the beam is gone in seconds, a lamp that dazzles the tracker in an
+# hour. So looks come after 10 s, 20 s, 40 s and so on; when the time is over, the run ends as a
+# fault. A cause that comes back soon after a good look is looked at ever more seldom, too: a look
+# at a strip that was frozen is no proof before the slide has moved.
+
+FIRST_LOOK_S, LONGEST_APART_S = 10.0, 300.0
+SLICE_S = 0.5  # in which an answer of somebody who attends after all is noticed
+
+
+class UnattendedWait:
+    """All waits of one session: together at most ``limit_s`` of the cell's time."""
+
+    def __init__(self, clock: Clock, limit_s: float) -> None:
+        self._clock, self._left_s = clock, limit_s
+        self._apart_s = self._due_s = FIRST_LOOK_S
+        self._looked_s = -math.inf
+
+    @property
+    def over(self) -> bool:
+        """Whether no time is left."""
+        return not self._left_s > 0.0
+
+    def begin(self) -> None:
+        """Begin a wait: the first look comes soon, unless the same cause may be back at once."""
+        if not self._clock.now_s() - self._looked_s <= self._apart_s:
+            self._apart_s = self._due_s = FIRST_LOOK_S
+
+    def look_due(self) -> bool:
+        """Let a slice of time pass; return whether to look now."""
+        slice_s = min(SLICE_S, self._left_s)
+        self._clock.wait(slice_s)
+        self._left_s -= slice_s
+        self._due_s -= slice_s
+        if self._due_s > 0.0 and not self.over:
+            return False
+        self._apart_s = min(2.0 * self._apart_s, LONGEST_APART_S)
+        self._due_s = self._apart_s
+        self._looked_s = self._clock.now_s()
+        return True
+
 
 ENDED = "the run has ended"
 SCREEN_S = 10.0  # a screen looks for its engine twice a second: one not here by now is gone

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from datetime import date, time
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -25,7 +27,26 @@ from hilcell.cell.source import built_in_cells, parsed
 from hilcell.cell.tables import Frozen, Name
 from hilcell.study.factor import UNREAD, Factor
 from hilcell.study.outcome import RESULTS
-from hilcell.study.toml_value import toml_value
+
+
+def toml_value(value: object) -> str:
+    """Return a value that TOML or JSON has read, as TOML in one line."""
+    if isinstance(value, Mapping):
+        inner = (f"{_quoted(str(key))} = {toml_value(each)}" for key, each in value.items())
+        return f"{{ {', '.join(inner)} }}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(toml_value, value))}]"
+    if isinstance(value, float):
+        return repr(value)  # "inf" and "nan" too, which the cell refuses
+    if isinstance(value, date | time):
+        return value.isoformat()
+    return _quoted(value) if isinstance(value, str) else json.dumps(value)
+
+
+def _quoted(text: str) -> str:
+    """Return a string; TOML knows no halves of a character, and no bare DEL."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
 
 MOST_CASES = 1_000_000
 MOST_FACTORS = 20

@@ -8,8 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from drivers.canopen import pdo, sdo
-from drivers.canopen.can_link import CanLink
-from drivers.canopen.link_time import PAUSE_S, LinkTime
+from drivers.canopen.can_link import PAUSE_S, CanLink, LinkTime
 from drivers.canopen.rail import CanopenRail
 from tests.clocks import DrivenClock
 from tests.drivers.can_peer import CanPeer

@@ -4,12 +4,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from fakes.truth.arm_truth import ArmTruth, varying_rms_mm
-from fakes.truth.design import reference_cube
+from fakes.truth.arm_truth import ArmTruth, reference_cube, unit_rp_mm, varying_rms_mm
 from fakes.truth.joint_errors import Ripple
 from fakes.truth.machine import Machine, load_machine
 from fakes.truth.noise import KeyedNoise
-from fakes.truth.repeatability import unit_rp_mm
 from hilcell.calibration.base_circles import axis_6_height_mm
 from hilcell.calibration.frames import grid_of
 from hilcell.cell.file import Cell, load_cell

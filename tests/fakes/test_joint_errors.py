@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fakes.truth.design import reference_cube
+from fakes.truth.arm_truth import reference_cube
 from fakes.truth.joint_errors import Deflection, Loads, Ripple, Slopes, slopes
 from fakes.truth.machine import load_machine
 from fakes.truth.transforms import Array

@@ -16,8 +16,7 @@ import pytest
 from fakes.faults import Faults
 from fakes.site import Site
 from fakes.spatialanalyzer.t2sa_device import WARM_UP_S, T2saDevice
-from fakes.spatialanalyzer.t2sa_points import fan, imported, write
-from fakes.spatialanalyzer.t2sa_server import T2saServer, serve
+from fakes.spatialanalyzer.t2sa_server import T2saServer, fan, imported, serve, write
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell

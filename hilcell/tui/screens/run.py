@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -14,14 +17,16 @@ from textual.widgets import Input
 from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import shown
+from hilcell.tui.plots.draw import Look
+from hilcell.tui.plots.scale import Scale
 from hilcell.tui.screens.pages import FilterScreen
 from hilcell.tui.screens.plots import look_of
-from hilcell.tui.screens.wide import WidePanels
+from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
 from hilcell.tui.text.alarm_panel import alarm_panel, kept_words, newest_line, panel_is_due
 from hilcell.tui.text.alarm_words import alarm_line
-from hilcell.tui.text.below import block_rows
+from hilcell.tui.text.below import below_lines, block_rows
 from hilcell.tui.text.deviation import PointRow
 from hilcell.tui.text.footer import ACTS, VIEWS, KeyOf, footer_lines
 from hilcell.tui.text.footer import WORDS as FOOTER_WORDS
@@ -31,8 +36,57 @@ from hilcell.tui.text.points import PointRows, columns_for, filtered
 from hilcell.tui.text.prompt import prompt_box
 from hilcell.tui.text.result import Result, result_lines, result_of
 from hilcell.tui.text.rows import rows_for
+from hilcell.tui.text.side import side_lines
 from hilcell.tui.text.verdict import verdict_lines, verdict_of
 from hilcell.tui.widgets import Table, TextPanel
+
+REDRAW_S = 0.5
+
+
+class WidePanels:
+    """Draws each panel twice a second at most; ``rows`` are those of the points table."""
+
+    def __init__(self) -> None:
+        self._scale: Scale | None = None
+        self._side_seen: tuple[object, ...] = ()
+        self._below_place = (0, 0)  # columns and rows
+        self._drawn_s = {"side": -math.inf, "below": -math.inf}
+
+    def show_side(
+        self, panel: TextPanel, view: RunView, rows: Sequence[PointRow], look: Look, theme: str
+    ) -> None:
+        """Show map and plot, where the panel has room and there is something new."""
+        size = panel.size
+        state = (size, theme, look, len(view.log.points), view.last)
+        same_place = self._side_seen[:3] == state[:3]
+        if not size.height or state == self._side_seen or (same_place and self._early("side")):
+            return
+        self._side_seen = state
+        lines, self._scale = side_lines(view, rows, *size, look, self._scale)
+        panel.show(Content("\n").join(lines))
+
+    def show_below(
+        self, panel: TextPanel, view: RunView, rows: Sequence[PointRow], glyphs: Glyphs, height: int
+    ) -> None:
+        """Show interlocks, next steps and events on a terminal of this height."""
+        room = block_rows(height, live=view.live)
+        panel.display = room > 0 and view.log.plan is not None
+        width = panel.size.width or 79
+        place = (width, room)
+        if not panel.display or (place == self._below_place and self._early("below")):
+            return
+        self._below_place = place
+        errors_mm = {row.point.key: row.norm_mm for row in rows if row.deviation is not None}
+        panel.show(Content("\n").join(below_lines(view, errors_mm, glyphs, width, room)))
+
+    def _early(self, name: str) -> bool:
+        """Whether a panel was drawn just now; else it is drawn now."""
+        now_s = time.monotonic()
+        if now_s - self._drawn_s[name] < REDRAW_S:
+            return True
+        self._drawn_s[name] = now_s
+        return False
+
 
 LEFT = 79  # columns of the lines that are alike at every width, beside the simulation's edge
 SLOTS = ("stop", *(slot.name for slot in (*ACTS, *VIEWS)))

@@ -9,12 +9,35 @@ from dataclasses import dataclass
 from textual.content import Content
 
 from hilcell.alarms.alarm import DRIFT_LIMIT_K
+from hilcell.journal.outcome import run_outcome
 from hilcell.journal.states import WAITING
 from hilcell.run.protocol import DeviceStatus, Interlock
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import Glyphs
-from hilcell.tui.text.ended import end_remark
 from hilcell.tui.text.lines import justified, placed
+
+
+def end_remark(view: RunView) -> str:
+    """Return the outcome, else that there is no verdict and after how many points.
+
+    Nothing where the validation's verdict is shown, or the run has not ended.
+    """
+    if view.state in ("done", "intolerant"):
+        judged = "validation" in (view.log.end or {}).get("result", {})
+        return "" if judged else run_outcome(view.log)
+    return _no_verdict(view)
+
+
+def _no_verdict(view: RunView) -> str:
+    """Return that a run has ended before its validation, and after how many of its points."""
+    plan = view.log.plan
+    if plan is None or view.live or view.state == "idle":
+        return ""
+    if all(step["name"] != "validate" for step in plan.steps):
+        return ""
+    measured = min(sum(map(len, view.measured.values())), plan.points)
+    return f"no verdict: {measured} of {plan.points} points"
+
 
 LAMPS = ("rail", "strip", "robot", "tracker")
 OF_RAIL = LAMPS[:2]

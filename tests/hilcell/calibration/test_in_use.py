@@ -19,8 +19,7 @@ from hilcell.calibration.in_use import (
     written_by,
 )
 from hilcell.calibration.validity import Unfit
-from hilcell.cell.file import Cell, load_cell
-from hilcell.cell.in_use import RecheckTable
+from hilcell.cell.file import Cell, RecheckTable, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.journal.calibration_facts import USED
 from hilcell.journal.runs import CALIBRATION, JOURNAL

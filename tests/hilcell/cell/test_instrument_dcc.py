@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from hilcell.cell.file import load_cell
-from hilcell.cell.instrument_dcc import NotRead, read_dcc
 from hilcell.cell.settings import SettingsError
+from hilcell.cell.uncertainty import NotRead, read_dcc
 
 ERRORS = (
     "<si:valueXMLList>0.002 -0.006 0.004</si:valueXMLList>"

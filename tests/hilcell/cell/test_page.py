@@ -8,10 +8,9 @@ from typing import Any
 
 import msgspec
 
+from hilcell.cell import file, layout
 from hilcell.cell import file as cell
-from hilcell.cell import in_use, layout
-from hilcell.cell.iso9283 import Iso9283Table
-from hilcell.cell.room import RoomTable
+from hilcell.cell.file import Iso9283Table, RoomTable
 from hilcell.cell.settings import range_text
 
 PAGE = (Path(__file__).parents[3] / "docs" / "cell-file.md").read_text("utf-8")
@@ -40,9 +39,9 @@ SECTIONS: dict[str, type[msgspec.Struct]] = {
     "[[keep_out]]": cell.KeepOut,
     "[uncertainty]": cell.UncertaintyTable,
     "[certificate]": cell.CertificateTable,
-    "[recheck]": in_use.RecheckTable,
+    "[recheck]": file.RecheckTable,
     "[iso9283]": Iso9283Table,
-    "[targets]": in_use.TargetsTable,
+    "[targets]": file.TargetsTable,
     "[campaign]": cell.CampaignTable,
     "[simulation]": cell.SimulationTable,
 }

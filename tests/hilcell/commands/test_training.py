@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from hilcell.commands.training import Trainer
+from hilcell.commands.cell import Trainer
 from hilcell.ports import Exercise
 
 

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from hilcell.cell.file import load_cell
-from hilcell.compensation.choice import MODELS, choose, chosen
+from hilcell.compensation.choice import MODELS, Nominal, choose, chosen
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.kinematic import Kinematic, _excess, _identified, curves_used
 from hilcell.compensation.measured import Measured, StaticPoses
 from hilcell.compensation.model import ModelError
-from hilcell.compensation.nominal import Nominal
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.identification.curve import TransmissionCurve

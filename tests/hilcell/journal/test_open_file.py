@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.journal.open_file import OpenFile
+from hilcell.journal.journal import OpenFile
 
 
 def replace(path: Path) -> None:

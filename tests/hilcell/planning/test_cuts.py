@@ -6,9 +6,7 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
 from hilcell.planning.bound import lower_bound
-from hilcell.planning.cuts import _Program, cut_bound
-from hilcell.planning.route import route
-from hilcell.planning.separation import Separation
+from hilcell.planning.route import Separation, _Program, cut_bound, route
 from hilcell.planning.stars import Cut
 from tests.hilcell.planning.test_route import least, raster, scattered
 

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from hilcell.planning.cuts import _Program
-from hilcell.planning.separation import Separation
+from hilcell.planning.route import Separation, _Program
 from hilcell.planning.stars import Cut, _Growth, star
 from tests.hilcell.planning.test_route import raster
 

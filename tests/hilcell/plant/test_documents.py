@@ -12,7 +12,7 @@ from sqlalchemy import select
 
 from hilcell.calibration.file import SEAL
 from hilcell.journal.runs import CALIBRATION
-from hilcell.plant import documents
+from hilcell.plant import shipper
 from hilcell.plant.database import Database
 from hilcell.plant.shipper import NAME, Shipped, ship
 from hilcell.plant.tables import DOCUMENT, RUN
@@ -91,7 +91,7 @@ def test_a_file_that_the_run_did_not_write_is_refused_and_stops_no_other(
 def test_a_file_without_an_end_is_not_read(
     runs: Path, office: Database, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(documents, "MOST_BYTES", 1000)
+    monkeypatch.setattr(shipper, "MOST_BYTES", 1000)
     done, _ = shipped(runs, office)
     assert "1000" in done.refused["small"]
 

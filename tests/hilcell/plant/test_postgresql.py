@@ -23,8 +23,7 @@ from hilcell.journal.runs import read_records
 from hilcell.plant.database import CELL, ENGINEER, MIGRATIONS, Database
 from hilcell.plant.record import GridErrors, LengthEntry, heads, record_of
 from hilcell.plant.rows import digest_of
-from hilcell.plant.shipper import NAME, ship
-from hilcell.plant.store import write
+from hilcell.plant.shipper import NAME, ship, write
 from hilcell.plant.tables import HEAD, PARTS, POINT, RUN, TABLES
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.server import Server

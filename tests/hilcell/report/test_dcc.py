@@ -15,8 +15,7 @@ from hilcell.calibration.decision import guard_of
 from hilcell.journal.calibration_facts import REVOKED
 from hilcell.journal.point_id import PointId
 from hilcell.report import dcc
-from hilcell.report.dcc import dcc_bytes
-from hilcell.report.dcc_elements import CELSIUS, DEGREE, FORMS, HECTOPASCAL, MM, PERCENT, real
+from hilcell.report.dcc import CELSIUS, DEGREE, FORMS, HECTOPASCAL, MM, PERCENT, dcc_bytes, real
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import results_at
 from hilcell.report.target_budget import TargetBudget

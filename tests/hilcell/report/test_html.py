@@ -18,14 +18,12 @@ from hilcell.calibration.measurement_budget import STEEL_EXPANSION_PER_K, budget
 from hilcell.cell.file import load_cell
 from hilcell.identification.sweeps import SweptAxis
 from hilcell.journal.point_id import PointId
-from hilcell.report.curves import curves
 from hilcell.report.drawings.curve_plots import LABEL_MM, SPECTRUM_MM, WIDTH_MM, label_mm
 from hilcell.report.drawings.plan_view import plan_view
 from hilcell.report.drawings.svg import compact
 from hilcell.report.export import csv_bytes, json_bytes, xlsx_bytes
 from hilcell.report.facts import Facts, read_facts
-from hilcell.report.glossary import WORDS, words_of
-from hilcell.report.html import report_html
+from hilcell.report.html import WORDS, curves, report_html, words_of
 from hilcell.report.target_budget import target_budget
 from tests.hilcell.journal.test_curve_record import FOUND, body_of
 from tests.hilcell.report.journals import AFTER_MM, BEFORE_MM, Writer, validated_run

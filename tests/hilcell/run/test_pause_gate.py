@@ -6,7 +6,7 @@ import threading
 import pytest
 
 from hilcell.ports import Stopped
-from hilcell.run.pause_gate import PauseGate
+from hilcell.run.worker import PauseGate
 
 
 def nothing() -> None: ...

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 
 from hilcell.cell.settings import SettingsError
 from hilcell.study.design import points
-from hilcell.study.study_file import cell_of, read_study
-from hilcell.study.toml_value import toml_value
+from hilcell.study.study_file import cell_of, read_study, toml_value
 from tests.hilcell.study.studies import study, written
 
 EXAMPLES = sorted(Path("docs/examples").glob("study-*.toml"))

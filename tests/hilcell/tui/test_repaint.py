@@ -11,7 +11,7 @@ import pytest
 from textual.pilot import Pilot
 from textual.screen import Screen
 
-from hilcell.tui.screens import run, wide
+from hilcell.tui.screens import run
 from hilcell.tui.text import deviation, points, result
 from tests.hilcell.tui.all_screens import isolated
 from tests.hilcell.tui.recording_app import RecordingApp, run_app, settle, text_of
@@ -80,7 +80,7 @@ def test_the_tick_leaves_a_screen_that_was_shown_just_now(monkeypatch: pytest.Mo
 def test_the_rows_below_fill_their_width_however_soon_they_are_drawn_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(wide, "REDRAW_S", math.inf)
+    monkeypatch.setattr(run, "REDRAW_S", math.inf)
 
     async def look(app: RecordingApp, pilot: Pilot[int]) -> None:
         rule = next(line for line in text_of(app).splitlines() if "─ interlocks ─" in line)

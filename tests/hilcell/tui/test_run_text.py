@@ -21,7 +21,7 @@ from hilcell.tui.terminal.capabilities import ASCII, UNICODE, to_ascii
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
 from hilcell.tui.text.deviation import Deviation
-from hilcell.tui.text.ended import end_remark
+from hilcell.tui.text.devices import end_remark
 from hilcell.tui.text.plots import strip_plot, tabs_of
 from tests.hilcell.tui.sample_runs import measuring, sample_runs, validated
 from tests.hilcell.tui.views import view_of
