@@ -18,7 +18,7 @@ from tests.whole.bench import sweep
 
 __all__ = ["isolated"]
 
-BURSTS, LONGEST = 25, 4
+BURSTS, LONGEST = 12, 4
 LEAVING = ("d", "ctrl+q", "ctrl+c")
 KEYS = sorted(
     {key for action in ACTIONS for key in action.keys} | {*RESERVED, *"1234gs"} - set(LEAVING)
@@ -51,7 +51,7 @@ def test_random_keys_break_nothing(state: str) -> None:
                 burst = [key for key in burst if key not in LEAVING]
                 pressed.extend(burst)
                 type_ahead(app, *burst)
-                if chance.random() < 0.05:
+                if chance.random() < 0.1:
                     size = Size(*chance.choice(SIZES))
                     app.post_message(Resize(size, size))
                 await settle(pilot)

@@ -152,27 +152,16 @@ HOSTILE = [
 
 
 @pytest.mark.parametrize("plain", [False, True])
-@pytest.mark.parametrize("text", HOSTILE, ids=range(len(HOSTILE)))
-def test_cells_are_plain_text_and_stay_in_their_columns(text: str, plain: bool) -> None:
+def test_cells_are_plain_text_and_stay_in_their_columns(plain: bool) -> None:
     async def act(app: TableApp, pilot: Pilot[None]) -> None:
-        app.rows.show_rows([Row(text, (text, "1.25"), "fault"), Row("k", ("fine", "2.50"))])
-        line = app.rows.render_line(1)
-        assert line.cell_length == app.rows.size.width
-        shown = line.text
-        assert not set(shown) & {
-            "\x1b",
-            "\x9b",
-            "\u202e",
-            "\u200b",
-            "\n",
-            "\r",
-            "\x08",
-            "\x07",
-            "\ud800",
-        }
-        assert shown.isascii() or not plain
-        before, _, _ = shown.partition("1.25")
-        assert cell_len(before) == 1 + 10 + 1 + 4
-        await pilot.press("enter")
+        app.rows.show_rows([Row(text, (text, "1.25"), "fault") for text in HOSTILE])
+        for number in range(len(HOSTILE)):
+            line = app.rows.render_line(number + 1)
+            assert line.cell_length == app.rows.size.width
+            assert not set(line.text) & set("\x1b\x9b\u202e\u200b\n\r\x08\x07\ud800")
+            assert line.text.isascii() or not plain
+            before, _, _ = line.text.partition("1.25")
+            assert cell_len(before) == 1 + 10 + 1 + 4
+            await pilot.press("enter", "down")
 
-    assert run_app(act, TableApp(plain=plain)).chosen == [text]
+    assert run_app(act, TableApp(plain=plain)).chosen == HOSTILE

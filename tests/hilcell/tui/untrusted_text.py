@@ -27,7 +27,7 @@ NASTY = {
     "nothing to see": f"\u200b\ufeff{MARK}\u200d",
     "lines": f"{MARK}\n\r\n\x0b\x0c\u2028\u2029\x85end",
     "control": f"\x00\x07\x08\x7f\r{MARK}\t",
-    "length": MARK + "x" * 5000,
+    "length": MARK + "x" * 500,  # longer than any line
     "wide": f"漢字かな交じり文の{MARK}한국어" * 3,
     "emoji": f"👩\u200d🔧🇩🇪{MARK}e\u0301\u0301\u0301",
 }
