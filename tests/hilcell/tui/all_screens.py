@@ -12,6 +12,7 @@ from textual.pilot import Pilot
 
 from hilcell.journal.calibration_facts import CalibrationFacts
 from hilcell.journal.index import RunRow
+from hilcell.tui import keys
 from hilcell.tui.engine import process
 from hilcell.tui.screens import start
 from hilcell.tui.screens.base import Confirm
@@ -103,6 +104,7 @@ SAID = {
     "compare": msgspec.json.encode(COMPARISON).decode(),
 }
 
+PATIENT_S = 60.0
 Look = Callable[[RecordingApp], str]
 
 
@@ -133,6 +135,8 @@ def isolated(monkeypatch: pytest.MonkeyPatch) -> None:
     async def dry_run(order: process.RunRequest) -> dict[str, Any]:
         return PLAN
 
+    for name in ("LONGEST_S", "BUILT_S"):  # a slow machine keeps keys in their order, too
+        monkeypatch.setattr(keys, name, PATIENT_S)
     monkeypatch.setattr(CommandPalette, "_NO_MATCHES_COUNTDOWN", 0.01)
     monkeypatch.setattr(process, "run_command", run_command)
     monkeypatch.setattr(process, "dry_run", dry_run)
