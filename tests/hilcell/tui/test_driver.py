@@ -77,11 +77,10 @@ def styled(ground: str, *, bold: bool = False, text: str = "#123456") -> str:
 
 
 @by_palette
-@pytest.mark.parametrize("role", [*ROLES, "text", "badge"])
-def test_what_stands_on_a_fill_is_reversed(palette: Palette, role: str) -> None:
-    ground = palette.fill(role)
-    assert without_colours(styled(ground), palette.name) == "\x1b[7mX\x1b[0m"
-    assert without_colours(styled(ground, bold=True), palette.name) == "\x1b[1;7mX\x1b[0m"
+def test_what_stands_on_a_fill_is_reversed(palette: Palette) -> None:
+    for ground in map(palette.fill, (*ROLES, "text", "badge")):
+        assert without_colours(styled(ground), palette.name) == "\x1b[7mX\x1b[0m"
+        assert without_colours(styled(ground, bold=True), palette.name) == "\x1b[1;7mX\x1b[0m"
 
 
 @by_palette

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -85,25 +86,12 @@ def test_the_legend_counts_each_grade() -> None:
         assert words in text
 
 
-def test_where_it_is_narrow_the_third_view_goes_and_the_legend_flows() -> None:
-    lines = shown(volume(), 38)
-    assert sum("z up" in line for line in lines) == 1
-    assert any("≤ 0.05" in line and "≤ 0.10" in line for line in lines)
-
-
-def test_where_it_is_low_one_view_stays() -> None:
-    lines = shown(volume(), WIDE, 10)
-    assert any("from above" in line for line in lines)
-    assert not any("from the side" in line for line in lines)
-
-
-@pytest.mark.parametrize("width", [5, 20, 38, 58, 100])
-@pytest.mark.parametrize("height", [1, 12, 40])
-def test_a_map_never_leaves_its_room(width: int, height: int) -> None:
+def test_a_map_never_leaves_its_room() -> None:
     odd = volume((math.nan, 0.1), newest=1, stations=(("S1", 500.0),), planned=285)
-    lines = shown(odd, width, height)
-    assert all(len(line) <= width for line in lines)
-    assert len(lines) <= height
+    for width, height in product((5, 20, 38, 58, 100), (1, 10, 12, 40)):
+        lines = shown(odd, width, height)
+        assert all(len(line) <= width for line in lines)
+        assert len(lines) <= height
 
 
 # -- the right side --------------------------------------------------------------------------------

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilcell.journal.point_id import PointId
-from hilcell.journal.point_words import point_words, short_words
 from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE
 from hilcell.tui.text.deviation import Deviation
@@ -61,17 +60,6 @@ def test_it_says_what_the_decision_rule_says(
     assert len(lines) == FULL_ROWS
     assert lines[4].plain.strip().startswith(said)
     assert style in str(lines[1].spans)  # the digits
-
-
-def test_rows_stand_at_the_columns_of_the_design() -> None:
-    lines = point_lines(shown(0.189, 1.0), UNICODE, 79).plain.split("\n")
-    assert lines[1].startswith(" |e| █▀█   ▄█  █▀█ █▀█     dx +0.189 mm")
-    assert lines[1].index("│") == 55
-    assert lines[1].rstrip().endswith("±0.5")
-    assert lines[4].index("█") == 20
-    assert lines[4].index("│") == 64
-    assert lines[5].index("0.25") == 31
-    assert lines[5].index("1.00 limit") == 64
 
 
 @pytest.mark.parametrize(
@@ -157,23 +145,3 @@ def test_bars_have_a_scale_of_1_2_5_that_holds_them(
 ) -> None:
     found = Deviation("p", error_mm, (0.0, 0.0, 0.0), 0.3)
     assert scale in point_lines(Shown("p", found, ""), UNICODE, 79).plain.split()
-
-
-@pytest.mark.parametrize(
-    ("id", "name", "short"),
-    [
-        (PointId("validate", station="S300", how="chosen", number=49),
-         "corrected target 50 at S300", "corrected 50"),
-        (PointId("validate", station="S300", how="before", number=0),
-         "target 1 as sent at S300", "as sent 1"),
-        (PointId("validate", station="S300", how="idw", number=0),
-         "target 1 at S300, paper method", "paper 1"),
-        (PointId("grid", vertex=(1, 0, 2)), "grid point 1-0-2", "grid 1-0-2"),
-        (PointId("world", nest="F1"), "floor nest F1", "nest F1"),
-        (PointId("base", axis=6, number=2), "base circle A6 3", "base A6 3"),
-        (PointId("sign", how="corrected"), "sign check corrected", "sign corrected"),
-        (PointId("new-kind", nest="X"), "new-kind X", "new-kind X"),
-    ],
-)  # fmt: skip
-def test_points_are_named_in_words(id: PointId, name: str, short: str) -> None:
-    assert (point_words(id), short_words(id)) == (name, short)

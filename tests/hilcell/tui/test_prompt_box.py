@@ -104,8 +104,8 @@ def test_an_old_figure_is_dashes() -> None:
     assert "1.24" not in plain
 
 
-@pytest.mark.parametrize("columns", [58, 60, 79, 80])
-@pytest.mark.parametrize("rows", [5, 7, 10, 14, 15, 20])
+@pytest.mark.parametrize("columns", [58, 80])
+@pytest.mark.parametrize("rows", [5, 7, 14, 20])
 def test_the_box_fits_and_keeps_the_place_and_enter(columns: int, rows: int) -> None:
     for view in (seating(), view_of("suspended")):
         lines = box(PROMPT, view, columns, rows)

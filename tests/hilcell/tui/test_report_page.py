@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import pytest
+from textual.pilot import Pilot
 
-from hilcell.errors import HilcellError
-from hilcell.tui.screens.pages import _summary
 from hilcell.tui.text.report import report_lines
-from tests.hilcell.tui.all_screens import SHOWN
+from tests.hilcell.tui.all_screens import SAID, SHOWN, isolated
+from tests.hilcell.tui.recording_app import RecordingApp, press, run_app, text_of
+
+__all__ = ["isolated"]
 
 
 @pytest.mark.parametrize("width", [38, 59, 78, 99, 139])
@@ -30,7 +32,13 @@ def test_a_run_that_did_not_finish_states_its_fault_and_no_table() -> None:
     assert "paper method" not in text
 
 
-@pytest.mark.parametrize("text", ["", "no JSON", "[1]", "{\n}"])
-def test_output_of_another_kind_is_refused_with_its_reason(text: str) -> None:
-    with pytest.raises(HilcellError, match="no figures in its output"):
-        _summary(text)
+@pytest.mark.usefixtures("isolated")
+def test_output_of_another_kind_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        for text in ("", "no JSON", "[1]", "{\n}"):
+            monkeypatch.setitem(SAID, "show", text)
+            await press(pilot, "o")
+            assert "no figures" in text_of(app)
+            await press(pilot, "q")
+
+    run_app(act, "done")
