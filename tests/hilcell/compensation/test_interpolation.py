@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
@@ -114,6 +114,7 @@ def test_a_gap_is_refused_where_it_counts(model: Kind) -> None:
         Idw.left_out_mm(measured(GRID, errors))
 
 
+@settings(max_examples=6)
 @given(seeds, st.sampled_from([Idw, Trilinear]))
 def test_cross_validation_predicts_each_vertex_without_itself(seed: int, model: Kind) -> None:
     """Against the public interpolation on every cell two pitches wide."""

@@ -34,10 +34,10 @@ def one_pass(seed: int, common: Array = NO_FRAMES) -> tuple[Pass, Array]:
     return Pass(at, error_mm + frames_mm + noise_mm, own(), common), error_mm
 
 
-@pytest.mark.parametrize("stated_mm", [0.02, 0.05, 0.12])
+@pytest.mark.parametrize("stated_mm", [0.02, 0.12])
 def test_the_share_is_that_of_the_models_error(stated_mm: float) -> None:
     after, naive, left = [], [], []
-    for seed in range(8):
+    for seed in range(5):
         this, error_mm = one_pass(seed)
         remainder = Remainder.learn([this], stated_mm**2)
         mean_mm, share_left = remainder.at(this.poses)

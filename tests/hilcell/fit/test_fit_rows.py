@@ -28,7 +28,7 @@ def copied(rows: Measurements, times: int) -> Measurements:
 
 def test_poses_measured_again_do_not_flatter_a_method() -> None:
     """Their errors are known from the copy, whatever the pose's number."""
-    rows, test = measured(1, 25, ["SMR1"]), measured(2, 60, ["SMR1"])
+    rows, test = measured(1, 22, ["SMR1"]), measured(2, 40, ["SMR1"])
     once, thrice = fit(IRB120, rows, test), fit(IRB120, copied(rows, 3), test)
     assert thrice["chosen"] not in ("nominal", "idw")
     for result in (once, thrice):
@@ -36,8 +36,6 @@ def test_poses_measured_again_do_not_flatter_a_method() -> None:
         assert idw["share"] >= 0.85
         assert idw["bound_mm"] > 0.8 * once["coverage"]["idw"]["bound_mm"]
     assert thrice["coverage"][thrice["chosen"]]["share"] >= 0.85
-    found = fit(IRB120, copied(rows, 3))["methods"]["idw"]["mean_mm"]
-    assert found == pytest.approx(fit(IRB120, rows)["methods"]["idw"]["mean_mm"], rel=0.3)
 
 
 def test_a_pose_counts_once_however_often_it_is_measured() -> None:
@@ -48,7 +46,7 @@ def test_a_pose_counts_once_however_often_it_is_measured() -> None:
 
 
 def test_the_order_of_rows_decides_nothing() -> None:
-    rows, test = measured(1, 30, ["SMR1", "SMR2"]), measured(2, 20, ["SMR1", "SMR2"])
+    rows, test = measured(1, 22, ["SMR1", "SMR2"]), measured(2, 20, ["SMR1", "SMR2"])
     rows.xyz_mm[7, 0] += 5000.0
     first = fit(IRB120, rows, test)
     shuffled = rows.at(np.random.default_rng(4).permutation(len(rows)))
@@ -65,7 +63,7 @@ def test_test_rows_that_contradict_the_training_rows_are_refused(
     zero_deg: float, scale: float
 ) -> None:
     """An axis that lost its zero, and a tracker whose lengths are 0.05 % too long."""
-    rows, test = measured(1, 30, ["SMR1", "SMR2"]), measured(2, 20, ["SMR1", "SMR2"])
+    rows, test = measured(1, 22, ["SMR1", "SMR2"]), measured(2, 20, ["SMR1", "SMR2"])
     shifted = test.joints_rad + np.radians([0.0, zero_deg, 0.0, 0.0, 0.0, 0.0])
     other = replace(test, joints_rad=shifted, xyz_mm=scale * test.xyz_mm, source="test.csv")
     with pytest.raises(FitError, match=r"test\.csv: .*40 rows"):

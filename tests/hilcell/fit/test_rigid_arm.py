@@ -32,7 +32,7 @@ def urdf(tmp_path_factory: pytest.TempPathFactory) -> Urdf:
 
 @pytest.fixture(scope="module")
 def found(urdf: Urdf) -> RigidArm:
-    return rigid_arm(urdf.arm(), fitted(urdf, measured(1, 24, NAMES)))
+    return rigid_arm(urdf.arm(), fitted(urdf, measured(1, 20, NAMES)))
 
 
 def seen_mm(text: bytes, T_L_root: Array, smr_mm: dict[str, Array], rows: Measurements) -> Array:

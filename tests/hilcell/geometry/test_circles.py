@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
@@ -64,6 +64,7 @@ def test_order_decides_the_axis(T: np.ndarray, seed: int) -> None:
     np.testing.assert_allclose(fit_circle(points[::-1], turn=-1.0).axis, there.axis, atol=1e-9)
 
 
+@settings(max_examples=10)
 @given(seeds, st.floats(80, 330))
 def test_circle_agrees_with_a_peer_by_scipy(seed: int, degrees: float) -> None:
     rng = np.random.default_rng(seed)
@@ -93,7 +94,7 @@ def test_covariance_predicts_the_scatter() -> None:
     rng = np.random.default_rng(4)
     T = pose_from_zyx(100, 200, 300, 10, 20, 30)
     clean = arc(T, 900, 90)
-    circles = [fit_circle(clean + rng.normal(0, 0.02, clean.shape)) for _ in range(400)]
+    circles = [fit_circle(clean + rng.normal(0, 0.02, clean.shape)) for _ in range(250)]
     said = np.mean([np.diag(c.covariance) for c in circles], axis=0)
     seen = np.var([[*c.centre_mm, *c.axis] for c in circles], axis=0)
     np.testing.assert_allclose(said, seen, rtol=0.3)
@@ -138,7 +139,7 @@ def test_base_frame_covariance_predicts_the_scatter() -> None:
     rng = np.random.default_rng(9)
     one, six = sweeps()
     said, seen = [], []
-    for _ in range(300):
+    for _ in range(150):
         circles = [
             fit_circle(points + rng.normal(0, 0.02, points.shape), turn=turn)
             for points, turn in ((one, ARM.sign[0]), (six, ARM.sign[5]))
@@ -171,9 +172,9 @@ def test_readings_that_scatter_more_in_one_direction_move_the_frame_as_predicted
         reading_covariance(circle, each, covariances)
         for circle, each in zip(fitted(0.0), exact, strict=True)
     ]
-    found = [fitted(1.0) for _ in range(400)]
+    found = [fitted(1.0) for _ in range(200)]
     for which, covariance in enumerate(predicted):
         circles = [each[which] for each in found]
         rows = [np.r_[each.centre_mm, each.axis, each.radius_mm] for each in circles]
         scatter = np.std(rows, axis=0)
-        np.testing.assert_allclose(scatter, np.sqrt(np.diag(covariance)), rtol=0.15, atol=1e-6)
+        np.testing.assert_allclose(scatter, np.sqrt(np.diag(covariance)), rtol=0.2, atol=1e-6)

@@ -102,12 +102,12 @@ def test_covariance_predicts_the_scatter_at_the_tool(absolute: bool) -> None:
     covariances = np.tile(sigma**2 * np.eye(3), (6, 1, 1)) if absolute else None
     fits = [
         rigid_fit(NESTS, apply(T, NESTS) + rng.normal(0, sigma, NESTS.shape), covariances)
-        for _ in range(400)
+        for _ in range(250)
     ]
     errors = np.array([apply(fit.T, tool[None])[0] - apply(T, tool[None])[0] for fit in fits])
     seen = np.sqrt(np.mean(np.sum(errors**2, axis=1)))
     said = np.sqrt(np.mean([point_uncertainty(fit, tool) ** 2 for fit in fits]))
-    assert said == pytest.approx(seen, rel=0.12 if absolute else 0.08)
+    assert said == pytest.approx(seen, rel=0.15 if absolute else 0.1)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -52,6 +52,7 @@ def cube() -> np.ndarray:
 
 
 @ARMS
+@settings(max_examples=12)
 @given(seeds, signs)
 def test_joints_return_by_their_status(design: Arm, seed: int, sign: list[float]) -> None:
     arm = replace(design, sign=np.array(sign))
@@ -66,6 +67,7 @@ def test_joints_return_by_their_status(design: Arm, seed: int, sign: list[float]
 
 
 @ARMS
+@settings(max_examples=12)
 @given(seeds)
 def test_every_reachable_status_is_a_posture_of_the_pose(design: Arm, seed: int) -> None:
     poses = forward(design, joints_of(seed, 5))

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -57,18 +57,21 @@ def check(arm: Arm, joints: np.ndarray) -> None:
         np.testing.assert_allclose(J[:, 3:, parameter], found[:, 3:], rtol=0, atol=RELATIVE)
 
 
+@settings(max_examples=8)
 @given(seeds)
 def test_paper_arm_with_hayati_against_differences(seed: int) -> None:
     rng = np.random.default_rng(seed)
     check(replace(PAPER, beta_rad=rng.uniform(-0.5, 0.5, 6)), rng.uniform(-np.pi, np.pi, (3, 6)))
 
 
+@settings(max_examples=8)
 @given(seeds)
 def test_any_arm_against_differences(seed: int) -> None:
     rng = np.random.default_rng(seed)
     check(arm_of(rng), rng.uniform(-np.pi, np.pi, (3, 6)))
 
 
+@settings(max_examples=8)
 @given(seeds)
 def test_link_errors_are_those_of_eqs_3_and_4(seed: int) -> None:
     """A_i^-1 dA_i is the error matrix, whatever the joint angle."""

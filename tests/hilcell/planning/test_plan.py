@@ -53,7 +53,7 @@ def reaches(station: Station, holes: Holes, number: int) -> bool:
     return bool(ok.any())
 
 
-@settings(max_examples=10)
+@settings(max_examples=5)
 @given(seeds, st.integers(1, 40), st.booleans())
 def test_every_hole_once_at_the_closest_chosen_station_that_reaches_it(
     seed: int, count: int, free: bool
@@ -73,7 +73,7 @@ def test_every_hole_once_at_the_closest_chosen_station_that_reaches_it(
             assert abs(each.station.rail_mm - along_mm) == pytest.approx(off_mm, abs=1e-9)
 
 
-@settings(max_examples=10)
+@settings(max_examples=5)
 @given(seeds, st.integers(1, 30))
 def test_no_fewer_stations_do(seed: int, count: int) -> None:
     holes = wall(seed, count)
@@ -83,7 +83,7 @@ def test_no_fewer_stations_do(seed: int, count: int) -> None:
         assert not able[:, subset].any(axis=1).all()
 
 
-@settings(max_examples=10)
+@settings(max_examples=5)
 @given(seeds, st.integers(1, 30))
 def test_poses_are_within_limits_and_drill_against_the_normal(seed: int, count: int) -> None:
     holes = wall(seed, count)

@@ -123,8 +123,8 @@ def test_search_keeps_its_books(seed: int, count: int) -> None:
 
 
 @pytest.mark.parametrize("seed", [0, *sweep(1, 2)])
-def test_500_random_holes_within_5_percent_of_the_bound(seed: int) -> None:
-    found = route(np.random.default_rng(seed).uniform(-900, 900, (500, 3)) * [0.05, 1, 1])
+def test_random_holes_within_5_percent_of_the_bound(seed: int) -> None:
+    found = route(np.random.default_rng(seed).uniform(-900, 900, (200, 3)) * [0.05, 1, 1])
     assert 1.0 <= found.travel_mm / found.bound_mm <= 1.05
 
 

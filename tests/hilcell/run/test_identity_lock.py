@@ -20,8 +20,9 @@ def bed_at(folder: Path, identity: Identity) -> Bed:
 def held(tmp_path: Path, first: Identity, second: Identity) -> tuple[int, Bed]:
     """Return how a second run ends while a first is paused."""
     other = bed_at(tmp_path / "first", first)
-    with Live(other, procedure(Points(100))) as live:  # many: one may be over before the pause
-        live.runner.post("pause")
+    live = Live(other, procedure(Points(1)))
+    live.runner.post("pause")
+    with live:
         live.until("state", "paused")
         bed = bed_at(tmp_path / "second", second)
         code = bed.run(procedure(Points(1)))

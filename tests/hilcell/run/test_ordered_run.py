@@ -108,14 +108,6 @@ def test_stop_and_abort_wait_for_no_screen(bed: Bed, command: Command) -> None:
     assert (bed.robot.stopped == 1) is (command == "stop")
 
 
-def test_a_pause_while_it_waits_holds(bed: Bed) -> None:
-    with waiting(bed) as live:
-        order(bed.path.parent, "pause")
-        live.until("state", "paused")
-        live.runner.stop()
-    assert bed.log().points == {}
-
-
 @pytest.mark.parametrize(("unattended", "ordered"), [(True, True), (False, False)])
 def test_others_wait_for_no_screen(tmp_path: Path, unattended: bool, ordered: bool) -> None:
     bed = Bed(tmp_path, unattended=unattended, ordered=ordered)
