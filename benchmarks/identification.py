@@ -19,10 +19,9 @@ from scipy.optimize import least_squares
 
 from benchmarks.words import parser
 from hilcell.geometry.kinematics import Arm, Array
-from hilcell.identification.estimate import identify, solve
+from hilcell.identification.estimate import identify, predict, solve
 from hilcell.identification.kinematics import Kinematics, State
 from hilcell.identification.noise import Noise
-from hilcell.identification.prediction import predict
 from hilcell.identification.readings import Readings
 
 ARM = Arm(

@@ -16,8 +16,7 @@ from hilcell.journal.log import Log
 from procedures import paper_figures as figures
 from procedures import paper_limits as limits
 from procedures.paper_figures import Figure, Result, at, reduction, validation
-from procedures.paper_limits import Limit, at_most, between
-from procedures.paper_stations import stations_planned
+from procedures.paper_limits import Limit, at_most, between, stations_planned
 
 
 @dataclass(frozen=True, slots=True)

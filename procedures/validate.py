@@ -25,7 +25,7 @@ from hilcell.calibration.orientation import (
     turn_coverages,
     validated_turns,
 )
-from hilcell.calibration.sights import beside_nest
+from hilcell.calibration.touch import beside_nest
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected_poses

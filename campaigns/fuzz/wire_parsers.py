@@ -12,7 +12,7 @@ from contextlib import suppress
 from typing import Any, cast
 
 from drivers.kuka import eki
-from drivers.kuka.eki_wire import EkiChannel
+from drivers.kuka.robot_eki import EkiChannel
 from drivers.leica.geocom import Rpc
 from drivers.leica.tracker_geocom import LeicaGeocomTracker
 from drivers.spatialanalyzer.t2sa_bridge import MEASURE, T2saBridge

@@ -15,7 +15,6 @@ import msgspec
 from msgspec import Meta
 
 from drivers.canopen import cia406, nmt, rail_setup
-from drivers.canopen.bus_choice import Interface, bus_problems
 from drivers.canopen.can_link import CanLink, open_bus
 from drivers.canopen.drive import Drive, Limits
 from drivers.canopen.node_watch import NodeWatch
@@ -24,6 +23,7 @@ from drivers.canopen.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.canopen.rail_setup import Expected
 from drivers.canopen.release import Release, go_on
 from drivers.canopen.sdo import SdoChannel, open_channel
+from drivers.canopen.slcan_bus import Interface, bus_problems
 from drivers.on_failure import on_failure
 from drivers.standing import check_travel
 from drivers.standstill import Windows

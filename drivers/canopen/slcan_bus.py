@@ -14,15 +14,35 @@ import select
 import socket
 import threading
 import time
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, Literal
 
 import can
 import serial
 
-from drivers.canopen.bus_choice import BIT_RATES
 from drivers.on_failure import on_failure
 from hilcell.wire.channel import Socket, parse_channel
+
+Interface = Literal["slcan", "socketcan"]
+
+BIT_RATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
+_KERNEL_NAME = re.compile(r"[^\s/:]{1,15}")  # of a network interface
+
+
+def bus_problems(interface: Interface, channel: str, bitrate: int) -> Iterator[str]:
+    """Return why there can be no such bus. The kernel's own interfaces have their bit rate."""
+    if interface == "socketcan":
+        if not _KERNEL_NAME.fullmatch(channel):
+            yield f"channel: the kernel's name of a CAN interface is wanted, found {channel!r}"
+        return
+    try:
+        parse_channel(channel)
+    except ValueError as error:
+        yield str(error)
+    if bitrate not in BIT_RATES:
+        allowed = ", ".join(map(str, BIT_RATES))
+        yield f"bitrate: a bit rate of slcan is wanted, found {bitrate}; allowed: {allowed}"
+
 
 CONNECT_S = 5.0
 SEND_S = 0.2  # of a port that takes nothing; time in which this PC did nothing does not count

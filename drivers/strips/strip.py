@@ -13,7 +13,7 @@ from typing import Annotated, Literal, Protocol
 import msgspec
 from msgspec import Meta
 
-from drivers.canopen.bus_choice import Interface, bus_problems
+from drivers.canopen.slcan_bus import Interface, bus_problems
 from hilcell.cell.settings import refuse
 from hilcell.ports import DeviceError, Identity, LinkStatistics
 from hilcell.wire.channel import parse_channel

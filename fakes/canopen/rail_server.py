@@ -20,9 +20,8 @@ from fakes.canopen.slave import SYNC_COB_ID, CanopenSlave
 from fakes.canopen.slcan_gateway import SlcanGateway, is_serial
 from fakes.faults import Faults, Value
 from fakes.site import Site
-from fakes.strips.bus import StripBus
 from fakes.strips.line import StripLine
-from fakes.strips.wire import strip_wire
+from fakes.strips.wire import StripBus, strip_wire
 from fakes.time import PlantTime
 from fakes.truth.rail_truth import RailTruth
 from hilcell.cell.file import Cell

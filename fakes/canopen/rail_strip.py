@@ -12,7 +12,7 @@ from fakes.canopen.dictionary import Entry
 from fakes.canopen.pdo import INVALID, Mapping, TransmitPdo
 from fakes.canopen.slave import DEVICE_PROFILE, CanopenSlave, NodeIdentity
 from fakes.faults import Faults
-from fakes.strips.sensor import StripSensor
+from fakes.strips.line import StripSensor
 from fakes.truth.rail_truth import RailState
 
 NODE = 6

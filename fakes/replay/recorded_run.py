@@ -13,6 +13,7 @@ from hilcell.cell.devices import TABLES, driver_options, stand_ins
 from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert
+from hilcell.wire.record import can_interfaces, joined, wires_of
 from hilcell.wire.recording import (
     CLOCK,
     SUFFIX,
@@ -22,7 +23,6 @@ from hilcell.wire.recording import (
     read_recording,
     recordings,
 )
-from hilcell.wire.wires import can_interfaces, joined, wires_of
 
 DATA = "simulation.data"
 _RESUMED = re.compile(r"wires-(\d+)")

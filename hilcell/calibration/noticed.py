@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import chain
 
 import numpy as np
 from msgspec import convert
@@ -20,7 +21,6 @@ from hilcell.calibration.influence import SIZE, NoBound, motion
 from hilcell.calibration.known_length import scale
 from hilcell.calibration.reversal import reversal
 from hilcell.calibration.risen_nest import risen_nest
-from hilcell.calibration.room import warm
 from hilcell.calibration.suspicions import Suspicion
 from hilcell.calibration.visit_noise import of_differences, visit_noise
 from hilcell.geometry.circles import base_frame_covariance, reading_covariance
@@ -36,9 +36,31 @@ from hilcell.journal.log import (
     covariances_mm2,
     positions_mm,
 )
-from hilcell.journal.point_id import CHECKS
+from hilcell.journal.point_id import CHECKS, CONTROL
 from hilcell.journal.set_ups import PROOFS
 from hilcell.ports import Array
+
+NOTICED_BY = "weather station"
+
+
+def reference_c(log: Log) -> float | None:
+    """Return the temperature at the grid's first point, before there is one at the run's first."""
+    points = chain(log.measured("grid"), log.points.values())
+    return next((p.temperature_c for p in points if p.temperature_c is not None), None)
+
+
+def warm(log: Log) -> Suspicion | None:
+    """Return the room's change, where points that count were measured beyond its limit."""
+    then_c = reference_c(log)
+    if then_c is None:
+        return None
+    counted = (p for p in log.points.values() if p.id.group != CONTROL)
+    off_k = [p.temperature_c - then_c for p in counted if p.temperature_c is not None]
+    worst_k = max(off_k, key=abs, default=0.0)
+    if abs(worst_k) <= log.cell.room.range_k:
+        return None
+    return Suspicion("temperature", worst_k, "K", NOTICED_BY)
+
 
 # Both are compared with what links, zeros and a mount measured by hand explain, and with what the
 # instrument itself does: a turn of {B} about z, that axis 6's small circle leaves open, looks

@@ -22,11 +22,16 @@ from hilcell.geometry.robot import NominalRobot
 from hilcell.geometry.rotations import to_rotvec
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.identification.curve import TransmissionCurve
-from hilcell.identification.estimate import Estimate, identify, identify_trusted
+from hilcell.identification.estimate import (
+    Estimate,
+    identify,
+    identify_trusted,
+    predict,
+    predict_orientations,
+)
 from hilcell.identification.kinematics import Kinematics, Placed, State
 from hilcell.identification.noise import Noise
 from hilcell.identification.observability import observability
-from hilcell.identification.prediction import predict, predict_orientations
 from hilcell.identification.readings import IdentificationError, Readings
 
 CONTRADICTED = 4.0  # times the square that chance gives a curve's change

@@ -6,9 +6,10 @@ from it, so a result can always be rebuilt.
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Collection, Iterable, Iterator, MutableMapping, Sequence
 from itertools import chain
-from typing import Any, TypeVar, TypeVarTuple
+from typing import TYPE_CHECKING, Any, TypeVar, TypeVarTuple
 
 import msgspec
 import numpy as np
@@ -18,7 +19,6 @@ from hilcell.cell.settings import convert
 from hilcell.geometry.statistics import reading_variances_mm2
 from hilcell.journal.asset import Asset, asset_of
 from hilcell.journal.curve_record import CurveRecord
-from hilcell.journal.driven import Driven
 from hilcell.journal.journal import Kind, NeverBegan, Record
 from hilcell.journal.link_record import LinkRecord
 from hilcell.journal.packed import Packed
@@ -27,6 +27,45 @@ from hilcell.journal.set_ups import SetUps, carried, world_key
 from hilcell.journal.states import OVER, WAITING, CalibrationState, RunState
 from hilcell.journal.stream_file import StreamRecord
 from hilcell.ports import Air, Array
+
+if TYPE_CHECKING:
+    from hilcell.journal.journal import Record
+
+
+# A motion has come to its end where a point or another motion follows it in the same session.
+
+SAME_DEG = 1.0  # of each axis: corrections and approaches turn less
+SAME_MM = 5.0  # of the slide
+
+
+class Driven:
+    """Takes a run's records in their order."""
+
+    def __init__(self) -> None:
+        self._ends = array("d")  # of each seven: the strip's reading, six joints in deg
+        self._under_way: list[float] | None = None
+
+    def take(self, record: Record) -> None:
+        """Add one record."""
+        body = record.body
+        if record.kind == "state" and body["to"] == "checking":
+            self._under_way = None  # its session ended before it was seen to arrive
+        if record.kind not in ("intent", "point"):
+            return
+        if self._under_way is not None:
+            self._ends.extend(self._under_way)
+        self._under_way = None
+        if body.get("action") == "robot.move" and "strip_mm" in body:
+            self._under_way = [body["strip_mm"], *body["joints_deg"]]
+
+    def has(self, strip_mm: float, joints_rad: Array) -> bool:
+        """Whether a motion ended at joints (6,) with the slide there."""
+        if not self._ends:
+            return False
+        off = np.abs(np.reshape(self._ends, (-1, 7)) - [strip_mm, *np.degrees(joints_rad)])
+        near = (off[:, 0] <= SAME_MM) & (off[:, 1:] <= SAME_DEG).all(axis=1)
+        return bool(near.any())
+
 
 T = TypeVar("T")
 Args = TypeVarTuple("Args")

@@ -22,7 +22,7 @@ from hilcell.ports import Array, Clock, RailReading, RobotReading, StripLost
 from hilcell.run.measuring import Ask, Measuring
 from hilcell.run.motion import Motion, Straight
 from hilcell.run.operator import Operator
-from hilcell.run.reflector_prompts import FLANGE
+from hilcell.run.prompts import FLANGE
 from hilcell.run.retake import still_refused
 from hilcell.run.room_guard import RoomGuard
 from hilcell.run.run_context import RunContext

@@ -20,8 +20,7 @@ from hilcell.ports import (
 )
 from hilcell.run.interlocks import check_strip
 from hilcell.run.motion import Motion
-from hilcell.run.prompts import Look, Prompt
-from hilcell.run.reflector_prompts import beam_prompt
+from hilcell.run.prompts import Look, Prompt, beam_prompt
 from hilcell.run.run_context import RunContext
 from hilcell.run.seen import time_of
 

@@ -9,7 +9,7 @@ from hilcell.ports import Array
 from hilcell.run.interlocks import check_held
 from hilcell.run.measuring import Ask, Measuring
 from hilcell.run.motion import Motion
-from hilcell.run.reflector_prompts import FLANGE, seat_prompt
+from hilcell.run.prompts import FLANGE, seat_prompt
 from hilcell.run.run_context import RunContext
 
 FLANGE_TOLERANCE_MM = 20.0  # of a seat, by the nominal arm

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hilcell.calibration.room import NOTICED_BY, reference_c
+from hilcell.calibration.noticed import NOTICED_BY, reference_c
 from hilcell.calibration.suspicions import Suspicion
 from hilcell.journal.log import Point
 from hilcell.ports import Array, DeviceError, NoReading

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hilcell import __version__
-from hilcell.report.templates import environment
+from hilcell.report.sheet import environment
 from hilcell.study.analysis import Answers, Rows
 from hilcell.study.outcome import RESULTS
 from hilcell.study.plots import coverage_plot, effects_plot, front_plot

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen.bus_choice import BIT_RATES
+from drivers.canopen.slcan_bus import BIT_RATES
 from hilcell.cell.devices import check_options
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError

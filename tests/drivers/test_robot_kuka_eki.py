@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.kuka import eki, eki_wire
+from drivers.kuka import eki, robot_eki
 from drivers.kuka import robot as kuka_robot
 from drivers.kuka import sweep as kuka_sweep
 from drivers.kuka.robot_eki import KukaEkiRobot
@@ -26,8 +26,8 @@ HEALTHY = {
 
 @pytest.fixture(autouse=True)
 def short_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(eki_wire, "ANSWER_S", 0.3)
-    monkeypatch.setattr(eki_wire, "OPEN_S", 0.05)
+    monkeypatch.setattr(robot_eki, "ANSWER_S", 0.3)
+    monkeypatch.setattr(robot_eki, "OPEN_S", 0.05)
     for module in (kuka_robot, kuka_sweep):
         for name, value in (("POLL_S", 0.002), ("DWELL_S", 0.002), ("REST_S", 0.2)):
             monkeypatch.setattr(module, name, value)
@@ -256,7 +256,7 @@ def test_a_stop_in_a_sweep_gives_the_override_back_over_the_same_channel(peer: E
 def test_a_channel_that_is_not_yet_open_again_is_tried_for_a_while(
     peer: EkiPeer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(eki_wire, "OPEN_S", 5.0)
+    monkeypatch.setattr(robot_eki, "OPEN_S", 5.0)
     tries = iter([[], [b"x" * 9000 + b"</RobotState>"]])
     peer.spoil = lambda _number, answer: next(tries, [answer])
     robot = robot_for(peer)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from drivers.leica.emscon import MILLIMETRE_UNITS, POSITION, UNITS, Command, encode
-from fakes.control import truth_of
 from fakes.faults import Faults
+from fakes.host import truth_of
 from fakes.leica.emscon_device import EmsconDevice
 from fakes.simulator import Control, PaperCell
 from fakes.time import PlantTime

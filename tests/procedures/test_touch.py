@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.frames import Frames, grid_of, measured_of
-from hilcell.calibration.sights import beside_nest
-from hilcell.calibration.touch import touch_targets_mm, visit_covariance
+from hilcell.calibration.touch import beside_nest, touch_targets_mm, visit_covariance
 from hilcell.cell.file import Cell, Station, load_cell
 from hilcell.compensation.choice import MODELS
 from hilcell.geometry.frames import apply, matrix

@@ -31,7 +31,7 @@ from hilcell.geometry.statistics import figures_of
 from hilcell.journal.log import Log, positions_mm
 from hilcell.planning.plan import HolePlan
 from hilcell.ports import Array
-from procedures import paper_figures, paper_stations, rail_survey, station_frames
+from procedures import paper_figures, paper_limits, rail_survey, station_frames
 from procedures.paper import paper_table
 from procedures.paper_rows import ROWS, Row
 from procedures.plan import joints_for, poses_at
@@ -146,16 +146,16 @@ def test_the_closest_station_of_every_hole_is_more_than_the_fewest(
         return HolePlan([None] * len(taken))  # type: ignore[list-item]  # only counted
 
     assert judged("fig2.stations", paper)["holds"] is True
-    monkeypatch.setattr(paper_stations, "plan", closest)
+    monkeypatch.setattr(paper_limits, "plan", closest)
     assert judged("fig2.stations", paper)["holds"] is False
 
 
 def test_the_longest_work_piece_is_beyond_one_station(paper: PaperRun) -> None:
     cell = paper.log.cell
-    holes = paper_stations.longest_work_piece(cell)
+    holes = paper_limits.longest_work_piece(cell)
     span_mm = np.ptp(holes.points_mm @ np.array(cell.layout.rail_direction))
     assert span_mm > cell.rail.travel_max_mm
-    assert paper_stations.stations_needed(cell) > 1
+    assert paper_limits.stations_needed(cell) > 1
 
 
 # -- section 3 ----------------------------------------------------------------------------------

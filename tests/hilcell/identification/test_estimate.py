@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from hilcell.geometry.statistics import lengths_mm
-from hilcell.identification.estimate import Estimate, identify
+from hilcell.identification.estimate import Estimate, identify, predict
 from hilcell.identification.kinematics import Kinematics
 from hilcell.identification.noise import Noise
 from hilcell.identification.observability import observability
-from hilcell.identification.prediction import predict
 from hilcell.identification.readings import IdentificationError, Readings
 from tests.hilcell.identification.robots import ARM, SMR_MM, T_L_B, Robot, curve
 

@@ -5,9 +5,8 @@ import tracemalloc
 import msgspec
 import numpy as np
 
-from hilcell.journal.driven import Driven
 from hilcell.journal.journal import Record
-from hilcell.journal.log import Log, Point, Readings, ReadingTime
+from hilcell.journal.log import Driven, Log, Point, Readings, ReadingTime
 from hilcell.journal.point_id import PointId
 
 NOW = ReadingTime(59597.515816423, 0.0012767939988407306, 59597.182127809)

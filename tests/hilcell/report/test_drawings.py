@@ -31,8 +31,8 @@ from hilcell.report.drawings.variance import variance_bar
 from hilcell.report.drawings.vectors import vectors
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.first_page import Result
+from hilcell.report.html import volume_sheet
 from hilcell.report.target_budget import TargetBudget, target_budget
-from hilcell.report.volume import volume_sheet
 from hilcell.report.worst import worst
 from hilcell.run.tracker_guard import limits_of
 from tests.hilcell.report.drawn import assert_apart

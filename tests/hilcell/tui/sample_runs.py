@@ -12,8 +12,8 @@ import numpy as np
 from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Kind, Record
 from hilcell.journal.point_id import PointId
+from hilcell.run.prompts import seat_prompt
 from hilcell.run.protocol import DeviceStatus, Interlock, PromptStatus, Status
-from hilcell.run.reflector_prompts import seat_prompt
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import EngineState
 
