@@ -14,7 +14,7 @@ import pytest
 
 from hilcell.alarms.catalogue import entry_of
 from hilcell.errors import HilcellError
-from hilcell.journal.disk_space import bytes_free, bytes_needed, check_space
+from hilcell.journal.disk_space import bytes_needed, check_space
 from tests.whole.bench import command
 
 SMALL = ["unshare", "--map-root-user", "--mount", "sh", "-c"]  # a name space that may mount
@@ -41,12 +41,6 @@ def test_a_run_is_refused_by_one_byte(tmp_path: Path, monkeypatch: pytest.Monkey
         check_space(tmp_path, 2000)
     entry = entry_of(refused.value.code)
     assert (entry.code, entry.specific, entry.severity) == ("HC-J15", True, "fault")
-
-
-def test_the_disk_of_a_folder_yet_to_be_made_is_that_of_the_one_above(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError):
-        shutil.disk_usage(tmp_path / "a" / "b")
-    assert bytes_free(tmp_path / "a" / "b") > 0
 
 
 def test_a_folder_that_cannot_be_looked_at_is_refused_elsewhere(

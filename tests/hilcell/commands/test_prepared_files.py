@@ -7,7 +7,6 @@ import re
 from datetime import UTC, datetime, timedelta
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -250,12 +249,6 @@ def test_a_robot_without_a_writer_gets_lists_only(
     assert written == [name for name in FILES if not name.endswith((".src", ".dat"))]
 
 
-def test_a_folder_is_not_named_like_a_file(tmp_path: Path) -> None:
-    made(tmp_path)
-    words = ("--calibration", tmp_path / "calibration.json", "-o", tmp_path / "all.csv")
-    assert command("prepare", holes(tmp_path, *INSIDE), *words).returncode == 2
-
-
 @pytest.mark.parametrize(
     "text",
     [
@@ -271,15 +264,3 @@ def test_bad_lists_write_nothing(tmp_path: Path, text: str) -> None:
     path = tmp_path / "holes.csv"
     path.write_text(text, "utf-8")
     refused(tmp_path, path)
-
-
-def test_german_holes_are_prepared_like_others(out: Path, tmp_path: Path) -> None:
-    path = tmp_path / "holes.csv"
-    path.write_bytes(path.read_text().replace(",", ";").replace(".", ",").encode("cp1252"))
-    words = ("--calibration", tmp_path / "calibration.json", "-o", tmp_path / "german")
-    assert command("prepare", path, *words).returncode == 0
-
-    def points(folder: Path) -> list[Any]:
-        return [list(row.values())[:8] for row in rows(folder / "S1100.csv")]
-
-    assert points(tmp_path / "german") == points(out)

@@ -59,8 +59,3 @@ def test_anything_else_is_helped(cell: Cell, trainer: Trainer, word: str) -> Non
 @pytest.mark.parametrize("word", ["q", " Q \n"])
 def test_it_ends_by_q(trainer: Trainer, word: str) -> None:
     assert not trainer.take(word)
-
-
-def test_the_menu_numbers_the_faults(trainer: Trainer, capsys: pytest.CaptureFixture[str]) -> None:
-    trainer.menu()
-    assert "  2  a beam" in capsys.readouterr().err

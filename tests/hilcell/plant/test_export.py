@@ -10,7 +10,6 @@ import sys
 import zipfile
 from collections.abc import Callable
 from contextlib import closing
-from datetime import timedelta
 from pathlib import Path
 
 import pytest
@@ -350,16 +349,6 @@ def test_a_value_that_was_changed_in_the_database_is_not_signed(order: str, empt
     change(empty.url, text(order))
     assert RUN_NAME in empty.said(empty.export())
     assert empty.names == before
-
-
-def test_every_run_that_was_changed_is_named(empty: Auditor, model: Model) -> None:
-    runs = empty.folder / "more"
-    for hours, name in enumerate("abcde"):
-        model.write(runs, Run(name, "north", "HC-1", NOW - timedelta(hours=hours)))
-    assert main(["plant", "ship", str(runs), "--to", empty.url]) == 0
-    empty.said(empty.export(cell="north", out=empty.folder / "before"), 0)
-    change(empty.url, text("UPDATE run SET robot = 'R-9' WHERE name <> 'b' AND cell = 'north'"))
-    assert "e, d, c and 1 more" in empty.said(empty.export(cell="north"))
 
 
 def test_two_cells_of_one_name_want_a_serial_number(empty: Auditor, model: Model) -> None:

@@ -207,11 +207,6 @@ def test_a_folder_that_is_none_of_runs_is_refused(
     )
 
 
-@pytest.mark.parametrize("words", [("ship", ""), ("show", "--cell", ""), ("show", "--robot", "")])
-def test_an_empty_name_is_refused(words: tuple[str, ...]) -> None:
-    assert command("plant", *words).returncode == 2
-
-
 @pytest.mark.parametrize("act", ACTS)
 def test_a_place_at_which_no_file_can_be_is_refused(act: str, runs: Path) -> None:
     for place in (runs, runs / "no" / "plant.db"):
@@ -242,12 +237,3 @@ def test_the_environment_names_the_database(
     monkeypatch.setenv("HILCELL_PLANT", f"sqlite:///{tmp_path}/plant.db")
     for words in (("init",), ("ship", runs), ("show",)):
         assert command("plant", *words).returncode == 0
-
-
-@pytest.mark.parametrize(
-    ("words", "nearest"), [("plant shp", "ship"), ("plant show --form x", "--from")]
-)
-def test_wrong_words_are_answered_by_the_nearest(words: str, nearest: str) -> None:
-    done = command(*words.split())
-    assert done.returncode == 2
-    assert nearest in done.stderr

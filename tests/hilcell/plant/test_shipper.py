@@ -26,10 +26,8 @@ from hilcell.journal.journal import Record
 from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.plant.cells import cells
 from hilcell.plant.database import Database
-from hilcell.plant.record import record_of
-from hilcell.plant.rows import rows_of
 from hilcell.plant.shipper import NAME, Shipped, ship
-from hilcell.plant.tables import PARTS, POINT, RUN
+from hilcell.plant.tables import POINT, RUN
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.year import Model, Run, extend, write_journal
 from tests.whole.bench import command
@@ -102,32 +100,6 @@ def test_runs_are_shipped_in_the_order_of_their_ends_and_once(runs: Path, office
     assert ship(runs, office) == Shipped(before=3)
     assert len(kept(office)) == 3
     assert {file: file.read_bytes() for file in runs.glob(f"*/{JOURNAL}")} == before
-
-
-def test_all_of_a_run_is_kept(runs: Path, office: Database) -> None:
-    ship(runs, office)
-    record = record_of("a", read_records(runs / "a"))
-    (run,) = rows_of(record)[RUN]
-    with office.transaction() as connection:
-        counts = {
-            table.name: connection.execute(
-                select(func.count()).select_from(table).where(table.c.digest == run["digest"])
-            ).scalar_one()
-            for table in PARTS
-        }
-        first = connection.execute(
-            select(POINT).where(POINT.c.digest == run["digest"]).order_by(POINT.c.seq)
-        ).first()
-    assert counts == {
-        "stream": 0, "document": 0,
-        "frame": len(record.frames), "verdict": len(record.verdicts), "device": 4, "alarm": 0,
-        "length": len(record.lengths), "grid": 1, "point": len(record.points),
-    }  # fmt: skip
-    assert first is not None
-    point = min(record.points, key=lambda each: each.seq)
-    assert (first.key, first.x_mm, first.std_z_mm) == (
-        point.point.key, point.point.xyz_mm[0], point.point.std_mm[2],
-    )  # fmt: skip
 
 
 def test_without_its_own_file_nothing_is_doubled(runs: Path, office: Database) -> None:
@@ -317,13 +289,6 @@ def test_a_clock_that_cannot_be_is_refused(
     model.write(runs, Run("x", "north", "HC-1", datetime(year, 6, 1, tzinfo=UTC)))
     done = ship(runs, office)
     assert (list(done.refused), done.runs) == (["x"], 3)
-
-
-def test_a_cell_of_a_name_that_cannot_be_is_refused_in_one_line(
-    runs: Path, model: Model, office: Database
-) -> None:
-    model.write(runs, Run("x", "south ☃", "HC-1", NOW))
-    assert ["\n" in reason for reason in ship(runs, office).refused.values()] == [False]
 
 
 def test_links_and_what_is_no_journal(runs: Path, office: Database, tmp_path: Path) -> None:

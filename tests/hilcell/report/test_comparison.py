@@ -234,31 +234,6 @@ def test_warm_air_is_a_reason_and_not_a_drift(first: Log, records: list[Record])
     assert found.drifted == []
 
 
-def test_air_that_one_run_did_not_measure_is_a_note(first: Log, records: list[Record]) -> None:
-    def without(record: Record) -> Record:
-        return body_with(record, temperature_c=None) if record.kind == "point" else record
-
-    found = compare_runs(first, altered(records, without))
-    assert of(found, "air") == []
-    assert len(found.notes) == 1 + len(compare_runs(first, first).notes)
-
-
-def test_another_tracker_is_a_note(first: Log, records: list[Record]) -> None:
-    def other(record: Record) -> Record:
-        if record.body.get("what") != "connected":
-            return record
-        devices = [
-            each | ({"serial": "T-2"} if each["kind"] == "tracker" else {})
-            for each in record.body["devices"]
-        ]
-        return body_with(record, devices=devices)
-
-    before = compare_runs(first, Log(records)).notes
-    (note,) = set(compare_runs(first, altered(records, other)).notes) - set(before)
-    assert "Leica" in note
-    assert "T-2" in note
-
-
 # -- settings and notes ---------------------------------------------------------------------------
 
 
@@ -318,25 +293,6 @@ def test_an_unfinished_run_is_compared_as_far_as_it_is(first: Log, records: list
     half = compare_runs(first, Log(r for r in records if r.key not in ("grid/0-0-0", "grid/2-2-2")))
     assert len(half.moved_mm) == 25
     assert half.drifted == []
-
-
-def test_another_method_is_reported(first: Log, records: list[Record]) -> None:
-    def other(record: Record) -> Record:
-        if record.kind == "verdict" and record.key == "fit":
-            return body_with(record, method="of another name")
-        return record
-
-    notes = compare_runs(first, altered(records, other)).notes
-    assert any("of another name" in note for note in notes)
-
-
-def test_without_repeatability_no_vertex_is_judged(first: Log, records: list[Record]) -> None:
-    def less(record: Record) -> Record | None:
-        return None if kind_of(record) == "repeatability" else record
-
-    found = compare_runs(first, altered(records, less))
-    assert [(each.limit, each.verdict) for each in of(found, "grid")] == [(None, "")] * 4
-    assert all(each.verdict == "within" for each in of(found, "frames"))
 
 
 def test_without_floor_nests_no_frame_is_judged(first: Log, records: list[Record]) -> None:
@@ -468,20 +424,3 @@ def test_the_command_says_whose_engine_is_gone(
     control.close()
     assert "engine" not in said
     assert "running" in said
-
-
-def test_hostile_strings_do_not_reach_the_terminal(
-    records: list[Record], pair: tuple[Path, Path], tmp_path: Path
-) -> None:
-    hostile = tmp_path / "hostile"
-    hostile.mkdir()
-    journal = Journal(hostile / JOURNAL, "hostile", create=True)
-    for record in records:
-        body = json.loads(json.dumps(record.body))
-        if record.kind == "plan":
-            body["cell"]["tracker"]["reflector"] = "\x1b[2J\u202e[red]"
-        journal.append(record.kind, record.key, body)
-    journal.close()
-    done = compared((pair[0], hostile))
-    assert "[red]" in done.stdout
-    assert not {"\x1b", "\u202e"} & {*done.stdout, *done.stderr}

@@ -19,8 +19,6 @@ from hilcell.report.drawings.drawing import (
     Frame,
     Scale,
     apart,
-    hatched,
-    path,
     round_up,
 )
 from hilcell.report.drawings.error_plots import enlarged, in_order, over_bound
@@ -72,18 +70,6 @@ def test_labels_keep_their_order_and_distance() -> None:
     assert min(np.diff(sorted(found))) >= NEAREST_MM - 1e-9
 
 
-def test_a_gap_interrupts_a_line() -> None:
-    nan = float("nan")
-    assert 'd="M0.00 1.00L2.00 3.00M4.00 5.00"' in path([(0, 1), (2, 3), (nan, nan), (4, 5)])
-
-
-def test_hatching_stays_in_its_box() -> None:
-    places = re.findall(r"[ML](\S+) ([\d.]+)", hatched(5.0, 6.0, 7.0, 4.0))
-    for x, y in ((float(x), float(y)) for x, y in places):
-        assert 5.0 <= x <= 12.0
-        assert 6.0 <= y <= 10.0
-
-
 def test_the_strip_shows_limit_before_and_after_with_u() -> None:
     result = Result("Mean", 0.15, 1.2, 0.035, 0.028)
     drawn = strip([("Mean, S300", result)], simulated=False)
@@ -125,15 +111,6 @@ def test_how_many_are_beyond_their_bound(real: tuple[Facts, TargetBudget]) -> No
     found = [budget.coverage[name] for name in names]
     beyond, every = sum(len(each) - each.inside for each in found), sum(map(len, found))
     assert f"{beyond} of {every} beyond it" in words(over_bound(facts, budget))
-
-
-def test_what_a_run_has_not_measured_is_not_drawn(tmp_path: Path) -> None:
-    facts = read_facts(Writer(tmp_path / "r").began().left())
-    none = target_budget(facts.log, "r")
-    for drawn in (in_order(facts), enlarged(facts, none), over_bound(facts, none), vectors(facts),
-                  variance_bar(none, simulated=False), floor_moves(facts), air(facts)):  # fmt: skip
-        assert drawn == ""
-    assert worst(facts, none) is None
 
 
 def test_a_stop_between_two_sessions_is_hatched(tmp_path: Path) -> None:

@@ -19,7 +19,6 @@ from hilcell.report.drawings.plan_view import plan_view
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.first_page import (
     instruments,
-    item_facts,
     results_at,
     results_sheet,
     uncertainty_words,
@@ -27,7 +26,7 @@ from hilcell.report.first_page import (
     verdict_word,
 )
 from hilcell.report.html import report_html, sentence, standing
-from tests.hilcell.report.journals import AFTER_MM, Writer, validated_run
+from tests.hilcell.report.journals import AFTER_MM, validated_run
 from tests.whole.golden import GoldenRuns
 
 JUDGED = {
@@ -86,11 +85,6 @@ def test_the_figure_that_decided_and_its_limit_stand_in_the_sentence(tmp_path: P
 def test_the_rule_has_the_limit_of_orientation_where_that_was_judged(tmp_path: Path) -> None:
     assert "0.03°" in conformity_words(judged(tmp_path / "r", code=1, **TURNED))
     assert "°" not in conformity_words(judged(tmp_path / "s"))
-
-
-def test_without_a_judged_correction_there_is_no_verdict(tmp_path: Path) -> None:
-    assert verdict_word(validated_run(tmp_path / "r").facts()) == "MEASURED"
-    assert verdict_word(read_facts(Writer(tmp_path / "s").began().left())) == "NO VERDICT"
 
 
 @pytest.mark.parametrize(
@@ -202,13 +196,3 @@ def test_only_the_paper_s_run_speaks_of_its_figures(
     words = " ".join(each.title + each.caption for each in drawings(replace(facts, result={})))
     assert ("Fig 12" in words) == speaks
     assert ("The paper" in words) == speaks
-
-
-def test_laboratory_and_customer_of_the_cell_file(tmp_path: Path) -> None:
-    named = {"laboratory": "Muster GmbH", "laboratory_address": "Messweg 4", "customer": "Aero"}
-    cell = msgspec.to_builtins(load_cell("paper")) | {"certificate": named}
-    found = item_facts(judged(tmp_path / "r", plan={"cell": cell}), "")
-    words = {each.name: each.words for each in found}
-    assert (words["Laboratory"], words["Customer"]) == ("Muster GmbH, Messweg 4", "Aero")
-    blank = {each.name: each.words for each in item_facts(judged(tmp_path / "s"), "")}
-    assert (blank["Laboratory"], blank["Customer"]) == ("", "")  # lines to fill in

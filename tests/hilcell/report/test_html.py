@@ -18,7 +18,6 @@ from hilcell.calibration.measurement_budget import STEEL_EXPANSION_PER_K, budget
 from hilcell.cell.file import load_cell
 from hilcell.identification.sweeps import SweptAxis
 from hilcell.journal.point_id import PointId
-from hilcell.report.drawings.curve_plots import LABEL_MM, SPECTRUM_MM, WIDTH_MM, label_mm
 from hilcell.report.drawings.plan_view import plan_view
 from hilcell.report.drawings.svg import compact
 from hilcell.report.export import csv_bytes, json_bytes, xlsx_bytes
@@ -231,18 +230,6 @@ def test_figures_of_results(tmp_path: Path, name: str, ids: set[str], words: str
     assert words in page.text
 
 
-def test_approaches_of_a_station(tmp_path: Path) -> None:
-    writer = Writer(tmp_path / "r1").began()
-    for number in range(4):
-        for how, off_mm in (("plain", 0.2), ("strip", 0.01)):
-            at_mm = (0.0, off_mm * (number % 2), 0.0)
-            writer.point(PointId("repeat", how=how, way="random", number=number), at_mm)
-    page = page_of(writer.facts())
-    assert figures_of(page) == CELL | {"strip", "air"}
-    assert "0.2000 mm" in page.text
-    assert "0.0100 mm" in page.text
-
-
 def test_a_touch_run_adopts_station_frames(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "r1", procedure="touch").began()
     for key in ("base", "station.S1100", "station.S300"):
@@ -277,16 +264,6 @@ def test_the_choice_and_its_reasons(tmp_path: Path) -> None:
         assert words in page.text
     for words in ("interpolation", "touch poses", "sweeps of"):
         assert words not in page.text
-
-
-@pytest.mark.parametrize(
-    ("bounds_mm", "words"), [([0.3, 0.05], "0.300 mm to 0.050 mm"), ([], "none")]
-)
-def test_why_no_more_poses_were_chosen(tmp_path: Path, bounds_mm: list[float], words: str) -> None:
-    writer = Writer(tmp_path / "r1").began()
-    body = {"what": "poses chosen", "joints_deg": [[0.0] * 6], "bounds_mm": bounds_mm}
-    writer.journal.append("event", "", body)
-    assert words in page_of(writer.facts()).text
 
 
 def test_a_recheck_has_its_verdict_and_no_before_and_after(tmp_path: Path) -> None:
@@ -325,34 +302,6 @@ def test_a_grid_without_validation_shows_its_vectors(tmp_path: Path) -> None:
     assert figures_of(page_of(writer.facts())) == CELL | {"volume", "air"}
 
 
-def test_rows_of_the_paper(tmp_path: Path) -> None:
-    row = {
-        "row": "fig12.after.mean",
-        "paper": 0.1168,
-        "here": 0.1234,
-        "unit": "mm",
-        "holds": True,
-        "set": False,
-        "criterion": "<= 0.205",
-        "fails": "the correction is not sent",
-    }
-    given = row | {"row": "fig11.cells", "set": True, "criterion": "cell file", "fails": ""}
-    facts = Writer(tmp_path / "r1").began().facts()
-    page = page_of(replace(facts, result={"rows": [row, given], "points": {}}))
-    judged, stated = page.table("The paper, row by row")
-    assert judged == {
-        "figure of the paper": "fig12.after.mean",
-        "fails when": "the correction is not sent",
-        "paper": "0.1168",
-        "here": "0.1234",
-        "chosen": "",
-        "unit": "mm",
-        "holds if": "<= 0.205",
-        "verdict": "holds",
-    }
-    assert (stated["holds if"], stated["verdict"]) == ("cell file", "set")
-
-
 def test_each_axis_has_its_line_its_picture_and_its_reason(tmp_path: Path) -> None:
     writer = validated_run(tmp_path / "r")
     assert curves(read_facts(writer.folder)) is None
@@ -369,13 +318,6 @@ def test_each_axis_has_its_line_its_picture_and_its_reason(tmp_path: Path) -> No
     page = page_of(facts)
     assert "figure-curves" in page.ids
     assert "31.6 µrad" in page.text  # in the course of the run
-
-
-def test_no_edge_cuts_the_label_of_a_line() -> None:
-    low_mm, high_mm = SPECTRUM_MM
-    half_mm = LABEL_MM / 2
-    placed_mm = [label_mm(x) for x in (low_mm, 150.0, high_mm)]
-    assert placed_mm == [low_mm + half_mm, 150.0, WIDTH_MM - half_mm]
 
 
 def test_a_report_explains_the_words_that_it_uses(tmp_path: Path) -> None:

@@ -75,41 +75,6 @@ def test_a_range_of_which_one_end_gave_no_result(tmp_path: Path) -> None:
     assert not re.search(r"\bnan\b", html)
 
 
-def test_one_case_tells_its_own_levels_only(tmp_path: Path) -> None:
-    asked = study(tmp_path, RANGE + READINGS, EIGHT)
-    measured = rows(asked, errors)[:1]
-    found = answers(asked, measured)
-    assert found.purchases == []
-    known = {each.word: each.mean.mean for each in found.effects if math.isfinite(each.mean.mean)}
-    assert known == {"1800": pytest.approx(0.11), "2": pytest.approx(0.11)}
-    assert "31" in found.not_estimable[-1]
-
-
-def test_levels_that_change_together(tmp_path: Path) -> None:
-    """Two readings went with the first two pitches, five with the third: only one step is known."""
-    asked = study(tmp_path, READINGS + PITCH, FOUR)
-    found, _ = judged(
-        asked, errors, lambda row: (row["readings"], row["pitch"]) in
-        [(2, 450.0), (2, 300.0), (5, 225.0)],
-    )  # fmt: skip
-    assert changes_of(found) == pytest.approx({("pitch", "300"): 0.02})
-    assert math.isnan(found.share)
-    assert found.unknowns == 4
-
-
-def test_fewer_points_than_unknowns(tmp_path: Path) -> None:
-    asked = study(tmp_path, READINGS + PITCH + RANGE, EIGHT.replace("8", "4"))
-    found, _ = judged(asked, errors, lambda _: True)
-    assert all(name in found.not_estimable[0] for name in ("readings", "pitch mm", "x mm"))
-    assert "16" in found.not_estimable[1]
-    assert math.isnan(found.share)
-    more = study(tmp_path, READINGS + PITCH + RANGE, EIGHT.replace("8", "16"))
-    found, _ = judged(more, errors, lambda _: True)
-    assert found.not_estimable == []
-    assert found.share == pytest.approx(1.0)
-    assert len(changes_of(found)) == 5
-
-
 def test_a_first_level_without_a_result(tmp_path: Path) -> None:
     """Changes, minutes and money are counted from the first that has one."""
     costly = PITCH + "\ncosts = [10, 30, 70]\n"

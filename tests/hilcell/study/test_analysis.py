@@ -13,7 +13,7 @@ from scipy.stats import t as student
 
 from hilcell.study.analysis import answers, on_front
 from hilcell.study.design import Case, cases
-from hilcell.study.intervals import Interval, interval
+from hilcell.study.intervals import interval
 from hilcell.study.page import page
 from hilcell.study.results import row_of
 from hilcell.study.study_file import Study
@@ -23,7 +23,6 @@ from hilcell.study.tables import (
     front_sheet,
     purchases_sheet,
     sheets,
-    with_half,
 )
 from tests.hilcell.study.studies import study
 from tests.hilcell.study.test_design import RANGES, SOBOL
@@ -131,11 +130,6 @@ def test_numbers_have_their_unit_and_words_are_whole(tmp_path: Path) -> None:
     assert html.count(">pitch mm</text>") == 2
 
 
-def test_a_change_that_is_rounding_has_no_sign() -> None:
-    assert with_half(Interval(-1e-18, 1e-17), 4) == "0.0000 ± 0.0000"
-    assert with_half(Interval(-0.25, 0.5), 1) == "−0.2 ± 0.5"
-
-
 def test_ranges_of_a_sobol_design(tmp_path: Path) -> None:
     """The effect of a range is that from its low to its high end."""
     asked = study(tmp_path, RANGES, SOBOL)
@@ -174,13 +168,6 @@ def test_cases_that_cannot_be_are_no_zeros(tmp_path: Path) -> None:
     assert reasons.rows == [["cannot be", "grid: out of reach", "8"]]
 
 
-def test_no_case_done(tmp_path: Path) -> None:
-    asked = study(tmp_path)
-    found = answers(asked, [])
-    assert sheets(asked, found, []) == []
-    assert count_words(asked, found, 8) in page(asked, found, [], 8)
-
-
 @pytest.mark.parametrize(
     ("place", "best"),
     [
@@ -193,11 +180,6 @@ def test_no_case_done(tmp_path: Path) -> None:
 def test_the_front(place: tuple[float, ...], best: bool) -> None:
     others = [(1.0, 5.0, 0.0), (2.0, 4.0, 0.0)]
     assert on_front(np.array(place), np.array([place, *others])) is best
-
-
-def test_a_twin_is_on_the_front_as_well() -> None:
-    places = np.array([[1.0, 2.0, 0.0], [1.0, 2.0, 0.0]])
-    assert on_front(places[0], places)
 
 
 def test_the_front_in_the_table(tmp_path: Path) -> None:

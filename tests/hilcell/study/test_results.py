@@ -284,14 +284,6 @@ def test_rows_that_are_no_file_are_named(tmp_path: Path, make: Callable[[Path], 
         results.table()
 
 
-def test_a_report_has_each_table_under_its_heading(tmp_path: Path) -> None:
-    performed(Results(tmp_path / "r", study(tmp_path)), Bench())
-    done = command("study", "report", tmp_path / "r")
-    assert done.returncode == 0
-    titles = ("Pareto front", "Buy next", "Main effects")
-    assert [line for line in done.stdout.splitlines() if line in titles] == list(titles)
-
-
 @pytest.mark.parametrize(
     "make",
     [
@@ -314,9 +306,3 @@ def test_a_folder_without_results_is_refused(
     if (tmp_path / "r/study.json").exists():
         with pytest.raises(HilcellError):
             performed(Results(tmp_path / "r", study(tmp_path)), Bench())
-
-
-def test_a_folder_says_what_was_asked(tmp_path: Path) -> None:
-    asked = study(tmp_path)
-    performed(Results(tmp_path / "r", asked), Bench())
-    assert open_results(tmp_path / "r").study == asked

@@ -15,8 +15,8 @@ from hilcell.study.design import Case, cases
 from hilcell.study.errors import Cluster
 from hilcell.study.page import page
 from hilcell.study.performing import perform
-from hilcell.study.results import Results, open_results, plain_rows, row_of
-from hilcell.study.study_file import Study, cell_of
+from hilcell.study.results import Results, open_results, plain_rows
+from hilcell.study.study_file import Study
 from hilcell.study.tables import count_words, sheets
 from tests.hilcell.study.studies import study
 from tests.hilcell.study.test_design import RANGES
@@ -105,17 +105,6 @@ def test_no_design_within_the_limit(tmp_path: Path) -> None:
     assert words.partition("; ")[2] in page(asked, found, rows, 120)
 
 
-def test_a_shortest_that_is_a_little_too_long(tmp_path: Path) -> None:
-    """Its minutes are rounded up: never to less than the limit."""
-    asked = study(tmp_path, FACTORS, LIMITED.replace("25.0", "17.92"))
-    bench = [truth(case, cell_of(asked, case.point.values)) for case in list(cases(asked))[:2]]
-    found = answers(asked, [
-        row_of(case, row | {"minutes": 17.93}, asked)
-        for case, row in zip(cases(asked), bench, strict=False)
-    ])  # fmt: skip
-    assert count_words(asked, found, 120).endswith(" 18")
-
-
 def test_a_limit_that_none_of_the_first_points_keeps(tmp_path: Path) -> None:
     """All of them are too long, which is no agreement: the search goes on to shorter ones."""
 
@@ -188,23 +177,6 @@ def test_a_point_that_cannot_be_is_not_the_best(tmp_path: Path) -> None:
     counts = performed(results, Picky())
     assert counts["failed"] > 0
     assert best(asked, results)["x"] == pytest.approx(1850.0, abs=4.0)
-
-
-def test_its_answers_are_shown(whole: Results) -> None:
-    rows = plain_rows(whole.table())
-    found = answers(whole.study, rows)
-    first, front = sheets(whole.study, found, rows)
-    assert (first.title, len(first.rows)) == ("Best design found", 2)
-    assert front.title == "Pareto front"
-    assert count_words(whole.study, found, 120).endswith(f"{len(rows)} done")
-
-
-def test_a_dry_run_shows_what_it_begins_with(tmp_path: Path) -> None:
-    found = list(cases(study(tmp_path, FACTORS, HEAD)))
-    assert [each.number for each in found] == list(range(1, 25))
-    assert found[0].point.values == {
-        "layout.nest_samples": 2, "grid.centre.x_mm": 1800.0, "sweeps.enabled": False,
-    }  # fmt: skip
 
 
 @pytest.mark.parametrize(
