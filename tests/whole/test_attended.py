@@ -120,9 +120,12 @@ def test_only_a_whole_yes_lets_the_one_motion_go_that_was_announced(
         assert (attended.state, attended.moved_mm) == ("paused", [])
 
         assert answered(folder, "yes\n", monkeypatch) == 0
+        run.until(lambda event: is_state(event, "running"))
+        with pytest.raises(HilcellError):  # another yes to the same question
+            order(folder, "proceed", until=asked["seq"])
         attended.pauses()
         assert f"to {SECOND_MM:.2f} mm" in attended.announced
-        with pytest.raises(HilcellError):  # agreed to what was asked before
+        with pytest.raises(HilcellError):
             order(folder, "proceed", until=asked["seq"])
         assert (attended.state, attended.moved_mm) == ("paused", [FIRST_MM])
 
