@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 from hilcell.calibration import frames as calibration
 from hilcell.calibration.base_circles import circle_of
 from hilcell.calibration.errors import errors_of
-from hilcell.calibration.frames import Frames, grid_errors_mm, grid_of, grid_pairs, measured_grid
+from hilcell.calibration.frames import Frames, grid_errors_mm, grid_of, measured_grid
 from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.interpolation import Idw
-from hilcell.compensation.similarity import Pairs
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.kinematics import Arm, forward
@@ -150,14 +149,6 @@ def test_the_closest_station_of_every_hole_is_more_than_the_fewest(
     assert judged("fig2.stations", paper)["holds"] is False
 
 
-def test_the_longest_work_piece_is_beyond_one_station(paper: PaperRun) -> None:
-    cell = paper.log.cell
-    holes = paper_limits.longest_work_piece(cell)
-    span_mm = np.ptp(holes.points_mm @ np.array(cell.layout.rail_direction))
-    assert span_mm > cell.rail.travel_max_mm
-    assert paper_limits.stations_needed(cell) > 1
-
-
 # -- section 3 ----------------------------------------------------------------------------------
 
 
@@ -183,14 +174,6 @@ def test_errors_of_other_vertices_are_not_similar(paper: PaperRun) -> None:
     dealt_mm = apply(inverse(log.matrix("world")), nominal_mm + errors)
     points = [placed(point, at_mm) for point, at_mm in zip(vertices, dealt_mm, strict=True)]
     assert fails("eq8.similarity", changed(log, points))
-
-
-def test_similarity_is_no_difference(paper: PaperRun, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Eq 8's similarity falls with the distance."""
-    pairs = grid_pairs(paper.log)
-    turned = Pairs(pairs.joint_rad, pairs.cartesian_mm, pairs.similarity)
-    monkeypatch.setattr(paper_figures, "grid_pairs", lambda log: turned)
-    assert judged("eq8.similarity", paper)["holds"] is False
 
 
 def nearest_of_the_grid(log: Log, at_mm: Array) -> Array:

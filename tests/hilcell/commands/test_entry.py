@@ -1,12 +1,10 @@
-"""Signals to the process of a command: while it is imported, and when its exit code is known."""
+"""Signals to the process of a command: at its start, while a run comes to its end, and after it."""
 
 from __future__ import annotations
 
-import json
+import gc
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,9 +12,15 @@ import pytest
 
 from hilcell.__main__ import entry
 from hilcell.commands import cli
+from hilcell.commands import run as command
+from hilcell.commands.cli import main
+from hilcell.commands.run_output import print_unclosed
+from hilcell.journal.journal import StorageError, read_journal
+from hilcell.journal.runs import CALIBRATION
+from hilcell.ports import DeviceError
+from hilcell.run.runner import Runner
 
 NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-HOME = (sys.executable, "-m", "hilcell", "run", "home", "--unattended", "--runs")
 
 
 class Left(BaseException):
@@ -78,20 +82,73 @@ def test_a_run_that_was_started_deaf_to_ctrl_c_stays_so(monkeypatch: pytest.Monk
     assert entry() == 0
 
 
-@pytest.mark.nightly
-@pytest.mark.wall
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_signals_without_end_do_not_change_the_exit_code(
-    tmp_path: Path, number: signal.Signals
+def pressed(*_: object, **__: object) -> None:
+    for number in (signal.SIGINT, signal.SIGINT, signal.SIGTERM):
+        os.kill(os.getpid(), number)
+
+
+def end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, list[str], str]:
+    """Return a short run's exit code, the last records of its journal and its words."""
+    code = main(["run", "home", "--name", "R", "--unattended", "--runs", str(tmp_path)])
+    records = read_journal(tmp_path / "R" / "journal.sqlite")
+    return code, [record.kind for record in records[-2:]], capsys.readouterr().err
+
+
+def test_signals_while_a_finished_run_closes_do_not_change_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for turn in range(5):
-        words = (*HOME, str(tmp_path / str(turn)), "--json")
-        with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-            assert process.stdout is not None
-            assert process.stderr is not None
-            while json.loads(process.stdout.readline())["kind"] != "end":
-                pass
-            while process.poll() is None:
-                process.send_signal(number)
-            assert process.returncode == 0
-            assert process.stderr.read() == b""
+    """The simulated cell, the calibration and the last words each get some."""
+    written: list[Path] = []
+
+    def write(calibration: object, path: Path) -> None:
+        pressed()
+        written.append(path)
+
+    monkeypatch.setattr(command, "calibration_after", pressed)
+    monkeypatch.setattr(command, "write_calibration", write)
+    monkeypatch.setattr("hilcell.journal.log.Log.calibrates", True)
+    monkeypatch.setattr(command, "print_unclosed", pressed)
+    monkeypatch.setattr(command, "lock_of_device", None)  # nobody else reaches a cell of our own
+    code, kinds, words = end(tmp_path, capsys)
+    assert code == 0
+    assert kinds == ["state", "end"]
+    assert written == [tmp_path / "R" / CALIBRATION]
+    assert "Traceback" not in words
+    pressed()  # until the process has ended, none of them changes the exit code
+
+
+def test_a_signal_while_the_simulated_cell_starts_ends_the_run_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "start_simulation", pressed)
+    code, kinds, words = end(tmp_path, capsys)
+    assert code == 4
+    assert kinds == ["plan", "end"]
+    assert "SIGINT" in words
+
+
+def test_a_slide_that_nobody_confirms_to_be_held_is_named(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    hung = DeviceError("HC-R37", "Rail", "close", "the drive keeps its power")
+    print_unclosed({"Rail": hung, "Tracker": StorageError("of no matter")})
+    said = capsys.readouterr().err
+    assert str(hung) in said
+    assert "E-stop" in said
+
+
+def test_collections_leave_out_all_that_was_loaded_before_a_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A whole collection stops all threads: with all modules in it for over 20 ms."""
+    done: list[str] = []
+    run = Runner.run
+
+    def noted(runner: Runner, signals: list[signal.Signals]) -> int:
+        done.append("run")
+        return run(runner, signals)
+
+    monkeypatch.setattr(gc, "freeze", lambda: done.append("freeze"))
+    monkeypatch.setattr(Runner, "run", noted)
+    assert main(["run", "home", "--name", "R", "--unattended", "--runs", str(tmp_path)]) == 0
+    assert done == ["freeze", "run"]

@@ -102,10 +102,3 @@ def test_a_reflector_that_was_knocked_in_between_is_named(folder: Path) -> None:
     assert done.returncode == 0
     assert "15 of 120" in done.stderr
     assert "reflector SMR1" in done.stderr
-
-
-def test_why_no_robot_is_identified_is_said(folder: Path) -> None:
-    write_rows(folder / "train.csv", measured(1, 14, ["SMR1"]))
-    done = fit(folder, "robot.urdf")
-    assert done.returncode == 0
-    assert "14 poses" in done.stderr

@@ -192,16 +192,6 @@ def test_a_program_with_strokes_or_another_base_wants_a_calibration(
     assert not (tmp_path / "out.src").exists()
 
 
-def test_targets_beyond_the_measured_joints_are_named(folder: Path, tmp_path: Path) -> None:
-    joints = drawn(2, 3)
-    joints[1, 0] = np.radians(100.0)
-    write_joints(tmp_path / "t.csv", ["a", "b", "c"], joints, inputs=[])
-    out = tmp_path / "c.csv"
-    done = fit(folder, "--correct", tmp_path / "t.csv", "--tool", "SMR1", "-o", out)
-    assert done.returncode == 0
-    assert "(A1)" in done.stderr
-
-
 def test_nothing_is_corrected_where_no_method_helps(
     folder: Path, found: Fitted, monkeypatch: pytest.MonkeyPatch
 ) -> None:

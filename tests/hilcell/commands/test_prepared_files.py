@@ -19,7 +19,6 @@ from hilcell.cell.file import load_cell
 from hilcell.compensation.targets import write_targets
 from hilcell.geometry.frames import inverse, pose_from_zyx, poses_from_zyx
 from hilcell.geometry.inverse import inverse_kinematics
-from hilcell.planning.holes import NORMALS
 from tests.hilcell.calibration.calibrations import STAMP, T_W_B, calibration
 from tests.hilcell.commands.test_prepare import (
     FILES,
@@ -189,19 +188,6 @@ def test_a_simulated_calibration_marks_sheet_and_programs(tmp_path: Path) -> Non
         assert mark in (tmp_path / "out" / name).read_text("utf-8")
 
 
-def test_names_of_holes_act_nowhere(tmp_path: Path) -> None:
-    made(tmp_path)
-    path = holes(tmp_path, *INSIDE)
-    nasty = '"<b>H1</b>;=1+1 {W} é€"'
-    path.write_text(path.read_text().replace("H1,", f"{nasty},"), "utf-8")
-    assert prepare(tmp_path, path).returncode == 0
-    page = (tmp_path / "out" / "sheet.html").read_text("utf-8")
-    assert "&lt;b&gt;H1&lt;/b&gt;" in page
-    assert "<b>H1" not in page
-    src, dat = ((tmp_path / "out" / f"S1100.{e}").read_text("latin-1") for e in ("src", "dat"))
-    assert len(read_program("S1100.src", src, ("S1100.dat", dat)).targets) == 6
-
-
 def made_for_two(folder: Path, other: str, digest: str) -> Path:
     """Write a calibration of S1100 and one more station beside it; return holes for both."""
     one = calibration(digest=digest)
@@ -247,20 +233,3 @@ def test_a_robot_without_a_writer_gets_lists_only(
     assert "kuka-c3" in done.stderr
     written = sorted(each.name for each in (tmp_path / "out").iterdir())
     assert written == [name for name in FILES if not name.endswith((".src", ".dat"))]
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        f"{','.join(NORMALS)}\n",
-        f"{';'.join(NORMALS)}\nH1;1,234;2;3;0;0;1\n",  # 1.234, or 1234
-        f"{','.join(NORMALS)}\nH1,0,0,1200,0,0,0\n",
-        "name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg\nH1,0,0,9000,0,75,0\n",
-    ],
-)
-def test_bad_lists_write_nothing(tmp_path: Path, text: str) -> None:
-    made(tmp_path)
-    path = tmp_path / "holes.csv"
-    path.write_text(text, "utf-8")
-    refused(tmp_path, path)

@@ -139,13 +139,6 @@ def test_a_real_robot_does_not_go_on_where_nobody_can_be_asked(
     assert read_journal(folder / JOURNAL) == before
 
 
-def test_a_simulated_one_goes_on_unasked_and_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert resumed(left(tmp_path / "r"), monkeypatch, None)[0] == 0
-    assert STEP in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("simulated", "screens", "unattended", "words", "code"),
     [
@@ -229,15 +222,6 @@ def test_a_motion_under_way_is_named_and_nothing_is_asked(
     said = capsys.readouterr().err
     assert MOTION in said
     assert '"yes"' not in said
-
-
-def test_a_run_that_nobody_attends_is_under_way_as_well(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    found = live(
-        tmp_path / "r", monkeypatch, ("--unattended",), "running", state="running", unattended=True
-    )
-    assert found == (0, ["status"])
 
 
 CHANGE = f"hilcell 0.0.1 began this run, this is {__version__}"

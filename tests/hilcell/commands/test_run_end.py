@@ -15,7 +15,6 @@ from hilcell.cell.devices import ConnectFailed, load_entry
 from hilcell.commands.cli import main
 from hilcell.commands.run_output import ProgressOutput, RunOutput, failed_words, print_end
 from hilcell.errors import DeviceError
-from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.journal import Record
 from hilcell.journal.link_record import LinkRecord
 from hilcell.journal.runs import read_log
@@ -27,7 +26,6 @@ from tests.hilcell.report.pages import Page
 
 LOST = DeviceError("HC-T02", "Tracker", "measure", "no answer")
 REFUSED = DeviceError("HC-R01", "Rail", "connect", "no gateway")
-LISTS = ("cycles", "amplitude_rad", "covariance_rad2", "shown", "spectrum")
 STRANGE = DeviceError("XY-1", "Tracker", "measure", "no answer")
 
 
@@ -35,17 +33,6 @@ def printed(tmp_path: Path, fault: Exception, *, as_json: bool = False) -> None:
     folder = Writer(tmp_path / "r1").began().ended()
     procedure = load_entry("procedures", "home")
     print_end(folder, read_log(folder), procedure, RunOutput(as_json=as_json), fault)
-
-
-def test_a_result_without_rows_has_no_table(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = Writer(tmp_path / "r1").began().ended()
-    home = load_entry("procedures", "home")
-    print_end(folder, read_log(folder), home, RunOutput(as_json=False), None)
-    assert capsys.readouterr().out == ""
-    assert main(["show", "r1", "--runs", str(tmp_path)]) == 0
-    assert "group" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -144,20 +131,6 @@ def test_a_broken_promise_is_shown_at_once(capsys: pytest.CaptureFixture[str]) -
         output.print_record(Record(2, "", "event", "", body | {"why": "", "verdict": "held"}))
     said = capsys.readouterr().err
     assert said.count("3 mm off\n") == 1
-
-
-@pytest.mark.parametrize("reason", ["", "the axis paused; sweep again"])
-def test_an_axis_whose_sweeps_are_not_used_is_shown(
-    reason: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    figures = (each for each in CurveRecord.__struct_fields__ if each not in ("axis", "reason"))
-    body: dict[str, Any] = {
-        each: [] if each in LISTS else 0 if each == "lost" else 0.0 for each in figures
-    }
-    with ProgressOutput("r", 0) as output:
-        facts = {"what": "curve", "axis": 2, "reason": reason}
-        output.print_record(Record(1, "", "event", "", body | facts))
-    assert capsys.readouterr().err.count(f"A2 not used: {reason}\n") == bool(reason)
 
 
 def test_watch_prints_the_fault_that_ended_a_run(

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
+import os
 import random
+import signal
 from collections import Counter
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from datetime import timedelta
 from pathlib import Path
 
 import pytest
-from sqlalchemy import Engine, func, select
+from sqlalchemy import Engine, event, func, select
 
 from hilcell.journal.runs import read_records
 from hilcell.plant.database import Database
@@ -21,7 +24,6 @@ from hilcell.plant.shipper import NAME, Shipped, ship
 from hilcell.plant.tables import PARTS, POINT, RUN
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.server import BLANK, Server
-from tests.hilcell.plant.shipping import Killed, dying_before, ship_and_die
 from tests.hilcell.plant.year import Model, Run, extend
 from tests.whole.bench import command, sweep
 
@@ -156,3 +158,47 @@ def test_a_server_that_is_killed_and_started_again(
             ship(runs, database)
             check(database, runs, Counter({f"r{n}": 1 for n in range(RUNS)}))
         (runs / NAME).unlink()
+
+
+MOMENTS = ("before_cursor_execute", "commit", "checkin")  # of a connection: the commit is done
+
+
+class Killed(BaseException):
+    """Nothing of the shipper runs any more."""
+
+
+def _die() -> None:
+    raise Killed
+
+
+@contextmanager
+def dying_before(
+    order: int, engine: Engine | type[Engine], die: Callable[[], None] = _die
+) -> Iterator[None]:
+    """Call ``die`` before the ``order``-th order to the database, once."""
+    left = [order]
+
+    def count(*_: object) -> None:
+        left[0] -= 1
+        if not left[0]:
+            die()
+
+    for name in MOMENTS:
+        event.listen(engine, name, count)
+    try:
+        yield
+    finally:
+        for name in MOMENTS:
+            event.remove(engine, name, count)
+
+
+def ship_and_die(runs: str, url: str, order: int, seconds: float) -> None:
+    """Ship in a process of its own; end it before an order, or after so many seconds."""
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)  # it ends the process at once
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    with (
+        closing(Database(url)) as database,
+        dying_before(order, database.engine, lambda: os.kill(os.getpid(), signal.SIGKILL)),
+    ):
+        ship(Path(runs), database)
+    signal.setitimer(signal.ITIMER_REAL, 0.0)

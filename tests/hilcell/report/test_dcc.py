@@ -13,7 +13,6 @@ from dsi_unit import DsiUnit
 from hilcell.calibration.bounds import Coverage
 from hilcell.calibration.decision import guard_of
 from hilcell.journal.calibration_facts import REVOKED
-from hilcell.journal.point_id import PointId
 from hilcell.report import dcc
 from hilcell.report.dcc import CELSIUS, DEGREE, FORMS, HECTOPASCAL, MM, PERCENT, dcc_bytes, real
 from hilcell.report.facts import Facts
@@ -255,14 +254,3 @@ def test_a_devices_control_characters_are_no_xml_and_are_replaced(tmp_path: Path
 def test_units_are_of_d_si(unit: str) -> None:
     assert DsiUnit(unit).valid
     assert re.fullmatch(r"\.\df", FORMS[unit])
-
-
-def test_a_larger_repeated_error_is_the_certificates(tmp_path: Path) -> None:
-    """The certificate has no figures of its own: what counts in the verdict stands in it."""
-    writer = validated_run(tmp_path / "r", simulated=False)
-    id = PointId("validate", station="S1100", how="chosen", number=0)
-    writer.point(id, (0.05, 0.0, 900.0), "S1100", nominal_mm=(0.0, 0.0, 900.0))
-    writer.journal.append("verdict", "validation.S1100", PASSED)
-    writer.state("calibration", "validated")
-    found = figures(parsed(writer.facts()), "S1100, after, chosen", "hilcell_mean")
-    assert found[0][0] == "0.2000"

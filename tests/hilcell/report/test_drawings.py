@@ -29,7 +29,6 @@ from hilcell.report.drawings.variance import variance_bar
 from hilcell.report.drawings.vectors import vectors
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.first_page import Result
-from hilcell.report.html import volume_sheet
 from hilcell.report.target_budget import TargetBudget, target_budget
 from hilcell.report.worst import worst
 from hilcell.run.tracker_guard import limits_of
@@ -113,15 +112,6 @@ def test_how_many_are_beyond_their_bound(real: tuple[Facts, TargetBudget]) -> No
     assert f"{beyond} of {every} beyond it" in words(over_bound(facts, budget))
 
 
-def test_a_stop_between_two_sessions_is_hatched(tmp_path: Path) -> None:
-    writer = validated_run(tmp_path / "r")
-    facts = read_facts(writer.left())
-    writer = validated_run(tmp_path / "s")
-    writer.state("run", "checking")
-    twice = writer.facts()
-    assert air(twice).count('stroke-width="0.15"') == air(facts).count('stroke-width="0.15"') + 1
-
-
 def test_the_worst_come_first_with_both_values(tmp_path: Path) -> None:
     writer = validated_run(tmp_path / "r")
     id = PointId("validate", station="S300", how="chosen", number=1)
@@ -162,16 +152,6 @@ def test_the_nests_are_drawn_below_their_limit(real: tuple[Facts, TargetBudget])
     (level,) = (float(y) for y in re.findall(r'd="M12\.00 ([\d.]+)L[^"]*" [^>]*width="0.6"', drawn))
     assert level < highest, "every nest stayed"
     assert level == pytest.approx(TOP_MM + (HEIGHT_MM - BOTTOM_MM - TOP_MM) * 0.2, abs=0.02)
-
-
-def test_the_volume_in_numbers() -> None:
-    found = volume_sheet(load_cell("paper"), np.array([4400.0, 100.0, 1500.0]))
-    assert found is not None
-    rows = {name: (low, high) for name, low, high in found.rows}
-    assert list(rows) == ["x", "y, S300", "y, S1100", "y, S1900", "z"]
-    assert rows["z"] == ("800", "1700")
-    assert rows["y, S300"] == ("\N{MINUS SIGN}1250", "\N{MINUS SIGN}350")
-    assert found.note == "Tracker to corners: 4.0 to 5.1 m."
 
 
 @pytest.mark.parametrize("limit_mm", [0.006, 0.09, 0.3])

@@ -23,6 +23,7 @@ from hilcell.report.drawings.svg import compact
 from hilcell.report.export import csv_bytes, json_bytes, xlsx_bytes
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.html import WORDS, curves, report_html, words_of
+from hilcell.report.sheet import Sheet, SheetHole, SheetStation, sheet_html
 from hilcell.report.target_budget import target_budget
 from tests.hilcell.journal.test_curve_record import FOUND, body_of
 from tests.hilcell.report.journals import AFTER_MM, BEFORE_MM, Writer, validated_run
@@ -64,14 +65,6 @@ def test_a_validated_run(tmp_path: Path) -> None:
     assert len(set(page.ids)) == len(page.ids)
     for facts in ("A. Technician", "J-17", "860112", "r1", "22.0 to 22.0 °C", "7.8.2.1 d"):
         assert facts in page.text
-
-
-def test_the_tracker_is_named_by_its_serial_number(tmp_path: Path) -> None:
-    entry = {"device": "Tracker", "model": "Leica AT960, emScon 3.8", "serial": "750123",
-             "address": "192.0.2.3:700", "kind": "tracker", "maker": "Leica",
-             "firmware": "emScon 3.8"}  # fmt: skip
-    writer = Writer(tmp_path / "r").began([entry])
-    assert "Leica AT960, emScon 3.8, serial 750123" in page_of(writer.facts()).text
 
 
 def test_means_maxima_and_both_ratios(html: str) -> None:
@@ -138,12 +131,6 @@ def test_hostile_strings_are_shown_harmless(tmp_path: Path) -> None:
     assert "49" not in page.of("dd")
 
 
-def test_the_lines_of_a_reason_are_joined(tmp_path: Path) -> None:
-    writer = Writer(tmp_path / "r1").began()
-    page = page_of(read_facts(writer.ended("faulted", 3, "no answer\nRobot: gone\n")))
-    assert "no answer; Robot: gone" in page.text
-
-
 def test_a_cell_without_a_rail_has_no_words_of_one(tmp_path: Path) -> None:
     cell = load_cell("fixed")
     plan = {"cell": msgspec.to_builtins(cell), "digest": cell.digest}
@@ -192,44 +179,6 @@ def test_a_run_that_a_crash_left(tmp_path: Path, began: bool) -> None:
     assert figures_of(page) == CELL
 
 
-RESULTS: dict[str, dict[str, Any]] = {
-    "rail": {
-        "rail_survey": {
-            "curve": {
-                "forth": [[0.0, 0.0], [1000.0, 0.4], [2000.0, 0.5]],
-                "back": [[2000.0, 0.4], [1000.0, 0.2], [0.0, -0.2]],
-            },
-            "backlash_mm": {"value": 0.2012, "u": 0.0031},
-            "scale_ppm": {"value": 131.2, "u": 78.4},
-            "straightness_mm": {"horizontal": 0.3751, "vertical": 0.2},
-            "angles_mrad": {"roll": [0.0, 0.1, 0.2], "pitch": [0.0] * 3, "yaw": [0.0] * 3},
-        }
-    },
-    "frames": {
-        "frame_repeatability": {
-            "base": {"S300": [0.3, 0.2, 0.4, 0.3, 0.2, 0.1], "S1900": [0.2] * 6},
-            "station": {"S300": [0.05] * 6, "S1900": [0.06] * 6},
-            "ratio": 4.21,
-            "ratio_interval": [3.1, 5.6],
-        }
-    },
-}
-
-
-@pytest.mark.parametrize(
-    ("name", "ids", "words"),
-    [
-        ("rail", {"rail", "slide"}, "0.2012 mm (u = 0.0031 mm)"),
-        ("frames", {"frames"}, "4.2"),
-    ],
-)
-def test_figures_of_results(tmp_path: Path, name: str, ids: set[str], words: str) -> None:
-    facts = Writer(tmp_path / "r1").began().facts()
-    page = page_of(replace(facts, result=RESULTS[name] | {"points": {}}))
-    assert figures_of(page) == CELL | ids
-    assert words in page.text
-
-
 def test_a_touch_run_adopts_station_frames(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "r1", procedure="touch").began()
     for key in ("base", "station.S1100", "station.S300"):
@@ -273,15 +222,6 @@ def test_a_recheck_has_its_verdict_and_no_before_and_after(tmp_path: Path) -> No
     (row,) = page.table("Verdicts")
     assert row["by"] == "calibrate again"
     assert "both are reported" not in page.text
-
-
-@pytest.mark.parametrize(("procedure", "sequential"), [("calibrate", True), ("targets", False)])
-def test_only_a_validation_is_decided_sequentially(
-    tmp_path: Path, procedure: str, sequential: bool
-) -> None:
-    cell = load_cell("paper", {"plan.quick": "true"})
-    writer = Writer(tmp_path / "r1", procedure=procedure, cell=msgspec.to_builtins(cell)).began()
-    assert ("sequential" in page_of(read_facts(writer.left())).text) == sequential
 
 
 def test_why_there_are_no_bounds(tmp_path: Path) -> None:
@@ -363,3 +303,37 @@ def test_compact_keeps_words_and_links() -> None:
         '<svg> <g><path id="f-m1" d="M 1.23 2"/>'
         '<use href="#f-m1" clip-path="url(#f-m1)"/><text>0.123456</text></g></svg>'
     )
+
+
+HOLE = SheetHole("<i>H1</i>", (-1.0, 2.0, 3.0), 0.5, 0.1)
+STATION = SheetStation("S1", 1.0, 1.0, 0.01, "S1", ["S1.src"], [HOLE])
+SHEET = Sheet("1 hole", False, True, [("Air", "20 C")], ["<b>ready</b>"], [STATION], "", [], ["x"])
+
+
+def test_names_are_escaped_and_figures_are_rounded() -> None:
+    page = sheet_html(replace(SHEET, footer='run </style>"x'))
+    assert "&lt;i&gt;H1&lt;/i&gt;" in page
+    assert "&lt;b&gt;ready" in page
+    assert "<td>\u22121.00</td><td>2.00</td>" in page
+    assert "0.100 mm" in page
+    assert 'content: "run\\000020\\00003c\\00002fstyle\\00003e\\000022x"' in page
+
+
+def test_columns_are_those_that_have_figures() -> None:
+    """Those of the rail, of the bounds, of the bounds of orientation."""
+    page = sheet_html(SHEET)
+    assert "strip" in page
+    assert "95 % bound mm" in page
+    assert 'colspan="8"' in page
+    page = sheet_html(replace(SHEET, has_rail=False))
+    assert "strip" not in page
+    assert "Rail at" not in page
+    station = replace(STATION, holes=[replace(HOLE, bound95_mm=None)])
+    page = sheet_html(replace(SHEET, stations=[station], no_bounds="<none stated>"))
+    assert "&lt;none stated&gt;" in page
+    assert "95 % bound mm" not in page
+    assert 'colspan="7"' in page
+    station = replace(STATION, holes=[replace(HOLE, turn95_deg=0.01234)])
+    page = sheet_html(replace(SHEET, stations=[station]))
+    assert "<td>0.0123</td>" in page
+    assert 'colspan="9"' in page

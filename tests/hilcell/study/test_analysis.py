@@ -13,7 +13,7 @@ from scipy.stats import t as student
 
 from hilcell.study.analysis import answers, on_front
 from hilcell.study.design import Case, cases
-from hilcell.study.intervals import interval
+from hilcell.study.intervals import interval, share
 from hilcell.study.page import page
 from hilcell.study.results import row_of
 from hilcell.study.study_file import Study
@@ -97,37 +97,6 @@ def test_one_machine_gives_no_interval(tmp_path: Path) -> None:
     assert [row[4] for row in sheet.rows] == ["no", "no"]
     assert facts(asked, found, 4)["effects"][0]["accuracy_mm"]["half95"] is None
     assert "<svg" in page(asked, found, measured, 4)
-
-
-PITCH = """
-[[factor]]
-name = "pitch"
-setting = "grid.pitch_mm"
-levels = [450.0, 300.0]
-
-[[factor]]
-name = "radius mm"
-setting = "tracker.find_radius_mm"
-levels = [5.0, 6.0]
-
-[[factor]]
-name = "place"
-setting = "grid.centre.x_mm"
-levels = [1850.0, 3850.0]
-labels = ["beside the press line", "far"]
-"""
-
-
-def test_numbers_have_their_unit_and_words_are_whole(tmp_path: Path) -> None:
-    asked = study(tmp_path, PITCH)
-    measured = rows(asked, lambda _: 0.1)
-    found = answers(asked, measured)
-    sheet = front_sheet(asked, found)
-    assert sheet is not None
-    assert sheet.headers[1:4] == ["pitch mm", "radius mm", "place"]
-    html = page(asked, found, measured, 16)
-    assert html.count(">beside the press line</text>") == 2  # of both plots by levels
-    assert html.count(">pitch mm</text>") == 2
 
 
 def test_ranges_of_a_sobol_design(tmp_path: Path) -> None:
@@ -221,3 +190,42 @@ def test_reasons_that_differ_in_figures_are_one_kind(tmp_path: Path) -> None:
     ]
     (reasons,) = sheets(asked, answers(asked, measured), measured)
     assert reasons.rows == [["failed", "slide +1.50 mm off", "16"]]
+
+
+@pytest.mark.parametrize("shares", [[1.0, 1.0, 1.0, 1.0], [1.0, 1.0, 0.98, 1.0], [0.0, 0.0, 0.02]])
+def test_an_interval_is_between_none_and_all(shares: list[float]) -> None:
+    found = share(shares, 50.0 * len(shares))
+    assert 0.0 <= found.low <= found.mean <= found.high <= 1.0
+    assert found.low < found.high
+
+
+def test_it_is_clopper_and_pearson_s_where_machines_do_not_differ() -> None:
+    """98 of 100; of many machines, so that Student's factor is nearly the normal one."""
+    many = [0.98] * 400
+    found = share(many, 100.0)
+    assert (found.low, found.high) == pytest.approx((0.9296, 0.9976), abs=0.001)
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.04])
+def test_it_covers_as_often_as_it_promises(spread: float) -> None:
+    """Machines of 50 targets each, whose own shares differ: 0.93 on average."""
+    rng, true = np.random.default_rng(1), 0.93
+    hits = []
+    for _ in range(600):
+        own = np.clip(rng.uniform(true - spread, true + spread, 6), 0.0, 1.0)
+        found = share(rng.binomial(50, own) / 50.0, 300.0)
+        hits.append(found.low <= true <= found.high)
+    assert 0.93 <= np.mean(hits) <= 1.0
+
+
+def test_one_machine_gives_none() -> None:
+    found = share([0.95], 100.0)
+    assert found.mean == 0.95
+    assert math.isnan(found.low)
+    assert found.ends == (0.95, 0.95)
+
+
+def test_machines_that_differ_widen_it() -> None:
+    alike, different = share([0.9] * 4, 400.0), share([0.8, 1.0, 0.8, 1.0], 400.0)
+    assert alike.mean == pytest.approx(different.mean)
+    assert different.high - different.low > 1.5 * (alike.high - alike.low)
