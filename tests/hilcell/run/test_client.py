@@ -12,22 +12,18 @@ import pytest
 
 from hilcell.errors import HilcellError
 from hilcell.journal.engine_file import EngineFile, live_engine
+from hilcell.run import client as client_module
 from hilcell.run.client import EngineClient, EngineLost, EngineSilent, order, stop_engine
 from hilcell.run.protocol import Status
-from tests.hilcell.tui.engine_peer import (
-    SILENCE,
-    STATUS,
-    Peer,
-    none_before,
-    nothing_left_open,
-    says,
-    short,
-    usual,
-)
-
-__all__ = ["none_before", "nothing_left_open", "short"]
+from tests.hilcell.tui.engine_peer import SILENCE, STATUS, Peer, says, usual
 
 MANY_STOPS = 2000  # their answers fill any buffer
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wait a tenth of a second for an engine that will not answer."""
+    monkeypatch.setattr(client_module, "ANSWER_S", 0.1)
 
 
 def connected(folder: Path) -> EngineClient:
@@ -97,6 +93,7 @@ def test_what_is_no_answer_loses_the_line(tmp_path: Path, answer: bytes | None) 
         peer.until(lambda: peer.open == 0)
 
 
+@pytest.mark.usefixtures("short")
 @pytest.mark.parametrize("beginning", [SILENCE, b'{"ok": tr'], ids=["silence", "torn"])
 def test_a_late_answer_is_never_taken_for_the_next_one_s(tmp_path: Path, beginning: bytes) -> None:
     waits = threading.Event()
@@ -119,11 +116,13 @@ def test_a_late_answer_is_never_taken_for_the_next_one_s(tmp_path: Path, beginni
         assert client.stop()
         peer.until_stops(1)
         waits.set()
+        client._asking.settimeout(None)  # however late
         assert client.ask("answer").points == 2
         assert "pause" not in peer.commands
         client.close()
 
 
+@pytest.mark.usefixtures("short")
 def test_a_stop_waits_for_no_answer(tmp_path: Path) -> None:
     asked, lost = threading.Event(), threading.Event()
 
@@ -167,6 +166,7 @@ def test_no_engine_no_link(tmp_path: Path, text: bytes | None) -> None:
     assert EngineClient.of_run(tmp_path) is None
 
 
+@pytest.mark.usefixtures("short")
 def test_an_engine_whose_queue_is_full_lives_and_is_silent(tmp_path: Path) -> None:
     path = tmp_path / "control"
     with socket.socket(socket.AF_UNIX) as server, ExitStack() as waiting:

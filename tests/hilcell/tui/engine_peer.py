@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import shutil
 import socket
 import tempfile
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Self
 
 import msgspec
-import pytest
 
 from hilcell.journal.engine_file import EngineFile
-from hilcell.run import client
 
 STATUS: dict[str, Any] = {
     "ok": True, "run": "r", "state": "running", "calibration": "grid", "points": 3,
@@ -128,37 +124,3 @@ class Peer:
         with self._changed:
             self.heard.append((number, command))
             self._changed.notify_all()
-
-
-ANSWER_S = 0.2  # instead of the seconds that an operator has
-LIMIT_S = 10.0
-
-
-@pytest.fixture(autouse=True)
-def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Wait for silent engines as long as a test may."""
-    monkeypatch.setattr(client, "ANSWER_S", ANSWER_S)
-
-
-@pytest.fixture(autouse=True, scope="module")
-def none_before() -> None:
-    """Leave what stands before these tests out of the collections after each of them."""
-    gc.collect()
-    gc.freeze()
-
-
-@pytest.fixture(autouse=True)
-def nothing_left_open(none_before: None) -> Iterator[None]:
-    """Let what was leaked be found: what is left open, and what only a collection would close."""
-    before = open_sockets()
-    yield
-    assert open_sockets() <= before
-    gc.collect()
-
-
-def open_sockets() -> set[str]:
-    found = set()
-    for file in Path("/proc/self/fd").iterdir():
-        with suppress(FileNotFoundError):  # the one that lists them
-            found.add(str(file.readlink()))
-    return {target for target in found if target.startswith("socket:")}

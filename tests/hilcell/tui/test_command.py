@@ -41,8 +41,9 @@ def test_a_defect_of_the_screen_is_reported_and_fails(
 @pytest.mark.parametrize(
     ("words", "code", "reported"),
     [
-        (["nope"], 2, "run 'nope' is not in"),
-        (["--runs", __file__], 2, "is a file: name the folder of runs"),
+        (["nope"], 2, "'nope'"),
+        (["--runs", __file__], 2, __file__),
+        (["--keys", "none.toml"], 2, "none.toml"),
     ],
 )
 def test_a_run_that_cannot_be_opened_is_reported_in_the_shell(
