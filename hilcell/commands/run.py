@@ -389,7 +389,11 @@ def _run(
                 ordered=args.screen,
                 changes=changes,
             )
-            stack.callback(Control(folder, runner).close)
+            try:
+                stack.callback(Control(folder, runner).close)
+            except StorageError:
+                runner.dismiss()
+                raise
             gc.freeze()  # what was loaded stays: a collection, which holds up a stop, is short
             # While its engine is there: afterwards a file that is missing is a lost one.
             code = runner.run(noted)

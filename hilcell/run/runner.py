@@ -90,6 +90,10 @@ class Runner:
         self._unclosed: dict[str, Exception] | None = None  # None: the devices are still open
         self._life = StateMachine(RUN, journal)
 
+    def dismiss(self) -> None:
+        """Let its threads end, where it will not run."""
+        self._safe_stop.dismiss()
+
     def run(self, noted: Sequence[signal.Signals] = ()) -> int:
         """Run to the end and return the exit code; signals ``noted`` before are commands, too.
 

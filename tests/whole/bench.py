@@ -23,9 +23,13 @@ import pytest
 from _pytest.mark import ParameterSet
 
 from fakes.host import Host, Order
-from hilcell.cell.file import load_cell
+from fakes.simulator import PaperCell
+from hilcell.cell.devices import start_simulation
+from hilcell.cell.file import Cell, load_cell
 from hilcell.commands.cli import main
+from hilcell.ports import SimulatedCell
 
+Words = tuple[str | Path, ...]
 HILCELL = [sys.executable, "-m", "hilcell"]
 LIMIT_S = 200.0  # a busy machine may take long, and is not at fault
 LOOK_S = 0.02  # between two looks at what lasts: without a wait they keep a processor busy
@@ -169,6 +173,23 @@ class Simulation:
             link.sendall(json.dumps(request).encode() + b"\n")
             answer: dict[str, Any] = json.loads(link.makefile("rb").readline())
         return answer
+
+
+class OwnCell:
+    """The simulated cell that a run starts for itself; ``at_start`` are faults that wait in it."""
+
+    def __init__(self) -> None:
+        self.at_start: list[dict[str, object]] = []
+        self.ask: Callable[..., dict[str, Any]]
+
+    def start(self, cell: Cell, **words: Any) -> SimulatedCell | None:
+        """Do what `hilcell.cell.devices.start_simulation` does."""
+        found = start_simulation(cell, **words)
+        assert isinstance(found, PaperCell)
+        self.ask = Simulation({}, found.address).ask
+        for fault in self.at_start:
+            assert self.ask(do="fault", **fault)["ok"]
+        return found
 
 
 @contextmanager

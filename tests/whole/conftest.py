@@ -9,7 +9,7 @@ import pytest
 
 from hilcell.journal.log import Log
 from hilcell.report.facts import read_facts
-from tests.whole.bench import sweep
+from tests.whole.bench import OwnCell, sweep
 from tests.whole.golden import GoldenRuns
 
 
@@ -37,6 +37,14 @@ class PaperRun:
 @pytest.fixture(scope="session", params=["paper", *sweep("paper-whole")])
 def paper(request: pytest.FixtureRequest, golden: GoldenRuns) -> PaperRun:
     """Return the run of seed 2, by day with fewer targets."""
-    run = golden[request.param]
-    assert run.events, run.done.stderr
-    return PaperRun(run.events, run.done.stderr, read_facts(run.folder).log)
+    made = golden[request.param]
+    assert made.events, made.done.stderr
+    return PaperRun(made.events, made.done.stderr, read_facts(made.folder).log)
+
+
+@pytest.fixture
+def own_cell(monkeypatch: pytest.MonkeyPatch) -> OwnCell:
+    """Return the simulated cell of the run that is made next."""
+    cell = OwnCell()
+    monkeypatch.setattr("hilcell.commands.run.start_simulation", cell.start)
+    return cell

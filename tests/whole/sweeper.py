@@ -51,9 +51,10 @@ class Engine:
         stack.callback(simulated.close)
         clock = simulated.clock(self.stop)
         self.devices = build_devices(cell, simulated.options, clock)
+        self.safe_stop = SafeStop(self.devices)
+        stack.callback(self.safe_stop.dismiss)
         stack.callback(close_all, self.devices)
         connect_all(self.devices, lambda found: None)
-        self.safe_stop = SafeStop(self.devices)
         path = folder / "journal.sqlite"
         journal = RunJournal(path, "r", create=not path.exists())
         stack.callback(journal.close)

@@ -6,17 +6,18 @@ from pathlib import Path
 
 import pytest
 
-from tests.whole.bench import command, end_of, events, sets, sim_command
+from tests.whole.bench import command, end_of, events, sets, simulation
 
 PAPER = Path(__file__).parents[2] / "hilcell/cells/paper.toml"
+SPEED = 20.0
 SLOW = {"robot.speed_percent": "10", "rail.speed_mm_s": "25"}
 
 
-@pytest.mark.long
+@pytest.mark.wall
 def test_a_real_device_is_moved_slowly_and_by_a_persons_word_only(tmp_path: Path) -> None:
     cell = tmp_path / "shop.toml"
     cell.write_text(PAPER.read_text("utf-8").split("[simulation]")[0])
-    with sim_command("--speed", "20") as simulated:
+    with simulation(SPEED) as simulated:
         where = simulated.addresses
         words = {
             "name": "shop",

@@ -19,7 +19,6 @@ import pytest
 
 from hilcell.conformance.kit import promises_of
 from hilcell.journal.runs import read_log
-from tests.hilcell.conformance.test_plugin import ALONE
 from tests.whole.bench import SMALL, end_of, sets
 
 ROOT = Path(__file__).parents[2]
@@ -30,6 +29,7 @@ KIT = "--hilcell-driver=robots:meca500"
 INSTALL = ("-m", "pip", "install", "--quiet", "--no-index", "--no-deps", "--no-build-isolation")
 BLOCK = re.compile(r"^```(?:python|toml)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 
+ALONE = ("-p", "no:cacheprovider", "-p", "no:hypothesispytest", "-p", "no:randomly")
 SHORT = {"base_frame.points": "4", "layout.nest_samples": "2"}
 DRILL = ("SetBlending(0)", "MoveLin(1780.0, 400.0, 900.0, 0, 75, 0)")
 
@@ -66,40 +66,25 @@ def runner(python: Path, folder: Path, environment: dict[str, str]) -> Run:
     return run
 
 
-def test_it_is_found_by_its_entry_points(run: Run) -> None:
+@pytest.mark.wall
+def test_its_entry_points_are_those_of_a_driver_of_ones_own(run: Run) -> None:
     doctor = json.loads(run("hilcell", "doctor", "--json").stdout)
     (drivers,) = (each for each in doctor["checks"] if each["check"] == "drivers")
     assert (drivers["state"], "meca500" in drivers["found"]) == ("ok", True)
-    checked = run("hilcell", "check", "paper", *DRIVER)
-    assert checked.returncode == 0, checked.stderr
-    assert "robot driver 'meca500' does not sweep an axis" in checked.stdout + checked.stderr
-    assert "Robot simulates its motions" in run("hilcell", "explain", "MX-B02").stdout
+    checked = run("hilcell", "check", "paper", *DRIVER, "--set", "robot.options.prot=1")
+    assert checked.returncode == 2
+    assert "robot.options: prot" in checked.stderr
 
 
-def test_wrong_options_are_refused_with_their_names(run: Run) -> None:
-    done = run("hilcell", "check", "paper", *DRIVER, "--set", "robot.options.prot=1")
-    assert done.returncode == 2
-    assert 'robot.options: prot: unknown key; did you mean "port"?' in done.stderr
-
-
-def test_its_own_tests_pass(run: Run) -> None:
-    done = run("pytest", "-q", *ALONE, "-W", "error", PACKAGE / "tests")
+@pytest.mark.wall
+def test_its_own_tests_pass_beside_the_kit(run: Run) -> None:
+    promises = "identity-same or test_meca500"
+    done = run("pytest", "-q", *ALONE, "-W", "error", PACKAGE / "tests", KIT, "-k", promises)
     assert done.returncode == 0, done.stdout
+    assert re.search(r"\d\d passed", done.stdout)
 
 
-def test_the_kit_judges_it(run: Run) -> None:
-    done = run("pytest", "-q", *ALONE, KIT, "-k", "identity-same")
-    assert done.returncode == 0, done.stdout
-    assert "1 passed" in done.stdout
-
-
-@pytest.mark.nightly
-def test_a_run_moves_it_and_names_it(run: Run) -> None:
-    done = run("hilcell", "run", "home", "--unattended", "--json", *DRIVER)
-    assert end_of(done)["state"] == "finished"
-    assert "Meca500 SIMULATED" in done.stdout
-
-
+@pytest.mark.wall
 @pytest.mark.nightly
 def test_a_recording_of_its_wire_is_a_device(run: Run, tmp_path: Path) -> None:
     words = ("hilcell", "run", "base-frame", "--unattended", *DRIVER, *sets(SHORT))
@@ -143,6 +128,7 @@ def test_the_guide_quotes_the_package_word_for_word() -> None:
     assert unnamed == []
 
 
+@pytest.mark.wall
 @pytest.mark.nightly
 def test_every_promise_is_held_or_does_not_apply(run: Run) -> None:
     done = run("pytest", "-q", *ALONE, "-rs", KIT)
@@ -151,15 +137,18 @@ def test_every_promise_is_held_or_does_not_apply(run: Run) -> None:
     assert re.search(r"SKIPPED \[2\] .*: it does not sweep", done.stdout)
 
 
+@pytest.mark.wall
 @pytest.mark.nightly
 def test_a_cell_with_it_keeps_every_promise(run: Run) -> None:
     done = run("hilcell", "run", "conformance", "--unattended", "--json", *DRIVER)
+    assert "Meca500 SIMULATED" in done.stdout
     end = end_of(done)
     assert end["exit"] == 0, end["result"]
     found = {each["promise"]: each["verdict"] for each in end["result"]["conformance"]["robot"]}
     assert {name for name, verdict in found.items() if verdict != "held"} == {"sweep", "moving"}
 
 
+@pytest.mark.wall
 @pytest.mark.nightly
 @pytest.mark.parametrize("kind", ["wheel", "sdist"])
 def test_a_release_works_in_an_environment_of_its_own(kind: str, tmp_path: Path) -> None:

@@ -82,7 +82,7 @@ def test_the_noise_of_a_total_station_is_no_suspicion(
     assert suspected(tmp_path, "--seed", seed, *words) == []
 
 
-@pytest.mark.nightly  # by day, with a laser tracker: test_disturbances
+@pytest.mark.nightly
 def test_a_mount_that_slipped_is_seen_by_a_total_station(machine: str, tmp_path: Path) -> None:
     values = CALIBRATION | {"touch.poses": "0"}  # the slip leads one near the sight to a nest
     with simulation(values=values | {"simulation.machine": machine}) as cell:
