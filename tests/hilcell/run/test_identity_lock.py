@@ -20,14 +20,13 @@ def bed_at(folder: Path, identity: Identity) -> Bed:
 def held(tmp_path: Path, first: Identity, second: Identity) -> tuple[int, Bed]:
     """Return how a second run ends while a first is paused."""
     other = bed_at(tmp_path / "first", first)
-    live = Live(other, procedure(Points(1)))
-    live.runner.post("pause")
-    with live:
+    with Live(other, procedure(Points(10**6))) as live:
+        live.runner.post("pause")
         live.until("state", "paused")
         bed = bed_at(tmp_path / "second", second)
         code = bed.run(procedure(Points(1)))
-        live.runner.post("proceed")
-    assert live.code == 0
+        live.runner.stop()
+    assert live.code == 4
     return code, bed
 
 
