@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from hilcell.journal.runs import read_log
 from hilcell.run import client, worker
 from hilcell.run.client import order
 from tests.whole.bench import (
@@ -35,13 +36,25 @@ def is_point(event: Event) -> bool:
 
 
 @pytest.mark.wall
-def test_pause_resume_watch_from_other_processes(tmp_path: Path) -> None:
+def test_pause_resume_watch_from_other_processes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An order that failed, for the engine stood still, moves nothing later."""
     engine = Engine("run", "--runs", tmp_path, "--speed", "50", *sets(SMALL))
     engine.until(is_point)
     assert command("pause", engine.run, "--runs", tmp_path).returncode == 0
-    engine.until(lambda event: is_state(event, "paused"))
+    paused = engine.until(lambda event: is_state(event, "paused"))
+    engine.process.send_signal(signal.SIGSTOP)
+    with monkeypatch.context() as patched:
+        patched.setattr(client, "ORDER_S", 0.1)  # nothing will come
+        assert command("resume", engine.run, "--runs", tmp_path).returncode == 2
+    engine.process.send_signal(signal.SIGCONT)
+    screen = Screen(tmp_path / engine.run)  # comes after the order, and is heard after it
+    assert screen.ask("status")["state"] == "paused"
+    screen.vanish()
     watcher = Engine("watch", engine.run, "--runs", tmp_path)
     watcher.until(lambda event: is_state(event, "paused"))
+    assert read_log(tmp_path / engine.run).life[-1].seq == paused["seq"]
     assert command("resume", engine.run, "--runs", tmp_path).returncode == 0
     engine.until(lambda event: is_state(event, "running"))
     stopped = command("stop", engine.run, "--runs", tmp_path, "--json")
@@ -85,28 +98,6 @@ def test_a_lost_listener_does_not_stop_a_run(tmp_path: Path) -> None:
     assert "Traceback" not in err
     (run,) = events(command("runs", "--json", "--runs", tmp_path).stdout)[0]["runs"]
     assert (run["state"], run["exit"]) == ("finished", 0)  # how the run ended, not its command
-
-
-@pytest.mark.wall
-def test_an_order_that_failed_moves_nothing_later(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    engine = Engine("run", "--runs", tmp_path, "--speed", "50", *sets(SMALL))
-    engine.until(is_point)
-    assert command("pause", engine.run, "--runs", tmp_path).returncode == 0
-    engine.until(lambda event: is_state(event, "paused"))
-    engine.process.send_signal(signal.SIGSTOP)
-    with monkeypatch.context() as patched:
-        patched.setattr(client, "ORDER_S", 0.1)  # nothing will come
-        assert command("resume", engine.run, "--runs", tmp_path).returncode == 2
-    engine.process.send_signal(signal.SIGCONT)
-    screen = Screen(tmp_path / engine.run)  # comes after the order, and is heard after it
-    assert screen.ask("status")["state"] == "paused"
-    assert command("stop", engine.run, "--runs", tmp_path).returncode == 0
-    assert engine.rest()[-1]["exit"] == 4
-    after = engine.events[[is_state(event, "paused") for event in engine.events].index(True) + 1 :]
-    assert not [event for event in after if is_state(event, "running")]
-    screen.vanish()
 
 
 # -- screens that attend ---------------------------------------------------------------------------

@@ -84,7 +84,6 @@ def wait_for(true: Callable[[], object]) -> None:
         select.select([], [], [], LOOK_S)
 
 
-@pytest.mark.long
 def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
     with simulation(PACED, SMALL) as cell:
         words = ("--set", f"simulation.address={cell.control}")
@@ -122,7 +121,6 @@ def test_esc_right_after_the_start_is_heard(tmp_path: Path) -> None:
                 assert state_of(folder) == "aborted" or not read_log(folder).moved
 
 
-@pytest.mark.long
 def test_a_killed_screen_pauses_an_attended_run_and_a_new_one_goes_on(tmp_path: Path) -> None:
     """The new one leaves it on purpose, and the run goes on without any screen."""
     with simulation(PACED, SMALL) as cell:
@@ -145,7 +143,6 @@ def test_a_killed_screen_pauses_an_attended_run_and_a_new_one_goes_on(tmp_path: 
             wait_for(lambda: len(read_log(folder).points) >= left + 3)
 
 
-@pytest.mark.long
 def test_an_engine_that_stands_still_is_silent_and_not_gone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
