@@ -60,9 +60,6 @@ SET = {
 }  # fmt: skip
 
 
-# -- the right run ------------------------------------------------------------------------------
-
-
 def test_every_row_of_the_paper_holds(paper: PaperRun) -> None:
     rows = {row["row"]: row for row in paper.result["rows"]}
     assert [name for name, row in rows.items() if not row["holds"]] == [], paper.errors
@@ -108,9 +105,6 @@ def test_a_figure_that_is_no_number_does_not_hold(paper: PaperRun) -> None:
     assert nothing.judged(paper.log, paper.result)["holds"] is False
 
 
-# -- section 2 ----------------------------------------------------------------------------------
-
-
 def test_a_way_back_in_the_order_of_the_way_there(
     paper: PaperRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -147,9 +141,6 @@ def test_the_closest_station_of_every_hole_is_more_than_the_fewest(
     assert judged("fig2.stations", paper)["holds"] is True
     monkeypatch.setattr(paper_limits, "plan", closest)
     assert judged("fig2.stations", paper)["holds"] is False
-
-
-# -- section 3 ----------------------------------------------------------------------------------
 
 
 def test_a_links_error_left_in_the_tools_frame(
@@ -243,9 +234,6 @@ def test_a_correction_that_is_not_taken_off(paper: PaperRun, share: float) -> No
     assert fails("sec3.3.sign", changed(log, [placed(corrected, at_mm[0])]))
 
 
-# -- section 4 ----------------------------------------------------------------------------------
-
-
 def strip_alone(log: Log, station: str) -> Array:
     """Return {S} (4, 4) at a station as the strip's travel alone says."""
     cell = log.cell
@@ -323,9 +311,6 @@ def test_without_the_loop_of_the_strip(paper: PaperRun) -> None:
 def test_approaches_that_do_not_see_the_backlash(paper: PaperRun, other: tuple[str, str]) -> None:
     found = approaches_as(paper.log, ("plain", "random"), other)
     assert fails("fig10.plain.range", found)
-
-
-# -- section 5 ----------------------------------------------------------------------------------
 
 
 def test_single_readings_of_the_tracker(paper: PaperRun) -> None:

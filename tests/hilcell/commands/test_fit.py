@@ -92,13 +92,3 @@ def test_rows_that_are_left_out_are_named(folder: Path) -> None:
     assert done.returncode == 0
     assert "pose 1003 target SMR1" in done.stderr
     assert "25 rows of" in done.stderr, "the test rows were learnt from"
-
-
-def test_a_reflector_that_was_knocked_in_between_is_named(folder: Path) -> None:
-    rows = measured(1, 40, ["SMR1", "SMR2", "SMR3"])
-    rows.xyz_mm[:45:3] += [0.0, 2.0, 0.0]
-    write_rows(folder / "train.csv", rows)
-    done = fit(folder, "robot.urdf")
-    assert done.returncode == 0
-    assert "15 of 120" in done.stderr
-    assert "reflector SMR1" in done.stderr

@@ -134,13 +134,6 @@ def test_an_export_holds_all_of_a_cell_and_is_proven(first: Auditor, empty: Audi
     assert document == (journal / CALIBRATION).read_bytes()
 
 
-@pytest.mark.parametrize("name", ["x.tar.gz", "x.TGZ"])
-def test_an_archive_of_another_form_is_refused(name: str, empty: Auditor) -> None:
-    before = empty.names
-    empty.said(empty.export(out=empty.folder / name))
-    assert empty.names == before
-
-
 def test_an_archive_is_proven_as_a_folder_is(auditor: Auditor) -> None:
     place = auditor.folder / "out.ZIP"
     auditor.said(auditor.export(out=place), 0)

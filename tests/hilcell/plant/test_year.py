@@ -279,15 +279,3 @@ def test_every_panel_has_its_answer_of_the_year(
     south = [each["value"] for each in by_title["Trackers"] if each["metric"] == "T-2"]
     assert min(south) > 100.0
     assert sum(each["runs"] for each in rows["Runs of a month by their end"]) == 3 * MONTHS + 1
-
-
-def test_panels_do_not_overlap() -> None:
-    taken = [
-        (x, y)
-        for panel in PANELS
-        for place in [panel["gridPos"]]
-        for x in range(place["x"], place["x"] + place["w"])
-        for y in range(place["y"], place["y"] + place["h"])
-    ]
-    assert len(taken) == len(set(taken))
-    assert max(x for x, _ in taken) < 24

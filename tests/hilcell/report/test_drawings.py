@@ -1,6 +1,5 @@
 """The report's drawings: places on paper, words that do not overlap, figures that are right."""
 
-import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
@@ -9,20 +8,14 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from hilcell.calibration.measurement_budget import control_moves
 from hilcell.cell.file import load_cell
 from hilcell.journal.point_id import PointId
-from hilcell.journal.reading_noise import run_noise
 from hilcell.report.drawings.drawing import (
     MUTED,
-    NEAREST_MM,
-    Frame,
     Scale,
-    apart,
-    round_up,
 )
 from hilcell.report.drawings.error_plots import enlarged, in_order, over_bound
-from hilcell.report.drawings.over_time import BOTTOM_MM, HEIGHT_MM, TOP_MM, air, floor_moves
+from hilcell.report.drawings.over_time import air, floor_moves
 from hilcell.report.drawings.side_view import side_view
 from hilcell.report.drawings.strip import strip
 from hilcell.report.drawings.variance import variance_bar
@@ -31,7 +24,6 @@ from hilcell.report.facts import Facts, read_facts
 from hilcell.report.first_page import Result
 from hilcell.report.target_budget import TargetBudget, target_budget
 from hilcell.report.worst import worst
-from hilcell.run.tracker_guard import limits_of
 from tests.hilcell.report.drawn import assert_apart
 from tests.hilcell.report.journals import Writer, validated_run
 from tests.whole.golden import GoldenRuns
@@ -54,32 +46,6 @@ def test_a_scale_keeps_values_on_paper() -> None:
     assert scale.at(np.array([0.001, 0.1, 9.0])).tolist() == pytest.approx([10.0, 20.0, 30.0])
     assert scale.ticks() == pytest.approx([0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0])
     assert Scale(0.0, 100.0, 0.0, 1.0).ticks() == pytest.approx([0, 20, 40, 60, 80, 100])
-
-
-@pytest.mark.parametrize(
-    ("value", "tick"), [(0.099, 0.1), (0.1, 0.1), (0.11, 0.2), (2.1, 2.5), (0, 1e-9)]
-)
-def test_rounded_up(value: float, tick: float) -> None:
-    assert round_up(value) == pytest.approx(tick)
-
-
-def test_labels_keep_their_order_and_distance() -> None:
-    found = apart([10.0, 3.0, 3.1, 3.2])
-    assert sorted(found) == [found[1], found[2], found[3], found[0]]
-    assert min(np.diff(sorted(found))) >= NEAREST_MM - 1e-9
-
-
-def test_the_strip_shows_limit_before_and_after_with_u() -> None:
-    result = Result("Mean", 0.15, 1.2, 0.035, 0.028)
-    drawn = strip([("Mean, S300", result)], simulated=False)
-    assert {"Mean, S300", "limit 0.15", "before 1.20", "after 0.035"} <= set(words(drawn))
-    assert strip([], simulated=False) == ""
-
-
-def test_a_frame_draws_larger_values_higher() -> None:
-    frame = Frame(Scale(0.0, 1.0, 0.0, 10.0), Scale(0.0, 1.0, 20.0, 5.0))
-    low, high = frame.at(np.array([0.0, 1.0]), np.array([0.0, 1.0]))
-    assert (low.tolist(), high.tolist()) == ([0.0, 20.0], [10.0, 5.0])
 
 
 def test_every_drawing_of_a_run_keeps_its_words_inside(real: tuple[Facts, TargetBudget]) -> None:
@@ -140,18 +106,6 @@ def test_no_label_of_the_side_view_lies_on_another(
     drawn = side_view(load_cell(name), np.array(tracker_mm), simulated=True)
     assert {"tracker", "z 800", "z 1700"} <= set(words(drawn))
     assert_apart(drawn)
-
-
-def test_the_nests_are_drawn_below_their_limit(real: tuple[Facts, TargetBudget]) -> None:
-    facts, _ = real
-    points = [point for point, _ in control_moves(facts.log)]
-    limit_mm = float(np.median(limits_of(facts.cell, run_noise(facts.log), points, points)))
-    drawn = floor_moves(facts)
-    assert f"limit {limit_mm:.3f}" in words(drawn)
-    highest = min(float(y) for y in re.findall(r'cy="([\d.]+)"', drawn))
-    (level,) = (float(y) for y in re.findall(r'd="M12\.00 ([\d.]+)L[^"]*" [^>]*width="0.6"', drawn))
-    assert level < highest, "every nest stayed"
-    assert level == pytest.approx(TOP_MM + (HEIGHT_MM - BOTTOM_MM - TOP_MM) * 0.2, abs=0.02)
 
 
 @pytest.mark.parametrize("limit_mm", [0.006, 0.09, 0.3])

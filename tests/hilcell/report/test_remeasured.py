@@ -68,17 +68,6 @@ def test_of_three_values_the_largest_counts(tmp_path: Path) -> None:
     assert [row[2] for row in found.rows] == ["again", "first"]
 
 
-def test_of_another_point_the_later_counts(tmp_path: Path) -> None:
-    writer = Writer(tmp_path / "r").began()
-    for x_mm in (1.0, 0.0):
-        writer.point(
-            PointId("grid", vertex=(0, 0, 0)), (x_mm, 0.0, 0.0), nominal_mm=(0.0, 0.0, 0.0)
-        )
-    found = remeasured(writer.facts())
-    assert found is not None
-    assert [row[2] for row in found.rows] == ["again"]
-
-
 def test_points_of_a_moved_tracker(tmp_path: Path) -> None:
     writer = validated_run(tmp_path / "r")
     moved = {"what": "tracker moved", "set_up": 0, "invalid": [TARGET.key]}
