@@ -176,7 +176,7 @@ class CanPeer:
 
     def __exit__(self, *_: object) -> None:
         self._end.set()
-        self._beats.join(5)
+        self._beats.join()
         self.server.close()
 
     def send(self, cob_id: int, data: bytes) -> None:

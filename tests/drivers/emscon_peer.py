@@ -67,11 +67,6 @@ class EmsconPeer:
     def __exit__(self, *_: object) -> None:
         self.server.close()
 
-    def send(self, data: bytes) -> None:
-        """Send something unasked on every connection."""
-        for connection in self.server._connections:
-            connection.sendall(data)
-
     def _serve(self, connection: socket.socket) -> None:
         while True:
             size, _kind, command = struct.unpack("<III", exactly(connection, 12))

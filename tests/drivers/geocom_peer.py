@@ -11,7 +11,7 @@ import tty
 from collections.abc import Callable
 from contextlib import suppress
 
-from tests.drivers.peers import WAIT_S, Server
+from tests.drivers.peers import Server
 
 Answer = Callable[[str], str | None]
 SETTINGS = {107: 108, 2006: 2007, 2020: 2021, 2024: 2023, 2028: 2029, 18005: 18006}
@@ -60,8 +60,7 @@ class GeocomPeer:
             self._server.close()
             return
         self._closing.set()
-        self._thread.join(WAIT_S)
-        assert not self._thread.is_alive()
+        self._thread.join()
         self.pull_out()
 
     def pull_out(self) -> None:

@@ -6,16 +6,69 @@ import contextlib
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from types import ModuleType
+from typing import TypeVar
+
+import pytest
 
 from hilcell.clock import WallClock
+from hilcell.ports import Stopped
+from tests.clocks import DrivenClock
 
 Handler = Callable[[socket.socket], None]
-WAIT_S = 10.0
+Answer = TypeVar("Answer")
+A_LOOK_S = 0.02  # as in reality
 
 
 def wall_clock() -> WallClock:
     """Return a clock that nothing stops."""
     return WallClock(threading.Event())
+
+
+class WireTime(DrivenClock):
+    """The cell's clock and the drivers' `time`: it passes by waits, and by looks at what is silent.
+
+    So no answer is late, on however slow a PC.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stop = threading.Event()
+        self._a_look_s = self._wire_s = 0.0
+
+    def silence(self, a_look_s: float = A_LOOK_S) -> None:
+        """Let each look at a wire take a time from now on: a device answers no more."""
+        self._a_look_s = a_look_s
+
+    def behind(self, answer: Answer, a_look_s: float) -> Answer:
+        """Return an answer, behind which looks take that long."""
+        self.silence(a_look_s)
+        return answer
+
+    def wait(self, duration_s: float) -> None:
+        super().wait(duration_s)
+        self._wire_s += duration_s
+        self.check()
+
+    def check(self) -> None:
+        if self.stop.is_set():
+            raise Stopped("a stop was asked for")
+
+    def monotonic(self) -> float:
+        self._wire_s += self._a_look_s
+        return self._wire_s
+
+    def sleep(self, duration_s: float) -> None:
+        self._wire_s += duration_s
+        threading.Event().wait(0.001)  # other threads run
+
+
+def wire_time(monkeypatch: pytest.MonkeyPatch, *modules: ModuleType) -> WireTime:
+    """Return the time in which these modules of drivers wait for answers from now on."""
+    time = WireTime()
+    for module in modules:
+        monkeypatch.setattr(module, "time", time)
+    return time
 
 
 class Server:
@@ -36,6 +89,11 @@ class Server:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def send(self, data: bytes) -> None:
+        """Send something unasked on every connection."""
+        for connection in self._connections:
+            connection.sendall(data)
+
     def drop(self) -> None:
         """Close all connections, keep listening."""
         for connection in self._connections:
@@ -43,14 +101,13 @@ class Server:
                 connection.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
-        """End everything; raises when a thread does not end."""
+        """End everything."""
         with contextlib.suppress(OSError):
             self._listener.shutdown(socket.SHUT_RDWR)
         self._listener.close()
         self.drop()
         for thread in (self._accept, *self._threads):
-            thread.join(WAIT_S)
-            assert not thread.is_alive()
+            thread.join()
         for connection in self._connections:
             connection.close()
 
@@ -92,17 +149,31 @@ def scripted(script: list[tuple[bytes, list[bytes]]], surprises: list[bytes]) ->
             if found != expected:
                 surprises.append(found)
                 return
-            for piece in pieces:
-                connection.sendall(piece)
-                threading.Event().wait(0.005)  # lets the pieces arrive apart
+            send_apart(connection, pieces)
         connection.recv(1)
 
     return handle
 
 
+def send_apart(connection: socket.socket, pieces: list[bytes]) -> None:
+    """Send pieces that the far side mostly reads one by one."""
+    for piece in pieces:
+        connection.sendall(piece)
+        threading.Event().wait(0.002)
+
+
 @contextlib.contextmanager
-def eventually(timeout_s: float = WAIT_S) -> Iterator[threading.Event]:
-    """Yield an event that must be set when the block ends."""
-    event = threading.Event()
-    yield event
-    assert event.wait(timeout_s)
+def in_thread(act: Callable[[], object], *errors: type[Exception]) -> Iterator[list[Exception]]:
+    """Act in a thread that has ended behind the block; yield those ``errors`` that it raises."""
+    raised: list[Exception] = []
+
+    def run() -> None:
+        try:
+            act()
+        except errors as error:
+            raised.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    yield raised
+    thread.join()

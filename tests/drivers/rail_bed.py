@@ -1,67 +1,84 @@
-"""The rail's driver on a simulated bus of its own, with short deadlines."""
+"""The rail's driver on a simulated bus of its own, in time that passes by its waits."""
 
 from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 
-from drivers import standing
-from drivers.canopen import drive, node_watch, pdo, rail_setup, release, sdo
+from drivers import standing, supervision
+from drivers.canopen import can_link, drive, rail_setup, release, sdo
 from drivers.canopen.rail import CanopenRail
-from hilcell.clock import WallClock
-from hilcell.ports import DeviceError
-from tests.drivers.can_peer import (
-    CanPeer,
-)
-from tests.drivers.peers import wall_clock
+from hilcell.ports import Clock, DeviceError
+from tests.drivers.can_peer import CanPeer
+from tests.drivers.peers import A_LOOK_S, WireTime
+
+BEAT, START = (0x77F, b"\x05"), (0x000, b"\x01")
 
 
-@pytest.fixture(autouse=True)
-def short_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
+class RailTime(WireTime):
+    """The time of a CAN link, too, on which a look is one that finds nothing."""
+
+    def silence(self, a_look_s: float = A_LOOK_S) -> None:
+        super().silence(a_look_s)
+        can_link.PAUSE_S = a_look_s
+
+
+@pytest.fixture
+def time(monkeypatch: pytest.MonkeyPatch) -> RailTime:
+    time = RailTime()
     for module, name, value in (
         (drive, "STALL_S", 0.3),
-        (drive, "POLL_S", 0.002),
-        (standing, "POLL_S", 0.002),
-        (release, "POLL_S", 0.002),
         (standing, "SETTLE_S", 0.3),
+        (rail_setup, "FIND_S", 0.5),
         (rail_setup, "OPERATIONAL_S", 0.5),
         (rail_setup, "START_PERIOD_S", 0.1),
         (release, "RELEASE_S", 0.5),
-        (rail_setup, "FIND_S", 0.5),
-        (pdo, "REPLY_S", 0.1),
-        (node_watch, "HEARTBEAT_AGE_S", 0.6),
         (sdo, "REPLY_S", 0.1),
         (sdo, "LATE_S", 0.15),
+        (can_link, "PAUSE_S", 0.0),
+        (supervision, "time", time),
+        (drive, "time", time),
+        (release, "time", time),
     ):
         monkeypatch.setattr(module, name, value)
+    return time
 
 
-def rail_for(peer: CanPeer, clock: WallClock | None = None, **options: Any) -> CanopenRail:
+def rail_for(peer: CanPeer, clock: Clock, **options: Any) -> CanopenRail:
     values: dict[str, Any] = {
         "channel": peer.channel,
         "travel_min_mm": 0.0,
         "travel_max_mm": 3000.0,
         "speed_mm_s": 250.0,
         "acceleration_mm_s2": 200.0,
-        "standstill_dwell_s": 0.01,
+        "standstill_dwell_s": 0.05,
     }
-    return CanopenRail(CanopenRail.Options(**(values | options)), clock or wall_clock())
+    return CanopenRail(CanopenRail.Options(**(values | options)), clock)
 
 
-def holding(peer: CanPeer, standstill_dwell_s: float = 0.01) -> CanopenRail:
+@contextlib.contextmanager
+def connected(peer: CanPeer, time: RailTime, **options: Any) -> Iterator[CanopenRail]:
+    """Yield a connected rail; some tests have killed its link, or silenced its nodes."""
+    rail = rail_for(peer, time, **options)
+    rail.connect()
+    try:
+        yield rail
+    finally:
+        time.silence()
+        with contextlib.suppress(DeviceError):
+            rail.close()
+
+
+def holding(peer: CanPeer, time: RailTime, **options: Any) -> CanopenRail:
     """Return a rail that holds the slide with its power on."""
-    rail = rail_for(peer, standstill_dwell_s=standstill_dwell_s)
+    rail = rail_for(peer, time, **options)
     rail.connect()
     rail.move_to(600.0)
     return rail
-
-
-BEAT, START = (0x77F, b"\x05"), (0x000, b"\x01")
 
 
 @pytest.fixture
@@ -71,16 +88,27 @@ def peer() -> Iterator[CanPeer]:
 
 
 @pytest.fixture
-def rail(peer: CanPeer) -> Iterator[CanopenRail]:
-    rail = rail_for(peer)
-    rail.connect()
-    yield rail
-    with contextlib.suppress(DeviceError):  # some tests have killed the link
-        rail.close()
+def rail(peer: CanPeer, time: RailTime) -> Iterator[CanopenRail]:
+    with connected(peer, time) as rail:
+        yield rail
+
+
+def refusal(act: Callable[[], object]) -> DeviceError:
+    """Return the error that an act raises."""
+    with pytest.raises(DeviceError) as caught:
+        act()
+    return caught.value
+
+
+def figure(found: DeviceError, field: str) -> float:
+    """Return a number of an error's fields."""
+    value = found.fields[field]
+    assert isinstance(value, float)
+    return value
 
 
 def soon(holds: Callable[[], bool]) -> bool:
-    deadline_s = time.monotonic() + 5
-    while not holds() and time.monotonic() < deadline_s:
-        threading.Event().wait(0.01)
-    return holds()
+    """Wait until something holds; the pytest time limit bounds that."""
+    while not holds():
+        threading.Event().wait(0.002)
+    return True

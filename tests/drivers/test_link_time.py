@@ -2,90 +2,88 @@
 
 from __future__ import annotations
 
-import time
+import threading
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import pytest
 
-from drivers.canopen import pdo, sdo
+from drivers.canopen import can_link, pdo
 from drivers.canopen.can_link import PAUSE_S, CanLink, LinkTime
 from drivers.canopen.rail import CanopenRail
 from tests.clocks import DrivenClock
 from tests.drivers.can_peer import CanPeer
-from tests.drivers.rail_bed import rail_for
+from tests.drivers.rail_bed import RailTime, connected, peer, time
+
+__all__ = ["peer", "time"]
 
 
 def test_link_time_counts_a_pause_of_the_pc_as_a_short_one() -> None:
-    link_time = LinkTime(DrivenClock())
-    start_s = link_time.counted_s
-    link_time.emptied(start_s + 0.02, 1.0)
-    assert link_time.listened_s == pytest.approx(0.02)
-    link_time.emptied(start_s + 100.0, 2.0)
-    assert link_time.listened_s == pytest.approx(0.02 + PAUSE_S)
-    assert link_time.emptied_s == 2.0
+    of_link = LinkTime(DrivenClock())
+    start_s = of_link.counted_s
+    of_link.emptied(start_s + 0.02, 1.0)
+    assert of_link.listened_s == pytest.approx(0.02)
+    of_link.emptied(start_s + 100.0, 2.0)
+    assert of_link.listened_s == pytest.approx(0.02 + PAUSE_S)
+    assert of_link.emptied_s == 2.0
 
 
 def test_a_bus_that_is_never_empty_does_not_stop_the_time() -> None:
-    link_time = LinkTime(DrivenClock(pc_at_s=1.0))
-    start_s = link_time.counted_s
+    of_link = LinkTime(DrivenClock(pc_at_s=1.0))
+    start_s = of_link.counted_s
     for frame in range(3000):
-        link_time.behind(start_s + frame / 1000)
-    assert link_time.listened_s == pytest.approx(2 * PAUSE_S)
-    assert link_time.emptied_s == 1.0, "what comes now may have waited since then"
+        of_link.behind(start_s + frame / 1000)
+    assert of_link.listened_s == pytest.approx(2 * PAUSE_S)
+    assert of_link.emptied_s == 1.0, "what comes now may have waited since then"
 
 
-class DeafReceiver:
-    """Keeps the receiving thread from looking, for longer than any deadline of a wire."""
+def pausing(monkeypatch: pytest.MonkeyPatch, pause: Callable[[], None]) -> threading.Event:
+    """Return what, once it is set, makes the receiving thread pause before it looks next."""
+    pauses, original = threading.Event(), CanLink._next
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.pause_s = 0.0
-        original = CanLink._next
+    def late(link: CanLink) -> object:
+        if pauses.is_set():
+            pauses.clear()
+            pause()
+        return original(link)
 
-        def late(link: CanLink) -> object:
-            pause_s, self.pause_s = self.pause_s, 0.0
-            time.sleep(pause_s)  # this is the load: a thread that does not run
-            return original(link)
-
-        monkeypatch.setattr(CanLink, "_next", late)
+    monkeypatch.setattr(CanLink, "_next", late)
+    return pauses
 
 
 @pytest.mark.parametrize(
-    "ask", [lambda rail: rail.read(), lambda rail: rail._drive._sdo.read(0x6081)]
+    ("ask", "question"),
+    [
+        (lambda rail: rail._image.refresh(lambda: None), 0x080),
+        (lambda rail: rail._drive._sdo.read(0x6081), 0x605),
+    ],
 )
 def test_an_answer_that_waits_in_a_late_pc_is_no_missing_answer(
-    monkeypatch: pytest.MonkeyPatch, ask: Callable[[CanopenRail], object]
+    peer: CanPeer,
+    time: RailTime,
+    monkeypatch: pytest.MonkeyPatch,
+    ask: Callable[[CanopenRail], object],
+    question: int,
 ) -> None:
-    for module, name, value in (
-        (pdo, "REPLY_S", 0.1),
-        (sdo, "REPLY_S", 0.1),
-        (sdo, "LATE_S", 0.01),
-    ):
-        monkeypatch.setattr(module, name, value)  # all tries together are shorter than the pause
-    deaf = DeafReceiver(monkeypatch)
-    with CanPeer() as peer:
-        rail = rail_for(peer)
-        rail.connect()
-        deaf.pause_s = 0.5
+    now = DrivenClock()
+    monkeypatch.setattr(can_link, "time", SimpleNamespace(monotonic=now.now_s))
+    monkeypatch.setattr(can_link, "PAUSE_S", PAUSE_S)
+    pauses = pausing(monkeypatch, lambda: now.wait(3600.0))
+    with connected(peer, time) as rail:
+        asked = len(peer.frames(question))
+        pauses.set()
         ask(rail)
-        rail.close()
+        assert len(peer.frames(question)) == asked + 1
 
 
 def test_a_reading_that_has_waited_in_a_late_pc_is_asked_for_again(
-    monkeypatch: pytest.MonkeyPatch,
+    peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    deaf = DeafReceiver(monkeypatch)
-    with CanPeer() as peer:
-        rail = rail_for(peer)
-        rail.connect()
+    pauses = pausing(monkeypatch, lambda: time.wait(0.4))
+    with connected(peer, time) as rail:
         began = len(peer.frames(0x080))
-
-        def strike() -> None:
-            if len(peer.frames(0x080)) == began + 1:
-                deaf.pause_s = 0.4
-
-        peer.on_sync = strike
+        peer.on_sync = lambda: pauses.set() if len(peer.frames(0x080)) == began + 1 else None
         assert rail._image is not None
         reading = rail._image.refresh(lambda: None)
-        assert time.monotonic() - reading.taken_s <= pdo.STALE_S
+        assert time.pc_s() - reading.taken_s <= pdo.STALE_S
         assert len(peer.frames(0x080)) == began + 2
-        rail.close()

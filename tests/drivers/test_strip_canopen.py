@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -14,11 +12,10 @@ from drivers.canopen.rail import CanopenRail
 from drivers.strips.canopen import CanopenStrip
 from drivers.strips.strip import LOST, StripFeed, StripOptions
 from hilcell.ports import DeviceError, DeviceRefused, Stopped, StripLost
-from tests.clocks import DrivenClock
 from tests.drivers.can_peer import STRIP, CanPeer, u8, u32
-from tests.drivers.rail_bed import rail_for, short_deadlines
+from tests.drivers.rail_bed import RailTime, rail_for, refusal, soon, time
 
-__all__ = ["short_deadlines"]
+__all__ = ["time"]
 
 
 def never() -> None:
@@ -36,107 +33,91 @@ def bus() -> Iterator[CanPeer]:
 
 
 @pytest.fixture
-def strip(bus: CanPeer) -> Iterator[CanopenStrip]:
-    strip = CanopenStrip(options_for(bus), DrivenClock())
-    strip.connect()
+def strip(bus: CanPeer, time: RailTime) -> Iterator[CanopenStrip]:
+    strip = CanopenStrip(options_for(bus), time)
     yield strip
+    strip.close()
     strip.close()
 
 
-def test_identity_readings_alarms_and_counts(bus: CanPeer) -> None:
-    strip = CanopenStrip(options_for(bus), DrivenClock())
+def test_identity_readings_alarms_and_counts(bus: CanPeer, strip: CanopenStrip) -> None:
     identity = strip.connect()
     assert (identity.kind, identity.serial) == ("strip", "4711")
     assert identity.address == f"{bus.channel} node {STRIP}"
     assert strip.read(never) == (50_000, 0)
     bus.axis.position, bus.alarms = -1200, 1
     assert strip.read(never) == (-120, 1)
-    assert "missing magnet" in strip.alarm_text(1)
     frames = strip.statistics().frames
     assert frames > 10
-    strip.close()
+    # Nothing is sent that could move a drive.
+    assert {cob_id for cob_id, _ in bus.heard} <= {0x000, 0x080, 0x600 + STRIP}
+    assert {data[1] for data in bus.frames(0x000)} == {STRIP}
     strip.close()
     assert strip.statistics().frames >= frames
-    with pytest.raises(DeviceError, match="not connected"):
+    with pytest.raises(DeviceError):
         strip.read(never)
 
 
-def test_nothing_is_sent_that_could_move_a_drive(bus: CanPeer, strip: CanopenStrip) -> None:
-    strip.read(never)
-    for_strip = {0x000, 0x080, 0x600 + STRIP}
-    assert {cob_id for cob_id, _ in bus.heard} <= for_strip
-    assert {data[1] for data in bus.frames(0x000)} == {STRIP}
-
-
 @pytest.mark.parametrize(
-    ("more", "found"),
-    [
-        ({"serial": 8}, "0x1267, wanted 0x8"),
-        ({"product": 7}, "0x406, wanted 0x7"),
-        ({"counts_per_mm": 1000.0}, "strip step .* is 10000 nm, wanted 1000 nm"),
-    ],
-)
-def test_another_sensor_is_refused(bus: CanPeer, more: dict[str, Any], found: str) -> None:
-    strip = CanopenStrip(options_for(bus, **more), DrivenClock())
+    ("more", "found"), [({"serial": 8}, "0x1267"), ({"product": 7}, "0x406"),
+                        ({"counts_per_mm": 1000.0}, "10000 nm")],
+)  # fmt: skip
+def test_another_sensor_is_refused(
+    bus: CanPeer, time: RailTime, more: dict[str, Any], found: str
+) -> None:
+    strip = CanopenStrip(options_for(bus, **more), time)
     with pytest.raises(DeviceRefused, match=found):
         strip.connect()
     assert bus.nmt[STRIP] != 5
 
 
-def test_a_sensor_that_is_reset_falls_silent_or_leaves_the_bus_is_lost(bus: CanPeer) -> None:
-    feed = StripFeed(CanopenStrip(options_for(bus), DrivenClock()))
+def test_the_step_may_be_absent(bus: CanPeer, time: RailTime) -> None:
+    del bus.objects[STRIP][0x6005, 1]
+    bus.objects[STRIP][0x1018, 4] = u32(99)
+    strip = CanopenStrip(options_for(bus, serial=99, counts_per_mm=50.0), time)
+    assert strip.connect().serial == "99"
+    strip.close()
+
+
+def test_a_sensor_that_is_reset_falls_silent_or_leaves_the_bus_is_lost(
+    bus: CanPeer, strip: CanopenStrip, time: RailTime
+) -> None:
+    feed = StripFeed(strip)
     causes = (
-        (lambda: bus.send(0x700 + STRIP, u8(0)), "unexpected boot-up"),
+        (lambda: bus.send(0x700 + STRIP, u8(0)), "boot-up"),
         (lambda: bus.nmt.__setitem__(STRIP, 0x7F), "not operational"),
         (bus.server.drop, "link lost"),
     )
+    time.silence()
     for strike, said in causes:
         feed.connect()
         assert feed.poll(never) == (50_000, 0)
         strike()
-        _until_lost(feed)
+        soon(lambda: bool(feed.poll(never)[1] & LOST))
         assert said in feed.alarm_text(LOST)
-        bus.server.drop() if said != "link lost" else None
+        bus.server.drop()
         feed.mend()
         assert feed.poll(never) == (50_000, 0)
     feed.close()
 
 
-def _until_lost(feed: StripFeed) -> None:
-    while not feed.poll(never)[1] & LOST:
-        pass  # the test's time limit bounds the wait
-
-
-def test_a_stop_ends_the_wait_at_once(bus: CanPeer, strip: CanopenStrip) -> None:
-    stop = threading.Event()
-
-    def check() -> None:
-        if stop.is_set():
-            raise Stopped("stop")
-
+def test_a_stop_ends_the_wait(bus: CanPeer, strip: CanopenStrip, time: RailTime) -> None:
+    strip.connect()
     bus.nmt[STRIP] = 0x7F
-    bus.on_sync = stop.set
-    began_s = time.monotonic()
+    bus.on_sync = time.stop.set
     with pytest.raises(Stopped):
-        strip.read(check)
-    assert time.monotonic() - began_s < 0.1
+        strip.read(time.check)
 
 
-def test_a_drive_and_a_strip_each_on_a_bus_of_its_own(bus: CanPeer) -> None:
+def test_a_drive_and_a_strip_each_on_a_bus_of_its_own(bus: CanPeer, time: RailTime) -> None:
     with CanPeer() as drive_bus:
         drive_bus.silent.add(STRIP)
-        rail = rail_for(drive_bus, strip=options_for(bus), strip_counts_per_mm=3.0)
-
-        def follow() -> None:
-            bus.axis.position = drive_bus.axis.position
-
-        drive_bus.on_sync = follow
+        rail = rail_for(drive_bus, time, strip=options_for(bus), strip_counts_per_mm=3.0)
+        drive_bus.on_sync = lambda: setattr(bus.axis, "position", drive_bus.axis.position)
         drive, sensor = rail.connect()
-        assert (drive.kind, sensor.kind) == ("drive", "strip")
-        assert (drive.address.split()[0], sensor.address.split()[0]) == (
-            drive_bus.channel,
-            bus.channel,
-        )
+        assert [each.kind for each in (drive, sensor)] == ["drive", "strip"]
+        channels = [each.address.split()[0] for each in (drive, sensor)]
+        assert channels == [drive_bus.channel, bus.channel]
         rail.home()
         rail.move_to(700.0)
         assert rail.settle().strip_mm == pytest.approx(700.0, abs=0.02)
@@ -145,8 +126,8 @@ def test_a_drive_and_a_strip_each_on_a_bus_of_its_own(bus: CanPeer) -> None:
         rail.hold()
         assert rail.settle().strip_mm == pytest.approx(800.0, abs=0.02)  # it was opened again
         bus.alarms = 1
-        with pytest.raises(StripLost, match="missing magnet"):
-            rail.read()
+        found = refusal(rail.read)
+        assert (type(found), found.fields["alarms"]) == (StripLost, 1)
         frames = rail.statistics().frames
         rail.close()
         assert rail.statistics().frames >= frames > 100
@@ -155,12 +136,12 @@ def test_a_drive_and_a_strip_each_on_a_bus_of_its_own(bus: CanPeer) -> None:
 @pytest.mark.parametrize(
     ("strip", "found"),
     [
-        ({"driver": "serial", "channel": "/dev/a", "node": 7}, "node: only of a strip with driver"),
+        ({"driver": "serial", "channel": "/dev/a", "node": 7}, "node"),
         ({"driver": "canopen", "channel": "can1"}, None),
         ({"driver": "canopen", "interface": "socketcan", "channel": "can1"}, None),
-        ({"driver": "canopen", "channel": "socket://a"}, "channel: socket://HOST:PORT"),
+        ({"driver": "canopen", "channel": "socket://a"}, "channel"),
         ({"driver": "canopen", "channel": "socket://gateway:3000"}, "needs no table"),
-        ({"driver": "canopen", "channel": "can1", "serial": 8}, "strip_serial: .* strip.serial"),
+        ({"driver": "canopen", "channel": "can1", "serial": 8}, "strip_serial"),
     ],
 )
 def test_options(strip: dict[str, Any], found: str | None) -> None:
@@ -178,11 +159,3 @@ def test_options(strip: dict[str, Any], found: str | None) -> None:
     else:
         with pytest.raises(msgspec.ValidationError, match=found):
             msgspec.convert(stated, CanopenRail.Options)
-
-
-def test_the_step_may_be_absent(bus: CanPeer) -> None:
-    del bus.objects[STRIP][0x6005, 1]
-    bus.objects[STRIP][0x1018, 4] = u32(99)
-    strip = CanopenStrip(options_for(bus, serial=99, counts_per_mm=50.0), DrivenClock())
-    assert strip.connect().serial == "99"
-    strip.close()
