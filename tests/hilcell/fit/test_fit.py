@@ -242,7 +242,6 @@ def test_too_few_poses_are_refused(poses: int, least: str) -> None:
     [
         ([np.pi / 180] * 6, [1, 1, 1], "radians"),
         ([1] * 6, [0.001, 0.001, 0.001], "metres"),
-        ([1] * 6, [1 / 25.4, 1 / 25.4, 1 / 25.4], "inches"),
         ([1, 1, 1, 1, -1, 1], [1, 1, 1], "joint 5"),
         ([1, 1, 1, 1, 1, 1], [1, -1, 1], "left-handed"),
         ([1, 1, 1, 1, 1, 1], [1, np.nan, 1], "finite"),
@@ -299,7 +298,6 @@ def test_gross_rows_of_few_poses_are_refused() -> None:
     ("order", "says"),
     [
         (np.roll(np.arange(40), 1), "after it"),
-        (np.arange(40)[::-1], "reverse"),
         (np.random.default_rng(3).permutation(40), "swapped|robot file"),
     ],
 )

@@ -58,7 +58,7 @@ def test_the_order_of_rows_decides_nothing() -> None:
         assert again["coverage"][method] == pytest.approx(first["coverage"][method], rel=1e-5)
 
 
-@pytest.mark.parametrize(("zero_deg", "scale"), [(1.0, 1.0), (0.0, 1.0005)])
+@pytest.mark.parametrize(("zero_deg", "scale"), [(0.0, 1.0005)])
 def test_test_rows_that_contradict_the_training_rows_are_refused(
     zero_deg: float, scale: float
 ) -> None:
