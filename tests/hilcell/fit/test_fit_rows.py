@@ -58,14 +58,10 @@ def test_the_order_of_rows_decides_nothing() -> None:
         assert again["coverage"][method] == pytest.approx(first["coverage"][method], rel=1e-5)
 
 
-@pytest.mark.parametrize(("zero_deg", "scale"), [(0.0, 1.0005)])
-def test_test_rows_that_contradict_the_training_rows_are_refused(
-    zero_deg: float, scale: float
-) -> None:
-    """An axis that lost its zero, and a tracker whose lengths are 0.05 % too long."""
+def test_test_rows_that_contradict_the_training_rows_are_refused() -> None:
+    """A tracker whose lengths are 0.05 % too long."""
     rows, test = measured(1, 22, ["SMR1", "SMR2"]), measured(2, 20, ["SMR1", "SMR2"])
-    shifted = test.joints_rad + np.radians([0.0, zero_deg, 0.0, 0.0, 0.0, 0.0])
-    other = replace(test, joints_rad=shifted, xyz_mm=scale * test.xyz_mm, source="test.csv")
+    other = replace(test, xyz_mm=1.0005 * test.xyz_mm, source="test.csv")
     with pytest.raises(FitError, match=r"test\.csv: .*40 rows"):
         fit(IRB120, rows, other)
 
