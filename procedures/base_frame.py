@@ -12,7 +12,7 @@ from hilcell.calibration.base_circles import (
     frame_of_sweeps,
     sweep_of,
 )
-from hilcell.calibration.risen_nest import risen_nest
+from hilcell.calibration.noticed import risen_nest
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.circles import base_frame_covariance
 from hilcell.journal.log import Log

@@ -2,21 +2,24 @@
 
 All lengths mm, frames as homogeneous matrices; the errors of the grid stand in {B}, so that they
 hold at every station. One changed digit corrects every target wrongly, so the file is sealed, and
-judged by `hilcell.calibration.checks`, before it is used.
+judged by `hilcell.calibration.file`, before it is used.
 """
 
 from __future__ import annotations
 
 import hashlib
+import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hilcell import __version__
 from hilcell.calibration.budget import uncertainty_of
-from hilcell.calibration.checks import MOST_MM, problems_of
+from hilcell.calibration.decision import judged_again
 from hilcell.calibration.form import (
     Calibration,
     Device,
@@ -27,6 +30,7 @@ from hilcell.calibration.form import (
     written_now,
 )
 from hilcell.calibration.frames import Frames, measured_of
+from hilcell.calibration.influence import SIZE
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, unreadable
 from hilcell.compensation.choice import MODELS
@@ -255,3 +259,215 @@ def _refuse_turned(calibration: Calibration, poses: Array, names: list[str]) -> 
             f"wanted <= {limit_deg} deg: {named}; calibrate with their orientation, or for more "
             "than one with plan.tilt_deg or plan.grid_orientations"
         )
+
+
+# -- checks of a calibration file before a single target is corrected by it ------------------------
+
+# A damaged number still reads as a number; a frame that stretches, or a pitch that does
+# not fit its grid, moves every target and looks sound.
+
+MOST_ERROR_MM = 100.0  # beyond is no robot's error
+MOST_MM = 1e6
+MOST_TURN_DEG = 180.0
+MOST_C = 100.0
+RIGID = 1e-6  # of a rotation matrix times its transpose, and of a whole number of pitches
+ROUNDING = 1e-6  # of a covariance, relative
+LEAST_VARIANCE = 1e-30  # mm2, rad2, or a ratio squared; below is nought
+MOST_VARIANCE = 1e12  # likewise
+
+
+def problems_of(calibration: Calibration) -> list[str]:
+    """Return in words everything that is wrong, each with the name of its field."""
+    found = [
+        *_name(calibration),
+        *_validity(calibration.validity),
+        *_grid(calibration),
+        *_stations(calibration.stations),
+        *_uncertainty(calibration),
+        *_updates(calibration),
+        *_targets(calibration),
+        *_verdicts(calibration),
+    ]
+    return found or list(_model(calibration))
+
+
+def _name(calibration: Calibration) -> Iterator[str]:
+    name = calibration.model.name
+    if name not in MODELS:
+        yield f"model.name: {name[:40]!r} is unknown; known here: {', '.join(MODELS)}"
+
+
+def _model(calibration: Calibration) -> Iterator[str]:
+    """Yield why no model can be made of a file that is sound otherwise."""
+    try:
+        calibration.error_model()
+    except HilcellError as error:
+        yield f"model.parameters: {error}"
+
+
+def _validity(validity: Validity) -> Iterator[str]:
+    for name, corner in (("low_mm", validity.low_mm), ("high_mm", validity.high_mm)):
+        yield from _within(f"validity.{name}", corner, MOST_MM, "mm")
+    yield from _rotation("validity.orientation", _array(validity.orientation))
+    for number, R in enumerate(validity.orientations):
+        yield from _rotation(f"validity.orientations.{number}", _array(R))
+    tolerance_deg = validity.orientation_tolerance_deg
+    if not 0 < tolerance_deg <= MOST_TURN_DEG:
+        yield (
+            f"validity.orientation_tolerance_deg: {tolerance_deg:g}, wanted above 0 and "
+            f"<= {MOST_TURN_DEG:g}"
+        )
+    if validity.temperature_c is None:
+        return
+    yield from _within("validity.temperature_c", validity.temperature_c, MOST_C, "C")
+    low_c, high_c = validity.temperature_c
+    if not low_c <= high_c:
+        yield f"validity.temperature_c: {low_c:g} .. {high_c:g}, wanted the lower first"
+
+
+def _grid(calibration: Calibration) -> Iterator[str]:
+    errors = _array(calibration.grid_errors_mm)
+    if errors.ndim != 4 or min(errors.shape[:3]) < 2:
+        yield "grid_errors_mm: ragged, or less than 2 vertices along an axis"
+        return
+    yield from _within("grid_errors_mm", errors, MOST_ERROR_MM, "mm")
+    pitch_mm = calibration.pitch_mm
+    size_mm = np.subtract(calibration.validity.high_mm, calibration.validity.low_mm)
+    wanted_mm = pitch_mm * (np.array(errors.shape[:3]) - 1)
+    if not (pitch_mm > 0 and np.abs(size_mm - wanted_mm).max() <= RIGID * pitch_mm):
+        counts = " x ".join(map(str, errors.shape[:3]))
+        sides = " x ".join(f"{side:g}" for side in size_mm)
+        yield (
+            f"pitch_mm: {counts} vertices {pitch_mm:g} mm apart do not fill the validity's "
+            f"{sides} mm"
+        )
+
+
+def _stations(stations: dict[str, StationEntry]) -> Iterator[str]:
+    if not stations:
+        yield "stations: there is none"
+    for name, station in stations.items():
+        at = f"stations.{name[:40]}"
+        yield from _frame(f"{at}.T_W_B", _array(station.T_W_B))
+        yield from _frame(f"{at}.T_W_S", _array(station.T_W_S))
+        covariance = _array(station.covariance)
+        if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
+            yield f"{at}.covariance: wanted 6 x 6 finite numbers"
+        if not 0 <= station.tool_uncertainty_mm <= MOST_ERROR_MM:
+            yield (
+                f"{at}.tool_uncertainty_mm: {station.tool_uncertainty_mm:g}, wanted 0 .. "
+                f"{MOST_ERROR_MM:g}"
+            )
+        yield from _within(f"{at}.strip_mm", station.strip_mm, MOST_MM, "mm")
+
+
+def _uncertainty(calibration: Calibration) -> Iterator[str]:
+    stated = calibration.uncertainty
+    if stated.missing:
+        return
+    if stated.stations.keys() != calibration.stations.keys():
+        found = ", ".join(stated.stations) or "none"
+        yield f"uncertainty.stations: of {found[:40]}, wanted the same as in stations"
+    if stated.model_samples is not None and not stated.model_samples > 0:
+        yield f"uncertainty.model_samples: {stated.model_samples}, wanted above 0"
+    for name, value in (("growth_per_k", stated.growth_per_k), ("air_range_k", stated.air_range_k)):
+        if not 0 <= value <= MOST_C:
+            yield f"uncertainty.{name}: {value:g}, wanted 0 .. {MOST_C:g}"
+    for each in (*stated.lines, *(line for lines in stated.stations.values() for line in lines)):
+        at = f"uncertainty, {each.name[:40]}"
+        yield from _within(f"{at}: origin_mm", each.origin_mm, MOST_MM, "mm")
+        if not _is_covariance(_array(each.covariance)):
+            yield f"{at}: wanted a covariance of {SIZE} x {SIZE} numbers"
+        if each.freedom is not None and not each.freedom > 0:
+            yield f"{at}: freedom {each.freedom:g}, wanted above 0"
+
+
+def _updates(calibration: Calibration) -> Iterator[str]:
+    for update in calibration.provenance.updates:
+        at = f"provenance.updates of run {update.run[:40]}"
+        wanted = (6,) if update.what == "base" else (0,)
+        if _array(update.motion).shape != wanted:
+            yield f"{at}: motion of {len(update.motion)} numbers, wanted {wanted[0]}"
+        elif update.motion:
+            yield from _within(f"{at}: motion", update.motion, MOST_ERROR_MM, "mm")
+
+
+def _targets(calibration: Calibration) -> Iterator[str]:
+    if calibration.targets is None:
+        return
+    variance_mm2 = calibration.targets.variance_mm2
+    if not 0 < variance_mm2 <= MOST_ERROR_MM**2:
+        yield f"targets.variance_mm2: {variance_mm2:g}, wanted above 0"
+    for each in calibration.targets.passes:
+        at, count = f"targets of run {each.run[:40]}", len(each.names)
+        for name, values, shape, most in (
+            ("poses", each.poses, (count, 6), MOST_MM),
+            ("remainders_mm", each.remainders_mm, (count, 3), MOST_ERROR_MM),
+            ("own_mm2", each.own_mm2, (count, 3, 3), MOST_ERROR_MM**2),
+        ):
+            found = _array(values)
+            if found.shape != shape or not np.abs(found).max() <= most:
+                yield f"{at}: {name}: wanted {count} rows of finite numbers within +-{most:g}"
+            elif name == "own_mm2" and not np.linalg.eigvalsh(found).min() > 0:
+                yield f"{at}: own_mm2: a variance that is not above 0"
+        if not _is_covariance(_array(each.common)):
+            yield f"{at}: common: wanted a covariance of {SIZE} x {SIZE} finite numbers"
+
+
+def _verdicts(calibration: Calibration) -> Iterator[str]:
+    for place, each in calibration.verdicts.items():
+        at = f"verdicts.{place[:40]}"
+        figures = (each.mean_mm, each.max_mm, each.mean_U_mm, each.max_U_mm)
+        if not all(0 <= figure <= MOST_MM for figure in figures):
+            yield f"{at}: {', '.join(f'{each:g}' for each in figures)}, wanted 0 .. {MOST_MM:g} mm"
+        elif each.turn is not None and not all(0 <= deg <= MOST_TURN_DEG for deg in each.turn):
+            yield f"{at}: orientation {each.turn}, wanted 0 .. {MOST_TURN_DEG:g} deg"
+        elif not all(limit is None or limit > 0 for limit in each.limits):
+            yield f"{at}: a tolerance that is not above 0"
+        elif each.holds and not judged_again(each).holds:
+            yield f"{at}: is said to hold, but its figures do not: {each.figures}"
+
+
+def _is_covariance(found: Array) -> bool:
+    """Whether an array is a covariance (7, 7): of sane size, symmetric, no negative variance."""
+    if found.shape != (SIZE, SIZE) or not np.abs(found).max() <= MOST_VARIANCE:
+        return False
+    if not np.abs(found - found.T).max() <= ROUNDING * np.abs(found).max():
+        return False
+    scale = np.sqrt(np.maximum(np.diag(found), LEAST_VARIANCE))
+    return bool(np.linalg.eigvalsh(found / np.outer(scale, scale)).min() >= -ROUNDING)
+
+
+def _frame(name: str, frame: Array) -> Iterator[str]:
+    if frame.shape != (4, 4):
+        yield f"{name}: wanted 4 x 4 numbers"
+        return
+    if not np.array_equal(frame[3], [0, 0, 0, 1]):
+        yield f"{name}: its last row must be 0, 0, 0, 1"
+    yield from _rotation(name, frame[:3, :3])
+    yield from _within(name, frame[:3, 3], MOST_MM, "mm")
+
+
+def _rotation(name: str, R: Array) -> Iterator[str]:
+    if R.shape != (3, 3):
+        yield f"{name}: wanted 3 x 3 numbers"
+    elif not (
+        np.abs(R).max() <= 1 + RIGID
+        and np.abs(R @ R.T - np.eye(3)).max() <= RIGID
+        and np.linalg.det(R) > 0
+    ):
+        yield f"{name}: is not rigid: its rotation stretches, shears or mirrors"
+
+
+def _within(name: str, values: ArrayLike, most: float, unit: str) -> Iterator[str]:
+    largest = float(np.abs(np.asarray(values, dtype=float)).max())
+    if not largest <= most:
+        yield f"{name}: {largest:g} {unit}, wanted within +-{most:g} {unit}"
+
+
+def _array(nested: ArrayLike) -> Array:
+    """Return an array of numbers, empty where the lists are ragged."""
+    try:
+        return np.array(nested, dtype=float)
+    except ValueError:
+        return np.full(0, math.nan)

@@ -11,8 +11,7 @@ from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.errors import HilcellError
 from hilcell.journal.engine_file import live_engine
 from hilcell.journal.runs import find_run, read_log
-from hilcell.report.change_words import figure_words, where_words
-from hilcell.report.comparison import Comparison, compare_runs
+from hilcell.report.comparison import Comparison, compare_runs, figure_words, where_words
 from hilcell.report.drift import Change
 
 DIGITS = {"mm": 4, "deg": 5, "°C": 2}

@@ -22,8 +22,8 @@ from hilcell import __version__
 from hilcell.cell.settings import did_you_mean
 from hilcell.clean import clean
 from hilcell.errors import HilcellError
+from hilcell.plant.audit import FORM, MANIFEST, RECORD, SIGNATURE, FileEntry, Manifest
 from hilcell.plant.database import PlantError
-from hilcell.plant.manifest import FORM, MANIFEST, RECORD, SIGNATURE, FileEntry, Manifest
 from hilcell.plant.rows import digest_of
 from hilcell.plant.signing import fingerprint
 from hilcell.plant.tables import DOCUMENT, PARTS, POINT, RUN, Found

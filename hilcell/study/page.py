@@ -2,11 +2,33 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import groupby
+from typing import NamedTuple
+
 from hilcell import __version__
+from hilcell.report.drawings.drawing import (
+    AFTER,
+    ENDS,
+    HAIR,
+    HATCH,
+    INK,
+    MUTED,
+    Frame,
+    Scale,
+    circle,
+    path,
+    round_up,
+    shortened,
+    svg,
+    text,
+    wide_mm,
+)
 from hilcell.report.sheet import environment
-from hilcell.study.analysis import Answers, Rows
+from hilcell.study.analysis import Answers, Design, Effect, Rows
+from hilcell.study.intervals import Interval, Share
 from hilcell.study.outcome import RESULTS
-from hilcell.study.plots import coverage_plot, effects_plot, front_plot
 from hilcell.study.study_file import Study
 from hilcell.study.tables import (
     best_sheet,
@@ -39,3 +61,171 @@ def page(study: Study, found: Answers, rows: Rows, planned: int) -> str:
             coverage_plot=coverage_plot(found),
         )
     )
+
+
+# -- the answers of a study drawn: the Pareto front, main effects, coverage of bounds --------------
+
+WIDTH_MM, HEIGHT_MM = 178.0, 92.0
+LEFT_MM, RIGHT_MM, TOP_MM, BOTTOM_MM = 14.0, 4.0, 8.0, 10.0
+MOST_NAMES_MM, MOST_LEVELS_MM, BESIDE_MM = 40.0, 40.0, 4.0
+ROW_MM, GAP_MM = 5.2, 2.4
+FIGURES_MM = 34.0
+NOMINAL = 95.0  # % of targets within a bound
+MOST_LABELS = 20
+
+
+class Bar(NamedTuple):
+    """A figure with the ends of its interval."""
+
+    mean: float
+    low: float
+    high: float
+    shown: str
+
+
+def front_plot(study: Study, found: Answers) -> str:
+    """Return accuracy over minutes of all designs, the front as steps; "" without any."""
+    if not found.designs:
+        return ""
+    minutes = [each.minutes for each in found.designs]
+    spread = max(max(minutes) - min(minutes), 0.02 * max(minutes), 1.0)
+    low, high = min(minutes) - 0.06 * spread, max(minutes) + 0.06 * spread
+    tops = [each.accuracy.ends[1] for each in found.designs]
+    frame = Frame(
+        Scale(max(0.0, low), high, LEFT_MM, WIDTH_MM - RIGHT_MM),
+        Scale(0.0, round_up(1.05 * max(tops), ENDS), HEIGHT_MM - BOTTOM_MM, TOP_MM),
+    )
+    parts = [frame.drawn("minutes of a calibration", f"{study.accuracy[:-3]} error, mm")]
+    front = found.front
+    if len(front) > 1 and not study.has_costs:
+        parts.append(path(_steps(frame, front), AFTER, 0.4))
+    for each in sorted(found.designs, key=lambda each: each.on_front):
+        parts += _mark(frame, each)
+    if len(front) <= MOST_LABELS:
+        parts += _numbers(frame, front)
+    return svg(WIDTH_MM, HEIGHT_MM, "Accuracy over minutes of all designs", parts, True)
+
+
+def effects_plot(study: Study, found: Answers) -> str:
+    """Return the accuracy at each level of each factor, all else averaged; "" without any."""
+    return _levels(
+        _estimable(found),
+        lambda each: Bar(each.mean.mean, *each.mean.ends, _figure(each.mean)),
+        f"{study.accuracy[:-3]} error, mm; bars: 95 % interval over machines",
+        "Accuracy at each level of each factor",
+    )
+
+
+def coverage_plot(found: Answers) -> str:
+    """Return the share of targets within their bound at each level; "" without any."""
+    return _levels(
+        _estimable(found),
+        lambda each: _percent(each.covered),
+        "targets within their 95 % bound, %; bars: 95 % interval over machines",
+        "Coverage of bounds at each level of each factor",
+        line=NOMINAL,
+        most=100.0,
+    )
+
+
+def _estimable(found: Answers) -> list[Effect]:
+    return [each for each in found.effects if math.isfinite(each.mean.mean)]
+
+
+def _figure(each: Interval) -> str:
+    return f"{each.mean:.4f}" + (f" ± {each.half:.4f}" if each.half > 0.0 else "")
+
+
+def _percent(each: Share) -> Bar:
+    mean, low, high = (100.0 * share for share in (each.mean, *each.ends))
+    return Bar(
+        mean, low, high, f"{mean:.1f} ({low:.1f} .. {high:.1f})" if low < high else f"{mean:.1f}"
+    )
+
+
+def _mark(frame: Frame, each: Design) -> Iterator[str]:
+    x, (low, high) = frame.x.one(each.minutes), each.accuracy.ends
+    colour = AFTER if each.on_front else HATCH
+    if low < high:
+        yield path([(x, frame.y.one(low)), (x, frame.y.one(high))], colour, 0.3)
+    yield circle(
+        x, frame.y.one(each.accuracy.mean), 1.1, colour if each.on_front else "#fff", colour
+    )
+
+
+def _steps(frame: Frame, front: Sequence[Design]) -> list[tuple[float, float]]:
+    found: list[tuple[float, float]] = []
+    for each in front:
+        x, y = frame.x.one(each.minutes), frame.y.one(each.accuracy.mean)
+        found += [(x, found[-1][1]), (x, y)] if found else [(x, y)]
+    return found
+
+
+def _numbers(frame: Frame, front: Sequence[Design]) -> Iterator[str]:
+    """Yield the numbers of the front's points, beside their marks."""
+    for each in front:
+        x, y = frame.x.one(each.minutes), frame.y.one(each.accuracy.mean)
+        yield text(x + 1.8, y - 1.2, str(each.point.number), colour=AFTER, bold=True)
+
+
+def _levels(
+    effects: Sequence[Effect],
+    value: Callable[[Effect], Bar],
+    name: str,
+    title: str,
+    *,
+    line: float | None = None,
+    most: float = math.inf,
+) -> str:
+    if not effects:
+        return ""
+    found = [value(each) for each in effects]
+    marked = [] if line is None else [line]
+    low = min([each.low for each in found] + marked)
+    high = max([each.high for each in found] + marked)
+    margin = 0.06 * max(high - low, 1e-4 * max(abs(high), 1e-3))
+    groups = [list(own) for _, own in groupby(effects, key=lambda each: each.factor.name)]
+    height = TOP_MM + ROW_MM * len(effects) + GAP_MM * len(groups)
+    names_mm = _column((each.factor.title for each in effects), MOST_NAMES_MM)
+    levels_mm = _column((each.word for each in effects), MOST_LEVELS_MM)
+    scale = Scale(
+        low - margin, min(high + margin, most), names_mm + levels_mm, WIDTH_MM - FIGURES_MM
+    )
+    parts = [*_ticks(scale, TOP_MM - 4.0, height, name)]
+    if line is not None:
+        at = scale.one(line)
+        parts.append(path([(at, TOP_MM - 4.0), (at, height)], INK, 0.3, "1.2 0.8"))
+    y = TOP_MM
+    for own in groups:
+        room_mm = names_mm - BESIDE_MM
+        factor = shortened(own[0].factor.title, room_mm)
+        parts.append(text(0.0, y + 1.0, factor, bold=True, most_mm=room_mm))
+        for n, each in enumerate(own):
+            room_mm = levels_mm - BESIDE_MM
+            word = shortened(each.word, room_mm)
+            parts.append(text(names_mm, y + n * ROW_MM + 1.0, word, most_mm=room_mm))
+            parts += _level(scale, value(each), y + n * ROW_MM)
+        y += ROW_MM * len(own) + GAP_MM
+    return svg(WIDTH_MM, height + BOTTOM_MM, title, parts, True)
+
+
+def _column(words: Iterable[str], most_mm: float) -> float:
+    """Return how wide a column of words is, with the space beside it."""
+    return min(most_mm, max(map(wide_mm, words)) + BESIDE_MM)
+
+
+def _level(scale: Scale, each: Bar, y: float) -> Iterator[str]:
+    x = scale.one(each.mean)
+    if each.low < each.high:
+        yield path([(scale.one(each.low), y), (scale.one(each.high), y)], AFTER, 0.5)
+    yield circle(x, y, 1.1, AFTER, AFTER)
+    yield text(WIDTH_MM, y + 1.0, each.shown, "end", AFTER)
+
+
+def _ticks(scale: Scale, top: float, bottom: float, name: str) -> Iterator[str]:
+    yield path([(scale.begin, bottom), (scale.end, bottom)])
+    for tick in scale.ticks():
+        at = scale.one(tick)
+        yield path([(at, top), (at, bottom)], HAIR, 0.2)
+        yield text(at, bottom + 4.2, f"{tick:g}", "middle", MUTED)
+    yield text((scale.begin + scale.end) / 2, bottom + 8.4, name, "middle", MUTED)

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.frame_covariance import world_motion
-from hilcell.calibration.noticed import suspicions_of
-from hilcell.calibration.risen_nest import risen_nest
+from hilcell.calibration.noticed import risen_nest, suspicions_of
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.floor_before import floor_before
 from hilcell.journal.journal import read_journal

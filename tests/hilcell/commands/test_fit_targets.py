@@ -207,7 +207,7 @@ def test_undetermined_targets_are_named(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("hilcell.commands.fit_targets.UNDETERMINED_MM", 1e-6)
+    monkeypatch.setattr("hilcell.commands.fit.UNDETERMINED_MM", 1e-6)
     write_joints(tmp_path / "t.csv", ["a", "b"], drawn(2, 2), inputs=[])
     words = ("--correct", tmp_path / "t.csv", "--tool", "SMR1", "-o", tmp_path / "c.csv")
     assert "1e-06 mm: a, b" in refused(folder, *words)

@@ -27,8 +27,8 @@ from sqlalchemy import Executable, text
 
 from hilcell.commands.cli import main
 from hilcell.journal.runs import CALIBRATION, read_records
+from hilcell.plant.audit import MANIFEST, SIGNATURE, sound
 from hilcell.plant.database import Database
-from hilcell.plant.manifest import MANIFEST, SIGNATURE, sound
 from hilcell.plant.record import record_of
 from tests.hilcell.commands.full_disk import files_limited_to
 from tests.hilcell.plant.conftest import NOW
