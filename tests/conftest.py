@@ -27,6 +27,8 @@ from tests.hilcell.report.browser import NAMES, found
 from tests.leaks import no_leaks
 from tests.whole.golden import GoldenRuns
 
+START = simulator._start
+
 settings.register_profile(
     "suite",
     max_examples=25,
@@ -60,12 +62,21 @@ def _leaves_nothing() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _cells_here() -> Iterator[None]:
+    """Serve simulated cells in this process, those of shared runs as well."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(simulator, "_start", start_here)
+        yield
+
+
 @pytest.fixture(autouse=True)
 def _starts_no_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Serve simulated cells in this process, and start no other; tests marked ``wall`` may."""
+    """Start no process; tests marked ``wall`` may, that of a simulated cell as well."""
     if request.node.get_closest_marker("wall") is None:
-        monkeypatch.setattr(simulator, "_start", start_here)
         monkeypatch.setattr(subprocess.Popen, "__init__", _no_process)
+    else:
+        monkeypatch.setattr(simulator, "_start", START)
 
 
 def _no_process(_: object, words: object, *__: object, **___: object) -> None:

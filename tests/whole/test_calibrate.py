@@ -22,7 +22,8 @@ from tests.whole.trace import judge
 SPREAD = 0.42  # of the length of a normal vector, as a share of its mean
 CHI2_95 = 7.815  # three degrees of freedom
 SEEDS = {"paper": 2, "calibration": 3}
-TARGETS = {"paper": (54, 50), "calibration": (135, 150)}  # at the grid's station, at the others
+SWEPT = {"paper": [1, 2], "calibration": [1, 2, 3, 5]}
+TARGETS = {"paper": (27, 24), "calibration": (135, 150)}  # at the grid's station, at the others
 pytestmark = pytest.mark.timeout(600)
 
 
@@ -45,7 +46,7 @@ def test_the_end_event_has_the_figures(whole: GoldenRun) -> None:
     assert (at_grid["points"], others["points"]) == TARGETS[whole.folder.name]
     assert 1.09 <= at_grid["before"]["mean"] <= 1.33
     assert 0.09 <= at_grid["idw"]["mean"] <= 0.15
-    assert 0.11 <= others["idw"]["mean"] <= 0.20
+    assert 0.09 <= others["idw"]["mean"] <= 0.20
     chance = 3 * SPREAD / np.sqrt(at_grid["points"])
     assert at_grid["floor"]["mean"] * (1 - chance) < at_grid["chosen"]["mean"]
     assert at_grid["chosen"]["mean"] <= at_grid["idw"]["mean"] + 0.02
@@ -56,14 +57,14 @@ def test_the_end_event_has_the_figures(whole: GoldenRun) -> None:
         bounds = place["bounds"]
         assert place["chosen"]["covered"] == bounds["coverage"]
         assert place["chosen"]["bound95_mean"] == bounds["mean_mm"]
-        assert 0.85 <= bounds["coverage"] <= 1.0
+        assert 0.75 <= bounds["coverage"] <= 1.0  # 12 targets at a station
         assert place["chosen"]["mean"] < bounds["mean_mm"] <= bounds["max_mm"] < 0.5
 
 
 def test_sweeps_find_the_lines_of_the_machine_s_gears(whole: GoldenRun) -> None:
     ripple = truth_of_ripple(SEEDS[whole.folder.name])
     found = {each["axis"]: each for each in whole.result["sweeps"]["axes"]}
-    assert sorted(found) == [1, 2, 3, 5]
+    assert sorted(found) == SWEPT[whole.folder.name]
     for axis, each in found.items():
         assert each["used"], each["reason"]
         true = zip(ripple.cycles[axis - 1], ripple.amplitude_rad[axis - 1] * 1e6, strict=True)

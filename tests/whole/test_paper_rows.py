@@ -422,7 +422,7 @@ def test_one_wrong_vertex(paper: PaperRun) -> None:
 
 def test_one_target_that_is_sent_as_it_is(paper: PaperRun) -> None:
     log = paper.log
-    sent, asis = (log.points[f"validate/{REFERENCE}/{how}/027"] for how in ("idw", "before"))
+    sent, asis = (log.points[f"validate/{REFERENCE}/{how}/020"] for how in ("idw", "before"))
     other = changed(log, [placed(sent, np.array(asis.xyz_mm))])
     assert failing(other) == {"abstract.after.max"}
 

@@ -63,7 +63,8 @@ def test_the_survey_is_fig_1(paper: PaperRun) -> None:
     survey = paper.result["rail_survey"]
     forth = dict(map(tuple, survey["curve"]["forth"]))
     back = dict(map(tuple, survey["curve"]["back"]))
-    assert sorted(forth) == sorted(back) == [100.0 * n for n in range(21)]
+    step_mm = paper.log.cell.survey.step_mm
+    assert sorted(forth) == sorted(back) == np.arange(0.0, 2000.0 + step_mm, step_mm).tolist()
     assert 0.0 < survey["backlash_mm"]["u"] < 0.02
     assert all(back[at] > forth[at] for at in list(forth)[1:-1])
     assert set(survey["angles_mrad"]) == {"roll", "pitch", "yaw"}
