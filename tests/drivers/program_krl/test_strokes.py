@@ -1,6 +1,5 @@
 """Drill strokes keep the correction of their point, and are refused where that is not known."""
 
-import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
@@ -43,18 +42,20 @@ def test_a_stroke_leads_from_its_point_along_the_tool() -> None:
     np.testing.assert_allclose(back[1], 0.0, atol=1e-9)
 
 
-def test_a_stroke_after_any_element_of_an_array_starts_at_each() -> None:
-    found = strokes(f"FOR I=1 TO 2\nLIN HOLE[I]\nWAIT SEC 0.1\nSPINDLE(TRUE)\n{DRILL}\nENDFOR")
-    assert [target for target, _ in found] == [0, 1, 0, 1]
+@pytest.mark.parametrize(
+    ("body", "targets"),
+    [
+        (f"FOR I=1 TO 2\nLIN HOLE[I]\nWAIT SEC 0.1\nSPINDLE(TRUE)\n{DRILL}\nENDFOR", [0, 1, 0, 1]),
+        (f"LIN XP1\nON()\n{DRILL}\nEND\nDEF ON()\n$OUT[1]=TRUE", [0, 0]),
+        (f"LIN XP1\nGO( )\nLIN XP2\nGO( )\nGO( )\nEND\nDEF GO( )\n$OUT[1]=TRUE\n{DRILL}",
+         [0, 0, 1, 1, 1, 1]),
+    ],
+)  # fmt: skip
+def test_strokes_behind_arrays_and_in_subprograms(body: str, targets: list[int]) -> None:
+    assert [target for target, _ in strokes(body)] == targets
 
 
-def test_own_subprograms_that_do_not_move_leave_the_robot_where_it_is() -> None:
-    assert len(strokes(f"LIN XP1\nON()\n{DRILL}\nEND\nDEF ON()\n$OUT[1]=TRUE")) == 2
-
-
-def test_a_subprogram_of_strokes_is_read_at_its_calls() -> None:
-    body = f"LIN XP1\nGO( )\nLIN XP2\nGO( )\nGO( )\nEND\nDEF GO( )\n$OUT[1]=TRUE\n{DRILL}"
-    assert [target for target, _ in strokes(body)] == [0, 0, 1, 1, 1, 1]
+def test_a_stroke_goes_on_where_the_former_one_ended() -> None:
     forth = "LIN XP1\nGO( )\nGO( )\nEND\nDEF GO( )\nLIN_REL {X 5} #TOOL"
     assert [round(np.linalg.norm(shift), 6) for _, shift in strokes(forth)] == [5.0, 10.0]
 
@@ -76,40 +77,37 @@ def test_a_subprogram_of_strokes_is_read_at_its_calls() -> None:
         f"LIN XP1\nGO()\n{DRILL}\nEND\nDEF GO()\nON()\nEND\nDEF ON()\nLIN XP2",
         f"LIN XP1\nEND\nDEF STROKE()\n{DRILL}",
         f"LIN XP1\nPTP $AXIS_ACT\n{DRILL}",
+        "$BASE={X 1,Y 2,Z 3}\nLIN XP1",
     ],
 )
 def test_where_a_stroke_starts_must_be_known(body: str) -> None:
-    with pytest.raises(SettingsError, match="LIN_REL is a relative motion, and the point before"):
+    with pytest.raises(SettingsError):
         strokes(body)
 
 
 @pytest.mark.parametrize(
-    ("stroke", "part"),
+    ("stroke", "token"),
     [
-        ("LIN_REL {Z 20}", "a relative motion in the base: only strokes along the tool"),
-        ("LIN_REL {X 20} #BASE", "a relative motion in the base"),
-        ("LIN_REL {X 20,A 5} #TOOL", "changes A"),
-        ("LIN_REL {E1 20} #TOOL", "changes E1"),
-        ("LIN_REL {X DEPTH} #TOOL", "X DEPTH is not a number"),
-        ("LIN_REL XP2 #TOOL", "by what is no structure of numbers"),
-        ("LIN_REL {X 20} #TOOL #TOOL", "which is not understood"),
-        ("LIN_REL {X 20} #TOOL WITH $VEL=1", "which is not understood"),
-        ("LIN_REL", "by what is no structure of numbers"),
-        ("PTP_REL {X 20} #TOOL", "PTP_REL is a relative motion"),
+        ("LIN_REL {Z 20}", "in the base"), ("LIN_REL {X 20} #BASE", "in the base"),
+        ("LIN_REL {X 20,A 5} #TOOL", "A"), ("LIN_REL {E1 20} #TOOL", "E1"),
+        ("LIN_REL {X DEPTH} #TOOL", "DEPTH"), ("LIN_REL XP2 #TOOL", "structure"),
+        ("LIN_REL {X 20} #TOOL #TOOL", "not understood"),
+        ("LIN_REL {X 20} #TOOL WITH $VEL=1", "not understood"),
+        ("LIN_REL", "structure"), ("PTP_REL {X 20} #TOOL", "PTP_REL"),
     ],
-)
-def test_other_relative_motions_are_refused_with_their_line(stroke: str, part: str) -> None:
+)  # fmt: skip
+def test_other_relative_motions_are_refused_with_their_line(stroke: str, token: str) -> None:
     with pytest.raises(SettingsError) as raised:
         strokes(f"LIN XP1\n{stroke}\nLIN XP2")
     assert raised.value.problems[0].startswith("drill.src line 3: ")
-    assert part in raised.value.problems[0]
+    assert token in raised.value.problems[0]
 
 
 def test_a_stroke_aside_from_the_drills_axis_gets_a_note() -> None:
     body = "LIN XP1\nLIN_REL {Z 20} #TOOL\nLIN_REL {Z -20} #TOOL\nLIN_REL {X 5} #TOOL"
     read = read_program("p.src", body, ("p.dat", DAT))
     (note,) = (note for note in read.notes if "strokes" in note)
-    assert "not along z of the tool, the drill's axis in {T}: line 4;" in note
+    assert "line 4;" in note
 
 
 @pytest.fixture
@@ -117,13 +115,10 @@ def desk(tmp_path: Path) -> Workplace:
     return Workplace(tmp_path)
 
 
-def test_a_drill_stroke_stays_as_it_is_and_arrives(
-    desk: Workplace, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_drill_stroke_stays_as_it_is_and_arrives(desk: Workplace) -> None:
     desk.program(f"DEF drill()\nLIN XP1\n{DRILL}\nEND\n", DAT)
-    assert desk.compensate() == 0
-    said = capsys.readouterr().err
-    assert "strokes keep the correction of the point before them" in said
+    done = desk.run()
+    assert done.returncode == 0
     assert DRILL in desk.out.read_text()
     nominal, command = load_program(desk.source), load_program(desk.out)
     along = np.array(nominal.strokes[0].shift_mm) / 20.0
@@ -137,12 +132,10 @@ def test_a_drill_stroke_stays_as_it_is_and_arrives(
         arrived = sent[:, :3, 3] + calibration().error_model().predict(sent).error_mm
         off_mm = T_W_B[:3, :3] @ (arrived - wanted[:, :3, 3])[0]
         missed.append([np.linalg.norm(off_mm - off_mm @ along * along), abs(off_mm @ along)])
-    stated = re.search(r"at most (\S+) mm across .* and (\S+) mm along", said)
-    assert stated is not None
-    assert [float(each) for each in stated.groups()] == pytest.approx(
-        np.max(missed, axis=0), abs=0.0015
-    )
-    assert np.max(missed) > 0.002
+    assert 0.002 < np.max(missed) < 0.02
+    across_mm, along_mm = np.max(missed, axis=0)
+    assert f"{across_mm:.3f} mm across" in done.stderr
+    assert f"{along_mm:.3f} mm along" in done.stderr
 
 
 def test_a_stroke_is_judged_on_all_of_its_way() -> None:
@@ -163,88 +156,54 @@ def test_a_stroke_is_judged_on_all_of_its_way() -> None:
 
         model = SimpleNamespace(predict=predict)
         rippled = SimpleNamespace(stations=made.stations, grid=made.grid, error_model=lambda: model)
-        limits = StrokeLimits(20.0, most_mm, "stated")
+        limits = StrokeLimits(20.0, most_mm, "")
         return check_strokes(
             cast("Calibration", rippled), "S1100", values, values, read.strokes, limits
         )
 
     assert judged(aside, 0.1, 0.11) == pytest.approx((0.1, 0.0), abs=1e-6)
     assert judged(shift_mm, 0.1, 0.11) == pytest.approx((0.0, 0.1), abs=1e-6)
-    for direction in (aside, shift_mm):
-        with pytest.raises(StrokeError, match=r"0.100 mm (across|along).*stated") as raised:
+    for direction, token in ((aside, "0.100 mm across at 10 mm"), (shift_mm, "0.100 mm along")):
+        with pytest.raises(StrokeError, match=token):
             judged(direction, 0.1, 0.09)
-        assert "wanted <= 0.090 mm, stated" in str(raised.value)
-    with pytest.raises(StrokeError, match=r"0\.100 mm across at 10 mm from the point"):
-        judged(aside, 0.1, 0.09)
     with pytest.raises(StrokeError):
         judged(aside, np.nan, 0.09)
 
 
 @pytest.mark.parametrize(
-    ("stroke", "words", "part"),
+    ("stroke", "words", "token"),
     [
-        (
-            "LIN_REL {X 25} #TOOL",
-            (),
-            "1 of 1 strokes lead away from their point by more than 20 mm",
-        ),
+        ("LIN_REL {X 25} #TOOL", (), "20 mm"),
         ("LIN_REL {X 25} #TOOL", ("--allow-stroke", "25"), ""),
         ("LIN_REL {X 199} #TOOL", ("--allow-stroke", "200"), ""),
-        (
-            "LIN_REL {X 25} #TOOL",
-            ("--allow-stroke", "25", "--stroke-tolerance", "0.001"),
-            "wanted <= 0.001 mm, --stroke-tolerance",
-        ),
-        (
-            "LIN_REL {X 199} #TOOL",
-            ("--allow-stroke", "200", "--stroke-tolerance", "0.03"),
-            "state what the drilling allows with --stroke-tolerance MM",
-        ),
+        ("LIN_REL {X 25} #TOOL", ("--allow-stroke", "25", "--stroke-tolerance", "0.001"),
+         "--stroke-tolerance"),
         ("LIN_REL {X 15} #TOOL\nLIN_REL {X 15} #TOOL", (), "(drill.src line 4) from XP1"),
+        ("LIN_REL {X 25} #TOOL", ("--stroke-tolerance", "0"), "tolerance"),
+        ("LIN_REL {X 25} #TOOL", ("--stroke-tolerance", "6"), "tolerance"),
+        ("LIN_REL {X 25} #TOOL", ("--stroke-tolerance", "nan"), "tolerance"),
+        ("LIN_REL {X 25} #TOOL", ("--allow-stroke", "-5"), "allow-stroke"),
+        ("LIN_REL {X 25} #TOOL", ("--allow-stroke", "201"), "allow-stroke"),
+        ("LIN_REL {X 25} #TOOL", ("--allow-stroke", "long"), "allow-stroke"),
     ],
-)
+)  # fmt: skip
 def test_a_stroke_as_far_as_it_is_declared(
-    desk: Workplace,
-    capsys: pytest.CaptureFixture[str],
-    stroke: str,
-    words: tuple[str, ...],
-    part: str,
+    desk: Workplace, stroke: str, words: tuple[str, ...], token: str
 ) -> None:
     desk.program(f"DEF drill()\nLIN XP1\n{stroke}\nEND\n", DAT)
-    assert desk.compensate(*words) == (2 if part else 0)
-    assert part in capsys.readouterr().err
-    assert desk.out.exists() == (not part)
+    if token:
+        assert token in desk.refused(*words)
+    else:
+        assert desk.compensate(*words) == 0
+        assert desk.out.exists()
 
 
-def test_a_stroke_out_of_the_calibrated_volume_is_refused(
-    desk: Workplace, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_stroke_out_of_the_calibrated_volume_is_refused(desk: Workplace) -> None:
     edge = apply(T_W_B, calibration().grid().far_mm[None])[0] - [2.0, 60.0, 60.0]
     numbers = ",".join(f"{axis} {value:.3f}" for axis, value in zip("XYZ", edge, strict=True))
     point = f"DECL E6POS XP1={{{numbers},A 0.0,B 75.0,C 0.0}}"
     desk.program("DEF drill()\nLIN XP1\nLIN_REL {Z 20} #TOOL\nEND\n", point)
-    assert desk.compensate() == 2
-    said = capsys.readouterr().err
-    assert "strokes that end outside: 1 of 1 targets are outside the calibrated volume" in said
-    assert "LIN_REL (drill.src line 3) from XP1" in said
-
-
-@pytest.mark.parametrize("text", ["0", "-1", "6", "nan", "wide"])
-def test_a_tolerance_of_strokes_is_a_length(
-    desk: Workplace, capsys: pytest.CaptureFixture[str], text: str
-) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        desk.compensate("--stroke-tolerance", text)
-    assert "a tolerance above 0 up to 5 mm is wanted" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("text", ["0", "-5", "201", "nan", "long"])
-def test_a_declared_stroke_is_a_length(
-    desk: Workplace, capsys: pytest.CaptureFixture[str], text: str
-) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        desk.compensate("--allow-stroke", text)
-    assert "a length above 0 up to 200 mm is wanted" in capsys.readouterr().err
+    assert "LIN_REL (drill.src line 3) from XP1" in desk.refused()
 
 
 def test_a_stroke_that_corrected_angles_turn_away_is_refused() -> None:
@@ -255,7 +214,7 @@ def test_a_stroke_that_corrected_angles_turn_away_is_refused() -> None:
     straight = check_strokes(made, "S1100", values, values, read.strokes, limits)
     assert max(straight) < 0.02
     turned = values + [0, 0, 0, 0, np.degrees(5e-3), 0]
-    with pytest.raises(StrokeError, match="miss their line"):
+    with pytest.raises(StrokeError):
         check_strokes(made, "S1100", values, turned, read.strokes, limits)
 
 
@@ -268,42 +227,29 @@ def base_of(frame: Array) -> str:
     ("base", "code"),
     [
         (f"{{{base_of(inverse(T_W_B))}}}", 0),
-        ("{X 0,Y 0,Z 0,A 0,B 0,C 0}", 2),
         ("$NULLFRAME", 2),
         (f"{{{base_of(inverse(T_W_B) @ pose_from_zyx(0.2, 0, 0, 0, 0, 0))}}}", 2),
         ("BASE_DATA[3]", 0),
     ],
 )
-def test_a_base_set_by_numbers_must_be_the_world(
-    desk: Workplace, capsys: pytest.CaptureFixture[str], base: str, code: int
-) -> None:
+def test_a_base_set_by_numbers_must_be_the_world(desk: Workplace, base: str, code: int) -> None:
     desk.program(f"DEF drill()\n$BASE={base}\nLIN XP1\nEND\n", DAT)
-    assert desk.compensate() == code
-    said = capsys.readouterr().err
-    assert ("drill.src line 2: the base set there is not the world frame" in said) == (code == 2)
-    assert (f"set {{{base_of(inverse(T_W_B))}}}, as calibrated" in said) == (code == 2)
+    done = desk.run()
+    assert done.returncode == code
+    assert (base_of(inverse(T_W_B)) in done.stderr) == (code == 2)
 
 
-def test_a_base_that_leaves_out_components_is_refused() -> None:
-    with pytest.raises(SettingsError, match="leaves out A, B, C"):
-        strokes("$BASE={X 1,Y 2,Z 3}\nLIN XP1")
-
-
-def test_a_missing_data_list_is_named_once(
-    desk: Workplace, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_missing_data_list_is_named_once(desk: Workplace) -> None:
     desk.source.write_text("DEF drill()\nPTP XHOME\nLIN XP1\nLIN XP2\nEND\n")
     desk.source.with_suffix(".dat").unlink()
-    assert desk.compensate() == 2
-    said = capsys.readouterr().err
-    assert "drill.dat is missing beside it, wanted with the points XP1, XP2; copy both" in said
-    assert said.count("\n") == 2
+    said = desk.refused()
+    assert "XP1, XP2" in said
+    assert said.count("drill.dat") == 1
 
 
-def test_a_global_point_gets_a_note(desk: Workplace, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_global_point_gets_a_note(desk: Workplace) -> None:
     shared = DAT.replace("DECL E6POS XP1", "DECL GLOBAL E6POS XP1")
     desk.program("DEF drill()\nLIN XP1\nLIN XP2\nEND\n", shared)
-    assert desk.compensate() == 0
-    said = capsys.readouterr().err
-    assert "XP1 is GLOBAL: other programs that use it get its correction, too" in said
+    said = desk.run().stderr
+    assert "XP1 is GLOBAL" in said
     assert "XP2 is GLOBAL" not in said
