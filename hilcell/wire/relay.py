@@ -68,12 +68,16 @@ class SocketRelay:
         """End the recording: without its end a connection would look cut off."""
         for number in sorted(self._open.copy()):
             self._recorder.take(number, "end")
+        with suppress(OSError):
+            self._listening.shutdown(socket.SHUT_RDWR)
+        self._listening.close()
 
     def _accept(self) -> None:
-        while True:
-            near, _ = self._listening.accept()
-            self._count += 1
-            threading.Thread(target=self._serve, args=(near, self._count), daemon=True).start()
+        with suppress(OSError):
+            while True:
+                near, _ = self._listening.accept()
+                self._count += 1
+                threading.Thread(target=self._serve, args=(near, self._count), daemon=True).start()
 
     def _serve(self, near: socket.socket, number: int) -> None:
         with near:

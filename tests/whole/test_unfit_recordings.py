@@ -240,6 +240,7 @@ def test_a_sweep_in_which_the_engine_was_killed(tmp_path: Path) -> None:
     assert f"/cut/tracker{SUFFIX}:" in done.stderr
 
 
+@pytest.mark.wall
 def test_a_resumed_run_replays_by_resuming_its_replay(tmp_path: Path) -> None:
     points: list[str] = []
 
