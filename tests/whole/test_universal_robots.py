@@ -69,10 +69,17 @@ class Bench:
             until(lambda: self.controller.ask("running").endswith("true"))
 
 
+# Of a robot that gets nowhere, how long it is waited for in place of several seconds.
+WAITS_S = {
+    "robot.frozen": ("STALL_S", 0.5),
+    "robot.ack_previous": ("STALL_S", 0.5),
+    "robot.stops_short": ("REST_S", 0.3),
+    "robot.wrong_turn": ("REST_S", 0.3),
+}
+
+
 @pytest.fixture
-def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
-    for name, value in (("STALL_S", 0.5), ("REST_S", 0.3), ("COUNT_S", 0.2)):
-        monkeypatch.setattr(robot_ur_rtde, name, value)
+def bench() -> Iterator[Bench]:
     faults, time = Faults(), PlantTime(10.0)
     plant = Plant(LAB, 1, time, faults)
     harms = Harms(plant.lose_zero, plant.slip_mount, plant.lose_motion)
@@ -141,8 +148,15 @@ def test_packages_that_are_split_and_glued(bench: Bench, robot: UrRtdeRobot) -> 
     ],
 )
 def test_a_fault_in_a_motion(
-    bench: Bench, robot: UrRtdeRobot, fault: str, value: Any, code: str
+    bench: Bench,
+    robot: UrRtdeRobot,
+    monkeypatch: pytest.MonkeyPatch,
+    fault: str,
+    value: Any,
+    code: str,
 ) -> None:
+    if fault in WAITS_S:
+        monkeypatch.setattr(robot_ur_rtde, *WAITS_S[fault])
     bench.faults.set(fault, value, count=0)
     with pytest.raises(DeviceError) as found:
         robot.move_to(TARGET, 100.0)
@@ -166,21 +180,21 @@ def test_a_fault_in_a_motion(
 )
 def test_each_safety_status_is_refused(bench: Bench, status: int, code: str) -> None:
     bench.controller.safety = status
-    with pytest.raises(DeviceRefused, match=f"safety_status is {status}") as found:
+    with pytest.raises(DeviceRefused) as found:
         bench.robot().connect()
     assert found.value.code == code
 
 
 def test_reduced_mode_ends_a_motion(bench: Bench, robot: UrRtdeRobot) -> None:
     bench.controller.safety = 2
-    with pytest.raises(DeviceError, match="reduced") as found:
+    with pytest.raises(DeviceError) as found:
         robot.move_to(TARGET, 100.0)
     assert found.value.code == "HC-B61"
 
 
 def test_local_control_is_refused(bench: Bench) -> None:
     bench.controller.remote = False
-    with pytest.raises(DeviceRefused, match="remote control") as found:
+    with pytest.raises(DeviceRefused) as found:
         bench.robot().connect()
     assert found.value.code == "HC-B60"
 
@@ -188,8 +202,9 @@ def test_local_control_is_refused(bench: Bench) -> None:
 def test_ports_that_were_mixed_up_are_named(bench: Bench) -> None:
     of_rtde, of_dashboard = (bench.server.address[name] for name in ("rtde_port", "dashboard_port"))
     for option, port in (("rtde_port", of_dashboard), ("dashboard_port", of_rtde)):
-        with pytest.raises(DeviceError, match=f"is {option} that of"):
+        with pytest.raises(DeviceError) as found:
             bench.robot(**{option: port}).connect()
+        assert option in found.value.found
 
 
 @pytest.mark.parametrize("options", [{"model": "UR5e"}, {"serial": "20225500148"}])
@@ -393,6 +408,7 @@ def test_an_impossible_motion(robot: UrRtdeRobot, joint: float, speed: float) ->
     assert found.value.code == "HC-B28"
 
 
+@pytest.mark.wall
 def test_the_script_brakes_when_the_engine_is_killed(tmp_path: Path) -> None:
     slow = {"robot.speed_percent": "2.0"}
     with simulation(5.0, name="lab") as cell:
@@ -436,6 +452,6 @@ def test_a_clock_that_stands_is_refused(
     state = robot.link().fresh()
     monkeypatch.setattr(UrLink, "next", lambda link: state)
     monkeypatch.setattr(UrLink, "fresh", lambda link, patiently=False: state)
-    with pytest.raises(DeviceError, match="time stands") as found:
+    with pytest.raises(DeviceError) as found:
         robot.rest(state.joints_rad)
     assert found.value.code == "HC-B26"
