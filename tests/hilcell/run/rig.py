@@ -32,7 +32,7 @@ class DeskClock(DrivenClock):
     """The clock of a run and of its desk devices; every wait ends at once, and by a stop."""
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__(1000.0, 1000.0)  # a reading may be older than the run
         self.stop = threading.Event()
 
     def wait(self, duration_s: float) -> None:

@@ -16,7 +16,6 @@ from hilcell.ports import RailReading, StripLost
 from hilcell.run.cell_session import CellSession
 from hilcell.run.device_status import CellMonitor
 from hilcell.run.strip_guard import STRIP_BACK
-from tests.clocks import DrivenClock
 from tests.hilcell.run.bed import CELL, Bed, Live
 from tests.hilcell.run.rig import DeskRail, Points, procedure
 
@@ -133,7 +132,7 @@ def test_a_frozen_strip_is_not_believed_before_it_is_where_the_drive_is(
 
 def test_a_strip_that_is_lost_in_a_pause_is_shown_as_lost(bed: Bed) -> None:
     rail = rail_of(bed)
-    monitor = CellMonitor(bed.devices, DrivenClock())
+    monitor = CellMonitor(bed.devices, bed.clock)
     rail.dirty = 1
     with pytest.raises(StripLost):
         monitor.devices.rail.read()
