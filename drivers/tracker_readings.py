@@ -35,7 +35,13 @@ def checked_order(near_mm: Array, samples: int) -> Array:
     """Return the place (3,) that is to be measured; raises `DeviceError` for an impossible one."""
     near_mm = np.asarray(near_mm, dtype=float)
     if near_mm.shape != (3,) or not bool(np.all(np.isfinite(near_mm))) or samples < 1:
-        raise DeviceError("HC-T35", DEVICE, "measure", f"{samples} samples at {near_mm} mm")
+        raise DeviceError(
+            "HC-T35",
+            DEVICE,
+            "measure",
+            f"{samples} samples at {near_mm} mm",
+            wanted=">= 1 sample at three finite coordinates",
+        )
     return near_mm
 
 

@@ -84,7 +84,13 @@ class KukaSweep:
     ) -> None:
         """``full_deg_s`` (6,) are the axes' speeds at HC_VEL 100 and $OV_PRO 100."""
         if not (0 <= axis < len(AXES) and np.isfinite(end_deg)):
-            raise DeviceError("HC-B28", DEVICE, "sweep", f"axis {axis + 1} to {end_deg} deg")
+            raise DeviceError(
+                "HC-B28",
+                DEVICE,
+                "sweep",
+                f"axis {axis + 1} to {end_deg} deg",
+                wanted="an axis of 1 to 6, a finite angle",
+            )
         full = float(full_deg_s[axis])
         if not full / PERCENT**2 <= speed_deg_s <= full:
             raise DeviceError(

@@ -67,7 +67,13 @@ class EmsconStream:
     ) -> None:
         near_mm = np.asarray(near_mm, dtype=float)
         if near_mm.shape != (3,) or not bool(np.all(np.isfinite(near_mm))):
-            raise DeviceError("HC-T35", DEVICE, "stream", f"a reflector at {near_mm} mm")
+            raise DeviceError(
+                "HC-T35",
+                DEVICE,
+                "stream",
+                f"a reflector at {near_mm} mm",
+                wanted="three finite coordinates",
+            )
         if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
             raise DeviceError(
                 "HC-T35",
@@ -181,7 +187,13 @@ class EmsconStream:
 
     def _check(self, packet: Multi) -> None:
         if not bool(np.all(np.isfinite(packet.xyz))):
-            raise NoReading("HC-T14", DEVICE, "stream", "a sample is not finite")
+            raise NoReading(
+                "HC-T14",
+                DEVICE,
+                "stream",
+                f"a sample at {packet.xyz} mm",
+                wanted="finite coordinates",
+            )
         if self._last_s is None:
             off_mm = float(np.linalg.norm(packet.xyz[0] - self._near_mm))
             if not off_mm <= self._radius_mm:

@@ -369,6 +369,7 @@ class UrRtdeRobot:
                     DEVICE,
                     "read",
                     f"the controller's time stands at {last.timestamp_s:.3f} s",
+                    wanted=f"a later time within {CLOCK_S:g} s",
                     act="restart the controller; resume",
                 )
             over, last = patience.over(), link.next()

@@ -181,6 +181,7 @@ class UrSweep:
                     DEVICE,
                     "sweep",
                     f"not at rest {time.monotonic() - begun_s:.1f} s after the brake",
+                    wanted=f"at rest within {REST_S:g} s",
                     act="see the panel, resume",
                 )
             over = patience.over()
