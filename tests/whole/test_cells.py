@@ -21,6 +21,15 @@ QUICK = {
     "layout.nest_samples": "2",
 }
 
+# A total station's noise, and limits within which few targets tell.
+COARSE = {
+    "base_frame.points": "8",
+    "layout.nest_samples": "4",
+    "touch.poses": "3",
+    "validation.mean_tolerance_mm": "2.0",
+    "validation.max_tolerance_mm": "4.0",
+}
+
 
 @pytest.mark.nightly  # by day: the lab, below; a quick plan's decisions in tests/procedures
 def test_another_make_is_calibrated(tmp_path: Path) -> None:
@@ -40,11 +49,9 @@ def test_another_make_is_calibrated(tmp_path: Path) -> None:
     assert 0.025 < end["result"]["repeatability"]["rp_robot_mm"] < 0.06  # .04 of the machine
 
 
-@pytest.mark.long
 def test_a_universal_robot_and_a_total_station(tmp_path: Path) -> None:
-    quick = {key: value for key, value in QUICK.items() if key.startswith("plan.")}
     words = ("--json", "--cell", "lab", "--runs", tmp_path)
-    end = end_of(command("run", *words, *sets(quick)))
+    end = end_of(command("run", *words, *sets(QUICK | COARSE)))
     assert end["state"] == "finished"
     figures = end["result"]["validation"]["S750"]
     assert figures["chosen"]["mean"] < 0.5 * figures["before"]["mean"]
@@ -61,7 +68,7 @@ def check_programs(runs: Path) -> None:
     turn = ", ".join(f"{each:.9f}" for each in to_rotvec(T_B_T[:3, :3]))
     tcp = "p[0.09, 0.0, 0.07, 0.0, 0.0, 0.0]"
     source.write_text(f"def d():\n  set_tcp({tcp})\n  movel(p[0.7, 0.0, 0.42, {turn}])\nend\n")
-    cell: tuple[str | Path, ...] = ("--cell", "lab", "--runs", runs, *sets({"plan.quick": "true"}))
+    cell: tuple[str | Path, ...] = ("--cell", "lab", "--runs", runs, *sets(QUICK | COARSE))
     done = command("compensate", "last", source, "--station", "S750", "-o", out, *cell)
     assert done.returncode == 0, done.stderr
     (written,) = [line for line in out.read_text().splitlines() if "movel" in line]
@@ -74,5 +81,5 @@ def check_programs(runs: Path) -> None:
     done = command("prepare", holes, "--calibration", "last", "-o", runs / "out", *cell)
     assert done.returncode == 0, done.stderr
     text = (runs / "out" / "S750.script").read_text("ascii")
-    assert text.startswith("def S750():\n  # hilcell: corrected by ")
+    assert text.startswith("def S750():\n  # hilcell: ")
     assert text.count("movej([") == 4

@@ -8,7 +8,7 @@ import pytest
 
 from hilcell.cell.file import load_cell
 from hilcell.geometry.kinematics import forward
-from tests.whole.bench import SMALL, command, end_of, events, sets, simulation
+from tests.whole.bench import SMALL, command, end_of, events, sets
 from tests.whole.conftest import PaperRun
 from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
@@ -18,7 +18,7 @@ SHORT = SMALL | {
     "base_frame.points": "4",
     "survey.to_mm": "600.0",
     "survey.step_mm": "200.0",
-    "survey.repeats": "6",
+    "survey.repeats": "4",
 }
 GOLDEN = {"calibrate": "small", "sign-check": "sign-check"}  # runs that other tests need, too
 OTHERS = (
@@ -36,9 +36,7 @@ NAMES = sorted(entry.name for entry in entry_points(group="hilcell.procedures"))
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in OTHERS])
 def test_alone_by_its_name(tmp_path: Path, name: str) -> None:
-    with simulation(values=SHORT) as cell:
-        words = sets(SHORT | {"simulation.address": cell.control})
-        done = command("run", name, "--json", "--unattended", "--runs", tmp_path, *words)
+    done = command("run", name, "--json", "--unattended", "--runs", tmp_path, *sets(SHORT))
     end = end_of(done)
     assert end["state"] == "finished", done.stderr
     assert judge(events(done.stdout)) == []
