@@ -103,6 +103,8 @@ class Palette(CommandPalette):
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("enter", "enter", show=False, priority=True),
         Binding("backspace", "erase", show=False, priority=True),
+        Binding("pageup", "page('page_up')", show=False, priority=True),
+        Binding("pagedown", "page('page_down')", show=False, priority=True),
     ]
 
     def __init__(self) -> None:
@@ -121,6 +123,12 @@ class Palette(CommandPalette):
     async def action_enter(self) -> None:
         """Choose what is highlighted."""
         await self.query_one(Input).action_submit()
+
+    async def action_page(self, name: str) -> None:
+        """Go a page up or down, where the terminal has room for a page: else Textual raises."""
+        found = self.query_one(CommandList)
+        if found.scrollable_content_region.height:
+            await found.run_action(name)
 
     def action_erase(self) -> None:
         """Take a letter back; with none left, go back."""
