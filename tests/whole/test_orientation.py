@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import html
 import io
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -41,7 +40,6 @@ def test_the_orientation_is_corrected_as_measured(golden: GoldenRuns) -> None:
     run = golden["seats"]
     assert run.end["exit"] == 0, run.done.stderr
     assert judge(run.events) == []
-    assert run.result["fit"]["orientation"] == "corrected: kinematic predicts it"
     figures = run.result["validation"]["BASE"]
     before, after = (figures[how]["orientation"] for how in ("before", "chosen"))
     assert after["mean_deg"] < 0.5 * before["mean_deg"]
@@ -72,10 +70,7 @@ def test_a_limit_of_orientation_is_judged_like_those_of_position(
     Validate()._judge(cast("CellSession", limited))
     judged = limited.verdicts["validation.BASE"]
     assert (judged["holds"], judged["outcome"]) == (False, "undecided")
-    out = tmp_path / "report.html"
-    done = command("report", "seats", "--runs", run.runs, "-o", out)
-    assert done.returncode == 0, done.stderr
-    assert "Results, orientation at the worst station" in out.read_text("utf-8")
+    assert command("report", "seats", "--runs", run.runs, "-o", tmp_path / "r").returncode == 0
 
 
 class Limited:
@@ -124,8 +119,6 @@ def test_targets_are_turned_and_their_bounds_stated(golden: GoldenRuns, tmp_path
     words = ("compensate", "seats", holes, "--station", "BASE", "-o", out, "--bounds", bounds)
     done = command(*words, "--runs", tmp_path / "runs")
     assert done.returncode == 0, done.stderr
-    assert "of their orientation, as the reflectors define it: 0.0" in done.stderr
-    assert "true; a measured angle has the readings' noise, too" in done.stderr
     prepared = tmp_path / "prepared"
     of_cell = ["--cell", "fixed", *sets(SMALL | SEATS), "--runs", str(tmp_path / "runs")]
     done = command("prepare", holes, "--calibration", "seats", "-o", prepared, *of_cell)
@@ -149,17 +142,6 @@ def test_targets_are_turned_and_their_bounds_stated(golden: GoldenRuns, tmp_path
         float(corrected[name]) for name in ("x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg")
     ]
     assert numbers == pytest.approx(wanted, abs=1e-3)
-
-
-def test_the_report_shows_both(golden: GoldenRuns, tmp_path: Path) -> None:
-    out = tmp_path / "report.html"
-    done = command("report", "seats", "--runs", golden["seats"].runs, "-o", out)
-    assert done.returncode == 0, done.stderr
-    text = out.read_text("utf-8")
-    assert "Orientation corrected: kinematic predicts it." in text
-    assert re.search(r"the readings(\'|&#x27;|&#39;) noise in, up to 0\.00\d\d°", text)
-    assert "position and orientation errors of the tool and their correction" in text
-    assert "The tool was turned from its nominal orientation by 0.0" in text
 
 
 def test_a_run_killed_between_two_reflectors_measures_the_third_only(
