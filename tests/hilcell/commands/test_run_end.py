@@ -109,11 +109,6 @@ POSITION = {
             POSITION | {"outcome": "rejected", "mean_mm": 0.2},
             "tolerance S1100 0.2000 0.0400 0.12",
         ),
-        (
-            "validation.S1100",
-            POSITION | {"outcome": "undecided", "decision": "too few targets"},
-            "undecided S1100",
-        ),
         ("backlash", {"holds": False, "found_mm": 0.5, "limit_mm": 0.4}, "backlash 0.5000 0.4"),
     ],
 )

@@ -82,10 +82,6 @@ def test_what_has_no_course_has_a_reason(years: Array, values: Array, reason: st
     assert hindrance(years, values) == reason
 
 
-def test_what_has_a_course_has_no_hindrance() -> None:
-    assert hindrance(YEARS[:FEWEST], noise(1, FEWEST)) == ""
-
-
 def test_the_main_direction_is_that_of_the_change_whatever_the_order() -> None:
     rng = np.random.default_rng(5)
     along = rng.normal(size=81)

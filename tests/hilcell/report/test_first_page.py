@@ -1,6 +1,5 @@
 """The first page and its verdicts: a page that is signed is whole, nothing simulated can be."""
 
-import ast
 import hashlib
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -10,7 +9,6 @@ import msgspec
 import numpy as np
 import pytest
 
-import procedures
 from hilcell.cell.file import load_cell
 from hilcell.journal.calibration_facts import REVOKED
 from hilcell.journal.index import row_of
@@ -25,7 +23,7 @@ from hilcell.report.first_page import (
 )
 from hilcell.report.html import measured, report_html, sentence, standing
 from hilcell.report.target_budget import TargetBudget
-from hilcell.report.verdicts import FIGURES, figures_words
+from hilcell.report.verdicts import figures_words
 from tests.hilcell.report.journals import validated_run
 from tests.whole.golden import GoldenRuns
 
@@ -238,20 +236,3 @@ VALIDATED = {
 def test_figures_have_units(key: str, body: dict[str, Any], figures: list[str]) -> None:
     words = figures_words(key, body)
     assert [each for each in figures if each not in words] == []
-
-
-def test_every_verdict_of_a_procedure_has_words() -> None:
-    folder = Path(procedures.__file__).parent
-    calls = [
-        call
-        for file in folder.glob("*.py")
-        for call in ast.walk(ast.parse(file.read_text("utf-8")))
-        if isinstance(call, ast.Call) and getattr(call.func, "attr", "") == "verdict"
-    ]
-    keys = {
-        call.args[0].value
-        for call in calls
-        if isinstance(call.args[0], ast.Constant) and isinstance(call.args[0].value, str)
-    }
-    assert len(keys) >= 12
-    assert keys <= set(FIGURES)

@@ -19,12 +19,10 @@ from hilcell.cell.file import load_cell
 from hilcell.identification.sweeps import SweptAxis
 from hilcell.journal.point_id import PointId
 from hilcell.report.drawings.plan_view import plan_view
-from hilcell.report.drawings.svg import compact
 from hilcell.report.export import csv_bytes, json_bytes, xlsx_bytes
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.html import WORDS, curves, report_html, words_of
 from hilcell.report.sheet import Sheet, SheetHole, SheetStation, sheet_html
-from hilcell.report.target_budget import target_budget
 from tests.hilcell.journal.test_curve_record import FOUND, body_of
 from tests.hilcell.report.journals import AFTER_MM, BEFORE_MM, Writer, validated_run
 from tests.hilcell.report.pages import Page
@@ -224,16 +222,6 @@ def test_a_recheck_has_its_verdict_and_no_before_and_after(tmp_path: Path) -> No
     assert "both are reported" not in page.text
 
 
-def test_why_there_are_no_bounds(tmp_path: Path) -> None:
-    early = Writer(tmp_path / "r1").began()
-    killed = Writer(tmp_path / "r2").began()
-    for key in ("base", "station.S1100"):
-        killed.frame(key)
-    killed.journal.append("verdict", "fit", FIT)
-    assert target_budget(early.facts().log, "r1").missing
-    assert "S300 and S1900" in target_budget(killed.facts().log, "r2").missing
-
-
 def test_a_grid_without_validation_shows_its_vectors(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "r1").began()
     for number, at_mm in enumerate(np.eye(3) * 900):
@@ -292,17 +280,6 @@ def test_a_tracker_without_a_weather_station_has_no_air(tmp_path: Path) -> None:
     assert (row["temperature_c"], row["pressure_mbar"], row["humidity_percent"]) == ("", "", "")
     assert json.loads(json_bytes(facts))["points"][0]["temperature_c"] is None
     assert xlsx_bytes(facts)
-
-
-def test_compact_keeps_words_and_links() -> None:
-    svg = (
-        '<svg xmlns="s"><metadata>x</metadata><g id="axes_1"><path id="m1" d="M 1.23456 2"/>'
-        '<use xlink:href="#m1" clip-path="url(#m1)"/><text>0.123456</text></g></svg>'
-    )
-    assert compact(svg, "f") == (
-        '<svg> <g><path id="f-m1" d="M 1.23 2"/>'
-        '<use href="#f-m1" clip-path="url(#f-m1)"/><text>0.123456</text></g></svg>'
-    )
 
 
 HOLE = SheetHole("<i>H1</i>", (-1.0, 2.0, 3.0), 0.5, 0.1)

@@ -79,10 +79,6 @@ def test_points_of_a_moved_tracker(tmp_path: Path) -> None:
     assert found.rows[0][2] == "again"
 
 
-def test_nothing_measured_twice_is_no_table(tmp_path: Path) -> None:
-    assert remeasured(validated_run(tmp_path / "r").facts()) is None
-
-
 def test_every_start_of_an_engine_stands_in_the_course(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "r").began()
     writer.validated("S1100", "before", AFTER_MM)

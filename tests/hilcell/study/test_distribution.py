@@ -95,10 +95,3 @@ def test_weights_that_say_nothing(
     tmp_path: Path, given: dict[str, object], head: str, key: str
 ) -> None:
     assert refused(tmp_path, factor(**given), head) == [f"factor[0].{key}"]
-
-
-def test_a_logarithm_wants_a_low_above_nought(tmp_path: Path) -> None:
-    text = factor(setting="layout.base.x_mm", low=0.0, high=9.0, distribution={}).replace(
-        "{}", '{ kind = "loguniform" }'
-    )
-    assert refused(tmp_path, text, SOBOL) == ["factor[0].distribution"]

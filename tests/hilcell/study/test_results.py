@@ -20,7 +20,6 @@ from hilcell.study.design import Case, cases
 from hilcell.study.errors import Cluster, OtherStudy
 from hilcell.study.performing import perform
 from hilcell.study.results import Results, open_results, plain_rows, row_of
-from hilcell.writing import NotWritten
 from tests.hilcell.commands.full_disk import files_limited_to
 from tests.hilcell.study.studies import TWO_FACTORS, study
 from tests.whole.bench import command
@@ -218,15 +217,6 @@ def test_a_row_that_no_study_wrote_is_named(tmp_path: Path, wrong: dict[str, obj
     pq.write_table(pa.Table.from_pylist(rows, pq.read_schema(file)), file)
     with pytest.raises(OtherStudy, match=r"all\.parquet"):
         results.table()
-
-
-def test_a_folder_that_takes_no_file_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("hilcell.study.results.os.access", lambda *_: False)  # root may do all
-    with pytest.raises(NotWritten), Results(tmp_path / "r", study(tmp_path)).held():
-        raise AssertionError("it is held")
-    assert not (tmp_path / "r").exists()
 
 
 @pytest.mark.parametrize("place", ["mine", "new/r"])
