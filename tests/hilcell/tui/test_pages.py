@@ -19,7 +19,7 @@ from hilcell.tui.keys import load_keys
 from hilcell.tui.screens.history import HistoryPage
 from hilcell.tui.screens.pages import InterlockPage
 from hilcell.tui.screens.run import RunScreen
-from hilcell.tui.screens.start import PlanSummary, StartScreen
+from hilcell.tui.screens.start import PlanSummary
 from hilcell.tui.terminal.themes import NAMES
 from hilcell.tui.widgets import Table
 from tests.hilcell.tui.all_screens import PLAN, isolated
@@ -81,17 +81,6 @@ def test_enter_twice_in_the_palette_closes_nothing_else() -> None:
         await press(pilot, "ctrl+p", "escape")
 
     run_app(act, "running")
-
-
-def test_letters_typed_into_the_form_do_not_act() -> None:
-    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        app.screen.query_one("#operator", Input).focus()
-        type_ahead(app, *"hqtn", "space", *"ad")
-        await settle(pilot)
-        assert isinstance(app.screen, StartScreen)
-        assert app.screen.query_one("#operator", Input).value == "hqtn ad"
-
-    run_app(act)
 
 
 def test_a_filter_is_kept_and_an_empty_one_closes() -> None:
