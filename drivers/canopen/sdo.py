@@ -13,6 +13,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable
+from functools import cache
 from importlib import resources
 
 from canopen import RemoteNode, import_od
@@ -249,8 +250,14 @@ def open_channel(
     device: str, link: CanLink, node: int, eds: str, check: Callable[[], None]
 ) -> SdoChannel:
     """Return the channel to a node of a link, typed by one of the EDS files beside the drivers."""
-    with resources.as_file(resources.files("drivers.canopen") / "eds" / eds) as path:
-        remote = RemoteNode(node, import_od(str(path), node))
+    remote = RemoteNode(node, _objects(eds, node))
     channel = SdoChannel(device, node, remote, link, check)
     link.network.add_node(remote)
     return channel
+
+
+@cache
+def _objects(eds: str, node: int) -> ObjectDictionary:
+    """Return what a file describes; it is read once, so that the end of a session reads none."""
+    with resources.as_file(resources.files("drivers.canopen") / "eds" / eds) as path:
+        return import_od(str(path), node)

@@ -10,7 +10,8 @@ import logging
 import socket
 from typing import Any
 
-from tests.drivers.peers import Server, exactly
+from tests.drivers.peers import Server
+from tests.fakes.wires import exactly
 
 READS = {6: 5, 25: 24, 27: 26, 29: 28, 41: 40, 44: 43}
 

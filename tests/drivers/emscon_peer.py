@@ -9,7 +9,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from tests.drivers.peers import Server, exactly
+from tests.drivers.peers import Server
+from tests.fakes.wires import exactly
 
 NOT_READY, READY, CLOSING = (struct.pack("<III", 12, 8, change) for change in (25, 27, 998))
 Answer = Callable[[bytes], Sequence[bytes]]

@@ -9,7 +9,8 @@ import threading
 from collections.abc import Callable
 from typing import Self
 
-from tests.drivers.peers import Server, exactly
+from tests.drivers.peers import Server
+from tests.fakes.wires import exactly
 
 VARIABLES = {
     "$TRAFONAME[]": '"#KR210R2700_2 C4 FLR"',

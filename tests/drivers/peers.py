@@ -14,6 +14,7 @@ import pytest
 from hilcell.clock import WallClock
 from hilcell.ports import Stopped
 from tests.clocks import DrivenClock
+from tests.fakes.wires import exactly
 
 Handler = Callable[[socket.socket], None]
 Answer = TypeVar("Answer")
@@ -124,17 +125,6 @@ class Server:
     def _handle(self, connection: socket.socket) -> None:
         with contextlib.suppress(OSError, EOFError):
             self._handler(connection)
-
-
-def exactly(connection: socket.socket, size: int) -> bytes:
-    """Return ``size`` bytes; raises EOFError."""
-    data = b""
-    while len(data) < size:
-        piece = connection.recv(size - len(data))
-        if not piece:
-            raise EOFError
-        data += piece
-    return data
 
 
 def scripted(script: list[tuple[bytes, list[bytes]]], surprises: list[bytes]) -> Handler:

@@ -47,7 +47,7 @@ def test_other_lines_are_no_replies(line: str) -> None:
 
 @pytest.mark.parametrize("values", [(), ("1", "2"), ("1", "2", "three"), ("1", "2", "")])
 def test_values_of_another_kind_or_number_are_refused(values: tuple[str, ...]) -> None:
-    with pytest.raises(GeocomError, match="3 numbers are wanted"):
+    with pytest.raises(GeocomError, match="3"):
         geocom.numbers(values, 3)
 
 

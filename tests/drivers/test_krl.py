@@ -60,36 +60,20 @@ def test_anything_else_is_refused(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    "text",
     [
-        ("{X {Y 1}}", "single values"),
-        ("{X 1.0}, {X 2.0}", "single values"),
-        ("{X 1.0, x 2.0}", "twice"),
-        ("{X 1.0, Y 1e999}", "not finite"),
-        ("{X 1.0, Y 1e308}", "no position of a robot"),
-        ("{X 1.2.3}", "single values"),
-        ("1.0", "single values"),
+        "{X {Y 1}}", "{X 1.0}, {X 2.0}", "{X 1.0, x 2.0}", "{X 1.0, Y 1e999}", "{X 1.0, Y 1e308}",
+        "{X 1.2.3}", "1.0", "{X NaN}", "{X inf}", "{X #X}", "{X TRUE}", '{X "1.0"}', "{Y 1.0}",
     ],
-)
-def test_a_structure_is_refused_as_a_whole(text: str, message: str) -> None:
-    with pytest.raises(KrlError, match=message):
+)  # fmt: skip
+def test_a_structure_is_refused_as_a_whole(text: str) -> None:
+    with pytest.raises(KrlError):
         krl.numbers(text, ("X",))
-
-
-@pytest.mark.parametrize("value", ["NaN", "inf", "#X", "TRUE", '"1.0"'])
-def test_a_component_must_be_a_number(value: str) -> None:
-    with pytest.raises(KrlError, match="X is missing or no number"):
-        krl.numbers(f"{{X {value}}}", ("X",))
-
-
-def test_a_missing_component_is_named() -> None:
-    with pytest.raises(KrlError, match="A6 is missing"):
-        krl.numbers("{E6AXIS: A1 1.0}", ("A1", "A6"))
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_only_finite_targets_are_written(value: float) -> None:
-    with pytest.raises(KrlError, match="not finite"):
+    with pytest.raises(KrlError, match="A1"):
         krl.structure("E6AXIS", {"A1": value})
 
 

@@ -206,11 +206,6 @@ def test_connect_gives_back_what_a_dead_engine_left_but_for_what_was_changed_sin
     robot.close()
 
 
-def test_before_connect_nothing_sweeps(peer: KukaPeer, time: WireTime) -> None:
-    with pytest.raises(DeviceError):
-        robot_for(peer, time).sweep(0, END_RAD, SLOW_RAD_S)
-
-
 @pytest.mark.parametrize(
     ("axis", "end_rad", "speed_deg_s"),
     [(6, 0.0, 1.0), (-1, 0.0, 1.0), (0, np.nan, 1.0), (0, 0.0, 0.0), (0, 0.0, 101.0),

@@ -394,13 +394,6 @@ def test_a_failed_connect_leaves_no_threads(peer: CanPeer, time: RailTime) -> No
     assert soon(lambda: threading.active_count() <= before + 2)
 
 
-def test_stop_and_close_before_connect_do_nothing(peer: CanPeer, time: RailTime) -> None:
-    rail = rail_for(peer, time)
-    rail.stop()
-    rail.close()
-    assert peer.heard == []
-
-
 # -- what the link has carried ----------------------------------------------------------------
 
 

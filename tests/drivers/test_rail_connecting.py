@@ -89,11 +89,6 @@ def test_another_device_is_refused(
         rail_for(peer, time).connect()
 
 
-def test_another_serial_is_refused(peer: CanPeer, time: RailTime) -> None:
-    with pytest.raises(DeviceRefused, match="serial"):
-        rail_for(peer, time, drive_serial=1).connect()
-
-
 def test_a_plain_measuring_step_is_understood_and_an_absent_one_no_fault(
     peer: CanPeer, time: RailTime
 ) -> None:
@@ -117,12 +112,6 @@ def test_a_missing_node_is_named_with_the_losses_of_its_line(
     found = refusal(rail_for(peer, time).connect)
     assert (found.code, found.fields["node"]) == ("HC-R05", DRIVE)
     assert ("bad lines" in found.found) is garbage
-
-
-def test_nobody_listening_is_named(time: RailTime) -> None:
-    with CanPeer() as peer:
-        pass
-    assert refusal(rail_for(peer, time).connect).code == "HC-R04"
 
 
 @pytest.mark.parametrize("frames", [0, 1, 2])

@@ -13,9 +13,6 @@ from drivers.kuka.rail_e1 import KukaE1Rail
 from drivers.strips.strip import StripOptions
 from hilcell.ports import (
     DeviceRefused,
-    ExternalAxis,
-    Rail,
-    RidesOnRobot,
     Stopped,
     StripLost,
 )
@@ -65,13 +62,6 @@ def bench(time: WireTime) -> Iterator[Bench]:
         bench = Bench(kuka, strip, time)
         yield bench
         bench.close()
-
-
-def test_it_is_a_rail_that_rides_on_a_robot_with_an_external_axis(bench: Bench) -> None:
-    rail: Rail = bench.rail
-    axis: ExternalAxis = bench.robot
-    assert isinstance(rail, RidesOnRobot)
-    assert isinstance(axis, ExternalAxis)
 
 
 def test_connect_names_drive_and_strip_and_moves_nothing(bench: Bench) -> None:

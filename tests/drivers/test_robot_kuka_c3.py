@@ -56,20 +56,6 @@ def test_a_move_ends_at_the_target_at_rest(robot: KukaC3Robot, peer: KukaPeer) -
     assert exchanges(peer) - before <= 16
 
 
-def test_a_reading_says_since_when_the_robot_rests(robot: KukaC3Robot, time: WireTime) -> None:
-    assert robot.read().ended_s is None
-    arrived = robot.move_to(TARGET_RAD, 30.0)
-    assert arrived.ended_s is not None
-    assert 0.0 < arrived.ended_s <= arrived.taken_s
-    time.wait(1.0)
-    later = robot.read()
-    assert later.ended_s == arrived.ended_s < later.taken_s
-
-
-def test_joints_are_read_in_radians(robot: KukaC3Robot, peer: KukaPeer) -> None:
-    np.testing.assert_allclose(robot.read().joints_rad, np.radians(peer.axes))
-
-
 def test_a_reading_and_a_point_cost_few_exchanges(robot: KukaC3Robot, peer: KukaPeer) -> None:
     """Every point is approached from below: two motions; three looks each until acknowledged."""
     robot.move_to(TARGET_RAD, 30.0)
@@ -206,11 +192,6 @@ def test_a_wrong_robot_is_refused(
     assert found in refused.found
     with pytest.raises(DeviceError):
         robot.read()
-
-
-def test_a_wrong_serial_is_refused(peer: KukaPeer, time: WireTime) -> None:
-    with pytest.raises(DeviceRefused, match="472911"):
-        robot_for(peer, time, serial=1).connect()
 
 
 @pytest.mark.parametrize("value", ["1,234", "NaN", "{X 1.0}", "100.5", ""])
@@ -352,12 +333,6 @@ def test_connect_waits_for_an_earlier_sessions_motion(peer: KukaPeer, time: Wire
     robot.close()
 
 
-def test_a_restarted_controller_fails_every_read(robot: KukaC3Robot, peer: KukaPeer) -> None:
-    peer.variables.clear()
-    with pytest.raises(DeviceError):
-        robot.move_to(TARGET_RAD, 30.0)
-
-
 def test_idle_connections_are_kept_and_a_loss_is_reported(
     peer: KukaPeer, time: WireTime, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -372,13 +347,6 @@ def test_idle_connections_are_kept_and_a_loss_is_reported(
     keeper._thread.join()
     assert refusal(robot.read).code == "HC-B02"
     robot.close()
-
-
-def test_stop_and_close_before_connect_do_nothing(peer: KukaPeer, time: WireTime) -> None:
-    robot = robot_for(peer, time)
-    robot.stop()
-    robot.close()
-    assert peer.requests == []
 
 
 def test_options_are_strict() -> None:

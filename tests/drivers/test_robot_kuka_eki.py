@@ -165,19 +165,6 @@ def test_a_stop_gets_through_while_a_call_hangs(
     assert [getattr(each, "code", "") for each in failures] == ["HC-B02"]
 
 
-def test_only_a_new_connect_takes_a_stop_back(robot: KukaEkiRobot, peer: EkiPeer) -> None:
-    peer.moved = robot.stop
-    with pytest.raises(DeviceError):
-        robot.move_to(TARGET_RAD, 30.0)
-    peer.stopped.wait()
-    peer.moved = lambda: None
-    assert peer.variables["HC_STOP"] == "TRUE"
-    assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == "HC-B21"
-    robot.connect()
-    assert peer.variables["HC_STOP"] == "FALSE"
-    assert robot.move_to(TARGET_RAD, 30.0).still
-
-
 def test_a_dead_channel_of_the_stop_is_noticed_at_rest(
     peer: EkiPeer, time: WireTime, monkeypatch: pytest.MonkeyPatch
 ) -> None:

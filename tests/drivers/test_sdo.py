@@ -3,15 +3,13 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Callable, Iterator
-from importlib import resources
 from itertools import chain, repeat
 
-import canopen
 import pytest
 
 from drivers.canopen import can_link, sdo
 from drivers.canopen.can_link import CanLink, open_bus
-from drivers.canopen.sdo import Aborted, SdoChannel
+from drivers.canopen.sdo import Aborted, SdoChannel, open_channel
 from hilcell.ports import Stopped
 from tests.clocks import DrivenClock
 from tests.drivers.can_peer import DRIVE, CanPeer, u32
@@ -35,12 +33,8 @@ def _short_limits(monkeypatch: pytest.MonkeyPatch) -> None:
 def channel_to(peer: CanPeer, check: Callable[[], None] = lambda: None) -> Iterator[SdoChannel]:
     peer.objects[DRIVE].setdefault(PROFILE_VELOCITY, u32(0))
     link = CanLink("Rail", open_bus("Rail", "slcan", peer.channel, 500_000), DrivenClock())
-    with resources.as_file(resources.files("drivers.canopen") / "eds" / "drive.eds") as path:
-        node = canopen.RemoteNode(DRIVE, canopen.import_od(str(path), DRIVE))
-    channel = SdoChannel("Rail", DRIVE, node, link, check)
-    link.network.add_node(node)
     try:
-        yield channel
+        yield open_channel("Rail", link, DRIVE, "drive.eds", check)
     finally:
         link.close()
 

@@ -141,11 +141,6 @@ def test_settings_that_are_no_numbers_are_refused(
         tracker_at(peer.channel, time).connect()
 
 
-def test_another_instrument_is_refused(peer: GeocomPeer, time: WireTime) -> None:
-    found = refusal(tracker_at(peer.channel, time, serial="1").connect)
-    assert (type(found), found.code) == (DeviceRefused, "HC-T03")
-
-
 def test_one_measurement(tracker: Quick, peer: GeocomPeer) -> None:
     peer.requests.clear()
     tracker.measure(POINT, SMR, 1)
@@ -269,16 +264,6 @@ def test_another_reflector_than_the_expected_one_is_no_reading(
     peer.distance_m = 5.0051
     found = measuring(tracker)
     assert (type(found), found.code) == (NoReading, "HC-T16")
-
-
-@pytest.mark.parametrize(("near", "samples"), [(POINT, 0), (POINT[:2], 1), (POINT * np.nan, 1)])
-def test_impossible_orders(tracker: Quick, near: Any, samples: int) -> None:
-    assert refusal(lambda: tracker.measure(near, SMR, samples)).code == "HC-T35"
-
-
-def test_a_prism_of_another_constant_is_refused(tracker: Quick) -> None:
-    found = refusal(lambda: tracker.measure(POINT, "SMR 0.5in", 1))
-    assert (type(found), found.code) == (DeviceRefused, "HC-T07")
 
 
 # -- the wire -----------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from procedures.base_frame import sweep
 from procedures.plan import joints_for, poses_at
 from tests.hilcell.compensation.models import exact
 
-SEEDS = range(3)
+SEEDS = range(2)
 UP = np.ones(6)
 URAD = 1e-6
 
@@ -99,25 +99,18 @@ def test_paper_methods_leave_what_the_study_says(cell: Cell, seed: int) -> None:
     assert 0.08 < left[Trilinear] < 0.14
 
 
-def test_same_seed_same_arm(cell: Cell) -> None:
-    joints = np.radians(cell.robot.home_deg)
-    poses = [arm_of(cell, seed).pose(joints, UP, np.zeros(6)) for seed in (5, 5, 6)]
-    assert np.array_equal(poses[0], poses[1])
-    assert not np.allclose(poses[0], poses[2], atol=0.01)
-
-
 def test_unit_rp_is_what_draws_give() -> None:
     J = np.random.default_rng(3).standard_normal((3, 3, 6)) * [5.0, 3.0, 3.0, 0.5, 1.0, 0.1]
-    draws = np.random.default_rng(4).standard_normal((200_000, 6))
+    draws = np.random.default_rng(4).standard_normal((40_000, 6))
     for each, rp in zip(J, unit_rp_mm(J), strict=True):
         distances = np.linalg.norm(draws @ each.T, axis=1)
-        assert rp == pytest.approx(distances.mean() + 3 * distances.std(), rel=0.01)
+        assert rp == pytest.approx(distances.mean() + 3 * distances.std(), rel=0.02)
 
 
 def test_rp_over_the_cube_is_the_data_sheets(cell: Cell) -> None:
     """ISO 9283: 30 visits of each place, RP = mean + 3 s of the distances from their mean."""
     rps_mm = []
-    for seed in range(10):
+    for seed in range(4):
         arm, noise = arm_of(cell, seed), KeyedNoise(seed, "robot").generator("RP")
         visits = np.repeat(arm.commands_rad[::5, None], 30, axis=1)
         landing = arm.joint_sigma_rad * noise.standard_normal(visits.shape)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
 from itertools import pairwise
 
-import canopen
 import pytest
 
 from fakes.canopen.slave import CanopenSlave, NodeIdentity
@@ -108,8 +106,6 @@ def test_identities() -> None:
         assert master.strip.sdo.upload(0x1008, 0) == b"hilcell strip sensor (simulated)"
         assert master.read(0x6501, 0, "H", STRIP) == master.read(0x6005, 1, "I", STRIP) == 10_000
         assert master.read(0x650B, 0, "I", STRIP) == 2014002
-        bench.faults.set("rail.wrong_identity", 0x999)
-        assert [master.read(0x1018, 2) for _ in range(2)] == [0x999, 0x402]
 
 
 # -- mapping -----------------------------------------------------------------------------------
@@ -267,40 +263,3 @@ def test_rewritten_consumer_waits_for_the_first_heartbeat() -> None:
         bus.write(0x1016, 1, MASTER << 16 | 510, "I")
         bus.let_pass(2.0)
         assert bus.emergencies() == []
-
-
-def test_heartbeat_loss_of_one_node() -> None:
-    with served() as bench, Line(bench.server.port) as line:
-        for node in (b"5", b"6"):
-            line.send(b"t60" + node + b"82B17100014000000")
-        until(lambda: line.frame()[:4] == b"t706")
-        bench.faults.set("rail.heartbeat_loss", 5)
-        until(lambda: [line.frame()[:4] for _ in range(4)] == [b"t706"] * 4)
-        for command in (b"C", b"O"):
-            line.send(command)
-        until(lambda: line.frame()[:4] == b"t705")
-
-
-# -- faults of the SDO channel -----------------------------------------------------------------
-
-
-def test_sdo_abort_and_timeout() -> None:
-    with served() as bench, Master(bench.server.port) as master:
-        bench.faults.set("rail.sdo_abort", 0x06010002)
-        with pytest.raises(canopen.SdoAbortedError) as refused:
-            master.write(0x6081, 0, 5, "I")
-        assert refused.value.code == 0x06010002
-        assert master.read(0x6081) == 250_000
-        bench.faults.set("rail.sdo_timeout")
-        master.drive.sdo.RESPONSE_TIMEOUT = 0.05
-        with pytest.raises(canopen.SdoCommunicationError):
-            master.read(0x6081)
-
-
-def test_late_reply_meets_the_next_request() -> None:
-    with on_bus() as bus:
-        bus.faults.set("rail.late_reply", 0.1)
-        for sub in (1, 2):
-            bus.send(0x605, struct.pack("<BHBI", 0x40, 0x1018, sub, 0))
-        bus.let_pass(0.2)
-        assert [data.hex() for data in bus.heard(0x585)] == ["4318100202040000", "4318100184040000"]

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import struct
+from types import SimpleNamespace
 
 import pytest
 
+from fakes.replay import event_time
 from fakes.replay.dialects import Dialect, Slcan, StripLine, dialects_of
 from fakes.replay.event_time import EventTime, RecordedLooks
 from fakes.replay.recorded_script import (
@@ -191,7 +193,7 @@ def test_a_question_is_shown_as_text_or_in_hex(asked: bytes, words: str) -> None
 
 def test_a_wait_on_a_wire_that_was_cut_is_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
     now_s = 0.0
-    monkeypatch.setattr("fakes.replay.event_time.time.monotonic", lambda: now_s)
+    monkeypatch.setattr(event_time, "time", SimpleNamespace(monotonic=lambda: now_s))
     time = EventTime()
     time.expect([1.0, 50.0], [])
     time.end_at(60.0, "robot:9")
@@ -285,7 +287,7 @@ def test_the_clock_shows_what_it_showed_when_it_was_looked_at_next() -> None:
 def test_a_pause_of_the_pc_is_none_of_the_recorded_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is paired by the clock would else be paired otherwise than it was."""
     now_s = 7.0
-    monkeypatch.setattr("fakes.replay.event_time.time.monotonic", lambda: now_s)
+    monkeypatch.setattr(event_time, "time", SimpleNamespace(monotonic=lambda: now_s))
     time = EventTime()
     time.expect([1.0, 2.0], [])
     looks = RecordedLooks(time, [1.1, 2.1], [50.0, 60.0])

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from fakes.canopen.rail_drive import TRANSITIONS, Command, RailDrive, State, command_of
+from fakes.canopen.rail_drive import Command, RailDrive, State, command_of
 from fakes.faults import Faults
 from fakes.truth.rail_truth import RailState, RailTruth
 from tests.fakes.rail_bench import (
@@ -98,11 +98,6 @@ def test_whole_matrix_of_states_and_commands() -> None:
         if command is Command.FAULT_RESET and state is not State.FAULT:
             said = Command.DISABLE_VOLTAGE  # what 0x0080 says to a drive without a fault
         assert drive.state is wanted.get((state, said), state), (state, command)
-
-
-def test_table_is_deterministic() -> None:
-    edges = [(source, command) for _, source, command, _ in TRANSITIONS]
-    assert len(set(edges)) == len(edges)
 
 
 def test_bits_of_the_controlword() -> None:

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.fakes.rail_bench import Line, Master, on_bus, served, until
@@ -96,6 +96,7 @@ FRAMES = st.tuples(
 )
 
 
+@settings(max_examples=40)
 @given(st.lists(FRAMES, max_size=60))
 def test_no_frame_upsets_the_nodes(frames: list[tuple[int, bytes]]) -> None:
     with on_bus() as bus:

@@ -49,44 +49,10 @@ def test_it_is_absolute_and_follows_the_slide(bus: Bus) -> None:
     assert len(middles) == 1, "about one value, wherever one begins"
 
 
-def test_frozen_strip(bus: Bus) -> None:
-    bus.home()
-    before = sync(bus)[0][0]
-    bus.faults.set("rail.strip_frozen", count=0)
-    sync(bus)
-    bus.move(50_000)
-    assert sync(bus)[0][0] == before
-    bus.faults.clear("rail.strip_frozen")
-    assert abs(sync(bus)[0][0] - before - 5000) < 100
-
-
-def test_missing_magnet_is_alarm_and_emergency(bus: Bus) -> None:
-    bus.enable(1)
-    bus.faults.set("rail.missing_magnet", count=2)
-    before = sync(bus)[0]
-    assert before[1] == 1
-    assert bus.emergencies(STRIP) == [0x7305]
-    bus.move(20_000)
-    assert sync(bus)[0] == before, "it goes on with the last position"
-    assert sync(bus)[0][0] - before[0] > 1900
-    assert sync(bus)[0][1] == 0
-    assert bus.emergencies(STRIP) == [0x7305, 0]
-
-
 def test_jitter_of_one_count(bus: Bus) -> None:
     true = median(position for position, _ in sync(bus, 5))
     bus.faults.set("rail.strip_jitter", count=4)
     assert [p - true for p, _ in sync(bus, 4)] == [-1, 1, -1, 1]
-
-
-def test_late_process_data(bus: Bus) -> None:
-    bus.faults.set("rail.late_tpdo", 0.4)
-    assert sync(bus) == []
-    bus.let_pass(0.3)
-    assert bus.heard(0x186) == []
-    bus.let_pass(0.2)
-    assert len(bus.heard(0x186)) == 1
-    assert len(sync(bus)) == 1
 
 
 def test_same_moves_give_the_same_figures_however_often_one_looks() -> None:

@@ -144,32 +144,6 @@ def test_second_client_after_the_first_vanished_or_was_dropped() -> None:
         assert loop.opened == 3
 
 
-def test_nack_keeps_the_frame_off_the_bus() -> None:
-    with running() as loop, Line(loop.gateway.port) as line:
-        loop.faults.set("rail.nack")
-        line.send(b"t1230")
-        assert line.reply() == b"\a"
-        line.send(b"t1230")
-        assert line.frame() == b"t1240"
-        assert loop.frames == [(0x123, b"")]
-
-
-def test_stalled_gateway_takes_frames_and_sends_none() -> None:
-    with running() as loop, Line(loop.gateway.port) as line:
-        loop.faults.set("rail.stalled")
-        line.send(b"t1230")
-        line.send(b"t2230")
-        assert [line.reply(), line.reply()] == [b"z\r", b"t2240\r"]
-        assert loop.frames == [(0x123, b""), (0x223, b"")]
-
-
-def test_garbage_byte_poisons_python_cans_buffer() -> None:
-    with running() as loop, Line(loop.gateway.port) as line:
-        loop.faults.set("rail.garbage", 0xC3)
-        line.send(b"t1230")
-        assert line.frame() == b"\xc3t1240"
-
-
 def test_lines_come_in_pieces_and_late_and_none_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     pauses_s: list[float] = []
     monkeypatch.setattr(slcan_gateway, "time", SimpleNamespace(sleep=pauses_s.append))
