@@ -61,15 +61,6 @@ def test_two_moves_in_a_row_do_not_take_old_bits(rail: CanopenRail) -> None:
         assert rail.read().position_mm == target_mm
 
 
-def test_homing_ends_at_zero(rail: CanopenRail, peer: CanPeer) -> None:
-    rail.home()
-    assert rail.read().position_mm == 0.0
-    rail.move_to(10.0)
-    rail.home()
-    assert rail.read().position_mm == 0.0
-    assert peer.axis.mode == 6
-
-
 @pytest.mark.parametrize("counts", [300, -300])
 def test_homing_that_ends_beside_zero_is_refused(
     rail: CanopenRail, peer: CanPeer, counts: int
@@ -214,12 +205,6 @@ def test_a_drive_that_does_not_enable_is_reported(rail: CanopenRail, peer: CanPe
     peer.axis.deaf = True
     found = refusal(lambda: rail.move_to(1100.0))
     assert (found.code, found.fields["state"]) == ("HC-R31", "switch on disabled")
-
-
-def test_a_refused_mode_is_reported(rail: CanopenRail, peer: CanPeer) -> None:
-    peer.abort[0x6060, 0] = 0x08000022
-    found = refusal(lambda: rail.move_to(1100.0))
-    assert (found.code, found.fields["abort_code"]) == ("HC-R09", 0x08000022)
 
 
 # -- reading ----------------------------------------------------------------------------------

@@ -4,6 +4,8 @@ import re
 from importlib import resources
 from xml.etree import ElementTree
 
+import pytest
+
 from drivers.kuka import eki
 from drivers.kuka.controller import PROGRAM_VERSION
 from drivers.kuka.health import FRAME
@@ -12,49 +14,59 @@ from drivers.kuka.robot_eki import DOCUMENTS_VERSION
 from tests.drivers.kuka_peer import VARIABLES
 
 
+def text_of(name: str) -> str:
+    return (resources.files("drivers.kuka") / name).read_text("ascii")
+
+
+SOURCE, DATA = text_of("krl/hilcell.src"), text_of("krl/hilcell.dat")
+EKI_SOURCE, EKI_DATA = text_of("eki_krl/hilcell_eki.src"), text_of("eki_krl/hilcell_eki.dat")
+
+
+def used(source: str, prefix: str) -> set[str]:
+    """Return the names of a program that begin so, outside of comments."""
+    return set(re.findall(rf"\b{prefix}_[A-Z_0-9]+\b", re.sub(r"(?m)^\s*;.*$", "", source)))
+
+
+@pytest.mark.parametrize("source", [SOURCE, EKI_SOURCE])
+def test_what_is_begun_is_ended(source: str) -> None:
+    for begin, end in (("DEF(?:FCT)? ", "END(?:FCT)?"), ("IF ", "ENDIF"), ("SWITCH ", "ENDSWITCH")):
+        begun = re.findall(rf"(?m)^\s*{begin}", source)
+        assert len(begun) == len(re.findall(rf"(?m)^\s*{end}$", source))
+
+
 def test_the_resident_program_declares_what_the_driver_uses() -> None:
-    folder = resources.files("drivers.kuka") / "krl"
-    source = (folder / "hilcell.src").read_text("ascii")
-    data = (folder / "hilcell.dat").read_text("ascii")
-    declared = set(re.findall(r"DECL GLOBAL \w+ (HC_\w+)", data))
+    declared = set(re.findall(r"DECL GLOBAL \w+ (HC_\w+)", DATA))
     assert declared == {name for name in VARIABLES if name.startswith("HC_")}
-    routines = set(re.findall(r"^DEF(?:FCT BOOL)? (HC_\w+)", source, re.MULTILINE))
-    used = set(re.findall(r"\bHC_[A-Z_]+\b", re.sub(r"(?m)^\s*;.*$", "", source)))
-    assert used | {"HC_OV_OLD", "HC_OV_SET"} == declared | routines  # those two the PC alone uses
-    assert source.count("\nDEF ") + source.count("\nDEFFCT ") == len(
-        re.findall(r"(?m)^END(?:FCT)?$", source)
-    )
+    routines = set(re.findall(r"^DEF(?:FCT BOOL)? (HC_\w+)", SOURCE, re.MULTILINE))
+    alone = {"HC_OV_OLD", "HC_OV_SET"}  # the PC's
+    assert used(SOURCE, "HC") | alone == declared | routines
 
 
 def test_the_program_and_the_driver_have_one_timer_and_one_version() -> None:
-    folder = resources.files("drivers.kuka") / "krl"
-    source = (folder / "hilcell.src").read_text("ascii")
-    data = (folder / "hilcell.dat").read_text("ascii")
     number = TIMER.removeprefix("$TIMER")
-    assert set(re.findall(r"\$TIMER(?:_STOP|_FLAG)?(\[\d+\])", source)) == {number}
-    assert f"HC_VER = {PROGRAM_VERSION}\n" in source
-    assert f"HC_VER={PROGRAM_VERSION}\n" in data
-    assert f"HC_LIFE={1000 * LIFE_S:.0f}\n" in data
+    assert set(re.findall(r"\$TIMER(?:_STOP|_FLAG)?(\[\d+\])", SOURCE)) == {number}
+    assert f"HC_VER = {PROGRAM_VERSION}\n" in SOURCE
+    assert f"HC_VER={PROGRAM_VERSION}\n" in DATA
+    assert f"HC_LIFE={1000 * LIFE_S:.0f}\n" in DATA
 
 
-def test_what_brakes_the_robot_keeps_the_other_brake_out() -> None:
+@pytest.mark.parametrize("routine", ["HC_BRAKE", "HC_LOST"])
+def test_what_brakes_the_robot_keeps_the_other_brake_out(routine: str) -> None:
     """Both interrupts are off before the brake, and RESUME leaves the motion's level."""
-    source = (resources.files("drivers.kuka") / "krl" / "hilcell.src").read_text("ascii")
-    for routine in ("HC_BRAKE", "HC_LOST"):
-        (lines,) = re.findall(rf"(?ms)^DEF {routine} \( \)\n(.*?)^END$", source)
-        acts = [line.strip() for line in lines.splitlines() if not line.startswith(";")]
-        assert {*acts[:2]} == {"INTERRUPT OFF 21", "INTERRUPT OFF 22"}
-        assert acts[2] == "BRAKE F"
-        assert acts[-1] == "RESUME"
-
-
-def eki_text(name: str) -> str:
-    return (resources.files("drivers.kuka") / "eki_krl" / name).read_text("ascii")
+    (lines,) = re.findall(rf"(?ms)^DEF {routine} \( \)\n(.*?)^END$", SOURCE)
+    acts = [line.strip() for line in lines.splitlines() if not line.startswith(";")]
+    assert {*acts[:2]} == {"INTERRUPT OFF 21", "INTERRUPT OFF 22"}
+    assert acts[2] == "BRAKE F"
+    assert acts[-1] == "RESUME"
 
 
 def configured(name: str, part: str) -> set[str]:
-    root = ElementTree.fromstring(eki_text(name))
+    root = ElementTree.fromstring(text_of(f"eki_krl/{name}.xml"))
     return {str(element.get("Tag")) for element in root.findall(f"{part}/XML/ELEMENT")}
+
+
+TAKEN = {name: configured(name, "RECEIVE") for name in ("HilcellEki", "HilcellStop")}
+SENT = {name: configured(name, "SEND") for name in TAKEN}
 
 
 def tags(document: bytes) -> set[str]:
@@ -66,52 +78,39 @@ def tags(document: bytes) -> set[str]:
 
 def test_the_interface_is_configured_for_all_that_the_driver_sends() -> None:
     """A value without a queue, or a queue without a value, shifts what the program takes."""
-    assert configured("HilcellEki.xml", "RECEIVE") == tags(eki.command(1, eki.MOVE))
-    assert configured("HilcellStop.xml", "RECEIVE") == tags(eki.stop_command(1, brake=True))
+    assert TAKEN["HilcellEki"] == tags(eki.command(1, eki.MOVE))
+    assert TAKEN["HilcellStop"] == tags(eki.stop_command(1, brake=True))
 
 
 def test_the_interface_is_configured_for_all_that_the_driver_reads() -> None:
-    sent = configured("HilcellEki.xml", "SEND")
     read = {f"RobotState/{element}/@{attribute}" for element, attribute in eki.SINGLE.values()}
     places = [*eki.AXES, eki.E1, *FRAME]
     read |= {"RobotState/Command/@Id"} | {f"RobotState/Pos/@{name}" for name in places}
     read |= {f"RobotState/{frame}/@{name}" for frame in ("Tool", "Base") for name in FRAME}
-    assert read == sent - {"RobotState/Pos/@S", "RobotState/Pos/@T"}
-    assert configured("HilcellStop.xml", "SEND") == {"RobotStopState/Command/@Id"}
+    assert read == SENT["HilcellEki"] - {"RobotState/Pos/@S", "RobotState/Pos/@T"}
+    assert SENT["HilcellStop"] == {"RobotStopState/Command/@Id"}
 
 
 def test_the_submit_program_takes_and_sets_each_value_once() -> None:
     """Strings that differ in one letter are no error on a controller, only a value that stays 0."""
-    source = eki_text("hilcell_eki.src")
-    taken = re.findall(r'EKI_Get\w+ \("(\w+)", "([^"]+)"', source)
+    taken = re.findall(r'EKI_Get\w+ \("(\w+)", "([^"]+)"', EKI_SOURCE)
     assert len(taken) == len(set(taken))
-    assert {tag for name, tag in taken if name == "HilcellEki"} == configured(
-        "HilcellEki.xml", "RECEIVE"
-    )
-    assert {tag for name, tag in taken if name == "HilcellStop"} == configured(
-        "HilcellStop.xml", "RECEIVE"
-    )
-    put = set(re.findall(r'"(Robot\w+/[^"]+)"', source)) - {tag for _, tag in taken}
-    received = configured("HilcellEki.xml", "RECEIVE") | configured("HilcellStop.xml", "RECEIVE")
-    assert (
-        put
-        == (configured("HilcellEki.xml", "SEND") | configured("HilcellStop.xml", "SEND")) - received
-    )
-    assert f"HE_VER={DOCUMENTS_VERSION}\n" in eki_text("hilcell_eki.dat")
+    for name, expected in TAKEN.items():
+        assert {tag for channel, tag in taken if channel == name} == expected
+    put = set(re.findall(r'"(Robot\w+/[^"]+)"', EKI_SOURCE)) - {tag for _, tag in taken}
+    assert put == set().union(*SENT.values()) - set().union(*TAKEN.values())
+    assert f"HE_VER={DOCUMENTS_VERSION}\n" in EKI_DATA
 
 
 def test_the_submit_program_uses_what_is_declared() -> None:
-    source, data = eki_text("hilcell_eki.src"), eki_text("hilcell_eki.dat")
-    declared = set(re.findall(r"DECL (?:GLOBAL )?\w+ (HE_\w+)=", data))
-    routines = set(re.findall(r"^DEF (\w+) ", source, re.MULTILINE))
-    used = set(re.findall(r"\bHE_[A-Z_0-9]+\b", re.sub(r"(?m)^\s*;.*$", "", source)))
-    assert used == (declared | routines) - {"hilcell_eki"}
-    assert set(re.findall(r"\bHC_[A-Z_]+\b", source)) <= set(VARIABLES)
-    assert source.count("\nDEF ") == len(re.findall(r"(?m)^END$", source))
-    for word in ("IF", "SWITCH"):
-        begun = len(re.findall(rf"(?m)^\s*{word} ", source))
-        assert begun == len(re.findall(rf"(?m)^\s*END{word}$", source))
-    types = [*range(eki.MOVE, eki.MOVE_SLIDE + 1)]
-    hear = source.split("DEF HE_HEAR ( )")[1].split("\nEND\n")[0]
-    assert [int(n) for n in re.findall(r"CASE (\d)", hear)] == types
+    declared = set(re.findall(r"DECL (?:GLOBAL )?\w+ (HE_\w+)=", EKI_DATA))
+    routines = set(re.findall(r"^DEF (\w+) ", EKI_SOURCE, re.MULTILINE))
+    assert used(EKI_SOURCE, "HE") == (declared | routines) - {"hilcell_eki"}
+    assert used(EKI_SOURCE, "HC") <= set(VARIABLES)
+
+
+def test_a_command_gives_its_time_before_it_acts() -> None:
+    hear = EKI_SOURCE.split("DEF HE_HEAR ( )")[1].split("\nEND\n")[0]
+    types = [int(number) for number in re.findall(r"CASE (\d)", hear)]
+    assert types == [*range(eki.MOVE, eki.MOVE_SLIDE + 1)]
     assert hear.index("$TIMER[10] = -HE_MS") < hear.index("SWITCH")

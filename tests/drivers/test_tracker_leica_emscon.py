@@ -13,11 +13,9 @@ import pytest
 from drivers import supervision
 from drivers.leica.tracker_emscon import LeicaEmsconTracker
 from hilcell.ports import Air, DeviceError, DeviceRefused, NoReading, Stopped, Tracker
-from tests.drivers.cesapi_server import CesapiServer
 from tests.drivers.emscon_peer import (
     CLOSING,
     NOT_READY,
-    READY,
     EmsconPeer,
     failure,
     reflector,
@@ -254,12 +252,6 @@ def test_a_busy_server_is_asked_again(tracker: Quick, peer: EmsconPeer) -> None:
         tracker.measure(POINT, SMR, 1)
 
 
-def test_a_storm_of_status_changes_does_no_harm(tracker: Quick, peer: EmsconPeer) -> None:
-    storm = READY * 2000
-    peer.answers[49] = lambda _: [storm, reply(49), storm, result(POINT), storm]
-    np.testing.assert_array_equal(tracker.measure(POINT, SMR, 3).xyz_mm, POINT)
-
-
 @pytest.mark.parametrize(
     "data", [CLOSING, struct.pack("<II", 0, 8), struct.pack("<II", 2**31, 2), reply(40), None]
 )
@@ -356,16 +348,6 @@ def test_a_dead_server_is_noticed_at_connect(time: WireTime) -> None:
     with Server(serve) as server:
         assert refusal(tracker_at(server.port, time).connect).code == "HC-T02"
         silent.set()
-
-
-def test_cesapis_simulator_acknowledges_and_never_sends_a_result(time: WireTime) -> None:
-    with CesapiServer() as server:
-        tracker = tracker_at(server.port, time)
-        (identity,) = tracker.connect()
-        assert identity.serial == "390793"
-        time.silence(0.1)
-        assert measuring(tracker).code == "HC-T13"
-        tracker.close()
 
 
 def test_a_stop_that_is_refused_is_reported_beside_the_cause(

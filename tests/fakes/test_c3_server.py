@@ -223,26 +223,6 @@ def test_while_one_connection_gets_no_answer_others_do(
     assert quiet(robot.client.wire)
 
 
-def test_a_half_open_connection_ends_with_its_client(robot: Robot) -> None:
-    others = c3_server.MAX_CLIENTS - 1  # than the robot's own
-    with contextlib.ExitStack() as open_:
-        robot.faults.set("robot.half_open", count=others)
-        for _ in range(others):
-            C3Client(open_.enter_context(connected(robot.server.port))).send(0, "$MODE_OP")
-        until(lambda: not robot.faults.any_armed)
-        assert not answers(robot.server.port)
-    until(lambda: answers(robot.server.port))
-
-
-def answers(port: int) -> bool:
-    """Whether a new client is answered; a full server closes it."""
-    with connected(port) as wire:
-        try:
-            return C3Client(wire).read("$MODE_OP") == "#EX"
-        except (EOFError, OSError):
-            return False
-
-
 def test_idle_clients_are_closed(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(c3_server, "IDLE_S", 0.05)
     with connected(robot.server.port) as wire, pytest.raises(EOFError):

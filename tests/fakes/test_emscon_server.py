@@ -3,7 +3,6 @@ from __future__ import annotations
 import contextlib
 import math
 import struct
-import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -270,22 +269,6 @@ def test_paced_measurement_can_be_stopped_and_is_busy_meanwhile(cell: Cell) -> N
         assert client.ask(49)[0] == OK
         assert client.ask(2)[0] == 1  # busy
         assert client.ask(52)[0] == OK
-
-
-def test_two_clients_at_once(ready: Tracker) -> None:
-    at = ready.at("F1")
-    ready.client.measure(*at)
-
-    def other() -> None:
-        with connected(ready.server.port) as wire:
-            for _ in range(50):
-                assert EmsconClient(wire).ask(2)[0] == OK
-
-    thread = threading.Thread(target=other)
-    thread.start()
-    for _ in range(20):
-        np.testing.assert_allclose(ready.client.measure(*at)[:3], at, atol=0.06)
-    thread.join()
 
 
 def test_news_of_the_air_come_glued_to_every_seventh_result(ready: Tracker) -> None:

@@ -20,7 +20,7 @@ from hilcell.geometry.kinematics import Array
 from tests.fakes.wires import EmsconClient, connected
 
 START, STOP, MODE, PARAMETERS, GET_PARAMETERS = 49, 52, 24, 30, 31
-OK, BUSY, NOT_IMPLEMENTED, OUT_OF_RANGE = 0, 1, 2, 12
+OK, OUT_OF_RANGE = 0, 12
 READY, BEAM_LOST = 27, 25
 
 
@@ -177,14 +177,6 @@ def test_a_sample_s_truth_is_that_of_its_own_time(tracker: Streaming) -> None:
     np.testing.assert_allclose(found_mm, [at_mm for _, at_mm in seen], atol=1e-9)
 
 
-def test_a_number_of_points_ends_by_itself(tracker: Streaming) -> None:
-    tracker.start(points=17)
-    tracker.pass_time(5.0)
-    times_s, _, _ = tracker.until(8, READY)
-    assert len(times_s) == 17
-    assert tracker.client.ask(MODE, "I", 0)[0] == OK
-
-
 def test_a_broken_beam_ends_it_with_a_status_change(tracker: Streaming) -> None:
     tracker.start()
     tracker.faults.set("tracker.stream_break", after=20)
@@ -224,12 +216,6 @@ def test_while_it_streams_a_poll_is_an_exchange(tracker: Streaming) -> None:
     before_s = tracker.time.now_s()
     robot.poll()
     assert tracker.time.now_s() - before_s > 10 * EXCHANGE_S
-
-
-def test_what_a_tracker_does_not_stream(cell: Cell) -> None:
-    device = EmsconDevice(cell, Plant(cell, 1, PlantTime(), Faults()).tracker, Faults())
-    (packet,) = device.handle(struct.pack("<IIII", 16, 0, MODE, 1)).packets
-    assert struct.unpack_from("<IIII", packet) == (16, 1, MODE, NOT_IMPLEMENTED)
 
 
 def test_an_impossible_separation_is_refused(tracker: Streaming) -> None:

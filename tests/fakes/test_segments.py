@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import socket
 from types import SimpleNamespace
 
 import pytest
@@ -42,18 +41,7 @@ def test_nothing_is_lost_and_every_seventh_packet_is_split() -> None:
     assert len({len(piece) for piece in pieces}) > 5  # cut at many places
 
 
-def test_one_byte_is_not_split() -> None:
-    assert sent(SPLIT_EVERY, size=1) == [bytes([number]) for number in range(SPLIT_EVERY)]
-
-
 def test_the_delay_is_far_below_a_millisecond_on_average(pauses: list[float]) -> None:
     sent(2 * LATE_EVERY)
     assert pauses.count(LATE_S) == 2
     assert sum(pauses) / (2 * LATE_EVERY) < 1e-4
-
-
-def test_a_socket_is_what_it_sends_with() -> None:
-    near, far = socket.socketpair()
-    with near, far:
-        Segments(near).send(b"whole")
-        assert far.recv(10) == b"whole"
