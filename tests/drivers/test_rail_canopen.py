@@ -104,6 +104,12 @@ def test_targets_out_of_travel_never_leave(
     assert len(peer.frames(0x205)) == before
 
 
+def reset(peer: CanPeer) -> None:
+    """Let the drive boot, and be operational at once: its boot-up alone shows the reset."""
+    peer.send(0x705, b"\0")
+    peer.send(0x705, b"\5")
+
+
 MOTION_FAULTS: dict[str, tuple[Callable[[CanPeer], object], str]] = {
     "following error": (lambda p: setattr(p.axis, "bits", p.axis.bits | 0x2000), "HC-R26"),
     "limit": (lambda p: setattr(p.axis, "bits", p.axis.bits | 0x0800), "HC-R32"),
@@ -114,7 +120,7 @@ MOTION_FAULTS: dict[str, tuple[Callable[[CanPeer], object], str]] = {
     "power lost": (lambda p: setattr(p.axis, "state", DISABLED), "HC-R30"),
     "emcy": (lambda p: p.send(0x085, struct.pack("<HB5x", 0x7305, 1)), "HC-R24"),
     "strip emcy": (lambda p: p.send(0x086, struct.pack("<HB5x", 0x5000, 1)), "HC-R27"),
-    "reset": (lambda p: p.send(0x705, b"\0"), "HC-R03"),
+    "reset": (reset, "HC-R03"),
     "heartbeat": (lambda p: p.silent.update((DRIVE, STRIP)), "HC-R02"),
     "nmt stop": (lambda p: p.nmt.update({DRIVE: 0x04}), "HC-R03"),
     "freeze": (lambda p: setattr(p.axis, "frozen", True), "HC-R31"),
