@@ -15,7 +15,7 @@ from drivers.canopen.can_link import CanLink
 from drivers.canopen.cia402 import State
 from drivers.canopen.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.canopen.sdo import SdoChannel
-from drivers.standstill import Standstill, Windows
+from drivers.standstill import READINGS, Standstill, Windows
 from drivers.supervision import Patience
 from hilcell.ports import DeviceError
 
@@ -64,8 +64,9 @@ class Release:
 
     def _take_power(self, now: Snapshot) -> None:
         windows, passed_s = self._windows, time.monotonic() - self._began_s
-        # A busy PC looks seldom: time alone does not tell that the slide does not come to rest.
-        restless = passed_s > 2 * windows.dwell_s and self._looks > 2 * windows.polls
+        # A busy PC looks seldom: until it has looked as often as rest needs, time tells nothing.
+        # These looks fit into the deadline, however slow: a slide that creeps is always braked.
+        restless = passed_s > 2 * windows.dwell_s and self._looks >= READINGS
         if self._standstill.rest is not None:
             self._control(cia402.DISABLE_VOLTAGE)
         elif self._braked if self.by_sdo else self._image.stopped:

@@ -91,3 +91,15 @@ def test_close_stops_no_slide_that_stands_because_the_pc_looks_seldom(
     assert peer.axis.state == DISABLED
     assert not peer.quick_stopped.is_set()
     assert not rail.statistics().held_by_sdo
+
+
+def test_close_brakes_a_slide_that_creeps_also_where_the_pc_looks_seldom(
+    peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(release, "RELEASE_S", 5.0)  # the product's own
+    rail = holding(peer, time, standstill_dwell_s=0.2)
+    peer.on_sync = lambda: setattr(peer.axis, "position", peer.axis.position + 1000)
+    sleep = time.sleep
+    monkeypatch.setattr(time, "sleep", lambda s: sleep(s + 3.0))
+    rail.close()
+    assert peer.quick_stopped.is_set()
