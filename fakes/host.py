@@ -61,7 +61,7 @@ class ControlServer:
             "clear": self._clear,
             "truth": truth,
             "seat": lambda order: seat_at(seat, order),
-            "quit": self._leave,
+            "quit": lambda order: {"leaving": True},
         }
         self._listener = Listener("control", self._serve, limit=100, port=port)
         self.address = f"127.0.0.1:{self._listener.port}"
@@ -119,9 +119,6 @@ class ControlServer:
         if not name:
             self._restore()
         return {}
-
-    def _leave(self, order: Answer) -> Answer:
-        return {"leaving": True}
 
 
 def seat_at(seat: Callable[[str], None], order: Answer) -> Answer:

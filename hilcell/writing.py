@@ -89,13 +89,10 @@ def _mode(path: Path, inputs: list[Path]) -> int | None:
             raise NotWritten(f"{_name(path)} is a folder; name a file")
         if not os.access(path, os.W_OK):
             raise PermissionError(0, "Permission denied")
-    if stat.S_ISREG(found.st_mode) and any(_is_same(found, each) for each in inputs):
+    read = (each.stat() for each in inputs if each.exists())
+    if stat.S_ISREG(found.st_mode) and any(os.path.samestat(found, each) for each in read):
         raise NotWritten(f"{_name(path)} is what is read; write elsewhere")
     return found.st_mode
-
-
-def _is_same(found: os.stat_result, other: Path) -> bool:
-    return other.exists() and os.path.samestat(found, other.stat())
 
 
 def _place(path: Path) -> Path:

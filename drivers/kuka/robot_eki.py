@@ -170,7 +170,9 @@ class EkiController:
         with on_failure(self._line.close):
             # The stop must get through while the run is already stopping.
             self._stop_line = opened(options.stop_port, eki.STOPPED, _never, stop_probe)
-        self._keeper = KeepAlive((self._stop_line,), _probe)
+        self._keeper = KeepAlive(
+            (self._stop_line,), lambda line: line.ask(0, eki.stop_command(0, brake=False))
+        )
 
     def look(self) -> None:
         """Forget the last state, so that the next value asks for one."""
@@ -312,10 +314,6 @@ class KukaEkiRobot(SlidingKukaRobot):
 
     def __init__(self, options: Options, clock: Clock) -> None:
         super().__init__(options, clock, partial(EkiController, options))
-
-
-def _probe(line: EkiChannel) -> None:
-    line.ask(0, eki.stop_command(0, brake=False))
 
 
 def _never() -> None:

@@ -157,7 +157,7 @@ class KrlController:
             "$KR_SERIALNO": lambda: str(self._arm.serial),
             "$ROBNAME[]": lambda: '"HILCELL"',
             "$EX_AX_NUM": self._count_slides,
-            "$AXIS_JUS[7]": self._mastered,
+            "$AXIS_JUS[7]": lambda: boolean(self._faults.take("robot.slide_unmastered") is None),
             "$AXIS_ACT.E1": self._place,
             "$AXIS_ACT": lambda: self._position("$AXIS_ACT"),
             "$AXIS_ACT_MEAS": lambda: self._position("$AXIS_ACT_MEAS"),
@@ -233,9 +233,6 @@ class KrlController:
 
     def _count_slides(self) -> str:
         return str(int(self._slide is not None and self._faults.take("robot.no_slide") is None))
-
-    def _mastered(self) -> str:
-        return boolean(self._faults.take("robot.slide_unmastered") is None)
 
     def _place(self) -> str:
         if self._slide is None:

@@ -8,6 +8,7 @@ queue, acts by the variables of the robot program hilcell.src, and answers with 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from xml.parsers import expat
 
 from fakes.faults import Faults
@@ -100,15 +101,15 @@ class EkiProgram:
 
     def command(self, values: dict[str, str]) -> bytes:
         """Act by a command; return the state."""
-        acts = {
-            "1": self._move,
+        acts: dict[str, Callable[[dict[str, str]], None]] = {
+            "1": lambda _: self._start("1", {axis: float(values[axis]) for axis in AXES}, values),
             "2": lambda _: self._controller.write("HC_STOP", "TRUE"),
             "3": lambda _: self._controller.write("HC_STOP", "FALSE"),
             "4": self._lower,
             "5": self._give_back,
             "6": lambda _: self._controller.write("HC_HELD", "TRUE"),
             "7": lambda _: self._controller.write("HC_HELD", "FALSE"),
-            "8": self._move_slide,
+            "8": lambda _: self._start("2", {"E1": float(values["E1"])}, values),
         }
         if int(values["Life"]) > 0:
             self._controller.write("$TIMER[10]", "-" + values["Life"])
@@ -124,12 +125,6 @@ class EkiProgram:
         if values["Brake"] == "1":
             self._controller.write("HC_STOP", "TRUE")
         return _document("RobotStopState", {"Command": {"Id": values["Id"]}})
-
-    def _move(self, values: dict[str, str]) -> None:
-        self._start("1", {axis: float(values[axis]) for axis in AXES}, values)
-
-    def _move_slide(self, values: dict[str, str]) -> None:
-        self._start("2", {"E1": float(values["E1"])}, values)
 
     def _start(self, command: str, target: dict[str, float], values: dict[str, str]) -> None:
         for name, text in (

@@ -199,7 +199,7 @@ class TrackerTruth:
         return self._sizes.radial_um * 1e-3, self._sizes.across_um_m * 1e-6 * range_mm
 
     def _in_range(self, at_mm: Array) -> bool:
-        return self._range_mm[0] <= _length(at_mm) <= self._range_mm[1]
+        return self._range_mm[0] <= math.sqrt(at_mm.dot(at_mm)) <= self._range_mm[1]
 
     def _slow_drift_mm(self) -> Array:
         angle = 2 * math.pi * self._measured * MEASUREMENT_S / DRIFT_PERIOD_S
@@ -211,8 +211,3 @@ class TrackerTruth:
 def _coarse(xyz_mm: list[float]) -> str:
     """Return a key that a slide which lands a few micrometres off does not change."""
     return ",".join(f"{value / 10.0:.0f}" for value in xyz_mm)
-
-
-def _length(vector_mm: Array) -> float:
-    """Return the length of a vector (3,)."""
-    return math.sqrt(vector_mm.dot(vector_mm))

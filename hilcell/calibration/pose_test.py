@@ -84,9 +84,10 @@ def pose_test(log: Log) -> dict[str, Any]:
     cell, clouds, used = log.cell, attained(log), calibration_in(log)
     corrected_by = "" if used is None else used.provenance.latest
     poses = {
-        name: _pose(log, name, _figures(each), corrected=bool(corrected_by))
-        for name, each in clouds.items()
-    }
+        name: _pose(log, name, pose_figures(at.nominal_mm + at.error_mm, at.nominal_mm[0]),
+                    corrected=bool(corrected_by))
+        for name, at in clouds.items()
+    }  # fmt: skip
     distance, turns = _distance(log, clouds), _turns(log)
     worst = {key: max(poses, key=lambda name: poses[name][f"{key}_mm"]) for key in ("ap", "rp")}
     found = {
@@ -114,10 +115,6 @@ def pose_test(log: Log) -> dict[str, Any]:
     names = [f"{key}_limit_mm" for key in LIMITS] + [f"{key}_limit_deg" for key in TURN_LIMITS]
     limits = {name: getattr(cell.iso9283, name) for name in names}
     return found | {"limits": {key: value for key, value in limits.items() if value is not None}}
-
-
-def _figures(visits: Errors) -> PoseFigures:
-    return pose_figures(visits.nominal_mm + visits.error_mm, visits.nominal_mm[0])
 
 
 def _pose(log: Log, name: str, found: PoseFigures, *, corrected: bool) -> dict[str, Any]:

@@ -286,9 +286,10 @@ def _resume_live(folder: Path, args: argparse.Namespace) -> int:
     if not somebody:
         check_word(folder.name, awaited_motion(log), log)
     if somebody or not (status.unattended or status.screens):
+        waits_for = str(log.life[-1].body.get("reason", "")) if log.life else ""
         if not somebody:
             check_unasked(folder.name, log, procedure, args)
-        elif not under_way and not agrees(folder.name, log, procedure, [], _waits_for(log)):
+        elif not under_way and not agrees(folder.name, log, procedure, [], waits_for):
             return EXIT_ABORTED
     if under_way:
         _order_retakes(folder, args)
@@ -304,11 +305,6 @@ def _resume_live(folder: Path, args: argparse.Namespace) -> int:
 def _order_retakes(folder: Path, args: argparse.Namespace) -> None:
     for key in args.retake:
         order(folder, "retake", key=key)
-
-
-def _waits_for(log: Log) -> str:
-    """Return what a live run that is paused waits for, where it says so."""
-    return str(log.life[-1].body.get("reason", "")) if log.life else ""
 
 
 def _perform(

@@ -225,10 +225,8 @@ class SimulatedBench(Bench):
     @property
     def _rides(self) -> bool:
         """Whether the driver's wire is, in part, the robot's."""
-        return issubclass(load_entry(GROUPS[self.port], self._driver(self.port)), RidesOnRobot)
-
-    def _driver(self, port: str) -> str:
-        return str(getattr(self.cell, port).driver)
+        driver = str(getattr(self.cell, self.port).driver)
+        return issubclass(load_entry(GROUPS[self.port], driver), RidesOnRobot)
 
     def _settings(self, port: str) -> Settings:
         self._start()

@@ -16,10 +16,6 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-def _zeros() -> Array:
-    return np.zeros(6)
-
-
 @dataclass(frozen=True)
 class Arm:
     """Link parameters of six rows, each (6,), and the tool point's frame (4, 4) on the flange."""
@@ -30,7 +26,7 @@ class Arm:
     offset_rad: Array
     sign: Array
     tool: Array
-    beta_rad: Array = field(default_factory=_zeros)
+    beta_rad: Array = field(default_factory=lambda: np.zeros(6))
 
     @cached_property
     def link_parts(self) -> tuple[Array, Array, Array]:

@@ -284,7 +284,7 @@ class Journal:
 
 def plain_body(body: dict[str, Any], what: str, then: str = "") -> tuple[dict[str, Any], bytes]:
     """Return a record's body in plain types, and its JSON; raises `NotFinite` that names it."""
-    plain: dict[str, Any] = msgspec.to_builtins(body, enc_hook=_plain)
+    plain: dict[str, Any] = msgspec.to_builtins(body, enc_hook=lambda value: value.tolist())
     text = msgspec.json.encode(plain)
     if NULL in text and (bad := _not_finite(plain)):
         raise NotFinite(
@@ -292,11 +292,6 @@ def plain_body(body: dict[str, Any], what: str, then: str = "") -> tuple[dict[st
             f"the device that it came from{then}"
         )
     return plain, text
-
-
-def _plain(value: Any) -> Any:
-    """Turn numpy arrays and scalars into plain numbers."""
-    return value.tolist()
 
 
 def _not_finite(value: Any) -> str:

@@ -66,7 +66,7 @@ def read_holes(path: Path) -> Holes:
         raise SettingsError(str(path), [problem])
     values = np.array(rows.values)
     by_normal = rows.header == NORMALS
-    tools = tools_against(values[:, 3:]) if by_normal else _tools_of(values[:, 3:])
+    tools = tools_against(values[:, 3:]) if by_normal else from_zyx(values[:, 3:])[:, None]
     return Holes(rows.names, values[:, :3], tools)
 
 
@@ -105,10 +105,6 @@ def tools_against(normals: Array) -> Array:
     turns = from_rotvec(angles_rad[:, None] * [0.0, 0.0, 1.0])
     tools: Array = np.einsum("nij,kjl->nkil", first, turns)
     return tools
-
-
-def _tools_of(angles_deg: Array) -> Array:
-    return from_zyx(angles_deg)[:, None]
 
 
 def _fault_of(header: list[str], values: list[float]) -> str:

@@ -129,7 +129,8 @@ def _state(
         "last_ended": ended,
     }
     if not current:
-        last = max((row for row in since if row.name in known), key=_order, default=None)
+        ended_here = (row for row in since if row.name in known)
+        last = max(ended_here, key=lambda row: row.order, default=None)
         condition = known[last.name].text if last is not None else NONE
         return msgspec.convert(common | {"condition": condition}, CellState)
     made = next(datetime.fromisoformat(row.ended) for row in since if row.name == current)
@@ -145,7 +146,3 @@ def _state(
         "days_left": round((until - now) / timedelta(days=1), 1),
     }
     return msgspec.convert(common | more, CellState)
-
-
-def _order(row: RunRow) -> tuple[str, str, str]:
-    return row.order

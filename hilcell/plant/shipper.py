@@ -211,7 +211,7 @@ def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _:
     database.check()
     done = Shipped()
     seen = _Seen(runs)
-    rows = sorted(read_index(runs), key=_order)
+    rows = sorted(read_index(runs), key=lambda row: row.order)
     here = seen.known(rows)
     for row in _missing(rows, database, here, done):
         try:
@@ -284,10 +284,6 @@ def _of_run(run: str, reason: str) -> str:
 def _ended(records: Sequence[Record]) -> int:
     """Return the index of the first end of a run that is over."""
     return next((n for n, record in enumerate(records) if record.kind == "end"), 0)
-
-
-def _order(row: RunRow) -> tuple[str, str, str]:
-    return row.order
 
 
 def _missing(

@@ -239,7 +239,7 @@ def _statements(facts: Facts) -> Iterator[Element]:
     valid = "; ".join(f"{each.name}: {each.words}" for each in validity_facts(facts))
     yield _statement(f"Valid for: {valid}.")
     yield _statement(f"Decision rule: {conformity_words(facts)}.", "ISO 14253-1",
-                     conformity=_overall(facts))  # fmt: skip
+                     conformity=CONFORMITY.get(verdict_word(facts).lower()))  # fmt: skip
     yield _statement(f"Before and after adjustment: {adjustment_words(facts)}.")
     yield _statement("The results relate only to the item described and to its state when it was "
                      "measured. No accreditation is claimed by the software.")  # fmt: skip
@@ -254,11 +254,6 @@ def _statement(words: str, norm: str = "", **facts: str | None) -> Element:
 
 def _given(name: str, value: str | None) -> Element | None:
     return dcc(name, value) if value else None
-
-
-def _overall(facts: Facts) -> str | None:
-    """Return whether the item conforms; a simulated one does to nothing."""
-    return CONFORMITY.get(verdict_word(facts).lower())
 
 
 # -- results ---------------------------------------------------------------------------------------

@@ -268,7 +268,8 @@ def xlsx_bytes(facts: Facts) -> bytes:
             _write_row(sheet, 0, list(headers), [bold] * len(headers))
             for number, row in enumerate(rows, start=1):
                 keys = headers if headers[1:] != ["value"] else [str(row[0])] * 2
-                _write_row(sheet, number, row, [styles.get(_form(key)) for key in keys])
+                forms = [_FORMS.get(key.rpartition("_")[2], "General") for key in keys]
+                _write_row(sheet, number, row, [styles.get(form) for form in forms])
             if name != COMPARED:
                 sheet.autofilter(0, 0, max(1, len(rows)), len(headers) - 1)
             elif rows:
@@ -289,10 +290,6 @@ _FORMS = {
     "percent": "0.0",
     "s": "0.000",
 }
-
-
-def _form(key: str) -> str:
-    return _FORMS.get(key.rpartition("_")[2], "General")
 
 
 def _write_row(sheet: Any, number: int, row: Row, styles: Sequence[Any]) -> None:

@@ -138,10 +138,6 @@ def _lengths(body: Body) -> str:
     return "; ".join(each.text for each in found)
 
 
-def _suspicions(body: Body) -> str:
-    return "; ".join(body["suspected"]) or "nothing is suspected"
-
-
 def _found(what: str) -> Callable[[Body], str]:
     return lambda body: f"{what} {body['found_mm']:.4f} mm, wanted <= {body['limit_mm']:g} mm"
 
@@ -158,7 +154,7 @@ FIGURES: dict[str, Callable[[Body], str]] = {
     ISO: _pose_test,
     "orientation": _orientation,
     "known-length": _lengths,
-    "suspicions": _suspicions,
+    "suspicions": lambda body: "; ".join(body["suspected"]) or "nothing is suspected",
     "backlash": _found("backlash"),
     "station-repeatability": _found("largest range of positions held by the strip"),
     "touch": lambda body: f"touched at {body['station']}",

@@ -100,10 +100,6 @@ def _performed(act: Callable[[], object], session: CellSession) -> bool:
 Table = tuple[list[str], list[list[str]]]
 
 
-def _no_words(result: dict[str, Any]) -> str:
-    return ""
-
-
 @dataclass(frozen=True, slots=True)
 class Procedure:
     """Acts in their order, found by name through the entry points ``hilcell.procedures``.
@@ -118,7 +114,7 @@ class Procedure:
     summary: str
     parts: tuple[Part, ...]
     table: Callable[[dict[str, Any]], Table]
-    words: Callable[[dict[str, Any]], str] = _no_words
+    words: Callable[[dict[str, Any]], str] = lambda result: ""
     uses: str = ""
     may_use: str = ""
     of_rail: bool = False

@@ -145,7 +145,9 @@ class _Reader:
                 f"its tool is {self.tool.text} (line {self.tool.line}): it must be the calibrated "
                 "one, {T}"
             )
-        aside = dict.fromkeys(str(each.line) for each in self._relative if _is_aside(each))
+        aside = dict.fromkeys(
+            str(each.line) for each in self._relative if each.shift_mm[:2] != each.from_mm[:2]
+        )
         if aside:
             remarks.append(
                 f"strokes that are not along z of the tool, the drill's axis in {{T}}: line "
@@ -319,11 +321,6 @@ def _target(tokens: Sequence[Token]) -> tuple[Sequence[Token], Sequence[Token]]:
     elif len(tokens) > 2 and tokens[2].text == "[":
         end = closing(tokens, 2) + 1
     return tokens[1:end], tokens[end:]
-
-
-def _is_aside(stroke: Relative) -> bool:
-    """Whether a stroke leads aside from z of the tool."""
-    return stroke.shift_mm[:2] != stroke.from_mm[:2]
 
 
 def _is_header(statement: Statement) -> bool:

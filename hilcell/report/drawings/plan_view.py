@@ -35,9 +35,8 @@ def along_of(cell: Cell) -> Array:
 class _Plan:
     def __init__(self, cell: Cell, tracker_mm: Array) -> None:
         self._cell, self._tracker_mm = cell, np.asarray(tracker_mm)[:2]
-        self._rail_mm = np.array(
-            [cell.layout.nominal_base(at)[:2, 3] for at in _ends(cell)], dtype=float
-        )
+        ends_mm = cell.rail.travel_min_mm, cell.rail.travel_max_mm
+        self._rail_mm = np.array([cell.layout.nominal_base(at)[:2, 3] for at in ends_mm])
         self._floor = [(nest.name, nest.xyz_mm[:2]) for nest in cell.layout.floor]
         shown: list[Array] = [
             self._rail_corners(),
@@ -172,7 +171,3 @@ class _Plan:
     def _line(self, begin_mm: Array, end_mm: Array, style: str) -> str:
         (x1, y1), (x2, y2) = self._at(begin_mm), self._at(end_mm)
         return f'<path d="M{x1:.2f} {y1:.2f}L{x2:.2f} {y2:.2f}" fill="none" {style}/>'
-
-
-def _ends(cell: Cell) -> tuple[float, float]:
-    return cell.rail.travel_min_mm, cell.rail.travel_max_mm

@@ -53,10 +53,6 @@ class Canvas:
         if 0 <= half < 2 * self.height and 0 <= column < self.width:
             self._halves[half][column] = ink
 
-    def has_marks(self, row: int, column: int) -> bool:
-        """Whether a cell holds a mark."""
-        return self._pair(row, column) != (NONE, NONE)
-
     def lines(self) -> list[Content]:
         """Return the rows as styled text."""
         return [self._line(row) for row in range(self.height)]

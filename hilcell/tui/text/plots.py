@@ -296,25 +296,13 @@ def _stations(of: Measured) -> tuple[str, ...]:
     return "", *of.errors.stations
 
 
-def _stops(of: Measured) -> tuple[str, ...]:
-    return "", *of.strip_mm
-
-
-def _no_picks(of: Measured) -> tuple[str, ...]:
-    return ("",)
-
-
-def _axes(of: Measured) -> tuple[str, ...]:
-    return of.swept
-
-
 @dataclass(frozen=True, slots=True)
 class Tab:
     """One plot of the page: its name, its drawing, what it can be turned to, its first scale."""
 
     name: str
     make: Callable[[Measured, str], Plot]
-    picks: Callable[[Measured], Sequence[str]]
+    picks: Callable[[Measured], Sequence[str]] = lambda of: ("",)
     is_log: bool = False
     may_be_log: bool = False
 
@@ -322,14 +310,14 @@ class Tab:
 TABS = (
     Tab("each target", errors_plot, _stations, is_log=True, may_be_log=True),
     Tab("sorted", sorted_plot, _stations, is_log=True, may_be_log=True),
-    Tab("repeatability", repeat_plot, _no_picks, may_be_log=True),
-    Tab("strip", strip_plot, _stops),
+    Tab("repeatability", repeat_plot, may_be_log=True),
+    Tab("strip", strip_plot, lambda of: ("", *of.strip_mm)),
 )
 OF_ROBOT = TABS[:-1]
-POSES = Tab("pose accuracy", poses_plot, _no_picks, may_be_log=True)
-RECHECKED = Tab("re-check", recheck_plot, _no_picks, may_be_log=True)
+POSES = Tab("pose accuracy", poses_plot, may_be_log=True)
+RECHECKED = Tab("re-check", recheck_plot, may_be_log=True)
 OF_PROCEDURE = {ISO: (POSES, TABS[2]), RECHECK: (RECHECKED,)}  # before that of the strip
-SWEEPS = Tab("sweeps", sweep_plot, _axes)
+SWEEPS = Tab("sweeps", sweep_plot, lambda of: of.swept)
 MOST_TABS = len(TABS) + 1
 
 

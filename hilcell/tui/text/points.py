@@ -164,17 +164,14 @@ def to_row(found: PointRow, waiting: Collection[str], width: int) -> Row:
     cells = [(name if stations else f"{name} {point.station}".rstrip(), "")]
     cells += [(point.station, "label")] if stations else []
     cells += _places(point, deviation) if width >= WIDE else []
-    errors = [""] * 3 if deviation is None else [_signed(each) for each in deviation.error_mm]
+    error_mm = () if deviation is None else deviation.error_mm
+    errors = [f"{each:+.3f}".replace("-", "−") for each in error_mm] or [""] * 3
     cells += [(each, "") for each in errors] if width >= FIGURES_FROM else []
     cells += [("" if deviation is None else figure(deviation.norm_mm), "*")]
     cells += [(_length(deviation), tone.removeprefix("*"))] if has_bars(width) else []
     cells += [(f"{rms(point.std_mm):.3f}", "label")] if width >= RMS_FROM else []
     texts, tones = zip(*cells, ("", ""), (said, tone), strict=True)
     return Row(point.key, texts, tones=tones)
-
-
-def _signed(value_mm: float) -> str:
-    return f"{value_mm:+.3f}".replace("-", "−")
 
 
 def _length(found: Deviation | None) -> str:

@@ -233,7 +233,8 @@ def _facts(
 ) -> list[Content]:
     """Return what is to be known of a run that passed; of one that failed, why and what to do."""
     if not found.passed and view.alarms:
-        return _advice(view, found, max(view.alarms, key=_severity), glyphs, width)
+        gravest_alarm = max(view.alarms, key=lambda alarm: SEVERITIES.index(alarm.severity))
+        return _advice(view, found, gravest_alarm, glyphs, width)
     sure = max(found.stations, key=lambda each: gravest(each.sure_mm))
     bound = f"below {sure.sure_mm:.3f} mm", f" at {_short(sure.name)}"
     floor = f"   floor: {found.floor_mm:.3f} mm" if math.isfinite(found.floor_mm) else ""
@@ -270,10 +271,6 @@ def _whole(width: int, *phrases: Content | tuple[str, str] | str) -> Content:
             break
         line = longer
     return line
-
-
-def _severity(alarm: Alarm) -> int:
-    return SEVERITIES.index(alarm.severity)
 
 
 def _advice(
