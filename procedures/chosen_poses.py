@@ -129,8 +129,7 @@ def _driven_rad(cell: Cell, drawn: Array, turn_deg: float) -> Array:
 
 def _places_mm(cell: Cell, shares: Array) -> Array:
     grid = grid_of(cell)
-    places: Array = grid.origin_mm + shares * (grid.far_mm - grid.origin_mm)
-    return places
+    return grid.origin_mm + shares * (grid.far_mm - grid.origin_mm)
 
 
 def _chosen(log: Log) -> dict[str, Any] | None:
@@ -143,5 +142,4 @@ def _spread(count: int, dimensions: int) -> Array:
     for _ in range(50):
         root = (1.0 + root) ** (1.0 / (dimensions + 1))
     steps = root ** -np.arange(1.0, dimensions + 1)
-    points: Array = (0.5 + np.outer(np.arange(1, count + 1), steps)) % 1.0
-    return points
+    return (0.5 + np.outer(np.arange(1, count + 1), steps)) % 1.0

@@ -69,8 +69,7 @@ def longest_work_piece(cell: Cell) -> Holes:
 
 
 def _tool(cell: Cell) -> Array:
-    tool: Array = cell.layout.nominal_base(0.0)[:3, :3] @ cell.grid.centre.matrix()[:3, :3]
-    return tool
+    return cell.layout.nominal_base(0.0)[:3, :3] @ cell.grid.centre.matrix()[:3, :3]
 
 
 def _reached(cell: Cell, points_mm: Array) -> NDArray[np.bool_]:

@@ -30,8 +30,7 @@ def more_orientations(cell: Cell) -> Array:
 
 def angles_deg(T_W_B: Array, poses: Array) -> Array:
     """Return A, B, C (N, 3) in {W} of poses (N, 4, 4) in {B}."""
-    found: Array = zyx_from_pose(T_W_B @ poses)[:, 3:]
-    return found
+    return zyx_from_pose(T_W_B @ poses)[:, 3:]
 
 
 def turned(poses: Array, turns_rad: Array) -> Array:

@@ -102,8 +102,7 @@ def worst_mm(log: Log) -> Array:
 
 def middle_mm(grid: Grid, cells: Array) -> Array:
     """Return the middles (N, 3) in {B} of cells given by their lowest vertices (N, 3)."""
-    middles: Array = grid.origin_mm + grid.pitch_mm * (cells + 0.5)
-    return middles
+    return grid.origin_mm + grid.pitch_mm * (cells + 0.5)
 
 
 def sign_table(result: dict[str, Any]) -> Table:

@@ -279,8 +279,7 @@ def slide_noise_mm2(log: Log, station: Station) -> Array:
     The noise is what all readings of the run so far have shown, at the nest.
     """
     R = log.matrix("world")[:3, :3]
-    noise_mm2: Array = R @ noise_at(run_noise(log), slide_points(log, station)) @ R.T
-    return noise_mm2
+    return R @ noise_at(run_noise(log), slide_points(log, station)) @ R.T
 
 
 def tool_uncertainty_mm(cell: Cell, fit: RigidFit) -> float:

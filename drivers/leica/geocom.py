@@ -219,5 +219,4 @@ def class_std_mm(xyz_mm: Array, along_mm: float, across_rad: float) -> Array:
     """Return the standard deviations (3,) at a position, of a length along and angles across."""
     range_mm = float(np.linalg.norm(xyz_mm))
     along_2 = (xyz_mm / range_mm) ** 2
-    found: Array = np.sqrt(along_mm**2 * along_2 + (across_rad * range_mm) ** 2 * (1 - along_2))
-    return found
+    return np.sqrt(along_mm**2 * along_2 + (across_rad * range_mm) ** 2 * (1 - along_2))

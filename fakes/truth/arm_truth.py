@@ -177,8 +177,7 @@ class ArmTruth:
         from_below = np.ones_like(commands_rad)
         at_mm = self.pose(commands_rad, from_below, np.zeros(6))[:, :3, 3]
         R, origin_mm = self.ideal_base[:3, :3], self.ideal_base[:3, 3]
-        errors: Array = (at_mm - origin_mm) @ R - targets_mm
-        return errors
+        return (at_mm - origin_mm) @ R - targets_mm
 
     def _settle(self, sizes: Errors, rng: np.random.Generator) -> None:
         """Draw until one draw, brought to its size, has no error that is too large."""
@@ -230,8 +229,7 @@ class ArmTruth:
         if share:
             ripple *= 1.0 + share * self._design.loads(joints_rad)
         bent = self._errors.deflection(joints_rad, self._design.slopes)
-        true: Array = joints_rad + self._errors.zero_rad + self._lost_rad + bent + ripple
-        return true
+        return joints_rad + self._errors.zero_rad + self._lost_rad + bent + ripple
 
     def _base_from_axes(self, axis_6_rad: Array) -> Array:
         """Return the ideal {B} in {R}, (4, 4), after section 4.2.

@@ -16,5 +16,4 @@ from fakes.truth.transforms import Array
 def flicker(key: bytes, look: int, size: int) -> Array:
     """Return (size,) between -1 and 1, always the same for one key and look."""
     digest = hashlib.blake2b(b"%d/%b" % (look, key), digest_size=size).digest()
-    found: Array = np.frombuffer(digest, dtype=np.uint8) / 127.5 - 1.0
-    return found
+    return np.frombuffer(digest, dtype=np.uint8) / 127.5 - 1.0

@@ -105,8 +105,7 @@ class Plant:
         joints_rad, side, landing_rad = self.robot.past(times_s)
         arm = self.arm.pose(joints_rad, side, landing_rad, self.tracker.warm_k) @ self._slipped
         tool = self.rail.slide_pose() @ self._bolted @ arm
-        at_mm: Array = tool[:, :3, 3] + tool[:, :3, :3] @ self._seats.get(name, np.zeros(3))
-        return at_mm
+        return tool[:, :3, 3] + tool[:, :3, :3] @ self._seats.get(name, np.zeros(3))
 
     def places_in_world(self) -> dict[str, Array]:
         """Return where a reflector (3,) in each nest and on the flange really is, in {W}."""
@@ -149,8 +148,7 @@ class Plant:
 
     def base_in_world(self) -> Array:
         """Return the base frame (4, 4) in {W} that a faultless section 4.2 would find now."""
-        base: Array = self.rail.slide_pose() @ self._bolted @ self.arm.ideal_base
-        return base
+        return self.rail.slide_pose() @ self._bolted @ self.arm.ideal_base
 
 
 def _landing(arm: ArmTruth, noise: KeyedNoise, key: str) -> Callable[[], Array]:

@@ -211,8 +211,7 @@ class RobotMotion:
         if self._standing is not None:
             return self._standing.joints_rad
         share = self._path.at(now_s)[0]
-        joints: Array = self._from + share * (self._to - self._from) if share < 1 else self._to
-        return joints
+        return self._from + share * (self._to - self._from) if share < 1 else self._to
 
 
 def _landed(moved: NDArray[np.bool_], draw: Draw, before: Landing) -> Landing:

@@ -121,8 +121,7 @@ def from_rows(
 
 
 def _at(T: Array, point_mm: Array) -> Array:
-    at_mm: Array = T[..., :3, :3] @ point_mm + T[..., :3, 3]
-    return at_mm
+    return T[..., :3, :3] @ point_mm + T[..., :3, 3]
 
 
 def _apart(found: Array, wanted: Array) -> Array:

@@ -45,8 +45,7 @@ class StreamTruth:
 
     def plant_s(self, device_s: Array) -> Array:
         """Return the plant times at which the tracker's clock shows times (N,)."""
-        found: Array = (device_s - self.offset_s) / (1.0 + self.drift)
-        return found
+        return (device_s - self.offset_s) / (1.0 + self.drift)
 
     def follow(self, name: str) -> Followed:
         """Follow a reflector. ``read`` takes device times (N,), returns readings (M, 3).

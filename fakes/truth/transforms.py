@@ -37,8 +37,7 @@ def turned_by(K: Array, squares: Array, angles_rad: Array) -> Array:
     """Return what `turned` does, for axes of which the `generators` are known."""
     sine = np.sin(angles_rad)[..., None, None]
     versine = (1.0 - np.cos(angles_rad))[..., None, None]
-    R: Array = UNTURNED + sine * K + versine * squares
-    return R
+    return UNTURNED + sine * K + versine * squares
 
 
 def rotation(vector_rad: Array) -> Array:
@@ -88,5 +87,4 @@ def inverse(T: Array) -> Array:
 
 def carried(T: Array, point_mm: Array) -> Array:
     """Return a point (3,) carried by a rigid motion (4, 4)."""
-    at_mm: Array = T[:3, :3] @ point_mm + T[:3, 3]
-    return at_mm
+    return T[:3, :3] @ point_mm + T[:3, 3]

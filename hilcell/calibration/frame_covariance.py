@@ -61,8 +61,7 @@ def _world_motions(log: Log, at_mm: Array) -> Callable[[int, Array], Array]:
         other_mm[nest] += step_mm
         T = before @ inverse(three_point_frame(*other_mm))
         turn = (T[:3, :3] @ T_W_L[:3, :3].T)[[2, 0, 1], [1, 2, 0]]
-        moved: Array = np.concatenate([apply(T, seen_mm)[0] - at_mm, turn])
-        return moved
+        return np.concatenate([apply(T, seen_mm)[0] - at_mm, turn])
 
     return motion
 
@@ -88,5 +87,4 @@ def hold_covariance(cell: Cell) -> Array:
     as the interlock lets it slip.
     """
     along = np.array(cell.layout.rail_direction)
-    covariance: Array = rectangular_variance(cell.rail.held_within_mm) * np.outer(along, along)
-    return covariance
+    return rectangular_variance(cell.rail.held_within_mm) * np.outer(along, along)

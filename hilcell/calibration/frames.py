@@ -84,8 +84,7 @@ class Frames:
             return at_mm
         growth = float(self._log.frames[f"touch.{station.name}"].get("growth", 0.0))
         centre_mm = self.cell.grid.centre.matrix()[:3, 3]
-        reached: Array = centre_mm + (at_mm - centre_mm) / (1.0 + growth)
-        return reached
+        return centre_mm + (at_mm - centre_mm) / (1.0 + growth)
 
     def base_by_three_points(self, station: Station) -> Array:
         """Return T_W_B (4, 4) as the paper has it: {S} from three points alone."""
@@ -103,8 +102,7 @@ class Frames:
     def tracker_from_world(self, xyz_mm: Array) -> Array:
         """Carry positions (N, 3) in {W} into the tracker's frame."""
         T_W_L = self.tracker_in_world()
-        carried: Array = (np.atleast_2d(xyz_mm) - T_W_L[:3, 3]) @ T_W_L[:3, :3]
-        return carried
+        return (np.atleast_2d(xyz_mm) - T_W_L[:3, 3]) @ T_W_L[:3, :3]
 
 
 def world_from_tracker(cell: Cell, measured_mm: Array) -> Array:

@@ -90,16 +90,14 @@ def motion(
     covariance[:3, :3] = shift_mm2 * np.eye(3) if np.ndim(shift_mm2) == 0 else shift_mm2
     covariance[3:6, 3:6] = turn_rad2 * np.eye(3) if np.ndim(turn_rad2) == 0 else turn_rad2
     covariance[6, 6] = growth
-    found: list[list[float]] = covariance.tolist()
-    return found
+    return covariance.tolist()
 
 
 def moved_frame(covariance: Array) -> list[list[float]]:
     """Return the covariance (7, 7) of a frame's (6, 6)."""
     whole = np.zeros((SIZE, SIZE))
     whole[:6, :6] = covariance
-    found: list[list[float]] = whole.tolist()
-    return found
+    return whole.tolist()
 
 
 class NoBound(HilcellError):

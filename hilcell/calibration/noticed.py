@@ -128,8 +128,7 @@ def _covariances_mm2(log: Log, points: list[Point]) -> Array:
     """Return the covariances (N, 3, 3) in {W} of readings, with the tracker's stated limits."""
     limits = systematic_mm2(log.cell.uncertainty, positions_mm(points))
     noise = covariances_mm2(points, log.matrix("world")[:3, :3])
-    found: Array = noise + limits[:, None, None] * np.eye(3)
-    return found
+    return noise + limits[:, None, None] * np.eye(3)
 
 
 def axis_6_radius_mm(arm: Arm) -> float:

@@ -64,8 +64,7 @@ class Turned:
     @property
     def angles_deg(self) -> Array:
         """Return by how much each target (N,) is turned."""
-        angles: Array = np.degrees(lengths_mm(self.error_rad))
-        return angles
+        return np.degrees(lengths_mm(self.error_rad))
 
     @property
     def noise_deg(self) -> float:
@@ -218,8 +217,7 @@ def check_turn_limit(cell: Cell) -> None:
 def _expanded_deg(covariances_rad2: Array) -> Array:
     """Return U (N,) along the axis of the largest variance of each covariance (N, 3, 3)."""
     u_rad = np.sqrt(np.linalg.eigvalsh(covariances_rad2)[:, -1])
-    expanded: Array = np.degrees([expanded_mm(each) for each in u_rad])
-    return expanded
+    return np.degrees([expanded_mm(each) for each in u_rad])
 
 
 def moved_on_flange_mm(log: Log) -> float:
@@ -330,5 +328,4 @@ def _bounds_deg(
     rest_rad2 = frames_rad2 + own_rad2
     traces = [np.trace(each, axis1=1, axis2=2) for each in (model_rad2, rest_rad2)]
     whole = effective_freedom(traces, [freedom, math.inf])
-    bounds: Array = np.degrees(bounds95_mm(model_rad2 + rest_rad2, whole))
-    return bounds
+    return np.degrees(bounds95_mm(model_rad2 + rest_rad2, whole))

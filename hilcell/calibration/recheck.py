@@ -69,8 +69,7 @@ class Rechecked:
         """Return the covariances (N, 3, 3) of the errors one by one."""
         count = len(self.own_mm2)
         blocks = self.covariance_mm2.reshape(count, 3, count, 3)
-        each: Array = np.moveaxis(np.diagonal(blocks, axis1=0, axis2=2), -1, 0)
-        return each
+        return np.moveaxis(np.diagonal(blocks, axis1=0, axis2=2), -1, 0)
 
 
 class ChiSquare(NamedTuple):
@@ -208,8 +207,7 @@ def _check(found: Rechecked) -> None:
 
 def motion_columns(targets_mm: Array) -> Array:
     """Return d(errors) / d(motion of the base), (3N, 6), at targets (N, 3) in {B}."""
-    columns: Array = motion_levers(targets_mm)[:, :, :MOTION].reshape(-1, MOTION)
-    return columns
+    return motion_levers(targets_mm)[:, :, :MOTION].reshape(-1, MOTION)
 
 
 def _test(chi2: float, freedom: int) -> ChiSquare:

@@ -131,8 +131,7 @@ def growth_covariance(log: Log, station: Station, points: list[Point]) -> Array:
     growth = log.cell.uncertainty.arm_growth_um_m_k * 1e-6 * _warmer_k(log, points)
     R = Frames(log.cell, log).base_in_world(station)[:3, :3]
     outwards = np.append(R @ log.cell.grid.centre.matrix()[:3, 3], [0.0, 0.0, 0.0, 1.0])
-    covariance: Array = rectangular_variance(growth) * np.outer(outwards, outwards)
-    return covariance
+    return rectangular_variance(growth) * np.outer(outwards, outwards)
 
 
 def _warmer_k(log: Log, points: list[Point]) -> float:

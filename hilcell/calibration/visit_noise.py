@@ -34,8 +34,7 @@ class VisitNoise:
         """Return the covariances (N, 3, 3) of single visits of points' poses, turned by ``R``
         (3, 3) from the tracker's frame.
         """
-        found: Array = R @ (self.robot_mm2 + noise_at(self.beam, points)) @ R.T
-        return found
+        return R @ (self.robot_mm2 + noise_at(self.beam, points)) @ R.T
 
 
 def visit_noise(log: Log) -> VisitNoise:

@@ -55,10 +55,7 @@ class Grid:
 
     def vertices_mm(self) -> Array:
         """Return all vertices (nx, ny, nz, 3)."""
-        vertices: Array = self.origin_mm + self.pitch_mm * np.moveaxis(
-            np.indices(self.shape), 0, -1
-        )
-        return vertices
+        return self.origin_mm + self.pitch_mm * np.moveaxis(np.indices(self.shape), 0, -1)
 
     def serpentine(self) -> Ints:
         """Return the indices (N, 3) in an order of visit whose every step is one pitch long."""

@@ -168,8 +168,7 @@ def _span(grid: Grid) -> Ints:
 
 def _wide_corners(grid: Grid, lows: Ints) -> Ints:
     """Return the corners (B, 8, 3) of the wide cells with these lowest vertices (B, 3)."""
-    corners: Ints = lows[:, None, :] + CORNERS * _span(grid)
-    return corners
+    return lows[:, None, :] + CORNERS * _span(grid)
 
 
 def _wide_cells(model: type[Interpolation], lattice: MeasuredGrid) -> tuple[Ints, Ints, Array]:
@@ -229,8 +228,7 @@ def check_covariance(name: str, found: Array, shape: tuple[int, ...]) -> None:
 
 
 def _at(values: Array, indices: Ints) -> Array:
-    picked: Array = values[indices[..., 0], indices[..., 1], indices[..., 2]]
-    return picked
+    return values[indices[..., 0], indices[..., 1], indices[..., 2]]
 
 
 def _missing(errors: Array) -> str:

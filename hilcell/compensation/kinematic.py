@@ -356,8 +356,7 @@ def _left_out_mm(estimate: Estimate) -> Array:
     """Return measured less predicted (M, 3) of the poses learnt from."""
     fold = np.arange(len(estimate.readings)) % FOLDS
     folds = [np.flatnonzero(fold == each).astype(np.int_) for each in range(FOLDS)]
-    left: Array = estimate.system.left_out_mm(folds)[:, 0][~estimate.outliers[:, 0]]
-    return left
+    return estimate.system.left_out_mm(folds)[:, 0][~estimate.outliers[:, 0]]
 
 
 def _robot(entry: RobotEntry) -> NominalRobot:

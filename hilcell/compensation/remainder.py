@@ -242,15 +242,13 @@ def _members(places: Array) -> list[Ints]:
 def _places(poses: Array) -> Array:
     """Return features (N, 12) whose distance is that of places, and of rotations by the lever."""
     turned = poses[:, :3, :3].reshape(-1, 9) * (LEVER_MM / np.sqrt(2.0))
-    places: Array = np.concatenate([poses[:, :3, 3], turned], axis=1)
-    return places
+    return np.concatenate([poses[:, :3, 3], turned], axis=1)
 
 
 def _alike(first: Array, second: Array) -> Array:
     """Return the correlations (3N, 3M) of the model's errors at places (N, 12), (M, 12)."""
     squares = np.square(first[:, None] - second).sum(axis=-1)
-    alike: Array = np.kron(np.exp(-squares / (2 * CLOSE_MM**2)), np.eye(3))
-    return alike
+    return np.kron(np.exp(-squares / (2 * CLOSE_MM**2)), np.eye(3))
 
 
 def _most_probable(passes: Sequence[Pass], stated_mm2: float) -> float:

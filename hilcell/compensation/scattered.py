@@ -71,8 +71,7 @@ def _blended(points_mm: Array, errors_mm: Array, targets_mm: Array) -> Array:
 
 
 def _mean_square_mm2(misses_mm: Array) -> Array:
-    square: Array = misses_mm.T @ misses_mm / len(misses_mm)
-    return square
+    return misses_mm.T @ misses_mm / len(misses_mm)
 
 
 def _everywhere(error_mm: Array, covariance_mm2: Array) -> Prediction:

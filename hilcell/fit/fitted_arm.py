@@ -57,8 +57,7 @@ class Poses:
 
     def by_row(self, values: Array) -> Array:
         """Return values (M, K, ...) row by row (N, ...)."""
-        rows: Array = values[self.at[:, 0], self.at[:, 1]]
-        return rows
+        return values[self.at[:, 0], self.at[:, 1]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +109,7 @@ class FittedArm:
     @property
     def outliers(self) -> Bools:
         """Return which rows (N,) contradict the others."""
-        outliers: Bools = self.estimate.outliers[self.poses.at[:, 0], self.poses.at[:, 1]]
-        return outliers
+        return self.estimate.outliers[self.poses.at[:, 0], self.poses.at[:, 1]]
 
     def predict(self, rows: Measurements) -> tuple[Array, Array]:
         """Return the rows' positions (N, 3) in the tracker's frame, and the covariances (N, 3, 3)

@@ -62,8 +62,7 @@ class Reach:
 
     def poses(self, joints_rad: Array) -> Array:
         """Return the tool's frames in the root (N, 4, 4)."""
-        reached: Array = self.base @ forward(self.arm, joints_rad)
-        return reached
+        return self.base @ forward(self.arm, joints_rad)
 
     def joints(self, poses: Array, names: Sequence[str]) -> Array:
         """Return nominal joints (N, 6) for poses in the root, in the posture that was measured.
@@ -133,8 +132,7 @@ class Reach:
         # |A - B| of rotations is 2 sqrt 2 times the sine of half the angle between them.
         turn = (poses[:, None, :3, :3] - known[:, :3, :3]) * TURN_MM / np.sqrt(2.0)
         distance = np.sum(shift**2, axis=-1) + np.sum(turn**2, axis=(-2, -1))
-        nearest: Array = self.known_rad[np.argsort(distance, axis=1)[:, :STARTS]]
-        return nearest
+        return self.known_rad[np.argsort(distance, axis=1)[:, :STARTS]]
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,8 +44,7 @@ def chain_forward(chain: Chain, joints_rad: Array) -> Array:
     pose = links[..., 0, :, :]
     for joint in range(1, 6):
         pose = pose @ links[..., joint, :, :]
-    reached: Array = pose @ chain.tip
-    return reached
+    return pose @ chain.tip
 
 
 def arm_of(chain: Chain) -> tuple[Array, Arm]:
@@ -151,5 +150,4 @@ def _turn(start: Array, end: Array) -> Array:
         aside /= np.linalg.norm(aside)
         return _turn(-start, end) @ (2.0 * np.outer(aside, aside) - np.eye(3))
     K = cross_matrix(np.cross(start, end))
-    turn: Array = np.eye(3) + K + K @ K / (1.0 + cosine)
-    return turn
+    return np.eye(3) + K + K @ K / (1.0 + cosine)

@@ -116,8 +116,7 @@ class Body:
     def travel_mm(self, start: Array, end: Array) -> Array:
         """Return how far (N, C) any point of a capsule's segment can travel in {W} at most."""
         way = np.abs(end - start)
-        bound: Array = way[:, :1] + way[:, 1:] @ self._levers_mm.T
-        return bound
+        return way[:, :1] + way[:, 1:] @ self._levers_mm.T
 
     @cached_property
     def _boxes(self) -> tuple[Boxes, Array]:

@@ -63,8 +63,7 @@ def joint_lines(arm: Arm, link: int) -> Array:
     corners += [arm.tool[:3, 3]] if link == 6 else []
     pairs = list(pairwise(corners))
     long = [pair for pair in pairs if np.linalg.norm(pair[1] - pair[0]) > 0.0]
-    segments: Array = np.array(long or pairs[:1])
-    return segments
+    return np.array(long or pairs[:1])
 
 
 def _tilted(arm: Arm, row: int) -> Array:
@@ -80,8 +79,7 @@ def placed_mm(arm: Arm, capsules: Capsules, joints_rad: Array) -> Array:
         frames[:, row] = frames[:, row - 1] @ frames[:, row]
     carried = frames[:, capsules.link - 1]
     turned = capsules.ends_mm @ carried[..., :3, :3].swapaxes(-1, -2)
-    ends: Array = turned + carried[:, :, None, :3, 3]
-    return ends
+    return turned + carried[:, :, None, :3, 3]
 
 
 def levers_mm(arm: Arm, capsules: Capsules) -> Array:

@@ -123,8 +123,7 @@ def _ahead_parallel_mm(arm: Arm, joints_rad: Array) -> Array:
     """Return how far the point on axis 5 lies along link 1's x, (...)."""
     links = link_transforms(arm, joints_rad)
     at = links[..., 1, :, :] @ links[..., 2, :, :] @ links[..., 3, :, :] @ links[..., 4, :, :]
-    found: Array = at[..., 0, 3]
-    return found
+    return at[..., 0, 3]
 
 
 # -- both ------------------------------------------------------------------------------------------

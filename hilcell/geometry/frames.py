@@ -56,8 +56,7 @@ def inverse(T: Array) -> Array:
 
 def apply(T: Array, points: ArrayLike) -> Array:
     """Carry points (N, 3) by one rigid motion (4, 4)."""
-    carried: Array = np.asarray(points, dtype=float) @ T[:3, :3].T + T[:3, 3]
-    return carried
+    return np.asarray(points, dtype=float) @ T[:3, :3].T + T[:3, 3]
 
 
 def apply_each(T: Array, points: Array) -> Array:
@@ -158,16 +157,12 @@ def motion_levers(places_mm: Array) -> Array:
     ``places_mm`` (N, 3) are in the frame that moves: shift in mm, rotation in rad, growth a ratio.
     """
     shifts = np.broadcast_to(np.eye(3), (len(places_mm), 3, 3))
-    levers: Array = np.concatenate(
-        [shifts, -cross_matrix(places_mm), places_mm[:, :, None]], axis=-1
-    )
-    return levers
+    return np.concatenate([shifts, -cross_matrix(places_mm), places_mm[:, :, None]], axis=-1)
 
 
 def unit(v: Array) -> Array:
     """Return a vector (3,) scaled to length 1."""
-    direction: Array = v / np.linalg.norm(v)
-    return direction
+    return v / np.linalg.norm(v)
 
 
 def checked_points(points: Array, what: str) -> Array:

@@ -48,8 +48,7 @@ def link_transforms(arm: Arm, joints_rad: Array) -> Array:
     """Return A_1..A_6 of eq 2, (..., 6, 4, 4), for ``joints_rad`` (..., 6)."""
     theta = (arm.sign * joints_rad + arm.offset_rad)[..., None, None]
     fixed, cosine, sine = arm.link_parts
-    links: Array = fixed + np.cos(theta) * cosine + np.sin(theta) * sine
-    return links
+    return fixed + np.cos(theta) * cosine + np.sin(theta) * sine
 
 
 def forward(arm: Arm, joints_rad: Array) -> Array:

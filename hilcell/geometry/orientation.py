@@ -31,5 +31,4 @@ def turn_levers(places_mm: Array, rotations: Array) -> Array:
     places = places_mm - places_mm.mean(axis=0)
     levers = cross_matrix(np.einsum("nij,kj->nki", rotations, places))
     inertia = -np.sum(levers @ levers, axis=1)
-    found: Array = np.linalg.inv(inertia)[:, None] @ levers
-    return found
+    return np.linalg.inv(inertia)[:, None] @ levers

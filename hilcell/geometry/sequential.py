@@ -82,8 +82,7 @@ class SequentialRule:
 
     def _rarely_above(self, count: int) -> Flags:
         """Return after each of ``count`` errors within the maximum whether they are enough."""
-        enough: Flags = (1.0 - self.share) ** np.arange(1, count + 1) <= self.accept_risk
-        return enough
+        return (1.0 - self.share) ** np.arange(1, count + 1) <= self.accept_risk
 
 
 def _won(gains: Array, risk: float) -> Flags:

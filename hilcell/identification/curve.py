@@ -33,8 +33,7 @@ class TransmissionCurve:
         """Return cosines and sines (..., 2K) at commanded angles (...)."""
         phase = self.cycles * (np.asarray(joint_rad, dtype=float)[..., None] + self.shift_rad)
         pairs = np.stack([np.cos(phase), np.sin(phase)], axis=-1)
-        basis: Array = pairs.reshape(*phase.shape[:-1], 2 * len(self.cycles))
-        return basis
+        return pairs.reshape(*phase.shape[:-1], 2 * len(self.cycles))
 
     def slope(self, joint_rad: Array) -> Array:
         """Return d(basis)/dq (..., 2K) at commanded angles (...)."""
@@ -44,5 +43,4 @@ class TransmissionCurve:
 
     def evaluate(self, joint_rad: Array) -> Array:
         """Return the joint's error (...) in rad at commanded angles (...)."""
-        error: Array = self.basis(joint_rad) @ self.amplitude_rad.ravel()
-        return error
+        return self.basis(joint_rad) @ self.amplitude_rad.ravel()

@@ -30,8 +30,7 @@ class Rows:
     def covariance_mm2(self, covariance: Array) -> Array:
         """Return the positions' covariances (M, 3, 3) by that of the parameters (P, P)."""
         J = self.by_parameter
-        total: Array = J @ covariance @ np.swapaxes(J, 1, 2) + self.noise_mm2
-        return total
+        return J @ covariance @ np.swapaxes(J, 1, 2) + self.noise_mm2
 
 
 @dataclass(frozen=True, eq=False)

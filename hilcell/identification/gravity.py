@@ -69,8 +69,7 @@ def tool_basis(arm: Arm, joints_rad: Array) -> Array:
 
 def _lever(axis: Array, link: Array) -> Array:
     """Return how fast a link's tip rises per turn about an axis: the cosine of its slope."""
-    lever: Array = axis[..., 0] * link[..., 1] - axis[..., 1] * link[..., 0]
-    return lever
+    return axis[..., 0] * link[..., 1] - axis[..., 1] * link[..., 0]
 
 
 def _direction(vectors: Array) -> Array:

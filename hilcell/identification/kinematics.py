@@ -126,8 +126,7 @@ class Kinematics:
         covariance = self._prior[1]
         sigma = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
         correlation = covariance / np.outer(sigma, sigma) + JITTER * np.eye(len(sigma))
-        root: Array = np.linalg.inv(np.linalg.cholesky(correlation)) / sigma
-        return root
+        return np.linalg.inv(np.linalg.cholesky(correlation)) / sigma
 
     @cached_property
     def _prior(self) -> tuple[Array, Array]:

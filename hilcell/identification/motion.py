@@ -131,8 +131,7 @@ class _Line:
     clock_s: float  # standard uncertainty of its time
 
     def at_rad(self, cell_s: Array) -> Array:
-        found: Array = self.middle_rad + self.speed_rad_s * (cell_s - self.middle_s)
-        return found
+        return self.middle_rad + self.speed_rad_s * (cell_s - self.middle_s)
 
 
 def _check_numbers(stream: SweepStream) -> None:

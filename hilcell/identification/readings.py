@@ -39,8 +39,7 @@ class Readings:
     @property
     def known(self) -> Bools:
         """Return which reflectors were measured (M, K)."""
-        known: Bools = np.asarray(np.isfinite(self.xyz_mm).all(axis=-1))
-        return known
+        return np.asarray(np.isfinite(self.xyz_mm).all(axis=-1))
 
     def at(self, poses: Ints | Bools) -> Self:
         """Return these poses only."""

@@ -30,8 +30,7 @@ def poses_of(joints_rad: Array) -> Ints:
             near = (np.abs(different - first) <= SAME_RAD).all(axis=1)
             number[near & (number < 0)] = count
             count += 1
-    found: Ints = number[of_row.ravel()]
-    return found
+    return number[of_row.ravel()]
 
 
 def count_poses(joints_rad: Array) -> int:
@@ -44,8 +43,7 @@ def places_of(joints_rad: Array) -> Array:
 
     One part of the order holds poses of the whole space.
     """
-    places: Array = np.asarray(poses_of(joints_rad) * GOLDEN % 1.0, dtype=float)
-    return places
+    return np.asarray(poses_of(joints_rad) * GOLDEN % 1.0, dtype=float)
 
 
 def folds_of(joints_rad: Array) -> Ints:

@@ -240,5 +240,4 @@ def _scales(estimate: Estimate, rows: Rows) -> Array:
         bounds=limits,
         options={"maxiter": STEPS, "ftol": GAIN},
     )
-    scales: Array = found.x
-    return scales
+    return found.x

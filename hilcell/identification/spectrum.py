@@ -67,8 +67,7 @@ class Records:
 
     def angle_rad(self, shift_rad: float) -> Array:
         """Return the joint (N,) from its middle, each direction shifted."""
-        found: Array = self.joint_rad + shift_rad * self.side - self.middle_rad
-        return found
+        return self.joint_rad + shift_rad * self.side - self.middle_rad
 
     @cached_property
     def ways(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -88,13 +87,11 @@ class Records:
 
     @cached_property
     def _smooth_products(self) -> Array:
-        found: Array = self.smooth.T @ self.smooth
-        return found
+        return self.smooth.T @ self.smooth
 
     @cached_property
     def _smooth_right(self) -> Array:
-        found: Array = self.smooth.T @ self.error_rad
-        return found
+        return self.smooth.T @ self.error_rad
 
     def equations(self, columns: Array) -> tuple[Array, Array]:
         """Return the normal equations of the error by smooth and more columns (N, Q).
@@ -108,8 +105,7 @@ class Records:
     def left_rad(self, columns: Array, found: Array) -> Array:
         """Return what smooth and more columns (N, Q) with coefficients (P + Q,) leave (N,)."""
         count = self.smooth.shape[1]
-        left: Array = self.error_rad - self.smooth @ found[:count] - columns @ found[count:]
-        return left
+        return self.error_rad - self.smooth @ found[:count] - columns @ found[count:]
 
     def frequencies(self, oversampled: int) -> Array:
         """Return frequencies (F,) in even steps, a part of a line's width apart."""
@@ -136,8 +132,7 @@ class Noise:
 
     def variance_rad2(self, cycles: Array) -> Array:
         """Return the variances (...) at frequencies (...)."""
-        found: Array = np.exp(_powers_of_log(cycles) @ self.coefficients)
-        return found
+        return np.exp(_powers_of_log(cycles) @ self.coefficients)
 
     def chance(self, score: float, cycles: float) -> float:
         """Return how likely noise has a power of ``score`` times its variance, or more.
@@ -324,8 +319,7 @@ def _solved(
 
 def _pairs(found: Array, count: int) -> Array:
     """Return cosines and sines (K, 2) of the lines that come first."""
-    pairs: Array = LINE_RAD * found[: 2 * count].reshape(-1, 2)
-    return pairs
+    return LINE_RAD * found[: 2 * count].reshape(-1, 2)
 
 
 def noise_of(powers_rad2: Array, cycles: Array) -> Noise:
@@ -435,5 +429,4 @@ def _covariance(known: Known, lines: Lines, noises: tuple[Noise, ...]) -> Array:
     block = (known.root.T @ known.root)[first:, first:] * LINE_RAD**2
     variance_rad2 = np.max([noise.variance_rad2(lines.cycles) for noise in noises], axis=0)
     sigma = np.repeat(np.sqrt(variance_rad2), 2)
-    found: Array = FREED * block * np.outer(sigma, sigma)
-    return found
+    return FREED * block * np.outer(sigma, sigma)

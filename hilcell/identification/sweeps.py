@@ -198,8 +198,7 @@ def _shown(records: Records, found: Found, curve: TransmissionCurve) -> Array:
     count = np.bincount(number)
     rows = [joint_rad, found.lines.left_rad + by_curve, by_curve]
     sums = np.stack([np.bincount(number, weights=row) for row in rows], axis=1)
-    shown: Array = sums[count > 0] / count[count > 0, None]
-    return shown
+    return sums[count > 0] / count[count > 0, None]
 
 
 def _spectrum(records: Records, found: Found) -> Array:

@@ -74,8 +74,7 @@ class System:
     @cached_property
     def _whitener(self) -> Array:
         """Return W (M, N, N) with W'W the inverse of the noise's covariance."""
-        whitener: Array = np.linalg.inv(np.linalg.cholesky(self.noise_mm2))
-        return whitener
+        return np.linalg.inv(np.linalg.cholesky(self.noise_mm2))
 
     @cached_property
     def _factor(self) -> tuple[Array, Array]:
@@ -111,8 +110,7 @@ class System:
     def covariance(self) -> Array:
         """Return the parameters' posterior covariance (P, P)."""
         inverse = np.linalg.inv(self._factor[0])
-        covariance: Array = inverse @ inverse.T
-        return covariance
+        return inverse @ inverse.T
 
     @cached_property
     def _precision_parts(self) -> tuple[Array, Array]:
@@ -133,8 +131,7 @@ class System:
     def precision(self) -> Array:
         """Return the blocks of P (M, N, N)."""
         inverse, S = self._precision_parts
-        blocks: Array = inverse - S @ np.swapaxes(S, 1, 2)
-        return blocks
+        return inverse - S @ np.swapaxes(S, 1, 2)
 
     @property
     def evidence(self) -> float:

@@ -381,8 +381,7 @@ class Log:
         known = self._computed.get(key)
         if known is None or known[0] != newest:
             known = self._computed[key] = (newest, compute(self, *args))
-        found: T = known[1]
-        return found
+        return known[1]
 
     @property
     def states(self) -> dict[str, str]:

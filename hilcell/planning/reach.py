@@ -103,8 +103,7 @@ def _range_limits_mm(cell: Cell) -> tuple[float, float]:
 
 def _in_range(cell: Cell, holes: Holes) -> Bools:
     range_mm, (low, high) = _range_mm(cell, holes), _range_limits_mm(cell)
-    seen: Bools = (range_mm >= low) & (range_mm <= high)
-    return seen
+    return (range_mm >= low) & (range_mm <= high)
 
 
 def _refuse_unreached(

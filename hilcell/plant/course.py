@@ -112,8 +112,7 @@ class _Fit:
 
 def _design(base: list[Array], steps: list[int]) -> Array:
     places = np.arange(len(base[0]))
-    design: Array = np.column_stack([*base, *((places >= at).astype(float) for at in steps)])
-    return design
+    return np.column_stack([*base, *((places >= at).astype(float) for at in steps)])
 
 
 def _fit(design: Array, values: Array) -> _Fit:

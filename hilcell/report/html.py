@@ -83,8 +83,7 @@ def corners_mm(cell: Cell, station: Station) -> Array:
     """Return the corners (8, 3) of a station's volume in {W}, of the nominal layout."""
     centre, half = cell.grid.centre.matrix()[:3, 3], np.array(cell.grid.size_mm) / 2
     signs = np.array(list(product((-1.0, 1.0), repeat=3)))
-    found: Array = apply(cell.layout.nominal_base(station.rail_mm), centre + signs * half)
-    return found
+    return apply(cell.layout.nominal_base(station.rail_mm), centre + signs * half)
 
 
 def volume_sheet(cell: Cell, tracker_mm: Array) -> Sheet | None:
@@ -355,8 +354,7 @@ def sentence(facts: Facts) -> str:
 def tracker_mm(facts: Facts) -> Array:
     """Return where the tracker stood in {W}, (3,)."""
     T = facts.log.matrix("world") if "world" in facts.log.frames else None
-    found: Array = (facts.cell.tracker.pose.matrix() if T is None else T)[:3, 3]
-    return found
+    return (facts.cell.tracker.pose.matrix() if T is None else T)[:3, 3]
 
 
 def measured(facts: Facts) -> str:

@@ -109,8 +109,7 @@ def _turns_deg(log: Log, key: str, seats: Array | None) -> list[float]:
     if seats is None or point is None or point.id.kind != "validate":
         return []
     tool = log.find(point.id.at_seat(1))
-    found: list[float] = turned_each_time(log, tool, seats).angles_deg.tolist() if tool else []
-    return found
+    return turned_each_time(log, tool, seats).angles_deg.tolist() if tool else []
 
 
 def _counted(log: Log, key: str) -> Point | None:

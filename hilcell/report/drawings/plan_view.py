@@ -28,8 +28,7 @@ def plan_view(cell: Cell, tracker_mm: Array, simulated: bool = False) -> str:
 def along_of(cell: Cell) -> Array:
     """Return the rail's direction (3,) in {W}; on the floor y of the base, x points to the work."""
     layout = cell.layout
-    found: Array = np.array(layout.rail_direction if cell.has_rail else layout.base.matrix()[:3, 1])
-    return found
+    return np.array(layout.rail_direction if cell.has_rail else layout.base.matrix()[:3, 1])
 
 
 class _Plan:
@@ -74,14 +73,12 @@ class _Plan:
             (centre.x_mm + x * half[0], centre.y_mm + y * half[1], centre.z_mm)
             for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))
         ]
-        found: Array = apply(self._cell.layout.nominal_base(station.rail_mm), corners)[:, :2]
-        return found
+        return apply(self._cell.layout.nominal_base(station.rail_mm), corners)[:, :2]
 
     def _across(self) -> Array:
         """Return half the rail's width (2,) as drawn, square to its direction."""
         along = along_of(self._cell)[:2]
-        found: Array = np.array([-along[1], along[0]]) * RAIL_WIDE_MM / 2
-        return found
+        return np.array([-along[1], along[0]]) * RAIL_WIDE_MM / 2
 
     def _rail_corners(self) -> Array:
         (begin, end), across = self._rail_mm, self._across()

@@ -143,5 +143,4 @@ async def run_command(*arguments: str) -> str:
 async def dry_run(request: RunRequest) -> dict[str, Any]:
     """Return the plan of an request; raises `HilcellError` with every refusal."""
     text = await run_command(*request.arguments(), "--dry-run", "--json")
-    plan: dict[str, Any] = msgspec.json.decode(text.splitlines()[0], type=dict[str, Any])
-    return plan
+    return msgspec.json.decode(text.splitlines()[0], type=dict[str, Any])

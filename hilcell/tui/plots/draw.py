@@ -164,8 +164,7 @@ def _halves(area: _Area, values: Array) -> Ints:
     for row, limit in area.limit_rows:
         over, under = (2 * row - 1, 2 * row + 2) if area.letters else (2 * row, 2 * row + 1)
         halves = np.where(values <= limit, np.maximum(halves, under), np.minimum(halves, over))
-    held: Ints = np.clip(halves, 0, 2 * area.height - 1)
-    return held
+    return np.clip(halves, 0, 2 * area.height - 1)
 
 
 def _series(area: _Area, series: Series) -> Bools:

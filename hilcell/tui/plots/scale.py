@@ -51,13 +51,11 @@ class Scale:
         if self.is_log:
             with np.errstate(divide="ignore", invalid="ignore"):
                 at, low, high = np.log(np.maximum(at, 0.0)), math.log(low), math.log(high)
-        found: Array = np.clip((at - low) / (high - low), 0.0, 1.0)
-        return found
+        return np.clip((at - low) / (high - low), 0.0, 1.0)
 
     def rows(self, values: Array, height: int) -> Array:
         """Return the depths (N,) of values in rows from the top; a tick is at a row's middle."""
-        found: Array = (1.0 - self.share(values)) * (height - 1) + 0.5
-        return found
+        return (1.0 - self.share(values)) * (height - 1) + 0.5
 
     def ticks(self, height: int) -> list[tuple[int, float]]:
         """Return row and value of each tick, from the top; fewer where rows are few."""

@@ -228,8 +228,7 @@ def recheck_plot(of: Measured, pick: str = "") -> Plot:
 
 
 def _joined(arrays: Iterable[Array]) -> Array:
-    found: Array = np.concatenate([np.zeros(0), *arrays])
-    return found
+    return np.concatenate([np.zeros(0), *arrays])
 
 
 def repeat_plot(of: Measured, pick: str = "") -> Plot:
