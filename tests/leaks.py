@@ -23,7 +23,7 @@ def no_leaks() -> Iterator[None]:
     if open_files() - files:
         gc.collect()
     left += sorted(f"file {place}" for _, place in open_files() - files)
-    left += [f"process {pid}: {command}" for pid, command in children() - processes]
+    left += [f"process {pid}: {words}" for pid, words in children().items() if pid not in processes]
     if left:
         raise AssertionError("left behind: " + "; ".join(left))
 
@@ -48,14 +48,17 @@ def open_files() -> set[tuple[int, str]]:
     return found
 
 
-def children() -> set[tuple[int, str]]:
-    """Return the processes that this one has started and that are there, also dead ones."""
-    found = set()
+def children() -> dict[int, str]:
+    """Return the command of each process that this one has started, also of dead ones.
+
+    A process has its starter's command until it executes its own.
+    """
+    found = {}
     with suppress(FileNotFoundError):
         for task in Path("/proc/self/task").iterdir():
             with suppress(FileNotFoundError):
                 for pid in (task / "children").read_text().split():
                     with suppress(FileNotFoundError):
                         words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
-                        found.add((int(pid), b" ".join(words).decode(errors="replace")[:120]))
+                        found[int(pid)] = b" ".join(words).decode(errors="replace")[:120]
     return found

@@ -12,6 +12,10 @@ from tests.whole.bench import SMALL, Engine, command, end_of, events, sets, simu
 from tests.whole.trace import judge
 
 E1 = {"rail.driver": "kuka-e1"}
+FAR_MM = 2600.0  # the first motion, the slowest there is: all else is quick in fast paced time
+SLOW = E1 | {
+    "rail.speed_mm_s": "20.0", "survey.from_mm": f"{FAR_MM}", "survey.to_mm": f"{FAR_MM + 400}"
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("procedure", ["sign-check", *sweep("calibrate")])
@@ -36,9 +40,8 @@ def test_a_small_calibration_ends_in_tolerance(
 
 @pytest.mark.wall
 def test_a_killed_engine_leaves_a_slide_that_brakes_by_itself(tmp_path: Path) -> None:
-    slow = E1 | {"rail.speed_mm_s": "20.0"}
-    with simulation(8.0, values=slow) as cell:
-        words = sets(slow | {"simulation.address": cell.control})
+    with simulation(20.0, values=SLOW) as cell:
+        words = sets(SLOW | {"simulation.address": cell.control})
         engine = Engine("run", "rail-survey", "--runs", tmp_path, "--unattended", *words)
         engine.until(lambda event: event.get("action") == "rail.move")
         port = int(cell.addresses["robot"]["port"])
@@ -57,17 +60,16 @@ def test_a_killed_engine_leaves_a_slide_that_brakes_by_itself(tmp_path: Path) ->
         assert abs(target_mm - places[-1]) > 5.0
         line.close()
         again = Engine("resume", engine.run, "--runs", tmp_path, "--unattended")
-        again.until(lambda event: event.get("position_mm") == 100.0)
+        again.until(lambda event: event.get("position_mm") == FAR_MM)
         again.kill()
 
 
 @pytest.mark.wall
 def test_a_slide_that_runs_too_fast_is_stopped(tmp_path: Path) -> None:
     """In paced time: in stepped time a poll lets a third of the motion pass."""
-    slow = E1 | {"rail.speed_mm_s": "50.0"}
-    with simulation(4.0, values=slow) as cell:
+    with simulation(20.0, values=SLOW) as cell:
         cell.ask(do="fault", name="robot.slide_fast", value=8.0, count=0)
-        words = sets(slow | {"simulation.address": cell.control})
+        words = sets(SLOW | {"simulation.address": cell.control})
         done = command("run", "rail-survey", "--runs", tmp_path, "--json", "--unattended", *words)
     end = end_of(done)
     assert (end["exit"], end["error"]["code"]) == (3, "HC-R33")

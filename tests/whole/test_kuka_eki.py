@@ -12,8 +12,10 @@ import pytest
 
 from hilcell.ports import Array
 from tests.whole.bench import Engine, Simulation, command, end_of, sets, simulation
+from tests.whole.stations import TOTAL_STATION
 
 EKI = {"robot.driver": "kuka-eki"}
+QUICK = EKI | TOTAL_STATION  # in paced time a laser tracker starts for half a minute
 MOVE = 1
 SLOW = {"robot.speed_percent": "1"}
 PLACE = 'Percent="50" Life="%d"><Pos A1="%g" A2="-90" A3="90" A4="0" A5="60" A6="0" E1="0"/>'
@@ -43,11 +45,11 @@ def flange_mm(cell: Simulation) -> Array:
 @pytest.mark.wall
 def test_a_killed_engine_leaves_a_braked_robot_and_resume_goes_on(tmp_path: Path) -> None:
     """The cell is ten times as fast as a real one; the controller's timer counts real time."""
-    with simulation(10.0, EKI, truth=True) as cell:
+    with simulation(10.0, QUICK, truth=True) as cell:
         found = ask(cell, 7, MOVE, 40.0)
         while found["Finished_Id"] != "7":
             found = ask(cell, -1)
-        values = EKI | SLOW | {"simulation.address": cell.control}
+        values = QUICK | SLOW | {"simulation.address": cell.control}
         begun_mm = flange_mm(cell)
         engine = Engine("run", "home", "--unattended", "--runs", tmp_path, *sets(values))
         engine.until(lambda event: event.get("action") == "robot.park")

@@ -103,8 +103,9 @@ def test_a_shipped_driver_keeps_every_promise(
 def test_a_robot_s_driver_keeps_what_needs_deadlines() -> None:
     with Trial(load_cell("paper"), "robot") as trial:
         promises = [each for each in promises_of("robot") if not at_once(each)]
-        trial.begin(promises)
-        outcomes = [trial.judge(each) for each in promises]
+        trial.begin(promises)  # those that wait; meanwhile the others are judged
+        in_turn = sorted(promises, key=lambda promise: promise.waits)
+        outcomes = [trial.judge(each) for each in in_turn]
     assert [each for each in outcomes if each.verdict != "held"] == []
 
 
@@ -148,7 +149,11 @@ def test_a_broken_driver_breaks_what_is_judged_at_once(port: Port) -> None:
 @pytest.mark.wall
 def test_a_broken_driver_breaks_its_promise() -> None:
     """Those that need deadlines; those that wait for the driver to give up are for the night."""
-    assert kept("robot", ["client-killed", "stop-at-once", "stop-rests", "slow"]) == []
+    kind = BROKEN["robot"]["client-killed"]
+    with Trial(load_cell("paper"), "robot", kind=kind) as goes_on:
+        goes_on.begin(promises := [named("robot", "client-killed")])
+        assert kept("robot", ["stop-at-once", "stop-rests", "slow"]) == []
+        assert [goes_on.judge(each).verdict for each in promises] == ["broken"]
 
 
 @pytest.mark.nightly
