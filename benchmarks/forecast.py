@@ -32,9 +32,9 @@ def forecasts(records: list[Record]) -> Iterator[tuple[float, float]]:
         gap = moment(following) - moment(record)
         for share in (0.0, 0.5, 1.0):
             now = moment(record) + share * gap
-            total_s = forecast.total_s(now)
-            error = float("inf") if total_s is None else total_s / took_s - 1.0
-            yield forecast.elapsed_s(now) / took_s, error
+            worked_s, left_s = forecast.elapsed_s(now), forecast.remaining_s(now)
+            error = float("inf") if left_s is None else (worked_s + left_s) / took_s - 1.0
+            yield worked_s / took_s, error
 
 
 def worst_after(begin: float, records: list[Record]) -> float:

@@ -85,13 +85,6 @@ def controller_version(payload: bytes) -> str:
     return ".".join(map(str, struct.unpack(">4I", payload)))
 
 
-def text_of(payload: bytes) -> str:
-    """Return the message of a text package."""
-    if not payload or len(payload) < 1 + payload[0]:
-        raise RtdeError("a text package without its text")
-    return payload[1 : 1 + payload[0]].decode("utf-8", "replace")
-
-
 @dataclass(frozen=True)
 class Recipe:
     """Fields of data packages in their order, with their types, under the controller's number."""

@@ -23,7 +23,6 @@ MM = 1000.0
 TURN_S, AIM_S, DISTANCE_S, ANGLE_S = 0.6, 0.4, 1.5, 0.1
 SIGHT_RAD = 1e-3  # beside which the distance meter still hits a prism
 APART_RAD = 1e-3  # two targets closer than this are several to the target recognition
-DAY_S = 86_400.0
 
 OK, INVALID, NOT_IMPLEMENTED, ABORTED, BUSY = 0, 2, 5, 8, 13
 TILTED, INACCURATE, ANGLES_ONLY, DISTANCE_ERROR = 22, 1284, 1285, 1292

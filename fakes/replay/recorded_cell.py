@@ -24,7 +24,6 @@ from hilcell.ports import RecordingEnded, Stopped
 from hilcell.wire.record import addressed
 from hilcell.wire.recording import CLOCK, Piece, ended_with, looks
 
-NO_PORTS: Mapping[str, int] = {}
 ENDED = "HC-C26"
 EXIT_FAULT, EXIT_ABORTED = 3, 4  # of the recorded run
 ACT = "use the procedure, cell and settings of the recorded run, or record it again"

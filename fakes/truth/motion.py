@@ -98,8 +98,3 @@ class Path:
         low = bisect_right(self._starts_s, after_s)
         high = bisect_right(self._starts_s, until_s)
         return [segment.position for segment in self._segments[low:high]]
-
-
-def travel_s(distance: float, speed: float, acceleration: float) -> float:
-    """Return how long a trapezoid takes."""
-    return Path(0.0, 0.0).travel(distance, speed, acceleration).end_s

@@ -15,7 +15,6 @@ from hilcell.compensation.grid import Grid, MeasuredGrid
 from hilcell.compensation.measured import Measured, OtherReflectors, StaticPoses
 from hilcell.compensation.outliers import outlying
 from hilcell.compensation.similarity import Pairs, similarity_pairs
-from hilcell.compensation.transfer import base_at
 from hilcell.geometry.frames import apply, inverse, three_point_frame
 from hilcell.journal.log import Log, Point, commanded_rad, covariances_mm2, positions_mm
 from hilcell.journal.point_id import PointId
@@ -23,6 +22,16 @@ from hilcell.journal.set_ups import world_key
 from hilcell.ports import Array
 
 ORIENTED = "oriented"  # kind of a grid's vertex in another orientation than the grid's
+
+
+def base_at(T_W_S1: Array, T_W_Si: Array, T_W_B1: Array) -> Array:
+    """Return {B} in {W} (4, 4) at station i from {B} at station 1: the slide is rigid, it rides.
+
+    Eqs 11-13 and 17 in their corrected form; the constant frame of {B} in {S} cancels. Nominal
+    targets ride along as measured data do: data alone would lose the rail's offset, as if it were
+    an error of the robot.
+    """
+    return T_W_Si @ inverse(T_W_S1) @ T_W_B1
 
 
 class Frames:

@@ -23,12 +23,6 @@ class SimilarityError(HilcellError):
     code = "HC-C21"
 
 
-def similarity(first_mm: ArrayLike, second_mm: ArrayLike) -> Array:
-    """Return eq 8's similarity (...) in 1/mm of errors (..., 3); infinite where they are equal."""
-    difference = np.linalg.norm(np.asarray(first_mm) - np.asarray(second_mm), axis=-1)
-    return _inverted(difference)
-
-
 @dataclass(frozen=True, slots=True)
 class Pairs:
     """Every two of a set of poses: distances of joints and of tool points, difference of errors.

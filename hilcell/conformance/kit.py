@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 from hilcell.cell.devices import TABLES
 from hilcell.cell.file import Cell, load_cell
 from hilcell.conformance import connecting, rail, reading, robot, tracker, wire_faults
-from hilcell.conformance.promise import Outcome, Promise
-from hilcell.conformance.trial import Trial
+from hilcell.conformance.promise import Promise
 from hilcell.conformance.verdicts import PORTS, Port
 
 PROMISES: tuple[Promise, ...] = (
@@ -37,10 +36,3 @@ def driver_cell(where: str, port: Port, driver: str, sets: Mapping[str, str]) ->
 def promises_of(port: Port) -> list[Promise]:
     """Return the promises of a port, in the order in which they are judged."""
     return [promise for promise in PROMISES if port in promise.ports]
-
-
-def judge_all(port: Port, trial: Trial) -> Iterator[Outcome]:
-    """Yield what each promise of a port has found."""
-    trial.begin(promises_of(port))
-    for promise in promises_of(port):
-        yield trial.judge(promise)

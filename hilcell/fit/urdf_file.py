@@ -32,7 +32,6 @@ from hilcell.geometry.statistics import lengths_mm
 PARTS = ("origin", "parent", "child", "axis", "limit", "mimic")
 TAG = re.compile(rb"""<[^"'>]*(?:"[^"]*"[^"'>]*|'[^']*'[^"'>]*)*>""")
 SPACE = re.compile(rb"\s*")
-LINE = 96  # columns of a comment
 
 
 class NotUrdf(ValueError):

@@ -18,7 +18,6 @@ import numpy as np
 
 from hilcell.geometry.frames import cross_matrix, inverse, matrix
 from hilcell.geometry.kinematics import Arm, Array, link_transforms
-from hilcell.geometry.rotations import from_rotvec
 
 NEARLY_PARALLEL = 0.1  # sine of the angle between axes: below it Hayati's form is used
 NO_LENGTH_MM = 1e-10  # rounding, whose direction means nothing
@@ -32,19 +31,6 @@ class Chain:
     origins: Array
     axes: Array
     tip: Array
-
-
-def chain_forward(chain: Chain, joints_rad: Array) -> Array:
-    """Return the tip's frame in the root link, (..., 4, 4), for ``joints_rad`` (..., 6)."""
-    joints = np.asarray(joints_rad, dtype=float)
-    turns = np.zeros((*joints.shape, 4, 4))
-    turns[..., :3, :3] = from_rotvec(chain.axes * joints[..., None])
-    turns[..., 3, 3] = 1.0
-    links = chain.origins @ turns
-    pose = links[..., 0, :, :]
-    for joint in range(1, 6):
-        pose = pose @ links[..., joint, :, :]
-    return pose @ chain.tip
 
 
 def arm_of(chain: Chain) -> tuple[Array, Arm]:

@@ -48,7 +48,12 @@ def link_errors(arm: Arm) -> Array:
 
 
 def tool_and_jacobian(arm: Arm, joints_rad: ArrayLike) -> tuple[Array, Array]:
-    """Return {T} in {B}, (..., 4, 4), as `forward` does, and `tool_jacobian`."""
+    """Return {T} in {B}, (..., 4, 4), as `forward` does, and how each of `PARAMETERS` moves it.
+
+    d(shift in mm, rotation vector in rad)/d(`PARAMETERS`), (..., 6, 33), axes of {T}: the columns
+    are d^n and delta^n of eq 7, link by link ``U_{i+1}^-1 deltaA_i U_{i+1}`` of eq 6, for joints
+    (..., 6).
+    """
     links = link_transforms(arm, np.asarray(joints_rad, dtype=float))
     errors = link_errors(arm)
     shape = links.shape[:-3]
@@ -62,17 +67,8 @@ def tool_and_jacobian(arm: Arm, joints_rad: ArrayLike) -> tuple[Array, Array]:
     return U, columns
 
 
-def tool_jacobian(arm: Arm, joints_rad: ArrayLike) -> Array:
-    """Return d(shift in mm, rotation vector in rad)/d(`PARAMETERS`), (..., 6, 33), axes of {T}.
-
-    The columns are d^n and delta^n of eq 7, link by link ``U_{i+1}^-1 deltaA_i U_{i+1}`` of
-    eq 6, for joints (..., 6).
-    """
-    return tool_and_jacobian(arm, joints_rad)[1]
-
-
 def parameter_jacobian(arm: Arm, joints_rad: ArrayLike) -> Array:
-    """Return `tool_jacobian` with the axes of {B}, (..., 6, 33): d in {B} is R_T d^n."""
+    """Return the columns with the axes of {B}, (..., 6, 33): d in {B} is R_T d^n."""
     T, turned = tool_and_jacobian(arm, joints_rad)
     R = T[..., :3, :3]
     turned[..., :3, :] = R @ turned[..., :3, :]

@@ -193,11 +193,6 @@ class Forecast:
         rests_s = [self._rest_s(step, passed_s if step is here else 0.0) for step in ahead]
         return sum(rests_s) + (CLOSING_S if ahead else 0.0)
 
-    def total_s(self, now: datetime) -> float | None:
-        """Return how long it will have worked in the end, or None while that is unknown."""
-        remaining_s = self.remaining_s(now)
-        return None if remaining_s is None else self.elapsed_s(now) + remaining_s
-
     def ahead(self, now: datetime) -> list[Ahead]:
         """Return what is to come, part by part, in real seconds; nothing while that is unknown."""
         if not self._steps or not self._pace.known:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from fakes.truth.motion import Path, travel_s
+from fakes.truth.motion import Path
 
 numbers = st.floats(0.01, 1000.0)
 
@@ -23,8 +23,8 @@ def test_trapezoid_by_hand() -> None:
 
 
 def test_short_move_is_a_triangle() -> None:
-    assert travel_s(10.0, 1000.0, 10.0) == pytest.approx(2.0)
     path = Path(0.0, 0.0).travel(-10.0, 1000.0, 10.0)
+    assert path.end_s == pytest.approx(2.0)
     assert path.at(1.0) == pytest.approx((-5.0, -10.0))
 
 

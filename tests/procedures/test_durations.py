@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fakes.time import PlantTime
-from fakes.truth.motion import travel_s
+from fakes.truth.motion import Path
 from fakes.truth.robot_motion import RobotMotion
 from hilcell.cell.file import Station, load_cell
 from hilcell.run.procedure import Step
@@ -57,9 +57,8 @@ def test_the_slides_travel_takes_what_its_trapezoid_takes(distance_mm: float, ba
     rail = CELL.rail
     planned_s = durations.rail_travel_s(CELL, -distance_mm if back else distance_mm)
     planned_s -= durations.SEEN_S + rail.standstill_dwell_s
-    assert planned_s == pytest.approx(
-        travel_s(distance_mm, rail.speed_mm_s, rail.acceleration_mm_s2)
-    )
+    path = Path(0.0, 0.0).travel(distance_mm, rail.speed_mm_s, rail.acceleration_mm_s2)
+    assert planned_s == pytest.approx(path.end_s)
 
 
 def test_a_farther_station_takes_longer_and_the_robot_is_parked_first() -> None:

@@ -13,7 +13,6 @@ from hilcell.fit.methods import FitResult, Fitted, fitted
 from hilcell.fit.robot_file import Measurements, read_measurements
 from hilcell.fit.robot_targets import write_joints, write_poses
 from hilcell.fit.urdf_file import Urdf, read_urdf
-from hilcell.geometry.chain import chain_forward
 from hilcell.geometry.frames import (
     apply,
     inverse,
@@ -28,6 +27,7 @@ from tests.hilcell.commands.test_fit import write_rows
 from tests.hilcell.commands.workplace import read_corrected
 from tests.hilcell.fit.test_fit import IRB120
 from tests.hilcell.fit.urdfs import PLAIN
+from tests.hilcell.geometry.chains import chain_forward
 from tests.whole.bench import command
 
 T_L_B = pose_from_zyx(2200, -150, -600, 170, 2, -1)

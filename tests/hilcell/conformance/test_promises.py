@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from hilcell.cell.file import load_cell
-from hilcell.conformance.kit import PROMISES, driver_cell, judge_all, promises_of
+from hilcell.conformance.kit import PROMISES, driver_cell, promises_of
 from hilcell.conformance.page import renewed
 from hilcell.conformance.promise import Outcome, Promise
 from hilcell.conformance.trial import Trial
@@ -94,7 +94,7 @@ def test_a_shipped_driver_keeps_every_promise(
     port: Port, name: str, cell: str, others: list[str]
 ) -> None:
     with Trial(driver_cell(cell, port, name, {}), port) as trial:
-        outcomes = list(judge_all(port, trial))
+        outcomes = judge_all(port, trial)
     assert [each for each in outcomes if each.verdict == "broken"] == []
     assert {each.promise for each in outcomes if each.verdict != "held"} == {*others}
 
@@ -126,6 +126,11 @@ def test_a_rail_keeps_every_promise_over_other_wires(driver: str, wires: dict[st
     sets = {f"rail.options.{key}": value for key, value in wires.items()}
     with Trial(driver_cell("paper", "rail", driver, sets), "rail") as trial:
         assert [each for each in judge_all("rail", trial) if each.verdict != "held"] == []
+
+
+def judge_all(port: Port, trial: Trial) -> list[Outcome]:
+    trial.begin(promises_of(port))
+    return [trial.judge(promise) for promise in promises_of(port)]
 
 
 def kept(port: Port, names: list[str]) -> list[str]:

@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from hilcell.geometry.chain import Chain, arm_of, beside, chain_forward, chain_of
+from hilcell.geometry.chain import Chain, arm_of, beside, chain_of
 from hilcell.geometry.frames import matrix
 from hilcell.geometry.kinematics import Arm, Array, forward
+from tests.hilcell.geometry.chains import chain_forward
 from tests.hilcell.geometry.test_kinematics import arm_of as random_arm
 
 EXACT = 1e-9  # mm, and of a rotation's elements
@@ -39,19 +40,6 @@ def _unit(rng: np.random.Generator) -> Array:
 
 def joints_of(rng: np.random.Generator) -> Array:
     return rng.uniform(-np.pi, np.pi, (5, 6))
-
-
-@given(SEEDS)
-def test_a_chain_moves_as_its_parts_one_by_one(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    chain, joints = random_chain(rng), joints_of(rng)
-    for q, found in zip(joints, chain_forward(chain, joints), strict=True):
-        pose = np.eye(4)
-        for origin, axis, angle in zip(chain.origins, chain.axes, q, strict=True):
-            turn = np.eye(4)
-            turn[:3, :3] = Rotation.from_rotvec(angle * axis).as_matrix()
-            pose = pose @ origin @ turn
-        np.testing.assert_allclose(found, pose @ chain.tip, atol=EXACT)
 
 
 @given(SEEDS)

@@ -16,7 +16,7 @@ from hilcell.geometry.jacobian import (
     PARAMETERS,
     link_errors,
     parameter_jacobian,
-    tool_jacobian,
+    tool_and_jacobian,
 )
 from hilcell.geometry.kinematics import Arm, forward, link_transforms
 from tests.hilcell.geometry.test_kinematics import arm_of
@@ -118,7 +118,7 @@ def test_axes_of_the_tool_and_of_the_base(seed: int) -> None:
     rng = np.random.default_rng(seed)
     arm, joints = arm_of(rng), rng.uniform(-np.pi, np.pi, 6)
     R = forward(arm, joints)[:3, :3]
-    here, there = tool_jacobian(arm, joints), parameter_jacobian(arm, joints)
+    here, there = tool_and_jacobian(arm, joints)[1], parameter_jacobian(arm, joints)
     np.testing.assert_allclose(R @ here[:3], there[:3], atol=1e-9)
     np.testing.assert_allclose(R @ here[3:], there[3:], atol=1e-12)
 

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilcell.compensation.transfer import base_at, ride, transferred
+from hilcell.calibration.frames import base_at
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, rigid_fit, three_point_frame
 
 angle = st.floats(-180, 180)
@@ -21,9 +21,8 @@ def test_station_frames_carry_measured_data(
     """The rail moves the slide by any rigid motion; all that station 1 measured rides along."""
     in_base = np.random.default_rng(seed).uniform(-2000, 2000, (10, 3))
     T_W_Bi = move @ T_W_B1
-    nominal, actual = transferred(
-        T_W_B1 @ T_B_S, T_W_Bi @ T_B_S, apply(T_W_B1, in_base), apply(T_W_B1, in_base + 1.0)
-    )
+    rides = base_at(T_W_B1 @ T_B_S, T_W_Bi @ T_B_S, np.eye(4))
+    nominal, actual = (apply(rides @ T_W_B1, points) for points in (in_base, in_base + 1.0))
     np.testing.assert_allclose(nominal, apply(T_W_Bi, in_base), atol=1e-7)
     np.testing.assert_allclose(actual, apply(T_W_Bi, in_base + 1.0), atol=1e-7)
 
@@ -35,7 +34,7 @@ def test_equation_13_and_equation_17_agree(
     points = np.random.default_rng(seed).uniform(-2000, 2000, (10, 3))
     T_W_Bi = move @ T_W_B1
     by_base = apply(T_W_Bi @ inverse(T_W_B1), points)
-    by_station = apply(ride(T_W_B1 @ T_B_S, T_W_Bi @ T_B_S), points)
+    by_station = apply(base_at(T_W_B1 @ T_B_S, T_W_Bi @ T_B_S, np.eye(4)), points)
     np.testing.assert_allclose(by_station, by_base, atol=1e-7)
     np.testing.assert_allclose(base_at(T_W_B1 @ T_B_S, T_W_Bi @ T_B_S, T_W_B1), T_W_Bi, atol=1e-7)
 
@@ -43,16 +42,6 @@ def test_equation_13_and_equation_17_agree(
 @given(poses, poses)
 def test_three_points_and_best_fit_frames_carry_alike(T_W_B1: np.ndarray, move: np.ndarray) -> None:
     first, there = apply(T_W_B1, SLIDE), apply(move @ T_W_B1, SLIDE)
-    by_three = ride(three_point_frame(*first[:3]), three_point_frame(*there[:3]))
+    one, other = three_point_frame(*first[:3]), three_point_frame(*there[:3])
+    by_three = base_at(one, other, np.eye(4))
     np.testing.assert_allclose(by_three, rigid_fit(first, there).T, atol=1e-7)
-
-
-@given(poses, poses, seeds)
-def test_errors_keep_their_size_and_turn_with_the_slide(
-    T_W_S1: np.ndarray, T_W_Si: np.ndarray, seed: int
-) -> None:
-    rng = np.random.default_rng(seed)
-    nominal, error = rng.uniform(-2000, 2000, (10, 3)), rng.normal(0, 1, (10, 3))
-    moved_nominal, moved_actual = transferred(T_W_S1, T_W_Si, nominal, nominal + error)
-    R = ride(T_W_S1, T_W_Si)[:3, :3]
-    np.testing.assert_allclose(moved_actual - moved_nominal, error @ R.T, atol=1e-7)
