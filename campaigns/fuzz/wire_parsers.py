@@ -111,7 +111,6 @@ def packages(data: bytes) -> None:
                 rtde.Recipe.from_answer(INPUTS, payload).lacking(rtde.IN_USE)
             elif kind == rtde.Kind.CONTROLLER_VERSION:
                 rtde.controller_version(payload)
-
             elif kind == rtde.Kind.DATA and recipe is not None:
                 state_from(recipe.decode(payload), 0.0, 0.0)
             elif kind in (rtde.Kind.VERSION, rtde.Kind.START):
