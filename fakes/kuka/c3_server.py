@@ -19,9 +19,8 @@ from fakes.kuka.external_axis import external_axis
 from fakes.kuka.krl import KrlError
 from fakes.motion_faults import Harms
 from fakes.site import Site
-from fakes.wires.answers import RECEIVE, Answers
 from fakes.wires.listener import HOST, Listener
-from fakes.wires.segments import Segments
+from fakes.wires.segments import RECEIVE, Answers, Segments
 
 READ, WRITE = 0, 1
 IDLE_S = 30.0

@@ -17,9 +17,8 @@ from fakes.kuka.eki_program import RECEIVED, STOP_RECEIVED, EkiProgram, Overflow
 from fakes.kuka.krl import KrlError
 from fakes.site import Site
 from fakes.time import PlantTime
-from fakes.wires.answers import RECEIVE, Answers
 from fakes.wires.listener import HOST, Listener
-from fakes.wires.segments import Segments
+from fakes.wires.segments import RECEIVE, Answers, Segments
 
 TWICE_EVERY = 53
 ENDLESS = b'<RobotState><Pos A1="' + b"0" * 20_000

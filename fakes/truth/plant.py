@@ -17,10 +17,9 @@ import numpy as np
 from fakes.faults import Faults
 from fakes.time import PlantTime
 from fakes.truth.arm_truth import ArmTruth
-from fakes.truth.floor_truth import FloorTruth
 from fakes.truth.machine import Machine, machine_of
 from fakes.truth.noise import KeyedNoise
-from fakes.truth.rail_truth import RailTruth
+from fakes.truth.rail_truth import FloorTruth, RailTruth
 from fakes.truth.robot_motion import RobotMotion, RobotState
 from fakes.truth.stream_truth import StreamTruth
 from fakes.truth.tracker_truth import TrackerTruth

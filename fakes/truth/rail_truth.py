@@ -259,6 +259,23 @@ class RailTruth:
         return slide_mm
 
 
+class FloorTruth:
+    """A robot on the floor, where a slide would be at 0; answers the plant as `RailTruth` does."""
+
+    still = True
+
+    def __init__(self, cell: Cell) -> None:
+        self._pose = frame(cell.layout.base)
+
+    def slide_mm(self) -> float:
+        """Return where a slide would be."""
+        return 0.0
+
+    def slide_pose(self) -> Array:
+        """Return in {W}, (4, 4), what the cell file states as nominal {B}."""
+        return self._pose.copy()
+
+
 class _Shape:
     """Properties that the seed fixes for good: error curves, straightness, leaning, strip."""
 

@@ -13,8 +13,7 @@ import numpy as np
 
 from fakes.faults import Faults
 from fakes.time import PlantTime
-from fakes.truth.floor_truth import FloorTruth
-from fakes.truth.rail_truth import RailTruth
+from fakes.truth.rail_truth import FloorTruth, RailTruth
 from fakes.truth.robot_motion import RobotMotion
 from fakes.truth.tracker_truth import Air, Measurement
 from fakes.truth.transforms import Array

@@ -27,8 +27,7 @@ from hilcell.calibration.frames import measured_of
 from hilcell.calibration.influence import Influence, NoBound
 from hilcell.cell.file import Cell
 from hilcell.compensation.kinematic import seats_mm
-from hilcell.geometry.frames import apply, inverse
-from hilcell.geometry.orientation import orientations, turn_levers
+from hilcell.geometry.frames import apply, inverse, orientations, turn_levers
 from hilcell.geometry.rotations import from_zyx, to_rotvec
 from hilcell.geometry.statistics import (
     bounds95_mm,

@@ -23,8 +23,8 @@ from hilcell.cell.tables import (
     Speed,
     refuse_descending,
 )
+from hilcell.geometry.inverse import NominalRobot
 from hilcell.geometry.kinematics import Arm, Array
-from hilcell.geometry.robot import NominalRobot
 
 REFLECTORS = range(3, 7)  # on the flange, where the tool's orientation is measured
 SEATS_APART_MM = 50.0  # closer ones are taken for one another, and tell little of an angle

@@ -17,8 +17,8 @@ import numpy as np
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.measured import Measured
 from hilcell.compensation.model import ModelError, Prediction, Turn
+from hilcell.geometry.inverse import NominalRobot
 from hilcell.geometry.kinematics import Arm, Array
-from hilcell.geometry.robot import NominalRobot
 from hilcell.geometry.rotations import to_rotvec
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.identification.curve import TransmissionCurve
@@ -31,8 +31,8 @@ from hilcell.identification.estimate import (
 )
 from hilcell.identification.kinematics import Kinematics, Placed, State
 from hilcell.identification.noise import Noise
-from hilcell.identification.observability import observability
 from hilcell.identification.readings import IdentificationError, Readings
+from hilcell.identification.system import observability
 
 CONTRADICTED = 4.0  # times the square that chance gives a curve's change
 LEAST_SHARE = 1e-3  # of a prior's variance that poses explain at least

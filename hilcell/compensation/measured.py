@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from hilcell.compensation.grid import GridError, MeasuredGrid
+from hilcell.geometry.inverse import NominalRobot
 from hilcell.geometry.kinematics import Array
-from hilcell.geometry.robot import NominalRobot
 from hilcell.identification.curve import TransmissionCurve
 
 

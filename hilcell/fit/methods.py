@@ -30,9 +30,9 @@ from hilcell.fit.placement import (
 from hilcell.fit.robot_file import Measurements, Robot
 from hilcell.geometry import statistics
 from hilcell.geometry.kinematics import Arm, Array
-from hilcell.identification.observability import observability
 from hilcell.identification.readings import Bools, IdentificationError, Ints
 from hilcell.identification.repeats import FOLDS, count_poses, folds_of, places_of
+from hilcell.identification.system import observability
 
 NAMED = 5  # rows that one message names
 UNDETERMINED_MM = 5.0  # a bound beyond this says that the training rows do not determine a row

@@ -19,7 +19,7 @@ from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.statistics import Figures
 from hilcell.identification.estimate import Estimate
 from hilcell.identification.kinematics import LINKS
-from hilcell.identification.observability import DETERMINED
+from hilcell.identification.system import DETERMINED
 
 RIGID = "mdh"  # of the methods
 UNITS = {"mm": ("mm", 1.0), "rad": ("deg", float(np.degrees(1.0)))}

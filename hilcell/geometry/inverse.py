@@ -8,6 +8,8 @@ as a robot does that goes there from the reference.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -61,6 +63,24 @@ def reach_excess_mm(arm: Arm, poses: ArrayLike, status: int) -> Array:
     """Return by how many mm the wrist centre is too far (or too near), (...); 0 if reachable."""
     excess_mm = solved(arm, np.asarray(poses, dtype=float), status)[1]
     return np.where(excess_mm <= ROUNDING_MM, 0.0, excess_mm)
+
+
+@dataclass(frozen=True, eq=False)
+class NominalRobot:
+    """A nominal arm, the status bits of its posture, limits (2, 6) and home joints (6,) in rad."""
+
+    arm: Arm
+    status: int
+    limits_rad: Array
+    reference_rad: Array
+
+    def joints_for(self, poses: Array) -> Array:
+        """Return joints (N, 6) in rad for {T} in {B} (N, 4, 4); raises `ReachError`."""
+        return posture(self.arm, poses, self.status, self.limits_rad, self.reference_rad)
+
+    def reachable(self, poses: Array) -> Bools:
+        """Return which poses (N, 4, 4) `joints_for` accepts, (N,)."""
+        return reachable(self.arm, poses, self.status, self.limits_rad, self.reference_rad)
 
 
 def nearest_turns(joints_rad: Array, limits_rad: Array, reference_rad: ArrayLike) -> Array:

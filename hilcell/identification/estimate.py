@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hilcell.geometry.frames import turn_levers
 from hilcell.geometry.kinematics import Array, forward
-from hilcell.geometry.orientation import turn_levers
 from hilcell.identification.kinematics import Kinematics, State
 from hilcell.identification.noise import Noise
 from hilcell.identification.readings import Bools, IdentificationError, Ints, Readings

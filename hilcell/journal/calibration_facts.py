@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
 from hilcell.journal.journal import Record
+
+if TYPE_CHECKING:
+    from hilcell.journal.log import Log
 
 USED = "calibration used"  # the events
 REVOKED = "calibration revoked"
@@ -135,3 +138,12 @@ def outcome(facts: CalibrationFacts, state: str, code: int | None, points: int) 
     if code and facts.verdict in ("", OUTCOMES["accepted"]):
         return OUTCOMES["rejected"]
     return facts.verdict or ("measured" if points else "done")
+
+
+def run_outcome(log: Log) -> str:
+    """Return how the run of a log came out, in the word of `outcome`."""
+    reader = CalibrationReader()
+    for key, body in log.verdicts.items():
+        reader.judge(key, body)
+    code = None if log.end is None else int(log.end["exit"])
+    return outcome(reader.facts, log.state, code, len(log.points))

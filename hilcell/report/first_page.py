@@ -20,9 +20,8 @@ from hilcell.calibration.measurement_budget import Budget
 from hilcell.calibration.validity import MAX_AGE_DAYS, TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import zyx_from_pose
-from hilcell.journal.calibration_facts import JUDGING, VALIDATION
+from hilcell.journal.calibration_facts import JUDGING, VALIDATION, run_outcome
 from hilcell.journal.calibration_facts import OUTCOMES as STATED
-from hilcell.journal.outcome import run_outcome
 from hilcell.report import pose_test
 from hilcell.report.columns import Column, Sheet, sheet
 from hilcell.report.facts import Facts

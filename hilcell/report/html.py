@@ -16,8 +16,8 @@ from hilcell.calibration.errors import places, validation
 from hilcell.calibration.measurement_budget import Budget, budget_of
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply
+from hilcell.journal.calibration_facts import run_outcome
 from hilcell.journal.curve_record import URAD, CurveRecord
-from hilcell.journal.outcome import run_outcome
 from hilcell.journal.point_id import CONTROL
 from hilcell.ports import Array
 from hilcell.report import pose_test, tables, turns

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from textual.content import Content
 
 from hilcell.alarms.alarm import DRIFT_LIMIT_K
-from hilcell.journal.outcome import run_outcome
+from hilcell.journal.calibration_facts import run_outcome
 from hilcell.journal.states import WAITING
 from hilcell.run.protocol import DeviceStatus, Interlock
 from hilcell.tui.engine.run_view import RunView

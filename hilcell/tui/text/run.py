@@ -10,8 +10,7 @@ from typing import Any
 from textual.content import Content
 
 from hilcell.alarms.catalogue import SEVERITIES
-from hilcell.journal.calibration_facts import OUTCOMES
-from hilcell.journal.outcome import run_outcome
+from hilcell.journal.calibration_facts import OUTCOMES, run_outcome
 from hilcell.journal.point_id import CONTROL
 from hilcell.journal.point_words import part_words, procedure_words, step_words
 from hilcell.journal.runs import short_run

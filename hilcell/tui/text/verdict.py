@@ -17,9 +17,8 @@ from hilcell.alarms.catalogue import SEVERITIES, entry_of
 from hilcell.calibration.decision import Judged, Turn
 from hilcell.clean import harmless
 from hilcell.geometry.sequential import Outcome
-from hilcell.journal.calibration_facts import OUTCOMES
+from hilcell.journal.calibration_facts import OUTCOMES, run_outcome
 from hilcell.journal.key_words import in_words
-from hilcell.journal.outcome import run_outcome
 from hilcell.journal.set_ups import PROVEN
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import Glyphs

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilcell.geometry.orientation import orientations, turn_levers
+from hilcell.geometry.frames import orientations, turn_levers
 from hilcell.geometry.rotations import from_rotvec, to_rotvec
 
 PLACES_MM = np.array([[98.0, 0.0, 127.0], [-40.0, 110.0, 127.0], [-40.0, -110.0, 120.0]])

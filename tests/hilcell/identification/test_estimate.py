@@ -9,8 +9,8 @@ from hilcell.geometry.statistics import lengths_mm
 from hilcell.identification.estimate import Estimate, identify, predict
 from hilcell.identification.kinematics import Kinematics
 from hilcell.identification.noise import Noise
-from hilcell.identification.observability import observability
 from hilcell.identification.readings import IdentificationError, Readings
+from hilcell.identification.system import observability
 from tests.hilcell.identification.robots import ARM, SMR_MM, T_L_B, Robot, curve
 
 KINEMATICS = Kinematics(ARM, 1)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from hilcell.journal.calibration_facts import run_outcome
 from hilcell.journal.index import row_of
-from hilcell.journal.outcome import run_outcome
 from hilcell.journal.point_id import PointId
 from hilcell.journal.runs import read_log
 from tests.hilcell.report.journals import Writer
