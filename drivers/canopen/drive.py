@@ -9,7 +9,6 @@ cell's clock (`drivers.motion_limits`).
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -22,7 +21,7 @@ from drivers.canopen.sdo import SdoChannel
 from drivers.motion_limits import MotionLimits
 from drivers.standing import Standing
 from drivers.standstill import Windows
-from drivers.supervision import Supervision
+from drivers.supervision import Patience, Supervision
 from hilcell.ports import Clock, DeviceError
 
 POLL_S = 0.02
@@ -118,9 +117,9 @@ class Drive:
         code = self._sdo.read(cia402.ERROR_CODE)
         self._image.control(cia402.DISABLE_VOLTAGE)
         self._image.control(cia402.FAULT_RESET)  # the rising edge resets
-        deadline_s = time.monotonic() + STALL_S
+        patience, over = Patience(STALL_S), False
         while self._image.refresh(self._clock.check).state is State.FAULT:
-            if time.monotonic() > deadline_s:
+            if over:
                 raise DeviceError(
                     emcy.alarm(code),
                     DEVICE,
@@ -129,6 +128,7 @@ class Drive:
                     act="put the cause right, then resume",
                     fields={"error_code": code},
                 )
+            over = patience.over()
             self._clock.wait(POLL_S)
         self._image.control(cia402.DISABLE_VOLTAGE)
 

@@ -47,14 +47,14 @@ def find_node(link: CanLink, sdo: SdoChannel, expected: Expected, check: Callabl
 
     A lost link is raised at once as `LinkLost`.
     """
-    deadline_s = time.monotonic() + FIND_S
+    deadline_s = link.time.listened_s + FIND_S
     while True:
         try:
             return sdo.read(DEVICE_TYPE)
         except (Aborted, LinkLost):
             raise
         except DeviceError as error:
-            if time.monotonic() > deadline_s:
+            if link.time.listened_s > deadline_s:
                 raise DeviceError(
                     "HC-R05",
                     "Rail",

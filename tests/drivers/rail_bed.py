@@ -41,7 +41,6 @@ def time(monkeypatch: pytest.MonkeyPatch) -> RailTime:
         (sdo, "LATE_S", 0.15),
         (can_link, "PAUSE_S", 0.0),
         (supervision, "time", time),
-        (drive, "time", time),
         (release, "time", time),
     ):
         monkeypatch.setattr(module, name, value)

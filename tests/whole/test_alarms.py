@@ -10,6 +10,7 @@ from _pytest.mark import ParameterSet
 
 from drivers.canopen import drive, rail_setup
 from drivers.kuka import robot as kuka_robot
+from drivers.kuka import robot_eki
 from drivers.leica.tracker_emscon import LeicaEmsconTracker
 from fakes.faults import KNOWN
 from hilcell.alarms import Alarm, alarms_of, catalogue
@@ -154,10 +155,14 @@ SURVIVED: Mapping[str, Mapping[str, tuple[int, object]]] = {
 # Of a device that keeps silent, how long it is waited for in place of several seconds.
 WAITS_S: Mapping[str, tuple[object, str, float]] = {
     "rail.bus_off": (rail_setup, "FIND_S", 0.5),
+    "rail.heartbeat_loss": (rail_setup, "OPERATIONAL_S", 1.0),
+    "rail.late_reply": (rail_setup, "FIND_S", 0.5),
     "rail.no_acknowledge": (drive, "STALL_S", 1.0),
     "robot.frozen": (kuka_robot, "STALL_S", 1.0),
     "robot.stops_short": (kuka_robot, "REST_S", 1.0),
-    "tracker.no_result": (LeicaEmsconTracker, "RESULT_S", 0.5),
+    "robot.vanish": (robot_eki, "OPEN_S", 0.5),
+    "robot.xml_bomb": (robot_eki, "OPEN_S", 0.5),
+    "tracker.no_result": (LeicaEmsconTracker, "RESULT_S", 0.1),
 }
 SPECIFIC = {entry.code for entry in catalogue().values() if entry.specific}
 
@@ -208,7 +213,10 @@ def test_a_fault_that_ends_a_run_is_named(
 
 
 @pytest.mark.parametrize("cell", SURVIVED)
-def test_a_fault_that_is_survived_is_a_notice_at_most(tmp_path: Path, cell: str) -> None:
+def test_a_fault_that_is_survived_is_a_notice_at_most(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cell: str
+) -> None:
+    monkeypatch.setattr(LeicaEmsconTracker, "RESULT_S", 1.0)  # one comes only with the next
     alarms = struck(tmp_path, cell, SURVIVED[cell])
     assert {alarm.severity for alarm in alarms} <= {"notice"}, alarms
     assert {alarm.code for alarm in alarms} <= SPECIFIC

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from drivers.canopen import rail_setup
 from hilcell.journal.runs import find_run, read_log
 from tests.whole.bench import command, end_of, sets, simulation
 
@@ -52,7 +53,10 @@ def test_a_run_reaches_drive_and_strip(
 
 
 @pytest.mark.parametrize("drive", [{}, {"rail.driver": "kuka-e1"}], ids=["canopen", "kuka-e1"])
-def test_a_strip_whose_bus_falls_silent_is_named(tmp_path: Path, drive: dict[str, str]) -> None:
+def test_a_strip_whose_bus_falls_silent_is_named(
+    tmp_path: Path, drive: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rail_setup, "FIND_S", 1.0)  # it is never heard
     values = drive | OWN_BUS
     with simulation(values=values) as cell:
         cell.ask(do="fault", name="rail.strip_silent", value=True, count=0)

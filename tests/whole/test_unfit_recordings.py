@@ -13,6 +13,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from drivers.canopen import release, sdo
 from hilcell.journal.index import row_of
 from hilcell.journal.runs import read_log
 from hilcell.wire.recording import SUFFIX, Piece, read_recording, recordings
@@ -163,6 +164,13 @@ def test_addresses_may_be_others_and_two_replay_at_once(recorded: Path, tmp_path
     assert inner[:1] == [0]
 
 
+@pytest.fixture
+def _nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wait shortly where a recording has ended."""
+    monkeypatch.setattr(release, "RELEASE_S", 0.2)
+    monkeypatch.setattr(sdo, "LATE_S", 0.05)
+
+
 def cut(path: Path, behind: bytes = b"") -> None:
     """Keep a recording up to the answer to a question, or its first half."""
     lines, pieces = lines_of(path), read_recording(path)
@@ -170,6 +178,7 @@ def cut(path: Path, behind: bytes = b"") -> None:
     path.write_bytes(b"".join(lines[: next(asked) + 1 if behind else len(lines) // 2]))
 
 
+@pytest.mark.usefixtures("_nobody_answers")
 @pytest.mark.parametrize(
     ("wire", "behind"),
     [
@@ -203,6 +212,7 @@ def test_a_robot_that_was_cut_moves_until_there(recorded: Path) -> None:
     assert done.returncode in (0, 3)
 
 
+@pytest.mark.usefixtures("_nobody_answers")
 def test_a_recording_that_was_cut_in_its_closing_leaves_nothing_to_stop(recorded: Path) -> None:
     cut(
         recorded / f"rail{SUFFIX}", b"t60582316100100000000"

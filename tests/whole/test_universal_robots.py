@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from drivers.universal_robots import dashboard
 from drivers.universal_robots import robot_rtde as robot_ur_rtde
 from drivers.universal_robots.link import UrLink
 from drivers.universal_robots.robot_rtde import UrRtdeRobot, script_text
@@ -199,7 +200,10 @@ def test_local_control_is_refused(bench: Bench) -> None:
     assert found.value.code == "HC-B60"
 
 
-def test_ports_that_were_mixed_up_are_named(bench: Bench) -> None:
+def test_ports_that_were_mixed_up_are_named(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dashboard, "ANSWER_S", 0.5)  # there is nobody who would answer
     of_rtde, of_dashboard = (bench.server.address[name] for name in ("rtde_port", "dashboard_port"))
     for option, port in (("rtde_port", of_dashboard), ("dashboard_port", of_rtde)):
         with pytest.raises(DeviceError) as found:
