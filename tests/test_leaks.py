@@ -25,7 +25,7 @@ def test_a_thread_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_open_file_is_named() -> None:
     with tempfile.NamedTemporaryFile() as before, no_leaks():
         before.write(b"opened before")
-    with pytest.raises(AssertionError, match="file .*hc-leaked"), no_leaks():
+    with pytest.raises(AssertionError, match=r"file .*hc-leaked"), no_leaks():
         left = tempfile.NamedTemporaryFile(prefix="hc-leaked")  # noqa: SIM115 - it leaks
     left.close()
 

@@ -238,6 +238,7 @@ def killed(folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.usefixtures("_nobody_answers")
 def test_a_sweep_in_which_the_engine_was_killed(tmp_path: Path) -> None:
     """The robot's last state came again and again: HC-B31."""
     done = replayed(killed(tmp_path / "cut"), *PAIRS[KILLED], *sets(SMALL), run="axis-sweeps")

@@ -200,9 +200,7 @@ def test_local_control_is_refused(bench: Bench) -> None:
     assert found.value.code == "HC-B60"
 
 
-def test_ports_that_were_mixed_up_are_named(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ports_that_were_mixed_up_are_named(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dashboard, "ANSWER_S", 0.5)  # there is nobody who would answer
     of_rtde, of_dashboard = (bench.server.address[name] for name in ("rtde_port", "dashboard_port"))
     for option, port in (("rtde_port", of_dashboard), ("dashboard_port", of_rtde)):

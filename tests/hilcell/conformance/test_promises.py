@@ -80,8 +80,7 @@ def test_a_shipped_driver_keeps_what_is_judged_at_once(
     port: Port, name: str, cell: str, others: list[str]
 ) -> None:
     promises = [each for each in promises_of(port) if at_once(each)]
-    short = {"rail.options.standstill_dwell_s": "0.05"} if name == "canopen" else {}
-    with Trial(driver_cell(cell, port, name, short), port) as trial:
+    with Trial(driver_cell(cell, port, name, {}), port) as trial:
         outcomes = [trial.judge(each) for each in promises]
     assert [each for each in outcomes if each.verdict == "broken"] == []
     found = {each.promise for each in outcomes if each.verdict != "held"}
