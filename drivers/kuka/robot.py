@@ -129,7 +129,10 @@ class KukaRobot:
         planned = planned_s(target_deg - self._rest_deg, self._speed_deg_s, round(speed_percent))
         try:
             number = self.command(target_deg, round(speed_percent))
-            self._await_acknowledgement(number, MotionLimits(planned, STALL_S, PROGRESS_DEG))
+            limits = MotionLimits(planned, STALL_S, PROGRESS_DEG)
+            while not self.acknowledged(number):
+                self.check_round(next(self._round), limits, number)
+                self._clock.wait(POLL_S)
             return self.rest(target_deg)
         finally:
             self._watch.end()
@@ -279,11 +282,6 @@ class KukaRobot:
         start(number)
         self._sequence = number
         return number
-
-    def _await_acknowledgement(self, number: int, limits: MotionLimits) -> None:
-        while not self.acknowledged(number):
-            self.check_round(next(self._round), limits, number)
-            self._clock.wait(POLL_S)
 
     def check_round(self, names: tuple[str, ...], limits: MotionLimits, number: int) -> None:
         """Look whether all is well with a motion, by these variables."""

@@ -125,7 +125,8 @@ class LeicaEmsconTracker:
 
     def point_at(self, near_mm: Array, reflector: str) -> None:
         """Choose a reflector and catch it near (3,) mm; drop pending results first."""
-        self._drop_pending()
+        while self.next_packet(Patience(0.0)) is not None:
+            pass
         self._choose(reflector)
         self._aim(near_mm)
 
@@ -165,15 +166,11 @@ class LeicaEmsconTracker:
                 processor=status.processor,
             )
         address = f"{self._options.host}:{self._options.port}"
-        name = self._name()
+        told = self._request(Command.GET_TRACKER_INFO).body  # nothing by older controllers
+        name = clean(self._decoded(emscon.decode_tracker_name, told)) if told else ""
         model = f"Leica {name}".strip() + f", emScon {status.version}"
         simulated, firmware = says_simulated(name), f"emScon {status.version}"
         return Identity(DEVICE, model, serial, address, simulated, "tracker", "Leica", firmware)
-
-    def _name(self) -> str:
-        """Return the tracker's name, which older controllers do not tell."""
-        reply = self._request(Command.GET_TRACKER_INFO)
-        return clean(self._decoded(emscon.decode_tracker_name, reply.body)) if reply.body else ""
 
     def _system_status(self) -> emscon.SystemStatus:
         body = self._ask(Command.GET_SYSTEM_STATUS)
@@ -441,10 +438,6 @@ class LeicaEmsconTracker:
         if packet in (StatusChange(Change.SERVER_CLOSING), StatusChange(Change.PROCESSOR_CLOSING)):
             raise self._lost("the tracker's server is closing", "receive")
         return packet
-
-    def _drop_pending(self) -> None:
-        while self.next_packet(Patience(0.0)) is not None:
-            pass
 
     def _lost(self, found: str, operation: str) -> DeviceError:
         """Return the error after which the stream cannot be trusted; the wire is closed."""

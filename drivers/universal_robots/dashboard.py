@@ -39,7 +39,10 @@ class Dashboard:
     def ask(self, command: str) -> str:
         """Return the answer to a command; raises `DeviceError`."""
         self._lines.send(command, command)
-        return self._answer(command)
+        line = self._lines.receive(Patience(ANSWER_S))
+        if line is None:
+            raise self._link.broken(command, f"no answer within {ANSWER_S:.0f} s")
+        return clean(line)
 
     def send(self, command: str) -> None:
         """Send a command without waiting for its answer."""
@@ -48,9 +51,3 @@ class Dashboard:
     def close(self) -> None:
         """Close the connection."""
         self._link.close()
-
-    def _answer(self, operation: str) -> str:
-        line = self._lines.receive(Patience(ANSWER_S))
-        if line is None:
-            raise self._link.broken(operation, f"no answer within {ANSWER_S:.0f} s")
-        return clean(line)

@@ -217,19 +217,14 @@ class UrLink:
                     numbers = self._outputs.decode(payload)
                     self._states.append(state_from(numbers, self._emptied_s, by_s))
         except RtdeError as error:
-            self._failure = _unusable(error)
+            act = "restart the controller; resume"
+            self._failure = DeviceError("HC-B26", DEVICE, "receive", str(error), act=act)
         except DeviceError as error:
             self._failure = error
 
     def _since(self, by_s: float) -> list[UrState]:
         newer = takewhile(lambda state: state.by_s > by_s, reversed(self._states))
         return list(newer)[::-1]
-
-
-def _unusable(error: RtdeError) -> DeviceError:
-    return DeviceError(
-        "HC-B26", DEVICE, "receive", str(error), act="restart the controller; resume"
-    )
 
 
 def _unasked() -> None:

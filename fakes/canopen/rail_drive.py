@@ -338,7 +338,8 @@ class RailDrive(CanopenSlave):
             return
         wanted = self.dictionary.number(0x607A)
         wanted += self._target if self._word & RELATIVE else 0
-        target = self._within_limits(wanted)
+        low, high = (self.dictionary.number(0x607D, sub) for sub in (1, 2))
+        target = min(max(wanted, low), high) if self._homed else wanted
         self._limited = target != wanted
         self._acknowledged = True
         self._early = self._faults.take("rail.early_target_reached") is not None
@@ -347,10 +348,6 @@ class RailDrive(CanopenSlave):
             self._pending = target
         else:
             self._start(target)
-
-    def _within_limits(self, target: int) -> int:
-        low, high = (self.dictionary.number(0x607D, sub) for sub in (1, 2))
-        return min(max(target, low), high) if self._homed else target
 
     def _start(self, target: int) -> None:
         number = self.dictionary.number

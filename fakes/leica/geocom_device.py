@@ -245,21 +245,15 @@ class GeocomDevice:
         hz, v = _direction(found.xyz_mm)
         distance_m = float(np.linalg.norm(found.xyz_mm)) / MM
         distance_m += state.prism_m - self._prism_m
-        distance_m *= 1.0 + 1e-6 * (self._set_ppm() - self._true_ppm())
+        (_, pressure_mbar, dry_c, _), air = state.atmosphere, self._instrument.air()
+        true_ppm = _ppm(air.pressure_mbar, air.temperature_c)
+        distance_m *= 1.0 + 1e-6 * (_ppm(pressure_mbar, dry_c) - true_ppm)
         state.measured = (hz, v, distance_m)
         code = self._faults.number("tracker.geocom_code")
         answer = form(*state.measured)
         if code is None:
             return answer
         return Answer(int(code), answer.values if code in (1283, INACCURATE) else ())
-
-    def _set_ppm(self) -> float:
-        _, pressure_mbar, dry_c, _ = self._state.atmosphere
-        return _ppm(pressure_mbar, dry_c)
-
-    def _true_ppm(self) -> float:
-        air = self._instrument.air()
-        return _ppm(air.pressure_mbar, air.temperature_c)
 
     def _polar(self, hz: float, v: float, distance_m: float) -> Answer:
         if self._state.face:

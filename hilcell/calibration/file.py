@@ -56,6 +56,9 @@ def calibration_of(log: Log, run: str) -> Calibration:
     points = log.select("grid")
     celsius = [point.temperature_c for point in points if point.temperature_c is not None]
     high_mm = grid.origin_mm + np.array(cell.grid.size_mm)
+    # A model that knows turns holds at more orientations than the grid's.
+    others = cell.plan.grid_orientations if MODELS[method].turns else []
+    further = [from_zyx(angles).tolist() for angles in others]
     values = {
         "schema": SCHEMA,
         "provenance": Provenance(
@@ -69,7 +72,7 @@ def calibration_of(log: Log, run: str) -> Calibration:
             cell.grid.centre.matrix()[:3, :3].tolist(),
             orientation_tolerance_deg(cell, method),
             (min(celsius), max(celsius)) if celsius else None,
-            _more_orientations(cell, method),
+            further,
         ),
         "stations": {
             station.name: _entry(log, frames.base_in_world(station), station.name)
@@ -113,13 +116,6 @@ def orientation_tolerance_deg(cell: Cell, method: str) -> float:
     """Return by how much targets may turn away from the grid's orientation."""
     tilt_deg = cell.plan.tilt_deg if MODELS[method].turns else 0.0
     return max(ORIENTATION_TOLERANCE_DEG, tilt_deg)
-
-
-def _more_orientations(cell: Cell, method: str) -> list[list[list[float]]]:
-    """Return the orientations that hold besides the grid's: those of a model that knows them."""
-    if not MODELS[method].turns:
-        return []
-    return [from_zyx(angles).tolist() for angles in cell.plan.grid_orientations]
 
 
 def calibration_so_far(log: Log, run: str) -> Calibration | None:

@@ -160,7 +160,9 @@ def suspicions_of(log: Log) -> list[Suspicion]:
     again = next((each for each in rounds if each is not None), None)
     turned = log.once(reversal, besides=NO_READINGS)
     lost = turned.suspicion if turned is not None else None
-    of_validation = _of_validation(log) if again is None else []
+    # The causes that fit where corrected targets are not within their bounds.
+    fit = log.judged.get("fit") if again is None else None
+    of_validation = [] if fit is None else log.once(_of_targets, fit.seq, besides=NO_READINGS)
     mount = log.once(mount_offset, besides=NO_READINGS)
     found = [scale(log), warm(log), risen_nest(log), mount, lost, again, *of_validation]
     return [each for each in found if each is not None]
@@ -264,12 +266,6 @@ def _framed_again(log: Log, R: Array) -> Array:
     at_mm = log.matrix("base")[:3, 3]
     found[:6, :6] = 2.0 * turn @ world_covariance(log, at_mm, drift_mm2) @ turn.T
     return found
-
-
-def _of_validation(log: Log) -> list[Suspicion]:
-    """Return the causes that fit where corrected targets are not within their bounds."""
-    fit = log.judged.get("fit")
-    return [] if fit is None else log.once(_of_targets, fit.seq, besides=NO_READINGS)
 
 
 def _of_targets(log: Log, fit: int) -> list[Suspicion]:

@@ -171,7 +171,7 @@ def judged(found: Rechecked) -> Judgement:
         drift_mm,
         drift_u_mm,
         left_mm,
-        _sigmas(left_mm, found.own_mm2),
+        np.sqrt(np.einsum("ni,nij,nj->n", left_mm, np.linalg.inv(found.own_mm2), left_mm) / 3),
     )
 
 
@@ -229,9 +229,3 @@ def _drift(found: Rechecked) -> tuple[float, float]:
     spread_mm2 = math.sqrt(2 * float(np.square(C).sum()) + 4 * float(shown @ C @ shown)) / count
     drift_mm = math.sqrt(excess_mm2)
     return drift_mm, math.sqrt(excess_mm2 + spread_mm2) - drift_mm
-
-
-def _sigmas(left_mm: Array, own_mm2: Array) -> Array:
-    squares = np.einsum("ni,nij,nj->n", left_mm, np.linalg.inv(own_mm2), left_mm)
-    sigmas: Array = np.sqrt(squares / 3)
-    return sigmas

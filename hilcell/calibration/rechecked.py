@@ -93,7 +93,8 @@ def recheck_result(log: Log) -> dict[str, Any]:
         "calibrated_c": calibration.validity.temperature_c,
         "poses": _poses(log, found, judgement),
     }
-    causes = _suspicions(log, found, judgement)
+    arm, joints_rad = log.cell.robot.arm(), commanded_rad(log.select(KIND))
+    causes = suspicions(found, judgement, arm, joints_rad)
     result["suspicions"] = [msgspec.to_builtins(cause) for cause in causes]
     return {"recheck": result | {"text": _words(result, judgement.worst, causes)}}
 
@@ -107,11 +108,6 @@ def doubt(result: dict[str, Any]) -> str:
         if slips
         else ""
     )
-
-
-def _suspicions(log: Log, found: Rechecked, judgement: Judgement) -> list[Suspicion]:
-    joints_rad = commanded_rad(log.select(KIND))
-    return suspicions(found, judgement, log.cell.robot.arm(), joints_rad)
 
 
 def _mean_c(log: Log) -> float | None:

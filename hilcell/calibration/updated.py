@@ -32,14 +32,10 @@ def calibration_after(log: Log, run: str) -> Calibration:
     if "touch" in log.verdicts:
         return _touched(used(log), log, run)
     if "targets" in log.verdicts:
-        return _with_targets(log, run)
+        after = folded(log, run)
+        update = Update(run, "targets", written_now(), len(target_points(log)))
+        return msgspec.structs.replace(after, provenance=_with(after, update))
     return _rebased(used(log), rechecked_run(log), run)
-
-
-def _with_targets(log: Log, run: str) -> Calibration:
-    after = folded(log, run)
-    update = Update(run, "targets", written_now(), len(target_points(log)))
-    return msgspec.structs.replace(after, provenance=_with(after, update))
 
 
 def _rebased(calibration: Calibration, found: Judgement, run: str) -> Calibration:

@@ -215,7 +215,8 @@ def _value(value: object, kind: Any, path: str, problems: list[str]) -> Any:
     inner = _inner_struct(kind)
     if inner is not None and value is not None:
         return _struct(value, inner, f"{path}.", problems)
-    item = _item_struct(kind)
+    is_list = typing.get_origin(kind) is list
+    item = _inner_struct(typing.get_args(kind)[0]) if is_list else None
     if item is not None and isinstance(value, list):
         return [_struct(each, item, f"{path}[{n}].", problems) for n, each in enumerate(value)]
     if bad := list(_not_finite(value, path)):
@@ -277,12 +278,6 @@ def _inner_struct(kind: Any) -> type[msgspec.Struct] | None:
     for option in options:
         if isinstance(option, type) and issubclass(option, msgspec.Struct):
             return option
-    return None
-
-
-def _item_struct(kind: Any) -> type[msgspec.Struct] | None:
-    if typing.get_origin(kind) is list:
-        return _inner_struct(typing.get_args(kind)[0])
     return None
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
 from pathlib import Path
 
 from hilcell.calibration.volume import Volume
@@ -30,7 +29,12 @@ def plan(args: argparse.Namespace) -> int:
     if args.output:
         out, inputs = Path(args.output), [Path(args.holes), Path(args.cell)]
         check_output(out, CSV, "a list", inputs=inputs)
-        write_rows(out, ["station", "order", "name"], _rows(found), inputs=inputs)
+        rows = (
+            [each.station.name, str(order), name]
+            for each in found.stations
+            for order, name in enumerate(each.holes, start=1)
+        )
+        write_rows(out, ["station", "order", "name"], rows, inputs=inputs)
     if args.json:
         print_json(_facts(found))
     else:
@@ -49,12 +53,6 @@ def _calibrated(args: argparse.Namespace, cell: Cell) -> Volume | None:
     for note in found.notes():
         print_message(note)
     return Volume(found.calibration)
-
-
-def _rows(found: HolePlan) -> Iterator[list[str]]:
-    for each in found.stations:
-        for order, name in enumerate(each.holes, start=1):
-            yield [each.station.name, str(order), name]
 
 
 def _facts(found: HolePlan) -> dict[str, object]:

@@ -190,7 +190,8 @@ def prepare(args: argparse.Namespace) -> int:
     if args.json:
         print_json(facts)
     else:
-        _print(stations)
+        headers = ["station", "rail mm", "holes", "bound95 max mm", "file", "program"]
+        print_table((headers, list(_rows(stations))))
     for each in stations:
         words = summary(each.bounds, each.plan.holes, each.turns_deg)
         print_message(f"{each.plan.station.name}: {words}; {each.stroke}")
@@ -247,11 +248,6 @@ def _make(folder: Path) -> None:
             raise NotWritten(f"{folder} is not empty; name a new folder")
     except OSError as error:
         raise NotWritten(f"{folder}: cannot be used: {error.strerror or error}") from error
-
-
-def _print(stations: list[Prepared]) -> None:
-    headers = ["station", "rail mm", "holes", "bound95 max mm", "file", "program"]
-    print_table((headers, list(_rows(stations))))
 
 
 def _rows(stations: list[Prepared]) -> Iterator[list[str]]:

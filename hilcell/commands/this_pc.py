@@ -209,13 +209,9 @@ def locks() -> Finding:
     except StorageError as error:
         return Finding("locks", "wrong", str(error), "mend its permissions")
     if warning:
-        return Finding("locks", "warning", *_in_two(warning))
+        found, _, do = warning.rpartition(": ")
+        return Finding("locks", "warning", found, do)
     return Finding("locks", "ok", str(folder))
-
-
-def _in_two(warning: str) -> tuple[str, str]:
-    found, _, do = warning.rpartition(": ")
-    return found, do
 
 
 def pace() -> Finding:

@@ -59,7 +59,8 @@ def updated_frame(
     ``covariances_mm2`` (N, 3, 3) of each ``b - T a``, axes of b; their size is corrected by the
     residuals. Raises `FrameError` on what is not finite.
     """
-    _check(T, covariance, a_mm, b_mm, covariances_mm2)
+    if not all(np.isfinite(each).all() for each in (T, covariance, a_mm, b_mm, covariances_mm2)):
+        raise FrameError("frame update: a frame, a covariance or a point is not finite")
     prior = np.zeros((SIZE, SIZE))
     prior[: len(covariance), : len(covariance)] = covariance
     outwards_mm = a_mm if centre_mm is None else a_mm - centre_mm
@@ -76,7 +77,8 @@ def updated_frame(
     kept = list(range(len(off_mm)))
     while True:
         solved = _solved(prior, J[kept], off_mm[kept], R[kept])
-        squares = _squares(off_mm[kept] - J[kept] @ solved.x, R[kept])
+        left_mm = off_mm[kept] - J[kept] @ solved.x
+        squares = np.einsum("ni,nij,nj->n", left_mm, np.linalg.inv(R[kept]), left_mm)  # in sigmas
         worst = int(np.argmax(squares))
         typical = max(1.0, float(np.median(squares)) / TYPICAL)
         enough = len(off_mm) - len(kept) >= len(off_mm) // LEAVE_AT_MOST
@@ -116,14 +118,3 @@ def _solved(P: Array, J: Array, off_mm: Array, R: Array) -> _Solved:
     after = P - gain @ rows @ P
     chi2, spent = float(off @ np.linalg.solve(S, off)), float(np.trace(gain @ rows))
     return _Solved(gain @ off, (after + after.T) / 2, chi2, spent)
-
-
-def _squares(residuals_mm: Array, R: Array) -> Array:
-    """Return the squared residuals (N,) in sigmas."""
-    squares: Array = np.einsum("ni,nij,nj->n", residuals_mm, np.linalg.inv(R), residuals_mm)
-    return squares
-
-
-def _check(*arrays: Array) -> None:
-    if not all(np.isfinite(each).all() for each in arrays):
-        raise FrameError("frame update: a frame, a covariance or a point is not finite")

@@ -129,7 +129,8 @@ def refined(arm: Arm, poses: Array, start_rad: Array) -> tuple[Array, Bools]:
     scale = np.array([1.0, 1.0, 1.0, *[length_mm] * 3]) / length_mm
     for _ in range(REFINE_STEPS + 1):
         error = _pose_error(poses[~arrived], forward(arm, joints[~arrived]))
-        there = _arrived(error)
+        shift, turn = (np.linalg.norm(each, axis=-1) for each in (error[:, :3], error[:, 3:]))
+        there = (shift <= REFINED_MM) & (turn <= REFINED_RAD)
         arrived[~arrived] = there
         if arrived.all():
             break
@@ -148,13 +149,6 @@ def _pose_error(wanted: Array, found: Array) -> Array:
     turn = wanted[..., :3, :3] @ np.swapaxes(found[..., :3, :3], -1, -2)
     shift = wanted[..., :3, 3] - found[..., :3, 3]
     return np.concatenate([shift, to_rotvec(turn)], axis=-1)
-
-
-def _arrived(error: Array) -> Bools:
-    shift = np.linalg.norm(error[..., :3], axis=-1)
-    turn = np.linalg.norm(error[..., 3:], axis=-1)
-    there: Bools = (shift <= REFINED_MM) & (turn <= REFINED_RAD)
-    return there
 
 
 def _refuse_unreachable(excess_mm: Array) -> None:

@@ -128,7 +128,8 @@ def plan(
     off_mm = _off_mm(cell, holes, candidates)
     new = np.array([station not in cell.station for station in candidates])
     chosen = fewest(reached.ok, (new + _remoteness(off_mm, reached.ok)) / 2)
-    owner = chosen[_closest(off_mm[:, chosen], reached.ok[:, chosen])]
+    closest = np.where(reached.ok[:, chosen], off_mm[:, chosen], np.inf).argmin(axis=1)
+    owner = chosen[closest]
     order = along_rail({each: candidates[each].rail_mm for each in owner.tolist()})
     stations = []
     for each in order:
@@ -177,12 +178,6 @@ def _remoteness(off_mm: Array, ok: NDArray[np.bool_]) -> Array:
     count = ok.sum(axis=0)
     mean_mm = np.where(ok, off_mm, 0.0).sum(axis=0) / np.maximum(count, 1)
     return np.where(count > 0, mean_mm / max(float(off_mm.max()), 1.0), 1.0)
-
-
-def _closest(off_mm: Array, ok: NDArray[np.bool_]) -> NDArray[np.int_]:
-    """Return the closest station of those that reach each hole, (N,)."""
-    closest: NDArray[np.int_] = np.where(ok, off_mm, np.inf).argmin(axis=1)
-    return closest
 
 
 def _at_station(

@@ -133,7 +133,9 @@ class Database:
 
     def check(self) -> None:
         """Raise `PlantError` where the schema is not this version's, or `PlantAway`."""
-        self._check_file()
+        self._check_place()
+        if not (self._remote or Path(self._url.database or "").is_file()):
+            raise PlantError(self._none())  # SQLite would make an empty one
         with self.transaction() as connection:
             self._check(connection)
 
@@ -165,12 +167,6 @@ class Database:
     def close(self) -> None:
         """Close all connections."""
         self.engine.dispose()
-
-    def _check_file(self) -> None:
-        """Refuse a file that is not there: SQLite would make an empty one."""
-        self._check_place()
-        if not (self._remote or Path(self._url.database or "").is_file()):
-            raise PlantError(self._none())
 
     def _check_place(self) -> None:
         """Refuse a place at which no file can be: no repetition helps."""

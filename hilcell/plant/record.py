@@ -171,7 +171,10 @@ def record_of(run: str, records: Sequence[Record], documents: Sequence[Document]
         row=row,
         versions=log.inputs.versions,
         devices=log.assets,
-        frames=list(_frames(log)),
+        frames=[
+            FrameEntry(key, body["matrix"], body.get("covariance"))
+            for key, body in log.frames.items()
+        ],
         points=list(_points(log, records)),
         verdicts=list(_verdicts(log)),
         alarms=[
@@ -202,11 +205,6 @@ def _points(log: Log, records: Sequence[Record]) -> Iterator[PointEntry]:
             point = log.read(record) if superseded else counting[record.seq]
             plain = Point(**msgspec.structs.asdict(point))  # the log's own are packed
             yield PointEntry(record.seq, record.t, plain, superseded)
-
-
-def _frames(log: Log) -> Iterator[FrameEntry]:
-    for key, body in log.frames.items():
-        yield FrameEntry(key, body["matrix"], body.get("covariance"))
 
 
 def _verdicts(log: Log) -> Iterator[VerdictEntry]:

@@ -105,7 +105,8 @@ def approach_station(rail: Rail, table: RailTable, station: Station) -> Approach
     command_mm = station.rail_mm
     error_mm = float("inf")
     for tries in range(1, table.max_approaches + 1):
-        before = _back_off(rail, table, command_mm)
+        rail.move_to(command_mm - table.back_off_mm)
+        before = rail.settle()
         rail.move_to(command_mm)
         reading = rail.settle()
         _check_strip_follows(table, station, before, reading)
@@ -131,11 +132,6 @@ def approach_station(rail: Rail, table: RailTable, station: Station) -> Approach
             "tries": tries,
         },
     )
-
-
-def _back_off(rail: Rail, table: RailTable, command_mm: float) -> RailReading:
-    rail.move_to(command_mm - table.back_off_mm)
-    return rail.settle()
 
 
 def _check_strip_follows(

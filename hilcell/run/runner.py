@@ -279,8 +279,10 @@ class Runner:
 
     def _obey(self, command: str) -> None:
         match command:
-            case "interrupt":
-                self._interrupt()
+            case "interrupt" if self._may_pause():
+                self._pause()
+            case "interrupt":  # the second, however fast it comes
+                self.post("stop")
             case "lost" | "watched":
                 self._look_for_screens(lost=command == "lost")
             case "pause" if self._may_pause():
@@ -297,13 +299,6 @@ class Runner:
             case _:
                 what = {"what": "command refused", "command": command, "in": self._known_state()}
                 self._journal.append("event", "", what)
-
-    def _interrupt(self) -> None:
-        """Pause at the first ctrl-C, stop at the next, however fast it comes."""
-        if self._may_pause():
-            self._pause()
-        else:
-            self.post("stop")
 
     def _may_pause(self) -> bool:
         return self.log.state in ("checking", "running") and not self._gate.closed

@@ -112,7 +112,8 @@ def plot_lines(of: Measured, choice: Choice, width: int, height: int, look: Look
     if not len(shown.whole.values):
         return [_title(shown), Content.styled("nothing measured for this plot yet", "$label")]
     across = width - WIDTH - GAP if beside else width
-    drawn = draw(_short_named(shown.plot), shown.scale, across, rows, look)
+    named = [replace(each, name=SHORT.get(each.name, each.name)) for each in shown.plot.series]
+    drawn = draw(replace(shown.plot, series=tuple(named)), shown.scale, across, rows, look)
     figures = FIGURES[shown.tab.name](of, shown.pick, shown.plot, look)
     if beside:
         return [_title(shown), *_side_by_side(drawn, figures, across + GAP)]
@@ -122,12 +123,6 @@ def plot_lines(of: Measured, choice: Choice, width: int, height: int, look: Look
         head = head.append(" " * (width - head.cell_length - names.cell_length)).append(names)
     under = [Content(""), *figures[:figures_rows]] if figures_rows else []
     return [head, *drawn, *under]
-
-
-def _short_named(plot: Plot) -> Plot:
-    """Return a plot whose series have names that find room at their lines."""
-    named = [replace(each, name=SHORT.get(each.name, each.name)) for each in plot.series]
-    return replace(plot, series=tuple(named))
 
 
 def _title(shown: Shown) -> Content:

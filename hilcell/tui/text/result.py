@@ -252,7 +252,8 @@ def _of_recheck(found: _Recheck, log: Log) -> Result:
 def result_lines(view: RunView, found: Result, glyphs: Glyphs, width: int, rows: int) -> Content:
     """Return the word and its figures, the sentence, and as many rows of the table as fit."""
     lines = head_lines(view, found.head, glyphs, width, rows)
-    lines += [each.stylize("$label") for each in _text(found.text, width)]
+    text = wrapped(harmless(found.text), width - 2) if found.text else []
+    lines += [Content(" ").append(line).stylize("$label") for line in text]
     table = [] if found.table is None else sheet_lines(words_in(found.table, view.log), width)
     room = rows - len(lines)
     if len(table) > room:
@@ -265,11 +266,6 @@ def result_lines(view: RunView, found: Result, glyphs: Glyphs, width: int, rows:
         lines.append(Content.assemble((" next: ", "$label"), NEXT))
     lines += [Content("")] * (rows - len(lines))
     return Content("\n").join(line.truncate(width) for line in lines[:rows])
-
-
-def _text(text: str, width: int) -> list[Content]:
-    lines = wrapped(harmless(text), width - 2) if text else []
-    return [Content(" ").append(line) for line in lines]
 
 
 def words_in(table: Table, log: Log | None = None) -> Table:
