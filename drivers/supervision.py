@@ -20,6 +20,10 @@ LATE_S = 1.0
 ATTENDED_S = 0.4  # the heartbeat pauses then, so that the device stops an unobserved motion
 
 
+def go_on() -> None:
+    """Let a wait go on while the run stops: it is that of a stop, or ends at its own deadline."""
+
+
 class Patience:
     """How long a device may still keep silent."""
 

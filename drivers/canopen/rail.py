@@ -21,7 +21,7 @@ from drivers.canopen.node_watch import NodeWatch
 from drivers.canopen.pdo import configure
 from drivers.canopen.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.canopen.rail_setup import Expected
-from drivers.canopen.release import Release, go_on
+from drivers.canopen.release import Release
 from drivers.canopen.sdo import SdoChannel, open_channel
 from drivers.canopen.slcan_bus import Interface, bus_problems
 from drivers.on_failure import on_failure
@@ -29,7 +29,7 @@ from drivers.standing import check_travel
 from drivers.standstill import Windows
 from drivers.strips.makes import strip_of
 from drivers.strips.strip import CountsPerMm, StripFeed, StripOptions, summed
-from drivers.supervision import Supervision
+from drivers.supervision import Supervision, go_on
 from hilcell.cell.settings import refuse
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading
 

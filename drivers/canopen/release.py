@@ -16,7 +16,7 @@ from drivers.canopen.cia402 import State
 from drivers.canopen.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.canopen.sdo import SdoChannel
 from drivers.standstill import READINGS, Standstill, Windows
-from drivers.supervision import Patience
+from drivers.supervision import Patience, go_on
 from hilcell.ports import DeviceError
 
 RELEASE_S = 5.0  # wire deadline, beside two dwells
@@ -117,7 +117,3 @@ class Release:
             for index in (cia402.STATUSWORD, cia402.VELOCITY_ACTUAL, cia402.POSITION_ACTUAL)
         )
         return Snapshot(statusword, position, velocity, 0, 0, NO_STRIP, self._link.clock.pc_s())
-
-
-def go_on() -> None:
-    """Teardown is bounded by its own deadline, no stop ends it."""

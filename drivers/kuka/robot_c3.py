@@ -21,6 +21,7 @@ from drivers.kuka.health import AXES, SLIDE
 from drivers.kuka.life import LifeSign
 from drivers.kuka.robot import KukaOptions
 from drivers.on_failure import on_failure
+from drivers.supervision import go_on
 from drivers.wires.keep_alive import KeepAlive
 from hilcell.clean import clean
 from hilcell.ports import Array, Clock
@@ -111,7 +112,7 @@ class C3Controller(C3Access):
         super().__init__(self._open(robot.attend))
         with on_failure(self._line.close):
             # The stop must get through while the run is already stopping.
-            self._stop_line = self._open(_never)
+            self._stop_line = self._open(go_on)
         self._keeper = KeepAlive((self._line, self._stop_line), lambda line: line.read("$MODE_OP"))
         self._life = LifeSign()
         self._written: dict[str, str] = {}
@@ -169,7 +170,7 @@ class C3Controller(C3Access):
     @contextmanager
     def undisturbed(self) -> Iterator[C3Access]:
         """Open a connection for a while."""
-        line = self._open(_never)
+        line = self._open(go_on)
         try:
             yield C3Access(line)
         finally:
@@ -206,7 +207,3 @@ class KukaC3Robot(SlidingKukaRobot):
 
     def __init__(self, options: Options, clock: Clock) -> None:
         super().__init__(options, clock, partial(C3Controller, options))
-
-
-def _never() -> None:
-    """Let a stop through."""

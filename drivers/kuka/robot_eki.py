@@ -29,7 +29,7 @@ from drivers.kuka.health import HEALTH
 from drivers.kuka.life import LIFE_S
 from drivers.kuka.robot import KukaOptions
 from drivers.on_failure import on_failure
-from drivers.supervision import Patience
+from drivers.supervision import Patience, go_on
 from drivers.wires.keep_alive import KeepAlive
 from drivers.wires.tcp import POLL_S, Alarms, TcpLink
 from hilcell.clean import clean
@@ -169,7 +169,7 @@ class EkiController:
         self._line = opened(options.port, eki.STATE, robot.attend, probe)
         with on_failure(self._line.close):
             # The stop must get through while the run is already stopping.
-            self._stop_line = opened(options.stop_port, eki.STOPPED, _never, stop_probe)
+            self._stop_line = opened(options.stop_port, eki.STOPPED, go_on, stop_probe)
         self._keeper = KeepAlive(
             (self._stop_line,), lambda line: line.ask(0, eki.stop_command(0, brake=False))
         )
@@ -256,7 +256,7 @@ class EkiController:
     @contextmanager
     def undisturbed(self) -> Iterator[EkiController]:
         """Let a stop through for a while: the controller serves one client only."""
-        attend, self._line.attend = self._line.attend, _never
+        attend, self._line.attend = self._line.attend, go_on
         try:
             yield self
         finally:
@@ -314,7 +314,3 @@ class KukaEkiRobot(SlidingKukaRobot):
 
     def __init__(self, options: Options, clock: Clock) -> None:
         super().__init__(options, clock, partial(EkiController, options))
-
-
-def _never() -> None:
-    """Let a stop through."""

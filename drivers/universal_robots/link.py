@@ -16,7 +16,7 @@ from collections.abc import Callable
 from itertools import takewhile
 
 from drivers.on_failure import on_failure
-from drivers.supervision import Patience
+from drivers.supervision import Patience, go_on
 from drivers.universal_robots import rtde
 from drivers.universal_robots.rtde import Kind, Packages, Recipe, RtdeError
 from drivers.universal_robots.state import (
@@ -53,7 +53,7 @@ class UrLink:
         check()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._empty, name="rtde", daemon=True)
-        self._link = TcpLink(DEVICE, host, port, _unasked, ALARMS)
+        self._link = TcpLink(DEVICE, host, port, go_on, ALARMS)  # it asks for a stop itself
         self._packages, self._arrived = Packages(), deque[tuple[int, bytes]]()
         self._fetching = threading.Lock()
         self._states: deque[UrState] = deque(maxlen=KEPT)
@@ -225,7 +225,3 @@ class UrLink:
     def _since(self, by_s: float) -> list[UrState]:
         newer = takewhile(lambda state: state.by_s > by_s, reversed(self._states))
         return list(newer)[::-1]
-
-
-def _unasked() -> None:
-    """Let a look at the buffer go on: `UrLink` asks for a stop itself."""

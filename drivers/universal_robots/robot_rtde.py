@@ -22,7 +22,7 @@ from msgspec import Meta
 from drivers.motion_limits import MotionLimits, planned_s
 from drivers.on_failure import on_failure
 from drivers.robot_errors import DEVICE, failed, overdue, refused, stalled, stopped_short
-from drivers.supervision import Patience, Supervision
+from drivers.supervision import Patience, Supervision, go_on
 from drivers.universal_robots.dashboard import Dashboard
 from drivers.universal_robots.health import (
     PLAYING,
@@ -110,7 +110,7 @@ class UrRtdeRobot:
             where = (DEVICE, options.host, options.dashboard_port)
             self._dashboard = Dashboard(*where, self._attend, ALARMS)
             # The stop must get through while the run is already stopping.
-            self._stop_line = Dashboard(*where, _never, ALARMS)
+            self._stop_line = Dashboard(*where, go_on, ALARMS)
             identity = self._identify()
             self._check_remote()
             self._link = UrLink(options.host, options.rtde_port, options.rate_hz, self._attend)
@@ -450,7 +450,3 @@ def _stands(states: Sequence[UrState]) -> bool:
     joints_rad = np.array([state.joints_rad for state in states])
     speeds = np.abs([state.speeds_rad_s for state in states])
     return bool(np.all(np.ptp(joints_rad, axis=0) <= STILL_RAD) and np.all(speeds <= STILL_RAD_S))
-
-
-def _never() -> None:
-    """Let a stop through."""

@@ -151,10 +151,10 @@ class EmsconDevice:
             Command.SET_COORDINATE_SYSTEM: keep("axes", Change.COORDINATE_SYSTEM, _axes_are_known),
             Command.SET_MEASUREMENT_MODE: keep("mode", Change.MEASUREMENT_MODE, self._has_mode),
             Command.SET_CONTINUOUS_TIME: keep(
-                "continuous", Change.CONTINUOUS_TIME, _separation_is_allowed
+                "continuous", Change.CONTINUOUS_TIME, _between(*SEPARATION_MS)
             ),
             Command.SET_STATIONARY_MODE: keep(
-                "stationary", Change.STATIONARY_MODE, _time_is_allowed
+                "stationary", Change.STATIONARY_MODE, _between(*MEASURING_MS)
             ),
             Command.SET_ENVIRONMENT: keep("environment", Change.ENVIRONMENT, _weather_is_earthly),
             Command.SET_REFRACTION: keep("refraction", Change.REFRACTION),
@@ -472,14 +472,8 @@ def _axes_are_known(axes: tuple[float, ...]) -> Status:
     return Status.OK if axes[0] in AXES else Status.WRONG_PARAMETER_1
 
 
-def _time_is_allowed(stationary: tuple[float, ...]) -> Status:
-    low, high = MEASURING_MS
-    return Status.OK if low <= stationary[0] <= high else Status.OUT_OF_RANGE_1
-
-
-def _separation_is_allowed(continuous: tuple[float, ...]) -> Status:
-    low, high = SEPARATION_MS
-    return Status.OK if low <= continuous[0] <= high else Status.OUT_OF_RANGE_1
+def _between(low: float, high: float) -> _Check:
+    return lambda values: Status.OK if low <= values[0] <= high else Status.OUT_OF_RANGE_1
 
 
 def _weather_is_earthly(weather: tuple[float, ...]) -> Status:
