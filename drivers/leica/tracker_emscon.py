@@ -166,8 +166,8 @@ class LeicaEmsconTracker:
                 processor=status.processor,
             )
         address = f"{self._options.host}:{self._options.port}"
-        told = self._request(Command.GET_TRACKER_INFO).body  # nothing by older controllers
-        name = clean(self._decoded(emscon.decode_tracker_name, told)) if told else ""
+        answer = self._request(Command.GET_TRACKER_INFO).body  # nothing by older controllers
+        name = clean(self._decoded(emscon.decode_tracker_name, answer)) if answer else ""
         model = f"Leica {name}".strip() + f", emScon {status.version}"
         simulated, firmware = says_simulated(name), f"emScon {status.version}"
         return Identity(DEVICE, model, serial, address, simulated, "tracker", "Leica", firmware)
