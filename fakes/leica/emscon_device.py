@@ -12,7 +12,6 @@ import struct
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
@@ -32,7 +31,7 @@ from fakes.leica.emscon_packets import (
 from fakes.leica.emscon_stream import SampleStream
 from fakes.time import PlantTime
 from fakes.truth.stream_truth import StreamTruth
-from fakes.truth.tracker_truth import Air, Measurement
+from fakes.truth.tracker_truth import Instrument, Measurement
 from fakes.truth.transforms import Array
 from hilcell.cell.file import Cell
 
@@ -49,22 +48,6 @@ STILL_MM = 0.02  # a target that moves farther meanwhile gives no stationary res
 SERIAL, VERSION, SENSOR_AT401 = 402871, (3, 8, 0), 70
 OFFSETS_MM = {"SMR 1.5in": 19.05, "SMR 0.875in": 11.1125, "SMR 0.5in": 6.35}
 BALL = 1  # target type: corner cube
-
-
-class Instrument(Protocol):
-    """The plant as the device sees it: positions in the tracker's frame, mm."""
-
-    def reflector(self, name: str) -> Array | None:
-        """Return where a reflector is, None where it is not to be seen."""
-
-    def find(self, near_mm: Array, radius_mm: float) -> str | None:
-        """Return the name of the reflector nearest to a point."""
-
-    def measure(self, name: str) -> Measurement | None:
-        """Return one measurement of a reflector, None where it cannot be seen."""
-
-    def air(self) -> Air:
-        """Return the air now."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ import threading
 import time as real_time
 
 from fakes.faults import Faults, Vanished
-from fakes.leica.emscon_device import Answer, EmsconDevice, Later
+from fakes.leica.emscon_device import EmsconDevice
 from fakes.leica.emscon_packets import COMMAND, HEAD, Change, Command, Status, reply, status_change
 from fakes.leica.emscon_stream import SampleStream
 from fakes.site import Site
@@ -74,7 +74,8 @@ class EmsconServer:
             if not self._let_pass(session, later.duration_s):
                 return
             answer = later.finish()
-            self._send(session, later, answer)
+            packets = answer.packets
+            session.send(self._damaged(session, packets) if later.measures else b"".join(packets))
         if answer.stream is not None:
             after = self._stream(session, answer.stream, b"".join(answer.packets))
             if after is not None:
@@ -138,12 +139,6 @@ class EmsconServer:
                 return False
             session.send(reply(command, Status.BUSY))
         return True
-
-    def _send(self, session: _Session, later: Later, answer: Answer) -> None:
-        data = b"".join(answer.packets)
-        if later.measures:
-            data = self._damaged(session, answer.packets)
-        session.send(data)
 
     def _damaged(self, session: _Session, packets: list[bytes]) -> bytes:
         """Return a result's bytes as the faults want them on the wire."""

@@ -10,12 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
 from fakes.faults import Faults, Vanished
-from fakes.truth.tracker_truth import Air, Measurement
+from fakes.truth.tracker_truth import Instrument
 from fakes.truth.transforms import Array
 
 NAME, SERIAL, FIRMWARE = "TS60 (simulated)", 884321, (8, 50, 0)
@@ -28,22 +27,6 @@ OK, INVALID, NOT_IMPLEMENTED, ABORTED, BUSY = 0, 2, 5, 8, 13
 TILTED, INACCURATE, ANGLES_ONLY, DISTANCE_ERROR = 22, 1284, 1285, 1292
 NO_TARGET, SEVERAL, ATR_OFF = 8710, 8711, 8714
 STOP, DISTANCE, CLEAR = 0, 1, 3
-
-
-class Instrument(Protocol):
-    """The plant as the device sees it: positions in the tracker's frame, mm."""
-
-    def reflectors(self) -> dict[str, Array]:
-        """Return where every reflector is."""
-
-    def find(self, near_mm: Array, radius_mm: float) -> str | None:
-        """Return the name of the reflector nearest to a point."""
-
-    def measure(self, name: str) -> Measurement | None:
-        """Return one measurement of a reflector, None where it cannot be seen."""
-
-    def air(self) -> Air:
-        """Return the air now."""
 
 
 @dataclass(frozen=True, slots=True)

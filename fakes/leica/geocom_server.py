@@ -150,18 +150,7 @@ class GeocomServer:
             session.say(NOISE)
         if take("tracker.geocom_number") is not None:
             transaction += 1
-        reply = encoded(0, transaction, answer)
-        if take("tracker.late_result") is not None:
-            session.late.append(reply)
-            return
-        for late in session.late:
-            session.say(late)
-        session.late.clear()
-        if take("tracker.split_packet") is not None:
-            session.raw(reply[:5])
-            real_time.sleep(0.02)  # so that both halves are segments of their own
-            reply = reply[5:]
-        session.say(reply)
+        session.answer(encoded(0, transaction, answer), self._faults)
 
 
 def encoded(communication: int, transaction: int, answer: Answer) -> bytes:

@@ -11,13 +11,12 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Protocol
 
 import numpy as np
 
 from fakes.faults import Faults, Vanished
 from fakes.time import PlantTime
-from fakes.truth.tracker_truth import Measurement
+from fakes.truth.tracker_truth import Instrument
 from fakes.truth.transforms import Array
 
 WARM_UP_S = 20.0
@@ -41,19 +40,6 @@ WORDS = {
 }
 PROFILES = ("Single Pt. To SA", "Standard Pt. To SA")
 SETTINGS = ("!SET_STATION_LOCK", "SET_NUM_SAMPLES", "SET_NUM_ITERATIONS", "SET_RANDOMIZE_POINTS")
-
-
-class Instrument(Protocol):
-    """The plant as the device sees it: positions in the tracker's frame, mm."""
-
-    def reflectors(self) -> dict[str, Array]:
-        """Return where every reflector is."""
-
-    def find(self, near_mm: Array, radius_mm: float) -> str | None:
-        """Return the name of the reflector nearest to a point."""
-
-    def measure(self, name: str) -> Measurement | None:
-        """Return one measurement of a reflector, None where it cannot be seen."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -203,23 +203,14 @@ class T2saServer:
 
     def _reply(self, session: LineSession, answer: Answer) -> None:
         """Send a reply as the faults want it on the wire."""
-        reply, take = answer.line.encode("ascii"), self._faults.take
-        if answer.measured:
-            if take("tracker.eof") is not None:
-                raise ConnectionAbortedError
-            if take("tracker.no_result") is not None:
-                return
-            if take("tracker.late_result") is not None:
-                session.late.append(reply)
-                return
-        for late in session.late:
-            session.say(late)
-        session.late.clear()
-        if answer.measured and take("tracker.split_packet") is not None:
-            session.raw(reply[:5])
-            real_time.sleep(0.02)  # so that both halves are segments of their own
-            reply = reply[5:]
-        session.say(reply)
+        reply = answer.line.encode("ascii")
+        if not answer.measured:
+            session.say_late()
+            session.say(reply)
+        elif self._faults.take("tracker.eof") is not None:
+            raise ConnectionAbortedError
+        elif self._faults.take("tracker.no_result") is None:
+            session.answer(reply, self._faults)
 
 
 def serve(site: Site, port: int) -> T2saServer:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -42,6 +42,25 @@ class Measurement:
 
     xyz_mm: Array
     std_mm: Array
+
+
+class Instrument(Protocol):
+    """The plant's tracker as a device sees it: positions in the tracker's frame, mm."""
+
+    def reflectors(self) -> dict[str, Array]:
+        """Return where every reflector is."""
+
+    def reflector(self, name: str) -> Array | None:
+        """Return where a reflector is, None where it is not to be seen."""
+
+    def find(self, near_mm: Array, radius_mm: float) -> str | None:
+        """Return the name of the reflector nearest to a point."""
+
+    def measure(self, name: str) -> Measurement | None:
+        """Return one measurement of a reflector, None where it cannot be seen."""
+
+    def air(self) -> Air:
+        """Return the air now."""
 
 
 class _Struck(NamedTuple):

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 import socket
+import time
 from typing import Protocol
 
+from fakes.faults import Faults
 from fakes.wires.segments import Client, Segments
 
 RECEIVE = 4096
@@ -31,9 +33,23 @@ class LineSession:
         """Send a line."""
         self._segments.send(line + b"\r\n")
 
-    def raw(self, data: bytes) -> None:
-        """Send bytes."""
-        self._segments.send(data)
+    def answer(self, line: bytes, faults: Faults) -> None:
+        """Send a line behind those kept before; a fault keeps it, too, or has it sent in two."""
+        if faults.take("tracker.late_result") is not None:
+            self.late.append(line)
+            return
+        self.say_late()
+        if faults.take("tracker.split_packet") is not None:
+            self._segments.send(line[:5])
+            time.sleep(0.02)  # so that both halves are segments of their own
+            line = line[5:]
+        self.say(line)
+
+    def say_late(self) -> None:
+        """Send the lines that were kept."""
+        for late in self.late:
+            self.say(late)
+        self.late.clear()
 
     def line(self, timeout_s: float | None) -> bytes | None:
         """Return the next line that is not empty, None after the timeout."""

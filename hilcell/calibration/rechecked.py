@@ -64,6 +64,7 @@ def recheck_result(log: Log) -> dict[str, Any]:
     """Return the verdict, its figures in mm, and the sentence for people; nothing before it."""
     found, judgement = rechecked(log), rechecked_run(log)
     calibration, as_found = used(log), judged_errors(log, found.errors_mm)
+    air_c = log.temperatures_c()
     result = {
         "verdict": final_verdict(log, judgement),
         "calibration": calibration.provenance.latest,
@@ -89,7 +90,7 @@ def recheck_result(log: Log) -> dict[str, Any]:
         "mean_U_mm": as_found.mean_U_mm,
         "max_U_mm": as_found.max_U_mm,
         "in_tolerance": as_found.holds,
-        "temperature_c": _mean_c(log),
+        "temperature_c": float(np.mean(air_c)) if air_c else None,
         "calibrated_c": calibration.validity.temperature_c,
         "poses": _poses(log, found, judgement),
     }
@@ -108,11 +109,6 @@ def doubt(result: dict[str, Any]) -> str:
         if slips
         else ""
     )
-
-
-def _mean_c(log: Log) -> float | None:
-    air_c = log.temperatures_c()
-    return float(np.mean(air_c)) if air_c else None
 
 
 def _poses(log: Log, found: Rechecked, judgement: Judgement) -> list[dict[str, Any]]:

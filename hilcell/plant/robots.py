@@ -90,11 +90,13 @@ def robots(connection: Connection, robot: str = "", cell: str = "") -> list[Robo
 def _robot(connection: Connection, robot: str, cell: Name, rows: Sequence[Found]) -> RobotCourse:
     alike = [row for row in rows if row.places_mm == rows[-1].places_mm]  # of the newest grid
     years = np.array([row.ended.timestamp() for row in alike]) / YEAR_S
-    celsius = _celsius(alike)
+    air_c = [row.temperature_c for row in alike]
+    celsius = None if None in air_c else np.array(air_c, dtype=float)
+    errors_mm = np.array([row.errors_mm for row in alike], dtype=float).reshape(len(alike), -1)
     drift: list[Drift] = []
     not_judged: dict[str, str] = {}
     changes: list[Change] = []
-    for what, vectors in ((ARM, _errors_mm(alike)), (BASE, _bases_mm(alike))):
+    for what, vectors in ((ARM, errors_mm), (BASE, _bases_mm(alike))):
         along_mm = main_direction(vectors) / np.sqrt(vectors.shape[1] / 3)  # rms of its points
         seen = course(years, along_mm, celsius)
         if seen is not None:
@@ -111,16 +113,6 @@ def _robot(connection: Connection, robot: str, cell: Name, rows: Sequence[Found]
         left_out=len(rows) - len(alike), drift=drift,
         not_judged=not_judged, changes=changes,
     )  # fmt: skip
-
-
-def _celsius(rows: Sequence[Found]) -> Array | None:
-    found = [row.temperature_c for row in rows]
-    return None if None in found else np.array(found, dtype=float)
-
-
-def _errors_mm(rows: Sequence[Found]) -> Array:
-    errors_mm: Array = np.array([row.errors_mm for row in rows], dtype=float)
-    return errors_mm.reshape(len(rows), -1)
 
 
 def _bases_mm(rows: Sequence[Found]) -> Array:

@@ -81,7 +81,9 @@ def results_sheet(facts: Facts) -> Sheet | None:
     """Return the table of results, nothing where nothing was judged."""
     if tests_poses(facts):
         return pose_test.results_sheet(facts)
-    return sheet("Results", RESULTS, shown_results(facts), _left_out(facts))
+    left = len(judged_places(facts)) - len(_shown(facts))
+    note = f"{left} stations further from their limits: see Verdicts." if left else ""
+    return sheet("Results", RESULTS, shown_results(facts), note)
 
 
 def judged_places(facts: Facts) -> dict[str, Judged]:
@@ -127,11 +129,6 @@ def nearest_results(facts: Facts, targets: TargetBudget) -> list[tuple[str, Resu
         bound_mm = max(float(each.radii_mm.max()) for each in targets.in_use.values())
         found.append(("95 % bound", Result("95 % bound", limit_mm, None, bound_mm, None)))
     return found
-
-
-def _left_out(facts: Facts) -> str:
-    left = len(judged_places(facts)) - len(_shown(facts))
-    return f"{left} stations further from their limits: see Verdicts." if left else ""
 
 
 def results_at(facts: Facts, name: str) -> tuple[Result, Result]:

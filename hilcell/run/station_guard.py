@@ -72,7 +72,11 @@ class StationGuard:
         off = self._prove(station)
         if not off.holds:
             self._tracker.prove()
-            self._run.pause(_words(station, off))
+            self._run.pause(
+                f"the slide stands {off.off_mm:+.3f} mm along the rail beside where {station.name} "
+                f"was, wanted within {off.limit_mm:.3f} mm: the strip has jumped, or a slide nest "
+                "has moved"
+            )
             self._motion.hold_station(station, again=True)
             off = self._prove(station)
         if not off.holds:
@@ -112,13 +116,6 @@ class StationGuard:
         way_mm = station.strip_mm - cell.station_named(first.station).strip_mm
         along_mm = float((at_mm[1] - at_mm[0]) @ np.array(cell.layout.rail_direction))
         return Off(along_mm - way_mm, limit_mm)
-
-
-def _words(station: Station, off: Off) -> str:
-    return (
-        f"the slide stands {off.off_mm:+.3f} mm along the rail beside where {station.name} was, "
-        f"wanted within {off.limit_mm:.3f} mm: the strip has jumped, or a slide nest has moved"
-    )
 
 
 def _jumped(station: Station, off: Off) -> DeviceError:
