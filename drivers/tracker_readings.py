@@ -45,6 +45,15 @@ def checked_order(near_mm: Array, samples: int) -> Array:
     return near_mm
 
 
+def check_reflector(reflector: str, known: str, found: str) -> None:
+    """Refuse another reflector than the one whose constant is set; ``found`` says which, where."""
+    if reflector != known:
+        raise refused(
+            "HC-T07", "choose reflector", found, wanted=repr(reflector),
+            act="correct tracker.reflector", reflector=reflector, known=[known],
+        )  # fmt: skip
+
+
 def misplaced(off_mm: float, radius_mm: float) -> NoReading:
     """Return the error of a result that is too far from the expected place."""
     return no_reading(

@@ -23,6 +23,7 @@ from drivers.tracker_readings import (
     ALARMS,
     DEVICE,
     another_tracker,
+    check_reflector,
     checked_order,
     misplaced,
     no_reading,
@@ -124,16 +125,8 @@ class LeicaGeocomTracker:
         """Measure the reflector expected at ``near_mm`` (3,), tracker frame, ``samples`` times."""
         near_mm = checked_order(near_mm, samples)
         options = self._options
-        if reflector != options.reflector:
-            raise refused(
-                "HC-T07",
-                "choose reflector",
-                f"the prism constant is that of {options.reflector!r}",
-                wanted=repr(reflector),
-                act="correct tracker.reflector",
-                reflector=reflector,
-                known=[options.reflector],
-            )
+        known = options.reflector
+        check_reflector(reflector, known, f"the prism constant is that of {known!r}")
         self._ask(Rpc.TURN_TO, *geocom.angles_to(near_mm), 0, 0, 0, limit_s=self.MOVE_S)
         points_mm = np.array([self._single(near_mm) for _ in range(samples)])
         if samples > 1:

@@ -31,6 +31,7 @@ from drivers.supervision import Patience
 from drivers.tracker_readings import (
     ALARMS,
     DEVICE,
+    check_reflector,
     checked_order,
     misplaced,
     no_reading,
@@ -120,16 +121,8 @@ class T2saTracker:
         """
         near_mm = checked_order(near_mm, samples)
         options = self._options
-        if reflector != options.reflector:
-            raise refused(
-                "HC-T07",
-                "choose reflector",
-                f"the target in SpatialAnalyzer is {options.reflector!r}",
-                wanted=repr(reflector),
-                act="correct tracker.reflector",
-                reflector=reflector,
-                known=[options.reflector],
-            )
+        known = options.reflector
+        check_reflector(reflector, known, f"the target in SpatialAnalyzer is {known!r}")
         if self._bridge is None or self._points is None:
             raise DeviceError("HC-T34", DEVICE, "use", "not connected", act="connect first")
         bridge, named = self._bridge, _Aim(self._points, near_mm, options.search_mm)

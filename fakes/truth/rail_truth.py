@@ -93,7 +93,7 @@ class RailTruth:
         self._shape = _Shape(cell, machine, KeyedNoise(seed).generator("rail"))
         self._low_mm = cell.rail.travel_min_mm - SWITCH_MM
         self._high_mm = cell.rail.travel_max_mm + SWITCH_MM
-        self._acceleration_mm_s2 = cell.rail.acceleration_mm_s2
+
         self._backlash_mm = self._shape.backlash_mm
         self._slip_mm = 0.0
         self._braked = True

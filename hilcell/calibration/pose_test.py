@@ -72,7 +72,6 @@ def attained(log: Log) -> dict[str, Errors]:
 
 
 def _visits(log: Log) -> dict[str, list[Point]]:
-    """Return the points of each pose."""
     visits: dict[str, list[Point]] = {name: [] for name in sorted(CYCLE)}
     for point in log.select(ISO):
         visits[point.id.pose].append(point)

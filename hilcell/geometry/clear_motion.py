@@ -10,7 +10,6 @@ number proves nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -141,12 +140,7 @@ class Body:
         if len(postures) <= AT_ONCE:
             return np.array(self.clearances_mm(postures, enough_mm).min(axis=-1))
         parts = [
-            self.clearances_mm(postures[some], enough_mm[some]).min(axis=-1)
-            for some in _slices(len(postures))
+            self.clearances_mm(postures[n : n + AT_ONCE], enough_mm[n : n + AT_ONCE]).min(axis=-1)
+            for n in range(0, len(postures), AT_ONCE)
         ]
         return np.concatenate(parts)
-
-
-def _slices(count: int) -> Iterator[slice]:
-    for begin in range(0, count, AT_ONCE):
-        yield slice(begin, begin + AT_ONCE)

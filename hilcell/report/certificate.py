@@ -70,7 +70,6 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
 
 
 def _stands(cell: Cell) -> str:
-    """Return where the robot works."""
     if not cell.has_rail:
         return "on the floor, without a rail"
     travel_mm = cell.rail.travel_max_mm - cell.rail.travel_min_mm

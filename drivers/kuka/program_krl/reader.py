@@ -128,7 +128,6 @@ class _Reader:
 
     @property
     def tool(self) -> StatedTool | None:
-        """Return the tool that the program states."""
         return self._frames.tool
 
     def notes(self) -> list[str]:

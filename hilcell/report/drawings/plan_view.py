@@ -51,7 +51,6 @@ class _Plan:
         self._height = float(span_mm[1]) * self._scale + 2 * MARGIN_MM
 
     def svg(self, simulated: bool) -> str:
-        """Return the whole drawing."""
         parts = [
             *self._rail(), *self._volumes(), *self._nests(), *self._tracker(), *self._bar(),
         ]  # fmt: skip

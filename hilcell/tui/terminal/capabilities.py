@@ -65,10 +65,9 @@ class Glyphs:
     empty: str
     mark: str
     rule: str
-    over_left: str
-    over_right: str
+
     degree: str
-    plus_minus: str
+
     delta: str
     dot: str
     plain: bool
@@ -81,8 +80,8 @@ UNICODE = Glyphs(
         "aborted": "□", "fault": "×", "silent": "×", "unreadable": "×", "gone": "×",
     },
     fresh="●", moving="►", stale="○", lost="×", locked="■", gone="□", warned="▲", newest="◄",
-    done="√", full="█", empty="░", mark="▼", rule="─", over_left="◄", over_right="►",
-    degree="°", plus_minus="±", delta="Δ", dot="·", plain=False,
+    done="√", full="█", empty="░", mark="▼", rule="─", degree="°", delta="Δ", dot="·",
+    plain=False,
 )  # fmt: skip
 
 ASCII = Glyphs(
@@ -92,8 +91,8 @@ ASCII = Glyphs(
         "aborted": "#", "fault": "X", "silent": "X", "unreadable": "X", "gone": "X",
     },
     fresh="*", moving=">", stale="o", lost="X", locked="#", gone="=", warned="!", newest="<",
-    done="v", full="#", empty=".", mark="V", rule="-", over_left="<", over_right=">",
-    degree="", plus_minus="+-", delta="d", dot="|", plain=True,
+    done="v", full="#", empty=".", mark="V", rule="-", degree="", delta="d", dot="|",
+    plain=True,
 )  # fmt: skip
 
 _PLAIN = str.maketrans(

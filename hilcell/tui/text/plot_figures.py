@@ -122,7 +122,6 @@ def _worst(found: Errors3D) -> Lines:
 
 
 def _words(log: Log, found: Errors3D, floor: Mapping[str, float]) -> Lines:
-    """Return what the figures say."""
     limit_mm = log.cell.validation.max_tolerance_mm
     errors = found.by_how["chosen"][np.isfinite(found.by_how["chosen"])]
     over = int(np.sum(~(errors <= limit_mm)))
