@@ -70,7 +70,7 @@ def test_a_strip_whose_bus_falls_silent_is_named(
 def test_a_plant_s_cell_file_names_serial_lines(tmp_path: Path) -> None:
     cell = tmp_path / "shop.toml"
     cell.write_text(PAPER.read_text("utf-8").split("[simulation]")[0])
-    with simulation(20.0, ON_LINES) as simulated:
+    with simulation(60.0, ON_LINES) as simulated:
         where = simulated.addresses
         values = {
             "name": "shop",
