@@ -22,7 +22,7 @@ from hilcell.plant.shipper import Shipped, ship
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.server import BLANK, Server
 from tests.hilcell.plant.year import Model, Run
-from tests.whole.bench import command
+from tests.whole.bench import command, sweep
 
 SHORT_S = 0.1
 LEAST_S = 2  # that libpq waits for a server
@@ -65,24 +65,28 @@ class Freezer:
 
 
 @pytest.mark.wall
+@pytest.mark.parametrize(("moment", "nth"), [("commit", 3), *sweep(("before_cursor_execute", 15))])
 def test_a_server_that_freezes_loses_and_doubles_nothing(
-    postgresql: Server, runs: Path, monkeypatch: pytest.MonkeyPatch
+    postgresql: Server, runs: Path, moment: str, nth: int
 ) -> None:
-    """Nobody knows whether a commit was done that had no answer: the next shipment asks.
+    """Nobody knows whether a commit was done that had no answer: the next shipment asks."""
+    with closing(Database(postgresql.make(like=BLANK))) as database:
+        freezer = Freezer(postgresql, database, moment, nth)
+        with pytest.raises(PlantAway, match=STILL) as away:
+            ship(runs, database)
+        (silent_s,) = map(float, re.findall(r"no answer for ([\d.]+) s", str(away.value)))
+        assert silent_s < 15.0
+        freezer.thaw()
+        done = ship(runs, database)
+        assert done.runs + done.before == 2
+        assert ship(runs, database) == Shipped(before=2)
 
-    An order of a migration may take hours; the server must answer others meanwhile.
-    """
-    for moment, nth in (("before_cursor_execute", 15), ("commit", 3)):
-        with closing(Database(postgresql.make(like=BLANK))) as database:
-            freezer = Freezer(postgresql, database, moment, nth)
-            with pytest.raises(PlantAway, match=STILL) as away:
-                ship(runs, database)
-            (silent_s,) = map(float, re.findall(r"no answer for ([\d.]+) s", str(away.value)))
-            assert silent_s < 15.0
-            freezer.thaw()
-            done = ship(runs, database)
-            assert done.runs + done.before == 2
-            assert ship(runs, database) == Shipped(before=2)
+
+@pytest.mark.wall
+def test_a_server_that_freezes_in_a_migration_is_named(
+    postgresql: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An order of a migration may take hours; the server must answer others meanwhile."""
     with closing(Database(postgresql.make())) as database:
         freezer = Freezer(postgresql, database, "before_cursor_execute", 1, "CREATE TABLE point")
         with pytest.raises(PlantAway, match=STILL):
