@@ -23,7 +23,7 @@ together: $(VENV)/compiled  ## tests in event time, in random order on all cores
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not nightly and not wall"
 
 alone: $(VENV)/compiled  ## tests of real processes and deadlines, one at a time
-	$(BIN)/python -m pytest -m "wall and not nightly"
+	$(BIN)/python -m pytest -m "wall and not nightly" $$(grep -lr --include="test_*.py" mark.wall tests)
 
 recordings: $(VENV)/more  ## tests/wires: run each kept recording's run again, keep it in its place
 	$(BIN)/python -m tests.whole.recordings

@@ -46,7 +46,7 @@ LAST_ERROR = b"t60584003100100000000", b"t58584303100130810000"  # 1003h:01 of t
 @pytest.mark.wall
 def test_a_drive_that_has_latched_the_lost_heartbeat_starts_again(tmp_path: Path) -> None:
     """It takes START only after the first new heartbeat of the engine that resumes."""
-    with simulation(20.0) as cell:
+    with simulation(60.0) as cell:
         words = sets({"simulation.address": cell.control})
         engine = Engine("run", "home", "--runs", tmp_path, *words)
         engine.until(lambda event: event.get("what") == "connected")
