@@ -136,7 +136,7 @@ def document(root: Element) -> bytes:
 
 
 UNKNOWN_COUNTRY = "ZZ"  # of ISO 3166-1's codes for the user's own use
-CONFORMITY = {"pass": "pass", "undecided": "noPass", "fail": "fail"}
+CONFORMITY = {"pass": "pass", "undecided": "noPass", "fail": "fail"}  # a simulated run: none
 STATUS = {"before": "beforeAdjustment", "idw": "afterAdjustment", "chosen": "afterAdjustment"}
 AIR = {
     "air temperature": ("basic_temperature", CELSIUS),
