@@ -20,7 +20,12 @@ from tests.whole.bench import sets, simulation
 from tests.whole.stations import TOTAL_STATION
 
 POINTS = str(Path(__file__).with_name("t2sa_points.csv"))
-SHORT = {"base_frame.points": "4", "layout.nest_samples": "2", "plan.unattended_wait_s": "0"}
+SHORT = {
+    "base_frame.points": "4",
+    "layout.nest_samples": "2",
+    "plan.unattended_wait_s": "0",
+    "rail.standstill_dwell_s": "0.05",
+}
 CELLS: Mapping[str, Mapping[str, str]] = {
     "": {},
     "EKI": {"robot.driver": "kuka-eki"},

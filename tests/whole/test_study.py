@@ -136,8 +136,8 @@ def test_a_study_that_ends_early_says_whether_cases_are_kept(
     assert ("goes on" in done.stderr.splitlines()[-1]) is bool(kept)
 
 
-class Frozen(Exception):
-    """The message on the worker that froze: it ends the study of a test."""
+class Frozen(BaseException):
+    """The message on the worker that froze: it ends a test's study, and is no worker's error."""
 
 
 @pytest.mark.wall
