@@ -72,15 +72,18 @@ def _cells_here() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def _starts_no_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Start no process; tests marked ``wall`` may, that of a simulated cell as well."""
-    if request.node.get_closest_marker("wall") is None:
-        monkeypatch.setattr(subprocess.Popen, "__init__", _no_process)
-    else:
+    """Start no process; tests marked ``process`` or ``wall`` may.
+
+    Those marked ``wall`` have the simulated cell in a process of its own as well.
+    """
+    if request.node.get_closest_marker("wall"):
         monkeypatch.setattr(simulator, "_start", START)
+    elif not request.node.get_closest_marker("process"):
+        monkeypatch.setattr(subprocess.Popen, "__init__", _no_process)
 
 
 def _no_process(_: object, words: object, *__: object, **___: object) -> None:
-    raise AssertionError(f"{words}: a test that starts a process is marked `wall`")
+    raise AssertionError(f"{words}: a test that starts a process is marked `process` or `wall`")
 
 
 @pytest.fixture

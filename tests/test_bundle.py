@@ -66,7 +66,7 @@ def install(folder: Path, python: str = sys.executable) -> subprocess.CompletedP
     return done
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_damaged_archive_and_another_python_are_refused(unpacked: Path) -> None:
     assert "damaged" in install(unpacked).stderr
     assert "/nonexistent/python3" in install(unpacked, python="/nonexistent/python3").stderr

@@ -61,7 +61,7 @@ def test_no_vendor_is_named_outside_drivers() -> None:
             assert not [v for v in vendors if v in text], path
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_help_is_quick_to_import() -> None:
     """What --help needs: nothing heavy. Timings stand in benchmarks/."""
     code = (

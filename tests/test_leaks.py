@@ -30,7 +30,7 @@ def test_an_open_file_is_named() -> None:
     left.close()
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_process_is_named_and_known_by_its_number() -> None:
     """Between fork and exec it has its starter's command, as `sh` here has before `sleep`."""
     words = ["sh", "-c", "read go; exec sleep 300"]

@@ -137,7 +137,7 @@ for each in run_all(runs, 1, Path(sys.argv[1])):
 """
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_break_reaches_every_process(
     root: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

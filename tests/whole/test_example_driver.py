@@ -66,7 +66,7 @@ def runner(python: Path, folder: Path, environment: dict[str, str]) -> Run:
     return run
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_its_entry_points_are_those_of_a_driver_of_ones_own(run: Run) -> None:
     doctor = json.loads(run("hilcell", "doctor", "--json").stdout)
     (drivers,) = (each for each in doctor["checks"] if each["check"] == "drivers")
@@ -76,7 +76,8 @@ def test_its_entry_points_are_those_of_a_driver_of_ones_own(run: Run) -> None:
     assert "robot.options: prot" in checked.stderr
 
 
-@pytest.mark.wall
+@pytest.mark.long
+@pytest.mark.process
 def test_its_own_tests_pass_beside_the_kit(run: Run) -> None:
     promises = "identity-same or test_meca500"
     done = run("pytest", "-q", *ALONE, "-W", "error", PACKAGE / "tests", KIT, "-k", promises)

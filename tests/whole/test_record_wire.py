@@ -63,7 +63,7 @@ def repeat(pair: str, recording: Path, runs: Path) -> tuple[int, Path]:
     return command("run", procedure(pair), *wanted).returncode, runs / "again"
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_run_is_recorded_and_repeats_from_its_recording_alone(tmp_path: Path) -> None:
     pair = "kuka-c3,leica-emscon,canopen"
     first = record(pair, tmp_path, "first")
@@ -157,7 +157,7 @@ def test_another_byte_on_a_wire_is_another_run(
     assert code != 0 or facts(again) != kept["facts"]
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_recording_of_another_driver_is_refused_with_its_name(tmp_path: Path) -> None:
     folder = tmp_path / "r1"
     folder.mkdir()
@@ -287,7 +287,7 @@ def test_a_serial_line_passes_through_a_pseudo_terminal(kept: tuple[Recorder, Pa
     assert [p.e for p in read_recording(path)][:3] == ["open", ">", "<"]
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_can_interface_is_left_out_with_its_reason(tmp_path: Path) -> None:
     cell = load_cell("paper")
     strip = {"driver": "canopen", "interface": "socketcan", "channel": "can1"}
@@ -326,7 +326,7 @@ def test_a_changed_byte_is_noticed(packed: bool, tmp_path: Path) -> None:
             read_recording(path)
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_resumed_run_is_recorded_in_a_folder_of_its_own(tmp_path: Path) -> None:
     cell = load_cell("paper")
     for _ in range(3):
@@ -335,7 +335,7 @@ def test_a_resumed_run_is_recorded_in_a_folder_of_its_own(tmp_path: Path) -> Non
         assert set(recordings(folder)) == {"clock", "rail", "robot", "tracker"}
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_every_wire_of_a_device_is_recorded(tmp_path: Path) -> None:
     cell = load_cell("lab", {"rail.options.strip": STRIP})
     recording = WireRecording(cell, {}, tmp_path, HEAD)

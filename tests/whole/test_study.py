@@ -56,7 +56,7 @@ def _tracker() -> None:
     resource_tracker.ensure_running()
 
 
-@pytest.mark.wall
+@pytest.mark.process
 @pytest.mark.usefixtures("_tracker")
 def test_workers_find_the_digits_of_this_process(tmp_path: Path) -> None:
     path, folder = written(tmp_path, READINGS), tmp_path / "r"
@@ -86,7 +86,7 @@ def studying(path: Path, folder: Path) -> Iterator[subprocess.Popen[str]]:
         running.communicate()
 
 
-@pytest.mark.wall
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("number", "send"),
     [
@@ -243,7 +243,7 @@ def test_a_killed_worker_loses_no_case(tmp_path: Path) -> None:
 OLDER = 'import hilcell\nhilcell.__version__ = "0.0.9"\n'
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_worker_that_differs_measures_nothing(tmp_path: Path) -> None:
     """One that comes later ends the study, not with a row."""
     (tmp_path / "site").mkdir()
@@ -282,7 +282,7 @@ levels = ["paper", "deadly"]
 """
 
 
-@pytest.mark.wall
+@pytest.mark.process
 @pytest.mark.usefixtures("_tracker")
 def test_a_case_that_kills_its_worker_each_time_is_a_row(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

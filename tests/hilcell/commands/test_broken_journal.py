@@ -153,7 +153,7 @@ for run in ("r", "t"):
 """
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_missing_rights_are_named(sound: Path) -> None:
     with tempfile.TemporaryDirectory() as name:  # one that others may enter
         runs = Path(shutil.copytree(sound, Path(name) / "runs"))

@@ -35,7 +35,7 @@ ANSWERS = {
 }
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_bash_completes(tmp_path: Path) -> None:
     Path(tmp_path, "completion").write_text(command("completion", "bash").stdout, "utf-8")
     Path(tmp_path, "holes.csv").touch()

@@ -116,7 +116,7 @@ def test_a_closed_stderr_puts_no_message_among_the_data(
 
 
 @needs_full
-@pytest.mark.wall
+@pytest.mark.process
 def test_the_interpreter_adds_no_words_of_its_own_at_its_end() -> None:
     with FULL.open("w") as stdout:
         done = subprocess.run(
@@ -163,7 +163,7 @@ def test_a_run_into_a_full_disk_ends_with_exit_7_and_a_whole_journal(
     assert "resume" not in err
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_run_whose_messages_nobody_reads_any_more_comes_to_its_end(tmp_path: Path) -> None:
     """`hilcell run 2>&1 | head`: the bar's broken pipe ended the worker, and the run hung."""
     with closed_pipe() as stderr:

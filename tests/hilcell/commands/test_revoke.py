@@ -177,7 +177,7 @@ for place in map(Path, sys.argv[2:]):
 """
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_missing_permission_is_named() -> None:
     with tempfile.TemporaryDirectory() as name:
         runs = Path(name)

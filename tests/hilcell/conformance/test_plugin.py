@@ -17,7 +17,7 @@ CELLS = Path(hilcell.__file__).with_name("cells")
 C3 = "robots:kuka-c3"
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_promise_is_a_test_beside_those_of_ones_own(tmp_path: Path) -> None:
     (tmp_path / "test_own.py").write_text("def test_own(): assert False")
     words = "test_own.py", f"--hilcell-driver={C3}", "-k", "own or identity or not-connected"

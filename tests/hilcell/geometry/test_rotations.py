@@ -45,7 +45,7 @@ def test_many_at_once() -> None:
     np.testing.assert_allclose(from_zyx(degrees)[2, 3], from_zyx(degrees[2, 3]), rtol=0, atol=0)
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_what_starts_an_engine_imports_no_scipy() -> None:
     """Its import alone takes longer than all else that is needed before a run."""
     modules = "hilcell.run.runner, procedures.calibrate, drivers.kuka.robot_c3"

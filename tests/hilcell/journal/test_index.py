@@ -300,7 +300,7 @@ def open_folder() -> Iterator[Path]:
         yield Path(name)
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_folder_that_may_only_be_read(open_folder: Path) -> None:
     """Nothing may be written there, not even what SQLite wants beside a journal."""
     for name in ("1", "2"):
@@ -318,7 +318,7 @@ def test_a_folder_that_may_only_be_read(open_folder: Path) -> None:
     assert found == [JOURNAL, JOURNAL]
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_several_processes_at_once(tmp_path: Path) -> None:
     model = written(tmp_path / "model")
     runs = tmp_path / "runs"

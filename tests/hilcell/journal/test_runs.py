@@ -65,7 +65,7 @@ except Exception as error:
 """
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_run_that_must_not_be_looked_into_is_listed_with_its_reason() -> None:
     with tempfile.TemporaryDirectory() as name:
         runs = Path(name)

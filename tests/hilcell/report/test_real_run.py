@@ -64,7 +64,7 @@ def test_it_holds_every_figure_of_a_calibration_and_is_small(html: str) -> None:
     assert "402871" in found.text
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_another_machine_writes_the_same_bytes(html: str, run: GoldenRun, tmp_path: Path) -> None:
     elsewhere = run.copied_to(tmp_path)
     rc = tmp_path / "matplotlibrc"
@@ -155,7 +155,7 @@ def long_names(facts: Facts) -> Facts:
     return replace(facts, cell=cell, run=LONG)
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_seen_in_a_browser(
     html: str, run: GoldenRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -189,7 +189,7 @@ def test_seen_in_a_browser(
     assert long.width <= 900
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_printed_on_a4(run: GoldenRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     use_fonts(tmp_path, monkeypatch)
     paper = tmp_path / "report.pdf"

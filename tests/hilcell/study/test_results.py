@@ -79,7 +79,7 @@ print(results.table().num_rows, *set(os.listdir("/proc/self/task")) - before)
 """
 
 
-@pytest.mark.wall
+@pytest.mark.process
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="threads are seen on Linux")
 def test_rows_are_read_and_written_without_threads(tmp_path: Path) -> None:
     """Arrow's threads now and then abort a process that has done all its work, at its end."""

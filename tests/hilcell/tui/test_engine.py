@@ -53,7 +53,7 @@ def test_speed_is_named_only_where_it_is_chosen() -> None:
     )
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_commands_are_processes_whose_refusals_say_why(tmp_path: Path) -> None:
     """A value that is refused comes without the usage of a command."""
     plan = asyncio.run(dry_run(RunRequest("paper", "home")))

@@ -24,7 +24,7 @@ from tests.hilcell.tui.terminal_colours import colours_of
 from tests.hilcell.tui.untrusted_text import NASTY, poisoned
 from tests.whole.terminal import Terminal
 
-pytestmark = pytest.mark.wall
+pytestmark = pytest.mark.process
 
 NAME = "20260304-080000-calibrate-ab12"
 OTHER = "20260303-080000-calibrate-cd34"
