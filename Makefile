@@ -49,10 +49,9 @@ gauges:  ## modules, lines, names, Any, shapes of each noun, habits of speech; d
 bench: $(VENV)/more  ## timings, as ratios within one run
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks
 
-# A fresh clone is compiled once: its tests not by each worker, its rooms not by each engine.
+# A fresh clone is compiled once, and not by each worker and engine of its tests.
 $(VENV)/compiled: $(VENV)/more
 	-$(BIN)/python -m compileall -q hilcell drivers procedures fakes
-	-$(BIN)/python -m pytest --collect-only -q > /dev/null
 	touch $@
 
 $(VENV)/ready: requirements.lock pyproject.toml

@@ -12,7 +12,7 @@ from drivers.canopen import emcy, nmt
 from drivers.canopen.can_link import CanLink
 from hilcell.ports import DeviceError
 
-HEARTBEAT_PERIOD_MS = 100
+HEARTBEAT_PERIOD_MS = 50
 PC_HEARTBEAT_LIMIT_MS = 1000
 HEARTBEAT_AGE_S = 1.0  # of link time
 _ADVICE = "put the cause right, then resume; home the rail after a reset of its drive"

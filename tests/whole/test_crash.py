@@ -27,7 +27,7 @@ from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_kills_change_nothing(tmp_path: Path) -> None:
     """Of a short run: `make torture` kills whole calibrations."""
     words = ("base-frame", *sets(SMALL | {"base_frame.points": "4"}))
@@ -99,7 +99,7 @@ def test_a_lost_calibration_file_is_written_again(tmp_path: Path, golden: Golden
     assert command("resume", "copy", "--runs", tmp_path).returncode == 2  # it is finished
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_killed_run_takes_its_simulation_along(tmp_path: Path) -> None:
     engine = Engine("run", "--runs", tmp_path, "--speed", "20", *sets(SMALL))
     engine.until(lambda event: event["kind"] == "intent")

@@ -180,7 +180,7 @@ def test_a_journal_taken_away_acknowledges_nothing_more(path: Path, how: str) ->
     journal.close()
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_kill_9_loses_nothing_acknowledged(path: Path) -> None:
     writer = subprocess.Popen([sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE)
     assert writer.stdout is not None
