@@ -144,6 +144,7 @@ def test_only_a_whole_yes_lets_the_one_motion_go_that_was_announced(
         assert again.moved_mm == []
 
 
+@pytest.mark.nightly  # by day in the test's process, above
 def test_the_word_is_typed_at_a_terminal(shop: list[str], tmp_path: Path) -> None:
     """One that is closed at the question, or left by ctrl-C, moves nothing."""
     engine = Engine("run", "conformance", "--runs", tmp_path, *shop)

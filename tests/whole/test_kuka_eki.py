@@ -42,6 +42,7 @@ def flange_mm(cell: Simulation) -> Array:
     return np.array(cell.ask(do="truth")["flange_mm"])
 
 
+@pytest.mark.nightly  # by day the slide of the same controller: test_external_axis
 @pytest.mark.wall
 def test_a_killed_engine_leaves_a_braked_robot_and_resume_goes_on(tmp_path: Path) -> None:
     """The cell is ten times as fast as a real one; the controller's timer counts real time."""
