@@ -3,7 +3,8 @@
 PYTHON ?= python3
 VENV := .venv$(if $(filter-out python3,$(PYTHON)),-$(notdir $(PYTHON)))
 BIN := $(VENV)/bin
-COMPILE := uv pip compile pyproject.toml --universal --generate-hashes \
+# One version of each package on all Pythons: one set of types and of digits.
+COMPILE := uv pip compile pyproject.toml --universal --fork-strategy fewest --generate-hashes \
   --no-emit-index-url --no-header
 
 # The tests start hundreds of short processes: each module is compiled once, not once for each.

@@ -140,7 +140,8 @@ def scripted(script: list[tuple[bytes, list[bytes]]], surprises: list[bytes]) ->
                 surprises.append(found)
                 return
             send_apart(connection, pieces)
-        connection.recv(1)
+        if more := connection.recv(1):  # until the far side closes
+            surprises.append(more)
 
     return handle
 

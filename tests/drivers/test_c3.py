@@ -126,11 +126,16 @@ def test_a_connection_that_missed_a_reply_is_never_used_again(
             assert code_of(lambda: connection.read("$MODE_OP")) == "HC-B02"
 
 
-def test_a_stop_ends_the_wait_for_a_reply(time: WireTime) -> None:
+def test_a_stop_ends_the_wait_for_a_reply_and_the_connection_is_not_used_again(
+    time: WireTime,
+) -> None:
     with asked(check=time.check) as connection:
         time.stop.set()
         with pytest.raises(Stopped):
             connection.read("$MODE_OP")
+        time.stop.clear()
+        time.silence(0.1)
+        assert code_of(lambda: connection.read("$MODE_OP")) == "HC-B02"  # nothing is asked
 
 
 def test_a_closed_server_is_an_error(time: WireTime) -> None:

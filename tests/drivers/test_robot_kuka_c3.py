@@ -149,6 +149,11 @@ def test_a_robot_that_flickers_while_it_holds_stands(
     assert robot.read().still
 
 
+def test_a_reading_has_the_joints_where_they_were_sent(robot: KukaC3Robot) -> None:
+    robot.move_to(TARGET_RAD, 30.0)
+    np.testing.assert_allclose(robot.read().joints_rad, TARGET_RAD, atol=1e-9)
+
+
 def test_the_pose_is_in_kukas_angles(robot: KukaC3Robot) -> None:
     pose = robot.read().pose
     expected = (

@@ -147,6 +147,8 @@ def test_a_robot_that_changes_is_noticed_and_the_cause_named(
     end = printed[-1]
     assert (end["state"], end["exit"]) == ("finished", 1), end
     found = end["result"]["suspicions"]
+    judged = [e["holds"] for e in printed if e["kind"] == "verdict" and e["key"] == "suspicions"]
+    assert judged[-1] is False
     assert found[0]["cause"] == cause, found
     assert found[0]["size"] == pytest.approx(size, rel=0.4)
     assert found[0]["noticed_by"]

@@ -343,19 +343,21 @@ def test_joints_that_never_move_widen_the_bounds_where_they_do() -> None:
     assert coverage[1]["bound_mm"] > 2 * coverage[0]["bound_mm"]
 
 
-def turned_alike(seed: int, poses: int) -> np.ndarray:
+def turned_alike(seed: int, poses: int, turned_deg: float = 20.0) -> np.ndarray:
     """Joints at places that differ and one orientation."""
     rng, arm = np.random.default_rng(seed), IRB120.arm()
-    targets = np.tile(pose_from_zyx(350.0, 0.0, 400.0, 20.0, 150.0, 10.0), (poses, 1, 1))
+    targets = np.tile(pose_from_zyx(350.0, 0.0, 400.0, turned_deg, 150.0, 10.0), (poses, 1, 1))
     targets[:, :3, 3] += rng.uniform(-80.0, 80.0, (poses, 3))
     return inverse_kinematics(arm, targets, 2)
 
 
-def test_one_orientation_is_predicted() -> None:
+def test_one_orientation_is_predicted_and_others_are_refused() -> None:
     rows = measured(1, 25, ["SMR1"])
     train, test = (measured_at(turned_alike(seed, 25), rows) for seed in (1, 2))
     result = fit(IRB120, train, test)
     assert result["methods"][result["chosen"]]["mean_mm"] < 0.06
+    with pytest.raises(FitError, match="of 25 rows are not determined by the training rows"):
+        fit(IRB120, train, measured_at(turned_alike(2, 25, 30.0), rows))
 
 
 def on_a_line(seed: int) -> Measurements:
