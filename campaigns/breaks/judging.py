@@ -138,9 +138,11 @@ def _perform(run: Run, folder: Path) -> None:
         install()
     failures = _Failures()
     words = [*PYTEST, "--basetemp", str(folder / "t"), *run.options, *run.tests]
-    code = pytest.main(words, plugins=[failures])
-    if failures.tests:
-        (folder / "failed").write_text("\n".join(failures.tests), "utf-8")
+    try:
+        code = pytest.main(words, plugins=[failures])
+    finally:  # also where a test that failed left what only the end of pytest finds
+        if failures.tests:
+            (folder / "failed").write_text("\n".join(failures.tests), "utf-8")
     sys.exit(int(code))
 
 

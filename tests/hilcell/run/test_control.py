@@ -316,19 +316,16 @@ with locked(Path(sys.argv[1]), "cell paper", "other"):
 @pytest.mark.wall
 def test_another_process_holds_the_cell_until_it_dies(tmp_path: Path) -> None:
     path = lock_of_name(tmp_path, "paper")
-    other = subprocess.Popen(
-        [sys.executable, "-c", HOLD, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    )
-    assert other.stdout is not None
-    assert other.stdin is not None
-    assert other.stdout.readline() == b"held\n"
-    with (
-        pytest.raises(CellLocked, match=f"other .*{other.pid}"),
-        locked(path, "cell paper", "mine"),
-    ):
-        pass
-    other.kill()
-    other.communicate()
+    words = [sys.executable, "-c", HOLD, str(path)]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == b"held\n"
+        with (
+            pytest.raises(CellLocked, match=f"other .*{other.pid}"),
+            locked(path, "cell paper", "mine"),
+        ):
+            pass
+        other.kill()
     with locked(path, "cell paper", "mine"):
         pass
 
