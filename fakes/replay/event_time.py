@@ -118,15 +118,14 @@ class EventTime:
 
 
 class RecordedLooks:
-    """The cell's clock as it showed. Looks that were not recorded go on in real time, but for
-    pauses of this PC.
+    """The cell's clock as it showed. Looks that were not recorded show what the one before them
+    did, and the waits since: nothing passes by itself, so that a replay is the same at any pace.
     """
 
     def __init__(self, time_: EventTime, at_s: Sequence[float], shown_s: Sequence[float]) -> None:
         self._time, self._at_s, self._shown_s = time_, at_s, shown_s
         self._lock = threading.Lock()
-        self._shown, self._looked_s, self._since_s = 0.0, time.monotonic(), 0.0
-        self._latest_s = 0.0
+        self._shown = self._since_s = self._latest_s = 0.0
 
     def wait(self, duration_s: float) -> None:
         """Let cell time pass at once."""
@@ -137,9 +136,6 @@ class RecordedLooks:
         """Return the cell's time, which never runs back."""
         with self._lock:
             n, before_s = bisect_right(self._at_s, self._time.now_s), self._time.next_asked_s()
-            now_s = time.monotonic()
-            between_s, self._looked_s = now_s - self._looked_s, now_s
-            self._since_s += min(between_s, LOOK_S)
             if n < len(self._at_s) and self._at_s[n] < before_s:
                 self._time.reach(self._at_s[n])
                 self._shown, self._since_s = self._shown_s[n], 0.0
