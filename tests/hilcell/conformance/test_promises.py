@@ -154,8 +154,7 @@ def test_a_broken_driver_breaks_what_is_judged_at_once(port: Port) -> None:
     assert kept(port, [name for name in BROKEN[port] if at_once(named(port, name))]) == []
 
 
-@pytest.mark.long
-@pytest.mark.process
+@pytest.mark.wall
 def test_a_broken_driver_breaks_its_promise() -> None:
     """Those that need deadlines; those that wait for the driver to give up are for the night."""
     names = [["client-killed"], ["stop-at-once"], ["stop-rests"], ["slow"]]
