@@ -179,7 +179,7 @@ def test_a_robot_fault_in_the_middle(cell: Cell, tmp_path: Path) -> None:
     assert cell.variables("$OV_PRO", "HC_OV_OLD") == ["0", "0"]  # the operator's, not ours
 
 
-@pytest.mark.process
+@pytest.mark.wall
 def test_an_engine_killed_in_the_middle(cell: Cell, tmp_path: Path) -> None:
     words = [sys.executable, "-m", "tests.whole.sweeper", cell.address, str(tmp_path)]
     process = subprocess.Popen([*words, *map(str, cell.near_mm)])
