@@ -21,7 +21,6 @@ from hilcell.ports import Clock, RidesOnRobot, SimulatedCell, Stopped
 
 SEED = 1
 LOOK_S = 0.02
-FREED_S = 0.05  # a device has seen by then that its client is gone
 SIMULATED_ONLY = "it needs a fault, or may harm: only on simulated devices"
 PACE = 4.0  # of what moves in real time: quick, and slow enough to be stopped
 GROUPS = dict(TABLES)
@@ -198,7 +197,6 @@ class SimulatedBench(Bench):
                 device.close()
         if self._built and self._wires is not None:
             self._wires.drop()  # what is under way holds a connection open
-            time.sleep(FREED_S)
         self._built.clear()
 
     def close(self) -> None:

@@ -25,6 +25,7 @@ RESET = struct.pack("ii", 1, 0)  # SO_LINGER: close by RST
 GLUE_S = 0.004  # replies that come within this time leave as one
 APART_S = 0.0005  # the system would hand pieces on together
 LOOK_S = 0.05
+LEAVES_S = 1.0  # a device that has something under way may hold its end open
 BEHIND_S = 0.3
 AHEAD_S = 0.05  # of an old answer to the right one
 
@@ -43,6 +44,9 @@ class End(Protocol):
 
     def close(self, *, reset: bool) -> None:
         """Close it, by RST where it has one."""
+
+    def leave(self) -> None:
+        """Close it when the other end has been closed, too: what was sent is dealt with by then."""
 
 
 class SocketEnd:
@@ -73,6 +77,16 @@ class SocketEnd:
                 self._link.shutdown(socket.SHUT_RDWR)
         self._link.close()
 
+    def leave(self) -> None:
+        """Close it when the other end has been closed, too, `LEAVES_S` later at the latest."""
+        end_s = time.monotonic() + LEAVES_S
+        with self._link, suppress(OSError):
+            self._link.shutdown(socket.SHUT_WR)
+            while (left_s := end_s - time.monotonic()) > 0:
+                self._link.settimeout(left_s)
+                if not self._link.recv(PIECE):
+                    return
+
 
 class LineEnd:
     """One end of a serial line."""
@@ -99,6 +113,10 @@ class LineEnd:
         if self._open:
             self._open = False
             os.close(self._descriptor)
+
+    def leave(self) -> None:
+        """Close it: a line has no connections."""
+        self.close(reset=False)
 
 
 class Wire:
@@ -174,8 +192,8 @@ class Wire:
                     else:
                         copy += data if self.mode == "keep" else b""
                         self._answer(data, near)
-        for each in (near, far):
-            each.close(reset=False)
+        near.close(reset=False)
+        far.leave()
 
     def _received(self, end: End) -> bytes:
         """Return what has come and may pass; raises OSError at the end."""
@@ -226,8 +244,16 @@ class Proxy(Wire):
         self._behind = (host, port)
 
     def drop(self) -> None:
-        """Break every connection."""
-        self.reset()
+        """End every connection, also one that was not taken yet; the device has seen it then."""
+        self._hang_up()
+        with self._lock:
+            pairs, self._pairs = self._pairs, []
+            threads, self._threads = self._threads, []
+        for near, _ in pairs:
+            near.close(reset=False)
+        for thread in threads:
+            thread.join()
+        self.admit()
 
     def refuse(self) -> None:
         """Break every connection, and take none."""
@@ -391,7 +417,7 @@ class Wires:
             each.mode, each.rewrite = "pass", {}
 
     def drop(self) -> None:
-        """Break all connections that there are; a serial line has none."""
+        """End all connections that there are; a serial line has none."""
         for each in self.all:
             each.drop()
 

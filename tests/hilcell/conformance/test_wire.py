@@ -53,12 +53,15 @@ class Echo:
 
     def __init__(self) -> None:
         self._answered = threading.Semaphore(0)
+        self.ended = 0
 
     def __call__(self, connection: socket.socket) -> None:
         with suppress(ConnectionResetError):
             while data := connection.recv(4096):
                 connection.sendall(data)
                 self._answered.release()
+        self.ended += 1
+        connection.shutdown(socket.SHUT_RDWR)
 
     def heard(self, link: socket.socket, data: bytes) -> None:
         """Send data, and wait until it is answered on the wire's far side."""
@@ -218,10 +221,23 @@ def test_a_part_with_a_table_of_its_own_has_its_wire() -> None:
             with socket.create_connection(("127.0.0.1", port)) as link:
                 assert said(link, b"a") == b"b"
                 wires.drop()
-                with pytest.raises(ConnectionResetError):
-                    link.recv(100)
+                assert link.recv(100) == b""
         finally:
             wires.close()
+
+
+def test_a_device_has_seen_the_end_of_what_is_dropped(wires: Wires, echo: Echo) -> None:
+    for times in range(1, 20):
+        with client(wires) as link:
+            assert said(link, b"a") == b"a"
+        with client(wires):
+            pass  # the wire may not have taken it yet
+        wires.drop()
+        assert echo.ended >= times
+        ended = echo.ended
+        with client(wires) as link:
+            assert said(link, b"b") == b"b"
+            assert echo.ended == ended
 
 
 def test_a_serial_line() -> None:
