@@ -11,19 +11,22 @@ COMPILE := uv pip compile pyproject.toml --universal --fork-strategy fewest --ge
 export PYTHONDONTWRITEBYTECODE =
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: run test together alone recordings nightly mutants torture lint gauges bench bundle lock clean
+.PHONY: run test together processes alone recordings nightly mutants torture lint gauges bench bundle lock clean
 
 run: $(VENV)/ready  ## calibrate the simulated paper cell and print the table
 	$(BIN)/hilcell run
 
-test: $(VENV)/more  ## lint beside the tests that start no process, then the others
-	$(MAKE) --no-print-directory --jobs 2 lint together
+test: $(VENV)/more  ## lint and tests of processes beside those in event time, then the deadlines
+	$(MAKE) --no-print-directory --jobs 2 together processes
 	$(MAKE) --no-print-directory alone
 
 together: $(VENV)/compiled  ## tests in event time, in random order on all cores
-	$(BIN)/python -m pytest -n auto --dist worksteal -m "not nightly and not wall"
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not (nightly or process or wall)"
 
-alone: $(VENV)/compiled  ## tests of real processes and deadlines, one at a time
+processes: lint $(VENV)/compiled  ## tests that start processes and hold at any pace
+	$(BIN)/python -m pytest -m "process and not nightly" $$(grep -lr --include="test_*.py" mark.process tests)
+
+alone: $(VENV)/compiled  ## tests of real deadlines, kills and stops, one at a time
 	$(BIN)/python -m pytest -m "wall and not nightly" $$(grep -lr --include="test_*.py" mark.wall tests)
 
 recordings: $(VENV)/more  ## tests/wires: run each kept recording's run again, keep it in its place

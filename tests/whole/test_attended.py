@@ -48,7 +48,7 @@ def shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[str]]:
         plates.setattr(
             "fakes.leica.emscon_device.wide", lambda text: wide(text.replace(" (simulated)", ""))
         )
-        with simulation(60.0) as machines:
+        with simulation(200.0) as machines:
             where = machines.addresses
             values = {
                 "name": "shop",

@@ -9,7 +9,7 @@ import pytest
 from tests.whole.bench import command, end_of, events, sets, simulation
 
 PAPER = Path(__file__).parents[2] / "hilcell/cells/paper.toml"
-SPEED = 60.0
+SPEED = 200.0
 SLOW = {"robot.speed_percent": "10", "rail.speed_mm_s": "25"}
 
 

@@ -101,7 +101,7 @@ def test_a_lost_calibration_file_is_written_again(tmp_path: Path, golden: Golden
 
 @pytest.mark.wall
 def test_a_killed_run_takes_its_simulation_along(tmp_path: Path) -> None:
-    engine = Engine("run", "--runs", tmp_path, "--speed", "20", *sets(SMALL))
+    engine = Engine("run", "--runs", tmp_path, "--speed", "100", *sets(SMALL))
     engine.until(lambda event: event["kind"] == "intent")
     simulated = children(engine.process.pid)
     assert simulated

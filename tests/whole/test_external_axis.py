@@ -12,6 +12,7 @@ from tests.whole.bench import SMALL, Engine, command, end_of, events, sets, simu
 from tests.whole.trace import judge
 
 E1 = {"rail.driver": "kuka-e1"}
+PACE = 40.0
 FAR_MM = 2600.0  # the first motion, the slowest there is: all else is quick in fast paced time
 SLOW = E1 | {
     "rail.speed_mm_s": "20.0", "survey.from_mm": f"{FAR_MM}", "survey.to_mm": f"{FAR_MM + 400}"
@@ -40,7 +41,7 @@ def test_a_small_calibration_ends_in_tolerance(
 
 @pytest.mark.wall
 def test_a_killed_engine_leaves_a_slide_that_brakes_by_itself(tmp_path: Path) -> None:
-    with simulation(20.0, values=SLOW) as cell:
+    with simulation(PACE, values=SLOW) as cell:
         words = sets(SLOW | {"simulation.address": cell.control})
         engine = Engine("run", "rail-survey", "--runs", tmp_path, "--unattended", *words)
         engine.until(lambda event: event.get("action") == "rail.move")
@@ -67,7 +68,7 @@ def test_a_killed_engine_leaves_a_slide_that_brakes_by_itself(tmp_path: Path) ->
 @pytest.mark.wall
 def test_a_slide_that_runs_too_fast_is_stopped(tmp_path: Path) -> None:
     """In paced time: in stepped time a poll lets a third of the motion pass."""
-    with simulation(20.0, values=SLOW) as cell:
+    with simulation(PACE, values=SLOW) as cell:
         cell.ask(do="fault", name="robot.slide_fast", value=8.0, count=0)
         words = sets(SLOW | {"simulation.address": cell.control})
         done = command("run", "rail-survey", "--runs", tmp_path, "--json", "--unattended", *words)

@@ -40,7 +40,7 @@ def test_pause_resume_watch_from_other_processes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An order that failed, for the engine stood still, moves nothing later."""
-    engine = Engine("run", "--runs", tmp_path, "--speed", "50", *sets(SMALL))
+    engine = Engine("run", "--runs", tmp_path, "--speed", "100", *sets(SMALL))
     engine.until(is_point)
     assert command("pause", engine.run, "--runs", tmp_path).returncode == 0
     paused = engine.until(lambda event: is_state(event, "paused"))
@@ -72,7 +72,7 @@ def test_pause_resume_watch_from_other_processes(
 def test_signals_stop_safely_and_nothing_is_left(
     tmp_path: Path, pauses: signal.Signals, stops: signal.Signals
 ) -> None:
-    engine = Engine("run", "--runs", tmp_path, "--speed", "20", *sets(SMALL))
+    engine = Engine("run", "--runs", tmp_path, "--speed", "100", *sets(SMALL))
     engine.until(lambda event: event["kind"] == "intent")
     simulated = children(engine.process.pid)
     engine.process.send_signal(pauses)

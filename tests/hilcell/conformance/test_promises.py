@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -103,13 +102,21 @@ def test_a_shipped_driver_keeps_every_promise(
 
 
 @pytest.mark.wall
-def test_a_robot_s_driver_keeps_what_needs_deadlines() -> None:
-    with Trial(load_cell("paper"), "robot") as trial:
-        promises = [each for each in promises_of("robot") if not at_once(each)]
-        trial.begin(promises)  # those that wait; meanwhile the others are judged
-        in_turn = sorted(promises, key=lambda promise: promise.waits)
-        outcomes = [trial.judge(each) for each in in_turn]
-    assert [each for each in outcomes if each.verdict != "held"] == []
+def test_a_robot_s_driver_keeps_what_needs_deadlines_and_broken_ones_do_not() -> None:
+    """Those broken by waiting until the driver gives up are for the night."""
+    names = ["client-killed", "stop-at-once", "stop-rests", "slow"]
+    promises = [each for each in promises_of("robot") if not at_once(each)]
+    with (
+        ThreadPoolExecutor(len(names)) as beside,  # they wait, too; a broken promise stays broken
+        Trial(load_cell("paper"), "robot") as trial,
+    ):
+        broken = [beside.submit(kept, "robot", names[:1])]
+        trial.begin(promises)
+        outcomes = [trial.judge(each) for each in promises if not each.waits]
+        broken += [beside.submit(kept, "robot", [name]) for name in names[1:]]
+        outcomes += [trial.judge(each) for each in promises if each.waits]
+        assert [each for each in outcomes if each.verdict != "held"] == []
+        assert [each.result() for each in broken] == [[]] * len(names)
 
 
 @pytest.mark.nightly
@@ -152,14 +159,6 @@ def judged(trial: Trial, port: Port, name: str) -> Outcome:
 @pytest.mark.parametrize("port", PORTS)
 def test_a_broken_driver_breaks_what_is_judged_at_once(port: Port) -> None:
     assert kept(port, [name for name in BROKEN[port] if at_once(named(port, name))]) == []
-
-
-@pytest.mark.wall
-def test_a_broken_driver_breaks_its_promise() -> None:
-    """Those that need deadlines; those that wait for the driver to give up are for the night."""
-    names = [["client-killed"], ["stop-at-once"], ["stop-rests"], ["slow"]]
-    with ThreadPoolExecutor(len(names)) as beside:  # they wait; a broken promise stays broken
-        assert list(beside.map(partial(kept, "robot"), names)) == [[]] * len(names)
 
 
 @pytest.mark.nightly

@@ -82,6 +82,7 @@ def test_a_server_that_freezes_loses_and_doubles_nothing(
         assert ship(runs, database) == Shipped(before=2)
 
 
+@pytest.mark.nightly
 @pytest.mark.wall
 def test_a_server_that_freezes_in_a_migration_is_named(
     postgresql: Server, monkeypatch: pytest.MonkeyPatch

@@ -70,7 +70,7 @@ def check(database: Database, runs: Path, revisions: Counter[str]) -> None:
             assert connection.execute(orphans).scalar_one() == 0
 
 
-@pytest.mark.wall
+@pytest.mark.process
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")  # this process has threads
 @pytest.mark.parametrize(("seed", "kills"), [(1, 5), *sweep((2, 220))])
 def test_a_shipper_that_is_killed(seed: int, kills: int, runs: Path, postgresql: Server) -> None:
@@ -140,7 +140,7 @@ def _one(model: Model, runs: Path) -> Path:
     return model.write(runs, Run("r0", "north", "HC-1", NOW))
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_server_that_is_killed_and_started_again(
     runs: Path, postgresql: Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:

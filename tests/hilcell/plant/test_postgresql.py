@@ -32,7 +32,7 @@ from tests.hilcell.plant.year import Model, Run
 from tests.whole.bench import command
 
 DAY = timedelta(days=1)
-BOTH = ["office", pytest.param("plant", marks=pytest.mark.wall)]
+BOTH = ["office", pytest.param("plant", marks=pytest.mark.process)]
 
 
 @contextmanager
@@ -97,7 +97,7 @@ def test_a_store_keeps_each_number_to_its_last_digit(
     assert digest_of(found) != run["digest"]
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_tables_are_made_once_in_any_encoding_and_in_months(
     plant: Database, runs: Path, model: Model, postgresql: Server
 ) -> None:
@@ -160,7 +160,7 @@ def _refused(*words: str | Path) -> str:
     return done.stderr
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_cells_may_insert_only_and_engineers_may_read_only(
     plant: Database, runs: Path, postgresql: Server
 ) -> None:
@@ -204,7 +204,7 @@ def test_cells_may_insert_only_and_engineers_may_read_only(
     assert not (runs / "after").exists()
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_login_is_refused_and_its_password_is_nowhere(
     runs: Path, postgresql: Server, tmp_path: Path
 ) -> None:

@@ -264,7 +264,7 @@ STREAM = {
 }  # fmt: skip
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_records_that_no_database_takes_are_named_and_stop_no_other(
     runs: Path, model: Model, plant: Database
 ) -> None:

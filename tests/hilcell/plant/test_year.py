@@ -205,7 +205,7 @@ def test_a_robot_in_two_cells_and_runs_of_one_name_are_doubted(
 
 
 @pytest.mark.nightly
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_year_of_calibrations_that_were_really_measured(tmp_path: Path) -> None:
     words = [sys.executable, "-m", "benchmarks.plant_year", str(tmp_path)]
     done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=ROOT)
@@ -254,7 +254,7 @@ def answered(server: Server, model: Model, runs: Path) -> Rows:
         }
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_every_panel_has_its_answer_of_the_year(
     postgresql: Server, model: Model, tmp_path: Path
 ) -> None:
