@@ -46,7 +46,7 @@ class End(Protocol):
         """Close it, by RST where it has one."""
 
     def leave(self) -> None:
-        """Close it when the other end has been closed, too: what was sent is dealt with by then."""
+        """Close it when the other end has been closed, too, which has then taken all."""
 
 
 class SocketEnd:

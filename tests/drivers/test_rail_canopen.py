@@ -36,6 +36,8 @@ from tests.drivers.rail_bed import (
     time,
 )
 
+pytestmark = pytest.mark.waits
+
 __all__ = ["peer", "rail", "time"]
 
 

@@ -40,6 +40,8 @@ from tests.drivers.rail_bed import (
 )
 from tests.drivers.strip_peer import StripPeer
 
+pytestmark = pytest.mark.waits
+
 __all__ = ["peer", "rail", "time"]
 
 

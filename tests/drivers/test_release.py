@@ -17,6 +17,8 @@ from tests.drivers.can_peer import (
 )
 from tests.drivers.rail_bed import RailTime, holding, peer, refusal, time
 
+pytestmark = pytest.mark.waits
+
 __all__ = ["peer", "time"]
 
 

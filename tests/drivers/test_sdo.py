@@ -16,6 +16,8 @@ from tests.drivers.can_peer import DRIVE, CanPeer, u32
 from tests.drivers.peers import A_LOOK_S, in_thread
 from tests.drivers.rail_bed import peer, refusal
 
+pytestmark = pytest.mark.waits
+
 __all__ = ["peer"]
 
 PROFILE_VELOCITY = (0x6081, 0)

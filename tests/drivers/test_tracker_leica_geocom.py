@@ -17,6 +17,8 @@ from tests.drivers.geocom_peer import GeocomPeer
 from tests.drivers.peers import WireTime, in_thread, wire_time
 from tests.drivers.rail_bed import refusal
 
+pytestmark = pytest.mark.waits
+
 POINT = np.array([4000.0, -3000.0, 0.0])  # 5 m from the instrument, right of its Hz zero
 SMR = "SMR 1.5in"
 

@@ -19,6 +19,8 @@ from hilcell.journal.runs import read_log
 from tests.whole.bench import sets, simulation
 from tests.whole.stations import TOTAL_STATION
 
+pytestmark = pytest.mark.waits
+
 POINTS = str(Path(__file__).with_name("t2sa_points.csv"))
 SHORT = {
     "base_frame.points": "4",

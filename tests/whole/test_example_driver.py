@@ -76,7 +76,6 @@ def test_its_entry_points_are_those_of_a_driver_of_ones_own(run: Run) -> None:
     assert "robot.options: prot" in checked.stderr
 
 
-@pytest.mark.long
 @pytest.mark.process
 def test_its_own_tests_pass_beside_the_kit(run: Run) -> None:
     promises = "identity-same or test_meca500"

@@ -15,6 +15,8 @@ from tests.drivers.rail_bed import soon
 from tests.whole.bench import simulation
 from tests.whole.sweeper import Engine
 
+pytestmark = pytest.mark.waits
+
 
 @pytest.mark.parametrize("beats_again", [True, False])
 def test_a_drive_that_missed_the_heartbeat_of_a_busy_pc_is_confirmed_held(

@@ -60,7 +60,6 @@ def test_the_story_is_short() -> None:
     assert ONCE < len(STEPS) <= MOST_STEPS
 
 
-@pytest.mark.long
 @pytest.mark.process
 def test_the_story_by_keys_only(tmp_path: Path, golden: GoldenRuns) -> None:
     """The steps after the installation; the run of the form is a finished one, and a small one."""

@@ -24,6 +24,8 @@ from hilcell.run.sweeping import record_sweep
 from tests.fakes.wires import C3Client, EmsconClient, connected
 from tests.whole.sweeper import KEY, START_RAD, Engine, engine, order
 
+pytestmark = pytest.mark.waits
+
 CELL = load_cell("paper")
 # In paced time a PC may be late.
 PACED = pytest.param(20.0, marks=[pytest.mark.wall, pytest.mark.nightly])

@@ -10,6 +10,8 @@ from drivers.canopen import rail_setup
 from hilcell.journal.runs import find_run, read_log
 from tests.whole.bench import command, end_of, sets, simulation
 
+pytestmark = pytest.mark.waits
+
 PAPER = Path(__file__).parents[2] / "hilcell/cells/paper.toml"
 OWN_BUS = {"rail.options.strip.driver": "canopen"}
 # A cell file that names a serial line has its simulated gateway at the end of a pseudo terminal.

@@ -20,6 +20,8 @@ from hilcell.wire.recording import SUFFIX, Piece, read_recording, recordings
 from tests.whole.bench import command, sets
 from tests.whole.recordings import KEPT, PAIRS, SMALL
 
+pytestmark = pytest.mark.waits
+
 ENDED = "HC-C26"
 RAN = "home"
 KILLED = "kuka-c3,leica-emscon,canopen-swept"

@@ -33,6 +33,8 @@ from tests.fakes.rail_bench import until
 from tests.fakes.wires import RtdeClient, connected
 from tests.whole.bench import Engine, command, end_of, sets, simulation
 
+pytestmark = pytest.mark.waits
+
 LAB = load_cell("lab")
 HOME = np.radians(LAB.robot.home_deg)
 TARGET = HOME + np.radians([20.0, -5.0, 8.0, 3.0, -4.0, 30.0])

@@ -23,6 +23,8 @@ from hilcell.conformance.verdicts import PORTS, Port
 from hilcell.errors import Stopped
 from tests.hilcell.conformance.broken_drivers import BROKEN, LateByTag
 
+pytestmark = pytest.mark.waits
+
 PAGE = Path(__file__).parents[3] / "docs" / "conformance.md"
 
 # Every shipped driver, in a cell to which it belongs, and the promises that are none of its own.

@@ -13,6 +13,8 @@ from textual.pilot import Pilot
 from hilcell.tui.terminal.themes import PALETTES
 from hilcell.tui.widgets import Column, Row, Table
 
+pytestmark = pytest.mark.waits
+
 MANY = 10_000
 HEIGHT = 20  # rows in tracker_text, under the header
 COLUMNS = (Column("name", 10), Column("mm", 8, right=True))
