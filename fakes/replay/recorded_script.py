@@ -73,7 +73,8 @@ def exchanges(pieces: Sequence[Piece], dialect: Dialect) -> list[Exchange]:
     found[-1].cut = not ended and (bool(answering) or not found[-1].answers)
     if answering and not dialect.flows:
         found[-1].add(answering, pieces[-1].t)
-    return found
+    # A driver's signs of life are answered whenever they come: when is a matter of this PC.
+    return [each for each in found if not (each.answers and dialect.alive(each.asked))]
 
 
 def connections(pieces: Sequence[Piece], dialect: Dialect) -> list[list[Exchange]]:

@@ -12,6 +12,7 @@ import pytest
 from drivers.kuka.c3 import decode_body, encode_write
 from fakes.replay.dialects import Dialect, dialects_of
 from fakes.replay.event_time import EventTime
+from fakes.replay.recorded_script import exchanges
 from fakes.replay.recorded_wire import RecordedWire
 from fakes.wires.listener import Listener
 from hilcell.wire.channel import Socket, parse_channel
@@ -77,3 +78,13 @@ def test_a_robot_takes_a_sign_of_life_that_was_never_given() -> None:
     assert reply[:4] == bytes((0, 7, 0, len(reply) - 4))
     assert decode_body(7, reply[4:]).value == "-1500"
     assert c3.alive(encode_write(8, "HC_STOP", "TRUE")) == []
+
+
+def test_a_sign_of_life_lets_no_recorded_time_pass() -> None:
+    """A late PC gives one earlier than was recorded; one that was never answered stays silent."""
+    c3 = dialects_of("kuka-c3")[""]
+    sign = encode_write(7, "$TIMER[10]", "-1500")
+    (reply,) = c3.alive(sign)
+    given = [Piece.of(5, 1, ">", sign), Piece.of(5, 1, "<", reply)]
+    assert [each.asked for each in exchanges(given, c3)] == [b""]
+    assert [each.asked for each in exchanges(given[:1], c3)] == [b"", sign]
