@@ -17,13 +17,13 @@ run: $(VENV)/ready  ## calibrate the simulated paper cell and print the table
 	$(BIN)/hilcell run
 
 test: $(VENV)/more  ## lint and tests of processes beside those in event time, then the deadlines
-	$(MAKE) --no-print-directory --jobs 2 together processes
+	$(MAKE) --no-print-directory --jobs 3 together processes lint
 	$(MAKE) --no-print-directory alone
 
 together: $(VENV)/compiled  ## tests in event time, in random order on all cores
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not (nightly or process or wall)"
 
-processes: lint $(VENV)/compiled  ## tests that start processes and hold at any pace
+processes: $(VENV)/compiled  ## tests that start processes and hold at any pace
 	$(BIN)/python -m pytest -m "process and not nightly" $$(grep -lr --include="test_*.py" mark.process tests)
 
 alone: $(VENV)/compiled  ## tests of real deadlines, kills and stops, one at a time
