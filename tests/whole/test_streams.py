@@ -143,8 +143,10 @@ def stop_in_the_middle(cell: Cell, tmp_path: Path) -> None:
         found.at_wait, found.then = 5, found.stop_all
         with pytest.raises(Stopped):
             record_sweep(found.bench, order(cell.near_mm))
-        assert cell.variables("HC_STOP", "HC_ERR") == ["TRUE", "9"]
-        assert cell.is_restored()
+        while cell.variables("HC_STOP", "HC_ERR") != ["TRUE", "9"]:
+            pass  # a stop waits for no answer; the test's time limit bounds this wait
+        while not cell.is_restored():
+            pass
     assert files(tmp_path) == []
     assert not found.log.streams
     with engine(cell.address, tmp_path) as again:
