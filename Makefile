@@ -32,8 +32,10 @@ alone: $(VENV)/compiled  ## tests of real deadlines, kills and stops, one at a t
 recordings: $(VENV)/more  ## tests/wires: run each kept recording's run again, keep it in its place
 	$(BIN)/python -m tests.whole.recordings
 
+NIGHTLY := --timeout 1200 --hypothesis-profile nightly
 nightly: lint  ## every test and every long sweep, property tests with fresh seeds
-	$(BIN)/python -m pytest -n auto --dist worksteal -m "" --timeout 1200 --hypothesis-profile nightly
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not wall" $(NIGHTLY)
+	$(BIN)/python -m pytest -m wall $(NIGHTLY)
 
 mutants: $(VENV)/more  ## deliberate breaks, each of which a test must notice; ONLY=name, or ONLY=hilcell.run
 	$(BIN)/python -m campaigns.breaks $(ONLY)
