@@ -113,7 +113,7 @@ ENDS: Mapping[str, Ends] = {
     "EKI": {
         "robot.xml_bomb": ("HC-B49", True),
         "robot.no_end": ("HC-B49", True),
-        "robot.late_reply": ("HC-B02", 1.0),
+        "robot.late_reply": ("HC-B02", 3.0),
         "robot.vanish": ("HC-B01", True),
     },
     "E1": {
