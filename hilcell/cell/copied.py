@@ -10,11 +10,14 @@ from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.source import built_in_cells
 
+SIMULATED = "simulated"  # the certificate of each length in the built-in cells
+
 
 def check_copied(where: str, cell: Cell) -> str:
-    """Return a warning for a simulated cell that has the name or serial of a built-in one.
+    """Return a warning for a simulated cell that has the name or serial of a built-in one, and for
+    a real one whose lengths are certified by nobody.
 
-    Raises `SettingsError` where the cell is real.
+    Raises `SettingsError` for a real cell with such a name or serial.
     """
     if where in built_in_cells():
         return ""
@@ -24,8 +27,15 @@ def check_copied(where: str, cell: Cell) -> str:
         for key, found, taken in _kept(cell, load_cell(name))
         if found == taken
     ]
-    if problems and cell.simulation is None:
-        raise SettingsError(where, problems)
+    if cell.simulation is None:
+        if problems:
+            raise SettingsError(where, problems)
+        problems = [
+            f"layout.length {' to '.join(each.nests)}: the certificate is {SIMULATED!r}, expected "
+            "the number of the bar's own; state its length and u_mm, too"
+            for each in cell.layout.length
+            if each.certificate == SIMULATED
+        ]
     return "\n".join(f"{where}: {problem}" for problem in problems)
 
 

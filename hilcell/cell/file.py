@@ -531,6 +531,15 @@ class Cell(Frozen, frozen=True, kw_only=True):
         """Whether the tool's orientation is measured, by several reflectors on the flange."""
         return bool(self.robot.more_smr_mm)
 
+    @property
+    def pauses_at_first_pass(self) -> bool:
+        """Whether an attended run pauses before the robot first leaves the grid's cube.
+
+        Unless the file says otherwise it does, except in a simulated cell, where nobody stands.
+        """
+        stated = self.robot.first_pass_pause
+        return self.simulation is None if stated is None else stated
+
     def _bad_reflectors(self) -> Iterator[str]:
         if self.robot.more_smr_mm and self.layout.by_hand:
             yield (

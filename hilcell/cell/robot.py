@@ -69,7 +69,7 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
     joint_margin_deg: Annotated[float, Meta(ge=0, le=90)] = 2.0
     ramp_s: Annotated[float, Meta(ge=0, le=10)] = 0.5
     first_pass_percent: Percent = 10.0
-    first_pass_pause: bool = True
+    first_pass_pause: bool | None = None
     envelope: EnvelopeTable | None = None
     options: dict[str, Any] = field(default_factory=dict)
 

@@ -209,11 +209,7 @@ class Journal:
             try:
                 self._base.execute("INSERT INTO record VALUES (?, ?, ?, ?, ?, ?)", row)
             except sqlite3.Error as error:
-                raise StorageError(
-                    f"journal {self.path}: record {record.seq} could not be stored: {error}; "
-                    f"make room or mend the disk, then `{self._again}`",
-                    code="HC-J01",
-                ) from error
+                raise self._not_stored(record.seq, error) from error
             for file in self._files:
                 file.note()
             self._seq, self._hash = record.seq, digest
@@ -240,12 +236,21 @@ class Journal:
                 for record, stored in _stored(base, self.path, after):
                     seq, last = record.seq, stored
         except sqlite3.Error as error:
+            if error.sqlite_errorcode == sqlite3.SQLITE_FULL:  # of the disk, not of the file
+                raise self._not_stored(self._seq, error) from error
             self._refuse(f"it cannot be read back: {error}", seq + 1)
         except StorageError as error:
             self._refuse(str(error).removeprefix(f"journal {self.path}: "), seq + 1)
         if (seq, last) != (self._seq, self._hash) and self._seq > after:
             self._refuse(f"it ends with record {seq}", seq + 1)
         self._read_back_to = self._seq
+
+    def _not_stored(self, record: int, error: sqlite3.Error) -> StorageError:
+        return StorageError(
+            f"journal {self.path}: record {record} could not be stored: {error}; "
+            f"make room or mend the disk, then `{self._again}`",
+            code="HC-J01",
+        )
 
     def _refuse(self, found: str, record: int) -> None:
         """Acknowledge nothing more."""

@@ -105,7 +105,8 @@ def find_run(runs: Path, name: str) -> Path:
             f"run {name!r} is one of {', '.join(f.name for f in meant)}; say which",
             code="HC-J09",
         )
-    _check_journal(runs / name)
+    if Path(name).parts:  # neither "" nor "."
+        _check_journal(runs / name)
     newest = ", ".join(each.name for each in reversed(newest_first(runs)[:3])) or "none"
     raise HilcellError(
         f"run {name[:80]!r} is not in {runs}; newest there: {newest}",

@@ -199,7 +199,7 @@ class FirstPass:
 
     def _announce(self, what: str, percent: float) -> None:
         self._run.event("first pass", key=what, speed_percent=percent)
-        if self._run.cell.robot.first_pass_pause:
+        if self._run.cell.pauses_at_first_pass:
             self._run.pause(
                 f"{what}: the robot leaves the grid's cube, to where it was never driven in this "
                 f"cell, at {percent:g} %; clear the cell and stay at the E-stop"

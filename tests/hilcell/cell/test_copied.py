@@ -19,6 +19,7 @@ def warning_of(file: Path, text: str) -> str:
 
 
 def own(text: str) -> str:
+    text = text.replace('certificate = "simulated"', 'certificate = "K-4711"')
     return text.replace('"paper"', '"shop"', 1).replace("HC-2014", "HC-7")
 
 
@@ -55,5 +56,22 @@ def test_cells_of_their_own_and_the_built_in_ones_are_not(file: Path) -> None:
     assert warning_of(file, PAPER) == ""  # the same cell
     assert check_copied("paper", load_cell("paper", {"rail.speed_mm_s": "9.0"})) == ""
     overridden = {"name": "shop", "serial": "HC-7"}
-    file.write_text(REAL)
+    file.write_text(own(REAL).replace("HC-7", "HC-2014"))
     assert check_copied(str(file), load_cell(str(file), overridden)) == ""
+
+
+def test_a_real_cell_s_lengths_need_a_certificate(file: Path) -> None:
+    text = own(REAL).replace('certificate = "K-4711"', 'certificate = "simulated"')
+    assert "layout.length B1 to B2" in warning_of(file, text)
+
+
+def test_an_attended_run_pauses_before_it_leaves_the_cube_of_a_real_cell(file: Path) -> None:
+    stated = "[robot]\nfirst_pass_pause = "
+    for text, pauses in (
+        (own(REAL), True),
+        (own(REAL).replace("[robot]\n", f"{stated}false\n"), False),
+        (PAPER, False),
+        (PAPER.replace("[robot]\n", f"{stated}true\n"), True),
+    ):
+        file.write_text(text)
+        assert load_cell(str(file)).pauses_at_first_pass is pauses

@@ -169,3 +169,25 @@ def test_a_run_whose_journal_was_changed_does_not_end_well(tmp_path: Path) -> No
     assert isinstance(runner.fault, StorageError)
     assert bed.rail.closed == 1
     bed.journal.close()
+
+
+def test_a_full_disk_is_no_damage(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The file of a long run has its size: the disk is found full when it is read back."""
+
+    def full(_: Path) -> sqlite3.Connection:
+        error = sqlite3.OperationalError("database or disk is full")
+        error.sqlite_errorcode = sqlite3.SQLITE_FULL
+        raise error
+
+    monkeypatch.setattr(module, "READ_BACK", 7)
+    journal = Journal(path, "r", create=True)
+    tick(journal, 6)
+    with monkeypatch.context() as patched:
+        patched.setattr(module, "_reader", full)
+        with pytest.raises(StorageError) as caught:
+            tick(journal, 1)
+    assert caught.value.code == "HC-J01"
+    assert "hilcell resume r" in str(caught.value)
+    tick(journal, 1)  # there is room again
+    journal.close()
+    assert len(read_journal(path)) == 8

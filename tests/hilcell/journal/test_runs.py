@@ -38,6 +38,10 @@ def test_entries_that_lead_nowhere_are_no_runs(tmp_path: Path) -> None:
     for name in ("loop", str(runs / "loop")):
         with pytest.raises(HilcellError, match="loop"):
             find_run(runs, name)
+    for name in ("", "."):
+        with pytest.raises(HilcellError) as caught:
+            find_run(runs, name)
+        assert caught.value.code == "HC-J09"
 
 
 LOCKED = """
