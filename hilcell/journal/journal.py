@@ -209,7 +209,7 @@ class Journal:
             try:
                 self._base.execute("INSERT INTO record VALUES (?, ?, ?, ?, ?, ?)", row)
             except sqlite3.Error as error:
-                raise self._not_stored(record.seq, error) from error
+                raise self._no_room(f"record {record.seq} could not be stored", error) from error
             for file in self._files:
                 file.note()
             self._seq, self._hash = record.seq, digest
@@ -236,8 +236,8 @@ class Journal:
                 for record, stored in _stored(base, self.path, after):
                     seq, last = record.seq, stored
         except sqlite3.Error as error:
-            if error.sqlite_errorcode == sqlite3.SQLITE_FULL:  # of the disk, not of the file
-                raise self._not_stored(self._seq, error) from error
+            if getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_FULL:
+                raise self._no_room("it could not be read back", error) from error
             self._refuse(f"it cannot be read back: {error}", seq + 1)
         except StorageError as error:
             self._refuse(str(error).removeprefix(f"journal {self.path}: "), seq + 1)
@@ -245,9 +245,9 @@ class Journal:
             self._refuse(f"it ends with record {seq}", seq + 1)
         self._read_back_to = self._seq
 
-    def _not_stored(self, record: int, error: sqlite3.Error) -> StorageError:
+    def _no_room(self, found: str, error: sqlite3.Error) -> StorageError:
         return StorageError(
-            f"journal {self.path}: record {record} could not be stored: {error}; "
+            f"journal {self.path}: {found}: {error}; "
             f"make room or mend the disk, then `{self._again}`",
             code="HC-J01",
         )

@@ -191,3 +191,12 @@ def test_a_full_disk_is_no_damage(path: Path, monkeypatch: pytest.MonkeyPatch) -
     tick(journal, 1)  # there is room again
     journal.close()
     assert len(read_journal(path)) == 8
+
+
+def test_a_journal_that_was_closed_cannot_be_read_back(path: Path) -> None:
+    """The error is Python's own, and has no code of SQLite."""
+    journal = Journal(path, "r", create=True)
+    journal.close()
+    with pytest.raises(StorageError) as caught:
+        journal.read_back()
+    assert caught.value.code == "HC-J13"
