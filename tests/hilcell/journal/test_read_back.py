@@ -193,10 +193,15 @@ def test_a_full_disk_is_no_damage(path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert len(read_journal(path)) == 8
 
 
-def test_a_journal_that_was_closed_cannot_be_read_back(path: Path) -> None:
-    """The error is Python's own, and has no code of SQLite."""
+def test_an_error_of_python_s_own_has_no_code_of_sqlite(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def closed(_: Path) -> sqlite3.Connection:
+        raise sqlite3.ProgrammingError("Cannot operate on a closed database.")
+
+    monkeypatch.setattr(module, "_reader", closed)
     journal = Journal(path, "r", create=True)
-    journal.close()
     with pytest.raises(StorageError) as caught:
         journal.read_back()
     assert caught.value.code == "HC-J13"
+    journal.close()
