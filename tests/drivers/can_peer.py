@@ -6,6 +6,7 @@ The drive steps a third of its way at each SYNC. Every fault that a test wants i
 from __future__ import annotations
 
 import contextlib
+import select
 import socket
 import struct
 import threading
@@ -162,7 +163,7 @@ class CanPeer:
         self._lock = threading.RLock()
         self._connection: socket.socket | None = None
         self._syncs = 0
-        self._end = threading.Event()
+        self._end, self._waits = threading.Event(), threading.Event()
         self.server = Server(self._serve)
         self._beats = threading.Thread(target=self._beat, daemon=True)
         self._beats.start()
@@ -200,17 +201,29 @@ class CanPeer:
     def frames(self, cob_id: int) -> list[bytes]:
         return [data for found, data in self.heard if found == cob_id]
 
+    def settle(self) -> None:
+        """Return when the nodes have dealt with all that has arrived."""
+        while (connection := self._connection) is not None:
+            if self._waits.is_set() and not select.select([connection], [], [], 0.0)[0]:
+                return
+            threading.Event().wait(0.001)  # the other thread runs
+
     # -- the gateway --------------------------------------------------------------------------
 
     def _serve(self, connection: socket.socket) -> None:
         self._connection = connection
+        self._waits = waits = threading.Event()
         buffer = b""
-        while data := connection.recv(4096):
-            buffer += data
-            *lines, buffer = buffer.split(b"\r")
-            for line in lines:
-                with self._lock:
-                    self._line(line)
+        try:
+            while data := _next(connection, waits):
+                buffer += data
+                *lines, buffer = buffer.split(b"\r")
+                for line in lines:
+                    with self._lock:
+                        self._line(line)
+        finally:
+            if self._connection is connection:
+                self._connection = None
 
     def _line(self, line: bytes) -> None:
         if line == b"O":
@@ -297,3 +310,10 @@ class CanPeer:
             elif key == (0x6040, 0):
                 self.axis.control(request[4], self.axis.target)
             self.send(0x580 + node, b"\x60" + head + bytes(4))
+
+
+def _next(connection: socket.socket, waits: threading.Event) -> bytes:
+    waits.set()
+    select.select([connection], [], [])
+    waits.clear()  # before the bytes are taken: either this or they tell `settle`
+    return connection.recv(4096)

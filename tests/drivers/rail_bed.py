@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import select
 import threading
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import pytest
 
 from drivers import standing, supervision
-from drivers.canopen import can_link, drive, rail_setup, release, sdo
+from drivers.canopen import can_link, drive, rail_setup, release, sdo, slcan_bus
 from drivers.canopen.rail import CanopenRail
 from hilcell.ports import Clock, DeviceError
 from tests.drivers.can_peer import CanPeer
@@ -22,14 +23,27 @@ BEAT, START = (0x77F, b"\x05"), (0x000, b"\x01")
 class RailTime(WireTime):
     """The time of a CAN link, too, on which a look is one that finds nothing."""
 
+    def __init__(self, peer: CanPeer) -> None:
+        super().__init__()
+        self._peer = peer
+
     def silence(self, a_look_s: float = A_LOOK_S) -> None:
         super().silence(a_look_s)
         can_link.PAUSE_S = a_look_s
 
+    def select(
+        self, read: list[int], write: list[int], failed: list[int], limit_s: float
+    ) -> tuple[list[int], list[int], list[int]]:
+        """Look at a bus: it is silent when its nodes have dealt with all that they were sent."""
+        if not any(found := select.select(read, write, failed, limit_s)) and limit_s:
+            self._peer.settle()
+            found = select.select(read, write, failed, 0.0)
+        return found
+
 
 @pytest.fixture
-def time(monkeypatch: pytest.MonkeyPatch) -> RailTime:
-    time = RailTime()
+def time(monkeypatch: pytest.MonkeyPatch, peer: CanPeer) -> RailTime:
+    time = RailTime(peer)
     for module, name, value in (
         (drive, "STALL_S", 0.3),
         (standing, "SETTLE_S", 0.3),
@@ -42,6 +56,7 @@ def time(monkeypatch: pytest.MonkeyPatch) -> RailTime:
         (can_link, "PAUSE_S", 0.0),
         (supervision, "time", time),
         (release, "time", time),
+        (slcan_bus, "select", time),
     ):
         monkeypatch.setattr(module, name, value)
     return time

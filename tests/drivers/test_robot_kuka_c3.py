@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from drivers.kuka import c3
 from drivers.kuka import health as kuka_health
 from drivers.kuka import robot as kuka_robot
 from drivers.kuka.robot_c3 import KukaC3Robot
@@ -125,7 +126,10 @@ def test_a_pc_that_does_not_look_while_it_moves_stops(
     peer.stopped.wait()
 
 
-def test_a_pc_that_was_late_at_rest_goes_on(robot: KukaC3Robot, time: WireTime) -> None:
+def test_a_pc_that_was_late_at_rest_goes_on(
+    robot: KukaC3Robot, time: WireTime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(c3, "REPLY_S", 30.0)  # the controller answers
     time.silence(2.0)
     assert robot.read().still
 

@@ -7,14 +7,14 @@ from itertools import chain, repeat
 
 import pytest
 
-from drivers.canopen import can_link, sdo
+from drivers.canopen import can_link, sdo, slcan_bus
 from drivers.canopen.can_link import CanLink, open_bus
 from drivers.canopen.sdo import Aborted, SdoChannel, open_channel
 from hilcell.ports import Stopped
 from tests.clocks import DrivenClock
 from tests.drivers.can_peer import DRIVE, CanPeer, u32
 from tests.drivers.peers import A_LOOK_S, in_thread
-from tests.drivers.rail_bed import peer, refusal
+from tests.drivers.rail_bed import RailTime, peer, refusal
 
 pytestmark = pytest.mark.waits
 
@@ -24,9 +24,10 @@ PROFILE_VELOCITY = (0x6081, 0)
 
 
 @pytest.fixture(autouse=True)
-def _short_limits(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let a pause of this PC count as one look; all tries together are patient enough."""
+def _short_limits(monkeypatch: pytest.MonkeyPatch, peer: CanPeer) -> None:
+    """Let a pause of this PC count as one look, and none while a node still has a question."""
     monkeypatch.setattr(can_link, "PAUSE_S", A_LOOK_S)
+    monkeypatch.setattr(slcan_bus, "select", RailTime(peer))
     monkeypatch.setattr(sdo, "REPLY_S", 0.2)
     monkeypatch.setattr(sdo, "LATE_S", 0.1)
 

@@ -13,9 +13,9 @@ from drivers.strips.canopen import CanopenStrip
 from drivers.strips.strip import LOST, StripFeed, StripOptions
 from hilcell.ports import DeviceError, DeviceRefused, Stopped, StripLost
 from tests.drivers.can_peer import STRIP, CanPeer, u8, u32
-from tests.drivers.rail_bed import RailTime, rail_for, refusal, soon, time
+from tests.drivers.rail_bed import RailTime, peer, rail_for, refusal, soon, time
 
-__all__ = ["time"]
+__all__ = ["peer", "time"]
 
 
 def never() -> None:
@@ -27,9 +27,8 @@ def options_for(peer: CanPeer, **more: Any) -> StripOptions:
 
 
 @pytest.fixture
-def bus() -> Iterator[CanPeer]:
-    with CanPeer() as bus:
-        yield bus
+def bus(peer: CanPeer) -> CanPeer:
+    return peer
 
 
 @pytest.fixture

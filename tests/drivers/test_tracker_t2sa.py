@@ -25,7 +25,7 @@ Make = Callable[..., T2saTracker]
 
 @pytest.fixture
 def time(monkeypatch: pytest.MonkeyPatch) -> WireTime:
-    monkeypatch.setattr(t2sa_bridge, "REPLY_S", 0.3)
+    monkeypatch.setattr(t2sa_bridge, "REPLY_S", 2.0)  # looks for a peer that is late, not silent
     monkeypatch.setattr(t2sa_bridge, "MEASURE_S", 0.3)
     return wire_time(monkeypatch, supervision)
 
