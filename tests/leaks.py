@@ -5,11 +5,14 @@ from __future__ import annotations
 import gc
 import os
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-END_S = 5.0  # a thread that was told to end may need a while on a busy PC
+# A thread that was told to end may need a while on a busy PC, and a server to see that its client
+# has gone.
+END_S = 5.0
 # Kept by a library for its next use.
 POOLED = ("ThreadPoolExecutor", "asyncio_", "execnet", "Dask-Offload")
 NOBODYS = ("/dev/", "/proc/", "anon_inode:", ".pyc", ".ttf", ".so")
@@ -21,8 +24,10 @@ def no_leaks() -> Iterator[None]:
     threads, files, processes = set(threading.enumerate()), open_files(), children()
     yield
     left = [f"thread {each.name}" for each in _running(threads)]
-    if open_files() - files:
+    give_up_s = time.monotonic() + END_S
+    while open_files() - files and time.monotonic() < give_up_s:
         gc.collect()
+        time.sleep(0.01)
     left += sorted(f"file {place}" for _, place in open_files() - files)
     left += [f"process {pid}: {words}" for pid, words in children().items() if pid not in processes]
     if left:

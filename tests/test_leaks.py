@@ -22,7 +22,8 @@ def test_a_thread_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     thread.join()
 
 
-def test_an_open_file_is_named() -> None:
+def test_an_open_file_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.leaks.END_S", 0.01)
     with tempfile.NamedTemporaryFile() as before, no_leaks():
         before.write(b"opened before")
     with pytest.raises(AssertionError, match=r"file .*hc-leaked"), no_leaks():

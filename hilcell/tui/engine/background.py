@@ -20,15 +20,22 @@ T = TypeVar("T")
 
 
 async def run_in_thread(work: Callable[P, T], *args: P.args, **facts: P.kwargs) -> T:
-    """Return what a function returns, or raise what it raises."""
+    """Return what a function returns, or raise what it raises.
+
+    The work is done also where it was given up before its thread ran: it may be a stop.
+    """
     future: Future[T] = Future()
 
     def run() -> None:
-        future.set_running_or_notify_cancel()
+        awaited = future.set_running_or_notify_cancel()
         try:
-            future.set_result(work(*args, **facts))
+            result = work(*args, **facts)
         except Exception as error:  # noqa: BLE001 - raised where it is awaited
-            future.set_exception(error)
+            if awaited:
+                future.set_exception(error)
+        else:
+            if awaited:
+                future.set_result(result)
 
     threading.Thread(target=run, name="run_in_thread", daemon=True).start()
     return await asyncio.wrap_future(future)

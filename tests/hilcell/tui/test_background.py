@@ -8,6 +8,7 @@ import threading
 
 import pytest
 
+from hilcell.tui.engine import background
 from hilcell.tui.engine.background import FULL_COLLECTION_S, NEVER, GarbageCollector, run_in_thread
 
 
@@ -45,6 +46,39 @@ def test_an_end_waits_for_nothing_that_was_given_up() -> None:
     asyncio.run(give_up())
     go_on.set()
     ended.wait()
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_work_that_was_given_up_before_it_began_is_done(
+    monkeypatch: pytest.MonkeyPatch, fails: bool
+) -> None:
+    begin, ended = threading.Event(), threading.Event()
+
+    class Late(threading.Thread):
+        def run(self) -> None:
+            begin.wait()
+            try:
+                super().run()
+            finally:
+                ended.set()
+
+    done: list[int] = []
+
+    def work() -> None:
+        done.append(1)
+        if fails:
+            raise ZeroDivisionError
+
+    async def give_up() -> None:
+        task = asyncio.create_task(run_in_thread(work))
+        await asyncio.sleep(0)
+        task.cancel()
+
+    monkeypatch.setattr(background.threading, "Thread", Late)
+    asyncio.run(give_up())
+    begin.set()
+    ended.wait()
+    assert done == [1]
 
 
 def test_whole_collections_wait_until_nothing_moves(monkeypatch: pytest.MonkeyPatch) -> None:
