@@ -31,6 +31,7 @@ class ThreadedRun:
         self.events: list[Event] = []
         self.done: CompletedProcess[str] | None = None
         self._came: SimpleQueue[Event | None] = SimpleQueue()
+        self._ended = False  # all events were taken, which is later than ``done``
         self._may_go_on = threading.Semaphore(0)
         self._words = (*words, "--json", "--runs", runs)
         self._thread = threading.Thread(target=self._run, name="threaded run")
@@ -66,12 +67,14 @@ class ThreadedRun:
         return self.events[-1]
 
     def _next(self) -> Event | None:
-        if self.done is not None:
+        if self._ended:
             return None
         if not self.events or self._stands(self.events[-1]):
             self._may_go_on.release()
         event = self._came.get()
-        if event is not None:
+        if event is None:
+            self._ended = True
+        else:
             self.events.append(event)
         return event
 

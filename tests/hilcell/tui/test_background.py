@@ -8,7 +8,6 @@ import threading
 
 import pytest
 
-from hilcell.tui.engine import background
 from hilcell.tui.engine.background import FULL_COLLECTION_S, NEVER, GarbageCollector, run_in_thread
 
 
@@ -74,7 +73,7 @@ def test_work_that_was_given_up_before_it_began_is_done(
         await asyncio.sleep(0)
         task.cancel()
 
-    monkeypatch.setattr(background.threading, "Thread", Late)
+    monkeypatch.setattr("hilcell.tui.engine.background.threading.Thread", Late)
     asyncio.run(give_up())
     begin.set()
     ended.wait()
