@@ -115,6 +115,7 @@ class C3Connection:
         request that arrives in the same segment; then the bytes go out all the same.
         """
         held = self._lock.acquire(timeout=patience_s)
+        self._link.unheard = True
         try:
             self._link.send(encode_write(self._next_tag(), name, value), f"write {name}")
             self._dead = f"{name} was written without waiting for its reply"

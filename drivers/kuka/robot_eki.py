@@ -76,6 +76,7 @@ class EkiChannel:
     def send_unheard(self, document: bytes, patience_s: float = 0.05) -> None:
         """Send without waiting for the answer; a command in flight may end first."""
         held = self._lock.acquire(timeout=patience_s)
+        self._link.unheard = True
         try:
             self._link.send(document, "stop")
         finally:

@@ -46,6 +46,7 @@ class Dashboard:
 
     def send(self, command: str) -> None:
         """Send a command without waiting for its answer."""
+        self._link.unheard = True
         self._lines.send(command, command)
 
     def close(self) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import select
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 from drivers.supervision import Patience
@@ -18,6 +19,7 @@ from hilcell.ports import DeviceError
 POLL_S = 0.02
 CONNECT_S = 3.0
 SEND_S = 1.0
+LEAVE_S = 0.5
 KEEPALIVE_S = 5
 UNSENT_MS = 5000
 
@@ -51,6 +53,7 @@ class TcpLink:
         self._alarms = alarms
         self.device, self.address = device, f"{host}:{port}"
         self._check = check
+        self.unheard = False  # something was sent whose answer nobody awaits
         check()
         try:
             self._socket = socket.create_connection((host, port), timeout=CONNECT_S)
@@ -106,8 +109,25 @@ class TcpLink:
         return self._alarms.broken(self.device, self.address, operation, found)
 
     def close(self) -> None:
-        """Close the socket; a second close does nothing."""
+        """Close the socket; a second close does nothing.
+
+        After a stop that nobody waited for, the device first takes it, or `LEAVE_S` pass: it could
+        otherwise arrive behind what the next connection says.
+        """
+        if self.unheard:
+            self.unheard = False
+            with suppress(OSError):
+                self._leave()
         self._socket.close()
+
+    def _leave(self) -> None:
+        """End what is sent; return when the device has closed its end, too."""
+        patience = Patience(LEAVE_S)
+        self._socket.shutdown(socket.SHUT_WR)
+        while not patience.over():
+            ready, _, _ = select.select([self._socket], [], [], POLL_S)
+            if ready and not self._socket.recv(4096):
+                return
 
 
 def _watch(link: socket.socket) -> None:

@@ -125,6 +125,8 @@ class Server:
     def _handle(self, connection: socket.socket) -> None:
         with contextlib.suppress(OSError, EOFError):
             self._handler(connection)
+        with contextlib.suppress(OSError):
+            connection.shutdown(socket.SHUT_RDWR)
 
 
 def scripted(script: list[tuple[bytes, list[bytes]]], surprises: list[bytes]) -> Handler:

@@ -12,7 +12,7 @@ from drivers import supervision
 from drivers.supervision import Patience
 from drivers.wires.tcp import Alarms, TcpLink
 from hilcell.ports import DeviceError
-from tests.drivers.peers import Server
+from tests.drivers.peers import Server, wire_time
 
 ALARMS = Alarms(unreachable="HC-B01", lost="HC-B02")
 
@@ -87,3 +87,36 @@ def test_a_device_that_takes_no_bytes_is_reported(monkeypatch: pytest.MonkeyPatc
         assert caught.value.code == "HC-B02"
         end.set()
         link.close()
+
+
+def test_a_stop_that_nobody_waits_for_was_taken_when_its_line_is_closed() -> None:
+    order: list[str] = []
+
+    def take(connection: socket.socket) -> None:
+        while connection.recv(4):
+            pass
+        order.append("taken")
+
+    with Server(take) as server:
+        link = TcpLink("Robot", "127.0.0.1", server.port, lambda: None, ALARMS)
+        link.unheard = True
+        link.send(b"stop", "stop")
+        link.close()
+        order.append("closed")
+        link.close()
+    assert order == ["taken", "closed"]
+
+
+def test_a_device_that_never_closes_its_end_keeps_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    time = wire_time(monkeypatch, supervision)
+    time.silence(0.1)
+    closed = threading.Event()
+
+    def keep(_: socket.socket) -> None:
+        closed.wait()
+
+    with Server(keep) as server:
+        link = TcpLink("Robot", "127.0.0.1", server.port, lambda: None, ALARMS)
+        link.unheard = True
+        link.close()
+        closed.set()
