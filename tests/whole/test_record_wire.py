@@ -23,6 +23,7 @@ import msgspec
 import pytest
 
 from drivers.canopen import pdo, sdo
+from drivers.strips import serial
 from fakes.replay.dialects import Dialect, dialects_of
 from fakes.replay.event_time import EventTime
 from fakes.replay.recorded_script import Exchange, Script, exchanges, landmarks
@@ -66,8 +67,8 @@ def repeat(pair: str, recording: Path, runs: Path) -> tuple[int, Path]:
 
 @pytest.fixture
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Never ask a drive twice because a busy PC was late: the next look shows another place."""
-    for module in (pdo, sdo):
+    """Never ask a drive or a strip twice because a busy PC was late: it shows another place."""
+    for module in (pdo, sdo, serial):
         monkeypatch.setattr(module, "REPLY_S", 30.0)
 
 
