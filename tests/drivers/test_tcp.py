@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import socket
 import threading
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import pytest
 
 from drivers import supervision
-from drivers.supervision import Patience
+from drivers.kuka.c3 import C3Connection
+from drivers.kuka.robot_eki import EkiChannel
+from drivers.supervision import Patience, go_on
+from drivers.universal_robots.dashboard import GREETING, Dashboard
 from drivers.wires.tcp import Alarms, TcpLink
 from hilcell.ports import DeviceError
 from tests.drivers.peers import Server, wire_time
@@ -89,22 +93,43 @@ def test_a_device_that_takes_no_bytes_is_reported(monkeypatch: pytest.MonkeyPatc
         link.close()
 
 
-def test_a_stop_that_nobody_waits_for_was_taken_when_its_line_is_closed() -> None:
-    order: list[str] = []
+def stop_by_c3(port: int) -> C3Connection:
+    line = C3Connection("Robot", "127.0.0.1", port, go_on)
+    line.write_unheard("HC_STOP", "TRUE")
+    return line
+
+
+def stop_by_eki(port: int) -> EkiChannel:
+    line = EkiChannel("Robot", "127.0.0.1", port, "Robot", go_on)
+    line.send_unheard(b"<Stop/>")
+    return line
+
+
+def stop_by_dashboard(port: int) -> Dashboard:
+    line = Dashboard("Robot", "127.0.0.1", port, go_on, ALARMS)
+    line.send("stop")
+    return line
+
+
+@pytest.mark.parametrize("stop", [stop_by_c3, stop_by_eki, stop_by_dashboard])
+def test_a_stop_that_nobody_waits_for_was_taken_when_its_line_is_closed(
+    stop: Callable[[int], C3Connection | EkiChannel | Dashboard],
+) -> None:
+    taken = threading.Event()
 
     def take(connection: socket.socket) -> None:
+        connection.sendall(f"{GREETING}\n".encode())
         while connection.recv(4):
             pass
-        order.append("taken")
+        for _ in range(2):  # a line that is closed refuses the second
+            connection.sendall(b"\n")
+        taken.set()
 
     with Server(take) as server:
-        link = TcpLink("Robot", "127.0.0.1", server.port, lambda: None, ALARMS)
-        link.unheard = True
-        link.send(b"stop", "stop")
-        link.close()
-        order.append("closed")
-        link.close()
-    assert order == ["taken", "closed"]
+        line = stop(server.port)
+        line.close()
+        line.close()
+    assert taken.is_set()
 
 
 def test_a_device_that_never_closes_its_end_keeps_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
