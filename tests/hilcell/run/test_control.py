@@ -266,11 +266,13 @@ ENGINE = """
 import sys
 from pathlib import Path
 from hilcell.run.control import Control
+from tests.hilcell.run.bed import until
 from tests.hilcell.run.test_control import Recorder
 desk = Recorder()
 control = Control(Path(sys.argv[1]), desk)
 print("listens", flush=True)
 sys.stdin.read()
+until(lambda: "stop" in desk.told)  # each connection is served by a thread of its own
 control.close()
 print(desk.told)
 """
