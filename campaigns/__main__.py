@@ -22,6 +22,7 @@ CAMPAIGNS = {
     "fuzz": "campaigns.fuzz.campaign",
     "days": "campaigns.days",
     "stops": "campaigns.stops",
+    "rests": "campaigns.rests",
 }
 
 
