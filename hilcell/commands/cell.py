@@ -127,6 +127,9 @@ def check(args: argparse.Namespace) -> int:
     procedure: Procedure = load_entry("procedures", "calibrate")
     plan = procedure.plan(cell, seed=1)
     able = abilities(cell)
+    notes = list(plan.notes)
+    if cell.simulation is None and not cell.pauses_at_first_pass:
+        notes.append("robot.first_pass_pause is false: no run pauses before the arm's first pass")
     facts: dict[str, Any] = able | {
         "cell": cell.name,
         "digest": cell.digest,
@@ -134,7 +137,7 @@ def check(args: argparse.Namespace) -> int:
         "keep_out": [volume.name for volume in cell.keep_out],
         "points": plan.points,
         "duration_s": plan.duration_s,
-        "notes": plan.notes,
+        "notes": notes,
         "warnings": plan.warnings,
         "ok": True,
     }
@@ -146,7 +149,7 @@ def check(args: argparse.Namespace) -> int:
         f"the arm keeps clear of: {', '.join(facts['keep_out']) or 'nothing that is stated'}"
     )
     warnings = [f"warning: {each}" for each in plan.warnings]
-    print_answer(facts, "\n".join([words, *plan.notes, *warnings]), as_json=args.json)
+    print_answer(facts, "\n".join([words, *notes, *warnings]), as_json=args.json)
     return 0
 
 

@@ -87,6 +87,15 @@ def test_steps_that_do_nothing_are_named_with_their_cost() -> None:
     assert json.loads(command("check", "paper", "--json").stdout)["notes"] == []
 
 
+def test_a_real_cell_without_the_pause_at_a_first_pass_is_noted(cell: Path, text: str) -> None:
+    own = text.replace('name = "paper"', 'name = "mine"', 1).replace("HC-2014", "M-1")
+    cell.write_text(own.partition("[simulation]")[0], "utf-8")
+    for pauses in ("true", "false"):
+        done = command("check", cell, "--json", "--set", f"robot.first_pass_pause={pauses}")
+        notes = json.loads(done.stdout)["notes"]
+        assert any("first_pass_pause" in note for note in notes) is (pauses == "false")
+
+
 @pytest.mark.parametrize(
     ("settings", "warned"),
     [
