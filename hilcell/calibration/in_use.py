@@ -162,8 +162,8 @@ def _current(runs: Path, cell: Cell, table: str) -> Path:
             foreign = foreign or path  # a real cell and a simulated one of its name are two
         elif made.is_of_visit:
             gone = gone or f" (that of run {folder.name} has a base that was touched on a visit)"
-        elif standing is not None and standing.state == "current":
-            return path
+        elif standing is not None and standing.state in ("current", "of unknown standing"):
+            return path  # the latter is refused with its reason: it may supersede all others
         elif standing is None or standing.usable:
             unproven = unproven or path
         else:
@@ -179,7 +179,7 @@ def _current(runs: Path, cell: Cell, table: str) -> Path:
 def standing_of(folder: Path) -> Standing | None:
     """Return how the calibration of a run stands among those of its folder of runs.
 
-    None where the run is not there, not finished, or cannot be read.
+    None where the run is not there or not finished.
     """
     return standings(read_index(folder.parent)).get(folder.name)
 

@@ -13,7 +13,7 @@ from hilcell.clean import encodable, harmless
 from hilcell.commands.invariants import check
 from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.commands.run_output import print_suspected
-from hilcell.journal.index import RunRow, read_index, row_of
+from hilcell.journal.index import UNREADABLE, RunRow, read_index, row_of
 from hilcell.journal.runs import find_run, read_log
 from hilcell.journal.standing import Standing, standings
 from hilcell.run.procedure import Procedure
@@ -43,6 +43,9 @@ def runs(args: argparse.Namespace) -> int:
         for each in found
     ]  # fmt: skip
     print_table(([*headers, "begun", "kind", "calibration"], cells))
+    for row in listed:
+        if row.state == UNREADABLE:
+            print_message(row.reason)
     return 0
 
 

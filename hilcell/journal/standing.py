@@ -6,6 +6,8 @@ verdict is redo revokes the one that it judged, `hilcell revoke` any; one that w
 one is revoked as well. One that somebody has revoked supersedes nothing: it is as if it had not
 been made. A touched base is out of date as soon as the cell has moved in a later run.
 
+Where the journal of a run cannot be read nobody knows whether its calibration was revoked.
+
 A replay of a recorded run measures nothing: it changes no standing, and has one of its own.
 
 Simulated cells of one name are as many cells as machines were started for them: each has a current
@@ -20,11 +22,11 @@ from itertools import groupby
 from typing import Literal
 
 from hilcell.journal.calibration_facts import CalibrationFacts
-from hilcell.journal.index import RunRow
+from hilcell.journal.index import UNREADABLE, RunRow
 
 State = Literal[
     "current", "superseded", "revoked", "in doubt", "out of date", "not validated", "undecided",
-    "suspected", "replayed",
+    "suspected", "replayed", "of unknown standing",
 ]  # fmt: skip
 
 
@@ -54,7 +56,10 @@ class Standing:
 
 
 def standings(rows: Iterable[RunRow]) -> dict[str, Standing]:
-    """Return the standing of each calibration of finished runs, by the run's name."""
+    """Return the standing of each calibration of finished runs, by the run's name.
+
+    A run whose journal cannot be read may have made one: it has a standing as well.
+    """
     rows = list(rows)
     known = {row.name: row for row in rows if row.readable and not row.replayed}
     cells = {name: (*_cell(row), _machine(row, known)) for name, row in known.items()}
@@ -62,6 +67,11 @@ def standings(rows: Iterable[RunRow]) -> dict[str, Standing]:
     ordered = sorted(known.values(), key=lambda row: (cells[row.name], row.order))
     repeats = (row for row in rows if row.replayed and row.finished and row.facts.kind)
     found = {row.name: Standing("replayed", "", "a replay measures nothing") for row in repeats}
+    found |= {
+        row.name: Standing("of unknown standing", "", row.reason)
+        for row in rows
+        if row.state == UNREADABLE
+    }
     for cell, of_cell in groupby(ordered, key=lambda row: cells[row.name]):
         several = sum(other[:-1] == cell[:-1] for other in calibrated) > 1
         machine = cell[-1] if several else ""

@@ -25,6 +25,7 @@ from hilcell.journal.calibration_facts import USED
 from hilcell.journal.runs import CALIBRATION, JOURNAL
 from hilcell.ports import HilcellError
 from tests.hilcell.calibration.calibrations import calibration
+from tests.hilcell.commands.finished_runs import finished
 
 CELL = load_cell("paper")
 
@@ -32,8 +33,7 @@ CELL = load_cell("paper")
 def made(runs: Path, name: str, **provenance: Any) -> Calibration:
     """Write a run with a calibration of the cell, simulated as it is."""
     folder = runs / name
-    folder.mkdir()
-    (folder / JOURNAL).touch()
+    finished(runs, name, {})
     here: dict[str, Any] = {"cell": CELL.name, "digest": CELL.digest, "simulated": True}
     found = calibration(**(here | {"run": name} | provenance))
     write_calibration(found, folder / CALIBRATION)
@@ -48,10 +48,9 @@ def test_the_newest_calibration_of_this_cell_is_taken(tmp_path: Path) -> None:
     made(tmp_path, "1-old")
     made(tmp_path, "2-new")
     made(tmp_path, "3-other-cell", cell="another")
-    later = tmp_path / "4-no-calibration"
-    later.mkdir()
-    (later / JOURNAL).touch()
-    for seconds, folder in enumerate(sorted(tmp_path.iterdir())):
+    finished(tmp_path, "4-no-calibration", {})
+    (tmp_path / "4-no-calibration" / CALIBRATION).unlink()
+    for seconds, folder in enumerate(sorted(tmp_path.glob("?-*"))):
         _written(folder / JOURNAL, seconds)
     cell = with_calibration(using(), "recheck", tmp_path).cell
     assert Path(cell.recheck.calibration) == tmp_path / "2-new" / CALIBRATION
@@ -101,6 +100,18 @@ def test_an_unfit_one_is_refused(tmp_path: Path, provenance: dict[str, Any]) -> 
     made(tmp_path, "1-old", **provenance)
     with pytest.raises(Unfit):
         with_calibration(using(), "recheck", tmp_path)
+
+
+def test_the_current_one_is_not_known_where_a_later_journal_cannot_be_read(tmp_path: Path) -> None:
+    made(tmp_path, "1-old")
+    made(tmp_path, "2-new")
+    (tmp_path / "2-new" / JOURNAL).write_bytes(b"no database" * 1000)
+    _written(tmp_path / "1-old" / JOURNAL, 1)
+    _written(tmp_path / "2-new" / JOURNAL, 2)
+    with pytest.raises(Unfit, match=r"2-new(.|\n)*unknown standing.*2-new"):
+        with_calibration(using(), "recheck", tmp_path)
+    cell = with_calibration(using("1-old"), "recheck", tmp_path).cell
+    assert calibration_named(cell, "recheck").provenance.run == "1-old"
 
 
 def test_a_file_alone_must_be_of_the_same_cell_file(tmp_path: Path) -> None:

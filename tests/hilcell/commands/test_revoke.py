@@ -2,9 +2,11 @@
 
 import json
 import shutil
+import sqlite3
 import subprocess
 import sys
 import tempfile
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -70,6 +72,20 @@ def test_a_revoked_one_is_refused_and_the_current_one_named(runs: Path) -> None:
     assert stamp_of(runs).endswith("; REVOKED (accepted)")
     assert compensate(runs, "1-made").returncode == 0
     assert read_log(runs / "2-made").state == "finished"
+
+
+def test_one_whose_journal_cannot_be_read_may_have_been_revoked(runs: Path) -> None:
+    assert revoke(runs, "1-made", "--reason", "bumped tracker").returncode == 0
+    with closing(sqlite3.connect(runs / "1-made" / JOURNAL)) as base, base:
+        base.execute("UPDATE meta SET value = '1' WHERE name = 'form'")
+    for named in ("1-made", runs / "1-made" / CALIBRATION):
+        refusal = refused(runs, named)
+        assert "form 1, expected" in refusal
+        assert "--accept-not-current" in refusal
+        assert "calibrate again" not in refusal
+    assert compensate(runs, "1-made", "--accept-not-current").returncode == 0
+    assert stamp_of(runs).endswith("; OF UNKNOWN STANDING (accepted)")
+    assert "form 1, expected" in command("runs", "--runs", runs).stderr
 
 
 def test_a_copied_folder_is_revoked_with_its_run(runs: Path) -> None:
