@@ -11,22 +11,25 @@ COMPILE := uv pip compile pyproject.toml --universal --fork-strategy fewest --ge
 export PYTHONDONTWRITEBYTECODE =
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: run test together beside processes alone recordings nightly mutants torture lint gauges bench bundle lock clean
+.PHONY: run test together waiting beside processes alone recordings nightly mutants torture lint gauges bench bundle lock clean
 
 run: $(VENV)/ready  ## calibrate the simulated paper cell and print the table
 	$(BIN)/hilcell run
 
-test: $(VENV)/more  ## tests of processes, then lint, beside those in event time, then the deadlines
-	$(MAKE) --no-print-directory --jobs 2 together beside
+test: $(VENV)/more  ## all lanes at once, lint in that of processes; then the deadlines
+	$(MAKE) --no-print-directory --jobs 3 together waiting beside
 	$(MAKE) --no-print-directory alone
 
-# One after the other: the tests in event time often wait, and the third process has those moments.
+# One after the other: the tests in event time keep the processors busy already.
 beside: $(VENV)/compiled
 	$(MAKE) --no-print-directory processes
 	$(MAKE) --no-print-directory lint
 
 together: $(VENV)/compiled  ## tests in event time, in random order on all cores
-	$(BIN)/python -m pytest -n auto --dist worksteal -m "not (nightly or process or wall)"
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not (nightly or process or waits or wall)"
+
+waiting: $(VENV)/compiled  ## tests in event time that mostly wait, and need no core of their own
+	$(BIN)/python -m pytest -m "waits and not (nightly or process or wall)" $$(grep -lr --include="test_*.py" mark.waits tests)
 
 processes: $(VENV)/compiled  ## tests that start processes and hold at any pace
 	$(BIN)/python -m pytest -m "process and not nightly" $$(grep -lr --include="test_*.py" mark.process tests)

@@ -124,18 +124,12 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.hookimpl(trylast=True)
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Begin with what waits; all else stays in its random order.
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the longest golden run; all else stays in its random order.
 
-    One worker makes the longest golden run from the start: anywhere else, others come upon it, too,
-    and wait for it. Each worker, which first has a part of the list for its own, then begins with
-    tests that mostly wait: lint and the tests of processes have the processors meanwhile.
+    One worker makes it from the start: anywhere else, others come upon it, too, and wait for it.
     """
-    workers = getattr(config, "workerinput", {}).get("workercount", 1)
-    first = [item for item in items if _of_the_longest_run(item)]
-    later = [item for item in items if not _of_the_longest_run(item)]
-    later.sort(key=lambda item: item.get_closest_marker("waits") is None)
-    items[:] = first + [item for worker in range(workers) for item in later[worker::workers]]
+    items.sort(key=lambda item: not _of_the_longest_run(item))
 
 
 def _of_the_longest_run(item: pytest.Item) -> bool:

@@ -15,8 +15,6 @@ from drivers.universal_robots import robot_rtde
 from tests.whole.bench import command, end_of, events, sets, sweep
 from tests.whole.golden import RUNS, GoldenRuns
 
-pytestmark = pytest.mark.waits
-
 SHORT = {
     "base_frame.points": "4",
     "layout.nest_samples": "2",
