@@ -12,7 +12,7 @@ import hashlib
 import sqlite3
 import stat
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
@@ -340,10 +340,13 @@ class _Seen:
         return hashlib.sha256(stamp).hexdigest()
 
     def _open(self) -> sqlite3.Connection:
-        base = sqlite3.connect(own_file(self._runs / NAME), isolation_level=None)
-        base.execute(
-            "CREATE TABLE IF NOT EXISTS seen "
-            "(run TEXT PRIMARY KEY, row TEXT, run_key TEXT, revision INTEGER) STRICT"
-        )
-        base.execute("PRAGMA synchronous=OFF")  # it is rebuilt from the journals
+        with ExitStack() as undo:
+            base = sqlite3.connect(own_file(self._runs / NAME), isolation_level=None)
+            undo.callback(base.close)
+            base.execute(
+                "CREATE TABLE IF NOT EXISTS seen "
+                "(run TEXT PRIMARY KEY, row TEXT, run_key TEXT, revision INTEGER) STRICT"
+            )
+            base.execute("PRAGMA synchronous=OFF")  # it is rebuilt from the journals
+            undo.pop_all()
         return base

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import random
 import signal
+import sqlite3
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -120,13 +121,14 @@ def test_a_shipment_that_is_cut_off_before_each_order_of_a_run(
         (runs / NAME).unlink(missing_ok=True)
         file = tmp_path / f"{order}.db"
         file.write_bytes(blank.read_bytes())
-        with closing(Database(f"sqlite:///{file}")) as database:
+        with closing(Database(f"sqlite:///{file}")) as database, ended_with_it(database.engine):
             try:
                 with dying_before(order, database.engine):
                     ship(runs, database)
                 ended = True
             except Killed:
                 pass
+        with closing(Database(f"sqlite:///{file}")) as database:
             with database.transaction() as connection:
                 kept = connection.execute(select(func.count()).select_from(RUN)).scalar_one()
                 found = connection.execute(select(func.count()).select_from(POINT)).scalar_one()
@@ -169,6 +171,16 @@ class Killed(BaseException):
 
 def _die() -> None:
     raise Killed
+
+
+@contextmanager
+def ended_with_it(engine: Engine) -> Iterator[None]:
+    """Close every connection at the end, as that of a process closes them."""
+    used: list[sqlite3.Connection] = []
+    event.listen(engine, "checkout", lambda connection, *_: used.append(connection))
+    yield
+    for each in used:
+        each.close()
 
 
 @contextmanager

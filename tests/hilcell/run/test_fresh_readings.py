@@ -102,6 +102,7 @@ def stalled(tmp_path: Path, act: Callable[[CellSession], None], **later: float) 
     runner = bed.runner(procedure(Points(1, lambda session, _: act(session))))
     bed.journal.listen(stall)
     done.append(str(runner.run()))
+    bed.journal.close()
     return done[done.index("commit") :]
 
 

@@ -172,6 +172,7 @@ def test_signals_while_a_run_is_torn_down_change_nothing(
         lambda record: three() if {*ends} & {*map(str, record.body.values())} else None
     )
     assert runner.run() in ((0,) if ends_well else (3,))
+    bed.journal.close()
     assert bed.rail.closed == 1
 
 
