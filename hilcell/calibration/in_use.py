@@ -162,8 +162,10 @@ def _current(runs: Path, cell: Cell, table: str) -> Path:
             foreign = foreign or path  # a real cell and a simulated one of its name are two
         elif made.is_of_visit:
             gone = gone or f" (that of run {folder.name} has a base that was touched on a visit)"
-        elif standing is not None and standing.state in ("current", "of unknown standing"):
-            return path  # the latter is refused with its reason: it may supersede all others
+        elif standing is not None and standing.state == "current":
+            return path
+        elif standing is not None and standing.state == "in doubt" and not standing.current:
+            return path  # which is refused with its reason: it may supersede all others
         elif standing is None or standing.usable:
             unproven = unproven or path
         else:

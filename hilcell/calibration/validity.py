@@ -101,7 +101,7 @@ def _not_current(standing: Standing) -> Iterator[str]:
     yield f"it is {standing.text}"
     if standing.current:
         yield f"the current one of the cell is that of run {standing.current}"
-    elif standing.state not in ("in doubt", "of unknown standing"):
+    elif standing.state != "in doubt":
         yield "no calibration of the cell is current: calibrate again"
     yield "--accept-not-current uses it all the same, and says so"
 

@@ -6,7 +6,7 @@ verdict is redo revokes the one that it judged, `hilcell revoke` any; one that w
 one is revoked as well. One that somebody has revoked supersedes nothing: it is as if it had not
 been made. A touched base is out of date as soon as the cell has moved in a later run.
 
-Where the journal of a run cannot be read nobody knows whether its calibration was revoked.
+Where the journal of a run cannot be read its calibration is in doubt: it may have been revoked.
 
 A replay of a recorded run measures nothing: it changes no standing, and has one of its own.
 
@@ -26,7 +26,7 @@ from hilcell.journal.index import UNREADABLE, RunRow
 
 State = Literal[
     "current", "superseded", "revoked", "in doubt", "out of date", "not validated", "undecided",
-    "suspected", "replayed", "of unknown standing",
+    "suspected", "replayed",
 ]  # fmt: skip
 
 
@@ -58,7 +58,7 @@ class Standing:
 def standings(rows: Iterable[RunRow]) -> dict[str, Standing]:
     """Return the standing of each calibration of finished runs, by the run's name.
 
-    A run whose journal cannot be read may have made one: it has a standing as well.
+    A run whose journal cannot be read has one as well: it may have made a calibration.
     """
     rows = list(rows)
     known = {row.name: row for row in rows if row.readable and not row.replayed}
@@ -67,11 +67,8 @@ def standings(rows: Iterable[RunRow]) -> dict[str, Standing]:
     ordered = sorted(known.values(), key=lambda row: (cells[row.name], row.order))
     repeats = (row for row in rows if row.replayed and row.finished and row.facts.kind)
     found = {row.name: Standing("replayed", "", "a replay measures nothing") for row in repeats}
-    found |= {
-        row.name: Standing("of unknown standing", "", row.reason)
-        for row in rows
-        if row.state == UNREADABLE
-    }
+    unread = (row for row in rows if row.state == UNREADABLE)
+    found |= {row.name: Standing("in doubt", "", row.reason) for row in unread}
     for cell, of_cell in groupby(ordered, key=lambda row: cells[row.name]):
         several = sum(other[:-1] == cell[:-1] for other in calibrated) > 1
         machine = cell[-1] if several else ""

@@ -108,7 +108,7 @@ def test_the_current_one_is_not_known_where_a_later_journal_cannot_be_read(tmp_p
     (tmp_path / "2-new" / JOURNAL).write_bytes(b"no database" * 1000)
     _written(tmp_path / "1-old" / JOURNAL, 1)
     _written(tmp_path / "2-new" / JOURNAL, 2)
-    with pytest.raises(Unfit, match=r"2-new(.|\n)*unknown standing.*2-new"):
+    with pytest.raises(Unfit, match=r"2-new(.|\n)*in doubt.*2-new"):
         with_calibration(using(), "recheck", tmp_path)
     cell = with_calibration(using("1-old"), "recheck", tmp_path).cell
     assert calibration_named(cell, "recheck").provenance.run == "1-old"

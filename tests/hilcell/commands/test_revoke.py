@@ -84,7 +84,7 @@ def test_one_whose_journal_cannot_be_read_may_have_been_revoked(runs: Path) -> N
         assert "--accept-not-current" in refusal
         assert "calibrate again" not in refusal
     assert compensate(runs, "1-made", "--accept-not-current").returncode == 0
-    assert stamp_of(runs).endswith("; OF UNKNOWN STANDING (accepted)")
+    assert stamp_of(runs).endswith("; IN DOUBT (accepted)")
     assert "form 1, expected" in command("runs", "--runs", runs).stderr
 
 

@@ -300,7 +300,10 @@ def test_what_was_told_as_failed_is_not_done_later(
     engine.send_signal(signal.SIGCONT)
     monkeypatch.undo()
     order(tmp_path, "pause")
-    told, _ = engine.communicate()
+    try:
+        told, _ = engine.communicate(timeout=60)
+    finally:
+        engine.kill()  # one that waits for a lost stop would not end
     assert sorted(msgspec.json.decode(told.replace("'", '"'))) == ["pause", "stop"]
 
 
