@@ -29,11 +29,13 @@ UNCORRECTED, INACCURATE = 1283, 1284  # both with values
 # Communication codes of an instrument that is in step: unknown procedure, asleep, off.
 REFUSED_UNREAD = (3080, 3081, 3108, 3109)
 _REPLY = re.compile(r"%R1P,(\d{1,9}),(\d{1,9})(?:,\d{1,9})?:(\d{1,9})(?:,(.*))?")
-_VALUE = re.compile(r'"([^"]*)"|([^,]*)')
+# A name may have the mark of an arcsecond in it, escaped or not: a quote that ends no value.
+_VALUE = re.compile(r'"((?:[^"\\]|\\.|"(?!,|$))*)"(?=,|$)|((?!")[^,]*)')
+_ESCAPED = re.compile(r'\\(["\\])')
 
 
 class GeocomError(Exception):
-    """Text that is no reply, or no value of the kind that is wanted."""
+    """Text that is no reply, or no value of the expected kind."""
 
 
 class Rpc(IntEnum):
@@ -168,10 +170,15 @@ def _values(text: str) -> tuple[str, ...]:
         found = _VALUE.match(text, at)
         if found is None or text[found.end() : found.end() + 1] not in ("", ","):
             raise GeocomError(f"no values: {clean(text[:80])!r}")
-        values.append(found[2] if found[1] is None else found[1])
+        values.append(found[2] if found[1] is None else _ESCAPED.sub(r"\1", found[1]))
         if found.end() == len(text):
             return tuple(values)
         at = found.end() + 1
+
+
+def empty(reply: Reply) -> bool:
+    """Whether a reply of success has no values, where a whole one would have some."""
+    return not any(value.strip() for value in reply.values)
 
 
 def numbers(values: tuple[str, ...], count: int) -> tuple[float, ...]:
@@ -181,7 +188,7 @@ def numbers(values: tuple[str, ...], count: int) -> tuple[float, ...]:
     except ValueError:
         found = ()
     if len(found) != count:
-        raise GeocomError(f"{count} numbers are wanted, found {clean(','.join(values)[:80])!r}")
+        raise GeocomError(f"expected {count} numbers, got {clean(','.join(values)[:80])!r}")
     return found
 
 

@@ -237,6 +237,8 @@ class LeicaGeocomTracker:
             limit_s=wait_ms / 1000.0 + self.REPLY_S,
             accepted=options.accept_uncorrected,
         )
+        if geocom.empty(reply):
+            raise no_reading("HC-T13", "the answer has no values", act=ACT)
         values = self._decoded(reply, 3)
         xyz_mm = geocom.position_mm(*values) if np.all(np.isfinite(values)) else None
         if xyz_mm is None or not values[2] > 0:
@@ -249,7 +251,11 @@ class LeicaGeocomTracker:
     # -- lines --------------------------------------------------------------------------------
 
     def _numbers(self, rpc: Rpc, size: int) -> tuple[float, ...]:
-        return self._decoded(self._ask(rpc), size)
+        """Ask for numbers, again while the answer has none."""
+        patience = Patience(self.REPLY_S, self.REPLY_S)
+        while geocom.empty(reply := self._ask(rpc)) and not patience.over():
+            self._clock.wait(BUSY_PAUSE_S)
+        return self._decoded(reply, size)
 
     def _ask(
         self, rpc: Rpc, *parameters: float, limit_s: float = 0.0, accepted: bool = False

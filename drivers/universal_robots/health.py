@@ -11,7 +11,7 @@ from hilcell.ports import Array, DeviceError, DeviceRefused
 
 DEVICE = "Robot"
 RUNNING, NORMAL = 7, 1
-STANDING, PLAYING = 1, 2  # of the program
+STOPPING, STANDING, PLAYING = 0, 1, 2  # of the program
 LOST, STOPPED = 8, 9  # errors of the script
 ROBOT_MODES = {
     -1: "no controller",
@@ -25,7 +25,7 @@ ROBOT_MODES = {
     8: "updating firmware",
 }
 RUNTIME_STATES = {
-    0: "stopping",
+    STOPPING: "stopping",
     STANDING: "stopped",
     PLAYING: "playing",
     3: "pausing",

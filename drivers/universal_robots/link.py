@@ -166,7 +166,7 @@ class UrLink:
     def _refused(self, code: str, found: str) -> DeviceRefused:
         act = {
             "HC-B68": "end the other program, or the fieldbus, that writes these registers",
-            "HC-B69": "hilcell needs RTDE of PolyScope 3.10 or 5.4 and later",
+            "HC-B69": "bring PolyScope up to date: 3.12, 5.6 or later",
         }[code]
         return DeviceRefused(code, DEVICE, "connect", found, act=act)
 

@@ -27,6 +27,7 @@ from drivers.universal_robots.dashboard import Dashboard
 from drivers.universal_robots.health import (
     PLAYING,
     STANDING,
+    STOPPING,
     frame_text,
     joints_text,
     refused_motion,
@@ -56,6 +57,7 @@ STARTED_S = 5.0  # wire deadline: from sending the script to its first word
 STALL_S = 5.0  # wire deadline: no axis moved and no acknowledgement came
 REST_S = 3.0  # wire deadline: from the acknowledgement to standstill
 ENDED_S = 5.0  # wire deadline: a script of an earlier session ends
+BRAKED_S = 2.0  # wire deadline: a script that brakes (stopj, 2 rad/s2) goes on
 CLOCK_S = 0.5  # wire deadline: until the controller's time goes on
 LOOK_S = 0.5  # one look counts for this long, at most
 PROGRESS_S = 0.2  # between two looks at the progress of a motion
@@ -176,9 +178,17 @@ class UrRtdeRobot:
     # -- connecting ---------------------------------------------------------------------------
 
     def _identify(self) -> Identity:
-        options, ask = self._options, self._panel().ask
-        model, serial = ask("get robot model"), ask("get serial number")
-        software = ask("PolyscopeVersion")
+        options, panel = self._options, self._panel()
+        software = panel.told("PolyscopeVersion") or "version unknown"
+        model, serial = panel.told("get robot model"), panel.told("get serial number")
+        if model is None or serial is None:
+            untold = "model" if model is None else "serial number"
+            raise refused(
+                "HC-B69",
+                f"this PolyScope ({software}) does not tell its {untold}",
+                wanted="PolyScope 3.12, 5.6 or later",
+                act="bring PolyScope up to date",
+            )
         for name, found, fits, wanted in (
             ("model", model, options.model in model, f"{options.model!r} in it"),
             ("serial", serial, options.serial in ("", serial), repr(options.serial)),
@@ -215,17 +225,10 @@ class UrRtdeRobot:
     def _end_former_script(self) -> None:
         """End a script of ours that a dead engine left behind; refuse any other program."""
         link = self.link()
-        before = link.next()
-        if before.runtime_state == STANDING:
+        if (before := link.next()).runtime_state == STANDING:
             return
-        if link.fresh().count == before.count:
-            raise refused(
-                "HC-B67",
-                f"runtime_state is {runtime_text(before)}, and it is no script of hilcell",
-                wanted=f"{STANDING} (stopped)",
-                act="stop the program at the panel",
-            )
-        self._panel().ask("stop")
+        if self._ours_plays(before):
+            self._panel().ask("stop")
         patience, over = Patience(ENDED_S, LOOK_S), False
         while (state := link.fresh()).runtime_state != STANDING or not _stands([state]):
             if over:
@@ -236,6 +239,26 @@ class UrRtdeRobot:
                     act="stop the program at the panel",
                 )
             over = patience.over()
+
+    def _ours_plays(self, before: UrState) -> bool:
+        """Whether a script of ours plays; false for a program that stops by itself, whoever's it is.
+
+        Our script's counter stands while it brakes, so it has the time of a brake to go on. Raises
+        `DeviceRefused` for another program.
+        """
+        link, patience, over = self.link(), Patience(BRAKED_S, LOOK_S), False
+        while (state := link.fresh()).count == before.count:
+            if state.runtime_state in (STOPPING, STANDING):
+                return False
+            if over:
+                raise refused(
+                    "HC-B67",
+                    f"runtime_state is {runtime_text(state)}, and it is no script of hilcell",
+                    wanted=f"{STANDING} (stopped)",
+                    act="stop the program at the panel",
+                )
+            over = patience.over()
+        return True
 
     def _start_script(self) -> None:
         """Send the script; return when it has said that it runs."""

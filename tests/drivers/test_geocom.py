@@ -37,6 +37,22 @@ def test_replies() -> None:
 
 
 @pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        (r'"TS16 A 1\" R500"', ('TS16 A 1" R500',)),
+        ('"TS16 A 1" R500"', ('TS16 A 1" R500',)),
+        (r'"TS60 0.5\""', ('TS60 0.5"',)),
+        ('"TS60 0.5""', ('TS60 0.5"',)),
+        (r'"TS16 1\", R500",3', ('TS16 1", R500', "3")),
+        (r'"a\\b","c"', (r"a\b", "c")),
+        ('"TS16 1", R500"', ("TS16 1", ' R500"')),
+    ],
+)
+def test_a_name_may_have_the_mark_of_an_arcsecond_in_it(text: str, values: tuple[str, ...]) -> None:
+    assert geocom.parse(f"%R1P,0,2:0,{text}").values == values
+
+
+@pytest.mark.parametrize(
     "line",
     ["", "?", "%R1P,0,1", "%R1P,0:0", "%R1P,0,-1:0", "%R1P,a,1:0", "%R1Q,0,1:", '%R1P,0,1:0,"a"b'],
 )

@@ -260,6 +260,43 @@ def test_a_result_that_is_no_position_is_no_reading(
     assert (type(found), found.code) == (NoReading, "HC-T14")
 
 
+@pytest.mark.parametrize("empty", ["0", "0,", "0,,,"])
+def test_a_result_without_values_is_no_reading_and_the_next_is_good(
+    tracker: Quick, peer: GeocomPeer, empty: str
+) -> None:
+    good = peer.answers[2108]
+    answers = iter([lambda _: empty, good])
+    peer.answers[2108] = lambda text: next(answers)(text)
+    found = measuring(tracker)
+    assert (type(found), found.code) == (NoReading, "HC-T13")
+    np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)
+
+
+@pytest.mark.parametrize("rpc", [108, 2029, 5003, 5034])
+def test_a_question_whose_answer_has_no_values_is_asked_again(
+    peer: GeocomPeer, time: WireTime, rpc: int
+) -> None:
+    settings = peer.answers.get(rpc, lambda _: f"0,{peer.settings[rpc]}")
+    answers = iter([lambda _: "0"])
+    peer.answers[rpc] = lambda text: next(answers, settings)(text)
+    tracker = tracker_at(peer.channel, time)
+    tracker.connect()
+    tracker.close()
+    peer.answers[rpc] = lambda _: "0"
+    assert refusal(tracker.connect).code == "HC-T02"
+
+
+@pytest.mark.parametrize("name", [r'"TS16 A 1\" R500"', '"TS16 A 1" R500"'])
+def test_an_instrument_whose_name_has_the_mark_of_an_arcsecond_connects(
+    peer: GeocomPeer, time: WireTime, name: str
+) -> None:
+    peer.answers[5004] = lambda _: f"0,{name}"
+    tracker = tracker_at(peer.channel, time)
+    (identity,) = tracker.connect()
+    tracker.close()
+    assert identity.model == 'Leica TS16 A 1" R500'
+
+
 def test_another_reflector_than_the_expected_one_is_no_reading(
     tracker: Quick, peer: GeocomPeer
 ) -> None:

@@ -15,6 +15,7 @@ import pytest
 
 from drivers.universal_robots import dashboard
 from drivers.universal_robots import robot_rtde as robot_ur_rtde
+from drivers.universal_robots.health import STOPPING
 from drivers.universal_robots.link import UrLink
 from drivers.universal_robots.robot_rtde import UrRtdeRobot, script_text
 from drivers.universal_robots.state import UrState
@@ -218,7 +219,10 @@ def test_another_robot_is_refused(bench: Bench, options: dict[str, str]) -> None
     assert found.value.code == "HC-B05"
 
 
-def test_a_program_of_somebody_else_is_left_alone(bench: Bench) -> None:
+def test_a_program_of_somebody_else_is_left_alone(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(robot_ur_rtde, "BRAKED_S", 0.2)
     bench.play(OTHER)
     with pytest.raises(DeviceRefused) as found:
         bench.robot().connect()
@@ -271,6 +275,41 @@ def test_a_stop_from_another_thread(bench: Bench, robot: UrRtdeRobot) -> None:
 
 def test_a_script_left_behind_is_ended_by_the_next_connect(bench: Bench) -> None:
     bench.play(script_text(5))
+    robot = bench.robot()
+    robot.connect()
+    assert robot.move_to(TARGET, 100.0).still
+    robot.close()
+
+
+def test_a_script_of_ours_that_stops_by_itself_is_waited_for(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.play(script_text(5))
+    controller, states = bench.controller, iter(range(20))
+    controller._runtime = STOPPING
+    inner = controller.state
+
+    def stopping() -> dict[str, Any]:
+        if next(states, None) is None and controller._runtime == STOPPING:
+            controller._end_program()
+        return inner()
+
+    monkeypatch.setattr(controller, "state", stopping)
+    robot = bench.robot()
+    robot.connect()
+    assert robot.move_to(TARGET, 100.0).still
+    robot.close()
+
+
+def test_a_script_of_ours_that_brakes_is_no_program_of_somebody_else(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its counter stands until the arm does."""
+    bench.play(script_text(5))
+    loops, inner = iter(range(20)), bench.controller._run
+    monkeypatch.setattr(
+        bench.controller, "_run", lambda: inner() if next(loops, None) is None else None
+    )
     robot = bench.robot()
     robot.connect()
     assert robot.move_to(TARGET, 100.0).still
