@@ -330,7 +330,7 @@ def _perform(
         code, fault, unclosed = ending
     output.close(code, log, fault)
     print_end(folder, log, procedure, output, fault)
-    print_unclosed(unclosed)
+    print_unclosed(unclosed, fault)
     print_lost(folder, output)
     if code in RESUMABLE and not _wants_new_run(fault):
         print_message(f"resume with: hilcell resume {folder.name}{runs_option(folder.parent)}")

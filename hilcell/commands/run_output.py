@@ -38,13 +38,12 @@ from hilcell.journal.point_id import CONTROL
 from hilcell.journal.states import WAITING
 from hilcell.report.verdicts import deciding_words
 from hilcell.run.procedure import Plan, Procedure
+from hilcell.run.stopping import not_at_rest
 from hilcell.writing import NotPrinted
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
-
-AT_REST = {"Rail": "held", "Robot": "at rest"}  # how a run leaves what moves
 
 
 class RunOutput:
@@ -240,14 +239,11 @@ def print_suspected(log: Log) -> None:
             print_message(f"Suspected: {each.text}.")
 
 
-def print_unclosed(problems: Mapping[str, Exception]) -> None:
-    """Print which devices could not be left as a run leaves them: nobody knows that they rest."""
-    for device, error in problems.items():
-        if device in AT_REST:
-            print_message(
-                f"hilcell: {device.lower()} could not be confirmed {AT_REST[device]}: {error}; "
-                "it may still move: look at it, and use the E-stop before anybody goes near"
-            )
+def print_unclosed(problems: Mapping[str, Exception], fault: Exception | None) -> None:
+    """Print which devices could not be left at rest, where that is not the fault itself."""
+    error = not_at_rest(problems)
+    if error is not None and str(error) != str(fault):
+        print_error(error)
 
 
 def _print_result(procedure: Procedure, output: RunOutput, result: dict[str, Any]) -> None:

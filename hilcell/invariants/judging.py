@@ -238,19 +238,23 @@ class LifeRules:
         if life.to in OVER:
             count = len(self._closings)
             self._check("I7", record, count == 1, f"teardown ran {count} times")
-        if life.to in ("aborted", "faulted"):
-            self._held(record)
+            self._held(record, life.to)
         if life.to == "faulted":
             self._first_reason(record, life.reason)
 
-    def _held(self, record: Record) -> None:
-        """Judge that slide and robot were left held: a device that cannot tell is no proof."""
+    def _held(self, record: Record, to: str) -> None:
+        """Judge that slide and robot were left held: a device that cannot tell is no proof.
+
+        Then the run has not ended well, and says so.
+        """
         problems = self._closings[-1].get("problems", {}) if self._closings else {}
         for device in HELD_DEVICES:
-            if device in problems:
-                self._tally.unproven("I12", record, f"{device}: {problems[device]}")
+            problem = problems.get(device, "")
+            if problem and to == "faulted":
+                self._tally.unproven("I12", record, f"{device}: {problem}")
             else:
-                self._check("I12", record, bool(self._closings), f"{device} was not closed")
+                held, what = bool(self._closings) and not problem, problem or "it was not closed"
+                self._check("I12", record, held, f"{device}: {what}")
 
     def _first_reason(self, record: Record, reason: str) -> None:
         self._reason = self._reason or reason

@@ -18,7 +18,7 @@ INVARIANTS = {
     "I9": "a resumed run repeats nothing acknowledged, and verifies station and tracker first",
     "I10": "a frame or a result uses only valid points of known set-ups of the tracker",
     "I11": "motions are ordered by the engine that holds the run",
-    "I12": "every abort leaves slide and robot held",
+    "I12": "every end leaves slide and robot held",
     "I13": "a lost screen never makes a run go on",
     "I14": "no reading beyond its greatest age is used",
     "I15": "{W} is framed at one set-up, and proven at the tracker's uncertainty",

@@ -40,7 +40,7 @@ from hilcell.run.retake import retake_refusal
 from hilcell.run.same_cell import NONE, Changes
 from hilcell.run.signals import COMMANDS, signals_as_commands
 from hilcell.run.states import RUN, StateMachine
-from hilcell.run.stopping import SafeStop, close_all, facts_of_problems
+from hilcell.run.stopping import SafeStop, close_all, facts_of_problems, not_at_rest
 from hilcell.run.worker import Asked, AtRest, Ended, Halted, Message, Proven, Started, Worker
 
 SIGNAL_S = 0.05
@@ -353,6 +353,9 @@ class Runner:
         self._note("closed", problems, took_s=time.monotonic() - began_s)
         self._journal.append("event", "", {"what": "link"} | self._link())
         self._journal.read_back()  # a result is computed only from what is kept
+        if error is None or isinstance(error, Stopped):
+            # Whoever reads "finished", or "aborted" by himself, goes near.
+            self._fault = error = not_at_rest(self.unclosed) or error
         if error is None:
             try:
                 return self._finish()

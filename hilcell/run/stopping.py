@@ -13,10 +13,11 @@ from collections import deque
 from collections.abc import Callable, Mapping
 
 from hilcell.cell.devices import Devices
-from hilcell.errors import HilcellError, facts_of
+from hilcell.errors import DeviceError, HilcellError, facts_of
 
 STOP_S = 2.0  # each device may take this long to put its stop frame on the wire
 CLOSE_S = 10.0
+AT_REST = {"Rail": "held", "Robot": "at rest"}  # how a run leaves what moves
 
 
 class SafeStop:
@@ -46,6 +47,19 @@ def close_all(devices: Devices) -> dict[str, Exception]:
     """Close all devices at once, in bounded time; return the problems by device."""
     closes = {name: device.close for name, device in devices.named().items()}
     return Acts(closes).wait(CLOSE_S)
+
+
+def not_at_rest(problems: Mapping[str, Exception]) -> DeviceError | None:
+    """Return the error of devices that move and could not be left at rest; None without any."""
+    found = [
+        f"{device.lower()} could not be confirmed {AT_REST[device]}: {error}"
+        for device, error in problems.items()
+        if device in AT_REST
+    ]
+    if not found:
+        return None
+    act = "it may still move: look at it, and use the E-stop before anybody goes near"
+    return DeviceError("HC-C32", "Cell", "close", "; ".join(found), act=act)
 
 
 def facts_of_problems(problems: Mapping[str, Exception]) -> dict[str, object]:

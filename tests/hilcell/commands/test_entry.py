@@ -19,6 +19,7 @@ from hilcell.journal.journal import StorageError, read_journal
 from hilcell.journal.runs import CALIBRATION
 from hilcell.ports import DeviceError
 from hilcell.run.runner import Runner
+from hilcell.run.stopping import not_at_rest
 
 NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -131,10 +132,13 @@ def test_a_slide_that_nobody_confirms_to_be_held_is_named(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     hung = DeviceError("HC-R37", "Rail", "close", "the drive keeps its power")
-    print_unclosed({"Rail": hung, "Tracker": StorageError("of no matter")})
+    unclosed: dict[str, Exception] = {"Rail": hung, "Tracker": StorageError("of no matter")}
+    print_unclosed(unclosed, None)
     said = capsys.readouterr().err
     assert str(hung) in said
     assert "E-stop" in said
+    print_unclosed(unclosed, not_at_rest(unclosed))  # the fault itself has said it
+    assert not capsys.readouterr().err
 
 
 def test_collections_leave_out_all_that_was_loaded_before_a_run(

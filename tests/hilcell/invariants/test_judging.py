@@ -90,6 +90,7 @@ CASES: list[tuple[str, Doctored]] = [
     ("I11", Doctored().change("move 3", session=1)),
     ("I11", Doctored().change("point 3", session=1)),
     ("I12", Doctored().without("closed")),
+    ("I12", Doctored().change("closed again", problems={"Rail": "no answer within 10 s"})),
     ("I13", Doctored().change("proceed", by="")),
     ("I13", Doctored().change("proceed", by="screen lost")),
     ("I14", Doctored().change("move 1", seen__age_s=0.51)),
@@ -153,7 +154,7 @@ def test_a_device_that_cannot_tell_is_not_proven() -> None:
     verdict = judge(journal.records())["I12"]
     assert verdict.holds
     assert len(verdict.unproven) == 1
-    assert verdict.checked == 1  # the robot
+    assert verdict.checked == 3  # the robot, and both where the run has finished
 
 
 def test_a_reflector_that_is_carried_proves_less_often() -> None:

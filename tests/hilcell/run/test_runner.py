@@ -115,11 +115,38 @@ def test_a_slide_that_cannot_be_left_held_is_reported(
     monkeypatch.setattr(stopping, "CLOSE_S", 0.0)
     monkeypatch.setattr(bed.rail, "close", hang(entered, release))
     runner = bed.runner(procedure(Points(10**6)))
-    assert runner.run([signal.SIGTERM]) == 4
+    assert runner.run([signal.SIGTERM]) == 3
     release.set()
     bed.journal.close()
     assert [*runner.unclosed] == ["Rail"]
     assert [*bed.events("closed")[0]["problems"]] == ["Rail"]
+    assert bed.states()[-1] == "faulted"
+
+
+@pytest.mark.parametrize(
+    ("device", "exit_code"), [("rail", 3), ("robot", 3), ("tracker", 0)], ids=str
+)
+def test_a_run_that_leaves_something_moving_has_not_finished(
+    bed: Bed, monkeypatch: pytest.MonkeyPatch, device: str, exit_code: int
+) -> None:
+    gone = DeviceError("HC-R37", device.capitalize(), "close", "the drive keeps its power")
+
+    def close() -> None:
+        raise gone
+
+    monkeypatch.setattr(getattr(bed, device), "close", close)
+    assert bed.run(procedure(Points(1))) == exit_code
+    end = read_journal(bed.path)[-1].body
+    assert end["exit"] == exit_code
+    if exit_code == 0:
+        assert end["state"] == bed.log().state == "finished"
+        return
+    assert end["state"] == bed.log().state == "faulted"
+    assert (end["result"], end["error"]["code"]) == ({}, "HC-C32")
+    assert str(gone) in bed.log().fault
+    monkeypatch.undo()
+    assert bed.run(procedure(Points(1))) == 0
+    assert bed.log().state == "finished"
 
 
 def test_devices_are_closed_once_also_where_the_disk_fills_up_between(
