@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
 
-from hilcell.cell.settings import SettingsError, unreadable
+from hilcell.cell.settings import SettingsError, read_bytes, unreadable
 
 ENCODING = "latin-1"
 
@@ -57,7 +57,7 @@ def formatted(value: float, like: str, decimals: int) -> str:
 def source_text(path: Path, language: str) -> str:
     """Return a file's text in a robot's language; raises `SettingsError`."""
     try:
-        text = path.read_bytes().decode(ENCODING)
+        text = read_bytes(path).decode(ENCODING)
     except OSError as error:
         raise unreadable(str(path), error) from error
     if "\0" in text:

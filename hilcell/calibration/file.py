@@ -32,7 +32,7 @@ from hilcell.calibration.form import (
 from hilcell.calibration.frames import Frames, measured_of
 from hilcell.calibration.influence import SIZE
 from hilcell.cell.file import Cell
-from hilcell.cell.settings import SettingsError, unreadable
+from hilcell.cell.settings import SettingsError, read_bytes, unreadable
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected_poses
 from hilcell.geometry.frames import apply, inverse, poses_from_zyx, zyx_from_pose
@@ -168,7 +168,7 @@ def write_calibration(calibration: Calibration, path: Path) -> None:
 def read_calibration(path: Path) -> Calibration:
     """Read the file; raises `SettingsError` for anything that is not one, whole and of sense."""
     try:
-        data = path.read_bytes()
+        data = read_bytes(path)
         schema = msgspec.json.decode(data, type=_Head).schema
         if schema != SCHEMA:
             found = f"schema {schema:.6g}, expected {SCHEMA}; calibrate again"

@@ -49,6 +49,7 @@ from hilcell.cell.tables import (
     Speed,
     Step,
     Sweep,
+    Tolerance,
     Turn,
     Wait,
     refuse_descending,
@@ -117,10 +118,10 @@ class Iso9283Table(Frozen, frozen=True, kw_only=True):
     rated_load_kg: Mass | None = None
     warm_up_min: Minutes | None = None
     calibration: str = ""
-    ap_limit_mm: Size | None = None
-    rp_limit_mm: Size | None = None
-    ad_limit_mm: Size | None = None
-    rd_limit_mm: Size | None = None
+    ap_limit_mm: Tolerance | None = None
+    rp_limit_mm: Tolerance | None = None
+    ad_limit_mm: Tolerance | None = None
+    rd_limit_mm: Tolerance | None = None
     ap_limit_deg: Turn | None = None
     rp_limit_deg: Turn | None = None
 
@@ -248,9 +249,9 @@ class RailTable(Frozen, frozen=True, kw_only=True):
     speed_mm_s: Speed
     acceleration_mm_s2: Acceleration
     back_off_mm: Size = 1.0
-    strip_tolerance_mm: Size = 0.01
+    strip_tolerance_mm: Tolerance = 0.01
     slip_limit_mm: Size = 2.0
-    max_backlash_mm: Size = 0.4
+    max_backlash_mm: Tolerance = 0.4
     max_approaches: Annotated[int, Meta(ge=1, le=20)] = 8
     homing_mm_s: Speed = 100.0
     standstill_dwell_s: Dwell = 0.4
@@ -277,7 +278,7 @@ class TrackerTable(Frozen, frozen=True, kw_only=True):
     pose: Pose
     min_range_mm: Size = 500.0
     max_range_mm: Size = 10_000.0
-    max_std_mm: Size = 0.05
+    max_std_mm: Tolerance = 0.05
     find_radius_mm: Size = 5.0
     samples: Count = 1
     pointing_s: Annotated[float, Meta(ge=0, le=60)] = 1.0
@@ -359,8 +360,8 @@ class ValidationTable(Frozen, frozen=True, kw_only=True):
 
     per_cell: Count = 5
     others: Annotated[int, Meta(ge=1, le=100_000)] = 150
-    mean_tolerance_mm: Size = 0.15
-    max_tolerance_mm: Size = 0.4
+    mean_tolerance_mm: Tolerance = 0.15
+    max_tolerance_mm: Tolerance = 0.4
     max_tolerance_deg: Turn | None = None
 
 

@@ -68,8 +68,20 @@ def read_text(path: Path) -> str:
     if not stat.S_ISREG(found.st_mode) and not stat.S_ISDIR(found.st_mode):
         raise OSError(errno.EINVAL, "it is not a regular file")
     if found.st_size > MOST_BYTES:
-        raise OSError(errno.EFBIG, f"it has {found.st_size} bytes, wanted at most {MOST_BYTES}")
+        raise OSError(errno.EFBIG, f"it has {found.st_size} bytes, expected at most {MOST_BYTES}")
     return path.read_text("utf-8-sig")  # editors of Windows write a mark
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return what a file holds, which may be a pipe; raises `OSError` also for a device.
+
+    What never ends, or is larger than `MOST_BYTES`, would fill the memory.
+    """
+    with path.open("rb") as file:
+        content = file.read(MOST_BYTES + 1)
+    if len(content) > MOST_BYTES:
+        raise OSError(errno.EFBIG, f"it has more than {MOST_BYTES} bytes")
+    return content
 
 
 def unreadable(source: str, error: Exception, kind: str = "file") -> SettingsError:

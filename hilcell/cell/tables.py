@@ -17,6 +17,7 @@ from hilcell.geometry.rotations import from_zyx
 
 Length = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Size = Annotated[float, Meta(gt=0, le=1e6)]
+Tolerance = Annotated[float, Meta(gt=0, le=10)]  # a greater one, in mm, accepts whatever happens
 Step = Annotated[float, Meta(ge=0.01, le=1e6)]
 Turn = Annotated[float, Meta(gt=0, le=180)]  # deg
 Angle = Annotated[float, Meta(ge=-3600, le=3600)]

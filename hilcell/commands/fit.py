@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -40,14 +39,13 @@ from hilcell.ports import Array
 
 URDF = ".urdf"
 NAMED = 10  # rows that are left out
-MANY = 0.1  # share of rows left out beyond which they are no single slips
 
 
 def fit(args: argparse.Namespace) -> int:
     """Fit measured data, print how far each method's predictions are off, write what is asked."""
     robot = _robot(Path(args.robot), args.tip)
-    train = read_measurements(Path(args.train))
-    test = read_measurements(Path(args.test)) if args.test else None
+    train = _read(Path(args.train))
+    test = _read(Path(args.test)) if args.test else None
     if test is not None:
         _warn_of_shared(train, test)
     inputs = [Path(each) for each in (args.robot, args.train, args.test) if each]
@@ -62,7 +60,6 @@ def fit(args: argparse.Namespace) -> int:
         print_json({**found.result, **_covariance(found), **more})
     else:
         _print(found.result)
-    _warn_of_many(found.result)
     return 0
 
 
@@ -119,19 +116,16 @@ def _print(result: FitResult) -> None:
         )
 
 
-def _warn_of_many(result: FitResult) -> None:
-    """Say where to look when more rows are left out than slips explain."""
-    struck = Counter(bad["target"] for bad in result["outliers"])
-    if struck.total() <= MANY * result["train"]:
-        return
-    target, own = struck.most_common(1)[0]
-    look = "the robot's and the tracker's state during the measurement"
-    if 2 * own > struck.total():
-        look = f"reflector {target}, {own} of them: it may have moved on the flange"
-    print_message(
-        f"warning: {struck.total()} of {result['train']} training rows are left out, wanted at "
-        f"most {MANY:.0%}; bounds may be too small; look at {look}, and measure again"
-    )
+def _read(path: Path) -> Measurements:
+    """Read measured rows; what repeats another row exactly is no measurement, and counts once."""
+    rows = read_measurements(path)
+    once = rows.once()
+    if copies := len(rows) - len(once):
+        print_message(
+            f"warning: {copies} of {len(rows)} rows of {rows.source} repeat another exactly: its "
+            "target, joints and position; equal rows count once"
+        )
+    return once
 
 
 def _warn_of_shared(train: Measurements, test: Measurements) -> None:

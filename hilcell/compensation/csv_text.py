@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from hilcell.cell.settings import SettingsError, unreadable
+from hilcell.cell.settings import SettingsError, read_bytes, unreadable
 
 POINT, COMMA = ".", ","
 OTHER_CODING = "cp1252"
@@ -87,7 +87,7 @@ def _without_empty_columns(rows: list[tuple[int, list[str]]]) -> list[tuple[int,
 
 def _text(path: Path) -> str:
     try:
-        content = path.read_bytes()
+        content = read_bytes(path)
     except OSError as error:
         raise unreadable(str(path), error) from error
     if content.startswith(UTF_16):

@@ -27,6 +27,7 @@ from hilcell.writing import write_whole
 
 MOST, MOST_DEG = 1e6, 1e4  # mm and whatever else, deg; beyond is a slip, and overflows
 JOINERS = re.compile("[\u200c\u200d]")
+BRACKETS = re.compile(r"\s*[\[(]\s*(\w+)\s*[\])]$")  # a unit, as spreadsheets state it
 COMPUTED = "=+-@"  # at a field's begin, for spreadsheets
 SHOWN = 40  # characters of a bad field
 HEADER_SHOWN = 200
@@ -63,7 +64,8 @@ def read_named_rows(
     """
     text = read_csv(path, labels=1)
     refuse_corrected(str(path), (cell for _, cells in text.rows for cell in cells))
-    header = [cell.strip() for cell in text.header]
+    columns = [column for each in headers for column in each]
+    header = [column_of(cell, columns) for cell in text.header]
     if header not in headers:
         wanted = " or ".join(",".join(each) for each in headers)
         found = _header_shown(text) if text.rows else "an empty file"
@@ -80,6 +82,20 @@ def read_named_rows(
     if problems:
         raise SettingsError(str(path), problems)
     return rows
+
+
+def column_of(cell: str, columns: Iterable[str]) -> str:
+    """Return the column that a field of a header means: ``X``, ``x [mm]`` and ``X (mm)`` are x_mm.
+
+    The field itself where it means none, or states another unit.
+    """
+    word = BRACKETS.sub(r"_\1", cell.strip().casefold().replace("\u00b0", "deg"))
+    return next((each for each in columns if word and word in (each, _bare(each))), cell.strip())
+
+
+def _bare(column: str) -> str:
+    """Return a column's name without its unit."""
+    return column.removesuffix("_mm").removesuffix("_deg")
 
 
 def _header_shown(text: CsvText) -> str:

@@ -4,12 +4,13 @@ A method learns from training rows and predicts positions of other rows. Figures
 that were not learnt from: the test rows, or each fifth of the training poses in turn. Rows of one
 pose share their errors, so a pose is left out as a whole, and rows of equal joints are one pose.
 Nothing depends on the rows' order. Training rows that contradict the others are named and left out
-by all methods.
+by all methods; where they are many, or one misses by more than any robot errs, all are refused.
 """
 
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol, Self, TypedDict
@@ -26,20 +27,23 @@ from hilcell.fit.placement import (
     Placement,
     place,
     refuse_another_robot,
+    supposition,
 )
 from hilcell.fit.robot_file import Measurements, Robot
 from hilcell.geometry import statistics
 from hilcell.geometry.kinematics import Arm, Array
-from hilcell.identification.readings import Bools, IdentificationError, Ints
+from hilcell.identification.readings import Bools, IdentificationError, Ints, ManyContradict
 from hilcell.identification.repeats import FOLDS, count_poses, folds_of, places_of
 from hilcell.identification.system import observability
 
 NAMED = 5  # rows that one message names
 UNDETERMINED_MM = 5.0  # a bound beyond this says that the training rows do not determine a row
 WEIGHTS = {"mean": 2.0, "p95": 1.0}  # the largest miss changes with the folds more than methods do
+MOST_STRUCK = 0.1  # share of training rows left out; beyond, they are no single slips
 LEAST_INSIDE = 0.5  # share of test rows within 95 % bounds; below, they are not of this robot
 RESIDUAL = "gp"
 RICHEST = "tool"  # of the methods that identify the robot; it finds the rows that contradict others
+NONE: Ints = np.array([], dtype=np.int_)
 
 
 class Outlier(TypedDict):
@@ -75,7 +79,7 @@ class ModelFound(TypedDict):
 
 
 class FitResult(TypedDict):
-    """The output of ``fit --json``; ``train`` and ``test`` count rows.
+    """The output of ``fit --json``; ``train`` and ``test`` count rows learnt from and judged.
 
     ``methods`` has the figures of what each leaves, distances of predicted from measured positions;
     ``refused`` says why others could not be learnt; ``coverage`` is empty without test rows, and
@@ -231,8 +235,8 @@ def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) 
         "coverage": coverage,
         "coverage95": coverage[chosen]["share"] if coverage else None,
         "model": None if best is None else _model(best, arms[best]),
-        "train": len(train),
-        "test": len(train if test is None else test),
+        "train": len(kept),
+        "test": len(kept if test is None else test),
         "seconds": time.perf_counter() - start_s,
     }
     return Fitted(result, methods, validated)
@@ -293,24 +297,52 @@ def methods_table(methods: Mapping[str, Mapping[str, float]]) -> tuple[list[str]
 def _contradicting(placement: Placement, rows: Measurements) -> tuple[Bools, dict[str, str]]:
     """Return the rows (N,) that contradict the others, and why no robot is identified.
 
-    Where none is, absurd rows are refused: nothing shows what they should be.
+    Raises `FitError` where they are too many, or miss absurdly.
     """
     try:
-        return FittedArm.searched(placement, rows, RICHEST).outliers, {}
+        found = FittedArm.searched(placement, rows, RICHEST)
+    except ManyContradict as error:
+        raise FitError(f"{error}{_supposed(placement.arm, rows)}") from error
     except IdentificationError as error:
-        _refuse_gross(placement, rows)
+        _refuse_absurd(placement.arm, rows, placement.miss_mm(rows))
         return np.zeros(len(rows), dtype=np.bool_), dict.fromkeys((*TERMS, RESIDUAL), str(error))
+    bad = found.outliers
+    miss_mm = statistics.lengths_mm(rows.xyz_mm - found.predict(rows)[0])
+    _refuse_absurd(placement.arm, rows, np.where(bad, miss_mm, 0.0))
+    _refuse_many(placement.arm, rows, bad, miss_mm)
+    return bad, {}
 
 
-def _refuse_gross(placement: Placement, rows: Measurements) -> None:
-    """Refuse single absurd rows: they hardly move the base, but spoil what is learnt near them."""
-    miss_mm = placement.miss_mm(rows)
+def _refuse_absurd(arm: Arm, rows: Measurements, miss_mm: Array) -> None:
+    """Refuse rows that no robot misses by so much: nothing shows what they should be."""
     bad = np.flatnonzero(~(miss_mm <= ABSURD_MM))
     if len(bad):
         raise FitError(
-            f"{len(bad)} of {len(rows)} training rows miss grossly, wanted <= {ABSURD_MM:g} mm: "
-            f"{_named(rows, bad, miss_mm)}; mend or remove them"
+            f"{len(bad)} of {len(rows)} training rows miss grossly, expected <= {ABSURD_MM:g} mm: "
+            f"{_named(rows, bad, miss_mm)}{_supposed(arm, rows, bad)}; mend or remove them"
         )
+
+
+def _refuse_many(arm: Arm, rows: Measurements, bad: Bools, miss_mm: Array) -> None:
+    """Refuse more rows that contradict the others than slips explain."""
+    struck = np.flatnonzero(bad)
+    if len(struck) <= MOST_STRUCK * len(rows):
+        return
+    look = "the robot's and the tracker's state during the measurement"
+    target, own = Counter(rows.target[n] for n in struck).most_common(1)[0]
+    if len(set(rows.target)) > 1 and 2 * own > len(struck):
+        look = f"reflector {target}, {own} of them: it may have moved on the flange"
+    raise FitError(
+        f"{len(struck)} of {len(rows)} training rows contradict the others, expected at most "
+        f"{MOST_STRUCK:.0%}: {_named(rows, struck, miss_mm)}{_supposed(arm, rows, struck)}; "
+        f"look at {look}, and measure again"
+    )
+
+
+def _supposed(arm: Arm, rows: Measurements, bad: Ints = NONE) -> str:
+    """Return in words what would make all rows fit; "" where nothing does."""
+    found = supposition(arm, rows, bad.tolist())
+    return f"; they fit if {found}" if found else ""
 
 
 def _judged(

@@ -6,9 +6,10 @@ that would make them fit are tried, and the one that does is named.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import permutations
+from itertools import islice, permutations
 
 import numpy as np
 
@@ -27,6 +28,7 @@ EXPLAINED = 0.1  # of the median miss: a supposition that leaves less explains t
 ONE_LINE = 0.02  # across over along: below, positions lie on one line
 MM_PER_M, MM_PER_INCH = 1000.0, 25.4
 MOST_REFLECTORS = 4  # of which all permutations are tried
+MOST_TRIED = 500  # rows by which a supposition is judged
 
 
 class FitError(HilcellError):
@@ -110,6 +112,16 @@ def _supposed(arm: Arm, rows: Measurements, half_mm: float) -> Iterator[str]:
             yield says
 
 
+def supposition(arm: Arm, rows: Measurements, bad: Iterable[int] = ()) -> str:
+    """Return what would make all rows fit of which ``bad`` miss absurdly; "" where nothing does."""
+    some = range(0, len(rows), len(rows) // MOST_TRIED + 1)
+    for says, changed in _suppositions(rows.at(sorted({*some, *islice(bad, MOST_TRIED)}))):
+        with suppress(HilcellError):
+            if float(np.max(_placed(arm, changed)[0].miss_mm(changed))) <= ABSURD_MM:
+                return says
+    return ""
+
+
 def _suppositions(rows: Measurements) -> Iterator[tuple[str, Measurements]]:
     joints, xyz = rows.joints_rad, rows.xyz_mm
     yield "the joints are radians", replace(rows, joints_rad=np.degrees(joints))
@@ -118,6 +130,10 @@ def _suppositions(rows: Measurements) -> Iterator[tuple[str, Measurements]]:
     for axis in range(joints.shape[1]):
         turned = joints * np.where(np.arange(joints.shape[1]) == axis, -1.0, 1.0)
         yield f"joint {axis + 1} turns the other way", replace(rows, joints_rad=turned)
+    for how, sign in (("with", 1.0), ("against", -1.0)):  # controllers that show it to the ground
+        coupled = joints.copy()
+        coupled[:, 2] += sign * joints[:, 1]
+        yield f"joint 3 turns {how} joint 2", replace(rows, joints_rad=coupled)
     order = list(dict.fromkeys(rows.pose))
     number = np.array([order.index(pose) for pose in rows.pose])
     first = joints[[rows.pose.index(pose) for pose in order]]

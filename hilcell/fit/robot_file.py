@@ -18,9 +18,9 @@ import numpy as np
 from msgspec import Meta
 
 from hilcell.cell.file import Joint, arm_from_joints
-from hilcell.cell.settings import SettingsError, convert, unreadable
+from hilcell.cell.settings import SettingsError, convert, read_text, unreadable
 from hilcell.compensation.csv_text import CsvText, read_csv
-from hilcell.compensation.targets import MOST, MOST_DEG, numbers
+from hilcell.compensation.targets import MOST, MOST_DEG, column_of, numbers
 from hilcell.geometry.kinematics import Arm, Array
 
 HEADER = ["pose", "target", *(f"j{n}_deg" for n in range(1, 7)), "x_mm", "y_mm", "z_mm"]
@@ -126,6 +126,14 @@ class Measurements:
     def __len__(self) -> int:
         return len(self.pose)
 
+    def once(self) -> Measurements:
+        """Return the rows without copies: no reading repeats target, joints and position exactly."""
+        values = np.column_stack([self.joints_rad, self.xyz_mm]).tolist()
+        first: dict[tuple[object, ...], int] = {}
+        for n, (target, row) in enumerate(zip(self.target, values, strict=True)):
+            first.setdefault((target, *row), n)
+        return self.at(first.values())
+
     def at(self, rows: Iterable[int]) -> Measurements:
         """Return these rows only."""
         chosen = list(rows)
@@ -150,15 +158,17 @@ def read_robot(path: Path) -> RobotModel:
 def read_measurements(path: Path) -> Measurements:
     """Read measured targets; raises `SettingsError` naming the lines that are not good."""
     text = read_csv(path, LABELS)
-    if text.header != HEADER:
+    if [column_of(cell, HEADER) for cell in text.header] != HEADER:
         found = text.separator.join(text.header)
-        raise SettingsError(str(path), [f"line 1: header {found!r}, wanted {','.join(HEADER)!r}"])
+        raise SettingsError(str(path), [f"line 1: header {found!r}, expected {','.join(HEADER)!r}"])
     problems: list[str] = []
     labels, rows = [], []
     for line, cells in text.rows[1:]:
+        if not cells:
+            continue
         try:
             rows.append(_numbers(cells, text))
-            labels.append(cells[:LABELS])
+            labels.append([cell.strip() for cell in cells[:LABELS]])
         except ValueError as error:
             problems.append(f"line {line}: {error}")
     if not (labels or problems):
@@ -179,7 +189,7 @@ def _numbers(cells: list[str], text: CsvText) -> list[float]:
     """Return the nine numbers of a line; raises ValueError."""
     if len(cells) != len(HEADER):
         more = text.surplus(len(cells), len(HEADER))
-        raise ValueError(f"{len(cells)} fields, wanted {len(HEADER)}{more}")
+        raise ValueError(f"{len(cells)} fields, expected {len(HEADER)}{more}")
     for name, cell in zip(HEADER[:LABELS], cells, strict=False):
         if not cell.strip():
             raise ValueError(f"{name} is empty")
@@ -188,6 +198,6 @@ def _numbers(cells: list[str], text: CsvText) -> list[float]:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text("utf-8-sig")
+        return read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise unreadable(str(path), error) from error

@@ -17,7 +17,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from hilcell.cell.settings import SettingsError, unreadable
+from hilcell.cell.settings import SettingsError, read_bytes, unreadable
 from hilcell.clean import clean
 from hilcell.compensation.targets import numbers
 from hilcell.geometry.chain import Chain, arm_of
@@ -92,8 +92,12 @@ def read_urdf_text(content: bytes) -> UrdfText:
     parser.EndElementHandler = reader.end
     try:
         parser.Parse(content, True)
+    except NotUrdf:
+        raise
     except expat.ExpatError as error:
         raise NotUrdf(f"is not XML: {error}") from error
+    except (ValueError, LookupError) as error:  # of an encoding that expat does not have
+        raise NotUrdf(f"cannot be read: {error}; save it as UTF-8") from error
     return reader.found
 
 
@@ -243,7 +247,7 @@ def read_urdf(path: Path, tip: str = "") -> Urdf:
     Raises `SettingsError`.
     """
     try:
-        text = read_urdf_text(path.read_bytes())
+        text = read_urdf_text(read_bytes(path))
         joints = _chain_to(tip, text) if tip else _only_chain(text)
     except OSError as error:
         raise unreadable(str(path), error) from error

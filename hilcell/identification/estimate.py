@@ -16,7 +16,13 @@ from hilcell.geometry.frames import turn_levers
 from hilcell.geometry.kinematics import Array, forward
 from hilcell.identification.kinematics import Kinematics, State
 from hilcell.identification.noise import Noise
-from hilcell.identification.readings import Bools, IdentificationError, Ints, Readings
+from hilcell.identification.readings import (
+    Bools,
+    IdentificationError,
+    Ints,
+    ManyContradict,
+    Readings,
+)
 from hilcell.identification.system import System
 
 AT_ONCE = 4096  # poses, so that their derivatives stay in the processor's cache
@@ -226,7 +232,7 @@ def _refuse_too_few(readings: Readings) -> None:
 def _refuse_too_many(outliers: Bools, readings: Readings) -> None:
     bad, all_ = int(np.count_nonzero(outliers)), int(np.count_nonzero(readings.known))
     if not bad <= MOST_OUTLIERS * all_:
-        raise IdentificationError(
-            f"kinematics: {bad} of {all_} readings contradict the others, wanted at most "
+        raise ManyContradict(
+            f"kinematics: {bad} of {all_} readings contradict the others, expected at most "
             f"{MOST_OUTLIERS:.0%}; check that poses and readings belong together"
         )

@@ -21,6 +21,10 @@ class IdentificationError(HilcellError):
     code = "HC-C22"
 
 
+class ManyContradict(IdentificationError):
+    """More readings contradict the others than slips explain."""
+
+
 @dataclass(frozen=True, eq=False)
 class Readings:
     """M poses: joints commanded (M, 6) in rad, and where K reflectors were then, (M, K, 3) in mm.

@@ -7,7 +7,10 @@ from pathlib import Path
 
 import msgspec
 
+from hilcell.journal.journal import is_there
+
 ENGINE = "engine.json"  # in the run's folder, while its engine lives
+LARGEST = 2**16  # bytes
 ANSWER_S = 5.0
 
 
@@ -30,8 +33,11 @@ def read_engine_file(folder: Path) -> EngineFile | None:
 
 def _stated(folder: Path) -> EngineFile | None:
     try:
-        return msgspec.json.decode((folder / ENGINE).read_bytes(), type=EngineFile)
-    except (OSError, msgspec.DecodeError, UnicodeDecodeError):
+        if not is_there(folder / ENGINE):
+            return None  # opening a pipe may never end
+        with (folder / ENGINE).open("rb") as file:
+            return msgspec.json.decode(file.read(LARGEST), type=EngineFile)
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None
 
 
@@ -40,7 +46,7 @@ def _is_copied(engine: EngineFile, folder: Path) -> bool:
     first = Path(engine.folder)
     try:
         return bool(engine.folder) and not first.samefile(folder) and _stated(first) == engine
-    except OSError:
+    except (OSError, ValueError):  # a name that no file can have
         return False
 
 
@@ -58,6 +64,6 @@ def live_engine(folder: Path) -> EngineFile | None:
             link.connect(engine.socket)
         except (BlockingIOError, TimeoutError):
             return engine  # it lives, and takes nobody any more
-        except OSError:
+        except (OSError, ValueError):
             return None
     return engine

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import msgspec
 
+from hilcell.errors import one_line
 from hilcell.journal.calibration_facts import CalibrationFacts, CalibrationReader, outcome
 from hilcell.journal.journal import ABSENT, NeverBegan, Record, StorageError
 from hilcell.journal.runs import JOURNAL, read_records, unusable
@@ -31,6 +32,9 @@ BUSY_S = 2.0  # another process writes; without its leave the journals are read 
 SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file may still change
 UNREADABLE, NEVER_BEGAN = "unreadable", "never began"  # states that no journal holds
 BATCH = 200  # rows a commit: a first build that is interrupted is not lost
+LARGEST_ROW = 2**20  # bytes
+_TABLE = "CREATE TABLE run (name TEXT PRIMARY KEY, stamp TEXT, row BLOB) STRICT"
+_DEFINITION = "SELECT sql FROM sqlite_master WHERE name = 'run'"
 
 _PASSING = (
     sqlite3.SQLITE_BUSY,
@@ -139,9 +143,10 @@ def row_of(folder: Path) -> RunRow:
 
     try:
         row = row_of_records(folder.name, read_records(folder))
-    except (StorageError, msgspec.ValidationError) as error:
+    except Exception as error:  # noqa: BLE001 - whatever a run's folder holds, it stops no other run
         state = NEVER_BEGAN if isinstance(error, NeverBegan) else UNREADABLE
-        return RunRow(name=folder.name, begun=_written(folder), state=state, reason=str(error))
+        reason = str(error) if isinstance(error, StorageError) else one_line(error)
+        return RunRow(name=folder.name, begun=_written(folder), state=state, reason=reason)
     return msgspec.structs.replace(row, live=live_engine(folder) is not None)
 
 
@@ -432,12 +437,15 @@ def _opened(index: Path) -> sqlite3.Connection:
     base = sqlite3.connect(own_file(index), timeout=BUSY_S, isolation_level=None)
     try:
         base.execute("PRAGMA synchronous=OFF")  # what power loss damages is made again
+        base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_ROW)
         if base.execute("PRAGMA user_version").fetchone() != (SCHEMA,):
             base.execute("BEGIN IMMEDIATE")
             base.execute("DROP TABLE IF EXISTS run")
-            base.execute("CREATE TABLE run (name TEXT PRIMARY KEY, stamp TEXT, row BLOB) STRICT")
+            base.execute(_TABLE)
             base.execute(f"PRAGMA user_version={SCHEMA}")
             base.execute("COMMIT")
+        elif base.execute(_DEFINITION).fetchone() != (_TABLE,):
+            raise sqlite3.DatabaseError(f"{index} is no index: a view may have no end")
     except sqlite3.Error:
         base.close()
         raise
@@ -449,7 +457,7 @@ def _spared(index: Path) -> Iterator[None]:
     """Do without an index that is locked or cannot be written; throw away a damaged one."""
     try:
         yield
-    except (sqlite3.Error, msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (sqlite3.Error, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT)
         if code & 0xFF not in _PASSING:
             for file in (index, index.with_name(f"{NAME}-journal")):

@@ -18,6 +18,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -42,6 +43,11 @@ class OpenFile:
         if not self.lost():
             self._found = self._look()
 
+    @property
+    def size(self) -> int:
+        """Return its size in bytes when it was last noted; 0 where it is not there."""
+        return 0 if self._found is None else self._found[2]
+
     def lost(self) -> str:
         """Return what somebody has done to the file since it was last noted; "" for nothing."""
         if self._found is None:
@@ -65,7 +71,13 @@ READ_BACK = 500  # records between two checks that the file holds what was ackno
 CACHE_KIB = 256  # of SQLite's pages: a writer that appends needs the last ones only
 ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)  # other errors hide a file
 SMALLEST_PAGE = 512  # bytes
+LARGEST = 2**28  # bytes of a journal; one of a thousand points has some 2**23
+LARGEST_RECORD = 2**25  # bytes
+# Of SQLite's machine, which takes some 15 for a record: whoever made the file, reading it ends.
+MOST_STEPS, STEPS = 2 * 10**8, 10**6
 NULL = b"null"  # JSON of None, and of every number that is not finite
+# What a file that is no journal of ours may raise where it is read.
+BROKEN = (ValueError, TypeError, msgspec.MsgspecError, RecursionError, MemoryError)
 Kind = Literal["plan", "state", "intent", "point", "frame", "verdict", "event", "end"]
 
 _TABLES = """
@@ -89,6 +101,7 @@ _ROWS = """
 SELECT seq, CAST(t AS BLOB), CAST(kind AS BLOB), CAST(key AS BLOB), CAST(body AS BLOB), hash
 FROM record WHERE seq > ? ORDER BY seq
 """
+_SCHEMA = "SELECT type, name, sql FROM sqlite_master WHERE sql IS NOT NULL"
 _SESSION = """
 SELECT max(t) FROM record
 WHERE kind = 'plan' OR kind = 'state' AND json_extract(body, '$.to') = 'checking'
@@ -163,10 +176,13 @@ class Journal:
         self._again = again or f"hilcell resume {run}"
         self._lock = threading.Lock()
         self._listeners: list[Callable[[Record], None]] = []
-        if not create and not path.is_file():
-            raise StorageError(f"journal {path}: no such file; `hilcell runs` lists the runs")
+        if not create:
+            if not path.is_file():
+                raise StorageError(f"journal {path}: no such file; `hilcell runs` lists the runs")
+            _check_kinds(path)
         try:
             self._base = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+            self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_RECORD)
             self._base.execute("PRAGMA journal_mode=WAL")
             self._base.execute("PRAGMA synchronous=FULL")
             self._base.execute(f"PRAGMA cache_size=-{CACHE_KIB}")
@@ -185,8 +201,11 @@ class Journal:
             for record, stored in _stored(self._base, path):
                 self._seq, self._hash = record.seq, stored
                 self._take(record)
-        except sqlite3.Error as error:
-            raise StorageError(f"journal {path}: cannot be read: {error}") from error
+        except BaseException as error:
+            self._base.close()
+            if isinstance(error, sqlite3.Error):
+                raise StorageError(f"journal {path}: cannot be read: {error}") from error
+            raise
         self._read_back_to = self._seq
 
     def listen(self, listener: Callable[[Record], None]) -> None:
@@ -206,6 +225,7 @@ class Journal:
             digest = chain(self._hash, record)
             row = (record.seq, record.t, kind, key, text.decode(), digest)
             self._check_files()
+            self._check_size()
             try:
                 self._base.execute("INSERT INTO record VALUES (?, ?, ?, ?, ?, ?)", row)
             except sqlite3.Error as error:
@@ -281,6 +301,15 @@ class Journal:
                     record=self._seq + 1,
                 )
 
+    def _check_size(self) -> None:
+        """Write no journal that nobody reads."""
+        if (size := sum(file.size for file in self._files)) > LARGEST:
+            raise StorageError(
+                f"journal {self.path}: it has {size} bytes, expected at most {LARGEST}; "
+                "start a new run",
+                code="HC-J01",
+            )
+
     def close(self) -> None:
         """Close the file."""
         with self._lock:
@@ -339,6 +368,7 @@ def read_journal(path: Path, after: int = 0) -> list[Record]:
     try:
         if not is_there(path):
             raise StorageError(f"journal {path}: no such file; `hilcell runs` lists the runs")
+        _check_kinds(path)
         with closing(_reader(path)) as base:
             return [record for record, _ in _stored(base, path, after)]
     except sqlite3.Error as error:
@@ -354,11 +384,73 @@ def session_began_s(path: Path, unknown_s: float) -> float:
     ``unknown_s`` is returned for a journal that is empty or cannot be read: reading it says why.
     """
     try:
+        _check_kinds(path)
         with closing(_reader(path)) as base:
+            _check_schema(base, path)
             (moment,) = base.execute(_SESSION).fetchone()
             return datetime.fromisoformat(moment).timestamp()
-    except (sqlite3.Error, TypeError, ValueError):
+    except (sqlite3.Error, OSError, StorageError, TypeError, ValueError):
         return unknown_s
+
+
+def _check_kinds(path: Path) -> None:
+    """Raise `StorageError` for files that are no journal's, or larger; `OSError`.
+
+    Opening a pipe may never end, and what a huge file holds fills the memory.
+    """
+    size = 0
+    for end in ("", "-wal", "-shm", "-journal"):
+        file = path.with_name(f"{path.name}{end}")
+        try:
+            found = file.stat()
+        except OSError as error:
+            if error.errno in ABSENT:
+                continue
+            raise
+        if not stat.S_ISREG(found.st_mode):
+            raise StorageError(f"journal {path}: {file.name} is no regular file", code="HC-J02")
+        size += found.st_size
+    if size > LARGEST:
+        found_bytes = f"it has {size} bytes, expected at most {LARGEST}"
+        raise StorageError(f"journal {path}: {found_bytes}", code="HC-J02")
+
+
+def _bound(base: sqlite3.Connection) -> None:
+    """Let no record be larger than one may be, and no query take for ever."""
+    left = iter(range(MOST_STEPS // STEPS))
+    base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_RECORD)
+    base.set_progress_handler(lambda: next(left, None) is None, STEPS)
+
+
+@cache
+def _own_schema() -> frozenset[tuple[str, str, str]]:
+    """Return type, name and definition of each part of a journal."""
+    with closing(sqlite3.connect(":memory:")) as base:
+        base.executescript(_TABLES)
+        return frozenset(base.execute(_SCHEMA))
+
+
+def _check_schema(base: sqlite3.Connection, path: Path) -> bool:
+    """Return whether the file has the parts of a journal; of a new one it has none.
+
+    Raises `StorageError` for another form, and `ValueError` for other parts: a view, or a column
+    that is computed, may have no end.
+    """
+    found, own = {*base.execute(_SCHEMA)}, _own_schema()
+    if any(name == "meta" for _, name, _ in found & own):
+        row = base.execute("SELECT value FROM meta WHERE name = 'form'").fetchone()
+        form = str(row[0])[:20] if row else "none"
+        if form != str(FORM):
+            raise StorageError(
+                f"journal {path}: form {form}, expected {FORM}; "
+                "open it with the version that wrote it",
+                code="HC-J03",
+            )
+    elif found:
+        raise ValueError("it has no table of a journal's form")
+    if other := sorted(name for _, name, _ in found - own):
+        raise ValueError(f"no part of a journal: {', '.join(other)[:80]!r}")
+    return bool(found)
 
 
 def _wal(path: Path) -> Path:
@@ -370,6 +462,7 @@ def _reader(path: Path) -> sqlite3.Connection:
     """Open a journal to read it, also one whose folder may not be written."""
     where = f"{path.resolve().as_uri()}?mode=ro"
     base = sqlite3.connect(where, uri=True, isolation_level=None)
+    _bound(base)
     try:
         base.execute("PRAGMA schema_version")
     except sqlite3.DatabaseError as error:
@@ -380,7 +473,8 @@ def _reader(path: Path) -> sqlite3.Connection:
         )
         if unwritable and not (rest.exists() and rest.stat().st_size):
             base.close()
-            return sqlite3.connect(f"{where}&immutable=1", uri=True, isolation_level=None)
+            base = sqlite3.connect(f"{where}&immutable=1", uri=True, isolation_level=None)
+            _bound(base)
     return base
 
 
@@ -391,17 +485,11 @@ def _stored(base: sqlite3.Connection, path: Path, after: int = 0) -> Iterator[tu
     """
     wanted = after + 1
     try:
+        begun = _check_schema(base, path)
         if not after:
             _check_pages(base, path)
-        if not base.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+        if not begun:
             return  # killed while it was made: nothing was recorded
-        found = dict(base.execute("SELECT name, value FROM meta")).get("form")
-        if found != str(FORM):
-            raise StorageError(
-                f"journal {path}: form {found or 'none'}, expected {FORM}; "
-                "open it with the version that wrote it",
-                code="HC-J03",
-            )
         first = base.execute("SELECT hash FROM record WHERE seq = ?", (after,)).fetchone()
         before = first[0] if first else b""
         for row in base.execute(_ROWS, (after,)):
@@ -411,7 +499,7 @@ def _stored(base: sqlite3.Connection, path: Path, after: int = 0) -> Iterator[tu
                 raise ValueError("it is not the one that was written")
             yield record, stored
             wanted += 1
-    except (sqlite3.Error, ValueError, TypeError) as error:
+    except (*BROKEN, sqlite3.Error) as error:
         code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
         if code in _BEYOND:
             raise

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hilcell.errors import HilcellError
+from hilcell.errors import HilcellError, one_line
 from hilcell.journal.engine_file import ENGINE
 from hilcell.journal.journal import (
     NeverBegan,
@@ -162,7 +162,17 @@ def read_log(folder: Path) -> Log:
     """Return a run's log; raises `StorageError`."""
     from hilcell.journal.log import Log  # loads arrays, which a list of runs does without
 
-    return Log(read_records(folder))
+    records = read_records(folder)
+    try:
+        return Log(records)
+    except HilcellError:
+        raise
+    except Exception as error:
+        raise StorageError(
+            f"journal {folder / JOURNAL}: its records are no run's: {one_line(error)}; another "
+            "version of hilcell wrote it, or somebody has changed it",
+            code="HC-J02",
+        ) from error
 
 
 def read_records(folder: Path) -> list[Record]:

@@ -15,7 +15,7 @@ from typing import Any
 from hilcell.calibration.file import read_calibration
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
-from hilcell.cell.settings import SettingsError
+from hilcell.cell.settings import SettingsError, read_bytes
 from hilcell.clean import encodable
 from hilcell.journal.calibration_facts import REVOKED
 from hilcell.journal.journal import Record, chain
@@ -87,7 +87,7 @@ def file_digest_of(folder: Path, log: Log) -> str:
     """
     path = folder / CALIBRATION
     try:
-        content = path.read_bytes()
+        content = read_bytes(path)
         sound = read_calibration(path).provenance.digest == log.inputs.digest
     except (OSError, SettingsError):
         return ""

@@ -1,8 +1,9 @@
 """Locks of a cell: two runs never command the same devices.
 
 Locks are of the operating system (flock): they vanish with their process, however it dies. Those
-of devices lie in one folder for all users of this machine. Another user may have put files there:
-no link is followed, nothing is truncated, and only a plain file with no second name is written.
+of devices lie in one folder for all users of this machine, which belongs to root or to this user,
+and where nobody removes another's file. Another user may have put files there: no link is followed,
+nothing is truncated, and only a plain file with no second name is written.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import hashlib
 import os
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from hilcell.journal.journal import StorageError
@@ -52,15 +53,18 @@ def locks_folder() -> tuple[Path, str]:
     """
     if override := os.environ.get(OVERRIDE):
         _make_for_all(Path(override))
+        _check_mode(Path(override))
         return Path(override), ""
     try:
         _make_for_all(USUAL)
     except StorageError as error:
         _make_for_all(BEFORE_SET_UP)
+        _check_owner(BEFORE_SET_UP)
         return BEFORE_SET_UP, (
             f"{error}; the devices' locks lie in {BEFORE_SET_UP}, which excludes nobody who can "
-            f"use {USUAL}: set it up with `sudo install -d -m {FOR_ALL:o} {USUAL}`"
+            f"use {USUAL}: set it up with `{_set_up(USUAL)}`"
         )
+    _check_owner(USUAL)
     return USUAL, ""
 
 
@@ -80,6 +84,36 @@ def _make_for_all(folder: Path) -> None:
             os.umask(before)
 
 
+def _check_owner(folder: Path) -> None:
+    """Raise `StorageError` where another user could remove a lock that is held.
+
+    There is no way round: what that user holds would be seen by nobody who looks elsewhere.
+    """
+    owner = folder.lstat().st_uid
+    if owner not in (0, os.getuid()):
+        raise _untrusted(folder, f"it belongs to user {owner}")
+    _check_mode(folder)
+
+
+def _check_mode(folder: Path) -> None:
+    """Raise `StorageError` where everybody who may add a file may remove another's, too."""
+    mode = stat.S_IMODE(folder.lstat().st_mode)
+    if mode & (stat.S_IWGRP | stat.S_IWOTH) and not mode & stat.S_ISVTX:
+        raise _untrusted(folder, f"its mode is {mode:o}")
+
+
+def _untrusted(folder: Path, found: str) -> StorageError:
+    return StorageError(
+        f"locks folder {folder} cannot be used: {found}, so another user could remove a lock that "
+        f"is held; set it up with `{_set_up(folder)}`"
+    )
+
+
+def _set_up(folder: Path) -> str:
+    """Return the command that makes a folder of locks for all users, or puts one right."""
+    return f"sudo install -d -o root -g root -m {FOR_ALL:o} {folder}"
+
+
 @contextmanager
 def locked(path: Path, what: str, run: str) -> Iterator[None]:
     """Hold the lock at ``path``; raises `CellLocked` with its holder, and `StorageError`."""
@@ -87,14 +121,28 @@ def locked(path: Path, what: str, run: str) -> Iterator[None]:
     act = "; name another with --runs DIR or HILCELL_RUNS" if kind == "runs" else ""
     with _storage_errors(path.parent, kind, act):
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        file = _opened(path)
+        file = _held(path, what)
     try:
         with _storage_errors(path.parent, kind):
-            _take(file, what)
             words = f"run {run} (pid {os.getpid()})".encode(errors="replace")
             os.pwrite(file, words[:HOLDER_BYTES].ljust(HOLDER_BYTES), 0)
         yield
     finally:
+        os.close(file)
+
+
+def _held(path: Path, what: str) -> int:
+    """Open and lock the file at a path; one that was removed meanwhile excludes nobody."""
+    while True:
+        file = _opened(path)
+        try:
+            _take(file, what)
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(file), path.lstat()):
+                    return file
+        except BaseException:
+            os.close(file)
+            raise
         os.close(file)
 
 

@@ -277,6 +277,20 @@ def test_a_limit_of_orientation_wants_reflectors_and_is_of_the_cell_where_it_is_
         assert refused(SEATS | {LIMIT: value})
 
 
+@pytest.mark.parametrize(
+    "key",
+    [
+        "validation.mean_tolerance_mm", "validation.max_tolerance_mm", "rail.strip_tolerance_mm",
+        "rail.max_backlash_mm", "tracker.max_std_mm", "iso9283.ap_limit_mm", "iso9283.rd_limit_mm",
+    ],
+)  # fmt: skip
+def test_a_tolerance_that_accepts_whatever_happens_is_refused(key: str) -> None:
+    for value in ("1e6", "10.5", "0.0", "nan"):
+        (problem,) = refused({key: value})
+        assert key in problem
+    assert load_cell("paper", {key: "10.0"})
+
+
 def test_options_of_a_driver_that_is_exchanged_are_left_behind() -> None:
     kept = load_cell("paper", {"robot.driver": "kuka-c3", "robot.speed_percent": "20"})
     assert kept.robot.options == load_cell("paper").robot.options != {}

@@ -84,6 +84,20 @@ def test_inputs_are_never_written_over(folder: Path) -> None:
     assert (folder / "robot.urdf").read_bytes() == before
 
 
+def test_copied_rows_are_warned_of_and_count_once(folder: Path) -> None:
+    """As in a file that was joined twice."""
+    write_rows(folder / "test.csv", measured(2, 20, ["SMR1"]))
+    words = ("--test", folder / "test.csv", "--json")
+    once = fit(folder, "robot.toml", *words)
+    head, *lines = (folder / "train.csv").read_text().splitlines()
+    (folder / "train.csv").write_text("\n".join([head, *(10 * lines)]))
+    done = fit(folder, "robot.toml", *words)
+    assert "225 of 250 rows" in done.stderr
+    assert not once.stderr
+    found, wanted = (json.loads(each.stdout) | {"seconds": 0} for each in (done, once))
+    assert found == wanted
+
+
 def test_rows_that_are_left_out_are_named(folder: Path) -> None:
     rows = measured(1, 25, ["SMR1"])
     rows.xyz_mm[3] += [0.0, 6.0, 0.0]

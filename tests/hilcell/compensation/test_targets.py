@@ -78,3 +78,22 @@ def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
     for path in (tmp_path / "nowhere.csv", tmp_path, image):
         with pytest.raises(SettingsError):
             read_targets(path)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Name;X;Y;Z;A;B;C", "NAME;X [mm];Y [mm];Z [mm];A [deg];B [deg];C [deg]",
+        "name;X (mm);y_mm;Z;A (\u00b0);B;C_DEG",
+    ],
+)  # fmt: skip
+def test_headers_of_spreadsheets_are_read(tmp_path: Path, header: str) -> None:
+    names, values = read_targets(file_of(tmp_path, header, "H1;1250,5;-2;3;0;75,25;0"))
+    assert names == ["H1"]
+    np.testing.assert_array_equal(values, [[1250.5, -2.0, 3.0, 0.0, 75.25, 0.0]])
+
+
+@pytest.mark.parametrize("column", ["X [m]", "X (inch)", "x_m", "X [deg]", "X mm", "", "x_"])
+def test_a_column_of_another_unit_is_refused(tmp_path: Path, column: str) -> None:
+    with pytest.raises(SettingsError, match="missing: x_mm"):
+        read_targets(file_of(tmp_path, f"Name;{column};Y;Z;A;B;C", "H1;1;2;3;0;0;0"))

@@ -268,18 +268,54 @@ def test_a_test_set_of_another_robot_is_refused() -> None:
 def test_gross_training_rows_are_named_and_learnt_from_by_no_method() -> None:
     rows, test = measured(1, 24, ["SMR1", "SMR2"]), measured(2, 20, ["SMR1", "SMR2"])
     before = fit(IRB120, rows, test)
-    rows.xyz_mm[7, 0] += 5000.0
-    rows.xyz_mm[10, 2] -= 25.0
+    rows.xyz_mm[7, 0] += 15.0
+    rows.xyz_mm[10, 2] -= 8.0
     rows.xyz_mm[30, 1] += 2.0
     result = fit(IRB120, rows, test)
     named = {(each["pose"], each["target"]): each["miss_mm"] for each in result["outliers"]}
     assert named == {
-        ("1003", "SMR2"): pytest.approx(5000.0, abs=0.5),
-        ("1005", "SMR1"): pytest.approx(25.0, abs=0.5),
+        ("1003", "SMR2"): pytest.approx(15.0, abs=0.5),
+        ("1005", "SMR1"): pytest.approx(8.0, abs=0.5),
         ("1015", "SMR1"): pytest.approx(2.0, abs=0.5),
     }
+    assert (result["train"], result["test"]) == (45, 40)
+    assert fit(IRB120, rows)["test"] == 45
     for method, figures in result["methods"].items():
         assert figures["mean_mm"] == pytest.approx(before["methods"][method]["mean_mm"], rel=0.15)
+
+
+def test_rows_that_miss_by_more_than_any_robot_errs_are_refused() -> None:
+    rows = measured(1, 24, ["SMR1", "SMR2"])
+    rows.xyz_mm[7, 0] += 5000.0
+    with pytest.raises(FitError, match=r"1 of 48 .*pose 1003 target SMR2 by 5000 mm; mend"):
+        fit(IRB120, rows)
+
+
+def test_more_rows_that_contradict_than_slips_explain_are_refused() -> None:
+    rows = measured(1, 24, ["SMR1", "SMR2"])
+    rows.xyz_mm[1:13:2, 2] += 3.0
+    with pytest.raises(FitError, match=r"6 of 48 .*10%.*reflector SMR2, 6 of them"):
+        fit(IRB120, rows)
+    alone = rows.at(range(0, 48, 2))
+    alone.xyz_mm[:3, 2] += 3.0
+    with pytest.raises(FitError, match=r"3 of 24 .*state during the measurement"):
+        fit(IRB120, alone)
+    alone.xyz_mm[3:9] += np.random.default_rng(8).uniform(3.0, 6.0, (6, 3))
+    with pytest.raises(FitError, match="contradict the others"):
+        fit(IRB120, alone)
+
+
+@pytest.mark.parametrize(("sign", "how"), [(-1.0, "with"), (1.0, "against")])
+@pytest.mark.parametrize("every", [1, 6])
+def test_axes_that_a_controller_couples_are_named(sign: float, how: str, every: int) -> None:
+    """It shows joint 3 to the ground; where joint 2 hardly moves, few rows tell."""
+    rows = measured(1, 60, ["SMR1"])
+    true = rows.joints_rad.copy()
+    true[np.arange(60) % every > 0, 1] = 0.0
+    shown = true.copy()
+    shown[:, 2] += sign * true[:, 1]
+    with pytest.raises(FitError, match=f"they fit if joint 3 turns {how} joint 2"):
+        fit(IRB120, replace(measured_at(true, rows), joints_rad=shown))
 
 
 def test_gross_rows_of_few_poses_are_refused() -> None:

@@ -106,7 +106,7 @@ def test_every_bad_line_is_named(written: Write) -> None:
         LINE.replace("2439.1", "inf"),
         LINE.replace("2439.1", "2439.1 mm"),
         LINE.replace("SMR1", " "),
-        "",
+        "518",
         LINE.replace("2439.1", "1e999"),
         LINE.replace("2439.1", "1_0"),
         LINE.replace("2439.1", "\u0661\u0662"),
@@ -114,7 +114,7 @@ def test_every_bad_line_is_named(written: Write) -> None:
     ]
     said = problems_of(read_measurements, written("\n".join(lines)))
     assert "line 2:" not in said
-    places = {3: "j2_deg", 4: "12", 5: "x_mm", 6: "x_mm", 7: "target", 8: "0", 9: "x_mm"}
+    places = {3: "j2_deg", 4: "12", 5: "x_mm", 6: "x_mm", 7: "target", 8: "1", 9: "x_mm"}
     for line, place in (places | dict.fromkeys((10, 11, 12), "x_mm")).items():
         assert f"line {line}: {place} " in said
     far = "\n".join([lines[0], LINE.replace("33.9", "10001")])
@@ -138,3 +138,24 @@ def test_a_long_list_of_bad_lines_is_cut(written: Write) -> None:
 )
 def test_measurements_are_refused(written: Write, text: str, says: str) -> None:
     assert says in problems_of(read_measurements, written(text))
+
+
+def test_blanks_and_empty_lines_are_read_as_in_lists_of_holes(written: Write) -> None:
+    text = "\n".join([",".join(HEADER), LINE, LINE.replace("SMR1", "SMR2")])
+    plain = read_measurements(written(text))
+    spread = text.replace(",", " , ").replace("pose", "Pose").replace("x_mm", "X [mm]")
+    for other in (spread, f"{text}\n\n \n", text.replace("\n", "\n\n"), text.replace(",", ", ")):
+        read = read_measurements(written(other))
+        assert (read.pose, read.target) == (plain.pose, plain.target)
+        np.testing.assert_array_equal(read.joints_rad, plain.joints_rad)
+        np.testing.assert_array_equal(read.xyz_mm, plain.xyz_mm)
+
+
+def test_rows_that_repeat_another_exactly_count_once(written: Write) -> None:
+    other = LINE.replace("2439.1", "2439.1001")
+    lines = [LINE, other, LINE, LINE.replace("518", "7"), LINE.replace("SMR1", "SMR2"), LINE]
+    rows = read_measurements(written("\n".join([",".join(HEADER), *lines])))
+    once = rows.once()
+    assert (len(rows), once.target, once.pose) == (6, ["SMR1", "SMR1", "SMR2"], ["518"] * 3)
+    np.testing.assert_array_equal(once.xyz_mm, rows.xyz_mm[[0, 1, 4]])
+    assert once.source == rows.source

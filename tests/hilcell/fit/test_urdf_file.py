@@ -195,8 +195,14 @@ def test_odd_files_are_refused_by_name(written: Write, old: str, new: str, named
         IRB120.encode("utf-16"),
         IRB120.replace("<robot", '<!DOCTYPE robot [<!ENTITY a "b">]><robot', 1),
         "<robot>" + 100_000 * "<a>",
+        IRB120.replace("UTF-8", "Shift_JIS").encode("shift_jis"),
+        IRB120.replace("UTF-8", "GBK").encode("gbk"),
+        IRB120.replace("UTF-8", "none-such"),
     ],
-    ids=["empty", "no XML", "no joint", "another root", "UTF-16", "document type", "too deep"],
+    ids=[
+        "empty", "no XML", "no joint", "another root", "UTF-16", "document type", "too deep",
+        "two bytes a letter", "one or two bytes", "unknown encoding",
+    ],
 )
 def test_what_is_no_urdf_is_refused(written: Write, text: str | bytes) -> None:
     assert "robot.urdf" in problem_of(written(text))

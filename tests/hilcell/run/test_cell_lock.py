@@ -45,7 +45,6 @@ def test_no_folder_of_a_user_decides(usual: Path, monkeypatch: pytest.MonkeyPatc
     first = lock_of_device(PLACE)
     monkeypatch.setenv("TMPDIR", str(usual.parent))
     monkeypatch.setattr(tempfile, "tempdir", None)
-    monkeypatch.setattr(os, "getuid", lambda: 4711)
     assert lock_of_device(PLACE) == first
     assert lock_of_device("10.0.0.2:7000") != first
 
@@ -79,6 +78,58 @@ def test_a_folder_that_is_a_link_is_not_used(usual: Path, tmp_path: Path) -> Non
     with pytest.raises(StorageError, match="tmp-locks"):
         locks_folder()
     assert [*(tmp_path / "victim").iterdir()] == []
+
+
+def given_away(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a folder belong to another user."""
+    if os.getuid() == 0:
+        os.chown(folder, 4711, 4711)
+    else:
+        monkeypatch.setattr(os, "getuid", lambda: 4711)
+
+
+@pytest.mark.parametrize("folder", ["run-lock/hilcell", "tmp-locks"])
+def test_a_folder_of_another_user_is_not_used_and_nothing_in_its_place(
+    usual: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str
+) -> None:
+    """He could remove a lock that is held, and a second engine would get past it."""
+    if folder == "tmp-locks":
+        usual.parent.rmdir()
+    assert locks_folder()[0] == tmp_path / folder
+    given_away(tmp_path / folder, monkeypatch)
+    with pytest.raises(StorageError, match=f"{folder} .*4711") as caught:
+        lock_of_device(PLACE)
+    assert f"sudo install -d -o root -g root -m 1777 {tmp_path / folder}" in str(caught.value)
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o775, 0o2770])
+@pytest.mark.parametrize("own", [True, False], ids=["own", "usual"])
+def test_a_folder_in_which_others_remove_locks_is_not_used(
+    usual: Path, monkeypatch: pytest.MonkeyPatch, mode: int, own: bool
+) -> None:
+    if own:
+        monkeypatch.setenv(OVERRIDE, str(usual))
+    lock_of_device(PLACE)
+    usual.chmod(mode)
+    with pytest.raises(StorageError, match=f"{usual}.*mode is {mode:o}"):
+        lock_of_device(PLACE)
+    usual.chmod(mode | stat.S_ISVTX)
+    lock_of_device(PLACE)
+
+
+def test_a_lock_that_is_removed_while_it_is_taken_is_not_held(
+    usual: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lock, take = lock_of_device(PLACE), cell_lock._take
+    removals = iter([lock.unlink])
+
+    def removed(file: int, what: str) -> None:
+        take(file, what)
+        next(removals, lambda: None)()
+
+    monkeypatch.setattr(cell_lock, "_take", removed)
+    with locked(lock, "rail", "r"), pytest.raises(CellLocked):
+        locked(lock, "rail", "other").__enter__()
 
 
 @pytest.mark.parametrize("plant", ["symlink_to", "hardlink_to"])
