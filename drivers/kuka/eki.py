@@ -6,8 +6,9 @@ shifts all that follow. Each answer is a state of the controller, with the Id of
 answers: motions have ids above 0, all other commands below. Only Finished_Id says that a motion has
 ended.
 
-A state is a flat document of elements with attributes. So no declaration, entity, comment or
-character data is ever needed: a document that has one is refused before it is parsed.
+A state is a flat document of elements with attributes, perhaps behind `<?xml ..?>`, which says
+nothing more. So no document type, entity or comment is ever needed: a document that has one is
+refused before it is parsed. Controllers differ in capitals, and write booleans as words or as 0, 1.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ LONGEST = 8192  # bytes of a document; a state has about 1000
 DEEPEST = 2
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 E1 = "E1"
+_PROLOG = re.compile(rb"<\?xml\s[^<>]{0,100}\?>\s*")
 _DECLARATION = re.compile(rb"<[!?]")
 _NUMBER = re.compile(r"-?\d{1,10}", re.ASCII)
 
@@ -54,6 +56,9 @@ SINGLE = {
     "HC_VER": ("Robot", "Program"),
     "HE_VER": ("Robot", "Documents"),
 }
+BOOLEANS = {
+    "HC_STOP", "HC_HELD", "$AXIS_JUS[7]", "$PERI_RDY", "$STOPMESS", "$ALARM_STOP", "$USER_SAF",
+}  # fmt: skip
 STRUCTURES = {
     "$AXIS_ACT": "Pos",
     "$AXIS_ACT_MEAS": "Pos",
@@ -69,20 +74,21 @@ class EkiError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """One answer: attributes as text, by element."""
+    """One answer: attributes as text, by element; names are without capitals."""
 
     elements: Mapping[str, Mapping[str, str]]
 
     def text(self, element: str, attribute: str) -> str:
         """Return an attribute."""
         try:
-            return self.elements[element][attribute]
+            return self.elements[element.casefold()][attribute.casefold()]
         except KeyError:
             raise EkiError(f"{element}/@{attribute} is missing") from None
 
     def single(self, name: str) -> krl.Value:
         """Return a single variable of the controller."""
-        return krl.parse(self.text(*SINGLE[name]))
+        value = krl.parse(self.text(*SINGLE[name]))
+        return bool(value) if name in BOOLEANS and value in (0, 1) else value
 
     def numbers(self, name: str, components: Sequence[str]) -> list[float]:
         """Return components of a structure."""
@@ -119,26 +125,32 @@ def stop_command(number: int, *, brake: bool) -> bytes:
 
 def split(received: bytes, root: str) -> tuple[list[bytes], bytes]:
     """Return the whole documents that were received, and the rest."""
-    end = f"</{root}>".encode("ascii")
-    *whole, rest = received.split(end)
-    for each in (*whole, rest):
+    end = f"</{root}>"
+    pieces = re.split(f"({end})".encode("ascii"), received, flags=re.IGNORECASE)
+    for each in pieces[::2]:
         if len(each) > LONGEST:
-            raise EkiError(f"{len(each)} bytes without {end.decode()}, {LONGEST} are possible")
-    return [document.lstrip() + end for document in whole], rest
+            raise EkiError(f"{len(each)} bytes without {end}, {LONGEST} are possible")
+    *whole, rest = pieces[::2]
+    return [begun.lstrip() + close for begun, close in zip(whole, pieces[1::2], strict=True)], rest
 
 
 def parse(document: bytes, root: str) -> tuple[int, State]:
     """Return the Id and the contents of an answer; raises `EkiError`."""
+    if prolog := _PROLOG.match(document):
+        document = document[prolog.end() :]
     if not document.isascii() or _DECLARATION.search(document):
         raise EkiError(f"a declaration, or bytes that are no ASCII: {document[:60]!r}")
     elements: dict[str, dict[str, str]] = {}
     path: list[str] = []
 
     def begin(tag: str, attributes: dict[str, str]) -> None:
+        tag = tag.casefold()
         path.append(tag)
-        if len(path) > DEEPEST or path[0] != root or tag in elements:
+        if len(path) > DEEPEST or path[0] != root.casefold() or tag in elements:
             raise EkiError(f"{'/'.join(path)[:80]} is out of place")
-        elements[tag] = attributes
+        elements[tag] = {name.casefold(): value for name, value in attributes.items()}
+        if len(elements[tag]) != len(attributes):
+            raise EkiError(f"{tag[:80]} has an attribute twice")
 
     parser = expat.ParserCreate()
     parser.StartElementHandler = begin

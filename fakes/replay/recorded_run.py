@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 
+from fakes.replay.dialects import dialects_of
 from hilcell.cell.devices import TABLES, driver_options, stand_ins
 from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell
@@ -26,6 +27,9 @@ from hilcell.wire.recording import (
 
 DATA = "simulation.data"
 _RESUMED = re.compile(r"wires-(\d+)")
+_TEXT = re.compile(rb"[\t\r\n\x20-\xff]*")
+_LINE_END = re.compile(rb"[\r\n]")
+SHOWN = 24  # bytes
 Recorded = Mapping[str, Sequence[Piece]]
 
 
@@ -69,6 +73,7 @@ def read_run(cell: Cell, session: int = 1) -> tuple[dict[str, Path], dict[str, S
         problems = problems or _other_drivers(cell, folder, head)
         problems = problems or [f"{folder}: {each}" for each in _missing(cell, set(pieces))]
         problems = problems or [*_other_settings(cell, folder, head)]
+        problems = problems or [*without_dialect(cell, paths, pieces)]
     if problems:
         raise SettingsError(DATA, problems)
     return paths, pieces
@@ -130,6 +135,23 @@ def _missing(cell: Cell, found: Set[str]) -> Iterator[str]:
         for wire in wires_of(stated):
             if (name := joined(table, wire)) not in found:
                 yield f"no {name}{SUFFIX}; use the whole folder, with the cell of the recorded run"
+
+
+def without_dialect(cell: Cell, paths: Mapping[str, Path], wires: Recorded) -> Iterator[str]:
+    """Return, in words, the wires that are no plain lines, and of which no dialect is stated."""
+    for name, found in wires.items():
+        table = name.partition(".")[0]
+        if name == CLOCK or dialects_of((one := getattr(cell, table)).driver, one.options):
+            continue
+        for way, whose in ((">", "the driver"), ("<", "the device")):
+            sent = b"".join(piece.data for piece in found if piece.e == way)
+            if sent and not (_TEXT.fullmatch(sent) and _LINE_END.search(sent)):
+                yield (
+                    f"{paths[name]}: what {whose} sends is no plain lines ({sent[:SHOWN]!r} ..), "
+                    f"and driver {one.driver!r} has no dialect among the entry points "
+                    "hilcell.wire_dialects: see docs/drivers-guide.md"
+                )
+                break
 
 
 def _other_name(cell: Cell, folder: Path, head: Head) -> list[str]:

@@ -64,6 +64,32 @@ def test_values_of_a_state() -> None:
         state.single("$MODE_OP")
 
 
+DECLARED = b'<?xml version="1.0" encoding="UTF-8"?>\r\n'
+
+
+def test_documents_behind_an_xml_declaration_and_in_capitals() -> None:
+    loud = SHORT.replace(b"RobotState", b"ROBOTSTATE").replace(b"Finished_Id", b"FINISHED_ID")
+    received = DECLARED + SHORT + b"\r\n" + DECLARED + loud
+    whole, rest = eki.split(received, eki.STATE)
+    assert (len(whole), rest) == (2, b"")
+    for document in whole:
+        number, state = eki.parse(document, eki.STATE)
+        assert (number, state.single("HC_ACK"), state.text("Pos", "A1")) == (17, 5, "1.5")
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("TRUE", True), ("true", True), ("1", True), ("0", False), ("False", False), ("2", 2)],
+)
+def test_booleans_as_words_or_numbers(text: str, value: object) -> None:
+    document = f'<RobotState><Command Id="1" Stopped="{text}"/><Status Pro_State1="1"/></RobotState>'
+    state = eki.parse(document.encode(), eki.STATE)[1]
+    found = state.single("HC_STOP")
+    assert (found, type(found)) == (value, type(value))
+    assert state.single("$PRO_STATE1") == 1
+    assert not isinstance(state.single("$PRO_STATE1"), bool)
+
+
 BOMB = (
     b'<!DOCTYPE RobotState [<!ENTITY a "1"><!ENTITY b "&a;&a;&a;&a;">]>'
     b'<RobotState><Command Id="&b;"/></RobotState>'
@@ -74,6 +100,11 @@ BOMB = (
     "document",
     [
         BOMB,
+        DECLARED + DECLARED + SHORT,
+        DECLARED.replace(b"?>", b"<?>") + SHORT,
+        DECLARED + BOMB,
+        SHORT.replace(b'Finished_Id="5"', b'Id="17" id="18"'),
+        SHORT.replace(b"<Pos", b"<pos A1='0'/><Pos"),
         SHORT.replace(b"<Pos", b"<!-- x --><Pos"),
         SHORT.replace(b"17", "１７".encode()),
         SHORT.replace(b'"17"', b'"&c;"'),
