@@ -240,7 +240,13 @@ class Robot(Protocol):
         """Open the wire, verify identity, mode, tool and base; nothing moves."""
 
     def move_to(self, joints_rad: Array, speed_percent: float) -> RobotReading:
-        """Move all axes in step (synchronous PTP); return the reading at rest, after the motion."""
+        """Move all axes in step (synchronous PTP); return the reading at rest, after the motion.
+
+        ``speed_percent``, 1 to 100, is of the axes' full speeds, ``robot.joint.speed_deg_s`` of the
+        cell file, at the full override: the axis that would take longest turns at this share of its
+        own, the others keep step. A controller that knows whole percents takes the nearest.
+        Raises `DeviceError` for any other value, before anything moves.
+        """
 
     def read(self) -> RobotReading:
         """Return a reading asked for after this call began."""

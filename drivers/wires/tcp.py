@@ -7,6 +7,7 @@ bytes that are not there, never from the clock of a thread that did not run.
 
 from __future__ import annotations
 
+import errno
 import select
 import socket
 from collections.abc import Callable
@@ -82,7 +83,7 @@ class TcpLink:
                     raise self.broken(operation, "the device takes no bytes") from None
                 select.select([], [self._socket], [], POLL_S)
             except OSError as error:
-                raise self.broken(operation, str(error)) from error
+                raise self.broken(operation, _words(error)) from error
 
     def receive(self, size: int, patience: Patience) -> bytes:
         """Return 1 to ``size`` bytes, or none when ``patience`` is over.
@@ -97,8 +98,8 @@ class TcpLink:
                 data = self._socket.recv(size) if ready else b""
             except BlockingIOError:  # ready, and then nothing after all: the next look tells
                 ready, data = [], b""
-            except OSError as error:
-                raise self.broken("receive", str(error)) from error
+            except (OSError, ValueError) as error:
+                raise self.broken("receive", _words(error)) from error
             if ready and not data:
                 raise self.broken("receive", "the device closed the connection")
             if data or over:
@@ -116,7 +117,7 @@ class TcpLink:
         """
         if self.unheard:
             self.unheard = False
-            with suppress(OSError):
+            with suppress(OSError, ValueError):
                 self._leave()
         self._socket.close()
 
@@ -128,6 +129,12 @@ class TcpLink:
             ready, _, _ = select.select([self._socket], [], [], POLL_S)
             if ready and not self._socket.recv(4096):
                 return
+
+
+def _words(error: OSError | ValueError) -> str:
+    """Return the system's words; a socket that this program has closed has no number any more."""
+    closed = isinstance(error, ValueError) or error.errno == errno.EBADF
+    return "this program has closed the connection" if closed else str(error)
 
 
 def _watch(link: socket.socket) -> None:
