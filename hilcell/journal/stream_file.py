@@ -12,6 +12,7 @@ is NaN where a robot's controller states none.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import io
 import os
@@ -26,7 +27,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from hilcell.journal.journal import StorageError
+from hilcell.journal.journal import StorageError, is_there
 from hilcell.ports import Array, JointSample, NoReading, StreamBlock
 
 FORM = 1  # of the file; to be raised whenever its arrays change
@@ -185,6 +186,8 @@ def read_stream(run_folder: Path, record: StreamRecord) -> StreamData:
             code="HC-J03",
         )
     try:
+        if not is_there(path):  # opening a pipe may never end
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
         data = path.read_bytes()
     except OSError as error:
         raise StorageError(f"stream {path}: cannot be read: {error.strerror}") from error
