@@ -241,7 +241,7 @@ class UrRtdeRobot:
             over = patience.over()
 
     def _ours_plays(self, before: UrState) -> bool:
-        """Whether a script of ours plays; false for a program that stops by itself, whoever's it is.
+        """Whether a script of ours plays; false for any program that stops by itself.
 
         Our script's counter stands while it brakes, so it has the time of a brake to go on. Raises
         `DeviceRefused` for another program.

@@ -127,7 +127,7 @@ class Measurements:
         return len(self.pose)
 
     def once(self) -> Measurements:
-        """Return the rows without copies: no reading repeats target, joints and position exactly."""
+        """Return the rows without copies: no reading repeats joints and position exactly."""
         values = np.column_stack([self.joints_rad, self.xyz_mm]).tolist()
         first: dict[tuple[object, ...], int] = {}
         for n, (target, row) in enumerate(zip(self.target, values, strict=True)):

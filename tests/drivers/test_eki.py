@@ -82,7 +82,9 @@ def test_documents_behind_an_xml_declaration_and_in_capitals() -> None:
     [("TRUE", True), ("true", True), ("1", True), ("0", False), ("False", False), ("2", 2)],
 )
 def test_booleans_as_words_or_numbers(text: str, value: object) -> None:
-    document = f'<RobotState><Command Id="1" Stopped="{text}"/><Status Pro_State1="1"/></RobotState>'
+    document = (
+        f'<RobotState><Command Id="1" Stopped="{text}"/><Status Pro_State1="1"/></RobotState>'
+    )
     state = eki.parse(document.encode(), eki.STATE)[1]
     found = state.single("HC_STOP")
     assert (found, type(found)) == (value, type(value))

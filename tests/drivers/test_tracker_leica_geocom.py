@@ -264,9 +264,8 @@ def test_a_result_that_is_no_position_is_no_reading(
 def test_a_result_without_values_is_no_reading_and_the_next_is_good(
     tracker: Quick, peer: GeocomPeer, empty: str
 ) -> None:
-    good = peer.answers[2108]
-    answers = iter([lambda _: empty, good])
-    peer.answers[2108] = lambda text: next(answers)(text)
+    good, asked = peer.answers[2108], iter([True])
+    peer.answers[2108] = lambda text: empty if next(asked, False) else good(text)
     found = measuring(tracker)
     assert (type(found), found.code) == (NoReading, "HC-T13")
     np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)
@@ -276,9 +275,8 @@ def test_a_result_without_values_is_no_reading_and_the_next_is_good(
 def test_a_question_whose_answer_has_no_values_is_asked_again(
     peer: GeocomPeer, time: WireTime, rpc: int
 ) -> None:
-    settings = peer.answers.get(rpc, lambda _: f"0,{peer.settings[rpc]}")
-    answers = iter([lambda _: "0"])
-    peer.answers[rpc] = lambda text: next(answers, settings)(text)
+    good, asked = peer.answers.get(rpc, lambda _: f"0,{peer.settings[rpc]}"), iter([True])
+    peer.answers[rpc] = lambda text: "0" if next(asked, False) else good(text)
     tracker = tracker_at(peer.channel, time)
     tracker.connect()
     tracker.close()

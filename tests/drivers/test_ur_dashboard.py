@@ -6,6 +6,7 @@ import contextlib
 import socket
 import threading
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -39,7 +40,7 @@ def panel(answers: dict[str, str]) -> Iterator[int]:
         yield server.port
 
 
-def robot_at(port: int, **options: str) -> UrRtdeRobot:
+def robot_at(port: int, **options: Any) -> UrRtdeRobot:
     return UrRtdeRobot(
         UrRtdeRobot.Options(
             host="127.0.0.1",

@@ -295,6 +295,7 @@ def test_a_script_of_ours_that_stops_by_itself_is_waited_for(
         return inner()
 
     monkeypatch.setattr(controller, "state", stopping)
+    monkeypatch.setattr(controller, "_state_name", lambda: "STOPPED")  # no state of its own
     robot = bench.robot()
     robot.connect()
     assert robot.move_to(TARGET, 100.0).still

@@ -288,7 +288,7 @@ def test_a_tolerance_that_accepts_whatever_happens_is_refused(key: str) -> None:
     for value in ("1e6", "10.5", "0.0", "nan"):
         (problem,) = refused({key: value})
         assert key in problem
-    assert load_cell("paper", {key: "10.0"})
+    load_cell("paper", {key: "10.0"})
 
 
 def test_options_of_a_driver_that_is_exchanged_are_left_behind() -> None:

@@ -200,8 +200,16 @@ def test_odd_files_are_refused_by_name(written: Write, old: str, new: str, named
         IRB120.replace("UTF-8", "none-such"),
     ],
     ids=[
-        "empty", "no XML", "no joint", "another root", "UTF-16", "document type", "too deep",
-        "two bytes a letter", "one or two bytes", "unknown encoding",
+        "empty",
+        "no XML",
+        "no joint",
+        "another root",
+        "UTF-16",
+        "document type",
+        "too deep",
+        "two bytes a letter",
+        "one or two bytes",
+        "unknown encoding",
     ],
 )
 def test_what_is_no_urdf_is_refused(written: Write, text: str | bytes) -> None:

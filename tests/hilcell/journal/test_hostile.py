@@ -39,7 +39,7 @@ def form_without_end(file: Path) -> None:
 
 def computed_column(file: Path) -> None:
     columns = "seq INTEGER PRIMARY KEY, t TEXT, kind TEXT, key TEXT, hash BLOB"
-    body = "body TEXT GENERATED ALWAYS AS (hex(zeroblob(500000000)))"
+    body = "body TEXT GENERATED ALWAYS AS (hex(zeroblob(2000000)))"
     change(
         file, *NO_RECORDS, f"CREATE TABLE record ({columns}, {body})",
         "INSERT INTO record VALUES (1, 't', 'plan', '', x'')",
@@ -144,7 +144,8 @@ def test_an_index_that_is_a_view_without_end_is_made_again(runs: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "content", [b"[" * 5000, b"{" * 10**6, b'{"pid": 1, "socket": "a\\u0000b", "folder": "\\u0000"}']
+    "content",
+    [b"[" * 5000, b"{" * 10**6, b'{"pid": 1, "socket": "a\\u0000b", "folder": "\\u0000"}'],
 )
 def test_a_harmful_file_of_an_engine_is_none(runs: Path, content: bytes) -> None:
     (runs / "bad" / ENGINE).write_bytes(content)
