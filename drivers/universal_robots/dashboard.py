@@ -50,7 +50,7 @@ class Dashboard:
             raise self._link.broken(command, f"no answer within {ANSWER_S:.0f} s")
         return clean(line)
 
-    def told(self, question: str) -> str | None:
+    def answer_to(self, question: str) -> str | None:
         """Return the answer to a question, None where this PolyScope does not have the question."""
         answer = self.ask(question)
         return None if answer.casefold().startswith(UNKNOWN) else answer

@@ -179,8 +179,8 @@ class UrRtdeRobot:
 
     def _identify(self) -> Identity:
         options, panel = self._options, self._panel()
-        software = panel.told("PolyscopeVersion") or "version unknown"
-        model, serial = panel.told("get robot model"), panel.told("get serial number")
+        software = panel.answer_to("PolyscopeVersion") or "version unknown"
+        model, serial = panel.answer_to("get robot model"), panel.answer_to("get serial number")
         if model is None or serial is None:
             untold = "model" if model is None else "serial number"
             raise refused(

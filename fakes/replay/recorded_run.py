@@ -147,7 +147,7 @@ def without_dialect(cell: Cell, paths: Mapping[str, Path], wires: Recorded) -> I
             sent = b"".join(piece.data for piece in found if piece.e == way)
             if sent and not (_TEXT.fullmatch(sent) and _LINE_END.search(sent)):
                 yield (
-                    f"{paths[name]}: what {whose} sends is no plain lines ({sent[:SHOWN]!r} ..), "
+                    f"{paths[name]}: the bytes of {whose} are no plain lines ({sent[:SHOWN]!r}), "
                     f"and driver {one.driver!r} has no dialect among the entry points "
                     "hilcell.wire_dialects: see docs/drivers-guide.md"
                 )

@@ -117,7 +117,7 @@ def _print(result: FitResult) -> None:
 
 
 def _read(path: Path) -> Measurements:
-    """Read measured rows; what repeats another row exactly is no measurement, and counts once."""
+    """Read measured rows; a copy of another row is no measurement, and counts once."""
     rows = read_measurements(path)
     once = rows.once()
     if copies := len(rows) - len(once):

@@ -73,10 +73,10 @@ ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)  # other
 SMALLEST_PAGE = 512  # bytes
 LARGEST = 2**28  # bytes of a journal; one of a thousand points has some 2**23
 LARGEST_RECORD = 2**25  # bytes
-# Of SQLite's machine, which takes some 15 for a record: whoever made the file, reading it ends.
+# Of SQLite's machine, which takes some 15 for a record: reading ends, also of a hostile file.
 MOST_STEPS, STEPS = 2 * 10**8, 10**6
 NULL = b"null"  # JSON of None, and of every number that is not finite
-# What a file that is no journal of ours may raise where it is read.
+# Raised where a file is read that is no journal of ours.
 BROKEN = (ValueError, TypeError, msgspec.MsgspecError, RecursionError, MemoryError)
 Kind = Literal["plan", "state", "intent", "point", "frame", "verdict", "event", "end"]
 

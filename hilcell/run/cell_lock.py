@@ -87,7 +87,7 @@ def _make_for_all(folder: Path) -> None:
 def _check_owner(folder: Path) -> None:
     """Raise `StorageError` where another user could remove a lock that is held.
 
-    There is no way round: what that user holds would be seen by nobody who looks elsewhere.
+    There is no way round: a lock of that user would be seen by nobody who looks elsewhere.
     """
     owner = folder.lstat().st_uid
     if owner not in (0, os.getuid()):

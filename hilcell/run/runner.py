@@ -354,7 +354,7 @@ class Runner:
         self._journal.append("event", "", {"what": "link"} | self._link())
         self._journal.read_back()  # a result is computed only from what is kept
         if error is None or isinstance(error, Stopped):
-            # Whoever reads "finished", or "aborted" by himself, goes near.
+            # A person who reads "finished", or has aborted the run, goes near.
             self._fault = error = not_at_rest(self.unclosed) or error
         if error is None:
             try:

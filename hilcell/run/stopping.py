@@ -59,7 +59,8 @@ def not_at_rest(problems: Mapping[str, Exception]) -> DeviceError | None:
     if not found:
         return None
     act = "it may still move: look at it, and use the E-stop before anybody goes near"
-    return DeviceError("HC-C32", "Cell", "close", "; ".join(found), act=act)
+    expected = "all that moves at rest"
+    return DeviceError("HC-C32", "Cell", "close", "; ".join(found), wanted=expected, act=act)
 
 
 def facts_of_problems(problems: Mapping[str, Exception]) -> dict[str, object]:

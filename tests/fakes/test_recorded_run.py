@@ -38,5 +38,5 @@ def test_a_wire_that_is_no_plain_lines_needs_a_dialect(
     found = [*without_dialect(cell, paths, pieces)]
     assert len(found) == bool(refused)
     for each in found:
-        assert each.startswith(f"robot.wire.jsonl: what {refused} sends")
+        assert each.startswith(f"robot.wire.jsonl: the bytes of {refused} are")
         assert cell.robot.driver in each
