@@ -43,7 +43,6 @@ MOST_STRUCK = 0.1  # share of training rows left out; beyond, they are no single
 LEAST_INSIDE = 0.5  # share of test rows within 95 % bounds; below, they are not of this robot
 RESIDUAL = "gp"
 RICHEST = "tool"  # of the methods that identify the robot; it finds the rows that contradict others
-NONE: Ints = np.array([], dtype=np.int_)
 
 
 class Outlier(TypedDict):
@@ -301,15 +300,15 @@ def _contradicting(placement: Placement, rows: Measurements) -> tuple[Bools, dic
     """
     try:
         found = FittedArm.searched(placement, rows, RICHEST)
-    except ManyContradict as error:
-        raise FitError(f"{error}{_supposed(placement.arm, rows)}") from error
     except IdentificationError as error:
         _refuse_absurd(placement.arm, rows, placement.miss_mm(rows))
+        if isinstance(error, ManyContradict):
+            raise FitError(str(error)) from error
         return np.zeros(len(rows), dtype=np.bool_), dict.fromkeys((*TERMS, RESIDUAL), str(error))
     bad = found.outliers
     miss_mm = statistics.lengths_mm(rows.xyz_mm - found.predict(rows)[0])
     _refuse_absurd(placement.arm, rows, np.where(bad, miss_mm, 0.0))
-    _refuse_many(placement.arm, rows, bad, miss_mm)
+    _refuse_many(rows, bad, miss_mm)
     return bad, {}
 
 
@@ -317,13 +316,14 @@ def _refuse_absurd(arm: Arm, rows: Measurements, miss_mm: Array) -> None:
     """Refuse rows that no robot misses by so much: nothing shows what they should be."""
     bad = np.flatnonzero(~(miss_mm <= ABSURD_MM))
     if len(bad):
+        act = _supposed(arm, rows, miss_mm, bad) or "mend or remove them"
         raise FitError(
             f"{len(bad)} of {len(rows)} training rows miss grossly, expected <= {ABSURD_MM:g} mm: "
-            f"{_named(rows, bad, miss_mm)}{_supposed(arm, rows, bad)}; mend or remove them"
+            f"{_named(rows, bad, miss_mm)}; {act}"
         )
 
 
-def _refuse_many(arm: Arm, rows: Measurements, bad: Bools, miss_mm: Array) -> None:
+def _refuse_many(rows: Measurements, bad: Bools, miss_mm: Array) -> None:
     """Refuse more rows that contradict the others than slips explain."""
     struck = np.flatnonzero(bad)
     if len(struck) <= MOST_STRUCK * len(rows):
@@ -334,15 +334,17 @@ def _refuse_many(arm: Arm, rows: Measurements, bad: Bools, miss_mm: Array) -> No
         look = f"reflector {target}, {own} of them: it may have moved on the flange"
     raise FitError(
         f"{len(struck)} of {len(rows)} training rows contradict the others, expected at most "
-        f"{MOST_STRUCK:.0%}: {_named(rows, struck, miss_mm)}{_supposed(arm, rows, struck)}; "
-        f"look at {look}, and measure again"
+        f"{MOST_STRUCK:.0%}: {_named(rows, struck, miss_mm)}; look at {look}, and measure again"
     )
 
 
-def _supposed(arm: Arm, rows: Measurements, bad: Ints = NONE) -> str:
-    """Return in words what would make all rows fit; "" where nothing does."""
-    found = supposition(arm, rows, bad.tolist())
-    return f"; they fit if {found}" if found else ""
+def _supposed(arm: Arm, rows: Measurements, miss_mm: Array, bad: Ints) -> str:
+    """Return in words what would make all rows fit; "" where nothing does.
+
+    Without the rows that show it the others fit, and a wrong arm would correct them.
+    """
+    found = supposition(arm, rows, float(miss_mm[bad].max()), bad.tolist())
+    return f"they fit if {found}: correct the files, and keep these rows" if found else ""
 
 
 def _judged(

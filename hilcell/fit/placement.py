@@ -112,12 +112,15 @@ def _supposed(arm: Arm, rows: Measurements, half_mm: float) -> Iterator[str]:
             yield says
 
 
-def supposition(arm: Arm, rows: Measurements, bad: Iterable[int] = ()) -> str:
-    """Return what would make all rows fit of which ``bad`` miss absurdly; "" where nothing does."""
+def supposition(arm: Arm, rows: Measurements, worst_mm: float, bad: Iterable[int]) -> str:
+    """Return what would make all rows fit of which ``bad`` miss absurdly, by up to ``worst_mm``;
+    "" where nothing does.
+    """
+    limit_mm = min(EXPLAINED * worst_mm, ABSURD_MM)
     some = range(0, len(rows), len(rows) // MOST_TRIED + 1)
     for says, changed in _suppositions(rows.at(sorted({*some, *islice(bad, MOST_TRIED)}))):
         with suppress(HilcellError):
-            if float(np.max(_placed(arm, changed)[0].miss_mm(changed))) <= ABSURD_MM:
+            if float(np.max(_placed(arm, changed)[0].miss_mm(changed))) <= limit_mm:
                 return says
     return ""
 
