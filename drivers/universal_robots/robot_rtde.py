@@ -179,8 +179,8 @@ class UrRtdeRobot:
 
     def _identify(self) -> Identity:
         options, panel = self._options, self._panel()
-        software = panel.answer_to("PolyscopeVersion") or "version unknown"
         model, serial = panel.answer_to("get robot model"), panel.answer_to("get serial number")
+        software = panel.answer_to("PolyscopeVersion") or "version unknown"
         if model is None or serial is None:
             untold = "model" if model is None else "serial number"
             raise refused(

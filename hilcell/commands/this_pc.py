@@ -207,7 +207,8 @@ def locks() -> Finding:
     try:
         folder, warning = locks_folder()
     except StorageError as error:
-        return Finding("locks", "wrong", str(error), "mend its permissions")
+        found, _, do = str(error).rpartition("; ")
+        return Finding("locks", "wrong", found or do, do if found else "mend its permissions")
     if warning:
         found, _, do = warning.rpartition(": ")
         return Finding("locks", "warning", found, do)
