@@ -11,6 +11,7 @@ import os
 import signal
 import subprocess
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from signal import SIGHUP, SIGINT
@@ -27,6 +28,8 @@ from tests.hilcell.report.browser import NAMES, found
 from tests.leaks import no_leaks
 from tests.whole.golden import GoldenRuns
 
+os.environ["TZ"] = "UTC"  # the zone of the wall, whatever this machine has
+time.tzset()
 START = simulator._start
 
 settings.register_profile(

@@ -267,20 +267,17 @@ def _strip(log: Log, session: list[Record]) -> Iterator[_Moment]:
         apart_mm = float(body["rail_mm"]) - float(body["strip_mm"])
         strayed_mm = apart_mm - first_mm.setdefault(name, apart_mm)
         if not abs(strayed_mm) <= STRAYED * rail.slip_limit_mm:
-            found = f"{name}: drive and strip have moved {strayed_mm:+.2f} mm apart"
+            found = f"{name}: drive and strip have moved {strayed_mm:+z.2f} mm apart"
             yield _Moment(_cell("HC-S09", "strip apart", found), record.t, record.seq)
 
 
 def _temperature(log: Log) -> Iterator[_Moment]:
     """Yield the first point at which the air is too far from that of the run's first."""
-    first_c: float | None = None
-    for point in log.points.values():
-        if point.temperature_c is None:
-            continue
-        first_c = point.temperature_c if first_c is None else first_c
-        off_k = point.temperature_c - first_c
+    first_c = next(iter(log.celsius.values()), 0.0)
+    for key, now_c in log.celsius.items():
+        off_k = now_c - first_c
         if not abs(off_k) <= DRIFT_LIMIT_K:
-            found = f"{point.temperature_c:.1f} C at {point.key}, {off_k:+.1f} K from the start"
+            found = f"{now_c:.1f} C at {key}, {off_k:+z.1f} K from the start"
             wanted = f"within {DRIFT_LIMIT_K:.0f} K"
             yield _Moment(_cell("HC-V04", "temperature", found, wanted))
             return

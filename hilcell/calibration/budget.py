@@ -266,7 +266,7 @@ def temperature(
         half_k, how = air_range_k / 2, f"no weather station, ±{air_range_k / 2:g} K taken"
     elif now_c is not None:
         off_k = now_c - sum(range_c) / 2
-        return _growth(growth_per_k, off_k**2, f"{off_k:+.2f} K from the grid's mean", "4.3.7")
+        return _growth(growth_per_k, off_k**2, f"{off_k:+z.2f} K from the grid's mean", "4.3.7")
     else:
         half_k = (range_c[1] - range_c[0]) / 2 + TEMPERATURE_MARGIN_K
         how = f"±{half_k:.2f} K allowed: the grid's range and {TEMPERATURE_MARGIN_K:g} K more"

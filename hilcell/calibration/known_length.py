@@ -51,7 +51,7 @@ class LengthFound(msgspec.Struct, frozen=True):
         """Return it in words."""
         return (
             f"{' to '.join(self.nests)} was measured {self.found_mm:.3f} mm, certified "
-            f"{self.wanted_mm:.3f} mm, U = {self.U_mm:.3f} mm (k = 2): {self.off_ppm:+.0f} ppm"
+            f"{self.wanted_mm:.3f} mm, U = {self.U_mm:.3f} mm (k = 2): {self.off_ppm:+z.0f} ppm"
         )
 
 

@@ -21,6 +21,7 @@ OUTCOMES = {  # of a judged figure, a point or a station, in the words that runs
     "undecided": "undecided",
     "rejected": "out of tolerance",
 }
+VERDICTS = {"accepted": "pass", "undecided": "undecided", "rejected": "fail"}  # the same, short
 RECHECKED = {"valid": "still valid", "update": "updated", "redo": "calibrate again"}
 
 Kind = Literal["", "made", "base", "targets", "touch"]

@@ -202,6 +202,7 @@ class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
     accepted: list[str] = []  # why the calibration that it uses should not be used
     floor_before: FloorBefore | None = None  # of the run that made the cell's current calibration
     replayed: bool = False  # it only repeats a recorded run, and measures nothing
+    utc_offset_min: int = 0  # by which the clock on the wall was ahead of UTC when it began
 
 
 class CutOff(msgspec.Struct, frozen=True):
@@ -225,6 +226,8 @@ class Log:
         self.points: MutableMapping[str, Point] = Packed(_Row) if packed else {}
         self.repeated: dict[str, list[Point]] = {}  # earlier measurements of targets, by key
         self._keys: dict[str, dict[str, int]] = {}  # of the points, by kind: numbers of records
+        self.changed: dict[str, int] = {}  # by point: number of the record that made it as it is
+        self.celsius: dict[str, float] = {}  # by point, where a weather station measured the air
         self.frames: dict[str, dict[str, Any]] = {}
         self.verdicts: dict[str, dict[str, Any]] = {}
         self.judged: dict[str, Record] = {}  # the verdicts' records
@@ -272,7 +275,7 @@ class Log:
                 self.order = None
             case "frame":
                 self.frames[record.key] = body
-                self._carry_nests(record.key)
+                self._carry_nests(record.key, record.seq)
             case "verdict":
                 self.verdicts[record.key] = body
                 self.judged[record.key] = record
@@ -300,11 +303,12 @@ class Log:
         seen = carried(point.xyz_mm, point.std_mm, self.matrix("world"), self.matrix(key))
         return msgspec.structs.replace(point, xyz_mm=seen[0], std_mm=seen[1])
 
-    def _carry_nests(self, frame: str) -> None:
+    def _carry_nests(self, frame: str, seq: int) -> None:
         """Carry the nests that a later set-up's frame was built of."""
         for key, point in self.points.items():
             if point.set_up and frame == world_key(point.set_up):
                 self.points[key] = self._carried(point)
+                self.changed[key] = seq
 
     def _drop(self, key: str) -> None:
         """Leave out a point of a tracker that had moved; it stays in the journal."""
@@ -314,7 +318,8 @@ class Log:
         point = self.points.pop(key, None)
         if point is None:
             return
-        del self._keys[point.id.kind][key]
+        del self._keys[point.id.kind][key], self.changed[key]
+        self.celsius.pop(key, None)
         if point.id.kind == "touch":
             self.frames.pop(f"touch.{point.station}", None)
 
@@ -322,6 +327,11 @@ class Log:
         if point.id.kind == "validate" and point.key in self.points:
             self.repeated.setdefault(point.key, []).append(self.points[point.key])
         self._keys.setdefault(point.id.kind, {})[point.key] = seq
+        self.changed[point.key] = seq
+        if point.temperature_c is None:
+            self.celsius.pop(point.key, None)
+        else:
+            self.celsius[point.key] = point.temperature_c
         self.points[point.key] = point
         self.retakes.pop(point.key, None)
 
@@ -473,7 +483,7 @@ class Log:
 
     def temperatures_c(self) -> list[float]:
         """Return the air's temperature at every point; nothing without a weather station."""
-        return [p.temperature_c for p in self.points.values() if p.temperature_c is not None]
+        return [*self.celsius.values()]
 
     def matrix(self, frame: str) -> Array:
         """Return a frame's homogeneous matrix (4, 4)."""

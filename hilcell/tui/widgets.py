@@ -150,11 +150,15 @@ class TextField(Input):
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: its header with the unit, its width, and whether it is right-aligned."""
+    """One column: its header with the unit, its width, and whether it is right-aligned.
+
+    ``grows``: it takes all the room that the others leave, and its width at least.
+    """
 
     title: str
     width: int
     right: bool = False
+    grows: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,13 +330,21 @@ class Table(ScrollView, can_focus=True):
 
     def _cells(self, cells: Sequence[str]) -> list[str]:
         safe = [self._shown(clean(cell)) for cell in cells]
-        fitted = (_fit(text, column) for text, column in zip(safe, self.columns, strict=False))
+        columns = zip(safe, self.columns, strict=False)
+        fitted = (_fit(text, self._width(each), right=each.right) for text, each in columns)
         return [self._shown(text) for text in fitted]  # the mark of what is cut, too
 
+    def _width(self, column: Column) -> int:
+        if not column.grows:
+            return column.width
+        others = sum(each.width + 1 for each in self.columns if each is not column)
+        room = self.scrollable_content_region.width  # beside the bar
+        return max(room - 1 - others, column.width)
 
-def _fit(text: str, column: Column) -> str:
-    """Return text in exactly as many cells as the column has; a wide letter takes two."""
-    if cell_len(text) > column.width:
-        return set_cell_size(text, column.width - 1) + "…"
-    room = " " * (column.width - cell_len(text))
-    return room + text if column.right else text + room
+
+def _fit(text: str, width: int, *, right: bool) -> str:
+    """Return text in exactly so many cells; a wide letter takes two."""
+    if cell_len(text) > width:
+        return set_cell_size(text, width - 1) + "…"
+    room = " " * (width - cell_len(text))
+    return room + text if right else text + room

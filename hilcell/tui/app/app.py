@@ -30,7 +30,7 @@ from hilcell.tui.engine.background import GarbageCollector, run_in_thread
 from hilcell.tui.engine.open_runs import OpenRuns
 from hilcell.tui.keys import ACTIONS, BY_NAME, shown, wait_until_built, wait_until_processed
 from hilcell.tui.screens.base import BaseScreen, Confirm, Options
-from hilcell.tui.terminal.driver import StopDriver
+from hilcell.tui.terminal.driver import LATE_S, StopDriver
 from hilcell.tui.terminal.themes import IN_SIXTEEN, NAMES, PALETTES
 from hilcell.tui.text.refusals import ELSEWHERE, refusal
 from hilcell.tui.widgets import CellScrollBar, Choice
@@ -49,11 +49,11 @@ ScrollBar.renderer = CellScrollBar  # Textual's way to choose: a class, for all 
 
 
 class RunUpdated(Message):
-    """The feed has read something new."""
+    """The feed has read something new; the session's inbox holds it."""
 
-    def __init__(self, session: Session, update: RunUpdate) -> None:
+    def __init__(self, session: Session) -> None:
         super().__init__()
-        self.session, self.update = session, update
+        self.session = session
 
 
 class HilcellApp(App[int]):
@@ -88,6 +88,7 @@ class HilcellApp(App[int]):
         self.key_is_deliberate = True
         self._last_key_s = -math.inf  # when the last key came
         self._shown_s = -math.inf  # when the run was last shown
+        self._was_late = False  # whether the driver has covered something since
         self._collector: GarbageCollector | None = None
         self.set_keymap({name: ",".join(keys) for name, keys in options.keymap.items()})
         for palette in (*PALETTES, IN_SIXTEEN):
@@ -126,8 +127,15 @@ class HilcellApp(App[int]):
     # -- opening ------------------------------------------------------------------------------
 
     def get_driver_class(self) -> type[Driver]:
-        """Give the terminal's driver the one call that must not wait."""
-        return type("Stopping", (StopDriver,), {"on_escape": staticmethod(self.open_runs.stop)})
+        """Give the terminal's driver the calls that must not wait for this thread."""
+        calls = {"on_escape": self.open_runs.stop, "is_late": self._is_late}
+        return type("Stopping", (StopDriver,), {name: staticmethod(calls[name]) for name in calls})
+
+    def _is_late(self) -> bool:
+        """Whether a live run was not shown for long; called by the driver's thread."""
+        late = bool(self.open_runs.live) and time.monotonic() - self._shown_s > LATE_S
+        self._was_late |= late
+        return late
 
     async def on_event(self, event: Event) -> None:
         """Process keys in their order, all other events as Textual does."""
@@ -192,6 +200,7 @@ class HilcellApp(App[int]):
             if before is not None:  # unacknowledged alarms stay
                 session.latch = before.latch
             session.feed.start()
+        self._shown_s = time.monotonic()
         self.open_runs.show(session)
         while len(self.screen_stack) > 1:
             self.pop_screen()
@@ -202,7 +211,7 @@ class HilcellApp(App[int]):
 
         session: Session = Session(
             folder,
-            lambda update: self.post_message(RunUpdated(session, update)),
+            lambda update: self.receive(session, update),
             SLOW_PERIOD_S if self.options.slow else PERIOD_S,
             process,
             shown(self.keymap["pause"][0]),
@@ -230,16 +239,22 @@ class HilcellApp(App[int]):
 
     # -- what comes in ------------------------------------------------------------------------
 
+    def receive(self, session: Session, update: RunUpdate) -> None:
+        """Take an update, from any thread; where one waits to be shown, it joins that one."""
+        if session.inbox.put(update):
+            self.post_message(RunUpdated(session))
+
     def on_run_updated(self, message: RunUpdated) -> None:
-        """Apply the feed's update and show it."""
-        from hilcell.tui.engine.session import utc_now
+        """Apply what the feed has read and show it."""
+        from hilcell.tui.engine.feed import utc_now
 
         session = message.session
-        if session not in self.open_runs.all:
+        update = session.inbox.take()
+        if session not in self.open_runs.all or update is None:
             return
         view = session.view
         was_live, was_lost, trouble = view.live, view.calibration_lost, view.trouble
-        session.take(message.update, utc_now())
+        session.take(update, utc_now())
         if session is self.session and was_live and not self.live:
             self._close_questions()  # they were about a live run
         self._show()
@@ -260,7 +275,7 @@ class HilcellApp(App[int]):
             self.show_notice("the calibration has its file, calibration.json")
 
     def _tick(self) -> None:
-        from hilcell.tui.engine.session import utc_now
+        from hilcell.tui.engine.feed import utc_now
 
         for session in self.open_runs.live:
             session.tick(utc_now())
@@ -277,9 +292,12 @@ class HilcellApp(App[int]):
             self._collector.end()
 
     def _show(self) -> None:
-        self._shown_s = time.monotonic()
         if isinstance(self.page, BaseScreen):  # also under a question: nothing may seem fresh
             self.page.show_again()
+        self._shown_s = time.monotonic()
+        if self._was_late:
+            self._was_late = False
+            self.screen.refresh()  # the whole of it, over what the driver has written
 
     def show_notice(self, text: str, *, for_now: bool = False, over: bool = True) -> None:
         """Show a notice on the line above the keys, as `BaseScreen.notice` does."""

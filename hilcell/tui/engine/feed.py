@@ -9,7 +9,8 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 from hilcell.errors import HilcellError
@@ -25,13 +26,48 @@ REOPEN_S = 10.0  # a line that was silent for so long is opened again
 
 @dataclass(frozen=True, slots=True)
 class RunUpdate:
-    """The result of one look."""
+    """The result of one look, or of several that nobody has seen yet."""
 
     records: list[Record] = field(default_factory=list)
     engine: EngineState = EngineState.NONE
     status: Status | None = None
     trouble: str = ""
     calibrated: bool = True  # whether a calibration has its file; looked at after the engine's end
+    answered: datetime | None = None  # when the status came; None: just now
+
+    def followed_by(self, later: RunUpdate) -> RunUpdate:
+        """Return both as one: the records of both, everything else as it is now."""
+        heard = self if later.status is None else later
+        return replace(
+            later,
+            records=[*self.records, *later.records],
+            status=heard.status,
+            answered=heard.answered,
+        )
+
+
+class Inbox:
+    """Holds what waits to be shown as one update, however many looks it came with.
+
+    A screen that is slower than its feed falls behind by one update, and never by more.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._waits: RunUpdate | None = None
+
+    def put(self, update: RunUpdate) -> bool:
+        """Add an update, from any thread; return whether none waited before."""
+        with self._lock:
+            before = self._waits
+            self._waits = update if before is None else before.followed_by(update)
+        return before is None
+
+    def take(self) -> RunUpdate | None:
+        """Return all that waits, and hold nothing."""
+        with self._lock:
+            update, self._waits = self._waits, None
+        return update
 
 
 class Feed:
@@ -86,14 +122,16 @@ class Feed:
 
     def _look(self) -> RunUpdate:
         engine, status = self._ask_status()
+        answered = None if status is None else utc_now()
         try:
             records = read_journal(self.folder / JOURNAL, after=self._seen)
         except StorageError as error:
             waits = engine is not EngineState.NONE or self._lacks(JOURNAL)
-            return RunUpdate([], engine, status, "" if waits and not self._seen else str(error))
+            trouble = "" if waits and not self._seen else str(error)
+            return RunUpdate([], engine, status, trouble, answered=answered)
         self._seen += len(records)
         calibrated = engine is not EngineState.NONE or not self._lacks(CALIBRATION)
-        return RunUpdate(records, engine, status, calibrated=calibrated)
+        return RunUpdate(records, engine, status, calibrated=calibrated, answered=answered)
 
     def _lacks(self, name: str) -> bool:
         """Whether a file is missing, as far as that is known."""
@@ -129,3 +167,8 @@ class Feed:
             if self.client is not None:
                 self.client.ask("attend")
         return self.client
+
+
+def utc_now() -> datetime:
+    """Return the time of day, by which journals are dated."""
+    return datetime.now(UTC)

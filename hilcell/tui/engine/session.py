@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
@@ -18,7 +18,7 @@ from hilcell.errors import HilcellError
 from hilcell.run.client import EngineClient, stop_engine
 from hilcell.run.forecast import Forecast
 from hilcell.run.protocol import Command, Subject
-from hilcell.tui.engine.feed import Feed, RunUpdate
+from hilcell.tui.engine.feed import Feed, Inbox, RunUpdate
 from hilcell.tui.engine.run_view import EngineState, RunView
 
 if TYPE_CHECKING:
@@ -50,6 +50,7 @@ class Session:
         self._unreadable = ""  # why the journal's records cannot be applied
         self._forecast = Forecast()
         self._status_at: datetime | None = None
+        self.inbox = Inbox()
         self.feed = Feed(folder, deliver, period_s)
 
     def take(self, update: RunUpdate, now: datetime) -> None:
@@ -59,7 +60,7 @@ class Session:
         view = self.view
         view.trouble = self._unreadable or update.trouble
         if update.status is not None:
-            view.status, self._status_at = update.status, now
+            view.status, self._status_at = update.status, update.answered or now
         before = view.engine, view.calibrated
         view.engine, view.calibrated = self._engine(update.engine), update.calibrated
         changed = (view.engine, view.calibrated) != before
@@ -165,8 +166,3 @@ class Session:
         self.feed.close(leave=leave)
         if self.process is not None:
             self.process.poll()
-
-
-def utc_now() -> datetime:
-    """Return the time of day, by which journals are dated."""
-    return datetime.now(UTC)

@@ -45,7 +45,9 @@ class HistoryPage(FilterScreen, Page):
     def body(self) -> ComposeResult:
         """Build filter and rows."""
         yield Table(
-            columns_for(80), empty="reading the index ...", plain=self.application.glyphs.plain
+            columns_for(self.line_width),
+            empty="reading the index ...",
+            plain=self.application.glyphs.plain,
         )
         yield self.filter_box("filter: words, state:faulted, operator:ann, -word")
 
@@ -83,7 +85,7 @@ class HistoryPage(FilterScreen, Page):
         from hilcell.journal.index import matches
 
         found = [run for run in self._runs if matches(run, self.filter_text)]
-        wide = self.app.size.width
+        wide = self.line_width
         rows = [history_row(run, self._marked, wide) for run in found]
         self.query_one(Table).show_rows(rows, columns_for(wide))
         title = f"History: {len(found)} of {len(self._runs)} runs; errors in mm"

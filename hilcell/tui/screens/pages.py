@@ -22,7 +22,7 @@ from hilcell.tui.text.alarms import alarm_page, interlock_page
 from hilcell.tui.text.frame import wrapped
 from hilcell.tui.text.points import point_page
 from hilcell.tui.text.report import report_lines
-from hilcell.tui.text.tables import COLUMNS, record_row
+from hilcell.tui.text.tables import log_columns, record_row
 from hilcell.tui.widgets import Row, Table, TextField, TextPanel
 
 
@@ -90,6 +90,7 @@ class DetailPage(TextPage):
         self.application.actions.retake(self._key)
 
 
+BEGIN = "1970-01-01T00:00:00+00:00"  # before any record is read
 CHOOSE = ("▲▼", "move")
 
 
@@ -142,7 +143,7 @@ class LogPage(FilterScreen, Page):
 
     def body(self) -> ComposeResult:
         """Build rows and filter."""
-        rows = Table(COLUMNS, empty="no records", plain=self.application.glyphs.plain)
+        rows = Table(log_columns(BEGIN), empty="no records", plain=self.application.glyphs.plain)
         rows.follow = True
         yield rows
         yield self.filter_box("filter: words of a record")
@@ -167,7 +168,9 @@ class LogPage(FilterScreen, Page):
         """Show the records that match all words."""
         words = self.filter_text.lower().split()
         wanted = [row for row in self._rows if all(w in " ".join(row.cells).lower() for w in words)]
-        self.query_one(Table).show_rows(wanted)
+        view = self.application.view
+        begun = view.records[0].t if view is not None and view.records else BEGIN
+        self.query_one(Table).show_rows(wanted, log_columns(begun))
 
 
 FILE = "report.html"

@@ -312,7 +312,7 @@ class RunScreen(FilterScreen):
         if state == self._points_seen:
             return
         self._points_seen = state
-        self._rows = [*self._table.rows(view.log)]
+        self._rows = self._table.rows(view.log)
         order = {"bad_only": self.bad_only, "worst": self.worst_first}
         found = filtered(self._rows, self.filter_text, **order)
         rows.empty = "no such point" if self.filter_text else "no points yet"

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from datetime import datetime
 from importlib.metadata import entry_points
 from typing import Any, ClassVar
@@ -68,6 +69,7 @@ class StartScreen(BaseScreen):
         self._checked = text.Checked()
         self._changes = 0  # a check of earlier fields is dropped
         self._request: process.RunRequest | None = None  # of which `_checked` tells
+        self._planned: process.RunRequest | None = None  # of which a plan was asked for
         self._asking = False
 
     def compose(self) -> ComposeResult:
@@ -215,8 +217,9 @@ class StartScreen(BaseScreen):
 
     def _change(self) -> None:
         """Compute the plan of the new fields, once they have been left alone for a moment."""
-        if not self.is_shown or self._request == self.request():
+        if not self.is_shown or self._planned == planned(self.request()):
             return
+        self._planned = planned(self.request())
         self._changes += 1
         self._request, self._checked = None, text.Checked()
         self.show(None)
@@ -253,12 +256,12 @@ class StartScreen(BaseScreen):
     async def _ask(self) -> None:
         try:
             self._changes += 1  # no check is needed that still waits
-            while self._request != self.request():
+            while self._request is None or planned(self._request) != planned(self.request()):
                 await self._check()
         finally:
             self._asking = False
-        request, plan = self._request, self._checked.plan
-        if self.app.screen is not self or request is None:
+        request, plan = self.request(), self._checked.plan
+        if self.app.screen is not self:
             return  # left meanwhile
         if plan is None:
             self.show_notice("nothing is started: the checks say why")
@@ -274,6 +277,11 @@ class StartScreen(BaseScreen):
         runs = self.application.options.runs
         run = new_run(request.procedure)
         self.application.actions.start(runs / run, [*request.arguments(), "--name", run])
+
+
+def planned(request: process.RunRequest) -> process.RunRequest:
+    """Return the part of a request on which its plan depends: not who runs it, and for what job."""
+    return replace(request, operator="", job="")
 
 
 def _choice(name: str, words: Sequence[str], labels: Sequence[str] = ()) -> ComposeResult:

@@ -5,6 +5,9 @@ Textual waits to see whether Esc begins a longer sequence, and hands keys to an 
 be drawing. Neither may delay a stop, so the thread that reads the terminal calls it. The price: Alt
 with a letter, and a sequence that is cut right after its Esc, also stop the run.
 
+The same thread covers the state of a live run where the screen was not painted for some seconds: on
+a PC that has no time for it, RUNNING would stay long after the end.
+
 Textual has a filter for colours, but it leaves greys. Here the colours are removed from every SGR
 sequence (ECMA-48, 8.3.117). A background of the theme becomes reverse video; a text box, which has
 the cursor row's colour but not its weight, is underlined, so that the caret in it is still seen.
@@ -30,6 +33,9 @@ TICK_S = 0.05
 # Esc that begins no sequence, or as terminals with the kitty protocol write it, however often held.
 _ESCAPE = re.compile(rb"\x1b(?![\[\]\\NOPX^_])|\x1b\[27(?:;\d*(?::[12])?)?u")
 
+LATE_S = 2.0
+LATE = f"\x1b7\x1b[1;2H\x1b[0;7m NOT PAINTED > {LATE_S:g} s\x1b[0m\x1b8"  # over the state
+
 
 def has_escape(read: bytes) -> bool:
     """Whether these bytes, read at once, hold the Esc key."""
@@ -40,6 +46,8 @@ class StopDriver(LinuxDriver):
     """Calls ``on_escape`` from the input thread; obeys NO_COLOR to the letter."""
 
     on_escape: Callable[[], object] | None = None
+    is_late: Callable[[], bool] | None = None  # whether what is painted is too old
+    _covered = False
 
     def write(self, data: str) -> None:
         """Write what is drawn."""
@@ -63,6 +71,14 @@ class StopDriver(LinuxDriver):
                         self.process_message(event)
                 for event in parser.tick():
                     self.process_message(event)
+                self._cover_when_late()
+
+    def _cover_when_late(self) -> None:
+        """Cover the state once, when what is painted has become too old."""
+        late = self.is_late is not None and self.is_late()
+        if late and not self._covered:
+            super().write(LATE)
+        self._covered = late
 
     def _read(self) -> bytes:
         try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from datetime import datetime
 
@@ -12,6 +12,7 @@ from hilcell.alarms import Alarm, Latched
 from hilcell.clean import harmless
 from hilcell.journal.key_words import in_words
 from hilcell.journal.log import Log
+from hilcell.journal.times import local_words, time_words
 from hilcell.tui.keys import Keymap, shown
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.frame import ends, fitted, hanging, wrapped
@@ -54,7 +55,11 @@ def shape(latched: Latched, glyphs: Glyphs) -> str:
 
 def state_line(latched: Latched, context: AlarmContext, width: int) -> Content:
     """Return since when an alarm stands, its cause, and whether it is acknowledged."""
-    ages = (_since(latched.alarm, context.now), _since(latched.alarm, None))
+    ages = (
+        _since(latched.alarm, context.now, time_words),
+        _since(latched.alarm, context.now, local_words),
+        _since(latched.alarm, None, local_words),
+    )
     cause = cause_words(latched, context.glyphs)
     tone = "$label" if latched.acknowledged else "$ask"
     words = ("acknowledged", "ack.") if latched.acknowledged else ("not acknowledged", "not ack.")
@@ -66,7 +71,7 @@ def state_line(latched: Latched, context: AlarmContext, width: int) -> Content:
     return ends(cause, Content.styled(words[1], tone), width)
 
 
-def _since(alarm: Alarm, now: datetime | None) -> Content:
+def _since(alarm: Alarm, now: datetime | None, clock: Callable[[str], str]) -> Content:
     if not alarm.t:
         return Content.styled("of the whole run", "$label")
     age = ""
@@ -75,15 +80,10 @@ def _since(alarm: Alarm, now: datetime | None) -> Content:
     return Content.assemble(("since ", "$label"), (clock(alarm.t), "bold"), (age, "$label"))
 
 
-def clock(t: str) -> str:
-    """Return the time of day of a record."""
-    return f"{t[11:19]} UTC"
-
-
 def cause_words(latched: Latched, glyphs: Glyphs) -> Content:
     """Return whether an alarm's cause is gone, as far as it is known."""
     if latched.gone:
-        found = Content.styled(f"{glyphs.gone} gone at {clock(latched.gone)}", "bold $passed")
+        found = Content.styled(f"{glyphs.gone} gone at {local_words(latched.gone)}", "bold $passed")
     elif latched.alarm.cause == "over" or latched.settled:
         found = Content.styled(f"{glyphs.gone} over", "$label")
     elif latched.alarm.cause == "watched":
@@ -183,7 +183,11 @@ def alarm_line(
     count = {1: "alarms", 2: "both alarms"}.get(len(standing), f"all {len(standing)} alarms")
     key = Content.assemble((shown(context.keymap["alarms"][0]), "bold"), f"  {count}")
     tone = TONES[latched.severity]
-    state = f"{latched.severity}, {clock(latched.alarm.t)}" if latched.alarm.t else latched.severity
+    state = (
+        f"{latched.severity}, {local_words(latched.alarm.t)}"
+        if latched.alarm.t
+        else latched.severity
+    )
     left = Content.assemble(
         (f"{shape(latched, glyphs)} {latched.alarm.code} ", f"bold ${tone}"),
         latched.alarm.title,

@@ -17,6 +17,7 @@ from hilcell.journal.event_words import after, happened_words, length_words
 from hilcell.journal.journal import Record
 from hilcell.journal.key_words import in_words, key_words, verdict_words
 from hilcell.journal.point_words import step_words
+from hilcell.journal.times import in_zone
 from hilcell.run.forecast import Ahead
 from hilcell.run.protocol import DeviceStatus
 from hilcell.tui.engine.run_view import RunView
@@ -32,13 +33,16 @@ def event_lines(
     view: RunView, errors_mm: Mapping[str, float], width: int, height: int
 ) -> list[Content]:
     """Return a heading and the newest events, newest first; ``errors_mm`` are |e| by point."""
-    lines = [section("newest events", width)]
+    zone = f"{in_zone(view.records[-1].t):%Z}" if view.records else ""
+    lines = [section("newest events", width, zone)]
     for record in reversed(view.records):
         if len(lines) >= height:
             break
         if words := event_words(view, record, errors_mm):
             style = "$foreground" if len(lines) == 1 else "$label"
-            line = Content.assemble((f" {record.t[11:19]}  ", "$label"), (harmless(words), style))
+            line = Content.assemble(
+                (f" {in_zone(record.t):%H:%M:%S}  ", "$label"), (harmless(words), style)
+            )
             lines.append(line.truncate(width, ellipsis=True))
     return lines
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from hilcell.calibration.decision import outcome_of
 from hilcell.calibration.errors import counting, errors_of
@@ -53,22 +54,34 @@ def expanded_of(log: Log) -> float:
     return math.nan
 
 
-def deviation_of(log: Log, point: Point, U_mm: float | None = None) -> Deviation | None:
-    """Return a point's deviation, or None where it has no nominal target or {W} is not known.
+def is_judged(point: Point) -> bool:
+    """Whether the error of a point is judged: of a target sent with the chosen correction."""
+    return point.id.kind == "validate" and point.id.how == JUDGED
+
+
+def deviation_of(log: Log, point: Point) -> Deviation | None:
+    """Return a point's deviation, as `deviations_of`, with U as the log has it now."""
+    U_mm = expanded_of(log) if is_judged(point) else 0.0
+    return deviations_of(log, [point], U_mm)[0]
+
+
+def deviations_of(log: Log, points: Sequence[Point], U_mm: float) -> list[Deviation | None]:
+    """Return the deviation of each point, None without a nominal target or where {W} is not known.
 
     Of a target that was measured more than once, the measurement that counts: the larger error.
-    ``U_mm`` is that of a single error, None: as the log has it now.
+    ``U_mm`` is that of a single error.
     """
-    if point.nominal_mm is None or "world" not in log.frames:
-        return None
-    found = errors_of(log, [counting(log, point)])
-    error, actual = found.error_mm[0], found.nominal_mm[0] + found.error_mm[0]
-    judged = point.id.kind == "validate" and point.id.how == JUDGED
-    if not judged:
-        return Deviation(point.key, _xyz(error), _xyz(actual), None)
+    found: list[Deviation | None] = [None] * len(points)
+    known = [n for n, point in enumerate(points) if point.nominal_mm is not None]
+    if not known or "world" not in log.frames:
+        return found
+    errors = errors_of(log, [counting(log, points[n]) for n in known])
+    actual_mm = errors.nominal_mm + errors.error_mm
     limit_mm = log.cell.validation.max_tolerance_mm
-    by_mm = expanded_of(log) if U_mm is None else U_mm
-    return Deviation(point.key, _xyz(error), _xyz(actual), limit_mm, by_mm)
+    for n, error, actual in zip(known, errors.error_mm, actual_mm, strict=True):
+        judged = (limit_mm, U_mm) if is_judged(points[n]) else (None, 0.0)
+        found[n] = Deviation(points[n].key, _xyz(error), _xyz(actual), *judged)
+    return found
 
 
 def _xyz(vector: Array) -> tuple[float, float, float]:
@@ -99,7 +112,22 @@ class PointRow:
         return -1.0 if self.deviation is None else self.deviation.norm_mm
 
 
-def row_of(log: Log, point: Point, U_mm: float | None = None) -> PointRow:
-    """Return one point's row; ``U_mm`` as in `deviation_of`."""
-    deviation = deviation_of(log, point, U_mm)
+def row_of(log: Log, point: Point) -> PointRow:
+    """Return one point's row."""
+    deviation = deviation_of(log, point)
     return PointRow(point, deviation, state_of(log, point, deviation))
+
+
+def rows_of(log: Log, points: Sequence[Point], U_mm: float) -> list[PointRow]:
+    """Return the rows of points; ``U_mm`` as in `deviations_of`."""
+    found = zip(points, deviations_of(log, points, U_mm), strict=True)
+    return [PointRow(point, each, state_of(log, point, each)) for point, each in found]
+
+
+def judged_by(log: Log, row: PointRow, U_mm: float) -> PointRow:
+    """Return a row whose error is judged with another U, mm."""
+    known = row.deviation
+    if known is None or known.limit_mm is None or known.U_mm == U_mm:
+        return row
+    deviation = replace(known, U_mm=U_mm)
+    return PointRow(row.point, deviation, state_of(log, row.point, deviation))

@@ -11,6 +11,7 @@ from textual.content import Content
 from hilcell.alarms.alarm import DRIFT_LIMIT_K
 from hilcell.journal.calibration_facts import run_outcome
 from hilcell.journal.states import WAITING
+from hilcell.journal.times import local_words, time_words
 from hilcell.run.protocol import DeviceStatus, Interlock
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import Glyphs
@@ -44,6 +45,7 @@ OF_RAIL = LAMPS[:2]
 STALE_AFTER_S = 5.0
 _LAMPS_AT, _LOCKS_AT = (1, 15, 30, 45), (1, 45, 60)
 LONGEST_REASON = 26
+APART = 4  # columns between two statements in a row, and at its end
 REASONS = {  # in short, by the code of the interlock; the whole one is on the interlocks' page
     "HC-B30": "no fresh robot reading",
     "HC-B31": "robot moves",
@@ -116,7 +118,7 @@ def air(view: RunView, glyphs: Glyphs) -> Content:
     if view.last.temperature_c is None or drift is None:
         return Content.styled("air not measured", "$label")
     celsius = f"{view.last.temperature_c:.1f} {glyphs.degree}C"
-    text = f"{celsius} {drift:+.1f} K".replace("-", "−")
+    text = f"{celsius} {drift:+z.1f} K".replace("-", "−")
     within = abs(drift) <= DRIFT_LIMIT_K
     return Content.styled(text if within else f"{glyphs.warned} {text}", "" if within else "$ask")
 
@@ -143,19 +145,23 @@ def interlocks(view: RunView, glyphs: Glyphs, width: int) -> Content:
 
 
 def _ended(view: RunView, glyphs: Glyphs, width: int) -> Content:
-    """Return that nothing may move, and the result; where both have no room, the result."""
-    closed, remark = _nothing_moves(view, glyphs), end_remark(view)
-    if remark and closed.cell_length + len(remark) + 2 > width:
-        return Content(f" {remark}").truncate(width, ellipsis=True)
-    return justified(closed, Content(remark), width - 1).truncate(width, ellipsis=True)
+    """Return that nothing may move, and since when, and the result, as far as there is room."""
+    remark = end_remark(view)
+    for closed in _nothing_moves(view, glyphs):
+        if not remark or closed.cell_length + len(remark) + APART <= width:
+            return justified(closed, Content(remark), width - 1).truncate(width, ellipsis=True)
+    return Content(f" {remark}").truncate(width, ellipsis=True)
 
 
-def _nothing_moves(view: RunView, glyphs: Glyphs) -> Content:
+def _nothing_moves(view: RunView, glyphs: Glyphs) -> list[Content]:
+    """Return that nothing may move, the longest words first."""
     if view.state == "gone":
-        return Content.styled(f" {glyphs.lost} the engine is gone: nobody watches the cell", "$ask")
+        gone = f" {glyphs.lost} the engine is gone: nobody watches the cell"
+        return [Content.styled(gone, "$ask")]
     end = view.records[-1] if view.records and view.log.end is not None else None
-    at = f" at {end.t[11:19]}" if end is not None else ""
-    return Content.styled(f" {glyphs.stale} devices closed{at}; nothing may move", "$label")
+    at = [f" at {time_words(end.t)}", f" at {local_words(end.t)}"] if end is not None else []
+    texts = (f" {glyphs.stale} devices closed{each}; nothing may move" for each in (*at, ""))
+    return [Content.styled(each, "$label") for each in texts]
 
 
 @dataclass(frozen=True, slots=True)

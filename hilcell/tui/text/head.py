@@ -120,8 +120,9 @@ def _large_figure(each: Figure, glyphs: Glyphs) -> list[Content]:
     at = Content.assemble((shape, tone), (_at(each, SECOND_AT - FIRST_AT - 3), "$label"))
     line = Content("")
     if each.limit_mm:
-        share = each.value_mm / each.limit_mm * TO_LIMIT / BAR
-        line = bar(share, BAR, tone, TO_LIMIT / BAR)
+        mark = TO_LIMIT / BAR
+        share, guard = (mark * length / each.limit_mm for length in (each.value_mm, each.U_mm))
+        line = bar(share, BAR, tone, mark, guard)
     return [Content.styled(each.title, "$label"), *digits, at, line, Content("")]
 
 

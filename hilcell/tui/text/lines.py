@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 from textual.content import Content
 
@@ -39,10 +40,13 @@ def section(title: str, width: int, remark: str = "") -> Content:
     return ruled(Content.styled(title, "bold $label"), Content.styled(remark, "$label"), width)
 
 
-def bar(share: float, width: int, style: str, mark: float | None = None) -> Content:
+def bar(
+    share: float, width: int, style: str, mark: float | None = None, guard: float = 0.0
+) -> Content:
     """Return a bar filled from 0 to ``share`` of its width, to half a column; NaN fills it.
 
-    ``mark``: the share at which a limit is drawn.
+    ``mark``: the share at which a limit is drawn; ``guard``: how wide the band is before and after
+    it, also a share, in which neither pass nor fail is shown. It is hatched.
     """
     halves = math.floor(2 * width * share + 1e-9) if share <= 1.0 else 2 * width
     whole, half = divmod(max(halves, 0), 2)
@@ -50,7 +54,7 @@ def bar(share: float, width: int, style: str, mark: float | None = None) -> Cont
     line = Content.assemble(
         ("█" * whole, style),
         ("▌" * half, f"{style} on $track"),
-        ("░" * (width - len(filled)), "$track on $track"),
+        *_ground(len(filled), width, mark, guard),
     )
     if mark is None:
         return line
@@ -58,6 +62,17 @@ def bar(share: float, width: int, style: str, mark: float | None = None) -> Cont
     over = at < len(filled)
     sign = Content.styled("│", f"$background on {style}" if over else "$foreground on $track")
     return line[:at].append(sign).append(line[at + 1 :])
+
+
+def _ground(begin: int, width: int, mark: float | None, guard: float) -> Iterator[tuple[str, str]]:
+    """Yield what is not filled, from column ``begin``, with the hatched band around the mark."""
+    low = high = width
+    if mark is not None and 0.0 < guard < math.inf:
+        low = min(max(math.floor(width * (mark - guard) + 1e-9), begin), width)
+        high = min(max(math.ceil(width * (mark + guard) - 1e-9), low), width)
+    yield "░" * (low - begin), "$track on $track"
+    yield "▒" * (high - low), "$ask on $track"
+    yield "░" * (width - high), "$track on $track"
 
 
 def signed_bar(share: float, half_width: int, style: str) -> Content:

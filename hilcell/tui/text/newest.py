@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from textual.content import Content
 
 from hilcell.geometry.sequential import Outcome
+from hilcell.journal.calibration_facts import OUTCOMES
 from hilcell.journal.log import Log, Point
 from hilcell.journal.point_words import point_words
 from hilcell.journal.ways_sent import AS_SENT, WAYS
@@ -32,9 +33,9 @@ FIGURES_AT, COMPONENTS_AT, BARS_AT, SCALE_AT = 5, 27, 42, 71
 HALF_BAR = 13
 TOLERANCE_AT, TO_LIMIT, PAST_LIMIT = 20, 44, 11
 SAID: dict[Outcome, tuple[str, str, str]] = {  # role, shape's name, words
-    "accepted": ("passed", "fresh", "in tolerance"),
-    "undecided": ("ask", "warned", "UNDECIDED"),
-    "rejected": ("fault", "warned", "OUT OF TOLERANCE"),
+    "accepted": ("passed", "fresh", OUTCOMES["accepted"]),
+    "undecided": ("ask", "warned", OUTCOMES["undecided"].upper()),
+    "rejected": ("fault", "warned", OUTCOMES["rejected"].upper()),
 }
 WAS: dict[Outcome, str] = {
     "accepted": "was in tol.",
@@ -110,7 +111,7 @@ def _style(shown: Shown, found: Deviation) -> str:
 
 
 def _signed(value_mm: float) -> str:
-    return f"{value_mm:+.3f}".replace("-", "−") if math.isfinite(value_mm) else "-.---"
+    return f"{value_mm:+z.3f}".replace("-", "−") if math.isfinite(value_mm) else "-.---"
 
 
 def _large_lines(shown: Shown, found: Deviation, glyphs: Glyphs, width: int) -> list[Content]:
@@ -160,9 +161,10 @@ def _tolerance_line(shown: Shown, found: Deviation, glyphs: Glyphs, width: int) 
     room = min(TO_LIMIT + PAST_LIMIT, width - TOLERANCE_AT)
     if room < PAST_LIMIT:
         return placed((1, said))
-    share = found.norm_mm / found.limit_mm * TO_LIMIT / (TO_LIMIT + PAST_LIMIT)
     mark = TO_LIMIT / (TO_LIMIT + PAST_LIMIT)
-    return placed((1, said), (TOLERANCE_AT, bar(share, room, _style(shown, found), mark)))
+    share, guard = (mark * each / found.limit_mm for each in (found.norm_mm, found.U_mm))
+    drawn = bar(share, room, _style(shown, found), mark, guard)
+    return placed((1, said), (TOLERANCE_AT, drawn))
 
 
 def _scale_line(found: Deviation, width: int) -> Content:

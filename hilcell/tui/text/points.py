@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 from textual.content import Content
 
@@ -19,7 +19,10 @@ from hilcell.tui.text.deviation import (
     PointRow,
     deviation_of,
     expanded_of,
+    is_judged,
+    judged_by,
     row_of,
+    rows_of,
 )
 from hilcell.tui.text.digits import figure
 from hilcell.tui.widgets import Column, Row
@@ -78,28 +81,54 @@ def has_bars(width: int) -> bool:
     return BARS_FROM <= width < WIDE or width >= WIDE_WITH_BARS
 
 
+MORE_POINTS = 1.1  # times as many points as before: U is taken again
+
+
 class PointRows:
-    """Makes each row once: while points come, all but the newest stay as they were."""
+    """Makes each row once: while points come, all but the newest stay as they were.
+
+    A row holds as long as the number of the record that made its point: the log gives a new object
+    at each access. U of a single error reads every point and changes little: it is taken again when
+    a tenth more points are there, and at the end, so that rows and verdict have the same.
+    """
 
     def __init__(self) -> None:
-        self._found: dict[str, PointRow] = {}
+        self._found: dict[str, tuple[int, PointRow]] = {}
         self._drawn: dict[str, tuple[PointRow, bool, int, Row]] = {}
+        self._world: object = None  # the frame in which the deviations are
+        self._U_mm, self._U_of = 0.0, (0, False)  # of how many points, and whether at the end
 
-    def rows(self, log: Log) -> Iterator[PointRow]:
-        """Yield the rows of all points in the order in which they were first measured."""
-        U_mm: float | None = None  # computed once, and only for new rows
-        for key, point in log.points.items():
-            row = self._found.get(key)
-            if row is None or row.point is not point or _has_deviation_now(log, row):
-                U_mm = expanded_of(log) if U_mm is None else U_mm
-                row = self._found[key] = row_of(log, point, U_mm)
-            yield row
+    def rows(self, log: Log) -> list[PointRow]:
+        """Return the rows of all points in the order in which they were first measured."""
+        if log.frames.get("world") is not self._world:
+            self._world = log.frames.get("world")
+            self._found.clear()
+            self._U_of = (0, False)
+        new = [key for key in log.points if self._row(key, log.changed[key]) is None]
+        points = [log.points[key] for key in new]
+        if any(is_judged(point) for point in points) or self._U_of[0]:
+            self._take_expanded(log)
+        for key, row in zip(new, rows_of(log, points, self._U_mm), strict=True):
+            self._found[key] = log.changed[key], row
+        return [self._found[key][1] for key in log.points]
+
+    def _row(self, key: str, number: int) -> PointRow | None:
+        known = self._found.get(key)
+        return known[1] if known is not None and known[0] == number else None
+
+    def _take_expanded(self, log: Log) -> None:
+        """Take U as the log has it now, where that is due, and judge the known rows by it."""
+        count, ended = len(log.points), log.end is not None
+        if count < MORE_POINTS * self._U_of[0] and ended == self._U_of[1]:
+            return
+        self._U_mm, self._U_of = expanded_of(log), (count, ended)
+        for key, (number, row) in self._found.items():
+            self._found[key] = number, judged_by(log, row, self._U_mm)
 
     def deviation(self, log: Log, point: Point) -> Deviation | None:
         """Return the deviation of a point, as its row has it."""
-        row = self._found.get(point.key)
-        known = row is not None and row.point is point and not _has_deviation_now(log, row)
-        return row.deviation if row is not None and known else deviation_of(log, point)
+        row = self._row(point.key, log.changed.get(point.key, 0))
+        return deviation_of(log, point) if row is None else row.deviation
 
     def drawn(self, found: PointRow, waiting: Collection[str], width: int) -> Row:
         """Return the cells of one point."""
@@ -108,11 +137,6 @@ class PointRows:
         if known is None or known[0] is not found or known[1:3] != (waits, width):
             known = self._drawn[key] = (found, waits, width, to_row(found, waiting, width))
         return known[3]
-
-
-def _has_deviation_now(log: Log, row: PointRow) -> bool:
-    """Whether a row was made before {W} was known."""
-    return row.deviation is None and row.point.nominal_mm is not None and "world" in log.frames
 
 
 def filtered(
@@ -165,7 +189,7 @@ def to_row(found: PointRow, waiting: Collection[str], width: int) -> Row:
     cells += [(point.station, "label")] if stations else []
     cells += _places(point, deviation) if width >= WIDE else []
     error_mm = () if deviation is None else deviation.error_mm
-    errors = [f"{each:+.3f}".replace("-", "−") for each in error_mm] or [""] * 3
+    errors = [f"{each:+z.3f}".replace("-", "−") for each in error_mm] or [""] * 3
     cells += [(each, "") for each in errors] if width >= FIGURES_FROM else []
     cells += [("" if deviation is None else figure(deviation.norm_mm), "*")]
     cells += [(_length(deviation), tone.removeprefix("*"))] if has_bars(width) else []

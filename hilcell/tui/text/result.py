@@ -186,7 +186,7 @@ def _of_test(test: _PoseTest, *, passed: bool) -> Result:
 
 
 def _distance_words(found: _Distance, ad_mm: float | None, rd_mm: float | None) -> str:
-    ad, rd = f"{found.ad_mm:+.3f}", f"{found.rd_mm:.3f}"
+    ad, rd = f"{found.ad_mm:+z.3f}", f"{found.rd_mm:.3f}"
     limits = [f"{n} {each:.3f}" for n, each in (("AD", ad_mm), ("RD", rd_mm)) if each is not None]
     said = f"; limits {', '.join(limits)} mm" if limits else ""
     return (

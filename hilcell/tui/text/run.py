@@ -14,6 +14,7 @@ from hilcell.journal.calibration_facts import OUTCOMES, run_outcome
 from hilcell.journal.point_id import CONTROL
 from hilcell.journal.point_words import part_words, procedure_words, step_words
 from hilcell.journal.runs import short_run
+from hilcell.journal.times import local_words
 from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.devices import short_age
@@ -247,11 +248,12 @@ def progress(view: RunView, width: int) -> Content:
 
 def _left(view: RunView) -> str:
     if not view.live:
-        end = view.records[-1].t[11:19] if view.records and view.log.end is not None else ""
-        return f"at {end} UTC" if end else ""
+        ended = bool(view.records) and view.log.end is not None
+        return f"at {local_words(view.records[-1].t)}" if ended else ""
     if view.state == "suspended":
         return "stands still"
-    known = view.remaining_s is not None and view.state != "checking"
+    # A point that is re-measured is beyond the plan, which has nothing left.
+    known = bool(view.remaining_s) and view.state != "checking"
     return f"{duration(view.remaining_s or 0.0)} left" if known else ""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
+from contextlib import suppress
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
@@ -12,6 +13,7 @@ import msgspec
 from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.index import RunRow
 from hilcell.journal.journal import Record
+from hilcell.journal.times import in_zone
 from hilcell.tui.widgets import Column, Row
 
 PROCEDURE = 13
@@ -36,6 +38,18 @@ def _outcome(run: RunRow) -> str:
     return "LIVE " + run.state if run.live else "engine gone" if run.gone else run.condition
 
 
+def _kind(run: RunRow) -> str:
+    if not run.readable:
+        return ""
+    return "SIM" if run.simulated else "real"
+
+
+def _local(run: RunRow) -> str:
+    with suppress(ValueError):  # "", or what a journal of anybody's has in its place
+        return f"{in_zone(run.begun):%H:%M %Z}"
+    return ""
+
+
 def _mm(value: float | None) -> str:
     return "" if value is None else f"{value:.3f}"
 
@@ -44,14 +58,15 @@ _CELLS = (
     _Cell(Column("procedure", PROCEDURE), lambda run: run.procedure or run.name[-PROCEDURE:]),
     _Cell(Column("verdict or state", 16), _outcome),
     _Cell(Column("operator", 10), attrgetter("operator")),
-    _Cell(Column("points", 6, right=True), lambda run: str(run.points or ""), 3),
-    _Cell(Column("before", 6, right=True), lambda run: _mm(run.before_mean_mm), 2),
-    _Cell(Column("after", 6, right=True), lambda run: _mm(run.chosen_mean_mm), 1),
-    _Cell(Column("max mm", 6, right=True), lambda run: _mm(run.chosen_max_mm), 5),
-    _Cell(Column("job", 12), attrgetter("job"), 4),
-    _Cell(Column("cell", 12), attrgetter("cell"), 6),
-    _Cell(Column("kind", 9), lambda run: "simulated" if run.simulated else "real", 7),
-    _Cell(Column("run", 36), attrgetter("name"), 8),
+    _Cell(Column("kind", 4), _kind, 1),
+    _Cell(Column("cell", 10), attrgetter("cell"), 2),
+    _Cell(Column("points", 6, right=True), lambda run: str(run.points or ""), 6),
+    _Cell(Column("before", 6, right=True), lambda run: _mm(run.before_mean_mm), 4),
+    _Cell(Column("after", 6, right=True), lambda run: _mm(run.chosen_mean_mm), 3),
+    _Cell(Column("max mm", 6, right=True), lambda run: _mm(run.chosen_max_mm), 8),
+    _Cell(Column("local time", 10), _local, 5),
+    _Cell(Column("job", 12), attrgetter("job"), 7),
+    _Cell(Column("run", 36), attrgetter("name"), 9),
 )
 
 
@@ -84,12 +99,17 @@ def history_row(run: RunRow, marked: Collection[str], width: int) -> Row:
     return Row(run.name, ("*" if run.name in marked else "", begun, *texts), tone)
 
 
-COLUMNS = (
-    Column("record", 6, right=True),
-    Column("UTC", 12),
-    Column("kind", 8),
-    Column("what", 200),
-)
+TIME = 19  # columns of two times
+
+
+def log_columns(t: str) -> tuple[Column, ...]:
+    """Return the columns of the event log; ``t``, a time in it, says whether local time is UTC."""
+    moment = in_zone(t)
+    time = Column(f"{moment:%Z} (UTC)", TIME) if moment.utcoffset() else Column("UTC", 12)
+    what = Column("what", 20, grows=True)
+    return Column("record", 6, right=True), time, Column("kind", 8), what
+
+
 _RECORD_TONES = {"faulted": "fault", "suspended": "ask", "aborted": "ask"}
 _LONG = (
     "matrix",
@@ -109,7 +129,9 @@ def record_row(record: Record) -> Row:
     """Return one row of the event log."""
     body = record.body
     tone = _RECORD_TONES.get(str(body.get("to", "")), "") if record.kind == "state" else ""
-    cells = (str(record.seq), record.t[11:23], record.kind, record_words(record))
+    moment = in_zone(record.t)
+    time = f"{moment:%H:%M:%S} ({record.t[11:19]})" if moment.utcoffset() else record.t[11:23]
+    cells = (str(record.seq), time, record.kind, record_words(record))
     return Row(str(record.seq), cells, tone)
 
 

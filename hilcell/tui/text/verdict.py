@@ -17,7 +17,7 @@ from hilcell.alarms.catalogue import SEVERITIES, entry_of
 from hilcell.calibration.decision import Judged, Turn
 from hilcell.clean import harmless
 from hilcell.geometry.sequential import Outcome
-from hilcell.journal.calibration_facts import OUTCOMES, run_outcome
+from hilcell.journal.calibration_facts import OUTCOMES, VERDICTS, run_outcome
 from hilcell.journal.key_words import in_words
 from hilcell.journal.set_ups import PROVEN
 from hilcell.tui.engine.run_view import RunView
@@ -28,6 +28,11 @@ from hilcell.tui.text.head import NEXT, Figure, Head, gravest, head_lines, is_sm
 
 ROWS, MOST_OF_A_NAME = 16, 20
 VALIDATION = "validation"  # its verdicts are shown by station
+SHOWN: dict[Outcome, tuple[str, str]] = {  # the shape's name, the style
+    "accepted": ("fresh", "$passed"),
+    "undecided": ("warned", "$ask"),
+    "rejected": ("warned", "bold $fault"),
+}
 
 
 class _Figures(msgspec.Struct):
@@ -175,10 +180,10 @@ def verdict_lines(
 def words_of(found: Verdict) -> tuple[str, str]:
     """Return the verdict in one word, and what it states."""
     if found.passed:
-        return "PASS", OUTCOMES["accepted"]
+        return VERDICTS["accepted"].upper(), OUTCOMES["accepted"]
     if found.undecided:
-        return "UNDECIDED", "neither pass nor fail"
-    return "FAIL", found.outcome
+        return VERDICTS["undecided"].upper(), "neither pass nor fail"
+    return VERDICTS["rejected"].upper(), found.outcome
 
 
 def _head(found: Verdict) -> Head:
@@ -209,11 +214,9 @@ def _table(found: Verdict, glyphs: Glyphs, room: int) -> list[Content]:
 
 
 def _row(each: Station, found: Verdict, glyphs: Glyphs) -> Content:
-    said = {
-        "accepted": (f"{glyphs.fresh} pass", "$passed"),
-        "rejected": (f"{glyphs.warned} FAIL", "bold $fault"),
-    }
-    word, tone = said.get(each.outcome, (f"{glyphs.warned} {OUTCOMES['undecided']}", "$ask"))
+    shape, tone = SHOWN[each.outcome]
+    word = VERDICTS[each.outcome]
+    word = f"{getattr(glyphs, shape)} {word.upper() if each.outcome == 'rejected' else word}"
     mean_style = "bold" if each.mean_mm <= found.mean_limit_mm else "bold $fault"
     max_style = "" if each.max_mm <= found.max_limit_mm else "bold $fault"
     name = Content(harmless(each.name)).truncate(13, ellipsis=True).plain
@@ -311,8 +314,15 @@ def _reason(each: Station, found: Verdict) -> str:
     if not found.turn_is_kept(each.turn, sure=True) and each.turn is not None:
         turned = f"orientation {each.turn.max_deg:.4f}°, U {each.turn.U_deg:.4f}°"
         return f"{turned}: not shown below {found.max_limit_deg:g}°"
-    mean = f"mean {figure(each.mean_mm)}, U {each.mean_U_mm:.3f}"
-    return f"{mean}: not shown below {found.mean_limit_mm:.3f}"
+    sides = zip(
+        ("mean", "single"), (each.mean_mm, each.max_mm), (each.mean_U_mm, each.max_U_mm), limits_mm,
+        strict=True,
+    )  # fmt: skip
+    unsure = [
+        f"{n} {figure(value)}, U {U:.3f}: not shown below {limit:.3f}"
+        for n, value, U, limit in sides if not value + U <= limit
+    ]  # fmt: skip
+    return ", ".join(unsure) or "too few targets to show it"
 
 
 def _written(view: RunView, found: Verdict, glyphs: Glyphs, width: int) -> Content:
@@ -331,11 +341,13 @@ def _written(view: RunView, found: Verdict, glyphs: Glyphs, width: int) -> Conte
 
 
 def _drift(view: RunView, glyphs: Glyphs, standing: int, width: int) -> Content:
-    """Return how many alarms there were or are ``standing``, and how far the floor nests moved."""
+    """Return how many alarms stand, or are over, and how far the floor nests moved."""
     proofs = [event.body["off_mm"] for event in view.log.events if event.body["what"] == PROVEN]
     moved = max((max(each) for each in proofs if each), default=None)
-    count = max(len(view.alarms), standing)
+    over = sum(alarm.cause == "over" for alarm in view.alarms)
+    count = max(len(view.alarms), standing) - over
     text = f"{count} alarm{'s' if count > 1 else ''}: e" if count else "no alarms"
+    text += f"; {over} that {'are' if over > 1 else 'is'} over: e" if over else ""
     drift = "" if moved is None else f"; floor nests stood within {moved:.3f} mm"
     tone, shape = ("$ask", glyphs.warned) if count else ("$passed", glyphs.fresh)
     head = Content.assemble((f" {shape}", tone), (f" {text}", "$label"))

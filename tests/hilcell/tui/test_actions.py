@@ -8,7 +8,6 @@ import msgspec
 import pytest
 from textual.pilot import Pilot
 
-from hilcell.tui.app.app import RunUpdated
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import EngineState
 from hilcell.tui.keys import ACTIONS
@@ -194,11 +193,11 @@ def test_a_lasting_trouble_does_not_replace_other_notices() -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         trouble = RunUpdate([], trouble="the journal is gone")
         app.show_notice("the engine ended, exit 7")
-        app.post_message(RunUpdated(app.recorded, trouble))
+        app.receive(app.recorded, trouble)
         await settle(pilot)
         assert "exit 7" in text_of(app)
         await press(pilot, "w")
-        app.post_message(RunUpdated(app.recorded, trouble))
+        app.receive(app.recorded, trouble)
         await settle(pilot)
         assert "the journal is gone" in text_of(app)
 
@@ -210,10 +209,10 @@ def test_a_question_about_a_run_ends_with_it(key: str) -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, key)
         assert isinstance(app.screen, Confirm)
-        app.post_message(RunUpdated(app.recorded, RunUpdate([], engine=EngineState.ANSWERING)))
+        app.receive(app.recorded, RunUpdate([], engine=EngineState.ANSWERING))
         await settle(pilot)
         assert isinstance(app.screen, Confirm)
-        app.post_message(RunUpdated(app.recorded, RunUpdate([], engine=EngineState.NONE)))
+        app.receive(app.recorded, RunUpdate([], engine=EngineState.NONE))
         await settle(pilot)
         assert isinstance(app.screen, RunScreen)
 
@@ -226,7 +225,7 @@ def test_a_notice_about_a_state_ends_with_it() -> None:
             prompt = msgspec.structs.replace(PROMPT, ready=ready)
             said = msgspec.structs.replace(status("suspended"), prompt=prompt)
             update = RunUpdate([], engine=EngineState.ANSWERING, status=said)
-            app.post_message(RunUpdated(app.recorded, update))
+            app.receive(app.recorded, update)
             await settle(pilot)
             if not ready:
                 await press(pilot, "enter")

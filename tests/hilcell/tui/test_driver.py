@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 
+import pyte
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from textual.color import Color
 
-from hilcell.tui.terminal.driver import has_escape, without_colours
+from hilcell.tui.terminal.driver import StopDriver, has_escape, without_colours
 from hilcell.tui.terminal.themes import NAMES, PALETTES, ROLES, Palette
 from tests.hilcell.tui.terminal_colours import colours_of
 
@@ -137,3 +138,31 @@ def test_everything_else_is_left(text: str, theme: str) -> None:
 def test_what_is_bare_stays_as_it_is(text: str, theme: str) -> None:
     once = without_colours(text, theme)
     assert without_colours(once, theme) == once
+
+
+class Written:
+    """Takes what a driver writes to its terminal."""
+
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+
+    def write(self, text: str) -> None:
+        """Take it."""
+        self.texts.append(text)
+
+
+def test_a_state_that_was_not_painted_for_long_is_covered_once() -> None:
+    late = False
+    driver, terminal = object.__new__(StopDriver), Written()
+    vars(driver).update(_writer_thread=terminal, is_late=lambda: late)
+    for late, written in ((False, 0), (True, 1), (True, 1), (False, 1), (True, 2)):  # noqa: B007
+        driver._cover_when_late()
+        assert len(terminal.texts) == written
+    screen = pyte.Screen(80, 24)
+    stream = pyte.Stream(screen)
+    stream.feed("\x1b[H\x1b[1m. RUNNING LIVE\x1b[5;7H" + terminal.texts[0])
+    assert "NOT PAINTED" in screen.display[0]
+    assert "RUNNING" not in screen.display[0]
+    assert screen.display[0][0] == "."  # the edge of a simulated run
+    assert (screen.cursor.y, screen.cursor.x) == (4, 6)
+    assert colours_of(terminal.texts[0].encode()) == set()

@@ -5,21 +5,23 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from queue import SimpleQueue
 
 import pytest
 
 from hilcell.errors import HilcellError
-from hilcell.journal.journal import StorageError
+from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.point_id import PointId
 from hilcell.journal.runs import CALIBRATION
 from hilcell.run.client import EngineLost, EngineSilent
 from hilcell.tui.engine import feed as feeds
-from hilcell.tui.engine.feed import Feed, RunUpdate
+from hilcell.tui.engine.feed import Feed, Inbox, RunUpdate, utc_now
 from hilcell.tui.engine.run_view import EngineState
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.tui.engine_peer import Peer
+from tests.hilcell.tui.sample_runs import status
 from tests.hilcell.tui.scripted_engine import ScriptedEngine
 
 NEVER_S = 1e6  # a period in which only `look_now` looks
@@ -184,4 +186,34 @@ def test_a_damaged_journal_is_reported(tmp_path: Path) -> None:
     (tmp_path / "journal.sqlite").write_bytes(b"no journal at all, but long enough to be one")
     screen = Screen(tmp_path)
     assert screen.next().trouble
+    screen.close()
+
+
+def record(seq: int) -> Record:
+    return Record(seq, "2026-03-04T08:00:00.000+00:00", "event", "", {"what": "step"})
+
+
+def test_updates_that_nobody_has_seen_become_one_with_all_records_and_the_newest_state() -> None:
+    inbox, heard = Inbox(), status("running")
+    at = datetime(2026, 3, 4, 8, 0, tzinfo=UTC)
+    first = RunUpdate([record(1)], EngineState.ANSWERING, heard, answered=at)
+    assert [inbox.put(first), inbox.put(RunUpdate([record(2)], EngineState.SILENT))] == [
+        True,
+        False,
+    ]
+    assert not inbox.put(RunUpdate([record(3), record(4)], EngineState.NONE, trouble="why"))
+    update = inbox.take()
+    assert update is not None
+    assert [each.seq for each in update.records] == [1, 2, 3, 4]
+    assert (update.engine, update.trouble) == (EngineState.NONE, "why")
+    assert (update.status, update.answered) == (heard, at)  # of when it was heard
+    assert inbox.take() is None
+    assert inbox.put(first)
+
+
+def test_a_status_is_dated_when_it_comes(tmp_path: Path, engine: ScriptedEngine) -> None:
+    before, screen = utc_now(), Screen(tmp_path)
+    update = screen.until(lambda update: update.status)
+    assert update.answered is not None
+    assert before <= update.answered <= utc_now()
     screen.close()

@@ -145,3 +145,12 @@ def test_bars_have_a_scale_of_1_2_5_that_holds_them(
 ) -> None:
     found = Deviation("p", error_mm, (0.0, 0.0, 0.0), 0.3)
     assert scale in point_lines(Shown("p", found, ""), UNICODE, 79).plain.split()
+
+
+@pytest.mark.parametrize(("U_mm", "hatched"), [(0.0, 0), (0.1, 9), (math.nan, 0), (9.0, 32)])
+def test_the_guard_band_is_hatched_around_the_limit(U_mm: float, hatched: int) -> None:
+    line = point_lines(shown(0.5, U_mm=U_mm), UNICODE, 79).split("\n")[4].plain
+    assert line.count("▒") == hatched
+    assert "│" in line
+    if hatched == 9:
+        assert "▒▒▒▒│▒▒▒▒" in line

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 from textual.pilot import Pilot
 
-from hilcell.tui.app.app import RunUpdated
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import EngineState
 from hilcell.tui.screens.run import RunScreen
@@ -25,7 +24,7 @@ def test_a_calibration_without_a_file_is_written_after_a_question() -> None:
         await press(pilot, "space")
         assert isinstance(app.screen, RunScreen)
         assert "the run is over" in text_of(app)
-        app.post_message(RunUpdated(app.recorded, RunUpdate([], calibrated=False)))
+        app.receive(app.recorded, RunUpdate([], calibrated=False))
         await settle(pilot)
         assert "HC-J11" in text_of(app)
         await press(pilot, "space")
@@ -41,7 +40,7 @@ def test_updates_are_shown_under_a_question_and_under_the_palette(over: str) -> 
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, over)
         for engine, word in ((EngineState.SILENT, "NO ANSWER"), (EngineState.ANSWERING, "PAUSED")):
-            app.post_message(RunUpdated(app.recorded, RunUpdate([], engine, status("paused"))))
+            app.receive(app.recorded, RunUpdate([], engine, status("paused")))
             await settle(pilot)
             assert word in text_of(app)
 
@@ -51,7 +50,7 @@ def test_updates_are_shown_under_a_question_and_under_the_palette(over: str) -> 
 def test_a_calibration_saved_later_is_reported() -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         for calibrated in (False, True):
-            app.post_message(RunUpdated(app.recorded, RunUpdate([], calibrated=calibrated)))
+            app.receive(app.recorded, RunUpdate([], calibrated=calibrated))
             await settle(pilot)
         assert "the calibration has its file" in text_of(app)
         assert "HC-J11" in text_of(app)
@@ -63,10 +62,10 @@ def test_a_calibration_saved_later_is_reported() -> None:
 
 def test_an_unreadable_journal_is_reported_while_it_is_unreadable() -> None:
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
-        app.post_message(RunUpdated(app.recorded, RunUpdate([], trouble="journal: cannot be read")))
+        app.receive(app.recorded, RunUpdate([], trouble="journal: cannot be read"))
         await settle(pilot)
         assert "cannot be read" in text_of(app)
-        app.post_message(RunUpdated(app.recorded, RunUpdate([])))
+        app.receive(app.recorded, RunUpdate([]))
         await settle(pilot)
         assert "cannot be read" not in text_of(app)
 

@@ -291,3 +291,22 @@ def test_an_index_that_takes_long_is_read_once_at_a_time(monkeypatch: pytest.Mon
         assert len(reads) == 1
 
     run_app(act, "done")
+
+
+@pytest.mark.parametrize("key", ["l", "h", "e", "p"])
+def test_every_page_of_a_simulated_run_has_its_edge(key: str) -> None:
+    async def look(app: RecordingApp, pilot: Pilot[int]) -> None:
+        await press(pilot, key)
+        assert app.screen.styles.border_left[0] == "outer"
+        assert app.screen.has_class("simulated")
+
+    run_app(look, "running", size=(80, 24))
+
+
+def test_what_is_cut_in_the_log_has_its_mark() -> None:
+    async def look(app: RecordingApp, pilot: Pilot[int]) -> None:
+        await press(pilot, "l")
+        held = next(line for line in text_of(app).splitlines() if "station held" in line)
+        assert held.rstrip("▌ ").endswith("…")
+
+    run_app(look, "running", size=(80, 24))

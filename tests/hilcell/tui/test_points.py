@@ -264,3 +264,56 @@ def test_the_page_of_a_point_names_both_readings_and_which_counts() -> None:
     text = point_page(RunView("r", measured_again(0.5)), key).plain
     assert "0.4001, 0.5000 (the larger: counts)" in text
     assert "counts" not in point_page(RunView("r", log_of(validated())), key).plain
+
+
+# -- rows are made once ----------------------------------------------------------------------------
+
+
+def test_a_row_is_made_once_though_the_log_gives_a_new_point_at_each_access() -> None:
+    story = validated()
+    log, rows = log_of(story), PointRows()
+    assert log.points["grid/0-0-0"] is not log.points["grid/0-0-0"]
+    before = rows.rows(log)
+    target = PointId("validate", station="S1100", how="chosen", number=2)
+    log.take(story.point(target, (1100.0, 302.0, 400.0), (0.1, 0.0, 0.0)).records[-1])
+    *known, new = rows.rows(log)
+    assert new.point.key == target.key
+    assert all(one is other for one, other in zip(before, known, strict=True))
+
+
+def test_a_point_that_is_measured_again_has_a_new_row_in_its_old_place() -> None:
+    story = validated()
+    log, rows = log_of(story), PointRows()
+    keys = [row.point.key for row in rows.rows(log)]
+    id = PointId("validate", station="S1100", how="chosen", number=0)
+    log.take(story.point(id, (1100.0, 300.0, 400.0), (0.9, 0.0, 0.0), retaken=True).records[-1])
+    found = rows.rows(log)
+    assert [row.point.key for row in found] == keys
+    assert found[keys.index(id.key)].norm_mm == pytest.approx(0.9)
+    assert rows.deviation(log, log.points[id.key]) == found[keys.index(id.key)].deviation
+
+
+def test_another_world_frame_moves_every_row() -> None:
+    story = validated()
+    log, rows = log_of(story), PointRows()
+    before = {row.point.key: row.norm_mm for row in rows.rows(log) if row.deviation is not None}
+    log.take(story.add("frame", "world", matrix=tilted()).records[-1])
+    after = {row.point.key: row.norm_mm for row in rows.rows(log) if row.deviation is not None}
+    assert after.keys() == before.keys()
+    assert all(abs(after[key] - before[key]) > 1.0 for key in before)
+
+
+def test_at_the_end_all_rows_are_judged_by_the_u_of_the_verdict() -> None:
+    """Each row kept U of the moment in which it came; the report has that of the end."""
+    story = validated()
+    log, rows = log_of(story), PointRows()
+    early = {row.deviation.U_mm for row in rows.rows(log) if row.deviation and row.deviation.U_mm}
+    for number in range(2, 6):  # noisier readings: U grows
+        id = PointId("validate", station="S1100", how="chosen", number=number)
+        place = (1100.0, 300.0 + number, 400.0)
+        log.take(story.point(id, place, std_mm=[0.05, 0.05, 0.05]).records[-1])
+    log.take(story.state("finished").add("end", state="finished", exit=0, result={}).records[-1])
+    judged = [row.deviation for row in rows.rows(log) if row.deviation and row.deviation.limit_mm]
+    assert len(judged) == 6
+    assert {each.U_mm for each in judged} == {guard_of(log, 1).max_mm}
+    assert early != {guard_of(log, 1).max_mm}

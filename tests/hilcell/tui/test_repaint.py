@@ -11,7 +11,12 @@ import pytest
 from textual.pilot import Pilot
 from textual.screen import Screen
 
+from hilcell.journal.log import Log
+from hilcell.tui.app.app import HilcellApp
+from hilcell.tui.engine.feed import RunUpdate
+from hilcell.tui.engine.run_view import EngineState
 from hilcell.tui.screens import run
+from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.text import deviation, points, result
 from tests.hilcell.tui.all_screens import isolated
 from tests.hilcell.tui.recording_app import RecordingApp, run_app, settle, text_of
@@ -107,3 +112,55 @@ def test_a_procedure_is_imported_off_the_thread_that_takes_keys(
         assert threading.main_thread() not in threads
 
     run_app(look, "done", size=SIZES[0])
+
+
+def test_updates_that_come_faster_than_they_are_shown_are_shown_as_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """They queued without limit: the screen said RUNNING two minutes after the end."""
+    shows = counted(monkeypatch, HilcellApp, "_show")
+
+    async def burst(app: RecordingApp, pilot: Pilot[int]) -> None:
+        shows.clear()
+        story = sample_runs()["running"]
+        for end in range(2, len(story.records) + 1):
+            app.receive(app.recorded, RunUpdate(story.records[end - 1 : end], HEARD))
+        app.receive(app.recorded, RunUpdate(ended, EngineState.NONE))
+        await settle(pilot)
+        assert len(shows) == 1
+        assert "ABORTED" in text_of(app)
+        assert len(app.recorded.view.log.points) == len(Log(story.records).points)
+
+    HEARD = EngineState.ANSWERING
+    running, aborted = sample_runs()["running"], sample_runs()["aborted"]
+    ended = aborted.records[len(running.records) :]
+    run_app(burst, update=RunUpdate(running.records[:1], HEARD), size=SIZES[0])
+
+
+def test_what_was_not_painted_for_long_is_covered_and_then_painted_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    painted = counted(monkeypatch, RunScreen, "refresh")
+
+    async def late(app: RecordingApp, pilot: Pilot[int]) -> None:
+        app._show()
+        painted.clear()
+        assert not app._is_late()
+        app._shown_s = -math.inf
+        assert app._is_late()
+        app._show()
+        assert not app._is_late()
+        assert painted
+        painted.clear()
+        app._show()
+        assert not painted
+
+    run_app(late, "running", size=SIZES[0])
+
+
+def test_a_run_that_is_over_is_never_late() -> None:
+    async def late(app: RecordingApp, pilot: Pilot[int]) -> None:
+        app._shown_s = -math.inf
+        assert not app._is_late()
+
+    run_app(late, "done", size=SIZES[0])

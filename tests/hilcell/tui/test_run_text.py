@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import msgspec
@@ -308,8 +309,9 @@ def test_reasons_are_short_and_a_long_one_is_never_cut() -> None:
 
 def test_a_run_that_ended_without_a_verdict_says_so() -> None:
     line = devices.interlocks(view_of("aborted"), UNICODE, 79).plain
-    assert "08:00:25" in line
-    assert "8 of 21" in line
+    assert "nothing may move" in line
+    assert re.search(r"move {3,}no verdict: 8 of 21 points", line)
+    assert "08:00:25 UTC" in devices.interlocks(view_of("aborted"), UNICODE, 119).plain
     assert end_remark(view_of("done")) == end_remark(view_of("running")) == ""
 
 

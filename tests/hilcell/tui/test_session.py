@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import timedelta
 from pathlib import Path
 from typing import Any, cast
 
@@ -9,10 +10,11 @@ import pytest
 
 from hilcell.errors import HilcellError
 from hilcell.tui.engine import session as sessions
-from hilcell.tui.engine.feed import RunUpdate
+from hilcell.tui.engine.feed import RunUpdate, utc_now
 from hilcell.tui.engine.run_view import EngineState
-from hilcell.tui.engine.session import PATIENCE_S, Session, utc_now
+from hilcell.tui.engine.session import PATIENCE_S, Session
 from tests.hilcell.tui.engine_peer import Peer
+from tests.hilcell.tui.sample_runs import status
 from tests.hilcell.tui.scripted_engine import ScriptedEngine
 
 
@@ -83,3 +85,16 @@ def test_an_engine_that_was_heard_once_is_never_killed(tmp_path: Path) -> None:
     session.take(RunUpdate([], engine=EngineState.NONE), utc_now())
     assert not session.stop()
     assert not process.ended
+
+
+def test_a_status_that_waited_for_a_busy_screen_is_as_old_as_its_answer(tmp_path: Path) -> None:
+    """It was dated when it was shown: two minutes late the lamps were green."""
+    session, now = session_of(tmp_path), utc_now()
+    for late_s, stale in ((0.5, False), (120.0, True)):
+        answered = now - timedelta(seconds=late_s)
+        session.take(
+            RunUpdate([], EngineState.ANSWERING, status("running"), answered=answered), now
+        )
+        assert session.view.status_age_s == pytest.approx(late_s)
+        assert session.view.stale is stale
+    session.close(leave=True)

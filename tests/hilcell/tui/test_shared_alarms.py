@@ -14,9 +14,9 @@ from hilcell.alarms.acknowledged import Acknowledged
 from hilcell.journal.journal import Record
 from hilcell.run import client
 from hilcell.run.control import Control
-from hilcell.tui.engine.feed import RunUpdate
+from hilcell.tui.engine.feed import RunUpdate, utc_now
 from hilcell.tui.engine.run_view import EngineState
-from hilcell.tui.engine.session import Session, utc_now
+from hilcell.tui.engine.session import Session
 from tests.hilcell.run import bed as beds
 from tests.hilcell.run.bed import Bed, Live, broken_beam
 from tests.hilcell.run.rig import Points, procedure

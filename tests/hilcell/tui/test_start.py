@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 from textual.pilot import Pilot
+from textual.widgets import Input
 
 from hilcell.cell.file import load_cell
 from hilcell.errors import HilcellError
@@ -56,11 +57,25 @@ def test_the_plan_follows_the_fields(monkeypatch: pytest.MonkeyPatch) -> None:
         assert f"--runs={RUNS}" in asked[0].arguments()  # where it looks for a calibration
         await press(pilot, "down")
         assert asked[-1].procedure == "home"
-        await press(pilot, "tab", "A", "n", "n")
-        assert asked[-1].operator == "Ann"
         assert "start: robot and rail will move in simulation only" in text_of(app)
 
     run_app(act, size=SIZE)
+
+
+def test_who_runs_it_and_for_what_job_plans_nothing_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = planned(monkeypatch)
+
+    async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
+        before = len(asked)
+        await press(pilot, "tab", "A", "n", "n")
+        assert app.screen.query_one("#operator", Input).value == "Ann"
+        await press(pilot, "tab", "J", "7", "enter")
+        assert isinstance(app.screen, PlanSummary)
+        await press(pilot, "enter")
+        assert len(asked) == before
+
+    (engine,) = run_app(act, size=SIZE).actions.engines
+    assert {"--operator=Ann", "--job=J7"} <= set(engine[1])
 
 
 def test_a_plan_of_earlier_fields_is_never_shown(monkeypatch: pytest.MonkeyPatch) -> None:
