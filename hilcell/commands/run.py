@@ -74,6 +74,7 @@ from hilcell.journal.runs import (
     read_log,
 )
 from hilcell.journal.runs_folder import runs_option
+from hilcell.journal.times import offset_min
 from hilcell.ports import Clock, HilcellError, Stopped
 from hilcell.run.cell_lock import (
     CellLocked,
@@ -469,4 +470,5 @@ def _plan_record(
         "job": args.job,
         "versions": {"hilcell": __version__, "python": platform.python_version()} | versions,
         "settings": dict(args.set),
+        "utc_offset_min": offset_min(),
     }

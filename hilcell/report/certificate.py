@@ -12,6 +12,7 @@ from hilcell.calibration.decision import RULE
 from hilcell.calibration.measurement_budget import Budget
 from hilcell.cell.file import Cell
 from hilcell.journal.calibration_facts import VALIDATION
+from hilcell.journal.times import in_zone
 from hilcell.report import pose_test
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import certified, validity_facts
@@ -113,7 +114,7 @@ def _measured_with(facts: Facts) -> str:
 
 
 def _dates(facts: Facts) -> str:
-    first, last = facts.records[0].t[:10], facts.last.t[:10]
+    first, last = in_zone(facts.records[0].t, facts.zone).date().isoformat(), facts.date
     return first if first == last else f"{first} to {last}"
 
 

@@ -21,7 +21,8 @@ _UNITS_IN_KEYS = {"°": "deg", "°C": "c", "%": "percent"}
 class Column(Generic[T]):
     """``of`` gives the value of a row, None where it has none.
 
-    ``form`` is how a figure is shown, as `format` takes it; words have none.
+    ``form`` is how a figure is shown, as `format` takes it; words have none, and words in
+    place of a figure need none.
     """
 
     name: str
@@ -43,10 +44,12 @@ class Column(Generic[T]):
     def text(self, row: T) -> str:
         """Return the value as it is shown, nothing where there is none."""
         value = self.of(row)
-        if value is None:
-            return ""
+        if value is None or isinstance(value, str):
+            return value or ""
         text = format(value, self.form)
-        return text if isinstance(value, str) else text.replace("-", "\N{MINUS SIGN}")
+        if not text.strip("-0."):  # no zero has a sign
+            return text.lstrip("-")
+        return text.replace("-", "\N{MINUS SIGN}")
 
 
 @dataclass(frozen=True, slots=True)

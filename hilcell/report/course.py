@@ -8,14 +8,18 @@ from operator import itemgetter
 from typing import Any
 
 from hilcell.journal.event_words import after, happened_words
+from hilcell.journal.journal import Record
 from hilcell.journal.key_words import in_words, key_words
 from hilcell.journal.log import Log
+from hilcell.journal.point_id import CONTROL
+from hilcell.journal.times import in_zone
 from hilcell.report.columns import Column, Sheet, sheet
 from hilcell.report.facts import Facts
 from hilcell.report.method import chosen_poses_words
 
 # Routine, or in a table of its own: counted, not listed.
 ROUTINE = ("connected", "closed", "tracker proven", "slide proven", "stream", "link")
+NOTHING_DONE = ("connected", "closed", "tracker proven", "slide proven", "link")
 STEPS = {
     "home": "Robot parked, rail referenced",
     "world-frame": "World frame {W} from the floor nests",
@@ -51,10 +55,12 @@ AT_WORK = ("checking", "running")
 STOPS = ("Engine", "Stopped", "Aborted", "Paused", "Suspended")  # with which bold lines begin
 Line = tuple[str, str]
 
-COURSE: tuple[Column[Line], ...] = (
-    Column("UTC", itemgetter(0)),
-    Column("course in words", itemgetter(1)),
-)
+
+def _columns(facts: Facts) -> tuple[Column[Line], ...]:
+    """Return the columns: local time, with UTC in brackets where that is another."""
+    name = facts.zone.tzname(None)
+    time = "UTC" if not facts.inputs.utc_offset_min else f"{name} (UTC)"
+    return Column(time, itemgetter(0)), Column("course in words", itemgetter(1))
 
 
 def course(facts: Facts) -> Sheet | None:
@@ -65,22 +71,30 @@ def course(facts: Facts) -> Sheet | None:
         f"listed: {counts['tracker proven']} proofs that the tracker stood still"
         + (f", {counts['slide proven']} that the slide did." if facts.cell.has_rail else ".")
     )
-    return sheet("Course of the run", COURSE, _dated(_lines(facts)), note)
+    return sheet("Course of the run", _columns(facts), _dated(_lines(facts), facts), note)
 
 
-def _dated(lines: Iterator[tuple[str, str]]) -> Iterator[Line]:
+def _dated(lines: Iterator[tuple[str, str]], facts: Facts) -> Iterator[Line]:
     """Yield lines by the time of day; the date stands where it changes."""
-    date = ""
-    for time, words in lines:
-        yield (time[11:19] if time[:10] == date else time[:19].replace("T", " ")), words
-        date = time[:10]
+    date = None
+    for t, words in lines:
+        moment = in_zone(t, facts.zone)
+        time = f"{moment:%H:%M:%S}" if moment.date() == date else f"{moment:%Y-%m-%d %H:%M:%S}"
+        yield (f"{time} ({t[11:19]})" if moment.utcoffset() else time), words
+        date = moment.date()
 
 
 def _lines(facts: Facts) -> Iterator[tuple[str, str]]:
-    """Yield time and words of each line; a step also says how many points it gave."""
+    """Yield time and words of each line; a step also says how many points it gave.
+
+    Every session goes through all steps again, past what is measured already: there a step is listed
+    only where something happened in it.
+    """
     log, last = Log(), ""
     found: list[tuple[str, str]] = []
     counts: Counter[int] = Counter()  # points by the number of their step's line
+    known = set[str]()  # the names of steps that began
+    idle, computed = set[int](), set[int]()  # lines of steps that did nothing, or only computed
     step = -1
     for record in facts.records:
         starts = _starts(record.kind, record.body)
@@ -90,11 +104,37 @@ def _lines(facts: Facts) -> Iterator[tuple[str, str]]:
             found.append((record.t, words))
             begins = record.kind == "event" and record.body["what"] == "step"
             step = len(found) - 1 if begins else -1 if starts else step
-        counts[step] += record.kind == "point"
+            if begins and record.body["name"] in known:
+                idle.add(step)
+            known.update([record.body["name"]] if begins else [])
+        if _is_done(record):
+            idle.discard(step)
+        elif _is_computed(record, log) and step in idle:
+            computed.add(step)
+        counts[step] += record.kind == "point" and record.body["group"] != CONTROL
         last = record.t
         log.take(record)
     for n, (time, words) in enumerate(found):
-        yield time, f"{words}{_points(counts[n])}"
+        if n not in idle:
+            yield time, f"{words}{_points(counts[n])}"
+        elif n in computed:
+            yield time, f"{words} Computed again, nothing measured."
+
+
+def _is_done(record: Record) -> bool:
+    """Whether a record is of something that a step did beside computing."""
+    match record.kind:
+        case "point":
+            return bool(record.body["group"] != CONTROL)
+        case "event":
+            return record.body["what"] not in ("step", *NOTHING_DONE)
+    return record.kind == "intent"
+
+
+def _is_computed(record: Record, log: Log) -> bool:
+    """Whether a record is of a frame or a verdict that was not known as it is now."""
+    known = {"frame": log.frames, "verdict": log.verdicts}.get(record.kind)
+    return known is not None and known.get(record.key) != record.body
 
 
 def _points(count: int) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import tzinfo
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from hilcell.journal.calibration_facts import REVOKED
 from hilcell.journal.journal import Record, chain
 from hilcell.journal.log import Log, PlanRecord
 from hilcell.journal.runs import CALIBRATION, read_records
+from hilcell.journal.times import in_zone, zone_of
 from hilcell.ports import HilcellError
 from hilcell.run.procedure import Procedure, Table
 
@@ -58,6 +60,16 @@ class Facts:
     def last(self) -> Record:
         """Return the last record of the run itself."""
         return next(record for record in reversed(self.records) if not _revokes(record))
+
+    @property
+    def zone(self) -> tzinfo:
+        """Return the zone of the clock on the wall where the run was made."""
+        return zone_of(self.inputs.utc_offset_min)
+
+    @property
+    def date(self) -> str:
+        """Return the day on which the run ended, there."""
+        return in_zone(self.last.t, self.zone).date().isoformat()
 
     @property
     def table(self) -> Table | None:

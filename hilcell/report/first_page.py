@@ -5,7 +5,7 @@ It stands alone: nothing on it needs another page. Results are those of the jour
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from operator import attrgetter
 from typing import NamedTuple
@@ -20,22 +20,26 @@ from hilcell.calibration.measurement_budget import Budget
 from hilcell.calibration.validity import MAX_AGE_DAYS, TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import zyx_from_pose
-from hilcell.journal.calibration_facts import JUDGING, VALIDATION, run_outcome
-from hilcell.journal.calibration_facts import OUTCOMES as STATED
+from hilcell.geometry.sequential import Outcome
+from hilcell.journal.calibration_facts import (
+    JUDGING,
+    OUTCOMES,
+    VALIDATION,
+    VERDICTS,
+    run_outcome,
+)
 from hilcell.report import pose_test
-from hilcell.report.columns import Column, Sheet, sheet
+from hilcell.report.columns import Column, Sheet, Value, sheet
 from hilcell.report.facts import Facts
 from hilcell.report.pose_test import tests_poses
 from hilcell.report.target_budget import TargetBudget
 from hilcell.report.verdicts import with_signs
 
 K_3D = 2.80  # times u of one coordinate: 95 % of three equal normal ones (chi^2, 3 degrees)
-UNDECIDED = STATED["undecided"]
 BLANK = "…" * 12  # to fill in by hand
 NO_CERTIFICATE, NOT_APPLICABLE = "none, simulated", "–"
 MOST_PLACES, LONG_NAME = 4, 20  # whose results stand on the page; one of long names
 MOST_DECIDING = 2  # stations that the verdict's sentence names
-OUTCOMES = {"accepted": "pass", "undecided": UNDECIDED, "rejected": "fail"}
 
 
 class Fact(NamedTuple):
@@ -47,13 +51,19 @@ class Fact(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """One figure against its limit, mm; None where it was not measured or is not stated."""
+    """One figure against its limit, mm; None where it was not measured or is not stated.
+
+    Without ``U_mm`` it is a bound, which has the uncertainty in it.
+
+    ``also`` is an outcome that no figure explains by itself: of too few targets.
+    """
 
     name: str
     limit_mm: float
     before_mm: float | None
     after_mm: float
     U_mm: float | None
+    also: Outcome = "accepted"
 
     @property
     def most_mm(self) -> float:
@@ -61,29 +71,60 @@ class Result:
         return self.limit_mm - (self.U_mm or 0.0)
 
     @property
+    def before(self) -> Value:
+        """Return the figure before, nothing where it was not measured; a bound has none."""
+        return NOT_APPLICABLE if self.U_mm is None else self.before_mm
+
+    @property
+    def U(self) -> Value:  # noqa: N802 - GUM's symbol
+        """Return U of the figure; a bound has it in."""
+        return "included" if self.U_mm is None else self.U_mm
+
+    @property
     def verdict(self) -> str:
-        """Return whether it keeps the limit, by the decision rule."""
-        return OUTCOMES[outcome_of(self.after_mm, self.limit_mm, self.U_mm or 0.0)]
+        """Return whether it keeps the limit, by the decision rule, which judges no bound."""
+        if self.U_mm is None:
+            return NOT_APPLICABLE
+        found = outcome_of(self.after_mm, self.limit_mm, self.U_mm)
+        return VERDICTS[gravest([found, self.also])]
 
 
 RESULTS: tuple[Column[Result], ...] = (
     Column("3-D position error", attrgetter("name")),
     Column("limit", attrgetter("limit_mm"), "mm", ".3f"),
-    Column("before", attrgetter("before_mm"), "mm", ".3f"),
+    Column(
+        "before", lambda row: NOT_APPLICABLE if row.U_mm is None else row.before_mm, "mm", ".3f"
+    ),
     Column("after", attrgetter("after_mm"), "mm", ".3f"),
-    Column("U", attrgetter("U_mm"), "mm", ".3f"),
+    Column("U", attrgetter("U"), "mm", ".3f"),
     Column("after may be at most", attrgetter("most_mm"), "mm", ".3f"),
     Column("verdict", attrgetter("verdict"), form="s"),
 )
 
 
-def results_sheet(facts: Facts) -> Sheet | None:
+def results_sheet(facts: Facts, targets: TargetBudget) -> Sheet | None:
     """Return the table of results, nothing where nothing was judged."""
     if tests_poses(facts):
-        return pose_test.results_sheet(facts)
+        return conditional(pose_test.results_sheet(facts), facts)
     left = len(judged_places(facts)) - len(_shown(facts))
     note = f"{left} stations further from their limits: see Verdicts." if left else ""
-    return sheet("Results", RESULTS, shown_results(facts), note)
+    results = shown_results(facts)
+    if results and (bound := bound_result(facts, targets)) is not None:
+        results.append(bound)
+    return conditional(sheet("Results", RESULTS, results, note), facts)
+
+
+def conditional(found: Sheet | None, facts: Facts) -> Sheet | None:
+    """Return a table of results; the verdicts on a simulated cell, in its last column, stand in
+    brackets.
+    """
+    if found is None or not facts.inputs.simulated:
+        return found
+    return replace(found, rows=[_in_brackets(row) for row in found.rows])
+
+
+def _in_brackets(row: list[str]) -> list[str]:
+    return [*row[:-1], f"({row[-1]})"] if row[-1] in VERDICTS.values() else row
 
 
 def judged_places(facts: Facts) -> dict[str, Judged]:
@@ -124,11 +165,18 @@ def nearest_results(facts: Facts, targets: TargetBudget) -> list[tuple[str, Resu
         shares = {name: pair[n].after_mm / pair[n].limit_mm for name, pair in pairs.items()}
         name = max(shares, key=shares.__getitem__)
         found.append((f"{word}, {name}", pairs[name][n]))
-    if not targets.missing:
-        limit_mm = found[1][1].limit_mm
-        bound_mm = max(float(each.radii_mm.max()) for each in targets.in_use.values())
-        found.append(("95 % bound", Result("95 % bound", limit_mm, None, bound_mm, None)))
+    if (bound := bound_result(facts, targets)) is not None:
+        found.append(("95 % bound", bound))
     return found
+
+
+def bound_result(facts: Facts, targets: TargetBudget) -> Result | None:
+    """Return the largest 95 % bound of a corrected target, None where none is stated."""
+    if targets.missing:
+        return None
+    bound_mm = max(float(each.radii_mm.max()) for each in targets.in_use.values())
+    limit_mm = facts.cell.validation.max_tolerance_mm
+    return Result("Largest 95 % bound of a target", limit_mm, None, bound_mm, None)
 
 
 def results_at(facts: Facts, name: str) -> tuple[Result, Result]:
@@ -137,12 +185,13 @@ def results_at(facts: Facts, name: str) -> tuple[Result, Result]:
     before = series["before"].figures if "before" in series else None
     sent = len(series["before"]) if "before" in series else 0
     count = len(series["chosen"]) if "chosen" in series else 0
+    also: Outcome = "accepted" if each.holds or each.deciding != each.decision else each.outcome
     targets = f"{count} targets at {name}" + (
         f" (before: {sent})" if sent not in (0, count) else ""
     )
     return (
         Result(f"Mean of {targets}", each.mean_tolerance_mm,
-               before.mean if before else None, each.mean_mm, each.mean_U_mm),
+               before.mean if before else None, each.mean_mm, each.mean_U_mm, also),
         Result(f"Largest of {targets}", each.max_tolerance_mm,
                before.max if before else None, each.max_mm, each.max_U_mm),
     )  # fmt: skip
@@ -157,13 +206,13 @@ def verdict_word(facts: Facts) -> str:
         return "REVOKED"
     if not facts.finished or facts.log.end is None:
         return "NO VERDICT"
-    outcome = run_outcome(facts.log)
+    outcome = run_outcome(facts.log).partition(";")[0]  # a suspicion is stated beside it
     if not any(key.startswith(JUDGING) for key in facts.log.verdicts):
         return outcome.upper()
     simulated = facts.inputs.simulated
-    if outcome == UNDECIDED:
+    if outcome == OUTCOMES["undecided"]:
         return "WOULD BE UNDECIDED" if simulated else "UNDECIDED"
-    word = "PASS" if outcome == "in tolerance" else "FAIL"
+    word = "PASS" if outcome == OUTCOMES["accepted"] else "FAIL"
     return f"WOULD {word}" if simulated else word
 
 
@@ -215,7 +264,7 @@ def item_facts(facts: Facts, measured: str) -> list[Fact]:
         Fact("Robot", f"{cell.robot.name}{robot}, {on}"),
         Fact("Stations", names + more),
         *(Fact(*each) for each in pose_test.stated_conditions(facts)),
-        Fact("Measured", f"{measured} UTC"),
+        Fact("Measured", measured),
         Fact("Operator", facts.inputs.operator),
     ]
 

@@ -19,6 +19,7 @@ from hilcell.geometry.frames import apply
 from hilcell.journal.calibration_facts import run_outcome
 from hilcell.journal.curve_record import URAD, CurveRecord
 from hilcell.journal.point_id import CONTROL
+from hilcell.journal.times import span_words
 from hilcell.ports import Array
 from hilcell.report import pose_test, tables, turns
 from hilcell.report.budget_table import ERROR_SUM, TARGET_SUM, budget_sheet
@@ -42,6 +43,7 @@ from hilcell.report.drawings.variance import variance_bar
 from hilcell.report.drawings.vectors import vectors
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import (
+    conditional,
     deciding,
     instruments,
     item_facts,
@@ -266,8 +268,10 @@ def _first_page(facts: Facts, budget: Budget | None, targets: TargetBudget) -> d
         "word": verdict_word(facts),
         "sentence": sentence(facts),
         "conformity": conformity_words(facts),
-        "results": results_sheet(facts),
-        "turn_results": pose_test.turn_results(facts) or turns.results_sheet(facts),
+        "results": results_sheet(facts, targets),
+        "turn_results": conditional(
+            pose_test.turn_results(facts) or turns.results_sheet(facts), facts
+        ),
         "strip": strip(nearest_results(facts, targets), facts.inputs.simulated),
         "uncertainty": uncertainty_words(facts, budget),
         "item": item_facts(facts, measured(facts)),
@@ -358,7 +362,5 @@ def tracker_mm(facts: Facts) -> Array:
 
 
 def measured(facts: Facts) -> str:
-    """Return from when to when the run went, to the second, UTC."""
-    first, last = facts.records[0].t, facts.last.t
-    begin, end = first[:19].replace("T", " "), last[:19].replace("T", " ")
-    return f"{begin} to {end[11:] if end[:10] == begin[:10] else end}"
+    """Return from when to when the run went."""
+    return span_words(facts.records[0].t, facts.last.t, facts.zone)

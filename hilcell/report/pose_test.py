@@ -12,6 +12,7 @@ from hilcell.calibration.decision import RULE
 from hilcell.calibration.pose_test import ANGLES, ISO, LIMITS, TURN_LIMITS, attained, worst_turn
 from hilcell.geometry.pose_test import CORNERS, CYCLE, PLANE
 from hilcell.geometry.statistics import from_mean_mm
+from hilcell.journal.calibration_facts import VERDICTS
 from hilcell.report.columns import Column, Sheet, present, sheet
 from hilcell.report.drawings.svg import INK, MUTED, axes_sheet
 from hilcell.report.facts import Facts
@@ -41,7 +42,7 @@ class Result(NamedTuple):
         """Return whether the value and its U keep the limit."""
         if self.limit is None:
             return "not judged"
-        return "in" if self.value + self.U <= self.limit else "out"
+        return VERDICTS["accepted" if self.value + self.U <= self.limit else "rejected"]
 
 
 def _results_in(unit: str, form: str) -> tuple[Column[Result], ...]:

@@ -12,10 +12,11 @@ from hilcell.calibration.decision import outcome_of
 from hilcell.calibration.errors import OTHERS, places
 from hilcell.calibration.orientation import Turned, validated_turns
 from hilcell.geometry.statistics import Figures
+from hilcell.journal.calibration_facts import VERDICTS
 from hilcell.report.columns import Column, Sheet, Value, sheet
 from hilcell.report.drawings.paper_figures import series_name
 from hilcell.report.facts import Facts
-from hilcell.report.first_page import OUTCOMES, judged_places
+from hilcell.report.first_page import judged_places
 
 # A place, the way of sending, how many targets, their figures.
 Oriented = tuple[str, str, int, Mapping[str, float]]
@@ -45,7 +46,7 @@ class Result(NamedTuple):
     @property
     def verdict(self) -> str:
         """Return whether it keeps the limit, by the decision rule."""
-        return OUTCOMES[outcome_of(self.after_deg, self.limit_deg, self.U_deg)]
+        return VERDICTS[outcome_of(self.after_deg, self.limit_deg, self.U_deg)]
 
 
 RESULTS: tuple[Column[Result], ...] = (

@@ -80,8 +80,9 @@ def _revisits(body: Body) -> str:
     chance = f"which chance alone keeps in {100 * (1 - RISK):g} % of runs"
     moved = "".join(f"; suspected: {each}" for each in body["suspected"])
     return (
-        f"differences from the first visits, chi² per degree of freedom {body['ratio']:.2f}, "
-        f"limit {body['limit']:.2f}, {chance}{moved}"
+        f"the squares of the differences from the first visits are {body['ratio']:.2f} times what "
+        "readings and repeatability explain (chi² per degree of freedom: about 1 where nothing has "
+        f"changed); limit {body['limit']:.2f}, {chance}{moved}"
     )
 
 

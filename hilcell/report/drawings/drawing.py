@@ -27,17 +27,12 @@ ENDS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)  # of a scale
 
 
 def svg(width: float, height: float, title: str, parts: Iterable[str], simulated: bool) -> str:
-    """Return a drawing of this size."""
-    shown = escape(title)
-    mark = (
-        f'<text x="{width / 2:.1f}" y="{height / 2:.1f}" text-anchor="middle" fill="none" '
-        f'stroke="#cfd5db" stroke-width="0.3" font-size="{min(7.0, width / 9):.1f}" '
-        'font-weight="bold">SIMULATION</text>'
-    )
+    """Return a drawing of this size; its title says so where it is of a simulation."""
+    shown = escape(f"SIMULATION: {title}" if simulated else title)
     return (
         f'<svg class="drawn" viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{shown}" '
         f'style="width:{width:g}mm" font-size="{LABEL_MM}" fill="{INK}" stroke-width="0.3">'
-        f"<title>{shown}</title>{mark if simulated else ''}{''.join(parts)}</svg>"
+        f"<title>{shown}</title>{''.join(parts)}</svg>"
     )
 
 

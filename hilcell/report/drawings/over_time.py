@@ -49,7 +49,7 @@ def floor_moves(facts: Facts) -> str:
     parts = [
         *_stops(facts, frame),
         hatched(frame.x.begin, TOP_MM, frame.x.end - frame.x.begin, limit - TOP_MM),
-        frame.drawn("time, UTC", "move since the first, mm", _ticks(facts)),
+        frame.drawn(f"time, {facts.zone.tzname(None)}", "move since the first, mm", _ticks(facts)),
         frame.level(limit_mm, INK, 0.6),
         text(frame.x.end, limit - 1.2, f"limit {limit_mm:.3f}", "end"),
     ]
@@ -69,6 +69,7 @@ def air(facts: Facts) -> str:
     valid = _valid(facts) or (float(celsius.min()), float(celsius.max()))
     low, high = min(valid[0], celsius.min()) - 0.3, max(valid[1], celsius.max()) + 0.3
     frame = _frame(facts, Scale(float(low), float(high), HEIGHT_MM - BOTTOM_MM, TOP_MM))
+    time = f"time, {facts.zone.tzname(None)}"
     parts, named = [], []
     if _valid(facts):
         bottom, top = frame.y.one(valid[0]), frame.y.one(valid[1])
@@ -80,7 +81,7 @@ def air(facts: Facts) -> str:
             y = frame.y.one(value) + (3.2 if value == valid[1] else -1.0)
             named.append(text(frame.x.end - 1.0, y, f"{words} {value:.1f}", "end"))
     parts += _stops(facts, frame)
-    parts.append(frame.drawn("time, UTC", "air at the tracker, °C", _ticks(facts)))
+    parts.append(frame.drawn(time, "air at the tracker, °C", _ticks(facts)))
     parts.append(path(_thinned(frame.at(at_s, celsius)), AFTER, 0.6))
     parts += named
     words = f"{celsius.min():.1f} to {celsius.max():.1f} °C"
@@ -118,9 +119,8 @@ def _frame(facts: Facts, y: Scale) -> Frame:
 def _ticks(facts: Facts) -> list[tuple[float, str]]:
     begin, end = _seconds(facts.records[0].t), _seconds(facts.last.t)
     form = "%H:%M:%S" if end - begin < SHORT_S else "%H:%M"
-    utc = datetime.fromisoformat(facts.records[0].t).tzinfo
     return [
-        (float(each), datetime.fromtimestamp(each, tz=utc).strftime(form))
+        (float(each), datetime.fromtimestamp(each, tz=facts.zone).strftime(form))
         for each in np.linspace(begin, max(end, begin + 1.0), TICKS)
     ]
 

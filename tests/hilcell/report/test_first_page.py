@@ -1,18 +1,22 @@
 """The first page and its verdicts: a page that is signed is whole, nothing simulated can be."""
 
 import hashlib
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import msgspec
 import numpy as np
 import pytest
 
+from hilcell.calibration.influence import Bounds
 from hilcell.cell.file import load_cell
 from hilcell.journal.calibration_facts import REVOKED
 from hilcell.journal.index import row_of
 from hilcell.report.certificate import certificate, title
+from hilcell.report.course import course
 from hilcell.report.drawings.plan_view import plan_view
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.first_page import (
@@ -102,7 +106,7 @@ def test_report_and_list_of_runs_have_one_word(
 
 
 def test_results_beside_their_limits(tmp_path: Path) -> None:
-    found = results_sheet(judged(tmp_path / "r", max_mm=0.27))
+    found = results_sheet(judged(tmp_path / "r", max_mm=0.27), TargetBudget("none"))
     assert found is not None
     assert found.rows == [
         ["Mean of 4 targets at S1100", "0.120", "2.000", "0.050", "0.040", "0.080", "pass"],
@@ -236,3 +240,76 @@ VALIDATED = {
 def test_figures_have_units(key: str, body: dict[str, Any], figures: list[str]) -> None:
     words = figures_words(key, body)
     assert [each for each in figures if each not in words] == []
+
+
+# -- simulated, zones, bounds ----------------------------------------------------------------------
+
+
+def test_verdicts_of_a_simulation_stand_in_brackets(tmp_path: Path) -> None:
+    facts = judged(tmp_path / "s", plan={"simulated": True}, max_mm=0.27)
+    found = results_sheet(facts, TargetBudget("none"))
+    assert found is not None
+    assert [row[-1] for row in found.rows] == ["(pass)", "(undecided)"]
+
+
+def test_the_95_percent_bound_stands_in_the_table_and_is_not_judged(tmp_path: Path) -> None:
+    facts = judged(tmp_path / "r")
+    radii_mm = np.array([0.05, 0.074])
+    bounds = cast("Bounds", SimpleNamespace(radii_mm=radii_mm))
+    found = results_sheet(facts, TargetBudget(in_use={"S1100": bounds}))
+    assert found is not None
+    limit = f"{facts.cell.validation.max_tolerance_mm:.3f}"
+    assert found.rows[-1][1:] == [limit, "–", "0.074", "included", limit, "–"]
+
+
+def test_too_few_targets_make_a_row_undecided_whose_figures_are_not(tmp_path: Path) -> None:
+    facts = judged(tmp_path / "r", outcome="undecided", holds=False, decision="too few targets")
+    found = results_sheet(facts, TargetBudget("none"))
+    assert found is not None
+    assert [row[-1] for row in found.rows] == ["undecided", "pass"]
+
+
+def test_a_run_that_is_undecided_and_suspected_is_undecided_on_the_first_page(
+    tmp_path: Path,
+) -> None:
+    """The page said FAIL where the screen said UNDECIDED."""
+    writer = validated_run(tmp_path / "r", simulated=False)
+    body = JUDGED | {"holds": False, "outcome": "undecided"}
+    writer.journal.append("verdict", "validation.S1100", body)
+    suspected = {"holds": False, "suspected": ["tracker moved"]}
+    writer.journal.append("verdict", "suspicions", suspected)
+    assert verdict_word(read_facts(writer.ended(code=1))) == "UNDECIDED"
+
+
+def test_times_are_those_of_the_wall_beside_utc(tmp_path: Path) -> None:
+    utc = judged(tmp_path / "u")
+    assert measured(utc).endswith(" UTC")
+    assert "UTC+" not in measured(utc)
+    there = judged(tmp_path / "r", plan={"utc_offset_min": 330})
+    assert "UTC+05:30 (" in measured(there)
+    assert measured(there).endswith(" UTC)")
+    listed = course(there)
+    assert listed is not None
+    assert listed.headers[0] == "UTC+05:30 (UTC)"
+    hours = [int(time[-9:-7]) * 60 + int(time[-6:-4]) for time, _ in listed.rows]
+    for (time, _), minutes in zip(listed.rows, hours, strict=True):
+        clock = time[:-11][-8:]
+        assert (int(clock[:2]) * 60 + int(clock[3:5]) - minutes) % 1440 == 330
+
+
+def test_the_laboratory_and_its_customer_stand_on_top(tmp_path: Path) -> None:
+    html = report_html(judged(tmp_path / "r"))
+    places = [html.index(word) for word in ("Laboratory", "Customer", "<h1>", 'class="verdict')]
+    assert places == sorted(places)
+
+
+def test_nothing_is_green_and_the_watermark_is_an_outline_behind_all(tmp_path: Path) -> None:
+    html = report_html(judged(tmp_path / "s", plan={"simulated": True}))
+    assert html.count("SIMULATION</div>") == 1  # figures have it in their titles alone
+    assert not re.search(r">SIMULATION</text>", html)
+    mark = re.search(r"\.watermark \{([^}]*)\}", html)
+    assert mark is not None
+    assert "z-index: -1" in mark[1]
+    assert "color: transparent" in mark[1]
+    for red, green, blue in re.findall(r"#([0-9a-f]{2})([0-9a-f]{2})([0-9a-f]{2})\b", html):
+        assert int(green, 16) <= max(int(red, 16), int(blue, 16)) + 8

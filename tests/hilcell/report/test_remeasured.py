@@ -152,3 +152,35 @@ def test_of_an_orientation_the_larger_value_counts_too(
     }
     turned = validated_turns(facts.log, ["S1100"])["chosen"]
     assert turned.figures["max_deg"] == pytest.approx(0.0573, abs=1e-4)
+
+
+def test_a_step_that_a_later_session_only_passes_is_not_in_the_course(tmp_path: Path) -> None:
+    """A resumed run listed sweeps, frames and fit as if it had measured all of them again."""
+    writer = Writer(tmp_path / "r").began()
+
+    def steps(*names: str) -> None:
+        for number, name in enumerate(names, 1):
+            event = {"what": "step", "name": name, "number": number, "of": 4}
+            writer.journal.append("event", "", event)
+            if name == "world-frame":  # the same again, at every start
+                writer.journal.append("event", "", {"what": "tracker proven", "off_mm": [0.01]})
+                writer.journal.append("frame", "world", {"matrix": np.eye(4).tolist()})
+            if name == "fit":
+                body = {"holds": True, "method": "hybrid", "points": len(names)}
+                writer.journal.append("verdict", "fit", body)
+
+    steps("world-frame", "axis-sweeps", "fit")
+    writer.validated("S1100", "before", AFTER_MM)
+    writer.state("run", "checking")
+    steps("world-frame", "axis-sweeps", "fit", "validate")
+    writer.validated("S1100", "chosen", AFTER_MM[:1])
+    writer.state("run", "checking")
+    steps("world-frame", "axis-sweeps", "fit", "validate")
+    found = course(read_facts(writer.left()))
+    assert found is not None
+    lines = [row[1] for row in found.rows]
+    assert [sum(word in line for line in lines) for word in ("World", "sweeps", "Targets")] == [
+        1, 1, 1,
+    ]  # fmt: skip
+    fitted = [line for line in lines if line.startswith("Models")]
+    assert ["nothing measured" in line for line in fitted] == [False, True]
