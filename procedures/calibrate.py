@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from hilcell.geometry.statistics import Figures
+from hilcell.journal.calibration_facts import OUTCOMES
 from hilcell.run.procedure import Procedure, Table
 from procedures.axis_sweeps import AxisSweeps, sweep_table, sweep_words
 from procedures.base_frame import BaseFrame
@@ -37,7 +38,7 @@ def validation_table(result: dict[str, Any]) -> Table:
             each = figures[label]
             name = f"chosen: {result['method']}" if label == "chosen" else label
             if label == "chosen" and "decision" in figures:
-                name += f", {figures['decision']['outcome']}"
+                name += f", {OUTCOMES[figures['decision']['outcome']]}"
             counts = figures.get("points_sent", {"before": figures["points"]})
             first = [where if label == "before" else "", str(counts.get(label, ""))]
             texts = [f"{each[figure]:.4f}" if figure in each else "" for figure in names]

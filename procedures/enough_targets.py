@@ -10,15 +10,16 @@ import numpy as np
 from hilcell.calibration.decision import (
     NO_GUARD,
     Guard,
-    Limits,
     gravest,
     guard_of,
     limits_of,
     limits_within,
+    outcome_of,
 )
 from hilcell.calibration.errors import validation
 from hilcell.cell.file import Cell
 from hilcell.geometry.sequential import Decision, Outcome, SequentialRule
+from hilcell.journal.calibration_facts import OUTCOMES
 from hilcell.journal.log import Log
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
@@ -112,40 +113,54 @@ def rounds(log: Log, station: str, how: str) -> Iterator[range]:
 
 
 def judgement(log: Log, stations: list[str]) -> dict[str, Any]:
-    """Return the gravest decision at ``stations``, the targets of each, and what it means."""
+    """Return the outcome at ``stations``, the targets of each, and what it means.
+
+    More targets cannot accept what is shown to be above a tolerance less U. It is out of tolerance
+    only by the rule of all results: where a figure less U is above the tolerance, too.
+    """
     decisions = [decision_at(log, station) for station in stations]
-    outcome = gravest([each.outcome for each in decisions])
     counts = [each.targets for each in decisions]
-    errors_mm = validation(log, stations)["chosen"].norms_mm
-    guards = [guard_at(log, station) for station in stations]
-    widest = Guard(max(each.mean_mm for each in guards), max(each.max_mm for each in guards))
-    within = limits_within(limits_of(log.cell), widest)
-    text = meaning(log.cell, outcome, float(errors_mm.max()), within)
+    chosen, limits = validation(log, stations)["chosen"], limits_of(log.cell)
+    guard, figures = guard_of(log, len(chosen)), chosen.figures
+    outcome = gravest([
+        *("accepted" if each.outcome == "accepted" else "undecided" for each in decisions),
+        outcome_of(figures.mean, limits.mean_mm, guard.mean_mm),
+        outcome_of(figures.max, limits.max_mm, guard.max_mm),
+    ])  # fmt: skip
+    enough = all(each.outcome == "rejected" for each in decisions if each.outcome != "accepted")
+    text = meaning(log.cell, outcome, guard, enough=enough)
     return {
         "outcome": outcome,
         "targets": counts,
-        "text": f"{outcome} after {' + '.join(map(str, counts))} targets: {text}",
+        "text": f"{OUTCOMES[outcome]} after {' + '.join(map(str, counts))} targets: {text}",
         "accept_risk": log.cell.plan.accept_risk,
         "reject_risk": log.cell.plan.reject_risk,
         "share_above_max": log.cell.plan.share_above_max,
     }
 
 
-def meaning(cell: Cell, outcome: Outcome, largest_mm: float, limits: Limits) -> str:
-    """Return in words what an outcome has shown, or has not, of ``limits``: less U."""
-    plan = cell.plan
-    within = (
-        f"that the mean is below {limits.mean_mm:.3f} mm, and that less than "
-        f"{plan.share_above_max:.1%} of the volume is above {limits.max_mm:.3f} mm (the tolerances "
-        "less U)"
-    )
+def meaning(cell: Cell, outcome: Outcome, guard: Guard, *, enough: bool) -> str:
+    """Return in words what an outcome has shown of the tolerances, or has not.
+
+    ``enough``: more targets would not change it.
+    """
+    plan, limits = cell.plan, limits_of(cell)
+    within = limits_within(limits, guard)
     if outcome == "accepted":
-        return f"it is shown, at a risk of {plan.accept_risk:.1%} each, {within}"
-    if outcome == "undecided":
-        return f"it is not shown {within}, nor the contrary; allow more in plan.most_targets"
-    if not largest_mm <= limits.max_mm:
-        return f"one is above {limits.max_mm:.3f} mm, the tolerance less U"
+        return (
+            f"it is shown, at a risk of {plan.accept_risk:.1%} each, that the mean is below "
+            f"{within.mean_mm:.3f} mm, and that less than {plan.share_above_max:.1%} of the volume "
+            f"is above {within.max_mm:.3f} mm (the tolerances less U)"
+        )
+    if outcome == "rejected":
+        return "the mean or the largest error less its U is above its tolerance"
+    if not enough:
+        return (
+            "neither that the tolerances less U are kept is shown nor the contrary; allow more in "
+            "plan.most_targets"
+        )
     return (
-        f"it is shown, at a risk of {plan.reject_risk:.1%}, that the mean is above "
-        f"{limits.mean_mm:.3f} mm, the tolerance less U"
+        f"the errors are within U of the tolerances: U of the mean is {guard.mean_mm:.3f} mm of "
+        f"{limits.mean_mm:g}, of a single error {guard.max_mm:.3f} mm of {limits.max_mm:g}; more "
+        "targets do not help, a smaller U does"
     )

@@ -176,7 +176,7 @@ def pose_words(result: dict[str, Any]) -> str:
     return (
         f"The robot {tested}: AP_p {worst['ap_mm']:.3f} mm at worst ({worst['ap_pose']}), RP_l "
         f"{worst['rp_mm']:.3f} mm ({worst['rp_pose']}); distance {way['from']}-{way['to']}: AD "
-        f"{way['ad_mm']:+.4f} mm (U {way['ad_u95_mm']:.4f}), RD ±{way['rd_mm']:.4f} mm."
+        f"{way['ad_mm']:+z.4f} mm (U {way['ad_u95_mm']:.4f}), RD ±{way['rd_mm']:.4f} mm."
         f"{turn_words(found.get('orientation', {}))} Departures from ISO 9283: "
         f"{'; '.join(found['deviations'])}."
     )

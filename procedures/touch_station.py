@@ -95,7 +95,7 @@ def touch_table(result: dict[str, Any]) -> Table:
         [
             name,
             str(found["poses"]),
-            f"{found['along_rail_mm']:+.4f}",
+            f"{found['along_rail_mm']:+z.4f}",
             f"{np.linalg.norm(found['shift_mm']):.4f}",
             f"{np.linalg.norm(found['turn_urad']):.1f}",
             f"{found['u_before_mm']:.4f}",

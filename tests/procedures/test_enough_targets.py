@@ -8,11 +8,12 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from hilcell.calibration.decision import Guard
+from hilcell.calibration.decision import Guard, judged, limits_of
 from hilcell.calibration.errors import Errors
 from hilcell.calibration.frames import grid_of
 from hilcell.cell.file import load_cell
 from hilcell.geometry.sequential import Decision
+from hilcell.journal.calibration_facts import OUTCOMES
 from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
 from hilcell.run.cell_session import CellSession
@@ -99,3 +100,29 @@ def test_a_plan_that_can_never_accept_is_refused() -> None:
 def test_the_paper_has_no_quick_plan() -> None:
     with pytest.raises(HilcellError, match="paper"):
         PaperRows().plan(QUICK, 1)
+
+
+@pytest.mark.parametrize(
+    ("error_mm", "outcome"),
+    [
+        (0.02, "accepted"),
+        (0.07, "undecided"),  # shown to be above the tolerance less U: more do not help
+        (0.18, "rejected"),
+    ],
+)
+def test_what_is_above_a_tolerance_less_u_is_out_of_tolerance_only_above_it_less_u_too(
+    error_mm: float, outcome: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The report said undecided of the very figures that the verdict called rejected."""
+    cell = load_cell("paper", {"plan.quick": "true", "validation.mean_tolerance_mm": "0.1"})
+    found = Errors(np.zeros((96, 3)), np.tile([error_mm, 0.0, 0.0], (96, 1)))
+    log, guard = cast("Log", SimpleNamespace(cell=cell, events=[])), Guard(0.06, 0.06)
+    monkeypatch.setattr(enough_targets, "validation", lambda log, stations: {"chosen": found})
+    monkeypatch.setattr(enough_targets, "guard_of", lambda log, count: guard)
+    assert enough_targets.decision_at(log, "S300").outcome != "undecided"  # more would not help
+    judgement = enough_targets.judgement(log, ["S300"])
+    assert judgement["outcome"] == outcome
+    verdict = judged(error_mm, error_mm, limits_of(cell), guard, also=judgement["outcome"])
+    assert verdict.outcome == outcome
+    assert "most_targets" not in judgement["text"]
+    assert judgement["text"].startswith(OUTCOMES[verdict.outcome])

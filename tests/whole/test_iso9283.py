@@ -19,6 +19,7 @@ from hilcell.report.certificate import conformity_words
 from hilcell.report.facts import read_facts
 from hilcell.report.first_page import results_sheet, verdict_word
 from hilcell.report.html import standing
+from hilcell.report.target_budget import TargetBudget
 from procedures.iso9283 import PoseTest
 from tests.hilcell.report.test_every_procedure import assert_references_resolve
 from tests.whole.bench import SMALL, Simulation, command, cut, end_of, events, sets, simulation
@@ -129,9 +130,9 @@ def test_stated_limits_make_a_verdict(ran: Ran) -> None:
     assert verdict_word(facts) == "WOULD FAIL"
     assert standing(facts) == ("bad", "out of tolerance")
     assert conformity_words(facts).startswith("guard band")
-    sheet = results_sheet(facts)
+    sheet = results_sheet(facts, TargetBudget("none"))
     assert sheet is not None
-    assert [row[-1] for row in sheet.rows] == ["not judged", "out", "not judged", "not judged"]
+    assert [row[-1] for row in sheet.rows] == ["not judged", "(fail)", "not judged", "not judged"]
 
 
 SEATS = {"robot.more_smr_mm": "[[-40.0, 110.0, 127.0], [-40.0, -110.0, 127.0]]"}
