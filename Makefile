@@ -68,14 +68,15 @@ $(VENV)/compiled: $(VENV)/more
 	-$(BIN)/python -m compileall -q hilcell drivers procedures fakes
 	touch $@
 
-$(VENV)/ready: requirements.lock pyproject.toml
+$(VENV)/ready: requirements-run.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-run.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	touch $@
 
-# What `hilcell study` and `hilcell plant` need, and the tests of both; a run needs none of it.
-$(VENV)/more: requirements-more.lock $(VENV)/ready
+# What tests need, `hilcell study` and `hilcell plant`; a run needs none of it.
+$(VENV)/more: requirements.lock requirements-more.lock $(VENV)/ready
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-more.lock
 	touch $@
 
@@ -85,7 +86,7 @@ bundle: $(VENV)/ready  ## one archive in dist/ that installs on a PC without a n
 lock:  ## pin every dependency by hash, for all supported pythons; those of a run by themselves
 	$(COMPILE) --extra dev --extra build --output-file requirements.lock
 	$(COMPILE) --extra dev --extra study --extra plant --constraint requirements.lock --output-file requirements-more.lock
-	$(COMPILE) --extra offline --constraint requirements.lock --output-file requirements-run.lock
+	$(COMPILE) --extra offline --extra build --constraint requirements.lock --output-file requirements-run.lock
 
 clean:
 	rm -rf .venv* .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -35,7 +35,10 @@ from hilcell.run.procedure import Procedure
 from hilcell.run.states import CALIBRATION, RUN, mermaid
 
 LOOK_S = 0.1
-HELP = "A number strikes that fault, Enter one that is not named; q ends the simulated cell."
+HELP = (
+    "A number strikes that fault, Enter one that is not named; m lists them, q ends the simulated "
+    "cell."
+)
 STRUCK = (
     "It strikes as soon as the run gives it occasion. Find the cause by the screen and the alarm, "
     "and decide what to do; then press Enter here."
@@ -61,6 +64,8 @@ class Trainer:
             return False
         if self._struck is not None:
             self._explain(self._struck)
+        elif word == "m":
+            self.menu()
         elif not word:
             self._strike(self._chance.choice(self._cell.exercises))
         elif word.isdecimal() and 1 <= int(word) <= len(self._cell.exercises):
@@ -91,7 +96,7 @@ class Trainer:
         )
         self._cell.heal()
         self._struck = None
-        self.menu()
+        print_message(HELP)  # not the list: it would push the answer out of view
 
 
 def train(cell: Training, ended: threading.Event) -> None:

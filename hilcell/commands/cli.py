@@ -38,6 +38,23 @@ FIRST = """\
 your own cell: `hilcell check CELL.toml`, then `hilcell tui --cell CELL.toml`
 `hilcell --help` lists all commands"""
 
+GROUPS = {
+    "every day": (
+        "run",
+        "resume",
+        "pause",
+        "stop",
+        "watch",
+        "tui",
+        "plan",
+        "prepare",
+        "compensate",
+    ),
+    "look back": ("show", "runs", "report", "export", "compare", "explain", "revoke"),
+    "set up": ("check", "doctor", "sim", "completion"),
+    "for engineers": ("fit", "study", "plant", "diagram"),
+}  # fmt: skip
+
 
 def whole_parser() -> Parser:
     """Return the parser of all commands."""
@@ -49,6 +66,7 @@ def whole_parser() -> Parser:
     )
     parser.add_argument("--version", action="version", version=f"hilcell {__version__}")
     commands = parser.add_commands()
+    parser.groups = GROUPS
     _add_run(commands)
     _add_live(commands)
     _add_tui(commands)
@@ -472,10 +490,14 @@ def main(
 
 
 def _runs_of(named: Path | None) -> Path:
+    from hilcell.errors import HilcellError
     from hilcell.journal.runs_folder import at_home, usual_runs  # loads the journal
 
     if named is not None:
-        return at_home(named)
+        folder = at_home(named)
+        if os.path.exists(folder) and not os.path.isdir(folder):  # noqa: PTH110, PTH112 - no name raises
+            raise HilcellError(f"--runs {folder}: expected a folder, got a file", code="HC-J09")
+        return folder
     usual = usual_runs(os.environ)
     if usual.note:
         print_message(usual.note)

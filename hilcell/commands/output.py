@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import io
 import os
+import shutil
 import sys
 import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from hilcell.clean import harmless
 from hilcell.commands.encoding import in_ascii
@@ -20,6 +21,8 @@ from hilcell.errors import HilcellError
 from hilcell.writing import NotPrinted
 
 if TYPE_CHECKING:
+    from rich.table import Table as RichTable
+
     from hilcell.run.procedure import Table
 
 WIDEST = 500  # columns of a table
@@ -104,26 +107,50 @@ def harmless_lines(text: str) -> str:
     return "\n".join(map(harmless, text.split("\n")))
 
 
-def print_table(table: Table) -> None:
-    """Print a table on stdout, harmless, at its full width: names must stay whole to be copied.
+def terminal_columns() -> int | None:
+    """Return how wide the terminal is to which stdout goes; None for a file or a pipe."""
+    if sys.stdout is None or not sys.stdout.isatty():
+        return None
+    return shutil.get_terminal_size().columns
 
-    One without rows is left out. Raises `NotPrinted`.
+
+def print_table(table: Table) -> None:
+    """Print a table on stdout, harmless; one without rows is left out. Raises `NotPrinted`.
+
+    At its full width, but in a narrow terminal long words are folded: those of the first column
+    stay whole, to be copied.
     """
     from rich.console import Console
+
+    if not table[1]:
+        return
+    text, width, room = io.StringIO(), width_of(table), terminal_columns()
+    folded = room is not None and room < width
+    console = Console(file=text, markup=False, highlight=False, width=WIDEST)
+    console.width = room if room is not None and folded else width
+    console.print(_drawn(table, folded=folded))
+    with stdout_checked():
+        sys.stdout.write(text.getvalue())
+
+
+def width_of(table: Table) -> int:
+    """Return how many columns of a terminal a table takes, unfolded."""
+    from rich.console import Console
     from rich.measure import Measurement
+
+    console = Console(file=io.StringIO(), markup=False, highlight=False, width=WIDEST)
+    return Measurement.get(console, console.options, _drawn(table, folded=False)).maximum
+
+
+def _drawn(table: Table, *, folded: bool) -> RichTable:
     from rich.table import Table as RichTable
 
     headers, rows = table
-    if not rows:
-        return
     drawn = RichTable()
     for column, header in enumerate(headers):
-        drawn.add_column(harmless(header), justify="left" if column == 0 else "right", no_wrap=True)
+        justify: Literal["left", "right"] = "left" if column == 0 else "right"
+        whole = column == 0 or not folded
+        drawn.add_column(harmless(header), justify=justify, no_wrap=whole, overflow="fold")
     for row in rows:
         drawn.add_row(*map(harmless_lines, row))
-    text = io.StringIO()
-    wide = Console(file=text, markup=False, highlight=False, width=WIDEST)
-    wide.width = Measurement.get(wide, wide.options, drawn).maximum
-    wide.print(drawn)
-    with stdout_checked():
-        sys.stdout.write(text.getvalue())
+    return drawn

@@ -22,11 +22,31 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, **options: Any) -> None:
         super().__init__(**options, allow_abbrev=False)
         self.commands: argparse._SubParsersAction[Parser] | None = None
+        self.groups: dict[str, tuple[str, ...]] = {}  # of commands by title, as the help lists them
 
     def add_commands(self, dest: str = "command") -> argparse._SubParsersAction[Parser]:
         """Return where commands are added; ``dest`` is the argument that takes the one chosen."""
         self.commands = self.add_subparsers(dest=dest, metavar="COMMAND", required=True)
         return self.commands
+
+    def format_help(self) -> str:
+        """Return the help, with the commands in their groups."""
+        if self.commands is None or not self.groups:
+            return super().format_help()
+        formatter = self._get_formatter()
+        formatter.add_usage(self.usage, self._actions, self._mutually_exclusive_groups)
+        formatter.add_text(self.description)
+        # argparse says nowhere else what it would list.
+        listed = {each.dest: each for each in self.commands._choices_actions}  # noqa: SLF001
+        for title, names in self.groups.items():
+            formatter.start_section(title)
+            formatter.add_arguments([listed[name] for name in names])
+            formatter.end_section()
+        formatter.start_section("options")
+        formatter.add_arguments(each for each in self._actions if each is not self.commands)
+        formatter.end_section()
+        formatter.add_text(self.epilog)
+        return formatter.format_help()
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Refuse unknown words first: argparse would name missing arguments in their place."""
@@ -43,7 +63,19 @@ class Parser(argparse.ArgumentParser):
                 return
             known = self._option_string_actions
             if name.startswith("--") and " " not in word and name not in known:
+                self._refuse_early(name, words)
                 self.error(f"{name[:80]} is no option{_nearest(name, known)}")
+
+    def knows(self, option: str) -> bool:
+        """Whether an option is one of this parser's own."""
+        return option in self._option_string_actions
+
+    def _refuse_early(self, name: str, words: Sequence[str]) -> None:
+        """Refuse an option that stands before the command to which it belongs."""
+        choices = self.commands.choices if self.commands is not None else {}
+        command = next((word for word in words if word in choices), "")
+        if command and choices[command].knows(name):
+            self.error(f"{name} belongs after its command: `{self.prog} {command} .. {name}`")
 
     def _refuse_unknown_command(self, word: str, known: Iterable[str]) -> None:
         if word in known:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from datetime import datetime
 from typing import Any
@@ -11,12 +12,18 @@ from typing import Any
 from hilcell.cell.devices import load_entry
 from hilcell.clean import encodable, harmless
 from hilcell.commands.invariants import check
-from hilcell.commands.output import print_json, print_message, print_table
+from hilcell.commands.output import (
+    print_json,
+    print_message,
+    print_table,
+    terminal_columns,
+    width_of,
+)
 from hilcell.commands.run_output import print_suspected
 from hilcell.journal.index import UNREADABLE, RunRow, read_index, row_of
 from hilcell.journal.runs import find_run, read_log
 from hilcell.journal.standing import Standing, standings
-from hilcell.run.procedure import Procedure
+from hilcell.run.procedure import Procedure, Table
 
 
 def runs(args: argparse.Namespace) -> int:
@@ -34,15 +41,7 @@ def runs(args: argparse.Namespace) -> int:
     if not found:
         print_message(f"no {'such ' if rows else ''}runs in {args.runs}")
         return 0
-    headers = ["run", "procedure", "cell", "operator", "state", "verdict", "points", "exit"]
-    cells = [
-        [
-            *(_word(each.get(name)) for name in headers),
-            _local(each.get("begun")), _kind(each), _standing(each),
-        ]
-        for each in found
-    ]  # fmt: skip
-    print_table(([*headers, "begun", "kind", "calibration"], cells))
+    print_list(found)
     for row in listed:
         if row.state == UNREADABLE:
             print_message(row.reason)
@@ -86,6 +85,39 @@ def _kind(summary: dict[str, Any]) -> str:
 
 def _word(value: object) -> str:
     return "" if value is None else harmless(str(value))
+
+
+LIST: dict[str, Callable[[dict[str, Any]], str]] = {  # headers of the list, and their cells
+    "run": lambda each: _word(each["run"]),
+    "procedure": lambda each: _word(each.get("procedure")),
+    "cell": lambda each: _word(each.get("cell")),
+    "operator": lambda each: _word(each.get("operator")),
+    "state": lambda each: _word(each.get("state")),
+    "verdict": lambda each: _word(each.get("verdict")),
+    "points": lambda each: _word(each.get("points")),
+    "exit": lambda each: _word(each.get("exit")),
+    "begun": lambda each: _local(each.get("begun")),
+    "kind": _kind,
+    "calibration": _standing,
+}
+FIRST_OUT = ("procedure", "exit", "points", "operator", "begun", "state", "calibration")
+
+
+def print_list(found: list[dict[str, Any]]) -> None:
+    """Print runs as a table; where a terminal is too narrow, without what is said elsewhere."""
+    room, headers = terminal_columns(), [*LIST]
+    left_out = iter(FIRST_OUT)
+    while room is not None and width_of(_listed(found, headers)) > room:
+        if (header := next(left_out, None)) is None:
+            break
+        headers.remove(header)
+    print_table(_listed(found, headers))
+    if len(headers) < len(LIST):
+        print_message("a wider terminal, or --json, shows more of each run")
+
+
+def _listed(found: list[dict[str, Any]], headers: list[str]) -> Table:
+    return headers, [[LIST[header](each) for header in headers] for each in found]
 
 
 def _summary(row: RunRow, standing: Standing | None) -> dict[str, Any]:

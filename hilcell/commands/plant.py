@@ -203,7 +203,7 @@ def _print_robots(robots: list[dict[str, Any]]) -> None:
     rows = [
         [
             _word(each["robot"]), _word(each["cell"]), str(each["calibrations"]), drift["what"],
-            f"{drift['mm_per_year']:+.4f}", f"{drift['U_mm_per_year']:.4f}",
+            f"{drift['mm_per_year']:+z.4f}", f"{drift['U_mm_per_year']:.4f}",
             "yes" if drift["drifts"] else "no", f"{drift['noise_mm']:.4f}",
         ]
         for each in robots
@@ -221,7 +221,7 @@ def _print_robots(robots: list[dict[str, Any]]) -> None:
             [
                 _word(each["robot"]), _word(each["cell"]), change["what"],
                 f"{_day(change['since'])} .. {_day(change['until'])}",
-                f"{change['size_mm']:+.3f}", f"{change['U_mm']:.3f}",
+                f"{change['size_mm']:+z.3f}", f"{change['U_mm']:.3f}",
                 _word(change["before"]) + ("" if change["confirmed"] else " (one run only)"),
                 "\n".join(map(_word, change["said"])),
             ]
@@ -238,8 +238,8 @@ def _print_equipment(found: dict[str, Any]) -> None:
             [
                 _word(each["station"]), _word(each["cell"]), f"{each['mean_mm']:.3f}",
                 "" if each["tolerance_mm"] is None else f"{each['tolerance_mm']:g}",
-                f"{each['mm_per_year']:+.3f}",
-                f"{each['low_mm_per_year']:+.3f} .. {each['high_mm_per_year']:+.3f}",
+                f"{each['mm_per_year']:+z.3f}",
+                f"{each['low_mm_per_year']:+z.3f} .. {each['high_mm_per_year']:+z.3f}",
                 "" if each["out_in_years"] is None else f"{each['out_in_years']:.1f}",
             ]
             for each in found["stations"]
@@ -250,7 +250,7 @@ def _print_equipment(found: dict[str, Any]) -> None:
         [
             _word(each["kind"]), _word(each["serial"]), _word(each["model"]),
             _word(", ".join(each["cells"])), str(each["runs"]), _day(each["last"]),
-            "" if each["scale_ppm"] is None else f"{each['scale_ppm']:+.1f}",
+            "" if each["scale_ppm"] is None else f"{each['scale_ppm']:+z.1f}",
             "" if each["u_ppm"] is None else f"{each['u_ppm']:.1f}",
             _word(", ".join(each["disagrees_with"])),
         ]

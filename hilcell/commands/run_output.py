@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 
-from hilcell.alarms.catalogue import entry_of
+from hilcell.alarms.catalogue import code_of_verdict, entry_of
 from hilcell.calibration.suspicions import suspected_in
 from hilcell.cell.file import Cell
 from hilcell.clean import harmless
@@ -29,12 +29,13 @@ from hilcell.commands.output import (
     stdout_checked,
 )
 from hilcell.errors import DeviceError, facts_of
-from hilcell.journal.calibration_facts import OUTCOMES
+from hilcell.journal.calibration_facts import OUTCOMES, VALIDATION, run_outcome
 from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.journal import Record
 from hilcell.journal.key_words import verdict_words
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import CONTROL
+from hilcell.journal.point_words import OTHERS
 from hilcell.journal.states import WAITING
 from hilcell.report.verdicts import deciding_words
 from hilcell.run.procedure import Plan, Procedure
@@ -140,10 +141,10 @@ class ProgressOutput(RunOutput):
 
     def __init__(self, run: str, points: int) -> None:
         super().__init__(as_json=False)
-        self._progress = progress_bar()
+        self._run, self._progress = harmless(run), progress_bar()
         self._console = self._progress.console
         self._planned, self._measured = points, set[str]()
-        self._task = self._progress.add_task(harmless(run), total=points)
+        self._task = self._progress.add_task(self._run, total=points)
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -175,7 +176,8 @@ class ProgressOutput(RunOutput):
         elif record.kind == "state" and body["machine"] == "calibration":
             self._print(f"{body['to'].replace('_', ' ')}")
         elif record.kind == "state" and body["to"] in WAITING:
-            self._print(f"{body['to']}: {_waits_for(body)}hilcell resume goes on, ctrl-C stops")
+            go_on = f"`hilcell resume {self._run}` goes on, ctrl-C stops"
+            self._print(f"{body['to']}: {_waits_for(body)}{go_on}")
         elif record.kind == "event" and body["what"] == "first pass":
             self._print(
                 f"{body['key']}: first pass outside of the cube, at {body['speed_percent']:g} %"
@@ -222,14 +224,28 @@ def print_end(
     print_suspected(log)
     if log.end is not None and log.end["result"] and log.state == "finished":
         _print_result(procedure, output, log.end["result"])
-    for key, verdict in log.verdicts.items():
-        if not verdict["holds"]:
-            print_message(failed_words(key, verdict))
+    for key, verdict in failed_verdicts(log.verdicts).items():
+        print_message(failed_words(key, verdict))
     if log.link is not None and log.link.warning:
         print_message(f"warning: {log.link.warning}")
-    state = log.state
-    ended = state if log.end is not None else f"cut off while {state}"
-    print_message(f"{kind_of(log)} {folder.name}: {ended}; journal in {folder}")
+    print_message(f"{kind_of(log)} {folder.name}: {ended_words(log)}; journal in {folder}")
+
+
+def ended_words(log: Log) -> str:
+    """Return how a run ended: its state, and its outcome where it finished."""
+    if log.end is None:
+        return f"cut off while {log.state}"
+    outcome = run_outcome(log)
+    return f"{log.state}, {outcome}" if log.state == "finished" else outcome
+
+
+def failed_verdicts(verdicts: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Return the verdicts that do not hold; of stations together only where none of them failed."""
+    failed = {key: verdict for key, verdict in verdicts.items() if not verdict["holds"]}
+    together = f"{VALIDATION}{OTHERS}"
+    if any(key.startswith(VALIDATION) and key != together for key in failed):
+        failed.pop(together, None)
+    return failed
 
 
 def print_suspected(log: Log) -> None:
@@ -281,7 +297,9 @@ def _waits_for(body: dict[str, Any]) -> str:
 def failed_words(key: str, verdict: dict[str, Any]) -> str:
     """Return a verdict that does not hold in words: its outcome, its subject, what decided."""
     outcome = OUTCOMES.get(verdict.get("outcome") or "", OUTCOMES["rejected"])
-    return f"{outcome}: {verdict_words(key)}: {deciding_words(key, verdict)}"
+    code = code_of_verdict(key, str(verdict.get("outcome") or ""))
+    words = f"{outcome}: {verdict_words(key)}: {deciding_words(key, verdict)}"
+    return f"{words} (hilcell explain {code})"
 
 
 def print_dry_run(cell: Cell, procedure: Procedure, plan: Plan, *, as_json: bool) -> None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import msgspec
 
+from hilcell.alarms.catalogue import entry_of
 from hilcell.cell.file import Cell
 from hilcell.errors import DeviceError, NoReading
 from hilcell.ports import Array, Clock
@@ -20,6 +21,7 @@ from hilcell.run.protocol import PromptStatus
 
 LOOK_S = 0.5
 NOTHING_ASKED = "nothing is asked now"
+SEE = "see that nothing is in the line of sight, and that the reflector is clean and sits well"
 
 
 class Prompt(msgspec.Struct, frozen=True, kw_only=True):
@@ -202,14 +204,16 @@ def beam_prompt(
 ) -> Prompt:
     """Return what is asked when the tracker gives no good reading of a reflector.
 
-    The error's own advice goes first: a driver knows best, and not every cause is in the beam.
+    The error's own advice stands alone: a driver knows best, and not every cause is in the beam.
+    The driver's own words, with the status codes of its device, are in the alarm and the journal.
     """
     x, y, z = (round(float(value), 3) for value in near_mm)
-    advice = f"{error.act[:1].upper()}{error.act[1:]}. " if error.act else ""
+    entry = entry_of(error.code, error.device)
+    found = entry.title if entry.specific else error.found
+    advice = error.act or SEE
     return Prompt(
         title=f"No good reading of {place}",
-        text=f"{error.summary}, at {where(cell, place)}. {advice}See that nothing is in the line "
-        "of sight, and that the reflector is clean and sits well.",
+        text=f"{found}, at {where(cell, place)}. {advice[:1].upper()}{advice[1:]}.",
         place=place,
         expected_mm=(x, y, z),
         limit_mm=limit_mm,

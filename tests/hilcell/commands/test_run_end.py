@@ -220,3 +220,45 @@ def test_how_the_slide_was_held_is_of_the_last_end() -> None:
     assert not_so.followed_by(held).held_by_sdo == 1
     assert LinkRecord(1, 0, 0, 0).warning == ""
     assert "100.00 %" in LinkRecord(0, 1, 0, 0).warning
+
+
+VALIDATED = POSITION | {"outcome": "rejected", "mean_mm": 0.2}
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "code", "outcome", "said"),
+    [
+        ({"validation.S1100": VALIDATED | {"holds": True}}, 0, "in tolerance", []),
+        ({"validation.S1100": VALIDATED}, 1, "out of tolerance", ["S1100"]),
+        (
+            {f"validation.{name}": VALIDATED for name in ("S1100", "others", "S300")},
+            1, "out of tolerance", ["S1100", "S300"],
+        ),
+        ({"validation.others": VALIDATED}, 1, "out of tolerance", ["the other stations"]),
+    ],
+)  # fmt: skip
+def test_a_run_that_finished_says_its_outcome_and_each_failure_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], verdicts: dict[str, Any], code: int,
+    outcome: str, said: list[str],
+) -> None:  # fmt: skip
+    """Success was not said, a failure once for each station and once more for all others."""
+    writer = Writer(tmp_path / "r1").began()
+    for key, body in verdicts.items():
+        writer.journal.append("verdict", key, body)
+    folder = writer.ended(code=code)
+    output = RunOutput(as_json=False)
+    print_end(folder, read_log(folder), load_entry("procedures", "home"), output, None)
+    *failed, last = capsys.readouterr().err.splitlines()
+    assert f"finished, {outcome}; " in last
+    assert len(failed) == len(said)
+    for line, place in zip(failed, said, strict=True):
+        assert place in line
+        assert line.endswith("(hilcell explain HC-V01)")
+
+
+def test_a_run_that_waits_says_how_its_own_name_goes_on(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    body = {"machine": "run", "from": "running", "to": "paused"}
+    ProgressOutput("r7", 3).take(Record(1, "2026-01-01T00:00:00+00:00", "state", "", body))
+    assert "`hilcell resume r7`" in " ".join(capsys.readouterr().err.split())

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from hilcell.commands import output, past
 from hilcell.journal.index import RunRow, row_of
 from hilcell.journal.standing import standings
 from tests.hilcell.commands.finished_runs import MADE, REDO, finished
@@ -119,3 +120,41 @@ def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
     done = command("runs", "--runs", tmp_path / "nope")
     assert done.returncode == 0
     assert str(tmp_path / "nope") in done.stderr
+
+
+@pytest.mark.parametrize("columns", [80, 120])
+def test_the_list_fits_the_terminal_and_keeps_what_matters(
+    runs: Path, monkeypatch: pytest.MonkeyPatch, columns: int
+) -> None:
+    monkeypatch.setattr(output, "terminal_columns", lambda: columns)
+    monkeypatch.setattr(past, "terminal_columns", lambda: columns)
+    name = "20261122-223000-calibrate-ab12"
+    monkeypatch.setattr(past, "read_index", lambda _: [
+        RunRow(name=name, begun="2026-11-22T22:30:00Z", state="finished", exit=0, operator="Ann",
+               procedure="calibrate", cell="paper", simulated=True),
+    ])  # fmt: skip
+    lines = command("runs", "--runs", runs).stdout.splitlines()
+    assert max(map(len, lines)) <= columns
+    row = next(line for line in lines if name in line)
+    assert all(word in row for word in ("paper", "simulated", "done"))
+
+
+def test_what_show_prints_fits_the_terminal(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(output, "terminal_columns", lambda: 60)
+    lines = command("show", "1-made", "--runs", runs).stdout.splitlines()
+    assert max(map(len, lines)) <= 60
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["runs", "show last", "watch last", "run home", "report last -o X", "resume last",
+     "stop last", "compare last last"],
+)  # fmt: skip
+def test_a_file_in_place_of_the_folder_of_runs_is_refused_by_every_command(
+    tmp_path: Path, words: str
+) -> None:
+    """It ended 0, 2 or 7, by the command."""
+    file = tmp_path / "file"
+    file.write_text("no folder")
+    done = command(*words.split(), "--runs", file)
+    assert (done.returncode, str(file) in done.stderr) == (2, True)

@@ -59,3 +59,15 @@ def test_anything_else_is_helped(cell: Cell, trainer: Trainer, word: str) -> Non
 @pytest.mark.parametrize("word", ["q", " Q \n"])
 def test_it_ends_by_q(trainer: Trainer, word: str) -> None:
     assert not trainer.take(word)
+
+
+def test_the_answer_is_not_pushed_out_of_view_by_the_menu(
+    trainer: Trainer, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trainer.take("1\n")
+    capsys.readouterr()
+    trainer.take("\n")
+    said = capsys.readouterr().err
+    assert "a beam" not in said
+    trainer.take("m\n")
+    assert "a beam" in capsys.readouterr().err
