@@ -87,8 +87,8 @@ def _dated(lines: Iterator[tuple[str, str]], facts: Facts) -> Iterator[Line]:
 def _lines(facts: Facts) -> Iterator[tuple[str, str]]:
     """Yield time and words of each line; a step also says how many points it gave.
 
-    Every session goes through all steps again, past what is measured already: there a step is listed
-    only where something happened in it.
+    Every session goes through all steps again, past what is measured already: there a step is
+    listed only where something happened in it.
     """
     log, last = Log(), ""
     found: list[tuple[str, str]] = []
