@@ -19,7 +19,7 @@ from hilcell.report.method import chosen_poses_words
 
 # Routine, or in a table of its own: counted, not listed.
 ROUTINE = ("connected", "closed", "tracker proven", "slide proven", "stream", "link")
-NOTHING_DONE = ("connected", "closed", "tracker proven", "slide proven", "link")
+MOVING = {"home"}  # steps that move at every start
 STEPS = {
     "home": "Robot parked, rail referenced",
     "world-frame": "World frame {W} from the floor nests",
@@ -84,51 +84,74 @@ def _dated(lines: Iterator[tuple[str, str]], facts: Facts) -> Iterator[Line]:
         date = moment.date()
 
 
-def _lines(facts: Facts) -> Iterator[tuple[str, str]]:
-    """Yield time and words of each line; a step also says how many points it gave.
+class _Steps:
+    """The lines of steps in the course, by their numbers: what was measured in each.
 
     Every session goes through all steps again, past what is measured already: there a step is
-    listed only where something happened in it.
+    listed only where something was measured, moved at its beginning, or computed again.
     """
-    log, last = Log(), ""
+
+    def __init__(self) -> None:
+        self._now = -1  # the line of the step under way
+        self._known = set[str]()
+        self._counts: Counter[int] = Counter()  # of points
+        self._idle, self._computed = set[int](), set[int]()
+
+    def begin(self, line: int, name: str) -> None:
+        """Take the line with which a step begins."""
+        self._now = line
+        if name in self._known - MOVING:
+            self._idle.add(line)
+        self._known.add(name)
+
+    def leave(self) -> None:
+        """Take the end of a session."""
+        self._now = -1
+
+    def take(self, record: Record, log: Log) -> None:
+        """Take a record of the step under way; ``log`` is without it."""
+        if _is_measured(record):
+            self._idle.discard(self._now)
+            self._counts[self._now] += record.kind == "point"
+        elif _is_computed(record, log):
+            self._computed.add(self._now)
+
+    def words(self, line: int, text: str) -> str:
+        """Return the words of a line; "" of a step that did nothing."""
+        if line not in self._idle:
+            return f"{text}{_points(self._counts[line])}"
+        return f"{text} Computed again, nothing measured." if line in self._computed else ""
+
+
+def _lines(facts: Facts) -> Iterator[tuple[str, str]]:
+    """Yield time and words of each line; a step also says how many points it gave."""
+    log, last, steps = Log(), "", _Steps()
     found: list[tuple[str, str]] = []
-    counts: Counter[int] = Counter()  # points by the number of their step's line
-    known = set[str]()  # the names of steps that began
-    idle, computed = set[int](), set[int]()  # lines of steps that did nothing, or only computed
-    step = -1
     for record in facts.records:
         starts = _starts(record.kind, record.body)
         if starts and log.session and not log.over:
             found.append((last, _cut_off(log)))
         for words in _words(facts, log, record.kind, record.body):
             found.append((record.t, words))
-            begins = record.kind == "event" and record.body["what"] == "step"
-            step = len(found) - 1 if begins else -1 if starts else step
-            if begins and record.body["name"] in known:
-                idle.add(step)
-            known.update([record.body["name"]] if begins else [])
-        if _is_done(record):
-            idle.discard(step)
-        elif _is_computed(record, log) and step in idle:
-            computed.add(step)
-        counts[step] += record.kind == "point" and record.body["group"] != CONTROL
+            if record.kind == "event" and record.body["what"] == "step":
+                steps.begin(len(found) - 1, record.body["name"])
+        if starts:
+            steps.leave()
+        if record.kind == "point" and record.key in log.retakes:  # whatever step is under way
+            found.append((record.t, f"Measured again: {key_words(record.key, facts.log)}."))
+        else:
+            steps.take(record, log)
         last = record.t
         log.take(record)
-    for n, (time, words) in enumerate(found):
-        if n not in idle:
-            yield time, f"{words}{_points(counts[n])}"
-        elif n in computed:
-            yield time, f"{words} Computed again, nothing measured."
+    shown = ((time, steps.words(n, words)) for n, (time, words) in enumerate(found))
+    yield from ((time, words) for time, words in shown if words)
 
 
-def _is_done(record: Record) -> bool:
-    """Whether a record is of something that a step did beside computing."""
-    match record.kind:
-        case "point":
-            return bool(record.body["group"] != CONTROL)
-        case "event":
-            return record.body["what"] not in ("step", *NOTHING_DONE)
-    return record.kind == "intent"
+def _is_measured(record: Record) -> bool:
+    """Whether a record is of a reading that is no proof of nests."""
+    if record.kind == "point":
+        return bool(record.body["group"] != CONTROL)
+    return record.kind == "event" and record.body["what"] in ("stream", "curve")
 
 
 def _is_computed(record: Record, log: Log) -> bool:

@@ -184,3 +184,27 @@ def test_a_step_that_a_later_session_only_passes_is_not_in_the_course(tmp_path: 
     ]  # fmt: skip
     fitted = [line for line in lines if line.startswith("Models")]
     assert ["nothing measured" in line for line in fitted] == [False, True]
+
+
+def test_a_point_measured_again_is_not_of_the_step_in_which_it_came(tmp_path: Path) -> None:
+    """A target that was measured again made a line "Vertices of the grid. 1 point."."""
+    writer = validated_run(tmp_path / "r")
+    for session in range(2):
+        for number, name in enumerate(("home", "robot-grid", "validate"), 1):
+            event = {"what": "step", "name": name, "number": number, "of": 3}
+            writer.journal.append("event", "", event)
+            if session and name == "robot-grid":
+                asked = {"what": "retake asked", "key": TARGET.key}
+                writer.journal.append("event", "", asked)
+                writer.journal.append("intent", TARGET.key, {"action": "robot.move"})
+                place = (200.0, 100.0, 1040.0)
+                writer.point(TARGET, place, "S1100", nominal_mm=place, retaken=True)
+        writer.state("run", "finished")
+        writer.state("run", "checking")
+    found = course(read_facts(writer.left()))
+    assert found is not None
+    again = [row[1] for row in found.rows]
+    again = again[next(n for n, line in enumerate(again) if "session 2" in line) :]
+    assert sum("grid" in line.lower() for line in again) == 0
+    assert sum("gain" in line and "target 3 at S1100" in line for line in again) == 1
+    assert sum("parked" in line for line in again) == 1
