@@ -12,6 +12,7 @@ from pathlib import Path
 from hilcell.cell.settings import SettingsError, read_bytes, unreadable
 
 ENCODING = "latin-1"
+MARK = "\xef\xbb\xbf"  # the byte order mark of UTF-8, which editors put first
 
 
 @dataclass(frozen=True, slots=True)

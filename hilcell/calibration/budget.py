@@ -35,7 +35,7 @@ from hilcell.calibration.reversal import Reversal, reversal
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Station
 from hilcell.geometry.frames import apply, inverse
-from hilcell.geometry.statistics import rectangular_variance, rms, trace_freedom
+from hilcell.geometry.statistics import chi2_quantile, rectangular_variance, rms, trace_freedom
 from hilcell.journal.log import (
     NO_READINGS,
     Log,
@@ -51,6 +51,7 @@ NO_VISITS = "the run visited no place again, so that the robot's repeatability i
 TEMPERATURE = "Temperature of the arm"
 DRILL = "Drill's offset"
 LARGE_AXES = [0, 1, 2]  # whose errors have levers of metres
+SPHERE_95 = math.sqrt(chi2_quantile(0.95, 3.0))  # sigmas of a coordinate that 95 % keep in 3D
 SAME_DEG = 0.1  # of a joint's angle: less than half the shortest wave of a gear
 
 
@@ -191,21 +192,37 @@ def _drill(log: Log) -> Influence:
     )  # fmt: skip
 
 
-def with_drill(stated: Uncertainty, offset_mm: tuple[float, float, float]) -> Uncertainty:
+def with_drill(
+    stated: Uncertainty,
+    offset_mm: tuple[float, float, float],
+    u_mm: float = 0.0,
+    turns_deg: Array | None = None,
+) -> Uncertainty:
     """Return the budget of a drill at ``offset_mm`` from the reflector, axes of {T}.
 
-    Raises `NoBound` for a budget without its line.
+    Its place there has the standard deviation ``u_mm`` in each coordinate. ``turns_deg`` (N,) are
+    the 95 % bounds of orientation where that is corrected; they take the place of the limit that
+    the cell states. Raises `NoBound` for a budget without its line.
     """
     x_mm, y_mm, z_mm = offset_mm
-    how = f"{math.hypot(*offset_mm):g} mm from the reflector, as the cell that was given states it"
+    far = f"{math.hypot(*offset_mm):g} mm from the reflector"
     if DRILL not in [line.name for line in stated.lines]:
         raise NoBound(f"the calibration states no line {DRILL}; calibrate again")
+    changed: dict[str, object] = {"origin_mm": (-x_mm, -y_mm, -z_mm)}
+    changed["how"] = f"{far}, as the cell that was given states it"
+    if turns_deg is not None:
+        turn_rad2 = (math.radians(float(turns_deg.max())) / SPHERE_95) ** 2
+        changed["covariance"] = motion(0.0, turn_rad2)
+        changed["how"] = f"{far}, orientation corrected within {turns_deg.max():.4f} deg (95 %)"
     lines = [
-        msgspec.structs.replace(line, origin_mm=(-x_mm, -y_mm, -z_mm), how=how)
-        if line.name == DRILL
-        else line
+        msgspec.structs.replace(line, **changed) if line.name == DRILL else line
         for line in stated.lines
     ]
+    if u_mm:
+        how = f"1 sigma {u_mm:g} mm against the reflector, as the cell file states it"
+        lines.append(
+            Influence("Tool's tip", ASSUMED, how, "4.3.7", "tool", motion(u_mm**2), counts="in use")
+        )
     return msgspec.structs.replace(stated, lines=lines)
 
 

@@ -23,6 +23,7 @@ from hilcell.calibration.decision import judged_again
 from hilcell.calibration.form import (
     Calibration,
     Device,
+    LostMotion,
     ModelEntry,
     Provenance,
     StationEntry,
@@ -31,6 +32,8 @@ from hilcell.calibration.form import (
 )
 from hilcell.calibration.frames import Frames, measured_of
 from hilcell.calibration.influence import SIZE
+from hilcell.calibration.reversal import lost_motion
+from hilcell.calibration.tip import AT_REFLECTOR, Tip
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, read_bytes, unreadable
 from hilcell.compensation.choice import MODELS
@@ -42,7 +45,7 @@ from hilcell.journal.log import NO_READINGS, Log
 from hilcell.ports import Array, HilcellError
 from hilcell.writing import write_whole
 
-SCHEMA = 4  # to be raised whenever `Calibration` changes, or what its fields mean
+SCHEMA = 5  # to be raised whenever `Calibration` changes, or what its fields mean
 SEAL = "seal"
 ORIENTATION_TOLERANCE_DEG = 2.0
 NAMED = 5  # targets that one message names
@@ -82,6 +85,7 @@ def calibration_of(log: Log, run: str) -> Calibration:
         "grid_errors_mm": measured.grid.errors_mm.tolist(),
         "model": ModelEntry(method, MODELS[method].learn(measured).parameters()),
         "uncertainty": uncertainty_of(log),
+        "lost_motion": lost_motion(log),
         "verdicts": verdicts_of(log),
         "failed": failed_of(log),
     }  # fmt: skip
@@ -207,12 +211,17 @@ class _Head(msgspec.Struct):
 
 
 def compensate_targets(
-    calibration: Calibration, station: str, targets: Array, names: list[str]
+    calibration: Calibration,
+    station: str,
+    targets: Array,
+    names: list[str],
+    tip: Tip = AT_REFLECTOR,
 ) -> Array:
     """Return what to command, (N, 6) x, y, z, a, b, c in {W}, for nominal ``targets`` (N, 6).
 
-    The angles are the targets', or corrected where the calibration has measured orientation.
-    Raises `HilcellError` naming every target outside the calibrated volume or orientation.
+    Both are poses of the ``tip``. The angles are the targets', or corrected where the calibration
+    has measured orientation. Raises `HilcellError` naming every target whose reflector would be
+    outside the calibrated volume or orientation.
     """
     if station not in calibration.stations:
         known = ", ".join(calibration.stations)
@@ -226,14 +235,14 @@ def compensate_targets(
         )
     T_W_B = np.array(calibration.stations[station].T_W_B)
     poses = poses_from_zyx(targets)
-    in_base = inverse(T_W_B) @ poses
+    in_base = inverse(T_W_B) @ poses @ tip.T_D_T  # of {T}
     _refuse_turned(calibration, in_base, names)
     model = calibration.error_model()
-    command = corrected_poses(calibration.grid(), in_base, model, names=names)
-    poses[:, :3, 3] = apply(T_W_B, command[:, :3, 3])
+    sent = corrected_poses(calibration.grid(), in_base, model, names=names) @ tip.T_T_D
+    poses[:, :3, 3] = apply(T_W_B, sent[:, :3, 3])
     if not calibration.orients:
         return zyx_from_pose(poses)
-    poses[:, :3, :3] = T_W_B[:3, :3] @ command[:, :3, :3]
+    poses[:, :3, :3] = T_W_B[:3, :3] @ sent[:, :3, :3]
     return _beside(targets, zyx_from_pose(poses))
 
 
@@ -248,6 +257,13 @@ def _refuse_turned(calibration: Calibration, poses: Array, names: list[str]) -> 
     found_deg = calibration.validity.turned_deg(poses)
     limit_deg = calibration.validity.orientation_tolerance_deg
     far = np.flatnonzero(~(found_deg <= limit_deg))
+    inward = np.flatnonzero(calibration.validity.points_back(poses))
+    if len(inward):
+        named = ", ".join(names[n] for n in inward[:NAMED])
+        raise HilcellError(
+            f"{len(inward)} of {len(names)} targets have the tool point out of the part: its z "
+            f"must point into the part, against the outward normal; turn them: {named}"
+        )
     if len(far):
         named = ", ".join(f"{names[n]} by {found_deg[n]:.2f} deg" for n in far[:NAMED])
         raise HilcellError(
@@ -265,6 +281,8 @@ def _refuse_turned(calibration: Calibration, poses: Array, names: list[str]) -> 
 MOST_ERROR_MM = 100.0  # beyond is no robot's error
 MOST_MM = 1e6
 MOST_TURN_DEG = 180.0
+MOST_LOST_RAD = 0.1
+AXES = 6
 MOST_C = 100.0
 RIGID = 1e-6  # of a rotation matrix times its transpose, and of a whole number of pitches
 ROUNDING = 1e-6  # of a covariance, relative
@@ -280,6 +298,7 @@ def problems_of(calibration: Calibration) -> list[str]:
         *_grid(calibration),
         *_stations(calibration.stations),
         *_uncertainty(calibration),
+        *_lost_motion(calibration.lost_motion),
         *_updates(calibration),
         *_targets(calibration),
         *_verdicts(calibration),
@@ -355,6 +374,16 @@ def _stations(stations: dict[str, StationEntry]) -> Iterator[str]:
                 f"{MOST_ERROR_MM:g}"
             )
         yield from _within(f"{at}.strip_mm", station.strip_mm, MOST_MM, "mm")
+
+
+def _lost_motion(lost: LostMotion) -> Iterator[str]:
+    for name, values in (("lost_rad", lost.lost_rad), ("u_rad", lost.u_rad)):
+        if len(values) != AXES:
+            yield f"lost_motion.{name}: {len(values)} axes, expected {AXES}"
+        else:
+            yield from _within(f"lost_motion.{name}", values, MOST_LOST_RAD, "rad")
+    if not all(each >= 0.0 for each in lost.u_rad):
+        yield "lost_motion.u_rad: a standard deviation below zero"
 
 
 def _uncertainty(calibration: Calibration) -> Iterator[str]:

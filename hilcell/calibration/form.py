@@ -19,6 +19,7 @@ from hilcell.compensation.choice import MODELS
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.model import ErrorModel
 from hilcell.compensation.remainder import Pass, Remainder, WithRemainder
+from hilcell.geometry.clearance import Bools
 from hilcell.geometry.frames import matrix, poses_from_zyx
 from hilcell.geometry.rotations import turned_deg
 from hilcell.ports import Array
@@ -54,6 +55,16 @@ class Validity(msgspec.Struct, frozen=True):
         angles_deg = [turned_deg(np.array(R), poses) for R in known]
         nearest: Array = np.min(angles_deg, axis=0)
         return nearest
+
+    def points_back(self, poses: Array) -> Bools:
+        """Return which poses (N, 4, 4) in {B} have z against every calibrated one's, (N,).
+
+        Within the tolerance of the axis: the turn about it does not matter.
+        """
+        axes = np.array([self.orientation, *self.orientations])[:, :, 2]
+        against = np.clip(-(poses[:, :3, 2] @ axes.T), -1.0, 1.0).max(axis=1)
+        found: Bools = np.degrees(np.arccos(against)) <= self.orientation_tolerance_deg
+        return found
 
 
 class Device(msgspec.Struct, frozen=True):
@@ -120,6 +131,18 @@ class Provenance(msgspec.Struct, frozen=True):
     def is_of_visit(self) -> bool:
         """Whether its last change is a base that was touched on one visit of a station."""
         return bool(self.updates) and self.updates[-1].what == "touch"
+
+
+class LostMotion(msgspec.Struct, frozen=True):
+    """The lost motion of axes 1 to 6 when they reverse, and 1 sigma of it, in rad.
+
+    An axis that comes from above stands lower by it than one that comes from below. ``measured``
+    says that the run measured it, of axes 1 to 3.
+    """
+
+    lost_rad: list[float]
+    u_rad: list[float]
+    measured: bool
 
 
 class ModelEntry(msgspec.Struct, frozen=True):
@@ -191,6 +214,7 @@ class Calibration(msgspec.Struct, frozen=True, dict=True):
     grid_errors_mm: list[list[list[tuple[float, float, float]]]]
     model: ModelEntry
     uncertainty: Uncertainty
+    lost_motion: LostMotion
     verdicts: dict[str, Judged]
     failed: dict[str, str]
     targets: Targets | None = None

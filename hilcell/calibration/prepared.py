@@ -1,52 +1,175 @@
-"""From corrected targets to the program of their station: base, approach and posture."""
+"""From corrected targets to the program of their station: base, tool, stand-off and ways."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise, product, zip_longest
 
 import numpy as np
 
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.part import Clearance, Part
+from hilcell.calibration.tip import Tip
 from hilcell.cell.file import Cell
 from hilcell.compensation.station_program import Places, StationProgram
 from hilcell.compensation.targets import as_listed
+from hilcell.errors import bounded
 from hilcell.geometry.closed_form import status_of
 from hilcell.geometry.frames import inverse, poses_from_zyx, zyx_from_pose
-from hilcell.geometry.inverse import posture
-from hilcell.geometry.kinematics import forward
-from hilcell.ports import Array
+from hilcell.geometry.inverse import posture, reachable
+from hilcell.geometry.kinematics import Arm, forward
+from hilcell.geometry.statistics import lengths_mm
+from hilcell.ports import Array, HilcellError
+
+STEP_MM = 5.0  # between places of a straight way at which joints are computed
+NEAR_SHARE = 0.5  # of the stand-off, that ways between holes keep at least
+DRAWN_BACK_MM = (100.0, 200.0, 300.0, 450.0, 600.0)  # behind the stand-off, where ways need it
+
+
+class WayError(HilcellError):
+    """A way of a program that comes too near to the part, or to what stands in the cell."""
+
+    code = "HC-C10"
+
+
+@dataclass(frozen=True, eq=False)
+class Drilling:
+    """A robot at a station, with a tool whose tip keeps ``standoff_mm`` from the part."""
+
+    cell: Cell
+    T_W_B: Array
+    tip: Tip
+    standoff_mm: float
+
+    @property
+    def arm(self) -> Arm:
+        """Return the arm with the tip as its tool point."""
+        return self.tip.arm(self.cell.robot.arm())
+
+    def straight_rad(self, command: Array) -> Array:
+        """Return the joints (N, K, 6) from the stand-off straight to commands (N, 6) in {W}.
+
+        Raises `ReachError` where the arm leaves its limits.
+        """
+        count = 1 + int(np.ceil(self.standoff_mm / STEP_MM))
+        back_mm = np.linspace(self.standoff_mm, 0.0, count)
+        poses = self._drawn_back(poses_from_zyx(command)[:, None], back_mm)
+        robot = self.cell.robot
+        return posture(
+            self.arm, poses, robot.status, robot.margin_limits_rad, np.radians(robot.home_deg)
+        )
+
+    def drawn_back_rad(self, command: Array) -> Iterator[Array]:
+        """Yield the joints (6,) behind the stand-off of a command (6,), nearest first, as far as
+        the arm reaches.
+        """
+        robot, at = self.cell.robot, poses_from_zyx(command[None])
+        known = (robot.status, robot.margin_limits_rad, np.radians(robot.home_deg))
+        for more_mm in DRAWN_BACK_MM:
+            pose = self._drawn_back(at, np.array([self.standoff_mm + more_mm]))
+            if bool(reachable(self.arm, pose, *known).all()):
+                yield posture(self.arm, pose, *known)[0]
+
+    def _drawn_back(self, poses: Array, back_mm: Array) -> Array:
+        """Return poses in {B}, drawn back along their z from poses (..., 4, 4) in {W}."""
+        moved = np.repeat(poses, len(back_mm), axis=-3) if poses.ndim > 3 else poses.copy()
+        moved[..., :3, 3] -= back_mm[:, None] * moved[..., :3, 2]
+        return inverse(self.T_W_B) @ moved
+
+    def places(self, joints_rad: Array) -> Places:
+        """Return the tip at joints (N, 6)."""
+        values = as_listed(zyx_from_pose(self.T_W_B @ forward(self.arm, joints_rad)))
+        return Places(values, joints_rad, status_of(self.arm, joints_rad))
 
 
 def station_program(
-    calibration: Calibration,
-    cell: Cell,
+    drilling: Drilling,
     station: str,
     names: Sequence[str],
     command: Array,
+    part: Part,
     remarks: Sequence[str],
 ) -> StationProgram:
-    """Return the program for commands (N, 6) in {W}, as a list states them.
+    """Return the program for commands (N, 6) of the tip in {W}, as a list states them.
 
-    Each is approached from below on every axis, by ``robot.approach_deg``, as every pose of the
-    calibration was: from elsewhere the lost motion of the axes comes on top. Raises `ReachError`
-    where the arm leaves its limits.
+    Between holes the tip keeps half of the stand-off at least. Where the direct way is not clear,
+    it is drawn back farther first, at the hole before, at the next one, or at both. At each
+    stand-off it comes from below on every axis, by ``robot.approach_deg``, as every pose of the
+    calibration did. Raises `ReachError` where the arm leaves its limits, and `WayError` where no
+    such way is clear.
     """
-    T_W_B = np.array(calibration.stations[station].T_W_B)
-    robot, arm = cell.robot, cell.robot.arm()
-    joints_rad = posture(
-        arm, inverse(T_W_B) @ poses_from_zyx(command), robot.status, robot.margin_limits_rad,
-        np.radians(robot.home_deg),
+    robot = drilling.cell.robot
+    straight_rad = drilling.straight_rad(command)
+    off_rad, at_rad = straight_rad[:, 0], straight_rad[:, -1]
+    below_rad = off_rad - np.radians(robot.approach_deg)
+    clearance = Clearance(
+        drilling.cell, drilling.cell.station_named(station), drilling.arm, drilling.T_W_B, part,
+        NEAR_SHARE * drilling.standoff_mm,
     )  # fmt: skip
-    below_rad = joints_rad - np.radians(robot.approach_deg)
-    below = as_listed(zyx_from_pose(T_W_B @ forward(arm, below_rad)))
+    problems = [
+        f"{name}: {why}"
+        for name, below, off, way in zip(names, below_rad, off_rad, straight_rad, strict=True)
+        if (why := clearance.refusal(below, off) or clearance.straight_refusal(way))
+    ]
+    safe_rad = np.radians(robot.safe_deg)
+    from_safe_mm = lengths_mm(command[:, :3] - drilling.places(safe_rad[None]).values[:, :3])
+    gate = command[int(from_safe_mm.argmin())]  # the hole that the tip comes to first
+    holes = [gate, *command, gate]
+    via = list[Places]()
+    for n, (start, end) in enumerate(
+        zip([safe_rad, *off_rad], [*below_rad, safe_rad], strict=True)
+    ):
+        stops, why = _way(clearance, start, end, *map(drilling.drawn_back_rad, holes[n : n + 2]))
+        via.append(drilling.places(np.array(stops).reshape(-1, 6)))
+        if why:
+            to = f"the way to {names[n]}" if n < len(names) else "the way back to the safe pose"
+            problems.append(f"{to}: {why}")
+    if problems:
+        lines = "\n".join(f"  {each}" for each in bounded(problems))
+        raise WayError(
+            f"{station}: ways of its program are not clear:\n{lines}\nchange --standoff, "
+            "robot.safe_deg, the holes or keep_out of the cell file"
+        )
     return StationProgram(
         station=station,
         names=names,
-        command=Places(command, joints_rad, status_of(arm, joints_rad)),
-        approach=Places(below, below_rad, status_of(arm, below_rad)),
-        base=zyx_from_pose(inverse(T_W_B)[None])[0],
+        command=Places(command, at_rad, status_of(drilling.arm, at_rad)),
+        standoff=drilling.places(off_rad),
+        approach=drilling.places(below_rad),
+        via=via,
+        base=zyx_from_pose(inverse(drilling.T_W_B)[None])[0],
+        tool=zyx_from_pose(drilling.arm.tool[None])[0],
+        tool_number=drilling.tip.number,
         safe_deg=robot.safe_deg,
         speed_percent=robot.speed_percent,
         options=robot.options,
         remarks=remarks,
     )
+
+
+def _way(
+    clearance: Clearance,
+    start: Array,
+    end: Array,
+    before: Iterable[Array],
+    after: Iterable[Array],
+) -> tuple[list[Array], str]:
+    """Return the stops (M, 6) of a clear way between joints (6,), and why there is none, or "".
+
+    ``before`` and ``after`` are joints (6,) at which the tip is drawn back from the holes at the
+    way's start and end, nearest first; they are asked for only where the direct way is not clear.
+    """
+
+    def refusal(stops: Sequence[Array]) -> str:
+        ways = pairwise([start, *stops, end])
+        return next(filter(None, (clearance.refusal(*each) for each in ways)), "")
+
+    if not (direct := refusal([])):
+        return [], ""
+    behind, ahead = list(before), list(after)
+    single = [[one] for both in zip_longest(behind, ahead) for one in both if one is not None]
+    pairs = sorted(product(range(len(behind)), range(len(ahead))), key=sum)
+    for stops in [*single, *([behind[one], ahead[other]] for one, other in pairs)]:
+        if not refusal(stops):
+            return stops, ""
+    return [], direct

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hilcell.calibration.form import Calibration
+from hilcell.calibration.tip import AT_REFLECTOR, Tip
 from hilcell.compensation.grid import ROUNDING_MM, OutsideGrid
 from hilcell.compensation.programs import Program, StatedBase, Stroke, stands_in_root
 from hilcell.errors import bounded
@@ -96,6 +97,7 @@ def check_strokes(
     command: Array,
     strokes: Sequence[Stroke],
     limits: StrokeLimits,
+    tip: Tip = AT_REFLECTOR,
 ) -> StrokeMiss:
     """Return by how far strokes miss the line that their target's nominal pose states.
 
@@ -103,8 +105,9 @@ def check_strokes(
     its way differs from that at the target, and where angles are corrected by as much as the stroke
     is turned with them. The calibration's model is asked every `STEP_MM` of the way: the ripple of
     gears passes within some millimetres, an end can be good by chance. ``targets`` (N, 6) are
-    nominal, ``command`` (N, 6) corrected, in {W}. Raises `StrokeError` naming the strokes that lead
-    too far, end outside of the calibrated volume, or miss by more than ``limits``.
+    nominal, ``command`` (N, 6) corrected, poses of the ``tip`` in {W}. Raises `StrokeError` naming
+    the strokes that lead too far, end outside of the calibrated volume, or miss by more than
+    ``limits``.
     """
     if not strokes:
         return StrokeMiss()
@@ -112,13 +115,15 @@ def check_strokes(
     shifts_mm = np.array([each.shift_mm for each in strokes])
     _refuse_long(lengths_mm(shifts_mm), limits.longest_mm, names)
     T_B_W = inverse(np.array(calibration.stations[station].T_W_B))
-    ends_mm = apply(T_B_W, targets[at, :3] + shifts_mm)
+    ends = poses_from_zyx(targets[at])
+    ends[:, :3, 3] += shifts_mm
+    ends_mm = (T_B_W @ ends @ tip.T_D_T)[:, :3, 3]
     try:
         calibration.grid().check_inside(ends_mm, names)
     except OutsideGrid as error:
         raise StrokeError(f"strokes that end outside: {error}") from error
     ways = [_way(each) for each in strokes]
-    missed_mm = _missed(calibration, T_B_W, targets[at], command[at], ways)
+    missed_mm = _missed(calibration, T_B_W, targets[at], command[at], ways, tip)
     most_mm = np.broadcast_to(limits.miss_mm, len(targets))[at]
     return _refuse_missed(ways, missed_mm, most_mm, names, limits.source)
 
@@ -130,7 +135,12 @@ def _way(stroke: Stroke) -> Array:
 
 
 def _missed(
-    calibration: Calibration, T_B_W: Array, starts: Array, command: Array, ways: Sequence[Array]
+    calibration: Calibration,
+    T_B_W: Array,
+    starts: Array,
+    command: Array,
+    ways: Sequence[Array],
+    tip: Tip,
 ) -> list[Array]:
     """Return by how far each place of ``ways`` is missed, each (K, 3) in {W}.
 
@@ -140,8 +150,8 @@ def _missed(
     places = np.repeat(starts, counts, axis=0)
     places[:, :3] += np.concatenate(ways)
     model = calibration.error_model()
-    errors_mm = model.predict(T_B_W @ poses_from_zyx(places)).error_mm
-    at_start_mm = model.predict(T_B_W @ poses_from_zyx(starts)).error_mm
+    errors_mm = model.predict(T_B_W @ poses_from_zyx(places) @ tip.T_D_T).error_mm
+    at_start_mm = model.predict(T_B_W @ poses_from_zyx(starts) @ tip.T_D_T).error_mm
     change_mm = (errors_mm - np.repeat(at_start_mm, counts, axis=0)) @ T_B_W[:3, :3]  # in {W}
     turn = poses_from_zyx(command)[:, :3, :3] @ poses_from_zyx(starts)[:, :3, :3].swapaxes(1, 2)
     sent_mm = [way @ each.T for way, each in zip(ways, turn, strict=True)]

@@ -7,20 +7,23 @@ when it reverses. Axes 1 to 3, whose levers are metres, are estimated; the other
 
 from __future__ import annotations
 
+import math
+
 import msgspec
 import numpy as np
 
+from hilcell.calibration.form import LostMotion
 from hilcell.calibration.suspicions import ZEROS, Suspicion
 from hilcell.calibration.visit_noise import of_differences, visit_noise
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.statistics import lengths_mm, rectangular_variance
-from hilcell.journal.log import Log, commanded_rad, positions_mm
+from hilcell.journal.log import NO_READINGS, Log, commanded_rad, positions_mm
 from hilcell.journal.point_id import PointId
 
 REVERSAL = "reversal"  # kind of the points that were approached from above
 NOTICED_BY = "vertices approached from above"
-LARGE = 3  # axes, the first ones
+LARGE, AXES = 3, 6  # the first ones, and all
 WRIST_RAD = 1e-4  # 1 sigma of what axes 4 to 6 may lose
 COVERAGE = 2.0  # k
 URAD = 1e6
@@ -53,6 +56,19 @@ class Reversal(msgspec.Struct, frozen=True):
         axis = int(np.argmax(self.excess_urad))
         unit = f"urad of axis {axis + 1}"
         return Suspicion("reversal", self.lost_urad[axis], unit, NOTICED_BY)
+
+
+def lost_motion(log: Log) -> LostMotion:
+    """Return what the axes lose, as measured; else nothing, within the data sheet's limit."""
+    found = log.once(reversal, besides=NO_READINGS)
+    wrist = [WRIST_RAD] * (AXES - LARGE)
+    if found is None:
+        limit_rad = log.cell.uncertainty.lost_motion_urad / URAD
+        u_rad = [math.sqrt(rectangular_variance(limit_rad))] * LARGE
+        return LostMotion([0.0] * AXES, [*u_rad, *wrist], measured=False)
+    lost_rad = [each / URAD for each in found.lost_urad]
+    u_rad = [each / URAD / COVERAGE for each in found.U_urad]
+    return LostMotion([*lost_rad, *[0.0] * (AXES - LARGE)], [*u_rad, *wrist], measured=True)
 
 
 def reversal(log: Log) -> Reversal | None:

@@ -45,6 +45,11 @@ class Volume:
         taken: Bools = (outside_mm <= 0.0) & (turned_deg <= limit_deg)
         return taken.reshape(poses.shape[:-2])
 
+    def points_back(self, stations: Sequence[str], poses: Array) -> bool:
+        """Whether poses (K, 4, 4) in {W} have z against every calibrated one's at a station."""
+        bases = (self._bases[name] for name in stations if name in self._bases)
+        return any(bool(self._validity.points_back(inverse(T) @ poses).any()) for T in bases)
+
     def refusal(self, stations: Sequence[str], poses: Array) -> str:
         """Return why none of poses (K, 4, 4) in {W} is corrected, where least is missing."""
         known = [name for name in stations if name in self._bases]

@@ -54,6 +54,7 @@ from hilcell.cell.tables import (
     Wait,
     refuse_descending,
 )
+from hilcell.cell.tool import ToolTable, tool_problems
 from hilcell.cell.uncertainty import UncertaintyTable, with_certificates
 
 # A cell file without ``[rail]`` is completed here alone: by a rail whose driver is `NO_RAIL`, a
@@ -211,7 +212,7 @@ __all__ = [
     "Frozen",
     "GridTable", "Joint", "KeepOut", "Layout", "Nest", "PlanTable", "Pose", "RailTable",
     "RobotTable", "SettleTable", "SimulationTable", "Six", "Station", "SurveyTable",
-    "SweepsTable", "TouchTable", "TrackerTable", "UncertaintyTable", "ValidationTable",
+    "SweepsTable", "ToolTable", "TouchTable", "TrackerTable", "UncertaintyTable", "ValidationTable",
     "arm_from_joints", "built_in_cells", "load_cell",
 ]  # fmt: skip
 
@@ -227,7 +228,7 @@ PACE = {
 # Work that is done with the cell, and statements about it: none moves a measured point.
 NOT_THE_CELL = (
     "simulation", "plan", "sweeps", "keep_out", "uncertainty", "touch", "recheck", "targets",
-    "certificate", "iso9283",
+    "certificate", "iso9283", "tool",
 )  # fmt: skip
 LEAST_ARC_DEG = 10.0
 
@@ -412,6 +413,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
     touch: TouchTable = field(default_factory=TouchTable)
     settle: SettleTable = field(default_factory=SettleTable)
     keep_out: list[KeepOut] = field(default_factory=list)
+    tool: list[ToolTable] = field(default_factory=list)
     uncertainty: UncertaintyTable = field(default_factory=UncertaintyTable)
     certificate: CertificateTable = field(default_factory=CertificateTable)
     recheck: RecheckTable = field(default_factory=RecheckTable)
@@ -437,6 +439,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
             self._bad_survey,
             self._bad_reflectors,
             lambda: keep_out_problems(self.keep_out, self.robot.envelope),
+            lambda: tool_problems(self.tool, self.robot.options.get("tool")),
         )
 
     def _bad_names(self) -> Iterator[str]:

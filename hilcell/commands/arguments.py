@@ -18,6 +18,7 @@ MOST_WORKERS = 1024
 MOST_DAYS = 36_500.0
 STROKE_MM, MOST_STROKE_MM = 20.0, 200.0
 MOST_STROKE_MISS_MM = 5.0
+MOST_STANDOFF_MM = 1000.0
 SIMULATED = ("rail", "robot", "tracker", "control")
 # For the help: headers of `hilcell.compensation.targets` and `hilcell.planning.holes`.
 TARGETS = "name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg"
@@ -120,6 +121,11 @@ def days(text: str) -> float:
 def stroke(text: str) -> float:
     """Return a length of strokes, mm."""
     return _length(text, "a length", MOST_STROKE_MM)
+
+
+def standoff(text: str) -> float:
+    """Return a stand-off, mm."""
+    return _length(text, "a stand-off", MOST_STANDOFF_MM)
 
 
 def stroke_tolerance(text: str) -> float:

@@ -14,6 +14,7 @@ from hilcell.calibration.budget import with_drill
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import Bounds, NoBound
 from hilcell.calibration.orientation import turn_bounds_deg
+from hilcell.calibration.tip import Tip
 from hilcell.commands.output_place import CSV, check_output
 from hilcell.compensation.targets import write_rows
 from hilcell.geometry.frames import poses_from_zyx
@@ -32,29 +33,37 @@ def bounds_of_targets(
     station: str,
     targets: Array,
     temperature_c: float | None,
+    tip: Tip,
     drill_offset_mm: tuple[float, float, float] | None = None,
 ) -> Found:
-    """Return the bounds of corrected targets (N, 6) in {W}, or why there are none.
+    """Return the bounds of corrected targets (N, 6) in {W} of a tip, or why there are none.
 
-    ``drill_offset_mm`` takes the place of that of the calibration.
+    ``drill_offset_mm`` takes the place of that of the calibration where the tip is the reflector.
     """
     try:
         stated = calibration.uncertainty
+        if tip.table is not None:
+            x_mm, y_mm, z_mm = tip.lever_mm.tolist()
+            drill_offset_mm = (x_mm, y_mm, z_mm)
         if drill_offset_mm is not None and not stated.missing:
-            stated = with_drill(stated, drill_offset_mm)
+            turns_deg = turns_of_targets(calibration, station, targets, tip)
+            stated = with_drill(stated, drill_offset_mm, tip.u_mm, turns_deg)
             calibration = msgspec.structs.replace(calibration, uncertainty=stated)
-        return target_bounds(calibration, station, poses_from_zyx(targets), temperature_c)
+        seen = poses_from_zyx(targets) @ tip.T_D_T
+        return target_bounds(calibration, station, seen, temperature_c)
     except NoBound as reason:
         return reason
 
 
-def turns_of_targets(calibration: Calibration, station: str, targets: Array) -> Array | None:
-    """Return the bounds (N,) of orientation, in deg, of corrected targets (N, 6) in {W}.
+def turns_of_targets(
+    calibration: Calibration, station: str, targets: Array, tip: Tip
+) -> Array | None:
+    """Return the bounds (N,) of orientation, in deg, of corrected targets (N, 6) in {W} of a tip.
 
     None where the calibration corrects positions only, or where no bounds can be stated.
     """
     try:
-        return turn_bounds_deg(calibration, station, poses_from_zyx(targets))
+        return turn_bounds_deg(calibration, station, poses_from_zyx(targets) @ tip.T_D_T)
     except NoBound:
         return None
 

@@ -316,6 +316,7 @@ def _add_plan(commands: argparse._SubParsersAction[Parser]) -> None:
     plan = _command(commands, "plan", "commands.plan:plan", "choose stations and orders for holes")
     plan.add_argument("holes", metavar="HOLES.csv", help=arguments.HOLES)
     options.add_cell_options(plan)
+    options.add_tool_option(plan)
     plan.add_argument("--free", action="store_true", help="stations anywhere along the rail, too")
     plan.add_argument("-o", "--output", default="", metavar="OUT", help="CSV: station,order,name")
     plan.add_argument(
@@ -334,6 +335,15 @@ def _add_plan(commands: argparse._SubParsersAction[Parser]) -> None:
     )
     prepare.add_argument("holes", metavar="HOLES.csv", help=arguments.HOLES)
     options.add_cell_options(prepare)
+    options.add_tool_option(prepare)
+    prepare.add_argument(
+        "--standoff",
+        type=arguments.standoff,
+        default=None,
+        metavar="MM",
+        help="along the outward normal, before and after each hole (default: the tool's of the "
+        "cell file, at least its drill's length plus 20; 100 for the reflector)",
+    )
     prepare.add_argument(
         "--calibration", required=True, metavar="CALIBRATION", help="a run or calibration.json"
     )
@@ -409,6 +419,7 @@ def _add_files(commands: argparse._SubParsersAction[Parser]) -> None:
         help="refuse a calibration of another cell, and turns of the joints that change",
     )
     options.add_set_option(compensate)
+    options.add_tool_option(compensate)
     options.add_release_options(compensate)
     options.add_bounds_option(compensate)
     options.add_json_option(compensate, "one object")

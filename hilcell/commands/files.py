@@ -18,6 +18,7 @@ from hilcell.calibration.programs import (
     root_of,
     taken_in,
 )
+from hilcell.calibration.tip import Tip, tip_named, tip_of_program
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.bounds import (
@@ -34,6 +35,7 @@ from hilcell.compensation.programs import (
     Program,
     load_program,
     notes_of,
+    setting_tool,
     stands_in_root,
     suffixes,
     write_program,
@@ -60,17 +62,16 @@ def compensate(args: argparse.Namespace) -> int:
     root = root_of(calibration, args.station, program)
     names, listed = _listed(source) if program is None else (program.names, program.values())
     targets = taken_in(root, listed)  # in {W}
-    if program is not None and cell is not None:
-        program.check_options(cell.robot.options)
+    tip = _tip(cell, args.tool, program, source)
     if program is not None and args.station in calibration.stations:
         check_base(calibration, args.station, program.base, targets)  # names a cause of the next
-    command = compensate_targets(calibration, args.station, targets, names)
+    command = compensate_targets(calibration, args.station, targets, names, tip)
     drill_mm = drill_mm_of(cell)
-    bounds = bounds_of_targets(calibration, args.station, targets, args.temperature, drill_mm)
+    bounds = bounds_of_targets(calibration, args.station, targets, args.temperature, tip, drill_mm)
     if program is not None:
         limits = _stroke_limits(args, bounds)
-        _check_program(calibration, args, program, targets, command, cell, limits)
-    turns_deg = turns_of_targets(calibration, args.station, targets)
+        _check_program(calibration, args, program, targets, command, cell, limits, tip)
+    turns_deg = turns_of_targets(calibration, args.station, targets, tip)
     if args.bounds:
         where = Path(args.bounds)
         write_bounds(where, bounds, names, out, inputs=inputs, turns_deg=turns_deg)
@@ -85,6 +86,7 @@ def compensate(args: argparse.Namespace) -> int:
                 "calibration": calibration.provenance.latest,
                 "station": args.station,
                 "targets": len(names),
+                "tool": tip.name,
                 "standing": found.stands,
                 "stamp": stamp.text,
                 "notes": list(found.notes()),
@@ -94,12 +96,28 @@ def compensate(args: argparse.Namespace) -> int:
         f"{len(names)} target{'s' * (len(names) != 1)} corrected for {args.station} into {written}"
     )
     print_message(summary(bounds, names, turns_deg))
-    if drill_mm is not None:
+    if tip.table is not None:
+        print_message(tip.words)
+    elif drill_mm is not None:
         at_mm = " ".join(f"{each:g}" for each in drill_mm)
         print_message(f"they hold at the drill, ({at_mm}) mm from the reflector in {{T}}")
     for note in found.notes():
         print_message(note)
     return 0
+
+
+def _tip(cell: Cell | None, name: str, program: Program | None, source: Path) -> Tip:
+    """Return the tip that the targets are given at; raises `SettingsError`.
+
+    A program's own tool decides; of a list, and of a program without one, the named tool does.
+    """
+    setting = setting_tool(program)
+    if cell is None or setting is None:
+        return tip_named(cell, name)
+    number = setting.reflector_number(cell.robot.options)
+    if setting.tool is None:
+        return tip_named(cell, name, number)
+    return tip_of_program(cell, name, setting.tool, number, source.name)
 
 
 def check_settings(cell: str | None, settings: dict[str, str]) -> None:
@@ -145,19 +163,23 @@ def _check_program(
     command: Array,
     cell: Cell | None,
     limits: StrokeLimits,
+    tip: Tip,
 ) -> None:
     """Refuse a program whose strokes or joints do not agree with its corrected targets."""
     station, name = args.station, Path(args.targets).name
-    missed = check_strokes(calibration, station, targets, command, program.strokes, limits)
+    missed = check_strokes(calibration, station, targets, command, program.strokes, limits, tip)
     if program.strokes:
         print_message(
             f"{name}: strokes keep the correction of the point before them, and miss by at most "
             f"{missed.across_mm:.3f} mm across (the hole's position) and {missed.along_mm:.3f} mm "
             f"along (its depth), by the model every {STEP_MM:g} mm; allowed: {limits.source}"
         )
+    setting = setting_tool(program)
+    if cell is None and setting is not None and setting.tool is not None:
+        print_message(f"{name}: its tool ({setting.tool.text}) was not checked; --cell CELL does")
     if cell is not None:
         T_W_B = np.array(calibration.stations[station].T_W_B)
-        program.check_joints(cell.robot.arm(), T_W_B, command)
+        program.check_joints(tip.arm(cell.robot.arm()), T_W_B, command)
     elif program.needs_arm:
         print_message(f"{name}: {program.needs_arm} were not checked; --cell CELL does")
 

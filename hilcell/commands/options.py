@@ -52,6 +52,17 @@ def add_cell_options(parser: argparse.ArgumentParser) -> None:
     add_set_option(parser)
 
 
+def add_tool_option(parser: argparse.ArgumentParser) -> None:
+    """Add the tool whose tip holes and targets are given at."""
+    parser.add_argument(
+        "--tool",
+        default="",
+        metavar="NAME",
+        help="the tool of the cell file at whose tip they are given, or `reflector` (default: the "
+        "cell's only tool; the reflector where it has none)",
+    )
+
+
 def add_set_option(parser: argparse.ArgumentParser) -> None:
     """Add values that take the place of the cell file's."""
     parser.add_argument(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from hilcell.calibration.tip import tip_named
 from hilcell.calibration.volume import Volume
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
@@ -22,7 +23,7 @@ def plan(args: argparse.Namespace) -> int:
     """Print the fewest stations for the holes, and their orders with a lower bound on travel."""
     cell = load_cell(args.cell, dict(args.set))
     calibrated = _calibrated(args, cell)
-    holes = read_holes(Path(args.holes))
+    holes = read_holes(Path(args.holes), tip_named(cell, args.tool).T_D_T)
     for warning in bounded(twins(holes)):
         print_message(warning)
     found = plan_holes(cell, holes, free=args.free, calibrated=calibrated, heard=print_message)

@@ -13,14 +13,18 @@ import msgspec
 
 from hilcell.calibration.form import Validity
 from hilcell.calibration.influence import NoBound
+from hilcell.calibration.part import Part
+from hilcell.calibration.tip import Tip, tip_named
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.calibration.volume import Volume
 from hilcell.cell.file import Cell, load_cell
+from hilcell.cell.settings import SettingsError
+from hilcell.cell.tool import STANDOFF_MORE_MM
 from hilcell.commands.bounds import summary
 from hilcell.commands.files import check_settings, drill_mm_of
 from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.commands.output_place import KNOWN
-from hilcell.commands.prepared import Prepared, prepared
+from hilcell.commands.prepared import Job, Prepared, prepared, standoff_remarks
 from hilcell.commands.released import Released, released
 from hilcell.errors import bounded
 from hilcell.geometry.statistics import lengths_mm
@@ -47,6 +51,7 @@ def sheet_of(
     source: str,
     max_age_days: float,
     temperature_c: float | None,
+    job: Job,
     stations: Sequence[Prepared],
     twins: Sequence[str],
 ) -> Sheet:
@@ -59,10 +64,7 @@ def sheet_of(
     air = _air(validity, temperature_c)
     count = sum(len(each.plan.holes) for each in stations)
     places = "station" if len(stations) == 1 else "stations"
-    drill_mm = drill_mm_of(cell)
-    at = "the reflector's centre"
-    if drill_mm is not None:
-        at = f"the drill, ({' '.join(f'{each:g}' for each in drill_mm)}) mm from the reflector"
+    standoff, side, depth = standoff_remarks(job.standoff_mm)
     facts = [
         ("Holes", source),
         ("Cell", f"{cell.name}, serial {cell.serial}, robot {cell.robot.name}"),
@@ -71,7 +73,9 @@ def sheet_of(
         ("Use until", f"{until}, {max_age_days:g} days after it was written"),
         ("Air", air),
         ("Orientation", f"as calibrated, within {validity.orientation_tolerance_deg:g}°"),
-        ("Bounds hold at", at),
+        ("Bounds hold at", _bounds_at(cell, job.tip)),
+        ("Stand-off", standoff),
+        ("Side and depth", f"{side}; {depth}"),
         ("Prepared", f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"),
     ]
     if any(each.turns_deg is not None for each in stations):
@@ -92,6 +96,28 @@ def sheet_of(
         invalid=[f"air outside of {air}", f"the time after {until}", *INVALID],
         footer=f"calibration {made.latest}, holes {source}",
     )
+
+
+def _bounds_at(cell: Cell, tip: Tip) -> str:
+    """Return where points, corrections and bounds hold."""
+    drill_mm = drill_mm_of(cell)
+    if tip.table is None and drill_mm is not None:
+        at_mm = " ".join(f"{each:g}" for each in drill_mm)
+        return f"the drill, ({at_mm}) mm from the reflector"
+    return tip.words.removeprefix("they hold at ")
+
+
+def _standoff_mm(tip: Tip, ordered_mm: float | None) -> float:
+    """Return the stand-off; raises `SettingsError` for one that the drill is longer than."""
+    if ordered_mm is None:
+        return tip.standoff_mm
+    if not ordered_mm >= tip.least_standoff_mm:
+        problem = (
+            f"{ordered_mm:g} mm: expected at least {tip.least_standoff_mm:g} mm, the drill of "
+            f"{tip.name} and {STANDOFF_MORE_MM:g} mm more"
+        )
+        raise SettingsError("--standoff", [problem])
+    return ordered_mm
 
 
 def _station(cell: Cell, each: Prepared) -> SheetStation:
@@ -170,14 +196,19 @@ def prepare(args: argparse.Namespace) -> int:
     check_settings(args.cell, dict(args.set))
     cell = load_cell(args.cell, dict(args.set))
     found, source, folder = released(args, cell), Path(args.holes), Path(args.output)
-    holes = read_holes(source)
+    tip = tip_named(cell, args.tool, cell.robot.options.get("tool"))
+    standoff_mm = _standoff_mm(tip, args.standoff)
+    holes = read_holes(source, tip.T_D_T)
     for warning in bounded(warnings := twins(holes)):
         print_message(warning)
     whole = plan(cell, holes, calibrated=Volume(found.calibration), heard=print_message)
-    stations = [prepared(args, cell, found, each) for each in whole.stations]
-    facts = _summary(found, source, whole, stations, warnings)
+    job = Job(tip, Part(holes.points_mm, holes.outward), standoff_mm)
+    stations = [prepared(args, cell, found, job, each) for each in whole.stations]
+    facts = _summary(found, source, tip, whole, stations, warnings)
     contents = {SUMMARY: msgspec.json.format(msgspec.json.encode(facts), indent=1) + b"\n"}
-    sheet = sheet_of(found, cell, source.name, args.max_age, args.temperature, stations, warnings)
+    sheet = sheet_of(
+        found, cell, source.name, args.max_age, args.temperature, job, stations, warnings
+    )
     contents[SHEET] = sheet_html(sheet).encode()
     for each in stations:
         contents |= {each.file: each.content, **each.program}
@@ -204,6 +235,7 @@ def prepare(args: argparse.Namespace) -> int:
 def _summary(
     found: Released,
     source: Path,
+    tip: Tip,
     whole: HolePlan,
     stations: list[Prepared],
     warnings: list[str],
@@ -216,6 +248,7 @@ def _summary(
         "simulated": made.simulated,
         "standing": found.stands,
         "holes": source.name,
+        "tool": tip.name,
         "notes": list(found.notes()),
         "warnings": warnings,
         "sheet": SHEET,

@@ -13,8 +13,11 @@ import numpy as np
 from hilcell.calibration.file import compensate_targets
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import NoBound
-from hilcell.calibration.prepared import station_program
+from hilcell.calibration.part import REACH_MM, Part
+from hilcell.calibration.prepared import Drilling, station_program
 from hilcell.calibration.programs import StrokeError, StrokeLimits, check_strokes
+from hilcell.calibration.straight_way import straight_way
+from hilcell.calibration.tip import Tip
 from hilcell.cell.file import Cell
 from hilcell.commands.arguments import STROKE_MM
 from hilcell.commands.bounds import TURN, Found, bounds_of_targets, turns_of_targets
@@ -33,8 +36,9 @@ from hilcell.ports import Array
 class Prepared:
     """The holes of one station: its plan, commands (N, 6) in {W}, bounds, stamp, program files.
 
-    ``turns_deg`` (N,) are the bounds of orientation, where it is corrected; ``stroke`` says in
-    words what a drill stroke adds at most.
+    Poses are those of the tool's tip. ``turns_deg`` (N,) are the bounds of orientation, where it is
+    corrected; ``stroke`` says in words what a drill stroke adds at most; between holes the tip is
+    ``standoff_mm`` in front of the part.
     """
 
     plan: StationPlan
@@ -44,6 +48,7 @@ class Prepared:
     program: Mapping[str, bytes]
     turns_deg: Array | None
     stroke: str
+    standoff_mm: float
 
     @property
     def file(self) -> str:
@@ -84,39 +89,77 @@ class Prepared:
             "holes": self.plan.holes,
             "bound95_mm": bounds_mm,
             "travel_mm": self.plan.travel_mm,
+            "standoff_mm": self.standoff_mm,
             "bound95_median_mm": None if bounds_mm is None else float(np.median(bounds_mm)),
             "bound95_max_mm": None if bounds_mm is None else max(bounds_mm),
             **turned,
         }
 
 
-def prepared(args: argparse.Namespace, cell: Cell, found: Released, each: StationPlan) -> Prepared:
+@dataclass(frozen=True, eq=False)
+class Job:
+    """The common facts of all stations of a job: the tool's tip, the part, and the stand-off."""
+
+    tip: Tip
+    part: Part
+    standoff_mm: float
+
+
+def prepared(
+    args: argparse.Namespace, cell: Cell, found: Released, job: Job, each: StationPlan
+) -> Prepared:
     """Return a station's holes, corrected; raises `HilcellError` where one must not be."""
-    name, calibration = each.station.name, found.calibration
+    name, calibration, tip = each.station.name, found.calibration, job.tip
     nominal = as_listed(each.poses)  # as `plan` states them, and `compensate` reads them
-    command = as_listed(compensate_targets(calibration, name, nominal, each.holes))
-    bounds = bounds_of_targets(calibration, name, nominal, args.temperature, drill_mm_of(cell))
-    stroke = _stroke(calibration, name, nominal, command)
+    command = as_listed(compensate_targets(calibration, name, nominal, each.holes, tip))
+    bounds = bounds_of_targets(calibration, name, nominal, args.temperature, tip, drill_mm_of(cell))
+    stroke = _stroke(calibration, name, nominal, command, tip)
     stamp, writer = found.stamp(name), writer_of(cell.robot.driver)
     program: Mapping[str, bytes] = {}
+    straight = ""
     if writer is not None:
-        remarks = [_place(cell, each), stroke] + ["SIMULATED: not for a machine"] * stamp.simulated
-        program = writer(
-            station_program(calibration, cell, name, each.holes, command, remarks), stamp
+        drilling = Drilling(cell, np.array(calibration.stations[name].T_W_B), tip, job.standoff_mm)
+        lost = straight_way(
+            calibration.lost_motion, drilling.arm, drilling.T_W_B, drilling.straight_rad(command)
         )
-    turns_deg = turns_of_targets(calibration, name, nominal)
-    return Prepared(each, command, bounds, stamp, program, turns_deg, stroke)
+        straight = lost.words
+        sent = as_listed(command - np.pad(lost.shift_mm, ((0, 0), (0, 3))))
+        remarks = [
+            _place(cell, each),
+            f"tool {tip.name}: points are where its tip is to be, z along the drill",
+            *standoff_remarks(job.standoff_mm),
+            straight,
+            stroke,
+            *["SIMULATED: not for a machine"] * stamp.simulated,
+        ]
+        program = writer(
+            station_program(drilling, name, each.holes, sent, job.part, remarks), stamp
+        )
+    turns_deg = turns_of_targets(calibration, name, nominal, tip)
+    words = "; ".join(filter(None, (stroke, straight)))
+    return Prepared(each, command, bounds, stamp, program, turns_deg, words, job.standoff_mm)
 
 
-def _stroke(calibration: Calibration, station: str, nominal: Array, command: Array) -> str:
+def standoff_remarks(standoff_mm: float) -> list[str]:
+    """Return in words how far off the tip is kept, on which side, and how deep the points are."""
+    side = "assumed side: the part lies behind each hole, where z of the tool points"
+    return [
+        f"stand-off {standoff_mm:g} mm along the outward normal, before and after each hole",
+        f"{side}, within {REACH_MM:g} mm of a hole; state a larger part as keep_out",
+        "depth 0: points are on the part's surface; the drill's feed is the spindle's own",
+    ]
+
+
+def _stroke(
+    calibration: Calibration, station: str, nominal: Array, command: Array, tip: Tip
+) -> str:
     """Return in words by how far a usual stroke along z of the tool would miss at most."""
     shifts_mm = (STROKE_MM * poses_from_zyx(nominal)[:, :3, 2]).tolist()
     strokes = [Stroke(f"hole {n + 1}", n, tuple(each)) for n, each in enumerate(shifts_mm)]
     words = f"a stroke of {STROKE_MM:g} mm along z of the tool"
+    limits = StrokeLimits(STROKE_MM, math.inf, "")
     try:
-        missed = check_strokes(
-            calibration, station, nominal, command, strokes, StrokeLimits(STROKE_MM, math.inf, "")
-        )
+        missed = check_strokes(calibration, station, nominal, command, strokes, limits, tip)
     except StrokeError:
         return f"{words} ends outside of the calibrated volume at some holes"
     return (

@@ -41,6 +41,17 @@ class StatedBase(NamedTuple):
     values: tuple[float, ...]
 
 
+class StatedTool(NamedTuple):
+    """The tool that a program states: its number in the controller, or its frame (4, 4) in the
+    flange where the place is known. ``where`` and ``text`` are for messages.
+    """
+
+    where: str
+    text: str
+    number: int | None
+    frame: Array | None = None
+
+
 class Program(Protocol):
     """A robot program that was read: its targets, and its files with other positions."""
 
@@ -75,9 +86,6 @@ class Program(Protocol):
     def values(self) -> Array:
         """Return the targets (N, 6): x, y, z in mm, Z-Y-X angles a, b, c in deg."""
 
-    def check_options(self, options: Mapping[str, Any]) -> None:
-        """Raise `SettingsError` where it does not agree with the options of the cell's robot."""
-
     def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
         """Raise `HilcellError` where ``command`` (N, 6) would mean other turns of the joints."""
 
@@ -97,10 +105,27 @@ class NamesModule(Protocol):
 
 
 @runtime_checkable
+class SetsTool(Protocol):
+    """A program that may set its tool; those of other formats have that of the list."""
+
+    @property
+    def tool(self) -> StatedTool | None:
+        """Return the tool that the program sets; None where it sets none."""
+
+    def reflector_number(self, options: Mapping[str, Any]) -> int | None:
+        """Return the controller's number of the reflector's tool, by the options of the robot."""
+
+
+@runtime_checkable
 class InRoot(Protocol):
     """A program whose targets stand in the robot's root {B}; those of other formats in {W}."""
 
     in_root: bool
+
+
+def setting_tool(program: object) -> SetsTool | None:
+    """Return the program where its format tells the tool that it sets."""
+    return program if isinstance(program, SetsTool) else None
 
 
 def stands_in_root(program: object) -> bool:

@@ -21,8 +21,8 @@ GROUP = "program_writers"
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """N poses of {T} in {W}, ``values`` (N, 6): x, y, z in mm, Z-Y-X angles in deg; and how the
-    nominal arm stands there: ``joints_rad`` (N, 6), ``status`` (N,).
+    """N poses of a tool's tip in {W}, ``values`` (N, 6): x, y, z in mm, Z-Y-X angles in deg; and
+    how the nominal arm stands there: ``joints_rad`` (N, 6), ``status`` (N,).
     """
 
     values: Array
@@ -32,18 +32,26 @@ class Places:
 
 @dataclass(frozen=True, eq=False)
 class StationProgram:
-    """N targets in order of visit, by ``names``: ``command`` is where each is sent.
+    """N targets in order of visit, by ``names``: ``command`` is where the tool's tip is sent.
 
-    ``approach`` lies below it on every axis, as the calibration came to its poses. ``base`` (6,)
-    is {W} in {B}. The program begins and ends at ``safe_deg`` (6,). ``options`` are those of the
-    robot's driver, ``remarks`` comments for its head.
+    From the hole before, or the safe pose, the robot goes by joints through ``via`` (N + 1, the
+    last before the safe pose at the end; each may have no places) to ``approach``, from there to
+    ``standoff``, in front of the target, so that every axis comes from below, as the calibration
+    came to its poses; then straight to ``command``, and straight back to ``standoff``. ``base``
+    (6,) is {W} in {B}; ``tool`` (6,) is the tip in the flange, ``tool_number`` the controller's.
+    The program begins and ends at ``safe_deg`` (6,). ``options`` are those of the robot's driver,
+    ``remarks`` comments for its head.
     """
 
     station: str
     names: Sequence[str]
     command: Places
+    standoff: Places
     approach: Places
+    via: Sequence[Places]
     base: Array
+    tool: Array
+    tool_number: int | None
     safe_deg: Sequence[float]
     speed_percent: float
     options: Mapping[str, Any]

@@ -6,7 +6,7 @@ normal; the turn about it is free. A target with angles fixes the whole orientat
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,16 +26,33 @@ TURNS = 24  # about the tool's axis, 15 deg apart
 MOST_HOLES = 5000  # routes hold all distances between holes at once
 
 
+REFLECTOR_ITSELF = np.eye(4)
+
+
 @dataclass(frozen=True, slots=True)
 class Holes:
-    """``points_mm`` (N, 3) in {W}; ``tools`` (N, K, 3, 3): allowed orientations of {T} in {W}."""
+    """``points_mm`` (N, 3) in {W}; ``tools`` (N, K, 3, 3): allowed orientations of the tool in {W}.
+
+    ``T_D_T`` (4, 4) is the reflector's frame {T} in that of the tool's tip {D}.
+    """
 
     names: list[str]
     points_mm: Array
     tools: Array
+    T_D_T: Array = field(default_factory=REFLECTOR_ITSELF.copy)
+
+    @property
+    def outward(self) -> Array:
+        """Return the part's outward normals (N, 3): the tool points against them."""
+        against: Array = -self.tools[:, 0, :, 2]
+        return against
+
+    def reflector_poses(self) -> Array:
+        """Return all allowed poses (N, K, 4, 4) of {T} in {W}."""
+        return self.poses() @ self.T_D_T
 
     def poses(self) -> Array:
-        """Return all allowed poses (N, K, 4, 4) of {T} in {W}."""
+        """Return all allowed poses (N, K, 4, 4) of the tool's tip in {W}."""
         poses = np.zeros((*self.tools.shape[:2], 4, 4))
         poses[..., :3, :3] = self.tools
         poses[..., :3, 3] = self.points_mm[:, None]
@@ -43,9 +60,12 @@ class Holes:
         return poses
 
     def with_turn_near(self, R: Array) -> Holes:
-        """Return the holes with one more turn each: of free ones that nearest to ``R`` (3, 3)."""
+        """Return the holes with one more turn each: of free ones the one with {T} nearest to ``R``
+        (3, 3).
+        """
         if self.tools.shape[1] == 1:
             return self  # angles, which fix the turn
+        R = R @ self.T_D_T[:3, :3].T
         z = self.tools[:, 0, :, 2]
         axis = np.cross(R[:, 2], z)
         sine = np.linalg.norm(axis, axis=1)
@@ -55,11 +75,14 @@ class Holes:
         there = np.einsum("ni,ni->n", nearest[:, :, 2], z) > 1.0 - ROUNDING
         nearest[~there] = self.tools[~there, 0]  # of opposite axes none is the shortest
         tools = np.concatenate([self.tools, nearest[:, None]], axis=1)
-        return Holes(self.names, self.points_mm, tools)
+        return replace(self, tools=tools)
 
 
-def read_holes(path: Path) -> Holes:
-    """Read holes with normals, or targets with angles; raises `SettingsError` with all problems."""
+def read_holes(path: Path, T_D_T: Array = REFLECTOR_ITSELF) -> Holes:
+    """Read holes with normals, or targets with angles; raises `SettingsError` with all problems.
+
+    ``T_D_T`` (4, 4) is the reflector's frame in that of the tool's tip.
+    """
     rows = read_named_rows(path, [NORMALS, HEADER], "holes", _fault_of)
     if len(rows.names) > MOST_HOLES:
         problem = f"{len(rows.names)} holes, wanted at most {MOST_HOLES}: split the file"
@@ -67,7 +90,7 @@ def read_holes(path: Path) -> Holes:
     values = np.array(rows.values)
     by_normal = rows.header == NORMALS
     tools = tools_against(values[:, 3:]) if by_normal else from_zyx(values[:, 3:])[:, None]
-    return Holes(rows.names, values[:, :3], tools)
+    return Holes(rows.names, values[:, :3], tools, T_D_T)
 
 
 def twins(holes: Holes) -> list[str]:

@@ -7,7 +7,7 @@ wherever the robot stands, so range depends on the hole alone.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -46,6 +46,11 @@ class Served(Protocol):
     def takes(self, station: str, poses: Array) -> Bools:
         """Return which poses (..., 4, 4) in {W} are corrected at a station."""
 
+    def points_back(self, stations: Sequence[str], poses: Array) -> bool:
+        """Whether poses (K, 4, 4) in {W} of a hole have the tool point against the calibrated way
+        at one of the stations.
+        """
+
     def refusal(self, stations: Sequence[str], poses: Array) -> str:
         """Return why none of poses (K, 4, 4) in {W} is corrected at the stations."""
 
@@ -59,7 +64,7 @@ def reach(
     """
     room_rad = np.empty((len(holes.names), len(stations)))
     turn = np.empty(room_rad.shape, dtype=int)
-    poses = holes.poses()
+    poses = holes.reflector_poses()
     for number, station in enumerate(stations):
         room = _room_rad(cell, _in_base(cell, station, poses))
         if served is not None:
@@ -136,8 +141,11 @@ def _places(stations: Sequence[Station]) -> str:
 
 def _why_not(cell: Cell, hole: Holes, stations: Sequence[Station], served: Served | None) -> str:
     """Return why one hole is drilled from no station: out of reach, or reached and not served."""
+    names = [each.name for each in stations]
+    if served is not None and served.points_back(names, hole.reflector_poses()[0]):
+        return "its normal points into the part: turn it"
     if served is not None and _in_range(cell, hole).all():
-        poses = hole.poses()[0]
+        poses = hole.reflector_poses()[0]
         rooms = {each.name: _room_rad(cell, _in_base(cell, each, poses)) for each in stations}
         reached = [name for name, room in rooms.items() if (room >= 0.0).any()]
         if reached:
@@ -147,7 +155,12 @@ def _why_not(cell: Cell, hole: Holes, stations: Sequence[Station], served: Serve
 
 def _one(holes: Holes, number: int) -> Holes:
     some = slice(number, number + 1)
-    return Holes(holes.names[some], holes.points_mm[some], holes.tools[some])
+    return replace(
+        holes,
+        names=holes.names[some],
+        points_mm=holes.points_mm[some],
+        tools=holes.tools[some],
+    )
 
 
 def _reason(cell: Cell, hole: Holes, stations: Sequence[Station]) -> str:
@@ -156,7 +169,8 @@ def _reason(cell: Cell, hole: Holes, stations: Sequence[Station]) -> str:
     if not low <= range_mm <= high:
         return f"tracker range {range_mm:.0f} mm, wanted {low:.0f} .. {high:.0f} mm"
     arm, status = cell.robot.arm(), cell.robot.status
-    poses = np.stack([_in_base(cell, station, hole.poses()[0]) for station in stations])
+    seen = hole.reflector_poses()[0]
+    poses = np.stack([_in_base(cell, station, seen) for station in stations])
     excess_mm = reach_excess_mm(arm, poses, status)
     if excess_mm.min() > 0:
         at = int(excess_mm.min(axis=1).argmin())

@@ -121,10 +121,10 @@ def declared(statement: Statement) -> tuple[str, list[tuple[str, Sequence[Token]
     return tokens[0].word, found
 
 
-def element(statement: Statement) -> tuple[str, Sequence[Token]] | None:
-    """Return name with index and value of ``XP[1]={...}`` in a data list."""
+def _later(statement: Statement) -> tuple[str, str, Sequence[Token]]:
+    """Return variable, name and value of ``XP={...}`` or ``XP[1]={...}`` in a data list."""
     name, index, value = _assigned(statement.tokens)
-    return (f"{name}[{text_of(index)}]", value) if index and value else None
+    return name, f"{name}[{text_of(index)}]" if index else name, value
 
 
 def _assigned(tokens: Sequence[Token]) -> tuple[str, Sequence[Token], Sequence[Token]]:
@@ -163,12 +163,14 @@ class DataList:
                 self._keep(Datum(name, kind, self._file, statement.line, value, is_global))
         if kind:
             return
-        one = element(statement)
-        if one is not None:
-            base = one[0].partition("[")[0]
-            if base in self.kinds:
-                kind, is_global = self.kinds[base], base in self._global
-                self._keep(Datum(one[0], kind, self._file, statement.line, one[1], is_global))
+        base, name, value = _later(statement)
+        if base in self.kinds:
+            if not value:
+                raise KrlError(f"{base} is stated in parts; state all of its numbers at once")
+            kind, is_global = self.kinds[base], base in self._global
+            self._keep(Datum(name, kind, self._file, statement.line, value, is_global))
+        elif base.startswith("$"):
+            raise KrlError(f"{base} is set in a data list")
 
     def _keep(self, datum: Datum) -> None:
         if datum.name in self.data:

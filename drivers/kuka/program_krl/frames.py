@@ -2,17 +2,19 @@
 
 Targets are taken in that base; its place is the caller's, {W} for `compensate`. A base is set by
 ``$BASE=``, ``BAS(#BASE,n)`` or the frame data of inline forms, ``FDAT_ACT=FP1`` for all motions
-that follow, ``WITH $BASE=SBASE(FP1.BASE_NO)`` for one. Home moves bring frame data of their own,
-which count for nothing as long as only home moves use them.
+that follow, ``WITH $BASE=SBASE(FP1.BASE_NO)`` for one. Each of these is either a number of the
+controller's own tables, or a place that the program states: a structure, ``$NULLFRAME``, number 0,
+or a frame of the program's data list, which hides a table of the same name. Home moves bring frame
+data of their own, which count for nothing as long as only home moves use them.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from drivers.kuka.program_krl.data import POSE, DataList, aggregate, number
+from drivers.kuka.program_krl.data import POINTS, POSE, DataList, aggregate, number
 from drivers.kuka.program_krl.tokens import (
     KrlError,
     Statement,
@@ -24,6 +26,7 @@ from drivers.kuka.program_krl.tokens import (
 )
 
 SET_ONCE = {"$BASE": "base", "$TOOL": "tool"}
+TABLES = {"base": "BASE_DATA", "tool": "TOOL_DATA"}
 NEVER_SET = (
     "BASE_DATA",
     "TOOL_DATA",
@@ -42,12 +45,24 @@ WITH_FORM = re.compile(
 )
 
 
-class StatedTool(NamedTuple):
-    """The tool that a program states, and where; ``number`` is None where it has none."""
+class Stated(NamedTuple):
+    """A base or tool that a program sets, and where.
+
+    ``number`` is that of the controller's own table; ``values`` are X, Y, Z in mm and A, B, C in
+    deg where the place is known, by the program's own numbers or as the table's number 0.
+    """
 
     line: int
     text: str
     number: int | None
+    values: tuple[float, ...] | None = None
+
+    def same(self, other: Stated) -> bool:
+        """Whether both set the same frame."""
+        return (self.number, self.values) == (other.number, other.values)
+
+
+NULL = (0.0,) * len(POSE)  # number 0 of either table, and the controller's own root
 
 
 class FrameRule:
@@ -55,12 +70,24 @@ class FrameRule:
 
     def __init__(self, data: DataList) -> None:
         self._data = data
-        self._set: dict[str, int] = {}
+        self._set: dict[str, Stated] = {}
         self._form: tuple[str, int] | None = None  # frame data in force, and their line
         self._forms_used: tuple[str, int] | None = None
-        self.stated: tuple[int, list[float]] | None = None  # base by its numbers, and its line
-        self.tool: StatedTool | None = None
+        self._form_base: Stated | None = None
+        self._form_tool: Stated | None = None
+        self._changed: dict[str, int] = {}  # names that are assigned, by their first line
+        self.frames_used = set[str]()  # of the data list, which stand for a base or tool
         self._moved = 0
+
+    @property
+    def base(self) -> Stated | None:
+        """Return the base that the program sets."""
+        return self._set.get("base") or self._form_base
+
+    @property
+    def tool(self) -> Stated | None:
+        """Return the tool that the program sets."""
+        return self._set.get("tool") or self._form_tool
 
     def take(self, statement: Statement) -> None:
         """Take a statement that is not a motion; raises `KrlError`."""
@@ -79,15 +106,18 @@ class FrameRule:
             return
         name, set_on = form
         numbers = self._numbers(name)
-        tool_no = self._data.data[name].fields()["TOOL_NO"]
-        self.tool = self.tool or StatedTool(
-            line, f"{name}, TOOL_NO {quoted(tool_no)}", _whole(tool_no)
+        fields = self._data.data[name].fields()
+        self._form_tool = self._form_tool or self._numbered(
+            "tool", fields["TOOL_NO"], line, f"{name}, TOOL_NO", by=f" by {name}"
+        )
+        self._form_base = self._form_base or self._numbered(
+            "base", fields["BASE_NO"], line, f"{name}, BASE_NO", by=f" by {name}"
         )
         if self._set:
-            what, line_set = next(iter(self._set.items()))
+            what, stated = next(iter(self._set.items()))
             raise KrlError(
-                f"works with the base and tool of {name}, line {set_on}, while line {line_set} "
-                f"sets the {what} too; one base is wanted"
+                f"works with the base and tool of {name}, line {set_on}, while line {stated.line} "
+                f"sets the {what} too; set them in one way"
             )
         if self._forms_used is None:
             self._forms_used = (numbers, line)
@@ -101,6 +131,7 @@ class FrameRule:
         datum = self._data.data.get(name)
         if datum is None or datum.kind != "FDAT":
             raise KrlError(f"works in {name}, whose base and tool are not in the .dat file")
+        self._refuse_changed(name)
         fields = datum.fields()
         if "TOOL_NO" not in fields or "BASE_NO" not in fields:
             raise KrlError(f"{name} states no TOOL_NO or no BASE_NO")
@@ -112,10 +143,9 @@ class FrameRule:
         parts = split(arguments, ",")
         first = text_of(parts[0])
         if first in BAS_SETS:
-            self._set_once(BAS_SETS[first], line)
-            if first == "#TOOL":
-                number = parts[1] if len(parts) > 1 else ()
-                self.tool = StatedTool(line, f"TOOL_DATA[{text_of(number)}]", _whole(number))
+            what = BAS_SETS[first]
+            number = parts[1] if len(parts) > 1 else ()
+            self._set_once(what, self._numbered(what, number, line, f"BAS({first},...)"))
         elif first in BAS_REFUSED or not first.startswith("#"):
             raise KrlError(f"BAS({first},...) may set another base")
         elif first in BAS_RESETS and (self._set or self._form or self._moved):
@@ -124,29 +154,76 @@ class FrameRule:
     def _assign(self, name: str, rest: Sequence[Token], line: int) -> None:
         if name in NEVER_SET:
             raise KrlError(f"{name} is changed at run time")
+        self._changed.setdefault(name, line)
         if name == "FDAT_ACT":
             self._form = (_plain_name(name, rest), line)
         elif name == "$IPO_MODE" and text_of(rest) != "=#BASE":
             raise KrlError("$IPO_MODE: the workpiece is carried by the robot")
         elif name in SET_ONCE:
-            _check_fixed(name, rest)
-            self._set_once(SET_ONCE[name], line)
-            if name == "$BASE" and (values := _stated(rest[1:])) is not None:
-                self.stated = line, values
-            if name == "$TOOL":
-                number = rest[3:4] if rest[1].word == "TOOL_DATA" and len(rest) > 3 else ()
-                self.tool = StatedTool(line, quoted(rest[1:]), _whole(number))
+            what = SET_ONCE[name]
+            self._set_once(what, self._stated(what, name, rest, line))
+        elif name in self.frames_used or self._used_form(name):
+            raise KrlError(f"{name} is changed at run time, and motions work in it")
 
-    def _set_once(self, what: str, line: int) -> None:
-        if what in self._set:
-            raise KrlError(f"changes the {what} that line {self._set[what]} has set")
+    def _used_form(self, name: str) -> bool:
+        """Whether motions may work in frame data of this name: forms are read as they stand."""
+        return name in self._data.data and self._data.data[name].kind == "FDAT"
+
+    def _stated(self, what: str, name: str, rest: Sequence[Token], line: int) -> Stated:
+        """Return the frame that ``$BASE=...`` or ``$TOOL=...`` sets; raises `KrlError`."""
+        value = rest[1:]
+        if rest[0].text != "=" or not value:
+            raise KrlError(f"{name}{quoted(rest)} is computed at run time")
+        text = quoted(value)
+        if value[0].text == "{":
+            return Stated(line, text, None, _values(name, aggregate(value)))
+        if len(value) == 1 and value[0].word in WORLDS:
+            return Stated(line, text, None, NULL)
+        element = len(value) == 4 and value[1].text == "[" and value[2].kind == "number"
+        if not (element or (len(value) == 1 and value[0].kind == "word")):
+            raise KrlError(f"{name}{quoted(rest)} is computed at run time")
+        if value[0].word in self._data.kinds:
+            return Stated(line, text, None, self._of_data(name, text_of(value)))
+        if element and value[0].word == TABLES[what]:
+            return self._numbered(what, value[2:3], line, name)
+        raise KrlError(
+            f"{name} is set to {text}, which is not in the program's .dat file: its place is not "
+            f"known; set it by X Y Z A B C, or by a number of {TABLES[what]}"
+        )
+
+    def _of_data(self, name: str, key: str) -> tuple[float, ...]:
+        """Return the numbers of a frame in the data list; raises `KrlError`."""
+        base = key.partition("[")[0]
+        self._refuse_changed(base)
+        self.frames_used.add(base)
+        datum = self._data.data.get(key)
+        if datum is None or datum.kind not in POINTS:
+            raise KrlError(f"{name} is set to {key}, which has no numbers in the .dat file")
+        return _values(f"{name} is set to {key}, which", datum.fields())
+
+    def _refuse_changed(self, name: str) -> None:
+        if name in self._changed:
+            raise KrlError(f"{name} is changed at run time, in line {self._changed[name]}")
+
+    def _numbered(
+        self, what: str, number: Sequence[Token], line: int, how: str, by: str = ""
+    ) -> Stated:
+        """Return the frame of a number of the controller's tables; raises `KrlError`."""
+        if len(number) != 1 or not number[0].text.isdecimal():
+            raise KrlError(f"{how} sets the {what} to {quoted(number) or 'nothing'}: no number")
+        stated = int(number[0].text)
+        text = f"{TABLES[what]}[{stated}]{by}"
+        return Stated(line, text, stated, None if stated else NULL)
+
+    def _set_once(self, what: str, stated: Stated) -> None:
+        known = self._set.get(what)
+        if known is not None:
+            if known.same(stated):
+                return
+            raise KrlError(f"changes the {what} that line {known.line} has set")
         if self._moved:
             raise KrlError(f"changes the {what} after the motion of line {self._moved}")
-        self._set[what] = line
-
-
-def _whole(tokens: Sequence[Token]) -> int | None:
-    return int(tokens[0].text) if len(tokens) == 1 and tokens[0].text.isdecimal() else None
+        self._set[what] = stated
 
 
 def assigned_at(tokens: Sequence[Token], at: int) -> bool:
@@ -178,30 +255,12 @@ def _plain_name(name: str, rest: Sequence[Token]) -> str:
     return rest[1].word
 
 
-def _stated(value: Sequence[Token]) -> list[float] | None:
-    """Return x, y, z, a, b, c of a base that is set by numbers, or to the controller's world."""
-    if value[0].word in WORLDS:
-        return [0.0] * len(POSE)
-    if value[0].text != "{":
-        return None
-    fields = aggregate(value)
-    missing = [name for name in POSE if name not in fields]
+def _values(name: str, fields: Mapping[str, Sequence[Token]]) -> tuple[float, ...]:
+    """Return x, y, z, a, b, c of a structure; raises `KrlError`."""
+    missing = [each for each in POSE if each not in fields]
     if missing:
         raise KrlError(
-            f"$BASE leaves out {', '.join(missing)}, which keep their value from before; state all "
-            "of X Y Z A B C"
+            f"{name} leaves out {', '.join(missing)}, which keep their value from before; state "
+            "all of X Y Z A B C"
         )
-    return [number(name, fields[name]).value for name in POSE]
-
-
-def _check_fixed(name: str, rest: Sequence[Token]) -> None:
-    """Refuse what is no fixed frame: a name, an element with a number, or a structure."""
-    value = rest[1:]
-    named = len(value) == 1 and value[0].kind == "word"
-    numbered = len(value) == 4 and value[1].text == "[" and value[2].kind == "number"
-    if rest[0].text == "=" and (named or numbered):
-        return
-    if rest[0].text == "=" and value and value[0].text == "{":
-        aggregate(value)
-        return
-    raise KrlError(f"{name}{quoted(rest)} is computed at run time")
+    return tuple(number(each, fields[each]).value for each in POSE)

@@ -11,12 +11,10 @@ import numpy as np
 
 from drivers.kuka.program_krl.comments import plain
 from drivers.kuka.program_krl.data import POSE
-from drivers.kuka.program_krl.frames import StatedTool
 from drivers.kuka.program_krl.tokens import statements
 from drivers.kuka.program_krl.turns import check_turns
 from drivers.program_text import ENCODING, Edit, Number, edited, formatted, line_below
-from hilcell.cell.settings import SettingsError
-from hilcell.compensation.programs import StatedBase, Stroke
+from hilcell.compensation.programs import StatedBase, StatedTool, Stroke
 from hilcell.geometry.kinematics import Arm
 from hilcell.ports import Array
 
@@ -48,8 +46,8 @@ class Target:
 class Program:
     """Texts by file name, targets in the order of their first motion, and remarks on them.
 
-    ``strokes`` start at one of the targets, ``base`` is that which the program sets by numbers,
-    ``tool`` the one that it states.
+    ``strokes`` start at one of the targets, ``base`` is the one whose place the program states,
+    ``tool`` the one that it sets.
     """
 
     texts: dict[str, str] = field(repr=False)
@@ -89,17 +87,10 @@ class Program:
             if name.lower() != stem.lower()
         ]
 
-    def check_options(self, options: Mapping[str, Any]) -> None:
-        """Refuse a tool that is not the calibrated one, of the robot's ``options``."""
-        wanted = options.get("tool", USUAL_TOOL)
-        if self.tool is not None and self.tool.number not in (None, wanted):
-            source = next(iter(self.texts))
-            problem = (
-                f"{source} line {self.tool.line}: the tool is {self.tool.text}, wanted "
-                f"TOOL_DATA[{wanted}], which the calibration holds for (robot.options.tool of the "
-                "cell, 1 where it states none); state the targets for that tool"
-            )
-            raise SettingsError(source, [problem])
+    def reflector_number(self, options: Mapping[str, Any]) -> int | None:
+        """Return the number of the calibrated tool, as the driver takes it."""
+        number: int = options.get("tool", USUAL_TOOL)
+        return number
 
     @property
     def remarks(self) -> list[str]:

@@ -12,8 +12,17 @@ from functools import partial
 
 import numpy as np
 
-from drivers.kuka.program_krl.data import AXES, EXTERNAL, POINTS, POSE, DataList, Datum, declared
-from drivers.kuka.program_krl.frames import FrameRule, StatedTool, assigned_at
+from drivers.kuka.program_krl.data import (
+    AXES,
+    EXTERNAL,
+    POINTS,
+    POSE,
+    DataList,
+    Datum,
+    declared,
+    number,
+)
+from drivers.kuka.program_krl.frames import FrameRule, assigned_at
 from drivers.kuka.program_krl.program import Program, Target
 from drivers.kuka.program_krl.strokes import MOTIONS, STROKES, Relative, StrokeRule
 from drivers.kuka.program_krl.tokens import (
@@ -26,11 +35,12 @@ from drivers.kuka.program_krl.tokens import (
     text_of,
 )
 from hilcell.cell.settings import SettingsError
-from hilcell.compensation.programs import StatedBase, Stroke
+from hilcell.compensation.programs import StatedBase, StatedTool, Stroke
 from hilcell.geometry.frames import pose_from_zyx
 
 ABSOLUTE = ("PTP", "LIN", "SPTP", "SLIN")
 JOINTWISE = ("PTP", "SPTP")
+JOINTS = ("A1", "A2", "A3", "A4", "A5", "A6")
 CIRCLES = ("CIRC", "SCIRC")
 SPLINES = ("SPLINE", "PTP_SPLINE", "SPL")
 EXTERNAL_AXES = ("ASYPTP",)
@@ -42,6 +52,10 @@ HEADERS = ("DEF", "DEFFCT", "EXT", "EXTFCT", "EXTP", "EXTFCTP", "CHANNEL")
 CONTROL = (
     "IF", "WHILE", "UNTIL", "FOR", "WAIT", "SWITCH", "CASE", "RETURN", "WHEN", "TO", "STEP",
     "AND", "OR", "NOT", "EXOR", "B_AND", "B_OR", "B_NOT", "B_EXOR", "BAS",
+)  # fmt: skip
+MOVES_NOTHING = (
+    "PULSE", "ANIN", "ANOUT", "SIGNAL", "COPEN", "CCLOSE", "CREAD", "CWRITE", "CIOCTL", "SREAD",
+    "SWRITE", "MSGNOTIFY", "MSGSTATE", "MSGQUIT", "MSGDIALOG",
 )  # fmt: skip
 
 
@@ -58,7 +72,7 @@ def read_program(source: str, text: str, data: tuple[str, str] | None) -> Progra
         raise SettingsError(source, reader.problems)
     texts = {source: text} | ({name: content} if data else {})
     targets = list(reader.targets.values())
-    return Program(texts, targets, reader.notes(), reader.strokes(), reader.base(), reader.tool)
+    return Program(texts, targets, reader.notes(), reader.strokes(), reader.base(), reader.tool())
 
 
 class _Reader:
@@ -120,15 +134,19 @@ class _Reader:
         return found
 
     def base(self) -> StatedBase | None:
-        """Return the base that the program sets by numbers."""
-        if self._frames.stated is None:
+        """Return the base whose place the program states."""
+        base = self._frames.base
+        if base is None or base.values is None:
             return None
-        line, values = self._frames.stated
-        return StatedBase(f"{self._file} line {line}", tuple(values))
+        return StatedBase(f"{self._file} line {base.line}", base.values)
 
-    @property
     def tool(self) -> StatedTool | None:
-        return self._frames.tool
+        """Return the tool that the program sets."""
+        tool = self._frames.tool
+        if tool is None:
+            return None
+        frame = None if tool.values is None else pose_from_zyx(*tool.values)
+        return StatedTool(f"{self._file} line {tool.line}", tool.text, tool.number, frame)
 
     def notes(self) -> list[str]:
         """Return the parts that were left as they are, and those that reach further."""
@@ -137,12 +155,15 @@ class _Reader:
             name for name in used if name in self._data.data and self._data.data[name].is_global
         ]
         unused = [d.name for d in self._data.data.values() if d.kind in POINTS]
-        unused = [name for name in unused if name not in used]
+        unused = [
+            name
+            for name in unused
+            if name not in used and name.partition("[")[0] not in self._frames.frames_used
+        ]
         remarks = [f"{what} (line {line})" for what, line in self._left.items()]
-        if self.tool is not None:
+        if (tool := self._frames.tool) is not None:
             remarks.append(
-                f"its tool is {self.tool.text} (line {self.tool.line}): it must be the calibrated "
-                "one, {T}"
+                f"its tool is {tool.text} (line {tool.line}): it must be that of the targets"
             )
         aside = dict.fromkeys(
             str(each.line) for each in self._relative if each.shift_mm[:2] != each.from_mm[:2]
@@ -187,8 +208,9 @@ class _Reader:
         name = text_of(target)
         if target[0].text == "{":
             inline = Datum(f"{statement.head} target", "", self._file, statement.line, target)
-            if any(each.startswith("A1") for each in inline.fields()):
-                raise KrlError(_JOINTS.format(f"{statement.head} {quoted(target)}"))
+            if set(inline.fields()) & set(JOINTS):
+                self._joint_target(statement, inline)
+                return
             self._frames.move(statement.line, clause)
             self._add(f"{statement.line}", inline, by_joints=statement.head in JOINTWISE)
             self._stands.stands_at([f"{statement.line}"])
@@ -201,6 +223,14 @@ class _Reader:
         for each in meant:
             self._add(each.name, each, by_joints=statement.head in JOINTWISE)
         self._stands.stands_at([each.name for each in meant])
+
+    def _joint_target(self, statement: Statement, inline: Datum) -> None:
+        """Leave a first motion to all six joints as it is, a home move; refuse any other."""
+        stated = f"{statement.head} {quoted(inline.tokens)}"
+        numbers = {name: number(name, each) for name, each in inline.fields().items()}
+        if self.targets or statement.head not in JOINTWISE or not set(JOINTS) <= set(numbers):
+            raise KrlError(_JOINTS.format(stated))
+        self._left.setdefault(f"{stated}: joint targets are left unchanged", statement.line)
 
     def _stays(self, name: str, line: int) -> bool:
         """Whether this is a home move, or one to where the robot is, which are left unchanged."""
@@ -258,7 +288,7 @@ class _Reader:
                     f"{token.word} is called with the motion parameter "
                     f"{points[0] if points else quoted(handed)}: where it moves is not known"
                 )
-            if at == 0 and token.word not in self._own:
+            if at == 0 and token.word not in self._own and token.word not in MOVES_NOTHING:
                 note = f"{token.word} is another program: its motions are not corrected"
                 self._left.setdefault(note, statement.line)
 

@@ -1,5 +1,7 @@
 """KRL text as statements of tokens: one statement a line, comments and ``&`` headers left out.
 
+A byte order mark at the begin is passed over.
+
 Every token knows where it stands, so that a number can be replaced and all else stays byte for
 byte. ``;`` within a string starts no comment, and names ignore case.
 """
@@ -11,10 +13,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+from drivers.program_text import MARK
 from hilcell.ports import HilcellError
 
 _TOKEN = re.compile(
-    r"""(?P<skip>^&[^\n]*|;[^\n]*|[^\S\n]+)
+    rf"""(?P<skip>\A{MARK}(?:&[^\n]*)?|^&[^\n]*|;[^\n]*|[^\S\n]+)
       | (?P<end>\n)
       | (?P<string>"[^"\n]*"|'[^'\n]*')
       | (?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)

@@ -24,6 +24,7 @@ from hilcell.ports import Array
 LONGEST_NAME = 24  # of a module
 LINE = "\r\n"
 ACCELERATION_PERCENT = 50
+STRAIGHT_M_S = 0.1  # in to a hole and out of it
 CLEAR_RAD = 1e-4  # of an axis from zero, where its bit of T turns
 
 
@@ -50,11 +51,12 @@ def _source(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
     yield from ("&ACCESS RVP", "&REL 1", f"DEF {name}( )")
     yield f"; {plain(stamp.text)}"
     yield from map(comment, program.remarks)
-    tool = program.options.get("tool", USUAL_TOOL)
+    tool = program.tool_number or program.options.get("tool", USUAL_TOOL)
     yield "BAS (#INITMOV,0 )"
     yield f"BAS (#TOOL,{tool} )"
     yield f"BAS (#VEL_PTP,{max(1, round(program.speed_percent))} )"
     yield f"BAS (#ACC_PTP,{ACCELERATION_PERCENT} )"
+    yield f"BAS (#VEL_CP,{STRAIGHT_M_S:g} )"
     yield comment("{W} as calibrated, in the robot's root")
     yield f"$BASE={_frame(program.base)}"
     yield "PTP XHOME"
@@ -62,9 +64,13 @@ def _source(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
     yield "HALT"
     for number, hole in enumerate(program.names, start=1):
         yield comment(f"{number} of {len(program.names)}: {hole}")
+        yield from (f"PTP {name}" for name in _via(program, number))
         yield f"PTP XA{number}"
-        yield f"PTP XP{number}"
+        yield f"PTP XS{number}"
+        yield f"LIN XP{number}"
         yield comment("drill here")
+        yield f"LIN XS{number}"
+    yield from (f"PTP {name}" for name in _via(program, len(program.names) + 1))
     yield "PTP XHOME"
     yield "END"
 
@@ -73,12 +79,20 @@ def _data(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
     yield from ("&ACCESS RVP", "&REL 1", f"DEFDAT  {name}", f"; {plain(stamp.text)}")
     safe = ",".join(f"A{axis} {deg:.6f}" for axis, deg in enumerate(program.safe_deg, start=1))
     yield f"DECL E6AXIS XHOME={{{safe}}}"
-    for number, (below, at) in enumerate(
-        zip(_points(program.approach), _points(program.command), strict=True), start=1
-    ):
-        yield f"DECL E6POS XA{number}={below}"
-        yield f"DECL E6POS XP{number}={at}"
+    places = (program.approach, program.standoff, program.command)
+    for number, points in enumerate(zip(*map(_points, places), strict=True), start=1):
+        for letter, point in zip("ASP", points, strict=True):
+            yield f"DECL E6POS X{letter}{number}={point}"
+    for number, places_of in enumerate(program.via, start=1):
+        for name, point in zip(_via(program, number), _points(places_of), strict=True):
+            yield f"DECL E6POS {name}={point}"
     yield "ENDDAT"
+
+
+def _via(program: StationProgram, number: int) -> list[str]:
+    """Return the names of the points on the way to a hole, counted from 1, or to the safe pose."""
+    count = len(program.via[number - 1].values)
+    return [f"XV{number}_{n}" for n in range(1, count + 1)]
 
 
 def _points(places: Places) -> Iterator[str]:

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from drivers.program_text import Number
+from drivers.program_text import MARK, Number
 from hilcell.clean import clean
 from hilcell.ports import HilcellError
 
@@ -46,6 +46,8 @@ def statements(text: str) -> Iterator[Statement]:
     start = 0
     for line, whole in enumerate(text.split("\n"), start=1):
         code = _QUIET.sub(_blank, whole)
+        if not start and code.startswith(MARK):
+            code = " " * len(MARK) + code[len(MARK) :]
         bare = code.strip()
         if bare:
             at = len(code) - len(code.lstrip())

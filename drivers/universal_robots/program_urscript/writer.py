@@ -19,10 +19,13 @@ from drivers.universal_robots.program_urscript.program import SUFFIX
 from hilcell.clean import clean
 from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.station_program import StationProgram
+from hilcell.geometry.rotations import from_zyx, to_rotvec
 
 FULL_RAD_S = 1.05  # of the joint that moves farthest, the usual speed of movej
 ACCELERATION_RAD_S2 = 0.7
-DECIMALS = 7  # of rad
+STRAIGHT_M_S, STRAIGHT_M_S2 = 0.1, 0.5  # in to a hole and out of it
+DECIMALS = 7  # of rad and m
+MM = 1000.0
 
 
 def write_station(program: StationProgram, stamp: Stamp) -> dict[str, bytes]:
@@ -39,18 +42,26 @@ def _lines(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
     yield f"def {name}():"
     yield _comment(stamp.text)
     yield from map(_comment, program.remarks)
-    yield _comment("joints as calibrated: no TCP and no base has a part in them")
+    yield _comment("joints as calibrated: base and TCP have a part in the straight ways alone")
+    tcp = [*(program.tool[:3] / MM), *to_rotvec(from_zyx(program.tool[3:]))]
+    yield f"  set_tcp(p{_joints(tcp)})"
     yield f"  movej({safe}, {how})"
     yield _comment("slide held, strip as the sheet says, drill drawn back: Continue goes on")
     yield '  popup("slide held, strip read, drill drawn back?", "hilcell", blocking=True)'
-    places = zip(
-        program.names, program.approach.joints_rad, program.command.joints_rad, strict=True
-    )
-    for number, (hole, below, at) in enumerate(places, start=1):
+    straight = f"a={STRAIGHT_M_S2:g}, v={STRAIGHT_M_S:g}"
+    ways = (program.approach, program.standoff, program.command)
+    places = zip(program.names, *(each.joints_rad for each in ways), strict=True)
+    for number, (hole, below, off, at) in enumerate(places, start=1):
         yield _comment(f"{number} of {len(program.names)}: {hole}")
+        for stop in program.via[number - 1].joints_rad:
+            yield f"  movej({_joints(stop)}, {how})"
         yield f"  movej({_joints(below)}, {how})"
-        yield f"  movej({_joints(at)}, {how})"
+        yield f"  movej({_joints(off)}, {how})"
+        yield f"  movel({_joints(at)}, {straight})"
         yield _comment("drill here")
+        yield f"  movel({_joints(off)}, {straight})"
+    for stop in program.via[-1].joints_rad:
+        yield f"  movej({_joints(stop)}, {how})"
     yield f"  movej({safe}, {how})"
     yield "end"
 

@@ -84,7 +84,8 @@ def test_neither_program_nor_calibration_is_replaced(desk: Workplace, out: str) 
         ("BAS (#TOOL,3 )", 2),
         ("FDAT_ACT=FP1", 2),
         ("BAS (#TOOL,1 )", 0),
-        ("$TOOL=DRILL", 0),
+        ("$TOOL={X 98.0,Y 0.0,Z 127.0,A 0.0,B 0.0,C 0.0}", 0),
+        ("$TOOL={X 98.0,Y 0.0,Z 227.0,A 0.0,B 0.0,C 0.0}", 2),
     ],
 )
 def test_a_tool_that_is_not_the_calibrated_one(desk: Workplace, tool: str, code: int) -> None:

@@ -8,7 +8,9 @@ import pytest
 from drivers.universal_robots.program_urscript.files import load_program
 from drivers.universal_robots.program_urscript.reader import read_program
 from drivers.universal_robots.program_urscript.writer import write_station
-from hilcell.calibration.prepared import station_program
+from hilcell.calibration.part import Part
+from hilcell.calibration.prepared import Drilling, station_program
+from hilcell.calibration.tip import tips_of
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.stamp import CorrectedBefore, Stamp, refuse_corrected
@@ -74,7 +76,7 @@ def test_a_tcp_that_is_not_the_calibrated_one(desk: Workplace, tcp: str, code: i
     desk.calibrate(digest=CELL.digest)
     done = desk.run("--cell", "paper")
     assert done.returncode == code
-    assert ("drill.script line 4: set_tcp" in done.stderr) == (code == 2)
+    assert ("drill.script line 4: " in done.stderr) == (code == 2)
     assert ("no TCP" in done.stderr) == (not tcp)
     assert desk.out.exists() == (code == 0)
 
@@ -95,8 +97,11 @@ def test_refused_and_nothing_written(desk: Workplace, old: str, new: str, token:
 def test_the_program_of_a_station_moves_to_the_joints_of_its_commands() -> None:
     targets = np.array([[0.0, 0.0, 1200.0, 0.0, 75.0, 0.0], [0.0, 50.0, 1250.0, 0.0, 75.0, 0.0]])
     names = ["Träger °1", "H2\n  movej(X)"]
-    known = calibration()
-    program = station_program(known, CELL, "S1100", names, targets, ["SIMULATED"])
+    tip = tips_of(CELL)[0]
+    drilling = Drilling(CELL, T_W_B, tip, 100.0)
+    outward = -poses_from_zyx(targets)[:, :3, 2]
+    part = Part(targets[:, :3], outward)
+    program = station_program(drilling, "S1100", names, targets, part, ["SIMULATED"])
     ((name, content),) = write_station(program, STAMP).items()
     text = content.decode("ascii")
     assert name == "S1100.script"
@@ -108,10 +113,16 @@ def test_the_program_of_a_station_moves_to_the_joints_of_its_commands() -> None:
     np.testing.assert_allclose(
         np.degrees(joints_rad[[0, -1]]), [CELL.robot.safe_deg] * 2, atol=1e-5
     )
-    at = T_W_B @ forward(CELL.robot.arm(), joints_rad[2:-1:2])
-    np.testing.assert_allclose(at, poses_from_zyx(targets), atol=2e-3)
-    rise_deg = np.degrees(joints_rad[2:-1:2] - joints_rad[1:-1:2])
-    np.testing.assert_allclose(rise_deg, CELL.robot.approach_deg, atol=2e-5)
+    straight = [joints_of(line) for line in lines if line.startswith("  movel(")]
+    places = T_W_B @ forward(CELL.robot.arm(), np.array(straight))
+    np.testing.assert_allclose(places[::2], poses_from_zyx(targets), atol=2e-3)
+    back_mm = places[1::2, :3, 3] - places[::2, :3, 3]
+    np.testing.assert_allclose(back_mm, 100.0 * outward, atol=2e-3)
+    at = [lines.index(line) for line in lines if line.startswith("  movel(")][::2]
+    below, off = (np.array([joints_of(lines[n - back]) for n in at]) for back in (2, 1))
+    np.testing.assert_array_equal(off, straight[1::2])
+    np.testing.assert_allclose(np.degrees(off - below), CELL.robot.approach_deg, atol=2e-5)
+    assert "  set_tcp(p[0.0980000, 0.0000000, 0.1270000, 0.0000000, 0.0000000, 0.0000000])" in lines
     speed = 1.05 * CELL.robot.speed_percent / 100.0
     assert all(f"v={speed:.4f})" in line for line in moves)
     with pytest.raises(SettingsError, match="joint target"):

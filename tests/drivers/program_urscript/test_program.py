@@ -129,3 +129,11 @@ def test_every_refusal_is_listed_and_cleaned() -> None:
     ]  # fmt: skip
     assert "\x1b" not in "".join(raised.value.problems)
     assert "...:" in raised.value.problems[2]
+
+
+def test_a_byte_order_mark_stays_first_and_hides_nothing() -> None:
+    plain = "def d():\n  movel(p[1.0, 0.0, 0.5, 0.0, 1.0, 0.0])\nend\n"
+    read = read_program("d.script", f"\xef\xbb\xbf{plain}")
+    assert len(read.targets) == 1
+    text = moved(read, read.values(), "corrected")
+    assert text.startswith("\xef\xbb\xbfdef d():\n  # corrected\n")

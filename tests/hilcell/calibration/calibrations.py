@@ -13,6 +13,7 @@ from hilcell.calibration.file import SCHEMA
 from hilcell.calibration.form import (
     Calibration,
     Device,
+    LostMotion,
     ModelEntry,
     Provenance,
     StationEntry,
@@ -94,6 +95,7 @@ def calibration(
         "grid_errors_mm": field_mm(size_mm).tolist(),
         "model": ModelEntry(method, MODELS[method].learn(measured(size_mm)).parameters()),
         "uncertainty": uncertainty,
+        "lost_motion": LostMotion([0.0] * 6, [0.0] * 6, measured=True),
         "failed": {},
         "verdicts": {"S1100": judged(0.03, 0.09, LIMITS, Guard(0.04, 0.05))},
     }

@@ -30,9 +30,15 @@ def test_a_target_is_commanded_by_its_error_beside_itself(turn_deg: float) -> No
     np.testing.assert_allclose(command[0, 3:], nominal[0, 3:], atol=1e-9)
 
 
-@pytest.mark.parametrize("turn_deg", [2.1, -2.1, 90.0, 180.0])
+@pytest.mark.parametrize("turn_deg", [2.1, -2.1, 90.0, 170.0])
 def test_a_target_that_is_turned_away_is_refused(turn_deg: float) -> None:
     with pytest.raises(HilcellError, match=f"hole by {abs(turn_deg)}"):
+        compensate_targets(calibration(), "S1100", target(turn_deg), ["hole"])
+
+
+@pytest.mark.parametrize("turn_deg", [178.5, 180.0])
+def test_a_target_whose_tool_points_out_of_the_part_is_named_so(turn_deg: float) -> None:
+    with pytest.raises(HilcellError, match=r"outward normal.*hole"):
         compensate_targets(calibration(), "S1100", target(turn_deg), ["hole"])
 
 

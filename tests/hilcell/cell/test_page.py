@@ -37,6 +37,7 @@ SECTIONS: dict[str, type[msgspec.Struct]] = {
     "[touch]": cell.TouchTable,
     "[settle]": cell.SettleTable,
     "[[keep_out]]": cell.KeepOut,
+    "[[tool]]": cell.ToolTable,
     "[uncertainty]": cell.UncertaintyTable,
     "[certificate]": cell.CertificateTable,
     "[recheck]": file.RecheckTable,

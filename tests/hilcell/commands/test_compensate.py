@@ -235,9 +235,6 @@ class Program:
     def values(self):
         return np.array([row[1:] for row in self.rows], dtype=float)
 
-    def check_options(self, options):
-        pass
-
     def check_joints(self, arm, T_W_B, command):
         raise HilcellError(f"wrists of {len(command)} poses turn over at {T_W_B[0, 3]:g}")
 

@@ -17,7 +17,7 @@ import numpy as np
 from drivers.program_text import ENCODING, Edit, Number, edited, formatted, source_text
 from hilcell.cell.settings import SettingsError
 from hilcell.clean import clean
-from hilcell.compensation.programs import Stroke
+from hilcell.compensation.programs import StatedTool, Stroke
 from hilcell.geometry.frames import matrix, poses_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import Arm
 from hilcell.ports import Array
@@ -25,7 +25,6 @@ from hilcell_meca500.euler import angles, rotations
 
 SUFFIX = ".mxprog"
 DECIMALS = 4  # of mm and deg
-TOOL_MM = 0.01  # between the stated tool and the calibrated one
 MOVES = ("movepose", "movelin")
 HARMLESS = (
     "setjointvel", "setjointacc", "setcartlinvel", "setcartangvel", "setcartacc", "setconf",
@@ -57,7 +56,7 @@ class Program:
     file: str
     text: str = field(repr=False)
     targets: list[Command]
-    tool: Command | None
+    trf: Command | None
     notes: list[str]
     in_root: bool = True  # targets stand in {B}, not in {W}
     base: None = None
@@ -84,23 +83,25 @@ class Program:
         return zyx_from_pose(matrix(rotations(rows[:, 3:]), rows[:, :3]))
 
     @property
-    def needs_arm(self) -> str:
-        """Return the numbers that only the cell's arm can be compared with."""
-        return "" if self.tool is None else "the numbers of SetTrf"
+    def tool(self) -> StatedTool | None:
+        """Return the tool that the program sets."""
+        if self.trf is None:
+            return None
+        numbers = np.array(self.trf.values)
+        T = matrix(rotations(numbers[3:]), numbers[:3])
+        words = ", ".join(each.text for each in self.trf.numbers)
+        return StatedTool(f"{self.file} line {self.trf.line}", f"SetTrf({words})", None, T)
 
-    def check_options(self, options: Mapping[str, Any]) -> None:
-        """Do nothing: the tool is no option, `check_joints` compares it."""
+    @property
+    def needs_arm(self) -> str:
+        """Return nothing: turns of the joints do not matter here."""
+        return ""
+
+    def reflector_number(self, options: Mapping[str, Any]) -> None:
+        """Return none: tools have no numbers."""
 
     def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
-        """Raise `SettingsError` where the program's tool is not the calibrated one."""
-        if self.tool is None:
-            return
-        stated = np.array(self.tool.values)
-        T = matrix(rotations(stated[3:]), stated[:3])
-        if not bool(np.all(np.abs(T - arm.tool) <= TOOL_MM)):
-            wanted = ", ".join(f"{each:.3f}" for each in arm.tool[:3, 3])
-            problem = f"line {self.tool.line}: SetTrf is another tool than ({wanted}), calibrated"
-            raise SettingsError(self.file, [f"{self.file} {problem}"])
+        """Do nothing, as `needs_arm` says."""
 
     def with_positions(self, positions: Array, remark: str = "") -> dict[str, bytes]:
         """Return the file by its name, with other X, Y, Z (N, 3), or poses (N, 6)."""

@@ -1,7 +1,8 @@
 """Writes the corrected targets of a station as a program: ``NAME.mxprog``.
 
-Targets are joints, as they were commanded when the cell was calibrated: no frame has a part in
-them. The stamp stands above, so that `hilcell compensate` refuses to correct the program again.
+Stand-offs are joints, as poses were commanded when the cell was calibrated; from there the tool
+goes straight to its target, a pose in the robot's base, and back. The stamp stands above, so that
+`hilcell compensate` refuses to correct the program again.
 """
 
 from __future__ import annotations
@@ -16,7 +17,12 @@ from drivers.program_text import ENCODING
 from hilcell.clean import clean
 from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.station_program import StationProgram
+from hilcell.geometry.frames import poses_from_zyx
+from hilcell.ports import Array
+from hilcell_meca500.euler import angles
 from hilcell_meca500.programs import SUFFIX
+
+STRAIGHT_MM_S = 100.0  # in to a hole and out of it
 
 
 def write_station(program: StationProgram, stamp: Stamp) -> dict[str, bytes]:
@@ -32,16 +38,27 @@ def _lines(program: StationProgram, stamp: Stamp) -> Iterator[str]:
     yield _comment("start only when the slide is held, the strip read and the drill drawn back")
     yield "SetBlending(0)"
     yield f"SetJointVel({program.speed_percent:g})"
+    yield f"SetCartLinVel({STRAIGHT_MM_S:g})"
+    yield "SetWrf(0, 0, 0, 0, 0, 0)"
+    yield _pose("SetTrf", poses_from_zyx(program.tool[None])[0])
     yield _move(np.radians(program.safe_deg))
-    places = zip(
-        program.names, program.approach.joints_rad, program.command.joints_rad, strict=True
-    )
-    for number, (hole, below, at) in enumerate(places, start=1):
-        yield _comment(f"{number} of {len(program.names)}: {hole}")
-        yield _move(below)
-        yield _move(at)
+    T_B_W = poses_from_zyx(program.base[None])[0]
+    off, at = (T_B_W @ poses_from_zyx(each.values) for each in (program.standoff, program.command))
+    ways = (program.approach.joints_rad, program.standoff.joints_rad)
+    for number, hole in enumerate(program.names):
+        yield _comment(f"{number + 1} of {len(program.names)}: {hole}")
+        yield from map(_move, program.via[number].joints_rad)
+        yield from (_move(joints_rad[number]) for joints_rad in ways)
+        yield _pose("MoveLin", at[number])
         yield _comment("drill here")
+        yield _pose("MoveLin", off[number])
+    yield from map(_move, program.via[-1].joints_rad)
     yield _move(np.radians(program.safe_deg))
+
+
+def _pose(command: str, T: Array) -> str:
+    numbers = [*T[:3, 3], *angles(T[:3, :3])]
+    return f"{command}({', '.join(f'{each:.4f}' for each in numbers)})"
 
 
 def _comment(text: str) -> str:

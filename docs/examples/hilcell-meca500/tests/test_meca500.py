@@ -18,11 +18,12 @@ from fakes.faults import Faults
 from fakes.site import Site
 from fakes.time import PlantTime
 from fakes.truth.plant import Plant
+from hilcell.calibration.tip import tip_of_program
 from hilcell.cell.devices import driver_options
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.clock import WallClock
-from hilcell.compensation.programs import load_program
+from hilcell.compensation.programs import load_program, setting_tool
 from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.station_program import Places, StationProgram, writer_of
 from hilcell.geometry.kinematics import forward
@@ -176,12 +177,18 @@ def test_only_the_targets_of_a_program_change(tmp_path: Path) -> None:
     assert found[1:5] == PROGRAM.splitlines()[:4]
     assert found[5] == "MovePose(1730.0000, 400.0000, 900.0000, 0.0000, 75.0000, 0.0000)   // above"
     assert found[6] == "MoveLin(1780.0000, 400.00001, 900.0000, 10.0000, 75.0000, -20.0000)"
-    program.check_joints(CELL.robot.arm(), np.eye(4), values)
+    setting = setting_tool(program)
+    assert setting is not None
+    assert setting.tool is not None
+    assert setting.tool.where == "panel.MXPROG line 3"
+    assert tip_of_program(CELL, "", setting.tool, None, source.name).name == "reflector"
     (tmp_path / "other.mxprog").write_text(PROGRAM.replace("98", "97"))
     other = load_program(tmp_path / "other.mxprog")
-    assert other is not None
-    with pytest.raises(SettingsError, match="line 3: SetTrf"):
-        other.check_joints(CELL.robot.arm(), np.eye(4), values)
+    setting = setting_tool(other)
+    assert setting is not None
+    assert setting.tool is not None
+    with pytest.raises(SettingsError, match="line 3"):
+        tip_of_program(CELL, "", setting.tool, None, source.name)
 
 
 @pytest.mark.parametrize(
@@ -214,8 +221,24 @@ def test_a_program_that_cannot_be_corrected_is_refused_by_its_line(
 def test_the_program_of_a_station_is_written_in_joints() -> None:
     at = Places(np.zeros((1, 6)), np.radians([[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]]), np.array([6]))
     below = Places(np.zeros((1, 6)), np.zeros((1, 6)), np.array([6]))
+    values = [np.array([[x, 0.0, 900.0, 0.0, 75.0, 0.0]]) for x in (1800.0, 1700.0)]
+    at, off = (Places(each, at.joints_rad, at.status) for each in values)
+    none = Places(np.zeros((0, 6)), np.zeros((0, 6)), np.zeros(0, dtype=int))
+    base, tool = np.array([0.0, 0.0, 50.0, 0.0, 0.0, 0.0]), np.zeros(6)
     program = StationProgram(
-        "S 1100", ["H1"], at, below, np.zeros(6), CELL.robot.safe_deg, 30.0, {}, ["care"]
+        "S 1100",
+        ["H1"],
+        at,
+        off,
+        below,
+        [none, none],
+        base,
+        tool,
+        None,
+        CELL.robot.safe_deg,
+        30.0,
+        {},
+        ["care"],
     )
     write = writer_of("meca500")
     assert write is not None
@@ -223,4 +246,6 @@ def test_the_program_of_a_station_is_written_in_joints() -> None:
     assert name == "S_1100.mxprog"
     lines = data.decode().splitlines()
     assert lines[0].startswith("// hilcell: corrected by run")
-    assert "MoveJoints(1.000000, 2.000000, 3.000000, 4.000000, 5.000000, 6.000000)" in lines
+    joints = lines.index("MoveJoints(1.000000, 2.000000, 3.000000, 4.000000, 5.000000, 6.000000)")
+    assert lines[joints + 1] == "MoveLin(1800.0000, 0.0000, 950.0000, 0.0000, 75.0000, 0.0000)"
+    assert lines[joints + 3] == "MoveLin(1700.0000, 0.0000, 950.0000, 0.0000, 75.0000, 0.0000)"

@@ -1,0 +1,60 @@
+"""A tool of the cell file: where the tip that works is on the flange, and how far it stands off."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import Annotated
+
+from msgspec import Meta
+
+from hilcell.cell.tables import Name, Pose, Size
+
+REFLECTOR = "reflector"  # the tool whose tip is the reflector's centre, {T}
+STANDOFF_MORE_MM = 20.0  # beyond the drill's length, at least
+MOST_TOOLS = 32
+Deviation = Annotated[float, Meta(ge=0, le=10)]
+Number = Annotated[int, Meta(ge=1, le=MOST_TOOLS)]
+
+
+class ToolTable(Pose, frozen=True, kw_only=True):
+    """A tool: the frame of its tip in the flange, z along the drill, out of the spindle.
+
+    ``number`` is the controller's own, where it has numbers. ``measured`` says how the tip was
+    measured against the reflector, ``u_mm`` is 1 sigma of that. ``drill_mm`` is how far the drill
+    is in front of all else, ``standoff_mm`` how far the tip is kept from the part between holes.
+    """
+
+    name: Name
+    measured: Annotated[str, Meta(min_length=1)]
+    u_mm: Deviation
+    drill_mm: Size
+    number: Number | None = None
+    standoff_mm: Size | None = None
+
+    def __post_init__(self) -> None:
+        if self.standoff_mm is not None and not self.standoff_mm >= self.least_standoff_mm:
+            raise ValueError(
+                f"standoff_mm {self.standoff_mm:g} must be at least drill_mm + "
+                f"{STANDOFF_MORE_MM:g}, {self.least_standoff_mm:g}"
+            )
+
+    @property
+    def least_standoff_mm(self) -> float:
+        """Return the drill's length and some more."""
+        return self.drill_mm + STANDOFF_MORE_MM
+
+
+def tool_problems(tools: Sequence[ToolTable], reflector: object) -> Iterator[str]:
+    """Yield what is wrong with tools; ``reflector`` is the number of that one, if it has any."""
+    names = Counter(each.name for each in tools)
+    numbers = Counter(each.number for each in tools if each.number is not None)
+    for key, counts in (("names", names), ("numbers", numbers)):
+        for value, count in counts.items():
+            if count > 1:
+                yield f"tool: {key} must differ, found {value} {count} times"
+    for n, each in enumerate(tools):
+        if each.name == REFLECTOR:
+            yield f"tool[{n}].name: {REFLECTOR!r} is the tool of the reflector's centre"
+        if each.number is not None and each.number == reflector:
+            yield f"tool[{n}].number: {each.number} is the reflector's (robot.options.tool)"
