@@ -183,7 +183,7 @@ def sdo_samples() -> Iterable[bytes]:
 def can_frames(data: bytes) -> None:
     """Lines of the gateway, their frames, and those that a node sends unasked."""
     bus = object.__new__(SlcanBus)
-    bus._is_shutdown, bus._commands = True, 0
+    bus._is_shutdown, bus.bad_line = True, b""
     bus.bad_lines = bus.refused = 0
     link = object.__new__(CanLink)
     link.network, link._malformed = cast("Any", canopen.Network()), 0
@@ -193,8 +193,8 @@ def can_frames(data: bytes) -> None:
     watch.state = nmt.OPERATIONAL
     watch.arm()
     bus._bytes = data
-    while (line := bus._line()) is not None:
-        if (message := bus._message(line)) is not None:
+    while (found := bus._line()) is not None:
+        if (message := bus._message(found[0])) is not None:
             link._notify(message)
     watch.check("fuzz")
 

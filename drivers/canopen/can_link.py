@@ -52,13 +52,18 @@ class LinkTime:
 
 
 RECEIVE_S = 0.02
-HEARTBEAT_PERIOD_S = 0.05
+HEARTBEAT_PERIOD_S, HEARTBEAT_BITS = 0.05, 2500  # on a slow bus, one of 65 bits in so many
 RECENT_S = 5.0  # a pause that ended before does not explain a node's report
 JOIN_S = 1.0
 OPERATIONAL = b"\x05"
 
 Callback = Callable[[int, bytearray, float], None]
 Failed = Callable[[Exception], None]
+
+
+def heartbeat_period_s(bitrate: int) -> float:
+    """Return the period of the PC's and the nodes' heartbeats on a bus."""
+    return max(HEARTBEAT_PERIOD_S, HEARTBEAT_BITS / bitrate)
 
 
 def open_bus(device: str, interface: str, channel: str, bitrate: int) -> can.BusABC:
@@ -134,14 +139,16 @@ class CanLink:
                 fields={"reason": self._failure},
             )
 
-    def start_heartbeat(self, node: int, attended: Callable[[], bool]) -> None:
+    def start_heartbeat(self, node: int, attended: Callable[[], bool], period_s: float) -> None:
         """Produce the heartbeat of ``node`` (CiA 301, 7.2.8.3.2.2) until the link closes.
 
         It pauses while not ``attended``. The first beat has gone out on return: a node that lost
         the last one starts only after it.
         """
         self._send_beat(0x700 + node)
-        beat = threading.Thread(target=self._beat, args=(0x700 + node, attended), daemon=True)
+        beat = threading.Thread(
+            target=self._beat, args=(0x700 + node, attended, period_s), daemon=True
+        )
         self._threads.append(beat)
         beat.start()
 
@@ -150,6 +157,11 @@ class CanLink:
         bus = self._bus
         bad, refused = (bus.bad_lines, bus.refused) if isinstance(bus, SlcanBus) else (0, 0)
         return LinkStatistics(self._frames, bad, refused, self._malformed)
+
+    @property
+    def bad_line(self) -> bytes:
+        """Return the last bad line of its gateway; b"" for none."""
+        return self._bus.bad_line if isinstance(self._bus, SlcanBus) else b""
 
     @property
     def pause_s(self) -> float:
@@ -197,8 +209,8 @@ class CanLink:
         except (struct.error, IndexError, ValueError):
             self._malformed += 1  # a frame too short for its meaning; deadlines notice the loss
 
-    def _beat(self, cob_id: int, attended: Callable[[], bool]) -> None:
-        while not self._end.wait(HEARTBEAT_PERIOD_S):
+    def _beat(self, cob_id: int, attended: Callable[[], bool], period_s: float) -> None:
+        while not self._end.wait(period_s):
             try:
                 if attended():
                     self._send_beat(cob_id)

@@ -31,8 +31,10 @@ PROFILE_DECELERATION = 0x6084
 HOMING_METHOD = 0x6098
 HOMING_SPEEDS = 0x6099
 HOMING_ACCELERATION = 0x609A
+DIGITAL_INPUTS = 0x60FD
 
 PROFILE_POSITION, HOMING = 1, 6
+MODES = {PROFILE_POSITION: "profile position", HOMING: "homing"}
 HOME_NEGATIVE_LIMIT = 17
 SLOW_DOWN_ON_QUICK_STOP_RAMP = 2  # 605A: then switch on disabled, so that the brake closes
 QUICK_STOP_ON_LOST_CONNECTION = 3  # 6007
@@ -45,6 +47,8 @@ SWITCH_ON = 0x0007
 ENABLE_OPERATION = 0x000F
 START = 0x001F  # enable operation with bit 4: new set-point, or start of homing
 FAULT_RESET = 0x0080
+
+LIMIT_SWITCHES = 0b11  # of 60FD: bit 0 the negative one, bit 1 the positive one
 
 # Bits of the status word.
 TARGET_REACHED = 1 << 10

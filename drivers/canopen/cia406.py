@@ -12,6 +12,7 @@ MEASURING_STEP = 0x6005
 POSITION_STEP = 0x6501
 ALARMS = 0x6503
 SENSOR_ERRORS = 0x73  # family of the EMCY that announces an alarm
+POSITION_ERROR = 1 << 0  # of 6503h
 
 _ALARMS = {0: "position error: missing magnet, or the head too far from the strip"}
 

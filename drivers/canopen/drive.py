@@ -8,55 +8,28 @@ cell's clock (`drivers.motion_limits`).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
 from drivers.canopen import cia402, cia406, emcy
 from drivers.canopen.cia402 import State
+from drivers.canopen.limits import Limits
+from drivers.canopen.motion_guard import MotionGuard
 from drivers.canopen.process_image import DEVICE, ProcessImage, Snapshot
-from drivers.canopen.sdo import SdoChannel
+from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported
+from drivers.canopen.speed_guard import OVERSPEED
 from drivers.motion_limits import MotionLimits
 from drivers.standing import Standing
-from drivers.standstill import Windows
 from drivers.supervision import Patience, Supervision
 from hilcell.ports import Clock, DeviceError
 
 POLL_S = 0.02
 STALL_S = 3.0  # wire deadline, beside the dwell: neither the wanted state nor progress
-OVERSPEED = 1.2
 FULL_SPEED = 100.0  # percent: the drive has no override
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """Bounds that a healthy slide never exceeds, in counts and seconds, and the scale to mm."""
-
-    counts_per_mm: float
-    strip_counts_per_mm: float
-    lowest: int
-    highest: int
-    speed: float
-    acceleration: float
-    homing_s: float  # planned, from the far end of the travel
-    window: int  # arrived, or progress
-    windows: Windows  # at rest
-
-    def mm(self, counts: float) -> str:
-        """Return a position, or a speed a second, in words."""
-        return f"{counts / self.counts_per_mm:.3f} mm"
-
-    def travel_s(self, distance: float) -> float:
-        """Return how long a motion over ``distance`` is planned to take, from rest to rest."""
-        peak = min(self.speed, math.sqrt(abs(distance) * self.acceleration))
-        return abs(distance) / peak + peak / self.acceleration if peak else 0.0
-
-    @property
-    def ramp_s(self) -> float:
-        """Return how long the slide takes from full speed to rest."""
-        return self.speed / self.acceleration
+AT_SWITCH_MM = 25.0  # from the end of the travel with its slack: a limit there is that switch
+LEAVE_MM = 20.0  # a switch is left by then
 
 
 class Drive:
@@ -84,6 +57,7 @@ class Drive:
             strip_counts_per_mm=limits.strip_counts_per_mm,
             alarm_text=alarm_text,
         )
+        self._guard()
 
     def _look(self, operation: str) -> Snapshot:
         """Return a snapshot; raises `DeviceError` for a fault, an alarm or a lost node."""
@@ -95,10 +69,12 @@ class Drive:
 
         look()
         now = self._image.refresh(look)
+        if not self._image.shows_mode:
+            now = replace(now, mode=self._sdo.read(cia402.MODE_DISPLAY))
         self._supervision.look()
         look()
         if now.state in (State.FAULT, State.FAULT_REACTION, State.UNKNOWN):
-            code = self._sdo.read(cia402.ERROR_CODE)
+            code = self._sdo.read_if_present(cia402.ERROR_CODE) or 0
             raise DeviceError(
                 emcy.alarm(code),
                 DEVICE,
@@ -114,7 +90,7 @@ class Drive:
         operation = "reset fault"
         if self._image.refresh(self._clock.check).state is not State.FAULT:
             return
-        code = self._sdo.read(cia402.ERROR_CODE)
+        code = self._sdo.read_if_present(cia402.ERROR_CODE) or 0
         self._image.control(cia402.DISABLE_VOLTAGE)
         self._image.control(cia402.FAULT_RESET)  # the rising edge resets
         patience, over = Patience(STALL_S), False
@@ -182,6 +158,7 @@ class Drive:
         """Go to ``target`` counts in profile position; return at standstill, still enabled."""
         operation = f"move to {self._limits.mm(target)}"
         before = self._prepare(operation, cia402.PROFILE_POSITION)
+        self._check_limit(operation, before, target)
         self._image.control(cia402.ENABLE_OPERATION, target)
         self._moving(operation, "last set-point released", lambda s: not s.has(cia402.ACKNOWLEDGED))
         self.standing.standstill.forget()
@@ -215,13 +192,28 @@ class Drive:
         """Set the mode and go up to OPERATION ENABLED, one acknowledged transition at a time."""
         now = self.standing.poll(operation)
         if now.mode != mode:
-            self._sdo.write(cia402.MODES_OF_OPERATION, 0, mode)
+            self._set_mode(mode)
         while (now := self.standing.poll(operation)).state is not State.ENABLED:
             word = cia402.next_control(now.state)
             if word is not None:
                 self._image.control(word, now.position)
             self._until(operation, f"drive to leave {now.state.value!r}", _left(now.state))
-        return self._until(operation, f"mode {mode}", lambda s: s.mode == mode)
+        now = self._until(operation, f"mode {mode}", lambda s: s.mode == mode)
+        self._guard()
+        return now
+
+    def _set_mode(self, mode: int) -> None:
+        """Ask for a mode; 6061h shows whether the drive has it, for 6060h may be write only."""
+        try:
+            self._sdo.command(cia402.MODES_OF_OPERATION, 0, mode)
+        except Aborted as refusal:
+            name = cia402.MODES[mode]
+            raise Unsupported(refusal, f"6060h = {mode} ({name})") from refusal
+
+    def _guard(self) -> None:
+        """Guard one motion from here on."""
+        self._guards = MotionGuard(self._limits, self.standing.now_s)
+        self._left_limit: int | None = None  # where the slide stood on a switch
 
     def _moving(
         self,
@@ -283,7 +275,10 @@ class Drive:
                         **self._fields(now),
                     },
                 )
-            self.standing.pause()
+            if moving and not done(now):
+                self._clock.wait(POLL_S)  # also at its start, while it seems to stand
+            else:
+                self.standing.pause()
 
     def _restless(self, operation: str, waited_s: float) -> DeviceError:
         limits, windows, seen = self._limits, self._limits.windows, self.standing.standstill.unrest
@@ -307,14 +302,15 @@ class Drive:
 
     def _check_motion(self, operation: str, now: Snapshot) -> None:
         limits, code, found = self._limits, "", ""
+        self._guards.take(now, self.standing.now_s)
         where = limits.mm(now.position)
         if now.state is not State.ENABLED:
             code, found = "HC-R30", f"drive left operation enabled: {now.state.value}"
         elif now.has(cia402.MODE_ERROR) and now.mode == cia402.HOMING:
-            code, found = "HC-R35", "homing error"
+            code, found = "HC-R35", f"homing error of method {cia402.HOME_NEGATIVE_LIMIT} (6098h)"
         elif now.has(cia402.MODE_ERROR):
             code, found = "HC-R26", f"following error at {where}"
-        elif now.mode != cia402.HOMING and now.has(cia402.INTERNAL_LIMIT):
+        elif now.mode != cia402.HOMING and now.has(cia402.INTERNAL_LIMIT) and not self._leaves(now):
             code, found = "HC-R32", f"limit active at {where}"
         elif not abs(now.velocity) <= OVERSPEED * limits.speed:
             allowed = limits.mm(OVERSPEED * limits.speed)
@@ -322,6 +318,8 @@ class Drive:
         elif now.mode != cia402.HOMING and not limits.lowest <= now.position <= limits.highest:
             beyond = f"{limits.mm(limits.lowest)} .. {limits.mm(limits.highest)}"
             code, found = "HC-R34", f"{where} is beyond {beyond}"
+        if code in ("", "HC-R33"):
+            self._guards.check_unit(operation, now)
         if found:
             raise DeviceError(
                 code,
@@ -331,6 +329,43 @@ class Drive:
                 act="put the cause right, then resume",
                 fields=self._fields(now),
             )
+        self._guards.check(operation, now)
+
+    def _check_limit(self, operation: str, before: Snapshot, target: int) -> None:
+        """Refuse a motion that leads towards the switch on which the slide stands.
+
+        Homing to a switch ends on it. Status bit 11 does not say which switch is active: 60FDh
+        does, and without it the end of the travel at which the slide stands.
+        """
+        if not before.has(cia402.INTERNAL_LIMIT):
+            return
+        gap = target - before.position
+        if abs(gap) > self._limits.window and not gap * self._side(before) < 0:
+            raise DeviceError(
+                "HC-R32",
+                DEVICE,
+                operation,
+                f"limit active at {self._limits.mm(before.position)}",
+                wanted="a motion away from the limit switch",
+                act="move the slide off the switch, by hand without power, then home the rail",
+                fields=self._fields(before),
+            )
+        self._left_limit = before.position
+
+    def _side(self, now: Snapshot) -> int:
+        """Return on which limit switch the slide stands: -1, 1, or 0 where nothing says it."""
+        inputs = self._sdo.read_if_present(cia402.DIGITAL_INPUTS) or 0
+        side = {1: -1, 2: 1}.get(inputs & cia402.LIMIT_SWITCHES, 0)
+        near, limits = AT_SWITCH_MM * self._limits.counts_per_mm, self._limits
+        if now.position <= limits.lowest + near:
+            return side or -1
+        return side or int(now.position >= limits.highest - near)
+
+    def _leaves(self, now: Snapshot) -> bool:
+        """Whether a limit is that of the switch on which the slide stood before the motion."""
+        left = self._left_limit
+        near = LEAVE_MM * self._limits.counts_per_mm
+        return left is not None and abs(now.position - left) <= near
 
     def _fields(self, now: Snapshot) -> dict[str, object]:
         """Return the values of a poll, as data."""

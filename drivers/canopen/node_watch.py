@@ -12,9 +12,9 @@ from drivers.canopen import emcy, nmt
 from drivers.canopen.can_link import CanLink
 from hilcell.ports import DeviceError
 
-HEARTBEAT_PERIOD_MS = 50
 PC_HEARTBEAT_LIMIT_MS = 1000
 HEARTBEAT_AGE_S = 1.0  # of link time
+DEVICE_PROFILE_ERROR = 1 << 5  # of the error register, 1001h
 _ADVICE = "put the cause right, then resume; home the rail after a reset of its drive"
 _PC_ADVICE = (
     "give the engine a PC of its own, or end what keeps this one busy; resume; "
@@ -26,11 +26,13 @@ _EMCY = struct.Struct("<HB5s")
 class NodeWatch:
     """Listens to one node; ``check`` raises the first thing that went wrong.
 
-    Emergencies of the family ``in_pdo`` only repeat what a PDO says with each of its values.
+    Emergencies of the family ``in_pdo`` repeat what a PDO says with each of its values, or what
+    `sensor_fails` says where no PDO has it: neither is a failure here.
     """
 
     def __init__(self, device: str, link: CanLink, node: int, in_pdo: int | None = None) -> None:
         self.state: int | None = None
+        self.sensor_fails = False  # from an emergency of that family on, until it is gone
         self.node, self._in_pdo = node, in_pdo
         self._device, self._link = device, link
         self._heard_s = 0.0
@@ -81,6 +83,10 @@ class NodeWatch:
 
     def _on_emergency(self, _cob_id: int, data: bytearray, _at_s: float) -> None:
         code, register, _vendor = _EMCY.unpack(data)
+        if code >> 8 == self._in_pdo:
+            self.sensor_fails = True
+        elif not emcy.is_error(code):  # one is gone; the register has those that are left
+            self.sensor_fails = bool(register & DEVICE_PROFILE_ERROR)
         if self._armed and emcy.is_error(code) and code >> 8 != self._in_pdo:
             found = f"EMCY {emcy.text(code)}, error register 0x{register:02X}"
             pause_s = self._link.pause_s

@@ -9,10 +9,10 @@ from __future__ import annotations
 import struct
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from drivers.canopen.can_link import CanLink
-from drivers.canopen.sdo import SdoChannel
+from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported
 from hilcell.ports import DeviceError
 
 SYNC = 0x080
@@ -35,20 +35,65 @@ class Mapping:
     entries: tuple[tuple[int, int], ...]  # object, bits
     layout: struct.Struct
 
+    def shorter(self) -> Mapping:
+        """Return the same PDO without its last object."""
+        layout = struct.Struct(self.layout.format[:-1])
+        return replace(self, entries=self.entries[:-1], layout=layout)
+
 
 def configure(sdo: SdoChannel, pdo: Mapping) -> None:
     """Write a mapping in the order that the standard wants (7.5.2.36): off, emptied, filled, on.
 
-    Bit 30 (no remote frames) stays as found: devices that know none refuse to have it cleared.
+    A part that the device refuses to change is right where it reads so already. Bit 30 (no remote
+    frames) stays as found: devices that know none refuse to have it cleared. Raises `Unsupported`.
     """
-    cob_id = sdo.read(pdo.communication, 1) & NO_RTR | pdo.cob_id
-    sdo.write(pdo.communication, 1, DISABLED | cob_id)
-    sdo.write(pdo.mapping, 0, 0)
-    for sub, (index, bits) in enumerate(pdo.entries, start=1):
-        sdo.write(pdo.mapping, sub, index << 16 | bits)
-    sdo.write(pdo.mapping, 0, len(pdo.entries))
-    sdo.write(pdo.communication, 2, pdo.transmission)
-    sdo.write(pdo.communication, 1, cob_id)
+    what = f"PDO of {_objects(pdo)} with identifier {pdo.cob_id:03X}h"
+    try:
+        held = sdo.read(pdo.communication, 1)
+    except Aborted as refusal:
+        raise Unsupported(refusal, f"{pdo.communication:04X}h ({what})") from refusal
+    cob_id = held & NO_RTR | pdo.cob_id
+    fixed = sdo.offer(pdo.communication, 1, DISABLED | cob_id)
+    if fixed is not None and held != cob_id:
+        raise Unsupported(fixed, f"{pdo.communication:04X}h:01 ({what})")
+    _map(sdo, pdo)
+    sdo.require(pdo.communication, 2, pdo.transmission, what)
+    if fixed is None:
+        sdo.require(pdo.communication, 1, cob_id, what)
+
+
+def configure_either(sdo: SdoChannel, pdo: Mapping, other: Mapping) -> Mapping:
+    """Configure a PDO, or the ``other`` one of a device that does not support it; return which."""
+    try:
+        configure(sdo, pdo)
+    except Unsupported:
+        configure(sdo, other)
+        return other
+    return pdo
+
+
+def _map(sdo: SdoChannel, pdo: Mapping) -> None:
+    coded = [index << 16 | bits for index, bits in pdo.entries]
+    try:
+        sdo.write(pdo.mapping, 0, 0)
+        for sub, value in enumerate(coded, start=1):
+            sdo.write(pdo.mapping, sub, value)
+        sdo.write(pdo.mapping, 0, len(coded))
+    except Aborted as refusal:
+        if not _maps(sdo, pdo.mapping, coded):
+            what = f"{pdo.mapping:04X}h (PDO of {_objects(pdo)})"
+            raise Unsupported(refusal, what) from refusal
+
+
+def _objects(pdo: Mapping) -> str:
+    return " and ".join(f"{index:04X}h" for index, _ in pdo.entries)
+
+
+def _maps(sdo: SdoChannel, mapping: int, coded: list[int]) -> bool:
+    """Whether a mapping that the device does not let change is the one that is needed."""
+    return sdo.read(mapping, 0) == len(coded) and all(
+        sdo.read(mapping, sub) == value for sub, value in enumerate(coded, start=1)
+    )
 
 
 class Inbox:
@@ -65,6 +110,10 @@ class Inbox:
         self._arrived_s = dict.fromkeys(self._layouts, 0.0)
         for cob_id in self._layouts:
             link.subscribe(cob_id, self._on_pdo)
+
+    def expect(self, pdo: Mapping) -> None:
+        """Take a PDO of this inbox as it is mapped in this device."""
+        self._layouts[pdo.cob_id] = pdo.layout
 
     def refresh(self, check: Callable[[], None]) -> tuple[dict[int, tuple[int, ...]], float]:
         """Send SYNC; return all values by identifier and since when the oldest may be waiting here.

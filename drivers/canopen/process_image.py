@@ -15,11 +15,13 @@ from dataclasses import dataclass
 from drivers.canopen import cia402, cia406
 from drivers.canopen.can_link import CanLink
 from drivers.canopen.cia402 import State
+from drivers.canopen.node_watch import NodeWatch
 from drivers.canopen.pdo import EVERY_SYNC, ON_EVENT, Inbox, Mapping
 from hilcell.ports import DeviceError
 
 DEVICE = "Rail"
 COMMAND_AGE_S = 0.5  # nothing is enabled or started by a reading that is older
+NO_MODE = 0  # of CiA 402: no mode assigned
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +60,12 @@ class ProcessImage:
         drive_node: int,
         strip_node: int,
         other_strip: Callable[[Callable[[], None]], tuple[int, int]] | None = None,
+        strip_watch: NodeWatch | None = None,
     ) -> None:
-        """``other_strip`` returns counts and alarms of a strip that is not on this bus."""
+        """``other_strip`` returns counts and alarms of a strip that is not on this bus.
+
+        ``strip_watch`` knows the alarms of a strip on it that has no object for them.
+        """
         self._link = link
         self._lock = threading.Lock()
         self._stopped = False
@@ -90,7 +96,7 @@ class ProcessImage:
             struct.Struct("<Hi"),
         )
         self.strip = strip_mapping(strip_node)
-        self._other_strip = other_strip
+        self._other_strip, self._strip_watch = other_strip, strip_watch
         pdos = (self.status, self.motion)
         self._inbox = Inbox(DEVICE, link, pdos if other_strip else (*pdos, self.strip))
 
@@ -98,13 +104,24 @@ class ProcessImage:
         """Return the values of drive and strip at a SYNC sent now."""
         values, taken_s = self._inbox.refresh(check)
         statusword, position = values[self.status.cob_id]
-        velocity, mode = values[self.motion.cob_id]
+        velocity, mode, *_ = *values[self.motion.cob_id], NO_MODE
         if self._other_strip is None:
-            strip, alarms = values[self.strip.cob_id]
+            strip, alarms = strip_values(values[self.strip.cob_id], self._strip_watch)
         else:
             strip, alarms = self._other_strip(check)
         self._taken_s = taken_s
         return Snapshot(statusword, position, velocity, mode, strip, alarms, taken_s)
+
+    def take(self, pdo: Mapping) -> None:
+        """Take a PDO that may lack an object, as the device has mapped it."""
+        if pdo.cob_id == self.motion.cob_id:
+            self.motion = pdo
+        self._inbox.expect(pdo)
+
+    @property
+    def shows_mode(self) -> bool:
+        """Whether the mode is part of it; it is `NO_MODE` where 6061h cannot be mapped."""
+        return len(self.motion.entries) > 1
 
     def control(self, controlword: int, target: int | None = None) -> None:
         """Send a control word, with the target position in counts where it matters.
@@ -161,3 +178,11 @@ def strip_mapping(node: int) -> Mapping:
         ((cia406.POSITION, 32), (cia406.ALARMS, 16)),
         struct.Struct("<iH"),
     )
+
+
+def strip_values(values: tuple[int, ...], watch: NodeWatch | None) -> tuple[int, int]:
+    """Return counts and alarms; a sensor without 6503h has its alarms in its emergencies."""
+    counts, *alarms = values
+    if alarms:
+        return counts, alarms[0]
+    return counts, cia406.POSITION_ERROR if watch is not None and watch.sensor_fails else 0

@@ -15,10 +15,11 @@ import msgspec
 from msgspec import Meta
 
 from drivers.canopen import cia406, nmt, rail_setup
-from drivers.canopen.can_link import CanLink, open_bus
-from drivers.canopen.drive import Drive, Limits
+from drivers.canopen.can_link import CanLink, heartbeat_period_s, open_bus
+from drivers.canopen.drive import Drive
+from drivers.canopen.limits import Limits
 from drivers.canopen.node_watch import NodeWatch
-from drivers.canopen.pdo import configure
+from drivers.canopen.pdo import configure, configure_either
 from drivers.canopen.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.canopen.rail_setup import Expected
 from drivers.canopen.release import Release
@@ -163,14 +164,14 @@ class CanopenRail:
         options = self._options
         check = self._clock.check
         drive_sdo = open_channel(DEVICE, link, options.drive_node, "drive.eds", check)
-        strip_sdo, feed = None, self._feed
+        strip_sdo, of_strip, feed = None, None, self._feed
         self._watches = (NodeWatch(DEVICE, link, options.drive_node),)
         if feed is None:
             strip_sdo = open_channel(DEVICE, link, options.strip_node, "strip.eds", check)
             of_strip = NodeWatch(DEVICE, link, options.strip_node, in_pdo=cia406.SENSOR_ERRORS)
             self._watches = (*self._watches, of_strip)
         nodes = (options.drive_node, options.strip_node)
-        image = ProcessImage(link, *nodes, None if feed is None else feed.poll)
+        image = ProcessImage(link, *nodes, None if feed is None else feed.poll, of_strip)
         supervision = Supervision(DEVICE, "HC-R39", self._clock, LATE_S)
         identities = self._identify(link, drive_sdo, strip_sdo)
         if feed is not None:
@@ -204,7 +205,10 @@ class CanopenRail:
         options = self._options
         for watch in self._watches:
             link.send(nmt.COMMAND, bytes((nmt.ENTER_PRE_OPERATIONAL, watch.node)))
-        link.start_heartbeat(options.heartbeat_node, supervision.attended)
+        period_s = heartbeat_period_s(options.bitrate)
+        link.start_heartbeat(options.heartbeat_node, supervision.attended, period_s)
+        beats = rail_setup.heartbeat_settings(options.bitrate)
+        rail_setup.apply(drive_sdo, beats)
         rail_setup.apply(
             drive_sdo,
             rail_setup.drive_settings(
@@ -219,13 +223,14 @@ class CanopenRail:
         windows = rail_setup.window_settings(
             arrived=limits.window, speed=limits.windows.speed, dwell_s=limits.windows.dwell_s
         )
-        rail_setup.apply_where_present(drive_sdo, windows)
+        rail_setup.apply(drive_sdo, windows)
         if strip_sdo is not None:
-            rail_setup.apply(strip_sdo, rail_setup.STRIP_SETTINGS)
-        for pdo in (image.status, image.motion, image.command):
-            configure(drive_sdo, pdo)
+            rail_setup.apply(strip_sdo, beats)
+        configure(drive_sdo, image.status)
+        image.take(configure_either(drive_sdo, image.motion, image.motion.shorter()))
+        configure(drive_sdo, image.command)
         if strip_sdo is not None:
-            configure(strip_sdo, image.strip)
+            image.take(rail_setup.map_strip(strip_sdo, image.strip, self._watches[-1]))
         rail_setup.start_nodes(link, self._watches, self._clock.check)
         self._check_nodes("connect")
 

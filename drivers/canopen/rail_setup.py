@@ -11,13 +11,21 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from drivers.canopen import cia402, cia406, nmt
-from drivers.canopen.can_link import CanLink, LinkLost
-from drivers.canopen.node_watch import HEARTBEAT_PERIOD_MS, PC_HEARTBEAT_LIMIT_MS, NodeWatch
-from drivers.canopen.sdo import ABSENT, Aborted, SdoChannel
+from drivers.canopen.can_link import CanLink, LinkLost, heartbeat_period_s
+from drivers.canopen.node_watch import (
+    DEVICE_PROFILE_ERROR,
+    PC_HEARTBEAT_LIMIT_MS,
+    NodeWatch,
+)
+from drivers.canopen.pdo import Mapping as Pdo
+from drivers.canopen.pdo import configure_either
+from drivers.canopen.sdo import ABSENT, Aborted, SdoChannel, Unsupported
+from drivers.canopen.slcan_bus import has_long_stamp
 from hilcell.clean import clean
 from hilcell.ports import DeviceError, DeviceRefused, Identity, says_simulated
 
 DEVICE_TYPE = 0x1000
+ERROR_REGISTER = 0x1001
 DEVICE_NAME = 0x1008
 CONSUMER_HEARTBEAT = 0x1016
 PRODUCER_HEARTBEAT = 0x1017
@@ -28,6 +36,38 @@ START_PERIOD_S = 0.5
 POLL_S = 0.02
 HOMING_SLOW_MM_S, HOMING_SLOW_MM = 5.0, 20.0  # off the switch, at most so far
 LARGEST_U16 = 0xFFFF
+
+# Why a node has the settings that it is given here.
+PURPOSES = {
+    CONSUMER_HEARTBEAT: "the drive notices that the PC has died",
+    PRODUCER_HEARTBEAT: "the PC notices that the node has died",
+    cia402.ABORT_CONNECTION_OPTION: "the drive stops by itself when the PC has died",
+    cia402.QUICK_STOP_OPTION: "a quick stop ends on the brake",
+    cia402.PROFILE_VELOCITY: "speed of motions",
+    cia402.PROFILE_ACCELERATION: "ramp of motions",
+    cia402.PROFILE_DECELERATION: "ramp of motions",
+    cia402.HOMING_METHOD: "homing to the negative limit switch",
+    cia402.HOME_OFFSET: "the drive reads 0 where it has homed",
+    cia402.HOMING_SPEEDS: "speeds of homing",
+    cia402.HOMING_ACCELERATION: "ramp of homing",
+    cia402.POSITION_WINDOW: "window of a target that is reached",
+    cia402.POSITION_WINDOW_TIME: "window of a target that is reached",
+    cia402.VELOCITY_THRESHOLD: "threshold of standstill",
+    cia402.VELOCITY_THRESHOLD_TIME: "threshold of standstill",
+}
+# Without 6084h the ramp up is that down (CiA 402-2), without 607Ch the offset is 0; the others only
+# help the drive: hilcell judges arrival and standstill itself, and guards each speed.
+OPTIONAL = frozenset(
+    {
+        cia402.PROFILE_DECELERATION,
+        cia402.HOME_OFFSET,
+        cia402.HOMING_ACCELERATION,
+        cia402.POSITION_WINDOW,
+        cia402.POSITION_WINDOW_TIME,
+        cia402.VELOCITY_THRESHOLD,
+        cia402.VELOCITY_THRESHOLD_TIME,
+    }
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +101,7 @@ def find_node(link: CanLink, sdo: SdoChannel, expected: Expected, check: Callabl
                     "connect",
                     f"node {expected.node} ({expected.name}) does not answer{_losses(link)}",
                     wanted=f"an answer within {FIND_S:.0f} s",
-                    act="check its power, cable, terminators, bit rate and node number",
+                    act=_act(link),
                     fields={"node": expected.node, "name": expected.name, "waited_s": FIND_S},
                 ) from error
         check()
@@ -73,7 +113,17 @@ def _losses(link: CanLink) -> str:
     if not lost.bad_lines + lost.refused + lost.malformed:
         return ""
     malformed = f", {lost.malformed} malformed" if lost.malformed else ""
-    return f"; {lost.bad_lines} bad lines, {lost.refused} refused{malformed} on this link"
+    form = (
+        f", lines of another form, as {clean(repr(link.bad_line)[2:-1])}" if link.bad_line else ""
+    )
+    return f"; {lost.bad_lines} bad lines, {lost.refused} refused{malformed} on this link{form}"
+
+
+def _act(link: CanLink) -> str:
+    """Return what to do about a node's silence on a link."""
+    if has_long_stamp(link.bad_line):
+        return "switch the gateway's time stamps off: it sends them with 32 bits"
+    return "check its power, cable, terminators, bit rate and node number"
 
 
 def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str) -> Identity:
@@ -81,8 +131,8 @@ def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str
     checks = (
         ("device profile (1000h)", device_type & 0xFFFF, expected.profile),
         ("vendor (1018h:01)", sdo.read(IDENTITY, 1), expected.vendor),
-        ("product (1018h:02)", sdo.read(IDENTITY, 2), expected.product),
-        ("serial (1018h:04)", sdo.read(IDENTITY, 4), expected.serial),
+        ("product (1018h:02)", sdo.read_if_present(IDENTITY, 2) or 0, expected.product),
+        ("serial (1018h:04)", sdo.read_if_present(IDENTITY, 4) or 0, expected.serial),
     )
     for what, found, wanted in checks:
         if wanted and found != wanted:
@@ -121,7 +171,7 @@ def _revision(sdo: SdoChannel) -> str:
 
     CiA 301, 7.5.2.19.
     """
-    found = _optional(sdo, IDENTITY, 3)
+    found = sdo.read_if_present(IDENTITY, 3)
     return "" if found is None else f"revision {found >> 16}.{found & 0xFFFF}"
 
 
@@ -136,7 +186,10 @@ def _device_name(sdo: SdoChannel) -> str:
 def check_strip_step(sdo: SdoChannel, counts_per_mm: float) -> None:
     """Refuse a strip whose step, where it tells one, is not that of the cell file."""
     wanted_nm = cia406.step_nm(counts_per_mm)
-    for found_nm, where in ((_step(sdo), "6005h"), (_optional(sdo, cia406.POSITION_STEP), "6501h")):
+    for found_nm, where in (
+        (_step(sdo), "6005h"),
+        (sdo.read_if_present(cia406.POSITION_STEP), "6501h"),
+    ):
         if found_nm is not None and found_nm != wanted_nm:
             raise DeviceRefused(
                 "HC-S07",
@@ -151,20 +204,11 @@ def check_strip_step(sdo: SdoChannel, counts_per_mm: float) -> None:
 
 def _step(sdo: SdoChannel) -> int | None:
     """Return 6005h: sub-index 1 of an array, or the plain value."""
-    step = _optional(sdo, cia406.MEASURING_STEP, 1)
+    step = sdo.read_if_present(cia406.MEASURING_STEP, 1)
     if step is not None:
         return step
     try:
         return int.from_bytes(sdo.read_bytes(cia406.MEASURING_STEP, 0), "little")
-    except Aborted as error:
-        if error.abort_code not in ABSENT:
-            raise
-        return None
-
-
-def _optional(sdo: SdoChannel, index: int, sub: int = 0) -> int | None:
-    try:
-        return sdo.read(index, sub)
     except Aborted as error:
         if error.abort_code not in ABSENT:
             raise
@@ -186,7 +230,6 @@ def drive_settings(
     homing_slow = round(min(speed_mm_s, HOMING_SLOW_MM_S) * counts_per_mm)
     return {
         (CONSUMER_HEARTBEAT, 1): pc_node << 16 | PC_HEARTBEAT_LIMIT_MS,
-        (PRODUCER_HEARTBEAT, 0): HEARTBEAT_PERIOD_MS,
         (cia402.ABORT_CONNECTION_OPTION, 0): cia402.QUICK_STOP_ON_LOST_CONNECTION,
         (cia402.QUICK_STOP_OPTION, 0): cia402.SLOW_DOWN_ON_QUICK_STOP_RAMP,
         (cia402.PROFILE_VELOCITY, 0): speed,
@@ -200,7 +243,9 @@ def drive_settings(
     }
 
 
-STRIP_SETTINGS: Mapping[tuple[int, int], int] = {(PRODUCER_HEARTBEAT, 0): HEARTBEAT_PERIOD_MS}
+def heartbeat_settings(bitrate: int) -> Mapping[tuple[int, int], int]:
+    """Return the settings of a node that sends its heartbeat on a bus."""
+    return {(PRODUCER_HEARTBEAT, 0): round(1000 * heartbeat_period_s(bitrate))}
 
 
 def homing_s(*, travel_mm: float, speed_mm_s: float) -> float:
@@ -220,20 +265,27 @@ def window_settings(*, arrived: int, speed: float, dwell_s: float) -> Mapping[tu
     }
 
 
-def apply_where_present(sdo: SdoChannel, settings: Mapping[tuple[int, int], int]) -> None:
-    """Write settings that not every device has, each read back; raises `DeviceError`."""
-    for (index, sub), value in settings.items():
-        try:
-            sdo.write(index, sub, value)
-        except Aborted as error:
-            if error.abort_code not in ABSENT:
-                raise
-
-
 def apply(sdo: SdoChannel, settings: Mapping[tuple[int, int], int]) -> None:
-    """Write settings and read each back; raises `DeviceError`."""
+    """Write settings, each read back; raises `Unsupported`, or `DeviceError`.
+
+    A device may lack those in `OPTIONAL`.
+    """
     for (index, sub), value in settings.items():
-        sdo.write(index, sub, value)
+        refusal = sdo.offer(index, sub, value)
+        if refusal is None or (index in OPTIONAL and refusal.abort_code in ABSENT):
+            continue
+        raise Unsupported(refusal, f"{index:04X}h:{sub:02X} = {value} ({PURPOSES[index]})")
+
+
+def map_strip(sdo: SdoChannel, pdo: Pdo, watch: NodeWatch) -> Pdo:
+    """Configure the PDO of a strip sensor and return it: without its alarms where it has no 6503h.
+
+    Then its emergencies have them; one that was sent before is still in the error register.
+    """
+    mapped = configure_either(sdo, pdo, pdo.shorter())
+    if mapped is not pdo:
+        watch.sensor_fails = bool(sdo.read(ERROR_REGISTER) & DEVICE_PROFILE_ERROR)
+    return mapped
 
 
 def start_nodes(link: CanLink, watches: Sequence[NodeWatch], check: Callable[[], None]) -> None:

@@ -30,7 +30,8 @@ LATE_S = 0.5  # a late reply has come by then
 TRIES = 3
 DOUBLES = 3  # questions in a row that were answered twice; a frame may be doubled on the way
 
-ABSENT = frozenset({0x06020000, 0x06090011})  # no such object, no such sub-index
+# No such object, no such sub-index, no data available.
+ABSENT = frozenset({0x06020000, 0x06090011, 0x08000024})
 
 
 class Aborted(DeviceError):
@@ -45,6 +46,22 @@ class Aborted(DeviceError):
             f"SDO abort {str(error).removeprefix('Code ')}",
             act="the device differs from its EDS, or is in the wrong state; see docs/hardware.md",
             fields={"abort_code": error.code},
+        )
+
+
+class Unsupported(DeviceError):
+    """The device lacks what its job needs, or refuses it."""
+
+    def __init__(self, refusal: Aborted, what: str) -> None:
+        """``what`` is the object, with its value and what it is for."""
+        super().__init__(
+            "HC-R09",
+            refusal.device,
+            refusal.operation,
+            f"not supported: {what}; {refusal.found}",
+            wanted="what docs/hardware.md says that a device must have",
+            act="set the device up for it, or take one that has it",
+            fields={**refusal.fields, "what": what},
         )
 
 
@@ -121,6 +138,15 @@ class SdoChannel:
 
         return _number(self._retried(f"read {_name(index, sub)}", upload, tries), variable)
 
+    def read_if_present(self, index: int, sub: int = 0) -> int | None:
+        """Return the value of an object that a device may leave out; None where it does."""
+        try:
+            return self.read(index, sub)
+        except Aborted as error:
+            if error.abort_code not in ABSENT:
+                raise
+            return None
+
     def read_bytes(self, index: int, sub: int = 0) -> bytes:
         """Return the value's bytes; retried, because reading changes nothing."""
         operation = f"read {_name(index, sub)}"
@@ -145,6 +171,26 @@ class SdoChannel:
                     "written": value,
                 },
             )
+
+    def offer(self, index: int, sub: int, value: int) -> Aborted | None:
+        """Write a setting; return the refusal of a device that does not have that value already."""
+        try:
+            self.write(index, sub, value)
+        except Aborted as refusal:
+            try:
+                held = self.read(index, sub)
+            except Aborted:
+                return refusal
+            return None if held == value else refusal
+        return None
+
+    def require(self, index: int, sub: int, value: int, what: str) -> None:
+        """Write a setting that the device must take, and ``what`` it is for.
+
+        Raises `Unsupported` where it refuses, `DeviceError` where it does not keep it.
+        """
+        if (refusal := self.offer(index, sub, value)) is not None:
+            raise Unsupported(refusal, f"{_name(index, sub)} = {value} ({what})")
 
     def command(self, index: int, sub: int, value: int) -> str:
         """Write what the device obeys at once; its state shows whether it did.

@@ -46,22 +46,30 @@ def bus_problems(interface: Interface, channel: str, bitrate: int) -> Iterator[s
 
 CONNECT_S = 5.0
 SEND_S = 0.2  # of a port that takes nothing; time in which this PC did nothing does not count
+ANSWER_S = 0.3  # to a command; many gateways send none
 LONGEST_LINE = 64
 # CR ends a line, BELL refuses one; some gateways send CR LF.
 _END = re.compile(rb"[\r\n\a]")
-# Data (t, T) and remote frames (r, R), an optional time stamp of the gateway behind them.
+# Data (t, T) and remote frames (r, R), an optional time stamp of the gateway behind them. A
+# line with one of 32 bits may as well be a frame whose length was garbled.
 _FRAME = re.compile(
     rb"(?:([tr])([0-9A-Fa-f]{3})|([TR])([0-9A-Fa-f]{8}))([0-8])((?:[0-9A-Fa-f]{2})*)"
 )
 _ANSWERS = (b"", b"z", b"Z")  # acknowledgements; many gateways send none
+_BELL = b"\a"
+STAMP, LONG_STAMP = 4, 8  # digits of a time stamp that is understood, and of one that is not
 
 
 class SlcanBus(can.BusABC):
-    """An slcan bus; counts the lines that were bad and the frames that the gateway refused."""
+    """An slcan bus; counts the lines that were bad and the frames that the gateway refused.
+
+    ``bad_line`` is the last that was bad. The constructor raises `can.CanInitializationError`
+    where the gateway refuses the bit rate or to open.
+    """
 
     def __init__(self, channel: str, bitrate: int) -> None:
         self._is_shutdown = True  # there is no port yet
-        self.bad_lines = 0
+        self.bad_lines, self.bad_line = 0, b""
         self.refused = 0
         self._bytes = b""
         self._unsent = b""
@@ -69,19 +77,54 @@ class SlcanBus(can.BusABC):
         self._writing = threading.Lock()  # never held while waiting
         if bitrate not in BIT_RATES:
             raise ValueError(f"bit rate {bitrate}, slcan has {', '.join(map(str, BIT_RATES))}")
-        opening = (b"", b"C", b"S%d" % BIT_RATES.index(bitrate), b"O")
-        self._commands = len(opening)  # not answered yet: one may be refused and all is well
         self._port, self._close_port = _open(channel)
         with on_failure(self._close_port):
             os.set_blocking(self._port, False)
-            self._put(b"".join(line + b"\r" for line in opening))
+            self._open_channel(bitrate)
         super().__init__(channel)
         self._is_shutdown = False
+
+    def _open_channel(self, bitrate: int) -> None:
+        """Close the channel, set its bit rate and open it, one command behind the other's answer.
+
+        An answer does not say to which command; a channel that is closed may refuse to be closed.
+        """
+        self._put(b"\rC\r")
+        if self._taken_command() is not None:
+            self._taken_command()
+        for command, what in (
+            (b"S%d" % BIT_RATES.index(bitrate), f"the bit rate {bitrate}"),
+            (b"O", "to open the channel"),
+        ):
+            self._put(command + b"\r")
+            if self._taken_command(command == b"O") is False:
+                raise can.CanInitializationError(
+                    f"the gateway refuses {what} (it answers BELL to {command.decode()})"
+                )
+
+    def _taken_command(self, opening: bool = False) -> bool | None:
+        """Return whether the gateway takes a command; None where it does not answer."""
+        deadline_s = time.monotonic() + ANSWER_S
+        while True:
+            while (found := self._line()) is not None:
+                line, end = found
+                if end == _BELL:
+                    return False
+                if not line:
+                    return True
+                if opening and _FRAME.fullmatch(line):  # it is open, and there is no answer
+                    self._bytes = line + b"\r" + self._bytes
+                    return None
+            left_s = max(0.0, deadline_s - time.monotonic())
+            if not self._fill(left_s) and not left_s:
+                return None
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         deadline_s = time.monotonic() + (timeout or 0.0)
         while True:
-            while (line := self._line()) is not None:
+            while (found := self._line()) is not None:
+                line, end = found
+                self.refused += end == _BELL
                 if (message := self._message(line)) is not None:
                     return message, False
             left_s = max(0.0, deadline_s - time.monotonic())
@@ -99,33 +142,33 @@ class SlcanBus(can.BusABC):
         self._bytes += data
         return bool(data)
 
-    def _line(self) -> bytes | None:
-        """Return the next whole line; a line that never ends is dropped."""
+    def _line(self) -> tuple[bytes, bytes] | None:
+        """Return the next whole line and its end; a line that never ends is dropped."""
+        self._bytes = self._bytes.lstrip(b"\n")  # of CR LF
         end = _END.search(self._bytes)
         if end is None:
             if len(self._bytes) > LONGEST_LINE:
-                self.bad_lines += 1
+                self._drop(self._bytes)
                 self._bytes = b""
             return None
         line, self._bytes = self._bytes[: end.start()], self._bytes[end.end() :]
-        answer = line in _ANSWERS
-        if end.group() == b"\a" and not self._commands:
-            self.refused += 1
-        self._commands = max(0, self._commands - 1) if answer else 0
-        return line
+        return line, end.group()
+
+    def _drop(self, line: bytes) -> None:
+        self.bad_lines += 1
+        self.bad_line = line[:LONGEST_LINE]
 
     def _message(self, line: bytes) -> can.Message | None:
         if line in _ANSWERS:
             return None
         match = _FRAME.fullmatch(line)
         if match is None:
-            self.bad_lines += 1
+            self._drop(line)
             return None
         kind, number = match[1] or match[3], match[2] or match[4]
-        remote, size = kind in b"rR", int(match[5])
-        carried = 0 if remote else 2 * size
-        if len(match[6]) not in (carried, carried + 4):
-            self.bad_lines += 1
+        remote, size, carried = kind in b"rR", int(match[5]), _carried(match)
+        if len(match[6]) not in (carried, carried + STAMP):
+            self._drop(line)
             return None
         return can.Message(
             arbitration_id=int(number, 16),
@@ -177,6 +220,17 @@ class SlcanBus(can.BusABC):
             self._put(b"C\r")
         finally:
             self._close_port()
+
+
+def has_long_stamp(line: bytes) -> bool:
+    """Whether a line is a frame with a time stamp of 32 bits."""
+    match = _FRAME.fullmatch(line)
+    return match is not None and len(match[6]) == _carried(match) + LONG_STAMP
+
+
+def _carried(match: re.Match[bytes]) -> int:
+    """Return the digits of a frame's data."""
+    return 0 if (match[1] or match[3]) in b"rR" else 2 * int(match[5])
 
 
 def _open(channel: str) -> tuple[int, Callable[[], Any]]:

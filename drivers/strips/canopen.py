@@ -11,8 +11,8 @@ from collections.abc import Callable
 from drivers.canopen import cia406, nmt, rail_setup
 from drivers.canopen.can_link import CanLink, open_bus
 from drivers.canopen.node_watch import NodeWatch
-from drivers.canopen.pdo import Inbox, configure
-from drivers.canopen.process_image import strip_mapping
+from drivers.canopen.pdo import Inbox
+from drivers.canopen.process_image import strip_mapping, strip_values
 from drivers.canopen.rail_setup import Expected
 from drivers.canopen.sdo import open_channel
 from drivers.on_failure import on_failure
@@ -53,8 +53,7 @@ class CanopenStrip:
             watch.check("strip")
 
         look()
-        counts, alarms = inbox.refresh(look)[0][self._pdo.cob_id]
-        return counts, alarms
+        return strip_values(inbox.refresh(look)[0][self._pdo.cob_id], watch)
 
     def alarm_text(self, alarms: int) -> str:
         """Return the bits of 6503h in words."""
@@ -91,8 +90,8 @@ class CanopenStrip:
         rail_setup.check_strip_step(sdo, options.counts_per_mm)
         watch.begin_set_up()
         link.send(nmt.COMMAND, bytes((nmt.ENTER_PRE_OPERATIONAL, options.node)))
-        rail_setup.apply(sdo, rail_setup.STRIP_SETTINGS)
-        configure(sdo, self._pdo)
+        rail_setup.apply(sdo, rail_setup.heartbeat_settings(self._options.bitrate))
+        inbox.expect(rail_setup.map_strip(sdo, self._pdo, watch))
         rail_setup.start_nodes(link, (watch,), check)
         watch.check("connect")
         watch.arm()

@@ -83,6 +83,7 @@ class Axis:
         self.mode, self.homing = 0, False
         self.frozen = self.deaf = self.lies = self.hunts = self.homes_at_once = False
         self.speed, self.looks, self.zero = 100_000, 0, 0
+        self.passed_s = 0.0  # in which the slide has gone its way at that speed
 
     def control(self, word: int, target: int) -> None:
         if word & 0x80 and self.state == FAULT:
@@ -119,7 +120,9 @@ class Axis:
             self.steps, self.bits = 0, self.bits | 0x400
         if not self.steps or self.frozen:
             return
-        self.position += round((self.target - self.position) / self.steps)
+        step = round((self.target - self.position) / self.steps)
+        self.position += step
+        self.passed_s += abs(step) / abs(self.speed)
         self.steps -= 1
         if not self.steps:
             self.bits |= 0x1400 if self.homing else 0x400
@@ -158,6 +161,9 @@ class CanPeer:
         self.on_sync: Callable[[], None] = lambda: None
         self.abort: dict[tuple[int, int], int] = {}
         self.ignore: set[tuple[int, int]] = set()
+        self.read_only: set[tuple[int, int]] = set()  # of the drive
+        self.write_only: set[tuple[int, int]] = set()
+        self.unmappable: set[int] = set()
         self.demands_no_rtr = True
         self.lost_heartbeat: set[int] = set()  # nodes that latch it, until the next beat
         self._lock = threading.RLock()
@@ -270,9 +276,26 @@ class CanPeer:
         strip = axis.position // 10 + self.strip_offset + self.jitter * (self._syncs % 2)
         if self.nmt[DRIVE] == OPERATIONAL:
             self.send(0x180 + DRIVE, struct.pack("<Hi", axis.status, axis.shown))
-            self.send(0x280 + DRIVE, struct.pack("<ib", axis.velocity, axis.mode))
+            motion = struct.pack("<ib", axis.velocity, axis.mode)
+            self.send(0x280 + DRIVE, motion if self._maps_two(DRIVE, 0x1A01) else motion[:4])
         if self.nmt[STRIP] == OPERATIONAL:
-            self.send(0x180 + STRIP, struct.pack("<iH", strip, self.alarms))
+            place = struct.pack("<iH", strip, self.alarms)
+            self.send(0x180 + STRIP, place if self._maps_two(STRIP, 0x1A00) else place[:4])
+
+    def _maps_two(self, node: int, mapping: int) -> bool:
+        return self.objects[node][mapping, 0] == u8(2)
+
+    def _refusal(self, node: int, request: bytes) -> int:
+        """Return the abort code that an access earns; 0 for none."""
+        command, index, sub = struct.unpack_from("<BHB", request)
+        key, reads = (index, sub), command == 0x40
+        if code := self.abort.get(key, 0 if key in self.objects[node] else 0x06020000):
+            return code
+        if node == DRIVE and key in (self.write_only if reads else self.read_only):
+            return 0x06010001 if reads else 0x06010002
+        maps = index >> 8 in (0x16, 0x1A) and sub and not reads
+        unmappable = maps and struct.unpack_from("<H", request, 6)[0] in self.unmappable
+        return 0x06040041 if unmappable else 0
 
     def _insists(self, request: bytes) -> bool:
         return self.demands_no_rtr and not request[7] & 0x40
@@ -285,7 +308,7 @@ class CanPeer:
         if index == 0x6041:
             axis.step()
         drive[0x6041, 0], drive[0x6064, 0] = u16(axis.status), i32(axis.shown)
-        drive[0x606C, 0] = i32(axis.velocity)
+        drive[0x606C, 0], drive[0x6061, 0] = i32(axis.velocity), u8(axis.mode)
 
     def _sdo(self, node: int, request: bytes) -> None:
         command, index, sub = struct.unpack_from("<BHB", request)
@@ -295,8 +318,7 @@ class CanPeer:
         head = request[1:4]
         if node == DRIVE:
             self._show(index)
-        code = self.abort.get(key, 0 if key in objects else 0x06020000)
-        if code:
+        if code := self._refusal(node, request):
             self.send(0x580 + node, b"\x80" + head + u32(code))
         elif command == 0x40:
             value = objects[key]

@@ -27,6 +27,10 @@ class RailTime(WireTime):
         super().__init__()
         self._peer = peer
 
+    def now_s(self) -> float:
+        """Return the cell's time: a slide takes its own, however seldom it is looked at."""
+        return super().now_s() + self._peer.axis.passed_s
+
     def silence(self, a_look_s: float = A_LOOK_S) -> None:
         super().silence(a_look_s)
         can_link.PAUSE_S = a_look_s

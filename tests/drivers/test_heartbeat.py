@@ -14,8 +14,9 @@ from types import SimpleNamespace
 import pytest
 
 from drivers.canopen import can_link
-from drivers.canopen.can_link import RECENT_S, CanLink, open_bus
+from drivers.canopen.can_link import RECENT_S, CanLink, heartbeat_period_s, open_bus
 from drivers.canopen.node_watch import PC_HEARTBEAT_LIMIT_MS
+from drivers.canopen.rail_setup import heartbeat_settings
 from hilcell.commands.run import SWITCH_S
 from tests.clocks import DrivenClock
 from tests.drivers.can_peer import CanPeer
@@ -83,8 +84,8 @@ def test_a_busy_interpreter_neither_loses_the_drive_nor_the_motion(
     rail.connect()
     beats_s.append(real_time.monotonic())
     with in_thread(work):
-        rail.move_to(1100.0)
-    assert rail.read().position_mm == 1100.0
+        rail.move_to(509.0)  # three polls apart, a slide goes no further
+    assert rail.read().position_mm == 509.0
     gaps_s = [after - before for before, after in pairwise([*beats_s, real_time.monotonic()])]
     assert max(gaps_s) < PC_HEARTBEAT_LIMIT_MS / 1000
     rail.close()
@@ -116,7 +117,7 @@ def test_the_beat_pauses_while_nobody_attends_and_goes_on_then(peer: CanPeer) ->
         return attended.is_set()
 
     link = CanLink("Rail", open_bus("Rail", "slcan", peer.channel, 500_000), DrivenClock())
-    link.start_heartbeat(127, attends)
+    link.start_heartbeat(127, attends, can_link.HEARTBEAT_PERIOD_S)
     soon(lambda: next(asked) > 10)  # its own looks count, too
     assert len(peer.frames(BEAT)) <= 1
     attended.set()
@@ -136,6 +137,15 @@ def test_nothing_is_started_by_a_reading_that_is_old(peer: CanPeer, time: RailTi
         assert found.fields["age_s"] == pytest.approx(0.6)
         assert len(peer.frames(0x205)) == sent
         image.control(0x0000)  # a word that takes the power away always goes out
+
+
+@pytest.mark.parametrize(
+    ("bitrate", "period_s"), [(10_000, 0.25), (20_000, 0.125), (50_000, 0.05), (1_000_000, 0.05)]
+)
+def test_heartbeats_leave_a_slow_bus_its_time(bitrate: int, period_s: float) -> None:
+    assert heartbeat_period_s(bitrate) == period_s
+    assert heartbeat_settings(bitrate) == {(0x1017, 0): round(1000 * period_s)}
+    assert 3 * period_s < PC_HEARTBEAT_LIMIT_MS / 1000
 
 
 @pytest.mark.parametrize(("pause_s", "code"), [(2.0, "HC-R44"), (0.0, "HC-R25")])

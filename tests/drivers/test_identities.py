@@ -29,6 +29,12 @@ class Node:
             return self.revision
         return {1: 0x484, 2: 0x402, 4: 4711}[sub] if index == 0x1018 else 0
 
+    def read_if_present(self, index: int, sub: int) -> int | None:
+        try:
+            return self.read(index, sub)
+        except Aborted:
+            return None
+
     def read_bytes(self, index: int) -> bytes:
         if index != 0x1008 or self.name is None:
             raise Aborted("Rail", "read 1008h:00", SdoAbortedError(0x06020000))

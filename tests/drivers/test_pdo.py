@@ -25,6 +25,12 @@ class Objects:
     def write(self, index: int, sub: int, value: int) -> None:
         self.written.append((index, sub, value))
 
+    def offer(self, index: int, sub: int, value: int) -> None:
+        self.write(index, sub, value)
+
+    def require(self, index: int, sub: int, value: int, _what: str) -> None:
+        self.write(index, sub, value)
+
 
 @pytest.mark.parametrize("kept", [0, NO_RTR])
 def test_a_pdo_is_off_while_it_is_mapped(kept: int) -> None:

@@ -116,6 +116,17 @@ def test_a_missing_node_is_named_with_the_losses_of_its_line(
     assert ("bad lines" in found.found) is garbage
 
 
+def test_time_stamps_of_another_form_are_named_with_their_line(
+    peer: CanPeer, time: RailTime
+) -> None:
+    peer.tamper = lambda line: [line[:-1] + b"0123ABCD\r"]
+    time.silence()
+    found = refusal(rail_for(peer, time).connect)
+    assert found.code == "HC-R05"
+    assert "0123ABCD" in found.found
+    assert "time stamps" in found.act
+
+
 @pytest.mark.parametrize("frames", [0, 1, 2])
 def test_a_gateway_that_hangs_up_while_connecting_is_reported(
     peer: CanPeer, time: RailTime, frames: int

@@ -11,9 +11,10 @@ import can
 import pytest
 
 from drivers.canopen import slcan_bus
-from drivers.canopen.slcan_bus import SlcanBus
+from drivers.canopen.can_link import open_bus
+from drivers.canopen.slcan_bus import SlcanBus, has_long_stamp
 from tests.drivers.peers import Server, send_apart
-from tests.drivers.rail_bed import soon
+from tests.drivers.rail_bed import refusal, soon
 
 PATIENT_S = 600.0
 GOOD = b"t58584064600015CD5B07\r"
@@ -31,11 +32,16 @@ def received(data: list[bytes]) -> tuple[list[tuple[int, bytes]], SlcanBus]:
     return frames, bus
 
 
-def _says(pieces: list[bytes]) -> Callable[[socket.socket], None]:
+def _says(
+    pieces: list[bytes], answers: dict[bytes, bytes] | None = None
+) -> Callable[[socket.socket], None]:
+    """Return a gateway that answers the commands of opening, and then sends some pieces."""
+
     def handle(connection: socket.socket) -> None:
-        opened = b""
-        while not opened.endswith(b"O\r"):
-            opened += connection.recv(100)
+        asked = b""
+        while asked != b"O":
+            asked = _command(connection)
+            connection.sendall((answers or {}).get(asked, b"\r"))
         send_apart(connection, pieces)
         while connection.recv(100):
             pass
@@ -43,9 +49,25 @@ def _says(pieces: list[bytes]) -> Callable[[socket.socket], None]:
     return handle
 
 
+def _command(connection: socket.socket) -> bytes:
+    command = b""
+    while (byte := connection.recv(1)) != b"\r":
+        if not byte:
+            raise EOFError
+        command += byte
+    return command
+
+
+@pytest.fixture
+def mute(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The gateway answers no command, and nobody waits for that."""
+    monkeypatch.setattr(slcan_bus, "ANSWER_S", 0.0)
+
+
 FRAME = (0x585, bytes.fromhex("4064600015CD5B07"))
 
 
+@pytest.mark.usefixtures("mute")
 def test_the_channel_is_opened_and_a_frame_is_sent_as_published() -> None:
     heard: list[bytes] = []
 
@@ -94,8 +116,49 @@ def test_bad_lines_are_dropped_and_counted(bad: bytes) -> None:
 
 
 def test_a_refusal_is_counted() -> None:
-    _, bus = received([b"\r\a\r\r", GOOD, b"\a", GOOD, b"z\r\a"])
-    assert bus.refused == 2, "C of a closed channel may be refused, frames may not"
+    _, bus = received([GOOD, b"\a", GOOD, b"z\r\a"])
+    assert bus.refused == 2
+
+
+@pytest.mark.parametrize(
+    ("answers", "opened"),
+    [
+        ({b"": b"\a", b"C": b"\a"}, True),  # of a channel that is closed
+        ({b"": b"", b"C": b"\a"}, True),
+        (dict.fromkeys((b"", b"C", b"S6", b"O"), b""), True),
+        (dict.fromkeys((b"", b"C", b"S6", b"O"), b"\r\n"), True),
+        ({b"C": GOOD + b"\r"}, True),  # it was open, and says so
+        ({b"S6": b"\a"}, False),
+        ({b"O": b"\a"}, False),
+        ({b"": b"", b"S6": b"\a"}, False),
+        ({b"": b"\r\n", b"C": b"\a", b"S6": b"\r\n", b"O": b"\a"}, False),
+    ],
+)
+def test_a_gateway_that_refuses_to_open_is_named_whatever_else_it_answers(
+    answers: dict[bytes, bytes], opened: bool
+) -> None:
+    with Server(_says([GOOD, b"t7FF0\r"], answers)) as server:
+        channel = f"socket://127.0.0.1:{server.port}"
+        if not opened:
+            with pytest.raises(can.CanInitializationError):
+                SlcanBus(channel, 500_000)
+            found = refusal(lambda: open_bus("Rail", "slcan", channel, 500_000))
+            assert (found.code, found.fields["bitrate"]) == ("HC-R04", 500_000)
+            return
+        bus = SlcanBus(channel, 500_000)
+        frames = [bus.recv(PATIENT_S) for _ in range(2)]
+        assert [each.arbitration_id for each in frames if each] == [0x585, 0x7FF]
+        assert (bus.refused, bus.bad_lines) == (0, 0)
+        bus.shutdown()
+
+
+def test_a_frame_with_a_stamp_of_32_bits_is_a_line_of_another_form() -> None:
+    frames, bus = received([b"t7051050123ABCD\r", GOOD])
+    assert frames == [FRAME]
+    assert bus.bad_lines == 1
+    assert has_long_stamp(bus.bad_line)
+    assert not has_long_stamp(GOOD[:-1])
+    assert not has_long_stamp(b"t70510512")
 
 
 @pytest.mark.parametrize(
@@ -106,7 +169,7 @@ def test_gateways_differ_in_ends_acknowledges_and_time_stamps(
 ) -> None:
     pieces = [b"t705105" + stamp + end]
     if acknowledges:
-        pieces = [end * 4, *pieces, acknowledges + end]
+        pieces = [*pieces, acknowledges + end]
     frames, bus = received([*pieces, b"t70617F" + stamp + end, b"\a"])
     assert frames == [(0x705, b"\x05"), (0x706, b"\x7f")]
     assert (bus.bad_lines, bus.refused) == (0, 1)
@@ -165,6 +228,7 @@ def jam(bus: SlcanBus) -> int:
     raise AssertionError("the port takes everything")
 
 
+@pytest.mark.usefixtures("mute")
 def test_a_complete_write_is_never_too_late(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(slcan_bus, "SEND_S", 1e-9)
     line = SerialLine()
@@ -174,6 +238,7 @@ def test_a_complete_write_is_never_too_late(monkeypatch: pytest.MonkeyPatch) -> 
     assert line.heard == b"\rC\rS6\rO\rt1238" + b"0" * 16 + b"\rC\r"
 
 
+@pytest.mark.usefixtures("mute")
 def test_lines_never_mix_and_a_stop_gets_out_behind_writers_that_hang() -> None:
     line = SerialLine()
     jammed = jam(line.bus)
@@ -196,6 +261,7 @@ def test_lines_never_mix_and_a_stop_gets_out_behind_writers_that_hang() -> None:
     ]
 
 
+@pytest.mark.usefixtures("mute")
 def test_a_port_that_takes_nothing_is_an_error_in_time() -> None:
     line = SerialLine()
     jam(line.bus)
@@ -205,6 +271,7 @@ def test_a_port_that_takes_nothing_is_an_error_in_time() -> None:
     line.close()
 
 
+@pytest.mark.usefixtures("mute")
 def test_a_gateway_on_a_serial_line_is_this_program_s_alone() -> None:
     ours, theirs = os.openpty()
     tty.setraw(theirs)

@@ -112,7 +112,9 @@ def test_a_drive_and_a_strip_each_on_a_bus_of_its_own(bus: CanPeer, time: RailTi
     with CanPeer() as drive_bus:
         drive_bus.silent.add(STRIP)
         rail = rail_for(drive_bus, time, strip=options_for(bus), strip_counts_per_mm=3.0)
-        drive_bus.on_sync = lambda: setattr(bus.axis, "position", drive_bus.axis.position)
+        drive_bus.on_sync = lambda: vars(bus.axis).update(
+            position=drive_bus.axis.position, passed_s=drive_bus.axis.passed_s
+        )
         drive, sensor = rail.connect()
         assert [each.kind for each in (drive, sensor)] == ["drive", "strip"]
         channels = [each.address.split()[0] for each in (drive, sensor)]

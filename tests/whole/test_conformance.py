@@ -6,18 +6,22 @@ from pathlib import Path
 
 import pytest
 
+from fakes.leica import emscon_device
 from tests.whole.bench import command, end_of, events, sets, simulation
 
 PAPER = Path(__file__).parents[2] / "hilcell/cells/paper.toml"
-SPEED = 200.0
 SLOW = {"robot.speed_percent": "10", "rail.speed_mm_s": "25"}
 
 
 @pytest.mark.wall
-def test_a_real_device_is_moved_slowly_and_by_a_persons_word_only(tmp_path: Path) -> None:
+def test_a_real_device_is_moved_slowly_and_by_a_persons_word_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(emscon_device, "INITIALISE_S", 0.5)
     cell = tmp_path / "shop.toml"
     cell.write_text(PAPER.read_text("utf-8").split("[simulation]")[0])
-    with simulation(SPEED) as simulated:
+    with simulation(1.0) as simulated:  # a drive is believed in real time only
+        simulated.ask(do="fault", name="rail.pushed", value=-600.0)  # towards its switch
         where = simulated.addresses
         words = {
             "name": "shop",

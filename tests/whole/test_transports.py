@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from drivers.canopen import rail_setup
+from fakes.leica import emscon_device
 from hilcell.journal.runs import find_run, read_log
 from tests.whole.bench import command, end_of, sets, simulation
 
@@ -69,10 +70,13 @@ def test_a_strip_whose_bus_falls_silent_is_named(
 
 
 @pytest.mark.wall
-def test_a_plant_s_cell_file_names_serial_lines(tmp_path: Path) -> None:
+def test_a_plant_s_cell_file_names_serial_lines(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(emscon_device, "INITIALISE_S", 0.5)
     cell = tmp_path / "shop.toml"
     cell.write_text(PAPER.read_text("utf-8").split("[simulation]")[0])
-    with simulation(60.0, ON_LINES) as simulated:
+    with simulation(1.0, ON_LINES) as simulated:  # a drive is believed in real time only
         where = simulated.addresses
         values = {
             "name": "shop",
@@ -83,6 +87,7 @@ def test_a_plant_s_cell_file_names_serial_lines(tmp_path: Path) -> None:
             "robot.options.port": str(where["robot"]["port"]),
             "tracker.options.port": str(where["tracker"]["port"]),
             "settle.rail_s": "0.0",
+            "rail.homing_mm_s": "250",
         }
         words = ["--cell", str(cell), "--runs", str(tmp_path), *sets(values)]
         for _ in range(2):  # a line has no connection: the gateway's channel may still be open

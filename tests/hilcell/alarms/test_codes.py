@@ -16,7 +16,7 @@ ROOMS = ("hilcell", "drivers", "procedures", "fakes")
 CODE = re.compile(r'"(HC-[A-Z]\d\d)"')
 FAMILY = re.compile(r"class (\w+)\((?:DeviceError|DeviceRefused|NoReading)\)")
 PRACTISED = {exercise.alarm for exercise in EXERCISES}
-OWN_WORDS = {"Aborted", "ConnectFailed"}  # their own __init__ names the code
+OWN_WORDS = {"Aborted", "ConnectFailed", "Unsupported"}  # their own __init__ names the code
 EVENT = re.compile(r'"what": "([\w ]+)"|(?:\.event|\._note)\(\s*"([\w ]+)"')
 
 

@@ -1,0 +1,149 @@
+"""The speed of a slide by its positions and the time, beside what its drive says (606Ch).
+
+The unit of 606Ch and 6081h is a setting of the drive (CiA 402-2, 60A9h, or its maker's own). A
+drive in rpm or in 0.1 counts/s obeys a speed that nobody meant and reports it back as right. The
+positions (6064h) and the time are free of that unit.
+
+When a position was taken, nobody knows: it was taken after the look before and before the
+end of its own, by the cell's clock. So every duration is an interval, and so is every speed: a PC
+that looks late widens it and proves nothing. One step that stands out from the others counts as the
+next one: homing sets a new reference, and a reference may be lost.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hilcell.ports import Array
+
+LOOKS = 50  # one second of polls
+OVERSPEED = 1.2
+CONTRADICTION = 1.5  # filters, and speeds that change between two looks
+LAG_S = 0.03  # of the filters of 606Ch
+FAST_MM, SLOW_MM = 0.5, 2.0  # way from which on a slide counts as faster, or slower, than it says
+
+
+@dataclass(frozen=True, slots=True)
+class Windows:
+    """Proofs of the last looks; each value (n - 2,), of the window from look i to the newest."""
+
+    way: Array
+    jump: Array  # of the way: by how much the largest step is longer than the next one
+    at_least_s: Array
+    at_most_s: Array
+    between_s: Array  # the longest time between two looks
+    slowest: Array  # by the drive; 0 where it has changed its direction
+    fastest: Array
+    seen_s: Array  # from look to look
+    said: Array  # the way by the drive's speeds
+
+
+def windows(since_s: Array, until_s: Array, position: Array, speed: Array) -> Windows:
+    """Return what looks prove, arrays (n,): each taken between ``since_s`` and ``until_s``.
+
+    ``speed`` is signed, as the drive says it; units are the caller's.
+    """
+    steps, size = np.abs(np.diff(position)), np.abs(speed)
+    forward = speed * np.sign(speed[-1])
+    seen_s = np.diff(until_s)
+    count = len(position) - 2
+    return Windows(
+        way=_sums(steps)[:count],
+        jump=_jumps(steps)[:count],
+        at_least_s=np.maximum(0.0, since_s[-1] - until_s)[:count],
+        at_most_s=(until_s[-1] - since_s)[:count],
+        between_s=_tops(until_s - since_s)[:count],
+        slowest=np.maximum(0.0, -_tops(-forward))[:count],
+        fastest=_tops(size)[:count],
+        seen_s=_sums(seen_s)[:count],
+        said=_sums(seen_s * (size[1:] + size[:-1]) / 2)[:count],
+    )
+
+
+def _sums(values: Array) -> Array:
+    """Return the sum of each value and those behind it."""
+    return np.cumsum(values[::-1])[::-1]
+
+
+def _tops(values: Array) -> Array:
+    """Return the largest of each value and those behind it."""
+    return np.maximum.accumulate(values[::-1])[::-1]
+
+
+def _jumps(steps: Array) -> Array:
+    """Return the same of steps, less the next largest one."""
+    found, largest, next_one = [], 0.0, 0.0
+    for step in steps[::-1].tolist():
+        largest, next_one = (step, largest) if step > largest else (largest, max(next_one, step))
+        found.append(largest - next_one)
+    return np.array(found[::-1])
+
+
+@dataclass(frozen=True, slots=True)
+class Speeds:
+    """Mean speeds over a window: by positions and time, and by 606Ch; and the way in it."""
+
+    by_positions: float
+    by_drive: float
+    way: float
+
+    @property
+    def factor(self) -> float:
+        """Return how many times faster the slide is than its drive says."""
+        return self.by_positions / self.by_drive if self.by_drive else np.inf
+
+
+class SpeedGuard:
+    """The looks at one motion."""
+
+    def __init__(
+        self, now_s: float, speed: float, acceleration: float, units_per_mm: float
+    ) -> None:
+        """``now_s`` is the cell's time before the motion; speeds are in units of a position."""
+        self._now_s, self._speed, self._acceleration = now_s, speed, acceleration
+        self._units_per_mm = units_per_mm
+        self._looks: deque[tuple[float, float, float, float]] = deque(maxlen=LOOKS)
+        self._found: Windows | None = None
+
+    def take(self, position: float, speed: float, now_s: float) -> None:
+        """Take a look that has ended at ``now_s``; one at the same time tells nothing."""
+        if not now_s > self._now_s:
+            return
+        self._looks.append((self._now_s, now_s, position, speed))
+        self._now_s = now_s
+        if len(self._looks) > 2:
+            self._found = windows(*np.array(self._looks, dtype=float).T)
+
+    def contradiction(self) -> Speeds | None:
+        """Return the speeds of a window in which 606Ch says another one than the positions."""
+        if (found := self._found) is None:
+            return None
+        most = found.fastest + self._acceleration * (found.between_s / 2 + LAG_S)
+        longest = self._way(FAST_MM, CONTRADICTION * most, found.at_most_s)
+        shortest = self._way(-SLOW_MM, found.slowest / CONTRADICTION, found.at_least_s)
+        agree = (found.way - found.jump <= longest) & (found.way >= shortest)
+        return self._speeds(found, ~agree)
+
+    def overspeed(self) -> Speeds | None:
+        """Return the speeds of a window in which the positions prove too high a speed."""
+        if (found := self._found) is None:
+            return None
+        allowed = np.full_like(found.way, OVERSPEED * self._speed)
+        longest = self._way(FAST_MM, allowed, found.at_most_s)
+        return self._speeds(found, ~(found.way - found.jump <= longest))
+
+    def _way(self, margin_mm: float, speed: Array, duration_s: Array) -> Array:
+        return margin_mm * self._units_per_mm + speed * duration_s
+
+    def _speeds(self, found: Windows, where: NDArray[np.bool_]) -> Speeds | None:
+        """Return the mean speeds of the longest window of those ``where`` something is proven."""
+        if not where.any():
+            return None
+        longest = int(np.argmax(where))
+        seen_s = max(float(found.seen_s[longest]), np.finfo(float).eps)
+        way, said = float(found.way[longest]), float(found.said[longest])
+        return Speeds(way / seen_s, said / seen_s, way)

@@ -1,0 +1,55 @@
+"""The simulated drive in another unit of speed, beside a real clock: how far its slide gets."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from drivers.canopen.rail import CanopenRail
+from fakes.canopen.rail_drive import RailDrive
+from tests.drivers.peers import wall_clock
+from tests.drivers.rail_bed import figure, refusal
+from tests.fakes.rail_bench import served
+
+pytestmark = pytest.mark.wall
+
+
+def speaks(drive: RailDrive, unit: float, most: float, ramp: float) -> None:
+    """Let 6081h, 6083h and 606Ch be in ``unit`` counts/s; the motor has its limits in counts."""
+    number = drive.dictionary.number
+
+    def start(target: int) -> None:
+        drive._target, drive._reached, drive._busy = target, False, True
+        gap = target - drive._position()
+        drive._direction = round(math.copysign(1, gap))
+        speed, acceleration = min(unit * number(0x6081), most), min(unit * number(0x6083), ramp)
+        end_mm = drive._slide.encoder_mm + gap / 1000.0
+        drive._rail.move(end_mm, speed / 1000.0, acceleration / 1000.0)
+
+    vars(drive)["_start"] = start
+    shown = drive.dictionary.entry(0x606C, 0)
+    shown.read = lambda: round(drive._slide.velocity_mm_s * 1000.0 / unit)
+
+
+@pytest.mark.parametrize("unit", [10_000 / 60, 0.1])
+def test_the_slide_is_stopped_and_stands_within_50_mm(unit: float) -> None:
+    with served(speed=1.0) as bench:
+        speaks(bench.server._drive, unit, most=500_000.0, ramp=2_000_000.0)
+        options: dict[str, Any] = {
+            "channel": f"socket://127.0.0.1:{bench.server.port}",
+            "travel_min_mm": 0.0,
+            "travel_max_mm": 3000.0,
+            "speed_mm_s": 250.0,
+            "acceleration_mm_s2": 200.0,
+        }
+        rail = CanopenRail(CanopenRail.Options(**options), wall_clock())
+        rail.connect()
+        began_mm = bench.rail.slide_mm()
+        found = refusal(lambda: rail.move_to(2000.0))
+        assert found.code == "HC-R46"
+        assert figure(found, "factor") == pytest.approx(unit, rel=0.2)
+        rail.close()
+        assert bench.rail.still
+        assert 0.1 < abs(bench.rail.slide_mm() - began_mm) < 50.0
