@@ -29,7 +29,7 @@ from hilcell.commands.output import (
     stdout_checked,
 )
 from hilcell.errors import DeviceError, facts_of
-from hilcell.journal.calibration_facts import OUTCOMES, VALIDATION, run_outcome
+from hilcell.journal.calibration_facts import NOT_JUDGED, OUTCOMES, VALIDATION, run_outcome
 from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.journal import Record
 from hilcell.journal.key_words import verdict_words
@@ -236,7 +236,9 @@ def ended_words(log: Log) -> str:
     if log.end is None:
         return f"cut off while {log.state}"
     outcome = run_outcome(log)
-    return f"{log.state}, {outcome}" if log.state == "finished" else outcome
+    if log.state != "finished":
+        return outcome
+    return log.state if outcome in NOT_JUDGED else f"{log.state}, {outcome}"
 
 
 def failed_verdicts(verdicts: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:

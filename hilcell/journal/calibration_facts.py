@@ -22,6 +22,10 @@ OUTCOMES = {  # of a judged figure, a point or a station, in the words that runs
     "rejected": "out of tolerance",
 }
 VERDICTS = {"accepted": "pass", "undecided": "undecided", "rejected": "fail"}  # the same, short
+NOT_JUDGED = (
+    "measured",
+    "done",
+)  # runs that judged nothing, and those that measured nothing either
 RECHECKED = {"valid": "still valid", "update": "updated", "redo": "calibrate again"}
 
 Kind = Literal["", "made", "base", "targets", "touch"]
@@ -138,7 +142,7 @@ def outcome(facts: CalibrationFacts, state: str, code: int | None, points: int) 
         return "refused" if state == "idle" else state
     if code and facts.verdict in ("", OUTCOMES["accepted"]):
         return OUTCOMES["rejected"]
-    return facts.verdict or ("measured" if points else "done")
+    return facts.verdict or NOT_JUDGED[0 if points else 1]
 
 
 def run_outcome(log: Log) -> str:
