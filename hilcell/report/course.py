@@ -85,7 +85,7 @@ def _dated(lines: Iterator[tuple[str, str]], facts: Facts) -> Iterator[Line]:
 
 
 class _Steps:
-    """The lines of steps in the course, by their numbers: what was measured in each.
+    """The lines of steps in the course, by their numbers, with the count of points of each.
 
     Every session goes through all steps again, past what is measured already: there a step is
     listed only where something was measured, moved at its beginning, or computed again.
