@@ -140,6 +140,7 @@ class Frozen(BaseException):
     """The message on the worker that froze: it ends a test's study, and is no worker's error."""
 
 
+@pytest.mark.nightly
 @pytest.mark.wall
 def test_workers_and_schedulers_that_froze_or_are_gone_are_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -104,6 +104,12 @@ def test_a_shipped_driver_keeps_every_promise(
 
 
 @pytest.mark.wall
+def test_a_robot_that_goes_on_without_its_client_breaks_its_promise() -> None:
+    assert kept("robot", ["client-killed"]) == []
+
+
+@pytest.mark.nightly
+@pytest.mark.wall
 def test_a_robot_s_driver_keeps_what_needs_deadlines_and_broken_ones_do_not() -> None:
     """Those broken by waiting until the driver gives up are for the night."""
     names = ["client-killed", "stop-at-once", "stop-rests", "slow"]
