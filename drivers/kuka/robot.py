@@ -118,7 +118,7 @@ class KukaRobot:
                 wanted="six finite angles",
                 target_deg=target_deg,
             )
-        if not 0.5 < speed_percent < 100.5:
+        if not 1.0 <= speed_percent <= 100.0:
             raise failed(
                 "HC-B28",
                 f"speed {speed_percent} %",

@@ -26,7 +26,7 @@ Acceleration = Annotated[float, Meta(ge=1, le=1e6)]
 Dwell = Annotated[float, Meta(ge=0.05, le=5)]
 Rate = Annotated[float, Meta(ge=0, le=1000)]  # um/m, um/(m K)
 Wait = Annotated[float, Meta(ge=0, le=3600)]
-Percent = Annotated[float, Meta(gt=0, le=100)]
+Percent = Annotated[float, Meta(ge=1, le=100)]
 Count = Annotated[int, Meta(ge=1, le=1000)]
 Name = Annotated[
     str,

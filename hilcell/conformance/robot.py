@@ -71,7 +71,7 @@ def speed(bench: Bench) -> None:
     driver: Robot = bench.connected()
     there_rad = np.radians(bench.cell.robot.safe_deg)
     before = driver.move_to(there_rad, SPEED_PERCENT)
-    for percent in (0.0, -10.0, 101.0, math.nan, math.inf):
+    for percent in (0.0, -10.0, 0.9, 100.1, math.nan, math.inf):
         fails(
             f"a motion at {percent} %",
             partial(driver.move_to, there_rad + 0.05, percent),
