@@ -51,7 +51,6 @@ NO_VISITS = "the run visited no place again, so that the robot's repeatability i
 TEMPERATURE = "Temperature of the arm"
 DRILL = "Drill's offset"
 LARGE_AXES = [0, 1, 2]  # whose errors have levers of metres
-SPHERE_95 = math.sqrt(chi2_quantile(0.95, 3.0))  # sigmas of a coordinate that 95 % keep in 3D
 SAME_DEG = 0.1  # of a joint's angle: less than half the shortest wave of a gear
 
 
@@ -211,7 +210,7 @@ def with_drill(
     changed: dict[str, object] = {"origin_mm": (-x_mm, -y_mm, -z_mm)}
     changed["how"] = f"{far}, as the cell that was given states it"
     if turns_deg is not None:
-        turn_rad2 = (math.radians(float(turns_deg.max())) / SPHERE_95) ** 2
+        turn_rad2 = math.radians(float(turns_deg.max())) ** 2 / chi2_quantile(0.95, 3.0)
         changed["covariance"] = motion(0.0, turn_rad2)
         changed["how"] = f"{far}, orientation corrected within {turns_deg.max():.4f} deg (95 %)"
     lines = [

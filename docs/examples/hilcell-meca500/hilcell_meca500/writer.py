@@ -20,7 +20,7 @@ from hilcell.compensation.station_program import StationProgram
 from hilcell.geometry.frames import poses_from_zyx
 from hilcell.ports import Array
 from hilcell_meca500.euler import angles
-from hilcell_meca500.programs import SUFFIX
+from hilcell_meca500.programs import DECIMALS, SUFFIX
 
 STRAIGHT_MM_S = 100.0  # in to a hole and out of it
 
@@ -57,8 +57,8 @@ def _lines(program: StationProgram, stamp: Stamp) -> Iterator[str]:
 
 
 def _pose(command: str, T: Array) -> str:
-    numbers = [*T[:3, 3], *angles(T[:3, :3])]
-    return f"{command}({', '.join(f'{each:.4f}' for each in numbers)})"
+    numbers = np.array([*T[:3, 3], *angles(T[:3, :3])]).round(DECIMALS) + 0.0  # no -0
+    return f"{command}({', '.join(f'{each:.{DECIMALS}f}' for each in numbers)})"
 
 
 def _comment(text: str) -> str:
