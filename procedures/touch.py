@@ -6,13 +6,16 @@ the base that they find; the targets' places in {W} stay where they were defined
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from hilcell.calibration.frames import grid_of
 from hilcell.calibration.in_use import calibration_in
+from hilcell.calibration.suspicions import Suspicion
 from hilcell.calibration.touch import (
+    suspected,
     touch_ids,
     touch_targets_mm,
     touched_base,
@@ -70,8 +73,12 @@ def _touch(session: CellSession, station: Station, model: ErrorModel) -> None:
                 touch_ids(cell, station, visit), joints_rad, nominal_mm, strict=True
             )
         ]
-    found = touched_base(log, station, points, model.predict(poses).covariance_mm2)
-    check_agreement(station, found, MOST_PULL if calibration_in(log) is None else MOST_LATER)
+    covariance_mm2 = model.predict(poses).covariance_mm2
+    found = touched_base(log, station, points, covariance_mm2)
+    most_pull = MOST_PULL if calibration_in(log) is None else MOST_LATER
+    check_agreement(
+        station, found, most_pull, lambda: suspected(log, station, points, covariance_mm2)
+    )
     session.frame(
         f"touch.{station.name}",
         found.T,
@@ -87,10 +94,13 @@ def _touch(session: CellSession, station: Station, model: ErrorModel) -> None:
     )
 
 
-def check_agreement(station: Station, found: FrameUpdate, most_pull: float = MOST_PULL) -> None:
-    """Refuse touch poses that contradict the station frame."""
+def check_agreement(
+    station: Station, found: FrameUpdate, most_pull: float, cause: Callable[[], Suspicion]
+) -> None:
+    """Refuse touch poses that contradict the station frame, and name the likeliest cause."""
     if found.pull <= most_pull and found.misfit <= MOST_MISFIT:
         return
+    suspicion = cause()
     raise DeviceError(
         "HC-T63",
         "Cell",
@@ -100,7 +110,8 @@ def check_agreement(station: Station, found: FrameUpdate, most_pull: float = MOS
         wanted=f"<= {most_pull:g} and <= {MOST_MISFIT:g} sigma",
         act="a nest, the strip, the tool or an axis' zero has changed; check them, then start a "
         "new run",
-        fields={
+        fields=suspicion.facts
+        | {
             "station": station.name,
             "pull": found.pull,
             "most_pull": most_pull,

@@ -14,17 +14,20 @@ from __future__ import annotations
 
 import numpy as np
 
+from hilcell.calibration.change import Differences, likeliest
 from hilcell.calibration.errors import visits_mm
 from hilcell.calibration.frame_covariance import base_covariance, hold_covariance, world_covariance
 from hilcell.calibration.frames import Frames
 from hilcell.calibration.in_use import calibration_in
+from hilcell.calibration.suspicions import Suspicion
+from hilcell.calibration.visit_noise import of_differences
 from hilcell.cell.devices import sights_apart_rad
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frame_update import FrameUpdate, updated_frame
-from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.frames import apply, inverse, motion_levers
 from hilcell.geometry.inverse import Bools
 from hilcell.geometry.statistics import pooled_std_mm, rectangular_variance
-from hilcell.journal.log import Log, Point, covariances_mm2, positions_mm
+from hilcell.journal.log import Log, Point, commanded_rad, covariances_mm2, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 
@@ -104,6 +107,31 @@ def touched_base(
         noise_mm2,
         log.cell.grid.centre.matrix()[:3, 3],
     )
+
+
+def suspected(log: Log, station: Station, points: list[Point], covariance_mm2: Array) -> Suspicion:
+    """Return the cause that explains best why ``points`` contradict the station frame.
+
+    ``covariance_mm2`` as in `touched_base`.
+    """
+    T_W_B = Frames(log.cell, log).base_in_world(station)
+    T_B_W, R = inverse(T_W_B), T_W_B[:3, :3]
+    nominal_mm = apply(T_B_W, np.array([point.nominal_mm for point in points]))
+    at_mm = apply(T_B_W @ log.matrix("world"), positions_mm(points))
+    J = motion_levers(nominal_mm)
+    J[:, :, 6] -= log.cell.grid.centre.matrix()[:3, 3]
+    J = np.concatenate([J[:, :, :3] @ R.T, J[:, :, 3:6] @ R.T, J[:, :, 6:]], axis=-1)  # of {W}
+    flat = J.reshape(-1, J.shape[-1])
+    noise_mm2 = covariance_mm2 + R.T @ _visit_noise_mm2(log, points) @ R
+    differences = Differences(
+        at_mm - nominal_mm,
+        flat @ visit_covariance(log, station, points) @ flat.T + of_differences(noise_mm2),
+        commanded_rad(points),
+        3.0 * len(points),
+        R.T @ np.array(log.cell.layout.rail_direction),
+        [len(points)],
+    )
+    return likeliest(differences, log.cell.robot.arm(), f"touch poses at {station.name}")
 
 
 def visit_covariance(log: Log, station: Station, points: list[Point]) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.frames import Frames, grid_of, measured_of
+from hilcell.calibration.suspicions import blamed, suspected_in
 from hilcell.calibration.touch import beside_nest, touch_targets_mm, visit_covariance
 from hilcell.cell.file import Cell, Station, load_cell
 from hilcell.compensation.choice import MODELS
@@ -262,7 +263,26 @@ def test_a_lost_zero_is_refused(turn_rad: list[float]) -> None:
         touch_base(bench, HERE, model_of(bench.log))
     assert raised.value.code == "HC-T63"
     assert raised.value.device == "Cell"  # nothing is wrong with the tracker
+    (suspicion,) = suspected_in(blamed(raised.value.facts()))
+    assert suspicion.noticed_by == "touch poses at S1100"
+    if turn_rad[2]:
+        assert (suspicion.cause, suspicion.unit) == ("zero lost", "deg of axis 1")
+        assert abs(suspicion.size) == pytest.approx(np.degrees(turn_rad[2]), rel=0.3)
     assert "touch.S1100" not in bench.log.frames
+
+
+def test_what_moved_the_slide_or_grew_the_arm_is_named() -> None:
+    for cause, size, change in (
+        ("strip", 1.0, {"slip_mm": 1.0}), ("temperature", 1000.0, {"growth": 1e-3}),
+    ):  # fmt: skip
+        bench: Any = Visits()
+        for name, value in change.items():
+            setattr(bench, name, value)
+        with pytest.raises(DeviceError) as raised:
+            touch_base(bench, HERE, model_of(bench.log))
+        (suspicion,) = suspected_in(blamed(raised.value.facts()))
+        assert suspicion.cause == cause
+        assert suspicion.size == pytest.approx(size, rel=0.3)
 
 
 def test_the_covariance_of_the_base() -> None:
