@@ -11,6 +11,7 @@ from pathlib import Path
 
 import msgspec
 
+from hilcell.calibration.corrected import refuse_known
 from hilcell.calibration.form import Validity
 from hilcell.calibration.influence import NoBound
 from hilcell.calibration.part import Part
@@ -21,7 +22,7 @@ from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.tool import STANDOFF_MORE_MM
 from hilcell.commands.bounds import summary
-from hilcell.commands.files import check_settings, drill_mm_of
+from hilcell.commands.files import check_settings, drill_mm_of, remember
 from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.commands.output_place import KNOWN
 from hilcell.commands.prepared import Job, Prepared, prepared, standoff_remarks
@@ -199,6 +200,7 @@ def prepare(args: argparse.Namespace) -> int:
     tip = tip_named(cell, args.tool, cell.robot.options.get("tool"))
     standoff_mm = _standoff_mm(tip, args.standoff)
     holes = read_holes(source, tip.T_D_T)
+    refuse_known(args.runs, source.name, holes.points_mm)
     for warning in bounded(warnings := twins(holes)):
         print_message(warning)
     whole = plan(cell, holes, calibrated=Volume(found.calibration), heard=print_message)
@@ -218,6 +220,8 @@ def prepare(args: argparse.Namespace) -> int:
         {folder / name: content for name, content in contents.items()},
         inputs=[source, found.path, Path(args.cell)],
     )
+    for each in stations:
+        remember(found, each.stamp, each.plan.poses[:, :3], each.command[:, :3])
     if args.json:
         print_json(facts)
     else:

@@ -1,0 +1,57 @@
+"""Corrected targets are known by their points where a spreadsheet has dropped their stamp."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hilcell.calibration.corrected import NAME, note_corrected, refuse_known
+from hilcell.compensation.stamp import CorrectedBefore
+from hilcell.compensation.targets import write_targets
+from tests.hilcell.commands.finished_runs import MADE, finished
+from tests.hilcell.commands.workplace import read_corrected
+from tests.whole.bench import command
+
+NOMINAL = np.array([[0.0, 0.0, 1200.0], [0.0, 50.0, 1250.0], [10.0, 60.0, 1300.0]])
+COMMAND = NOMINAL + [0.4, -0.3, 0.2]
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Path:
+    finished(tmp_path / "runs", "1-made", MADE)
+    return tmp_path / "runs"
+
+
+def test_corrected_points_are_known_again(runs: Path) -> None:
+    note_corrected(runs / "1-made", "the stamp", NOMINAL, COMMAND)
+    refuse_known(runs, "nominal.csv", NOMINAL)
+    for again in (COMMAND, np.round(COMMAND[::-1], 3), np.vstack([COMMAND, NOMINAL])):
+        with pytest.raises(CorrectedBefore, match="the stamp"):
+            refuse_known(runs, "again.csv", again)
+    refuse_known(runs, "other.csv", np.vstack([COMMAND[:1], NOMINAL]))
+
+
+def test_a_point_that_hardly_moved_is_still_its_nominal_target(runs: Path) -> None:
+    note_corrected(runs / "1-made", "the stamp", NOMINAL, NOMINAL + 0.005)
+    refuse_known(runs, "nominal.csv", NOMINAL + 0.005)
+
+
+def test_a_file_that_was_cut_or_spoilt_is_read_as_far_as_it_goes(runs: Path) -> None:
+    note_corrected(runs / "1-made", "the stamp", NOMINAL, COMMAND)
+    with (runs / "1-made" / NAME).open("ab") as file:
+        file.write(b"s,1.0,nan,2.0\ns,1.0,x,2.0\n\xff\xfe,1\ns,1.")
+    with pytest.raises(CorrectedBefore):
+        refuse_known(runs, "again.csv", COMMAND)
+
+
+def test_a_list_whose_column_was_dropped_is_not_corrected_again(runs: Path) -> None:
+    """As a spreadsheet saves it: other line ends, three decimals, no column of ours."""
+    source, out, again = (runs.parent / f"{name}.csv" for name in ("targets", "out", "again"))
+    write_targets(source, ["H1", "H2"], np.array([[0, 0, 1200, 0, 75, 0], [0, 50, 1250, 0, 75, 0]]))
+    words = ("--station", "S1100", "--runs", runs)
+    assert command("compensate", "1-made", source, "-o", out, *words).returncode == 0
+    names, values, (stamp,) = read_corrected(out)
+    write_targets(source, names, np.round(values, 3))
+    refused = command("compensate", "1-made", source, "-o", again, *words)
+    assert (refused.returncode, again.exists()) == (2, False)
+    assert stamp.partition(";")[0] in refused.stderr
