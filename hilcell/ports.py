@@ -107,6 +107,8 @@ class RobotReading:
     """Joints (6,) in rad, pose (4, 4) of {T} in {B} in mm as the controller states it.
 
     ``ended_s`` is when the last motion was seen to have ended; None where none has since connect.
+    ``by_factory_links``: the controller computes with links that its maker has measured on this
+    very arm, so the pose may be millimetres off that of the nominal ones.
     """
 
     joints_rad: Array
@@ -114,6 +116,7 @@ class RobotReading:
     still: bool
     taken_s: float
     ended_s: float | None = None
+    by_factory_links: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -400,7 +400,14 @@ class UrRtdeRobot:
 
     def _reading(self, state: UrState, *, still: bool) -> RobotReading:
         """Return a reading of a dwell's last state; no part of it is older than its time."""
-        return RobotReading(state.joints_rad, state.pose, still, self._asked_s, self._ended_s)
+        return RobotReading(
+            state.joints_rad,
+            state.pose,
+            still,
+            self._asked_s,
+            self._ended_s,
+            by_factory_links=True,
+        )
 
     # -- for a sweep as well ------------------------------------------------------------------
 

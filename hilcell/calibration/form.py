@@ -98,7 +98,8 @@ class Provenance(msgspec.Struct, frozen=True):
 
     ``points`` are the journal's keys of the grid, ``scores`` mean, p95 and max (mm) by which each
     candidate's cross-validation was judged. ``run`` is the one that measured the model, ``updates``
-    are later ones, and ``written`` is when the last of them changed it.
+    are later ones, and ``written`` is when the last of them changed it. ``links`` are those with
+    which the controller solves Cartesian points: the cell file's, or of its own factory.
     """
 
     run: str
@@ -115,6 +116,7 @@ class Provenance(msgspec.Struct, frozen=True):
     points: list[str]
     scores: dict[str, dict[str, float]]
     updates: list[Update] = []
+    links: Literal["cell file", "factory"] = "cell file"
 
     @property
     def latest(self) -> str:

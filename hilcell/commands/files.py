@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from hilcell.calibration.controller_pose import check_links
+from hilcell.calibration.corrected import note_corrected, refuse_known
 from hilcell.calibration.file import compensate_targets
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import NoBound
@@ -30,7 +32,7 @@ from hilcell.commands.bounds import (
 )
 from hilcell.commands.output import print_json, print_message
 from hilcell.commands.output_place import CSV, check_output
-from hilcell.commands.released import released
+from hilcell.commands.released import Released, released
 from hilcell.compensation.programs import (
     Program,
     load_program,
@@ -43,6 +45,7 @@ from hilcell.compensation.programs import (
 from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.targets import read_targets, write_targets
 from hilcell.geometry.frames import inverse
+from hilcell.journal.runs import is_run
 from hilcell.ports import Array
 
 STROKE_MISS_MM = 0.05  # that strokes may miss by where nothing else is stated
@@ -59,9 +62,12 @@ def compensate(args: argparse.Namespace) -> int:
     source, out = Path(args.targets), Path(args.output)
     inputs = [source, found.path, Path(args.cell or source)]
     program = load_program(source)
+    if program is not None:
+        check_links(calibration, source.name)
     root = root_of(calibration, args.station, program)
     names, listed = _listed(source) if program is None else (program.names, program.values())
     targets = taken_in(root, listed)  # in {W}
+    refuse_known(args.runs, source.name, targets[:, :3])
     tip = _tip(cell, args.tool, program, source)
     if program is not None and args.station in calibration.stations:
         check_base(calibration, args.station, program.base, targets)  # names a cause of the next
@@ -80,6 +86,7 @@ def compensate(args: argparse.Namespace) -> int:
     stated = command if root is None else taken_in(inverse(root), command)
     turned = calibration.orients
     written = _write(program, names, stated, source, out, stamp, inputs, turned=turned)
+    remember(found, stamp, targets[:, :3], command[:, :3])
     if args.json:
         print_json(
             {
@@ -118,6 +125,20 @@ def _tip(cell: Cell | None, name: str, program: Program | None, source: Path) ->
     if setting.tool is None:
         return tip_named(cell, name, number)
     return tip_of_program(cell, name, setting.tool, number, source.name)
+
+
+def remember(found: Released, stamp: Stamp, nominal_mm: Array, command_mm: Array) -> None:
+    """Keep corrected points (N, 3) with the run that they were corrected by, if it is here."""
+    folder = found.path.resolve().parent
+    if not is_run(folder):
+        return
+    try:
+        note_corrected(folder, stamp.text, nominal_mm, command_mm)
+    except OSError as error:
+        print_message(
+            f"warning: {folder} cannot be written ({error.strerror}): these targets are known as "
+            "corrected by their stamp alone"
+        )
 
 
 def check_settings(cell: str | None, settings: dict[str, str]) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hilcell.calibration.controller_pose import check_pose
 from hilcell.journal.log import Point, Readings, ReadingTime
 from hilcell.journal.point_id import PointId
 from hilcell.ports import (
@@ -126,7 +127,7 @@ class Measuring:
         **facts: Any,
     ) -> Point:
         """Journal a reading with those of rail and robot; raises `DeviceError` for a slide that
-        left its station meanwhile.
+        left its station meanwhile, and for a pose that is not that of its joints.
         """
         rail = self._run.devices.rail.read()
         if self._motion.held is not None:
@@ -146,6 +147,7 @@ class Measuring:
             "readings": _times(reading, rail, robot, self._motion.began, self._run.clock.pc_s()),
         }
         if robot is not None:
+            check_pose(self._run.cell.robot, robot, f"measure {id.key}")
             body |= {"joints_deg": np.degrees(robot.joints_rad), "pose": robot.pose}
         return self._run.point(id, **body | facts)
 

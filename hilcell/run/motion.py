@@ -9,10 +9,11 @@ from typing import TypeVar
 
 import numpy as np
 
+from hilcell.calibration.controller_pose import check_pose
 from hilcell.cell.file import Cell, RailTable, Station
 from hilcell.cell.surroundings import posture
 from hilcell.journal.journal import StorageError
-from hilcell.journal.log import Driven, ReadingTime
+from hilcell.journal.log import FACTORY_LINKS, Driven, ReadingTime
 from hilcell.journal.runs import read_log
 from hilcell.ports import Array, Clock, DeviceError, Rail, RailReading, RobotReading, StripLost
 from hilcell.run.clear_ways import below, check_way, leaves_cube, stops_on_way
@@ -355,10 +356,13 @@ class Motion:
         """Bring the robot to its safe pose unless it is there; return its reading there.
 
         A slide that has left the station at which it is held stops the run: a resumed one, which
-        holds none yet, parks wherever the slide rests.
+        holds none yet, parks wherever the slide rests. Here, before the first motion, the
+        controller's kinematics are compared with the cell file's.
         """
         safe_rad = np.radians(self._run.cell.robot.safe_deg)
         now = self._run.devices.robot.read()
+        if now.still:  # a pose that was read under way is not that of its joints
+            self._check_kinematics(now)
         if bool(np.all(np.abs(now.joints_rad - safe_rad) < SAME_RAD)):
             return now
         rail = self.check_held(self.held)
@@ -367,6 +371,12 @@ class Motion:
         rail = self.check_held(self.held, rail)
         self._run.intend("", "robot.park", seen=seen(rail, self._run.clock.pc_s()))
         return self._drive([safe_rad], self._run.cell.robot.speed_percent, rail, self.held, "park")
+
+    def _check_kinematics(self, robot: RobotReading) -> None:
+        """Refuse a controller with other links than the cell file; journal those of its factory."""
+        found = check_pose(self._run.cell.robot, robot, "park")
+        if not (found.holds or self._run.log.by_factory_links):
+            self._run.event(FACTORY_LINKS, off_mm=found.off_mm)
 
     def robot_to(
         self,

@@ -10,6 +10,7 @@ import numpy as np
 
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
+from hilcell.geometry.kinematics import forward
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.ports import (
@@ -88,6 +89,7 @@ class DeskRail:
 class DeskRobot:
     def __init__(self, cell: Cell, clock: Clock) -> None:
         self.clock = clock
+        self.arm = cell.robot.arm()  # as the controller takes it to be
         self.joints_rad = np.radians(cell.robot.safe_deg)
         self.moves = 0
         self.ended_s: float | None = None
@@ -103,7 +105,8 @@ class DeskRobot:
         return self.read()
 
     def read(self) -> RobotReading:
-        return RobotReading(self.joints_rad, np.eye(4), True, self.clock.pc_s(), self.ended_s)
+        pose = forward(self.arm, self.joints_rad)
+        return RobotReading(self.joints_rad, pose, True, self.clock.pc_s(), self.ended_s)
 
     def stop(self) -> None:
         self.stopped += 1

@@ -11,12 +11,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from fakes.in_process import DirectTracker
+from fakes.in_process import DirectRobot, DirectTracker
 from hilcell.cell.devices import load_entry
-from hilcell.cell.file import load_cell
+from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.journal.log import Log
-from hilcell.ports import Array, HilcellError, TrackerReading
+from hilcell.ports import Array, DeviceError, HilcellError, TrackerReading
 from hilcell.run.direct_run import direct_run
 from hilcell.run.procedure import Procedure
 from tests.whole.bench import SMALL
@@ -95,3 +95,40 @@ def test_a_cell_of_real_devices_is_refused(tmp_path: Path) -> None:
     cell = msgspec.structs.replace(load_cell("paper"), simulation=None)
     with pytest.raises(SettingsError, match="real"):
         direct_run(cell, HOME, seed=1, machine_seed=1, folder=tmp_path)
+
+
+def with_forearm(cell: Cell, by_mm: float) -> Cell:
+    """Return the cell with a forearm that was typed wrong; the controller knows the right one."""
+    joints = list(cell.robot.joint)
+    joints[3] = msgspec.structs.replace(joints[3], d_mm=joints[3].d_mm + by_mm)
+    return msgspec.structs.replace(cell, robot=msgspec.structs.replace(cell.robot, joint=joints))
+
+
+@pytest.mark.parametrize("by_mm", [5.0, -1.0])
+def test_a_controller_with_another_forearm_is_refused_before_anything_moves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, by_mm: float
+) -> None:
+    monkeypatch.setattr(DirectRobot, "move_to", None)
+    with pytest.raises(DeviceError) as found:
+        direct_run(
+            with_forearm(load_cell("paper"), by_mm),
+            HOME,
+            seed=1,
+            machine_seed=1,
+            folder=tmp_path,
+        )
+    assert found.value.code == "HC-B36"
+    fits = found.value.fields["fits"]
+    assert isinstance(fits, dict)
+    assert fits["d_mm of joint 4"] == pytest.approx(-by_mm, abs=0.01)
+
+
+def test_links_of_a_factory_are_journalled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read = DirectRobot.read
+    monkeypatch.setattr(
+        DirectRobot, "read", lambda robot: dataclasses.replace(read(robot), by_factory_links=True)
+    )
+    for by_mm, found in ((0.0, False), (1.2, True)):
+        cell = with_forearm(load_cell("paper"), by_mm)
+        log = direct_run(cell, HOME, seed=1, machine_seed=1, folder=tmp_path)
+        assert log.by_factory_links == found

@@ -1,0 +1,171 @@
+"""Whether the controller computes its poses as the cell file does: with its links, tool and base.
+
+A Cartesian point of a program goes where the controller solves it to. One that knows other links
+than the cell file puts the tool beside each target by as much, and no measurement of ours shows
+it: we send joints. So each pose that the controller states at rest is compared with forward
+kinematics of the joints that it states with it.
+
+A maker that measures each arm in its factory and solves with what it found (Universal Robots) says
+so in its readings: there the pose may differ by millimetres, and programs go by joints.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hilcell.calibration.form import Calibration
+from hilcell.cell.robot import RobotTable
+from hilcell.geometry.jacobian import KINDS, PARAMETERS, moved, parameter_jacobian
+from hilcell.geometry.kinematics import Arm, forward
+from hilcell.geometry.rotations import to_rotvec
+from hilcell.ports import Array, DeviceError, HilcellError, RobotReading
+
+AXIS_RAD = np.radians(0.0005)  # joints and pose are some ms apart, and a robot at rest flickers
+ROUNDING_MM, ROUNDING_RAD = 0.005, np.radians(0.001)  # of the numbers that a controller states
+FACTORY_MM, FACTORY_RAD = 15.0, np.radians(1.0)  # what links measured in a factory may explain
+ZEROS = slice(18, 24)
+FITTED = (*range(24), *range(30, 33))  # of `PARAMETERS` those that a cell file has
+TRIES = 4
+LISTED = 3
+
+
+class Deviation(NamedTuple):
+    """How far a stated pose is from the cell file's, in {B}: shift (3,) and turn (3,), and how far
+    rounding alone may bring them.
+    """
+
+    shift_mm: Array
+    turn_rad: Array
+    limit_mm: float
+    limit_rad: float
+
+    @property
+    def off_mm(self) -> float:
+        """Return the length of the shift."""
+        return float(np.linalg.norm(self.shift_mm))
+
+    @property
+    def holds(self) -> bool:
+        """Whether rounding explains it."""
+        return self.within(self.limit_mm, self.limit_rad)
+
+    def within(self, limit_mm: float, limit_rad: float) -> bool:
+        """Whether it keeps limits; NaN keeps none."""
+        return bool(self.off_mm <= limit_mm and np.linalg.norm(self.turn_rad) <= limit_rad)
+
+
+def deviation(arm: Arm, joints_rad: Array, pose: Array) -> Deviation:
+    """Return how far a pose (4, 4) is from that of joints (6,) by the cell file's arm."""
+    nominal = forward(arm, joints_rad)
+    J = np.abs(np.linalg.norm(parameter_jacobian(arm, joints_rad)[:3, ZEROS], axis=0))
+    turn = to_rotvec(pose[:3, :3] @ nominal[:3, :3].T).reshape(3)
+    return Deviation(
+        pose[:3, 3] - nominal[:3, 3],
+        turn,
+        ROUNDING_MM + AXIS_RAD * float(J.sum()),
+        float(ROUNDING_RAD + 6.0 * AXIS_RAD),
+    )
+
+
+def check_pose(robot: RobotTable, reading: RobotReading, operation: str) -> Deviation:
+    """Return how far the controller's pose is from that of its joints by the cell file.
+
+    Raises `DeviceError` where neither rounding nor links measured in a factory explain it.
+    """
+    arm = robot.arm()
+    found = deviation(arm, reading.joints_rad, reading.pose)
+    limit_mm, limit_rad = found.limit_mm, found.limit_rad
+    if reading.by_factory_links:
+        limit_mm, limit_rad = FACTORY_MM, FACTORY_RAD
+    if found.within(limit_mm, limit_rad):
+        return found
+    off_deg, off_mm = float(np.degrees(np.linalg.norm(found.turn_rad))), found.off_mm
+    fits = fitting(arm, reading.joints_rad, reading.pose)
+    raise DeviceError(
+        "HC-B36",
+        "Robot",
+        operation,
+        f"the controller's pose is {off_mm:.3f} mm and {off_deg:.4f} deg from that of its joints "
+        "by the cell file",
+        wanted=f"<= {limit_mm:.3f} mm and {np.degrees(limit_rad):.4f} deg",
+        act=_act(fits),
+        fields={
+            "off_mm": _finite(off_mm),
+            "off_deg": _finite(off_deg),
+            "limit_mm": limit_mm,
+            "limit_deg": float(np.degrees(limit_rad)),
+            "fits": fits,
+        },
+    )
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None  # a journal keeps no other number
+
+
+def _act(fits: dict[str, float]) -> str:
+    where = " or ".join(f"{name} by {by:+.3f}" for name, by in fits.items())
+    first = f"this fits: {where} on the controller; " if fits else ""
+    return (
+        f"{first}compare [[robot.joint]] and robot.smr_mm with the controller: its variant, a "
+        "typed length, a tool or base that is not null, an absolute-accuracy model"
+    )
+
+
+def fitting(arm: Arm, joints_rad: Array, pose: Array) -> dict[str, float]:
+    """Return which single links and tool coordinates of the controller explain its pose (4, 4), by
+    their names in the cell file, and by how much they differ (mm and deg), best first.
+
+    One pose cannot tell a parallel length from another; several that differ at once are none.
+    """
+    found = []
+    for column in FITTED:
+        other, step = _fitted(arm, joints_rad, pose, column)
+        left = deviation(other, joints_rad, pose)
+        if left.holds:
+            found.append((left.off_mm, *_named(column, step)))
+    return {name: by for _, name, by in sorted(found)[:LISTED]}
+
+
+def _fitted(arm: Arm, joints_rad: Array, pose: Array, column: int) -> tuple[Arm, float]:
+    """Return the arm with one parameter changed so that its pose fits best, and the change."""
+    scale = np.array([1.0] * 3 + [1000.0] * 3)  # an angle acts over a metre
+    other, step = arm, 0.0
+    for _ in range(TRIES):
+        left = deviation(other, joints_rad, pose)
+        J = scale * parameter_jacobian(other, joints_rad)[:, column]
+        d = scale * np.concatenate([left.shift_mm, left.turn_rad])
+        weight = float(J @ J)
+        step += float(J @ d) / weight if weight > 0.0 else 0.0
+        other = moved(arm, column, step)
+    return other, step
+
+
+def _named(column: int, step: float) -> tuple[str, float]:
+    if column >= 30:
+        return f"smr_mm {PARAMETERS[column].split('_')[1]}", step
+    kind, row = divmod(column, 6)
+    name = KINDS[kind].replace("_rad", "_deg")
+    return f"{name} of joint {row + 1}", float(np.degrees(step)) if "deg" in name else step
+
+
+class SolvedByFactoryLinks(HilcellError):
+    """A program of Cartesian points for a controller that solves them with links of its own."""
+
+    code = "HC-C10"
+
+
+def check_links(calibration: Calibration, name: str) -> None:
+    """Refuse to correct the Cartesian points of a program that the controller solves with other
+    links than the calibration was learnt with; raises `SolvedByFactoryLinks`.
+    """
+    if calibration.provenance.links == "factory":
+        raise SolvedByFactoryLinks(
+            f"{name}: its points are Cartesian, and this robot's controller solves them with links "
+            "that its factory has measured; the calibration was learnt with those of the cell "
+            "file, so each point would be millimetres off; `hilcell prepare HOLES.csv` writes a "
+            "program of joints"
+        )
