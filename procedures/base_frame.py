@@ -12,7 +12,7 @@ from hilcell.calibration.base_circles import (
     frame_of_sweeps,
     sweep_of,
 )
-from hilcell.calibration.noticed import risen_nest
+from hilcell.calibration.noticed import risen_nest, since_before
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.circles import base_frame_covariance
 from hilcell.journal.log import Log
@@ -27,6 +27,7 @@ ARC_SHARES = (0.25, 0.5, 0.75, 1.0)
 FEWEST_ON_ARC = 5
 QUICK_ON_ARC = 12
 ACT = "put the nest right and start a new run, or revoke that run's calibration"
+WHICH = "which of both is right? Put what has changed right, or go on and then revoke the wrong one"
 
 
 class BaseFrame:
@@ -49,6 +50,8 @@ class BaseFrame:
             self._construct(session)
             if (found := risen_nest(session.log)) is not None:
                 session.pause(f"suspected: {found.text}; {ACT}")
+            elif (since := since_before(session.log)) is not None:
+                session.pause(f"suspected: {since.text}; {WHICH}")
         session.reach("frame_base")
 
     def _construct(self, session: CellSession) -> None:

@@ -16,7 +16,7 @@ from hilcell.calibration.errors import validation
 from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.frames import grid_of, measured_of
 from hilcell.calibration.influence import NoBound
-from hilcell.calibration.noticed import suspicions_of
+from hilcell.calibration.noticed import changes, suspicions_of
 from hilcell.calibration.orientation import (
     MOVED_MM,
     check_turn_limit,
@@ -25,6 +25,7 @@ from hilcell.calibration.orientation import (
     turn_coverages,
     validated_turns,
 )
+from hilcell.calibration.since import CHANGED_SINCE
 from hilcell.calibration.touch import beside_nest
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.choice import MODELS
@@ -200,9 +201,24 @@ class Validate:
 
 
 def judge_suspicions(session: CellSession) -> None:
-    """Journal what the run suspects of all that it has compared so far."""
-    suspected = [each.text for each in suspicions_of(session.log)]
+    """Journal what the run suspects of all that it has compared so far.
+
+    What has changed since the current calibration is a verdict of its own: it is for a person to
+    say which of both is right, and then nothing is against the other.
+    """
+    found = suspicions_of(session.log)
+    suspected = [each.text for each in found if each.cause != CHANGED_SINCE]
     session.verdict("suspicions", holds=not suspected, suspected=suspected)
+    before, compared = session.log.inputs.floor_before, changes(session.log)
+    if before is not None and compared:
+        session.verdict(
+            "since",
+            holds=all(each.holds for each in compared),
+            before=before.run,
+            suspected=[each.text for each in found if each.cause == CHANGED_SINCE],
+            beyond=[msgspec.to_builtins(each) for each in compared if not each.holds],
+            compared=len(compared),
+        )
 
 
 def _places(cell: Cell) -> dict[str, list[str]]:

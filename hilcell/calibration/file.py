@@ -69,6 +69,7 @@ def calibration_of(log: Log, run: str) -> Calibration:
             log.inputs.job, f"hilcell {__version__}", written_now(),
             bool(log.verdicts.get("sign", {}).get("holds", False)),
             log.inputs.versions, devices_of(log), [point.key for point in points], fit["loocv"],
+            links="factory" if log.by_factory_links else "cell file",
         ),
         "validity": Validity(
             tuple(grid.origin_mm.tolist()), tuple(high_mm.tolist()),
@@ -105,7 +106,9 @@ def failed_of(log: Log) -> dict[str, str]:
     """Return the verdicts besides the validation's that do not hold, in words."""
     return {
         key: ", ".join(
-            f"{name} {_figure(value)}" for name, value in body.items() if name != "holds"
+            f"{name} {_figure(value)}"
+            for name, value in body.items()
+            if name not in ("holds", "beyond")
         )
         for key, body in log.verdicts.items()
         if not body["holds"] and not key.startswith(VALIDATION)

@@ -12,7 +12,7 @@ import numpy as np
 
 from hilcell.calibration.frames import Frames
 from hilcell.cell.file import Cell, Station
-from hilcell.geometry.frames import apply, cross_matrix, inverse, three_point_frame
+from hilcell.geometry.frames import apply, cross_matrix, inverse, rigid_fit, three_point_frame
 from hilcell.geometry.statistics import rectangular_variance
 from hilcell.journal.log import Log, Point, positions_mm, variances_mm2
 from hilcell.journal.point_id import PointId
@@ -88,3 +88,13 @@ def hold_covariance(cell: Cell) -> Array:
     """
     along = np.array(cell.layout.rail_direction)
     return rectangular_variance(cell.rail.held_within_mm) * np.outer(along, along)
+
+
+def slide_covariance(cell: Cell, T_W_S: Array, variance_mm2: float, nests: int = 100) -> Array:
+    """Return the covariance in {W} that a variance of every slide nest by itself gives {S}, where
+    so many of them, the first ones, say where it is.
+    """
+    nests_mm = np.array([nest.xyz_mm for nest in cell.layout.slide])
+    in_slide_mm = apply(inverse(three_point_frame(*nests_mm[:3])), nests_mm[:nests])
+    variances_mm2 = np.tile(variance_mm2 * np.eye(3), (len(in_slide_mm), 1, 1))
+    return rigid_fit(in_slide_mm, apply(T_W_S, in_slide_mm), weights=variances_mm2).covariance

@@ -21,9 +21,10 @@ from hilcell.calibration.form import Calibration
 from hilcell.calibration.validity import Unfit, check_fitness
 from hilcell.cell.file import Cell
 from hilcell.journal.calibration_facts import USED
-from hilcell.journal.index import read_index
+from hilcell.journal.folder_order import in_order
+from hilcell.journal.index import RunRow, read_index
 from hilcell.journal.log import Log
-from hilcell.journal.runs import CALIBRATION, find_run, is_run, newest_first, read_log
+from hilcell.journal.runs import CALIBRATION, find_run, is_run, read_log
 from hilcell.journal.standing import Standing, standings
 from hilcell.ports import HilcellError
 
@@ -152,24 +153,25 @@ def _current(runs: Path, cell: Cell, table: str) -> Path:
     A touched base is of a visit that ends when the run that looks for one homes the slide.
     """
     gone, unproven, foreign, simulated = "", None, None, cell.simulation is not None
-    known = standings(read_index(runs))
-    for folder in newest_first(runs):
-        path = folder / CALIBRATION
+    rows = read_index(runs)
+    known = standings(rows)
+    for row in reversed(in_order(rows)):
+        path = runs / row.name / CALIBRATION
         if not path.is_file() or (made := read_calibration(path).provenance).cell != cell.name:
             continue
-        standing = known.get(folder.name)
+        standing = known.get(row.name, _unproven(row))
         if made.simulated != simulated:
             foreign = foreign or path  # a real cell and a simulated one of its name are two
         elif made.is_of_visit:
-            gone = gone or f" (that of run {folder.name} has a base that was touched on a visit)"
-        elif standing is not None and standing.state == "current":
+            gone = gone or f" (that of run {row.name} has a base that was touched on a visit)"
+        elif standing.state == "current":
             return path
-        elif standing is not None and standing.state == "in doubt" and not standing.current:
+        elif row.name in known and standing.state == "in doubt" and not standing.current:
             return path  # which is refused with its reason: it may supersede all others
-        elif standing is None or standing.usable:
+        elif standing.usable:
             unproven = unproven or path
         else:
-            gone = gone or f" (that of run {folder.name} is {standing.text})"
+            gone = gone or f" (that of run {row.name} is {standing.text})"
     if found := unproven or (None if gone else foreign):  # which is refused with its reason
         return found
     raise NoCalibration(
@@ -178,18 +180,26 @@ def _current(runs: Path, cell: Cell, table: str) -> Path:
     )
 
 
-def standing_of(folder: Path) -> Standing | None:
+def standing_of(folder: Path) -> Standing:
     """Return how the calibration of a run stands among those of its folder of runs.
 
-    None where the run is not there or not finished.
+    One whose run is not known to have ended with it is in doubt.
     """
-    return standings(read_index(folder.parent)).get(folder.name)
+    rows = read_index(folder.parent)
+    found = standings(rows).get(folder.name)
+    return found or next(_unproven(row) for row in rows if row.name == folder.name)
+
+
+def _unproven(row: RunRow) -> Standing:
+    """Return how a calibration stands of which the journal of its run says nothing."""
+    ended = "made no calibration by its journal" if row.finished else f"is {row.condition}"
+    return Standing("in doubt", "", f"its run {ended}")
 
 
 def standing_by_name(calibration: Calibration, path: Path, runs: Path) -> Standing | None:
     """Return how a calibration stands that was read from a file.
 
-    A file that lies alone is looked for in ``runs`` by its run. None as in `standing_of`.
+    A file that lies alone is looked for in ``runs`` by its run; None where that is not there.
     """
     folder = _folder(calibration, path, runs)
     return standing_of(folder.resolve()) if is_run(folder) else None

@@ -18,7 +18,6 @@ from hilcell.calibration.errors import errors_of, visit_scatter
 from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.frame_covariance import (
     FLOOR_NESTS,
-    floor_points,
     hold_covariance,
     world_covariance,
     world_motion,
@@ -26,17 +25,25 @@ from hilcell.calibration.frame_covariance import (
 from hilcell.calibration.influence import SIZE, NoBound, motion
 from hilcell.calibration.known_length import scale
 from hilcell.calibration.reversal import reversal
+from hilcell.calibration.since import (
+    FITTED,
+    Parameter,
+    changed_since,
+    compared,
+    frame_change,
+    limit_covariance,
+    noise_covariance,
+)
 from hilcell.calibration.suspicions import Suspicion
 from hilcell.calibration.visit_noise import of_differences, visit_noise
 from hilcell.geometry.circles import base_frame_covariance, reading_covariance
 from hilcell.geometry.frames import apply, inverse, matrix, motion_levers
 from hilcell.geometry.kinematics import Arm, forward
-from hilcell.geometry.rotations import from_rotvec, to_rotvec
+from hilcell.geometry.rotations import from_rotvec
 from hilcell.geometry.statistics import (
     bounds95_mm,
     chance_of_at_most,
     f_quantile,
-    lengths_mm,
     rectangular_variance,
 )
 from hilcell.journal.log import (
@@ -164,7 +171,16 @@ def suspicions_of(log: Log) -> list[Suspicion]:
     fit = log.judged.get("fit") if again is None else None
     of_validation = [] if fit is None else log.once(_of_targets, fit.seq, besides=NO_READINGS)
     mount = log.once(mount_offset, besides=NO_READINGS)
-    found = [scale(log), warm(log), risen_nest(log), mount, lost, again, *of_validation]
+    found = [
+        scale(log),
+        warm(log),
+        risen_nest(log),
+        since_before(log),
+        mount,
+        lost,
+        again,
+        *of_validation,
+    ]
     return [each for each in found if each is not None]
 
 
@@ -309,17 +325,18 @@ def _of_targets(log: Log, fit: int) -> list[Suspicion]:
 # height explains the difference better than chance does, and chance what is left: a base that was
 # moved, or a robot with other zeros, is no risen nest.
 
-FITTED = 12  # parameters of the two circles: centre, axis and radius of each
-
 
 def risen_nest(log: Log) -> Suspicion | None:
     """Return the nest that rose or sank, if one clearly has; None where no base can tell."""
     before = log.inputs.floor_before
-    if before is None or before.base is None or "circle_rms_mm" not in log.frames.get("base", {}):
+    if before is None or before.base is None or not before.alike:
+        return None
+    if "circle_rms_mm" not in log.frames.get("base", {}):
         return None
     now = log.matrix("base")
-    covariance = _covariance(log) + np.array(before.base.covariance)
-    d = _moved(np.array(before.base.matrix), now)
+    covariance = noise_covariance(log, "base") + limit_covariance(log, "base")
+    covariance += np.array(before.base.covariance)
+    d = frame_change(np.array(before.base.matrix), now)
     up = log.matrix("world")[:3, :3].T[:, 2]  # of {W}, in the tracker's frame
     columns = [world_motion(log, now[:3, 3], nest, up) for nest in range(FLOOR_NESTS)]
     heights_mm, sigmas_mm = np.array([_fitted(d, covariance, each) for each in columns]).T
@@ -343,22 +360,19 @@ def _fitted(d: Array, covariance: Array, column: Array) -> tuple[float, float]:
     return float(weighted @ d) / information, 1.0 / np.sqrt(information)
 
 
-def _moved(then: Array, now: Array) -> Array:
-    """Return the shift of a frame's origin (mm) and its rotation vector (rad), axes of {W}."""
-    turn = to_rotvec(now[:3, :3] @ then[:3, :3].T)
-    return np.concatenate([now[:3, 3] - then[:3, 3], turn.reshape(3)])
+def since_before(log: Log) -> Suspicion | None:
+    """Return what has changed most since the current calibration, if anything has."""
+    before = log.inputs.floor_before
+    return None if before is None else changed_since(changes(log), before.run)
 
 
-def _covariance(log: Log) -> Array:
-    """Return the covariance (6, 6) of the change of {B} in {W} but for the circles of then.
+def changes(log: Log) -> list[Parameter]:
+    """Return the parameters of this calibration and of the current one, side by side.
 
-    Both runs have the noise, drift and limits of the tracker in {W}, and the hold of the slide.
+    A base that lies elsewhere by a nest that rose is no change of its own.
     """
-    stated = log.cell.uncertainty
-    far_mm = float(lengths_mm(positions_mm(floor_points(log))).max())
-    limit_mm = stated.tracker_limit_mm + 1e-6 * stated.tracker_limit_um_m * far_mm
-    centring_mm2 = sum(map(rectangular_variance, (stated.drift_limit_mm, limit_mm)))
-    both = 2.0 * world_covariance(log, log.matrix("base")[:3, 3], centring_mm2)
-    both[:3, :3] += 2.0 * hold_covariance(log.cell)
-    circles: Array = np.array(log.frames["base"]["covariance"])
-    return both + circles
+    return log.once(_changes, besides=NO_READINGS)
+
+
+def _changes(log: Log) -> list[Parameter]:
+    return compared(log, with_base=risen_nest(log) is None)

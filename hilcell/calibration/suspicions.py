@@ -23,7 +23,7 @@ ZEROS = slice(18, 24)  # of the links' parameters: the joints' offsets
 
 Cause = Literal[
     "tracker moved", "mount slipped", "zero lost", "mount offset", "scale", "reversal",
-    "temperature", "strip", "nest moved", "unknown",
+    "temperature", "strip", "nest moved", "changed since", "unknown",
 ]  # fmt: skip
 
 

@@ -7,7 +7,7 @@ refused; so is one whose validation failed or was not made, unless somebody acce
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 
 import msgspec
@@ -16,6 +16,7 @@ from hilcell.calibration.decision import Limits, limits_of
 from hilcell.calibration.form import Calibration
 from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell
+from hilcell.journal.calibration_facts import SINCE
 from hilcell.journal.standing import Standing
 from hilcell.ports import HilcellError
 
@@ -57,7 +58,9 @@ def check_fitness(
         reasons.append(_other_cell(calibration, cell, calibrated))
     if temperature_c is not None:
         reasons.append(_temperature(calibration, temperature_c))
-    intolerant = out_of_tolerance(calibration, limits_of(cell) if cell is not None else limits)
+    settled = (SINCE,) if standing is not None and standing.state == "current" else ()
+    limits = limits_of(cell) if cell is not None else limits
+    intolerant = out_of_tolerance(calibration, limits, settled)
     if standing is not None and not accept_not_current:
         reasons += _not_current(standing)
     if intolerant and not accept_out_of_tolerance:
@@ -68,10 +71,13 @@ def check_fitness(
     return intolerant
 
 
-def out_of_tolerance(calibration: Calibration, limits: Limits | None = None) -> list[str]:
+def out_of_tolerance(
+    calibration: Calibration, limits: Limits | None = None, settled: Collection[str] = ()
+) -> list[str]:
     """Return why a calibration is not known to be in tolerance, with the figures.
 
-    ``limits`` are those of the cell; None is those that it was judged by.
+    ``limits`` are those of the cell; None is those that it was judged by. ``settled`` are keys of
+    verdicts that somebody has decided on since.
     """
     if not calibration.verdicts:
         return ["its correction was never validated: its run ended before, or measures none"]
@@ -88,7 +94,11 @@ def out_of_tolerance(calibration: Calibration, limits: Limits | None = None) -> 
             for place, each in calibration.verdicts.items()
             if limits != each.limits
         ]
-    return reasons + [f"{key} did not hold: {words}" for key, words in calibration.failed.items()]
+    return reasons + [
+        f"{key} did not hold: {words}"
+        for key, words in calibration.failed.items()
+        if key not in settled
+    ]
 
 
 def _of_orientation(limits: Limits) -> str:

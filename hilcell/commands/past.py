@@ -20,6 +20,7 @@ from hilcell.commands.output import (
     width_of,
 )
 from hilcell.commands.run_output import print_suspected
+from hilcell.journal.folder_order import clock_notes
 from hilcell.journal.index import UNREADABLE, RunRow, read_index, row_of
 from hilcell.journal.runs import find_run, read_log
 from hilcell.journal.standing import Standing, standings
@@ -32,6 +33,8 @@ def runs(args: argparse.Namespace) -> int:
     known = standings(rows)
     listed = sorted((row for row in rows if _asked_for(row, args)), key=lambda row: row.name)
     found = [_summary(row, known.get(row.name)) for row in listed]
+    for note in clock_notes(rows):
+        print_message(f"warning: {note}")
     if args.json:
         print_json({"runs": found})
         return 0

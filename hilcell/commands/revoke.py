@@ -43,11 +43,11 @@ def revoke(args: argparse.Namespace) -> int:
         finally:
             journal.close()
     standing = standing_of(folder.resolve())
-    current = standing.current if standing is not None else ""
+    current = standing.current
     if args.json:
         print_json({"run": folder.name, "reason": args.reason, "current": current or None})
         return 0
-    machine = f" ({standing.machine})" if standing is not None and standing.machine else ""
+    machine = f" ({standing.machine})" if standing.machine else ""
     none = f"{cell}{machine} has no current calibration any more"
     left = f"current is {current}" if current else none
     print_message(f"the calibration of run {folder.name} is revoked; {left}")

@@ -10,6 +10,7 @@ import signal
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
+from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
@@ -58,6 +59,7 @@ from hilcell.commands.run_output import (
 from hilcell.journal.disk_space import check_space
 from hilcell.journal.engine_file import live_engine
 from hilcell.journal.floor_before import floor_before
+from hilcell.journal.folder_order import ORDER, FolderOrder, clock_notes, next_order
 from hilcell.journal.index import read_index
 from hilcell.journal.journal import StorageError
 from hilcell.journal.log import Log
@@ -150,6 +152,7 @@ def run(args: argparse.Namespace) -> int:
             raise HilcellError(
                 f"run {name} exists already in {args.runs}; choose another --name", code="HC-J09"
             )
+        earlier["order"] = msgspec.to_builtins(_next_order(args.runs))
         make_folder(folder)
         try:
             with closing(RunJournal(folder / JOURNAL, name, create=True)) as journal:
@@ -193,11 +196,20 @@ def resume(args: argparse.Namespace) -> int:
             else:
                 check_unasked(folder.name, log, procedure, args)
         output = _output(args.json, journal.run, inputs.points, journal)
+        journal.append("event", "", {"what": ORDER} | msgspec.to_builtins(_next_order(runs)))
         for key in asked:
             journal.append("event", "", {"what": "retake asked", "key": key})
         points = log.points.items()
         output.skip_measured(key for key, at in points if at.id.group != CONTROL)
         return _perform(cell, procedure, journal, output, folder, args, changes)
+
+
+def _next_order(runs: Path) -> FolderOrder:
+    """Return the order of a session that begins now, and say where the clock ran back."""
+    rows = read_index(runs)
+    for note in clock_notes(rows, datetime.now(UTC)):
+        print_message(f"warning: {note}")
+    return next_order(rows)
 
 
 def _check_here(cell: Cell, folder: Path) -> None:

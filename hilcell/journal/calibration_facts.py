@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 USED = "calibration used"  # the events
 REVOKED = "calibration revoked"
 VALIDATION = "validation."  # the key of a verdict is this and the place
+SINCE = "since"  # the key of the verdict on what has changed since the calibration before
 JUDGING = (VALIDATION, "iso9283", "targets")  # verdicts on the robot against stated limits
 OUTCOMES = {  # of a judged figure, a point or a station, in the words that runs have
     "accepted": "in tolerance",
@@ -39,7 +40,8 @@ class CalibrationFacts(msgspec.Struct, frozen=True):
     hold no more, ``doubt`` what would explain an update of it as well. ``revoked`` is why somebody
     has revoked its own. ``suspected`` says that the run suspects a cause that was not cleared,
     ``judged`` that it held the robot against limits, ``verdict`` is that of all verdicts in words,
-    "" where nothing was judged and no check failed.
+    "" where nothing was judged and no check failed. ``changed_since`` is the run of a calibration
+    that this one differs from, where nothing else is against it: a person says which is right.
     """
 
     kind: Kind = ""
@@ -52,6 +54,7 @@ class CalibrationFacts(msgspec.Struct, frozen=True):
     suspected: bool = False
     judged: bool = False
     verdict: str = ""
+    changed_since: str = ""
 
 
 class _Verdict(msgspec.Struct):
@@ -60,6 +63,7 @@ class _Verdict(msgspec.Struct):
     outcome: str | None = None
     doubt: str = ""
     suspected: list[str] = []
+    before: str = ""
 
 
 class _Event(msgspec.Struct):
@@ -101,6 +105,8 @@ class CalibrationReader:
         undecided = bool(failed) and set(failed) == {"undecided"}
         kind, validated = self._kind(rechecked.verdict), bool(places) and not failed
         broken = [each for each in self._verdicts.values() if not each.holds]
+        since = self._verdicts.get(SINCE)
+        changed = since.before if since is not None and broken == [since] else ""
         suspected = any(each.suspected for each in broken)
         judged = any(key.startswith(JUDGING) for key in self._verdicts)
         if rechecked.verdict in RECHECKED:
@@ -117,6 +123,7 @@ class CalibrationReader:
             kind, self._used, validated, undecided, rechecked.verdict == "redo",
             rechecked.doubt, self._revoked, suspected, judged,
             "; ".join(filter(None, (verdict, "suspected" if suspected else ""))),
+            changed,
         )  # fmt: skip
 
     def _kind(self, recheck: str) -> Kind:

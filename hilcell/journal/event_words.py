@@ -15,8 +15,14 @@ from hilcell.journal.point_words import step_words
 
 ORDINALS = {1: "1st", 2: "2nd", 3: "3rd"}
 CLOSINGS = {"closed": "devices closed", "safe stop": "devices stopped safely"}
-SAID = {"seated": "reflector seated in", "announced": "announced:", "promise": "promise"}
-FACTS = {"seated": ("place",), "announced": ("motion",), "promise": ("port", "promise", "verdict")}
+SAID = {
+    "seated": "reflector seated in", "announced": "announced:", "promise": "promise",
+    "order": "goes on as session",
+}  # fmt: skip
+FACTS = {
+    "seated": ("place",), "announced": ("motion",), "promise": ("port", "promise", "verdict"),
+    "order": ("number",),
+}  # fmt: skip
 NAMED = {  # events that say which point, station, run or alarms they are about
     "first pass": "first pass of",
     "stream": "recorded",
@@ -59,7 +65,7 @@ def happened_words(body: Mapping[str, Any], log: Log) -> str:
             return _wire(body)
         case "curve":
             return f"curve of {msgspec.convert(body, CurveRecord).words}"
-        case "seated" | "announced" | "promise":
+        case "seated" | "announced" | "promise" | "order":
             return " ".join([SAID[what], *(str(body.get(key)) for key in FACTS[what])])
     codes = ", ".join(body.get("codes", ()))
     subject = body.get("key") or body.get("station") or body.get("run") or codes

@@ -2,11 +2,13 @@
 
 It is one file in the folder of runs that may be deleted at any time. A journal is always right
 against it: a row counts only while the journal is the very file that it was read from; a run
-without an end, or with a live engine, is read again each time.
+without an end, or with a live engine, is read again each time. Rows are sealed, as they decide
+which calibration is current: an index with a row that does not match its seal is made again.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import sqlite3
 import stat
@@ -22,12 +24,13 @@ import msgspec
 
 from hilcell.errors import one_line
 from hilcell.journal.calibration_facts import CalibrationFacts, CalibrationReader, outcome
+from hilcell.journal.folder_order import FolderOrder, SessionReader, in_order
 from hilcell.journal.journal import ABSENT, NeverBegan, Record, StorageError
 from hilcell.journal.runs import JOURNAL, read_records, unusable
 from hilcell.journal.states import OVER, RunState
 
 NAME = "index.sqlite"
-SCHEMA = 7  # to be raised whenever `RunRow` changes, or what its fields mean
+SCHEMA = 8  # to be raised whenever `RunRow` changes, or what its fields mean
 BUSY_S = 2.0  # another process writes; without its leave the journals are read instead
 SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file may still change
 UNREADABLE, NEVER_BEGAN = "unreadable", "never began"  # states that no journal holds
@@ -36,6 +39,11 @@ LARGEST_ROW = 2**20  # bytes
 _TABLE = "CREATE TABLE run (name TEXT PRIMARY KEY, stamp TEXT, row BLOB) STRICT"
 _DEFINITION = "SELECT sql FROM sqlite_master WHERE name = 'run'"
 
+_TABLE = "CREATE TABLE run (name TEXT PRIMARY KEY, stamp TEXT, row BLOB, seal BLOB) STRICT"
+# As bytes: damage is noticed by the seal.
+_STORED = """
+SELECT CAST(name AS BLOB), CAST(stamp AS BLOB), CAST(row AS BLOB), CAST(seal AS BLOB) FROM run
+"""
 _PASSING = (
     sqlite3.SQLITE_BUSY,
     sqlite3.SQLITE_LOCKED,
@@ -50,16 +58,17 @@ _PASSING = (
 class RunRow(msgspec.Struct, frozen=True, kw_only=True):
     """One run, from its journal.
 
-    Times are UTC, ISO 8601 to the second; ``ended`` and ``exit`` are of the last end, which a
-    resumed run loses again. A journal that is unreadable, or of a run that never began, has only
-    name, state, reason, and as ``begun`` when its file was last written. Figures (mm) are 3D errors
-    of the validation at the grid's station, or of a fit's nominal and chosen model; None where the
-    procedure has none.
+    Times are UTC, ISO 8601 to the second; ``session`` (ms) is when it was last begun or resumed,
+    ``ended`` and ``exit`` are of the last end, which a resumed run loses again. A journal that is
+    unreadable, or of a run that never began, has only name, state, reason, and as ``begun`` when
+    its file was last written. Figures (mm) are 3D errors of the validation at the grid's station,
+    or of a fit's nominal and chosen model; None where the procedure has none.
     """
 
     name: str
     begun: str
     state: str
+    session: str = ""
     ended: str = ""
     reason: str = ""
     procedure: str = ""
@@ -79,6 +88,7 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
     moved: bool = False
     replayed: bool = False
     facts: CalibrationFacts = CalibrationFacts()
+    order: FolderOrder = FolderOrder()
 
     @property
     def calibrates(self) -> bool:
@@ -95,11 +105,6 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
         """Return how the run came out, in words; "" where it has not ended."""
         code = None if self.live or self.gone else self.exit
         return outcome(self.facts, self.state, code, self.points)
-
-    @property
-    def order(self) -> tuple[str, str, str]:
-        """Return what runs are sorted by: when they ended."""
-        return self.ended, self.begun, self.name
 
     @property
     def readable(self) -> bool:
@@ -134,7 +139,7 @@ def read_index(runs: Path) -> list[RunRow]:
     while batch := {name: row_of(runs / name) for name in islice(missing, BATCH)}:
         _keep(runs / NAME, batch, stamps)
         rows |= batch
-    return sorted(rows.values(), key=lambda row: (row.begun, row.name), reverse=True)
+    return in_order(rows.values())[::-1]
 
 
 def row_of(folder: Path) -> RunRow:
@@ -272,9 +277,10 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
     fault = ""
     simulated = False
     points: set[str] = set()
-    reader = CalibrationReader()
+    reader, sessions = CalibrationReader(), SessionReader()
     for record in records:
         reader.take(record)
+        sessions.take(record)
         match record.kind:
             case "plan":
                 plan = record
@@ -296,7 +302,14 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
         raise NeverBegan("the journal holds no plan: the run died before its first record")
     row = _row(name, plan, state, end, fault, len(points))
     simulated = row.simulated or simulated
-    return msgspec.structs.replace(row, simulated=simulated, moved=reader.moved, facts=reader.facts)
+    return msgspec.structs.replace(
+        row,
+        simulated=simulated,
+        session=sessions.began,
+        moved=reader.moved,
+        facts=reader.facts,
+        order=sessions.order,
+    )
 
 
 def _row(
@@ -398,9 +411,12 @@ def _known(index: Path, stamps: dict[str, str]) -> dict[str, RunRow]:
     decode = msgspec.json.Decoder(RunRow).decode
     rows: dict[str, RunRow] = {}
     with _spared(index), closing(_opened(index)) as base:
-        stored = base.execute("SELECT name, stamp, row FROM run").fetchall()
-        rows |= {name: decode(row) for name, stamp, row in stored if stamp == stamps.get(name)}
-        gone = [(name,) for name, _, _ in stored if name not in stamps]
+        stored = base.execute(_STORED).fetchall()
+        if any(seal != _seal(*sealed) for *sealed, seal in stored):
+            raise sqlite3.DatabaseError(f"{index}: a row is not the one that was stored")
+        texts = [(name.decode(), stamp.decode(), row) for name, stamp, row, _ in stored]
+        rows |= {name: decode(row) for name, stamp, row in texts if stamp == stamps.get(name)}
+        gone = [(name,) for name, _, _ in texts if name not in stamps]
         if gone:
             base.executemany("DELETE FROM run WHERE name = ?", gone)
     return rows
@@ -414,11 +430,17 @@ def _keep(index: Path, rows: dict[str, RunRow], stamps: dict[str, str]) -> None:
         for name, row in rows.items()
         if stamps[name] and row.exit is not None and not row.live
     ]
-    if lasting:
+    sealed = [(*each, _seal(each[0].encode(), each[1].encode(), each[2])) for each in lasting]
+    if sealed:
         with _spared(index), closing(_opened(index)) as base:
             base.execute("BEGIN IMMEDIATE")
-            base.executemany("INSERT OR REPLACE INTO run VALUES (?, ?, ?)", lasting)
+            base.executemany("INSERT OR REPLACE INTO run VALUES (?, ?, ?, ?)", sealed)
             base.execute("COMMIT")
+
+
+def _seal(*parts: bytes | None) -> bytes:
+    """Return the digest that a row is stored with; a damaged page may hold None."""
+    return hashlib.sha256(msgspec.json.encode([SCHEMA, *parts])).digest()
 
 
 def own_file(file: Path) -> Path:

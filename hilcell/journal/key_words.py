@@ -30,6 +30,7 @@ _VERDICTS = {
     "sign": "sign check",
     "fit": "choice of the correction",
     "suspicions": "suspected causes",
+    "since": "changes since the calibration before",
     "iso9283": "ISO 9283 test",
     "recheck": "re-check",
     "reversal": "lost motion of axes 1 to 3",

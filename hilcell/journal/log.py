@@ -71,6 +71,7 @@ T = TypeVar("T")
 Args = TypeVarTuple("Args")
 
 NO_READINGS: tuple[Kind, ...] = ("intent", "state", "verdict")  # records: no point, no frame
+FACTORY_LINKS = "factory links"  # the event of a controller that computes with measured links
 
 
 class ReadingTime(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -160,23 +161,26 @@ class Seated(msgspec.Struct, frozen=True, kw_only=True):
     strip_mm: float
 
 
-class BaseBefore(msgspec.Struct, frozen=True):
-    """{B} in {W} (4, 4) as an earlier run measured it, and its circles' covariance (6, 6)."""
+class FrameBefore(msgspec.Struct, frozen=True):
+    """A frame in {W} (4, 4) as an earlier run measured it, and its own covariance (6, 6)."""
 
     matrix: list[list[float]]
     covariance: list[list[float]]
 
 
 class FloorBefore(msgspec.Struct, frozen=True):
-    """Floor nests of an earlier run of the cell: places in the tracker's frame of then, mm.
+    """Floor nests of an earlier run of the cell: places in the tracker's frame of then, mm. Its
+    base at the grid's station, None where that is another one, and its slide at stations.
 
-    ``base`` is None where the robot's base was not measured in the same way.
+    ``alike``: the base was measured with the same robot on the same circles.
     """
 
     run: str
     nests_mm: dict[str, tuple[float, float, float]]
     temperature_c: float | None
-    base: BaseBefore | None = None
+    base: FrameBefore | None = None
+    alike: bool = False
+    stations: dict[str, FrameBefore] = {}
 
 
 class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
@@ -402,6 +406,11 @@ class Log:
     def over(self) -> bool:
         """Whether the last session has come to an end of its own: no crash has cut it off."""
         return self.state in OVER
+
+    @property
+    def by_factory_links(self) -> bool:
+        """Whether the controller computes with links that its maker has measured on this arm."""
+        return any(record.body["what"] == FACTORY_LINKS for record in self.events)
 
     @property
     def calibrates(self) -> bool:

@@ -1,10 +1,12 @@
 """Which calibration of a cell is current, and which are superseded, revoked or out of date.
 
-It follows from the runs of a folder: a later calibration that was validated supersedes those before
-it, as does one that a re-check or a pass over targets has made of the current one. A re-check whose
-verdict is redo revokes the one that it judged, `hilcell revoke` any; one that was made of a revoked
-one is revoked as well. One that somebody has revoked supersedes nothing: it is as if it had not
-been made. A touched base is out of date as soon as the cell has moved in a later run.
+It follows from the runs of a folder, in the order in which they name one another, not by the clock:
+a later calibration that was validated supersedes those before it, as does one that a re-check or a
+pass over targets has made of the current one. A re-check whose verdict is redo revokes the one that
+it judged, `hilcell revoke` any; one that was made of a revoked one is revoked as well. One that
+somebody has revoked supersedes nothing: it is as if it had not been made. One that differs from the
+current one beyond its uncertainty supersedes it only when that is revoked. A touched base is out of
+date as soon as the cell has moved in a later run.
 
 Where the journal of a run cannot be read its calibration is in doubt: it may have been revoked.
 
@@ -22,6 +24,7 @@ from itertools import groupby
 from typing import Literal
 
 from hilcell.journal.calibration_facts import CalibrationFacts
+from hilcell.journal.folder_order import in_order
 from hilcell.journal.index import UNREADABLE, RunRow
 
 State = Literal[
@@ -64,7 +67,7 @@ def standings(rows: Iterable[RunRow]) -> dict[str, Standing]:
     known = {row.name: row for row in rows if row.readable and not row.replayed}
     cells = {name: (*_cell(row), _machine(row, known)) for name, row in known.items()}
     calibrated = {cells[name] for name, row in known.items() if row.calibrates}
-    ordered = sorted(known.values(), key=lambda row: (cells[row.name], row.order))
+    ordered = sorted(in_order(known.values()), key=lambda row: cells[row.name])
     repeats = (row for row in rows if row.replayed and row.finished and row.facts.kind)
     found = {row.name: Standing("replayed", "", "a replay measures nothing") for row in repeats}
     unread = (row for row in rows if row.state == UNREADABLE)
@@ -129,14 +132,15 @@ def _simulated(seed: int | None) -> str:
 
 
 def _of_cell(rows: list[RunRow], doubts: Mapping[str, str]) -> dict[str, Standing]:
-    """Return the standings of one cell's calibrations; rows in the order of their ends."""
+    """Return the standings of one cell's calibrations; rows in their order."""
     found: dict[str, Standing] = {}
     touches = {row.name: row.facts.used for row in rows if row.facts.kind == "touch"}
+    revoked = _revoked(rows)
     current = ""
     for row in (row for row in rows if row.calibrates):
         made, used = row.facts.kind == "made", touches.get(row.facts.used, row.facts.used)
-        if made and not (row.facts.validated and row.exit == 0):
-            found[row.name] = Standing(_unproven(row.facts))
+        if made and not (row.facts.validated and _accepted(row, revoked)):
+            found[row.name] = _unproven(row.facts)
         elif not made and current and used != current:
             found[row.name] = Standing("superseded", current)
         else:
@@ -147,16 +151,30 @@ def _of_cell(rows: list[RunRow], doubts: Mapping[str, str]) -> dict[str, Standin
                 before.remove(row.name)
                 found |= dict.fromkeys(before, Standing("superseded", row.name))
                 current = row.name
-    found |= _left(rows, found) | _revoked(rows)
+    found |= _left(rows, found) | revoked
     named = current if current and found[current].state == "current" else ""
     calibrated = {row.name for row in rows if row.calibrates}
     return {name: replace(found[name], current=named) for name in calibrated}
 
 
-def _unproven(facts: CalibrationFacts) -> State:
+def _accepted(row: RunRow, revoked: Mapping[str, Standing]) -> bool:
+    """Whether nothing is against a calibration that was validated.
+
+    One that differs from the calibration before it stands once that one is revoked: so a person
+    says which of both is right.
+    """
+    return row.exit == 0 or row.facts.changed_since in revoked
+
+
+def _unproven(facts: CalibrationFacts) -> Standing:
     if facts.undecided:
-        return "undecided"
-    return "suspected" if facts.suspected and facts.validated else "not validated"
+        return Standing("undecided")
+    if not (facts.suspected and facts.validated):
+        return Standing("not validated")
+    since = facts.changed_since
+    return Standing(
+        "suspected", "", since and f"it differs from that of {since}; revoke the wrong one"
+    )
 
 
 def _revoked(rows: list[RunRow]) -> dict[str, Standing]:
@@ -180,10 +198,9 @@ def _revoked(rows: list[RunRow]) -> dict[str, Standing]:
 def _left(rows: list[RunRow], found: dict[str, Standing]) -> dict[str, Standing]:
     """Return the touched bases whose visit is over: a later run has moved the cell."""
     left = {}
-    for row in rows:
+    for number, row in enumerate(rows):
         if row.name in found and row.facts.kind == "touch":
-            others = (each for each in rows if each.moved and each.name != row.name)
-            later = [each.name for each in others if each.begun >= row.ended]
+            later = [each.name for each in rows[number + 1 :] if each.moved]
             if later and found[row.name].state == "current":
                 left[row.name] = Standing("out of date", later[0])
     return left

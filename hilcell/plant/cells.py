@@ -9,6 +9,7 @@ import msgspec
 from sqlalchemy import CTE, ColumnElement, Connection, Text, and_, cast, or_, select
 
 from hilcell.calibration.validity import CLOCK_ERROR, MAX_AGE_DAYS
+from hilcell.journal.folder_order import in_order
 from hilcell.journal.index import RunRow
 from hilcell.journal.standing import standings
 from hilcell.plant.tables import RUN
@@ -129,8 +130,8 @@ def _state(
         "last_ended": ended,
     }
     if not current:
-        ended_here = (row for row in since if row.name in known)
-        last = max(ended_here, key=lambda row: row.order, default=None)
+        ended_here = [row for row in in_order(since) if row.name in known]
+        last = ended_here[-1] if ended_here else None
         condition = known[last.name].text if last is not None else NONE
         return msgspec.convert(common | {"condition": condition}, CellState)
     made = next(datetime.fromisoformat(row.ended) for row in since if row.name == current)

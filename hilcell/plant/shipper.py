@@ -26,6 +26,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 from hilcell.calibration.file import seal_problems
 from hilcell.clean import clean
 from hilcell.errors import HilcellError
+from hilcell.journal.folder_order import in_order
 from hilcell.journal.index import NEVER_BEGAN, RunRow, own_file, read_index
 from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.runs import CALIBRATION, JOURNAL, is_run, read_records
@@ -197,7 +198,7 @@ class Shipped:
 
 
 def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _: None) -> Shipped:
-    """Ship all runs of a folder that are over, in the order of their ends.
+    """Ship all runs of a folder that are over, in their order.
 
     A run that cannot be shipped stops no other. Raises `PlantAway`, `PlantError`,
     `RightMissing`, and `StorageError` for a folder that cannot be read.
@@ -211,7 +212,7 @@ def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _:
     database.check()
     done = Shipped()
     seen = _Seen(runs)
-    rows = sorted(read_index(runs), key=lambda row: row.order)
+    rows = in_order(read_index(runs))
     here = seen.known(rows)
     for row in _missing(rows, database, here, done):
         try:

@@ -18,19 +18,15 @@ from hilcell.calibration.frame_covariance import (
     FLOOR_NESTS,
     floor_points,
     hold_covariance,
+    slide_covariance,
     world_covariance,
 )
 from hilcell.calibration.frames import grid_errors_mm, grid_of, vertex_ids
 from hilcell.calibration.measurement_budget import budget_of
-from hilcell.cell.file import Cell
 from hilcell.geometry.frames import (
     RigidFit,
-    apply,
     cross_matrix,
-    inverse,
     point_uncertainty,
-    rigid_fit,
-    three_point_frame,
 )
 from hilcell.geometry.statistics import CONFIDENCE, lengths_mm, pooled_std_mm
 from hilcell.journal.log import Log
@@ -137,16 +133,8 @@ def _frame_covariance(side: Side, key: str) -> Array | None:
     if key == "base":
         covariance[:3, :3] += u_mm**2 * np.eye(3)
     else:
-        covariance += _slide_covariance(log.cell, log.matrix(key), u_mm)
+        covariance += slide_covariance(log.cell, log.matrix(key), u_mm**2)
     return covariance
-
-
-def _slide_covariance(cell: Cell, T_W_S: Array, u_mm: float) -> Array:
-    """Return the covariance (6, 6) in {W} that ``u_mm`` of every slide nest by itself gives {S}."""
-    nests_mm = np.array([nest.xyz_mm for nest in cell.layout.slide])
-    in_slide_mm = apply(inverse(three_point_frame(*nests_mm[:3])), nests_mm)
-    variances_mm2 = np.tile(u_mm**2 * np.eye(3), (len(nests_mm), 1, 1))
-    return rigid_fit(in_slide_mm, apply(T_W_S, in_slide_mm), weights=variances_mm2).covariance
 
 
 def grid_drift(first: Side, second: Side) -> GridDrift | None:

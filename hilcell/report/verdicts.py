@@ -14,7 +14,8 @@ from hilcell.calibration.decision import Judged
 from hilcell.calibration.known_length import LengthFound
 from hilcell.calibration.pose_test import ISO
 from hilcell.calibration.recheck import WORDS
-from hilcell.journal.calibration_facts import VALIDATION
+from hilcell.calibration.since import Parameter
+from hilcell.journal.calibration_facts import SINCE, VALIDATION
 from hilcell.journal.key_words import verdict_words
 from hilcell.report.columns import Column, Sheet, sheet
 from hilcell.report.facts import Facts
@@ -139,6 +140,12 @@ def _lengths(body: Body) -> str:
     return "; ".join(each.text for each in found)
 
 
+def _since(body: Body) -> str:
+    beyond = "; ".join(each.words for each in msgspec.convert(body["beyond"], list[Parameter]))
+    kept = f"all {body['compared']} parameters are within their limits"
+    return f"against the calibration of run {body['before']}: {beyond or kept}"
+
+
 def _found(what: str) -> Callable[[Body], str]:
     return lambda body: f"{what} {body['found_mm']:.4f} mm, wanted <= {body['limit_mm']:g} mm"
 
@@ -156,6 +163,7 @@ FIGURES: dict[str, Callable[[Body], str]] = {
     "orientation": _orientation,
     "known-length": _lengths,
     "suspicions": lambda body: "; ".join(body["suspected"]) or "nothing is suspected",
+    SINCE: _since,
     "backlash": _found("backlash"),
     "station-repeatability": _found("largest range of positions held by the strip"),
     "touch": lambda body: f"touched at {body['station']}",

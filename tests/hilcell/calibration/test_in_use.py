@@ -1,6 +1,5 @@
 """Which calibration a procedure starts from, and which it refuses before anything moves."""
 
-import os
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -22,6 +21,7 @@ from hilcell.calibration.validity import Unfit
 from hilcell.cell.file import Cell, RecheckTable, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.journal.calibration_facts import USED
+from hilcell.journal.journal import Journal
 from hilcell.journal.runs import CALIBRATION, JOURNAL
 from hilcell.ports import HilcellError
 from tests.hilcell.calibration.calibrations import calibration
@@ -31,9 +31,9 @@ CELL = load_cell("paper")
 
 
 def made(runs: Path, name: str, **provenance: Any) -> Calibration:
-    """Write a run with a calibration of the cell, simulated as it is."""
+    """Write a run with a calibration of the cell, simulated as it is, that was not validated."""
     folder = runs / name
-    finished(runs, name, {})
+    finished(runs, name, {"fit": {}})
     here: dict[str, Any] = {"cell": CELL.name, "digest": CELL.digest, "simulated": True}
     found = calibration(**(here | {"run": name} | provenance))
     write_calibration(found, folder / CALIBRATION)
@@ -50,8 +50,6 @@ def test_the_newest_calibration_of_this_cell_is_taken(tmp_path: Path) -> None:
     made(tmp_path, "3-other-cell", cell="another")
     finished(tmp_path, "4-no-calibration", {})
     (tmp_path / "4-no-calibration" / CALIBRATION).unlink()
-    for seconds, folder in enumerate(sorted(tmp_path.glob("?-*"))):
-        _written(folder / JOURNAL, seconds)
     cell = with_calibration(using(), "recheck", tmp_path).cell
     assert Path(cell.recheck.calibration) == tmp_path / "2-new" / CALIBRATION
     assert calibration_named(cell, "recheck").provenance.run == "2-new"
@@ -61,16 +59,10 @@ def test_the_newest_calibration_of_this_cell_is_taken(tmp_path: Path) -> None:
 def test_a_real_cell_never_takes_that_of_a_simulated_one(tmp_path: Path) -> None:
     made(tmp_path, "1-real", simulated=False)
     made(tmp_path, "2-simulated")
-    _written(tmp_path / "1-real" / JOURNAL, 1)
-    _written(tmp_path / "2-simulated" / JOURNAL, 2)
     real = msgspec.structs.replace(using(), simulation=None)
     for cell, wanted in ((real, "1-real"), (using(), "2-simulated")):
         found = with_calibration(cell, "recheck", tmp_path).cell
         assert calibration_named(found, "recheck").provenance.run == wanted
-
-
-def _written(path: Path, seconds: int) -> None:
-    os.utime(path, (1_000_000 + seconds, 1_000_000 + seconds))
 
 
 @pytest.mark.parametrize("how", ["1-old", "1-", "file"])
@@ -80,6 +72,22 @@ def test_a_run_or_its_file_may_be_named(tmp_path: Path, how: str) -> None:
     named = str(tmp_path / "1-old" / CALIBRATION) if how == "file" else how
     cell = with_calibration(using(named), "recheck", tmp_path).cell
     assert calibration_named(cell, "recheck").provenance.run == "1-old"
+
+
+@pytest.mark.parametrize("how", ["", "1-made", "file"])
+def test_one_whose_run_has_not_ended_with_it_is_in_doubt(tmp_path: Path, how: str) -> None:
+    """A run that was opened again, or a journal that says nothing of a calibration."""
+    made(tmp_path, "1-made")
+    journal = Journal(tmp_path / "1-made" / JOURNAL, "1-made", create=False)
+    journal.append("state", "", {"machine": "run", "to": "checking"})
+    journal.close()
+    named = str(tmp_path / "1-made" / CALIBRATION) if how == "file" else how
+    with pytest.raises(HilcellError, match="checking"):
+        with_calibration(using(named), "recheck", tmp_path)
+    (tmp_path / "1-made" / JOURNAL).unlink()
+    finished(tmp_path, "1-made", {})
+    with pytest.raises(HilcellError, match="no calibration by its journal"):
+        with_calibration(using(named), "recheck", tmp_path)
 
 
 def test_no_calibration_says_what_to_do(tmp_path: Path) -> None:
@@ -106,8 +114,6 @@ def test_the_current_one_is_not_known_where_a_later_journal_cannot_be_read(tmp_p
     made(tmp_path, "1-old")
     made(tmp_path, "2-new")
     (tmp_path / "2-new" / JOURNAL).write_bytes(b"no database" * 1000)
-    _written(tmp_path / "1-old" / JOURNAL, 1)
-    _written(tmp_path / "2-new" / JOURNAL, 2)
     with pytest.raises(Unfit, match=r"2-new(.|\n)*in doubt.*2-new"):
         with_calibration(using(), "recheck", tmp_path)
     cell = with_calibration(using("1-old"), "recheck", tmp_path).cell

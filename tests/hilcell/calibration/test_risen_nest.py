@@ -11,7 +11,7 @@ from hilcell.calibration.noticed import risen_nest, suspicions_of
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.floor_before import floor_before
 from hilcell.journal.journal import read_journal
-from hilcell.journal.log import BaseBefore, FloorBefore, Log
+from hilcell.journal.log import FloorBefore, FrameBefore, Log
 from hilcell.journal.runs import JOURNAL
 from hilcell.ports import Array
 from tests.whole.golden import GoldenRuns
@@ -27,8 +27,10 @@ def since(log: Log, moved: Array) -> Log:
     frame, then = log.frames["base"], log.matrix("base")
     then[:3, 3] -= moved[:3]
     then[:3, :3] = from_rotvec(-moved[3:]) @ then[:3, :3]
-    base = BaseBefore(then.tolist(), frame["covariance"])
-    log.plan = msgspec.structs.replace(log.inputs, floor_before=FloorBefore("c1", {}, None, base))
+    base = FrameBefore(then.tolist(), frame["covariance"])
+    log.plan = msgspec.structs.replace(
+        log.inputs, floor_before=FloorBefore("c1", {}, None, base, alike=True)
+    )
     return log
 
 
@@ -64,10 +66,11 @@ def test_without_a_base_measured_before_nothing_can_tell(log: Log) -> None:
 def test_the_base_before_is_that_of_the_current_calibration(golden: GoldenRuns, log: Log) -> None:
     found = floor_before(golden["small"].runs, log.cell, 1)
     assert found is not None
-    assert found.base == BaseBefore(log.frames["base"]["matrix"], log.frames["base"]["covariance"])
+    assert found.base == FrameBefore(log.frames["base"]["matrix"], log.frames["base"]["covariance"])
     joints = msgspec.structs.replace(log.cell.base_frame, axis_1_sweep_deg=(-40.0, 40.0))
     other = floor_before(
         golden["small"].runs, msgspec.structs.replace(log.cell, base_frame=joints), 1
     )
     assert other is not None
-    assert other.base is None
+    assert found.alike
+    assert not other.alike

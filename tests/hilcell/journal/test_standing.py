@@ -174,3 +174,32 @@ def test_the_run_whose_calibration_is_current() -> None:
     machines = [simulated(made(f"0{seed}"), seed) for seed in (1, 2)]
     assert current_of(machines, "paper", "P-1", True, 1) == "01"
     assert current_of(machines, "paper", "P-1", True, 3) == ""
+
+
+DIFFERS = {"validated": True, "suspected": True, "changed_since": "01"}
+
+
+def test_one_that_differs_from_the_current_one_supersedes_it_only_when_that_is_revoked() -> None:
+    second = made("02", code=1, **DIFFERS)
+    found = standings([made("01"), second])
+    assert (found["01"].state, found["02"].state, found["02"].current) == (
+        "current", "suspected", "01",
+    )  # fmt: skip
+    assert "01" in found["02"].reason
+    first = made("01", revoked="half-inch balls")
+    assert states(first, second) == {"01": "revoked: half-inch balls", "02": "current"}
+    assert states(made("01"), made("02", code=1, **DIFFERS, revoked="wrong"))["01"] == "current"
+
+
+def test_a_redo_decides_as_a_person_does() -> None:
+    redo = row("03", redo=True, used="01", code=1)
+    assert states(made("01"), made("02", code=1, **DIFFERS), redo)["02"] == "current"
+
+
+def test_one_that_differs_and_is_suspected_of_more_stays_so() -> None:
+    first = made("01", revoked="half-inch balls")
+    assert states(first, made("02", code=1, suspected=True))["02"] == "suspected"
+    assert (
+        states(first, made("02", code=1, validated=False, changed_since="01"))["02"]
+        == "not validated"
+    )

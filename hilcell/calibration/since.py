@@ -1,0 +1,177 @@
+"""Changes since the calibration that a run would supersede, parameter by parameter.
+
+Two calibrations of one cell have the same frames in {W}, whatever the tracker's set-up was: that of
+the base at the grid's station, and those of the slide at all stations. A reflector of another size,
+a prism with another offset, a tilted axis of the tracker or a base that was moved shows there and
+nowhere in the run itself: it is in all of its readings alike. So each coordinate is compared with
+what both runs state of it, and a person says which of both is right.
+
+Noise passes a limit in one of a thousand pairs of calibrations, all parameters together. Stated
+limits (drift, tracker, seating, hold, growth) are taken as such, and both are added in quadrature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from hilcell.calibration.base_circles import axis_6_height_mm
+from hilcell.calibration.contribution import systematic_mm2
+from hilcell.calibration.frame_covariance import (
+    FLOOR_NESTS,
+    floor_points,
+    hold_covariance,
+    slide_covariance,
+    world_covariance,
+)
+from hilcell.calibration.suspicions import Suspicion
+from hilcell.geometry.rotations import to_rotvec
+from hilcell.geometry.statistics import f_quantile, lengths_mm, rectangular_variance
+from hilcell.journal.log import FloorBefore, Log, positions_mm, variances_mm2
+from hilcell.ports import Array
+
+RISK = 0.001
+BOUNDED = float(np.sqrt(3.0))  # of what is stated as a limit, which no change exceeds
+CHANGED_SINCE: Final = "changed since"
+FITTED = 12  # parameters of the two circles: centre, axis and radius of each
+_AXES = tuple("xyz")
+
+
+class Parameter(msgspec.Struct, frozen=True):
+    """A coordinate in {W} as both calibrations have it. A turn is that of now against then, so it
+    was 0 then. ``limit`` is U of the difference.
+    """
+
+    name: str
+    unit: str
+    then: float
+    now: float
+    limit: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether chance explains the difference; NaN is none."""
+        return abs(self.now - self.then) <= self.limit
+
+    @property
+    def words(self) -> str:
+        """Return both values and the limit."""
+        return (
+            f"{self.name} {self.now:.3f} {self.unit}, {self.then:.3f} then, "
+            f"limit of the difference {self.limit:.3f}"
+        )
+
+
+def changed_since(changes: list[Parameter], run: str) -> Suspicion | None:
+    """Return the change that is farthest beyond its limit; None where all keep theirs."""
+    beyond = [each for each in changes if not each.holds]
+    if not beyond:
+        return None
+    worst = max(beyond, key=lambda each: abs(each.now - each.then) / each.limit)
+    return Suspicion(
+        CHANGED_SINCE,
+        worst.now - worst.then,
+        f"{worst.unit} of {worst.name}",
+        f"the calibration of run {run}: {worst.words}",
+    )
+
+
+def compared(log: Log, *, with_base: bool = True) -> list[Parameter]:
+    """Return the parameters that this run and the one of the current calibration both measured.
+
+    ``with_base``: the base as well.
+    """
+    before = log.inputs.floor_before
+    if before is None or len(floor_points(log)) < FLOOR_NESTS:
+        return []
+    pairs = [
+        *([("base", before.base)] if with_base else []),
+        *((f"station.{name}", frame) for name, frame in before.stations.items()),
+    ]
+    known = [(key, then) for key, then in pairs if then is not None and key in log.frames]
+    freedom = 2.0 * len(log.select("base")) - FITTED
+    if not (known and freedom > 0.0):
+        return []
+    factor = float(np.sqrt(f_quantile(1.0 - RISK / (6 * len(known)), 1, freedom)))
+    found: list[Parameter] = []
+    for key, then in known:
+        noise = noise_covariance(log, key) + np.array(then.covariance)
+        stated = limit_covariance(log, key) + _instrument(log, key) + _growth(log, key, before)
+        limits = np.hypot(*np.sqrt([factor**2 * np.diag(noise), BOUNDED**2 * np.diag(stated)]))
+        found += _coordinates(key, np.array(then.matrix), log.matrix(key), limits)
+    return found
+
+
+def _coordinates(key: str, then: Array, now: Array, limits: Array) -> Iterator[Parameter]:
+    """Yield the coordinates of a frame; ``limits`` (6,) in mm and rad."""
+    name = key.removeprefix("station.")
+    for n, axis in enumerate(_AXES):
+        values_mm = float(then[n, 3]), float(now[n, 3])
+        yield Parameter(f"{name} {axis}", "mm", *values_mm, float(limits[n]))
+    turned = np.degrees(frame_change(then, now)[3:])
+    for n, axis in enumerate(_AXES):
+        limit_deg = float(np.degrees(limits[3 + n]))
+        yield Parameter(f"{name} turned about {axis}", "deg", 0.0, float(turned[n]), limit_deg)
+
+
+def frame_change(then: Array, now: Array) -> Array:
+    """Return the shift of a frame's origin (mm) and its rotation vector (rad), axes of {W}."""
+    turn = to_rotvec(now[:3, :3] @ then[:3, :3].T)
+    return np.concatenate([now[:3, 3] - then[:3, 3], turn.reshape(3)])
+
+
+def noise_covariance(log: Log, key: str) -> Array:
+    """Return the covariance (6, 6) that noise gives the change of a frame in {W}, but for the
+    frame's own noise of then: both runs have that of the floor nests, and of the slide's nests
+    where they say where {S} is; a station's own is from there.
+    """
+    T, own = log.matrix(key), np.array(log.frames[key]["covariance"])
+    found: Array = own + 2.0 * world_covariance(log, T[:3, 3])
+    nests = log.select("slide", log.cell.grid.station)
+    if key != "base" and nests:
+        of_nest_mm2 = float(variances_mm2(nests).mean())
+        found += 2.0 * slide_covariance(log.cell, T, of_nest_mm2, nests=3)
+    return found
+
+
+def limit_covariance(log: Log, key: str) -> Array:
+    """Return the covariance (6, 6) that stated limits give the change of a frame in {W}: in both
+    runs drift and error of the tracker at the floor nests, and the hold of the slide.
+    """
+    stated, at_mm = log.cell.uncertainty, log.matrix(key)[:3, 3]
+    far_mm = float(lengths_mm(positions_mm(floor_points(log))).max())
+    limit_mm = stated.tracker_limit_mm + 1e-6 * stated.tracker_limit_um_m * far_mm
+    centring_mm2 = sum(map(rectangular_variance, (stated.drift_limit_mm, limit_mm)))
+    found: Array = world_covariance(log, at_mm, centring_mm2) - world_covariance(log, at_mm)
+    found[:3, :3] += hold_covariance(log.cell)
+    return 2.0 * found
+
+
+def _instrument(log: Log, key: str) -> Array:
+    """Return what the limits of tracker and seating give the change of a frame, in both runs."""
+    stated = log.cell.uncertainty
+    points = log.select("base") if key == "base" else floor_points(log)
+    limit_mm2 = float(systematic_mm2(stated, positions_mm(points)).mean())
+    limit_mm2 += rectangular_variance(stated.smr_centring_limit_mm)
+    if key != "base":
+        return 2.0 * slide_covariance(log.cell, log.matrix(key), limit_mm2)
+    found = np.zeros((6, 6))
+    found[:3, :3] = 2.0 * limit_mm2 * np.eye(3)
+    return found
+
+
+def _growth(log: Log, key: str, before: FloorBefore) -> Array:
+    """Return what the room's change of temperature gives the change of a frame."""
+    found, now_c = np.zeros((6, 6)), log.temperatures_c()
+    if before.temperature_c is None or not now_c:
+        return found
+    at_mm = float(np.linalg.norm(log.matrix(key)[:3, 3]))
+    if key == "base":
+        at_mm += axis_6_height_mm(log.cell)  # from which its height is known
+    change_k = float(np.mean(now_c)) - before.temperature_c
+    rate = rectangular_variance(log.cell.uncertainty.arm_growth_um_m_k * 1e-6)
+    found[:3, :3] = rate * (change_k * at_mm) ** 2 * np.eye(3)
+    return found

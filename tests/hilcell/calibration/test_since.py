@@ -1,0 +1,104 @@
+"""A calibration is compared with the one that it would supersede, parameter by parameter."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from hilcell.calibration.noticed import changes, suspicions_of
+from hilcell.calibration.since import compared
+from hilcell.geometry.rotations import from_rotvec
+from hilcell.journal.floor_before import floor_before
+from hilcell.journal.journal import read_journal
+from hilcell.journal.log import FloorBefore, FrameBefore, Log
+from hilcell.journal.runs import JOURNAL
+from tests.whole.golden import GoldenRuns
+
+
+@pytest.fixture
+def log(golden: GoldenRuns) -> Log:
+    return Log(read_journal(golden["small"].folder / JOURNAL))
+
+
+@pytest.fixture
+def before(golden: GoldenRuns, log: Log) -> FloorBefore:
+    found = floor_before(golden["small"].runs, log.cell, 1)
+    assert found is not None
+    return found
+
+
+def then(log: Log, before: FloorBefore) -> Log:
+    log.plan = msgspec.structs.replace(log.inputs, floor_before=before)
+    return log
+
+
+def moved(
+    frame: FrameBefore, shift_mm: tuple[float, ...], turn_deg: tuple[float, ...]
+) -> FrameBefore:
+    T = np.array(frame.matrix)
+    T[:3, 3] -= shift_mm
+    T[:3, :3] = from_rotvec(-np.radians(turn_deg)) @ T[:3, :3]
+    return FrameBefore(T.tolist(), frame.covariance)
+
+
+def test_the_same_base_and_stations_hold(log: Log, before: FloorBefore) -> None:
+    found = changes(then(log, before))
+    assert all(each.holds for each in found)
+    places = 1 + len(log.cell.station)
+    assert len(found) == 6 * places
+    assert all(each.now - each.then == pytest.approx(0.0, abs=1e-9) for each in found)
+    assert suspicions_of(log) == []
+
+
+@pytest.mark.parametrize(
+    ("shift_mm", "turn_deg", "name", "by"),
+    [
+        ((0.0, 0.0, 12.7), (0.0, 0.0, 0.0), "base z", 12.7),
+        ((0.0, -0.63, 0.0), (0.0, 0.0, 0.0), "base y", -0.63),
+        ((0.0, 0.0, 0.0), (0.0, 0.0, 0.1), "base turned about z", 0.1),
+    ],
+)
+def test_a_base_that_lies_elsewhere_is_a_suspicion(
+    log: Log,
+    before: FloorBefore,
+    shift_mm: tuple[float, ...],
+    turn_deg: tuple[float, ...],
+    name: str,
+    by: float,
+) -> None:
+    assert before.base is not None
+    base = moved(before.base, shift_mm, turn_deg)
+    (found,) = suspicions_of(then(log, msgspec.structs.replace(before, base=base)))
+    assert (found.cause, found.unit.partition(" of ")[2]) == ("changed since", name)
+    assert found.size == pytest.approx(by, rel=1e-3)
+    assert before.run in found.noticed_by
+
+
+def test_a_station_that_lies_elsewhere_is_a_suspicion(log: Log, before: FloorBefore) -> None:
+    station = log.cell.station[-1].name
+    frames = before.stations | {station: moved(before.stations[station], (0, 3.0, 0), (0, 0, 0))}
+    (found,) = suspicions_of(then(log, msgspec.structs.replace(before, stations=frames)))
+    assert found.unit == f"mm of {station} y"
+
+
+def test_another_station_of_the_grid_is_not_compared(golden: GoldenRuns, log: Log) -> None:
+    cell, runs = log.cell, golden["small"].runs
+    at = cell.station_named(cell.grid.station)
+    others = [
+        each if each != at else msgspec.structs.replace(each, strip_mm=each.strip_mm + 1.0)
+        for each in cell.station
+    ]
+    found = floor_before(runs, msgspec.structs.replace(cell, station=others), 1)
+    assert found is not None
+    assert found.base is None
+    assert at.name not in found.stations
+
+
+def test_a_room_that_is_warmer_explains_more(log: Log, before: FloorBefore) -> None:
+    assert before.temperature_c is not None
+    cold = msgspec.structs.replace(before, temperature_c=before.temperature_c - 10.0)
+    usual = {each.name: each.limit for each in compared(then(log, before))}
+    wider = {each.name: each.limit for each in compared(then(log, cold))}
+    assert wider["base z"] > usual["base z"] + 0.1
+    assert wider["base turned about z"] == usual["base turned about z"]
