@@ -57,7 +57,8 @@ class Drive:
             strip_counts_per_mm=limits.strip_counts_per_mm,
             alarm_text=alarm_text,
         )
-        self._guard()
+        self._guards: MotionGuard  # of the motion that was prepared last
+        self._left_limit: int | None = None  # where the slide stood on a switch
 
     def _look(self, operation: str) -> Snapshot:
         """Return a snapshot; raises `DeviceError` for a fault, an alarm or a lost node."""
@@ -199,7 +200,8 @@ class Drive:
                 self._image.control(word, now.position)
             self._until(operation, f"drive to leave {now.state.value!r}", _left(now.state))
         now = self._until(operation, f"mode {mode}", lambda s: s.mode == mode)
-        self._guard()
+        self._guards = MotionGuard(self._limits, now, self.standing.now_s)
+        self._left_limit = None
         return now
 
     def _set_mode(self, mode: int) -> None:
@@ -209,11 +211,6 @@ class Drive:
         except Aborted as refusal:
             name = cia402.MODES[mode]
             raise Unsupported(refusal, f"6060h = {mode} ({name})") from refusal
-
-    def _guard(self) -> None:
-        """Guard one motion from here on."""
-        self._guards = MotionGuard(self._limits, self.standing.now_s)
-        self._left_limit: int | None = None  # where the slide stood on a switch
 
     def _moving(
         self,

@@ -14,6 +14,7 @@ class Limits:
 
     counts_per_mm: float
     strip_counts_per_mm: float
+    strip_at_sync: bool  # it is on the drive's bus
     lowest: int
     highest: int
     speed: float

@@ -12,19 +12,24 @@ from hilcell.ports import DeviceError
 class MotionGuard:
     """Positions, times and the strip beside the drive's own word."""
 
-    def __init__(self, limits: Limits, now_s: float) -> None:
-        """``now_s`` is the cell's time before the motion."""
+    def __init__(self, limits: Limits, before: Snapshot, now_s: float) -> None:
+        """``before`` is a poll before the motion, which has ended at ``now_s`` of the cell."""
         self._limits = limits
         per_mm, strip_per_mm = limits.counts_per_mm, limits.strip_counts_per_mm
         self._speed = SpeedGuard(now_s, limits.speed, limits.acceleration, per_mm)
         still_mm = limits.windows.strip_spread / strip_per_mm
-        self._scale = ScaleGuard(still_mm, limits.speed / per_mm)
+        together = limits.strip_at_sync
+        self._scale = ScaleGuard(still_mm, limits.speed / per_mm, together=together)
+        self._take_scale(before)
 
     def take(self, now: Snapshot, now_s: float) -> None:
         """Take a poll that has ended at ``now_s`` of the cell."""
         self._speed.take(now.position, now.velocity, now_s)
+        self._take_scale(now)
+
+    def _take_scale(self, now: Snapshot) -> None:
+        limits = self._limits
         if not now.alarms:
-            limits = self._limits
             self._scale.take(
                 now.position / limits.counts_per_mm, now.strip / limits.strip_counts_per_mm
             )

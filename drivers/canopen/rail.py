@@ -261,6 +261,7 @@ class CanopenRail:
         return Limits(
             counts_per_mm=scale,
             strip_counts_per_mm=of_strip,
+            strip_at_sync=options.strip is None,
             lowest=round((options.travel_min_mm - SLACK_MM) * scale),
             highest=round((options.travel_max_mm + SLACK_MM) * scale),
             speed=options.speed_mm_s * scale,

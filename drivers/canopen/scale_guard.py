@@ -2,13 +2,16 @@
 
 A scale that is wrong shows in every step of a motion. All else that parts the two does so at once,
 and is judged where the slide stands: a reference that homing has set, a strip that has jumped, a
-slide that has slipped at its start. So the largest step does not count. A strip that does not move
-at all, or is in alarm, says nothing; its next step has the way of all that it missed.
+slide that has slipped at its start. So the largest step does not count, nor does
+the next one of a strip that is read at another moment than the drive. Where one of the two does not
+move at all, or the strip is in alarm, nothing is said of scales; the next step has all that was
+missed.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from heapq import nlargest
 
 SHARE = 0.05  # of the way; scales of real slides differ by far less
 APART_MM = 5.0
@@ -31,28 +34,30 @@ class Ways:
 class ScaleGuard:
     """The polls of one motion."""
 
-    def __init__(self, still_mm: float, speed_mm_s: float) -> None:
-        """``still_mm``: the strip flickers so far at rest."""
+    def __init__(self, still_mm: float, speed_mm_s: float, *, together: bool) -> None:
+        """``still_mm``: either flickers so far at rest; ``together``: both are read at one SYNC."""
         self._still_mm = still_mm
         self._apart_mm = APART_MM + LAG_S * speed_mm_s
         self._last: tuple[float, float] | None = None
-        self._drive_mm = self._strip_mm = self._jump_mm = 0.0
+        self._drive_mm = self._strip_mm = 0.0
+        self._uncounted, self._parted_mm = 1 if together else 2, [0.0]
 
     def take(self, drive_mm: float, strip_mm: float) -> None:
         """Take a poll of a strip that is well."""
         last = self._last
         if last is None:
             self._last = drive_mm, strip_mm
-        elif abs(strip_mm - last[1]) > self._still_mm:
-            self._drive_mm += drive_mm - last[0]
-            self._strip_mm += strip_mm - last[1]
-            apart_mm = (strip_mm - last[1]) - (drive_mm - last[0])
-            self._jump_mm = max(self._jump_mm, abs(apart_mm))
+            return
+        drive_step_mm, strip_step_mm = drive_mm - last[0], strip_mm - last[1]
+        if min(abs(drive_step_mm), abs(strip_step_mm)) > self._still_mm:
+            self._drive_mm += drive_step_mm
+            self._strip_mm += strip_step_mm
+            self._parted_mm.append(abs(strip_step_mm - drive_step_mm))
             self._last = drive_mm, strip_mm
 
     def contradiction(self) -> Ways | None:
         """Return the ways where they are too far apart to be one."""
         drive_mm, strip_mm = self._drive_mm, self._strip_mm
-        apart_mm = abs(strip_mm - drive_mm) - self._jump_mm
+        apart_mm = abs(strip_mm - drive_mm) - sum(nlargest(self._uncounted, self._parted_mm))
         allowed_mm = self._apart_mm + SHARE * max(abs(strip_mm), abs(drive_mm))
         return None if apart_mm <= allowed_mm else Ways(drive_mm, strip_mm)

@@ -47,6 +47,7 @@ class SerialStrip:
 
     def __init__(self, options: StripOptions, clock: Clock) -> None:
         self._options, self._clock = options, clock
+        self._check = clock.check  # in each wait of its wire
         self._link: Link | None = None
         self._lines: TextLines | None = None
         self._answers = self._bad = 0
@@ -54,7 +55,8 @@ class SerialStrip:
     def connect(self) -> Identity:
         """Open the line and verify who answers."""
         self._answers = self._bad = 0
-        self._link = open_link(DEVICE, self._options.channel, self._clock.check, ALARMS)
+        self._check = self._clock.check
+        self._link = open_link(DEVICE, self._options.channel, self._look, ALARMS)
         self._lines = TextLines(self._link, end=b"", split=rb"\r")
         with on_failure(self.close):
             self._lines.drop_pending()
@@ -62,6 +64,7 @@ class SerialStrip:
 
     def read(self, check: Callable[[], None]) -> tuple[int, int]:
         """Return counts and alarms; the alarms are asked for after the counts."""
+        self._check = check
         check()
         counts = int(self._ask("Z", POSITION))
         check()
@@ -81,6 +84,9 @@ class SerialStrip:
         link, self._link, self._lines = self._link, None, None
         if link is not None:
             link.close()
+
+    def _look(self) -> None:
+        self._check()
 
     def _identify(self, address: str) -> Identity:
         model, firmware = self._ask("A0"), self._ask("A1")

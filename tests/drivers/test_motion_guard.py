@@ -18,11 +18,12 @@ RAMP_MM_S2 = 400.0  # of a quick stop
 
 def runs(
     peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch, unit: float = 1.0,
-    most: float = 250_000.0, ramp: float = 200_000.0,
+    most: float = 250_000.0, ramp: float = 200_000.0, shown: float = 1.0,
 ) -> None:  # fmt: skip
     """Let the slide move in the cell's time as a drive moves it whose speeds are in ``unit``.
 
     It reaches ``most`` counts/s with ``ramp`` counts/s^2; an obedient drive reaches 250 000.
+    606Ch is in ``shown`` of that unit.
     """
     axis = peer.axis
     speed, ramp = min(250_000.0 * unit, most), min(200_000.0 * unit, ramp)
@@ -38,7 +39,7 @@ def runs(
         passed_s, gap = time.now_s() - began_s, axis.target - start
         ramp_s = min(passed_s, speed / ramp)
         way = ramp * ramp_s**2 / 2 + speed * (passed_s - ramp_s)
-        axis.speed = round(ramp * ramp_s / unit)
+        axis.speed = round(ramp * ramp_s / unit / shown)
         if way >= abs(gap):
             axis.position, axis.steps = axis.target, 0
             axis.bits |= 0x1400 if axis.homing else 0x400
@@ -128,6 +129,28 @@ def test_scales_that_differ_are_named_on_the_way(
         assert gone_mm(peer) < 250.0
 
 
+@pytest.mark.parametrize("homing", [False, True])
+def test_scales_that_differ_are_named_by_three_looks_at_a_motion(
+    peer: CanPeer, time: RailTime, homing: bool
+) -> None:
+    """As a simulated cell moves; homing sets the reference by the last one."""
+    with connected(peer, time, counts_per_mm=2000.0) as rail:
+        found = refusal(rail.home if homing else lambda: rail.move_to(1250.0))
+        assert found.code == "HC-R47"
+        assert figure(found, "ratio") == pytest.approx(2.0, rel=0.01)
+
+
+def test_a_speed_that_is_only_shown_in_another_unit_is_no_overspeed(
+    peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """606Ch in 0.1 counts/s of a drive that obeys 6081h in counts/s."""
+    with connected(peer, time) as rail:
+        runs(peer, time, monkeypatch, shown=0.1)
+        found = refusal(lambda: rail.move_to(2500.0))
+        assert found.code == "HC-R46"
+        assert figure(found, "factor") == pytest.approx(0.1, rel=0.15)
+
+
 @pytest.mark.parametrize("at", ["start", "way"])
 def test_a_slide_that_slips_or_a_strip_that_jumps_is_no_matter_of_scale(
     rail: CanopenRail, peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch, at: str
@@ -167,7 +190,15 @@ def test_a_strip_on_a_wire_of_its_own_is_read_a_little_later() -> None:
         ramp_s = min(max(now_s, 0.0), 1.25)
         return 100.0 * ramp_s**2 + 250.0 * max(0.0, now_s - 1.25)
 
-    guard = ScaleGuard(still_mm=0.02, speed_mm_s=250.0)
+    guard = ScaleGuard(still_mm=0.02, speed_mm_s=250.0, together=False)
     for now_s in np.arange(0.0, 4.0, 0.02):
         guard.take(way_mm(now_s), way_mm(now_s - 0.09))
+        assert guard.contradiction() is None
+
+
+def test_a_stepped_cell_lets_a_strip_on_its_own_wire_go_ahead_of_its_drive() -> None:
+    """And homing sets the reference by the last look."""
+    guard = ScaleGuard(still_mm=0.02, speed_mm_s=250.0, together=False)
+    for drive_mm, strip_mm in ((0.0, 639.9), (-212.2, 190.7), (0.0, 0.0)):
+        guard.take(drive_mm, strip_mm)
         assert guard.contradiction() is None

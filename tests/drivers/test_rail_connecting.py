@@ -279,6 +279,20 @@ def test_a_strip_on_a_line_of_its_own_is_read_and_the_bus_has_none(
         rail.close()
 
 
+def test_after_a_stop_a_slide_is_held_that_has_a_strip_on_a_line_of_its_own(
+    peer: CanPeer, time: RailTime
+) -> None:
+    """The wait for its answer is no wait of the run, which is over."""
+    with StripPeer() as strip:
+        strip.counts = lambda: peer.axis.position // 10
+        rail = rail_for(peer, time, strip=StripOptions(driver="serial", channel=strip.channel))
+        rail.connect()
+        rail.move_to(700.0)
+        time.stop.set()
+        rail.close()
+        assert peer.axis.state == DISABLED
+
+
 def test_a_slide_that_a_dead_engine_left_moving_is_braked_and_can_be_moved(
     peer: CanPeer, time: RailTime
 ) -> None:
