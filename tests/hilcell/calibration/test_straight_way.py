@@ -47,3 +47,11 @@ def test_an_axis_that_hardly_turns_down_is_half_known(share: float) -> None:
     np.testing.assert_allclose(found.shift_mm, share * whole.shift_mm, rtol=1e-9)
     least = share**2 * np.trace(whole.covariance_mm2[0])
     assert np.trace(found.covariance_mm2[0]) > least
+
+
+def test_an_axis_that_comes_up_in_the_end_loses_nothing() -> None:
+    """Though it stands lower than on its way."""
+    dip = np.tile(END, (1, 5, 1))
+    dip[0, :, 0] += [0.02, 0.01, -0.01, -0.005, 0.0]
+    found = straight_way(LOST, ARM, T_W_B, dip)
+    np.testing.assert_array_equal(found.shift_mm, 0.0)
