@@ -6,7 +6,8 @@ judged as 3N F(3N, nu), nu the degrees of freedom by which the repeatability is 
 places and wider by its spread over the others, and what a cause of k parameters explains of it as
 k F(k, nu), the risk shared by all causes. The cause is named that leaves what chance explains, the
 one of fewest parameters first; none where the best of them leaves most. One orientation of the tool
-cannot tell a reflector that slipped from a shift of the base.
+cannot tell a reflector that slipped from a shift of the base. A slip that has the direction of a
+turn of axis 6 by itself is taken for its lost zero.
 """
 
 from __future__ import annotations
@@ -17,7 +18,15 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from hilcell.calibration.suspicions import Suspicion, left_by, patterns, strip_pattern, weights_of
+from hilcell.calibration.suspicions import (
+    Pattern,
+    Suspicion,
+    axis_6_pattern,
+    left_by,
+    patterns,
+    strip_pattern,
+    weights_of,
+)
 from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.statistics import f_quantile
 from hilcell.ports import Array
@@ -75,21 +84,28 @@ def changed(found: Differences, arm: Arm, noticed_by: str) -> Change:
     ratio, limit = max(tests, key=lambda test: test[0] / test[1])
     if ratio <= limit:
         return Change(ratio, limit, None)
-    return Change(ratio, limit, _named(found, explained, noticed_by))
+    return Change(ratio, limit, _named(found, arm, explained, noticed_by))
 
 
 def likeliest(found: Differences, arm: Arm, noticed_by: str) -> Suspicion:
     """Return the cause that leaves least, each parameter having to gain its penalty."""
-    return _named(found, _explained(found, arm, noticed_by), noticed_by)
+    return _named(found, arm, _explained(found, arm, noticed_by), noticed_by)
 
 
-def _named(found: Differences, explained: list[_Explained], noticed_by: str) -> Suspicion:
-    best = min(explained, key=lambda each: each.left + PENALTY * each.parameters)
+def _named(found: Differences, arm: Arm, explained: list[_Explained], noticed_by: str) -> Suspicion:
+    best = min(explained, key=_penalised)
+    if best.suspicion.cause == "mount slipped":
+        turns = _by_patterns(found, axis_6_pattern(arm, found.joints_rad), noticed_by)
+        best = min([best, *turns], key=_penalised)
     d = found.difference_mm.reshape(-1)
     if best.left <= MOST_LEFT * float(d @ np.linalg.solve(found.covariance_mm2, d)):
         return best.suspicion
     rms_mm = float(np.sqrt(np.square(found.difference_mm).sum(axis=1).mean()))
     return Suspicion("unknown", rms_mm, "mm", noticed_by)
+
+
+def _penalised(each: _Explained) -> float:
+    return each.left + PENALTY * each.parameters
 
 
 class _Explained(NamedTuple):
@@ -102,9 +118,15 @@ class _Explained(NamedTuple):
 
 def _explained(found: Differences, arm: Arm, noticed_by: str) -> list[_Explained]:
     """Return every cause at every moment at which it may have come."""
-    explained, weights = [], weights_of(found.covariance_mm2)
     strip = [strip_pattern(found.rail, len(found.joints_rad))] if found.rail.any() else []
-    for cause, all_columns, factor, unit in [*patterns(arm, found.joints_rad), *strip]:
+    return _by_patterns(found, [*patterns(arm, found.joints_rad), *strip], noticed_by)
+
+
+def _by_patterns(
+    found: Differences, causes: Sequence[Pattern], noticed_by: str
+) -> list[_Explained]:
+    explained, weights = [], weights_of(found.covariance_mm2)
+    for cause, all_columns, factor, unit in causes:
         for first in found.firsts:
             columns = all_columns.copy()
             columns[3 * first :] = 0.0

@@ -19,7 +19,13 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hilcell.calibration.suspicions import Suspicion, left_by, patterns, weights_of
+from hilcell.calibration.suspicions import (
+    Suspicion,
+    axis_6_pattern,
+    left_by,
+    patterns,
+    weights_of,
+)
 from hilcell.geometry.frames import cross_matrix, matrix, motion_levers
 from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.rotations import from_rotvec
@@ -189,7 +195,8 @@ def suspicions(
         return []
     likely: list[tuple[float, Suspicion]] = []
     moved, weights = motion_columns(found.targets_mm), weights_of(found.covariance_mm2)
-    for cause, columns, factor, unit in patterns(arm, joints_rad):
+    causes = [*patterns(arm, joints_rad), *axis_6_pattern(arm, joints_rad)]
+    for cause, columns, factor, unit in causes:
         chi2, size = left_by(found.errors_mm, weights, columns, besides=moved)
         freedom = judgement.rest.freedom - columns.shape[1]
         if _test(chi2, freedom).holds:

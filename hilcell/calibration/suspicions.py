@@ -18,7 +18,8 @@ from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.ports import Array
 
-LARGE_AXES = 5  # axis 6 hardly moves the reflector
+LARGE_AXES = 5
+LEAST_LEVER_MM = 20.0  # of a reflector beside axis 6: below, no turn of it is seen
 ZEROS = slice(18, 24)  # of the links' parameters: the joints' offsets
 
 Cause = Literal[
@@ -85,13 +86,24 @@ def patterns(arm: Arm, joints_rad: Array) -> list[Pattern]:
         Pattern("mount slipped", poses[:, :3, :3].reshape(-1, 3), 1.0, "mm"),
         Pattern("temperature", motion_levers(poses[:, :3, 3])[:, :, 6].reshape(-1, 1), 1e6, "µm/m"),
     ]
-    found += [
-        Pattern(
-            "zero lost", J[:, :, n].reshape(-1, 1), float(np.degrees(1.0)), f"deg of axis {n + 1}"
-        )
-        for n in range(LARGE_AXES)
-    ]
-    return found
+    return [*found, *(_zero(J, n) for n in range(LARGE_AXES))]
+
+
+def axis_6_pattern(arm: Arm, joints_rad: Array) -> list[Pattern]:
+    """Return the pattern of axis 6 as in `patterns`; none where it hardly moves the reflector.
+
+    It is that of a mount which slipped along the turn, and no reflector alone tells them apart. So
+    it is no cause to test for, but the likelier one where a slip has this direction by itself.
+    """
+    J = parameter_jacobian(arm, joints_rad)[:, :3, ZEROS] * arm.sign
+    lever_mm = float(np.sqrt(np.square(J[:, :, LARGE_AXES]).sum(axis=1).mean()))
+    return [_zero(J, LARGE_AXES)] if lever_mm >= LEAST_LEVER_MM else []
+
+
+def _zero(J: Array, axis: int) -> Pattern:
+    """Return the pattern of a lost zero; ``J`` (N, 3, 6) are the joints' columns."""
+    columns = J[:, :, axis].reshape(-1, 1)
+    return Pattern("zero lost", columns, float(np.degrees(1.0)), f"deg of axis {axis + 1}")
 
 
 def strip_pattern(rail: Sequence[float] | Array, count: int) -> Pattern:

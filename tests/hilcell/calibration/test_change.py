@@ -78,6 +78,34 @@ def test_a_cause_is_named_with_its_size(cause: str, unit: str, size: float, move
     assert named >= 8, named
 
 
+@pytest.mark.parametrize(
+    ("slip_mm", "turn_deg", "cause", "size"),
+    [
+        ([0.0, 0.0, 0.0], 0.3, "zero lost", 0.3),
+        ([0.4, 0.0, 0.0], 0.0, "mount slipped", 0.4),
+        ([0.0, 0.3, 0.3], 0.0, "mount slipped", 0.42),
+    ],
+)
+def test_a_lost_zero_of_axis_6_is_no_slip_of_the_mount(
+    slip_mm: list[float], turn_deg: float, cause: str, size: float
+) -> None:
+    """One reflector does not tell it from a slip along the turn, which is the rarer cause."""
+    for seed in range(10):
+        rng = np.random.default_rng([seed, 4])
+        at_rad = joints(seed) + rng.uniform(-0.5, 0.5, (COUNT, 6)) * [0, 0, 0, 1, 1, 1]
+        step = np.radians(turn_deg) * np.eye(6)[5]
+        poses = forward(ARM, at_rad)
+        moved_mm = forward(ARM, at_rad + step)[:, :3, 3] - poses[:, :3, 3]
+        moved_mm += poses[:, :3, :3] @ slip_mm + SIGMA_MM * rng.standard_normal((COUNT, 3))
+        covariance = SIGMA_MM**2 * np.eye(3 * COUNT)
+        found = Differences(moved_mm, covariance, at_rad, FREEDOM, RAIL, [COUNT])
+        suspicion = changed(found, ARM, "re-visits").suspicion
+        assert suspicion is not None
+        assert suspicion.cause == cause
+        assert ("axis 6" in suspicion.unit) == (cause == "zero lost")
+        assert suspicion.size == pytest.approx(size, rel=0.35)
+
+
 def test_scatter_that_no_cause_explains_names_none() -> None:
     unknown = 0
     for seed in range(20):
