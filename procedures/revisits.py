@@ -24,6 +24,7 @@ from hilcell.calibration.noticed import (
     suspicions_of,
 )
 from hilcell.calibration.reversal import REVERSAL, Reversal, reversal
+from hilcell.calibration.since import CHANGED_SINCE
 from hilcell.calibration.suspicions import suspected_in
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
@@ -38,6 +39,7 @@ from procedures.plan import joints_for, other_stations
 from procedures.validate import judge_suspicions
 
 COUNT, QUICK_COUNT = 12, 3
+WHICH = "`hilcell revoke` the wrong one of both calibrations."
 REVERSED = 4
 
 
@@ -177,5 +179,8 @@ def _figures(found: Reversal) -> dict[str, Any]:
 
 def suspicion_words(result: dict[str, Any]) -> str:
     """Return what is suspected, in words."""
-    found = suspected_in(result)
-    return "\n".join(f"Suspected: {each.text}. Do not use this calibration." for each in found)
+    lines = []
+    for each in suspected_in(result):
+        then = WHICH if each.cause == CHANGED_SINCE else "Do not use this calibration."
+        lines.append(f"Suspected: {each.text}. {then}")
+    return "\n".join(lines)

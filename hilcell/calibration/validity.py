@@ -94,11 +94,12 @@ def out_of_tolerance(
             for place, each in calibration.verdicts.items()
             if limits != each.limits
         ]
-    return reasons + [
-        f"{key} did not hold: {words}"
-        for key, words in calibration.failed.items()
-        if key not in settled
-    ]
+    failed = {key: words for key, words in calibration.failed.items() if key not in settled}
+    if SINCE in failed:
+        reasons.append(
+            "it differs from the calibration before it: `hilcell revoke RUN` the wrong one of both"
+        )
+    return reasons + [f"{key} did not hold: {words}" for key, words in failed.items()]
 
 
 def _of_orientation(limits: Limits) -> str:
