@@ -19,6 +19,7 @@ HEAD = """# Training, and faults on demand
 | a number | that fault strikes |
 | Enter | a fault strikes that is not named: find out by the screen and the alarm |
 | Enter again | says which fault it was, its alarm and the steps to take, and puts the cell right |
+| `m` | lists the faults again |
 | `q`, or ctrl-C | ends the simulated cell |
 
 Resume the run then, as after the real fault. The faults, and the alarm that each raises:
