@@ -36,10 +36,8 @@ SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file
 UNREADABLE, NEVER_BEGAN = "unreadable", "never began"  # states that no journal holds
 BATCH = 200  # rows a commit: a first build that is interrupted is not lost
 LARGEST_ROW = 2**20  # bytes
-_TABLE = "CREATE TABLE run (name TEXT PRIMARY KEY, stamp TEXT, row BLOB) STRICT"
-_DEFINITION = "SELECT sql FROM sqlite_master WHERE name = 'run'"
-
 _TABLE = "CREATE TABLE run (name TEXT PRIMARY KEY, stamp TEXT, row BLOB, seal BLOB) STRICT"
+_DEFINITION = "SELECT sql FROM sqlite_master WHERE name = 'run'"
 # As bytes: damage is noticed by the seal.
 _STORED = """
 SELECT CAST(name AS BLOB), CAST(stamp AS BLOB), CAST(row AS BLOB), CAST(seal AS BLOB) FROM run
