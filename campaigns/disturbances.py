@@ -80,6 +80,11 @@ KINDS = (
     Kind("strip jumped", "rail.strip_jump", 0.03, 5.0, "mm", _jump),
     Kind("backlash grown", "rail.backlash", 0.05, 0.5, "mm", signed=False),
     Kind("lost motion of axis 3", "robot.lost_motion", 15.0, 500.0, "urad", _widen, signed=False),
+    Kind("transit axis tilted", "tracker.transit", 10.0, 300.0, "urad"),
+    Kind("collimation off", "tracker.collimation", 10.0, 300.0, "urad"),
+    Kind("tracker turning", "tracker.turning", 10.0, 300.0, "urad"),
+    Kind("arm growing", "robot.growing", 3.0, 100.0, "um/m"),
+    Kind("brake of axis 2", "robot.brake_slips", 0.001, 0.03, "deg", signed=False),
     Kind("room warmer", "tracker.warmer", 1.0, 10.0, "K"),
 )
 

@@ -227,7 +227,7 @@ class DirectSweep:
 
 
 class DirectTracker:
-    """Satisfies `hilcell.ports.Tracker` and `Streams`."""
+    """Satisfies `hilcell.ports.Tracker`, `Streams` and `TwoFaces`."""
 
     def __init__(self, plant: Plant, clock: Clock, cell: Cell) -> None:
         self._plant, self._clock, self._radius_mm = plant, clock, cell.tracker.find_radius_mm
@@ -238,7 +238,16 @@ class DirectTracker:
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
         """Measure the reflector nearest to (3,); raises `NoReading` where there is none."""
-        found = self._plant.tracker.measurements(self._found(near_mm), samples)
+        return self._measured(near_mm, reflector, samples)
+
+    def measure_back(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
+        """Measure in the second face; raises `NoReading` where there is none."""
+        return self._measured(near_mm, reflector, samples, back=True)
+
+    def _measured(
+        self, near_mm: Array, reflector: str, samples: int, *, back: bool = False
+    ) -> TrackerReading:
+        found = self._plant.tracker.measurements(self._found(near_mm), samples, back=back)
         if found is None:
             raise NoReading("HC-T10", "Tracker", "measure", "the beam broke")
         for _ in range(samples):

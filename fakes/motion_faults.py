@@ -28,6 +28,8 @@ class Harms:
     lose_zero: Callable[[float, int], None] = lambda lost_rad, axis: None
     slip_mount: Callable[[float], None] = lambda along_mm: None
     lose_motion: Callable[[float], None] = lambda lost_rad: None
+    grow: Callable[[float], None] = lambda um_m: None
+    loosen: Callable[[int, float], None] = lambda axis, slip_rad: None
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +49,10 @@ def strike(faults: Faults, harms: Harms, target_deg: Array) -> Struck:
             harms.lose_zero(float(np.radians(lost_deg)), axis)
     harms.slip_mount(faults.number("robot.mount_slip") or 0.0)
     harms.lose_motion(1e-6 * (faults.number("robot.lost_motion") or 0.0))
+    if (um_m := faults.number("robot.growing")) is not None:
+        harms.grow(um_m)
+    if (slip_deg := faults.number("robot.brake_slips")) is not None:
+        harms.loosen(2, float(np.radians(slip_deg)))
     keeps_acknowledge = faults.take("robot.ack_previous") is not None
     frozen = faults.take("robot.frozen") is not None
     target_deg = target_deg - (faults.number("robot.stops_short") or 0.0)

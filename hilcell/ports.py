@@ -1,9 +1,10 @@
 """The ports: small Protocols that devices satisfy, their readings and their errors.
 
-Every rail, robot and tracker satisfies one of three. A tracker that can also stream satisfies
-`Streams`, a robot that can turn one axis slowly and report its joints meanwhile `Sweeps`; both hand
-out a flyer: prepared by ``with``, started by ``kickoff``, read by ``collect``, ended by
-``complete``, and put back to its earlier state on every way out of the ``with``.
+Every rail, robot and tracker satisfies one of three. A tracker that turns over satisfies
+`TwoFaces` as well, one that can stream `Streams`, a robot that can turn one axis slowly and report
+its joints meanwhile `Sweeps`. The last two hand out a flyer: prepared by ``with``, started by
+``kickoff``, read by ``collect``, ended by ``complete``, and put back to its earlier state on every
+way out of the ``with``.
 
 A driver is one plain class that satisfies one of these; it is built as ``Driver(options, clock)``
 with its own checked options (``Driver.Options``, a msgspec Struct) and the clock of the cell. A
@@ -40,7 +41,7 @@ __all__ = [
     "ExternalAxis", "HilcellError", "Identity", "InProcessCell", "JointSample", "LinkStatistics",
     "NoReading", "Rail", "RailReading", "RecordingEnded", "RepeatsRun", "RidesOnRobot", "Robot",
     "RobotReading", "SimulatedCell", "Stopped", "Stream", "StreamBlock", "Streams", "StripLost",
-    "Sweep", "Sweeps", "Tracker", "TrackerReading", "Training", "says_simulated",
+    "Sweep", "Sweeps", "Tracker", "TrackerReading", "Training", "TwoFaces", "says_simulated",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -319,6 +320,17 @@ class Streams(Protocol):
         self, near_mm: Array, reflector: str, rate_hz: float
     ) -> AbstractContextManager[Stream]:
         """Prepare a stream of the reflector that is now at ``near_mm`` (3,), tracker's frame."""
+
+
+@runtime_checkable
+class TwoFaces(Protocol):
+    """A tracker that turns over and sees the same reflector in its second face, the back sight.
+
+    Errors of its axes have the other sign there: collimation, transit tilt, index.
+    """
+
+    def measure_back(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
+        """Measure as `Tracker.measure` in the second face; leave the tracker in the first."""
 
 
 @runtime_checkable

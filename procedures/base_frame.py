@@ -12,6 +12,7 @@ from hilcell.calibration.base_circles import (
     frame_of_sweeps,
     sweep_of,
 )
+from hilcell.calibration.base_place import misplaced_base
 from hilcell.calibration.noticed import risen_nest, since_before
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.circles import base_frame_covariance
@@ -26,7 +27,10 @@ from procedures.durations import closing, flange_points, step
 ARC_SHARES = (0.25, 0.5, 0.75, 1.0)
 FEWEST_ON_ARC = 5
 QUICK_ON_ARC = 12
-ACT = "put the nest right and start a new run, or revoke that run's calibration"
+ACT = (
+    "put the nest or its reflector right and start a new run, or correct the cell file, or revoke "
+    "that run's calibration"
+)
 WHICH = "which of both is right? Put what has changed right, or go on and then revoke the wrong one"
 
 
@@ -48,7 +52,8 @@ class BaseFrame:
         """Sweep, fit and frame, once."""
         if "base" not in session.log.frames:
             self._construct(session)
-            if (found := risen_nest(session.log)) is not None:
+            found = misplaced_base(session.log) or risen_nest(session.log)
+            if found is not None:
                 session.pause(f"suspected: {found.text}; {ACT}")
             elif (since := since_before(session.log)) is not None:
                 session.pause(f"suspected: {since.text}; {WHICH}")

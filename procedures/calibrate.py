@@ -20,6 +20,7 @@ from procedures.robot_grid import RobotGrid
 from procedures.sign_check import SignCheck, sign_table
 from procedures.station import HoldStation, StationRepeatability, approach_table
 from procedures.station_frames import StationFrames
+from procedures.two_faces import TwoFaces
 from procedures.validate import Validate
 from procedures.world_frame import WorldFrame
 
@@ -143,7 +144,12 @@ CALIBRATE = Procedure(
     "calibrate",
     "the paper's calibration, validated before and after at every station",
     (
-        *TO_GRID,
+        Home(),
+        WorldFrame(),
+        TwoFaces(),
+        HoldStation(),
+        BaseFrame(),
+        RobotGrid(),
         AxisSweeps(),
         ChosenPoses(),
         Repeatability(),
@@ -152,6 +158,7 @@ CALIBRATE = Procedure(
         Fit(),
         SignCheck(),
         Validate(),
+        TwoFaces(at_end=True),
         Revisits(at_end=True),
     ),
     validation_table,

@@ -55,7 +55,7 @@ Positive = Annotated[float, Meta(gt=0)]
 
 
 class LeicaEmsconTracker:
-    """Satisfies `hilcell.ports.Tracker` and `hilcell.ports.Streams`."""
+    """Satisfies `hilcell.ports.Tracker`, `hilcell.ports.Streams` and `hilcell.ports.TwoFaces`."""
 
     # Deadlines on the wire, in real time.
     REPLY_S = 5.0
@@ -96,6 +96,7 @@ class LeicaEmsconTracker:
             self._set_up()
             self._numbers = self._read_reflectors()
             self._choose(options.reflector)
+            self._first_face()
         return [identity]
 
     def measure(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
@@ -104,6 +105,20 @@ class LeicaEmsconTracker:
         self.point_at(near_mm, reflector)
         results = [self._single(near_mm) for _ in range(samples)]
         return self._reading(results, reflector)
+
+    def measure_back(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
+        """Measure as `measure` in the second face, and turn back."""
+        near_mm = checked_order(near_mm, samples)
+        self.point_at(near_mm, reflector)
+        self._turn_to(emscon.SECOND_FACE)
+        try:
+            results = [self._single(near_mm) for _ in range(samples)]
+        except NoReading:
+            self._turn_to(emscon.FIRST_FACE)
+            raise
+        reading = self._reading(results, reflector)
+        self._turn_to(emscon.FIRST_FACE)
+        return reading
 
     def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> EmsconStream:
         """Return a stream of the reflector expected at ``near_mm`` (3,), tracker frame."""
@@ -200,6 +215,34 @@ class LeicaEmsconTracker:
                 problem,
                 act="check the weather station or enter the air's values",
             )
+
+    def _turn_to(self, face: int) -> None:
+        """Turn over, and believe it only when the face reads back."""
+        self._ask(Command.CHANGE_FACE, limit_s=self.MOVE_S)
+        (found,) = self._numbers_of(Command.GET_FACE, emscon.NUMBER)
+        if found != face:
+            raise refused(
+                "HC-T06",
+                "change face",
+                f"face {found:g}",
+                wanted=f"{face}",
+                act="another program holds the tracker? close it, then resume",
+                setting="face",
+                read=(found,),
+                written=(face,),
+            )
+
+    def _first_face(self) -> None:
+        """Turn back a tracker that an engine before this one left in its second face.
+
+        Older controllers do not tell their face.
+        """
+        answer = self._request(Command.GET_FACE)
+        if answer.status or not answer.body:
+            return
+        (face,) = self._decoded(lambda reply: emscon.unpack(emscon.NUMBER, reply), answer.body)
+        if face == emscon.SECOND_FACE:
+            self._turn_to(emscon.FIRST_FACE)
 
     def set_checked(
         self,

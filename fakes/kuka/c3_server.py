@@ -141,7 +141,7 @@ def _parse(request: bytes) -> tuple[int, str, str] | None:
 def controller_of(site: Site) -> KrlController:
     """Return the controller of a simulated cell, whichever wire leads to it."""
     plant = site.plant
-    harms = Harms(plant.lose_zero, plant.slip_mount, plant.lose_motion)
+    harms = Harms(plant.lose_zero, plant.slip_mount, plant.lose_motion, plant.grow, plant.loosen)
     return KrlController(site.cell, plant.robot, site.faults, harms, slide=external_axis(site))
 
 

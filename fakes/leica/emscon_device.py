@@ -45,6 +45,7 @@ MEASURING_MS = (100, 100_000)
 SEPARATION_MS = (1, 100_000)
 INITIALISE_S, POINT_S, FACE_S = 30.0, 0.6, 4.0
 STILL_MM = 0.02  # a target that moves farther meanwhile gives no stationary result
+FIRST_FACE, SECOND_FACE = 1, 2
 SERIAL, VERSION, SENSOR_AT401 = 402871, (3, 8, 0), 70
 OFFSETS_MM = {"SMR 1.5in": 19.05, "SMR 0.875in": 11.1125, "SMR 0.5in": 6.35}
 BALL = 1  # target type: corner cube
@@ -105,6 +106,7 @@ class EmsconDevice:
         self._initialised = False
         self._pointing_mm = np.array([1000.0, 0.0, 0.0])
         self._target: str | None = None
+        self._face = FIRST_FACE
         self._late: list[bytes] = []
         self._handlers = self._settings_handlers() | self._query_handlers() | self._work_handlers()
 
@@ -195,7 +197,7 @@ class EmsconDevice:
             Command.GET_TRACKER_STATUS: lambda: struct.pack("<I", 2 if self._initialised else 0),
             Command.GET_MEASUREMENT_STATUS: self._measurement_status,
             Command.GET_DIRECTION: self._direction,
-            Command.GET_FACE: lambda: struct.pack("<I", 1),
+            Command.GET_FACE: lambda: struct.pack("<I", self._face),
             Command.GET_TRACKER_INFO: self._tracker_info,
             Command.GET_SOFTWARE_VERSION: lambda: (
                 ".".join(map(str, VERSION)).encode().ljust(64, b"\0")
@@ -225,7 +227,8 @@ class EmsconDevice:
 
     def _measurement_status(self) -> bytes:
         found, compensated, distance, distance_compensated, face_1 = 1, 2, 4, 8, 4096
-        bits = found | compensated | distance | distance_compensated | face_1
+        bits = found | compensated | distance | distance_compensated
+        bits |= face_1 if self._face == FIRST_FACE else 0
         bits |= 2048 if self._target is not None else 0
         bits |= 65536 if self._initialised else 0
         return struct.pack("<Ii", Status.OK, bits)
@@ -258,13 +261,13 @@ class EmsconDevice:
             Command.START_MEASUREMENT: self._start_measurement,
             Command.GO_AND_MEASURE: self._go_and_measure,
             Command.STOP_MEASUREMENT: lambda command, arguments: Answer([reply(command)]),
-            Command.CHANGE_FACE: self._turn,
+            Command.CHANGE_FACE: self._change_face,
             Command.GO_BIRD_BATH: self._turn,
         }
 
     def _initialise(self, command: Command, arguments: tuple[float, ...]) -> Answer:
         def finish() -> Answer:
-            self._initialised, self._target = True, None
+            self._initialised, self._target, self._face = True, None, FIRST_FACE
             return Answer([reply(command), status_change(Change.INITIALIZATION)])
 
         return Answer(later=Later(INITIALISE_S, finish))
@@ -272,6 +275,18 @@ class EmsconDevice:
     def _turn(self, command: Command, arguments: tuple[float, ...]) -> Answer:
         self._target = None
         return Answer(later=Later(FACE_S, lambda: Answer([reply(command)])))
+
+    def _change_face(self, command: Command, arguments: tuple[float, ...]) -> Answer:
+        """Turn over and look where it looked before."""
+        if not self._initialised:
+            return Answer([reply(command, Status.NOT_INITIALIZED)])
+
+        def finish() -> Answer:
+            self._face = FIRST_FACE + SECOND_FACE - self._face
+            seen = Change.READY if self._lock_on() else Change.NOT_READY
+            return Answer([reply(command), status_change(seen)])
+
+        return Answer(later=Later(FACE_S, finish))
 
     def _point(self, command: Command, arguments: tuple[float, ...]) -> Answer:
         self._pointing_mm, self._target = self._inside_mm(arguments[:3]), None
@@ -381,7 +396,7 @@ class EmsconDevice:
             if take("tracker.beam_break_after") is not None or ended_mm is None:
                 return self._broken(command)
             moved_mm = np.linalg.norm(ended_mm - began_mm)
-            measured = self._instrument.measure(target) if moved_mm <= STILL_MM else None
+            measured = self._measured(target) if moved_mm <= STILL_MM else None
             if measured is None:
                 return Answer([reply(command, Status.NO_STATIONARY_RESULT), ready])
             packets, self._late = [*self._late, self._packed(measured)], []
@@ -391,6 +406,9 @@ class EmsconDevice:
                 packets = []
             storm = int(self._faults.number("tracker.status_storm") or 0)
             return Answer([*[status_change(Change.REFRACTION)] * storm, *packets, ready])
+
+    def _measured(self, target: str) -> Measurement | None:
+        return self._instrument.measure(target, back=self._face == SECOND_FACE)
 
     def _broken(self, command: Command) -> Answer:
         """The beam has lost its reflector."""

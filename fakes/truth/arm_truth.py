@@ -139,6 +139,7 @@ class ArmTruth:
         )
         self.targets_mm, self.commands_rad = self._design.targets_mm, self._design.commands_rad
         self.joint_sigma_rad = sizes.rp_mm / self._design.unit_rp_mm
+        self.slip_rad = np.zeros(6)  # of a brake, besides
         self._settle(machine.errors, rng)
 
     def pose(self, joints_rad: Array, side: Array, landing_rad: Array, warm_k: float = 0) -> Array:
@@ -167,6 +168,10 @@ class ArmTruth:
     def lose_zero(self, axis: int, lost_rad: float) -> None:
         """Turn an axis, 1 to 6, against its encoder for good."""
         self._lost_rad[axis - 1] += lost_rad
+
+    def loosen(self, axis: int, slip_rad: float) -> None:
+        """Let an axis, 1 to 6, miss at each stop by this besides: 1 sigma, for good."""
+        self.slip_rad[axis - 1] = slip_rad
 
     def lose_motion(self, axis: int, lost_rad: float) -> None:
         """Widen the gap between both sides of an axis, 1 to 6, for good."""

@@ -136,6 +136,7 @@ class TrackerSizes(Frozen, frozen=True, kw_only=True):
     radial_um: Rate = 7.5
     across_um_m: Rate = 2.5
     drift_mm: Offset = 0.002
+    axes_urad: Angle = 1.0  # collimation, transit tilt and index, as left by its last check
     room_c: Annotated[float, Meta(ge=-20, le=60)] = 23.0
     room_swing_k: Annotated[float, Meta(ge=0, le=30)] = 0.8
 

@@ -48,6 +48,7 @@ class Plant:
         turn = mounting.bolted_urad * 1e-6 * _limited(rng, 3)
         self._bolted = rigid(rotation(turn), mounting.bolted_mm * _limited(rng, 3))
         self._slipped = np.eye(4)
+        self._growing, self._grows_since = 0.0, 0
         self._seats = _seats(cell, mounting.seat_mm, fixed.generator("seats"))
         self._floor = _placed(cell.layout.floor, mounting.floor_nest_mm, fixed.generator("floor"))
         self._floor |= _bars(cell.layout, mounting.floor_nest_mm, fixed.generator("bars"))
@@ -69,6 +70,14 @@ class Plant:
         if lost_rad:
             self.arm.lose_motion(axis, lost_rad)
             self._forget()
+
+    def grow(self, um_m: float) -> None:
+        """Let the arm grow from now on, by this share in 1000 of the tracker's measurements."""
+        self._growing, self._grows_since = 1e-6 * um_m, self.tracker.measured
+
+    def loosen(self, axis: int, slip_rad: float) -> None:
+        """Let an axis of the robot, 1 to 6, slip at random at each stop: 1 sigma, for good."""
+        self.arm.loosen(axis, slip_rad)
 
     def slip_mount(self, along_mm: float) -> None:
         """Shift the reflector on the flange along its x for good."""
@@ -102,13 +111,14 @@ class Plant:
         if name != FLANGE and name not in self._seats:
             return np.tile(self.places_in_world()[name], (len(times_s), 1))
         joints_rad, side, landing_rad = self.robot.past(times_s)
-        arm = self.arm.pose(joints_rad, side, landing_rad, self.tracker.warm_k) @ self._slipped
+        true_rad = self.arm.true_joints(joints_rad, side, landing_rad)
+        arm = self.arm.pose_of(true_rad, self._strain()) @ self._slipped
         tool = self.rail.slide_pose() @ self._bolted @ arm
         return tool[:, :3, 3] + tool[:, :3, :3] @ self._seats.get(name, np.zeros(3))
 
     def places_in_world(self) -> dict[str, Array]:
         """Return where a reflector (3,) in each nest and on the flange really is, in {W}."""
-        true_rad, strain = self._true_joints(), self.arm.strain(self.tracker.warm_k)
+        true_rad, strain = self._true_joints(), self._strain()
         base, around = self._bolted_and_nests()
         if self._places is not None:  # at rest it is asked for several times a measurement
             (known_rad, known_base, known_strain), found = self._places
@@ -119,6 +129,11 @@ class Plant:
         found |= {name: carried(tool, at_mm) for name, at_mm in self._seats.items()}
         self._places = ((true_rad, base, strain), found)
         return found
+
+    def _strain(self) -> float:
+        """Return the share by which the arm is longer now."""
+        grown = self._growing * (self.tracker.measured - self._grows_since) / 1000.0
+        return self.arm.strain(self.tracker.warm_k) + grown
 
     def _true_joints(self) -> Array:
         """Return how the joints (6,) really are turned: the same array while the robot stands."""
@@ -153,7 +168,7 @@ class Plant:
 def _landing(arm: ArmTruth, noise: KeyedNoise, key: str) -> Callable[[], Array]:
     """Return what draws by how much the joints (6,) miss this time."""
     draw = noise.later_normal(key, 6)
-    return lambda: arm.joint_sigma_rad * draw()
+    return lambda: np.hypot(arm.joint_sigma_rad, arm.slip_rad) * draw()
 
 
 def _placed(nests: list[Nest], sigma_mm: float, rng: np.random.Generator) -> dict[str, Array]:

@@ -48,6 +48,12 @@ class ReplayPlant:
     def lose_zero(self, lost_rad: float, axis: int = 1) -> None:
         """Leave the recorded data as they are."""
 
+    def grow(self, um_m: float) -> None:
+        """Leave the recorded data as they are."""
+
+    def loosen(self, axis: int, slip_rad: float) -> None:
+        """Leave the recorded data as they are."""
+
 
 class ReplayTracker:
     """Sees the reflectors recorded for the pose at which the robot stands."""
@@ -78,8 +84,8 @@ class ReplayTracker:
         best = min(found, key=found.__getitem__, default=None)
         return best if best is not None and found[best] <= radius_mm else None
 
-    def measure(self, name: str) -> Measurement | None:
-        """Return the recorded measurement."""
+    def measure(self, name: str, *, back: bool = False) -> Measurement | None:
+        """Return the recorded measurement, whose face the data do not tell."""
         at_mm = self.reflector(name)
         return None if at_mm is None else Measurement(at_mm, np.full(3, STD_MM))
 

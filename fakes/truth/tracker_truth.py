@@ -23,6 +23,8 @@ from hilcell.cell.file import Cell
 DRIFT_PERIOD_S = 4 * 3600.0
 AIR_PERIOD_S = 3 * 3600.0
 MEASUREMENT_S = 5.0
+URAD = 1e-6
+AXES = ("tracker.collimation", "tracker.transit", "tracker.index")  # faults of the axes, in urad
 
 Scene = Callable[[], dict[str, Array]]  # reflectors (3,) by name
 
@@ -56,8 +58,10 @@ class Instrument(Protocol):
     def find(self, near_mm: Array, radius_mm: float) -> str | None:
         """Return the name of the reflector nearest to a point."""
 
-    def measure(self, name: str) -> Measurement | None:
-        """Return one measurement of a reflector, None where it cannot be seen."""
+    def measure(self, name: str, *, back: bool = False) -> Measurement | None:
+        """Return one measurement of a reflector, ``back`` in the second face, None where it cannot
+        be seen.
+        """
 
     def air(self) -> Air:
         """Return the air now."""
@@ -75,8 +79,9 @@ class TrackerTruth:
     """A tracker that sees reflectors given in {W}.
 
     It takes the faults ``tracker.drift_step``, ``tracker.scale_ppm``, ``tracker.nest_lifted``,
-    ``tracker.noisy``, ``tracker.spike``, ``tracker.warmer``, ``tracker.wrong_offset`` and
-    ``tracker.wrong_target`` itself; all others are the server's.
+    ``tracker.noisy``, ``tracker.spike``, ``tracker.warmer``, ``tracker.wrong_offset``,
+    ``tracker.wrong_target``, ``tracker.collimation``, ``tracker.transit``, ``tracker.index`` and
+    ``tracker.turning`` itself; all others are the server's.
     """
 
     def __init__(
@@ -87,7 +92,7 @@ class TrackerTruth:
         reflectors_in_world: Scene,
     ) -> None:
         rng = KeyedNoise(seed).generator("tracker")
-        self._noise = KeyedNoise(seed, "tracker")
+        self._noise, self._back = KeyedNoise(seed, "tracker"), KeyedNoise(seed, "tracker's back")
         self._faults, self._reflectors = faults, reflectors_in_world
         self._measured = 0
         self._range_mm = (cell.tracker.min_range_mm, cell.tracker.max_range_mm)
@@ -100,6 +105,9 @@ class TrackerTruth:
         self._drift = tuple(rng.standard_normal((2, 3)) * self._sizes.drift_mm)
         self._air_phases: list[float] = rng.uniform(0.0, 2 * math.pi, 3).tolist()
         self._bump_mm, self._scale = np.zeros(3), 1.0
+        axes = KeyedNoise(seed).generator("tracker's axes")
+        self._axes_rad = self._sizes.axes_urad * URAD * axes.standard_normal(3)
+        self._turning_rad, self._turning_since = 0.0, 0  # of 1000 measurements; their number
         self._lifted_mm: dict[str, float] = {}
         self._offset_mm = self._warmer_k = 0.0
 
@@ -125,30 +133,38 @@ class TrackerTruth:
             return next_best
         return best if best is not None and off_mm[best] <= radius_mm else None
 
-    def measure(self, name: str) -> Measurement | None:
+    def measure(self, name: str, *, back: bool = False) -> Measurement | None:
         """Return one measurement of a reflector, or None where it is out of range."""
-        found = self.measurements(name, 1)
+        found = self.measurements(name, 1, back=back)
         return None if found is None else Measurement(found.xyz_mm[0], found.std_mm[0])
 
-    def measurements(self, name: str, count: int) -> Measurement | None:
-        """Return measurements in a row, (N, 3) each, or None where one is out of range."""
+    def measurements(self, name: str, count: int, *, back: bool = False) -> Measurement | None:
+        """Return measurements in a row, (N, 3) each, or None where one is out of range.
+
+        Those in the second face, ``back``, take noise of their own and are no step of the drift:
+        all others are the same with and without them.
+        """
         struck: dict[int, _Struck] = {}  # rows with a fault
         xyz_mm = np.empty((count, 3))
         for row in range(count):
             at_mm = self.reflector(name)
             if at_mm is None or not self._in_range(at_mm):
                 return None
-            self._measured += 1
-            if self._faults.any_armed or self._offset_mm:
+            self._measured += not back
+            if back:
+                struck[row] = _Struck(self._offset_mm, None, 0.0)
+            elif self._faults.any_armed or self._offset_mm:
                 struck[row] = self._strike(name)
             if name in self._lifted_mm:
                 at_mm = at_mm + self._lifted_mm[name] / math.sqrt(3.0)
             xyz_mm[row] = self._scale * at_mm + self._bump_mm + self._slow_drift_mm()
+        xyz_mm = self._sighted(xyz_mm, back=back)
         range_mm = np.sqrt(np.vecdot(xyz_mm, xyz_mm))[:, None]
         along = xyz_mm / range_mm
         for row, fault in struck.items():
             xyz_mm[row] += fault.offset_mm * along[row]
-        draws = np.array([self._noise.normal(_coarse(each), 6) for each in xyz_mm.tolist()])
+        noise = self._back if back else self._noise
+        draws = np.array([noise.normal(_coarse(each), 6) for each in xyz_mm.tolist()])
         draws, std_draws = draws[:, :3], draws[:, 3:]
         radial_mm, across_mm = self._sigma_mm(range_mm)
         radial = np.vecdot(draws, along)[:, None] * along
@@ -169,7 +185,7 @@ class TrackerTruth:
         M < N where one is out of range: the beam is lost there. Drift and air stand still.
         """
         at_mm = at_world_mm @ self._from_world[:3, :3].T + self._from_world[:3, 3]
-        xyz_mm = self._scale * at_mm + self._bump_mm + self._slow_drift_mm()
+        xyz_mm = self._sighted(self._scale * at_mm + self._bump_mm + self._slow_drift_mm())
         range_mm = np.linalg.norm(xyz_mm, axis=1)
         low_mm, high_mm = self._range_mm
         lost = np.flatnonzero(~((low_mm <= range_mm) & (range_mm <= high_mm)))
@@ -179,6 +195,11 @@ class TrackerTruth:
         noise_mm = radial_mm * radial + across_mm * (draws - radial)
         found: Array = (xyz_mm + noise_mm)[: lost[0] if len(lost) else None]
         return found
+
+    @property
+    def measured(self) -> int:
+        """Return how many measurements were made."""
+        return self._measured
 
     @property
     def warm_k(self) -> float:
@@ -211,7 +232,28 @@ class TrackerTruth:
         self._lifted_mm[name] = self._lifted_mm.get(name, 0.0) + lifted_mm
         self._warmer_k += number("tracker.warmer") or 0.0
         self._offset_mm += number("tracker.wrong_offset") or 0.0
+        for axis, fault in enumerate(AXES):
+            self._axes_rad[axis] += URAD * (number(fault) or 0.0)
+        if (turning := number("tracker.turning")) is not None:
+            self._turning_rad, self._turning_since = URAD * turning, self._measured
         return _Struck(self._offset_mm, noisy_mm, number("tracker.spike") or 0.0)
+
+    def _sighted(self, xyz_mm: Array, *, back: bool = False) -> Array:
+        """Return places (N, 3) as a tracker sees them that turns, and whose axes are a little off.
+
+        In the second face the axes' errors have the other sign.
+        """
+        x, y, z = xyz_mm.T
+        flat_mm, range_mm = np.hypot(x, y), np.sqrt(np.vecdot(xyz_mm, xyz_mm))
+        nought = np.zeros(len(xyz_mm))
+        around = np.stack([-y, x, nought], axis=1)
+        down = np.stack([x * z, y * z, -(flat_mm**2)], axis=1) / range_mm[:, None]
+        collimation, transit, index = -self._axes_rad if back else self._axes_rad
+        turned = self._turning_rad * (self._measured - self._turning_since) / 1000.0
+        across = (collimation * range_mm + transit * z) / flat_mm + turned
+        found: Array = xyz_mm + across[:, None] * around
+        found += (index * range_mm / flat_mm)[:, None] * down
+        return found
 
     def _sigma_mm(self, range_mm: Array) -> tuple[float, Array]:
         """Return the noise along the beam and, at ranges (N, 1), across it."""

@@ -83,6 +83,6 @@ class UrServer:
 def serve(site: Site, port: int) -> UrServer:
     """Return the robot of a simulated cell behind RTDE."""
     plant = site.plant
-    harms = Harms(plant.lose_zero, plant.slip_mount, plant.lose_motion)
+    harms = Harms(plant.lose_zero, plant.slip_mount, plant.lose_motion, plant.grow, plant.loosen)
     controller = UrController(site.cell, plant.robot, site.faults, site.time, harms)
     return UrServer(controller, site, port)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hilcell.calibration.budget import in_validation, temperature, touched
-from hilcell.calibration.errors import errors_of, targets
+from hilcell.calibration.errors import Errors, errors_of, targets
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import Bounds, Influence, NoBound, Uncertainty, bounds_of
 from hilcell.geometry.frames import inverse, matrix
@@ -95,6 +95,17 @@ def validated(calibration: Calibration, log: Log, station: str) -> Coverage | No
 
     Raises `NoBound`.
     """
+    found = validated_bounds(calibration, log, station)
+    return None if found is None else Coverage(found[0].norms_mm, found[1].radii_mm)
+
+
+def validated_bounds(
+    calibration: Calibration, log: Log, station: str
+) -> tuple[Errors, Bounds] | None:
+    """Return the errors of `validation_points` and the contributions to each; None without one.
+
+    Raises `NoBound`.
+    """
     points = validation_points(log, station)
     if not points:
         return None
@@ -103,8 +114,7 @@ def validated(calibration: Calibration, log: Log, station: str) -> Coverage | No
     in_base_mm = (found.nominal_mm - T_W_B[:3, 3]) @ T_W_B[:3, :3]
     lines = lines_in_validation(calibration, log, station, points)
     poses = driven_poses(calibration, log, points, in_base_mm)
-    bounds = _bounds(calibration, station, T_W_B @ poses, lines)
-    return Coverage(found.norms_mm, bounds.radii_mm)
+    return found, _bounds(calibration, station, T_W_B @ poses, lines)
 
 
 def lines_in_validation(

@@ -10,10 +10,12 @@ from msgspec import convert
 from msgspec.structs import replace
 
 from hilcell.calibration.base_circles import axis_6_height_mm, circle_of
+from hilcell.calibration.base_place import misplaced_base
 from hilcell.calibration.bounds import validated, validation_points
 from hilcell.calibration.budget import growth_since
 from hilcell.calibration.change import RISK, Change, Differences, changed, likeliest
 from hilcell.calibration.contribution import systematic_mm2
+from hilcell.calibration.drift import robot_drift
 from hilcell.calibration.errors import errors_of, visit_scatter
 from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.frame_covariance import (
@@ -25,6 +27,7 @@ from hilcell.calibration.frame_covariance import (
 from hilcell.calibration.influence import SIZE, NoBound, motion
 from hilcell.calibration.known_length import scale
 from hilcell.calibration.reversal import reversal
+from hilcell.calibration.scatter import scattered
 from hilcell.calibration.since import (
     FITTED,
     Parameter,
@@ -35,6 +38,8 @@ from hilcell.calibration.since import (
     noise_covariance,
 )
 from hilcell.calibration.suspicions import Suspicion
+from hilcell.calibration.tracker_drift import tracker_drift
+from hilcell.calibration.two_faces import instrument
 from hilcell.calibration.visit_noise import of_differences, visit_noise
 from hilcell.geometry.circles import base_frame_covariance, reading_covariance
 from hilcell.geometry.frames import apply, inverse, matrix, motion_levers
@@ -171,16 +176,12 @@ def suspicions_of(log: Log) -> list[Suspicion]:
     fit = log.judged.get("fit") if again is None else None
     of_validation = [] if fit is None else log.once(_of_targets, fit.seq, besides=NO_READINGS)
     mount = log.once(mount_offset, besides=NO_READINGS)
-    found = [
-        scale(log),
-        warm(log),
-        risen_nest(log),
-        since_before(log),
-        mount,
-        lost,
-        again,
-        *of_validation,
-    ]
+    of_robot = [each for each in (mount, lost, again, *of_validation) if each is not None]
+    # Slow and small changes show where nothing larger has changed, or nothing that has a name.
+    named = any(each.cause != "unknown" for each in of_robot)
+    slow = None if named else tracker_drift(log) or robot_drift(log) or scattered(log)
+    found = [scale(log), *instrument(log), warm(log), misplaced_base(log)]
+    found += [risen_nest(log), since_before(log), *of_robot, slow]
     return [each for each in found if each is not None]
 
 

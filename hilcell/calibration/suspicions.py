@@ -24,7 +24,8 @@ ZEROS = slice(18, 24)  # of the links' parameters: the joints' offsets
 
 Cause = Literal[
     "tracker moved", "mount slipped", "zero lost", "mount offset", "scale", "reversal",
-    "temperature", "strip", "nest moved", "changed since", "unknown",
+    "temperature", "strip", "nest moved", "changed since", "repeatability", "drift", "instrument",
+    "reflector", "base misplaced", "unknown",
 ]  # fmt: skip
 
 

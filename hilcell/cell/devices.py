@@ -33,6 +33,7 @@ from hilcell.ports import (
     Streams,
     Sweeps,
     Tracker,
+    TwoFaces,
 )
 
 BUILT_WITH = ("options", "clock")
@@ -158,6 +159,20 @@ def streams_of(tracker: Tracker) -> Streams:
     )
 
 
+def turning_over(tracker: Tracker) -> TwoFaces:
+    """Return a tracker that turns over; raises `DeviceRefused` where it does not."""
+    if isinstance(tracker, TwoFaces):
+        return tracker
+    raise DeviceRefused(
+        "HC-T43",
+        "Tracker",
+        "change face",
+        "this tracker turns over: no",
+        wanted="a driver with `measure_back`",
+        act="choose a procedure that measures in one face only",
+    )
+
+
 def sweeps_of(robot: Robot) -> Sweeps:
     """Return a robot that sweeps an axis slowly; raises `DeviceRefused` where it does not."""
     if isinstance(robot, Sweeps):
@@ -189,8 +204,10 @@ def tracker_class(cell: Cell) -> StatesAccuracy | None:
 
 def abilities(cell: Cell) -> dict[str, bool]:
     """Return the abilities of the cell's drivers beside those of every driver."""
+    tracker = load_entry("trackers", cell.tracker.driver)
     return {
-        "tracker_streams": issubclass(load_entry("trackers", cell.tracker.driver), Streams),
+        "tracker_streams": issubclass(tracker, Streams),
+        "tracker_turns_over": issubclass(tracker, TwoFaces),
         "robot_sweeps": issubclass(load_entry("robots", cell.robot.driver), Sweeps),
     }
 

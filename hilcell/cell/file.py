@@ -600,7 +600,11 @@ class Cell(Frozen, frozen=True, kw_only=True):
         for table, keys in PACE.items():
             for key in keys:
                 values[table].pop(key)
-        for key in ("reflectors", "max_tool_std_mm"):  # how it is measured and judged
+        for key in (
+            "reflectors",
+            "max_tool_std_mm",
+            "base_tolerance_mm",
+        ):  # how it is measured and judged
             values["layout"].pop(key)
         return hashlib.sha256(msgspec.json.encode(values, order="sorted")).hexdigest()
 

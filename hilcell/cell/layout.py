@@ -59,6 +59,7 @@ class Layout(Frozen, frozen=True, kw_only=True):
     bar: list[Nest] = field(default_factory=list)
     length: list[KnownLength] = field(default_factory=list)
     nest_tolerance_mm: Size = 5.0
+    base_tolerance_mm: Size = 10.0
     nest_samples: Count = 10
     max_tool_std_mm: Size = 0.1
     reflectors: Literal["mounted", "by_hand"] = "mounted"

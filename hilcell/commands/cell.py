@@ -22,6 +22,7 @@ from hilcell.cell.devices import (
 from hilcell.cell.file import Cell, load_cell, located, stated_drivers
 from hilcell.cell.lines import by_line
 from hilcell.cell.settings import SettingsError
+from hilcell.cell.unseen import unseen
 from hilcell.commands.output import (
     flush_data,
     print_answer,
@@ -132,7 +133,9 @@ def check(args: argparse.Namespace) -> int:
     procedure: Procedure = load_entry("procedures", "calibrate")
     plan = procedure.plan(cell, seed=1)
     able = abilities(cell)
+    turned = able["tracker_turns_over"] and not (cell.plan.quick or cell.layout.by_hand)
     notes = list(plan.notes)
+    hidden = unseen(cell, turns_over=turned)
     if cell.simulation is None and not cell.pauses_at_first_pass:
         notes.append("robot.first_pass_pause is false: no run pauses before the arm's first pass")
     facts: dict[str, Any] = able | {
@@ -144,6 +147,7 @@ def check(args: argparse.Namespace) -> int:
         "duration_s": plan.duration_s,
         "notes": notes,
         "warnings": plan.warnings,
+        "unseen": hidden,
         "ok": True,
     }
     words = (
@@ -154,7 +158,8 @@ def check(args: argparse.Namespace) -> int:
         f"the arm keeps clear of: {', '.join(facts['keep_out']) or 'nothing that is stated'}"
     )
     warnings = [f"warning: {each}" for each in plan.warnings]
-    print_answer(facts, "\n".join([words, *notes, *warnings]), as_json=args.json)
+    limits = [f"no run shows: {each}" for each in hidden]
+    print_answer(facts, "\n".join([words, *notes, *warnings, *limits]), as_json=args.json)
     return 0
 
 

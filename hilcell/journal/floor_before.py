@@ -9,6 +9,9 @@ from hilcell.journal.index import read_index
 from hilcell.journal.log import FloorBefore, FrameBefore, Log
 from hilcell.journal.runs import read_log
 from hilcell.journal.standing import current_of
+from hilcell.ports import DeviceError
+
+FLOOR_NESTS = 3  # that span {W}, the first ones
 
 
 def floor_before(runs: Path, cell: Cell, machine_seed: int | None) -> FloorBefore | None:
@@ -19,7 +22,11 @@ def floor_before(runs: Path, cell: Cell, machine_seed: int | None) -> FloorBefor
     name = current_of(
         read_index(runs), cell.name, cell.serial, cell.simulation is not None, machine_seed
     )
-    return measured_before(name, read_log(runs / name), cell) if name else None
+    if not name:
+        return None
+    log = read_log(runs / name)
+    _refuse_other_order(name, log.cell, cell)
+    return measured_before(name, log, cell)
 
 
 def measured_before(name: str, log: Log, cell: Cell) -> FloorBefore | None:
@@ -36,6 +43,32 @@ def measured_before(name: str, log: Log, cell: Cell) -> FloorBefore | None:
         _base_before(log, cell),
         then.robot == cell.robot and then.base_frame == cell.base_frame,
         _stations_before(log, cell),
+    )
+
+
+def _refuse_other_order(run: str, then: Cell, now: Cell) -> None:
+    """Refuse the same places under other names, or in an order that spans {W} by other nests.
+
+    Distances of nests do not show it, and {W} lies elsewhere, by as much as nests are beside their
+    places.
+    """
+    before, after = then.layout.floor, now.layout.floor
+    places = [
+        sorted((nest.x_mm, nest.y_mm, nest.z_mm) for nest in nests) for nests in (before, after)
+    ]
+    named = [{nest.name: nest for nest in nests} for nests in (before, after)]
+    spans = [nests[:FLOOR_NESTS] for nests in (before, after)]
+    if places[0] != places[1] or (named[0] == named[1] and spans[0] == spans[1]):
+        return
+    wanted, found = (", ".join(nest.name for nest in nests) for nests in spans)
+    raise DeviceError(
+        "HC-T32",
+        "Tracker",
+        "world frame",
+        f"the cell file spans {{W}} by {found}, at places that had other names or another order",
+        wanted=f"{wanted}, each at its place, as in run {run}",
+        act="put names and order of layout.floor back, or revoke that run's calibration",
+        fields={"run": run, "nests": [nest.name for nest in spans[1]]},
     )
 
 

@@ -39,6 +39,8 @@ _VERDICTS = {
     "touch": "touch poses",
     "revisits": "revisited poses",
     "revisits.closing": "closing visits",
+    "two-face": "both faces of the tracker",
+    "two-face.closing": "both faces of the tracker, at the end",
 }
 
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import msgspec
 
 HELD, LENGTH = "held", "length"  # kinds of points that prove a hold, and the tracker's scale
-CHECKS = (HELD, LENGTH)  # of which nothing is built
+BACK = "back"  # kind of a nest that was seen in the tracker's second face
+REFLECTOR = "reflector"  # kind of a reflector that was carried to the first floor nest
+CHECKS = (HELD, LENGTH, BACK, REFLECTOR)  # of which nothing is built
 SEAT = "seat"  # begins the last part of a key of another reflector than the tool point
 SIDES = {1: "+", -1: "-"}  # of an approach, in a key
 CONTROL = "control"  # group of points that no plan counts
 _GROUPS = {  # not named by their fields
     "slide": "frames", "three": "three_points", "base": "base", HELD: CONTROL, LENGTH: CONTROL,
-    "revisit": "revisit",
+    BACK: CONTROL, REFLECTOR: CONTROL, "revisit": "revisit",
 }  # fmt: skip
 
 

@@ -22,6 +22,9 @@ _STEPS = {
     "validate": "Validation",
     "paper-rows": "Paper's rows",
     "closing": "Closing visits",
+    "two-face": "Tracker in both faces",
+    "reflectors": "Reflectors compared",
+    "two-face-closing": "Tracker in both faces, at the end",
     "iso9283": "ISO 9283 test",
 }
 _WITHOUT_RAIL = {"home": "Park the robot"}
@@ -39,6 +42,8 @@ KINDS = {
     "world": Kind("floor nest", "nest", "floor nests"),
     "control": Kind("check of floor nest", "check", "checks of the floor nests"),
     "length": Kind("scale: nest", "scale", "nests of certified lengths"),
+    "back": Kind("second face: nest", "back", "nests in the second face"),
+    "reflector": Kind("compared: reflector of", "compare", "reflectors in the same nest"),
     "held": Kind("proof of the hold: nest", "held", "proofs of the hold"),
     "slide": Kind("slide nest", "nest", "slide nests"),
     "three": Kind("slide nest", "nest", "slide nests, one reading"),
@@ -67,7 +72,7 @@ KINDS = {
 SIDES = {"one_side": "from one side", "random": "from random sides"}
 HOLDS = {"plain": "drive alone", "strip": "by the strip"}
 _DETAILS = WAYS | SIDES | HOLDS  # of `PointId.how` and `PointId.way`
-NEST_KINDS = ("world", "control", "length", "held", "slide", "three")
+NEST_KINDS = ("world", "control", "length", "back", "reflector", "held", "slide", "three")
 OTHERS = "others"  # stations that are judged together
 
 

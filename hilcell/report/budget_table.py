@@ -6,7 +6,7 @@ They are two measurands: each has its own lines and its own sum, and a share is 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 
@@ -74,8 +74,12 @@ ROWS: tuple[Column[Row], ...] = (
 )
 
 
-def budget_sheet(budget: Budget | None, targets: TargetBudget) -> Sheet | None:
-    """Return the table, nothing where the run allows neither budget."""
+def budget_sheet(
+    budget: Budget | None, targets: TargetBudget, hidden: Sequence[str] = ()
+) -> Sheet | None:
+    """Return the table, nothing where the run allows neither budget; ``hidden`` are errors that no
+    line has in it, in words.
+    """
     rows = [] if budget is None else [*error_rows(budget), _error_sum(budget)]
     notes = [NOTE]
     if not targets.missing:
@@ -86,6 +90,7 @@ def budget_sheet(budget: Budget | None, targets: TargetBudget) -> Sheet | None:
             "over the volume, at any temperature that “Valid for” allows; an estimate of several "
             f"limits is the half-width that gives the same u. {_freedom(bounds)}"
         )
+    notes += [f"In no line, because no run shows it: {each}." for each in hidden]
     return sheet(TITLE, ROWS, rows, " ".join(notes))
 
 

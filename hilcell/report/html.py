@@ -14,7 +14,9 @@ import numpy as np
 from hilcell import __version__
 from hilcell.calibration.errors import places, validation
 from hilcell.calibration.measurement_budget import Budget, budget_of
+from hilcell.calibration.two_faces import VERDICTS
 from hilcell.cell.file import Cell, Station
+from hilcell.cell.unseen import unseen
 from hilcell.geometry.frames import apply
 from hilcell.journal.calibration_facts import run_outcome
 from hilcell.journal.curve_record import URAD, CurveRecord
@@ -225,7 +227,7 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
             empty=not present(own, tables.accuracy(facts), verdicts(facts)),
             curve_sheet=curves(facts),
             paper_sheet=tables.paper_rows(facts),
-            budget_sheet=budget_sheet(budget, targets),
+            budget_sheet=budget_sheet(budget, targets, _hidden(facts, targets)),
             bounds_sheet=bounds_sheet(targets),
             sums=(ERROR_SUM, TARGET_SUM),
             models=models(facts),
@@ -255,6 +257,13 @@ def _stations_title(drawn: Mapping[str, object], own: Sheet | None, found: Seque
     }
     named["frames"] &= not named["stations"]
     return ", ".join(name for name, there in named.items() if there).capitalize()
+
+
+def _hidden(facts: Facts, targets: TargetBudget) -> list[str]:
+    """Return the errors of corrected targets that the run could not see."""
+    return (
+        [] if targets.missing else unseen(facts.cell, turns_over=VERDICTS[0] in facts.log.verdicts)
+    )
 
 
 def _first_page(facts: Facts, budget: Budget | None, targets: TargetBudget) -> dict[str, object]:

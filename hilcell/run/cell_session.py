@@ -265,6 +265,32 @@ class CellSession(RunContext):
         )
         return self._measuring.keep(id, "", reading)
 
+    def back_point(self, id: PointId, nest: Nest, samples: int) -> Point:
+        """Measure a nest on the floor in the tracker's second face."""
+        if known := self.log.find(id):
+            return known
+        self.checkpoint()
+        reading = self._measuring.measure_in_world(
+            id.key, nest.name, nest.xyz_mm, samples, on_floor=True, back=True
+        )
+        return self._measuring.keep(id, "", reading)
+
+    def borrowed_point(self, id: PointId, place: str, nest: Nest) -> Point:
+        """Measure the reflector of ``place`` in a floor nest, once it was carried there."""
+        if known := self.log.find(id):
+            return known
+        self.checkpoint()
+        self._operator.borrow(place, nest)
+        reading = self._measuring.measure_in_world(
+            id.key, nest.name, nest.xyz_mm, self.cell.nest_samples, on_floor=True
+        )
+        return self._measuring.keep(id, "", reading)
+
+    def restored(self, nest: Nest) -> None:
+        """Have every borrowed reflector put back where it belongs."""
+        self.checkpoint()
+        self._operator.borrow(nest.name, nest)
+
     def slide_point(self, id: PointId, station: Station, nest: Nest, *, samples: int) -> Point:
         """Measure a nest on the slide while ``station`` is held."""
         if known := self.log.find(id):

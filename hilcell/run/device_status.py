@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from hilcell.cell.devices import Devices, streams_of, sweeps_of
+from hilcell.cell.devices import Devices, streams_of, sweeps_of, turning_over
 from hilcell.errors import DriverDefect, HilcellError, with_place
 from hilcell.ports import (
     Array,
@@ -285,7 +285,7 @@ class WatchedRobot:
 
 
 class WatchedTracker:
-    """Satisfies `hilcell.ports.Tracker`, and `hilcell.ports.Streams` where its tracker does."""
+    """Satisfies `hilcell.ports.Tracker`, and `Streams` and `TwoFaces` where its tracker does."""
 
     def __init__(self, tracker: Tracker, monitor: CellMonitor) -> None:
         self._tracker, self._monitor = tracker, monitor
@@ -299,6 +299,13 @@ class WatchedTracker:
         """Measure; only the beam moves."""
         with self._monitor.tracker.call():
             return self._monitor.take_tracker(self._tracker.measure(near_mm, reflector, samples))
+
+    def measure_back(self, near_mm: Array, reflector: str, samples: int) -> TrackerReading:
+        """Measure in the second face; raises `DeviceRefused` where the tracker does not."""
+        turning = turning_over(self._tracker)
+        with self._monitor.tracker.call():
+            found = turning.measure_back(near_mm, reflector, samples)
+            return self._monitor.take_tracker(found)
 
     @contextmanager
     def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> Iterator[Stream]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hilcell.calibration.controller_pose import check_pose
+from hilcell.cell.devices import turning_over
 from hilcell.journal.log import Point, Readings, ReadingTime
 from hilcell.journal.point_id import PointId
 from hilcell.ports import (
@@ -50,21 +51,30 @@ class Measuring:
         limit_mm: float | None = None,
         *,
         on_floor: bool = False,
+        back: bool = False,
     ) -> TrackerReading:
         """Measure the reflector at ``place``, expected at (3,) in {W}; see `measure`.
 
         Raises `DeviceError` where it is further away than ``limit_mm``, once {B} was measured.
         """
         near_mm = self._run.frames.tracker_from_world(expected_mm)[0]
-        reading = self.measure(key, place, near_mm, samples, on_floor=on_floor)
+        reading = self.measure(key, place, near_mm, samples, on_floor=on_floor, back=back)
         if limit_mm is not None and self._run.frames.based():
             self._check_expected(key, reading, expected_mm, limit_mm)
         return reading
 
     def measure(
-        self, key: str, place: str, near_mm: Array, samples: int, *, on_floor: bool = False
+        self,
+        key: str,
+        place: str,
+        near_mm: Array,
+        samples: int,
+        *,
+        on_floor: bool = False,
+        back: bool = False,
     ) -> TrackerReading:
-        """Measure the reflector at ``place``, expected at (3,), tracker's frame.
+        """Measure the reflector at ``place``, expected at (3,), tracker's frame; in the second face
+        of a tracker that turns over where ``back``.
 
         Tries again, then asks the operator, until there is a good reading. After a question the
         tracker comes first, but for a nest ``on_floor``: those are what proves it.
@@ -72,7 +82,7 @@ class Measuring:
         while True:
             for tries in range(1, MEASURE_TRIES + 1):
                 try:
-                    return self._reading(key, near_mm, samples)
+                    return self._reading(key, near_mm, samples, back=back)
                 except NoReading as error:
                     failed, cause = error, error.of_point(key)
                     facts = {"reason": str(error), "error": cause.facts()}
@@ -83,10 +93,14 @@ class Measuring:
             if not on_floor:
                 self._prove()
 
-    def _reading(self, key: str, near_mm: Array, samples: int) -> TrackerReading:
+    def _reading(
+        self, key: str, near_mm: Array, samples: int, *, back: bool = False
+    ) -> TrackerReading:
         """Return one measurement; raises `NoReading`."""
+        tracker = self._run.devices.tracker
+        take = turning_over(tracker).measure_back if back else tracker.measure
         reflector, began_s = self._run.cell.tracker.reflector, self._run.clock.pc_s()
-        reading = self._run.devices.tracker.measure(near_mm, reflector, samples)
+        reading = take(near_mm, reflector, samples)
         _check_fresh(key, reading, began_s)
         return reading
 

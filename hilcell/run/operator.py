@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from hilcell.cell.layout import Nest
 from hilcell.geometry.frames import inverse
 from hilcell.ports import Array
 from hilcell.run.interlocks import check_held
 from hilcell.run.measuring import Ask, Measuring
 from hilcell.run.motion import Motion
-from hilcell.run.prompts import FLANGE, seat_prompt
+from hilcell.run.prompts import FLANGE, borrow_prompt, seat_prompt
 from hilcell.run.run_context import RunContext
 
 FLANGE_TOLERANCE_MM = 20.0  # of a seat, by the nominal arm
@@ -35,6 +36,13 @@ class Operator:
         prompt = seat_prompt(self._run.cell, place, self._run.log.seated, near_mm, limit_mm)
         seen = self._ask(prompt, lambda: self._measuring.look(f"look at {place}", near_mm), None)
         self._run.event("seated", place=place, xyz_mm=seen.xyz_mm, strip_mm=rail.strip_mm)
+
+    def borrow(self, place: str, nest: Nest) -> None:
+        """Have the reflector of ``place`` carried to ``nest``; the robot is parked."""
+        self._motion.park_robot()
+        near_mm = self._run.frames.tracker_from_world(nest.xyz_mm)[0]
+        prompt = borrow_prompt(self._run.cell, place, nest.name, near_mm)
+        self._ask(prompt, lambda: self._measuring.look(f"look at {nest.name}", near_mm), None)
 
     def _expected(self, place: str, nominal_mm: Array, strip_mm: float) -> tuple[Array, float]:
         """Return where a seated reflector (3,) will be, tracker's frame, and within which distance.

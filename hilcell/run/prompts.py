@@ -166,6 +166,7 @@ def unanswered(prompt: Prompt, cause: NoReading | None) -> DeviceError:
 
 
 FLANGE = "flange"
+OTHER_BALL_MM = 20.0  # a ball of another size has its centre elsewhere in the same nest
 
 
 def where(cell: Cell, place: str) -> str:
@@ -196,6 +197,25 @@ def seat_prompt(cell: Cell, place: str, at: str, expected_mm: Array, limit_mm: f
         expected_mm=(x, y, z),
         limit_mm=limit_mm,
         reason=f"{place} is to be measured, the reflector is {at or 'nowhere'}",
+    )
+
+
+def borrow_prompt(cell: Cell, place: str, nest: str, expected_mm: Array) -> Prompt:
+    """Return what is asked before the reflector of ``place`` is measured in a floor nest; of the
+    nest's own ``place``, before it is measured there again.
+    """
+    x, y, z = (round(float(value), 3) for value in expected_mm)
+    into = where(cell, nest)
+    text = f"Take out the reflector of {into}, and seat in it that of {where(cell, place)}."
+    if place == nest:
+        text = f"Put every reflector back where it belongs, its own into {into}."
+    return Prompt(
+        title=f"Seat the reflector of {place} in {nest}",
+        text=f"{text} Clean nest and ball. The robot rests at its safe pose.",
+        place=nest,
+        expected_mm=(x, y, z),
+        limit_mm=OTHER_BALL_MM,
+        reason=f"the reflector of {place} is to be measured in {nest}",
     )
 
 

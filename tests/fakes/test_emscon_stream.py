@@ -119,7 +119,7 @@ def test_a_packet_may_wait_for_the_next(tracker: Streaming) -> None:
     assert len(tracker.stop()[0]) == 9 + 1
 
 
-SAMPLES_MM = [[4310.026863, 734.159453, 741.175222], [4213.506950, 909.945631, 435.285745]]
+SAMPLES_MM = [[4310.028578, 734.154198, 741.170459], [4213.508629, 909.940104, 435.281048]]
 
 
 @pytest.mark.parametrize("leaps_s", [[0.01] * 60, [0.157, 0.001, 0.442], [0.6]])

@@ -279,3 +279,26 @@ def test_a_robot_on_the_floor_stands_and_is_bolted_askew() -> None:
     assert {FLANGE, "F1", "B1"} <= plant.reflectors_in_world().keys()
     askew_mm = np.linalg.norm((plant.base_in_world() - cell.layout.nominal_base(0.0))[:3, 3])
     assert 0.1 < askew_mm < 10.0
+
+
+def test_an_arm_grows_with_the_measurements(cell: Cell) -> None:
+    plant = plant_of(cell)
+    go(plant, POSES[0])
+    before = plant.places_in_world()[FLANGE]
+    plant.grow(1000.0)
+    assert plant.tracker.measurements("F1", 1000) is not None
+    grown_mm = np.linalg.norm(plant.places_in_world()[FLANGE] - before)
+    assert 1.5 < grown_mm < 3.5  # a thousandth of its reach
+
+
+def test_a_brake_slips_at_each_stop(cell: Cell) -> None:
+    plant = plant_of(cell)
+    plant.loosen(2, 0.01 * DEG)
+    landed = []
+    for _ in range(20):
+        go(plant, POSES[1])
+        go(plant, POSES[0])
+        landed.append(plant.robot.state().landing_rad)
+    scatter = np.std(landed, axis=0)
+    assert scatter[1] == pytest.approx(0.01 * DEG, rel=0.5)
+    assert scatter[2] < 0.2 * scatter[1]

@@ -132,7 +132,8 @@ def test_a_network_of_can_has_no_syntax_of_a_serial_line() -> None:
 
 
 def test_what_the_drivers_can_is_known_before_anything_is_opened() -> None:
-    assert abilities(load_cell("paper")) == {"tracker_streams": True, "robot_sweeps": True}
+    able = {"tracker_streams": True, "tracker_turns_over": True, "robot_sweeps": True}
+    assert abilities(load_cell("paper")) == able
 
 
 def test_a_simulated_cell_need_not_say_where_its_devices_are() -> None:

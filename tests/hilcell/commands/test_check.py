@@ -80,7 +80,8 @@ def test_a_file_that_is_no_text_of_a_cell_is_refused(
 def test_steps_that_do_nothing_are_named_with_their_cost() -> None:
     words = ("check", "paper", "--set", "tracker.driver=leica-geocom")
     done = command(*words, "--json")
-    (note,) = json.loads(done.stdout)["notes"]
+    (_, note, _) = notes = json.loads(done.stdout)["notes"]
+    assert [each.split()[0] for each in notes] == ["two-face", "axis-sweeps", "two-face-closing"]
     assert done.returncode == 0
     assert note.startswith("axis-sweeps ")
     assert note in command(*words).stderr.splitlines()

@@ -1,0 +1,232 @@
+"""A robot that changes slowly while it is calibrated: an arm that grows with its warm motors, say.
+
+No pose differs by more than visits do, and the closing re-visits lie within what the strip and the
+tracker may do. But all poses of a run, taken less what the calibration's own model expects, in the
+order of their records, show a slope. Each cause of a changed robot is fitted linear in the run's
+progress, beside what else moves poses: a shift and turn of {B} at each hold of the slide, as far as
+strip, station frame and tracker allow; the arm's growth with the room, from none to the most that
+is stated; and smooth errors of the model. A slope counts where chance does not explain it, and
+where over the run it moves the poses by more than one visit scatters.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+
+from hilcell.calibration.change import PENALTY
+from hilcell.calibration.errors import visit_scatter
+from hilcell.calibration.file import learnt_so_far
+from hilcell.calibration.form import Calibration
+from hilcell.calibration.frame_covariance import base_covariance, hold_covariance, world_covariance
+from hilcell.calibration.influence import no_less_than_nought
+from hilcell.calibration.suspicions import Pattern, Suspicion, patterns
+from hilcell.calibration.visit_noise import visit_noise
+from hilcell.geometry.frames import apply, inverse, motion_levers
+from hilcell.geometry.kinematics import Arm, forward
+from hilcell.geometry.statistics import f_quantile, rectangular_variance, rms
+from hilcell.journal.log import NO_READINGS, Log, Point, commanded_rad, positions_mm
+from hilcell.ports import Array, HilcellError
+
+# Kinds of points. Visits of three places alone are left out: the model's errors there are no noise.
+KINDS = ("grid", "revisit", "touch", "validate", "closing")
+NOTICED_BY = "all poses of the run, in their order"
+LEAST_POSES = 30
+RISK = 0.01  # of a slope by chance; that it must matter as well leaves far less
+MODEL_MM = 0.05  # root mean square over the poses
+MOTION = 6  # of {B} at a hold: shift, rotation vector
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """N poses of a run in their order, in {B}: their offsets (N, 3) from the model and covariances
+    (N, 3, 3), joints (N, 6), the share (N,) of the run that was over, how much warmer the room was
+    (N,), the number (N,) of the hold.
+
+    ``holds`` (H, 6, 6) are the covariances of {B} at each hold, ``growth_per_k`` the arm's most,
+    ``freedom`` that of the scatter's estimate, ``floor_mm`` the scatter of one visit.
+    """
+
+    off_mm: Array
+    covariance_mm2: Array
+    joints_rad: Array
+    share: Array
+    warm_k: Array
+    hold: Array
+    holds: Array
+    growth_per_k: float
+    freedom: float
+    floor_mm: float
+
+
+def robot_drift(log: Log) -> Suspicion | None:
+    """Return the cause that changes the robot slowly, if one does."""
+    return log.once(_robot_drift, besides=NO_READINGS)
+
+
+def _robot_drift(log: Log) -> Suspicion | None:
+    series = series_of(log)
+    return None if series is None else slope_of(series, log.cell.robot.arm())
+
+
+def slope_of(series: Series, arm: Arm) -> Suspicion | None:
+    """Return the cause whose slope explains most, if chance does not and it matters."""
+    causes = patterns(arm, series.joints_rad)
+    whitening = np.linalg.inv(np.linalg.cholesky(series.covariance_mm2))
+    white = (whitening @ series.off_mm[:, :, None]).ravel()
+    moves, known = _nuisances(series, arm)
+    left = _of_model(forward(arm, series.joints_rad)[:, :3, 3], causes)
+    B = _whitened(whitening, np.dstack([moves, left]))
+    prior = np.eye(B.shape[1])
+    prior[: len(known), : len(known)] = known
+    kept = np.linalg.solve(np.eye(len(prior)) + prior @ B.T @ B, prior)
+    found = []
+    for cause in causes:
+        moved = cause.columns.reshape(len(series.share), 3, -1) * series.share[:, None, None]
+        D = _whitened(whitening, moved)
+        across = B.T @ D
+        information = D.T @ D - across.T @ kept @ across
+        pull = D.T @ white - across.T @ kept @ (B.T @ white)
+        slopes = np.array(np.linalg.solve(information, pull), dtype=float)
+        explained, count = float(pull @ slopes), len(slopes)
+        limit = f_quantile(1.0 - RISK / len(causes), count, series.freedom)
+        moved_mm = rms(np.linalg.norm((cause.columns @ slopes).reshape(-1, 3), axis=1))
+        if explained > count * limit and moved_mm > series.floor_mm:
+            found.append((explained - PENALTY * count, _named(cause, slopes)))
+    return max(found, key=lambda each: each[0])[1] if found else None
+
+
+def _named(cause: Pattern, slopes: Array) -> Suspicion:
+    size = float(slopes[0]) if len(slopes) == 1 else float(np.linalg.norm(slopes))
+    unit = f"{cause.unit} over the run, as of {cause.cause}"
+    return Suspicion("drift", cause.factor * size, unit, NOTICED_BY)
+
+
+def _whitened(whitening: Array, columns: Array) -> Array:
+    found: Array = (whitening @ columns).reshape(-1, columns.shape[-1])
+    return found
+
+
+def _nuisances(series: Series, arm: Arm) -> tuple[Array, Array]:
+    """Return what else moves the poses, columns (N, 3, K), and its covariance (K, K)."""
+    at_mm = forward(arm, series.joints_rad)[:, :3, 3]
+    J, count = motion_levers(at_mm), len(series.holds)
+    columns = np.zeros((len(at_mm), 3, MOTION * count + 1))
+    prior = np.zeros((columns.shape[2], columns.shape[2]))
+    for number, covariance in enumerate(series.holds):
+        own = slice(MOTION * number, MOTION * (number + 1))
+        columns[:, :, own] = J[:, :, :MOTION] * (series.hold == number)[:, None, None]
+        prior[own, own] = covariance
+    columns[:, :, -1] = J[:, :, MOTION] * series.warm_k[:, None]
+    prior[-1, -1] = rectangular_variance(series.growth_per_k)
+    return columns, prior
+
+
+def _of_model(at_mm: Array, causes: list[Pattern]) -> Array:
+    """Return smooth errors that the model may have left, columns (N, 3, K) of `MODEL_MM` each: the
+    causes' own patterns, alike everywhere, and growing along x and along z.
+
+    Poses are visited in an order, so that such an error would look like a slope.
+    """
+    alike = np.dstack([cause.columns.reshape(len(at_mm), 3, -1) for cause in causes])
+    along = (at_mm - at_mm.mean(axis=0))[:, None, [0, 2]] / np.ptp(at_mm, axis=0).max()
+    found = np.dstack([alike, alike * along[:, :, :1], alike * along[:, :, 1:]])
+    sizes = np.sqrt(np.square(found).sum(axis=1).mean(axis=0))
+    columns: Array = MODEL_MM * found / sizes
+    return columns
+
+
+def series_of(log: Log) -> Series | None:
+    """Return the poses of a run; None where no model was fitted, or too few were measured."""
+    calibration = learnt_so_far(log)
+    if calibration is None or calibration.uncertainty.missing:
+        return None
+    placed = sorted((p for p in log.points.values() if p.station), key=log.recorded)
+    runs = groupby(placed, key=lambda point: (point.station, point.set_up))
+    holds = [[p for p in points if _counts(p)] for _, points in runs]
+    holds = [points for points in holds if points]
+    points = [point for hold in holds for point in hold]
+    if len(points) < LEAST_POSES:
+        return None
+    try:
+        repeats = Counter(map(_place, points))
+        rows = [_hold(log, calibration, hold, repeats) for hold in holds]
+    except HilcellError:  # a model that knows nothing of a pose beside its grid
+        return None
+    off_mm, covariance_mm2, priors = zip(*rows, strict=True)
+    seen = np.array([log.recorded(point) for point in points], dtype=float)
+    share = (seen - seen[0]) / (seen[-1] - seen[0])
+    scatter_mm2, visits, places = visit_scatter(log, np.eye(3))
+    stated = log.cell.uncertainty
+    return Series(
+        np.concatenate(off_mm),
+        np.concatenate(covariance_mm2),
+        commanded_rad(points),
+        share,
+        _warmer_k(points, share * stated.air_range_k),
+        np.repeat(np.arange(len(holds), dtype=float), [len(hold) for hold in holds]),
+        np.array(priors),
+        stated.arm_growth_um_m_k * 1e-6,
+        3.0 * (visits - places),
+        float(np.sqrt(np.trace(scatter_mm2))),
+    )
+
+
+def _warmer_k(points: list[Point], unknown_k: Array) -> Array:
+    """Return how much warmer (N,) the room was than at the first; without a weather station it may
+    have become warmer all the time.
+    """
+    celsius = [p.temperature_c for p in points if p.temperature_c is not None]
+    return unknown_k if len(celsius) < len(points) else np.array(celsius) - celsius[0]
+
+
+def _counts(point: Point) -> bool:
+    """Whether a point is the tool point's at a pose that came from below."""
+    own = point.id.kind in KINDS and point.id.seat is None and not point.id.side
+    return own and not point.id.axis and point.commanded_deg is not None
+
+
+def _place(point: Point) -> tuple[Any, ...]:
+    """Return what poses have in common that are sent to one place, where the model errs alike."""
+    id = point.id
+    return ("vertex", id.vertex) if id.vertex else (id.kind, id.station, id.number)
+
+
+def _hold(
+    log: Log,
+    calibration: Calibration,
+    points: list[Point],
+    repeats: Mapping[tuple[Any, ...], int],
+) -> tuple[Array, Array, Array]:
+    """Return what the poses of a hold were off (N, 3) in {B}, the covariances (N, 3, 3), and the
+    covariance (6, 6) of {B} there.
+    """
+    station = log.cell.station_named(points[0].station)
+    T_W_B = np.array(calibration.stations[station.name].T_W_B)
+    T_B_L = inverse(T_W_B) @ log.matrix("world")
+    poses = forward(log.cell.robot.arm(), commanded_rad(points))
+    found = calibration.error_model().predict(poses)
+    off_mm = apply(T_B_L, positions_mm(points)) - poses[:, :3, 3] - found.error_mm
+    R = T_B_L[:3, :3]
+    noise_mm2 = visit_noise(log).covariances(points, R)
+    model_mm2 = no_less_than_nought(found.covariance_mm2 - R @ visit_noise(log).robot_mm2 @ R.T)
+    shared = np.array([repeats[_place(point)] for point in points], dtype=float)
+    covariance_mm2 = noise_mm2 + shared[:, None, None] * model_mm2
+    return off_mm, covariance_mm2, _placed(log, T_W_B, points[0])
+
+
+def _placed(log: Log, T_W_B: Array, point: Point) -> Array:
+    """Return how well {B} is known at a hold, (6, 6) in {B}: strip, station frame, tracker."""
+    cell, at_mm = log.cell, T_W_B[:3, 3]
+    drift_mm2 = rectangular_variance(cell.uncertainty.drift_limit_mm)
+    found = base_covariance(log, cell.station_named(point.station))
+    found[:3, :3] += hold_covariance(cell)
+    found += world_covariance(log, at_mm, drift_mm2) * (2.0 if point.set_up else 1.0)
+    turn = np.kron(np.eye(2), T_W_B[:3, :3].T)
+    placed: Array = turn @ found @ turn.T
+    return placed

@@ -1,0 +1,72 @@
+"""Errors that no run of a cell can see, each with its size: for `check` and for the report."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hilcell.cell.file import Cell
+from hilcell.geometry.frames import apply
+from hilcell.geometry.kinematics import Array
+
+SCALE_PPM = 100.0  # of a weather station that lies, by 10 K or 30 hPa about each
+ACROSS_DEG = 30.0  # between lengths of two directions
+SEATING_MM, SEATED_MM = 0.03, 0.07  # dirt in each nest, and how far it moves targets
+
+
+def unseen(cell: Cell, *, turns_over: bool) -> list[str]:
+    """Return in words what no comparison of the cell's runs shows.
+
+    ``turns_over``: the tracker sees nests in both of its faces.
+    """
+    found = []
+    if not cell.layout.length:
+        found.append(
+            "no certified length (layout.length): a wrong scale of the tracker is not seen; "
+            f"{SCALE_PPM:g} ppm move targets by {_scaled_mm(cell):.2f} mm"
+        )
+    elif not _two_directions(cell):
+        found.append(
+            "the certified lengths lie along one direction: a scale that differs across it is "
+            "not seen; a second one (layout.length) at right angles shows it"
+        )
+    if not turns_over:
+        found.append(
+            "the tracker is not turned over: a collimation, transit axis or index that is off is "
+            f"not seen; 50 µrad move targets by up to {50e-6 * _range_mm(cell):.2f} mm"
+        )
+    found.append(
+        "a reflector that differs from the others in its own place: a prism 0.15 mm long on the "
+        "flange moves targets by 0.15 mm; compare them once (hilcell run reflectors, attended), "
+        "and whenever one is new"
+    )
+    found.append(
+        f"reflectors that are not seated well: dirt of {SEATING_MM:g} mm in each floor nest moves "
+        f"targets by {SEATED_MM:g} mm, and nothing shows it; clean nests and reflectors"
+    )
+    return found
+
+
+def _centre_mm(cell: Cell) -> Array:
+    """Return the cube's centre (3,) in {W} at the grid's station."""
+    T_W_B = cell.layout.nominal_base(cell.station_named(cell.grid.station).rail_mm)
+    found: Array = apply(T_W_B, cell.grid.centre.matrix()[None, :3, 3])[0]
+    return found
+
+
+def _scaled_mm(cell: Cell) -> float:
+    """Return by how much a wrong scale moves the cube's centre against the nest that is the origin
+    of {W}.
+    """
+    lever_mm = np.linalg.norm(_centre_mm(cell) - cell.layout.floor[0].xyz_mm)
+    return float(1e-6 * SCALE_PPM * lever_mm)
+
+
+def _range_mm(cell: Cell) -> float:
+    return float(np.linalg.norm(_centre_mm(cell) - cell.tracker.pose.matrix()[:3, 3]))
+
+
+def _two_directions(cell: Cell) -> bool:
+    at_mm = {nest.name: nest.xyz_mm for nest in cell.layout.standing}
+    ways = [at_mm[each.nests[1]] - at_mm[each.nests[0]] for each in cell.layout.length]
+    units = np.array([way / np.linalg.norm(way) for way in ways])
+    return bool(np.abs(units @ units.T).min() <= np.cos(np.radians(ACROSS_DEG)))

@@ -1,0 +1,89 @@
+"""Each reflector of the cell once in the same nest: radius and prism against the others."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from hilcell.calibration.reflectors import compared
+from hilcell.cell.file import Cell
+from hilcell.journal.log import Log
+from hilcell.journal.point_id import REFLECTOR, PointId
+from hilcell.ports import HilcellError
+from hilcell.run.cell_session import FLANGE, CellSession
+from hilcell.run.procedure import Procedure, Step, Table
+from procedures.durations import closing, readings, step
+from procedures.home import Home
+from procedures.world_frame import WorldFrame
+
+VERDICT = "reflectors"
+
+
+class Reflectors:
+    """Somebody carries one after the other to the first floor nest."""
+
+    name = VERDICT
+    needs = "the world frame, somebody who carries the reflectors"
+    moves = "nothing"
+    measures = "every reflector of floor, bars and flange in the first floor nest"
+    yields = "which reflector's ball or prism differs from the others'"
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Refuse a cell of one reflector."""
+        if cell.layout.by_hand:
+            raise HilcellError(
+                "the cell has one reflector, which is carried by hand (layout.reflectors): there "
+                "is none to compare it with",
+                code="HC-C10",
+            )
+        count = len(places_of(cell))
+        return step(self.name, 0, [readings(cell, count, cell.nest_samples), *closing(cell)])
+
+    def perform(self, session: CellSession) -> None:
+        """Have each reflector carried to the nest, measure it, and judge them all."""
+        cell, nest = session.cell, session.cell.layout.floor[0]
+        for place in places_of(cell):
+            session.borrowed_point(PointId(REFLECTOR, nest=place), place, nest)
+        session.restored(nest)
+        session.frame_world()
+        if VERDICT not in session.log.verdicts:
+            found = compared(session.log)
+            wrong = [each.text for each in found if not each.holds]
+            facts = {"reflectors": msgspec.to_builtins(found), "wrong": wrong}
+            session.verdict("reflectors", holds=not wrong, **facts)
+
+    def result(self, log: Log) -> dict[str, Any]:
+        """Return each reflector against the others."""
+        rows = [msgspec.to_builtins(each) | {"holds": each.holds} for each in compared(log)]
+        return {"reflectors": rows}
+
+
+def places_of(cell: Cell) -> list[str]:
+    """Return the places whose reflectors are compared: floor, bars, flange."""
+    seats = [f"{FLANGE} {n}" for n in range(2, len(cell.robot.seats_mm) + 1)]
+    return [*(nest.name for nest in cell.layout.standing), FLANGE, *seats]
+
+
+def reflector_table(result: dict[str, Any]) -> Table:
+    """Return the reflectors for a person to read."""
+    headers = ["reflector of", "along the beam mm", "across mm", "limit mm", ""]
+    rows = [
+        [
+            each["place"],
+            f"{each['along_mm']:+.4f}",
+            f"{each['across_mm']:.4f}",
+            f"{each['limit_mm']:.4f}",
+            "" if each["holds"] else "differs",
+        ]
+        for each in result["reflectors"]
+    ]
+    return headers, rows
+
+
+REFLECTORS = Procedure(
+    "reflectors",
+    "each reflector once in the same nest, against the others; attended",
+    (Home(), WorldFrame(), Reflectors()),
+    reflector_table,
+)

@@ -1,0 +1,64 @@
+"""Targets that scatter by more than visits, readings and model explain show a brake that slips."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hilcell.calibration.scatter import Deviations, Scatter, worst_scatter
+from hilcell.calibration.suspicions import LARGE_AXES, ZEROS
+from hilcell.cell.file import load_cell
+from hilcell.geometry.jacobian import parameter_jacobian
+from hilcell.ports import Array
+from procedures.plan import joints_for
+from procedures.validate import targets
+
+CELL = load_cell("paper")
+ARM = CELL.robot.arm()
+SIGMA_MM = 0.018  # of one coordinate: robot, readings, model
+VISITS = 3.0 * 27  # degrees of freedom of thirty visits of three places
+COUNT = 135
+
+
+def columns() -> Array:
+    joints_rad = joints_for(CELL, targets(CELL, 1)["S1100"][:COUNT])
+    found: Array = (parameter_jacobian(ARM, joints_rad)[:, :3, ZEROS] * ARM.sign)[:, :, :LARGE_AXES]
+    return found
+
+
+COLUMNS = columns()
+
+
+def scatter(seed: int, *, axis: int = 0, slip_deg: float = 0.0, share: float = 1.0) -> Scatter:
+    """Return the verdict on targets of which one axis slips; ``share`` of the stated sigma."""
+    rng = np.random.default_rng(seed)
+    known_mm2 = rng.chisquare(VISITS) / VISITS * SIGMA_MM**2  # as thirty visits estimate it
+    off_mm = share * SIGMA_MM * rng.standard_normal((COUNT, 3))
+    slips_rad = np.radians(slip_deg) * rng.standard_normal(COUNT)
+    off_mm += COLUMNS[:, :, axis - 1] * slips_rad[:, None]
+    covariance_mm2 = np.tile(known_mm2 * np.eye(3), (COUNT, 1, 1))
+    return worst_scatter(Deviations(off_mm - off_mm.mean(axis=0), covariance_mm2, COLUMNS, VISITS))
+
+
+def test_chance_is_no_scatter() -> None:
+    assert all(scatter(seed).holds for seed in range(200))
+
+
+@pytest.mark.parametrize("axis", [1, 2, 3])
+def test_the_axis_that_slips_is_named_with_its_size(axis: int) -> None:
+    """.003 deg of axis 2 leave a mean of .055 mm beside a floor of .03, well within .12."""
+    for seed in range(20):
+        found = scatter(seed, axis=axis, slip_deg=0.003)
+        assert not found.holds
+        assert found.unit == f"deg of axis {axis}"
+        assert found.size == pytest.approx(0.003, rel=0.3)
+
+
+def test_a_robot_that_scatters_in_all_directions_is_found() -> None:
+    for seed in range(20):
+        found = scatter(seed, share=2.0)
+        assert not found.holds
+
+
+def test_a_figure_that_is_none_holds_nothing() -> None:
+    assert not Scatter(float("nan"), 2.0, 0.0, "mm").holds

@@ -1,0 +1,36 @@
+"""A cell says which errors its runs cannot see, each with its size."""
+
+from __future__ import annotations
+
+import pytest
+
+from hilcell.cell.file import load_cell
+from hilcell.cell.unseen import unseen
+
+WITHOUT = {"layout.length": "[]", "layout.bar": "[]"}
+ACROSS = {
+    "layout.length": '[{nests = ["B1", "B2"], length_mm = 2000.0, u_mm = 0.004}, '
+    '{nests = ["F1", "F2"], length_mm = 1500.0, u_mm = 0.01}]'
+}
+
+
+@pytest.mark.parametrize(
+    ("values", "turns_over", "words"),
+    [
+        ({}, True, ["along one direction", "a prism", "0.03 mm in each floor nest"]),
+        (ACROSS, True, ["a prism", "0.03 mm in each floor nest"]),
+        (ACROSS, False, ["turned over", "a prism", "0.03 mm in each floor nest"]),
+        (
+            WITHOUT,
+            True,
+            ["100 ppm move targets by 0.12 mm", "a prism", "0.03 mm in each floor nest"],
+        ),
+    ],
+)
+def test_each_is_stated_with_its_size(
+    values: dict[str, str], turns_over: bool, words: list[str]
+) -> None:
+    found = unseen(load_cell("paper", values), turns_over=turns_over)
+    assert len(found) == len(words)
+    for part, text in zip(words, found, strict=True):
+        assert part in text
