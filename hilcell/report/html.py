@@ -353,14 +353,13 @@ def sentence(facts: Facts) -> str:
     word, why = verdict_word(facts), deciding(facts)
     if word == "OUT OF TOLERANCE":
         return "A check of this run is beyond its limit: see the verdicts."
+    only = "In simulation only: " if facts.inputs.simulated else ""
     if word.endswith("PASS"):
-        return "After correction the robot keeps its limits, the uncertainty taken into account."
+        return f"{only}After correction the robot keeps its limits, with the uncertainty added."
     if word.endswith("FAIL"):
-        return (
-            f"The robot is not shown to keep its limits, the uncertainty taken into account{why}."
-        )
+        return f"{only}The robot is not shown to keep its limits, with the uncertainty added{why}."
     if word.endswith("UNDECIDED"):
-        return f"Neither that the robot keeps its limits is shown nor the contrary{why}."
+        return f"{only}Neither that the robot keeps its limits is shown nor the contrary{why}."
     return "No correction was judged against limits in this run."
 
 
