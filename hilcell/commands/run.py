@@ -182,7 +182,8 @@ def resume(args: argparse.Namespace) -> int:
         log = journal.log  # only now nobody else writes it: another engine may have gone on
         asked = _open_retakes(log, folder, args.retake)
         changes = NONE
-        if asked or log.retakes or log.state != "finished":  # else all is measured
+        goes_on = bool(asked or log.retakes) or log.state != "finished"  # else all is measured
+        if goes_on:
             _check_here(cell, folder)
             found, somebody = changed_inputs(log, procedure.used_in(cell)), asks(args)
             askable = somebody or (args.screen and not args.unattended)
@@ -196,7 +197,8 @@ def resume(args: argparse.Namespace) -> int:
             else:
                 check_unasked(folder.name, log, procedure, args)
         output = _output(args.json, journal.run, inputs.points, journal)
-        journal.append("event", "", {"what": ORDER} | msgspec.to_builtins(_next_order(runs)))
+        if goes_on:
+            journal.append("event", "", {"what": ORDER} | msgspec.to_builtins(_next_order(runs)))
         for key in asked:
             journal.append("event", "", {"what": "retake asked", "key": key})
         points = log.points.items()

@@ -1,5 +1,6 @@
 """Runs are in the order in which they name one another, whatever the PC's clock said."""
 
+import json
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -102,3 +103,16 @@ def test_a_run_names_the_one_before_and_says_that_the_clock_ran_back(
 
     monkeypatch.setattr(run, "datetime", Behind)
     assert " began" in command("run", "home", "--runs", tmp_path, "--name", "3").stderr
+
+
+def test_the_list_of_runs_names_a_clock_that_ran_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    behind = msgspec.structs.replace(made("02"), begun="2026-11-21T10:00:00Z")
+    rows = [numbered(made("59"), 1), numbered(behind, 2)]
+    monkeypatch.setattr("hilcell.commands.past.read_index", lambda _: rows)
+    said = command("runs", "--runs", tmp_path, "--json")
+    assert "24.02 h" in said.stderr
+    listed = json.loads(said.stdout)["runs"]
+    stand = {each["run"]: each["standing"]["state"] for each in listed}
+    assert stand == {"59": "superseded", "02": "current"}
