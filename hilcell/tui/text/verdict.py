@@ -295,10 +295,16 @@ def _advice(
 
 
 def reason_words(found: Verdict) -> str:
-    """Return which stations do not keep which limit, the worst first."""
+    """Return which stations do not keep which limit, the worst first.
+
+    Of those that are only not shown to keep it the first says why: the table has their figures.
+    """
     failed = [each for each in found.stations if each.outcome != "accepted"]
     failed.sort(key=lambda each: -gravest(each.mean_mm))
-    return "; ".join(f"{each.name}: {_reason(each, found)}" for each in failed)
+    open_ones = [each.name for each in failed if each.outcome == "undecided"]
+    whole = [each for each in failed if each.name not in open_ones[1:]]
+    words = [f"{each.name}: {_reason(each, found)}" for each in whole]
+    return "; ".join([*words, *([f"also {', '.join(open_ones[1:])}"] if open_ones[1:] else [])])
 
 
 def _reason(each: Station, found: Verdict) -> str:

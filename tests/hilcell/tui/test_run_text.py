@@ -372,3 +372,12 @@ def test_a_start_that_was_refused_has_lost_no_engine() -> None:
     end = {"state": "idle", "exit": 6, "reason": "the cell is in use", "result": {}}
     view.take(Record(2, plan.t, "end", "", end))
     assert view.state == "idle"
+
+
+def test_a_point_that_is_re_measured_has_no_time_left() -> None:
+    """It is beyond the plan: the row said "0:00 left"."""
+    view = view_of("running")
+    view.remaining_s = 65.0
+    assert "1:05 left" in run_text.progress(view, 79).plain
+    view.remaining_s = 0.0
+    assert "left" not in run_text.progress(view, 79).plain

@@ -8,6 +8,8 @@ from typing import Any
 import msgspec
 import pytest
 
+from hilcell.alarms.alarm import Alarm, Cause, alarms_of
+from hilcell.journal.journal import Record
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE
 from hilcell.tui.text.digits import large_rows
@@ -263,3 +265,54 @@ def test_a_phrase_without_room_is_left_out_whole() -> None:
     assert "floor: 0.031 mm" in wide
     assert "floor:" not in small
     assert "…" not in small
+
+
+def test_what_to_do_about_a_u_that_is_too_large_is_seen_in_24_rows() -> None:
+    view = finished("intolerant", PLACES, U_mm=0.03)
+    for name in PLACES:
+        view.log.verdicts[f"validation.{name}"] |= {"holds": False, "outcome": "undecided"}
+    t = view.records[-1].t
+    view.log.judged = {
+        key: Record(900, t, "verdict", key, body)
+        for key, body in view.log.verdicts.items()
+        if key.startswith("validation.")
+    }
+    view.alarms = alarms_of(view.log, "r", live=False)
+    found = verdict_of(view)
+    assert found is not None
+    assert [reason_words(found).count(name) for name in PLACES] == [1] * len(PLACES)
+    text = " ".join(verdict_lines(view, found, UNICODE, 79, ROWS).plain.split())
+    assert "HC-V17" in text
+    assert view.alarms[0].do[0] in text
+
+
+@pytest.mark.parametrize(
+    ("causes", "said"),
+    [
+        (["over"], "no alarms; 1 that is over: e"),
+        (["over", "over"], "no alarms; 2 that are over: e"),
+        (["watched"], "1 alarm: e"),
+        (["over", "watched", "not watched"], "2 alarms: e; 1 that is over: e"),
+        ([], "no alarms"),
+    ],
+)
+def test_an_alarm_that_is_over_is_not_counted_as_one(causes: list[Cause], said: str) -> None:
+    view = finished("done", PLACES)
+    view.alarms = [
+        Alarm(
+            "HC-T10",
+            "notice",
+            "Beam broken",
+            "Tracker",
+            "broke",
+            "means",
+            ("do",),
+            "",
+            n,
+            cause=cause,
+        )
+        for n, cause in enumerate(causes)
+    ]
+    found = verdict_of(view)
+    assert found is not None
+    assert f" {said}" in verdict_lines(view, found, UNICODE, 79, ROWS).plain
