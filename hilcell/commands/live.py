@@ -9,12 +9,19 @@ from pathlib import Path
 
 from hilcell.clean import encodable
 from hilcell.commands.output import print_answer, print_message
-from hilcell.commands.run_output import JsonOutput, ProgressOutput, RunOutput, kind_of
+from hilcell.commands.run_output import (
+    JsonOutput,
+    ProgressOutput,
+    RunOutput,
+    ended_words,
+    kind_of,
+)
 from hilcell.journal.engine_file import live_engine
 from hilcell.journal.journal import Record, read_journal
 from hilcell.journal.log import Log
 from hilcell.journal.runs import JOURNAL, find_run
 from hilcell.run.client import order
+from hilcell.run.exits import EXIT_ABORTED
 from hilcell.run.protocol import Command
 
 FOLLOW_S = 0.1
@@ -40,6 +47,14 @@ def _command(args: argparse.Namespace, command: Command) -> int:
 def watch(args: argparse.Namespace) -> int:
     """Follow a run's journal to its end, or until the engine has died."""
     folder = find_run(args.runs, args.run)
+    try:
+        return _watch(folder, as_json=args.json)
+    except KeyboardInterrupt:
+        print_message(f"run {folder.name}: not watched any more; watching changes nothing of it")
+        return EXIT_ABORTED
+
+
+def _watch(folder: Path, *, as_json: bool) -> int:
     log = Log()
     records = _follow(folder)
     first = next(records, None)
@@ -48,7 +63,7 @@ def watch(args: argparse.Namespace) -> int:
         return 2
     log.take(first)
     name = encodable(folder.name)
-    output: RunOutput = JsonOutput(name) if args.json else ProgressOutput(name, log.inputs.points)
+    output: RunOutput = JsonOutput(name) if as_json else ProgressOutput(name, log.inputs.points)
     with output:
         output.take(first)
         for record in records:
@@ -58,8 +73,10 @@ def watch(args: argparse.Namespace) -> int:
             output.take(record)
     if output.lost is not None:
         raise output.lost
-    state = log.state
-    ended = "" if log.end is not None else "; its engine is gone, `hilcell resume` continues it"
+    state = log.state if log.end is None else ended_words(log)
+    ended = (
+        "" if log.end is not None else f"; its engine is gone, `hilcell resume {name}` continues it"
+    )
     fault = f": {log.fault}" if log.end is not None and log.fault else ""
     print_message(f"{kind_of(log)} {folder.name}: {state}{fault}{ended}")
     return 0

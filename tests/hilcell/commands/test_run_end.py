@@ -12,6 +12,7 @@ import pytest
 from hilcell.alarms.alarm import alarms_of
 from hilcell.calibration.suspicions import Suspicion
 from hilcell.cell.devices import ConnectFailed, load_entry
+from hilcell.commands import live
 from hilcell.commands.cli import main
 from hilcell.commands.run_output import ProgressOutput, RunOutput, failed_words, print_end
 from hilcell.errors import DeviceError
@@ -262,3 +263,16 @@ def test_a_run_that_waits_says_how_its_own_name_goes_on(
     body = {"machine": "run", "from": "running", "to": "paused"}
     ProgressOutput("r7", 3).take(Record(1, "2026-01-01T00:00:00+00:00", "state", "", body))
     assert "`hilcell resume r7`" in " ".join(capsys.readouterr().err.split())
+
+
+def test_ctrl_c_at_a_watched_run_names_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Writer(tmp_path / "r9").began().left()
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(live, "_follow", interrupted)
+    assert main(["watch", "r9", "--runs", str(tmp_path)]) == 4
+    assert "run r9: " in capsys.readouterr().err
