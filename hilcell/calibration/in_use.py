@@ -21,10 +21,11 @@ from hilcell.calibration.form import Calibration
 from hilcell.calibration.validity import Unfit, check_fitness
 from hilcell.cell.file import Cell
 from hilcell.journal.calibration_facts import USED
+from hilcell.journal.find_run import find_run
 from hilcell.journal.folder_order import in_order
 from hilcell.journal.index import RunRow, read_index
 from hilcell.journal.log import Log
-from hilcell.journal.runs import CALIBRATION, find_run, is_run, read_log
+from hilcell.journal.runs import CALIBRATION, is_run, read_log
 from hilcell.journal.standing import Standing, standings
 from hilcell.ports import HilcellError
 

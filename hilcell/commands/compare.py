@@ -10,7 +10,8 @@ from hilcell.clean import encodable, harmless
 from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.errors import HilcellError
 from hilcell.journal.engine_file import live_engine
-from hilcell.journal.runs import find_run, read_log
+from hilcell.journal.find_run import find_run
+from hilcell.journal.runs import read_log
 from hilcell.report.comparison import Comparison, compare_runs, figure_words, where_words
 from hilcell.report.drift import Change
 

@@ -17,9 +17,10 @@ from hilcell.commands.run_output import (
     kind_of,
 )
 from hilcell.journal.engine_file import live_engine
+from hilcell.journal.find_run import find_run
 from hilcell.journal.journal import Record, read_journal
 from hilcell.journal.log import Log
-from hilcell.journal.runs import JOURNAL, find_run
+from hilcell.journal.runs import JOURNAL
 from hilcell.run.client import order
 from hilcell.run.exits import EXIT_ABORTED
 from hilcell.run.protocol import Command

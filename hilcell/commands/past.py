@@ -20,9 +20,10 @@ from hilcell.commands.output import (
     width_of,
 )
 from hilcell.commands.run_output import print_suspected
+from hilcell.journal.find_run import find_run
 from hilcell.journal.folder_order import clock_notes
 from hilcell.journal.index import UNREADABLE, RunRow, read_index, row_of
-from hilcell.journal.runs import find_run, read_log
+from hilcell.journal.runs import read_log
 from hilcell.journal.standing import Standing, standings
 from hilcell.run.procedure import Procedure, Table
 

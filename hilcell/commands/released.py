@@ -15,7 +15,7 @@ from hilcell.calibration.in_use import cell_calibrated, standing_by_name, writte
 from hilcell.calibration.validity import check_fitness
 from hilcell.cell.file import Cell
 from hilcell.compensation.stamp import Stamp
-from hilcell.journal.runs import find_run
+from hilcell.journal.find_run import find_run
 from hilcell.journal.standing import Standing
 
 UNKNOWN = "standing unknown: not among this cell's finished runs"

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from hilcell.commands.output import print_message
 from hilcell.commands.output_place import CSV, check_output
-from hilcell.journal.runs import CALIBRATION, JOURNAL, find_run
+from hilcell.journal.find_run import find_run
+from hilcell.journal.runs import CALIBRATION, JOURNAL
 from hilcell.report.facts import read_facts
 from hilcell.writing import write_whole
 

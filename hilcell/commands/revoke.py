@@ -11,10 +11,11 @@ from hilcell.clean import encodable
 from hilcell.commands.output import print_json, print_message
 from hilcell.journal.calibration_facts import REVOKED
 from hilcell.journal.engine_file import live_engine
+from hilcell.journal.find_run import find_run
 from hilcell.journal.index import row_of
 from hilcell.journal.journal import StorageError
 from hilcell.journal.run_journal import RunJournal
-from hilcell.journal.runs import JOURNAL, find_run, read_log
+from hilcell.journal.runs import JOURNAL, read_log
 from hilcell.ports import HilcellError
 from hilcell.run.cell_lock import lock_of_name, locked
 

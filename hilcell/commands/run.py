@@ -58,6 +58,7 @@ from hilcell.commands.run_output import (
 )
 from hilcell.journal.disk_space import check_space
 from hilcell.journal.engine_file import live_engine
+from hilcell.journal.find_run import find_run
 from hilcell.journal.floor_before import floor_before
 from hilcell.journal.folder_order import ORDER, FolderOrder, clock_notes, next_order
 from hilcell.journal.index import read_index
@@ -68,7 +69,6 @@ from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import (
     CALIBRATION,
     JOURNAL,
-    find_run,
     forget,
     is_run,
     make_folder,

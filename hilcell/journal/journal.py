@@ -102,10 +102,6 @@ SELECT seq, CAST(t AS BLOB), CAST(kind AS BLOB), CAST(key AS BLOB), CAST(body AS
 FROM record WHERE seq > ? ORDER BY seq
 """
 _SCHEMA = "SELECT type, name, sql FROM sqlite_master WHERE sql IS NOT NULL"
-_SESSION = """
-SELECT max(t) FROM record
-WHERE kind = 'plan' OR kind = 'state' AND json_extract(body, '$.to') = 'checking'
-"""
 _BEYOND = (  # errors that are not of the file's content
     sqlite3.SQLITE_BUSY,
     sqlite3.SQLITE_CANTOPEN,
@@ -376,21 +372,6 @@ def read_journal(path: Path, after: int = 0) -> list[Record]:
         raise StorageError(f"journal {path}: cannot be read: {why}") from error
     except OSError as error:
         raise StorageError(f"journal {path}: cannot be read: {error.strerror}") from error
-
-
-def session_began_s(path: Path, unknown_s: float) -> float:
-    """Return when the run was last started or resumed, in s since 1970.
-
-    ``unknown_s`` is returned for a journal that is empty or cannot be read: reading it says why.
-    """
-    try:
-        _check_kinds(path)
-        with closing(_reader(path)) as base:
-            _check_schema(base, path)
-            (moment,) = base.execute(_SESSION).fetchone()
-            return datetime.fromisoformat(moment).timestamp()
-    except (sqlite3.Error, OSError, StorageError, TypeError, ValueError):
-        return unknown_s
 
 
 def _check_kinds(path: Path) -> None:

@@ -1,8 +1,7 @@
-"""The folder of runs: one folder a run, found by its name, a beginning of it, or ``last``."""
+"""The folder of runs: one folder a run, with a journal in it."""
 
 from __future__ import annotations
 
-import math
 import re
 import secrets
 from contextlib import suppress
@@ -18,7 +17,6 @@ from hilcell.journal.journal import (
     StorageError,
     is_there,
     read_journal,
-    session_began_s,
 )
 
 if TYPE_CHECKING:
@@ -27,8 +25,7 @@ if TYPE_CHECKING:
 JOURNAL = "journal.sqlite"
 CALIBRATION = "calibration.json"
 _GIVEN = re.compile(r"\d{8}-\d{6}-.+-[0-9a-f]{4}")  # by `new_run`
-CLOCKS_APART_S = 1.0  # a disk's times are coarser than those of records
-_FETCH = "fetch the run's folder from the backup, or start a new run with `hilcell run`"
+FETCH = "fetch the run's folder from the backup, or start a new run with `hilcell run`"
 
 
 def new_run(procedure: str) -> str:
@@ -89,75 +86,6 @@ def is_run(folder: Path) -> bool:
         return True
 
 
-def find_run(runs: Path, name: str) -> Path:
-    """Return the folder of one run; raises `HilcellError` where none or several are meant."""
-    if name and is_run(Path(name)):
-        return Path(name)
-    folders = run_folders(runs)
-    if name == "last" and folders:
-        return _last_begun(runs)
-    meant = [folder for folder in folders if folder.name == name]
-    meant = meant or [folder for folder in folders if name and folder.name.startswith(name)]
-    if len(meant) == 1:
-        return meant[0]
-    if meant:
-        raise HilcellError(
-            f"run {name!r} is one of {', '.join(f.name for f in meant)}; say which",
-            code="HC-J09",
-        )
-    if Path(name).parts:  # neither "" nor "."
-        _check_journal(runs / name)
-    newest = ", ".join(each.name for each in reversed(newest_first(runs)[:3])) or "none"
-    raise HilcellError(
-        f"run {name[:80]!r} is not in {runs}; newest there: {newest}",
-        code="HC-J09",
-    )
-
-
-def _check_journal(folder: Path) -> None:
-    """Raise `StorageError` where a run's folder has lost its journal."""
-    journal = folder / JOURNAL
-    if _is_folder(journal):
-        raise StorageError(f"journal {journal}: it is a folder, wanted a file; {_FETCH}")
-    if folder.name and _is_folder(folder):
-        raise StorageError(f"journal {journal}: no such file in the folder of the run; {_FETCH}")
-
-
-def _is_folder(path: Path) -> bool:
-    with suppress(OSError):  # a name that no file can have
-        return path.is_dir()
-    return False
-
-
-def newest_first(runs: Path) -> list[Path]:
-    """Return the folders that hold a journal, the one that was last written first."""
-    return sorted(run_folders(runs), key=_written_s, reverse=True)
-
-
-def _last_begun(runs: Path) -> Path:
-    """Return the run that was last started or resumed; a revocation writes later than that.
-
-    No session began after its journal was last written, so few of many journals are opened.
-    """
-    last, last_s = Path(), -math.inf
-    for folder in newest_first(runs):
-        written_s = _written_s(folder)
-        if written_s < last_s - CLOCKS_APART_S:
-            break
-        if (begun_s := session_began_s(folder / JOURNAL, written_s)) > last_s:
-            last, last_s = folder, begun_s
-    return last
-
-
-def _written_s(folder: Path) -> float:
-    """Return when a journal was last written; of one that must not be looked at, long ago."""
-    written_s = 0.0
-    for name in (JOURNAL, f"{JOURNAL}-wal"):
-        with suppress(OSError):  # there is no second file where the engine has ended by itself
-            written_s = max(written_s, (folder / name).stat().st_mtime)
-    return written_s
-
-
 def read_log(folder: Path) -> Log:
     """Return a run's log; raises `StorageError`."""
     from hilcell.journal.log import Log  # loads arrays, which a list of runs does without
@@ -184,7 +112,7 @@ def read_records(folder: Path) -> list[Record]:
     if later:
         raise StorageError(
             f"journal {journal}: it is empty, although {later[0]} is there: its records are lost; "
-            f"{_FETCH}",
+            f"{FETCH}",
             code="HC-J02",
         )
     raise NeverBegan(

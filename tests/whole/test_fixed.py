@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.journal.runs import find_run, read_log
+from hilcell.journal.find_run import find_run
+from hilcell.journal.runs import read_log
 from tests.whole.bench import SMALL, command, end_of, events, sets, simulation
 from tests.whole.trace import judge
 

@@ -8,7 +8,8 @@ import pytest
 
 from drivers.canopen import rail_setup
 from fakes.leica import emscon_device
-from hilcell.journal.runs import find_run, read_log
+from hilcell.journal.find_run import find_run
+from hilcell.journal.runs import read_log
 from tests.whole.bench import command, end_of, sets, simulation
 
 pytestmark = pytest.mark.waits

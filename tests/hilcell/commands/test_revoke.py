@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from hilcell.compensation.targets import write_targets
+from hilcell.journal.find_run import find_run
 from hilcell.journal.index import read_index, row_of
 from hilcell.journal.run_journal import RunJournal
-from hilcell.journal.runs import CALIBRATION, JOURNAL, find_run, read_log
+from hilcell.journal.runs import CALIBRATION, JOURNAL, read_log
 from hilcell.run.cell_lock import lock_of_name, locked
 from tests.hilcell.commands.finished_runs import MADE, REDO, finished
 from tests.hilcell.commands.workplace import read_corrected

@@ -14,10 +14,11 @@ from hilcell.cell.file import Cell, load_cell
 from hilcell.commands import run
 from hilcell.commands.cli import main
 from hilcell.errors import HilcellError
+from hilcell.journal.find_run import find_run
 from hilcell.journal.index import read_index
 from hilcell.journal.journal import NeverBegan
 from hilcell.journal.run_journal import RunJournal
-from hilcell.journal.runs import JOURNAL, find_run, forget, make_folder, read_log, run_folders
+from hilcell.journal.runs import JOURNAL, forget, make_folder, read_log, run_folders
 from hilcell.run.cell_lock import lock_of_device, locked
 from tests.hilcell.journal.test_index import written
 
@@ -50,7 +51,8 @@ from pathlib import Path
 from hilcell.journal.index import read_index
 from hilcell.journal import engine_file, log
 from hilcell.run import client  # nothing more can be loaded once rights are given away
-from hilcell.journal.runs import find_run, read_log
+from hilcell.journal.find_run import find_run
+from hilcell.journal.runs import read_log
 from hilcell.tui.app.navigation import run_to_open
 run_to_open(Path("."), "")
 os.getuid() or os.setuid(65534)  # root may look everywhere
@@ -91,12 +93,13 @@ def test_a_run_that_must_not_be_looked_into_is_listed_with_its_reason() -> None:
         assert "engine.json" in refused
 
 
-def test_the_newest_runs_are_the_newest_by_time(tmp_path: Path) -> None:
-    for age_s, name in enumerate(("b", "a", "d", "c")):
-        written(tmp_path / name)
-        os.utime(tmp_path / name / JOURNAL, (1e9 + age_s, 1e9 + age_s))
+def test_the_newest_runs_are_the_newest_by_their_order(tmp_path: Path) -> None:
+    for number, name in enumerate(("b", "a", "d", "c")):
+        written(tmp_path / name, order={"folder": "f", "number": number, "after": ""})
+        os.utime(tmp_path / name / JOURNAL, (1e9 - number, 1e9 - number))
     with pytest.raises(HilcellError, match=r"a, d, c$"):
         find_run(tmp_path, "nosuch")
+    assert find_run(tmp_path, "last").name == "c"
 
 
 def test_a_run_that_never_began_leaves_nothing_but_what_others_have_put_there(
