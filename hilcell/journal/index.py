@@ -33,6 +33,7 @@ NAME = "index.sqlite"
 SCHEMA = 8  # to be raised whenever `RunRow` changes, or what its fields mean
 BUSY_S = 2.0  # another process writes; without its leave the journals are read instead
 SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file may still change
+_SCHEMA = str(SCHEMA).encode()
 UNREADABLE, NEVER_BEGAN = "unreadable", "never began"  # states that no journal holds
 BATCH = 200  # rows a commit: a first build that is interrupted is not lost
 LARGEST_ROW = 2**20  # bytes
@@ -438,7 +439,7 @@ def _keep(index: Path, rows: dict[str, RunRow], stamps: dict[str, str]) -> None:
 
 def _seal(*parts: bytes | None) -> bytes:
     """Return the digest that a row is stored with; a damaged page may hold None."""
-    return hashlib.sha256(msgspec.json.encode([SCHEMA, *parts])).digest()
+    return hashlib.sha256(b"\0".join([_SCHEMA, *(part or b"" for part in parts)])).digest()
 
 
 def own_file(file: Path) -> Path:
