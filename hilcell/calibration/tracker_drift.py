@@ -21,6 +21,7 @@ from hilcell.ports import Array
 
 NOTICED_BY = "floor nests, in the order of their readings"
 LEAST_READINGS = 4  # of each nest
+MOST_LEFT = 0.1  # of chi^2, by a slope that is not quite straight; a step leaves a quarter or more
 URAD = 1e6
 CAUSES = (("mm of the tracker over the run", slice(0, 3), 1.0),
           ("urad of the tracker over the run", slice(3, 6), URAD))  # fmt: skip
@@ -53,7 +54,8 @@ def _tracker_drift(log: Log) -> Suspicion | None:
     left, explained, motion, unit, own, factor = min(found, key=lambda each: each[0])
     freedom = 3 * (len(points) - groups) - 3
     sure = explained > 3 * SPREAD * f_quantile(1.0 - RISK / len(CAUSES), 3, noise.freedom)
-    alone = left <= freedom * SPREAD * f_quantile(1.0 - RISK, freedom, noise.freedom)
+    chance = freedom * SPREAD * f_quantile(1.0 - RISK, freedom, noise.freedom)
+    alone = left <= chance + MOST_LEFT * (explained + left)
     moved_mm = lengths_mm(motion_levers(at_mm)[:, :, own] @ motion).max()
     limit_mm = np.sqrt(3.0) * log.cell.uncertainty.drift_limit_mm
     if not (sure and alone and moved_mm > limit_mm):

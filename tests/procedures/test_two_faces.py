@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
+from fakes.in_process import InProcessCell
+from hilcell.calibration.two_faces import instrument
 from hilcell.cell.file import load_cell
-from procedures.calibrate import CALIBRATE
+from hilcell.run import direct_run
+from hilcell.run.procedure import Procedure
+from procedures.calibrate import CALIBRATE, point_table
+from procedures.home import Home
 from procedures.two_faces import TwoFaces, left_out
+from procedures.world_frame import WorldFrame
+
+CELL = load_cell("paper")
+BOTH = Procedure("both", "", (Home(), WorldFrame(), TwoFaces()), point_table)
 
 
 @pytest.mark.parametrize(
@@ -37,3 +48,18 @@ def test_near_and_far_nests_are_seen_at_the_start_and_floor_nests_at_the_end() -
     cell = load_cell("paper")
     start, end = (TwoFaces(at_end=last).plan(cell, 1).spans[0].measured for last in (False, True))
     assert (start, end) == (5, 3)
+
+
+@pytest.mark.parametrize("urad", [0.0, 50.0])
+def test_an_axis_that_is_off_fails_its_verdict_and_is_suspected(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, urad: float
+) -> None:
+    simulated = InProcessCell(CELL, 1)
+    simulated.tracker._plant.tracker._axes_rad[1] += 1e-6 * urad  # type: ignore[attr-defined] # its own
+    monkeypatch.setattr(direct_run, "in_process_cell", lambda cell, seed: simulated)
+    log = direct_run.direct_run(CELL, BOTH, seed=1, machine_seed=1, folder=tmp_path)
+    assert log.verdicts["two-face"]["holds"] is not bool(urad)
+    found = instrument(log)
+    assert [each.cause for each in found] == ["instrument"] * bool(urad)
+    for each in found:
+        assert each.size == pytest.approx(urad, abs=8.0)

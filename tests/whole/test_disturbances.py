@@ -97,6 +97,21 @@ def test_a_bump_while_the_nests_are_measured_is_no_moved_nest(tmp_path: Path) ->
     assert judge(printed) == []
 
 
+def test_a_transit_axis_that_tilts_in_mid_grid_shows_in_both_faces_at_the_end(
+    tmp_path: Path,
+) -> None:
+    with simulation() as cell:
+        printed = struck(cell, "tracker.transit", 100.0, "grid/1-1-1", run(cell, tmp_path))
+    end = printed[-1]
+    assert (end["state"], end["exit"]) == ("finished", 1), end
+    judged = {e["key"]: e["holds"] for e in printed if e["kind"] == "verdict"}
+    assert (judged["two-face"], judged["two-face.closing"]) == (True, False)
+    (found,) = (each for each in end["result"]["suspicions"] if each["cause"] == "instrument")
+    assert found["unit"] == "urad of the transit axis' tilt"
+    assert found["size"] == pytest.approx(100.0, abs=10.0)
+    assert judge(printed) == []
+
+
 def test_an_undisturbed_run_suspects_nothing(golden: GoldenRuns) -> None:
     assert golden["small"].result["suspicions"] == []
 
