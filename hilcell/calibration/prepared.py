@@ -16,7 +16,7 @@ from hilcell.compensation.targets import as_listed
 from hilcell.errors import bounded
 from hilcell.geometry.closed_form import status_of
 from hilcell.geometry.frames import inverse, poses_from_zyx, zyx_from_pose
-from hilcell.geometry.inverse import posture, reachable
+from hilcell.geometry.inverse import Bools, posture, reachable
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import Array, HilcellError
@@ -46,17 +46,34 @@ class Drilling:
         """Return the arm with the tip as its tool point."""
         return self.tip.arm(self.cell.robot.arm())
 
-    def straight_rad(self, command: Array) -> Array:
+    def straight_rad(self, names: Sequence[str], command: Array) -> Array:
         """Return the joints (N, K, 6) from the stand-off straight to commands (N, 6) in {W}.
 
-        Raises `ReachError` where the arm leaves its limits.
+        Raises `WayError` naming the holes on whose ways the arm leaves its limits.
         """
         count = 1 + int(np.ceil(self.standoff_mm / STEP_MM))
         back_mm = np.linspace(self.standoff_mm, 0.0, count)
         poses = self._drawn_back(poses_from_zyx(command)[:, None], back_mm)
         robot = self.cell.robot
-        return posture(
-            self.arm, poses, robot.status, robot.margin_limits_rad, np.radians(robot.home_deg)
+        known = (robot.status, robot.margin_limits_rad, np.radians(robot.home_deg))
+        self._refuse_unreached(names, back_mm, reachable(self.arm, poses, *known))
+        return posture(self.arm, poses, *known)
+
+    def _refuse_unreached(self, names: Sequence[str], back_mm: Array, reached: Bools) -> None:
+        """Raise `WayError` naming the holes whose ways (N, K) are not all within reach."""
+        bad = np.flatnonzero(~reached.all(axis=1)).tolist()
+        if not bad:
+            return
+        first = [back_mm[~reached[n]].min() for n in bad]
+        lines = (
+            f"{names[n]}: beyond the arm's reach or a joint limit from {off_mm:.0f} mm in front "
+            "of the hole"
+            for n, off_mm in zip(bad, first, strict=True)
+        )
+        raise WayError(
+            f"the arm does not reach the stand-off of {self.standoff_mm:g} mm at {len(bad)} of "
+            f"{len(names)} holes:\n{_listed(lines)}\n"
+            "shorten it (--standoff, or standoff_mm of the tool), or move the part"
         )
 
     def drawn_back_rad(self, command: Array) -> Iterator[Array]:
@@ -95,11 +112,10 @@ def station_program(
     Between holes the tip keeps half of the stand-off at least. Where the direct way is not clear,
     it is drawn back farther first, at the hole before, at the next one, or at both. At each
     stand-off it comes from below on every axis, by ``robot.approach_deg``, as every pose of the
-    calibration did. Raises `ReachError` where the arm leaves its limits, and `WayError` where no
-    such way is clear.
+    calibration did. Raises `WayError` where the arm leaves its limits, or no such way is clear.
     """
     robot = drilling.cell.robot
-    straight_rad = drilling.straight_rad(command)
+    straight_rad = drilling.straight_rad(names, command)
     off_rad, at_rad = straight_rad[:, 0], straight_rad[:, -1]
     below_rad = off_rad - np.radians(robot.approach_deg)
     clearance = Clearance(
@@ -125,10 +141,9 @@ def station_program(
             to = f"the way to {names[n]}" if n < len(names) else "the way back to the safe pose"
             problems.append(f"{to}: {why}")
     if problems:
-        lines = "\n".join(f"  {each}" for each in bounded(problems))
         raise WayError(
-            f"{station}: ways of its program are not clear:\n{lines}\nchange --standoff, "
-            "robot.safe_deg, the holes or keep_out of the cell file"
+            f"{station}: ways of its program are not clear:\n{_listed(problems)}\n"
+            "change --standoff, robot.safe_deg, the holes or keep_out of the cell file"
         )
     return StationProgram(
         station=station,
@@ -139,12 +154,17 @@ def station_program(
         via=via,
         base=zyx_from_pose(inverse(drilling.T_W_B)[None])[0],
         tool=zyx_from_pose(drilling.arm.tool[None])[0],
+        tool_name=drilling.tip.name,
         tool_number=drilling.tip.number,
         safe_deg=robot.safe_deg,
         speed_percent=robot.speed_percent,
         options=robot.options,
         remarks=remarks,
     )
+
+
+def _listed(lines: Iterable[str]) -> str:
+    return "\n".join(f"  {each}" for each in bounded(list(lines)))
 
 
 def _way(

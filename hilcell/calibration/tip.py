@@ -96,10 +96,16 @@ AT_REFLECTOR = Tip(REFLECTOR, np.eye(4), np.eye(4))  # of a cell that is not kno
 
 
 def tips_of(cell: Cell, number: int | None = None) -> list[Tip]:
-    """Return the cell's tools, behind the reflector, whose controller's number is ``number``."""
+    """Return the cell's tools, behind the reflector, whose controller's number is ``number``.
+
+    Raises `SettingsError` for a tool of the reflector's number: programs could mean either.
+    """
     T_F_T = cell.robot.arm().tool
     found = [Tip(REFLECTOR, np.eye(4), T_F_T, number)]
     for table in cell.tool:
+        if number is not None and table.number == number:
+            problem = f"number: {number} is the reflector's in the controller: expected another one"
+            raise SettingsError(f"tool {table.name}", [problem])
         T_F_D = table.matrix()
         found.append(Tip(table.name, inverse(T_F_T) @ T_F_D, T_F_D, table.number, table))
     return found

@@ -46,24 +46,31 @@ class Volume:
         return taken.reshape(poses.shape[:-2])
 
     def points_back(self, stations: Sequence[str], poses: Array) -> bool:
-        """Whether poses (K, 4, 4) in {W} have z against every calibrated one's at a station."""
+        """Whether all poses (K, 4, 4) in {W} have z against every calibrated one's at a station."""
         bases = (self._bases[name] for name in stations if name in self._bases)
-        return any(bool(self._validity.points_back(inverse(T) @ poses).any()) for T in bases)
+        return any(bool(self._validity.points_back(inverse(T) @ poses).all()) for T in bases)
 
     def refusal(self, stations: Sequence[str], poses: Array) -> str:
         """Return why none of poses (K, 4, 4) in {W} is corrected, where least is missing."""
         known = [name for name in stations if name in self._bases]
         if not known:
             return f"none of its stations is calibrated; calibrated: {', '.join(self._bases)}"
-        beyond = {name: self._beyond(name, poses) for name in known}
-        at = min(known, key=lambda name: (beyond[name][0].min(), beyond[name][1].min()))
-        outside_mm, turned_deg = (float(each.min()) for each in beyond[at])
-        if outside_mm > 0.0:
-            return f"outside the calibrated volume by {outside_mm:.1f} mm at {at}"
+        limit_deg = self._validity.orientation_tolerance_deg
+        found = list[tuple[float, float, str]]()
+        for name in known:
+            outside_mm, turned_deg = self._beyond(name, poses)
+            turned_deg = np.maximum(turned_deg, limit_deg - ROUNDING_DEG)
+            found += (
+                (*each, name) for each in zip(turned_deg.tolist(), outside_mm.tolist(), strict=True)
+            )
+        turned, off_mm, at = min(found, key=lambda each: (round(each[0]), each[1], each[0]))
+        outside = f"outside the calibrated volume by {off_mm:.1f} mm at {at}"
+        if turned <= limit_deg - ROUNDING_DEG:
+            return outside
         return (
-            f"turned by {turned_deg:.2f} deg from the calibrated orientation at {at}, wanted <= "
-            f"{self._validity.orientation_tolerance_deg:g} deg; calibrate with plan.tilt_deg or "
-            "plan.grid_orientations"
+            f"the flange would be turned by {turned:.2f} deg from the calibrated orientation at "
+            f"{at}, expected at most {limit_deg:g} deg; calibrate with plan.tilt_deg or "
+            f"plan.grid_orientations{f'; {outside}' if off_mm > 0.0 else ''}"
         )
 
     def _beyond(self, station: str, poses: Array) -> tuple[Array, Array]:

@@ -8,12 +8,15 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from hilcell.cell.tables import Name, Pose, Size
+from hilcell.cell.tables import Name, Pose
 
 REFLECTOR = "reflector"  # the tool whose tip is the reflector's centre, {T}
 STANDOFF_MORE_MM = 20.0  # beyond the drill's length, at least
+MOST_STANDOFF_MM = 1000.0
 MOST_TOOLS = 32
 Deviation = Annotated[float, Meta(ge=0, le=10)]
+Drill = Annotated[float, Meta(gt=0, le=MOST_STANDOFF_MM - STANDOFF_MORE_MM)]
+Standoff = Annotated[float, Meta(gt=0, le=MOST_STANDOFF_MM)]
 Number = Annotated[int, Meta(ge=1, le=MOST_TOOLS)]
 
 
@@ -28,9 +31,9 @@ class ToolTable(Pose, frozen=True, kw_only=True):
     name: Name
     measured: Annotated[str, Meta(min_length=1)]
     u_mm: Deviation
-    drill_mm: Size
+    drill_mm: Drill
     number: Number | None = None
-    standoff_mm: Size | None = None
+    standoff_mm: Standoff | None = None
 
     def __post_init__(self) -> None:
         if self.standoff_mm is not None and not self.standoff_mm >= self.least_standoff_mm:

@@ -18,7 +18,7 @@ MOST_WORKERS = 1024
 MOST_DAYS = 36_500.0
 STROKE_MM, MOST_STROKE_MM = 20.0, 200.0
 MOST_STROKE_MISS_MM = 5.0
-MOST_STANDOFF_MM = 1000.0
+MOST_STANDOFF_MM = 1000.0  # as in hilcell.cell.tool
 SIMULATED = ("rail", "robot", "tracker", "control")
 # For the help: headers of `hilcell.compensation.targets` and `hilcell.planning.holes`.
 TARGETS = "name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg"
@@ -137,7 +137,7 @@ def _length(text: str, name: str, most_mm: float) -> float:
     value = _number(text)
     if not 0.0 < value <= most_mm:
         raise argparse.ArgumentTypeError(
-            f"{name} above 0 up to {most_mm:g} mm is wanted, found {text[:80]!r}"
+            f"expected {name} above 0 up to {most_mm:g} mm, got {text[:80]!r}"
         )
     return value
 

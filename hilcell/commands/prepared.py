@@ -120,7 +120,10 @@ def prepared(
     if writer is not None:
         drilling = Drilling(cell, np.array(calibration.stations[name].T_W_B), tip, job.standoff_mm)
         lost = straight_way(
-            calibration.lost_motion, drilling.arm, drilling.T_W_B, drilling.straight_rad(command)
+            calibration.lost_motion,
+            drilling.arm,
+            drilling.T_W_B,
+            drilling.straight_rad(each.holes, command),
         )
         straight = lost.words
         sent = as_listed(command - np.pad(lost.shift_mm, ((0, 0), (0, 3))))

@@ -38,7 +38,8 @@ class StationProgram:
     last before the safe pose at the end; each may have no places) to ``approach``, from there to
     ``standoff``, in front of the target, so that every axis comes from below, as the calibration
     came to its poses; then straight to ``command``, and straight back to ``standoff``. ``base``
-    (6,) is {W} in {B}; ``tool`` (6,) is the tip in the flange, ``tool_number`` the controller's.
+    (6,) is {W} in {B}; ``tool`` (6,) is the tip in the flange, ``tool_name`` the tool's name in the
+    cell file, ``tool_number`` its number in the controller, None where the cell file has none.
     The program begins and ends at ``safe_deg`` (6,). ``options`` are those of the robot's driver,
     ``remarks`` comments for its head.
     """
@@ -51,6 +52,7 @@ class StationProgram:
     via: Sequence[Places]
     base: Array
     tool: Array
+    tool_name: str
     tool_number: int | None
     safe_deg: Sequence[float]
     speed_percent: float

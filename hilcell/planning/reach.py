@@ -125,10 +125,18 @@ def _refuse_unreached(
         raise UnreachableHoles(
             f"{len(bad)} of {_counted(len(ok), 'hole')} cannot be drilled from "
             f"{_places(stations)} in status {cell.robot.status}:{named}"
-            "\nmove the part or the tracker, or "
-            + ("try --free stations" if served is None else "calibrate a larger volume")
-            + (UNITS if small else "")
+            f"\n{_act(holes, bad, stations, served)}{UNITS if small else ''}"
         )
+
+
+def _act(holes: Holes, bad: Ints, stations: Sequence[Station], served: Served | None) -> str:
+    """Return what to do about holes (K,) that are drilled from no station."""
+    if served is None:
+        return "move the part or the tracker, or try --free stations"
+    names, poses = [each.name for each in stations], holes.reflector_poses()
+    if all(served.points_back(names, poses[n]) for n in bad.tolist()):
+        return "nx, ny, nz of a list of holes point out of the part, against the tool's z"
+    return "move or turn the part, move the tracker, or calibrate a larger volume"
 
 
 def _counted(count: int, noun: str) -> str:

@@ -17,6 +17,8 @@ from drivers.kuka.program_krl.data import POSE
 from drivers.kuka.program_krl.program import DATA, SOURCE, USUAL_TOOL
 from drivers.kuka.program_krl.turns import turn_of
 from drivers.program_text import ENCODING
+from hilcell.cell.settings import SettingsError
+from hilcell.cell.tool import REFLECTOR
 from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.station_program import Places, StationProgram
 from hilcell.ports import Array
@@ -51,9 +53,8 @@ def _source(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
     yield from ("&ACCESS RVP", "&REL 1", f"DEF {name}( )")
     yield f"; {plain(stamp.text)}"
     yield from map(comment, program.remarks)
-    tool = program.tool_number or program.options.get("tool", USUAL_TOOL)
     yield "BAS (#INITMOV,0 )"
-    yield f"BAS (#TOOL,{tool} )"
+    yield f"BAS (#TOOL,{_tool_number(program)} )"
     yield f"BAS (#VEL_PTP,{max(1, round(program.speed_percent))} )"
     yield f"BAS (#ACC_PTP,{ACCELERATION_PERCENT} )"
     yield f"BAS (#VEL_CP,{STRAIGHT_M_S:g} )"
@@ -73,6 +74,26 @@ def _source(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
     yield from (f"PTP {name}" for name in _via(program, len(program.names) + 1))
     yield "PTP XHOME"
     yield "END"
+
+
+def _tool_number(program: StationProgram) -> int:
+    """Return the number of the program's tool in the controller's table.
+
+    Raises `SettingsError` for a tool that has none, or that of the reflector: the program would
+    move another tip than it is written for.
+    """
+    reflector: int = program.options.get("tool", USUAL_TOOL)
+    if program.tool_name == REFLECTOR:
+        return reflector
+    if program.tool_number is not None and program.tool_number != reflector:
+        return program.tool_number
+    problem = (
+        "missing: a KRL program selects its tool by the controller's number"
+        if program.tool_number is None
+        else f"{reflector} is the reflector's in the controller (robot.options.tool, "
+        f"{USUAL_TOOL} without): expected another one"
+    )
+    raise SettingsError(f"tool {program.tool_name}", [f"number: {problem}"])
 
 
 def _data(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:

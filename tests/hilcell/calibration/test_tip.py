@@ -117,6 +117,8 @@ def test_a_program_s_tool_decides(
     [
         ('name = "drill"', 'name = "reflector"', "tool[0].name"),
         ("drill_mm = 60.0", "drill_mm = 60.0\nstandoff_mm = 79.0", "standoff_mm"),
+        ("drill_mm = 60.0", "drill_mm = 60.0\nstandoff_mm = 1000.5", "standoff_mm"),
+        ("drill_mm = 60.0", "drill_mm = 981.0", "drill_mm"),
         ("u_mm = 0.02", "u_mm = nan", "u_mm"),
         ("u_mm = 0.02\n", "", "u_mm"),
         ('measured = "pin nest at the tip, on a CMM"', 'measured = ""', "measured"),
@@ -135,8 +137,36 @@ def test_names_and_numbers_of_tools_differ(tmp_path: Path, second: str) -> None:
         load_cell(str(cell_with(tmp_path, DRILL, second)))
 
 
+@pytest.mark.parametrize("number", ["", "number = 1"])
+def test_no_krl_program_moves_another_tip_than_its_own(tmp_path: Path, number: str) -> None:
+    """Without a number of its own the program would take the reflector's: 208 mm elsewhere."""
+    made(tmp_path)
+    path = cell_with(tmp_path, DRILL.replace("number = 2", number))
+    done = prepare(tmp_path, at_tip_of(path, tmp_path), "--cell", path)
+    assert done.returncode == 2
+    assert "tool drill" in done.stderr
+    assert "number" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_number_that_two_tools_have_names_none(tmp_path: Path) -> None:
+    """A robot without ``options.tool`` has 1 for the reflector; only its programs know that."""
+    cell = load_cell(str(cell_with(tmp_path, DRILL.replace("number = 2", "number = 1"))))
+    stated = StatedTool("x.src line 3", "TOOL_DATA[1]", 1)
+    with pytest.raises(SettingsError, match="reflector"):
+        tip_of_program(cell, "", stated, 1, "x.src")
+
+
 def test_tools_are_no_part_of_what_was_calibrated(cell: Cell) -> None:
     assert cell.digest == load_cell("paper").digest
+
+
+def at_tip_of(path: Path, folder: Path) -> Path:
+    """Write holes where the tip of a cell's tool stands when the reflector is inside."""
+    (tip,) = tips_of(load_cell(str(path)))[1:]
+    seen = (T_W_B @ poses_from_zyx(np.array([[1850.0, 0.0, 950.0, 0.0, 75.0, 0.0]])))[0]
+    shift = seen[:3, :3] @ tip.lever_mm
+    return holes(folder, *[tuple(np.add(each, shift).tolist()) for each in INSIDE])
 
 
 def test_list_and_program_of_a_drill(tmp_path: Path) -> None:
@@ -145,9 +175,7 @@ def test_list_and_program_of_a_drill(tmp_path: Path) -> None:
     path = cell_with(tmp_path, DRILL)
     loaded = load_cell(str(path))
     tip = tips_of(loaded)[1]
-    places = (T_W_B @ poses_from_zyx(np.array([[1850.0, 0.0, 950.0, 0.0, 75.0, 0.0]])))[0]
-    shift = places[:3, :3] @ tip.lever_mm
-    source = holes(tmp_path, *[tuple(np.add(each, shift).tolist()) for each in INSIDE])
+    source = at_tip_of(path, tmp_path)
     done = prepare(tmp_path, source, "--cell", path, "--json")
     assert done.returncode == 0, done.stderr
     facts = json.loads(done.stdout)

@@ -17,7 +17,7 @@ from hilcell.cell.file import load_cell
 from hilcell.compensation.targets import write_targets
 from hilcell.geometry.frames import pose_from_zyx
 from hilcell.planning.holes import NORMALS
-from tests.hilcell.calibration.calibrations import LIMITS, calibration
+from tests.hilcell.calibration.calibrations import LIMITS, T_W_B, calibration
 from tests.hilcell.commands.finished_runs import MADE, finished
 from tests.hilcell.commands.workplace import read_corrected
 from tests.whole.bench import command
@@ -188,3 +188,27 @@ def test_a_setting_that_is_not_the_run_s_is_named(tmp_path: Path) -> None:
     done = command(*words, "--set", "plan.quick=true")
     assert done.returncode == 2
     assert "plan.quick False -> True" in done.stderr
+
+
+def test_a_refusal_names_what_is_beyond_its_limit() -> None:
+    """A hole outside has turns of the tool that are inside, and others that are turned right."""
+    volume, station = Volume(calibration()), ["S1100"]
+    at = T_W_B @ pose_from_zyx(1850.0, 0.0, 950.0, 0.0, 75.0, 0.0)
+    outside = T_W_B @ pose_from_zyx(1850.0, 500.0, 950.0, 0.0, 75.0, 0.0)
+    half = pose_from_zyx(0.0, 0.0, 0.0, 90.0, 0.0, 0.0)
+    two = np.array([outside, at @ half])
+    assert "50.0 mm" in volume.refusal(station, two)
+    assert "turned" not in volume.refusal(station, two)
+    assert "90.00 deg" in volume.refusal(station, np.array([at @ half]))
+    both = volume.refusal(station, np.array([outside @ half]))
+    assert "90.00 deg" in both
+    assert "50.0 mm" in both
+
+
+def test_a_tool_across_the_flange_does_not_point_into_the_part() -> None:
+    """Turned about its own axis, the flange points back; the normal is right all the same."""
+    volume = Volume(calibration())
+    at = T_W_B @ pose_from_zyx(1850.0, 500.0, 950.0, 0.0, 75.0, 0.0)
+    about_x = np.array([pose_from_zyx(0.0, 0.0, 0.0, 0.0, 0.0, each) for each in (0.0, 180.0)])
+    assert volume.points_back(["S1100"], at @ about_x[1:])
+    assert not volume.points_back(["S1100"], at @ about_x)

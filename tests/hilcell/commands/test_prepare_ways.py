@@ -152,6 +152,7 @@ def test_normals_that_point_into_the_part_are_named(tmp_path: Path) -> None:
     points, normals = skin(3, 2, 100.0)
     said = refused(tmp_path, listed(tmp_path, points, -normals))
     assert said.count("points into the part") == len(points)
+    assert "larger volume" not in said
 
 
 def test_ways_through_what_stands_in_the_cell_are_refused(tmp_path: Path) -> None:
@@ -186,3 +187,12 @@ def test_a_box_that_carries_holes_is_the_part(tmp_path: Path) -> None:
     made(tmp_path, provenance=known.provenance)
     points, normals = skin(2, 1, 600.0)
     assert prepare(tmp_path, listed(tmp_path, points, normals), "--cell", cell).returncode == 0
+
+
+def test_holes_whose_stand_off_is_out_of_reach_are_named(tmp_path: Path) -> None:
+    made(tmp_path)
+    said = refused(tmp_path, holes(tmp_path, *INSIDE), "--standoff", "1000")
+    assert "1000 mm at 3 of 3 holes" in said
+    for name in ("H1: ", "H2: ", "H3: ", "--standoff"):
+        assert name in said
+    assert not (tmp_path / "out").exists()

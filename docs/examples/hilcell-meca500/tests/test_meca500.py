@@ -234,6 +234,7 @@ def test_the_program_of_a_station_is_written_in_joints() -> None:
         [none, none],
         base,
         tool,
+        "reflector",
         None,
         CELL.robot.safe_deg,
         30.0,
