@@ -4,14 +4,16 @@ The unit of 606Ch and 6081h is a setting of the drive (CiA 402-2, 60A9h, or its 
 drive in rpm or in 0.1 counts/s obeys a speed that nobody meant and reports it back as right. The
 positions (6064h) and the time are free of that unit.
 
-When a position was taken, nobody knows: it was taken after the look before and before the
-end of its own, by the cell's clock. So every duration is an interval, and so is every speed: a PC
-that looks late widens it and proves nothing. One step that stands out from the others counts as the
-next one: homing sets a new reference, and a reference may be lost.
+When a position was taken, nobody knows. By the cell's clock it was before the end of its look, and
+after the look before, or after that one's where a frame came twice. So every duration is an
+interval, and so is every speed: a PC that looks late widens it and proves nothing. One step that
+stands out from the others counts as the next one: homing sets a new reference, and a reference may
+be lost.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 
@@ -23,7 +25,7 @@ from hilcell.ports import Array
 LOOKS = 50  # one second of polls
 OVERSPEED = 1.2
 CONTRADICTION = 1.5  # filters, and speeds that change between two looks
-LAG_S = 0.03  # of the filters of 606Ch
+FASTER_LAG_S, SLOWER_LAG_S = 0.02, 0.06  # of the filters of 606Ch, up the ramp and down
 FAST_MM, SLOW_MM = 0.5, 2.0  # way from which on a slide counts as faster, or slower, than it says
 
 
@@ -31,8 +33,8 @@ FAST_MM, SLOW_MM = 0.5, 2.0  # way from which on a slide counts as faster, or sl
 class Windows:
     """Proofs of the last looks; each value (n - 2,), of the window from look i to the newest."""
 
-    way: Array
-    jump: Array  # of the way: by how much the largest step is longer than the next one
+    gone: Array  # to where the slide is now, less a step that stands out
+    path: Array  # all steps
     at_least_s: Array
     at_most_s: Array
     between_s: Array  # the longest time between two looks
@@ -47,13 +49,13 @@ def windows(since_s: Array, until_s: Array, position: Array, speed: Array) -> Wi
 
     ``speed`` is signed, as the drive says it; units are the caller's.
     """
-    steps, size = np.abs(np.diff(position)), np.abs(speed)
+    steps, size = np.diff(position), np.abs(speed)
     forward = speed * np.sign(speed[-1])
     seen_s = np.diff(until_s)
     count = len(position) - 2
     return Windows(
-        way=_sums(steps)[:count],
-        jump=_jumps(steps)[:count],
+        gone=np.abs(_sums(steps) - _jumps(steps))[:count],
+        path=_sums(np.abs(steps))[:count],
         at_least_s=np.maximum(0.0, since_s[-1] - until_s)[:count],
         at_most_s=(until_s[-1] - since_s)[:count],
         between_s=_tops(until_s - since_s)[:count],
@@ -75,11 +77,14 @@ def _tops(values: Array) -> Array:
 
 
 def _jumps(steps: Array) -> Array:
-    """Return the same of steps, less the next largest one."""
-    found, largest, next_one = [], 0.0, 0.0
+    """Return by how much the largest of each step and those behind it exceeds the next one."""
+    found, largest, size, next_size = [], 0.0, 0.0, 0.0
     for step in steps[::-1].tolist():
-        largest, next_one = (step, largest) if step > largest else (largest, max(next_one, step))
-        found.append(largest - next_one)
+        if abs(step) > size:
+            largest, size, next_size = step, abs(step), size
+        else:
+            next_size = max(next_size, abs(step))
+        found.append(math.copysign(size - next_size, largest))
     return np.array(found[::-1])
 
 
@@ -104,7 +109,8 @@ class SpeedGuard:
         self, now_s: float, speed: float, acceleration: float, units_per_mm: float
     ) -> None:
         """``now_s`` is the cell's time before the motion; speeds are in units of a position."""
-        self._now_s, self._speed, self._acceleration = now_s, speed, acceleration
+        self._before_s = self._now_s = now_s
+        self._speed, self._acceleration = speed, acceleration
         self._units_per_mm = units_per_mm
         self._looks: deque[tuple[float, float, float, float]] = deque(maxlen=LOOKS)
         self._found: Windows | None = None
@@ -113,8 +119,8 @@ class SpeedGuard:
         """Take a look that has ended at ``now_s``; one at the same time tells nothing."""
         if not now_s > self._now_s:
             return
-        self._looks.append((self._now_s, now_s, position, speed))
-        self._now_s = now_s
+        self._looks.append((self._before_s, now_s, position, speed))
+        self._before_s, self._now_s = self._now_s, now_s
         if len(self._looks) > 2:
             self._found = windows(*np.array(self._looks, dtype=float).T)
 
@@ -122,19 +128,20 @@ class SpeedGuard:
         """Return the speeds of a window in which 606Ch says another one than the positions."""
         if (found := self._found) is None:
             return None
-        most = found.fastest + self._acceleration * (found.between_s / 2 + LAG_S)
+        most = found.fastest + self._acceleration * (found.between_s / 2 + FASTER_LAG_S)
+        least = np.maximum(0.0, found.slowest - self._acceleration * SLOWER_LAG_S)
         longest = self._way(FAST_MM, CONTRADICTION * most, found.at_most_s)
-        shortest = self._way(-SLOW_MM, found.slowest / CONTRADICTION, found.at_least_s)
-        agree = (found.way - found.jump <= longest) & (found.way >= shortest)
+        shortest = self._way(-SLOW_MM, least / CONTRADICTION, found.at_least_s)
+        agree = (found.gone <= longest) & (found.path >= shortest)
         return self._speeds(found, ~agree)
 
     def overspeed(self) -> Speeds | None:
         """Return the speeds of a window in which the positions prove too high a speed."""
         if (found := self._found) is None:
             return None
-        allowed = np.full_like(found.way, OVERSPEED * self._speed)
+        allowed = np.full_like(found.gone, OVERSPEED * self._speed)
         longest = self._way(FAST_MM, allowed, found.at_most_s)
-        return self._speeds(found, ~(found.way - found.jump <= longest))
+        return self._speeds(found, ~(found.gone <= longest))
 
     def _way(self, margin_mm: float, speed: Array, duration_s: Array) -> Array:
         return margin_mm * self._units_per_mm + speed * duration_s
@@ -145,5 +152,5 @@ class SpeedGuard:
             return None
         longest = int(np.argmax(where))
         seen_s = max(float(found.seen_s[longest]), np.finfo(float).eps)
-        way, said = float(found.way[longest]), float(found.said[longest])
+        way, said = float(found.path[longest]), float(found.said[longest])
         return Speeds(way / seen_s, said / seen_s, way)
