@@ -36,6 +36,7 @@ from hilcell.ports import Array
 RISK = 0.001
 BOUNDED = float(np.sqrt(3.0))  # of what is stated as a limit, which no change exceeds
 CHANGED_SINCE: Final = "changed since"
+SPREAD = 1.5  # of the circles' variance: scatter along them is not of each point by itself
 FITTED = 12  # parameters of the two circles: centre, axis and radius of each
 _AXES = tuple("xyz")
 
@@ -98,7 +99,9 @@ def compared(log: Log, *, with_base: bool = True) -> list[Parameter]:
     factor = float(np.sqrt(f_quantile(1.0 - RISK / (6 * len(known)), 1, freedom)))
     found: list[Parameter] = []
     for key, then in known:
+        both = np.array(log.frames[key]["covariance"]) + np.array(then.covariance)
         noise = noise_covariance(log, key) + np.array(then.covariance)
+        noise += (SPREAD - 1.0) * both if key == "base" else 0.0
         stated = limit_covariance(log, key) + _instrument(log, key) + _growth(log, key, before)
         limits = np.hypot(*np.sqrt([factor**2 * np.diag(noise), BOUNDED**2 * np.diag(stated)]))
         found += _coordinates(key, np.array(then.matrix), log.matrix(key), limits)
