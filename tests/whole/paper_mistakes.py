@@ -44,7 +44,10 @@ def fails(name: str, log: Log) -> bool:
 def changed(log: Log, points: Iterable[Point]) -> Log:
     """Return the log with these points in the places of those with their keys."""
     other = copy.copy(log)
-    other.points = {**log.points} | {point.key: point for point in points}
+    new = {point.key: point for point in points}
+    other.points = {**log.points} | new
+    air = {key: each.temperature_c for key, each in new.items() if each.temperature_c is not None}
+    other.celsius = {**log.celsius} | air
     return other
 
 

@@ -90,9 +90,7 @@ def test_a_real_machine_sets_nothing(paper: PaperRun) -> None:
     real = copy.copy(paper.log)
     assert real.plan is not None
     real.plan = msgspec.structs.replace(real.plan, simulated=False)
-    cold = [msgspec.structs.replace(point, temperature_c=19.0) for point in real.points.values()][
-        :1
-    ]
+    cold = [msgspec.structs.replace(real.select("grid")[0], temperature_c=19.0)]
     rows = rows_of(changed(real, cold))
     assert rows["sec5.1.temperature.min"]["set"] is False
     assert rows["sec5.1.temperature.min"]["holds"] is False
