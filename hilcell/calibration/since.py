@@ -169,12 +169,13 @@ def _instrument(log: Log, key: str) -> Array:
 def _growth(log: Log, key: str, before: FloorBefore) -> Array:
     """Return what the room's change of temperature gives the change of a frame."""
     found, now_c = np.zeros((6, 6)), log.temperatures_c()
-    if before.temperature_c is None or not now_c:
+    then_c = before.temperature_c if before.frames_c is None else before.frames_c
+    if then_c is None or not now_c:
         return found
     at_mm = float(np.linalg.norm(log.matrix(key)[:3, 3]))
     if key == "base":
         at_mm += axis_6_height_mm(log.cell)  # from which its height is known
-    change_k = float(np.mean(now_c)) - before.temperature_c
+    change_k = float(np.mean(now_c)) - then_c
     rate = rectangular_variance(log.cell.uncertainty.arm_growth_um_m_k * 1e-6)
     found[:3, :3] = rate * (change_k * at_mm) ** 2 * np.eye(3)
     return found

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
+
+import msgspec
+import numpy as np
 
 from hilcell.cell.file import Cell
 from hilcell.journal.index import read_index
 from hilcell.journal.log import FloorBefore, FrameBefore, Log
-from hilcell.journal.runs import read_log
-from hilcell.journal.standing import current_of
+from hilcell.journal.runs import CALIBRATION, read_log
+from hilcell.journal.standing import current_of, measured_by
 from hilcell.ports import DeviceError
 
 FLOOR_NESTS = 3  # that span {W}, the first ones
@@ -19,14 +23,67 @@ def floor_before(runs: Path, cell: Cell, machine_seed: int | None) -> FloorBefor
 
     ``machine_seed`` is a simulated machine's, where it is known.
     """
-    name = current_of(
-        read_index(runs), cell.name, cell.serial, cell.simulation is not None, machine_seed
-    )
+    rows = read_index(runs)
+    name = current_of(rows, cell.name, cell.serial, cell.simulation is not None, machine_seed)
     if not name:
         return None
     log = read_log(runs / name)
     _refuse_other_order(name, log.cell, cell)
-    return measured_before(name, log, cell)
+    found, first = measured_before(name, log, cell), measured_by(rows, name)
+    if found is None or first == name:
+        return found
+    origin = measured_before(first, read_log(runs / first), cell)
+    return found if origin is None else _with_frames(found, origin, runs / name / CALIBRATION, cell)
+
+
+class _Update(msgspec.Struct):
+    what: str
+    covariance: list[list[float]] = []
+
+
+class _Provenance(msgspec.Struct):
+    updates: list[_Update] = []
+
+
+class _Station(msgspec.Struct):
+    T_W_B: list[list[float]]
+
+
+class _Calibration(msgspec.Struct):
+    """The part of a calibration file that says where an update has found the base."""
+
+    provenance: _Provenance
+    stations: dict[str, _Station]
+
+
+def _with_frames(found: FloorBefore, origin: FloorBefore, updated: Path, cell: Cell) -> FloorBefore:
+    """Return floor nests with the frames of the run that measured them, and the base as the
+    calibration file ``updated`` has it; without a base where that cannot be read.
+    """
+    base = None
+    with suppress(OSError, msgspec.DecodeError, KeyError):
+        after = msgspec.json.decode(updated.read_bytes(), type=_Calibration)
+        base = _moved_base(origin.base, after, cell.grid.station)
+    return msgspec.structs.replace(
+        origin,
+        run=found.run,
+        nests_mm=found.nests_mm,
+        temperature_c=found.temperature_c,
+        base=base,
+        frames_c=origin.temperature_c,
+    )
+
+
+def _moved_base(base: FrameBefore | None, after: _Calibration, station: str) -> FrameBefore | None:
+    """Return the base where updates have found it; their covariances have the axes of {B}."""
+    if base is None:
+        return None
+    T = np.array(after.stations[station].T_W_B)
+    covariance, turn = np.array(base.covariance), np.kron(np.eye(2), T[:3, :3])
+    for update in after.provenance.updates:
+        if update.what == "base":
+            covariance += turn @ np.array(update.covariance) @ turn.T
+    return FrameBefore(T.tolist(), covariance.tolist())
 
 
 def measured_before(name: str, log: Log, cell: Cell) -> FloorBefore | None:

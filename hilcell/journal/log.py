@@ -172,7 +172,8 @@ class FloorBefore(msgspec.Struct, frozen=True):
     """Floor nests of an earlier run of the cell: places in the tracker's frame of then, mm. Its
     base at the grid's station, None where that is another one, and its slide at stations.
 
-    ``alike``: the base was measured with the same robot on the same circles.
+    ``alike``: the base was measured with the same robot on the same circles. ``frames_c`` is the
+    air's temperature of base and slide, where another run measured them than the nests.
     """
 
     run: str
@@ -181,6 +182,7 @@ class FloorBefore(msgspec.Struct, frozen=True):
     base: FrameBefore | None = None
     alike: bool = False
     stations: dict[str, FrameBefore] = {}
+    frames_c: float | None = None
 
 
 class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):

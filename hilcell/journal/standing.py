@@ -100,6 +100,12 @@ def current_of(
     )
 
 
+def measured_by(rows: Iterable[RunRow], name: str) -> str:
+    """Return the run that measured the calibration which the run ``name`` has changed, or made."""
+    known = {row.name: row for row in rows if row.readable and not row.replayed}
+    return _origins(known[name], known)[-1].name
+
+
 def _cell(row: RunRow) -> tuple[str, ...]:
     """Return what tells cells apart."""
     return row.cell, row.serial, str(row.simulated)

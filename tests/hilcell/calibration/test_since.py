@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import msgspec
 import numpy as np
 import pytest
 
+from hilcell.calibration.file import read_calibration, write_calibration
+from hilcell.calibration.form import Update
 from hilcell.calibration.noticed import changes, suspicions_of
 from hilcell.calibration.since import compared
 from hilcell.geometry.rotations import from_rotvec
+from hilcell.journal.calibration_facts import USED
 from hilcell.journal.floor_before import floor_before
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import FloorBefore, FrameBefore, Log
-from hilcell.journal.runs import JOURNAL
+from hilcell.journal.runs import CALIBRATION, JOURNAL
+from tests.hilcell.report.journals import Writer
 from tests.whole.golden import GoldenRuns
 
 
@@ -102,3 +108,39 @@ def test_a_room_that_is_warmer_explains_more(log: Log, before: FloorBefore) -> N
     wider = {each.name: each.limit for each in compared(then(log, cold))}
     assert wider["base z"] > usual["base z"] + 0.1
     assert wider["base turned about z"] == usual["base turned about z"]
+
+
+def test_a_calibration_that_a_re_check_has_changed_has_the_frames_of_its_first_run(
+    golden: GoldenRuns, log: Log, tmp_path: Path
+) -> None:
+    """The base is where the re-check has found it, and by as much less certain."""
+    first = golden["small"].copied_to(tmp_path)
+    writer = Writer(tmp_path / "recheck", cell=log.inputs.cell, digest=log.inputs.digest,
+                    machine_seed=1).began()  # fmt: skip
+    writer.journal.append("event", "", {"what": USED, "run": first.name})
+    for point in log.select("world"):
+        if point.id.number is None:
+            writer.point(point.id, point.xyz_mm)
+    writer.journal.append("verdict", "recheck", {"holds": True, "verdict": "update"})
+    folder = writer.ended()
+    made = read_calibration(first / CALIBRATION)
+    at, (x, y, z) = log.cell.grid.station, (2.0, 0.0, 0.0)
+    T = np.array(made.stations[at].T_W_B)
+    T[:3, 3] += (x, y, z)
+    update = Update("recheck", "base", made.provenance.written, 7, [x, y, z, 0.0, 0.0, 0.0],
+                    np.diag([0.01] * 3 + [1e-8] * 3).tolist())  # fmt: skip
+    entry = msgspec.structs.replace(made.stations[at], T_W_B=T.tolist())
+    provenance = msgspec.structs.replace(made.provenance, updates=[update])
+    after = msgspec.structs.replace(
+        made, stations=made.stations | {at: entry}, provenance=provenance
+    )
+    write_calibration(after, folder / CALIBRATION)
+    found = floor_before(tmp_path, log.cell, 1)
+    assert found is not None
+    assert found.base is not None
+    assert found.run == "recheck"
+    assert found.base.matrix == T.tolist()
+    wider = np.diag(np.array(found.base.covariance) - np.array(log.frames["base"]["covariance"]))
+    np.testing.assert_allclose(wider[:3], 0.01)
+    assert len(found.stations) == len(log.cell.station)
+    assert found.frames_c is not None
