@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from typing import Any
 
@@ -76,6 +77,18 @@ def test_the_step_may_be_absent(bus: CanPeer, time: RailTime) -> None:
     strip = CanopenStrip(options_for(bus, serial=99, counts_per_mm=50.0), time)
     assert strip.connect().serial == "99"
     strip.close()
+
+
+def test_a_sensor_without_an_object_for_its_alarms_has_them_in_its_emergencies(
+    bus: CanPeer, strip: CanopenStrip
+) -> None:
+    bus.unmappable.add(0x6503)
+    strip.connect()
+    assert strip.read(never) == (50_000, 0)
+    bus.send(0x080 + STRIP, struct.pack("<HB5x", 0x7305, 0x21))
+    assert soon(lambda: strip.read(never) == (50_000, 1))
+    bus.send(0x080 + STRIP, struct.pack("<HB5x", 0x0000, 0))
+    assert soon(lambda: strip.read(never) == (50_000, 0))
 
 
 def test_a_sensor_that_is_reset_falls_silent_or_leaves_the_bus_is_lost(
