@@ -111,7 +111,7 @@ def _act(fits: dict[str, float]) -> str:
     first = f"this fits: {where} on the controller; " if fits else ""
     return (
         f"{first}compare [[robot.joint]] and robot.smr_mm with the controller: its variant, a "
-        "typed length, a tool or base that is not null, an absolute-accuracy model"
+        "typed length, a tool, base or root that is not null, an absolute-accuracy model"
     )
 
 
