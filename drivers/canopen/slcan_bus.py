@@ -57,6 +57,7 @@ _FRAME = re.compile(
 )
 _ANSWERS = (b"", b"z", b"Z")  # acknowledgements; many gateways send none
 _BELL = b"\a"
+CLOSED = -1  # no file has this number
 STAMP, LONG_STAMP = 4, 8  # digits of a time stamp that is understood, and of one that is not
 
 
@@ -195,7 +196,11 @@ class SlcanBus(can.BusABC):
             self._push()
         while self._taken < mine:
             # The kernel looks at the port again when the time is over, however late this thread is.
-            if not select.select([], [self._port], [], patience_s)[1]:
+            try:
+                _, ready, _ = select.select([], [self._port], [], patience_s)
+            except (OSError, ValueError) as error:
+                raise can.CanOperationError(f"the gateway's port failed: {error}") from error
+            if not ready:
                 raise can.CanOperationError(f"the gateway takes no bytes for {patience_s:.1f} s")
             with self._writing:
                 self._push()
@@ -219,7 +224,9 @@ class SlcanBus(can.BusABC):
         try:
             self._put(b"C\r")
         finally:
-            self._close_port()
+            with self._writing:  # the number of a closed port may be another file's
+                self._port = CLOSED
+                self._close_port()
 
 
 def has_long_stamp(line: bytes) -> bool:

@@ -2,10 +2,12 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import socket
 import threading
 import tty
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import can
 import pytest
@@ -209,6 +211,9 @@ class SerialLine:
 
     def close(self) -> None:
         self.bus.shutdown()
+        self.join()
+
+    def join(self) -> None:
         self._reader.join()
         os.close(self._far)
 
@@ -269,6 +274,47 @@ def test_a_port_that_takes_nothing_is_an_error_in_time() -> None:
         line.bus.send(frame(0x205))
     line.read_on()
     line.close()
+
+
+@pytest.mark.usefixtures("mute")
+def test_a_port_that_is_closed_under_a_writer_is_an_error_of_the_bus(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A jammed writer waits for the port while another thread closes it."""
+    line, wait = SerialLine(), select.select
+    jam(line.bus)
+
+    def closed(reading: list[int], writing: list[int], failing: list[int], wait_s: float) -> object:
+        line.bus._close_port()
+        return wait(reading, writing, failing, wait_s)
+
+    monkeypatch.setattr(slcan_bus, "select", SimpleNamespace(select=closed))
+    with pytest.raises(can.CanOperationError):
+        line.bus.send(frame(0x205))
+    with pytest.raises(can.CanOperationError):
+        line.bus.shutdown()
+    line.read_on()
+    line.join()
+
+
+@pytest.mark.usefixtures("mute")
+def test_a_bus_that_was_shut_down_writes_to_no_file_that_has_its_number_now() -> None:
+    line = SerialLine()
+    line.read_on()
+    number = line.bus._port
+    line.close()
+    reading, writing = os.pipe()
+    os.dup2(writing, number)
+    try:
+        with pytest.raises(can.CanOperationError):
+            line.bus.send(frame(0x205))
+        with pytest.raises(can.CanOperationError):
+            line.bus.recv(PATIENT_S)
+        os.close(writing)
+    finally:
+        os.close(number)
+    assert os.read(reading, 1) == b""
+    os.close(reading)
 
 
 @pytest.mark.usefixtures("mute")
