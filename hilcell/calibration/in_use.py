@@ -17,9 +17,10 @@ import msgspec
 
 from hilcell.calibration.decision import limits_of
 from hilcell.calibration.file import read_calibration
-from hilcell.calibration.form import Calibration
+from hilcell.calibration.form import Calibration, Provenance
 from hilcell.calibration.validity import Unfit, check_fitness
 from hilcell.cell.file import Cell
+from hilcell.cell.settings import SettingsError
 from hilcell.journal.calibration_facts import USED
 from hilcell.journal.find_run import find_run
 from hilcell.journal.folder_order import in_order
@@ -158,9 +159,9 @@ def _current(runs: Path, cell: Cell, table: str) -> Path:
     known = standings(rows)
     for row in reversed(in_order(rows)):
         path = runs / row.name / CALIBRATION
-        if not path.is_file() or (made := read_calibration(path).provenance).cell != cell.name:
-            continue
         standing = known.get(row.name, _unproven(row))
+        if (made := _made(path, row, standing, cell)) is None or made.cell != cell.name:
+            continue
         if made.simulated != simulated:
             foreign = foreign or path  # a real cell and a simulated one of its name are two
         elif made.is_of_visit:
@@ -179,6 +180,24 @@ def _current(runs: Path, cell: Cell, table: str) -> Path:
         f"no finished run in {runs} has calibrated cell {cell.name}{gone}; `hilcell run calibrate` "
         f"first, or name a run or its calibration.json with --set {table}.calibration=RUN"
     )
+
+
+def _made(path: Path, row: RunRow, standing: Standing, cell: Cell) -> Provenance | None:
+    """Return how a run's calibration was made; None where it has none that may be current.
+
+    A damaged file ends only what may need it. The run's journal says of which cell it is; where
+    that cannot be read either, it may be of any. Raises `SettingsError`.
+    """
+    if not path.is_file():
+        return None
+    try:
+        return read_calibration(path).provenance
+    except SettingsError:
+        of_cell = (row.cell, row.simulated) == (cell.name, cell.simulation is not None)
+        wanted = standing.usable or standing.state == "in doubt"
+        if wanted and (of_cell or not row.readable):
+            raise
+        return None
 
 
 def standing_of(folder: Path) -> Standing:

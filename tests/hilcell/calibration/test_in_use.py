@@ -20,12 +20,13 @@ from hilcell.calibration.in_use import (
 from hilcell.calibration.validity import Unfit
 from hilcell.cell.file import Cell, RecheckTable, load_cell
 from hilcell.cell.settings import SettingsError
-from hilcell.journal.calibration_facts import USED
+from hilcell.journal.calibration_facts import REVOKED, USED
 from hilcell.journal.journal import Journal
 from hilcell.journal.runs import CALIBRATION, JOURNAL
 from hilcell.ports import HilcellError
 from tests.hilcell.calibration.calibrations import calibration
 from tests.hilcell.commands.finished_runs import finished
+from tests.hilcell.report.journals import Writer
 
 CELL = load_cell("paper")
 
@@ -144,4 +145,36 @@ def test_a_changed_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "1-old" / CALIBRATION
     path.write_text(path.read_text().replace('"pitch_mm": 450', '"pitch_mm": 451'))
     with pytest.raises(SettingsError, match="seal"):
+        with_calibration(using(), "recheck", tmp_path)
+
+
+@pytest.mark.parametrize("content", [b"{", b"\xff", b'{"schema": 1}'])
+def test_a_damaged_calibration_of_another_cell_ends_no_run(tmp_path: Path, content: bytes) -> None:
+    made(tmp_path, "1-old")
+    of_other = msgspec.structs.replace(CELL, name="another")
+    Writer(tmp_path / "2-other", cell=msgspec.to_builtins(of_other)).began().journal.close()
+    (tmp_path / "2-other" / CALIBRATION).write_bytes(content)
+    cell = with_calibration(using(), "recheck", tmp_path).cell
+    assert calibration_named(cell, "recheck").provenance.run == "1-old"
+
+
+def test_a_damaged_calibration_that_was_revoked_ends_no_run(tmp_path: Path) -> None:
+    made(tmp_path, "1-old")
+    made(tmp_path, "2-revoked")
+    journal = Journal(tmp_path / "2-revoked" / JOURNAL, "2-revoked", create=False)
+    journal.append("event", "", {"what": REVOKED, "reason": "bumped tracker"})
+    journal.close()
+    (tmp_path / "2-revoked" / CALIBRATION).write_bytes(b"{")
+    cell = with_calibration(using(), "recheck", tmp_path).cell
+    assert calibration_named(cell, "recheck").provenance.run == "1-old"
+
+
+@pytest.mark.parametrize("journal", ["whole", "damaged"])
+def test_a_damaged_calibration_that_may_be_current_is_refused(tmp_path: Path, journal: str) -> None:
+    made(tmp_path, "1-old")
+    made(tmp_path, "2-new")
+    (tmp_path / "2-new" / CALIBRATION).write_bytes(b"{")
+    if journal == "damaged":
+        (tmp_path / "2-new" / JOURNAL).write_bytes(b"no database" * 1000)
+    with pytest.raises(SettingsError, match="2-new"):
         with_calibration(using(), "recheck", tmp_path)
