@@ -90,6 +90,13 @@ class Dialect:
         """Whether an answer comes by itself again and again, until there is a next one."""
         return False
 
+    def works(self, asked: bytes, answer: bytes) -> bool:
+        """Whether a device is at work on what was asked, by an answer that comes by itself.
+
+        The driver then waits, so such answers go on whatever was asked elsewhere meanwhile.
+        """
+        return False
+
 
 class Slcan(Dialect):
     """CAN frames as lines; a heartbeat asks nothing."""

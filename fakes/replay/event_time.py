@@ -5,6 +5,9 @@ far as the recorded one was then. So devices of one motion keep in step, as a st
 Between two landmarks the time is that of the last answer, on any wire, or of the last look at the
 cell's clock, which shows what it showed. Samples of a stream, which nobody asks for one by one,
 come when their time has passed. So wires that are paired by the clock are paired as they were.
+
+A device that sends by itself leads the time, but not the clock, which goes by what the driver has
+done (``heard_s``): the thread that sends is not in step with the one that asks.
 """
 
 from __future__ import annotations
@@ -27,12 +30,13 @@ class EventTime:
         self._lock = threading.Lock()
         self._followers: tuple[Callable[[float], None], ...] = ()
         self._landmark_s = 0.0  # that was passed last
+        self._worked_s = 0.0  # until when a device was at work
         self._end_s, self._end = 0.0, ""  # of all wires
         self._cuts: list[tuple[float, str]] = []
         self._left = ""
         self.stop_s, self._stop = float("inf"), ""
         self._looked_s, self._idle_s = time.monotonic(), 0.0  # real time
-        self.now_s = 0.0
+        self.now_s = self.heard_s = 0.0  # of all, and of what the driver did
 
     def expect(self, asked_s: Iterable[float], landmarks_s: Iterable[float]) -> None:
         """Take the times at which a wire was asked, and those of what it was asked once only."""
@@ -84,11 +88,18 @@ class EventTime:
 
     def part(self) -> tuple[float, float]:
         """Return the times of the landmarks between which the replay is."""
-        return self._landmark_s, _following(self._landmarks_s, self._landmark_s)
+        return self._landmark_s, following(self._landmarks_s, self._landmark_s)
 
     def next_asked_s(self) -> float:
         """Return when something was asked next."""
-        return _following(self._asked_s, self.now_s)
+        return following(self._asked_s, self.now_s)
+
+    def is_next(self, time_s: float) -> bool:
+        """Whether nothing was asked between what the driver did last and ``time_s``.
+
+        What was asked while a device was at work was another thread's, which asks when it wants to.
+        """
+        return time_s < following(self._asked_s, max(self.heard_s, self._worked_s))
 
     def pass_landmark(self, time_s: float) -> None:
         """A question was asked that was asked once only, at ``time_s``."""
@@ -97,8 +108,15 @@ class EventTime:
         self.reach(time_s)
 
     def reach(self, time_s: float) -> None:
-        """Be at ``time_s``; all that had come by then is handed out before this returns."""
+        """Be at ``time_s``, as the driver is; all that had come by then is handed out before."""
         with self._lock:
+            self.heard_s = max(self.heard_s, time_s)
+        self.lead(time_s)
+
+    def lead(self, time_s: float, *, at_work: bool = False) -> None:
+        """Be at ``time_s`` by what a device sends by itself, ``at_work`` on what it was asked."""
+        with self._lock:
+            self._worked_s = time_s if at_work else self._worked_s
             if time_s > self.now_s:
                 self.now_s, self._idle_s = time_s, 0.0
         if self.now_s >= self.stop_s:
@@ -135,14 +153,15 @@ class RecordedLooks:
     def now_s(self) -> float:
         """Return the cell's time, which never runs back."""
         with self._lock:
-            n, before_s = bisect_right(self._at_s, self._time.now_s), self._time.next_asked_s()
-            if n < len(self._at_s) and self._at_s[n] < before_s:
+            n = bisect_right(self._at_s, self._time.heard_s)
+            if n < len(self._at_s) and self._time.is_next(self._at_s[n]):
                 self._time.reach(self._at_s[n])
                 self._shown, self._since_s = self._shown_s[n], 0.0
             self._latest_s = max(self._latest_s, self._shown + self._since_s)
             return self._latest_s
 
 
-def _following(times_s: Sequence[float], time_s: float) -> float:
+def following(times_s: Sequence[float], time_s: float) -> float:
+    """Return the next of some times in order; infinite behind the last."""
     at = bisect_right(times_s, time_s)
     return times_s[at] if at < len(times_s) else float("inf")

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 from fakes.replay.dialects import Dialect
-from fakes.replay.event_time import EventTime
+from fakes.replay.event_time import EventTime, following
 from hilcell.wire.recording import Piece
 
 _NUMBER = re.compile(rb"-?\d{1,9}\.\d{3,}")
@@ -38,6 +38,7 @@ class Exchange:
     time_s: float = 0.0
     came_s: list[float] = field(default_factory=list)  # the answers, each
     cut: bool = False  # the recording ends before the answer does
+    passed_s: list[float] = field(default_factory=list)  # messages of no exchange, before the next
 
     def __post_init__(self) -> None:
         self.came_s = self.came_s or [self.time_s] * len(self.answers)
@@ -59,11 +60,12 @@ def exchanges(pieces: Sequence[Piece], dialect: Dialect) -> list[Exchange]:
     for piece in pieces:
         if piece.e == ">":
             messages, asking = dialect.split_questions(asking + piece.data)
-            found += [
-                Exchange(each, time_s=piece.t + n * APART_S)
-                for n, each in enumerate(messages)
-                if not dialect.unheard(each)
-            ]
+            for n, each in enumerate(messages):
+                asked_s = piece.t + n * APART_S
+                if dialect.unheard(each):
+                    found[-1].passed_s.append(asked_s)
+                else:
+                    found.append(Exchange(each, time_s=asked_s))
         elif piece.e == "<":
             answers, answering = dialect.split(answering + piece.data)
             for answer in answers:
@@ -99,6 +101,7 @@ def _merged(recorded: Sequence[Exchange], dialect: Dialect) -> list[Exchange]:
         if (asked := dialect.name(each.asked)) == name:
             for answer, came_s in zip(each.answers, each.came_s, strict=True):
                 found[-1].add(answer, came_s)
+            found[-1].passed_s += each.passed_s
         else:
             found.append(each)
             name = asked
@@ -247,7 +250,7 @@ class Script:
 
     def _early(self, first: Exchange) -> Exchange | None:
         """Return the answer to a question that is asked before the part in which it was."""
-        now_s = self._time.now_s
+        now_s = self._time.heard_s
         if not first.time_s < self._time.stop_s:
             return None
         return replace(first, time_s=now_s, came_s=[now_s] * len(first.answers))
@@ -260,14 +263,16 @@ def _time_s(exchange: Exchange) -> float:
 class Flow:
     """A connection whose messages come by themselves: those of the last question, in their order.
 
-    At their end the last one comes again and again.
+    One that came only after the driver had asked elsewhere, or had taken note of an earlier one,
+    waits for that, unless the device is at work. Meanwhile, and at the end, the last one comes
+    again and again. So the messages are as far as the driver, whichever thread runs first.
     """
 
     def __init__(self, recorded: Sequence[Exchange], dialect: Dialect, time: EventTime) -> None:
         self._dialect, self._time, self._recorded = dialect, time, recorded
         self._order = [b"", *(dialect.name(each.asked) for each in recorded[1:])]
         self._names = Names(self._order)
-        self._at = self._taken = 0
+        self._at = self._taken = self._repeated = 0
         self._asked = b""
         self._silent = False
 
@@ -289,22 +294,51 @@ class Flow:
             self._time.pass_landmark(recorded.time_s)
             self._dialect.heard(asked, recorded.asked)
 
+    def passed(self) -> None:
+        """Take note of a message that has no part in any exchange, as a question for a fresh state.
+
+        The driver is as far as with the recorded one. One that asks on and on waits for what came
+        behind the next question on another wire, which it does not ask.
+        """
+        next_s = following(self._recorded[self._at].passed_s, self._time.heard_s)
+        self._repeated += 1
+        if not (self._works() or self._time.is_next(next_s)):
+            next_s = self._time.next_asked_s() if self._repeated >= STUCK else float("inf")
+        if next_s < float("inf"):
+            self._time.reach(next_s)
+            self._repeated = 0
+
     def next(self) -> list[bytes]:
-        """Return the next message and those that have come by now, none where none comes."""
+        """Return the messages that have come by now, or the next one; none where none comes."""
         recorded = self._recorded[self._at]
-        count = len(recorded.answers)
+        count, first, now_s = len(recorded.answers), self._taken, self._time.now_s
         if self._silent or not count:
             return []
-        first, now_s = self._taken, self._time.now_s
-        self._taken += 1
-        if first >= count:
-            messages = [each for each in recorded.answers[-1:] if self._dialect.repeats(each)]
-        else:
-            while self._taken < count and recorded.came_s[self._taken] <= now_s:
-                self._taken += 1
-            self._time.reach(recorded.came_s[self._taken - 1])
-            messages = recorded.answers[first : self._taken]
+        while self._taken < count and recorded.came_s[self._taken] <= now_s:
+            self._taken += 1
+        if self._taken == first < count and not self._waits():
+            self._time.lead(recorded.came_s[first], at_work=self._works())
+            self._taken += 1
+        messages = recorded.answers[first : self._taken]
+        if not messages:
+            last = recorded.answers[first - 1]
+            messages = [last] if self._dialect.repeats(last) else []
         return [self._dialect.answer(self._asked, recorded.asked, each) for each in messages]
+
+    def _waits(self) -> bool:
+        """Whether the next message came after something that the driver has not done yet."""
+        recorded, n = self._recorded[self._at], self._taken
+        if n == 0 or not self._dialect.repeats(recorded.answers[n - 1]):
+            return False
+        came_s = recorded.came_s[n]
+        if came_s > following(recorded.passed_s, self._time.heard_s):
+            return True
+        return came_s > self._time.next_asked_s() and not self._works()
+
+    def _works(self) -> bool:
+        """Whether the device is at work on what was asked, by the last message given."""
+        recorded, n = self._recorded[self._at], self._taken
+        return n > 0 and self._dialect.works(recorded.asked, recorded.answers[n - 1])
 
 
 class Pulse:

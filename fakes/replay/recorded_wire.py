@@ -160,6 +160,7 @@ class RecordedWire:
                 for message in messages:
                     if self._dialect.unheard(message):
                         self._dialect.passed(message)
+                        flow.passed()
                     else:
                         self._look_up(flow, message)
                         flow.ask(message)

@@ -18,6 +18,7 @@ DATA, OUTPUTS = 85, 79
 SIZES = {"DOUBLE": 8, "INT32": 4, "UINT32": 4, "UINT64": 8, "BOOL": 1, "UINT8": 1}
 SIZES |= {"VECTOR3D": 24, "VECTOR6D": 48, "VECTOR6INT32": 24, "VECTOR6UINT32": 24}
 SESSION, COUNT, TIME = "output_int_register_26", "output_int_register_27", "timestamp"
+ACKNOWLEDGED = "output_int_register_24"
 ECHO = "input_int_register_28"
 LEAST_S = 1e-6  # from one package to the next
 # recipe, then sequence, command, sign of life, stop; joints; speed
@@ -93,6 +94,14 @@ class Rtde(Sized):
     def repeats(self, answer: bytes) -> bool:
         """Whether it is a package of data."""
         return answer[KIND] == DATA
+
+    def works(self, asked: bytes, answer: bytes) -> bool:
+        """Whether the script has not acknowledged a write's number yet."""
+        values, at = asked[HEAD + 1 :], self._places.get(ACKNOWLEDGED)
+        if asked[KIND : KIND + 1] != bytes([DATA]) or len(values) != _INPUTS.size or at is None:
+            return False
+        sequence, *_ = _INPUTS.unpack(values)
+        return answer[KIND] == DATA and struct.unpack_from("!i", answer, at) != (sequence,)
 
     def _learn(self, asked: bytes, answer: bytes) -> None:
         """Take note of where each field is."""

@@ -11,6 +11,7 @@ from fakes.replay import event_time
 from fakes.replay.dialects import Dialect, Slcan, StripLine, dialects_of
 from fakes.replay.event_time import EventTime, RecordedLooks
 from fakes.replay.recorded_script import (
+    STUCK,
     Exchange,
     Flow,
     Names,
@@ -25,9 +26,9 @@ from fakes.universal_robots.dialect import Rtde
 from hilcell.wire.recording import Piece
 
 OUTPUTS, DATA = 79, 85
-FIELDS = ("timestamp", "actual_q", "output_int_register_26", "output_int_register_27",
-          "input_int_register_28")  # fmt: skip
-STATE = struct.Struct("!Bd6diii")
+FIELDS = ("timestamp", "actual_q", "output_int_register_24", "output_int_register_26",
+          "output_int_register_27", "input_int_register_28")  # fmt: skip
+STATE = struct.Struct("!Bd6diiii")
 WRITE = struct.Struct("!B4i6dd")
 SCRIPT = b"def hilcell():\n  write_output_integer_register(26, %d)\nend\n"
 
@@ -36,8 +37,8 @@ def package(kind: int, payload: bytes) -> bytes:
     return struct.pack("!HB", 3 + len(payload), kind) + payload
 
 
-def state(time_s: float, session: int, count: int) -> bytes:
-    return package(DATA, STATE.pack(1, time_s, *[0.25] * 6, session, count, 0))
+def state(time_s: float, session: int, count: int, acknowledged: int = 0) -> bytes:
+    return package(DATA, STATE.pack(1, time_s, *[0.25] * 6, acknowledged, session, count, 0))
 
 
 def write(
@@ -52,7 +53,7 @@ def rtde() -> tuple[Rtde, Dialect]:
     states, scripts = found["rtde"], found["script"]
     assert isinstance(states, Rtde)
     asked = package(OUTPUTS, struct.pack("!d", 125.0) + ",".join(FIELDS).encode())
-    states.answer(asked, asked, package(OUTPUTS, b"\1DOUBLE,VECTOR6D,INT32,INT32,INT32"))
+    states.answer(asked, asked, package(OUTPUTS, b"\1DOUBLE,VECTOR6D,INT32,INT32,INT32,INT32"))
     return states, scripts
 
 
@@ -298,6 +299,82 @@ def test_no_time_of_the_pc_passes_on_the_recorded_clock(monkeypatch: pytest.Monk
         shown_s.append(looks.now_s())
     looks.wait(0.5)
     assert [*shown_s, looks.now_s()] == [50.0, 50.0, 50.0, 50.5]
+
+
+def moving(
+    acknowledged: list[int], passed_s: list[float], asked_s: list[float]
+) -> tuple[Flow, EventTime]:
+    """Return the flow of a motion that was begun at 1.0, its states at 1.1, 1.2 .. .
+
+    Other wires were asked at ``asked_s``, and questions for fresh states came at ``passed_s``.
+    """
+    states, _ = rtde()
+    came_s = [1.1 + 0.1 * n for n in range(len(acknowledged))]
+    answers = [
+        state(t, 7, n, done) for n, (t, done) in enumerate(zip(came_s, acknowledged, strict=True))
+    ]
+    order = Exchange(write(1, 1), answers, 1.0, came_s, passed_s=passed_s)
+    time = EventTime()
+    time.expect([1.0, *asked_s], [1.0])
+    flow = Flow([Exchange(b""), order], states, time)
+    flow.ask(write(1, 500))
+    return flow, time
+
+
+def run(flow: Flow) -> float:
+    """Let the controller send, however busy the driver is; return the last state's time."""
+    return max(values(*flow.next())[0] for _ in range(20))
+
+
+def test_states_wait_for_a_driver_that_was_asking_elsewhere() -> None:
+    """A busy driver asks late: the states that came behind its question come behind it."""
+    flow, time = moving([0, 1, 1, 1, 1], [], [1.25, 1.45])
+    assert run(flow) == pytest.approx(1.2, abs=1e-3)
+    time.reach(1.25)
+    assert run(flow) == pytest.approx(1.4, abs=1e-3)
+    time.reach(1.45)
+    assert run(flow) == pytest.approx(1.5, abs=1e-3)
+
+
+def test_a_motion_goes_on_whatever_was_asked_elsewhere_meanwhile() -> None:
+    """A keep-alive asks when this PC wants it to; the driver waits for the end of the motion."""
+    flow, time = moving([0, 0, 0, 1, 1], [], [1.15, 1.25, 1.45])
+    assert run(flow) == pytest.approx(1.4, abs=1e-3)
+    assert time.now_s == pytest.approx(1.4)
+
+
+def test_a_state_behind_a_question_for_a_fresh_one_comes_behind_it() -> None:
+    flow, _ = moving([0, 0, 0, 1, 1], [1.15, 1.45], [1.25])
+    assert run(flow) == pytest.approx(1.1, abs=1e-3)
+    flow.passed()
+    assert run(flow) == pytest.approx(1.4, abs=1e-3)
+    flow.passed()
+    assert run(flow) == pytest.approx(1.5, abs=1e-3)
+
+
+def test_fresh_states_asked_for_on_and_on_come_to_what_followed() -> None:
+    """This driver does not ask elsewhere what the recorded one asked meanwhile."""
+    flow, _ = moving([1, 1, 1], [], [1.15, 1.25])
+    for end_s in (1.1, 1.2, 1.3):
+        assert run(flow) == pytest.approx(end_s, abs=1e-3)
+        for _ in range(STUCK):
+            flow.passed()
+
+
+def test_more_questions_for_fresh_states_than_before_pass_no_question_elsewhere() -> None:
+    flow, time = moving([1, 1, 1, 1], [1.05, 1.35], [1.25])
+    for _ in range(5):
+        flow.passed()
+    assert run(flow) == pytest.approx(1.2, abs=1e-3)
+    assert time.heard_s == 1.05
+
+
+def test_states_that_nobody_asked_for_move_no_clock() -> None:
+    flow, time = moving([0, 0, 0, 1], [], [2.0])
+    looks = RecordedLooks(time, [1.05, 1.15, 1.35], [50.0, 60.0, 70.0])
+    run(flow)
+    assert time.now_s == pytest.approx(1.4)
+    assert [looks.now_s() for _ in range(4)] == [50.0, 60.0, 70.0, 70.0]
 
 
 def test_a_write_that_only_lives_asks_nothing_new() -> None:
