@@ -122,6 +122,11 @@ def test_it_goes_where_it_is_sent(bench: Bench) -> None:
     until(lambda: bench.controller.ask("running").endswith("false"))
 
 
+def test_poses_are_by_the_links_that_the_factory_has_measured(robot: UrRtdeRobot) -> None:
+    assert robot.read().by_factory_links
+    assert robot.move_to(TARGET, 100.0).by_factory_links
+
+
 def test_packages_that_are_split_and_glued(bench: Bench, robot: UrRtdeRobot) -> None:
     bench.faults.set("robot.split_reply", count=0)
     assert robot.move_to(TARGET, 100.0).still
