@@ -3,8 +3,9 @@
 Nothing but the holes and the cell's boxes is known of a part. So it is taken to lie behind the
 plane of each hole, as far as that hole is the nearest one and not farther than `REACH_MM`; and a
 box of ``[[keep_out]]`` on which a hole lies is the part, or the jig that carries it. The tool's tip
-is in front of all else of the tool, so it is judged against both; the arm is judged against the
-other boxes, as in a run. Lengths mm, angles rad.
+is in front of all else of the tool, so it is judged against both; the arm, and the line from its
+flange to the tip, are judged against the other boxes, as in a run. Close to a hole, on the straight
+way, the tip may be near to such a box, but not in it. Lengths mm, angles rad.
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from msgspec.structs import replace
 from scipy.spatial import cKDTree
 
 from hilcell.cell.file import Cell, KeepOut, Station
-from hilcell.cell.surroundings import Surroundings, posture
+from hilcell.cell.surroundings import LEAST_MM, LINKS, CapsuleTable, Surroundings, posture
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.ports import Array
@@ -62,10 +64,13 @@ class Clearance:
         self._rail_mm = station.rail_mm
         boxes = [_Box(cell, station, each) for each in cell.keep_out]
         self._carriers = [box for box in boxes if box.carries(part.points_mm)]
-        others = [box.table for box in boxes if box not in self._carriers]
-        self._around = None
-        if cell.robot.envelope is not None and others:
-            self._around = Surroundings(cell.robot.arm(), cell.robot.envelope, cell.layout, others)
+        self._others = [box for box in boxes if box not in self._carriers]
+        self._around = self._around_tool = None
+        if (envelope := cell.robot.envelope) is not None and self._others:
+            known = (cell.layout, [box.table for box in self._others])
+            self._around = Surroundings(cell.robot.arm(), envelope, *known)
+            longer = replace(envelope, capsule=[*envelope.capsule, _tool_line(arm)])
+            self._around_tool = Surroundings(cell.robot.arm(), longer, *known)
 
     def refusal(self, start_rad: Array, end_rad: Array) -> str:
         """Return why a motion of all joints in step between (6,) and (6,) is not clear, or ""."""
@@ -77,32 +82,37 @@ class Clearance:
                 f"the tip is {abs(free_mm):.1f} mm {where} the part, expected at least "
                 f"{self._least_mm:.0f} mm in front of it"
             )
-        return self._passes_through(tip_mm) or self._collides(start_rad[None], end_rad[None])
+        return self._passes_through(tip_mm) or self._collides(
+            self._around_tool, start_rad[None], end_rad[None]
+        )
 
     def straight_refusal(self, joints_rad: Array) -> str:
         """Return why a straight way by joints (K, 6) to a hole is not clear, or ""."""
         tip_mm = self._tip_mm(joints_rad)
         before = np.linalg.norm(tip_mm - tip_mm[-1], axis=1) > AT_HOLE_MM
         return self._passes_through(tip_mm[before]) or self._collides(
-            joints_rad[:-1], joints_rad[1:]
+            self._around, joints_rad[:-1], joints_rad[1:]
         )
 
     def _passes_through(self, tip_mm: Array) -> str:
         for box in self._carriers:
             if box.contains(tip_mm):
                 return f"the tip passes through keep-out {box.table.name}, on which holes lie"
+        for box in self._others:
+            if box.contains(tip_mm):
+                return f"the tip passes through keep-out {box.table.name}"
         return ""
 
-    def _collides(self, starts_rad: Array, ends_rad: Array) -> str:
-        if self._around is None:
+    def _collides(self, around: Surroundings | None, starts_rad: Array, ends_rad: Array) -> str:
+        if around is None:
             return ""
         start, end = (posture(self._rail_mm, each) for each in (starts_rad, ends_rad))
-        proof = self._around.prove(start, end)
+        proof = around.prove(start, end)
         for n in np.flatnonzero(~proof.clear).tolist():
-            nearest = self._around.nearest(start[n], end[n], float(proof.share[n]))
+            nearest = around.nearest(start[n], end[n], float(proof.share[n]))
             return (
                 f"link {nearest.link} comes within {nearest.clearance_mm:.0f} mm of keep-out "
-                f"{nearest.volume}, expected at least {self._around.wanted_mm:.0f} mm"
+                f"{nearest.volume}, expected at least {around.wanted_mm:.0f} mm"
             )
         return ""
 
@@ -116,6 +126,14 @@ class Clearance:
 
     def _tip_mm(self, joints_rad: Array) -> Array:
         return apply(self._T_W_B, forward(self._arm, joints_rad)[:, :3, 3])
+
+
+def _tool_line(arm: Arm) -> CapsuleTable:
+    """Return what is known of a tool's body: it reaches from the flange to its tip."""
+    x_mm, y_mm, z_mm = arm.tool[:3, 3].tolist()
+    return CapsuleTable(
+        link=LINKS, from_mm=(0.0, 0.0, 0.0), to_mm=(x_mm, y_mm, z_mm), radius_mm=LEAST_MM
+    )
 
 
 @dataclass(frozen=True, eq=False)

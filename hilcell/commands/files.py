@@ -78,6 +78,8 @@ def compensate(args: argparse.Namespace) -> int:
         limits = _stroke_limits(args, bounds)
         _check_program(calibration, args, program, targets, command, cell, limits, tip)
     turns_deg = turns_of_targets(calibration, args.station, targets, tip)
+    form = (CSV, "a list") if program is None else (tuple(program.suffixes), "a program")
+    check_output(out, *form, inputs=inputs)  # before the bounds are written
     if args.bounds:
         where = Path(args.bounds)
         write_bounds(where, bounds, names, out, inputs=inputs, turns_deg=turns_deg)
@@ -103,6 +105,9 @@ def compensate(args: argparse.Namespace) -> int:
         f"{len(names)} target{'s' * (len(names) != 1)} corrected for {args.station} into {written}"
     )
     print_message(summary(bounds, names, turns_deg))
+    setting = setting_tool(program)
+    if cell is not None and setting is not None and setting.tool is None:
+        print_message(f"{source.name}: it sets no tool: taken to run with that of {tip.name}")
     if tip.table is not None:
         print_message(tip.words)
     elif drill_mm is not None:
@@ -227,10 +232,8 @@ def _write(
 ) -> str:
     """Write the list or the program, print its notes, and return in words where it was written."""
     if program is None:
-        check_output(out, CSV, "a list", inputs=inputs)
         write_targets(out, names, command, stamp=stamp, inputs=inputs)
         return str(out)
-    check_output(out, tuple(program.suffixes), "a program", inputs=inputs)
     numbers = command if turned else command[:, :3]
     written = write_program(program, numbers, source, out, stamp=stamp, inputs=inputs)
     frame = f"{{B}}, the robot's base, at {stamp.station}" if stands_in_root(program) else "{W}"

@@ -28,6 +28,7 @@ from hilcell.commands.output_place import KNOWN
 from hilcell.commands.prepared import Job, Prepared, prepared, standoff_remarks
 from hilcell.commands.released import Released, released
 from hilcell.errors import bounded
+from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.planning.holes import read_holes, twins
 from hilcell.planning.plan import HolePlan, plan
@@ -74,6 +75,7 @@ def sheet_of(
         ("Use until", f"{until}, {max_age_days:g} days after it was written"),
         ("Air", air),
         ("Orientation", f"as calibrated, within {validity.orientation_tolerance_deg:g}°"),
+        ("Tool", _tool_of(job.tip)),
         ("Bounds hold at", _bounds_at(cell, job.tip)),
         ("Stand-off", standoff),
         ("Side and depth", f"{side}; {depth}"),
@@ -99,6 +101,16 @@ def sheet_of(
     )
 
 
+def _tool_of(tip: Tip) -> str:
+    """Return which tool the controller must have, so that a person can compare it."""
+    number = "" if tip.number is None else f", number {tip.number}"
+    values = zyx_from_pose(tip.T_F_D[None])[0] + 0.0
+    frame = " ".join(f"{axis} {each:.3f}" for axis, each in zip("XYZABC", values, strict=True))
+    return (
+        f"{tip.name}{number}; in the flange: {frame} (mm, deg); the controller's must be the same"
+    )
+
+
 def _bounds_at(cell: Cell, tip: Tip) -> str:
     """Return where points, corrections and bounds hold."""
     drill_mm = drill_mm_of(cell)
@@ -114,8 +126,8 @@ def _standoff_mm(tip: Tip, ordered_mm: float | None) -> float:
         return tip.standoff_mm
     if not ordered_mm >= tip.least_standoff_mm:
         problem = (
-            f"{ordered_mm:g} mm: expected at least {tip.least_standoff_mm:g} mm, the drill of "
-            f"{tip.name} and {STANDOFF_MORE_MM:g} mm more"
+            f"{ordered_mm:g} mm: expected at least {tip.least_standoff_mm:g} mm: the drill of "
+            f"{tip.name} and {STANDOFF_MORE_MM:g} mm"
         )
         raise SettingsError("--standoff", [problem])
     return ordered_mm
@@ -139,7 +151,7 @@ def _station(cell: Cell, each: Prepared) -> SheetStation:
     return SheetStation(
         station.name, station.rail_mm, station.strip_mm, cell.rail.strip_tolerance_mm,
         next((Path(name).stem for name in each.program), each.file), [*each.program, each.file],
-        holes,
+        holes, each.stroke,
     )  # fmt: skip
 
 

@@ -59,7 +59,8 @@ class SheetHole:
 class SheetStation:
     """A station: where the slide is held, by the strip, and the holes there in order of visit.
 
-    ``program`` is what is chosen on the controller, or the list where there is none.
+    ``program`` is what is chosen on the controller, or the list where there is none; ``remark``
+    says in words what comes on top of the bounds.
     """
 
     name: str
@@ -69,6 +70,7 @@ class SheetStation:
     program: str
     files: Sequence[str]
     holes: Sequence[SheetHole]
+    remark: str = ""
 
     @property
     def largest_mm(self) -> float | None:

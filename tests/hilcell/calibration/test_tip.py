@@ -184,6 +184,9 @@ def test_list_and_program_of_a_drill(tmp_path: Path) -> None:
     src = (tmp_path / "out" / "S1100.src").read_text("latin-1")
     assert "BAS (#TOOL,2 )" in src
     assert "tool drill" in src
+    page = (tmp_path / "out" / "sheet.html").read_text("utf-8")
+    assert "drill, number 2; in the flange: X 0.000 Y 0.000 Z 310.000" in page
+    assert "comes on top of the bounds" in page
     names, commands, _ = read_corrected(tmp_path / "out" / "S1100.csv")
     (station,) = json.loads(
         command("plan", source, "--json", "--cell", path, "--calibration",
@@ -202,3 +205,12 @@ def test_list_and_program_of_a_drill(tmp_path: Path) -> None:
     off_mm = np.linalg.norm(seen[:, :3, 3] - np.array(INSIDE)[[int(n[1:]) - 1 for n in names]],
                             axis=1)  # fmt: skip
     assert (off_mm < 2.0).all()
+
+
+def test_a_refused_list_leaves_no_bounds(tmp_path: Path) -> None:
+    file, source = made(tmp_path), tmp_path / "targets.csv"
+    write_targets(source, ["H1"], np.array([[0.0, 0.0, 1200.0, 0.0, 75.0, 0.0]]))
+    words = ("--station", "S1100", "--bounds", tmp_path / "bounds.csv", "-o")
+    for out in ("out.json", "targets.csv", "none/out.csv"):
+        assert command("compensate", file, source, *words, tmp_path / out).returncode in (2, 7)
+        assert not (tmp_path / "bounds.csv").exists(), out

@@ -10,17 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hilcell.calibration.tip import tips_of
 from hilcell.calibration.volume import Volume
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, poses_from_zyx
 from hilcell.geometry.inverse import posture
-from hilcell.geometry.kinematics import forward
+from hilcell.geometry.kinematics import Arm, forward
 from hilcell.ports import Array
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
+from tests.hilcell.calibration.test_tip import DRILL, at_tip_of, cell_with
 from tests.hilcell.commands.test_prepare import DIGEST, INSIDE, holes, made, prepare, refused
 from tests.hilcell.commands.test_prepared_files import made_for_two
 
 CELL = load_cell("paper")
+ARM = CELL.robot.arm()
 OUTWARD = -Volume(calibration()).orientation("S1100")[:, 2]
 ALONG = np.array([0.0, 1.0, 0.0])
 ACROSS = np.cross(OUTWARD, ALONG)
@@ -65,10 +68,12 @@ def listed(folder: Path, points: Array, normals: Array) -> Path:
     return path
 
 
-def motions(folder: Path, station: str, base: Array) -> Iterator[tuple[str, str, Array]]:
+def motions(
+    folder: Path, station: str, base: Array, arm: Arm = ARM
+) -> Iterator[tuple[str, str, Array]]:
     """Yield word, point and places (K, 3) in {W} of the tool point on each motion of a program."""
     robot = CELL.robot
-    arm, home_rad = robot.arm(), np.radians(robot.home_deg)
+    home_rad = np.radians(robot.home_deg)
     points = {
         name: poses_from_zyx(
             np.array([[float(each.split()[1]) for each in numbers.split(",")[:6]]])
@@ -196,3 +201,30 @@ def test_holes_whose_stand_off_is_out_of_reach_are_named(tmp_path: Path) -> None
     for name in ("H1: ", "H2: ", "H3: ", "--standoff"):
         assert name in said
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("aside_mm", [200.0, -200.0])
+def test_no_tool_passes_through_a_box_between_its_holes(tmp_path: Path, aside_mm: float) -> None:
+    """A long drill keeps the flange far away from a bracket that is higher than the tip goes."""
+    tool = DRILL.replace("z_mm = 310.0", "z_mm = 700.0")
+    holes_path = at_tip_of(cell_with(tmp_path, tool), tmp_path)
+    rows = np.genfromtxt(holes_path, delimiter=",", skip_header=1)[:2, 1:]
+    rows[:, :3] = rows[0, :3] + np.outer([0.0, aside_mm], ALONG)
+    path = listed(tmp_path, rows[:, :3], rows[:, 3:])
+    x, y, z = (rows[:, :3].mean(axis=0) + 60.0 * OUTWARD).tolist()
+    bracket = (
+        f'\n[[keep_out]]\nname = "bracket"\ncentre = {{ x_mm = {x:.1f}, y_mm = {y:.1f}, '
+        f"z_mm = {z:.1f}, b_deg = 75.0 }}\nsize_mm = [400.0, 40.0, 120.0]\n"
+    )
+    cell = cell_with(tmp_path, tool, bracket)
+    made(tmp_path, provenance=calibration(digest=load_cell(str(cell)).digest).provenance)
+    done = prepare(tmp_path, path, "--cell", cell)
+    if done.returncode == 0:  # led round it
+        loaded = load_cell(str(cell))
+        tip = tips_of(loaded)[1]
+        box = inverse(pose_from_zyx(x, y, z, 0.0, 75.0, 0.0))
+        for _, name, way in motions(tmp_path / "out", "S1100", T_W_B, tip.arm(loaded.robot.arm())):
+            inside = (np.abs(apply(box, way)) < np.array([200.0, 20.0, 60.0])).all(axis=1)
+            assert not inside.any(), name
+    else:
+        assert "bracket" in done.stderr
