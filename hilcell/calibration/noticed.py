@@ -179,7 +179,7 @@ def suspicions_of(log: Log) -> list[Suspicion]:
     of_robot = [each for each in (mount, lost, again, *of_validation) if each is not None]
     # Slow and small changes show where nothing larger has changed, or nothing that has a name.
     named = any(each.cause != "unknown" for each in of_robot)
-    slow = None if named else tracker_drift(log) or robot_drift(log) or scattered(log)
+    slow = None if named else tracker_drift(log) or scattered(log) or robot_drift(log)
     found = [scale(log), *instrument(log), warm(log), misplaced_base(log)]
     found += [risen_nest(log), since_before(log), *of_robot, slow]
     return [each for each in found if each is not None]
