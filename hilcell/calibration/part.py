@@ -2,7 +2,8 @@
 
 Nothing but the holes and the cell's boxes is known of a part. So it is taken to lie behind the
 plane of each hole, as far as that hole is the nearest one and not farther than `REACH_MM`; and a
-box of ``[[keep_out]]`` on which a hole lies is the part, or the jig that carries it. The tool's tip
+box of ``[[keep_out]]`` on which a hole lies is the part, or the jig that carries it, unless the box
+sticks out in front of that hole. The tool's tip
 is in front of all else of the tool, so it is judged against both; the arm, and the line from its
 flange to the tip, are judged against the other boxes, as in a run. Close to a hole, on the straight
 way, the tip may be near to such a box, but not in it. Lengths mm, angles rad.
@@ -63,7 +64,7 @@ class Clearance:
         self._arm, self._T_W_B, self._part, self._least_mm = arm, T_W_B, part, least_mm
         self._rail_mm = station.rail_mm
         boxes = [_Box(cell, station, each) for each in cell.keep_out]
-        self._carriers = [box for box in boxes if box.carries(part.points_mm)]
+        self._carriers = [box for box in boxes if box.carries(part, least_mm)]
         self._others = [box for box in boxes if box not in self._carriers]
         self._around = self._around_tool = None
         if (envelope := cell.robot.envelope) is not None and self._others:
@@ -111,7 +112,7 @@ class Clearance:
         for n in np.flatnonzero(~proof.clear).tolist():
             nearest = around.nearest(start[n], end[n], float(proof.share[n]))
             return (
-                f"link {nearest.link} comes within {nearest.clearance_mm:.0f} mm of keep-out "
+                f"link {nearest.link} comes within {nearest.clearance_mm:.1f} mm of keep-out "
                 f"{nearest.volume}, expected at least {around.wanted_mm:.0f} mm"
             )
         return ""
@@ -144,8 +145,13 @@ class _Box:
     station: Station
     table: KeepOut
 
-    def carries(self, points_mm: Array) -> bool:
-        return bool((self._outside_mm(points_mm) <= ON_BOX_MM).any())
+    def carries(self, part: Part, front_mm: float) -> bool:
+        """Whether holes lie on it, and it does not stick out beside them: ``front_mm`` in front of
+        them it is at least half as far away.
+        """
+        on_it = self._outside_mm(part.points_mm) <= ON_BOX_MM
+        in_front_mm = part.points_mm[on_it] + front_mm * part.outward[on_it]
+        return bool(on_it.any() and (self._outside_mm(in_front_mm) >= front_mm / 2).all())
 
     def contains(self, places_mm: Array) -> bool:
         """Whether any of places (K, 3) in {W} is in it, or is no number."""

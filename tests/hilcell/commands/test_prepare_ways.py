@@ -228,3 +228,22 @@ def test_no_tool_passes_through_a_box_between_its_holes(tmp_path: Path, aside_mm
             assert not inside.any(), name
     else:
         assert "bracket" in done.stderr
+
+
+@pytest.mark.parametrize(("high_mm", "code"), [(60.0, 2), (0.0, 0)])
+def test_a_box_beside_a_hole_is_no_part_where_it_sticks_out(
+    tmp_path: Path, high_mm: float, code: int
+) -> None:
+    """The spindle comes down beside it; a box that ends at the hole's plane carries the hole."""
+    path = cell_with(tmp_path, DRILL)
+    place = np.genfromtxt(at_tip_of(path, tmp_path), delimiter=",", skip_header=1)[:1, 1:]
+    x, y, z = (place[0, :3] + 33.0 * ALONG + (high_mm / 2 - 50.0) * OUTWARD).tolist()
+    bracket = (
+        f'\n[[keep_out]]\nname = "bracket"\ncentre = {{ x_mm = {x:.1f}, y_mm = {y:.1f}, '
+        f"z_mm = {z:.1f}, b_deg = 75.0 }}\nsize_mm = [200.0, 60.0, {high_mm + 100.0}]\n"
+    )
+    cell = cell_with(tmp_path, DRILL, bracket)
+    made(tmp_path, provenance=calibration(digest=load_cell(str(cell)).digest).provenance)
+    done = prepare(tmp_path, listed(tmp_path, place[:, :3], place[:, 3:]), "--cell", cell)
+    assert done.returncode == code, done.stderr
+    assert ("bracket" in done.stderr) == (code == 2)
