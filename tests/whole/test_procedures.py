@@ -28,6 +28,7 @@ OTHERS = (
     "iso9283",
     "paper",
     "recheck",
+    "reflectors",
     "targets",
     "touch",
 )  # have runs of their own
