@@ -41,6 +41,18 @@ class ToolTable(Pose, frozen=True, kw_only=True):
                 f"standoff_mm {self.standoff_mm:g} must be at least drill_mm + "
                 f"{STANDOFF_MORE_MM:g}, {self.least_standoff_mm:g}"
             )
+        if not self.drill_mm <= self.reach_mm:
+            raise ValueError(
+                f"drill_mm {self.drill_mm:g}: the tip is {self.reach_mm:.1f} mm in front of the "
+                "flange along its z, expected at least drill_mm: z (a_deg, b_deg, c_deg) points "
+                "along the drill, out of the spindle"
+            )
+
+    @property
+    def reach_mm(self) -> float:
+        """Return how far the tip is in front of the flange's centre, along its own z."""
+        T = self.matrix()
+        return float(T[:3, 3] @ T[:3, 2])
 
     @property
     def least_standoff_mm(self) -> float:

@@ -119,6 +119,9 @@ def test_a_program_s_tool_decides(
         ("drill_mm = 60.0", "drill_mm = 60.0\nstandoff_mm = 79.0", "standoff_mm"),
         ("drill_mm = 60.0", "drill_mm = 60.0\nstandoff_mm = 1000.5", "standoff_mm"),
         ("drill_mm = 60.0", "drill_mm = 981.0", "drill_mm"),
+        ("drill_mm = 60.0", "drill_mm = 60.0\nb_deg = 180.0", "drill_mm"),  # into the flange
+        ("drill_mm = 60.0", "drill_mm = 60.0\nb_deg = 90.0", "drill_mm"),  # the flange is beside
+        ("drill_mm = 60.0", "drill_mm = 320.0", "drill_mm"),
         ("u_mm = 0.02", "u_mm = nan", "u_mm"),
         ("u_mm = 0.02\n", "", "u_mm"),
         ('measured = "pin nest at the tip, on a CMM"', 'measured = ""', "measured"),
