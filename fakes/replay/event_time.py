@@ -138,12 +138,14 @@ class EventTime:
 class RecordedLooks:
     """The cell's clock as it showed. Looks that were not recorded show what the one before them
     did, and the waits since: nothing passes by itself, so that a replay is the same at any pace.
+    Behind waits that were not recorded all later looks are later: what passed between them stays.
     """
 
     def __init__(self, time_: EventTime, at_s: Sequence[float], shown_s: Sequence[float]) -> None:
         self._time, self._at_s, self._shown_s = time_, at_s, shown_s
         self._lock = threading.Lock()
         self._shown = self._since_s = self._latest_s = 0.0
+        self._ahead_s = 0.0  # by waits that were not recorded
 
     def wait(self, duration_s: float) -> None:
         """Let cell time pass at once."""
@@ -156,7 +158,8 @@ class RecordedLooks:
             n = bisect_right(self._at_s, self._time.heard_s)
             if n < len(self._at_s) and self._time.is_next(self._at_s[n]):
                 self._time.reach(self._at_s[n])
-                self._shown, self._since_s = self._shown_s[n], 0.0
+                self._ahead_s = max(self._ahead_s, self._latest_s - self._shown_s[n])
+                self._shown, self._since_s = self._shown_s[n] + self._ahead_s, 0.0
             self._latest_s = max(self._latest_s, self._shown + self._since_s)
             return self._latest_s
 

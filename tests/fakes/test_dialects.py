@@ -285,6 +285,22 @@ def test_the_clock_shows_what_it_showed_when_it_was_looked_at_next() -> None:
     assert looks.now_s() == 70.0
 
 
+def test_a_wait_that_was_not_recorded_shortens_none_that_was() -> None:
+    """A dwell behind it would else be too short, and a slide not known to stand."""
+    time = EventTime()
+    time.expect([1.0, 2.0, 3.0], [])
+    looks = RecordedLooks(time, [1.1, 2.1, 3.1], [50.0, 50.1, 50.5])
+    time.reach(1.05)
+    assert looks.now_s() == 50.0
+    looks.wait(0.3)
+    assert looks.now_s() == pytest.approx(50.3)
+    shown_s = []
+    for asked_s in (2.0, 3.0):
+        time.reach(asked_s)
+        shown_s.append(looks.now_s())
+    assert shown_s == pytest.approx([50.3, 50.7])
+
+
 def test_no_time_of_the_pc_passes_on_the_recorded_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is paired by the clock would else be paired otherwise than it was."""
     now_s = 7.0
