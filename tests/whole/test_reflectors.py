@@ -1,0 +1,53 @@
+"""Reflectors compared over wires: a test plays the person who carries them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from hilcell.run.client import order
+from hilcell.run.protocol import PromptStatus
+from tests.whole.bench import sets, simulation
+from tests.whole.threaded import Event, ThreadedRun
+from tests.whole.trace import judge
+
+LONG_MM = 0.15  # the prism of the flange's reflector
+
+
+def asks_or_ends(event: Event) -> bool:
+    asks = event["kind"] == "state" and event["to"] == "suspended"
+    return asks or event["kind"] == "end"
+
+
+def never(_: Event) -> bool:
+    return False
+
+
+def asked(run: ThreadedRun) -> PromptStatus:
+    """Wait until the reflector is seen where it is asked for."""
+    while True:
+        prompt = order(run.folder, "status").prompt
+        if prompt is not None and prompt.ready:
+            return prompt
+
+
+def test_a_prism_that_is_longer_on_the_flange_is_named(tmp_path: Path) -> None:
+    offset_mm, titles = 0.0, list[str]()
+    with simulation() as cell:
+        values = sets({"simulation.address": cell.control, "layout.nest_samples": "2"})
+        with ThreadedRun(tmp_path, "run", "reflectors", *values, stands=never) as run:
+            while run.until(asks_or_ends)["kind"] != "end":
+                titles.append(asked(run).title)
+                wanted_mm = LONG_MM if " of flange " in titles[-1] else 0.0
+                if wanted_mm != offset_mm:
+                    change_mm, offset_mm = wanted_mm - offset_mm, wanted_mm
+                    assert cell.ask(do="fault", name="tracker.wrong_offset", value=change_mm)["ok"]
+                order(run.folder, "answer")
+            end = run.events[-1]
+    assert len(titles) == 3 + 2 + 1 + 1  # floor, bars, flange, and all put back
+    assert (end["state"], end["exit"]) == ("finished", 1), end
+    wrong = [row for row in end["result"]["reflectors"] if not row["holds"]]
+    assert [row["place"] for row in wrong] == ["flange"]
+    assert wrong[0]["along_mm"] == pytest.approx(LONG_MM, abs=0.03)
+    assert judge(run.events) == []
