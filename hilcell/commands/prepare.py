@@ -233,7 +233,9 @@ def prepare(args: argparse.Namespace) -> int:
         inputs=[source, found.path, Path(args.cell)],
     )
     for each in stations:
-        remember(found, each.stamp, each.plan.poses[:, :3], each.command[:, :3])
+        moved_mm = (each.command - each.plan.poses)[:, :3]
+        for points in (each.command, *each.written):
+            remember(found, each.stamp, points[:, :3] - moved_mm, points[:, :3])
     if args.json:
         print_json(facts)
     else:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -38,7 +38,8 @@ class Prepared:
 
     Poses are those of the tool's tip. ``turns_deg`` (N,) are the bounds of orientation, where it is
     corrected; ``stroke`` says in words what a drill stroke adds at most; between holes the tip is
-    ``standoff_mm`` in front of the part.
+    ``standoff_mm`` in front of the part. ``written`` are the points (N, 6) of each kind in the
+    program: at the holes, at the stand-offs, on the way to these.
     """
 
     plan: StationPlan
@@ -49,6 +50,7 @@ class Prepared:
     turns_deg: Array | None
     stroke: str
     standoff_mm: float
+    written: Sequence[Array] = ()
 
     @property
     def file(self) -> str:
@@ -116,7 +118,7 @@ def prepared(
     stroke = _stroke(calibration, name, nominal, command, tip)
     stamp, writer = found.stamp(name), writer_of(cell.robot.driver)
     program: Mapping[str, bytes] = {}
-    straight = ""
+    straight, written = "", list[Array]()
     if writer is not None:
         drilling = Drilling(cell, np.array(calibration.stations[name].T_W_B), tip, job.standoff_mm)
         lost = straight_way(
@@ -135,12 +137,14 @@ def prepared(
             stroke,
             *["SIMULATED: not for a machine"] * stamp.simulated,
         ]
-        program = writer(
-            station_program(drilling, name, each.holes, sent, job.part, remarks), stamp
-        )
+        drilled = station_program(drilling, name, each.holes, sent, job.part, remarks)
+        program = writer(drilled, stamp)
+        written = [one.values for one in (drilled.command, drilled.standoff, drilled.approach)]
     turns_deg = turns_of_targets(calibration, name, nominal, tip)
     words = "; ".join(filter(None, (stroke, straight)))
-    return Prepared(each, command, bounds, stamp, program, turns_deg, words, job.standoff_mm)
+    return Prepared(
+        each, command, bounds, stamp, program, turns_deg, words, job.standoff_mm, written
+    )
 
 
 def standoff_remarks(standoff_mm: float) -> list[str]:

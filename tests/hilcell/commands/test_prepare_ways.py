@@ -19,8 +19,10 @@ from hilcell.geometry.kinematics import Arm, forward
 from hilcell.ports import Array
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
 from tests.hilcell.calibration.test_tip import DRILL, at_tip_of, cell_with
+from tests.hilcell.commands.finished_runs import MADE, finished
 from tests.hilcell.commands.test_prepare import DIGEST, INSIDE, holes, made, prepare, refused
 from tests.hilcell.commands.test_prepared_files import made_for_two
+from tests.whole.bench import command
 
 CELL = load_cell("paper")
 ARM = CELL.robot.arm()
@@ -192,6 +194,23 @@ def test_a_box_that_carries_holes_is_the_part(tmp_path: Path) -> None:
     made(tmp_path, provenance=known.provenance)
     points, normals = skin(2, 1, 600.0)
     assert prepare(tmp_path, listed(tmp_path, points, normals), "--cell", cell).returncode == 0
+
+
+def test_a_program_whose_comments_were_stripped_is_known_by_its_points(tmp_path: Path) -> None:
+    """A controller drops comments; a second correction would take the error off twice."""
+    runs, place = tmp_path / "runs", ("--station", "S1100", "-o", tmp_path / "again.src")
+    known = calibration(run="1-made", simulated=True, digest=DIGEST)
+    finished(runs, "1-made", MADE, provenance=known.provenance)
+    words = ("--runs", runs, "--calibration", "1-made", "-o", tmp_path / "out")
+    done = command("prepare", holes(tmp_path, *INSIDE), *words)
+    assert done.returncode == 0, done.stderr
+    for suffix in (".src", ".dat"):
+        text = (tmp_path / "out" / f"S1100{suffix}").read_text("latin-1")
+        lines = [line for line in text.splitlines() if not line.startswith(";")]
+        (tmp_path / f"S1100{suffix}").write_text("\n".join([*lines, ""]), "latin-1")
+    done = command("compensate", "1-made", tmp_path / "S1100.src", *place, "--runs", runs)
+    assert done.returncode == 2
+    assert "whose stamp was lost" in done.stderr
 
 
 def test_holes_whose_stand_off_is_out_of_reach_are_named(tmp_path: Path) -> None:
