@@ -17,7 +17,7 @@ LONG_MM = 0.15  # the prism of the flange's reflector
 
 def asks_or_ends(event: Event) -> bool:
     asks = event["kind"] == "state" and event["to"] == "suspended"
-    return asks or event["kind"] == "end"
+    return bool(asks or event["kind"] == "end")
 
 
 def never(_: Event) -> bool:
