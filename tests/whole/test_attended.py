@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,16 +30,16 @@ from tests.whole.threaded import Event, ThreadedRun, is_state
 
 pytestmark = pytest.mark.wall
 
+FAST = 200.0
 PAPER = Path(__file__).parents[2] / "hilcell/cells/paper.toml"
 QUESTION = 'type "yes" to go on'
 FIRST_MM, SECOND_MM = 320.0, 300.0  # where the first two motions take the slide
 OTHER_WORDS = ("yess", "y", "no", "", "go")
 
 
-@pytest.fixture(scope="module")
-def shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[str]]:
-    """Return the words that name a cell of machines, and a slow one."""
-    folder = tmp_path_factory.mktemp("shop")
+@contextmanager
+def machines(folder: Path, speed: float) -> Iterator[list[str]]:
+    """Yield the words that name a cell of machines, and a slow one."""
     cell = folder / "shop.toml"
     cell.write_text(PAPER.read_text("utf-8").split("[simulation]")[0])
     with pytest.MonkeyPatch.context() as plates:
@@ -48,8 +49,8 @@ def shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[str]]:
         plates.setattr(
             "fakes.leica.emscon_device.wide", lambda text: wide(text.replace(" (simulated)", ""))
         )
-        with simulation(200.0) as machines:
-            where = machines.addresses
+        with simulation(speed) as simulated:
+            where = simulated.addresses
             values = {
                 "name": "shop",
                 "serial": "HC-7",
@@ -61,6 +62,20 @@ def shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[str]]:
                 "rail.speed_mm_s": "25",
             }
             yield ["--cell", str(cell), *sets(values)]
+
+
+@pytest.fixture
+def shop(tmp_path: Path, faster_than_a_drive: None) -> Iterator[list[str]]:
+    """Return the words for machines that run fast, for an engine of this process."""
+    with machines(tmp_path, FAST) as words:
+        yield words
+
+
+@pytest.fixture
+def paced_shop(tmp_path: Path) -> Iterator[list[str]]:
+    """Return the words for machines that run in real time, for an engine of its own process."""
+    with machines(tmp_path, 1.0) as words:
+        yield words
 
 
 class Attended:
@@ -145,9 +160,9 @@ def test_only_a_whole_yes_lets_the_one_motion_go_that_was_announced(
 
 
 @pytest.mark.nightly  # by day in the test's process, above
-def test_the_word_is_typed_at_a_terminal(shop: list[str], tmp_path: Path) -> None:
+def test_the_word_is_typed_at_a_terminal(paced_shop: list[str], tmp_path: Path) -> None:
     """One that is closed at the question, or left by ctrl-C, moves nothing."""
-    engine = Engine("run", "conformance", "--runs", tmp_path, *shop)
+    engine = Engine("run", "conformance", "--runs", tmp_path, *paced_shop)
     attended = Attended(engine, tmp_path)
     words = ["resume", engine.run, "--runs", str(tmp_path)]
     with Terminal(words, columns=200) as closed:

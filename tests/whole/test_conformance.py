@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from fakes.leica import emscon_device
 from tests.whole.bench import command, end_of, events, sets, simulation
 
 PAPER = Path(__file__).parents[2] / "hilcell/cells/paper.toml"
@@ -14,14 +13,11 @@ SLOW = {"robot.speed_percent": "10", "rail.speed_mm_s": "25"}
 
 
 @pytest.mark.wall
-def test_a_real_device_is_moved_slowly_and_by_a_persons_word_only(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(emscon_device, "INITIALISE_S", 0.5)
+@pytest.mark.usefixtures("faster_than_a_drive")
+def test_a_real_device_is_moved_slowly_and_by_a_persons_word_only(tmp_path: Path) -> None:
     cell = tmp_path / "shop.toml"
     cell.write_text(PAPER.read_text("utf-8").split("[simulation]")[0])
-    with simulation(1.0) as simulated:  # a drive is believed in real time only
-        simulated.ask(do="fault", name="rail.pushed", value=-600.0)  # towards its switch
+    with simulation(200.0) as simulated:
         where = simulated.addresses
         words = {
             "name": "shop",

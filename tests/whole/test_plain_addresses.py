@@ -13,6 +13,7 @@ PAPER = Path(__file__).parents[2] / "hilcell/cells/paper.toml"
 
 
 @pytest.mark.wall
+@pytest.mark.usefixtures("faster_than_a_drive")
 def test_a_plain_cell_file_on_simulated_devices_is_a_simulated_run(tmp_path: Path) -> None:
     ports = {name: free_port() for name in ("rail", "robot", "tracker")}
     cell = tmp_path / "shop.toml"

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from drivers.canopen import rail_setup
-from fakes.leica import emscon_device
 from hilcell.journal.find_run import find_run
 from hilcell.journal.runs import read_log
 from tests.whole.bench import command, end_of, sets, simulation
@@ -71,13 +70,11 @@ def test_a_strip_whose_bus_falls_silent_is_named(
 
 
 @pytest.mark.wall
-def test_a_plant_s_cell_file_names_serial_lines(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(emscon_device, "INITIALISE_S", 0.5)
+@pytest.mark.usefixtures("faster_than_a_drive")
+def test_a_plant_s_cell_file_names_serial_lines(tmp_path: Path) -> None:
     cell = tmp_path / "shop.toml"
     cell.write_text(PAPER.read_text("utf-8").split("[simulation]")[0])
-    with simulation(1.0, ON_LINES) as simulated:  # a drive is believed in real time only
+    with simulation(60.0, ON_LINES) as simulated:
         where = simulated.addresses
         values = {
             "name": "shop",
@@ -88,7 +85,6 @@ def test_a_plant_s_cell_file_names_serial_lines(
             "robot.options.port": str(where["robot"]["port"]),
             "tracker.options.port": str(where["tracker"]["port"]),
             "settle.rail_s": "0.0",
-            "rail.homing_mm_s": "250",
         }
         words = ["--cell", str(cell), "--runs", str(tmp_path), *sets(values)]
         for _ in range(2):  # a line has no connection: the gateway's channel may still be open
