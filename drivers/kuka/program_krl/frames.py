@@ -245,7 +245,10 @@ def _form_of(clause: Sequence[Token], line: int) -> tuple[str, int] | None:
     if not names:
         return None
     if len(names) > 1 or "" in names or not any(p.startswith("$BASE") for p in framing):
-        raise KrlError(f"{', '.join(framing)}: one frame data for base and tool is wanted")
+        raise KrlError(
+            f"WITH {', '.join(framing)}: a motion's own base or tool; expected both from one frame "
+            "data, as inline forms write them: set $BASE and $TOOL before the motions"
+        )
     return names.pop(), line
 
 
