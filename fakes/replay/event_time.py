@@ -138,7 +138,7 @@ class EventTime:
 class RecordedLooks:
     """The cell's clock as it showed. Looks that were not recorded show what the one before them
     did, and the waits since: nothing passes by itself, so that a replay is the same at any pace.
-    Behind waits that were not recorded all later looks are later: what passed between them stays.
+    Behind waits that were not recorded all later looks are later, as far apart as they were.
     """
 
     def __init__(self, time_: EventTime, at_s: Sequence[float], shown_s: Sequence[float]) -> None:
