@@ -53,7 +53,7 @@ class Drilling:
         """
         count = 1 + int(np.ceil(self.standoff_mm / STEP_MM))
         back_mm = np.linspace(self.standoff_mm, 0.0, count)
-        poses = self._drawn_back(poses_from_zyx(command)[:, None], back_mm)
+        poses = self._drawn_back(command, back_mm)
         robot = self.cell.robot
         known = (robot.status, robot.margin_limits_rad, np.radians(robot.home_deg))
         self._refuse_unreached(names, back_mm, reachable(self.arm, poses, *known))
@@ -80,16 +80,14 @@ class Drilling:
         """Yield the joints (6,) behind the stand-off of a command (6,), nearest first, as far as
         the arm reaches.
         """
-        robot, at = self.cell.robot, poses_from_zyx(command[None])
+        robot, back_mm = self.cell.robot, self.standoff_mm + np.array(DRAWN_BACK_MM)
         known = (robot.status, robot.margin_limits_rad, np.radians(robot.home_deg))
-        for more_mm in DRAWN_BACK_MM:
-            pose = self._drawn_back(at, np.array([self.standoff_mm + more_mm]))
-            if bool(reachable(self.arm, pose, *known).all()):
-                yield posture(self.arm, pose, *known)[0]
+        (poses,) = self._drawn_back(command[None], back_mm)
+        yield from posture(self.arm, poses[reachable(self.arm, poses, *known)], *known)
 
-    def _drawn_back(self, poses: Array, back_mm: Array) -> Array:
-        """Return poses in {B}, drawn back along their z from poses (..., 4, 4) in {W}."""
-        moved = np.repeat(poses, len(back_mm), axis=-3) if poses.ndim > 3 else poses.copy()
+    def _drawn_back(self, command: Array, back_mm: Array) -> Array:
+        """Return poses (N, K, 4, 4) in {B}, drawn back (K,) along z from commands (N, 6) in {W}."""
+        moved = np.repeat(poses_from_zyx(command)[:, None], len(back_mm), axis=1)
         moved[..., :3, 3] -= back_mm[:, None] * moved[..., :3, 2]
         return inverse(self.T_W_B) @ moved
 

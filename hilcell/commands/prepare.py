@@ -25,7 +25,7 @@ from hilcell.commands.bounds import summary
 from hilcell.commands.files import check_settings, drill_mm_of, remember
 from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.commands.output_place import KNOWN
-from hilcell.commands.prepared import Job, Prepared, prepared, standoff_remarks
+from hilcell.commands.prepared import Job, Prepared, prepared, standoff_remarks, unknown_drill
 from hilcell.commands.released import Released, released
 from hilcell.errors import bounded
 from hilcell.geometry.frames import zyx_from_pose
@@ -94,6 +94,7 @@ def sheet_of(
         no_bounds=refusals[0] if refusals else "",
         warnings=[
             *(note for note in found.notes() if "SIMULATED" not in note),
+            *unknown_drill(job),
             *bounded(twins),
         ],
         invalid=[f"air outside of {air}", f"the time after {until}", *INVALID],

@@ -14,7 +14,7 @@ from hilcell.calibration.file import compensate_targets
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import NoBound
 from hilcell.calibration.part import REACH_MM, Part
-from hilcell.calibration.prepared import Drilling, station_program
+from hilcell.calibration.prepared import NEAR_SHARE, Drilling, station_program
 from hilcell.calibration.programs import StrokeError, StrokeLimits, check_strokes
 from hilcell.calibration.straight_way import straight_way
 from hilcell.calibration.tip import Tip
@@ -133,6 +133,7 @@ def prepared(
             _place(cell, each),
             f"tool {tip.name}: points are where its tip is to be, z along the drill",
             *standoff_remarks(job.standoff_mm),
+            *unknown_drill(job),
             straight,
             stroke,
             *["SIMULATED: not for a machine"] * stamp.simulated,
@@ -155,6 +156,14 @@ def standoff_remarks(standoff_mm: float) -> list[str]:
         f"{side}, within {REACH_MM:g} mm of a hole; state a larger part as keep_out",
         "depth 0: points are on the part's surface; the drill's feed is the spindle's own",
     ]
+
+
+def unknown_drill(job: Job) -> list[str]:
+    """Return a warning where holes are given for the reflector, so that no drill is known."""
+    if job.tip.table is not None:
+        return []
+    beyond = f"{NEAR_SHARE * job.standoff_mm:g} mm beyond the reflector"
+    return [f"no [[tool]], so no drill is known: between holes nothing may reach {beyond}"]
 
 
 def _stroke(

@@ -186,6 +186,7 @@ def test_list_and_program_of_a_drill(tmp_path: Path) -> None:
     assert [each["standoff_mm"] for each in facts["stations"]] == [80.0]
     src = (tmp_path / "out" / "S1100.src").read_text("latin-1")
     assert "BAS (#TOOL,2 )" in src
+    assert "no [[tool]]" not in src
     assert "tool drill" in src
     page = (tmp_path / "out" / "sheet.html").read_text("utf-8")
     assert "drill, number 2; in the flange: X 0.000 Y 0.000 Z 310.000" in page

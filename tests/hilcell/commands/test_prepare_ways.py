@@ -142,7 +142,7 @@ def test_every_stand_off_lies_on_the_free_side(
             assert off == pytest.approx(standoff_mm if "P" in name else -standoff_mm, abs=1e-3)
     text = (tmp_path / "out" / "S1100.src").read_text("latin-1")
     page = (tmp_path / "out" / "sheet.html").read_text("utf-8")
-    for stated in (f"stand-off {standoff_mm:g} mm", "assumed side", "depth 0"):
+    for stated in (f"stand-off {standoff_mm:g} mm", "assumed side", "depth 0", "no [[tool]]"):
         assert stated in text
         assert stated in page
 
