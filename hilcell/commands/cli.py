@@ -11,6 +11,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 from hilcell import __version__
@@ -56,6 +57,7 @@ GROUPS = {
 }  # fmt: skip
 
 
+@cache
 def whole_parser() -> Parser:
     """Return the parser of all commands."""
     parser = Parser(

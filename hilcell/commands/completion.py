@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Iterator
+from copy import deepcopy
 from importlib.metadata import entry_points
 
 import shtab
@@ -47,7 +48,7 @@ _CELL_OF_RUNS: Completer = {"bash": "_hilcell_cell_of_runs", "zsh": "_hilcell_ce
 
 def completion(args: argparse.Namespace) -> int:
     """Print the script of one shell."""
-    parser = whole_parser()
+    parser = deepcopy(whole_parser())  # it is written into
     for action in _actions(parser):
         if action.dest == "procedure":
             action.choices = sorted(entry_points(group="hilcell.procedures").names)
