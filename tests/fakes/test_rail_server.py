@@ -19,8 +19,8 @@ from tests.fakes.rail_bench import MASTER, Master
 master = Master(int(sys.argv[1]))
 master.home()
 master.write(0x6007, 0, 3, "h")
-master.write(0x6081, 0, 20_000, "I")
-master.write(0x1016, 1, MASTER << 16 | 200, "I")
+master.write(0x6081, 0, 5_000, "I")
+master.write(0x1016, 1, MASTER << 16 | 500, "I")
 master.network.send_periodic(0x700 + MASTER, b"\\x05", 0.02)
 master.start(2_900_000)
 while master.position() < 1000:
@@ -30,7 +30,7 @@ sys.stdin.read()
 """
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_killed_master_leaves_the_slide_standing_and_the_bus_free() -> None:
     with served(20.0) as bench:
         root = Path(__file__).parents[2]

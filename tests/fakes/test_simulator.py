@@ -190,7 +190,7 @@ def test_ends_on_quit_and_is_missed(cell: Cell) -> None:
     simulated.close()  # twice does no harm
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_process_dies_with_its_parent() -> None:
     """A parent that is killed has no chance to close anything; its stdin pipe just ends."""
     parent = subprocess.Popen(

@@ -141,7 +141,7 @@ print(json.dumps(found))
 
 
 @pytest.mark.skipif(sys.version_info >= (3, 13), reason="ur-rtde has no wheel for it")
-@pytest.mark.wall
+@pytest.mark.process
 def test_ur_rtde_reads_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """The peer knows one port: an address of its own keeps other tests from it."""
     number = os.getpid()

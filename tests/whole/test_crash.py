@@ -43,10 +43,10 @@ def test_kills_change_nothing(tmp_path: Path) -> None:
 LAST_ERROR = b"t60584003100100000000", b"t58584303100130810000"  # 1003h:01 of the drive: 8130h
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_drive_that_has_latched_the_lost_heartbeat_starts_again(tmp_path: Path) -> None:
     """It takes START only after the first new heartbeat of the engine that resumes."""
-    with simulation(60.0) as cell:
+    with simulation() as cell:
         words = sets({"simulation.address": cell.control})
         engine = Engine("run", "home", "--runs", tmp_path, *words)
         engine.until(lambda event: event.get("what") == "connected")
@@ -99,7 +99,7 @@ def test_a_lost_calibration_file_is_written_again(tmp_path: Path, golden: Golden
     assert command("resume", "copy", "--runs", tmp_path).returncode == 2  # it is finished
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_killed_run_takes_its_simulation_along(tmp_path: Path) -> None:
     engine = Engine("run", "--runs", tmp_path, "--speed", "100", *sets(SMALL))
     engine.until(lambda event: event["kind"] == "intent")

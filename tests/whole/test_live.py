@@ -35,7 +35,7 @@ def is_point(event: Event) -> bool:
 # -- processes and signals -------------------------------------------------------------------------
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_pause_resume_watch_from_other_processes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -46,7 +46,7 @@ def test_pause_resume_watch_from_other_processes(
     paused = engine.until(lambda event: is_state(event, "paused"))
     engine.process.send_signal(signal.SIGSTOP)
     with monkeypatch.context() as patched:
-        patched.setattr(client, "ORDER_S", 0.1)  # nothing will come
+        patched.setattr(client, "ORDER_S", 0.02)  # nothing will come
         assert command("resume", engine.run, "--runs", tmp_path).returncode == 2
     engine.process.send_signal(signal.SIGCONT)
     screen = Screen(tmp_path / engine.run)  # comes after the order, and is heard after it
@@ -65,7 +65,7 @@ def test_pause_resume_watch_from_other_processes(
     assert "hilcell resume" in engine.errors
 
 
-@pytest.mark.wall
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("pauses", "stops"), [(signal.SIGINT, signal.SIGINT), (signal.SIGHUP, signal.SIGTERM)]
 )
@@ -85,7 +85,7 @@ def test_signals_stop_safely_and_nothing_is_left(
         wait_gone(pid)
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_lost_listener_does_not_stop_a_run(tmp_path: Path) -> None:
     engine = Engine("run", "world-frame", "--runs", tmp_path, *sets(SMALL), "--unattended")
     engine.until(is_point)

@@ -20,7 +20,7 @@ from tests.whole.bench import LOOK_S, SMALL, command, sets, simulation, wait_gon
 from tests.whole.terminal import Terminal
 from tests.whole.trace import judge
 
-pytestmark = pytest.mark.wall
+pytestmark = pytest.mark.process
 
 ESC, ENTER = "\x1b", "\r"
 PACED = 100.0

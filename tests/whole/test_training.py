@@ -18,7 +18,7 @@ from tests.whole.test_alarms import ENDS
 PAGE = Path(__file__).parents[2] / "docs/training.md"
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_fault_is_practised(tmp_path: Path) -> None:
     titles = [each.title for each in EXERCISES]
     number = titles.index("the E-stop was pressed") + 1

@@ -250,7 +250,7 @@ def test_a_sweep_in_which_the_engine_was_killed(tmp_path: Path) -> None:
     assert any(f"/cut/{wire}{SUFFIX}:" in done.stderr for wire in ("robot", "tracker"))
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_resumed_run_replays_by_resuming_its_replay(tmp_path: Path) -> None:
     points: list[str] = []
 

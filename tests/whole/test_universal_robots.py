@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -29,10 +30,10 @@ from fakes.universal_robots.server import UrServer
 from hilcell.cell.file import load_cell
 from hilcell.clock import WallClock
 from hilcell.geometry.kinematics import forward
-from hilcell.ports import DeviceError, DeviceRefused, Robot, Stopped, Sweeps
+from hilcell.ports import Array, DeviceError, DeviceRefused, Robot, Stopped, Sweeps
 from tests.fakes.rail_bench import until
 from tests.fakes.wires import RtdeClient, connected
-from tests.whole.bench import Engine, command, end_of, sets, simulation
+from tests.whole.bench import Engine, sets, simulation
 
 pytestmark = pytest.mark.waits
 
@@ -457,23 +458,31 @@ def test_an_impossible_motion(robot: UrRtdeRobot, joint: float, speed: float) ->
     assert found.value.code == "HC-B28"
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_the_script_brakes_when_the_engine_is_killed(tmp_path: Path) -> None:
-    slow = {"robot.speed_percent": "2.0"}
-    with simulation(5.0, name="lab") as cell:
+    """It would be on its way for half a minute, however slow the PC that kills the engine."""
+    slow = {"robot.speed_percent": "1.0"}
+    with simulation(1.2, name="lab") as cell:
         words = sets({"simulation.address": cell.control} | slow)
         engine = Engine("run", "home", "--cell", "lab", "--runs", tmp_path, *words)
         with connected(cell.addresses["robot"]["rtde_port"]) as wire:
             states = RtdeClient(wire)
             states.begin(write=False)
-            while np.abs(np.array(states.state()[2:8]) - HOME).max() < 0.01:
-                pass  # the test's time limit bounds the wait
+
+            def move_from(joints_rad: Array) -> None:
+                while np.abs(np.array(states.state()[2:8]) - joints_rad).max() < 0.001:
+                    pass  # the test's time limit bounds the wait
+
+            move_from(HOME)
             engine.kill()
             while (state := states.state())[-1] != 8:
                 pass
-        assert np.abs(np.array(state[2:8]) - np.radians(LAB.robot.safe_deg)).max() > 0.01
-        last = command("resume", engine.run, "--runs", tmp_path, "--json")
-    assert end_of(last)["state"] == "finished", last.stderr
+            braked_rad = np.array(state[2:8])
+            assert np.abs(braked_rad - np.radians(LAB.robot.safe_deg)).max() > 0.01
+            again = Engine("resume", engine.run, "--runs", tmp_path)
+            move_from(braked_rad)
+            again.process.send_signal(signal.SIGTERM)
+            assert again.rest()[-1]["exit"] == 4
 
 
 def test_a_package_that_was_under_way_is_no_standing_clock(

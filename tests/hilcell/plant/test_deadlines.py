@@ -64,7 +64,7 @@ class Freezer:
         self._stack.close()
 
 
-@pytest.mark.wall
+@pytest.mark.process
 @pytest.mark.parametrize(("moment", "nth"), [("commit", 3), *sweep(("before_cursor_execute", 15))])
 def test_a_server_that_freezes_loses_and_doubles_nothing(
     postgresql: Server, runs: Path, moment: str, nth: int
@@ -75,7 +75,7 @@ def test_a_server_that_freezes_loses_and_doubles_nothing(
         with pytest.raises(PlantAway, match=STILL) as away:
             ship(runs, database)
         (silent_s,) = map(float, re.findall(r"no answer for ([\d.]+) s", str(away.value)))
-        assert silent_s < 15.0
+        assert silent_s >= 2 * SHORT_S
         freezer.thaw()
         done = ship(runs, database)
         assert done.runs + done.before == 2
@@ -107,7 +107,7 @@ def test_a_server_that_freezes_in_a_migration_is_named(
         database.check()
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_locks_long_orders_and_frozen_cells_are_ended_by_the_server(
     plant: Database, runs: Path, postgresql: Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:

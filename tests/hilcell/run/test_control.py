@@ -278,7 +278,7 @@ print(desk.told)
 """
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_what_was_told_as_failed_is_not_done_later(
     tmp_path: Path, control: Control, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -318,7 +318,7 @@ with locked(Path(sys.argv[1]), "cell paper", "other"):
 """
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_another_process_holds_the_cell_until_it_dies(tmp_path: Path) -> None:
     path = lock_of_name(tmp_path, "paper")
     words = [sys.executable, "-c", HOLD, str(path)]
@@ -386,7 +386,7 @@ print(threading.active_count())
 """
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_a_full_disk_is_a_storage_fault_and_leaves_nothing(tmp_path: Path, temporary: Path) -> None:
     folder = tmp_path / "r"
     folder.mkdir()

@@ -42,7 +42,7 @@ sys.exit(code)
 """
 
 
-@pytest.mark.wall
+@pytest.mark.process
 def test_one_handed_to_another_thread_stops_the_run(tmp_path: Path) -> None:
     """The main thread's wait is not broken by it, as by one that comes just before the wait."""
     done = subprocess.run(
