@@ -8,6 +8,7 @@ thread, and `hilcell resume` is told that it has a terminal; one test has a proc
 from __future__ import annotations
 
 import io
+import math
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -30,7 +31,7 @@ from tests.whole.threaded import Event, ThreadedRun, is_state
 
 pytestmark = pytest.mark.wall
 
-FAST = 200.0
+FAST = math.inf
 PAPER = Path(__file__).parents[2] / "hilcell/cells/paper.toml"
 QUESTION = 'type "yes" to go on'
 FIRST_MM, SECOND_MM = 320.0, 300.0  # where the first two motions take the slide
@@ -58,6 +59,7 @@ def machines(folder: Path, speed: float) -> Iterator[list[str]]:
                 "robot.options.port": str(where["robot"]["port"]),
                 "tracker.options.port": str(where["tracker"]["port"]),
                 "settle.rail_s": "0.0",
+                "rail.standstill_dwell_s": "0.05",
                 "robot.speed_percent": "10",
                 "rail.speed_mm_s": "25",
             }

@@ -25,6 +25,7 @@ def test_a_plain_cell_file_on_simulated_devices_is_a_simulated_run(tmp_path: Pat
         "robot.options.port": str(ports["robot"]),
         "tracker.options.port": str(ports["tracker"]),
         "settle.rail_s": "0.0",
+        "rail.standstill_dwell_s": "0.05",
     }
     asked = ",".join(f"{name}={port}" for name, port in ports.items())
     with sim_command("--speed", "max", "--ports", asked) as simulated:

@@ -74,7 +74,7 @@ def test_a_strip_whose_bus_falls_silent_is_named(
 def test_a_plant_s_cell_file_names_serial_lines(tmp_path: Path) -> None:
     cell = tmp_path / "shop.toml"
     cell.write_text(PAPER.read_text("utf-8").split("[simulation]")[0])
-    with simulation(60.0, ON_LINES) as simulated:
+    with simulation(values=ON_LINES) as simulated:
         where = simulated.addresses
         values = {
             "name": "shop",
@@ -85,6 +85,7 @@ def test_a_plant_s_cell_file_names_serial_lines(tmp_path: Path) -> None:
             "robot.options.port": str(where["robot"]["port"]),
             "tracker.options.port": str(where["tracker"]["port"]),
             "settle.rail_s": "0.0",
+            "rail.standstill_dwell_s": "0.05",
         }
         words = ["--cell", str(cell), "--runs", str(tmp_path), *sets(values)]
         for _ in range(2):  # a line has no connection: the gateway's channel may still be open
