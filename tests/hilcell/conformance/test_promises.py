@@ -14,7 +14,9 @@ from typing import Any
 
 import pytest
 
+from drivers.kuka import life
 from hilcell.cell.file import load_cell
+from hilcell.conformance import bench, wire_faults
 from hilcell.conformance.kit import PROMISES, driver_cell, promises_of
 from hilcell.conformance.page import renewed
 from hilcell.conformance.promise import Outcome, Promise
@@ -104,7 +106,12 @@ def test_a_shipped_driver_keeps_every_promise(
 
 
 @pytest.mark.wall
-def test_a_robot_that_goes_on_without_its_client_breaks_its_promise() -> None:
+def test_a_robot_that_goes_on_without_its_client_breaks_its_promise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A shorter motion and a shorter wait than usual: one that brakes by itself does so in both."""
+    monkeypatch.setattr(bench, "PACE", 1.5 * bench.PACE)
+    monkeypatch.setattr(wire_faults, "GONE_S", life.LIFE_S + 0.5)
     assert kept("robot", ["client-killed"]) == []
 
 
