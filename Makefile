@@ -34,7 +34,7 @@ waiting: $(VENV)/compiled  ## tests in event time that mostly wait, and need no 
 processes: $(VENV)/compiled  ## tests that start processes and hold at any pace
 	$(BIN)/python -m pytest -m "process and not nightly" $$(grep -lr --include="test_*.py" mark.process tests)
 
-alone: $(VENV)/compiled  ## tests of real deadlines, kills and stops, one at a time
+alone: $(VENV)/compiled  ## tests of real deadlines, one at a time
 	$(BIN)/python -m pytest -m "wall and not nightly" $$(grep -lr --include="test_*.py" mark.wall tests)
 
 recordings: $(VENV)/more  ## tests/wires: run each kept recording's run again, keep it in its place
