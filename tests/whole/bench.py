@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BytesIO, TextIOWrapper
 from pathlib import Path
@@ -28,9 +28,11 @@ from hilcell.cell.devices import start_simulation
 from hilcell.cell.file import Cell, load_cell
 from hilcell.commands.cli import main
 from hilcell.ports import SimulatedCell
+from tests.whole.outputs import Outputs
 
 Words = tuple[str | Path, ...]
 HILCELL = [sys.executable, "-m", "hilcell"]
+OUTPUTS = Outputs()
 LIMIT_S = 200.0  # a busy machine may take long, and is not at fault
 LOOK_S = 0.02  # between two looks at what lasts: without a wait they keep a processor busy
 
@@ -93,7 +95,7 @@ def command(
     """
     heard = BytesIO() if hear is None else _Heard(hear)
     out, err = (TextIOWrapper(to, "utf-8", write_through=True) for to in (heard, BytesIO()))
-    with redirect_stdout(out), redirect_stderr(err):
+    with OUTPUTS.to(out, err):
         try:
             code = main([str(word) for word in words])
         except SystemExit as refused:  # of a command line that makes no sense
