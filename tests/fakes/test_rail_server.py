@@ -30,7 +30,7 @@ sys.stdin.read()
 """
 
 
-@pytest.mark.process
+@pytest.mark.wall
 def test_killed_master_leaves_the_slide_standing_and_the_bus_free() -> None:
     with served(20.0) as bench:
         root = Path(__file__).parents[2]

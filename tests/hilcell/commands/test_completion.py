@@ -52,3 +52,8 @@ def test_bash_completes(tmp_path: Path) -> None:
 @pytest.mark.parametrize("shell", ["zsh", "fish", "tcsh"])
 def test_other_shells_have_theirs(shell: str) -> None:
     assert "compensate" in command("completion", shell).stdout
+
+
+def test_the_parser_is_as_it_was() -> None:
+    assert command("completion", "zsh").returncode == 0
+    assert '"calibrate"' in command("run", "calibrat").stderr
