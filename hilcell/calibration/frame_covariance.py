@@ -6,13 +6,19 @@ the axes of {W}, as in `hilcell.geometry.frames`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from hilcell.calibration.frames import Frames
 from hilcell.cell.file import Cell, Station
-from hilcell.geometry.frames import apply, cross_matrix, inverse, rigid_fit, three_point_frame
+from hilcell.geometry.frames import (
+    apply,
+    apply_each,
+    cross_matrix,
+    inverse,
+    rigid_fit,
+    three_point_frame,
+    three_point_frames,
+)
 from hilcell.geometry.statistics import rectangular_variance
 from hilcell.journal.log import Log, Point, positions_mm, variances_mm2
 from hilcell.journal.point_id import PointId
@@ -36,11 +42,8 @@ def world_covariance(log: Log, at_mm: Array, centring_mm2: float = 0.0) -> Array
     standard deviation. ``centring_mm2`` is the variance of each besides its reading's.
     """
     std_mm = np.sqrt(variances_mm2(floor_points(log)) + centring_mm2)
-    covariance: Array = np.zeros((6, 6))
-    motion = _world_motions(log, at_mm)
-    for nest, axis in np.ndindex(std_mm.shape):
-        moved = motion(nest, std_mm[nest, axis] * np.eye(3)[axis])
-        covariance += np.outer(moved, moved)
+    moved = _world_motions(log, at_mm, np.diag(std_mm.ravel()).reshape(-1, FLOOR_NESTS, 3))
+    covariance: Array = moved.T @ moved
     return covariance
 
 
@@ -48,22 +51,19 @@ def world_motion(log: Log, at_mm: Array, nest: int, step_mm: Array) -> Array:
     """Return how a frame at ``at_mm`` (3,) moves (6,) in {W} where a nest is seen elsewhere, by
     ``step_mm`` (3,) in the tracker's frame.
     """
-    return _world_motions(log, at_mm)(nest, step_mm)
+    steps_mm = np.zeros((1, FLOOR_NESTS, 3))
+    steps_mm[0, nest] = step_mm
+    moved: Array = _world_motions(log, at_mm, steps_mm)[0]
+    return moved
 
 
-def _world_motions(log: Log, at_mm: Array) -> Callable[[int, Array], Array]:
-    """Return `world_motion` of any nest and step."""
+def _world_motions(log: Log, at_mm: Array, steps_mm: Array) -> Array:
+    """Return the motions (N, 6) of `world_motion` for steps (N, 3, 3) of all nests."""
     measured_mm, T_W_L = positions_mm(floor_points(log)), log.matrix("world")
     before, seen_mm = T_W_L @ three_point_frame(*measured_mm), apply(inverse(T_W_L), at_mm[None])
-
-    def motion(nest: int, step_mm: Array) -> Array:
-        other_mm = measured_mm.copy()
-        other_mm[nest] += step_mm
-        T = before @ inverse(three_point_frame(*other_mm))
-        turn = (T[:3, :3] @ T_W_L[:3, :3].T)[[2, 0, 1], [1, 2, 0]]
-        return np.concatenate([apply(T, seen_mm)[0] - at_mm, turn])
-
-    return motion
+    T = before @ inverse(three_point_frames(measured_mm + steps_mm))
+    turn = (T[:, :3, :3] @ T_W_L[:3, :3].T)[:, [2, 0, 1], [1, 2, 0]]
+    return np.concatenate([apply_each(T, seen_mm) - at_mm, turn], axis=1)
 
 
 def base_covariance(log: Log, station: Station) -> Array:

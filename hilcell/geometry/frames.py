@@ -137,9 +137,14 @@ def turn_levers(places_mm: Array, rotations: Array) -> Array:
 def three_point_frame(p1_mm: ArrayLike, p2_mm: ArrayLike, p3_mm: ArrayLike) -> Array:
     """Return the station frame (4, 4) of three points, eqs 14-16, with its origin in P1."""
     points = checked_points(np.array([p1_mm, p2_mm, p3_mm], dtype=float), "the frame's points")
-    x = unit(points[1] - points[0])
-    z = unit(np.cross(points[1] - points[0], points[2] - points[0]))
-    return matrix(np.column_stack([x, np.cross(z, x), z]), points[0])
+    return three_point_frames(points)
+
+
+def three_point_frames(points_mm: Array) -> Array:
+    """Return the frames (..., 4, 4) of three points each (..., 3, 3), which span a plane."""
+    origin, along = points_mm[..., 0, :], points_mm[..., 1, :] - points_mm[..., 0, :]
+    x, z = unit(along), unit(np.cross(along, points_mm[..., 2, :] - origin))
+    return matrix(np.stack([x, np.cross(z, x), z], axis=-1), origin)
 
 
 def pose_from_zyx(
@@ -187,8 +192,9 @@ def motion_levers(places_mm: Array) -> Array:
 
 
 def unit(v: Array) -> Array:
-    """Return a vector (3,) scaled to length 1."""
-    return v / np.linalg.norm(v)
+    """Return vectors (..., 3) scaled to length 1."""
+    scaled: Array = v / np.linalg.norm(v, axis=-1, keepdims=True)
+    return scaled
 
 
 def checked_points(points: Array, what: str) -> Array:

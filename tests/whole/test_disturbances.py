@@ -56,6 +56,11 @@ def killed(events: Events, folder: Path, runs: Path, key: str) -> Words:
     return ("resume", "cut", "--unattended", "--runs", runs)
 
 
+def before(whole: Events, printed: Events) -> Events:
+    """Return the events of a whole run before those of one that goes on from its cut journal."""
+    return [event for event in whole if event["seq"] < printed[0]["seq"]]
+
+
 def test_a_tracker_that_is_bumped_in_mid_grid_costs_the_grid_and_nothing_else(
     tmp_path: Path, golden: GoldenRuns
 ) -> None:
@@ -97,19 +102,21 @@ def test_a_bump_while_the_nests_are_measured_is_no_moved_nest(tmp_path: Path) ->
     assert judge(printed) == []
 
 
-def test_a_transit_axis_that_tilts_in_mid_grid_shows_in_both_faces_at_the_end(
-    tmp_path: Path,
+def test_a_transit_axis_that_tilts_in_mid_run_shows_in_both_faces_at_the_end(
+    tmp_path: Path, golden: GoldenRuns, own_cell: OwnCell
 ) -> None:
-    with simulation() as cell:
-        printed = struck(cell, "tracker.transit", 100.0, "grid/1-1-1", run(cell, tmp_path))
+    whole = golden["small"]
+    words = killed(whole.events, whole.folder, tmp_path, "validate/S1900/idw/001")
+    printed = struck(own_cell, "tracker.transit", 100.0, "validate/S1900/idw/002", words)
+    earlier = before(whole.events, printed)
     end = printed[-1]
     assert (end["state"], end["exit"]) == ("finished", 1), end
-    judged = {e["key"]: e["holds"] for e in printed if e["kind"] == "verdict"}
+    judged = {e["key"]: e["holds"] for e in (*earlier, *printed) if e["kind"] == "verdict"}
     assert (judged["two-face"], judged["two-face.closing"]) == (True, False)
     (found,) = (each for each in end["result"]["suspicions"] if each["cause"] == "instrument")
     assert found["unit"] == "urad of the transit axis' tilt"
     assert found["size"] == pytest.approx(100.0, abs=10.0)
-    assert judge(printed) == []
+    assert judge([*earlier, *printed]) == []
 
 
 def test_an_undisturbed_run_suspects_nothing(golden: GoldenRuns) -> None:
@@ -125,7 +132,7 @@ def test_chance_is_no_suspicion(seed: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("fault", "value", "before", "key", "cause", "size"),
+    ("fault", "value", "from_key", "key", "cause", "size"),
     [
         (
             "robot.lost_zero_2", 0.008, "validate/S1900/before/003", "validate/S1900/idw/001",
@@ -146,7 +153,7 @@ def test_a_robot_that_changes_is_noticed_and_the_cause_named(
     own_cell: OwnCell,
     fault: str,
     value: float,
-    before: str,
+    from_key: str,
     key: str,
     cause: str,
     size: float,
@@ -154,10 +161,10 @@ def test_a_robot_that_changes_is_noticed_and_the_cause_named(
     """A run that a fault strikes after a point, from its start or from another one on."""
     whole = golden["small"]
     words: Words = ("run", "--unattended", "--runs", tmp_path, *sets(SMALL))
-    if before:
-        words = killed(whole.events, whole.folder, tmp_path, before)
+    if from_key:
+        words = killed(whole.events, whole.folder, tmp_path, from_key)
     printed = struck(own_cell, fault, value, key, words)
-    earlier = [event for event in whole.events if before and event["seq"] < printed[0]["seq"]]
+    earlier = before(whole.events, printed) if from_key else []
     assert judge([*earlier, *printed]) == []
     end = printed[-1]
     assert (end["state"], end["exit"]) == ("finished", 1), end

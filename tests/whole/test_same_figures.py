@@ -58,12 +58,11 @@ def figures(done: CompletedProcess[str]) -> dict[str, Any]:
     ("procedure", "cell", "values"),
     [
         ("axis-sweeps", "paper", SHORT),
-        ("axis-sweeps", "paper", SHORT | EKI),
+        ("axis-sweeps", "paper", SHORT | EKI | {"rail.driver": "kuka-e1"}),
         ("axis-sweeps", "lab", SHORT | STREAMING),
-        ("base-frame", "paper", SHORT | EKI | {"rail.driver": "kuka-e1"}),
         ("base-frame", "lab", SHORT),
     ],
-    ids=["C3, swept", "EKI, swept", "UR, swept", "EKI and E1", "UR and GeoCOM"],
+    ids=["C3, swept", "EKI and E1, swept", "UR, swept", "UR and GeoCOM"],
 )
 def test_of_a_busy_pc(
     tmp_path: Path,
@@ -80,7 +79,7 @@ def test_of_a_busy_pc(
 
 
 @pytest.mark.usefixtures("busy")
-@pytest.mark.parametrize("name", ["small", *sweep("calibration", "paper")])
+@pytest.mark.parametrize("name", ["sign-check", *sweep("small", "calibration", "paper")])
 def test_of_a_whole_run(golden: GoldenRuns, tmp_path: Path, name: str) -> None:
     again = command("run", *RUNS[name], "--json", "--runs", tmp_path)
     assert figures(again) == figures(golden[name].done)
