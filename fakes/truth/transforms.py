@@ -6,6 +6,7 @@ controller do not share its code. Frames are (4, 4), lengths mm, angles rad unle
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import reduce
 
@@ -45,6 +46,25 @@ def rotation(vector_rad: Array) -> Array:
     angle = float(np.linalg.norm(vector_rad))
     axis = vector_rad / angle if angle > 0 else np.array([0.0, 0.0, 1.0])
     return turned(axis, np.array(angle))
+
+
+def rotation_vector(R: Array) -> Array:
+    """Return the rotation vector (3,) of a rotation (3, 3), of an angle up to pi.
+
+    By the quaternion, from its largest component (Shepperd 1978); in plain numbers, for a
+    controller states it hundreds of times a second.
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R.tolist()
+    w, x, y, z = max(
+        (1.0 + xx + yy + zz, zy - yz, xz - zx, yx - xy),
+        (zy - yz, 1.0 + xx - yy - zz, yx + xy, xz + zx),
+        (xz - zx, yx + xy, 1.0 - xx + yy - zz, zy + yz),
+        (yx - xy, xz + zx, zy + yz, 1.0 - xx - yy + zz),
+        key=lambda row: sum(each * each for each in row),
+    )
+    sine = math.copysign(math.hypot(x, y, z), w)
+    angle = 2.0 * math.atan2(abs(sine), abs(w))
+    return np.array([x, y, z]) * (angle / sine if sine else 0.0)
 
 
 def rigid(R: Array, shift_mm: Array) -> Array:

@@ -13,7 +13,6 @@ import threading
 from functools import partial
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from fakes.faults import Faults, Vanished
 from fakes.kuka.life_timer import LifeTimer
@@ -22,7 +21,7 @@ from fakes.time import PlantTime
 from fakes.truth.controller_arm import controller_arm
 from fakes.truth.flicker import flicker
 from fakes.truth.robot_motion import RobotMotion
-from fakes.truth.transforms import Array
+from fakes.truth.transforms import Array, rotation_vector
 from hilcell.cell.file import Cell
 
 RUNNING, POWER_OFF, BOOTING = 7, 3, 2  # robot modes
@@ -168,7 +167,7 @@ class UrController:
             off = flicker(landed, round(now_s / STEP_S), 12)
             joints_rad, speeds = joints_rad + DITHER_RAD * off[:6], DITHER_RAD_S * off[6:]
         T = self._arm.chain.pose(joints_rad)
-        pose = np.concatenate([T[:3, 3] / 1000.0, Rotation.from_matrix(T[:3, :3]).as_rotvec()])
+        pose = np.concatenate([T[:3, 3] / 1000.0, rotation_vector(T[:3, :3])])
         if self._faults.take("robot.wrong_tool") is not None:
             self._wrong_tool = True
         tool = np.zeros(6) if self._wrong_tool else self._tcp

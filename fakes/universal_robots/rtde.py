@@ -30,6 +30,7 @@ GLUED_EVERY = 29
 RECEIVE = 4096
 SIX = {"actual_q", "target_q", "actual_qd", "actual_TCP_pose"}
 WHOLE = {"robot_mode", "safety_status", "safety_mode"}
+LAYOUTS = {"VECTOR6D": "6d", "DOUBLE": "d", "INT32": "i", "UINT32": "I"}
 
 
 class UrRtdeServer:
@@ -108,6 +109,7 @@ class _Session:
         self._segments = Segments(client)
         self._pending, self._glued, self._sent = b"", b"", 0
         self._outputs: list[tuple[str, str]] = []
+        self._layout = struct.Struct("!B")  # of a state
         self._inputs: dict[int, list[tuple[str, str]]] = {}  # by the number of their recipe
         self._rate_hz, self._started, self._due_s, self._silent = FASTEST_HZ, False, 0.0, False
 
@@ -146,6 +148,8 @@ class _Session:
             (self._rate_hz,) = struct.unpack_from("!d", payload)
             known = self._server.inputs()
             self._outputs = [(name, _kind(name, known)) for name in _names(payload[8:])]
+            layout = "".join(LAYOUTS.get(kind, "") for _, kind in self._outputs)
+            self._layout = struct.Struct(f"!B{layout}")
             answer = b"\x01" + ",".join(kind for _, kind in self._outputs).encode()
         elif kind == INPUTS:
             number, types = self._claimed(_names(payload))
@@ -193,7 +197,10 @@ class _Session:
         if late_s is not None:
             time.sleep(late_s)
         number = 2 if faults.take("robot.tag_mismatch") is not None else 1
-        payload = bytes([number]) + b"".join(_packed(values[n], kind) for n, kind in self._outputs)
+        numbers: list[float] = []
+        for name, kind in self._outputs:
+            numbers.extend(np.ravel(values[name]) if kind == "VECTOR6D" else (values[name],))
+        payload = self._layout.pack(number, *numbers)
         package = self._glued + HEAD.pack(HEAD.size + len(payload), DATA) + payload
         self._sent += 1
         if faults.take("robot.split_reply") is not None:
@@ -230,9 +237,3 @@ def _kind(name: str, registers: set[str]) -> str:
     known = {"timestamp", "target_speed_fraction", "speed_scaling"}
     known |= {f"output_double_register_{n}" for n in range(24, 30)}
     return "DOUBLE" if name in known else "NOT_FOUND"
-
-
-def _packed(value: object, kind: str) -> bytes:
-    if kind == "VECTOR6D":
-        return np.asarray(value).astype(">f8").tobytes()
-    return struct.pack({"DOUBLE": "!d", "INT32": "!i", "UINT32": "!I"}[kind], value)

@@ -49,6 +49,7 @@ def test_another_make_is_calibrated(tmp_path: Path) -> None:
     assert 0.025 < end["result"]["repeatability"]["rp_robot_mm"] < 0.06  # .04 of the machine
 
 
+@pytest.mark.waits
 def test_a_universal_robot_and_a_total_station(tmp_path: Path) -> None:
     words = ("--json", "--cell", "lab", "--runs", tmp_path)
     end = end_of(command("run", *words, *sets(QUICK | COARSE)))
