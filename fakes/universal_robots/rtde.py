@@ -198,8 +198,9 @@ class _Session:
             time.sleep(late_s)
         number = 2 if faults.take("robot.tag_mismatch") is not None else 1
         numbers: list[float] = []
-        for name, kind in self._outputs:
-            numbers.extend(np.ravel(values[name]) if kind == "VECTOR6D" else (values[name],))
+        for name, _ in self._outputs:
+            value = values[name]
+            numbers += value.tolist() if isinstance(value, np.ndarray) else [value]
         payload = self._layout.pack(number, *numbers)
         package = self._glued + HEAD.pack(HEAD.size + len(payload), DATA) + payload
         self._sent += 1
