@@ -79,7 +79,7 @@ class Seen:
     a box is left, top, width, height. ``sheets`` are those of each table's section and of the table
     in it, ``verdicts`` of the last cells of page 1. ``width`` is that of the page, which a printer
     shrinks to its paper, ``first`` the height of its first sheet, ``signatures`` that of the row to
-    sign in. ``pixels`` are (rows, columns, 3), of 0 to 255.
+    sign in. ``pixels`` are (rows, columns, 3), of 0 to 255, ``colours`` how many there are of each.
     """
 
     blocked: list[str]
@@ -90,7 +90,17 @@ class Seen:
     width: int
     first: int
     signatures: int
-    pixels: NDArray[np.int16]
+    pixels: NDArray[np.uint8]
+    colours: dict[tuple[int, ...], int]
+
+    def share(self, colour: tuple[int, ...]) -> float:
+        """Return the share of pixels that have exactly a colour."""
+        return self.colours.get(colour, 0) / sum(self.colours.values())
+
+    def near(self, colour: tuple[int, ...], within: int) -> int:
+        """Return how many pixels differ from a colour by less than that, in each part of it."""
+        found, counts = np.array(list(self.colours)), np.array(list(self.colours.values()))
+        return int(counts[np.all(np.abs(found - colour) < within, axis=1)].sum())
 
     def inked(self, box: list[float]) -> float:
         """Return the share of pixels in a box that are not white."""
@@ -113,6 +123,9 @@ def looked_at(page: str, folder: Path, width: int, *, pixels: bool = False) -> S
     assert seen is not None, done.stdout[-2000:]
     boxes = json.loads(html.unescape(seen[1]))
     if not pixels:
-        return Seen(**boxes, pixels=np.zeros((0, 0, 3), np.int16))
+        return Seen(**boxes, pixels=np.zeros((0, 0, 3), np.uint8), colours={})
     with Image.open(picture) as image:
-        return Seen(**boxes, pixels=np.asarray(image.convert("RGB")).astype(np.int16))
+        shown = image.convert("RGB")
+    counted = shown.getcolors(shown.width * shown.height) or []
+    colours = {colour: count for count, colour in counted if isinstance(colour, tuple)}
+    return Seen(**boxes, pixels=np.asarray(shown), colours=colours)

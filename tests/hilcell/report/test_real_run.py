@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import msgspec
-import numpy as np
 import pytest
 
 from hilcell.journal.journal import Journal, read_journal
@@ -172,10 +171,9 @@ def test_seen_in_a_browser(
     assert len(seen.drawings) >= 4
     for box in seen.drawings + [image["box"] for image in images]:
         assert 0.01 < seen.inked(box) < 0.9
-    assert 0.4 < float(np.mean(np.all(seen.pixels == 255, axis=2))) < 0.95
+    assert 0.4 < seen.share((255, 255, 255)) < 0.95
     for colour in (RUST, BLUE):
-        near = np.all(np.abs(seen.pixels - colour) < 24, axis=2)
-        assert near.sum() > 300, f"the figures' colour {colour} is not to be seen"
+        assert seen.near(colour, 24) > 300, f"the figures' colour {colour} is not to be seen"
     phone = looked_at(html, tmp_path, PHONE_PX)
     assert phone.width <= PHONE_PX
     assert phone.verdicts
