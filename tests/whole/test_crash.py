@@ -151,16 +151,20 @@ def test_a_device_that_is_lost_in_mid_run(
     assert judge(journal) == []
 
 
-def test_a_calibration_file_that_cannot_be_written_is_owed(tmp_path: Path) -> None:
+def test_a_calibration_file_that_cannot_be_written_is_owed(
+    tmp_path: Path, golden: GoldenRuns
+) -> None:
+    whole = golden["sign-check"]
+    last = next(e["seq"] for e in whole.events if e.get("key") == "sign/corrected")
+    cut(whole.folder, tmp_path / "owing", last)
     file = tmp_path / "owing" / "calibration.json"
-    file.mkdir(parents=True)  # in the file's way
-    done = command(
-        "run", "sign-check", "--name", "owing", "--json", "--runs", tmp_path, *sets(SMALL)
-    )
+    file.mkdir()  # in the file's way
+    words = ("resume", "owing", "--json", "--runs", tmp_path)
+    done = command(*words, "--unattended")
     assert done.returncode == EXIT_STORAGE
     assert str(file) in done.stderr
     file.rmdir()
-    resumed = command("resume", "owing", "--runs", tmp_path, "--json")
+    resumed = command(*words)
     assert resumed.returncode == 0, resumed.stderr
     assert events(resumed.stdout) == []  # nothing is measured, nothing moves
     assert file.is_file()

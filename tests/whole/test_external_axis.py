@@ -13,6 +13,7 @@ from tests.whole.bench import SMALL, Engine, command, end_of, events, sets, simu
 from tests.whole.trace import judge
 
 E1 = {"rail.driver": "kuka-e1"}
+FEWER = {"grid.size_mm": "[900.0, 450.0, 450.0]", "base_frame.points": "4"}
 PACE = 40.0
 FAR_MM = 2600.0  # the first motion, the slowest there is: all else is quick in fast paced time
 SLOW = E1 | {
@@ -20,17 +21,19 @@ SLOW = E1 | {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("procedure", ["sign-check", *sweep("calibrate")])
+@pytest.mark.parametrize(
+    ("procedure", "plan"), [("sign-check", SMALL | FEWER), *sweep(("calibrate", SMALL))]
+)
 @pytest.mark.parametrize(
     ("values", "drive"),
     [(E1, "E1 of "), ({"rail.options.strip.driver": "serial"}, "drive vendor 0x484")],
     ids=["E1", "CANopen and a serial strip"],
 )
 def test_a_small_calibration_ends_in_tolerance(
-    tmp_path: Path, procedure: str, values: dict[str, str], drive: str
+    tmp_path: Path, procedure: str, plan: dict[str, str], values: dict[str, str], drive: str
 ) -> None:
     """By day as far as corrected targets at a station: every act that moves slide or arm."""
-    words = ("--json", "--unattended", *sets(SMALL | values))
+    words = ("--json", "--unattended", *sets(plan | values))
     done = command("run", procedure, "--runs", tmp_path, *words)
     assert end_of(done)["exit"] == 0, done.stderr
     assert judge(events(done.stdout)) == []

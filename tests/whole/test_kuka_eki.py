@@ -67,7 +67,8 @@ def test_a_killed_engine_leaves_a_braked_robot_and_resume_goes_on(tmp_path: Path
 
 
 def test_the_slide_is_moved_over_the_same_channel(tmp_path: Path) -> None:
-    values = EKI | {"rail.driver": "kuka-e1", "survey.to_mm": "600.0", "survey.step_mm": "200.0"}
+    short = {"survey.to_mm": "600.0", "survey.step_mm": "200.0", "survey.repeats": "4"}
+    values = EKI | {"rail.driver": "kuka-e1"} | short
     done = command("run", "rail-survey", "--json", "--runs", tmp_path, *sets(values))
     assert end_of(done)["exit"] == 0, done.stderr
     assert '"model":"E1 of #KR210R2700_2 C4 FLR SIMULATED"' in done.stdout
