@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import tomllib
+from copy import deepcopy
+from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -43,13 +45,19 @@ def folder_of(where: str) -> Path:
 def parsed(text: str, where: str) -> dict[str, Any]:
     """Return the tables of a cell file; raises `SettingsError`."""
     try:
-        return tomllib.loads(text)
+        return deepcopy(_tables(text))
     except RecursionError:
         raise SettingsError(where, ["nested too deeply"]) from None
     except ValueError as error:  # also an integer of more digits than Python reads
         place = _AT_LINE.search(str(error))
         line = f"{where}:{place[1]}: " if place else ""
         raise SettingsError(where, [f"{line}not valid TOML: {error}"]) from error
+
+
+@lru_cache(maxsize=8)
+def _tables(text: str) -> dict[str, Any]:
+    """Return the tables of a text; a study reads one cell for each of its cases."""
+    return tomllib.loads(text)
 
 
 def built_in_cells() -> list[str]:
