@@ -9,8 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import beta
-from scipy.stats import t as student
+from scipy.special import betaincinv, stdtrit  # scipy.stats takes half a second to import
 
 from hilcell.ports import Array
 
@@ -57,7 +56,7 @@ def interval(values: Iterable[float]) -> Interval:
     found: Array = np.array(list(values), dtype=float)
     if len(found) < 2:
         return Interval(float(found.mean()) if len(found) else float("nan"), float("nan"))
-    factor = float(student.ppf(UPPER, len(found) - 1))
+    factor = _student(len(found) - 1)
     return Interval(float(found.mean()), factor * float(found.std(ddof=1)) / len(found) ** 0.5)
 
 
@@ -74,8 +73,13 @@ def share(values: Iterable[float], targets: float) -> Share:
         )
     mean, variance = float(found.mean()), float(found.var(ddof=1)) / len(found)
     effective = min(targets, mean * (1.0 - mean) / variance) if variance > 0.0 else targets
-    effective *= (student.ppf(UPPER, targets - 1.0) / student.ppf(UPPER, len(found) - 1)) ** 2
+    effective *= (_student(targets - 1.0) / _student(len(found) - 1)) ** 2
     within, beyond = effective * mean, effective * (1.0 - mean)
-    low = float(beta.ppf(1.0 - UPPER, within, beyond + 1.0)) if within > 0.0 else 0.0
-    high = float(beta.ppf(UPPER, within + 1.0, beyond)) if beyond > 0.0 else 1.0
+    low = float(betaincinv(within, beyond + 1.0, 1.0 - UPPER)) if within > 0.0 else 0.0
+    high = float(betaincinv(within + 1.0, beyond, UPPER)) if beyond > 0.0 else 1.0
     return Share(mean, low, high)
+
+
+def _student(freedom: float) -> float:
+    """Return Student's factor of the interval's upper end."""
+    return float(stdtrit(float(freedom), UPPER))
