@@ -28,6 +28,7 @@ from tests.hilcell.tui.recording_app import (
     text_at_rest,
 )
 from tests.hilcell.tui.sample_runs import sample_runs
+from tests.whole.bench import sweep
 
 __all__ = ["isolated"]
 
@@ -154,16 +155,20 @@ def test_no_file_is_kept_of_a_screen_that_is_gone() -> None:
     assert {path.stem for path in FOLDER.iterdir()} == seen
 
 
-@pytest.mark.parametrize("state", ["intolerant", "suspended", "silent", ""])
-def test_ascii_is_ascii_on_every_screen(state: str) -> None:
-    """On every page of one state, and on the first screen of others."""
+@pytest.mark.parametrize(
+    ("state", "whole"),
+    [*((state, False) for state in ("intolerant", "suspended", "silent", "")),
+     *sweep(("intolerant", True))],
+)  # fmt: skip
+def test_ascii_is_ascii_on_every_screen(state: str, whole: bool) -> None:
+    """On the first screen of states; by day test_untrusted_text looks at every page."""
     app = RecordingApp(options(RUNS, ascii_only=True), state)
 
     async def look() -> dict[str, str]:
         async with app.run_test(size=SIZE) as pilot:
             if not state:
                 return await form_of(app, pilot)
-            if state == "intolerant":
+            if whole:
                 return await screens_of(app, pilot)
             await settle(pilot)
             return {"run": text_at_rest(app)}
