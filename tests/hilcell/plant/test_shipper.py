@@ -35,13 +35,19 @@ from tests.whole.bench import command
 DAY = timedelta(days=1)
 
 
-@pytest.fixture
-def runs(model: Model, tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def three(model: Model, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder of three runs of a cell; their names are not in the order of their ends."""
-    folder = tmp_path / "runs"
+    folder = tmp_path_factory.mktemp("three")
     for name, days in (("b", 3), ("c", 2), ("a", 1)):
         model.write(folder, Run(name, "north", "HC-1", NOW - days * DAY))
     return folder
+
+
+@pytest.fixture
+def runs(three: Path, tmp_path: Path) -> Path:
+    """Return a copy of them."""
+    return Path(shutil.copytree(three, tmp_path / "runs"))
 
 
 def kept(database: Database) -> list[tuple[str, int]]:

@@ -22,6 +22,7 @@ from tests.hilcell.tui.engine_peer import STATUS, Peer, says
 from tests.hilcell.tui.sample_runs import fresh, sample_runs, status
 from tests.hilcell.tui.terminal_colours import colours_of
 from tests.hilcell.tui.untrusted_text import NASTY, poisoned
+from tests.whole.bench import sweep
 from tests.whole.terminal import Terminal
 
 pytestmark = pytest.mark.process
@@ -195,7 +196,7 @@ def test_leaving_a_live_run_asks_and_is_reported_to_the_engine(tmp_path: Path) -
         assert peer.commands == ["attend", "answer", "leave"]
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGHUP])
+@pytest.mark.parametrize("how", [signal.SIGHUP, *sweep(signal.SIGKILL)])
 def test_a_lost_screen_sends_no_leave(tmp_path: Path, how: signal.Signals) -> None:
     with live(tmp_path / NAME, "running") as (terminal, peer):
         os.kill(terminal.pid, how)
