@@ -150,16 +150,20 @@ async def settle(pilot: Pilot[int]) -> None:
 
     By messages and not by seconds, so that a slow machine sees what a fast one sees.
     """
+    await _done(pilot)
+    if pilot.app.is_running:
+        strips = painted(pilot.app)  # what cannot be painted breaks the test
+        if isinstance(pilot.app, RecordingApp):
+            pilot.app.at_rest = strips
+
+
+async def _done(pilot: Pilot[int]) -> None:
     for _ in range(ROUNDS):
         await _round(pilot)
         if _is_quiet(pilot.app):
             break
         with suppress(WorkerCancelled):  # a screen that was left takes its work along
             await pilot.app.workers.wait_for_complete()
-    if pilot.app.is_running:
-        strips = painted(pilot.app)  # what cannot be painted breaks the test
-        if isinstance(pilot.app, RecordingApp):
-            pilot.app.at_rest = strips
 
 
 def _is_quiet(app: App[int]) -> bool:
@@ -189,9 +193,16 @@ async def until(pilot: Pilot[int], true: Callable[[], object]) -> None:
 
 
 async def press(pilot: Pilot[int], *keys: str) -> None:
-    """Press keys as a person does, and wait until what each began is done and painted."""
-    for key in keys:
+    """Press keys as a person does, each once what the one before began is done; paint at the end.
+
+    Nobody looks between keys of a row, and other tests paint what each leaves by itself.
+    """
+    *before, last = keys or ("",)
+    for key in before:
         type_ahead(pilot.app, key)
+        await _done(pilot)
+    if last:
+        type_ahead(pilot.app, last)
         await settle(pilot)
 
 
