@@ -11,19 +11,14 @@ COMPILE := uv pip compile pyproject.toml --universal --fork-strategy fewest --ge
 export PYTHONDONTWRITEBYTECODE =
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: run test together waiting beside processes alone recordings nightly mutants torture lint gauges bench bundle lock clean
+.PHONY: run test together waiting processes alone recordings nightly mutants torture lint gauges bench bundle lock clean
 
 run: $(VENV)/ready  ## calibrate the simulated paper cell and print the table
 	$(BIN)/hilcell run
 
-test: $(VENV)/more  ## all lanes at once, lint in that of processes; then the deadlines
-	$(MAKE) --no-print-directory --jobs 3 together waiting beside
+test: $(VENV)/more  ## all lanes and lint at once; then the deadlines, with nothing beside
+	$(MAKE) --no-print-directory --jobs 4 together waiting processes lint
 	$(MAKE) --no-print-directory alone
-
-# One after the other: the tests in event time keep the processors busy already.
-beside: $(VENV)/compiled
-	$(MAKE) --no-print-directory processes
-	$(MAKE) --no-print-directory lint
 
 together: $(VENV)/compiled  ## tests in event time, in random order on all cores
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not (nightly or process or waits or wall)"
