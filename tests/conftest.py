@@ -13,6 +13,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from signal import SIGHUP, SIGINT
 
@@ -113,6 +114,17 @@ def pytest_configure() -> None:
     for number, handler in (SIGINT, signal.default_int_handler), (SIGHUP, signal.SIG_DFL):
         if signal.getsignal(number) is signal.SIG_IGN:
             signal.signal(number, handler)
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Have each worker import its share of all tests first: a fresh clone is compiled once."""
+    config = session.config
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
+    if worker and config.args == config.getini("testpaths"):
+        number, count = int(worker[2:]), int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
+        files = sorted(config.rootpath.glob("tests/**/test_*.py"))
+        for file in files[len(files) * number // count : len(files) * (number + 1) // count]:
+            import_module(".".join(file.relative_to(config.rootpath).with_suffix("").parts))
 
 
 def pytest_collection_finish() -> None:

@@ -21,7 +21,8 @@ PAPER = ("--seed", "2", "--unattended")
 FEWER = {
     "validation.per_cell": "1",
     "validation.others": "24",
-    "survey.step_mm": "200.0",
+    "survey.step_mm": "400.0",
+    "base_frame.points": "12",
     "layout.nest_samples": "2",
     "sweeps.axes": "[1, 2]",
 }
