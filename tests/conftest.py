@@ -21,8 +21,9 @@ import pytest
 from hypothesis import HealthCheck, Phase, settings
 
 from fakes import simulator
+from hilcell.journal import journal
 from hilcell.journal.runs_folder import OVERRIDE as RUNS
-from hilcell.run.cell_lock import OVERRIDE
+from hilcell.run.cell_lock import OVERRIDE as LOCKS
 from hilcell.run.signals import COMMANDS
 from tests.cell_here import start_here
 from tests.hilcell.report.browser import NAMES, found
@@ -50,40 +51,39 @@ settings.load_profile("suite")
 
 
 @pytest.fixture(autouse=True)
-def _signals_put_back() -> Iterator[None]:
-    """Put the handlers of signals back: a run in this process notes them until it ends."""
+def _apart(
+    _of_this_session: None, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[None]:
+    """Keep tests apart; one fixture does it all, since each costs every test.
+
+    The test that leaves a thread, a file, a socket or a process behind fails, and is named.
+    Handlers of signals are put back: a run in this process notes them until it ends. Only tests
+    marked ``process`` or ``wall`` start processes; ``wall`` has the simulated cell in one, too.
+    """
     before = {number: signal.getsignal(number) for number in COMMANDS}
-    yield
+    if request.node.get_closest_marker("wall"):
+        monkeypatch.setattr(simulator, "_start", START)
+    elif not request.node.get_closest_marker("process"):
+        monkeypatch.setattr(subprocess.Popen, "__init__", _no_process)
+    with no_leaks():
+        yield
     for number, handler in before.items():
         if signal.getsignal(number) is not handler:
             signal.signal(number, handler)
 
 
-@pytest.fixture(autouse=True)
-def _leaves_nothing() -> Iterator[None]:
-    """Fail the test that leaves a thread, a file, a socket or a process behind, and name it."""
-    with no_leaks():
-        yield
+@pytest.fixture(scope="session")
+def _of_this_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Serve simulated cells in this process; keep locks and runs away from the user's own.
 
-
-@pytest.fixture(scope="session", autouse=True)
-def _cells_here() -> Iterator[None]:
-    """Serve simulated cells in this process, those of shared runs as well."""
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(simulator, "_start", start_here)
-        yield
-
-
-@pytest.fixture(autouse=True)
-def _starts_no_process(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Start no process; tests marked ``process`` or ``wall`` may.
-
-    Those marked ``wall`` have the simulated cell in a process of its own as well.
+    Journals that this process writes need not outlast a loss of power.
     """
-    if request.node.get_closest_marker("wall"):
-        monkeypatch.setattr(simulator, "_start", START)
-    elif not request.node.get_closest_marker("process"):
-        monkeypatch.setattr(subprocess.Popen, "__init__", _no_process)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(journal, "SYNCHRONOUS", "OFF")
+        patched.setattr(simulator, "_start", start_here)
+        patched.setenv(LOCKS, str(tmp_path_factory.mktemp("locks")))
+        patched.setenv(RUNS, str(tmp_path_factory.mktemp("runs")))
+        yield
 
 
 def _no_process(_: object, words: object, *__: object, **___: object) -> None:
@@ -132,7 +132,6 @@ def pytest_collection_finish() -> None:
 
     What a test leaves is looked for thirty times less often than usual: a tenth of its time.
     """
-    gc.collect()
     gc.freeze()
     gc.set_threshold(20_000, 10, 10)
     gc.enable()
@@ -160,18 +159,6 @@ def pytest_report_header() -> str:
     """Name the browser in which the report is looked at."""
     none = f"none of {', '.join(NAMES)} is installed: its tests are skipped"
     return f"browser for the report: {found() or none}"
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _locks(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Lock devices among these tests alone: what else runs on this machine is not theirs."""
-    os.environ[OVERRIDE] = str(tmp_path_factory.mktemp("locks"))
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _runs(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Keep runs whose folder no test names away from the user's own."""
-    os.environ[RUNS] = str(tmp_path_factory.mktemp("runs"))
 
 
 @pytest.fixture(scope="session")

@@ -69,6 +69,7 @@ class OpenFile:
 FORM = 2
 READ_BACK = 500  # records between two checks that the file holds what was acknowledged
 CACHE_KIB = 256  # of SQLite's pages: a writer that appends needs the last ones only
+SYNCHRONOUS = "FULL"  # an append returns when its record is on the disk
 ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)  # other errors hide a file
 SMALLEST_PAGE = 512  # bytes
 LARGEST = 2**28  # bytes of a journal; one of a thousand points has some 2**23
@@ -180,7 +181,7 @@ class Journal:
             self._base = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
             self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_RECORD)
             self._base.execute("PRAGMA journal_mode=WAL")
-            self._base.execute("PRAGMA synchronous=FULL")
+            self._base.execute(f"PRAGMA synchronous={SYNCHRONOUS}")
             self._base.execute(f"PRAGMA cache_size=-{CACHE_KIB}")
             if create:
                 self._base.executescript(f"BEGIN;{_TABLES}")  # all of it, or a file without tables
