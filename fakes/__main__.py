@@ -15,6 +15,7 @@ import msgspec
 
 from fakes.host import Host, Order
 from hilcell.errors import HilcellError, with_place
+from hilcell.typed import decoded
 
 STDIN = 0
 
@@ -23,7 +24,7 @@ def main() -> int:
     """Serve the ordered cell until stdin ends or the control channel says quit."""
     threading.excepthook = _report
     try:
-        host = Host(msgspec.json.decode(_first_line(), type=Order))
+        host = Host(decoded(_first_line(), Order))
     except (msgspec.DecodeError, HilcellError) as error:
         print(error, file=sys.stderr)
         return 2

@@ -15,6 +15,7 @@ from hilcell.journal.point_id import LENGTH, PointId
 from hilcell.journal.set_ups import world_key
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Span, Step
+from hilcell.typed import typed
 from procedures.durations import closing, floor_points, readings, step
 from procedures.plan import check_range
 
@@ -44,7 +45,7 @@ def check_lengths(session: CellSession) -> None:
 def length_result(log: Log) -> dict[str, Any]:
     """Return the certified lengths as found, where there are any."""
     rows = log.verdicts.get(VERDICT, {}).get("lengths", [])
-    found = [(row, msgspec.convert(row, LengthFound)) for row in rows]
+    found = [(row, typed(row, LengthFound)) for row in rows]
     lengths = [row | {"off_ppm": each.off_ppm, "holds": each.holds} for row, each in found]
     return {"known_lengths": lengths} if lengths else {}
 

@@ -20,6 +20,7 @@ from fakes.truth.screws import Chain
 from fakes.truth.transforms import Array, carried, frame, rigid, rotation
 from hilcell.cell.tables import Point
 from hilcell.ports import HilcellError
+from hilcell.typed import decoded
 
 # RP = mean + 3 s of the 3-D distances from the mean position (ISO 9283, 7.2.2).
 
@@ -71,7 +72,7 @@ def design_of(machine: Machine, smr_mm: Point) -> Design:
 
 @lru_cache(KNOWN)
 def _known(machine: bytes, smr_mm: Point) -> Design:
-    return Design(msgspec.json.decode(machine, type=Machine), smr_mm)
+    return Design(decoded(machine, Machine), smr_mm)
 
 
 def reference_cube(machine: Machine, chain: Chain) -> tuple[Array, Array]:

@@ -13,6 +13,7 @@ from functools import cache
 from typing import Literal
 
 from hilcell.errors import HilcellError
+from hilcell.typed import typed
 
 Severity = Literal["notice", "warning", "fault"]
 By = Literal["you", "controller"]
@@ -93,8 +94,6 @@ def entries_of(package: str) -> list[Entry]:
     import tomllib  # here and not above: the screen shows itself before it shows alarms
     from importlib import resources
 
-    import msgspec
-
     try:
         files = [each for each in resources.files(package).iterdir() if each.name.endswith(".toml")]
     except (ImportError, OSError) as error:
@@ -105,7 +104,7 @@ def entries_of(package: str) -> list[Entry]:
         try:
             for n, row in enumerate(tomllib.loads(file.read_text("utf-8"))["alarm"], start=1):
                 where = f"{file.name}, alarm {n}"
-                found.append(msgspec.convert(row, Entry))
+                found.append(typed(row, Entry))
         except (OSError, ValueError, KeyError, TypeError) as error:
             problem = f"no {error}" if isinstance(error, KeyError) else str(error)
             reason = f"cannot be read: {where}: {problem}"

@@ -43,6 +43,7 @@ from hilcell.geometry.rotations import from_zyx
 from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.journal.log import NO_READINGS, Log
 from hilcell.ports import Array, HilcellError
+from hilcell.typed import decoded, typed
 from hilcell.writing import write_whole
 
 SCHEMA = 5  # to be raised whenever `Calibration` changes, or what its fields mean
@@ -90,7 +91,7 @@ def calibration_of(log: Log, run: str) -> Calibration:
         "verdicts": verdicts_of(log),
         "failed": failed_of(log),
     }  # fmt: skip
-    return msgspec.convert(msgspec.to_builtins(values), Calibration)
+    return typed(msgspec.to_builtins(values), Calibration)
 
 
 def verdicts_of(log: Log) -> dict[str, dict[str, Any]]:
@@ -176,13 +177,13 @@ def read_calibration(path: Path) -> Calibration:
     """Read the file; raises `SettingsError` for anything that is not one, whole and of sense."""
     try:
         data = read_bytes(path)
-        schema = msgspec.json.decode(data, type=_Head).schema
+        schema = decoded(data, _Head).schema
         if schema != SCHEMA:
             found = f"schema {schema:.6g}, expected {SCHEMA}; calibrate again"
             raise SettingsError(str(path), [found])
         content = msgspec.json.decode(data)
         problems = seal_problems(content)
-        calibration = msgspec.convert(content, Calibration)
+        calibration = typed(content, Calibration)
     except OSError as error:
         raise unreadable(str(path), error) from error
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, OverflowError) as error:

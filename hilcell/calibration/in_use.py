@@ -29,6 +29,7 @@ from hilcell.journal.log import Log
 from hilcell.journal.runs import CALIBRATION, is_run, read_log
 from hilcell.journal.standing import Standing, standings
 from hilcell.ports import HilcellError
+from hilcell.typed import typed
 
 
 class NoCalibration(HilcellError):
@@ -115,7 +116,7 @@ def calibration_in(log: Log) -> Calibration | None:
     """Return the calibration that a run uses, once it has begun to."""
     for record in reversed(log.events):
         if record.body["what"] == USED:
-            return msgspec.convert(record.body["content"], Calibration)
+            return typed(record.body["content"], Calibration)
     return None
 
 

@@ -18,6 +18,7 @@ from hilcell.cell.layout import CERTIFIED_C, KnownLength
 from hilcell.geometry.statistics import rectangular_variance
 from hilcell.journal.log import Log, Point, covariances_mm2, positions_mm
 from hilcell.journal.point_id import LENGTH, PointId
+from hilcell.typed import typed
 
 VERDICT = "known-length"  # its key
 COVERAGE = 2.0  # k: about 95 %
@@ -89,7 +90,7 @@ def _found(cell: Cell, log: Log, known: KnownLength) -> LengthFound:
 def scale(log: Log) -> Suspicion | None:
     """Return a tracker's scale that a certified length has shown to be wrong."""
     rows = log.verdicts.get(VERDICT, {}).get("lengths", [])
-    found = [msgspec.convert(row, LengthFound) for row in rows]
+    found = [typed(row, LengthFound) for row in rows]
     wrong = [each for each in found if not each.holds]
     if not wrong:
         return None

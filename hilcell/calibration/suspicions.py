@@ -17,6 +17,7 @@ from hilcell.geometry.frames import motion_levers
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.ports import Array
+from hilcell.typed import typed
 
 LARGE_AXES = 5
 LEAST_LEVER_MM = 20.0  # of a reflector beside axis 6: below, no turn of it is seen
@@ -59,7 +60,7 @@ def blamed(facts: Mapping[str, Any]) -> dict[str, Any]:
     fields are those of a `Suspicion`.
     """
     try:
-        found = msgspec.convert(facts.get("fields", {}), Suspicion)
+        found = typed(facts.get("fields", {}), Suspicion)
     except msgspec.ValidationError:  # it names no cause, or a size that is no number
         return {}
     return {"suspicions": [found.facts]}
@@ -67,7 +68,7 @@ def blamed(facts: Mapping[str, Any]) -> dict[str, Any]:
 
 def suspected_in(result: Mapping[str, Any]) -> list[Suspicion]:
     """Return the suspicions of a run's result."""
-    return msgspec.convert(result.get("suspicions", []), list[Suspicion])
+    return typed(result.get("suspicions", []), list[Suspicion])
 
 
 class Pattern(NamedTuple):

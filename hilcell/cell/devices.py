@@ -35,6 +35,7 @@ from hilcell.ports import (
     Tracker,
     TwoFaces,
 )
+from hilcell.typed import learn
 
 BUILT_WITH = ("options", "clock")
 
@@ -56,7 +57,7 @@ def misfits(kind: Any, port: type) -> list[str]:
 def _of_options(options: Any) -> str:
     """Return why the options' types mean nothing; "" where they do."""
     try:
-        msgspec.json.Decoder(options)
+        learn(options)
     except Exception as error:  # noqa: BLE001 - an annotation is any expression
         return f"its Options have a type that cannot be used: {one_line(error)}"
     return ""

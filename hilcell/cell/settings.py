@@ -24,6 +24,7 @@ import msgspec
 
 from hilcell.clean import clean
 from hilcell.errors import HilcellError, bounded
+from hilcell.typed import typed
 
 LONGEST_VALUE = 80
 _PATH = re.compile(r"(\w+)[\w.\[\]]*:")  # with which a table's own check names the field
@@ -125,7 +126,7 @@ def _sound(values: Mapping[str, object], kind: type[T]) -> T | None:
     if not _knows_its_keys(kind) or list(_not_finite(values, "")):
         return None
     try:
-        return msgspec.convert(values, kind, strict=True)
+        return typed(values, kind)
     except msgspec.ValidationError:
         return None
 
@@ -254,7 +255,7 @@ def _value(value: object, kind: Any, path: str, problems: list[str]) -> Any:
         problems += bad
         return _UNREAD
     try:
-        return msgspec.convert(value, kind, strict=True)
+        return typed(value, kind)
     except msgspec.ValidationError as error:
         member = _MEMBER.search(str(error))
         if member and isinstance(value, list) and typing.get_origin(_stated(kind)) is list:

@@ -40,6 +40,7 @@ from hilcell.journal.states import WAITING
 from hilcell.report.verdicts import deciding_words
 from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.stopping import not_at_rest
+from hilcell.typed import typed
 from hilcell.writing import NotPrinted
 
 if TYPE_CHECKING:
@@ -188,7 +189,7 @@ class ProgressOutput(RunOutput):
             if body["verdict"] == "broken":
                 self._print(f"{promise}: broken: {body['why']}")
         elif record.kind == "event" and body["what"] == "curve":
-            if not (curve := msgspec.convert(body, CurveRecord)).holds:
+            if not (curve := typed(body, CurveRecord)).holds:
                 self._print(curve.words)
         elif record.kind == "event" and body["what"] == "no reading":
             self._print(f"{body['key']}: {body['reason']} (try {body['tries']})")

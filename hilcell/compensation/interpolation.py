@@ -20,6 +20,7 @@ from hilcell.compensation.grid import Grid, GridError, Ints, MeasuredGrid
 from hilcell.compensation.measured import Measured
 from hilcell.compensation.model import ModelError, Prediction
 from hilcell.geometry.kinematics import Array
+from hilcell.typed import typed
 
 CORNERS: Ints = np.array(
     list(product((0, 1), repeat=3))
@@ -85,7 +86,7 @@ class Interpolation(ABC):
     def restore(cls, grid: Grid, errors_mm: Array, parameters: Mapping[str, Any]) -> Self:
         """Return the model as `parameters` keeps it."""
         try:
-            found = msgspec.convert(parameters, Parameters)
+            found = typed(parameters, Parameters)
             vertices = np.array(found.vertex_covariance_mm2, dtype=float)
             residual = np.array(found.residual_covariance_mm2, dtype=float)
         except (msgspec.ValidationError, ValueError) as error:

@@ -33,6 +33,7 @@ from hilcell.identification.kinematics import Kinematics, Placed, State
 from hilcell.identification.noise import Noise
 from hilcell.identification.readings import IdentificationError, Readings
 from hilcell.identification.system import observability
+from hilcell.typed import typed
 
 CONTRADICTED = 4.0  # times the square that chance gives a curve's change
 LEAST_SHARE = 1e-3  # of a prior's variance that poses explain at least
@@ -201,7 +202,7 @@ class Kinematic:
     def restore(cls, grid: Grid, errors_mm: Array, parameters: Mapping[str, Any]) -> Self:
         """Return the model as `parameters` keeps it; the grid's errors are not needed."""
         try:
-            entry = msgspec.convert(parameters, Parameters)
+            entry = typed(parameters, Parameters)
         except msgspec.ValidationError as error:
             raise ModelError(f"no identified robot: {error}") from error
         robot = _robot(entry.robot)

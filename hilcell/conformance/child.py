@@ -18,6 +18,7 @@ from hilcell.conformance.acts import ACTS
 from hilcell.conformance.bench import LOOK_S, Bench, Settings
 from hilcell.conformance.riding import Riding
 from hilcell.conformance.verdicts import Broken, Port
+from hilcell.typed import decoded
 
 END_S = 30.0
 
@@ -103,7 +104,7 @@ class Child:
 
 def main() -> None:
     """Connect, say so, and begin what takes seconds."""
-    order = msgspec.json.decode(sys.stdin.buffer.readline(), type=Order)
+    order = decoded(sys.stdin.buffer.readline(), Order)
     sys.path[:] = order.path
     device = order.driver.built(order.port)
     if order.carrier is not None:

@@ -24,6 +24,7 @@ from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.log import Readings, ReadingTime
 from hilcell.journal.set_ups import PROVEN, TRACKER_MOVED
 from hilcell.journal.states import OVER, WAITING
+from hilcell.typed import typed
 
 SIGMAS = 4.0
 FRAMING = "world"  # kind of the points of which {W} is framed
@@ -39,11 +40,11 @@ class TrackerSetUps:
         """Judge a record."""
         match record.kind:
             case "point":
-                self._point(record, msgspec.convert(record.body, Measured))
+                self._point(record, typed(record.body, Measured))
             case "frame":
-                self._frame(record, msgspec.convert(record.body, Framed))
+                self._frame(record, typed(record.body, Framed))
             case "state" if record.body.get("machine") == "run":
-                if msgspec.convert(record.body, Life).to == "finished":
+                if typed(record.body, Life).to == "finished":
                     self._closed(record, "the run's end", list(self._scene.unproven))
             case "event":
                 self._event(record)
@@ -204,13 +205,13 @@ class LifeRules:
         self._seq = record.seq
         match record.kind:
             case "state" if record.body.get("machine") == "run":
-                self._life(record, msgspec.convert(record.body, Life))
+                self._life(record, typed(record.body, Life))
             case "verdict":
                 (self._failed.discard if record.body["holds"] else self._failed.add)(record.key)
             case "event":
                 self._event(record)
             case "end":
-                self._end(record, msgspec.convert(record.body, Ended))
+                self._end(record, typed(record.body, Ended))
 
     def _event(self, record: Record) -> None:
         match record.body.get("what"):
@@ -222,7 +223,7 @@ class LifeRules:
             case "safe stop" if record.body.get("cause"):
                 self._reason = self._reason or record.body["cause"]
             case "acknowledged":
-                until = msgspec.convert(record.body, Acknowledged).until
+                until = typed(record.body, Acknowledged).until
                 unseen = f"alarms up to record {until} were acknowledged before it was written"
                 self._check("I17", record, until < record.seq, unseen)
 
@@ -300,7 +301,7 @@ class Measurements:
         """Judge a record."""
         if record.kind != "point":
             return
-        point, scene, key = msgspec.convert(record.body, Measured), self._scene, record.key
+        point, scene, key = typed(record.body, Measured), self._scene, record.key
         allowed = not (scene.ended or scene.waits)
         self._check("I3", record, allowed, f"{key} measured while {scene.state}")
         once = key not in scene.points or point.retaken

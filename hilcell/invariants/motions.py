@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 
-import msgspec
-
 from hilcell.invariants.bodies import Begun, Motion, Seen
 from hilcell.invariants.scene import Scene, of_rail
 from hilcell.invariants.tally import Tally
 from hilcell.journal.journal import Record
+from hilcell.typed import typed
 
 SAFE_POSE_DEG = 0.1
 FUTURE_S = -0.001  # two readings of one clock
@@ -24,9 +23,9 @@ class Motions:
     def take(self, record: Record) -> None:
         """Judge a record."""
         if record.kind == "intent":
-            self._motion(record, msgspec.convert(record.body, Motion))
+            self._motion(record, typed(record.body, Motion))
         elif record.kind in ("point", "event"):
-            self._began(record, msgspec.convert(record.body, Begun))
+            self._began(record, typed(record.body, Begun))
 
     def _motion(self, record: Record, motion: Motion) -> None:
         scene = self._scene

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-import msgspec
-
 from hilcell.invariants.bodies import CellFacts, Inputs, Life, Measured, Motion, Station
 from hilcell.journal.journal import Record
 from hilcell.journal.point_id import CHECKS, SEAT
 from hilcell.journal.set_ups import FRAMED_AGAIN, INTERRUPTED, PROOFS, PROVEN, TRACKER_MOVED
 from hilcell.journal.states import OVER, WAITING
+from hilcell.typed import typed
 
 STANDS = ("station held", "station found held")
 AGAIN = (  # events that allow a point a second time
@@ -65,13 +64,13 @@ class Scene:
         body = record.body
         match record.kind:
             case "plan":
-                self.inputs = msgspec.convert(body, Inputs)
+                self.inputs = typed(body, Inputs)
             case "state" if body.get("machine") == "run":
-                self._take_state(msgspec.convert(body, Life))
+                self._take_state(typed(body, Life))
             case "intent":
-                self._take_motion(record.key, msgspec.convert(body, Motion))
+                self._take_motion(record.key, typed(body, Motion))
             case "point":
-                self._take_point(record.key, msgspec.convert(body, Measured))
+                self._take_point(record.key, typed(body, Measured))
             case "frame" if is_world(record.key):
                 self.framed.add(set_up_of(record.key))
                 self._prove()

@@ -6,6 +6,8 @@ from typing import Any
 
 import msgspec
 
+from hilcell.typed import typed
+
 
 class Asset(msgspec.Struct, frozen=True, kw_only=True):
     """A robot, a tracker, a rail's drive or its strip. "" where a device does not say.
@@ -30,7 +32,7 @@ class Asset(msgspec.Struct, frozen=True, kw_only=True):
 
 def asset_of(entry: dict[str, Any]) -> Asset:
     """Return a device of the event `connected`; its name is its kind where it has no other."""
-    asset = msgspec.convert(entry, Asset)
+    asset = typed(entry, Asset)
     return asset if asset.kind else msgspec.structs.replace(asset, kind=asset.device.lower())
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import msgspec
 
 from hilcell.journal.journal import Record
+from hilcell.typed import typed
 
 if TYPE_CHECKING:
     from hilcell.journal.log import Log
@@ -86,7 +87,7 @@ class CalibrationReader:
         if record.kind == "verdict":
             self.judge(record.key, record.body)
         elif record.kind == "event" and record.body["what"] in (USED, REVOKED):
-            event = msgspec.convert(record.body, _Event)
+            event = typed(record.body, _Event)
             if event.what == USED:
                 self._used = event.run
             else:
@@ -94,7 +95,7 @@ class CalibrationReader:
 
     def judge(self, key: str, body: Mapping[str, Any]) -> None:
         """Add a verdict; raises `msgspec.ValidationError`."""
-        self._verdicts[key] = msgspec.convert(body, _Verdict)
+        self._verdicts[key] = typed(body, _Verdict)
 
     @property
     def facts(self) -> CalibrationFacts:

@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 
 from hilcell.journal.journal import is_there
+from hilcell.typed import decoded
 
 ENGINE = "engine.json"  # in the run's folder, while its engine lives
 LARGEST = 2**16  # bytes
@@ -36,7 +37,7 @@ def _stated(folder: Path) -> EngineFile | None:
         if not is_there(folder / ENGINE):
             return None  # opening a pipe may never end
         with (folder / ENGINE).open("rb") as file:
-            return msgspec.json.decode(file.read(LARGEST), type=EngineFile)
+            return decoded(file.read(LARGEST), EngineFile)
     except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import msgspec
-
 from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.key_words import in_words
 from hilcell.journal.link_record import HELD_BY_SDO
 from hilcell.journal.log import Log
 from hilcell.journal.point_words import step_words
+from hilcell.typed import typed
 
 ORDINALS = {1: "1st", 2: "2nd", 3: "3rd"}
 CLOSINGS = {"closed": "devices closed", "safe stop": "devices stopped safely"}
@@ -64,7 +63,7 @@ def happened_words(body: Mapping[str, Any], log: Log) -> str:
         case "link":
             return _wire(body)
         case "curve":
-            return f"curve of {msgspec.convert(body, CurveRecord).words}"
+            return f"curve of {typed(body, CurveRecord).words}"
         case "seated" | "announced" | "promise" | "order":
             return " ".join([SAID[what], *(str(body.get(key)) for key in FACTS[what])])
     codes = ", ".join(body.get("codes", ()))

@@ -14,6 +14,7 @@ from hilcell.journal.log import FloorBefore, FrameBefore, Log
 from hilcell.journal.runs import CALIBRATION, read_log
 from hilcell.journal.standing import current_of, measured_by
 from hilcell.ports import DeviceError
+from hilcell.typed import decoded
 
 FLOOR_NESTS = 3  # that span {W}, the first ones
 
@@ -62,7 +63,7 @@ def _with_frames(found: FloorBefore, origin: FloorBefore, updated: Path, cell: C
     """
     base = None
     with suppress(OSError, msgspec.DecodeError, KeyError):
-        after = msgspec.json.decode(updated.read_bytes(), type=_Calibration)
+        after = decoded(updated.read_bytes(), _Calibration)
         base = _moved_base(origin.base, after, cell.grid.station)
     return msgspec.structs.replace(
         origin,

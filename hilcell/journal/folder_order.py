@@ -17,6 +17,7 @@ from typing import Protocol, TypeVar
 import msgspec
 
 from hilcell.journal.journal import Record
+from hilcell.typed import typed
 
 ORDER = "order"  # the key of a plan, and the event of a session that goes on
 CLOCK_STEP = timedelta(minutes=1)  # that a clock is set back by the network says nothing
@@ -75,9 +76,9 @@ class SessionReader:
         """Add one record; raises `msgspec.ValidationError`."""
         body = record.body
         if record.kind == "plan":
-            self.order = self._taken = msgspec.convert(body.get(ORDER, {}), FolderOrder)
+            self.order = self._taken = typed(body.get(ORDER, {}), FolderOrder)
         elif record.kind == "event" and body["what"] == ORDER:
-            self._taken = msgspec.convert(body, FolderOrder)
+            self._taken = typed(body, FolderOrder)
         elif record.kind == "state" and body["to"] == "checking":
             self.order, self.began = self._taken, f"{record.t[:23]}Z"
 

@@ -28,6 +28,7 @@ from hilcell.journal.folder_order import FolderOrder, SessionReader, in_order
 from hilcell.journal.journal import ABSENT, NeverBegan, Record, StorageError
 from hilcell.journal.runs import JOURNAL, read_records, unusable
 from hilcell.journal.states import OVER, RunState
+from hilcell.typed import decoded, typed
 
 NAME = "index.sqlite"
 SCHEMA = 8  # to be raised whenever `RunRow` changes, or what its fields mean
@@ -288,12 +289,12 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
             case "end":
                 end = record
             case "event" if record.body["what"] == "connected":
-                devices = msgspec.convert(record.body, _Connected).devices
+                devices = typed(record.body, _Connected).devices
                 simulated = simulated or any(each.simulated for each in devices)
             case "state":
-                change = msgspec.convert(record.body, _State)
+                change = typed(record.body, _State)
                 if change.machine == "run":
-                    state = msgspec.convert(change.to, RunState)
+                    state = typed(change.to, RunState)
                     fault = change.reason if state == "faulted" else fault
                     if state == "checking":
                         end, fault = None, ""
@@ -314,8 +315,8 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
 def _row(
     name: str, plan: Record, state: str, end: Record | None, fault: str, points: int
 ) -> RunRow:
-    inputs = msgspec.convert(plan.body, _Plan)
-    last = msgspec.convert(end.body, _End) if end is not None else None
+    inputs = typed(plan.body, _Plan)
+    last = typed(end.body, _End) if end is not None else None
     before_mean_mm, chosen_mean_mm, chosen_max_mm = (
         _figures(last.result, inputs.cell.grid.station) if last is not None else (None, None, None)
     )
@@ -345,7 +346,7 @@ def _row(
 def _figures(result: dict[str, object], station: str) -> tuple[float | None, ...]:
     """Return mean before, mean and maximum after (mm), where the result has them."""
     try:
-        main = msgspec.convert(result, _Result)
+        main = typed(result, _Result)
     except msgspec.ValidationError:
         return None, None, None  # another's procedure, with figures of its own under these names
     place = main.validation.get(station)
@@ -407,14 +408,15 @@ def _written(folder: Path) -> str:
 
 def _known(index: Path, stamps: dict[str, str]) -> dict[str, RunRow]:
     """Return the rows whose journals are still the files that they were read from."""
-    decode = msgspec.json.Decoder(RunRow).decode
     rows: dict[str, RunRow] = {}
     with _spared(index), closing(_opened(index)) as base:
         stored = base.execute(_STORED).fetchall()
         if any(seal != _seal(*sealed) for *sealed, seal in stored):
             raise sqlite3.DatabaseError(f"{index}: a row is not the one that was stored")
         texts = [(name.decode(), stamp.decode(), row) for name, stamp, row, _ in stored]
-        rows |= {name: decode(row) for name, stamp, row in texts if stamp == stamps.get(name)}
+        rows |= {
+            name: decoded(row, RunRow) for name, stamp, row in texts if stamp == stamps.get(name)
+        }
         gone = [(name,) for name, _, _ in texts if name not in stamps]
         if gone:
             base.executemany("DELETE FROM run WHERE name = ?", gone)

@@ -25,6 +25,7 @@ from typing import Any, Literal
 import msgspec
 
 from hilcell.errors import HilcellError
+from hilcell.typed import typed
 
 # The writer goes on without any error in a file that was deleted, replaced or cut short.
 
@@ -500,7 +501,7 @@ def _record(row: tuple[Any, ...]) -> tuple[Record, bytes]:
     texts = {"t": t, "kind": kind, "key": key}
     found = {"seq": seq, "body": msgspec.json.decode(body)}
     found |= {name: bytes.decode(text) for name, text in texts.items()}
-    return msgspec.convert(found, Record), stored
+    return typed(found, Record), stored
 
 
 def _check_pages(base: sqlite3.Connection, path: Path) -> None:

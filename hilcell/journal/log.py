@@ -27,6 +27,7 @@ from hilcell.journal.set_ups import SetUps, carried, world_key
 from hilcell.journal.states import OVER, WAITING, CalibrationState, RunState
 from hilcell.journal.stream_file import StreamRecord
 from hilcell.ports import Air, Array
+from hilcell.typed import typed
 
 if TYPE_CHECKING:
     from hilcell.journal.journal import Record
@@ -272,7 +273,7 @@ class Log:
         self._worked = before if record.kind == "end" else record
         match record.kind:
             case "plan":
-                self.plan = msgspec.convert(body, PlanRecord)
+                self.plan = typed(body, PlanRecord)
                 self._cell = None
             case "state":
                 self._take_state(record, before)
@@ -299,7 +300,7 @@ class Log:
 
     def read(self, record: Record) -> Point:
         """Return the point of a record, a later one may count, as seen from the first set-up."""
-        return self._carried(msgspec.convert(record.body | {"key": record.key}, Point))
+        return self._carried(typed(record.body | {"key": record.key}, Point))
 
     def _carried(self, point: Point) -> Point:
         """Return a point as its tracker would have seen it from the first set-up."""
@@ -350,7 +351,7 @@ class Log:
             case "station held":
                 self.order = None
             case "link":
-                link = msgspec.convert(body, LinkRecord)  # each session counts from its connect
+                link = typed(body, LinkRecord)  # each session counts from its connect
                 self.link = link if self.link is None else self.link.followed_by(link)
             case "connected":
                 self.assets = [asset_of(entry) for entry in body["devices"]]
@@ -358,22 +359,22 @@ class Log:
                     # Its own statement counts, with any cell file.
                     self.plan = msgspec.structs.replace(self.inputs, simulated=True)
             case "stream":
-                self.streams[body["key"]] = msgspec.convert(body, StreamRecord)
+                self.streams[body["key"]] = typed(body, StreamRecord)
             case "curve":
-                curve = msgspec.convert(body, CurveRecord)
+                curve = typed(body, CurveRecord)
                 self.curves[curve.axis] = curve
             case "seated":
-                sight = msgspec.convert(body, Seated)
+                sight = typed(body, Seated)
                 self.seated, self.sights[sight.place] = sight.place, sight
 
     def _take_state(self, record: Record, before: Record | None) -> None:
         body = record.body
         if body["machine"] == "calibration":
-            self.calibration = msgspec.convert(body["to"], CalibrationState)
+            self.calibration = typed(body["to"], CalibrationState)
             return
         if body["to"] == "checking" and self.life and not self.over and before is not None:
             self.cut_off.append(CutOff(before, self.state, len(self.points), self.began))
-        self.state = msgspec.convert(body["to"], RunState)
+        self.state = typed(body["to"], RunState)
         self.life.append(record)
         if self.state in ("checking", *WAITING):
             self.order = None

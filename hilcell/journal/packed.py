@@ -7,6 +7,8 @@ from typing import Generic, TypeVar
 
 import msgspec
 
+from hilcell.typed import learn, typed
+
 T = TypeVar("T", bound=msgspec.Struct)
 
 
@@ -17,6 +19,7 @@ class Packed(MutableMapping[str, T], Generic[T]):
     """
 
     def __init__(self, row: type[T]) -> None:
+        learn(row)
         self._row = row
         self._encoder, self._decoder = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(row)
         self._rows: dict[str, bytes] = {}
@@ -25,7 +28,7 @@ class Packed(MutableMapping[str, T], Generic[T]):
         return self._decoder.decode(self._rows[key])
 
     def __setitem__(self, key: str, value: T) -> None:
-        row = msgspec.convert(value, self._row, from_attributes=True)
+        row = typed(value, self._row, from_attributes=True)
         self._rows[key] = self._encoder.encode(row)
 
     def __delitem__(self, key: str) -> None:

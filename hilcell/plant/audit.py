@@ -24,6 +24,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from hilcell.clean import clean
 from hilcell.errors import HilcellError
 from hilcell.plant.signing import fingerprint
+from hilcell.typed import decoded
 
 CHUNK = 2**20
 MOST_BYTES = 2**28  # of a manifest: of a million files
@@ -92,13 +93,13 @@ def _manifest(source: Source, key: Ed25519PublicKey) -> Manifest:
             f"{fingerprint(key)}; nothing in this record is proven"
         ) from None
     try:
-        form = msgspec.json.decode(content, type=_Head).form
+        form = decoded(content, _Head).form
         if form != FORM:
             raise NotProven(
                 f"{source.name}: {MANIFEST} of form {form}, expected {FORM}; verify it with the "
                 "hilcell that exported it"
             )
-        manifest = msgspec.json.decode(content, type=Manifest)
+        manifest = decoded(content, Manifest)
     except (msgspec.DecodeError, RecursionError) as error:
         raise NotProven(f"{source.name}: {MANIFEST} is none that is known: {error}") from None
     if manifest.key != fingerprint(key):

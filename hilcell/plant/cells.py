@@ -13,6 +13,7 @@ from hilcell.journal.folder_order import in_order
 from hilcell.journal.index import RunRow
 from hilcell.journal.standing import standings
 from hilcell.plant.tables import RUN
+from hilcell.typed import decoded, typed
 
 CELL = (RUN.c.cell, RUN.c.serial, RUN.c.machine)
 LATEST = datetime(9000, 1, 1, tzinfo=UTC)  # a time after which is a date, too
@@ -109,12 +110,11 @@ def _since(connection: Connection) -> defaultdict[Name, list[RunRow]]:
     begun = connection.execute(select(every.c.key, proven.label("ended"))).all()
     known = [and_(RUN.c.cell_key == key, RUN.c.ended >= ended) for key, ended in begun if ended]
     found: defaultdict[Name, list[RunRow]] = defaultdict(list)
-    decode = msgspec.json.Decoder(RunRow).decode
     for start in range(0, len(known), BATCH):
         own = or_(*known[start : start + BATCH])
         asked = select(*CELL, cast(RUN.c.row, Text).label("row")).where(own, newest())
         for row in connection.execute(asked):
-            found[row.cell, row.serial, row.machine].append(decode(row.row))
+            found[row.cell, row.serial, row.machine].append(decoded(row.row, RunRow))
     return found
 
 
@@ -133,7 +133,7 @@ def _state(
         ended_here = [row for row in in_order(since) if row.name in known]
         last = ended_here[-1] if ended_here else None
         condition = known[last.name].text if last is not None else NONE
-        return msgspec.convert(common | {"condition": condition}, CellState)
+        return typed(common | {"condition": condition}, CellState)
     made = next(datetime.fromisoformat(row.ended) for row in since if row.name == current)
     until = min(made, LATEST) + timedelta(days=max_age_days)
     condition = "valid" if now <= until else "too old"
@@ -146,4 +146,4 @@ def _state(
         "valid_until": until,
         "days_left": round((until - now) / timedelta(days=1), 1),
     }
-    return msgspec.convert(common | more, CellState)
+    return typed(common | more, CellState)

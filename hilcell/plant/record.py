@@ -24,6 +24,7 @@ from hilcell.journal.asset import Asset
 from hilcell.journal.index import RunRow, row_of_records
 from hilcell.journal.journal import Record, chain
 from hilcell.journal.log import Log, Point
+from hilcell.typed import typed
 
 ROBOT, TRACKER = "robot", "tracker"
 MONTH = 7  # letters of 2026-11
@@ -193,7 +194,7 @@ def record_of(run: str, records: Sequence[Record], documents: Sequence[Document]
     )
     if b"\\u0000" not in msgspec.json.encode(record):
         return record
-    return msgspec.convert(_without_nul(msgspec.to_builtins(record)), RunRecord)
+    return typed(_without_nul(msgspec.to_builtins(record)), RunRecord)
 
 
 def _points(log: Log, records: Sequence[Record]) -> Iterator[PointEntry]:

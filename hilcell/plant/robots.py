@@ -17,6 +17,7 @@ from hilcell.plant.cells import CELL, Name, chosen, newest
 from hilcell.plant.course import Course, course, hindrance, main_direction
 from hilcell.plant.tables import ALARM, DEVICE, FRAME, GRID, RUN, Found
 from hilcell.ports import Array
+from hilcell.typed import typed
 
 YEAR_S = 365.25 * 86400.0
 ARM_MM = 1000.0  # two points of {B}, this far along its x and y, show how it turns
@@ -152,7 +153,7 @@ def _said(connection: Connection, cell: Name, first: Found, second: Found) -> li
     )
     found = _exchanged(_devices(connection, first), _devices(connection, second))
     for row in connection.execute(select(RUN.c.row).where(then).order_by(RUN.c.ended)):
-        run = msgspec.convert(row.row, RunRow)
+        run = typed(row.row, RunRow)
         if run.facts.redo:
             found.append(f"re-check: calibrate again ({run.name})")
     alarms = (

@@ -10,7 +10,6 @@ from datetime import datetime, timedelta
 from operator import attrgetter
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 
 from hilcell.calibration.decision import Judged, gravest, outcome_of
@@ -34,6 +33,7 @@ from hilcell.report.facts import Facts
 from hilcell.report.pose_test import tests_poses
 from hilcell.report.target_budget import TargetBudget
 from hilcell.report.verdicts import with_signs
+from hilcell.typed import typed
 
 K_3D = 2.80  # times u of one coordinate: 95 % of three equal normal ones (chi^2, 3 degrees)
 BLANK = "…" * 12  # to fill in by hand
@@ -130,7 +130,7 @@ def _in_brackets(row: list[str]) -> list[str]:
 def judged_places(facts: Facts) -> dict[str, Judged]:
     """Return the verdicts of single stations."""
     return {
-        place: msgspec.convert(facts.log.verdicts[VALIDATION + place], Judged)
+        place: typed(facts.log.verdicts[VALIDATION + place], Judged)
         for place, stations in places(facts.cell).items()
         if len(stations) == 1 and VALIDATION + place in facts.log.verdicts
     }

@@ -19,6 +19,7 @@ from hilcell.journal.calibration_facts import SINCE, VALIDATION
 from hilcell.journal.key_words import verdict_words
 from hilcell.report.columns import Column, Sheet, sheet
 from hilcell.report.facts import Facts
+from hilcell.typed import typed
 
 Body = Mapping[str, Any]
 
@@ -44,7 +45,7 @@ def deciding_words(key: str, body: Body) -> str:
     """
     if key.startswith(VALIDATION) or key == "targets":
         with suppress(msgspec.ValidationError):
-            judged = msgspec.convert(body, Judged)
+            judged = typed(body, Judged)
             if judged.deciding:
                 return judged.deciding
     return _words(key, body)
@@ -73,7 +74,7 @@ VERDICTS: tuple[Column[tuple[str, Body]], ...] = (
 
 
 def _validation(body: Body) -> str:
-    judged = msgspec.convert(body, Judged)
+    judged = typed(body, Judged)
     return f"{judged.figures}: {judged.decision}"
 
 
@@ -136,12 +137,12 @@ def _orientation(body: Body) -> str:
 
 
 def _lengths(body: Body) -> str:
-    found = msgspec.convert(body["lengths"], list[LengthFound])
+    found = typed(body["lengths"], list[LengthFound])
     return "; ".join(each.text for each in found)
 
 
 def _since(body: Body) -> str:
-    beyond = "; ".join(each.words for each in msgspec.convert(body["beyond"], list[Parameter]))
+    beyond = "; ".join(each.words for each in typed(body["beyond"], list[Parameter]))
     kept = f"all {body['compared']} parameters are within their limits"
     return f"against the calibration of run {body['before']}: {beyond or kept}"
 

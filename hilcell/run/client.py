@@ -28,6 +28,7 @@ from hilcell.run.protocol import (
     Status,
     Subject,
 )
+from hilcell.typed import typed
 
 
 class EngineSilent(HilcellError):
@@ -115,8 +116,8 @@ class EngineClient:
                 raise EngineLost(f"engine: {command}: no answer: {error}") from error
         try:
             if not answer.get("ok"):
-                raise OrderRefused(msgspec.convert(answer, Refusal).error)
-            return msgspec.convert(answer, Status)
+                raise OrderRefused(typed(answer, Refusal).error)
+            return typed(answer, Status)
         except msgspec.ValidationError as error:
             raise HilcellError(f"engine: {command}: the answer makes no sense: {error}") from error
 

@@ -23,6 +23,7 @@ from hilcell.alarms.acknowledged import Acknowledged
 from hilcell.journal.engine_file import ENGINE, EngineFile
 from hilcell.journal.journal import StorageError
 from hilcell.run.protocol import COMMANDS, LONGEST_REQUEST, Refusal, Request, Status
+from hilcell.typed import decoded
 from hilcell.writing import NotWritten, write_whole
 
 
@@ -156,7 +157,7 @@ class _Handler(socketserver.StreamRequestHandler):
     def _answer(self, line: bytes) -> Refusal | dict[str, object]:
         engine = self.server.engine
         try:
-            request = msgspec.json.decode(line, type=Request)
+            request = decoded(line, Request)
         except (msgspec.DecodeError, UnicodeDecodeError):
             return Refusal(error=f"commands: {', '.join(COMMANDS)}")
         if request.command == "stop":

@@ -27,6 +27,7 @@ from hilcell.study.case import DONE, STATES, Row, versions
 from hilcell.study.design import Case, chosen
 from hilcell.study.errors import OtherStudy
 from hilcell.study.study_file import Study
+from hilcell.typed import decoded
 from hilcell.writing import STORAGE, DiskFailed, NotWritten, write_whole
 
 ASKED = "study.json"
@@ -224,7 +225,7 @@ def row_of(case: Case, found: Row, study: Study) -> Row:
 def _asked_in(folder: Path) -> Asked:
     path = folder / ASKED
     try:
-        return msgspec.json.decode(read_text(path), type=Asked)
+        return decoded(read_text(path), Asked)
     except OSError as error:
         reason = f"{path} cannot be read: {error.strerror}"
     except (msgspec.DecodeError, UnicodeDecodeError) as error:

@@ -6,12 +6,13 @@ import sys
 
 import msgspec
 
+from hilcell.typed import decoded
 from hilcell.wire.relay import WireOrder, serve
 
 
 def main() -> None:
     """Read the order from stdin, print the channels, and serve."""
-    orders = msgspec.json.decode(sys.stdin.buffer.readline(), type=list[WireOrder])
+    orders = decoded(sys.stdin.buffer.readline(), list[WireOrder])
 
     def until_ended(channels: dict[str, str]) -> None:
         sys.stdout.buffer.write(msgspec.json.encode(channels) + b"\n")

@@ -29,6 +29,7 @@ import msgspec
 
 from hilcell.cell.settings import SettingsError
 from hilcell.ports import Clock, Stopped
+from hilcell.typed import decoded
 
 FORM = 1  # of all recordings of a run; to be raised whenever one changes
 COPY_AGAIN = "copy it again from the PC that recorded it"
@@ -169,11 +170,11 @@ def head_of(clock: Sequence[Piece], path: Path) -> Head:
     stated = next((piece.data for piece in clock if piece.e == "run"), b"")
     if not stated:
         raise SettingsError(str(path), [f"does not state the recorded run; {COPY_AGAIN}"])
-    form = msgspec.json.decode(stated, type=_Form).form
+    form = decoded(stated, _Form).form
     if form != FORM:
         found = f"form {form or 'none'}, expected {FORM}; record the run again"
         raise SettingsError(str(path), [found])
-    return msgspec.json.decode(stated, type=Head)
+    return decoded(stated, Head)
 
 
 def ended_with(pieces: Iterable[Piece]) -> int | None:
@@ -210,7 +211,7 @@ def _pieces(text: bytes, path: Path) -> Iterator[Piece]:
         raise ValueError("the file is empty")
     for number, line in enumerate(lines, 1):
         try:
-            piece = msgspec.json.decode(line, type=Piece)
+            piece = decoded(line, Piece)
         except msgspec.DecodeError as error:
             raise ValueError(f"{path}:{number} is no line of one: {error}") from error
         if piece.k != piece.check:

@@ -27,6 +27,7 @@ from hilcell.tui.text.digits import figure
 from hilcell.tui.text.frame import wrapped
 from hilcell.tui.text.head import NEXT, Figure, Head, gravest, head_lines
 from hilcell.tui.text.sheets import Table, sheet_lines
+from hilcell.typed import typed
 
 NO_FIGURES = "Finished. This procedure measures nothing that is judged."
 RECHECK = "recheck"
@@ -122,7 +123,7 @@ def result_of(view: RunView) -> Result | None:
 def _converted(found: Any, kind: type[T]) -> T | None:
     """Return a part of a result; None of another procedure's, or of another version's."""
     try:
-        return msgspec.convert(found, kind)
+        return typed(found, kind)
     except msgspec.ValidationError:
         return None
 

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
 
-import msgspec
-
 from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.index import RunRow
 from hilcell.journal.journal import Record
 from hilcell.journal.times import in_zone
 from hilcell.tui.widgets import Column, Row
+from hilcell.typed import typed
 
 PROCEDURE = 13
 _BEGUN, _DATE = Column("begun UTC", 16), Column("begun", 10)
@@ -157,7 +156,7 @@ def record_words(record: Record) -> str:
         case "intent":
             return " ".join(filter(None, (str(body.get("action", "")), record.key, _facts(body))))
         case "event" if body.get("what") == "curve":
-            return f"curve of {msgspec.convert(body, CurveRecord).words}"
+            return f"curve of {typed(body, CurveRecord).words}"
         case "event":
             return f"{body.get('what')} {_facts(body)}".strip()
         case "end":

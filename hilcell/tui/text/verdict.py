@@ -25,6 +25,7 @@ from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.digits import figure
 from hilcell.tui.text.frame import wrapped
 from hilcell.tui.text.head import NEXT, Figure, Head, gravest, head_lines, is_small
+from hilcell.typed import typed
 
 ROWS, MOST_OF_A_NAME = 16, 20
 VALIDATION = "validation"  # its verdicts are shown by station
@@ -123,7 +124,7 @@ def verdict_of(view: RunView) -> Verdict | None:
     order = [each.name for each in view.log.cell.station]
     names = [name for name in order if name in places] or list(places)
     verdicts = {name: view.log.verdicts.get(f"{VALIDATION}.{name}") for name in names}
-    judged = {n: msgspec.convert(body, Judged) for n, body in verdicts.items() if body}
+    judged = {n: typed(body, Judged) for n, body in verdicts.items() if body}
     if not judged:
         return None
     limits = view.log.cell.validation
@@ -143,7 +144,7 @@ def _places(view: RunView) -> dict[str, _Place]:
     """Return the places of a finished validation; nothing of another procedure's result."""
     found = (view.log.end or {}).get("result", {}).get("validation", {})
     try:
-        return msgspec.convert(found, dict[str, _Place])
+        return typed(found, dict[str, _Place])
     except msgspec.ValidationError:
         return {}
 

@@ -297,6 +297,7 @@ def test_the_tracker_is_proven_after_a_pause_and_after_many_points(
     Floor(bed, monkeypatch)
 
     def act(session: CellSession, number: int) -> None:
+        until(lambda: session.log.state == "running")  # another thread writes that
         session.prove_where_doubtful()
         proofs = len(bed.events(PROVEN))
         measured_step(session)
