@@ -24,7 +24,7 @@ def test_all_are_done_once_by_whoever_comes_first() -> None:
         helper.start()
     for helper in helpers:
         helper.join()
-    assert acts.wait(0.0) == {}
+    assert acts.wait(60.0) == {}  # one that another thread has begun may not be over yet
     assert sorted(done) == list("abcdef")
 
 
