@@ -9,10 +9,13 @@ import re
 import sqlite3
 from contextlib import ExitStack, closing
 from datetime import timedelta
+from itertools import count
 from pathlib import Path
+from types import SimpleNamespace
 
 import psycopg
 import pytest
+from psycopg.pq import PGconn
 from sqlalchemy import event, text
 
 from hilcell.plant import database as plants
@@ -62,6 +65,37 @@ class Freezer:
 
     def thaw(self) -> None:
         self._stack.close()
+
+
+class Unheard(deadlines.Bounded):
+    """A connection whose server says nothing on any socket."""
+
+    def __init__(self) -> None:
+        self.pgconn = PGconn()
+
+    def _answers(self) -> bool:
+        return False
+
+
+def test_a_server_is_silent_once_its_own_word_is_overdue(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each look at the clock finds it one second on."""
+
+    def never_ready(self: object, gen: deadlines.Words) -> None:
+        next(gen)
+        while True:
+            gen.send(0)
+
+    def asked() -> deadlines.Words:
+        while True:
+            yield 0
+
+    monkeypatch.setattr(psycopg.Connection, "wait", never_ready)
+    monkeypatch.setattr(deadlines, "time", SimpleNamespace(monotonic=count().__next__))
+    with pytest.raises(deadlines.Silent, match=STILL) as silent:
+        Unheard().wait(asked())
+    (silent_s,) = map(float, re.findall(r"no answer for ([\d.]+) s", str(silent.value)))
+    overdue_s = deadlines.ORDER_S + deadlines.SLACK_S
+    assert overdue_s <= silent_s <= overdue_s + 2.0
 
 
 @pytest.mark.process
