@@ -8,6 +8,7 @@ import msgspec
 import pytest
 from msgspec import Meta
 
+from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError, convert, refuse
 
 
@@ -71,3 +72,17 @@ def test_keys_are_shown_without_escape_sequences() -> None:
     (line,) = problems({"\x1b[31mspeed" * 100: 3})
     assert "\x1b" not in line
     assert len(line) < 600
+
+
+@pytest.mark.parametrize(
+    ("key", "text"),
+    [
+        ("rail.speed_mm_s", "nan"),
+        ("rail.travel_max_mm", "inf"),
+        ("robot.safe_deg", "[0.0, -90.0, nan, 0.0, 0.0, 0.0]"),
+        ("rail.options.any", "nan"),
+    ],
+)
+def test_a_cell_holds_finite_numbers_alone(key: str, text: str) -> None:
+    with pytest.raises(SettingsError, match=r"is not a finite number"):
+        load_cell("paper", {key: text})
