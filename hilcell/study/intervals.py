@@ -82,4 +82,4 @@ def share(values: Iterable[float], targets: float) -> Share:
 
 def _student(freedom: float) -> float:
     """Return Student's factor of the interval's upper end."""
-    return float(stdtrit(float(freedom), UPPER))
+    return float(stdtrit(freedom, UPPER))

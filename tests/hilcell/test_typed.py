@@ -34,7 +34,7 @@ assert cells == [typed(values, Cell)] * 3
 
 @pytest.mark.process
 def test_threads_may_use_a_type_for_the_first_time_at_once() -> None:
-    """With msgspec alone half of such processes die: twelve that live are no chance."""
+    """With msgspec alone every second of them died: twelve in a row do not live by chance."""
     for _ in range(12):
         assert subprocess.run([sys.executable, "-c", AT_ONCE], check=False).returncode == 0
 

@@ -58,7 +58,7 @@ def test_a_base_that_was_bolted_again_is_for_a_person_to_decide(
     assert command("compensate", "second", targets, "-o", out, *words).returncode == 0
 
 
-@pytest.mark.nightly  # by day: above all that was not bolted again agrees, and test_since
+@pytest.mark.nightly  # by day the test above, in which all but the base agrees
 def test_one_that_agrees_supersedes(golden: GoldenRuns, tmp_path: Path) -> None:
     golden["small"].copied_to(tmp_path)
     end = calibrated(tmp_path, "second")

@@ -1,7 +1,6 @@
 """kill -9 at any moment, then resume: nothing acknowledged is lost or measured twice."""
 
 import random
-import time
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ from hilcell.commands.cli import main
 from hilcell.run.exits import EXIT_STORAGE
 from tests.fakes.rail_bench import Line
 from tests.whole.bench import (
-    LOOK_S,
     SMALL,
     Engine,
     children,
@@ -56,7 +54,6 @@ def test_a_drive_that_has_latched_the_lost_heartbeat_starts_again(tmp_path: Path
         with Line(int(cell.addresses["rail"]["channel"].rsplit(":", 1)[1])) as line:
             answer = b""
             while answer != LAST_ERROR[1]:  # the test's time limit bounds the wait
-                time.sleep(LOOK_S)
                 line.send(LAST_ERROR[0])
                 while not (answer := line.frame()).startswith(b"t585"):
                     pass

@@ -151,10 +151,14 @@ async def settle(pilot: Pilot[int]) -> None:
     By messages and not by seconds, so that a slow machine sees what a fast one sees.
     """
     await _done(pilot)
-    if pilot.app.is_running:
-        strips = painted(pilot.app)  # what cannot be painted breaks the test
-        if isinstance(pilot.app, RecordingApp):
-            pilot.app.at_rest = strips
+    _paint(pilot.app)
+
+
+def _paint(app: App[int]) -> None:
+    if app.is_running:
+        strips = painted(app)  # what cannot be painted breaks the test
+        if isinstance(app, RecordingApp):
+            app.at_rest = strips
 
 
 async def _done(pilot: Pilot[int]) -> None:
@@ -197,13 +201,10 @@ async def press(pilot: Pilot[int], *keys: str) -> None:
 
     Nobody looks between keys of a row, and other tests paint what each leaves by itself.
     """
-    *before, last = keys or ("",)
-    for key in before:
+    for key in keys:
         type_ahead(pilot.app, key)
         await _done(pilot)
-    if last:
-        type_ahead(pilot.app, last)
-        await settle(pilot)
+    _paint(pilot.app)
 
 
 def type_ahead(app: App[int], *keys: str) -> None:
