@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
+from distributed import LocalCluster
 
 from tests.hilcell.study.studies import TWO_FACTORS
 
@@ -67,6 +68,21 @@ def scheduler(**environment: str) -> Iterator[tuple[str, Dask]]:
         yield started.line.split()[-1], started
     finally:
         started.kill()
+
+
+@contextmanager
+def scheduler_here() -> Iterator[str]:
+    """Run a scheduler with a worker in threads of the test; yield its address."""
+    with LocalCluster(
+        n_workers=1,
+        threads_per_worker=1,
+        processes=False,
+        protocol="tcp",
+        host="127.0.0.1",
+        dashboard_address=None,
+        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+    ) as serving:
+        yield serving.scheduler_address
 
 
 @contextmanager

@@ -18,6 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+import hilcell.__main__
 from hilcell.commands.cli import main
 from hilcell.study import cluster
 from hilcell.study.case import Row, measured, packed, versions
@@ -29,7 +30,7 @@ from hilcell.study.study_file import cell_of, read_study
 from tests.hilcell.cell.packages import install
 from tests.hilcell.study.studies import study, written
 from tests.whole.bench import HILCELL, command
-from tests.whole.dask_bench import READINGS, scheduler, worker
+from tests.whole.dask_bench import READINGS, scheduler, scheduler_here, worker
 
 
 def table(folder: Path) -> pa.Table:
@@ -51,9 +52,15 @@ def measured_here(path: Path, folder: Path) -> pa.Table:
 
 
 @pytest.fixture(scope="module")
-def _tracker() -> None:
-    """Start the process that Python keeps beside workers of its own; it stays."""
+def _tracker() -> Iterator[None]:
+    """Start the process that Python keeps beside workers of its own; it stays.
+
+    Workers import the main module again: that of `hilcell`, not pytest.
+    """
     resource_tracker.ensure_running()
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setitem(sys.modules, "__main__", hilcell.__main__)
+        yield
 
 
 @pytest.mark.process
@@ -250,8 +257,7 @@ def test_a_worker_that_differs_measures_nothing(tmp_path: Path) -> None:
     (tmp_path / "site").mkdir()
     (tmp_path / "site/sitecustomize.py").write_text(OLDER)
     with ExitStack() as stack:
-        address, _ = stack.enter_context(scheduler())
-        stack.enter_context(worker(address))
+        address = stack.enter_context(scheduler_here())
         with cluster.workers_of(address, print) as workers:
             rows = _begun(workers, tmp_path)
             site = str(tmp_path / "site")
