@@ -20,7 +20,7 @@ from hilcell.journal.journal import Journal
 from hilcell.journal.runs import JOURNAL
 from hilcell.run.control import Control
 from hilcell.run.protocol import Status
-from tests.hilcell.tui.sample_runs import RUN, sample_runs, status
+from tests.hilcell.tui.sample_runs import RUN, sample_run, status
 from tests.whole.terminal import Terminal
 
 HILCELL = [sys.executable, "-m", "hilcell"]
@@ -68,7 +68,7 @@ def write_run(runs: Path, state: str) -> Path:
     folder = runs / RUN
     folder.mkdir(parents=True)
     journal = Journal(folder / JOURNAL, RUN, create=True)
-    for record in sample_runs()[state].records:
+    for record in sample_run(state).records:
         journal.append(record.kind, record.key, record.body)
     journal.close()
     return folder

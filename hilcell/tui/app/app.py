@@ -62,12 +62,6 @@ class HilcellApp(App[int]):
     TITLE = "hilcell"
     CSS_PATH = Path(__file__).with_name("style.tcss")
     COMMANDS: ClassVar = {ActionProvider}
-    HORIZONTAL_BREAKPOINTS = [  # noqa: RUF012 - as Textual has it
-        (0, "-narrow"),
-        (100, "-beside"),  # the map stands beside the points
-        (120, "-table"),  # the table has nominal and measured places in its stead
-        (138, "-wide"),  # the map in three views
-    ]
     BINDINGS: ClassVar[list[BindingType]] = [  # all act before widgets see them, in their order
         Binding("tab", "focus_next", show=False, priority=True),
         Binding("shift+tab", "focus_previous", show=False, priority=True),

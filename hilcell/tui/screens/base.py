@@ -182,11 +182,17 @@ class BaseScreen(Screen[None]):
         if view is not None and self.query_one_optional("#banner") is not None:
             from hilcell.tui.text import run as run_text  # reads journals: not for the first screen
 
-            self.set_class(run_text.is_simulated(view), "simulated")
+            self.mark_simulated(simulated=run_text.is_simulated(view))
             background = self.application.open_runs.background
             other = background.view if background is not None else None
             lines = run_text.banner(view, self.application.glyphs, self.line_width, other)
             self.panel("banner").show(lines)
+
+    def mark_simulated(self, *, simulated: bool) -> None:
+        """Mark the edge of the screen; what is on it has the same style with and without."""
+        if self.has_class("simulated") != simulated:
+            self.set_class(simulated, "simulated", update=False)
+            self.app.stylesheet.update_nodes([self])
 
     def show_notice(self, text: str, *, for_now: bool = False, over: bool = True) -> None:
         """Show a notice on the line above the keys, until the next key.

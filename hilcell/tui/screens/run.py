@@ -114,6 +114,11 @@ class RunScreen(FilterScreen):
         ("Enter", "open the point, or answer the question"),
         ("q", "back from the points to the verdict or the alarm, or to the run behind"),
     )
+    HORIZONTAL_BREAKPOINTS = [  # noqa: RUF012 - as Textual has it
+        (100, "-beside"),  # the map stands beside the points
+        (120, "-table"),  # the table has nominal and measured places in its stead
+        (138, "-wide"),  # the map in three views
+    ]
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("enter", "enter", "answer", show=False),
         Binding("q,backspace", "back", show=False, priority=True),

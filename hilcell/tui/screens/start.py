@@ -113,7 +113,7 @@ class StartScreen(BaseScreen):
 
     def show(self, view: RunView | None) -> None:
         """Show what is known of the plan; there is no run yet."""
-        self.set_class(self._checked.simulated, "simulated")
+        self.mark_simulated(simulated=self._checked.simulated)
         glyphs, wide, high = self.application.glyphs, self.line_width, self.app.size.height
         planned = wide >= PLAN_FROM
         left = FIELDS_WIDTH if planned else wide

@@ -42,7 +42,7 @@ from hilcell.tui.screens.plots import PlotPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import StartScreen
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE
-from tests.hilcell.tui.sample_runs import BEGAN, RUN, fresh, sample_runs
+from tests.hilcell.tui.sample_runs import BEGAN, RUN, fresh, sample_run
 
 DEFAULT_KEYS = {action.name: action.keys for action in ACTIONS}
 SIZE = (80, 24)
@@ -109,7 +109,7 @@ class RecordingApp(HilcellApp):
         self.push_screen(RunScreen())
 
     def _now(self) -> datetime:
-        return sample_runs()[self.story].now if self.story else BEGAN
+        return sample_run(self.story).now if self.story else BEGAN
 
     def _tick(self) -> None:
         """Time stands still on this stage."""

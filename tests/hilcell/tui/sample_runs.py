@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from functools import cache
 from typing import Any
@@ -152,33 +153,41 @@ RESULT = {
 }
 
 
+STORIES: dict[str, Callable[[], SampleRun]] = {
+    "looking": SampleRun,
+    "idle": SampleRun,
+    "checking": begun,
+    "running": measuring,
+    "pausing": lambda: measuring().state("pausing"),
+    "paused": lambda: measuring().state("paused"),
+    "suspended": lambda: measuring().state("suspended", reason=FAULT_TEXT, error=FAULT),
+    "stopping": lambda: measuring().state("stopping"),
+    "done": lambda: validated().add(
+        "verdict", "validation.S1100", **JUDGED, holds=True, outcome="accepted", decision="",
+    ).state("finished").add(
+        "end", state="finished", exit=0, result=RESULT),
+    "intolerant": lambda: validated(worst_mm=1.2).add(
+        "verdict", "validation.S1100", **JUDGED | {"mean_mm": 0.3}, holds=False,
+        outcome="rejected", decision="",
+    ).state("finished").add("end", state="finished", exit=1, result=RESULT),
+    "aborted": lambda: measuring().state("stopping").state("aborted").add(
+        "end", state="aborted", exit=4, result={}, reason="stopped by the operator"),
+    "fault": lambda: measuring().state("faulted", reason=FAULT_TEXT, error=FAULT).add(
+        "end", state="faulted", exit=3, result={}, reason=FAULT_TEXT),
+    "silent": measuring,
+    "gone": measuring,
+    "unreadable": SampleRun,
+}  # fmt: skip
+
+
+def sample_run(name: str) -> SampleRun:
+    """Return a run in one state."""
+    return STORIES[name]()
+
+
 def sample_runs() -> dict[str, SampleRun]:
     """Return a run in every state that the screen can be shown."""
-    return {
-        "looking": SampleRun(),
-        "idle": SampleRun(),
-        "checking": begun(),
-        "running": measuring(),
-        "pausing": measuring().state("pausing"),
-        "paused": measuring().state("paused"),
-        "suspended": measuring().state("suspended", reason=FAULT_TEXT, error=FAULT),
-        "stopping": measuring().state("stopping"),
-        "done": validated().add(
-            "verdict", "validation.S1100", **JUDGED, holds=True, outcome="accepted", decision="",
-        ).state("finished").add(
-            "end", state="finished", exit=0, result=RESULT),
-        "intolerant": validated(worst_mm=1.2).add(
-            "verdict", "validation.S1100", **JUDGED | {"mean_mm": 0.3}, holds=False,
-            outcome="rejected", decision="",
-        ).state("finished").add("end", state="finished", exit=1, result=RESULT),
-        "aborted": measuring().state("stopping").state("aborted").add(
-            "end", state="aborted", exit=4, result={}, reason="stopped by the operator"),
-        "fault": measuring().state("faulted", reason=FAULT_TEXT, error=FAULT).add(
-            "end", state="faulted", exit=3, result={}, reason=FAULT_TEXT),
-        "silent": measuring(),
-        "gone": measuring(),
-        "unreadable": SampleRun(),
-    }  # fmt: skip
+    return {name: sample_run(name) for name in STORIES}
 
 
 HEARD = ("checking", "running", "pausing", "paused", "suspended", "stopping")
@@ -201,7 +210,7 @@ def fresh(name: str) -> RunUpdate:
     engine = EngineState.ANSWERING if name in HEARD else unheard.get(name, EngineState.NONE)
     reported = status(name) if engine in (EngineState.ANSWERING, EngineState.SILENT) else None
     trouble = "journal: damaged or not a journal" if name == "unreadable" else ""
-    return RunUpdate(sample_runs()[name].records, engine, reported, trouble)
+    return RunUpdate(sample_run(name).records, engine, reported, trouble)
 
 
 def status(name: str) -> Status:

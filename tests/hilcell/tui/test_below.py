@@ -18,7 +18,7 @@ from hilcell.tui.text import devices
 from hilcell.tui.text.alarms import interlock_page
 from hilcell.tui.text.below import below_lines, event_words, interlock_lines, step_lines
 from hilcell.tui.text.devices import locks
-from tests.hilcell.tui.sample_runs import SampleRun, measuring, sample_runs, status, validated
+from tests.hilcell.tui.sample_runs import SampleRun, measuring, sample_run, status, validated
 
 WIDTH = 79
 
@@ -54,7 +54,7 @@ def test_an_interlock_has_its_whole_reason_or_the_reading_that_frees_it() -> Non
 
 @pytest.mark.parametrize("name", ["running", "paused", "suspended"])
 def test_row_panel_and_page_say_the_same_of_each_interlock(name: str) -> None:
-    view = view_of(sample_runs()[name], name)
+    view = view_of(sample_run(name), name)
     row = devices.interlocks(view, UNICODE, WIDTH).plain
     panel = [line.plain for line in interlock_lines(view, UNICODE, WIDTH)]
     page = interlock_page(view, UNICODE).plain.splitlines()

@@ -10,12 +10,12 @@ from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.engine.session import Session
 from hilcell.tui.text.refusals import AT_REST, ONE_AT_A_TIME, pause_command, refusal
 from tests.hilcell.tui.recording_app import RUNS
-from tests.hilcell.tui.sample_runs import LIVE, fresh, measuring, sample_runs
+from tests.hilcell.tui.sample_runs import LIVE, fresh, measuring, sample_run, sample_runs
 
 
 def view_of(name: str) -> RunView:
     session = Session(RUNS / "r", lambda _: None, 1.0)
-    session.take(fresh(name), sample_runs()[name].now)
+    session.take(fresh(name), sample_run(name).now)
     return session.view
 
 

@@ -20,7 +20,7 @@ from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.text import deviation, points, result
 from tests.hilcell.tui.all_screens import isolated
 from tests.hilcell.tui.recording_app import RecordingApp, run_app, settle, text_of
-from tests.hilcell.tui.sample_runs import sample_runs
+from tests.hilcell.tui.sample_runs import sample_run
 
 __all__ = ["isolated"]
 SIZES = ((80, 24), (140, 45))
@@ -45,7 +45,7 @@ def test_ages_alone_lay_nothing_out_and_compute_no_budget(
         before = text_of(app)
         for each in calls:
             each.clear()
-        app.recorded.tick(sample_runs()["running"].now + SOON)
+        app.recorded.tick(sample_run("running").now + SOON)
         app._show()
         await settle(pilot)
         assert text_of(app) != before
@@ -122,7 +122,7 @@ def test_updates_that_come_faster_than_they_are_shown_are_shown_as_one(
 
     async def burst(app: RecordingApp, pilot: Pilot[int]) -> None:
         shows.clear()
-        story = sample_runs()["running"]
+        story = sample_run("running")
         for end in range(2, len(story.records) + 1):
             app.receive(app.recorded, RunUpdate(story.records[end - 1 : end], HEARD))
         app.receive(app.recorded, RunUpdate(ended, EngineState.NONE))
@@ -132,7 +132,7 @@ def test_updates_that_come_faster_than_they_are_shown_are_shown_as_one(
         assert len(app.recorded.view.log.points) == len(Log(story.records).points)
 
     HEARD = EngineState.ANSWERING
-    running, aborted = sample_runs()["running"], sample_runs()["aborted"]
+    running, aborted = sample_run("running"), sample_run("aborted")
     ended = aborted.records[len(running.records) :]
     run_app(burst, update=RunUpdate(running.records[:1], HEARD), size=SIZES[0])
 

@@ -24,7 +24,7 @@ from hilcell.tui.text import run as run_text
 from hilcell.tui.text.deviation import Deviation
 from hilcell.tui.text.devices import end_remark
 from hilcell.tui.text.plots import strip_plot, tabs_of
-from tests.hilcell.tui.sample_runs import measuring, sample_runs, validated
+from tests.hilcell.tui.sample_runs import measuring, sample_run, sample_runs, validated
 from tests.hilcell.tui.views import view_of
 
 ANY = st.floats(allow_nan=True, allow_infinity=True)
@@ -363,10 +363,10 @@ def test_deviations_are_values() -> None:
 
 def test_a_start_that_was_refused_has_lost_no_engine() -> None:
     view = RunView("r")
-    for record in sample_runs()["idle"].records:
+    for record in sample_run("idle").records:
         view.take(record)
     assert (view.log.plan, view.state) == (None, "idle")
-    plan, *_ = sample_runs()["running"].records
+    plan, *_ = sample_run("running").records
     view.take(plan)
     assert view.state == "gone"
     end = {"state": "idle", "exit": 6, "reason": "the cell is in use", "result": {}}

@@ -21,7 +21,7 @@ from tests.hilcell.run import bed as beds
 from tests.hilcell.run.bed import Bed, Live, broken_beam
 from tests.hilcell.run.rig import Points, procedure
 from tests.hilcell.tui.recording_app import RUNS, RecordingApp, RecordingSession, press, run_app
-from tests.hilcell.tui.sample_runs import FAULT, FAULT_TEXT, measuring, sample_runs
+from tests.hilcell.tui.sample_runs import FAULT, FAULT_TEXT, measuring, sample_run
 
 PERIOD_S = 0.02
 
@@ -80,7 +80,7 @@ def test_another_screen_and_a_later_one_know_it(tmp_path: Path, asking: Live) ->
 
 
 def test_without_an_engine_this_screen_alone_knows_it(tmp_path: Path) -> None:
-    run = sample_runs()["fault"]
+    run = sample_run("fault")
     session = Session(tmp_path, lambda _: None, PERIOD_S)
     session.take(RunUpdate(run.records), run.now)
     assert any(waiting(session).values())

@@ -19,7 +19,7 @@ from hilcell.journal.journal import Journal, Record
 from hilcell.journal.runs import CALIBRATION, JOURNAL
 from hilcell.run.protocol import Status
 from tests.hilcell.tui.engine_peer import STATUS, Peer, says
-from tests.hilcell.tui.sample_runs import fresh, sample_runs, status
+from tests.hilcell.tui.sample_runs import fresh, sample_run, status
 from tests.hilcell.tui.terminal_colours import colours_of
 from tests.hilcell.tui.untrusted_text import NASTY, poisoned
 from tests.whole.bench import sweep
@@ -58,7 +58,7 @@ def reported(found: Status | None) -> dict[str, object]:
 @contextmanager
 def live(folder: Path, name: str) -> Iterator[tuple[Terminal, Peer]]:
     """Show a live run of a state."""
-    write(folder, sample_runs()[name].records)
+    write(folder, sample_run(name).records)
     with (
         Peer(folder, lambda _: says(reported(status(name)))) as peer,
         Terminal(["tui", folder.name, "--runs", str(folder.parent)]) as terminal,
@@ -155,7 +155,7 @@ def test_every_esc_reaches_the_engine_wherever_it_is_pressed(tmp_path: Path) -> 
 def test_a_live_run_behind_another_is_stopped_and_left_and_its_end_is_reported(
     tmp_path: Path,
 ) -> None:
-    write(tmp_path / OTHER, sample_runs()["done"].records)
+    write(tmp_path / OTHER, sample_run("done").records)
     with live(tmp_path / NAME, "running") as (terminal, peer):
         terminal.press("h")
         terminal.shows("2 of 2 runs")

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from hilcell.tui.engine.run_view import RunView
 from tests.hilcell.tui.recording_app import RecordingSession
-from tests.hilcell.tui.sample_runs import fresh, sample_runs
+from tests.hilcell.tui.sample_runs import fresh, sample_run
 
 
 def view_of(name: str) -> RunView:
     """Return the view of a run in a state, at the moment of its last record."""
     session = RecordingSession(Path("/runs/made-up"))
-    session.take(fresh(name), sample_runs()[name].now)
+    session.take(fresh(name), sample_run(name).now)
     return session.view
