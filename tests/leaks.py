@@ -26,10 +26,10 @@ def no_leaks() -> Iterator[None]:
     yield
     left = [f"thread {each.name}" for each in _running(threads)]
     give_up_s = time.monotonic() + END_S
-    while open_files() - files and time.monotonic() < give_up_s:
+    while (opened := open_files() - files) and time.monotonic() < give_up_s:
         gc.collect()
         time.sleep(0.01)
-    left += sorted(f"file {place}" for _, place in open_files() - files)
+    left += sorted(f"file {place}" for _, place in opened)
     left += [f"process {pid}: {words}" for pid, words in children().items() if pid not in processes]
     if left:
         raise AssertionError("left behind: " + "; ".join(left))
