@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import re
 import shutil
@@ -22,6 +23,7 @@ from psycopg.rows import dict_row
 from hilcell.journal.runs import read_records
 from hilcell.plant.database import ENGINEER, Database
 from hilcell.plant.shipper import ship
+from tests.conftest import shared_folder
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.server import BLANK, Server
 from tests.hilcell.plant.year import (
@@ -42,19 +44,20 @@ ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(scope="module")
-def runs(model: Model, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("year")
-    year(model, folder, datetime.now(UTC) - 20 * DAY)
-    return folder
+def filed(model: Model, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return the URL of an office's database to which the year was shipped, once for all workers.
 
-
-@pytest.fixture(scope="module")
-def filed(runs: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Return the URL of an office's database to which the year was shipped."""
-    url = f"sqlite:///{tmp_path_factory.mktemp('filed')}/plant.db"
-    assert command("plant", "init", "--to", url).returncode == 0
-    done = json.loads(command("plant", "ship", runs, "--to", url, "--json").stdout)
-    assert (done["shipped"], done["refused"]) == (37, {})
+    Nobody changes it.
+    """
+    shared = shared_folder(tmp_path_factory)
+    runs, url = shared / "year", f"sqlite:///{shared}/year.db"
+    with (shared / "year.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not runs.exists():
+            year(model, runs, datetime.now(UTC) - 20 * DAY)
+            assert command("plant", "init", "--to", url).returncode == 0
+            done = json.loads(command("plant", "ship", runs, "--to", url, "--json").stdout)
+            assert (done["shipped"], done["refused"]) == (37, {})
     return url
 
 
