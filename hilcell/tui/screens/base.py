@@ -189,7 +189,7 @@ class BaseScreen(Screen[None]):
             self.panel("banner").show(lines)
 
     def mark_simulated(self, *, simulated: bool) -> None:
-        """Mark the edge of the screen; what is on it has the same style with and without."""
+        """Mark the edge of the screen; its parts look the same with and without."""
         if self.has_class("simulated") != simulated:
             self.set_class(simulated, "simulated", update=False)
             self.app.stylesheet.update_nodes([self])
