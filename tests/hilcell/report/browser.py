@@ -63,12 +63,24 @@ addEventListener("load", async () => {
   const sheets = [...document.querySelectorAll(".sheet")].map(
     (each) => [box(each), box(each.querySelector("table"))]);
   const verdicts = [...document.querySelectorAll(".first .sheet td:last-child")].map(box);
-  document.documentElement.dataset.seen = JSON.stringify({
-    blocked, images, drawings, sheets, verdicts, width: document.documentElement.scrollWidth,
+  parent.postMessage({
+    name: window.name, blocked, images, drawings, sheets, verdicts,
+    width: document.documentElement.scrollWidth,
     first: document.querySelector(".first")?.offsetHeight ?? 0,
-    signatures: document.querySelector(".signatures")?.offsetHeight ?? 0});
+    signatures: document.querySelector(".signatures")?.offsetHeight ?? 0}, "*");
 });
 </script>"""
+# The pages beside one another, each as on a screen of its own.
+_SCREENS = """<!DOCTYPE html><html><head><style>body {{margin: 0; width: {across}px; display: flex}}
+iframe {{border: 0; flex: none; height: {height}px}}</style><script>
+const seen = [];
+addEventListener("message", (event) => {{
+  seen.push(event.data);
+  document.documentElement.dataset.seen = JSON.stringify(seen);
+}});
+</script></head><body>{frames}</body></html>"""
+_SCREEN = '<iframe name="{name}" src="{page}" style="width: {width}px"></iframe>'
+HEIGHT_PX = 9000
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,23 +121,33 @@ class Seen:
         return float(np.mean(np.any(inside < 250, axis=2)))
 
 
-def looked_at(page: str, folder: Path, width: int, *, pixels: bool = False) -> Seen:
-    """Show a page on a screen so wide, and look at its boxes, or at its ``pixels`` as well."""
-    probed, picture = folder / "probed.html", folder / "screen.png"
-    probed.write_text(page.replace("<head>", f"<head>{_PROBE}", 1), "utf-8")
-    words = [f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=5000", "--dump-dom"]
-    shot = [f"--window-size={width},9000", f"--screenshot={picture}"]
-    words += shot if pixels else [f"--window-size={width},1000"]
+def looked_at(folder: Path, *pages: tuple[str, int]) -> list[Seen]:
+    """Show pages on screens so wide; look at their boxes, and at the pixels of the first."""
+    frames = list[str]()
+    for number, (page, width) in enumerate(pages):
+        probed = folder / f"probed-{number}.html"
+        probed.write_text(page.replace("<head>", f"<head>{_PROBE}", 1), "utf-8")
+        frames.append(_SCREEN.format(name=number, page=probed.as_uri(), width=width))
+    screens, picture = folder / "screens.html", folder / "screen.png"
+    across = sum(width for _, width in pages)
+    screens.write_text(
+        _SCREENS.format(across=across, height=HEIGHT_PX, frames="".join(frames)), "utf-8"
+    )
+    words = [
+        f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=5000", "--dump-dom",
+        f"--window-size={pages[0][1]},{HEIGHT_PX}", f"--screenshot={picture}",
+    ]  # fmt: skip
     done = subprocess.run(
-        [found(), *QUIET, *words, probed.as_uri()], capture_output=True, text=True, check=True
+        [found(), *QUIET, *words, screens.as_uri()], capture_output=True, text=True, check=True
     )
     seen = re.search(r'data-seen="([^"]*)"', done.stdout)
     assert seen is not None, done.stdout[-2000:]
-    boxes = json.loads(html.unescape(seen[1]))
-    if not pixels:
-        return Seen(**boxes, pixels=np.zeros((0, 0, 3), np.uint8), colours={})
+    boxes = {int(each.pop("name")): each for each in json.loads(html.unescape(seen[1]))}
     with Image.open(picture) as image:
         shown = image.convert("RGB")
     counted = shown.getcolors(shown.width * shown.height) or []
     colours = {colour: count for count, colour in counted if isinstance(colour, tuple)}
-    return Seen(**boxes, pixels=np.asarray(shown), colours=colours)
+    none = np.zeros((0, 0, 3), np.uint8)
+    first = Seen(**boxes[0], pixels=np.asarray(shown), colours=colours)
+    others = (Seen(**boxes[n], pixels=none, colours={}) for n in range(1, len(pages)))
+    return [first, *others]

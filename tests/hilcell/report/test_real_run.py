@@ -26,7 +26,7 @@ from tests.whole.bench import HILCELL, command
 from tests.whole.golden import GoldenRun, GoldenRuns
 
 RUST, BLUE = (176, 86, 26), (11, 74, 125)  # the figures' colours before and after
-PHONE_PX = 500  # a browser without a screen makes no narrower window
+PHONE_PX = 500
 A4_PX = (297 - 11 - 14) * 96 / 25.4  # within its margins
 SIGNED_PX = 19 * 96 / 25.4
 
@@ -161,7 +161,8 @@ def test_seen_in_a_browser(
     """On a screen and on a phone; page 1 has room to be signed, and for long names."""
     use_fonts(tmp_path, monkeypatch)
     page = html.replace("</main>", f'<img src="{FOREIGN}"></main>', 1)
-    seen = looked_at(page, tmp_path, 900, pixels=True)
+    named = report_html(long_names(read_facts(run.folder)))
+    seen, phone, long = looked_at(tmp_path, (page, 900), (html, PHONE_PX), (named, 900))
     assert seen.width <= 900
     assert 0 < seen.first <= A4_PX - 57  # signatures need 57 more
     assert seen.blocked == [f"img-src: {FOREIGN}"]
@@ -174,14 +175,12 @@ def test_seen_in_a_browser(
     assert 0.4 < seen.share((255, 255, 255)) < 0.95
     for colour in (RUST, BLUE):
         assert seen.near(colour, 24) > 300, f"the figures' colour {colour} is not to be seen"
-    phone = looked_at(html, tmp_path, PHONE_PX)
     assert phone.width <= PHONE_PX
     assert phone.verdicts
     assert all(left + width <= PHONE_PX for left, _, width, _ in phone.verdicts)
     assert all(left + width <= PHONE_PX for (left, _, width, _), _ in phone.sheets)
     scrolled = [table[2] for sheet, table in phone.sheets if table[2] > sheet[2] + 1]
     assert scrolled, "a wide table keeps its width and scrolls in its own box"
-    long = looked_at(report_html(long_names(read_facts(run.folder))), tmp_path, 900)
     assert long.signatures >= SIGNED_PX
     assert 0 < long.first <= A4_PX
     assert long.width <= 900
