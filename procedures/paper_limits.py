@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +20,6 @@ from hilcell.geometry.frames import apply, inverse, matrix, rigid_fit, three_poi
 from hilcell.geometry.inverse import reachable
 from hilcell.geometry.statistics import chi2_quantile, f_quantile, ranks, rms, variance_of_mean
 from hilcell.journal.log import Log
-from hilcell.planning.holes import Holes
-from hilcell.planning.plan import plan
 from hilcell.ports import Array
 from procedures.paper_figures import Result, transfer, validation
 from procedures.plan import other_stations
@@ -33,11 +32,16 @@ from procedures.station_frames import (
     tool_uncertainty_mm,
 )
 
+if TYPE_CHECKING:
+    from hilcell.planning.holes import Holes
+
 HOLE_PITCH_MM = 100.0
 
 
 def stations_planned(cell: Cell) -> float:
     """Return how many stations the planner takes for the longest work piece."""
+    from hilcell.planning.plan import plan
+
     return float(len(plan(cell, longest_work_piece(cell)).stations))
 
 
@@ -56,6 +60,8 @@ def longest_work_piece(cell: Cell) -> Holes:
 
     On the far face of the grid's cube, with the grid's orientation.
     """
+    from hilcell.planning.holes import Holes  # loads long, as the planner does
+
     arm, rails_mm = cell.robot.arm(), [station.rail_mm for station in cell.station]
     span_mm = float(np.abs(arm.a_mm).sum() + np.abs(arm.d_mm).sum())
     middle_mm, half_mm = cell.grid.centre.matrix()[:3, 3], np.array(cell.grid.size_mm) / 2

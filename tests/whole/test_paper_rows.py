@@ -28,9 +28,10 @@ from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.rigidity import Moved
 from hilcell.geometry.statistics import figures_of
 from hilcell.journal.log import Log, positions_mm
+from hilcell.planning import plan as planning
 from hilcell.planning.plan import HolePlan
 from hilcell.ports import Array
-from procedures import paper_figures, paper_limits, rail_survey, station_frames
+from procedures import paper_figures, rail_survey, station_frames
 from procedures.paper import paper_table
 from procedures.paper_rows import ROWS, Row
 from procedures.plan import joints_for, poses_at
@@ -137,7 +138,7 @@ def test_the_closest_station_of_every_hole_is_more_than_the_fewest(
         return HolePlan([None] * len(taken))  # type: ignore[list-item]  # only counted
 
     assert judged("fig2.stations", paper)["holds"] is True
-    monkeypatch.setattr(paper_limits, "plan", closest)
+    monkeypatch.setattr(planning, "plan", closest)
     assert judged("fig2.stations", paper)["holds"] is False
 
 

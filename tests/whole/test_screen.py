@@ -45,10 +45,12 @@ def screen(runs: Path, *words: str, long: bool = False) -> Iterator[Terminal]:
                     wait_gone(engine.pid)
 
 
-def start(terminal: Terminal, keys: str = ENTER) -> None:
-    """Choose what the form offers, read the plan, start."""
-    terminal.shows("before you start", "validated before and after")
-    terminal.press(keys)
+def start(terminal: Terminal, keys: str = "") -> None:
+    """Read the plan, or choose another one before the form has planned its own, and start."""
+    terminal.shows("before you start")
+    if not keys:
+        terminal.shows("validated before and after", "start: robot and rail will move")
+    terminal.press(keys + ENTER)
     terminal.shows("The robot and the rail will move")
     terminal.answer(ENTER)
 
@@ -88,7 +90,7 @@ def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
     with simulation(PACED, SMALL) as cell:
         words = ("--set", f"simulation.address={cell.control}")
         with screen(tmp_path, *words) as terminal:
-            start(terminal, to_procedure("robot-grid") + ENTER)
+            start(terminal, to_procedure("robot-grid"))
             terminal.shows("► RUNNING")
             terminal.press(" ")
             terminal.shows("▌▌ PAUSED")
@@ -112,7 +114,7 @@ def test_pause_go_on_fault_recover_finish(tmp_path: Path) -> None:
 
 def test_esc_right_after_the_start_is_heard(tmp_path: Path) -> None:
     with screen(tmp_path, long=True) as terminal:
-        start(terminal, UNHURRIED + ENTER)
+        start(terminal, UNHURRIED)
         terminal.shows("CHECKING")
         terminal.press(ESC)
         terminal.until(lambda text: "LIVE" not in text)
@@ -148,7 +150,7 @@ def test_an_engine_that_stands_still_is_silent_and_not_gone(
 ) -> None:
     monkeypatch.setattr(client, "ORDER_S", 0.1)  # of a command that is never answered
     with screen(tmp_path, long=True) as terminal:
-        start(terminal, UNHURRIED + ENTER)
+        start(terminal, UNHURRIED)
         terminal.shows("► RUNNING")
         folder = folder_of(tmp_path)
         engine = live_engine(folder)
@@ -176,7 +178,7 @@ def test_one_reflector_carried_by_hand_from_nest_to_nest(tmp_path: Path) -> None
     with simulation(PACED, SMALL | values) as cell:
         words = sets(values | {"simulation.address": cell.control})
         with screen(tmp_path, *words) as terminal:
-            start(terminal, "\x1b[F" + ENTER)  # the last procedure: world-frame
+            start(terminal, "\x1b[F")  # the last procedure: world-frame
             for nest in ("F1", "F2", "F3", "B1", "B2"):
                 terminal.shows(f"Seat the reflector in {nest}", "sees nothing")
                 terminal.press(ENTER)
