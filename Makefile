@@ -17,7 +17,8 @@ run: $(VENV)/ready  ## calibrate the simulated paper cell and print the table
 	$(BIN)/hilcell run
 
 test: $(VENV)/more  ## all lanes and lint at once; then the deadlines, with nothing beside
-	$(MAKE) --no-print-directory --jobs 4 together waiting processes lint
+	@export GOLDEN_RUNS=$$(mktemp -d); trap 'rm -rf "$$GOLDEN_RUNS"' EXIT; \
+	$(MAKE) --no-print-directory --jobs 4 together waiting processes lint && \
 	$(MAKE) --no-print-directory alone
 
 together: $(VENV)/compiled  ## tests in event time, in random order on all cores

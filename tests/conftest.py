@@ -167,8 +167,8 @@ def pytest_report_header() -> str:
 
 @pytest.fixture(scope="session")
 def golden(tmp_path_factory: pytest.TempPathFactory) -> GoldenRuns:
-    """Return runs by name, each made once for all workers."""
-    return GoldenRuns(shared_folder(tmp_path_factory))
+    """Return runs by name, each made once for all workers, and for all lanes of `make test`."""
+    return GoldenRuns(Path(os.environ.get("GOLDEN_RUNS") or shared_folder(tmp_path_factory)))
 
 
 def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:

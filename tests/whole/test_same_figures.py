@@ -57,7 +57,7 @@ def figures(done: CompletedProcess[str]) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("procedure", "cell", "values"),
     [
-        ("axis-sweeps", "paper", SHORT),
+        pytest.param("axis-sweeps", "paper", SHORT, marks=pytest.mark.nightly),
         ("axis-sweeps", "paper", SHORT | EKI | {"rail.driver": "kuka-e1"}),
         ("axis-sweeps", "lab", SHORT | STREAMING),
         ("base-frame", "lab", SHORT),

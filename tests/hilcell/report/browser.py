@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -36,6 +35,8 @@ def use_fonts(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let browsers use these fonts alone; skip where there is no browser."""
     if not found():
         pytest.skip(f"no browser found ({', '.join(NAMES)}): install chromium")
+    import matplotlib as mpl  # heavy, and every test session knows this module
+
     file, fonts = folder / "fonts.conf", Path(mpl.get_data_path()) / "fonts" / "ttf"
     file.write_text(FONTS.format(fonts=fonts, cache=folder / "fonts"))
     monkeypatch.setenv("FONTCONFIG_FILE", str(file))
