@@ -18,6 +18,7 @@ from drivers.canopen.slcan_bus import SlcanBus, has_long_stamp
 from tests.drivers.peers import Server, send_apart
 from tests.drivers.rail_bed import refusal, soon
 
+pytestmark = pytest.mark.waits
 PATIENT_S = 600.0
 GOOD = b"t58584064600015CD5B07\r"
 

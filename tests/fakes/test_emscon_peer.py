@@ -27,6 +27,8 @@ from fakes.time import PlantTime
 from fakes.truth.plant import Plant
 from hilcell.cell.file import Cell
 
+pytestmark = pytest.mark.waits
+
 
 @pytest.fixture
 def plant(cell: Cell) -> Plant:

@@ -50,6 +50,7 @@ from tests.whole.recordings import (
     record,
 )
 
+pytestmark = pytest.mark.waits
 RESULT = bytes.fromhex("9c000000 02000000")
 HEAD = Head("r1", "home", 1, 1, msgspec.to_builtins(load_cell("paper")))
 PLACE_MM = 0.02  # a busy PC polls more often, and so takes medians of others

@@ -21,6 +21,7 @@ from tests.hilcell.report.journals import Writer
 from tests.hilcell.run.bed import Bed, Live
 from tests.hilcell.run.rig import Points, procedure
 
+pytestmark = pytest.mark.waits
 STRIP = Identity("Rail", "MSA111C", "4711", "can0 node 2", kind="strip", firmware="1.2")
 DRIVE = Identity("Rail", "MD36", "815", "can0 node 1", kind="drive")
 
