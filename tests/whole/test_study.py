@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -29,7 +30,7 @@ from hilcell.study.results import Results, row_of
 from hilcell.study.study_file import cell_of, read_study
 from tests.hilcell.cell.packages import install
 from tests.hilcell.study.studies import study, written
-from tests.whole.bench import HILCELL, command
+from tests.whole.bench import HILCELL, command, sweep
 from tests.whole.dask_bench import READINGS, scheduler, scheduler_here, worker
 
 
@@ -65,9 +66,10 @@ def _tracker() -> Iterator[None]:
 
 @pytest.mark.process
 @pytest.mark.usefixtures("_tracker")
-def test_workers_find_the_digits_of_this_process(tmp_path: Path) -> None:
+@pytest.mark.parametrize("workers", ["1", *sweep("2")])  # each worker is a process like the first
+def test_workers_find_the_digits_of_this_process(tmp_path: Path, workers: str) -> None:
     path, folder = written(tmp_path, READINGS, head="machines = 1"), tmp_path / "r"
-    done = command("study", path, "--workers", "2", "-o", folder, "--json")
+    done = command("study", path, "--workers", workers, "-o", folder, "--json")
     assert done.returncode == 0, done.stderr
     assert table(folder) == measured_here(path, tmp_path / "here")
     answers = json.loads(done.stdout)
@@ -256,14 +258,17 @@ def test_a_worker_that_differs_measures_nothing(tmp_path: Path) -> None:
     """One that comes later ends the study, not with a row."""
     (tmp_path / "site").mkdir()
     (tmp_path / "site/sitecustomize.py").write_text(OLDER)
+    asked = study(tmp_path, READINGS, "machines = 99")
+    waiting = ((case, packed(cell_of(asked, case.point.values))) for case in cases(asked))
     with ExitStack() as stack:
         address = stack.enter_context(scheduler_here())
         with cluster.workers_of(address, print) as workers:
-            rows = _begun(workers, tmp_path)
+            ((_, first),) = workers.measure(itertools.islice(waiting, 1))
+            assert first["state"] == "done"
             site = str(tmp_path / "site")
             stack.enter_context(worker(address, "--nthreads", "2", PYTHONPATH=site))
             with pytest.raises(Cluster, match=r"0\.0\.9"):
-                assert {row["state"] for _, row in rows} == {"done"}
+                assert {row["state"] for _, row in workers.measure(waiting)} == {"done"}
         done = command(
             "study", tmp_path / "study.toml", "-o", tmp_path / "r", "--scheduler", address
         )

@@ -22,7 +22,6 @@ from tests.hilcell.tui.engine_peer import STATUS, Peer, says
 from tests.hilcell.tui.sample_runs import fresh, sample_run, status
 from tests.hilcell.tui.terminal_colours import colours_of
 from tests.hilcell.tui.untrusted_text import NASTY, poisoned
-from tests.whole.bench import sweep
 from tests.whole.terminal import Terminal
 
 pytestmark = pytest.mark.process
@@ -150,6 +149,9 @@ def test_every_esc_reaches_the_engine_wherever_it_is_pressed(tmp_path: Path) -> 
         stops = peer.commands.count("stop")
         terminal.press(f"{ESC} ")
         peer.until(lambda: peer.commands.count("stop") > stops)
+        os.kill(terminal.pid, signal.SIGHUP)
+        peer.until(lambda: peer.open == 0)
+        assert set(peer.commands) == {"attend", "stop"}, "a lost screen sends no leave"
 
 
 def test_a_live_run_behind_another_is_stopped_and_left_and_its_end_is_reported(
@@ -196,7 +198,8 @@ def test_leaving_a_live_run_asks_and_is_reported_to_the_engine(tmp_path: Path) -
         assert peer.commands == ["attend", "answer", "leave"]
 
 
-@pytest.mark.parametrize("how", [signal.SIGHUP, *sweep(signal.SIGKILL)])
+@pytest.mark.nightly  # SIGHUP ends the test of every Esc as well
+@pytest.mark.parametrize("how", [signal.SIGHUP, signal.SIGKILL])
 def test_a_lost_screen_sends_no_leave(tmp_path: Path, how: signal.Signals) -> None:
     with live(tmp_path / NAME, "running") as (terminal, peer):
         os.kill(terminal.pid, how)
