@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import os
 import pty
-import re
 import select
 import signal
 import struct
@@ -23,21 +22,6 @@ from hilcell.tui.app.app import BURST_S
 HILCELL = (sys.executable, "-m", "hilcell")
 READ = 1 << 16
 AROUND = ("COLUMNS", "LINES", "NO_COLOR")  # of the terminal that the tests run in
-COLOURS = re.compile(r"\x1b\[([0-9;]*)m")
-
-
-class _Stream(pyte.ByteStream):
-    """Takes colours, half of what a program sends, as a whole: pyte takes letter by letter."""
-
-    def feed(self, data: bytes) -> None:  # type: ignore[override]  # as pyte's own
-        for number, piece in enumerate(COLOURS.split(self.utf8_decoder.decode(data))):
-            if number % 2 == 0:
-                pyte.Stream.feed(self, piece)
-            elif self._taking_plain_text and self.listener is not None:
-                attributes = (min(int(each or 0), 9999) for each in piece.split(";"))
-                self.listener.select_graphic_rendition(*attributes)
-            else:  # within another sequence
-                pyte.Stream.feed(self, f"\x1b[{piece}m")
 
 
 def _own_terminal() -> None:
@@ -61,7 +45,7 @@ class Terminal:
     ) -> None:
         self.screen = pyte.Screen(columns, rows)
         self.raw = bytearray()
-        self._stream = _Stream(self.screen)
+        self._stream = pyte.ByteStream(self.screen)
         self._end, inner = pty.openpty()
         fcntl.ioctl(inner, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
         seen = {"TERM": "xterm-256color", "COLORTERM": "truecolor", "LC_ALL": "C.UTF-8"}
