@@ -19,6 +19,8 @@ from tests.drivers.kuka_peer import VARIABLES, KukaPeer
 from tests.drivers.peers import WireTime, in_thread
 from tests.drivers.rail_bed import figure, refusal, soon
 
+pytestmark = pytest.mark.waits
+
 __all__ = ["peer", "robot", "time"]
 
 

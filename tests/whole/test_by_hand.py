@@ -23,6 +23,7 @@ from tests.whole.bench import (
 from tests.whole.threaded import Event, Stands, ThreadedRun, is_state
 from tests.whole.trace import judge
 
+pytestmark = pytest.mark.waits
 BY_HAND = SMALL | {"layout.reflectors": "by_hand"}
 
 

@@ -25,6 +25,7 @@ from tests.hilcell.report.test_every_procedure import assert_references_resolve
 from tests.whole.bench import SMALL, Simulation, command, cut, end_of, events, sets, simulation
 from tests.whole.trace import judge
 
+pytestmark = pytest.mark.waits
 CYCLES = 4
 SHORT = SMALL | {"base_frame.points": "5", "iso9283.cycles": str(CYCLES)}
 Hear = Callable[[dict[str, Any]], object]

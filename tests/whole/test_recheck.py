@@ -11,6 +11,7 @@ from tests.whole.bench import SMALL, command, end_of, events, sets, simulation
 from tests.whole.golden import GoldenRuns
 from tests.whole.trace import judge
 
+pytestmark = pytest.mark.waits
 LOST = '[[fault]]\nname = "robot.lost_zero"\nvalue = 0.02\n'  # 0.35 mrad: 0.7 mm at the cube
 
 

@@ -23,6 +23,8 @@ from hilcell.run.cell_lock import lock_of_device, locked
 from tests.hilcell.cell.packages import install
 from tests.whole.bench import command
 
+pytestmark = pytest.mark.waits
+
 
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -27,6 +27,8 @@ from hilcell.run.protocol import COMMANDS, TIMELESS, Command, Request, Status
 from tests.hilcell.run.bed import Screen, until
 from tests.hilcell.run.rig import hang
 
+pytestmark = pytest.mark.waits
+
 
 class Recorder:
     """An engine that notes what it is told."""

@@ -22,6 +22,7 @@ from hilcell.run.procedure import Procedure
 from tests.whole.bench import SMALL
 from tests.whole.golden import GoldenRuns
 
+pytestmark = pytest.mark.waits
 CALIBRATE: Procedure = load_entry("procedures", "calibrate")
 HOME: Procedure = load_entry("procedures", "home")
 NOISE_MM = 0.05  # of one visit: repeatability and tracker, as both runs measure it
