@@ -40,7 +40,7 @@ HOLE_PITCH_MM = 100.0
 
 def stations_planned(cell: Cell) -> float:
     """Return how many stations the planner takes for the longest work piece."""
-    from hilcell.planning.plan import plan
+    from hilcell.planning.plan import plan  # loads long, and few runs judge the paper
 
     return float(len(plan(cell, longest_work_piece(cell)).stations))
 
@@ -60,7 +60,7 @@ def longest_work_piece(cell: Cell) -> Holes:
 
     On the far face of the grid's cube, with the grid's orientation.
     """
-    from hilcell.planning.holes import Holes  # loads long, as the planner does
+    from hilcell.planning.holes import Holes
 
     arm, rails_mm = cell.robot.arm(), [station.rail_mm for station in cell.station]
     span_mm = float(np.abs(arm.a_mm).sum() + np.abs(arm.d_mm).sum())

@@ -9,6 +9,7 @@ import fcntl
 import json
 import shutil
 import subprocess
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -74,12 +75,19 @@ class GoldenRuns:
 
     def __getitem__(self, name: str) -> GoldenRun:
         runs = self._shared / f"golden-{name}"
-        said = self._shared / f"golden-{name}.json"
-        with (self._shared / f"golden-{name}.lock").open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            if not said.exists():
-                words = ("run", *RUNS[name], "--json", "--name", name, "--runs", str(runs))
-                done = command(*words)
-                said.write_text(json.dumps([done.returncode, done.stdout, done.stderr]))
-        code, out, err = json.loads(said.read_text())
+
+        def perform() -> str:
+            done = command("run", *RUNS[name], "--json", "--name", name, "--runs", str(runs))
+            return json.dumps([done.returncode, done.stdout, done.stderr])
+
+        code, out, err = json.loads(once(self._shared / f"golden-{name}.json", perform))
         return GoldenRun(runs / name, subprocess.CompletedProcess(name, code, out, err))
+
+
+def once(file: Path, make: Callable[[], str]) -> str:
+    """Return the text of a file; the first process that needs it makes it."""
+    with file.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not file.exists():
+            file.write_text(make())
+    return file.read_text()

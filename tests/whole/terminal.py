@@ -74,8 +74,7 @@ class Terminal:
         """Return what is seen."""
         across = range(self.screen.columns)  # pyte's own lines break on a wide letter half gone
         rows = (self.screen.buffer[y] for y in range(self.screen.lines))
-        blank = self.screen.default_char
-        return "\n".join("".join(row.get(x, blank).data for x in across).rstrip() for row in rows)
+        return "\n".join("".join(row[x].data for x in across).rstrip() for row in rows)
 
     def press(self, keys: str) -> None:
         """Type."""

@@ -197,11 +197,15 @@ def test_workers_and_schedulers_that_froze_or_are_gone_are_named(
 
 def _begun(workers: cluster.Workers, folder: Path) -> Iterator[tuple[Case, Row]]:
     """Begin a long study; return its rows after the first."""
-    asked = study(folder, READINGS, "machines = 99")
-    waiting = ((case, packed(cell_of(asked, case.point.values))) for case in cases(asked))
-    rows = workers.measure(waiting)
+    rows = workers.measure(_many(folder))
     assert next(rows)[1]["state"] == "done"
     return rows
+
+
+def _many(folder: Path) -> Iterator[tuple[Case, bytes]]:
+    """Return the cases of a long study."""
+    asked = study(folder, READINGS, "machines = 99")
+    return ((case, packed(cell_of(asked, case.point.values))) for case in cases(asked))
 
 
 @pytest.mark.nightly
@@ -257,8 +261,7 @@ def test_a_worker_that_differs_measures_nothing(tmp_path: Path) -> None:
     """One that comes later ends the study, not with a row."""
     (tmp_path / "site").mkdir()
     (tmp_path / "site/sitecustomize.py").write_text(OLDER)
-    asked = study(tmp_path, READINGS, "machines = 99")
-    waiting = ((case, packed(cell_of(asked, case.point.values))) for case in cases(asked))
+    waiting = _many(tmp_path)
     with ExitStack() as stack:
         address = stack.enter_context(scheduler_here())
         with cluster.workers_of(address, print) as workers:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import re
 import shutil
@@ -38,6 +37,7 @@ from tests.hilcell.plant.year import (
     year,
 )
 from tests.whole.bench import command
+from tests.whole.golden import once
 
 DAY = timedelta(days=1)
 ROOT = Path(__file__).parents[3]
@@ -50,15 +50,16 @@ def filed(model: Model, tmp_path_factory: pytest.TempPathFactory) -> str:
     Nobody changes it.
     """
     shared = shared_folder(tmp_path_factory)
-    runs, url = shared / "year", f"sqlite:///{shared}/year.db"
-    with (shared / "year.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not runs.exists():
-            year(model, runs, datetime.now(UTC) - 20 * DAY)
-            assert command("plant", "init", "--to", url).returncode == 0
-            done = json.loads(command("plant", "ship", runs, "--to", url, "--json").stdout)
-            assert (done["shipped"], done["refused"]) == (37, {})
-    return url
+
+    def shipped() -> str:
+        runs, url = shared / "year", f"sqlite:///{shared}/year.db"
+        year(model, runs, datetime.now(UTC) - 20 * DAY)
+        assert command("plant", "init", "--to", url).returncode == 0
+        done = json.loads(command("plant", "ship", runs, "--to", url, "--json").stdout)
+        assert (done["shipped"], done["refused"]) == (37, {})
+        return url
+
+    return once(shared / "year.url", shipped)
 
 
 def asked(url: str, *words: str) -> dict[str, Any]:
