@@ -48,3 +48,8 @@ def test_a_process_is_named_and_known_by_its_number() -> None:
     assert f"process {left.pid}:" in str(error.value)
     left.kill()
     left.wait()
+
+
+def test_a_process_is_started_by_marked_tests_alone() -> None:
+    with pytest.raises(AssertionError, match="marked `process`"):
+        subprocess.Popen(["true"])

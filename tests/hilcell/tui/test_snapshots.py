@@ -124,6 +124,23 @@ def test_the_form_and_its_plan_look_as_they_did() -> None:
     assert not problems, problems
 
 
+def test_the_map_stands_beside_the_points_where_no_column_needs_its_place() -> None:
+    """On one terminal, which changes its width."""
+
+    async def look() -> list[int]:
+        found = []
+        app = RecordingApp(options(RUNS), "running")
+        async with app.run_test(size=WIDE) as pilot:
+            for width in range(90, 150):
+                await pilot.resize_terminal(width, WIDE[1])
+                await pilot.pause()
+                if app.screen.query_one("#side").display:
+                    found.append(width)
+        return found
+
+    assert asyncio.run(look()) == [*range(100, 120), *range(138, 150)]
+
+
 @pytest.mark.parametrize("state", CROWDED)
 def test_small_terminals_keep_the_state_and_wide_ones_add_panels(state: str) -> None:
     """On one terminal, which changes its size."""
