@@ -131,14 +131,14 @@ def test_the_map_stands_beside_the_points_where_no_column_needs_its_place() -> N
         found = []
         app = RecordingApp(options(RUNS), "running")
         async with app.run_test(size=WIDE) as pilot:
-            for width in range(90, 150):
+            for width in (90, 99, 100, 119, 120, 137, 138):
                 await pilot.resize_terminal(width, WIDE[1])
                 await pilot.pause()
                 if app.screen.query_one("#side").display:
                     found.append(width)
         return found
 
-    assert asyncio.run(look()) == [*range(100, 120), *range(138, 150)]
+    assert asyncio.run(look()) == [100, 119, 138]
 
 
 @pytest.mark.parametrize("state", CROWDED)
