@@ -127,7 +127,7 @@ def require_packages(names: Sequence[str]) -> None:
     if missing:
         raise HilcellError(
             f"hilcell plant: {', '.join(missing)} is not installed; "
-            "`pip install 'hilcell[plant]'` installs what it needs"
+            "in a clone, `pip install '.[plant]'` installs what it needs"
         )
 
 

@@ -89,6 +89,8 @@ def frame_changes(first: Side, second: Side) -> list[Change]:
     for key, frame in first.log.frames.items():
         if "visit" in frame:  # two stops are never the same
             continue
+        if key != "base" and not first.log.cell.has_rail:  # the one station is the base
+            continue
         if "covariance" in frame and "covariance" in second.log.frames.get(key, {}):
             place = key.replace(".", " ")
             limits = _frame_limits(first, second, key)

@@ -26,6 +26,6 @@ class NotInstalled(HilcellError):
 def missing(error: ImportError) -> NotInstalled:
     """Return the error for a package of studies that cannot be imported."""
     return NotInstalled(
-        f"study: {error.name or error} is not installed; `pip install 'hilcell[study]'`, or in a "
-        "clone `make .venv/more`"
+        f"study: {error.name or error} is not installed; in a clone, "
+        "`pip install '.[study]'` installs what it needs"
     )

@@ -6,6 +6,7 @@ import re
 
 import pytest
 
+from campaigns.__main__ import main
 from campaigns.faults.bed import hasten
 from campaigns.faults.campaign import cases, judge_case
 from campaigns.faults.injections import Injection, Knob
@@ -56,3 +57,12 @@ def test_the_page_is_of_this_table() -> None:
         (fault.number, fault.name, fault.reaction) for fault in FAULTS
     ]
     assert "BROKEN" not in text
+
+
+@pytest.mark.parametrize(
+    "words", [("faults", "999"), ("faults", "kills", "--count", "0"), ("kills", "--count", "-5")]
+)
+def test_words_that_name_no_case_are_refused(words: tuple[str, ...]) -> None:
+    with pytest.raises(SystemExit) as refused:
+        main([*words])
+    assert refused.value.code == 2

@@ -56,3 +56,6 @@ def test_a_robot_on_the_floor_is_calibrated_and_tested_with_its_correction(tmp_p
     out = tmp_path / "out.csv"
     words = ("made", holes, "--station", "BASE", "-o", out, "--runs", tmp_path)
     assert command("compensate", *words).returncode == 0
+    again = end_of(command("run", *where, "--seed", "9", "--machine-seed", "7", *quick))
+    assert (again["exit"], again["result"]["suspicions"]) == (0, [])
+    assert command("compare", "made", "last", "--runs", tmp_path).returncode == 0

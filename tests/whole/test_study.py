@@ -410,4 +410,4 @@ def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     done = command("study", written(tmp_path))
     assert done.returncode == 2
-    assert "hilcell[study]" in done.stderr
+    assert "'.[study]'" in done.stderr

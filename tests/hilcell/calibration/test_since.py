@@ -57,6 +57,16 @@ def test_the_same_base_and_stations_hold(log: Log, before: FloorBefore) -> None:
     assert suspicions_of(log) == []
 
 
+def test_without_a_rail_the_base_alone_is_compared(golden: GoldenRuns) -> None:
+    log = Log(read_journal(golden["seats"].folder / JOURNAL))
+    before = floor_before(golden["seats"].runs, log.cell, 1)
+    assert before is not None
+    found = compared(then(log, before))
+    assert {each.name.split()[0] for each in found} == {"base"}
+    assert len(found) == 6
+    assert all(each.holds and each.limit > 0.0 for each in found)
+
+
 @pytest.mark.parametrize(
     ("shift_mm", "turn_deg", "name", "by"),
     [

@@ -228,7 +228,7 @@ def test_a_damaged_database_is_no_server_that_is_away(office: Database, tmp_path
 
 def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    assert "hilcell[plant]" in said("init", "--to", "sqlite:///x.db")
+    assert "'.[plant]'" in said("init", "--to", "sqlite:///x.db")
 
 
 def test_the_environment_names_the_database(

@@ -133,6 +133,14 @@ def test_a_run_is_as_itself(first: Log, records: list[Record]) -> None:
     assert len(found.notes) == 1
 
 
+def test_without_a_rail_the_base_alone_is_compared(golden: GoldenRuns) -> None:
+    log = Log(read_journal(golden["seats"].folder / JOURNAL))
+    found = compare_runs(log, log)
+    assert [each.place for each in of(found, "frames")] == ["base", "base"]
+    assert all(each.limit for each in of(found, "frames"))
+    assert found.drifted == []
+
+
 def test_the_same_cell_measured_otherwise_has_not_drifted(first: Log, tmp_path: Path) -> None:
     """Other readings of nests and circles: another noise, the same truth, nothing is beyond."""
     words = SMALL | {"layout.nest_samples": "3", "base_frame.points": "7"}
