@@ -65,6 +65,8 @@ $(VENV)/compiled: $(VENV)/more
 	touch $@
 
 $(VENV)/ready: requirements-run.lock pyproject.toml
+	@$(PYTHON) -c "import sys; sys.exit(0 if (3, 11) <= sys.version_info[:2] <= (3, 13) else \
+	  'expected Python 3.11, 3.12 or 3.13, got ' + sys.version.split()[0] + '; name another: make PYTHON=python3.11')"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-run.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
