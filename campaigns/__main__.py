@@ -27,13 +27,15 @@ CAMPAIGNS = {
 
 
 def main(words: list[str]) -> int:
-    if words[:1] == ["faults"] and "--count" not in words:
+    if words[:1] == ["faults"] and not {*CAMPAIGNS, "--count", "--seed"} & set(words[1:]):
         return faults.main(words[1:])
     parser = argparse.ArgumentParser("python -m campaigns")
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(CAMPAIGNS))
     parser.add_argument("--count", type=int, help="cases; the campaign's own number by default")
     parser.add_argument("--seed", type=int, default=1, help="of the first case")
     args = parser.parse_args(words)
+    if args.count is not None and args.count < 1:
+        parser.error(f"--count: expected 1 or more, got {args.count}")
     if unknown := set(args.names) - set(CAMPAIGNS):
         parser.error(f"no campaign {', '.join(sorted(unknown))}; known: {', '.join(CAMPAIGNS)}")
     worst = 0

@@ -68,6 +68,8 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("number", nargs="*", type=int)
     parser.add_argument("--phase", choices=[phase.value for phase in Phase])
     args = parser.parse_args(words)
+    if unknown := set(args.number) - {fault.number for fault in FAULTS}:
+        parser.error(f"no fault {', '.join(map(str, sorted(unknown)))}")
     phases = [Phase(args.phase)] if args.phase else list(Phase)
     return report(list(cases(args.number, phases)), whole=not (args.number or args.phase))
 
