@@ -1,8 +1,8 @@
 """A study on Kubernetes: ``python study_kubernetes.py STUDY.toml -o DIR --image IMAGE``.
 
-The cluster has Dask's operator; the image has `pip install '.[study]'` with this PC's
+The cluster has Dask's operator; the image has hilcell with its extra `study`, in this PC's
 versions. A scheduler and workers are started there, the study is performed with them from here.
-`--show` prints what would be created. Wants `pip install '.[study-kubernetes]'` in a clone here.
+`--show` prints what would be created. Needs `pip install '.[study-kubernetes]'` in a clone here.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Run it where jobs are submitted. It starts a scheduler here, asks SLURM for jobs of workers, and
 performs the study with them. `--show` prints the script of a job and submits nothing.
-Wants `pip install '.[study-slurm]'` in a clone here and on the nodes.
+Needs `pip install '.[study-slurm]'` in a clone here and on the nodes.
 """
 
 from __future__ import annotations
