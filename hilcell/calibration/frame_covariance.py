@@ -90,6 +90,11 @@ def hold_covariance(cell: Cell) -> Array:
     return rectangular_variance(cell.rail.held_within_mm) * np.outer(along, along)
 
 
+def has_own_place(cell: Cell, key: str) -> bool:
+    """Whether a frame is measured by itself; without a rail a station's is a copy of the base."""
+    return key == "base" or cell.has_rail
+
+
 def slide_covariance(cell: Cell, T_W_S: Array, variance_mm2: float, nests: int = 100) -> Array:
     """Return the covariance in {W} that a variance of every slide nest by itself gives {S}, where
     so many of them, the first ones, say where it is.

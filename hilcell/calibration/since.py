@@ -23,6 +23,7 @@ from hilcell.calibration.contribution import systematic_mm2
 from hilcell.calibration.frame_covariance import (
     FLOOR_NESTS,
     floor_points,
+    has_own_place,
     hold_covariance,
     slide_covariance,
     world_covariance,
@@ -92,7 +93,11 @@ def compared(log: Log, *, with_base: bool = True) -> list[Parameter]:
         *([("base", before.base)] if with_base else []),
         *((f"station.{name}", frame) for name, frame in before.stations.items()),
     ]
-    known = [(key, then) for key, then in pairs if then is not None and key in log.frames]
+    known = [
+        (key, then)
+        for key, then in pairs
+        if then is not None and key in log.frames and has_own_place(log.cell, key)
+    ]
     freedom = 2.0 * len(log.select("base")) - FITTED
     if not (known and freedom > 0.0):
         return []

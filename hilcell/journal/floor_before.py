@@ -140,11 +140,8 @@ def _base_before(log: Log, cell: Cell) -> FrameBefore | None:
 
 
 def _stations_before(log: Log, cell: Cell) -> dict[str, FrameBefore]:
-    """Return the slide at the stations, and with the nests, that the cell still has.
-
-    Without a rail there is no slide: the one station is the base.
-    """
-    if not cell.has_rail or log.cell.layout.slide != cell.layout.slide:
+    """Return the slide at the stations, and with the nests, that the cell still has."""
+    if log.cell.layout.slide != cell.layout.slide:
         return {}
     frames = {
         station.name: log.frames.get(f"station.{station.name}", {})

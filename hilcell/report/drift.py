@@ -17,6 +17,7 @@ from hilcell.calibration.errors import visits_mm
 from hilcell.calibration.frame_covariance import (
     FLOOR_NESTS,
     floor_points,
+    has_own_place,
     hold_covariance,
     slide_covariance,
     world_covariance,
@@ -89,7 +90,7 @@ def frame_changes(first: Side, second: Side) -> list[Change]:
     for key, frame in first.log.frames.items():
         if "visit" in frame:  # two stops are never the same
             continue
-        if key != "base" and not first.log.cell.has_rail:  # the one station is the base
+        if not all(has_own_place(side.log.cell, key) for side in (first, second)):
             continue
         if "covariance" in frame and "covariance" in second.log.frames.get(key, {}):
             place = key.replace(".", " ")
