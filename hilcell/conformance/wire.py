@@ -93,26 +93,25 @@ class LineEnd:
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
-        self._open = True
+        os.set_blocking(descriptor, False)
 
     def fileno(self) -> int:
         """Return its descriptor."""
-        return self._descriptor if self._open else -1
+        return self._descriptor
 
     def receive(self) -> bytes:
         """Return bytes that have come."""
         return os.read(self._descriptor, PIECE)
 
     def send(self, data: bytes) -> None:
-        """Send them."""
-        while data:
-            data = data[os.write(self._descriptor, data) :]
+        """Send them; what nobody reads is lost, as at a UART that overruns."""
+        with suppress(BlockingIOError):
+            while data:
+                data = data[os.write(self._descriptor, data) :]
 
     def close(self, *, reset: bool) -> None:
         """Close it."""
-        if self._open:
-            self._open = False
-            os.close(self._descriptor)
+        os.close(self._descriptor)
 
     def leave(self) -> None:
         """Close it: a line has no connections."""
@@ -316,8 +315,11 @@ class Line(Wire):
         self.reset()
 
     def reset(self) -> None:
-        """Unplug the line."""
-        super().reset()
+        """Unplug the line. Only its pump closes it: its numbers name other files from then on."""
+        self._ended = True
+        for thread in self._threads:
+            thread.join()
+        self._pairs, self._threads = [], []
         with suppress(OSError):
             os.close(self._ours)
         self._ours = -1
@@ -325,6 +327,7 @@ class Line(Wire):
 
     def admit(self) -> None:
         """Plug it in again."""
+        self._ended = False
         near, self._ours = os.openpty()
         far = os.open(self._behind, os.O_RDWR | os.O_NOCTTY)
         for each in (near, self._ours, far):

@@ -271,6 +271,37 @@ def test_a_serial_line() -> None:
     assert all(isinstance(each, Line) for each in wires.all)
 
 
+@pytest.fixture
+def line() -> Iterator[Line]:
+    near, far = os.openpty()
+    line = Line(os.ttyname(far))
+    yield line
+    line.close()
+    os.close(near)
+    os.close(far)
+
+
+def test_nothing_of_an_unplugged_line_is_left_to_read_the_next_one(
+    line: Line, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(wire, "LOOK_S", 0.2)
+    line.refuse()
+    line.admit()
+    threads = threading.active_count()
+    line.refuse()
+    assert threading.active_count() == threads - 1
+
+
+def test_a_line_that_nobody_reads_loses_what_comes_and_can_be_unplugged(
+    line: Line, looks: Looks
+) -> None:
+    line.mode = "flood"
+    for _ in range(40):  # of 4096 bytes each: more than a pseudo terminal keeps
+        looks.taken()
+    line.refuse()
+    assert not Path(line.path).is_symlink()
+
+
 def _answer(near: int) -> None:
     while (data := os.read(near, 100)) != b"end\n":
         os.write(near, data)
