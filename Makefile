@@ -11,7 +11,7 @@ COMPILE := uv pip compile pyproject.toml --universal --fork-strategy fewest --ge
 export PYTHONDONTWRITEBYTECODE =
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: run test together waiting processes alone recordings nightly mutants torture lint gauges bench bundle lock clean
+.PHONY: run test together waiting processes alone recordings nightly mutants torture lint types gauges bench bundle lock clean
 
 run: $(VENV)/ready  ## calibrate the simulated paper cell and print the table
 	$(BIN)/hilcell run
@@ -37,7 +37,7 @@ recordings: $(VENV)/more  ## tests/wires: run each kept recording's run again, k
 	$(BIN)/python -m tests.whole.recordings
 
 NIGHTLY := --timeout 1200 --hypothesis-profile nightly
-nightly: lint  ## every test and every long sweep, property tests with fresh seeds
+nightly: lint types  ## every test and every long sweep, property tests with fresh seeds
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not wall" $(NIGHTLY)
 	$(BIN)/python -m pytest -m wall $(NIGHTLY)
 
@@ -50,8 +50,11 @@ torture: $(VENV)/more  ## the long campaigns: faults, disturbances, kills, fuzz,
 lint: $(VENV)/more  ## style, types and the import contract
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
+	$(BIN)/pyrefly check --python-interpreter-path $(BIN)/python --output-format min-text
 	$(BIN)/lint-imports
+
+types: $(VENV)/more  ## types once more, by mypy
+	$(BIN)/mypy
 
 gauges:  ## modules, lines, names, Any, shapes of each noun, habits of speech; docs/architecture.md
 	@$(PYTHON) benchmarks/gauges.py

@@ -72,13 +72,13 @@ class Phase:
     def result(self, log: Log) -> dict[str, Any]:
         return {}
 
-    def perform(self, bench: CellSession) -> None:
-        bench.reach("connect")
-        if not bench.rail_referenced():
-            bench.home_rail()
+    def perform(self, session: CellSession) -> None:
+        session.reach("connect")
+        if not session.rail_referenced():
+            session.home_rail()
         for number in count():
-            bench.event("phase", phase=self.phase)
-            getattr(self, self.phase)(bench, number)
+            session.event("phase", phase=self.phase)
+            getattr(self, self.phase)(session, number)
 
     def rail(self, bench: CellSession, number: int) -> None:
         bench.rail_to(900.0 if number % 2 else 1500.0)

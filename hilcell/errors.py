@@ -167,6 +167,6 @@ def _plain(value: object) -> object:
         return str(value)
     if isinstance(value, bool | int | float | str) or value is None:
         return value
-    if isinstance(value, list | tuple):
+    if isinstance(value, (list, tuple)):
         return [_plain(each) for each in value]
     return str(value)

@@ -60,7 +60,7 @@ def words(result: dict[str, Any]) -> str:
                 f"Orientation of the tool at {where}: {before['mean_deg']:.4f} deg off before, "
                 f"{after['mean_deg']:.4f} deg after (means); {result['fit']['orientation']}."
             )
-    return "\n".join(filter(None, [*lines, suspicion_words(result)]))
+    return "\n".join(line for line in (*lines, suspicion_words(result)) if line)
 
 
 def station_table(result: dict[str, Any]) -> Table:

@@ -142,4 +142,4 @@ def _spread(count: int, dimensions: int) -> Array:
     for _ in range(50):
         root = (1.0 + root) ** (1.0 / (dimensions + 1))
     steps = root ** -np.arange(1.0, dimensions + 1)
-    return (0.5 + np.outer(np.arange(1, count + 1), steps)) % 1.0
+    return np.asarray((0.5 + np.outer(np.arange(1, count + 1), steps)) % 1.0)

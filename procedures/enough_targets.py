@@ -122,8 +122,11 @@ def judgement(log: Log, stations: list[str]) -> dict[str, Any]:
     counts = [each.targets for each in decisions]
     chosen, limits = validation(log, stations)["chosen"], limits_of(log.cell)
     guard, figures = guard_of(log, len(chosen)), chosen.figures
+    by_station: list[Outcome] = [
+        "accepted" if each.outcome == "accepted" else "undecided" for each in decisions
+    ]
     outcome = gravest([
-        *("accepted" if each.outcome == "accepted" else "undecided" for each in decisions),
+        *by_station,
         outcome_of(figures.mean, limits.mean_mm, guard.mean_mm),
         outcome_of(figures.max, limits.max_mm, guard.max_mm),
     ])  # fmt: skip

@@ -30,7 +30,8 @@ class Injection:
     ``cell_file``: the run has a cell file of its own. ``lasts``: nothing here can put it right.
     """
 
-    apart = proxied = attended = cell_file = lasts = False
+    apart = proxied = attended = cell_file = False
+    lasts: bool = False
     text: str
 
     def prepare(self, bed: Bed) -> Callable[[], None]:
@@ -55,7 +56,7 @@ class Knob(Injection):
     name: str
     value: bool | float | str = True
     count: int = PERSISTENT
-    lasts: bool = False
+    lasts: bool = False  # pyrefly: ignore[bad-override] # read only here
     after: int = 0  # so many occasions pass first
     wait_s: float = 0.0  # of real time in which the run stands still, so that the fault shows
 

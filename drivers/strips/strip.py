@@ -124,5 +124,5 @@ class StripFeed:
 
 def summed(one: LinkStatistics, other: LinkStatistics) -> LinkStatistics:
     """Return the counts of two wires together."""
-    counts = astuple(one), astuple(other)
-    return LinkStatistics(*map(sum, zip(*counts, strict=True)))
+    counts = zip(astuple(one), astuple(other), strict=True)
+    return LinkStatistics(*(ours + theirs for ours, theirs in counts))

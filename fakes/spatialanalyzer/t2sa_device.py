@@ -74,7 +74,7 @@ class T2saDevice:
         self._warm_s: float | None = None
         self._window_mm = SEARCH_MM
         self._former_mm: Array | None = None
-        self._handlers: dict[str, Callable[[str], Answer]] = {
+        handlers: dict[str, Callable[[str], Answer]] = {
             "!LST": self._switch,
             "!MEAS_SINGLE_POINT": self._measure,
             "!SET_SIM": self._simulate,
@@ -84,7 +84,8 @@ class T2saDevice:
             "?POINT_POS": self._position,
             "?STAT": lambda _: Answer("ACK-300 Instrument is connected (simulated)"),
             "SET_POWER_LOCK": self._set_power_lock,
-        } | dict.fromkeys(SETTINGS, lambda _: Answer())
+        }
+        self._handlers = handlers | dict.fromkeys(SETTINGS, lambda _: Answer())
 
     def handle(self, line: str) -> Answer:
         """Return the answer to a request."""

@@ -33,7 +33,7 @@ class ReplayPlant:
         self.rail = RailTruth(cell, 0, time, faults) if cell.has_rail else FloorTruth(cell)
         self.robot = RobotMotion(cell, time, lambda key: lambda: np.zeros(6))
         self.tracker = ReplayTracker(data, self.robot)
-        self.streams = None
+        self.streams: None = None
 
     def seat(self, place: str) -> None:
         """Refuse: the recorded reflectors stay; raises `ValueError`."""

@@ -148,7 +148,8 @@ def _alarm(moment: _Moment, run: str, go_on: str, *, over: bool) -> Alarm:
     if not entry.specific:
         steps.insert(0, (finding.advice, "you"))
     then = "" if severity == "notice" else _then(entry, run, go_on, over=over)
-    steps = [(step, by) for step, by in [*steps, (then, "you")] if step]
+    steps.append((then, "you"))
+    steps = [(step, by) for step, by in steps if step]
     return Alarm(
         entry.code,
         severity,

@@ -77,7 +77,7 @@ def _robot_drift(log: Log) -> Suspicion | None:
 def slope_of(series: Series, arm: Arm) -> Suspicion | None:
     """Return the cause whose slope explains most, if chance does not and it matters."""
     causes = patterns(arm, series.joints_rad)
-    whitening = np.linalg.inv(np.linalg.cholesky(series.covariance_mm2))
+    whitening = np.asarray(np.linalg.inv(np.linalg.cholesky(series.covariance_mm2)), dtype=float)
     white = (whitening @ series.off_mm[:, :, None]).ravel()
     moves, known = _nuisances(series, arm)
     left = _of_model(forward(arm, series.joints_rad)[:, :3, 3], causes)

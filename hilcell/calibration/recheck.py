@@ -157,7 +157,7 @@ def judged(found: Rechecked) -> Judgement:
     explained = float(pull @ np.linalg.solve(information, pull))
     rest = float(e @ weighted[:, MOTION]) - explained
     prior = np.diag([BUMPED_MM**-2] * 3 + [BUMPED_RAD**-2] * 3)
-    covariance = np.linalg.inv(information + prior)
+    covariance = np.asarray(np.linalg.inv(information + prior), dtype=float)
     motion = covariance @ pull
     left_mm = found.errors_mm - (J @ motion).reshape(-1, 3)
     at_middle = np.hstack([np.eye(3), -cross_matrix(found.targets_mm.mean(axis=0))])

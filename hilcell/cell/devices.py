@@ -399,9 +399,8 @@ def start_simulation(
     """
     if cell.simulation is None:
         return None
+    more |= {"session": session} if is_replay(cell) else {}
     simulator = load_entry("simulators", cell.simulation.simulator)
-    if issubclass(simulator, RepeatsRun):
-        more["session"] = session
     simulated: SimulatedCell = simulator(cell, seed=seed, speed=speed, **more)
     return simulated
 

@@ -194,7 +194,7 @@ class _Unsound:
 
     def __getattr__(self, name: str) -> Any:
         found = inspect.getattr_static(self._kind, name)
-        if isinstance(found, property | cached_property | types.FunctionType):
+        if isinstance(found, (property, cached_property, types.FunctionType)):
             return found.__get__(self, self._kind)
         raise AttributeError(name)
 
@@ -285,7 +285,7 @@ def range_text(kind: Any) -> str:
         return ", ".join(f'"{word}"' for word in typing.get_args(kind))
     if typing.get_origin(kind) is tuple:
         kind = typing.get_args(kind)[0]
-    bounds = []
+    bounds: list[str] = []
     for meta in getattr(kind, "__metadata__", ()):
         limits = ((">", meta.gt), (">=", meta.ge), ("<", meta.lt), ("<=", meta.le))
         bounds += [f"{sign} {limit:g}" for sign, limit in limits if limit is not None]

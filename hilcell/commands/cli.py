@@ -39,7 +39,7 @@ FIRST = """\
 your own cell: `hilcell check CELL.toml`, then `hilcell tui --cell CELL.toml`
 `hilcell --help` lists all commands"""
 
-GROUPS = {
+GROUPS: dict[str, tuple[str, ...]] = {
     "every day": (
         "run",
         "resume",

@@ -77,7 +77,7 @@ from hilcell.journal.runs import (
 )
 from hilcell.journal.runs_folder import runs_option
 from hilcell.journal.times import offset_min
-from hilcell.ports import Clock, HilcellError, Stopped
+from hilcell.ports import Clock, HilcellError
 from hilcell.run.cell_lock import (
     CellLocked,
     lock_of_device,
@@ -410,7 +410,7 @@ def _run(
             code = runner.run(noted)
             ending = Ending(code, runner.fault, runner.unclosed)
             return _with_calibration(ending, journal, folder)
-    except (HilcellError, Stopped) as error:
+    except HilcellError as error:
         if isinstance(error, CellLocked) and not log.session:
             raise  # there is nothing to keep
         code = exit_code(error)

@@ -29,7 +29,7 @@ def outlying(errors_mm: ArrayLike, *, least_mm: float) -> NDArray[np.bool_]:
     """
     errors = np.asarray(errors_mm, dtype=float)
     values, A = errors.reshape(-1, 3), _terms(errors.shape[:3])
-    kept = np.isfinite(values).all(axis=1)
+    kept: NDArray[np.bool_] = np.asarray(np.isfinite(values).all(axis=1))
     highest = _quantile(1.0 - FALSE_ALARMS / len(values))
     while 2 * np.count_nonzero(kept) > len(values):
         off_mm = _studentized_mm(A[kept], values[kept])
@@ -37,8 +37,7 @@ def outlying(errors_mm: ArrayLike, *, least_mm: float) -> NDArray[np.bool_]:
         if np.max(off_mm) <= max(highest * sigma_mm, least_mm):
             break
         kept[np.flatnonzero(kept)[np.argmax(off_mm)]] = False
-    found: NDArray[np.bool_] = ~kept.reshape(errors.shape[:3])
-    return found
+    return ~kept.reshape(errors.shape[:3])
 
 
 def _studentized_mm(A: Array, values: Array) -> Array:

@@ -248,7 +248,7 @@ def _places(poses: Array) -> Array:
 def _alike(first: Array, second: Array) -> Array:
     """Return the correlations (3N, 3M) of the model's errors at places (N, 12), (M, 12)."""
     squares = np.square(first[:, None] - second).sum(axis=-1)
-    return np.kron(np.exp(-squares / (2 * CLOSE_MM**2)), np.eye(3))
+    return np.asarray(np.kron(np.exp(-squares / (2 * CLOSE_MM**2)), np.eye(3)))
 
 
 def _most_probable(passes: Sequence[Pass], stated_mm2: float) -> float:

@@ -104,7 +104,7 @@ class LineEnd:
         return os.read(self._descriptor, PIECE)
 
     def send(self, data: bytes) -> None:
-        """Send them; what nobody reads is lost, as at a UART that overruns."""
+        """Send them; bytes that nobody reads are lost, as at a UART that overruns."""
         with suppress(BlockingIOError):
             while data:
                 data = data[os.write(self._descriptor, data) :]

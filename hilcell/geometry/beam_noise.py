@@ -76,7 +76,7 @@ def _non_negative(A: Array, b: Array) -> Array:
     """Return x (2,) >= 0 that leaves least of ``A x = b``."""
     both = np.linalg.lstsq(A, b, rcond=None)[0]
     if bool(np.all(both >= 0.0)):
-        return np.array(both)
+        return np.array(both, dtype=float)
     alone = np.maximum(0.0, (A.T @ b) / np.square(A).sum(axis=0))
     each = np.diag(alone)
     return np.array(min(each, key=lambda x: float(np.square(A @ x - b).sum())))

@@ -131,7 +131,7 @@ def turn_levers(places_mm: Array, rotations: Array) -> Array:
     places = places_mm - places_mm.mean(axis=0)
     levers = cross_matrix(np.einsum("nij,kj->nki", rotations, places))
     inertia = -np.sum(levers @ levers, axis=1)
-    return np.linalg.inv(inertia)[:, None] @ levers
+    return np.asarray(np.linalg.inv(inertia)[:, None] @ levers)
 
 
 def three_point_frame(p1_mm: ArrayLike, p2_mm: ArrayLike, p3_mm: ArrayLike) -> Array:
@@ -237,7 +237,7 @@ def _information(weights: ArrayLike | None, count: int) -> tuple[Array, bool]:
         return given[:, None, None] * np.eye(3), False
     if not (np.isfinite(given).all() and (np.linalg.eigvalsh(given) > 0).all()):
         raise FrameError("covariances: all must be finite and positive definite")
-    return np.linalg.inv(given), True
+    return np.asarray(np.linalg.inv(given), dtype=float), True
 
 
 def _procrustes(a: Array, b: Array, weights: Array) -> Array:

@@ -77,7 +77,7 @@ class System:
     @cached_property
     def _whitener(self) -> Array:
         """Return W (M, N, N) with W'W the inverse of the noise's covariance."""
-        return np.linalg.inv(np.linalg.cholesky(self.noise_mm2))
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.noise_mm2)), dtype=float)
 
     @cached_property
     def _factor(self) -> tuple[Array, Array]:
@@ -87,7 +87,7 @@ class System:
         missed = (self._whitener @ self.residual_mm[..., None]).ravel()
         R = triangle(rows, self.prior_root)
         pull = rows.T @ missed + self.prior_root.T @ self.pull
-        return R, np.asarray(np.linalg.solve(R, np.linalg.solve(R.T, pull)))
+        return R, np.asarray(np.linalg.solve(R, np.linalg.solve(R.T, pull)), dtype=float)
 
     @property
     def step(self) -> Array:

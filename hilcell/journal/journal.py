@@ -332,7 +332,7 @@ def _not_finite(value: Any) -> str:
         return "" if math.isfinite(value) else f" is {value}"
     if isinstance(value, dict):
         parts = ((f".{key}", bad) for key, part in value.items() if (bad := _not_finite(part)))
-    elif isinstance(value, list | tuple):
+    elif isinstance(value, (list, tuple)):
         parts = ((f"[{n}]", bad) for n, part in enumerate(value) if (bad := _not_finite(part)))
     else:
         return ""

@@ -61,7 +61,7 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
             self.target,
             self.seat is not None and f"{SEAT}{self.seat}",
         )
-        return "/".join([self.kind, *[part for part in parts if part]])
+        return "/".join([self.kind, *[str(part) for part in parts if part]])
 
     @property
     def group(self) -> str:

@@ -48,7 +48,7 @@ def fewest(ok: NDArray[np.bool_], burden: Array) -> NDArray[np.int_]:
         bounds=Bounds(0, 1),
         options={"mip_rel_gap": 0.0},
     )
-    chosen = np.flatnonzero(found.x > 0.5) if found.success else np.array([], dtype=int)
+    chosen = np.flatnonzero(found.x > 0.5) if found.x is not None else np.array([], dtype=int)
     if not ok[:, chosen].any(axis=1).all():
         raise CoverError(f"set cover: not solved: {found.message}")
     return chosen

@@ -69,7 +69,8 @@ class Silent(psycopg.OperationalError):
 def connect(*args: Any, **options: Any) -> Bounded:
     """Open a connection with these deadlines."""
     try:
-        return Bounded.connect(*args, **(options | OPTIONS))
+        options |= OPTIONS
+        return Bounded.connect(*args, **options)
     except UnicodeError as error:
         raise psycopg.ProgrammingError(f"a host of that name cannot be: {error}") from error
     except psycopg.OperationalError as error:

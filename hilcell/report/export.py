@@ -184,7 +184,7 @@ def results_table(facts: Facts) -> list[Row]:
 def _leaves(path: str, value: Any) -> Iterable[tuple[str, Value]]:
     if isinstance(value, dict):
         pairs: Iterable[tuple[object, Any]] = value.items()
-    elif isinstance(value, list | tuple):
+    elif isinstance(value, (list, tuple)):
         pairs = enumerate(value)
     else:
         yield path, value if isinstance(value, int | float | None) else str(value)

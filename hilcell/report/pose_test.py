@@ -329,7 +329,7 @@ def _cube(ax: Axes, cube: Mapping[str, Any], poses: Mapping[str, Any]) -> None:
     }
     for before, after in zip((CYCLE[-1], *CYCLE), CYCLE, strict=False):
         ax.annotate(
-            "", places[after], places[before],
+            "", tuple(places[after]), tuple(places[before]),
             arrowprops={"arrowstyle": "->", "color": BLUE, "linewidth": 0.8, "shrinkB": 3.0},
         )  # fmt: skip
     for name, at in places.items():

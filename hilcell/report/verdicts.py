@@ -183,7 +183,7 @@ def _plain(body: Body) -> str:
     return ", ".join(
         _with_unit(name, value)
         for name, value in body.items()
-        if name != "holds" and not isinstance(value, dict | list | None)
+        if name != "holds" and not isinstance(value, (dict, list, type(None)))
     )
 
 

@@ -265,8 +265,8 @@ def _last_heartbeats(client: Client) -> Mapping[str, float]:
 
 
 def _check_versions(client: Client, name: str) -> None:
+    before = _last_heartbeats(client)
     try:
-        before = _last_heartbeats(client)
         found: dict[str, Any] = client.run(versions, on_error="return", callback_timeout=VERSIONS_S)
     except TimeoutError as error:
         after = _last_heartbeats(client)

@@ -34,7 +34,7 @@ def toml_value(value: object) -> str:
     if isinstance(value, Mapping):
         inner = (f"{_quoted(str(key))} = {toml_value(each)}" for key, each in value.items())
         return f"{{ {', '.join(inner)} }}"
-    if isinstance(value, list | tuple):
+    if isinstance(value, (list, tuple)):
         return f"[{', '.join(map(toml_value, value))}]"
     if isinstance(value, float):
         return repr(value)  # "inf" and "nan" too, which the cell refuses

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from tests.drivers.kuka_peer import KukaPeer
 from tests.drivers.peers import Server
@@ -81,7 +81,7 @@ class EkiPeer(KukaPeer):
         ).encode()
 
 
-def _documents(connection: socket.socket, end: bytes):  # type: ignore[no-untyped-def]  # of bytes
+def _documents(connection: socket.socket, end: bytes) -> Iterator[str]:
     pending = b""
     while piece := connection.recv(4096):
         *whole, pending = (pending + piece).split(end)

@@ -112,7 +112,8 @@ def test_an_independent_peer_reads_our_settings() -> None:
     go = cesapi.GoPositionCT()
     go.unpack(emscon.encode(Command.GO_POSITION, emscon.POSITION.pack(1.5, -2.5, 3.5, 1)))
     assert (go.dVal1, go.dVal2, go.dVal3, go.bUseADM) == (1.5, -2.5, 3.5, 1)
-    assert go.packetInfo.packetHeader.lPacketSize == go._GoPositionCT__packet_size == 40
+    size = go._GoPositionCT__packet_size  # pyrefly: ignore[missing-attribute] # its name is mangled
+    assert go.packetInfo.packetHeader.lPacketSize == size == 40
 
 
 def test_an_independent_peers_replies_are_read() -> None:

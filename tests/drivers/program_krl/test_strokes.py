@@ -2,10 +2,11 @@
 
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from drivers.kuka.program_krl.files import load_program
 from drivers.kuka.program_krl.reader import read_program
@@ -147,7 +148,7 @@ def test_a_stroke_is_judged_on_all_of_its_way() -> None:
     values, shift_mm = read.values(), np.array(read.strokes[0].shift_mm)
     aside = np.cross(shift_mm, [0, 0, 1])
 
-    def judged(direction: Array, size_mm: float, most_mm: float) -> StrokeMiss:
+    def judged(direction: NDArray[Any], size_mm: float, most_mm: float) -> StrokeMiss:
         unit = T_W_B[:3, :3].T @ direction / np.linalg.norm(direction)
 
         def predict(poses: Array) -> SimpleNamespace:

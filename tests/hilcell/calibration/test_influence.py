@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -23,8 +25,8 @@ from hilcell.ports import Array
 TARGET = np.array([[0.0, 0.0, 2000.0]])
 
 
-def influence(covariance: list[list[float]], frame: Frame = "world", **more: object) -> Influence:
-    return Influence("it", MEASURED, "somehow", "4.2", frame, covariance, **more)  # type: ignore[arg-type]  # of the test's own call
+def influence(covariance: list[list[float]], frame: Frame = "world", **more: Any) -> Influence:
+    return Influence("it", MEASURED, "somehow", "4.2", frame, covariance, **more)
 
 
 def variances(found: Array) -> list[float]:

@@ -33,7 +33,7 @@ def way(turn_rad: list[float]) -> Array:
 def test_axes_that_turn_down_stand_lower_by_what_they_lose(turn_rad: list[float]) -> None:
     found = straight_way(LOST, ARM, T_W_B, way(turn_rad))
     down = np.array(turn_rad) < 0.0
-    ends = np.stack([END, END - down * LOST_RAD])
+    ends = np.stack([END, END - LOST_RAD * down.astype(float)])
     places = (T_W_B @ forward(ARM, ends))[:, :3, 3]
     np.testing.assert_allclose(found.shift_mm[0], places[1] - places[0], atol=1e-5)
     assert (np.trace(found.covariance_mm2[0]) > 0.0) == bool(down.any())

@@ -22,7 +22,7 @@ from drivers.leica.tracker_emscon import LeicaEmsconTracker
 from drivers.supervision import Patience
 from hilcell.conformance.verdicts import Port
 from hilcell.errors import DeviceError, DeviceRefused, NoReading, Stopped
-from hilcell.ports import StreamBlock
+from hilcell.ports import Array, StreamBlock
 
 Call = Callable[[], Any]
 LIMIT_S = 0.1
@@ -437,8 +437,8 @@ class Tracker(LeicaEmsconTracker):
 
 
 class TrackerUnits(Tracker):
-    def measure(self, *words: Any) -> Any:
-        reading = super().measure(*words)
+    def measure(self, near_mm: Array, reflector: str, samples: int) -> Any:
+        reading = super().measure(near_mm, reflector, samples)
         return replaced(reading, xyz_mm=1.009 * reading.xyz_mm)
 
 
@@ -449,8 +449,8 @@ class TrackerHandedness(Tracker):
         self.seen: list[Any] = []
         super().__init__(options, clock)
 
-    def measure(self, *words: Any) -> Any:
-        reading = super().measure(*words)
+    def measure(self, near_mm: Array, reflector: str, samples: int) -> Any:
+        reading = super().measure(near_mm, reflector, samples)
         at_mm = reading.xyz_mm
         if all(np.linalg.norm(at_mm - each) > 100.0 for each in self.seen):
             self.seen.append(at_mm)
@@ -462,8 +462,8 @@ class TrackerHandedness(Tracker):
 
 
 class TrackerSamples(Tracker):
-    def measure(self, *words: Any) -> Any:
-        return replaced(super().measure(*words), samples=1)
+    def measure(self, near_mm: Array, reflector: str, samples: int) -> Any:
+        return replaced(super().measure(near_mm, reflector, samples), samples=1)
 
 
 class TrackerNothingThere(Tracker):

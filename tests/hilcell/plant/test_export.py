@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-from cryptography.hazmat.primitives.asymmetric.rsa import generate_private_key
+from cryptography.hazmat.primitives.asymmetric.rsa import RSAPrivateKey, generate_private_key
 from cryptography.hazmat.primitives.serialization import (
     BestAvailableEncryption,
     Encoding,
@@ -41,11 +41,12 @@ PASSPHRASE = "s3cr-t"
 
 
 def private(
-    path: Path, key: object = None, encryption: KeySerializationEncryption | None = None
+    path: Path,
+    key: Ed25519PrivateKey | RSAPrivateKey | None = None,
+    encryption: KeySerializationEncryption | None = None,
 ) -> Path:
     """Write a private key as openssl does."""
     made = key if key is not None else Ed25519PrivateKey.generate()
-    assert isinstance(made, Ed25519PrivateKey) or hasattr(made, "private_bytes")
     form = (Encoding.PEM, PrivateFormat.PKCS8, encryption or NoEncryption())
     path.write_bytes(made.private_bytes(*form))
     path.chmod(0o600)

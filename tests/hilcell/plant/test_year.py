@@ -244,13 +244,14 @@ def answered(server: Server, model: Model, runs: Path) -> Rows:
     url = server.make(like=BLANK)
     with closing(Database(url)) as database:
         ship(runs, database)
-    with psycopg.connect(url, autocommit=True, row_factory=dict_row) as connection:
+    with psycopg.connect(url, autocommit=True) as connection:
+        asking = connection.cursor(row_factory=dict_row)
         (variable,) = DASHBOARD["templating"]["list"]
-        cells = connection.execute(variable["query"]).fetchall()
+        cells = asking.execute(variable["query"]).fetchall()
         all_of_them = ",".join(f"'{each['cell']}'" for each in cells)
-        connection.execute(f"SET ROLE {ENGINEER}".encode())
+        asking.execute(f"SET ROLE {ENGINEER}".encode())
         return {
-            panel["title"]: connection.execute(
+            panel["title"]: asking.execute(
                 as_grafana_sends(target["rawSql"], all_of_them).encode()
             ).fetchall()
             for panel in PANELS

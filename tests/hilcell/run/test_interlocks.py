@@ -22,7 +22,7 @@ CELL = load_cell("paper")
 S1100 = CELL.station_named("S1100")
 
 
-def robot(**changes: object) -> RobotReading:
+def robot(**changes: Any) -> RobotReading:
     values: dict[str, Any] = {
         "joints_rad": np.radians(CELL.robot.safe_deg),
         "pose": np.eye(4),
@@ -32,7 +32,7 @@ def robot(**changes: object) -> RobotReading:
     return RobotReading(**(values | changes))
 
 
-def rail(**changes: object) -> RailReading:
+def rail(**changes: Any) -> RailReading:
     values: dict[str, Any] = {
         "position_mm": 1100.2,
         "strip_mm": 1100.0,
@@ -110,7 +110,7 @@ def test_joint_limits_hold_with_their_margin(deg: float) -> None:
         check_joint_limits(CELL, joints, "vertex 3")
 
 
-def sight(**changes: object) -> Sight:
+def sight(**changes: Any) -> Sight:
     values: dict[str, Any] = {
         "rail": rail(),
         "robot": robot(),
@@ -122,7 +122,7 @@ def sight(**changes: object) -> Sight:
     return Sight(**(values | changes))
 
 
-def blocked(**changes: object) -> set[str]:
+def blocked(**changes: Any) -> set[str]:
     return {each.name for each in overview(CELL, sight(**changes)) if each.blocked}
 
 

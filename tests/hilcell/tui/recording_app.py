@@ -83,9 +83,9 @@ class RecordingActions(RunActions):
         super().__init__(application)
         self.engines: list[tuple[Path, list[str]]] = []
 
-    def start(self, folder: Path, words: list[str]) -> None:
+    def start(self, folder: Path, arguments: list[str]) -> None:
         """Write it down."""
-        self.engines.append((folder, words))
+        self.engines.append((folder, arguments))
 
 
 class RecordingApp(HilcellApp):

@@ -96,7 +96,9 @@ def test_a_tracker_beyond_the_edge_is_drawn_at_it() -> None:
 
 def test_a_robot_on_the_floor_has_no_rail() -> None:
     found = site("paper", "F2")
-    bare = Site(**{f: getattr(found, f) for f in Site.__slots__} | {"along": (0.0, 0.0)})
+    parts = {name: getattr(found, name) for name in Site.__slots__}
+    parts["along"] = (0.0, 0.0)
+    bare = Site(**parts)
     assert not any("│" in line for line in drawn(bare))
 
 
