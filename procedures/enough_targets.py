@@ -33,12 +33,12 @@ LEAST_MM = 1e-6  # a limit that no error keeps, where U leaves nothing of the to
 
 
 def rule_of(cell: Cell, guard: Guard = NO_GUARD) -> SequentialRule:
-    """Return the rule by which each station is judged; raises `HilcellError` if none can hold.
+    """Return the rule by which each station is judged.
 
     Its limits are the tolerances less ``guard``, as in `hilcell.calibration.decision`.
     """
     within = limits_within(limits_of(cell), guard)
-    rule = SequentialRule(
+    return SequentialRule(
         mean_limit_mm=max(within.mean_mm, LEAST_MM),
         max_limit_mm=max(within.max_mm, LEAST_MM),
         share=cell.plan.share_above_max,
@@ -46,19 +46,21 @@ def rule_of(cell: Cell, guard: Guard = NO_GUARD) -> SequentialRule:
         reject_risk=cell.plan.reject_risk,
         block=BLOCK,
     )
-    if rule.decide(np.zeros(cell.plan.most_targets)).outcome != "accepted":
+
+
+def least_targets(cell: Cell) -> int:
+    """Return how many targets an acceptance needs at least; raises `HilcellError` where the plan
+    has fewer.
+    """
+    decision = rule_of(cell).decide(np.zeros(cell.plan.most_targets))
+    if decision.outcome != "accepted":
         raise HilcellError(
             f"plan.most_targets {cell.plan.most_targets}: not enough to accept a station at "
             f"accept_risk {cell.plan.accept_risk:g} and share_above_max "
             f"{cell.plan.share_above_max:g}, even without any error; allow more targets",
             code="HC-C10",
         )
-    return rule
-
-
-def least_targets(cell: Cell) -> int:
-    """Return how many targets an acceptance needs at least."""
-    return rule_of(cell).decide(np.zeros(cell.plan.most_targets)).targets
+    return decision.targets
 
 
 def octant_targets(cell: Cell, seed: int, low_mm: Array, high_mm: Array) -> dict[str, Array]:

@@ -97,6 +97,19 @@ def test_a_plan_that_can_never_accept_is_refused() -> None:
         Validate().plan(cell, 1)
 
 
+def test_a_tolerance_that_u_has_nearly_used_up_ends_undecided_and_not_in_a_fault(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The plan was refused in the middle of the validation, when U was known."""
+    cell = load_cell("paper", {"plan.quick": "true", "validation.mean_tolerance_mm": "0.025"})
+    found = Errors(np.zeros((96, 3)), np.tile([0.002, 0.0, 0.0], (96, 1)))
+    log = cast("Log", SimpleNamespace(cell=cell, events=[]))
+    monkeypatch.setattr(enough_targets, "validation", lambda log, stations: {"chosen": found})
+    monkeypatch.setattr(enough_targets, "guard_of", lambda log, count: Guard(0.0225, 0.0225))
+    assert enough_targets.decision_at(log, "S300") == Decision("undecided", 96)
+    assert "most_targets" in enough_targets.judgement(log, ["S300"])["text"]
+
+
 def test_the_paper_has_no_quick_plan() -> None:
     with pytest.raises(HilcellError, match="paper"):
         PaperRows().plan(QUICK, 1)
