@@ -5,6 +5,7 @@ Everything is in {W}, mm. An unfinished run gives what it has measured so far.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy as np
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import Figures, figures_of, lengths_mm
-from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.journal.log import Log, Point, positions_mm, repeated_visits
 from hilcell.ports import Array
 
 HOWS = ("before", "idw", "chosen")
@@ -97,14 +98,6 @@ def grid_errors(log: Log) -> Errors | None:
     return errors_of(log, points) if points and "world" in log.frames else None
 
 
-def repeated_visits(log: Log) -> list[list[Point]]:
-    """Return the points of each place that the robot visited repeatedly."""
-    places: dict[int | None, list[Point]] = {}
-    for point in log.select("repeatability"):
-        places.setdefault(point.id.place, []).append(point)
-    return [points for points in places.values() if len(points) > 1]
-
-
 def visits_mm(log: Log) -> list[Array]:
     """Return the clouds (N, 3), tracker's frame, of places that the robot visited repeatedly."""
     return [positions_mm(points) for points in repeated_visits(log)]
@@ -113,9 +106,15 @@ def visits_mm(log: Log) -> list[Array]:
 def visit_scatter(log: Log, R: Array) -> tuple[Array, int, int]:
     """Return the covariance (3, 3) of one visit, turned by ``R`` (3, 3) from the tracker's frame.
 
-    Pooled over the places (GUM H.3.6); with it the numbers of visits and of places.
+    With it the numbers of visits and of places.
     """
-    clouds_mm = visits_mm(log)
+    return pooled(visits_mm(log), R)
+
+
+def pooled(clouds_mm: Sequence[Array], R: Array) -> tuple[Array, int, int]:
+    """Return the covariance (3, 3) of clouds (N, 3) about the mean of each, turned by ``R`` (3, 3),
+    with the numbers of points and of clouds (GUM H.3.6).
+    """
     left_mm = np.concatenate([cloud - cloud.mean(axis=0) for cloud in clouds_mm]) @ R.T
     covariance_mm2: Array = left_mm.T @ left_mm / (len(left_mm) - len(clouds_mm))
     return covariance_mm2, len(left_mm), len(clouds_mm)

@@ -3,8 +3,9 @@
 Two calibrations of one cell have the same frames in {W}, whatever the tracker's set-up was: that of
 the base at the grid's station, and those of the slide at all stations. A reflector of another size,
 a prism with another offset, a tilted axis of the tracker or a base that was moved shows there and
-nowhere in the run itself: it is in all of its readings alike. So each coordinate is compared with
-what both runs state of it, and a person says which of both is right.
+nowhere in the run itself: it is in all of its readings alike. So is a brake that slips at each of
+its stops, in what a visit of a place scatters by. So each is compared with what both runs state of
+it, and a person says which of both is right.
 
 Noise passes a limit in one of a thousand pairs of calibrations, all parameters together. Stated
 limits (drift, tracker, seating, hold, growth) are taken as such, and both are added in quadrature.
@@ -20,6 +21,7 @@ import numpy as np
 
 from hilcell.calibration.base_circles import axis_6_height_mm
 from hilcell.calibration.contribution import systematic_mm2
+from hilcell.calibration.errors import pooled, visits_mm
 from hilcell.calibration.frame_covariance import (
     FLOOR_NESTS,
     floor_points,
@@ -30,7 +32,12 @@ from hilcell.calibration.frame_covariance import (
 )
 from hilcell.calibration.suspicions import Suspicion
 from hilcell.geometry.rotations import to_rotvec
-from hilcell.geometry.statistics import f_quantile, lengths_mm, rectangular_variance
+from hilcell.geometry.statistics import (
+    f_quantile,
+    lengths_mm,
+    rectangular_variance,
+    trace_freedom,
+)
 from hilcell.journal.log import FloorBefore, Log, positions_mm, variances_mm2
 from hilcell.ports import Array
 
@@ -101,8 +108,9 @@ def compared(log: Log, *, with_base: bool = True) -> list[Parameter]:
     freedom = 2.0 * len(log.select("base")) - FITTED
     if not (known and freedom > 0.0):
         return []
-    factor = float(np.sqrt(f_quantile(1.0 - RISK / (6 * len(known)), 1, freedom)))
-    found: list[Parameter] = []
+    risk = RISK / (6 * len(known) + 1)
+    factor = float(np.sqrt(f_quantile(1.0 - risk, 1, freedom)))
+    found = _repeatability(log, [np.array(cloud) for cloud in before.visits_mm], risk)
     for key, then in known:
         both = np.array(log.frames[key]["covariance"]) + np.array(then.covariance)
         noise = noise_covariance(log, key) + np.array(then.covariance)
@@ -111,6 +119,22 @@ def compared(log: Log, *, with_base: bool = True) -> list[Parameter]:
         limits = np.hypot(*np.sqrt([factor**2 * np.diag(noise), BOUNDED**2 * np.diag(stated)]))
         found += _coordinates(key, np.array(then.matrix), log.matrix(key), limits)
     return found
+
+
+def _repeatability(log: Log, then_mm: list[Array], risk: float) -> list[Parameter]:
+    """Return what one visit of a place scatters by, from clouds (N, 3) of both runs, if any.
+
+    Nothing says how much of then's scatter was the readings' noise: all of now's may be more.
+    """
+    now_mm = visits_mm(log)
+    if not (now_mm and then_mm):
+        return []
+    estimates = [pooled(clouds, np.eye(3)) for clouds in (then_mm, now_mm)]
+    then, now = (float(np.sqrt(np.trace(covariance_mm2))) for covariance_mm2, _, _ in estimates)
+    of_then, of_now = (trace_freedom(C, visits - places) for C, visits, places in estimates)
+    noise_mm2 = variances_mm2(log.select("repeatability")).sum(axis=1).mean()
+    most_mm2 = SPREAD * f_quantile(1.0 - risk, of_now, of_then) * then**2 + noise_mm2
+    return [Parameter("repeatability", "mm", then, now, float(np.sqrt(most_mm2)) - then)]
 
 
 def _coordinates(key: str, then: Array, now: Array, limits: Array) -> Iterator[Parameter]:

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilcell.calibration.errors import repeated_visits
 from hilcell.geometry.beam_noise import BeamNoise
-from hilcell.journal.log import NO_READINGS, Log, Point, positions_mm
+from hilcell.journal.log import NO_READINGS, Log, Point, positions_mm, repeated_visits
 from hilcell.journal.reading_noise import noise_at, run_noise
 from hilcell.ports import Array
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from hilcell.cell.file import Cell
 from hilcell.journal.index import read_index
-from hilcell.journal.log import FloorBefore, FrameBefore, Log
+from hilcell.journal.log import FloorBefore, FrameBefore, Log, repeated_visits
 from hilcell.journal.runs import CALIBRATION, read_log
 from hilcell.journal.standing import current_of, measured_by
 from hilcell.ports import DeviceError
@@ -101,6 +101,7 @@ def measured_before(name: str, log: Log, cell: Cell) -> FloorBefore | None:
         _base_before(log, cell),
         then.robot == cell.robot and then.base_frame == cell.base_frame,
         _stations_before(log, cell),
+        visits_mm=_visits_before(log, cell),
     )
 
 
@@ -153,3 +154,10 @@ def _stations_before(log: Log, cell: Cell) -> dict[str, FrameBefore]:
         for name, frame in frames.items()
         if "covariance" in frame
     }
+
+
+def _visits_before(log: Log, cell: Cell) -> list[list[tuple[float, float, float]]]:
+    """Return clouds of places that the robot visited repeatedly, where the cell still has them."""
+    if (log.cell.robot, log.cell.grid) != (cell.robot, cell.grid):
+        return []
+    return [[point.xyz_mm for point in visits] for visits in repeated_visits(log)]

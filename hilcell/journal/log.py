@@ -175,6 +175,7 @@ class FloorBefore(msgspec.Struct, frozen=True):
 
     ``alike``: the base was measured with the same robot on the same circles. ``frames_c`` is the
     air's temperature of base and slide, where another run measured them than the nests.
+    ``visits_mm`` are clouds of places of the same grid that this robot visited repeatedly.
     """
 
     run: str
@@ -184,6 +185,7 @@ class FloorBefore(msgspec.Struct, frozen=True):
     alike: bool = False
     stations: dict[str, FrameBefore] = {}
     frames_c: float | None = None
+    visits_mm: list[list[tuple[float, float, float]]] = []
 
 
 class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
@@ -505,6 +507,14 @@ class Log:
 def positions_mm(points: Iterable[Point]) -> Array:
     """Return the raw positions (N, 3) in the tracker's frame."""
     return np.array([point.xyz_mm for point in points]).reshape(-1, 3)
+
+
+def repeated_visits(log: Log) -> list[list[Point]]:
+    """Return the points of each place that the robot visited repeatedly."""
+    places: dict[int | None, list[Point]] = {}
+    for point in log.select("repeatability"):
+        places.setdefault(point.id.place, []).append(point)
+    return [points for points in places.values() if len(points) > 1]
 
 
 def commanded_rad(points: Iterable[Point]) -> Array:

@@ -11,7 +11,7 @@ import pytest
 from hilcell.calibration.file import read_calibration, write_calibration
 from hilcell.calibration.form import Update
 from hilcell.calibration.noticed import changes, suspicions_of
-from hilcell.calibration.since import compared
+from hilcell.calibration.since import Parameter, changed_since, compared
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.calibration_facts import USED
 from hilcell.journal.floor_before import floor_before
@@ -52,7 +52,7 @@ def test_the_same_base_and_stations_hold(log: Log, before: FloorBefore) -> None:
     found = changes(then(log, before))
     assert all(each.holds for each in found)
     places = 1 + len(log.cell.station)
-    assert len(found) == 6 * places
+    assert len(found) == 1 + 6 * places
     assert all(each.now - each.then == pytest.approx(0.0, abs=1e-9) for each in found)
     assert suspicions_of(log) == []
 
@@ -62,8 +62,8 @@ def test_without_a_rail_the_base_alone_is_compared(golden: GoldenRuns) -> None:
     before = floor_before(golden["seats"].runs, log.cell, 1)
     assert before is not None
     found = compared(then(log, before))
-    assert {each.name.split()[0] for each in found} == {"base"}
-    assert len(found) == 6
+    assert {each.name.split()[0] for each in found} == {"base", "repeatability"}
+    assert len(found) == 7
     assert all(each.holds and each.limit > 0.0 for each in found)
 
 
@@ -96,6 +96,43 @@ def test_a_station_that_lies_elsewhere_is_a_suspicion(log: Log, before: FloorBef
     frames = before.stations | {station: moved(before.stations[station], (0, 3.0, 0), (0, 0, 0))}
     (found,) = suspicions_of(then(log, msgspec.structs.replace(before, stations=frames)))
     assert found.unit == f"mm of {station} y"
+
+
+def scatter(log: Log, before: FloorBefore, share: float) -> Parameter:
+    """Return the repeatability beside one of then that was a share of it."""
+    clouds = [np.array(cloud) for cloud in before.visits_mm]
+    visits = [cloud.mean(axis=0) + share * (cloud - cloud.mean(axis=0)) for cloud in clouds]
+    less = msgspec.structs.replace(before, visits_mm=[each.tolist() for each in visits])
+    (found,) = [each for each in compared(then(log, less)) if each.name == "repeatability"]
+    assert found.then == pytest.approx(share * found.now)
+    return found
+
+
+def test_a_robot_that_scatters_more_than_then_is_a_suspicion(log: Log, before: FloorBefore) -> None:
+    """A brake that slips from the first point on is in the scatter of all its visits alike."""
+    assert scatter(log, before, 0.7).holds
+    found = changed_since([scatter(log, before, 0.1)], before.run)
+    assert found is not None
+    assert found.unit == "mm of repeatability"
+
+
+def test_no_scatter_is_compared_on_another_grid(golden: GoldenRuns, log: Log) -> None:
+    grid = msgspec.structs.replace(log.cell.grid, pitch_mm=log.cell.grid.pitch_mm / 2.0)
+    other = floor_before(golden["small"].runs, msgspec.structs.replace(log.cell, grid=grid), 1)
+    assert other is not None
+    assert other.visits_mm == []
+    assert "repeatability" not in {each.name for each in compared(then(log, other))}
+
+
+def test_the_noise_of_readings_makes_no_robot_worse(log: Log, before: FloorBefore) -> None:
+    """As of a tracker that stands farther away than it did then."""
+    noisy = [
+        msgspec.structs.replace(point, std_mm=(0.2, 0.2, 0.2))
+        for point in log.select("repeatability")
+    ]
+    for point in noisy:
+        log.points[point.key] = point
+    assert scatter(log, before, 0.1).holds
 
 
 def test_another_station_of_the_grid_is_not_compared(golden: GoldenRuns, log: Log) -> None:
