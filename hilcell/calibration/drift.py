@@ -37,7 +37,7 @@ from hilcell.ports import Array, HilcellError
 KINDS = ("grid", "revisit", "touch", "validate", "closing")
 NOTICED_BY = "all poses of the run, in their order"
 LEAST_POSES = 30
-RISK = 0.01  # of a slope by chance; that it must matter as well leaves far less
+RISK = 0.001  # of a slope by chance, over all causes
 MODEL_MM = 0.05  # root mean square over the poses
 MOTION = 6  # of {B} at a hold: shift, rotation vector
 

@@ -27,7 +27,7 @@ from hilcell.calibration.frame_covariance import (
 from hilcell.calibration.influence import SIZE, NoBound, motion
 from hilcell.calibration.known_length import scale
 from hilcell.calibration.reversal import reversal
-from hilcell.calibration.scatter import scattered
+from hilcell.calibration.scatter import scattered, worse_than_stated
 from hilcell.calibration.since import (
     FITTED,
     Parameter,
@@ -181,7 +181,7 @@ def suspicions_of(log: Log) -> list[Suspicion]:
     named = any(each.cause != "unknown" for each in of_robot)
     slow = None if named else tracker_drift(log) or scattered(log) or robot_drift(log)
     found = [scale(log), *instrument(log), warm(log), misplaced_base(log)]
-    found += [risen_nest(log), since_before(log), *of_robot, slow]
+    found += [risen_nest(log), since_before(log), worse_than_stated(log), *of_robot, slow]
     return [each for each in found if each is not None]
 
 

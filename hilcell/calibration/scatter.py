@@ -1,4 +1,4 @@
-"""Corrected targets that scatter by more than the run's own visits, readings and model explain.
+"""A robot that repeats worse than it should: its data sheet, or its visits of a few places, say so.
 
 A brake that slips a little at each stop moves no mean and loses no zero: each target is somewhat
 beside its place, every time otherwise. So the deviations e of the corrected targets from their
@@ -6,10 +6,13 @@ mean at each station are compared with their covariance C: all together by the m
 ``e' C^-1 e / 3``, and along the column a of each large axis by the mean of
 ``(a' C^-1 e)^2 / a' C^-1 a``. Both are 1 where the budget of the validation is true, and are judged
 as F, the denominator's degrees of freedom those with which the run knows its visits and model.
+
+If it slips from the first point on, the visits have it, too. They are compared with the stated RP.
 """
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import NamedTuple
 
 import msgspec
@@ -17,15 +20,23 @@ import numpy as np
 
 from hilcell.calibration.bounds import validated_bounds, validation_points
 from hilcell.calibration.change import RISK, SPREAD
+from hilcell.calibration.errors import visit_scatter
 from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.influence import NoBound
 from hilcell.calibration.suspicions import LARGE_AXES, ZEROS, Suspicion
 from hilcell.geometry.jacobian import parameter_jacobian
-from hilcell.geometry.statistics import effective_freedom, f_quantile, rms
-from hilcell.journal.log import NO_READINGS, Log, commanded_rad
+from hilcell.geometry.statistics import (
+    chi2_quantile,
+    effective_freedom,
+    f_quantile,
+    rms,
+    trace_freedom,
+)
+from hilcell.journal.log import NO_READINGS, Log, commanded_rad, repeated_visits, variances_mm2
 from hilcell.ports import Array
 
 NOTICED_BY = "scatter of the corrected targets"
+ISOTROPIC = 2.088  # RP = l + 3 S_l over rms distance, scatter alike in all directions; more else
 DIRECTIONS = 3  # of a covariance: one of them has a third of its degrees of freedom
 
 
@@ -60,6 +71,25 @@ def scattered(log: Log) -> Suspicion | None:
     if found is None or found.holds:
         return None
     return Suspicion("repeatability", found.size, found.unit, NOTICED_BY)
+
+
+def worse_than_stated(log: Log) -> Suspicion | None:
+    """Return a repeatability worse than the stated one, where repeated visits show it.
+
+    The least ratio of RP to the rms distance is taken, and the readings' noise comes on top.
+    """
+    stated_mm, visits = log.cell.uncertainty.rp_mm, repeated_visits(log)
+    if stated_mm is None or not visits:
+        return None
+    covariance_mm2, count, places = visit_scatter(log, np.eye(3))
+    noise_mm2 = float(variances_mm2([*chain(*visits)]).sum(axis=1).mean())
+    freedom = trace_freedom(covariance_mm2, count - places)
+    most = SPREAD * chi2_quantile(1.0 - RISK, freedom) / freedom
+    seen_mm2 = float(np.trace(covariance_mm2))
+    if seen_mm2 <= most * ((stated_mm / ISOTROPIC) ** 2 + noise_mm2):
+        return None
+    size_mm = ISOTROPIC * float(np.sqrt(seen_mm2 - noise_mm2))
+    return Suspicion("repeatability", size_mm, "mm", f"repeated visits, RP {stated_mm:g} mm stated")
 
 
 def _scatter(log: Log) -> Scatter | None:

@@ -10,6 +10,7 @@ from hilcell.geometry.kinematics import Array
 
 SCALE_PPM = 100.0  # of a weather station that lies, by 10 K or 30 hPa about each
 ACROSS_DEG = 30.0  # between lengths of two directions
+SLIP_DEG = 0.003  # at random, 1 sigma, at each stop
 SEATING_MM, SEATED_MM = 0.03, 0.07  # dirt in each nest, and how far it moves targets
 
 
@@ -33,6 +34,12 @@ def unseen(cell: Cell, *, turns_over: bool) -> list[str]:
         found.append(
             "the tracker is not turned over: a collimation, transit axis or index that is off is "
             f"not seen; 50 µrad move targets by up to {50e-6 * _range_mm(cell):.2f} mm"
+        )
+    if cell.uncertainty.rp_mm is None:
+        found.append(
+            "the robot's repeatability is not stated (uncertainty.rp_mm, of its data sheet): one "
+            "that repeats worse from the first point on, as a brake of axis 2 that slips by "
+            f"{SLIP_DEG:g} deg, is not seen; it moves targets by {_slipped_mm(cell):.2f} mm (rms)"
         )
     found.append(
         "a reflector that differs from the others in its own place: a prism 0.15 mm long on the "
@@ -59,6 +66,11 @@ def _scaled_mm(cell: Cell) -> float:
     """
     lever_mm = np.linalg.norm(_centre_mm(cell) - cell.layout.floor[0].xyz_mm)
     return float(1e-6 * SCALE_PPM * lever_mm)
+
+
+def _slipped_mm(cell: Cell) -> float:
+    reach_mm = np.linalg.norm(cell.grid.centre.matrix()[:3, 3])
+    return float(np.radians(SLIP_DEG) * reach_mm)
 
 
 def _range_mm(cell: Cell) -> float:

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.scatter import Deviations, Scatter, worst_scatter
+from hilcell.calibration.scatter import (
+    Deviations,
+    Scatter,
+    worse_than_stated,
+    worst_scatter,
+)
 from hilcell.calibration.suspicions import LARGE_AXES, ZEROS
 from hilcell.cell.file import load_cell
 from hilcell.geometry.jacobian import parameter_jacobian
+from hilcell.journal.journal import read_journal
+from hilcell.journal.log import Log
+from hilcell.journal.runs import JOURNAL
 from hilcell.ports import Array
 from procedures.plan import joints_for
 from procedures.validate import targets
+from tests.whole.golden import GoldenRuns
 
 CELL = load_cell("paper")
 ARM = CELL.robot.arm()
@@ -62,3 +72,36 @@ def test_a_robot_that_scatters_in_all_directions_is_found() -> None:
 
 def test_a_figure_that_is_none_holds_nothing() -> None:
     assert not Scatter(float("nan"), 2.0, 0.0, "mm").holds
+
+
+@pytest.fixture
+def log(golden: GoldenRuns) -> Log:
+    return Log(read_journal(golden["small"].folder / JOURNAL))
+
+
+def stating(log: Log, rp_mm: float | None) -> Log:
+    cell = {**log.inputs.cell, "uncertainty": {"rp_mm": rp_mm}}
+    log.plan = msgspec.structs.replace(log.inputs, cell=cell)
+    return log
+
+
+def test_visits_that_keep_the_stated_repeatability_are_no_suspicion(log: Log) -> None:
+    assert worse_than_stated(stating(log, 0.06)) is None
+
+
+def test_visits_are_compared_with_no_repeatability_that_nobody_states(log: Log) -> None:
+    assert worse_than_stated(stating(log, None)) is None
+
+
+def test_visits_that_scatter_by_more_than_the_stated_repeatability_are_one(log: Log) -> None:
+    found = worse_than_stated(stating(log, 0.02))
+    assert found is not None
+    assert (found.cause, found.unit) == ("repeatability", "mm")
+    assert found.size == pytest.approx(0.06, abs=0.02)
+    assert "RP 0.02 mm stated" in found.noticed_by
+
+
+def test_the_noise_of_readings_is_not_the_robots(log: Log) -> None:
+    for point in log.select("repeatability"):
+        log.points[point.key] = msgspec.structs.replace(point, std_mm=(0.1, 0.1, 0.1))
+    assert worse_than_stated(stating(log, 0.02)) is None

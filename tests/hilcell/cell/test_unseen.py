@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import pytest
 
 from hilcell.cell.file import load_cell
@@ -34,3 +35,11 @@ def test_each_is_stated_with_its_size(
     assert len(found) == len(words)
     for part, text in zip(words, found, strict=True):
         assert part in text
+
+
+def test_a_robot_without_a_stated_repeatability_may_repeat_worse() -> None:
+    cell = load_cell("paper")
+    unstated = msgspec.structs.replace(cell.uncertainty, rp_mm=None)
+    found = unseen(msgspec.structs.replace(cell, uncertainty=unstated), turns_over=True)
+    (text,) = [each for each in found if "uncertainty.rp_mm" in each]
+    assert "0.003 deg, is not seen; it moves targets by 0.11 mm" in text

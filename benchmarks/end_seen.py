@@ -1,0 +1,70 @@
+"""``python -m benchmarks.end_seen [BUSY]``: how long after its end a screen shows a run's end.
+
+A calibration runs, a screen attends it in a real terminal, with nothing beside and then with eight
+processes that never rest, or with BUSY. Target: 2 s from the journal's last record.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import subprocess
+import sys
+import tempfile
+import time
+from datetime import datetime
+from pathlib import Path
+
+from benchmarks.words import parser
+from hilcell.journal.journal import read_journal
+from hilcell.journal.runs import JOURNAL
+from tests.whole.terminal import Terminal
+
+HILCELL = [sys.executable, "-m", "hilcell"]
+SETTINGS = ["--set", "plan.quick=true"]
+ENDS = ("● DONE", "● ABORTED", "● FAULTED")  # the lamp of the state
+
+
+def never_rests() -> None:
+    """Keep a processor busy."""
+    while True:
+        pass
+
+
+def late_s(runs: Path) -> float:
+    """Calibrate beside a screen; return the time from the last record to the end on the screen."""
+    words = [*HILCELL, "run", "--unattended", "--name", "run", "--runs", str(runs), *SETTINGS]
+    engine = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        while not (runs / "run" / "engine.json").exists():
+            time.sleep(0.05)
+        with Terminal(["tui", "--runs", str(runs), "run"], columns=140, rows=45) as terminal:
+            terminal.shows("LIVE")
+            terminal.until(lambda text: any(each in text for each in ENDS))
+            seen_s = time.time()
+    finally:
+        engine.wait()
+    *_, last = read_journal(runs / "run" / JOURNAL)
+    return seen_s - datetime.fromisoformat(last.t).timestamp()
+
+
+def main() -> None:
+    """Measure alone and beside the busy processes."""
+    words = parser(__doc__)
+    words.add_argument("busy", nargs="?", type=int, default=8, metavar="BUSY")
+    busy = words.parse_args().busy
+    beside = [multiprocessing.Process(target=never_rests, daemon=True) for _ in range(busy)]
+    with tempfile.TemporaryDirectory() as folder:
+        alone_s = late_s(Path(folder, "alone"))
+        for each in beside:
+            each.start()
+        busy_s = late_s(Path(folder, "busy"))
+        for each in beside:
+            each.kill()
+    print(
+        f"end on the screen: alone {alone_s:.2f} s after it, beside {busy} busy processes "
+        f"{busy_s:.2f} s (target 2) = {busy_s / alone_s:.1f} x"
+    )
+
+
+if __name__ == "__main__":
+    main()
