@@ -78,7 +78,7 @@ def worse_than_stated(log: Log) -> Suspicion | None:
 
     The least ratio of RP to the rms distance is taken, and the readings' noise comes on top.
     """
-    stated_mm, visits = log.cell.uncertainty.rp_mm, repeated_visits(log)
+    stated_mm, visits = log.cell.robot.rp_mm, repeated_visits(log)
     if stated_mm is None or not visits:
         return None
     covariance_mm2, count, places = visit_scatter(log, np.eye(3))

@@ -586,13 +586,14 @@ class Cell(Frozen, frozen=True, kw_only=True):
     def digest(self) -> str:
         """Return SHA-256 over canonical JSON of the cell, without its simulation and its plan.
 
-        Neither has it what the arm keeps clear of, nor what is stated of uncertainty: they move no
-        measured point.
+        Neither has it what the arm keeps clear of, nor what is stated of uncertainty and of the
+        robot's repeatability: they move no measured point.
         """
         values = msgspec.to_builtins(self)
         for table in NOT_THE_CELL:
             values.pop(table)
         values["robot"].pop("envelope")
+        values["robot"].pop("rp_mm")
         if not self.robot.more_smr_mm:  # as in files that know no such key
             values["robot"].pop("more_smr_mm")
         if self.validation.max_tolerance_deg is None:

@@ -21,6 +21,7 @@ from hilcell.cell.tables import (
     Point,
     Six,
     Speed,
+    Tolerance,
     refuse_descending,
 )
 from hilcell.geometry.inverse import NominalRobot
@@ -53,7 +54,7 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
     """The robot: nominal kinematics, where the reflector sits, how it moves.
 
     ``smr_mm`` is the tool point. Two or more other reflectors, ``more_smr_mm``, make the tool's
-    orientation measurable.
+    orientation measurable. ``rp_mm`` is its pose repeatability (ISO 9283) by the data sheet.
     """
 
     driver: Name
@@ -68,6 +69,7 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
     approach_deg: Annotated[float, Meta(gt=0, le=90)] = 0.5
     joint_margin_deg: Annotated[float, Meta(ge=0, le=90)] = 2.0
     ramp_s: Annotated[float, Meta(ge=0, le=10)] = 0.5
+    rp_mm: Tolerance | None = None
     first_pass_percent: Percent = 10.0
     first_pass_pause: bool | None = None
     envelope: EnvelopeTable | None = None

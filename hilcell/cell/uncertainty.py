@@ -17,7 +17,7 @@ import msgspec
 from msgspec import Meta
 
 from hilcell.cell.settings import SettingsError, read_text
-from hilcell.cell.tables import Frozen, Point, Rate, Tolerance
+from hilcell.cell.tables import Frozen, Point, Rate
 from hilcell.clean import clean
 
 # The file is not trusted: it has a size limit and no document type, so nothing in it is expanded
@@ -153,8 +153,7 @@ class UncertaintyTable(Frozen, frozen=True, kw_only=True):
     The tracker's limit is ``tracker_limit_mm`` in each direction, and across the beam
     ``tracker_limit_um_m`` times the range besides. ``arm_growth_um_m_k`` is the most, that
     of aluminium: an arm lags the room. ``drill_offset_mm`` is where the tool works,
-    from the reflector's centre, with the axes of {T}. ``rp_mm`` is the robot's pose repeatability
-    (ISO 9283) by its data sheet, None where none is stated. Certificates are numbers and dates, as
+    from the reflector's centre, with the axes of {T}. Certificates are numbers and dates, as
     the report's first page shall name them; a DCC file names its own, see `with_certificates`.
     """
 
@@ -164,7 +163,6 @@ class UncertaintyTable(Frozen, frozen=True, kw_only=True):
     drift_limit_mm: Limit = 0.02  # where the floor nests were not measured again
     arm_growth_um_m_k: Rate = 23.0
     air_range_k: Annotated[float, Meta(ge=0, le=60)] = 4.0  # without a weather station
-    rp_mm: Tolerance | None = None
     lost_motion_urad: Urad = 100.0  # of an axis that reverses, by the robot's data sheet
     reversal_limit_mm: Limit = 0.0  # programs approach from below on every axis, as the run does
     drill_offset_mm: Point = (0.0, 0.0, 0.0)

@@ -35,9 +35,9 @@ def unseen(cell: Cell, *, turns_over: bool) -> list[str]:
             "the tracker is not turned over: a collimation, transit axis or index that is off is "
             f"not seen; 50 µrad move targets by up to {50e-6 * _range_mm(cell):.2f} mm"
         )
-    if cell.uncertainty.rp_mm is None:
+    if cell.robot.rp_mm is None:
         found.append(
-            "the robot's repeatability is not stated (uncertainty.rp_mm, of its data sheet): one "
+            "the robot's repeatability is not stated (robot.rp_mm, of its data sheet): one "
             "that repeats worse from the first point on, as a brake of axis 2 that slips by "
             f"{SLIP_DEG:g} deg, is not seen; it moves targets by {_slipped_mm(cell):.2f} mm (rms)"
         )

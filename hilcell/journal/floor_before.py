@@ -99,7 +99,7 @@ def measured_before(name: str, log: Log, cell: Cell) -> FloorBefore | None:
         {nest: point.xyz_mm for nest, point in nests.items()},
         sum(air_c) / len(air_c) if air_c else None,
         _base_before(log, cell),
-        then.robot == cell.robot and then.base_frame == cell.base_frame,
+        _same_robot(then, cell) and then.base_frame == cell.base_frame,
         _stations_before(log, cell),
         visits_mm=_visits_before(log, cell),
     )
@@ -156,8 +156,13 @@ def _stations_before(log: Log, cell: Cell) -> dict[str, FrameBefore]:
     }
 
 
+def _same_robot(then: Cell, now: Cell) -> bool:
+    """Whether both have one robot, whatever is stated of its repeatability."""
+    return msgspec.structs.replace(then.robot, rp_mm=now.robot.rp_mm) == now.robot
+
+
 def _visits_before(log: Log, cell: Cell) -> list[list[tuple[float, float, float]]]:
     """Return clouds of places that the robot visited repeatedly, where the cell still has them."""
-    if (log.cell.robot, log.cell.grid) != (cell.robot, cell.grid):
+    if not (_same_robot(log.cell, cell) and log.cell.grid == cell.grid):
         return []
     return [[point.xyz_mm for point in visits] for visits in repeated_visits(log)]

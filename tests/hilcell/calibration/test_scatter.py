@@ -80,7 +80,7 @@ def log(golden: GoldenRuns) -> Log:
 
 
 def stating(log: Log, rp_mm: float | None) -> Log:
-    cell = {**log.inputs.cell, "uncertainty": {"rp_mm": rp_mm}}
+    cell = {**log.inputs.cell, "robot": {**log.inputs.cell["robot"], "rp_mm": rp_mm}}
     log.plan = msgspec.structs.replace(log.inputs, cell=cell)
     return log
 

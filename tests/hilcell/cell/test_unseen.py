@@ -39,7 +39,7 @@ def test_each_is_stated_with_its_size(
 
 def test_a_robot_without_a_stated_repeatability_may_repeat_worse() -> None:
     cell = load_cell("paper")
-    unstated = msgspec.structs.replace(cell.uncertainty, rp_mm=None)
-    found = unseen(msgspec.structs.replace(cell, uncertainty=unstated), turns_over=True)
-    (text,) = [each for each in found if "uncertainty.rp_mm" in each]
+    unstated = msgspec.structs.replace(cell.robot, rp_mm=None)
+    found = unseen(msgspec.structs.replace(cell, robot=unstated), turns_over=True)
+    (text,) = [each for each in found if "robot.rp_mm" in each]
     assert "0.003 deg, is not seen; it moves targets by 0.11 mm" in text
