@@ -20,7 +20,6 @@ from hilcell.journal.runs import JOURNAL
 from tests.whole.terminal import Terminal
 
 HILCELL = [sys.executable, "-m", "hilcell"]
-SETTINGS = ["--set", "plan.quick=true"]
 ENDS = ("● DONE", "● ABORTED", "● FAULTED")  # the lamp of the state
 
 
@@ -32,7 +31,7 @@ def never_rests() -> None:
 
 def late_s(runs: Path) -> float:
     """Calibrate beside a screen; return the time from the last record to the end on the screen."""
-    words = [*HILCELL, "run", "--unattended", "--name", "run", "--runs", str(runs), *SETTINGS]
+    words = [*HILCELL, "run", "--unattended", "--name", "run", "--runs", str(runs)]
     engine = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         while not (runs / "run" / "engine.json").exists():

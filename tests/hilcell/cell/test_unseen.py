@@ -18,13 +18,31 @@ ACROSS = {
 @pytest.mark.parametrize(
     ("values", "turns_over", "words"),
     [
-        ({}, True, ["along one direction", "a prism", "0.03 mm in each floor nest"]),
-        (ACROSS, True, ["a prism", "0.03 mm in each floor nest"]),
-        (ACROSS, False, ["turned over", "a prism", "0.03 mm in each floor nest"]),
+        (
+            {},
+            True,
+            [
+                "along one direction",
+                "a prism",
+                "than robot.smr_mm says",
+                "0.03 mm in each floor nest",
+            ],
+        ),
+        (ACROSS, True, ["a prism", "than robot.smr_mm says", "0.03 mm in each floor nest"]),
+        (
+            ACROSS,
+            False,
+            ["turned over", "a prism", "than robot.smr_mm says", "0.03 mm in each floor nest"],
+        ),
         (
             WITHOUT,
             True,
-            ["100 ppm move targets by 0.12 mm", "a prism", "0.03 mm in each floor nest"],
+            [
+                "100 ppm move targets by 0.12 mm",
+                "a prism",
+                "than robot.smr_mm says",
+                "0.03 mm in each floor nest",
+            ],
         ),
     ],
 )
