@@ -3,10 +3,10 @@
 Nothing but the holes and the cell's boxes is known of a part. So it is taken to lie behind the
 plane of each hole, as far as that hole is the nearest one and not farther than `REACH_MM`; and a
 box of ``[[keep_out]]`` on which a hole lies is the part, or the jig that carries it, unless the box
-sticks out in front of that hole. The tool's tip
-is in front of all else of the tool, so it is judged against both; the arm, and the line from its
-flange to the tip, are judged against the other boxes, as in a run. Close to a hole, on the straight
-way, the tip may be near to such a box, but not in it. Lengths mm, angles rad.
+sticks out in front of that hole. The tool's tip is in front of all else of the tool, so it is
+judged against both, and so is the arm as far as its wrist; the wrist, and the line from the flange
+to the tip, are judged against the other boxes, as in a run. Close to a hole, on the straight way,
+the tip may be near to such a box, but not in it. Lengths mm, angles rad.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from hilcell.ports import Array
 
 REACH_MM = 300.0  # from a hole: farther away nothing is known of the part
 ON_BOX_MM = 5.0  # a hole this near to a box lies on it
+TO_WRIST = 4  # links: what comes after them works close to the part
 AT_HOLE_MM = 1.0  # of a hole: there the tip may touch what it drills
 LOOK_MM = 5.0  # between looks along a way
 LOOKS = 9  # by which a way's length is estimated
@@ -66,12 +67,15 @@ class Clearance:
         boxes = [_Box(cell, station, each) for each in cell.keep_out]
         self._carriers = [box for box in boxes if box.carries(part, least_mm)]
         self._others = [box for box in boxes if box not in self._carriers]
-        self._around = self._around_tool = None
-        if (envelope := cell.robot.envelope) is not None and self._others:
-            known = (cell.layout, [box.table for box in self._others])
-            self._around = Surroundings(cell.robot.arm(), envelope, *known)
+        self._around = self._around_tool = self._to_wrist = None
+        if (envelope := cell.robot.envelope) is not None:
+            shape, layout = cell.robot.arm(), cell.layout
             longer = replace(envelope, capsule=[*envelope.capsule, _tool_line(arm)])
-            self._around_tool = Surroundings(cell.robot.arm(), longer, *known)
+            if others := [box.table for box in self._others]:
+                self._around = Surroundings(shape, envelope, layout, others)
+                self._around_tool = Surroundings(shape, longer, layout, others)
+            if carriers := [box.table for box in self._carriers]:
+                self._to_wrist = Surroundings(shape, envelope, layout, carriers, TO_WRIST)
 
     def refusal(self, start_rad: Array, end_rad: Array) -> str:
         """Return why a motion of all joints in step between (6,) and (6,) is not clear, or ""."""
@@ -105,16 +109,17 @@ class Clearance:
         return ""
 
     def _collides(self, around: Surroundings | None, starts_rad: Array, ends_rad: Array) -> str:
-        if around is None:
-            return ""
         start, end = (posture(self._rail_mm, each) for each in (starts_rad, ends_rad))
-        proof = around.prove(start, end)
-        for n in np.flatnonzero(~proof.clear).tolist():
-            nearest = around.nearest(start[n], end[n], float(proof.share[n]))
-            return (
-                f"link {nearest.link} comes within {nearest.clearance_mm:.1f} mm of keep-out "
-                f"{nearest.volume}, expected at least {around.wanted_mm:.0f} mm"
-            )
+        for known in (around, self._to_wrist):
+            if known is None:
+                continue
+            proof = known.prove(start, end)
+            for n in np.flatnonzero(~proof.clear).tolist():
+                nearest = known.nearest(start[n], end[n], float(proof.share[n]))
+                return (
+                    f"link {nearest.link} comes within {nearest.clearance_mm:.1f} mm of keep-out "
+                    f"{nearest.volume}, expected at least {known.wanted_mm:.0f} mm"
+                )
         return ""
 
     def _looks_mm(self, start_rad: Array, end_rad: Array) -> Array:

@@ -71,10 +71,15 @@ class Nearest:
 
 
 class Surroundings:
-    """The volumes of a cell, and whether its arm keeps clear of them."""
+    """The volumes of a cell, and whether its arm, up to a link, keeps clear of them."""
 
     def __init__(
-        self, arm: Arm, envelope: EnvelopeTable, layout: Layout, keep_out: Sequence[KeepOut]
+        self,
+        arm: Arm,
+        envelope: EnvelopeTable,
+        layout: Layout,
+        keep_out: Sequence[KeepOut],
+        to_link: int = LINKS,
     ) -> None:
         standing = [volume for volume in keep_out if volume.frame == "world"]
         riding = [volume for volume in keep_out if volume.frame == "slide"]
@@ -82,7 +87,7 @@ class Surroundings:
         self._names = [volume.name for volume in (*standing, *riding)]
         self._body = Body(
             arm,
-            _capsules(arm, envelope),
+            _capsules(arm, envelope, to_link),
             layout.nominal_base(0.0),
             np.array(layout.rail_direction),
             _boxes(standing),
@@ -139,15 +144,16 @@ def _boxes(volumes: list[KeepOut]) -> Boxes:
     return Boxes(np.reshape(frames, (-1, 4, 4)), np.reshape(sizes_mm, (-1, 3)) / 2)
 
 
-def _capsules(arm: Arm, envelope: EnvelopeTable) -> Capsules:
+def _capsules(arm: Arm, envelope: EnvelopeTable, to_link: int) -> Capsules:
     lines = [
         (link, segment, radius_mm)
-        for link, radius_mm in enumerate(envelope.radius_mm, start=1)
+        for link, radius_mm in enumerate(envelope.radius_mm[:to_link], start=1)
         for segment in joint_lines(arm, link)
     ]
     parts = [
         (part.link, np.array([part.from_mm, part.to_mm]), part.radius_mm)
         for part in envelope.capsule
+        if part.link <= to_link
     ]
     links, ends_mm, radii_mm = zip(*lines, *parts, strict=True)
     return Capsules(np.array(links), np.array(ends_mm), np.array(radii_mm))

@@ -100,8 +100,8 @@ def motions(
 
 
 def test_no_way_of_a_program_touches_the_part_but_at_its_holes(tmp_path: Path) -> None:
-    """200 holes on two stations: from hole to hole the tool keeps half of the stand-off."""
-    points, normals = skin(20, 10, 1600.0)
+    """500 holes on two stations: from hole to hole the tool keeps half of the stand-off."""
+    points, normals = skin(25, 20, 1600.0)
     path = listed(tmp_path, points, normals)
     made_for_two(tmp_path, "S1900", DIGEST)
     done = prepare(tmp_path, path, "--json")

@@ -1,0 +1,54 @@
+"""The arm keeps clear of the box that carries the holes, but for its wrist and its tool."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from hilcell.calibration.part import Clearance, Part
+from hilcell.cell.file import load_cell
+from hilcell.cell.surroundings import KeepOut
+from hilcell.cell.tables import Pose
+from hilcell.geometry.frames import apply
+from hilcell.geometry.kinematics import forward, link_transforms
+from hilcell.ports import Array
+
+CELL = load_cell("paper")
+STATION = CELL.station_named("S1100")
+ARM = CELL.robot.arm()
+T_W_B = CELL.layout.nominal_base(STATION.rail_mm)
+HOME_RAD = np.radians(CELL.robot.home_deg)
+UP = np.array([0.0, 0.0, 1.0])
+HALF_MM = 100.0
+
+
+def clearance(at_mm: Array) -> Clearance:
+    """Return that beside a box about a place in {W}, with one hole on its top."""
+    x_mm, y_mm, z_mm = at_mm.tolist()
+    box = KeepOut(
+        name="jig",
+        centre=Pose(x_mm=x_mm, y_mm=y_mm, z_mm=z_mm),
+        size_mm=(2.0 * HALF_MM, 2.0 * HALF_MM, 2.0 * HALF_MM),
+    )
+    cell = msgspec.structs.replace(CELL, keep_out=[box])
+    hole = Part((at_mm + HALF_MM * UP)[None], UP[None])
+    return Clearance(cell, STATION, ARM, T_W_B, hole, 50.0)
+
+
+def end_mm(link: int) -> Array:
+    """Return where a link ends (3,), in {W}."""
+    ends = np.linalg.multi_dot([T_W_B, *link_transforms(ARM, HOME_RAD)[:link]])
+    return np.asarray(ends[:3, 3], dtype=float)
+
+
+@pytest.mark.parametrize("link", [2, 3])
+def test_the_arm_keeps_clear_of_the_box_that_carries_the_holes(link: int) -> None:
+    found = clearance(end_mm(link)).refusal(HOME_RAD, HOME_RAD)
+    assert found.startswith("link ")
+    assert "keep-out jig" in found
+
+
+def test_wrist_and_tool_work_close_to_it() -> None:
+    tip_mm = apply(T_W_B, forward(ARM, HOME_RAD)[None, :3, 3])[0]
+    assert clearance(tip_mm - (HALF_MM + 60.0) * UP).refusal(HOME_RAD, HOME_RAD) == ""
