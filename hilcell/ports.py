@@ -15,7 +15,7 @@ carry the reading arrived; nobody may use one older than its limit.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from threading import Event
@@ -366,10 +366,17 @@ class ExternalAxis(Protocol):
     def read_axis(self) -> AxisReading:
         """Return a reading asked for after this call began."""
 
-    def move_axis(self, position_mm: float, speed_mm_s: float, full_mm_s: float) -> None:
+    def move_axis(
+        self,
+        position_mm: float,
+        speed_mm_s: float,
+        full_mm_s: float,
+        attend: Callable[[float], object],
+    ) -> None:
         """Move the slide alone; return when it stands there; it may move again.
 
         ``full_mm_s`` is the axis' speed at 100 %; raises `DeviceError` where it runs faster.
+        ``attend`` takes the slide's place, mm, at each look; what it raises ends the motion.
         """
 
     def hold_axis(self) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from drivers.canopen.limits import Limits
 from drivers.canopen.process_image import DEVICE, Snapshot
-from drivers.canopen.scale_guard import SHARE, ScaleGuard
 from drivers.canopen.speed_guard import OVERSPEED, SpeedGuard
+from drivers.scale_guard import ScaleGuard
 from hilcell.ports import DeviceError
 
 
@@ -75,19 +75,4 @@ class MotionGuard:
                     "allowed_mm_s": allowed / limits.counts_per_mm,
                 },
             )
-        if (ways := self._scale.contradiction()) is not None:
-            raise DeviceError(
-                "HC-R47",
-                DEVICE,
-                operation,
-                f"the slide went {ways.drive_mm:.1f} mm by the drive and {ways.strip_mm:.1f} mm by "
-                f"the strip: a ratio of {ways.ratio:.4g}",
-                wanted=f"one way within {SHARE:.0%}",
-                act="correct counts_per_mm of the drive or of the strip by that ratio, or check "
-                "coupling and strip head; then home the rail",
-                fields={
-                    "drive_mm": ways.drive_mm,
-                    "strip_mm": ways.strip_mm,
-                    "ratio": ways.ratio,
-                },
-            )
+        self._scale.check(operation)

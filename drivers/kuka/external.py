@@ -75,7 +75,13 @@ class SlidingKukaRobot(KukaRobot):
         self.wire().look()
         return AxisReading(*self.slides().slide(), taken_s)
 
-    def move_axis(self, position_mm: float, speed_mm_s: float, full_mm_s: float) -> None:
+    def move_axis(
+        self,
+        position_mm: float,
+        speed_mm_s: float,
+        full_mm_s: float,
+        attend: Callable[[float], object],
+    ) -> None:
         """Move E1 alone; return when all axes stand."""
         controller = self.slides()
         percent = max(1, min(100, int(100.0 * speed_mm_s / full_mm_s)))
@@ -89,7 +95,7 @@ class SlidingKukaRobot(KukaRobot):
             self.slide_mm = position_mm
             while not self.acknowledged(number):
                 self.check_round(next(self._round), limits, number)
-                self._judge_speed(OVERSPEED * speed_mm_s)
+                attend(self._judged_speed(OVERSPEED * speed_mm_s))
                 self._clock.wait(POLL_S)
             self.rest(self.stands_at())
         finally:
@@ -102,18 +108,18 @@ class SlidingKukaRobot(KukaRobot):
 
     # -- inside -------------------------------------------------------------------------------
 
-    def _judge_speed(self, allowed_mm_s: float) -> None:
-        """Judge the least speed that two looks at a slide on its way allow for.
+    def _judged_speed(self, allowed_mm_s: float) -> float:
+        """Return where the slide is; judge the least speed that two looks on its way allow for.
 
         From before the earlier question to after the later answer, so a late answer is no speed.
         """
         before_s, (place_mm, _) = self._clock.now_s(), self.slides().slide()
         seen, after_s = self._seen, self._clock.now_s()
         if seen is not None and after_s - seen[1] < SPEED_OVER_S:
-            return
+            return place_mm
         self._seen = (place_mm, before_s)
         if seen is None:
-            return
+            return place_mm
         speed_mm_s = abs(place_mm - seen[0]) / (after_s - seen[1])
         if not speed_mm_s <= allowed_mm_s:
             raise DeviceError(
@@ -124,6 +130,7 @@ class SlidingKukaRobot(KukaRobot):
                 act="compare rail.options.full_mm_s with the speed of E1, then resume",
                 fields={"speed_mm_s": speed_mm_s, "position_mm": place_mm},
             )
+        return place_mm
 
     def slides(self) -> SlidingController:
         """Return the controller as that of the slide."""

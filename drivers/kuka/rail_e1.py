@@ -14,6 +14,7 @@ import msgspec
 from msgspec import Meta
 
 from drivers.on_failure import on_failure
+from drivers.scale_guard import ScaleGuard
 from drivers.standing import DEVICE, Standing, check_travel
 from drivers.standstill import Windows
 from drivers.strips.makes import strip_of
@@ -130,8 +131,16 @@ class KukaE1Rail:
         check_travel(position_mm, options.travel_min_mm, options.travel_max_mm)
         self._forget()
         self._ended_s = None
+        guard = ScaleGuard(STRIP_SPREAD_MM, options.speed_mm_s, together=False)
+
+        def attend(drive_mm: float) -> None:
+            strip, alarms = self._strip.poll(self._clock.check)
+            if not alarms:
+                guard.take(drive_mm, strip / options.strip.counts_per_mm)
+                guard.check("move to")
+
         with on_failure(self._stop_after_failure):
-            axis.move_axis(position_mm, options.speed_mm_s, options.full_mm_s)
+            axis.move_axis(position_mm, options.speed_mm_s, options.full_mm_s, attend)
         self._ended_s = self._clock.pc_s()
 
     def settle(self) -> RailReading:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.canopen.rail import CanopenRail
-from drivers.canopen.scale_guard import ScaleGuard
+from drivers.scale_guard import ScaleGuard
 from tests.drivers.can_peer import CanPeer
 from tests.drivers.rail_bed import RailTime, connected, figure, peer, rail, refusal, time
 

@@ -202,6 +202,25 @@ def test_an_axis_that_runs_faster_than_it_should_is_stopped(
     bench.kuka.stopped.wait()
 
 
+@pytest.mark.parametrize("ratio", [0.5, 1.25, 2.0])
+def test_scales_that_differ_are_named_on_the_way(bench: Bench, ratio: float) -> None:
+    bench.connect()
+    bench.kuka.frozen, began_mm = True, bench.kuka.slide_mm
+    bench.strip.counts = lambda: round(100.0 * ratio * bench.kuka.slide_mm)
+
+    def mangle(name: str, reply: bytes) -> list[bytes]:
+        if name == "$AXIS_ACT.E1":
+            bench.kuka.slide_mm += 1.0
+        return [reply]
+
+    bench.kuka.mangle = mangle
+    found = refusal(lambda: bench.rail.move_to(2900.0))
+    assert found.code == "HC-R47"
+    assert found.fields["ratio"] == pytest.approx(ratio, rel=0.05)
+    bench.kuka.stopped.wait()
+    assert bench.kuka.slide_mm - began_mm < 250.0
+
+
 @pytest.mark.parametrize(
     ("variable", "value"),
     [("$MODE_OP", "#T1"), ("$ALARM_STOP", "FALSE"), ("$OV_PRO", "0"), ("$PRO_STATE1", "#P_STOP")],
@@ -253,8 +272,10 @@ def test_a_strip_in_alarm_or_lost_lets_the_slide_move_and_no_reading_through(
     bench.strip.server.drop()
     bench.rail.move_to(800.0)
     bench.rail.hold()
+    assert bench.rail.settle().strip_mm == 800.0  # lost on the way, opened again at rest
+    bench.strip.server.drop()
     assert isinstance(refusal(bench.rail.settle), StripLost)
-    assert bench.rail.settle().strip_mm == 800.0  # the line was opened again
+    assert bench.rail.settle().strip_mm == 800.0
     bench.strip.silent = True
     time.silence()
     assert isinstance(refusal(bench.rail.read), StripLost)

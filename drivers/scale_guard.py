@@ -13,6 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from heapq import nlargest
 
+from drivers.standing import DEVICE
+from hilcell.ports import DeviceError
+
 SHARE = 0.05  # of the way; scales of real slides differ by far less
 APART_MM = 5.0
 LAG_S = 0.1  # between the two readings of a strip on a wire of its own
@@ -61,3 +64,23 @@ class ScaleGuard:
         apart_mm = abs(strip_mm - drive_mm) - sum(nlargest(self._uncounted, self._parted_mm))
         allowed_mm = self._apart_mm + SHARE * max(abs(strip_mm), abs(drive_mm))
         return None if apart_mm <= allowed_mm else Ways(drive_mm, strip_mm)
+
+    def check(self, operation: str) -> None:
+        """Raise `DeviceError` where the ways are too far apart to be one."""
+        if (ways := self.contradiction()) is None:
+            return
+        raise DeviceError(
+            "HC-R47",
+            DEVICE,
+            operation,
+            f"the slide went {ways.drive_mm:.1f} mm by the drive and {ways.strip_mm:.1f} mm by "
+            f"the strip: a ratio of {ways.ratio:.4g}",
+            wanted=f"one way within {SHARE:.0%}",
+            act="correct counts_per_mm of the drive or of the strip by that ratio, or check "
+            "coupling and strip head; then home the rail",
+            fields={
+                "drive_mm": ways.drive_mm,
+                "strip_mm": ways.strip_mm,
+                "ratio": ways.ratio,
+            },
+        )
