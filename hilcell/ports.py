@@ -376,7 +376,7 @@ class ExternalAxis(Protocol):
         """Move the slide alone; return when it stands there; it may move again.
 
         ``full_mm_s`` is the axis' speed at 100 %; raises `DeviceError` where it runs faster.
-        ``attend`` takes the slide's place, mm, at each look; what it raises ends the motion.
+        ``attend`` takes the slide's place, mm, at each look; its errors end the motion.
         """
 
     def hold_axis(self) -> None:

@@ -27,7 +27,7 @@ from hilcell.ports import Array
 
 REACH_MM = 300.0  # from a hole: farther away nothing is known of the part
 ON_BOX_MM = 5.0  # a hole this near to a box lies on it
-TO_WRIST = 4  # links: what comes after them works close to the part
+TO_WRIST = 4  # links; those after them work close to the part
 AT_HOLE_MM = 1.0  # of a hole: there the tip may touch what it drills
 LOOK_MM = 5.0  # between looks along a way
 LOOKS = 9  # by which a way's length is estimated
