@@ -95,8 +95,33 @@ class Clearance:
         """Return why a straight way by joints (K, 6) to a hole is not clear, or ""."""
         tip_mm = self._tip_mm(joints_rad)
         before = np.linalg.norm(tip_mm - tip_mm[-1], axis=1) > AT_HOLE_MM
-        return self._passes_through(tip_mm[before]) or self._collides(
-            self._around, joints_rad[:-1], joints_rad[1:]
+        *_, end_mm = free_mm = self._part.free_mm(tip_mm)  # commands lie beside their holes
+        deepest_mm = float(free_mm.min())
+        if not deepest_mm >= min(float(end_mm), 0.0) - AT_HOLE_MM:
+            return (
+                f"the tip is {-deepest_mm:.1f} mm inside the part on its straight way in: behind "
+                "the plane of another hole"
+            )
+        return (
+            self._passes_through(tip_mm[before])
+            or self._tool_passes_through(joints_rad)
+            or self._collides(self._around, joints_rad[:-1], joints_rad[1:])
+        )
+
+    def _tool_passes_through(self, joints_rad: Array) -> str:
+        """Return which box the line from flange to tip is in, of those that carry no hole."""
+        x_mm = self._arm.tool[:3, 3]
+        shares = np.linspace(0.0, 1.0, 2 + int(np.linalg.norm(x_mm) / LOOK_MM))
+        flanges = forward(self._arm, joints_rad) @ inverse(self._arm.tool)
+        line_mm = np.concatenate([np.outer(shares, x_mm).T, np.ones((1, len(shares)))])
+        places_mm = np.swapaxes((flanges @ line_mm)[:, :3], 1, 2).reshape(-1, 3)
+        return next(
+            (
+                f"the tool passes through keep-out {box.table.name}"
+                for box in self._others
+                if box.contains(apply(self._T_W_B, places_mm))
+            ),
+            "",
         )
 
     def _passes_through(self, tip_mm: Array) -> str:
