@@ -10,6 +10,7 @@ import numpy as np
 
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.tip import AT_REFLECTOR, Tip
+from hilcell.cell.file import Station
 from hilcell.compensation.grid import ROUNDING_MM, OutsideGrid
 from hilcell.compensation.programs import Program, StatedBase, Stroke, stands_in_root
 from hilcell.errors import bounded
@@ -18,11 +19,25 @@ from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import Array, HilcellError
 
 STEP_MM = 1.0  # between places of a stroke where the model is asked
+POSTURE_BITS = 7  # of KUKA's S: behind axis 1, elbow, wrist; the others are no posture
+SLIDE_MM = 5.0  # a program's place is the drive's, and the strip's decides: no other station
 BASE_MM = 0.05  # at the targets: numbers of a program are rounded
 
 
 class StrokeError(HilcellError):
     """Strokes over which the correction of the point before them does not hold."""
+
+    code = "HC-C10"
+
+
+class PostureError(HilcellError):
+    """Targets in another posture of the arm than the calibrated one."""
+
+    code = "HC-C10"
+
+
+class SlideError(HilcellError):
+    """A program that moves the slide elsewhere than to the station it is corrected for."""
 
     code = "HC-C10"
 
@@ -69,6 +84,29 @@ def check_base(
             f"{stated.where}: the base set there is not the world frame {{W}} of the targets at "
             f"{station}: it puts them up to {worst:.3f} mm elsewhere, wanted <= {BASE_MM:g} mm; "
             f"set {{{words}}}, as calibrated, and take the targets in {{W}}"
+        )
+
+
+def check_posture(status: int, stated: Sequence[tuple[str, int]]) -> None:
+    """Raise `PostureError` naming targets with another posture than the calibrated ``status``.
+
+    A robot's errors are those of its joints: in another posture they are others, of millimetres.
+    """
+    other = [f"{where}: S {s}" for where, s in stated if s & POSTURE_BITS != status & POSTURE_BITS]
+    if other:
+        raise PostureError(
+            f"{len(other)} of {len(stated)} targets are reached in another posture than the "
+            f"calibrated one, S {status}: no correction is known there; state them in that posture,"
+            f" or calibrate theirs (robot.status)\n{_listed(other)}"
+        )
+
+
+def check_slide(station: Station, stated: tuple[str, float] | None) -> None:
+    """Raise `SlideError` where a program moves the slide elsewhere than to its station."""
+    if stated is not None and not abs(stated[1] - station.rail_mm) <= SLIDE_MM:
+        raise SlideError(
+            f"{stated[0]} moves the slide to {stated[1]:g} mm, expected {station.rail_mm:g} mm, as "
+            f"at {station.name}: correct the program for the station that it drives to"
         )
 
 

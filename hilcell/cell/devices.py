@@ -213,6 +213,11 @@ def abilities(cell: Cell) -> dict[str, bool]:
     }
 
 
+def rides_on_robot(cell: Cell) -> bool:
+    """Whether the slide is an external axis of the robot."""
+    return issubclass(load_entry("rails", cell.rail.driver), RidesOnRobot)
+
+
 def build_devices(
     cell: Cell, addresses: Mapping[str, Mapping[str, object]], clock: Clock
 ) -> Devices:

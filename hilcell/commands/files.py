@@ -16,11 +16,14 @@ from hilcell.calibration.programs import (
     STEP_MM,
     StrokeLimits,
     check_base,
+    check_posture,
+    check_slide,
     check_strokes,
     root_of,
     taken_in,
 )
 from hilcell.calibration.tip import Tip, tip_named, tip_of_program
+from hilcell.cell.devices import rides_on_robot
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.bounds import (
@@ -38,7 +41,9 @@ from hilcell.compensation.programs import (
     load_program,
     notes_of,
     setting_tool,
+    slide_of,
     stands_in_root,
+    statuses_of,
     suffixes,
     write_program,
 )
@@ -205,6 +210,9 @@ def _check_program(
         print_message(f"{name}: its tool ({setting.tool.text}) was not checked; --cell CELL does")
     if cell is not None:
         T_W_B = np.array(calibration.stations[station].T_W_B)
+        check_posture(cell.robot.status, statuses_of(program))
+        if rides_on_robot(cell):
+            check_slide(cell.station_named(station), slide_of(program))
         program.check_joints(tip.arm(cell.robot.arm()), T_W_B, command)
     elif program.needs_arm:
         print_message(f"{name}: {program.needs_arm} were not checked; --cell CELL does")

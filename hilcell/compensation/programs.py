@@ -117,6 +117,24 @@ class SetsTool(Protocol):
 
 
 @runtime_checkable
+class StatesPosture(Protocol):
+    """A program whose targets may state the arm's posture; those of other formats do not."""
+
+    @property
+    def statuses(self) -> Sequence[tuple[str, int]]:
+        """Return the targets that do, by name and place, with their status (KUKA's S)."""
+
+
+@runtime_checkable
+class StatesSlide(Protocol):
+    """A program that may move the slide, an external axis of the robot."""
+
+    @property
+    def slide(self) -> tuple[str, float] | None:
+        """Return the first target that does, and where the slide is then, mm; all are alike."""
+
+
+@runtime_checkable
 class InRoot(Protocol):
     """A program whose targets stand in the robot's root {B}; those of other formats in {W}."""
 
@@ -126,6 +144,16 @@ class InRoot(Protocol):
 def setting_tool(program: object) -> SetsTool | None:
     """Return the program where its format tells the tool that it sets."""
     return program if isinstance(program, SetsTool) else None
+
+
+def statuses_of(program: object) -> Sequence[tuple[str, int]]:
+    """Return the targets whose posture a program states, with their status."""
+    return program.statuses if isinstance(program, StatesPosture) else ()
+
+
+def slide_of(program: object) -> tuple[str, float] | None:
+    """Return where a program moves the slide, mm, and the first target that does so."""
+    return program.slide if isinstance(program, StatesSlide) else None
 
 
 def stands_in_root(program: object) -> bool:

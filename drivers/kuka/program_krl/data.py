@@ -56,6 +56,11 @@ class Datum:
             )
         return {name: number(name, fields[name]) for name in (*POSE, *EXTERNAL) if name in fields}
 
+    def status(self) -> int | None:
+        """Return S where it is stated; raises `KrlError`."""
+        fields = self.fields()
+        return _bits("S", fields["S"]) if "S" in fields else None
+
     def posture(self) -> int | None:
         """Return S where S and T fix the posture with its whole turns; raises `KrlError`."""
         fields = self.fields()

@@ -20,6 +20,7 @@ from hilcell.ports import Array
 
 SOURCE, DATA = ".src", ".dat"
 DECIMALS = 3
+SLIDE = "E1"
 USUAL_TOOL = 1  # of a cell that states none in robot.options, as the driver takes it
 
 
@@ -27,7 +28,8 @@ USUAL_TOOL = 1  # of a cell that states none in robot.options, as the driver tak
 class Target:
     """A point that motions use: its name, where it stands, its numbers.
 
-    ``posture`` is S where a motion by joints uses it and S and T fix its joints to whole turns.
+    ``posture`` is S where a motion by joints uses it and S and T fix its joints to whole turns,
+    ``status`` S where such a motion uses it.
     """
 
     name: str
@@ -35,6 +37,7 @@ class Target:
     line: int
     numbers: dict[str, Number] = field(repr=False)
     posture: int | None = None
+    status: int | None = None
 
     @property
     def where(self) -> str:
@@ -70,12 +73,26 @@ class Program:
     @property
     def needs_arm(self) -> str:
         """Return what only an arm's joints show, where a motion by joints states S and T."""
-        return "turns (T)" if any(each.posture is not None for each in self.targets) else ""
+        if any(each.posture is not None for each in self.targets):
+            return "posture (S) and turns (T)"
+        return "postures (S)" if self.statuses else ""
+
+    @property
+    def statuses(self) -> list[tuple[str, int]]:
+        """Return the targets whose posture the program states, and their S."""
+        stated = [(target.where, target.status) for target in self.targets]
+        return [(where, status) for where, status in stated if status is not None]
 
     def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
         """Raise `TurnError` where ``command`` (N, 6) in {W} would mean other whole turns."""
         postures = [(target.where, target.posture) for target in self.targets]
         check_turns(arm, T_W_B, postures, self.values(), command)
+
+    @property
+    def slide(self) -> tuple[str, float] | None:
+        """Return the first target that states E1, and its value, mm."""
+        stated = (target for target in self.targets if SLIDE in target.numbers)
+        return next(((target.where, target.numbers[SLIDE].value) for target in stated), None)
 
     def misnamed(self, stem: str) -> list[str]:
         """Return notes on modules whose name in the text is not the files' ``stem``."""

@@ -267,13 +267,16 @@ class _Reader:
         known = self.targets.get(key)
         if known is not None and (known.posture is not None or not by_joints):
             return
+        posture = status = None
         try:
-            numbers, posture = datum.numbers(), datum.posture() if by_joints else None
+            numbers = datum.numbers()
+            if by_joints:
+                posture, status = datum.posture(), datum.status()
         except KrlError as error:
             if datum.file == self._file:
                 raise
             raise KrlError(f"{datum.name} of {datum.file} line {datum.line}: {error}") from error
-        self.targets[key] = Target(datum.name, datum.file, datum.line, numbers, posture)
+        self.targets[key] = Target(datum.name, datum.file, datum.line, numbers, posture, status)
 
     def _check_calls(self, statement: Statement) -> None:
         tokens = statement.tokens

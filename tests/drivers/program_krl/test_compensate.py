@@ -137,3 +137,33 @@ def test_turns_that_the_correction_changes(
     unchecked = desk.run(out=desk.folder / "unchecked.src")
     assert unchecked.returncode == 0
     assert ("turns (T)" in unchecked.stderr) == (code == 2)
+
+
+@pytest.mark.parametrize(("status", "code"), [(6, 0), (22, 0), (2, 2), (7, 2)])
+def test_points_in_another_posture_than_the_calibrated_are_refused(
+    desk: Workplace, status: int, code: int
+) -> None:
+    """Errors are those of joints: by another elbow or wrist the robot errs by millimetres more.
+
+    Bit 4 says that the robot has absolute accuracy, which is no posture.
+    """
+    desk.calibrate(digest=load_cell("paper").digest)
+    desk.program("PTP XP1", f"DECL E6POS XP1={{X 0.0,Y 0.0,Z 1200.0,A 0,B 75,C 0,S {status}}}")
+    done = desk.run("--cell", "paper")
+    assert done.returncode == code, done.stderr
+    assert ("another posture than the calibrated one, S 6" in done.stderr) == (code == 2)
+    unchecked = desk.run(out=desk.folder / "unchecked.src")
+    assert "postures (S) were not checked" in unchecked.stderr
+
+
+@pytest.mark.parametrize(("e1_mm", "code"), [(1100.0, 0), (1101.5, 0), (300.0, 2)])
+def test_a_program_that_drives_the_slide_to_another_station_is_refused(
+    desk: Workplace, e1_mm: float, code: int
+) -> None:
+    rides = ("--set", "rail.driver=kuka-e1")
+    cell = load_cell("paper", {"rail.driver": "kuka-e1"})
+    desk.calibrate(digest=cell.digest)
+    desk.program("LIN XP1", f"DECL E6POS XP1={{X 0,Y 0,Z 1200,A 0,B 75,C 0,E1 {e1_mm}}}")
+    done = desk.run("--cell", "paper", *rides)
+    assert done.returncode == code, done.stderr
+    assert ("moves the slide to 300 mm, expected 1100 mm" in done.stderr) == (code == 2)
