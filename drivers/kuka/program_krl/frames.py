@@ -5,7 +5,8 @@ Targets are taken in that base; its place is the caller's, {W} for `compensate`.
 that follow, ``WITH $BASE=SBASE(FP1.BASE_NO)`` for one. Each of these is either a number of the
 controller's own tables, or a place that the program states: a structure, ``$NULLFRAME``, number 0,
 or a frame of the program's data list, which hides a table of the same name. Home moves bring frame
-data of their own, which count for nothing as long as only home moves use them.
+data of their own, which count for nothing as long as only home moves use them. What may not be
+executed sets nothing: within a branch, after a jump, in a subprogram.
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ NEVER_SET = (
 WORLDS = ("$NULLFRAME", "$WORLD")
 BAS_SETS = {"#BASE": "base", "#TOOL": "tool"}
 BAS_RESETS = ("#INITMOV",)
-BAS_REFUSED = ("#EX_BASE",)
+BAS_FORM = "#FRAMES"
+BAS_REFUSED = ("#EX_BASE", "#TCP_IPO")
 WITH_FORM = re.compile(
     r"\$BASE=SBASE\((\w+)\.BASE_NO\)|\$TOOL=STOOL2\((\w+)\)|\$IPO_MODE=SIPO_MODE\((\w+)\.IPO_FRAME\)"
 )
@@ -78,6 +80,7 @@ class FrameRule:
         self._changed: dict[str, int] = {}  # names that are assigned, by their first line
         self.frames_used = set[str]()  # of the data list, which stand for a base or tool
         self._moved = 0
+        self._unsure = ""
 
     @property
     def base(self) -> Stated | None:
@@ -89,9 +92,12 @@ class FrameRule:
         """Return the tool that the program sets."""
         return self._set.get("tool") or self._form_tool
 
-    def take(self, statement: Statement) -> None:
-        """Take a statement that is not a motion; raises `KrlError`."""
-        tokens = statement.tokens
+    def take(self, statement: Statement, unsure: str = "") -> None:
+        """Take a statement that is not a motion; ``unsure`` says why it may never be executed.
+
+        Raises `KrlError`.
+        """
+        self._unsure, tokens = unsure, statement.tokens
         for at, token in enumerate(tokens):
             if token.word == "BAS" and at + 1 < len(tokens) and tokens[at + 1].text == "(":
                 self._bas(tokens[at + 2 : closing(tokens, at + 1)], statement.line)
@@ -150,6 +156,12 @@ class FrameRule:
             raise KrlError(f"BAS({first},...) may set another base")
         elif first in BAS_RESETS and (self._set or self._form or self._moved):
             raise KrlError(f"BAS({first},...) resets base and tool after they were set or used")
+        elif first == BAS_FORM and self._set:
+            stated = next(iter(self._set.values()))
+            raise KrlError(
+                f"BAS({first},...) sets base and tool by FDAT_ACT after line {stated.line} has set "
+                "them"
+            )
 
     def _assign(self, name: str, rest: Sequence[Token], line: int) -> None:
         if name in NEVER_SET:
@@ -221,9 +233,13 @@ class FrameRule:
             if known.same(stated):
                 return
             raise KrlError(f"changes the {what} that line {known.line} has set")
+        if self._unsure:
+            raise KrlError(f"sets the {what} {self._unsure}: set it where the program begins")
         if self._moved:
             raise KrlError(f"changes the {what} after the motion of line {self._moved}")
         self._set[what] = stated
+        if set(TABLES) <= set(self._set) and self._forms_used is None:
+            self._form = None  # that of a home move, which no longer counts
 
 
 def assigned_at(tokens: Sequence[Token], at: int) -> bool:

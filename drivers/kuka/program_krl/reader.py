@@ -53,6 +53,7 @@ CONTROL = (
     "IF", "WHILE", "UNTIL", "FOR", "WAIT", "SWITCH", "CASE", "RETURN", "WHEN", "TO", "STEP",
     "AND", "OR", "NOT", "EXOR", "B_AND", "B_OR", "B_NOT", "B_EXOR", "BAS",
 )  # fmt: skip
+CONDITIONAL = {"IF": "ENDIF", "SWITCH": "ENDSWITCH", "WHILE": "ENDWHILE", "FOR": "ENDFOR"}
 MOVES_NOTHING = (
     "PULSE", "ANIN", "ANOUT", "SIGNAL", "COPEN", "CCLOSE", "CREAD", "CWRITE", "CIOCTL", "SREAD",
     "SWRITE", "MSGNOTIFY", "MSGSTATE", "MSGQUIT", "MSGDIALOG",
@@ -75,6 +76,40 @@ def read_program(source: str, text: str, data: tuple[str, str] | None) -> Progra
     return Program(texts, targets, reader.notes(), reader.strokes(), reader.base(), reader.tool())
 
 
+class Surely:
+    """Follows a program's statements and knows which may never be executed."""
+
+    def __init__(self) -> None:
+        self.first = self.program = ""
+        self._open: list[tuple[str, int]] = []
+        self._jump = 0
+
+    def begin(self, program: str = "") -> None:
+        """Begin a program or subprogram; "" is a header that begins none."""
+        if program:
+            self.first, self.program = self.first or program, program
+            self._open, self._jump = [], 0
+
+    def take(self, statement: Statement) -> None:
+        """Take a statement below the header."""
+        if statement.head in CONDITIONAL:
+            self._open.append((statement.head, statement.line))
+        elif statement.head in CONDITIONAL.values() and self._open:
+            self._open.pop()
+        elif statement.head == "GOTO":
+            self._jump = self._jump or statement.line
+
+    @property
+    def doubt(self) -> str:
+        """Return why the statement may not be executed before the motions; "" where it is."""
+        if self.program != self.first:
+            return f"in {self.program}, not in {self.first}"
+        if self._open:
+            word, line = self._open[-1]
+            return f"within the {word} of line {line}"
+        return f"after the GOTO of line {self._jump}" if self._jump else ""
+
+
 class _Reader:
     """Goes through the statements once for motions, and once more for other uses of points."""
 
@@ -92,6 +127,8 @@ class _Reader:
         self._missing: list[str] = []  # names that the data list beside it would have
         self._local = {name for each in found for name in _local(each)}
         self._places: set[int] = set()  # where the names of targets stand in motions
+        self._surely = Surely()
+        self._moves_in: dict[str, int] = {}  # subprograms that move to a target, by the first line
         self._left: dict[str, int] = {}  # homes and other files' programs, by their first line
 
     def read(self) -> None:
@@ -102,6 +139,7 @@ class _Reader:
         used = {target.name.partition("[")[0] for target in self.targets.values()}
         self._each(partial(self._check_uses, used))
         self._check_external()
+        self._check_called()
         if not self.targets and not self.problems:
             self.problems.append("no motion to a point with X, Y, Z: nothing to correct")
 
@@ -184,7 +222,9 @@ class _Reader:
     def _take(self, statement: Statement) -> None:
         tokens = statement.tokens
         if _is_header(statement):
+            self._surely.begin(*_defined(statement)[:1])
             return
+        self._surely.take(statement)
         if any(token.text in ('"', "'") for token in tokens):
             raise KrlError("a string does not end on its line")
         if statement.head in STROKES:
@@ -198,11 +238,12 @@ class _Reader:
         if statement.head in ABSOLUTE:
             self._motion(statement)
         else:
-            self._frames.take(statement)
+            self._frames.take(statement, self._surely.doubt)
             self._check_calls(statement)
 
     def _motion(self, statement: Statement) -> None:
         self._stands.stands_at(())
+        self._moves_in.setdefault(self._surely.program, statement.line)
         target, rest = _target(statement.tokens)
         clause = _clause(rest)
         name = text_of(target)
@@ -306,6 +347,24 @@ class _Reader:
                     raise KrlError(f"{token.word} is changed at run time")
                 raise KrlError(
                     f"{token.word} is used besides moving to it: its correction would go there too"
+                )
+
+    def _check_called(self) -> None:
+        """Refuse motions that another file calls, where the base and tool of this one count."""
+        stated = self._frames.base or self._frames.tool
+        for name, line in self._moves_in.items():
+            called = any(
+                token.word == name
+                for block, found in _blocks(self._found).items()
+                if block != name
+                for statement in found
+                for token in statement.tokens
+            )
+            if stated is not None and name != self._surely.first and not called:
+                self.problems.append(
+                    f"{self._file} line {line}: {name} moves, and no statement of this file calls "
+                    f"it: it may run without the base and tool of line {stated.line}; set them in "
+                    f"{name}, in a file of its own"
                 )
 
     def _check_external(self) -> None:

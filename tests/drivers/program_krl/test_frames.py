@@ -134,3 +134,41 @@ def test_a_byte_order_mark_stays_first_and_hides_nothing(first: str) -> None:
     files = read.with_positions(np.array([[1.0, 2.0, 3.0]]), "corrected")
     text = files["drill.src"].decode("latin-1")
     assert text.startswith(f"{MARK}{first}DEF drill( )\r\n; corrected\r\n")
+
+SETS = "$BASE=$NULLFRAME\nBAS(#TOOL,1)\n"
+HOME_FORM = "DECL FDAT FHOME={TOOL_NO 0,BASE_NO 0,IPO_FRAME #BASE}\n"
+
+
+@pytest.mark.parametrize(
+    ("body", "why"),
+    [
+        (f"IF $IN[1] THEN\n{SETS}ENDIF\nLIN XP1", "within the IF of line 2"),
+        (f"SWITCH N\nCASE 1\n{SETS}ENDSWITCH\nLIN XP1", "within the SWITCH of line 2"),
+        (f"FOR I=1 TO N\n{SETS}ENDFOR\nLIN XP1", "within the FOR of line 2"),
+        (f"GOTO L1\n{SETS}L1:\nLIN XP1", "after the GOTO of line 2"),
+        (f"PREPARE( )\nLIN XP1\nEND\nDEF PREPARE( )\n{SETS}", "in PREPARE, not in DRILL"),
+        (f"{SETS}WAIT SEC 0\nEND\nDEF OTHER( )\nLIN XP1", "no statement of this file calls it"),
+        (f"{SETS}BAS(#FRAMES)\nLIN XP1", "by FDAT_ACT after line 2"),
+        ("BAS(#TCP_IPO)\nLIN XP1", "may set another base"),
+    ],
+)
+def test_what_may_never_be_executed_sets_nothing(body: str, why: str) -> None:
+    assert why in refusal(body, P1)
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        f"{SETS}LOOP\nLIN XP1\nENDLOOP",
+        f"LOOP\n{SETS}LIN XP1\nENDLOOP",
+        f"{SETS}IF $IN[1] THEN\nLIN XP1\nENDIF",
+        f"{SETS}DRILL_ALL( )\nEND\nDEF DRILL_ALL( )\nLIN XP1",
+        f"FDAT_ACT=FHOME\nBAS(#FRAMES)\nPTP XHOME\n{SETS}LIN XP1",
+    ],
+)
+def test_what_is_executed_before_the_motions_sets_base_and_tool(body: str) -> None:
+    found = one(body, P1 + HOME_FORM)
+    assert found.base is not None
+    assert found.base.values == NULL
+    assert found.tool is not None
+    assert found.tool.number == 1
