@@ -332,7 +332,8 @@ class _Reader:
                     f"{token.word} is called with the motion parameter "
                     f"{points[0] if points else quoted(handed)}: where it moves is not known"
                 )
-            if at == 0 and token.word not in self._own and token.word not in MOVES_NOTHING:
+            begins = at == 0 or tokens[at - 1].word == "DO"
+            if begins and token.word not in self._own and token.word not in MOVES_NOTHING:
                 note = f"{token.word} is another program: its motions are not corrected"
                 self._left.setdefault(note, statement.line)
 

@@ -22,6 +22,7 @@ MOTIONS = (
 )  # fmt: skip
 SHIFT = ("X", "Y", "Z")
 FRAMES = ("#TOOL", "#BASE")
+AT_ANY_TIME = ("INTERRUPT", "TRIGGER")
 BRANCHES = (
     "DEF", "DEFFCT", "GLOBAL", "END", "ENDFCT", "IF", "ELSE", "ENDIF", "FOR", "ENDFOR", "WHILE",
     "ENDWHILE", "LOOP", "ENDLOOP", "REPEAT", "UNTIL", "SWITCH", "CASE", "DEFAULT", "ENDSWITCH",
@@ -54,6 +55,7 @@ class StrokeRule:
         self._read_at_calls = {each.line for block in self._drills.values() for each in block}
         self._keys: Sequence[str] = ()
         self._shift_mm = (0.0, 0.0, 0.0)
+        self._interrupted = 0  # the line of an interrupt that may move the robot at any time
 
     def stands_at(self, keys: Sequence[str]) -> None:
         """Take a motion to one of some targets, or to a place that is not known: to none."""
@@ -70,6 +72,8 @@ class StrokeRule:
         moves = any(token.word in self._moving for token in statement.tokens)
         if statement.head in BRANCHES or labelled or moves:
             self.stands_at(())
+        if moves and any(token.word in AT_ANY_TIME for token in statement.tokens[:2]):
+            self._interrupted = self._interrupted or statement.line
         return []
 
     def take(self, statement: Statement) -> list[Relative]:
@@ -80,6 +84,11 @@ class StrokeRule:
         """Return the strokes from where the robot stands now."""
         keys, self._keys = self._keys, ()  # where it leads is not known if it is refused
         shift_mm = _shift(statement)
+        if self._interrupted:
+            raise KrlError(
+                f"{statement.head} is a relative motion, and the interrupt or trigger of line "
+                f"{self._interrupted} may move the robot before it"
+            )
         if not keys:
             raise KrlError(
                 f"{statement.head} is a relative motion, and the point before it is not known: "

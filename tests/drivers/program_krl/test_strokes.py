@@ -16,6 +16,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, poses_from_zyx, zyx_from_pose
 from hilcell.ports import Array
 from tests.drivers.program_krl.test_compensate import Workplace
+from tests.drivers.program_krl.test_program import P1, P2, one, refusal
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
 
 DAT = """DEFDAT DRILL
@@ -254,3 +255,20 @@ def test_a_global_point_gets_a_note(desk: Workplace) -> None:
     said = desk.run().stderr
     assert "XP1 is GLOBAL" in said
     assert "XP2 is GLOBAL" not in said
+
+
+@pytest.mark.parametrize(
+    "when", ["INTERRUPT DECL 3 WHEN $IN[1]==TRUE DO", "GLOBAL INTERRUPT DECL 3 WHEN $IN[1] DO"]
+)
+def test_no_stroke_begins_where_an_interrupt_may_have_moved_the_robot(when: str) -> None:
+    text = f"{when} AWAY( )\nINTERRUPT ON 3\nLIN XP1\nLIN_REL {{Z 10}} #TOOL\nEND\nDEF AWAY( )\nLIN XP2"
+    assert "line 2 may move the robot before it" in refusal(text, P1 + P2)
+
+
+@pytest.mark.parametrize(
+    "call",
+    ["TRIGGER WHEN DISTANCE=1 DELAY=0 DO SUB( ) PRIO=-1", "INTERRUPT DECL 3 WHEN $IN[1] DO SUB( )"],
+)
+def test_programs_that_are_called_at_any_time_are_named(call: str) -> None:
+    notes = one(f"{call}\nLIN XP1", P1).notes
+    assert "SUB is another program: its motions are not corrected (line 2)" in notes
