@@ -19,9 +19,9 @@ from hilcell.journal.runs import run_folders
 from hilcell.ports import Array
 
 NAME = "corrected.csv"
-SAME_MM = 0.005  # numbers may have been rounded: a controller writes three decimals
+SAME_MM = 0.009  # numbers may have been rounded, to two decimals at least
 LEAST_MM = 4.0 * SAME_MM  # of a correction: a point that hardly moved is its nominal target as well
-SHARE = 0.5  # of the targets: a few holes may be at places of before by chance
+MOST_BY_CHANCE = 1  # of targets at places of before, where they are not half of them or more
 
 
 def note_corrected(folder: Path, stamp: str, nominal_mm: Array, command_mm: Array) -> None:
@@ -43,7 +43,7 @@ def refuse_known(runs: Path, source: str, targets_mm: Array) -> None:
 
         found = KDTree(known_mm).query(targets_mm)
         same, nearest = np.asarray(found[0]) <= SAME_MM, np.asarray(found[1])
-        if same.mean() >= SHARE:
+        if same.sum() > MOST_BY_CHANCE or same.mean() >= 0.5:
             stamp = stamps[int(nearest[int(np.argmax(same))])]
             raise CorrectedBefore(
                 f"{source}: {int(same.sum())} of {len(targets_mm)} targets are corrected ones "

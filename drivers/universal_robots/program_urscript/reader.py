@@ -173,6 +173,10 @@ class _Reader:
             self._check(statement.code)
 
     def _move(self, statement: Statement, name: str, arguments: list[str], at: int) -> None:
+        if self.tcp is not None and self._open[:1] != [self._main]:
+            raise UrScriptError(
+                f"it moves outside of the program whose line {self.tcp.line} sets the TCP"
+            )
         stated = arguments[0].strip()
         numbers = pose(stated, at)
         if numbers is not None:

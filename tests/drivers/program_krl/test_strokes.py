@@ -261,8 +261,9 @@ def test_a_global_point_gets_a_note(desk: Workplace) -> None:
     "when", ["INTERRUPT DECL 3 WHEN $IN[1]==TRUE DO", "GLOBAL INTERRUPT DECL 3 WHEN $IN[1] DO"]
 )
 def test_no_stroke_begins_where_an_interrupt_may_have_moved_the_robot(when: str) -> None:
-    text = f"{when} AWAY( )\nINTERRUPT ON 3\nLIN XP1\nLIN_REL {{Z 10}} #TOOL\nEND\nDEF AWAY( )\nLIN XP2"
-    assert "line 2 may move the robot before it" in refusal(text, P1 + P2)
+    body = f"{when} AWAY( )\nINTERRUPT ON 3\nLIN XP1\nLIN_REL {{Z 10}} #TOOL"
+    said = refusal(f"{body}\nEND\nDEF AWAY( )\nLIN XP2", P1 + P2)
+    assert "line 2 may move the robot before it" in said
 
 
 @pytest.mark.parametrize(

@@ -137,3 +137,12 @@ def test_a_byte_order_mark_stays_first_and_hides_nothing() -> None:
     assert len(read.targets) == 1
     text = moved(read, read.values(), "corrected")
     assert text.startswith("\xef\xbb\xbfdef d():\n  # corrected\n")
+
+
+def test_a_tcp_that_another_function_sets_is_none_of_the_motions() -> None:
+    text = (
+        "def a():\n  set_tcp(p[0.09,0,0.07,0,0,0])\nend\n"
+        "def d():\n  movel(p[0.1,0.2,0.3,0,0,0])\nend\n"
+    )
+    with pytest.raises(SettingsError, match="outside of the program whose line 2 sets the TCP"):
+        read_program("d.script", text)

@@ -25,7 +25,13 @@ def runs(tmp_path: Path) -> Path:
 def test_corrected_points_are_known_again(runs: Path) -> None:
     note_corrected(runs / "1-made", "the stamp", NOMINAL, COMMAND)
     refuse_known(runs, "nominal.csv", NOMINAL)
-    for again in (COMMAND, np.round(COMMAND[::-1], 3), np.vstack([COMMAND, NOMINAL])):
+    more = NOMINAL + [0.0, 500.0, 0.0]
+    lists = (
+        COMMAND, np.round(COMMAND[::-1], 3), np.vstack([COMMAND, NOMINAL]),
+        np.vstack([COMMAND[:2], NOMINAL, more]),
+        COMMAND + [0.005, -0.005, 0.005],  # two decimals
+    )  # fmt: skip
+    for again in lists:
         with pytest.raises(CorrectedBefore, match="the stamp"):
             refuse_known(runs, "again.csv", again)
     refuse_known(runs, "other.csv", np.vstack([COMMAND[:1], NOMINAL]))
