@@ -135,6 +135,7 @@ def test_a_byte_order_mark_stays_first_and_hides_nothing(first: str) -> None:
     text = files["drill.src"].decode("latin-1")
     assert text.startswith(f"{MARK}{first}DEF drill( )\r\n; corrected\r\n")
 
+
 SETS = "$BASE=$NULLFRAME\nBAS(#TOOL,1)\n"
 HOME_FORM = "DECL FDAT FHOME={TOOL_NO 0,BASE_NO 0,IPO_FRAME #BASE}\n"
 
