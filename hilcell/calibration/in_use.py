@@ -7,7 +7,8 @@ begins: the result is computed from the journal alone, also after the file is go
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import os
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -204,11 +205,36 @@ def _made(path: Path, row: RunRow, standing: Standing, cell: Cell) -> Provenance
 def standing_of(folder: Path) -> Standing:
     """Return how the calibration of a run stands among those of its folder of runs.
 
-    One whose run is not known to have ended with it is in doubt.
+    One whose run is not known to have ended with it is in doubt, and so is a current one beside a
+    later calibration of the cell whose journal is damaged or gone.
     """
     rows = read_index(folder.parent)
     found = standings(rows).get(folder.name)
-    return found or next(_unproven(row) for row in rows if row.name == folder.name)
+    found = found or next(_unproven(row) for row in rows if row.name == folder.name)
+    if found.state != "current":
+        return found
+    later = next(_later_unread(folder, {row.name for row in rows if row.readable}), "")
+    if not later:
+        return found
+    why = f"run {later} wrote a later calibration of the cell, and its journal is damaged or gone"
+    return Standing("in doubt", "", why)
+
+
+def _later_unread(folder: Path, readable: Collection[str]) -> Iterator[str]:
+    """Yield the folders beside a run's that hold a later calibration of its cell, and no journal
+    that can be read.
+    """
+    made = None
+    for name in os.listdir(folder.parent):  # noqa: PTH208 - of ten thousand runs a Path each is too slow
+        path = folder.parent / name / CALIBRATION
+        if name in readable or not path.is_file():
+            continue
+        with suppress(SettingsError):  # a file that is none, or damaged, supersedes nothing
+            made = made or read_calibration(folder / CALIBRATION).provenance
+            other = read_calibration(path).provenance
+            of_cell = (other.cell, other.simulated) == (made.cell, made.simulated)
+            if of_cell and other.latest == name and other.written > made.written:
+                yield name
 
 
 def _unproven(row: RunRow) -> Standing:

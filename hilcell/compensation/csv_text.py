@@ -64,7 +64,8 @@ def read_csv(path: Path, labels: int) -> CsvText:
         rows = [(reader.line_num + bool(stated), cells) for cells in reader]
     except csv.Error as error:
         raise unreadable(str(path), error) from error
-    rows = _without_empty_columns(rows)
+    begin = next((n for n, (_, cells) in enumerate(rows) if any(map(str.strip, cells))), 0)
+    rows = _without_empty_columns(rows[begin:])
     if separator == ",":
         return CsvText(rows)
     figures = ((line, cell.strip()) for line, cells in rows[1:] for cell in cells[labels:])

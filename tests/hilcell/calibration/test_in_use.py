@@ -14,6 +14,7 @@ from hilcell.calibration.in_use import (
     NoCalibration,
     calibration_named,
     record_of,
+    standing_of,
     with_calibration,
     written_by,
 )
@@ -25,7 +26,7 @@ from hilcell.journal.journal import Journal
 from hilcell.journal.runs import CALIBRATION, JOURNAL
 from hilcell.ports import HilcellError
 from tests.hilcell.calibration.calibrations import calibration
-from tests.hilcell.commands.finished_runs import finished
+from tests.hilcell.commands.finished_runs import MADE, finished
 from tests.hilcell.report.journals import Writer
 
 CELL = load_cell("paper")
@@ -178,3 +179,24 @@ def test_a_damaged_calibration_that_may_be_current_is_refused(tmp_path: Path, jo
         (tmp_path / "2-new" / JOURNAL).write_bytes(b"no database" * 1000)
     with pytest.raises(SettingsError, match="2-new"):
         with_calibration(using(), "recheck", tmp_path)
+
+
+@pytest.mark.parametrize("cut", [None, 0, 5000])
+def test_a_later_calibration_whose_journal_is_lost_leaves_the_one_before_in_doubt(
+    tmp_path: Path, cut: int | None
+) -> None:
+    """It may have superseded it: nobody corrects by the old one without a word."""
+    for name, day in (("1-old", "01"), ("2-new", "02")):
+        known = calibration(run=name, simulated=True, written=f"2026-01-{day}T00:00:00+00:00")
+        finished(tmp_path, name, MADE, provenance=known.provenance)
+    assert standing_of(tmp_path / "1-old").text == "superseded by 2-new"
+    journal = tmp_path / "2-new" / JOURNAL
+    content = journal.read_bytes()
+    journal.unlink()
+    if cut is not None:
+        journal.write_bytes(content[:cut])
+    found = standing_of(tmp_path / "1-old")
+    assert (found.state, found.usable) == ("in doubt", False)
+    assert "run 2-new wrote a later calibration" in found.reason
+    (tmp_path / "2-new" / CALIBRATION).unlink()
+    assert standing_of(tmp_path / "1-old").state == "current"
