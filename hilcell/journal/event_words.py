@@ -13,7 +13,8 @@ from hilcell.journal.point_words import step_words
 from hilcell.typed import typed
 
 ORDINALS = {1: "1st", 2: "2nd", 3: "3rd"}
-CLOSINGS = {"closed": "devices closed", "safe stop": "devices stopped safely"}
+NOT_KNOWN = "devices were not all connected, and how they stand is not known"
+CLOSINGS = {"closed": "devices closed", "safe stop": "all devices told to stop"}
 SAID = {
     "seated": "reflector seated in", "announced": "announced:", "promise": "promise",
     "order": "goes on as session",

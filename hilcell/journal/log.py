@@ -495,6 +495,11 @@ class Log:
         """Return how many points are measured, as plans count them: without proofs of nests."""
         return sum(point.id.group != CONTROL for point in self.points.values())
 
+    @property
+    def was_connected(self) -> bool:
+        """Whether all devices were connected in this session: else how they stand is not known."""
+        return any(each.body["what"] == "connected" and each.seq > self.began for each in self.events)
+
     def temperatures_c(self) -> list[float]:
         """Return the air's temperature at every point; nothing without a weather station."""
         return [*self.celsius.values()]

@@ -9,6 +9,7 @@ from __future__ import annotations
 from textual.content import Content
 
 from hilcell.alarms import Latched
+from hilcell.journal.event_words import NOT_KNOWN
 from hilcell.journal.key_words import in_words
 from hilcell.journal.log import Log
 from hilcell.journal.point_words import point_words
@@ -112,6 +113,8 @@ def _left(log: Log) -> str:
     failed = sorted({name for problems in found.values() for name in problems})
     if failed:
         return f"look at {' and '.join(failed)}: not stopped or closed as it should be"
+    if not log.was_connected:
+        return f"{NOT_KNOWN}: look at the cell"
     if "closed" not in found:
         return "how the devices were left is not recorded"
     held = "slide held, " if log.plan is None or log.cell.has_rail else ""

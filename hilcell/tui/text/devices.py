@@ -10,6 +10,7 @@ from textual.content import Content
 
 from hilcell.alarms.alarm import DRIFT_LIMIT_K
 from hilcell.journal.calibration_facts import run_outcome
+from hilcell.journal.event_words import NOT_KNOWN
 from hilcell.journal.states import WAITING
 from hilcell.journal.times import local_words, time_words
 from hilcell.run.protocol import DeviceStatus, Interlock
@@ -160,7 +161,9 @@ def _nothing_moves(view: RunView, glyphs: Glyphs) -> list[Content]:
         return [Content.styled(gone, "$ask")]
     end = view.records[-1] if view.records and view.log.end is not None else None
     at = [f" at {time_words(end.t)}", f" at {local_words(end.t)}"] if end is not None else []
-    texts = (f" {glyphs.stale} devices closed{each}; nothing may move" for each in (*at, ""))
+    known = end is None or view.log.was_connected
+    words = "devices closed{}; nothing may move" if known else f"closed{{}}; {NOT_KNOWN}"
+    texts = (f" {glyphs.stale} {words.format(each)}" for each in (*at, ""))
     return [Content.styled(each, "$label") for each in texts]
 
 

@@ -199,6 +199,12 @@ def test_what_is_kept_is_what_the_journal_says() -> None:
     assert "look at robot" in kept_words(log_of(*BEGUN, failed, closed))
 
 
+def test_devices_that_were_not_connected_are_not_said_to_stand() -> None:
+    """A robot that plays another program was left alone, and may move."""
+    ended = (event("safe stop", problems={}), event("closed", problems={}))
+    assert kept_words(log_of(BEGUN[0], *ended)).endswith("not known: look at the cell")
+
+
 def test_the_panel_is_of_runs_that_have_ended_by_a_fault() -> None:
     assert panel_is_due(view_of("fault"), [THERE])
     assert panel_is_due(view_of("gone"), [THERE])
