@@ -498,7 +498,8 @@ class Log:
     @property
     def was_connected(self) -> bool:
         """Whether all devices were connected in this session: else how they stand is not known."""
-        return any(each.body["what"] == "connected" and each.seq > self.began for each in self.events)
+        connected = (each.seq for each in self.events if each.body["what"] == "connected")
+        return max(connected, default=0) > self.began
 
     def temperatures_c(self) -> list[float]:
         """Return the air's temperature at every point; nothing without a weather station."""

@@ -8,17 +8,20 @@ from operator import itemgetter
 from typing import Any
 
 from hilcell.journal.event_words import after, happened_words
+from hilcell.journal.folder_order import ORDER
 from hilcell.journal.journal import Record
 from hilcell.journal.key_words import in_words, key_words
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import CONTROL
+from hilcell.journal.point_id import BACK, CONTROL
 from hilcell.journal.times import in_zone
 from hilcell.report.columns import Column, Sheet, sheet
 from hilcell.report.facts import Facts
 from hilcell.report.method import chosen_poses_words
 
 # Routine, or in a table of its own: counted, not listed.
-ROUTINE = ("connected", "closed", "tracker proven", "slide proven", "stream", "link")
+ROUTINE = ("connected", "closed", "tracker proven", "slide proven", "stream", "link", ORDER)
+BEFORE_IT_GOES_ON = (ORDER, "changes accepted")  # of the next session, and written before it
+OPTIONAL = {"two-face", "two-face-closing"}  # steps that a plan may leave out
 MOVING = {"home"}  # steps that move at every start
 STEPS = {
     "home": "Robot parked, rail referenced",
@@ -27,6 +30,8 @@ STEPS = {
     "hold-station": "Slide held at the station of the grid",
     "station-repeatability": "Repeatability of a held station",
     "base-frame": "Base frame {B} by turning axes 1 and 6",
+    "two-face": "Nests in both faces of the tracker",
+    "two-face-closing": "Nests in both faces of the tracker, at the end",
     "robot-grid": "Vertices of the grid",
     "axis-sweeps": "Slow sweeps of the axes, both ways",
     "chosen-poses": "Poses chosen by the errors found",
@@ -100,7 +105,7 @@ class _Steps:
     def begin(self, line: int, name: str) -> None:
         """Take the line with which a step begins."""
         self._now = line
-        if name in self._known - MOVING:
+        if name in self._known - MOVING | OPTIONAL:
             self._idle.add(line)
         self._known.add(name)
 
@@ -141,7 +146,8 @@ def _lines(facts: Facts) -> Iterator[tuple[str, str]]:
             found.append((record.t, f"Measured again: {key_words(record.key, facts.log)}."))
         else:
             steps.take(record, log)
-        last = record.t
+        if record.kind != "event" or record.body["what"] not in BEFORE_IT_GOES_ON:
+            last = record.t
         log.take(record)
     shown = ((time, steps.words(n, words)) for n, (time, words) in enumerate(found))
     yield from ((time, words) for time, words in shown if words)
@@ -150,7 +156,7 @@ def _lines(facts: Facts) -> Iterator[tuple[str, str]]:
 def _is_measured(record: Record) -> bool:
     """Whether a record is of a reading that is no proof of nests."""
     if record.kind == "point":
-        return bool(record.body["group"] != CONTROL)
+        return bool(record.body["group"] != CONTROL or record.key.startswith(f"{BACK}/"))
     return record.kind == "event" and record.body["what"] in ("stream", "curve")
 
 

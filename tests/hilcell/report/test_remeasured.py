@@ -1,13 +1,16 @@
 """Points measured twice keep both values; every start of an engine stands in the course."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 from hilcell.calibration.errors import validation
 from hilcell.calibration.orientation import validated_turns
 from hilcell.geometry.rotations import from_rotvec
+from hilcell.journal.folder_order import ORDER
 from hilcell.journal.point_id import PointId
 from hilcell.report.course import course
 from hilcell.report.facts import Facts, read_facts
@@ -208,3 +211,41 @@ def test_a_point_measured_again_is_not_of_the_step_in_which_it_came(tmp_path: Pa
     assert sum("grid" in line.lower() for line in again) == 0
     assert sum("gain" in line and "target 3 at S1100" in line for line in again) == 1
     assert sum("parked" in line for line in again) == 1
+
+
+def test_a_crash_stands_at_its_time_and_before_what_came_after(tmp_path: Path) -> None:
+    """The order to go on is written before the next session begins."""
+    writer = Writer(tmp_path / "r").began()
+    writer.validated("S1100", "before", AFTER_MM)
+    writer.journal.append("event", "", {"what": ORDER, "number": 14, "known": []})
+    writer.state("run", "checking")
+    facts = read_facts(writer.left())
+    (order,) = (each for each in facts.records if each.body.get("what") == ORDER)
+    (before,) = (each for each in facts.records if each.seq == order.seq - 1)
+    late = [
+        msgspec.structs.replace(each, t="2030-01-01T00:00:00.000+00:00")
+        if each.seq >= order.seq
+        else each
+        for each in facts.records
+    ]
+    found = course(replace(facts, records=late))
+    assert found is not None
+    words = [row[1] for row in found.rows]
+    at = next(n for n, each in enumerate(words) if each.startswith("Engine stopped"))
+    assert before.t[11:19] in found.rows[at][0]
+    assert "session 2" in words[at + 1]
+    assert not any("session 14" in each for each in words)
+
+
+def test_a_step_that_a_plan_leaves_out_is_not_in_the_course(tmp_path: Path) -> None:
+    lines = []
+    for name, seen in (("full", True), ("quick", False)):
+        writer = Writer(tmp_path / name).began()
+        event = {"what": "step", "name": "two-face", "number": 1, "of": 1}
+        writer.journal.append("event", "", event)
+        if seen:
+            writer.point(PointId("back", number=0, nest="F1"), (1.0, 2.0, 3.0))
+        found = course(writer.facts())
+        assert found is not None
+        lines.append([row[1] for row in found.rows if "both faces" in row[1]])
+    assert lines == [["Nests in both faces of the tracker. 1 point."], []]
