@@ -7,6 +7,7 @@ a request that was given up is dropped; one to no request at all ends the connec
 
 from __future__ import annotations
 
+import math
 import time
 from itertools import count
 from typing import Annotated
@@ -167,10 +168,14 @@ class LeicaGeocomTracker:
     def _identify(self, address: str) -> Identity:
         options = self._options
         (serial_value,) = self._numbers(Rpc.GET_SERIAL, 1)
+        if not math.isfinite(serial_value):
+            raise self._lost(f"serial number {serial_value}", "connect")
         serial = f"{serial_value:.0f}"
         if options.serial not in ("", serial):
             raise another_tracker(serial, options.serial)
-        name = clean(",".join(self._ask(Rpc.GET_NAME).values))
+        name = clean(",".join(self._stated(Rpc.GET_NAME).values))
+        if not name.strip():
+            raise self._lost("it does not tell its name", "connect")
         firmware = ".".join(f"{part:.0f}" for part in self._numbers(Rpc.GET_FIRMWARE, 3))
         model = f"Leica {name}".strip()
         if options.accept_uncorrected:
@@ -251,11 +256,15 @@ class LeicaGeocomTracker:
     # -- lines --------------------------------------------------------------------------------
 
     def _numbers(self, rpc: Rpc, size: int) -> tuple[float, ...]:
-        """Ask for numbers, again while the answer has none."""
+        """Ask for numbers."""
+        return self._decoded(self._stated(rpc), size)
+
+    def _stated(self, rpc: Rpc) -> Reply:
+        """Ask for values, again while the answer has none."""
         patience = Patience(self.REPLY_S, self.REPLY_S)
         while geocom.empty(reply := self._ask(rpc)) and not patience.over():
             self._clock.wait(BUSY_PAUSE_S)
-        return self._decoded(reply, size)
+        return reply
 
     def _ask(
         self, rpc: Rpc, *parameters: float, limit_s: float = 0.0, accepted: bool = False

@@ -271,7 +271,7 @@ def test_a_result_without_values_is_no_reading_and_the_next_is_good(
     np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)
 
 
-@pytest.mark.parametrize("rpc", [108, 2029, 5003, 5034])
+@pytest.mark.parametrize("rpc", [108, 2029, 5003, 5004, 5034])
 def test_a_question_whose_answer_has_no_values_is_asked_again(
     peer: GeocomPeer, time: WireTime, rpc: int
 ) -> None:
@@ -282,6 +282,14 @@ def test_a_question_whose_answer_has_no_values_is_asked_again(
     tracker.close()
     peer.answers[rpc] = lambda _: "0"
     assert refusal(tracker.connect).code == "HC-T02"
+
+
+@pytest.mark.parametrize("serial", ["nan", "inf"])
+def test_a_serial_number_that_is_none_is_no_identity(
+    peer: GeocomPeer, time: WireTime, serial: str
+) -> None:
+    peer.answers[5003] = lambda _: f"0,{serial}"
+    assert refusal(tracker_at(peer.channel, time).connect).code == "HC-T02"
 
 
 @pytest.mark.parametrize("name", [r'"TS16 A 1\" R500"', '"TS16 A 1" R500"'])
