@@ -105,6 +105,9 @@ class Alarm:
     origin: int = 0
 
 
+SHOW_LAST = "`hilcell show last`"  # as an entry says it, which knows no run
+
+
 @dataclass(frozen=True, slots=True)
 class _Moment:
     """A finding and its record; ``severity`` only where it is not the entry's."""
@@ -149,7 +152,8 @@ def _alarm(moment: _Moment, run: str, go_on: str, *, over: bool) -> Alarm:
         steps.insert(0, (finding.advice, "you"))
     then = "" if severity == "notice" else _then(entry, run, go_on, over=over)
     steps.append((then, "you"))
-    steps = [(step, by) for step, by in steps if step]
+    of_run = f"`hilcell show {line(run)}`"  # the newest may be another by now
+    steps = [(step.replace(SHOW_LAST, of_run), by) for step, by in steps if step]
     return Alarm(
         entry.code,
         severity,
@@ -293,7 +297,9 @@ def _verdicts(log: Log) -> Iterator[_Moment]:
 
 
 def _figures(body: dict[str, Any]) -> str:
-    """Return the numbers of a verdict: ``max_mm`` 0.4 as ``max 0.400 mm``."""
+    """Return what a verdict suspects, else its numbers: ``max_mm`` 0.4 as ``max 0.400 mm``."""
+    if suspected := body.get("suspected"):
+        return "; ".join(map(str, suspected))
     figures = []
     for name, value in body.items():
         if isinstance(value, float):

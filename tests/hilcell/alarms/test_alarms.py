@@ -283,3 +283,14 @@ def test_a_calibration_without_a_file_is_reported_with_its_remedy() -> None:
 )
 def test_a_run_that_owes_no_file_has_lost_none(rows: tuple[Row, ...], live: bool) -> None:
     assert NO_FILE not in [alarm.code for alarm in alarms(*rows, live=live, lost=True)]
+
+
+def test_a_cause_that_the_run_suspects_stands_in_its_alarm_with_the_run_to_look_at() -> None:
+    """Another run may be the newest by the time somebody reads the steps."""
+    text = "zero lost (0.0064 deg of axis 3), noticed by re-visited poses"
+    body = {"holds": False, "suspected": [text], "ratio": 3.0}
+    (alarm,) = alarms(*OVER, ("verdict", "suspicions", body))
+    assert alarm.found.endswith(text)
+    shown = [step for step in alarm.do if "hilcell show" in step]
+    assert shown
+    assert not any("show last" in step for step in alarm.do)
