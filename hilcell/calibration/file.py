@@ -106,10 +106,11 @@ def verdicts_of(log: Log) -> dict[str, dict[str, Any]]:
 def failed_of(log: Log) -> dict[str, str]:
     """Return the verdicts besides the validation's that do not hold, in words."""
     return {
-        key: ", ".join(
+        key: "; ".join(body.get("suspected") or ())
+        or ", ".join(
             f"{name} {_figure(value)}"
             for name, value in body.items()
-            if name not in ("holds", "beyond")
+            if name not in ("holds", "beyond", "suspected", "suspicion")
         )
         for key, body in log.verdicts.items()
         if not body["holds"] and not key.startswith(VALIDATION)

@@ -181,6 +181,10 @@ def test_a_run_s_verdicts_stand_in_its_file() -> None:
     }
     log = cast("Log", SimpleNamespace(verdicts=verdicts))
     assert failed_of(log) == {"closing": "shift_mm 0.2123, cause mount slipped"}
+    text = "zero lost (0.006 deg of axis 3), noticed by re-visited poses"
+    suspicion = {"cause": "zero lost", "size": 0.006, "unit": "deg of axis 3"}
+    log.verdicts = {"revisits": {"holds": False, "suspicion": suspicion, "suspected": [text]}}
+    assert failed_of(log) == {"revisits": text}
     assert verdicts_of(log) == {"S1100": {"holds": False} | figures}
 
 
