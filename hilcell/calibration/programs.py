@@ -19,7 +19,7 @@ from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import Array, HilcellError
 
 STEP_MM = 1.0  # between places of a stroke where the model is asked
-POSTURE_BITS = 7  # of KUKA's S: behind axis 1, elbow, wrist; the others are no posture
+POSTURE_BITS = 7  # of a status: behind axis 1, elbow, wrist; the others are no posture
 SLIDE_MM = 5.0  # a program's place is the drive's, and the strip's decides: no other station
 BASE_MM = 0.05  # at the targets: numbers of a program are rounded
 

@@ -122,7 +122,7 @@ class StatesPosture(Protocol):
 
     @property
     def statuses(self) -> Sequence[tuple[str, int]]:
-        """Return the targets that do, by name and place, with their status (KUKA's S)."""
+        """Return the targets that do, by name and place, with their status."""
 
 
 @runtime_checkable

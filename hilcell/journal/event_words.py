@@ -14,7 +14,7 @@ from hilcell.typed import typed
 
 ORDINALS = {1: "1st", 2: "2nd", 3: "3rd"}
 NOT_KNOWN = "devices were not all connected, and how they stand is not known"
-CLOSINGS = {"closed": "devices closed", "safe stop": "all devices told to stop"}
+CLOSINGS = {"closed": "devices closed", "safe stop": "a stop was sent to all devices"}
 SAID = {
     "seated": "reflector seated in", "announced": "announced:", "promise": "promise",
     "order": "goes on as session",

@@ -5,8 +5,8 @@ Targets are taken in that base; its place is the caller's, {W} for `compensate`.
 that follow, ``WITH $BASE=SBASE(FP1.BASE_NO)`` for one. Each of these is either a number of the
 controller's own tables, or a place that the program states: a structure, ``$NULLFRAME``, number 0,
 or a frame of the program's data list, which hides a table of the same name. Home moves bring frame
-data of their own, which count for nothing as long as only home moves use them. What may not be
-executed sets nothing: within a branch, after a jump, in a subprogram.
+data of their own, which count for nothing as long as only home moves use them. Statements that may
+not be executed are refused: within a branch, after a jump, in a subprogram.
 """
 
 from __future__ import annotations

@@ -183,8 +183,8 @@ def test_a_run_s_verdicts_stand_in_its_file() -> None:
     assert failed_of(log) == {"closing": "shift_mm 0.2123, cause mount slipped"}
     text = "zero lost (0.006 deg of axis 3), noticed by re-visited poses"
     suspicion = {"cause": "zero lost", "size": 0.006, "unit": "deg of axis 3"}
-    log.verdicts = {"revisits": {"holds": False, "suspicion": suspicion, "suspected": [text]}}
-    assert failed_of(log) == {"revisits": text}
+    told = {"revisits": {"holds": False, "suspicion": suspicion, "suspected": [text]}}
+    assert failed_of(cast("Log", SimpleNamespace(verdicts=told))) == {"revisits": text}
     assert verdicts_of(log) == {"S1100": {"holds": False} | figures}
 
 
