@@ -57,6 +57,7 @@ CONDITIONAL = {"IF": "ENDIF", "SWITCH": "ENDSWITCH", "WHILE": "ENDWHILE", "FOR":
 MOVES_NOTHING = (
     "PULSE", "ANIN", "ANOUT", "SIGNAL", "COPEN", "CCLOSE", "CREAD", "CWRITE", "CIOCTL", "SREAD",
     "SWRITE", "MSGNOTIFY", "MSGSTATE", "MSGQUIT", "MSGDIALOG",
+    "IR_STOPM",  # the controller's own, which each program declares for its stop messages
 )  # fmt: skip
 
 

@@ -273,3 +273,8 @@ def test_no_stroke_begins_where_an_interrupt_may_have_moved_the_robot(when: str)
 def test_programs_that_are_called_at_any_time_are_named(call: str) -> None:
     notes = one(f"{call}\nLIN XP1", P1).notes
     assert "SUB is another program: its motions are not corrected (line 2)" in notes
+
+
+def test_the_controllers_own_handler_of_stop_messages_is_no_other_program() -> None:
+    call = "INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )\nINTERRUPT ON 3"
+    assert not any("IR_STOPM" in note for note in one(f"{call}\nLIN XP1", P1).notes)
