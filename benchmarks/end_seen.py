@@ -17,10 +17,11 @@ from pathlib import Path
 from benchmarks.words import parser
 from hilcell.journal.journal import read_journal
 from hilcell.journal.runs import JOURNAL
+from hilcell.tui.text.run import STATES
 from tests.whole.terminal import Terminal
 
 HILCELL = [sys.executable, "-m", "hilcell"]
-ENDS = ("● DONE", "● ABORTED", "● FAULTED")  # the lamp of the state
+ENDS = tuple(STATES[state][0] for state in ("done", "intolerant", "aborted", "fault"))
 
 
 def never_rests() -> None:
@@ -38,7 +39,7 @@ def late_s(runs: Path) -> float:
             time.sleep(0.05)
         with Terminal(["tui", "--runs", str(runs), "run"], columns=140, rows=45) as terminal:
             terminal.shows("LIVE")
-            terminal.until(lambda text: any(each in text for each in ENDS))
+            terminal.until(lambda text: any(each in text.partition("\n")[0] for each in ENDS))
             seen_s = time.time()
     finally:
         engine.wait()

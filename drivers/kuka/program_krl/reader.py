@@ -54,6 +54,7 @@ CONTROL = (
     "AND", "OR", "NOT", "EXOR", "B_AND", "B_OR", "B_NOT", "B_EXOR", "BAS",
 )  # fmt: skip
 CONDITIONAL = {"IF": "ENDIF", "SWITCH": "ENDSWITCH", "WHILE": "ENDWHILE", "FOR": "ENDFOR"}
+LOOP_ENDS = ("ENDLOOP", "ENDFOR", "ENDWHILE", "UNTIL")
 MOVES_NOTHING = (
     "PULSE", "ANIN", "ANOUT", "SIGNAL", "COPEN", "CCLOSE", "CREAD", "CWRITE", "CIOCTL", "SREAD",
     "SWRITE", "MSGNOTIFY", "MSGSTATE", "MSGQUIT", "MSGDIALOG",
@@ -77,19 +78,21 @@ def read_program(source: str, text: str, data: tuple[str, str] | None) -> Progra
     return Program(texts, targets, reader.notes(), reader.strokes(), reader.base(), reader.tool())
 
 
-class Surely:
-    """Follows a program's statements and knows which may never be executed."""
+class _Surely:
+    """Follows a program's statements and knows which may not be executed before its motions."""
 
-    def __init__(self) -> None:
+    def __init__(self, moving: Set[str]) -> None:
+        """Take the own subprograms that move."""
         self.first = self.program = ""
+        self._moving = moving
         self._open: list[tuple[str, int]] = []
-        self._jump = 0
+        self._jump = self._exit = self._call = 0  # lines
 
     def begin(self, program: str = "") -> None:
         """Begin a program or subprogram; "" is a header that begins none."""
         if program:
             self.first, self.program = self.first or program, program
-            self._open, self._jump = [], 0
+            self._open, self._jump, self._exit = [], 0, 0
 
     def take(self, statement: Statement) -> None:
         """Take a statement below the header."""
@@ -99,6 +102,12 @@ class Surely:
             self._open.pop()
         elif statement.head == "GOTO":
             self._jump = self._jump or statement.line
+        elif statement.head == "EXIT":
+            self._exit = self._exit or statement.line
+        if statement.head in LOOP_ENDS:
+            self._exit = 0
+        if any(token.word in self._moving for token in statement.tokens):
+            self._call = self._call or statement.line
 
     @property
     def doubt(self) -> str:
@@ -108,6 +117,10 @@ class Surely:
         if self._open:
             word, line = self._open[-1]
             return f"within the {word} of line {line}"
+        if self._call:
+            return f"after line {self._call}, by which a subprogram may have moved"
+        if self._exit:
+            return f"after the EXIT of line {self._exit}"
         return f"after the GOTO of line {self._jump}" if self._jump else ""
 
 
@@ -122,13 +135,13 @@ class _Reader:
         self._file, self._found = file, found
         self._frames = FrameRule(self._data)
         self._own = {name for each in found for name in _defined(each)}
-        blocks = _blocks(found)
-        self._stands = StrokeRule(blocks, _moving(blocks))
+        self._blocks = _blocks(found)
+        moving = _moving(self._blocks)
+        self._stands, self._surely = StrokeRule(self._blocks, moving), _Surely(moving)
         self._relative: list[Relative] = []
         self._missing: list[str] = []  # names that the data list beside it would have
         self._local = {name for each in found for name in _local(each)}
         self._places: set[int] = set()  # where the names of targets stand in motions
-        self._surely = Surely()
         self._moves_in: dict[str, int] = {}  # subprograms that move to a target, by the first line
         self._left: dict[str, int] = {}  # homes and other files' programs, by their first line
 
@@ -357,7 +370,7 @@ class _Reader:
         for name, line in self._moves_in.items():
             called = any(
                 token.word == name
-                for block, found in _blocks(self._found).items()
+                for block, found in self._blocks.items()
                 if block != name
                 for statement in found
                 for token in statement.tokens

@@ -147,6 +147,8 @@ HOME_FORM = "DECL FDAT FHOME={TOOL_NO 0,BASE_NO 0,IPO_FRAME #BASE}\n"
         (f"SWITCH N\nCASE 1\n{SETS}ENDSWITCH\nLIN XP1", "within the SWITCH of line 2"),
         (f"FOR I=1 TO N\n{SETS}ENDFOR\nLIN XP1", "within the FOR of line 2"),
         (f"GOTO L1\n{SETS}L1:\nLIN XP1", "after the GOTO of line 2"),
+        (f"LOOP\nEXIT\n{SETS}ENDLOOP\nLIN XP1", "after the EXIT of line 3"),
+        (f"FIRST( )\n{SETS}END\nDEF FIRST( )\nLIN XP1", "after line 2, by which a subprogram"),
         (f"PREPARE( )\nLIN XP1\nEND\nDEF PREPARE( )\n{SETS}", "in PREPARE, not in DRILL"),
         (f"{SETS}WAIT SEC 0\nEND\nDEF OTHER( )\nLIN XP1", "no statement of this file calls it"),
         (f"{SETS}BAS(#FRAMES)\nLIN XP1", "by FDAT_ACT after line 2"),
@@ -162,6 +164,7 @@ def test_what_may_never_be_executed_sets_nothing(body: str, why: str) -> None:
     [
         f"{SETS}LOOP\nLIN XP1\nENDLOOP",
         f"LOOP\n{SETS}LIN XP1\nENDLOOP",
+        f"LOOP\nEXIT\nENDLOOP\n{SETS}LIN XP1",
         f"{SETS}IF $IN[1] THEN\nLIN XP1\nENDIF",
         f"{SETS}DRILL_ALL( )\nEND\nDEF DRILL_ALL( )\nLIN XP1",
         f"FDAT_ACT=FHOME\nBAS(#FRAMES)\nPTP XHOME\n{SETS}LIN XP1",
