@@ -153,10 +153,11 @@ HOME_FORM = "DECL FDAT FHOME={TOOL_NO 0,BASE_NO 0,IPO_FRAME #BASE}\n"
         (f"{SETS}WAIT SEC 0\nEND\nDEF OTHER( )\nLIN XP1", "no statement of this file calls it"),
         (f"{SETS}BAS(#FRAMES)\nLIN XP1", "by FDAT_ACT after line 2"),
         ("BAS(#TCP_IPO)\nLIN XP1", "may set another base"),
+        ("FDAT_ACT=FHOME\nBAS(#FRAMES)\n$BASE=$NULLFRAME\nLIN XP1", "the base and tool of FHOME"),
     ],
 )
 def test_what_may_never_be_executed_sets_nothing(body: str, why: str) -> None:
-    assert why in refusal(body, P1)
+    assert why in refusal(body, P1 + HOME_FORM)
 
 
 @pytest.mark.parametrize(

@@ -200,3 +200,18 @@ def test_a_later_calibration_whose_journal_is_lost_leaves_the_one_before_in_doub
     assert "run 2-new wrote a later calibration" in found.reason
     (tmp_path / "2-new" / CALIBRATION).unlink()
     assert standing_of(tmp_path / "1-old").state == "current"
+
+
+@pytest.mark.parametrize(
+    ("name", "written"), [("2-older", "2026-01-01"), ("3-copy-of-another", "2026-01-03")]
+)
+def test_a_folder_without_a_journal_that_is_older_or_a_copy_leaves_no_doubt(
+    tmp_path: Path, name: str, written: str
+) -> None:
+    known = calibration(run="1-made", simulated=True, written="2026-01-02T00:00:00+00:00")
+    finished(tmp_path, "1-made", MADE, provenance=known.provenance)
+    run = "2-older" if name == "2-older" else "of-elsewhere"
+    other = calibration(run=run, simulated=True, written=f"{written}T00:00:00+00:00")
+    (tmp_path / name).mkdir()
+    write_calibration(other, tmp_path / name / CALIBRATION)
+    assert standing_of(tmp_path / "1-made").state == "current"
