@@ -85,17 +85,27 @@ class Terminal:
         select.select([], [], [], 1.5 * BURST_S)
         self.press(keys)
 
-    def pump(self, wait_s: float | None = None) -> bool:
-        """Take what has come, within some time if stated; return whether anything did."""
+    def read(self, wait_s: float | None = None) -> bytes | None:
+        """Return what has come, within some time if stated, not shown yet; b"" at the end."""
         ready, _, _ = select.select([self._end], [], [], wait_s)
         if not ready:
-            return False
+            return None
         try:
             read = os.read(self._end, READ)
         except OSError:  # the other side has closed its terminal
             read = b""
         self.raw += read
+        return read
+
+    def show(self, read: bytes) -> None:
+        """Show what was read."""
         self._stream.feed(read)
+
+    def pump(self, wait_s: float | None = None) -> bool:
+        """Show what has come, within some time if stated; return whether anything did."""
+        read = self.read(wait_s)
+        if read:
+            self.show(read)
         return bool(read)
 
     def until(self, seen: Callable[[str], bool]) -> None:
