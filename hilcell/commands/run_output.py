@@ -235,7 +235,7 @@ def print_end(
 def ended_words(log: Log) -> str:
     """Return how a run ended: its state, and its outcome where it finished."""
     if log.end is None:
-        return f"cut off while {log.state}"
+        return f"{log.state}, engine gone"
     outcome = run_outcome(log)
     if log.state != "finished":
         return outcome

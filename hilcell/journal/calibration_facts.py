@@ -28,6 +28,7 @@ NOT_JUDGED = (
     "measured",
     "done",
 )  # runs that judged nothing, and those that measured nothing either
+REFUSED = 2  # the exit code of a run that nothing moved in
 RECHECKED = {"valid": "still valid", "update": "updated", "redo": "calibrate again"}
 
 Kind = Literal["", "made", "base", "targets", "touch"]
@@ -146,8 +147,10 @@ def outcome(facts: CalibrationFacts, state: str, code: int | None, points: int) 
     """
     if code is None:
         return ""
+    if state == "idle" or code == REFUSED:  # the devices were asked, and nothing moved
+        return "refused"
     if state != "finished":
-        return "refused" if state == "idle" else state
+        return state
     if code and facts.verdict in ("", OUTCOMES["accepted"]):
         return OUTCOMES["rejected"]
     return facts.verdict or NOT_JUDGED[0 if points else 1]

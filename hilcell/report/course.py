@@ -204,8 +204,7 @@ def _cut_off(log: Log) -> str:
     newest = [*log.points][-1:]
     since = f" after {key_words(newest[0], log)}" if newest else " before its first point"
     return (
-        f"Engine stopped without notice (killed, or power lost){since}, while the run was "
-        f"{log.state}."
+        f"Engine gone without notice (killed, or power lost){since}, while the run was {log.state}."
     )
 
 

@@ -327,8 +327,8 @@ def standing(facts: Facts) -> tuple[str, str]:
     if facts.finished and end is not None:
         return "bad" if end["exit"] else "good", run_outcome(facts.log)
     if end is None and state not in ("aborted", "faulted"):
-        return "open", f"not finished: the journal ends while the run is {state}"
-    return "open", f"not finished: {state}"
+        return "open", "not begun" if state == "idle" else f"not finished: {state}, engine gone"
+    return "open", f"not finished: {run_outcome(facts.log)}"
 
 
 def lead(facts: Facts) -> str:

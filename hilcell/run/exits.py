@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from hilcell.cell.devices import ConnectFailed
 from hilcell.errors import DriverDefect, StoreAway
+from hilcell.journal.calibration_facts import REFUSED
 from hilcell.journal.journal import NeverBegan, StorageError
 from hilcell.ports import DeviceError, DeviceRefused, HilcellError, Stopped
 from hilcell.run.cell_lock import CellLocked
 from hilcell.writing import DiskFailed, NotPrinted
 
-EXIT_OK, EXIT_OUT_OF_TOLERANCE, EXIT_REFUSED, EXIT_FAULT = 0, 1, 2, 3
+EXIT_OK, EXIT_OUT_OF_TOLERANCE, EXIT_REFUSED, EXIT_FAULT = 0, 1, REFUSED, 3
 EXIT_ABORTED, EXIT_INTERNAL, EXIT_LOCKED, EXIT_STORAGE = 4, 5, 6, 7
 DONE = (EXIT_OK, EXIT_OUT_OF_TOLERANCE)  # the run came to its end
 RESUMABLE = (EXIT_FAULT, EXIT_ABORTED, EXIT_STORAGE)

@@ -12,6 +12,7 @@ from datetime import datetime
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
+from hilcell.journal.calibration_facts import REFUSED
 from hilcell.journal.log import Log, Point
 from hilcell.journal.point_id import CONTROL
 from hilcell.journal.states import WAITING
@@ -122,13 +123,14 @@ class RunView:
         if state == "finished":
             return "intolerant" if self.log.end and self.log.end["exit"] else "done"
         if state == "faulted":
-            return "fault"
+            refused = self.log.end is not None and self.log.end["exit"] == REFUSED
+            return "refused" if refused else "fault"
         return "stopping" if state == "aborting" else state
 
     @property
     def live(self) -> bool:
         """Whether an engine is at work on this run."""
-        ended = self.state in ("done", "intolerant", "aborted", "fault")
+        ended = self.state in ("done", "intolerant", "aborted", "fault", "refused")
         return self.engine is not EngineState.NONE and not ended
 
     @property

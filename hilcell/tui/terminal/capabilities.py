@@ -77,7 +77,7 @@ UNICODE = Glyphs(
     states={
         "looking": "○", "idle": "○", "checking": "○", "running": "►", "pausing": "▌▌",
         "paused": "▌▌", "suspended": "?", "stopping": "▼", "done": "●", "intolerant": "▲",
-        "aborted": "□", "fault": "×", "silent": "×", "unreadable": "×", "gone": "×",
+        "aborted": "□", "fault": "×", "refused": "×", "silent": "×", "unreadable": "×", "gone": "×",
     },
     fresh="●", moving="►", stale="○", lost="×", locked="■", gone="□", warned="▲", newest="◄",
     done="√", full="█", empty="░", mark="▼", rule="─", degree="°", delta="Δ", dot="·",
@@ -88,7 +88,7 @@ ASCII = Glyphs(
     states={
         "looking": "o", "idle": "o", "checking": "o", "running": ">", "pausing": "||",
         "paused": "||", "suspended": "?", "stopping": "V", "done": "*", "intolerant": "!",
-        "aborted": "#", "fault": "X", "silent": "X", "unreadable": "X", "gone": "X",
+        "aborted": "#", "fault": "X", "refused": "X", "silent": "X", "unreadable": "X", "gone": "X",
     },
     fresh="*", moving=">", stale="o", lost="X", locked="#", gone="=", warned="!", newest="<",
     done="v", full="#", empty=".", mark="V", rule="-", degree="", delta="d", dot="|",

@@ -29,7 +29,7 @@ from hilcell.tui.text.deviation import deviation_of
 from hilcell.tui.text.devices import short_age
 from hilcell.tui.text.frame import BORDERS, DOUBLE, ends, fitted, framed
 
-STATES = ("fault", "gone")  # of a run whose alarm takes the points' place
+STATES = ("fault", "refused", "gone")  # of a run whose alarm takes the points' place
 MOST, LEAST = 8, 2  # rows of what an alarm means, and of what was found
 OUTLOOK = 10  # rank of the last line of words; larger ones are blanks and heads
 

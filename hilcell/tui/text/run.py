@@ -33,6 +33,7 @@ STATES = {
     "intolerant": ("OUT OF TOLERANCE", "fault"),
     "aborted": ("ABORTED", "label"),
     "fault": ("FAULT", "fault"),
+    "refused": ("REFUSED", "fault"),
     "silent": ("NO ANSWER", "fault"),
     "unreadable": ("UNREADABLE", "fault"),
     "gone": ("ENGINE GONE", "fault"),

@@ -31,10 +31,10 @@ class _Cell:
 
 
 def _outcome(run: RunRow) -> str:
-    """Return the verdict of a run that has finished, the state of every other."""
-    if run.finished and not run.live:
-        return run.verdict.partition(";")[0]
-    return "LIVE " + run.state if run.live else "engine gone" if run.gone else run.condition
+    """Return the verdict of a run that has ended, the state of every other."""
+    if run.live:
+        return "LIVE " + run.state
+    return run.verdict.partition(";")[0] or ("engine gone" if run.gone else run.condition)
 
 
 def _kind(run: RunRow) -> str:

@@ -110,6 +110,12 @@ def test_a_run_of_which_there_is_a_plan_and_no_more_is_not_begun() -> None:
     assert msgspec.structs.replace(row, exit=2).condition == "idle"
 
 
+def test_a_run_that_the_devices_refused_is_no_fault() -> None:
+    row = msgspec.structs.replace(ROW, state="faulted", exit=2, live=False)
+    assert row.verdict == "refused"
+    assert msgspec.structs.replace(row, exit=3).verdict == "faulted"
+
+
 def test_only_what_changed_is_opened(runs: Path, opened: Opened) -> None:
     read_index(runs)
     assert opened.since() == ["1-finished", "2-faulted", "3-abandoned"]

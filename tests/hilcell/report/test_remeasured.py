@@ -231,7 +231,7 @@ def test_a_crash_stands_at_its_time_and_before_what_came_after(tmp_path: Path) -
     found = course(replace(facts, records=late))
     assert found is not None
     words = [row[1] for row in found.rows]
-    at = next(n for n, each in enumerate(words) if each.startswith("Engine stopped"))
+    at = next(n for n, each in enumerate(words) if each.startswith("Engine gone"))
     assert before.t[11:19] in found.rows[at][0]
     assert "session 2" in words[at + 1]
     assert not any("session 14" in each for each in words)

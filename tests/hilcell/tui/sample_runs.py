@@ -174,6 +174,8 @@ STORIES: dict[str, Callable[[], SampleRun]] = {
         "end", state="aborted", exit=4, result={}, reason="stopped by the operator"),
     "fault": lambda: measuring().state("faulted", reason=FAULT_TEXT, error=FAULT).add(
         "end", state="faulted", exit=3, result={}, reason=FAULT_TEXT),
+    "refused": lambda: begun().state("faulted", reason=FAULT_TEXT, error=FAULT).add(
+        "end", state="faulted", exit=2, result={}, reason=FAULT_TEXT),
     "silent": measuring,
     "gone": measuring,
     "unreadable": SampleRun,

@@ -51,6 +51,7 @@ SPACE = {
     "intolerant": None,
     "aborted": ("resume", True, "resume"),
     "fault": ("resume", True, "resume"),
+    "refused": ("resume", True, "resume"),
     "gone": ("resume", True, "resume"),
     "unreadable": None,
 }
@@ -70,8 +71,8 @@ def allowed(state: str) -> set[str]:
         found.add("pause")
     found |= {"stop", "detach"} if state in LIVE else {"new"}
     found |= {"abort"} if state in HEARD else set()
-    found -= {"retake"} if state in ("silent", "checking") else set()
-    if state in ("suspended", "aborted", "fault", "gone", "intolerant"):
+    found -= {"retake"} if state in ("silent", "checking", "refused") else set()
+    if state in ("suspended", "aborted", "fault", "refused", "gone", "intolerant"):
         found.add("acknowledge")
     return found
 
