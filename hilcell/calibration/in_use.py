@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -205,15 +205,27 @@ def _made(path: Path, row: RunRow, standing: Standing, cell: Cell) -> Provenance
 def standing_of(folder: Path) -> Standing:
     """Return how the calibration of a run stands among those of its folder of runs.
 
-    One whose run is not known to have ended with it is in doubt, and so is a current one beside a
-    later calibration of the cell whose journal is damaged or gone.
+    One whose run is not known to have ended with it is in doubt.
     """
     rows = read_index(folder.parent)
-    found = standings(rows).get(folder.name)
-    found = found or next(_unproven(row) for row in rows if row.name == folder.name)
-    if found.state != "current":
-        return found
-    later = next(_later_unread(folder, {row.name for row in rows if row.readable}), "")
+    found = standings_in(folder.parent, rows).get(folder.name)
+    return found or next(_unproven(row) for row in rows if row.name == folder.name)
+
+
+def standings_in(runs: Path, rows: Sequence[RunRow]) -> dict[str, Standing]:
+    """Return the standings by the runs' journals and by their files of calibrations.
+
+    A current one is in doubt beside a later calibration whose journal is damaged or gone.
+    """
+    readable = {row.name for row in rows if row.readable}
+    return {
+        name: _proven(each, runs / name, readable) if each.state == "current" else each
+        for name, each in standings(rows).items()
+    }
+
+
+def _proven(found: Standing, folder: Path, readable: Collection[str]) -> Standing:
+    later = next(_later_unread(folder, readable), "")
     if not later:
         return found
     why = f"run {later} wrote a later calibration of the cell, and its journal is damaged or gone"

@@ -9,6 +9,7 @@ from contextlib import suppress
 from datetime import datetime
 from typing import Any
 
+from hilcell.calibration.in_use import standings_in
 from hilcell.cell.devices import load_entry
 from hilcell.clean import encodable, harmless
 from hilcell.commands.invariants import check
@@ -24,14 +25,14 @@ from hilcell.journal.find_run import find_run
 from hilcell.journal.folder_order import clock_notes
 from hilcell.journal.index import UNREADABLE, RunRow, read_index, row_of
 from hilcell.journal.runs import read_log
-from hilcell.journal.standing import Standing, standings
+from hilcell.journal.standing import Standing
 from hilcell.run.procedure import Procedure, Table
 
 
 def runs(args: argparse.Namespace) -> int:
     """List the runs of a folder, in the order of their names."""
     rows = read_index(args.runs)
-    known = standings(rows)
+    known = standings_in(args.runs, rows)
     listed = sorted((row for row in rows if _asked_for(row, args)), key=lambda row: row.name)
     found = [_summary(row, known.get(row.name)) for row in listed]
     for note in clock_notes(rows):
@@ -168,7 +169,8 @@ def show(args: argparse.Namespace) -> int:
     procedure: Procedure = load_entry("procedures", inputs.procedure)
     finished = log.state == "finished"
     result = procedure.result(log) if finished else (log.end or {}).get("result", {})
-    summary = _summary(row_of(folder), standings(read_index(folder.parent)).get(folder.name)) | {
+    standing = standings_in(folder.parent, read_index(folder.parent)).get(folder.name)
+    summary = _summary(row_of(folder), standing) | {
         "digest": inputs.digest,
         "seed": inputs.seed,
         "machine_seed": inputs.machine_seed,
@@ -188,8 +190,8 @@ def show(args: argparse.Namespace) -> int:
     rows.append(["state", summary["state"]])
     if summary.get("verdict"):
         rows.append(["verdict", summary["verdict"]])
-    if standing := _standing(summary):
-        rows.append(["its calibration", standing])
+    if words := _standing(summary):
+        rows.append(["its calibration", words])
     print_table((["run", summary["run"]], rows))
     print_suspected(log)
     if finished:

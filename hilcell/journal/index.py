@@ -31,7 +31,7 @@ from hilcell.journal.states import OVER, RunState
 from hilcell.typed import decoded, typed
 
 NAME = "index.sqlite"
-SCHEMA = 8  # to be raised whenever `RunRow` changes, or what its fields mean
+SCHEMA = 9  # to be raised whenever `RunRow` changes, or what its fields mean
 BUSY_S = 2.0  # another process writes; without its leave the journals are read instead
 SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file may still change
 _SCHEMA = str(SCHEMA).encode()
@@ -62,7 +62,8 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
     ``ended`` and ``exit`` are of the last end, which a resumed run loses again. A journal that is
     unreadable, or of a run that never began, has only name, state, reason, and as ``begun`` when
     its file was last written. Figures (mm) are 3D errors of the validation at the grid's station,
-    or of a fit's nominal and chosen model; None where the procedure has none.
+    or of a fit's nominal and chosen model; None where the procedure has none. ``origin`` is the
+    digest of the journal's first record, which only a copy of a run's folder has as well.
     """
 
     name: str
@@ -89,6 +90,7 @@ class RunRow(msgspec.Struct, frozen=True, kw_only=True):
     replayed: bool = False
     facts: CalibrationFacts = CalibrationFacts()
     order: FolderOrder = FolderOrder()
+    origin: str = ""
 
     @property
     def calibrates(self) -> bool:
@@ -323,6 +325,7 @@ def _row(
     return RunRow(
         name=name,
         begun=_seconds(plan.t),
+        origin=hashlib.sha256(msgspec.json.encode(plan)).hexdigest(),
         state=state,
         ended=_seconds(end.t) if end is not None else "",
         reason=fault or (last.reason if last is not None else ""),

@@ -10,6 +10,8 @@ date as soon as the cell has moved in a later run.
 
 Where the journal of a run cannot be read its calibration is in doubt: it may have been revoked.
 
+A copied folder is the run that it was copied from, revoked as soon as one of both is revoked.
+
 A replay of a recorded run measures nothing: it changes no standing, and has one of its own.
 
 Simulated cells of one name are as many cells as machines were started for them: each has a current
@@ -23,13 +25,15 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Literal
 
+from msgspec.structs import replace as replace_struct
+
 from hilcell.journal.calibration_facts import CalibrationFacts
 from hilcell.journal.folder_order import in_order
 from hilcell.journal.index import UNREADABLE, RunRow
 
 State = Literal[
     "current", "superseded", "revoked", "in doubt", "out of date", "not validated", "undecided",
-    "suspected", "replayed",
+    "suspected", "replayed", "copy",
 ]  # fmt: skip
 
 
@@ -64,7 +68,7 @@ def standings(rows: Iterable[RunRow]) -> dict[str, Standing]:
     A run whose journal cannot be read has one as well: it may have made a calibration.
     """
     rows = list(rows)
-    known = {row.name: row for row in rows if row.readable and not row.replayed}
+    known, copies = _runs(rows)
     cells = {name: (*_cell(row), _machine(row, known)) for name, row in known.items()}
     calibrated = {cells[name] for name, row in known.items() if row.calibrates}
     ordered = sorted(in_order(known.values()), key=lambda row: cells[row.name])
@@ -79,6 +83,10 @@ def standings(rows: Iterable[RunRow]) -> dict[str, Standing]:
         doubts = {row.name: _doubt(row, known) for row in rows_of_cell}
         standing = _of_cell(rows_of_cell, doubts)
         found |= {name: replace(each, machine=machine) for name, each in standing.items()}
+    for name, original in copies.items():
+        if known[original].calibrates:
+            current = found[original].current
+            found[name] = Standing("copy", "", f"the run is {original}", current)
     return found
 
 
@@ -87,7 +95,7 @@ def current_of(
 ) -> str:
     """Return the run of a cell's current calibration, for a simulated one of a machine; else ""."""
     rows = list(rows)
-    known = {row.name: row for row in rows if row.readable and not row.replayed}
+    known, _ = _runs(rows)
     wanted = (cell, serial, str(simulated), _simulated(machine_seed) if simulated else "")
     return next(
         (
@@ -102,8 +110,32 @@ def current_of(
 
 def measured_by(rows: Iterable[RunRow], name: str) -> str:
     """Return the run that measured the calibration which the run ``name`` has changed, or made."""
-    known = {row.name: row for row in rows if row.readable and not row.replayed}
+    known, copies = _runs(rows)
+    name = copies.get(name, name)
     return _origins(known[name], known)[-1].name
+
+
+def _runs(rows: Iterable[RunRow]) -> tuple[dict[str, RunRow], dict[str, str]]:
+    """Return the runs that measured by their names, and by the names of copies what they are of.
+
+    Of folders with one beginning the run is the one that went on, which others name, or the first.
+    """
+    rows = [row for row in rows if row.readable and not row.replayed]
+    named = {name for row in rows for name in (row.facts.used, row.order.after)}
+    rows.sort(key=lambda row: (-row.order.number, row.name not in named, row.name))
+    known: dict[str, RunRow] = {}
+    copies, originals = {}, dict[str, str]()
+    for row in rows:
+        original = originals.setdefault(row.origin or row.name, row.name)
+        if original == row.name:
+            known[row.name] = row
+            continue
+        copies[row.name] = original
+        run = known[original]
+        if row.facts.revoked and not run.facts.revoked:
+            facts = replace_struct(run.facts, revoked=row.facts.revoked)
+            known[original] = replace_struct(run, facts=facts)
+    return known, copies
 
 
 def _cell(row: RunRow) -> tuple[str, ...]:

@@ -1,5 +1,6 @@
 """Which calibration a procedure starts from, and which it refuses before anything moves."""
 
+import shutil
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +16,7 @@ from hilcell.calibration.in_use import (
     calibration_named,
     record_of,
     standing_of,
+    standings_in,
     with_calibration,
     written_by,
 )
@@ -22,6 +24,7 @@ from hilcell.calibration.validity import Unfit
 from hilcell.cell.file import Cell, RecheckTable, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.journal.calibration_facts import REVOKED, USED
+from hilcell.journal.index import read_index
 from hilcell.journal.journal import Journal
 from hilcell.journal.runs import CALIBRATION, JOURNAL
 from hilcell.ports import HilcellError
@@ -198,8 +201,18 @@ def test_a_later_calibration_whose_journal_is_lost_leaves_the_one_before_in_doub
     found = standing_of(tmp_path / "1-old")
     assert (found.state, found.usable) == ("in doubt", False)
     assert "run 2-new wrote a later calibration" in found.reason
+    assert standings_in(tmp_path, read_index(tmp_path))["1-old"] == found  # as listed
     (tmp_path / "2-new" / CALIBRATION).unlink()
     assert standing_of(tmp_path / "1-old").state == "current"
+
+
+def test_a_copied_folder_is_the_run_that_it_was_copied_from(tmp_path: Path) -> None:
+    finished(tmp_path, "1-made", MADE)
+    shutil.copytree(tmp_path / "1-made", tmp_path / "1-made-backup")
+    assert standing_of(tmp_path / "1-made").state == "current"
+    assert standing_of(tmp_path / "1-made-backup").text == "copy: the run is 1-made"
+    finished(tmp_path, "2-made", MADE)
+    assert standing_of(tmp_path / "1-made").text == "superseded by 2-made"
 
 
 @pytest.mark.parametrize(

@@ -203,3 +203,20 @@ def test_one_that_differs_and_is_suspected_of_more_stays_so() -> None:
         states(first, made("02", code=1, validated=False, changed_since="01"))["02"]
         == "not validated"
     )
+
+
+def test_a_copy_of_a_folder_supersedes_nothing_and_hides_no_revocation() -> None:
+    """A backup beside the run was current after the run was revoked."""
+    run, backup = (msgspec.structs.replace(made(name), origin="a") for name in ("01", "01-old"))
+    copied = "copy: the run is 01"
+    assert states(backup, run) == {"01": "current", "01-old": copied}
+    assert standings([backup, run])["01-old"].current == "01"
+    revoked = msgspec.structs.replace(backup, facts=made("01", revoked="a wrong ball").facts)
+    assert states(revoked, run) == {"01": "revoked: a wrong ball", "01-old": copied}
+    assert not any(each.usable for each in standings([revoked, run]).values())
+    late = row("02", kind="base", used="01-old", code=1)
+    assert states(late, run, backup) == {
+        "01": "copy: the run is 01-old",
+        "01-old": "superseded by 02",
+        "02": "current",
+    }
