@@ -40,7 +40,8 @@ def parse(text: str) -> Value:
         raise KrlError(f"{text[:80]!r} is no single KRL value")
     part = match[0]
     if match.lastgroup == "name":
-        return {"TRUE": True, "FALSE": False}.get(part.upper(), part)
+        part = part.upper()  # KRL's names have no case
+        return {"TRUE": True, "FALSE": False}.get(part, part)
     if match.lastgroup == "text":
         return part[1:-1]
     value = _finite(part)

@@ -43,6 +43,7 @@ from hilcell.ports import (
     NoReading,
     TrackerReading,
     says_simulated,
+    with_maker,
 )
 from hilcell.wire.channel import Host, Port
 
@@ -183,7 +184,7 @@ class LeicaEmsconTracker:
         address = f"{self._options.host}:{self._options.port}"
         answer = self._request(Command.GET_TRACKER_INFO).body  # nothing by older controllers
         name = clean(self._decoded(emscon.decode_tracker_name, answer)) if answer else ""
-        model = f"Leica {name}".strip() + f", emScon {status.version}"
+        model = with_maker("Leica", name) + f", emScon {status.version}"
         simulated, firmware = says_simulated(name), f"emScon {status.version}"
         return Identity(DEVICE, model, serial, address, simulated, "tracker", "Leica", firmware)
 

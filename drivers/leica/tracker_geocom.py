@@ -42,6 +42,7 @@ from hilcell.ports import (
     NoReading,
     TrackerReading,
     says_simulated,
+    with_maker,
 )
 from hilcell.wire.channel import SerialLine, parse_channel
 
@@ -177,7 +178,7 @@ class LeicaGeocomTracker:
         if not name.strip():
             raise self._lost("it does not tell its name", "connect")
         firmware = ".".join(f"{part:.0f}" for part in self._numbers(Rpc.GET_FIRMWARE, 3))
-        model = f"Leica {name}".strip()
+        model = with_maker("Leica", name)
         if options.accept_uncorrected:
             model += ", readings without full correction are accepted"
         simulated = says_simulated(name)

@@ -22,6 +22,7 @@ from drivers.kuka.krl import KrlError
         ("TRUE", True),
         ("false", False),
         ("#EX", "#EX"),
+        ("#t1", "#T1"),
         ('"#KR210R2700_2 C4 FLR"', "#KR210R2700_2 C4 FLR"),
         (" #P_ACTIVE \0", "#P_ACTIVE"),
     ],

@@ -292,7 +292,9 @@ def test_a_serial_number_that_is_none_is_no_identity(
     assert refusal(tracker_at(peer.channel, time).connect).code == "HC-T02"
 
 
-@pytest.mark.parametrize("name", [r'"TS16 A 1\" R500"', '"TS16 A 1" R500"'])
+@pytest.mark.parametrize(
+    "name", [r'"TS16 A 1\" R500"', '"TS16 A 1" R500"', '"Leica TS16 A 1" R500"']
+)
 def test_an_instrument_whose_name_has_the_mark_of_an_arcsecond_connects(
     peer: GeocomPeer, time: WireTime, name: str
 ) -> None:
