@@ -49,7 +49,9 @@ from hilcell.compensation.programs import (
 )
 from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.targets import read_targets, write_targets
+from hilcell.errors import bounded
 from hilcell.geometry.frames import inverse
+from hilcell.geometry.rotations import from_zyx
 from hilcell.journal.runs import is_run
 from hilcell.ports import Array
 
@@ -174,9 +176,14 @@ def drill_mm_of(cell: Cell | None) -> tuple[float, float, float] | None:
 
 
 def _listed(source: Path) -> tuple[list[str], Array]:
-    """Read a list of targets; a file that is none may be a program of an unknown format."""
+    """Read a list of targets, and warn of one hole under two names.
+
+    A file that is no list may be a program of an unknown format.
+    """
+    from hilcell.planning.holes import Holes, twins  # scipy's neighbours, which no program needs
+
     try:
-        return read_targets(source)
+        names, targets = read_targets(source)
     except SettingsError as error:
         suffix = source.suffix.lower()
         if suffix in LISTS:
@@ -184,6 +191,9 @@ def _listed(source: Path) -> tuple[list[str], Array]:
         known = ", ".join(suffixes()) or "none"
         hint = f"no format of programs is installed for {suffix} (installed: {known})"
         raise SettingsError(error.source, [*error.problems, hint]) from error
+    for warning in bounded(twins(Holes(names, targets[:, :3], from_zyx(targets[:, 3:])[:, None]))):
+        print_message(warning)
+    return names, targets
 
 
 def _check_program(

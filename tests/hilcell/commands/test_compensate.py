@@ -65,6 +65,12 @@ def test_a_corrected_list_arrives(desk: Workplace) -> None:
     np.testing.assert_allclose(arrived_mm(command[:, :3]), TARGETS[:, :3], atol=2e-3)
 
 
+def test_one_hole_under_two_names_is_named(desk: Workplace) -> None:
+    assert "one hole" not in desk.run().stderr
+    write_targets(desk.source, ["H1", "H2", "H9"], TARGETS[[0, 1, 0]])
+    assert "warning: H9 and H1 are one hole: same place, same normal" in desk.run().stderr
+
+
 def test_a_copy_away_from_its_runs_stands_unknown_in_all_that_is_said(desk: Workplace) -> None:
     said = json.loads(desk.run("--json").stdout)
     assert said["standing"] == "unknown"
