@@ -1,19 +1,41 @@
-"""The simulated drive in another unit of speed, beside a real clock: how far its slide gets."""
+"""The simulated drive in another unit of speed, by a clock: how far its slide gets.
+
+Both sides' time passes at a quarter of its speed, so that other work on the PC delays a stop by a
+quarter as well.
+"""
 
 from __future__ import annotations
 
 import math
+import threading
 from typing import Any
 
 import pytest
 
 from drivers.canopen.rail import CanopenRail
 from fakes.canopen.rail_drive import RailDrive
-from tests.drivers.peers import wall_clock
+from hilcell.clock import WallClock
 from tests.drivers.rail_bed import figure, refusal
 from tests.fakes.rail_bench import served
 
 pytestmark = pytest.mark.wall
+PACE = 0.25
+
+
+class SlowClock(WallClock):
+    """Real time, slowed down as the simulated rail's is."""
+
+    def __init__(self) -> None:
+        super().__init__(threading.Event())
+
+    def now_s(self) -> float:
+        return PACE * super().now_s()
+
+    def pc_s(self) -> float:
+        return PACE * super().pc_s()
+
+    def wait(self, duration_s: float) -> None:
+        super().wait(duration_s / PACE)
 
 
 def speaks(drive: RailDrive, unit: float, most: float, ramp: float) -> None:
@@ -35,7 +57,7 @@ def speaks(drive: RailDrive, unit: float, most: float, ramp: float) -> None:
 
 @pytest.mark.parametrize("unit", [10_000 / 60, 0.1])
 def test_the_slide_is_stopped_and_stands_within_50_mm(unit: float) -> None:
-    with served(speed=1.0) as bench:
+    with served(speed=PACE) as bench:
         speaks(bench.server._drive, unit, most=500_000.0, ramp=2_000_000.0)
         options: dict[str, Any] = {
             "channel": f"socket://127.0.0.1:{bench.server.port}",
@@ -44,7 +66,7 @@ def test_the_slide_is_stopped_and_stands_within_50_mm(unit: float) -> None:
             "speed_mm_s": 250.0,
             "acceleration_mm_s2": 200.0,
         }
-        rail = CanopenRail(CanopenRail.Options(**options), wall_clock())
+        rail = CanopenRail(CanopenRail.Options(**options), SlowClock())
         rail.connect()
         began_mm = bench.rail.slide_mm()
         found = refusal(lambda: rail.move_to(2000.0))
