@@ -25,7 +25,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.journal.calibration_facts import USED
 from hilcell.journal.find_run import find_run
 from hilcell.journal.folder_order import in_order
-from hilcell.journal.index import RunRow, read_index
+from hilcell.journal.index import RunRow, read_index, row_of
 from hilcell.journal.log import Log
 from hilcell.journal.runs import CALIBRATION, is_run, read_log
 from hilcell.journal.standing import Standing, standings
@@ -258,10 +258,17 @@ def _unproven(row: RunRow) -> Standing:
 def standing_by_name(calibration: Calibration, path: Path, runs: Path) -> Standing | None:
     """Return how a calibration stands that was read from a file.
 
-    A file that lies alone is looked for in ``runs`` by its run; None where that is not there.
+    A file that lies alone is looked for in ``runs`` by its run; None where that is not there. Of a
+    run in a copy of ``runs`` the one in ``runs`` counts, too: it may have been revoked since.
     """
-    folder = _folder(calibration, path, runs)
-    return standing_of(folder.resolve()) if is_run(folder) else None
+    folder = _folder(calibration, path, runs).resolve()
+    if not is_run(folder):
+        return None
+    found, here = standing_of(folder), (runs / folder.name).resolve()
+    if here == folder or not is_run(here) or row_of(here).origin != row_of(folder).origin:
+        return found
+    there = standing_of(here)
+    return found if there.usable else there
 
 
 def cell_calibrated(calibration: Calibration, path: Path, runs: Path) -> Cell | None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from hilcell.calibration.controller_pose import check_links
-from hilcell.calibration.corrected import note_corrected, refuse_known
+from hilcell.calibration.corrected import memories, memory_of, note_corrected, refuse_known
 from hilcell.calibration.file import compensate_targets
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import NoBound
@@ -52,7 +53,6 @@ from hilcell.compensation.targets import read_targets, write_targets
 from hilcell.errors import bounded
 from hilcell.geometry.frames import inverse
 from hilcell.geometry.rotations import from_zyx
-from hilcell.journal.runs import is_run
 from hilcell.ports import Array
 
 STROKE_MISS_MM = 0.05  # that strokes may miss by where nothing else is stated
@@ -74,12 +74,13 @@ def compensate(args: argparse.Namespace) -> int:
     root = root_of(calibration, args.station, program)
     names, listed = _listed(source) if program is None else (program.names, program.values())
     targets = taken_in(root, listed)  # in {W}
-    refuse_known(args.runs, source.name, targets[:, :3])
-    tip = _tip(cell, args.tool, program, source)
+    folders = memories(args.runs, found.path)
+    refuse_known(folders, source.name, names, targets[:, :3], listed[:, :3])
+    known = found.cell if cell is None and program is None else cell
+    tip, drill_mm = _tip(known, args.tool, program, source), drill_mm_of(known)
     if program is not None and args.station in calibration.stations:
         check_base(calibration, args.station, program.base, targets)  # names a cause of the next
     command = compensate_targets(calibration, args.station, targets, names, tip)
-    drill_mm = drill_mm_of(cell)
     bounds = bounds_of_targets(calibration, args.station, targets, args.temperature, tip, drill_mm)
     if program is not None:
         limits = _stroke_limits(args, bounds)
@@ -96,6 +97,8 @@ def compensate(args: argparse.Namespace) -> int:
     turned = calibration.orients
     written = _write(program, names, stated, source, out, stamp, inputs, turned=turned)
     remember(found, stamp, targets[:, :3], command[:, :3])
+    if root is not None:  # as the program has them, which another station's correction reads
+        remember(found, stamp, listed[:, :3], stated[:, :3])
     if args.json:
         print_json(
             {
@@ -115,14 +118,22 @@ def compensate(args: argparse.Namespace) -> int:
     setting = setting_tool(program)
     if cell is not None and setting is not None and setting.tool is None:
         print_message(f"{source.name}: it sets no tool: taken to run with that of {tip.name}")
-    if tip.table is not None:
-        print_message(tip.words)
-    elif drill_mm is not None:
-        at_mm = " ".join(f"{each:g}" for each in drill_mm)
-        print_message(f"they hold at the drill, ({at_mm}) mm from the reflector in {{T}}")
-    for note in found.notes():
+    for note in (*_where(known, tip, drill_mm), *found.notes()):
         print_message(note)
     return 0
+
+
+def _where(
+    cell: Cell | None, tip: Tip, drill_mm: tuple[float, float, float] | None
+) -> Iterator[str]:
+    """Yield where targets and bounds hold, where that is not the reflector's centre."""
+    if cell is None:
+        yield f"{tip.words}: no tool is known without --cell CELL"
+    if tip.table is not None:
+        yield tip.words
+    elif drill_mm is not None:
+        at_mm = " ".join(f"{each:g}" for each in drill_mm)
+        yield f"they hold at the drill, ({at_mm}) mm from the reflector in {{T}}"
 
 
 def _tip(cell: Cell | None, name: str, program: Program | None, source: Path) -> Tip:
@@ -140,17 +151,16 @@ def _tip(cell: Cell | None, name: str, program: Program | None, source: Path) ->
 
 
 def remember(found: Released, stamp: Stamp, nominal_mm: Array, command_mm: Array) -> None:
-    """Keep corrected points (N, 3) with the run that they were corrected by, if it is here."""
-    folder = found.path.resolve().parent
-    if not is_run(folder):
-        return
-    try:
-        note_corrected(folder, stamp.text, nominal_mm, command_mm)
-    except OSError as error:
-        print_message(
-            f"warning: {folder} cannot be written ({error.strerror}): these targets are known as "
-            "corrected by their stamp alone"
-        )
+    """Keep corrected points (N, 3), to be known again without their stamp."""
+    folder, why = memory_of(found.runs, found.path), f"{found.runs} is not there"
+    if folder is not None:
+        try:
+            note_corrected(folder, stamp.text, nominal_mm, command_mm)
+        except OSError as error:
+            why = f"{folder} cannot be written ({error.strerror})"
+        else:
+            return
+    print_message(f"warning: {why}: these targets are known as corrected by their stamp alone")
 
 
 def check_settings(cell: str | None, settings: dict[str, str]) -> None:

@@ -246,6 +246,7 @@ def correct(job: Job, robot: Robot, found: Fitted, train: Measurements) -> dict[
         + " and ".join(map(str, written))
     )
     print_message(summary(bounds, targets.names))
+    print_message("keep the stamp in the file: corrected targets are known by it alone")
     _warn_outside(targets, train)
     return {
         "targets": len(targets.names),

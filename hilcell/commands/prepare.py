@@ -11,7 +11,7 @@ from pathlib import Path
 
 import msgspec
 
-from hilcell.calibration.corrected import refuse_known
+from hilcell.calibration.corrected import memories, refuse_known
 from hilcell.calibration.form import Validity
 from hilcell.calibration.influence import NoBound
 from hilcell.calibration.part import Part
@@ -213,7 +213,7 @@ def prepare(args: argparse.Namespace) -> int:
     tip = tip_named(cell, args.tool, cell.robot.options.get("tool"))
     standoff_mm = _standoff_mm(tip, args.standoff)
     holes = read_holes(source, tip.T_D_T)
-    refuse_known(args.runs, source.name, holes.points_mm)
+    refuse_known(memories(args.runs, found.path), source.name, holes.names, holes.points_mm)
     for warning in bounded(warnings := twins(holes)):
         print_message(warning)
     whole = plan(cell, holes, calibrated=Volume(found.calibration), heard=print_message)

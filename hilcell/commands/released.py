@@ -24,7 +24,7 @@ UNKNOWN = "standing unknown: not among this cell's finished runs"
 @dataclass(frozen=True)
 class Released:
     """``accepted`` says why it is out of tolerance, where that was accepted; ``standing`` is None
-    where it is not known.
+    where it is not known, ``cell`` the cell as it was calibrated, None likewise.
     """
 
     calibration: Calibration
@@ -32,6 +32,7 @@ class Released:
     runs: Path
     standing: Standing | None
     accepted: list[str]
+    cell: Cell | None
 
     def stamp(self, station: str) -> Stamp:
         """Return the stamp of targets that are corrected now."""
@@ -77,15 +78,16 @@ def released(args: argparse.Namespace, cell: Cell | None) -> Released:
     path = where if is_file else written_by(find_run(args.runs, args.calibration))
     calibration = read_calibration(path)
     standing = standing_by_name(calibration, path, args.runs)
+    calibrated = cell_calibrated(calibration, path, args.runs)
     accepted = check_fitness(
         calibration,
         datetime.now(UTC),
         max_age_days=args.max_age,
         temperature_c=args.temperature,
         cell=cell,
-        calibrated=cell_calibrated(calibration, path, args.runs) if cell is not None else None,
+        calibrated=calibrated,
         accept_out_of_tolerance=args.accept_out_of_tolerance,
         standing=standing,
         accept_not_current=args.accept_not_current,
     )
-    return Released(calibration, path, args.runs, standing, accepted)
+    return Released(calibration, path, args.runs, standing, accepted, calibrated)

@@ -8,6 +8,8 @@ import pytest
 from hilcell.calibration.corrected import NAME, note_corrected, refuse_known
 from hilcell.compensation.stamp import CorrectedBefore
 from hilcell.compensation.targets import write_targets
+from hilcell.journal.runs import CALIBRATION
+from hilcell.ports import Array
 from tests.hilcell.commands.finished_runs import MADE, finished
 from tests.hilcell.commands.workplace import read_corrected
 from tests.whole.bench import command
@@ -22,32 +24,49 @@ def runs(tmp_path: Path) -> Path:
     return tmp_path / "runs"
 
 
+def refuse(runs: Path, targets: Array) -> None:
+    names = [f"H{n}" for n in range(len(targets))]
+    refuse_known([runs, runs / "1-made"], "again.csv", names, targets)
+
+
 def test_corrected_points_are_known_again(runs: Path) -> None:
     note_corrected(runs / "1-made", "the stamp", NOMINAL, COMMAND)
-    refuse_known(runs, "nominal.csv", NOMINAL)
+    refuse(runs, NOMINAL)
     more = NOMINAL + [0.0, 500.0, 0.0]
     lists = (
         COMMAND, np.round(COMMAND[::-1], 3), np.vstack([COMMAND, NOMINAL]),
         np.vstack([COMMAND[:2], NOMINAL, more]),
         COMMAND + [0.005, -0.005, 0.005],  # two decimals
+        COMMAND + [0.05, -0.05, 0.05],  # one
+        np.vstack([COMMAND[:2] + 0.04, NOMINAL[:2]]),
     )  # fmt: skip
     for again in lists:
         with pytest.raises(CorrectedBefore, match="the stamp"):
-            refuse_known(runs, "again.csv", again)
-    refuse_known(runs, "other.csv", np.vstack([COMMAND[:1], NOMINAL]))
+            refuse(runs, again)
+    with pytest.raises(CorrectedBefore, match=r"1 of 4 .*\(H2; the stamp\)"):
+        refuse(runs, np.vstack([NOMINAL[:2], COMMAND[:1], NOMINAL[2:]]))
+    refuse(runs, np.vstack([COMMAND[:1] + 0.05, NOMINAL]))
+
+
+def test_targets_are_known_in_every_frame_that_they_were_corrected_in(runs: Path) -> None:
+    note_corrected(runs, "the stamp", NOMINAL, COMMAND)
+    with pytest.raises(CorrectedBefore):
+        refuse_known([runs], "again.src", ["H1", "H2", "H3"], COMMAND + 900.0, COMMAND)
 
 
 def test_a_point_that_hardly_moved_is_still_its_nominal_target(runs: Path) -> None:
-    note_corrected(runs / "1-made", "the stamp", NOMINAL, NOMINAL + 0.005)
-    refuse_known(runs, "nominal.csv", NOMINAL + 0.005)
+    for step_mm in (0.005, 0.05):
+        note_corrected(runs / "1-made", "the stamp", NOMINAL, NOMINAL + step_mm)
+    refuse(runs, NOMINAL + 0.005)
+    refuse(runs, NOMINAL)
 
 
 def test_a_file_that_was_cut_or_spoilt_is_read_as_far_as_it_goes(runs: Path) -> None:
     note_corrected(runs / "1-made", "the stamp", NOMINAL, COMMAND)
     with (runs / "1-made" / NAME).open("ab") as file:
-        file.write(b"s,1.0,nan,2.0\ns,1.0,x,2.0\n\xff\xfe,1\ns,1.")
+        file.write(b"s,1.0,nan,2.0,1.0\ns,1.0,x,2.0,1.0\n\xff\xfe,1\ns,1.")
     with pytest.raises(CorrectedBefore):
-        refuse_known(runs, "again.csv", COMMAND)
+        refuse(runs, COMMAND)
 
 
 def test_a_list_whose_column_was_dropped_is_not_corrected_again(runs: Path) -> None:
@@ -61,3 +80,25 @@ def test_a_list_whose_column_was_dropped_is_not_corrected_again(runs: Path) -> N
     refused = command("compensate", "1-made", source, "-o", again, *words)
     assert (refused.returncode, again.exists()) == (2, False)
     assert stamp.partition(";")[0] in refused.stderr
+
+
+@pytest.mark.parametrize("how", ["named by its path", "alone", "alone, without runs"])
+def test_a_correction_is_known_wherever_its_calibration_lies(runs: Path, how: str) -> None:
+    """The points were kept beside the calibration, and looked for in --runs."""
+    source, out, again = (runs.parent / f"{name}.csv" for name in ("targets", "out", "again"))
+    write_targets(source, ["H1", "H2"], np.array([[0, 0, 1200, 0, 75, 0], [0, 50, 1250, 0, 75, 0]]))
+    elsewhere, path = runs.parent / "elsewhere", runs / "1-made" / CALIBRATION
+    if how != "alone, without runs":
+        elsewhere.mkdir()
+    if how != "named by its path":
+        path = path.rename(runs.parent / "lone.json")
+    words = ("--station", "S1100", "--runs", elsewhere)
+    done = command("compensate", path, source, "-o", out, *words)
+    assert ("known as corrected by their stamp alone" in done.stderr) == (
+        how == "alone, without runs"
+    )
+    names, values, _ = read_corrected(out)
+    write_targets(source, names, np.round(values, 3))
+    assert command("compensate", path, source, "-o", again, *words).returncode == (
+        0 if how == "alone, without runs" else 2
+    )

@@ -9,12 +9,13 @@ import msgspec
 import pytest
 
 from hilcell.calibration import in_use
-from hilcell.calibration.file import write_calibration
+from hilcell.calibration.file import read_calibration, write_calibration
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.in_use import (
     NoCalibration,
     calibration_named,
     record_of,
+    standing_by_name,
     standing_of,
     standings_in,
     with_calibration,
@@ -204,6 +205,24 @@ def test_a_later_calibration_whose_journal_is_lost_leaves_the_one_before_in_doub
     assert standings_in(tmp_path, read_index(tmp_path))["1-old"] == found  # as listed
     (tmp_path / "2-new" / CALIBRATION).unlink()
     assert standing_of(tmp_path / "1-old").state == "current"
+
+
+def test_a_run_that_was_revoked_stays_so_in_a_copy_of_its_runs(tmp_path: Path) -> None:
+    runs, copy = tmp_path / "runs", tmp_path / "copy"
+    finished(runs, "1-made", MADE)
+    shutil.copytree(runs, copy)
+    path = copy / "1-made" / CALIBRATION
+    known = read_calibration(path)
+    journal = Journal(runs / "1-made" / JOURNAL, "1-made", create=False)
+    journal.append("event", "", {"what": REVOKED, "reason": "a nest"})
+    journal.close()
+    for named in (runs, copy):
+        found = standing_by_name(known, path, named)
+        assert found is not None
+        assert found.text == ("revoked: a nest" if named == runs else "current")
+    shutil.rmtree(runs)
+    finished(runs, "1-made", MADE)  # another run of the same name
+    assert standing_by_name(known, path, runs) == standing_of(copy / "1-made")
 
 
 def test_a_copied_folder_is_the_run_that_it_was_copied_from(tmp_path: Path) -> None:

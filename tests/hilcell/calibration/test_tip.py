@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -17,7 +18,9 @@ from hilcell.commands.bounds import bounds_of_targets
 from hilcell.compensation.programs import StatedTool
 from hilcell.compensation.targets import write_targets
 from hilcell.geometry.frames import inverse, poses_from_zyx, zyx_from_pose
+from hilcell.journal.runs import CALIBRATION
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
+from tests.hilcell.commands.finished_runs import MADE, finished
 from tests.hilcell.commands.test_prepare import INSIDE, holes, made, prepare
 from tests.hilcell.commands.workplace import read_corrected
 from tests.whole.bench import command
@@ -57,6 +60,41 @@ def test_a_target_of_the_tip_is_one_of_the_reflector(cell: Cell) -> None:
     other = compensate_targets(calibration(), "S1100", target, ["H"], tip)
     np.testing.assert_allclose(other - target, one - zyx_from_pose(seen), atol=1e-9)
     assert np.abs(other - target)[:, :3].max() > 0.3
+
+
+def test_a_list_is_at_the_tip_of_the_calibrated_cell(tmp_path: Path) -> None:
+    """Without --cell it was corrected at the reflector: 0.2 mm beside, and no word of it."""
+    path = cell_with(tmp_path, DRILL)
+    known = load_cell(str(path))
+    made_of = {"cell": msgspec.to_builtins(known), "digest": known.digest}
+    provenance = msgspec.structs.replace(calibration(run="1-made").provenance, digest=known.digest)
+    finished(tmp_path / "runs", "1-made", MADE, plan=made_of, provenance=provenance)
+    source, out = tmp_path / "targets.csv", tmp_path / "out.csv"
+    target = np.array([[0.0, 0.0, 1200.0, 0.0, 75.0, 0.0]])
+    tip = tip_named(known, "")
+    write_targets(source, ["H1"], zyx_from_pose(poses_from_zyx(target) @ tip.T_T_D))
+    words: list[str | Path] = [
+        "1-made",
+        source,
+        "-o",
+        out,
+        "--station",
+        "S1100",
+        "--runs",
+        tmp_path / "runs",
+    ]
+    found = []
+    choices: tuple[list[str | Path], ...] = ([], ["--cell", path], ["--tool", "reflector"])
+    for more in choices:
+        done = command("compensate", *words, *more)
+        assert done.returncode == 0, done.stderr
+        found.append(read_corrected(out)[1])
+        assert ("tip of drill" in done.stderr) == ("--tool" not in more)
+    np.testing.assert_array_equal(found[0], found[1])
+    assert np.abs(found[0] - found[2]).max() > 0.01
+    (tmp_path / "runs" / "1-made" / CALIBRATION).rename(tmp_path / "lone.json")
+    done = command("compensate", tmp_path / "lone.json", *words[1:-1], tmp_path)
+    assert "at the reflector's centre: no tool is known without --cell CELL" in done.stderr
 
 
 def test_bounds_hold_at_the_tip(cell: Cell) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import msgspec
@@ -21,10 +23,12 @@ def finished(
     /,
     used: str = "",
     code: int = 0,
+    plan: Mapping[str, Any] = MappingProxyType({}),
     **changes: Any,
 ) -> None:
-    """Write a run that finished, with a calibration of its own; ``changes`` are to that."""
-    writer = Writer(runs / name).began()
+    """Write a run that finished, with a calibration of its own; ``changes`` are to that,
+    ``plan`` to that of the run."""
+    writer = Writer(runs / name, **plan).began()
     if used:
         writer.journal.append("event", "", {"what": USED, "run": used})
     for key, more in verdicts.items():
