@@ -97,7 +97,7 @@ def check_posture(status: int, stated: Sequence[tuple[str, int]]) -> None:
         raise PostureError(
             f"{len(other)} of {len(stated)} targets are reached in another posture than the "
             f"calibrated one, S {status}: no correction is known there; state them in that posture,"
-            f" or calibrate theirs (robot.status)\n{_listed(other)}"
+            f" or measure theirs (robot.status of a cell)\n{_listed(other)}"
         )
 
 

@@ -10,11 +10,18 @@ import numpy as np
 
 from hilcell.calibration.form import written_now
 from hilcell.calibration.influence import bounds_of
+from hilcell.calibration.programs import POSTURE_BITS, check_posture
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.bounds import summary, write_bounds
 from hilcell.commands.output import print_data, print_json, print_message, print_table
 from hilcell.commands.output_place import CSV, check_output
-from hilcell.compensation.programs import Program, load_program, notes_of, write_program
+from hilcell.compensation.programs import (
+    Program,
+    load_program,
+    notes_of,
+    statuses_of,
+    write_program,
+)
 from hilcell.compensation.stamp import Stamp
 from hilcell.fit.fitted_arm import FittedArm
 from hilcell.fit.methods import UNDETERMINED_MM, FitResult, Fitted, fitted, methods_table
@@ -33,7 +40,7 @@ from hilcell.fit.robot_targets import (
 )
 from hilcell.fit.tool_errors import controller_of
 from hilcell.fit.urdf_file import read_urdf
-from hilcell.geometry.closed_form import ReachError
+from hilcell.geometry.closed_form import ReachError, status_of
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.ports import Array
 
@@ -219,6 +226,7 @@ def correct(job: Job, robot: Robot, found: Fitted, train: Measurements) -> dict[
     joints = reach.near(command, targets.joints_rad, targets.names) if as_joints else None
     if program is not None:
         _refuse_unchecked(program, job.source)
+        _check_posture(program, reach, targets.joints_rad, job.source.name)
     if program is not None and program.needs_arm:
         _check_program(program, reach, command, job.source.name)
     inputs = job.inputs
@@ -267,6 +275,19 @@ def _refuse_unchecked(program: Program, source: Path) -> None:
         problems.append(f"{program.base.where}: the base set there is not {ROOT}")
     if problems:
         raise SettingsError(str(source), problems)
+
+
+def _check_posture(program: Program, reach: Reach, joints_rad: Array, name: str) -> None:
+    """Refuse targets in another posture than the joints (N, 6) that were found for them."""
+    stated = statuses_of(program)
+    if not stated:
+        return
+    try:
+        status, *others = np.unique(status_of(reach.arm, joints_rad)).tolist()
+    except ReachError as error:
+        print_message(f"{name}: the postures of its targets were not checked: {error}")
+        return
+    check_posture(status, [each for each in stated if each[1] & POSTURE_BITS not in others])
 
 
 def _check_program(program: Program, reach: Reach, command: Array, name: str) -> None:

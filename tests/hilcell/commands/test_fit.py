@@ -21,14 +21,19 @@ ROWS = [(0, -90, 290, 0), (270, 0, 0, -90), (70, -90, 0, 0), (0, 90, 302, 0), (0
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A folder with the same robot in both forms, and 25 measured poses."""
+    write_dh(tmp_path / "robot.toml")
+    (tmp_path / "robot.urdf").write_text(PLAIN)
+    write_rows(tmp_path / "train.csv", measured(1, 25, ["SMR1"]))
+    return tmp_path
+
+
+def write_dh(path: Path) -> None:
+    """Write the robot of `PLAIN` by its DH rows."""
     rows = [
         f"[[robot.joint]]\na_mm = {a}\nalpha_deg = {alpha}\nd_mm = {d}\noffset_deg = {offset}\n"
         for a, alpha, d, offset in ROWS
     ]
-    (tmp_path / "robot.toml").write_text(ROBOT + "".join(rows))
-    (tmp_path / "robot.urdf").write_text(PLAIN)
-    write_rows(tmp_path / "train.csv", measured(1, 25, ["SMR1"]))
-    return tmp_path
+    path.write_text(ROBOT + "".join(rows))
 
 
 def write_rows(path: Path, rows: Measurements) -> None:

@@ -23,7 +23,7 @@ from hilcell.geometry.frames import (
 )
 from hilcell.geometry.inverse import refine_inverse
 from hilcell.geometry.kinematics import Array, forward
-from tests.hilcell.commands.test_fit import write_rows
+from tests.hilcell.commands.test_fit import write_dh, write_rows
 from tests.hilcell.commands.workplace import read_corrected
 from tests.hilcell.fit.test_fit import IRB120
 from tests.hilcell.fit.urdfs import PLAIN
@@ -86,9 +86,11 @@ def _fitted_once(monkeypatch: pytest.MonkeyPatch, found: Fitted) -> None:
     monkeypatch.setattr("hilcell.commands.fit.fitted", lambda robot, train, test: found)
 
 
-def fit(folder: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
-    robot, train = folder / "robot.urdf", folder / "train.csv"
-    return command("fit", "--robot", robot, "--train", train, "--json", *words)
+def fit(
+    folder: Path, *words: str | Path, robot: str = "robot.urdf"
+) -> subprocess.CompletedProcess[str]:
+    train = folder / "train.csv"
+    return command("fit", "--robot", folder / robot, "--train", train, "--json", *words)
 
 
 def refused(folder: Path, *words: str | Path) -> str:
@@ -226,3 +228,22 @@ def test_undetermined_targets_are_named(
 )
 def test_incomplete_orders_are_refused(folder: Path, words: list[str], missing: str) -> None:
     assert missing in refused(folder, *words)
+
+
+def test_a_program_s_posture_is_the_one_that_was_measured(
+    folder: Path, urdf: Urdf, tmp_path: Path
+) -> None:
+    """S 2 was corrected by the errors of S 6, and some holes became worse."""
+    pose = zyx_from_pose(chain_forward(urdf.chain, drawn(2, 1)) @ pose_from_zyx(0, 0, 120, 0, 0, 0))
+    values = ",".join(f"{n} {v:.4f}" for n, v in zip("XYZABC", pose[0], strict=True))
+    words = ("--tool", "SMR1", "--correct", tmp_path / "p.src", "-o", tmp_path / "out.src")
+    write_dh(folder / "robot.toml")
+    taken = []
+    for status in range(8):
+        lines = ["DEF p()", f"PTP {{{values},S {status}}}", "END", ""]
+        (tmp_path / "p.src").write_text("\n".join(lines))
+        done = fit(folder, *words, robot="robot.toml")
+        taken += [status] if done.returncode == 0 else []
+        assert done.returncode == 0 or "posture" in done.stderr, done.stderr
+    assert len(taken) == 1
+    assert "postures of its targets were not checked" in fit(folder, *words).stderr  # of a URDF
