@@ -79,6 +79,8 @@ def write_together(contents: Mapping[Path, bytes], *, inputs: Iterable[Path] = (
 
 def _mode(path: Path, inputs: list[Path]) -> int | None:
     """Return the mode of the file that is there, or None; raises `NotWritten`."""
+    if str(path) == "-":
+        raise NotWritten("expected the name of a file, got -: /dev/stdout is that of the output")
     with as_not_written(path):
         try:
             found = path.stat()

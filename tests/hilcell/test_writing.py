@@ -121,3 +121,11 @@ def test_together_means_all_or_none(tmp_path: Path) -> None:
         write_together({first: b"new", second: b"new"})
     assert first.read_bytes() == b"old"
     assert [path.name for path in tmp_path.iterdir()] == ["first"]
+
+
+def test_a_dash_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("-", "./-"):
+        with pytest.raises(NotWritten, match="/dev/stdout"):
+            check_place(Path(name))
+    check_place(tmp_path / "-")
