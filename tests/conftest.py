@@ -22,6 +22,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, settings
 
 from fakes import simulator
+from hilcell.calibration.corrected import NAME as CORRECTED
 from hilcell.journal import journal
 from hilcell.journal.runs_folder import OVERRIDE as RUNS
 from hilcell.run.cell_lock import OVERRIDE as LOCKS
@@ -69,6 +70,7 @@ def _apart(
         monkeypatch.setattr(subprocess.Popen, "__init__", _no_process)
     with no_leaks():
         yield
+    Path(os.environ[RUNS], CORRECTED).unlink(missing_ok=True)
     for number, handler in before.items():
         if signal.getsignal(number) is not handler:
             signal.signal(number, handler)

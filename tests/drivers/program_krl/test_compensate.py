@@ -52,7 +52,9 @@ def test_a_corrected_program_arrives_like_a_list_and_is_not_corrected_again(
     _, listed, _ = workplace.read_corrected(out)
     np.testing.assert_allclose(command.values()[:, :3], listed[:, :3], atol=6e-4)
     said = desk.refused(source=desk.out, out=desk.folder / "again.src")
-    assert "20261101-120000-calibrate-abcd" in said
+    assert (
+        "out.src was corrected before (hilcell: corrected by 20261101-120000-calibrate-abcd" in said
+    )
 
 
 @pytest.mark.parametrize(
