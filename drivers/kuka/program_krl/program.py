@@ -50,7 +50,7 @@ class Program:
     """Texts by file name, targets in the order of their first motion, and remarks on them.
 
     ``strokes`` start at one of the targets, ``base`` is the one whose place the program states,
-    ``tool`` the one that it sets.
+    ``tool`` the one that it sets, ``slide`` the first target at a known E1, and its value, mm.
     """
 
     texts: dict[str, str] = field(repr=False)
@@ -59,6 +59,7 @@ class Program:
     strokes: list[Stroke] = field(default_factory=list)
     base: StatedBase | None = None
     tool: StatedTool | None = None
+    slide: tuple[str, float] | None = None
     suffixes = (SOURCE, DATA)
 
     @property
@@ -87,12 +88,6 @@ class Program:
         """Raise `TurnError` where ``command`` (N, 6) in {W} would mean other whole turns."""
         postures = [(target.where, target.posture) for target in self.targets]
         check_turns(arm, T_W_B, postures, self.values(), command)
-
-    @property
-    def slide(self) -> tuple[str, float] | None:
-        """Return the first target that states E1, and its value, mm."""
-        stated = (target for target in self.targets if SLIDE in target.numbers)
-        return next(((target.where, target.numbers[SLIDE].value) for target in stated), None)
 
     def misnamed(self, stem: str) -> list[str]:
         """Return notes on modules whose name in the text is not the files' ``stem``."""

@@ -22,6 +22,7 @@ from drivers.kuka.program_krl.data import (
     declared,
     number,
 )
+from drivers.kuka.program_krl.external import ExternalRule, Stop
 from drivers.kuka.program_krl.frames import FrameRule, assigned_at
 from drivers.kuka.program_krl.program import Program, Target
 from drivers.kuka.program_krl.strokes import MOTIONS, STROKES, Relative, StrokeRule
@@ -74,8 +75,16 @@ def read_program(source: str, text: str, data: tuple[str, str] | None) -> Progra
     if reader.problems:
         raise SettingsError(source, reader.problems)
     texts = {source: text} | ({name: content} if data else {})
-    targets = list(reader.targets.values())
-    return Program(texts, targets, reader.notes(), reader.strokes(), reader.base(), reader.tool())
+    targets, external = list(reader.targets.values()), reader.external()
+    return Program(
+        texts,
+        targets,
+        reader.notes() + external.notes(),
+        reader.strokes(),
+        reader.base(),
+        reader.tool(),
+        external.slide(),
+    )
 
 
 class _Surely:
@@ -141,9 +150,11 @@ class _Reader:
         self._relative: list[Relative] = []
         self._missing: list[str] = []  # names that the data list beside it would have
         self._local = {name for each in found for name in _local(each)}
+        self._assigned = {name for each in found for name in _assigned(each)}
         self._places: set[int] = set()  # where the names of targets stand in motions
         self._moves_in: dict[str, int] = {}  # subprograms that move to a target, by the first line
         self._left: dict[str, int] = {}  # homes and other files' programs, by their first line
+        self._stops: dict[int, list[Stop]] = {}  # by the line of their motion
 
     def read(self) -> None:
         self._each(self._take)
@@ -152,7 +163,7 @@ class _Reader:
             return
         used = {target.name.partition("[")[0] for target in self.targets.values()}
         self._each(partial(self._check_uses, used))
-        self._check_external()
+        self.problems += self.external().problems()
         self._check_called()
         if not self.targets and not self.problems:
             self.problems.append("no motion to a point with X, Y, Z: nothing to correct")
@@ -184,6 +195,10 @@ class _Reader:
             begin, end = (np.array([each.from_mm, each.shift_mm]) @ R.T).tolist()
             found.append(Stroke(where, keys.index(each.key), tuple(end), tuple(begin)))
         return found
+
+    def external(self) -> ExternalRule:
+        """Return where the external axes stand at the targets."""
+        return ExternalRule(self._file, self._blocks, self._stops, self.targets)
 
     def base(self) -> StatedBase | None:
         """Return the base whose place the program states."""
@@ -267,17 +282,16 @@ class _Reader:
                 self._joint_target(statement, inline)
                 return
             self._frames.move(statement.line, clause)
-            self._add(f"{statement.line}", inline, by_joints=statement.head in JOINTWISE)
+            self._add({f"{statement.line}": inline}, statement)
             self._stands.stands_at([f"{statement.line}"])
             return
         self._places.add(target[0].start)
         if statement.head in JOINTWISE and self._stays(name, statement.line):
             return
         self._frames.move(statement.line, clause)
-        meant = self._meant(target)
-        for each in meant:
-            self._add(each.name, each, by_joints=statement.head in JOINTWISE)
-        self._stands.stands_at([each.name for each in meant])
+        meant = {each.name: each for each in self._meant(target)}
+        self._add(meant, statement)
+        self._stands.stands_at(list(meant))
 
     def _joint_target(self, statement: Statement, inline: Datum) -> None:
         """Leave a first motion to all six joints as it is, a home move; refuse any other."""
@@ -285,6 +299,8 @@ class _Reader:
         numbers = {name: number(name, each) for name, each in inline.fields().items()}
         if self.targets or statement.head not in JOINTWISE or not set(JOINTS) <= set(numbers):
             raise KrlError(_JOINTS.format(stated))
+        values = {name: each.value for name, each in numbers.items()}
+        self._stops[statement.line] = [Stop("", values)]
         self._left.setdefault(f"{stated}: joint targets are left unchanged", statement.line)
 
     def _stays(self, name: str, line: int) -> bool:
@@ -296,8 +312,17 @@ class _Reader:
             return False
         if name not in HOMES:
             raise KrlError(_JOINTS.format(name))
+        self._stops[line] = [Stop("", self._joints(name))]
         self._left.setdefault(f"home move {name}: joint targets are left unchanged", line)
         return True
+
+    def _joints(self, name: str) -> dict[str, float] | None:
+        """Return the numbers of a home of the data list; None where they are not known."""
+        if name not in self._data.data or name in self._assigned:
+            return None
+        fields = self._data.data[name].fields()
+        return {each: number(each, fields[each]).value for each in (*JOINTS, *EXTERNAL)
+                if each in fields}  # fmt: skip
 
     def _meant(self, target: Sequence[Token]) -> list[Datum]:
         """Return the points that a motion's target names: one, or any element of an array."""
@@ -318,10 +343,17 @@ class _Reader:
             raise KrlError(f"{name} is {found[0].kind}, which is no point")
         return found
 
-    def _add(self, key: str, datum: Datum, *, by_joints: bool) -> None:
-        known = self.targets.get(key)
-        if known is not None and (known.posture is not None or not by_joints):
-            return
+    def _add(self, meant: Mapping[str, Datum], motion: Statement) -> None:
+        """Take the targets, by key, that a motion goes to one of."""
+        self._stops[motion.line] = stops = list[Stop]()
+        for key, datum in meant.items():
+            known = self.targets.get(key)
+            target = self._target_of(datum, by_joints=motion.head in JOINTWISE)
+            if known is None or (known.posture is None and motion.head in JOINTWISE):
+                self.targets[key] = target
+            stops.append(Stop(key, {name: each.value for name, each in target.numbers.items()}))
+
+    def _target_of(self, datum: Datum, *, by_joints: bool) -> Target:
         posture = status = None
         try:
             numbers = datum.numbers()
@@ -331,7 +363,7 @@ class _Reader:
             if datum.file == self._file:
                 raise
             raise KrlError(f"{datum.name} of {datum.file} line {datum.line}: {error}") from error
-        self.targets[key] = Target(datum.name, datum.file, datum.line, numbers, posture, status)
+        return Target(datum.name, datum.file, datum.line, numbers, posture, status)
 
     def _check_calls(self, statement: Statement) -> None:
         tokens = statement.tokens
@@ -381,21 +413,6 @@ class _Reader:
                     f"it: it may run without the base and tool of line {stated.line}; set them in "
                     f"{name}, in a file of its own"
                 )
-
-    def _check_external(self) -> None:
-        """Refuse targets whose external axes differ: the slide would leave its station."""
-        seen: dict[str, tuple[float, str]] = {}
-        for target in self.targets.values():
-            for name in EXTERNAL:
-                if name not in target.numbers:
-                    continue
-                value = target.numbers[name].value
-                first, where = seen.setdefault(name, (value, target.where))
-                if value != first:
-                    self.problems.append(
-                        f"{target.file} line {target.line}: {target.name} has {name} {value:g}, "
-                        f"{where} has {first:g}: a program is corrected for one station"
-                    )
 
 
 _JOINTS = "{}: joint targets are not corrected; state the target as X, Y, Z, A, B, C"
@@ -489,5 +506,14 @@ def _local(statement: Statement) -> list[str]:
         return [token.word for token in statement.tokens[2:] if token.kind == "word"]
     try:
         return [name for _, variables in [declared(statement)] for name, _ in variables]
+    except KrlError:
+        return []
+
+
+def _assigned(statement: Statement) -> list[str]:
+    """Return the names that a statement gives another value, in part or as a whole."""
+    tokens = statement.tokens
+    try:
+        return [token.word for at, token in enumerate(tokens) if assigned_at(tokens, at)]
     except KrlError:
         return []

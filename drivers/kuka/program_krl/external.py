@@ -1,0 +1,137 @@
+"""Where the external axes stand at a program's targets, E1 as the slide among them.
+
+A component that a motion leaves out keeps its value from the motion before, a home move or another
+to joints included. The axis must stand at one place for all targets: a program is corrected for
+one station.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from drivers.kuka.program_krl.data import EXTERNAL
+from drivers.kuka.program_krl.flow import Flow
+from drivers.kuka.program_krl.program import SLIDE, Target
+from drivers.kuka.program_krl.tokens import Statement
+from hilcell.errors import bounded
+
+
+class Stop(NamedTuple):
+    """Where a motion may end: at a target, ``key``, or at joints.
+
+    ``values`` are those it states, by component; None where they stand in no file at hand.
+    """
+
+    key: str
+    values: Mapping[str, float] | None
+
+
+class Held(NamedTuple):
+    """An axis' value, and the line of the motion that stated it.
+
+    None of line 0 is stated by no motion yet, None of a line is no longer known from there on.
+    """
+
+    value: float | None = None
+    line: int = 0
+
+
+class ExternalRule:
+    """Finds the values of the external axes at each target."""
+
+    def __init__(
+        self,
+        file: str,
+        blocks: Mapping[str, Sequence[Statement]],
+        stops: Mapping[int, Sequence[Stop]],
+        targets: Mapping[str, Target],
+    ) -> None:
+        """Take the motions' stops by line, and the targets by key."""
+        self._file, self._stops, self._targets = file, stops, targets
+        stated = {
+            name
+            for found in stops.values()
+            for stop in found
+            for name in EXTERNAL
+            if stop.values is not None and name in stop.values
+        }
+        self._held = {name: self._follow(name, blocks) for name in sorted(stated)}
+
+    def _follow(
+        self, axis: str, blocks: Mapping[str, Sequence[Statement]]
+    ) -> dict[str, list[Held]]:
+        """Return the values of an axis that each target may be reached with."""
+        held: dict[str, set[Held]] = {key: set() for key in self._targets}
+
+        def step(statement: Statement, before: Held) -> set[Held]:
+            after = set[Held]()
+            for stop in self._stops.get(statement.line, ()):
+                found = before
+                if stop.values is None and before.value is not None:
+                    found = Held(None, statement.line)
+                elif stop.values is not None and axis in stop.values:
+                    value = stop.values[axis]
+                    found = before if before.value == value else Held(value, statement.line)
+                after.add(found)
+                if stop.key in held:
+                    held[stop.key].add(found)
+            return after or {before}
+
+        Flow(blocks, step).follow(Held())
+        return {key: sorted(found, key=lambda each: each.line) for key, found in held.items()}
+
+    def problems(self) -> list[str]:
+        """Return the targets that an axis has another value at than at the first one."""
+        found = []
+        for axis, held in self._held.items():
+            known = [
+                (target, value, f"{axis} {value:g}{self._by(target, axis, line)}")
+                for target, values in ((self._targets[key], held[key]) for key in held)
+                for value, line in values
+                if value is not None
+            ]
+            found += [
+                f"{target.file} line {target.line}: {target.name} has {stands}, "
+                f"{known[0][0].where} has {known[0][2]}: a program is corrected for one station"
+                for target, value, stands in known
+                if value != known[0][1]
+            ]
+        return found
+
+    def notes(self) -> list[str]:
+        """Return the targets where an axis is not known although the program states it."""
+        return [
+            f"{axis} is not known at {', '.join(bounded(names))}: no motion in these files says "
+            "where it stands there; it must stand as at the station"
+            for axis, held in self._held.items()
+            if (names := [self._targets[key].name for key, values in held.items()
+                          if any(value is None for value, _ in values)])
+        ]  # fmt: skip
+
+    def slide(self) -> tuple[str, float] | None:
+        """Return the first target where the slide's place is known, and the place, mm.
+
+        One that is no longer known comes first, as not a number.
+        """
+        found = [
+            (self._targets[key], value, line)
+            for key, values in self._held.get(SLIDE, {}).items()
+            for value, line in values
+        ]
+        for target, value, line in found:
+            if value is None and line:
+                where = f"{target.where} states no {SLIDE}: the home move of line {line}, which"
+                return f"{where} has no numbers in these files,", math.nan
+        known = [
+            (f"{target.where} by {SLIDE}{by}" if by else target.where, value)
+            for target, value, line in found
+            if value is not None
+            for by in [self._by(target, SLIDE, line)]
+        ]
+        return known[0] if known else None
+
+    def _by(self, target: Target, axis: str, line: int) -> str:
+        """Return in words which motion gave a target its value; "" where it states it itself."""
+        return "" if axis in target.numbers else f" of {self._file} line {line}"
