@@ -6,7 +6,8 @@ that follow, ``WITH $BASE=SBASE(FP1.BASE_NO)`` for one. Each of these is either 
 controller's own tables, or a place that the program states: a structure, ``$NULLFRAME``, number 0,
 or a frame of the program's data list, which hides a table of the same name. Home moves bring frame
 data of their own, which count for nothing as long as only home moves use them. Statements that may
-not be executed are refused: within a branch, after a jump, in a subprogram.
+not be executed are refused: within a branch, after a jump, in a subprogram. Here the text's order
+counts; `modal` follows the ways through the program.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ WORLDS = ("$NULLFRAME", "$WORLD")
 BAS_SETS = {"#BASE": "base", "#TOOL": "tool"}
 BAS_RESETS = ("#INITMOV",)
 BAS_FORM = "#FRAMES"
+BAS_APPLIES = (BAS_FORM, "#PTP_PARAMS", "#CP_PARAMS")  # these set the frame data of FDAT_ACT
 BAS_REFUSED = ("#EX_BASE", "#TCP_IPO")
 WITH_FORM = re.compile(
     r"\$BASE=SBASE\((\w+)\.BASE_NO\)|\$TOOL=STOOL2\((\w+)\)|\$IPO_MODE=SIPO_MODE\((\w+)\.IPO_FRAME\)"
@@ -64,6 +66,7 @@ class Stated(NamedTuple):
         return (self.number, self.values) == (other.number, other.values)
 
 
+RESET, FORM, APPLY = "reset", "form", "apply"  # settings beside those of a base or tool
 NULL = (0.0,) * len(POSE)  # number 0 of either table, and the controller's own root
 
 
@@ -77,6 +80,8 @@ class FrameRule:
         self._forms_used: tuple[str, int] | None = None
         self._form_base: Stated | None = None
         self._form_tool: Stated | None = None
+        self.settings: dict[int, list[tuple[str, Stated | str]]] = {}  # by their line
+        self.motions: dict[int, str] = {}  # to places, by line: the frame data of their WITH
         self._changed: dict[str, int] = {}  # names that are assigned, by their first line
         self.frames_used = set[str]()  # of the data list, which stand for a base or tool
         self._moved = 0
@@ -92,21 +97,31 @@ class FrameRule:
         """Return the tool that the program sets."""
         return self._set.get("tool") or self._form_tool
 
+    @property
+    def by_form(self) -> bool:
+        """Whether base and tool are those of inline forms, which `BAS(#BASE,...)` may not set."""
+        return not self._set
+
     def take(self, statement: Statement, unsure: str = "") -> None:
         """Take a statement that is not a motion; ``unsure`` says why it may never be executed.
 
         Raises `KrlError`.
         """
         self._unsure, tokens = unsure, statement.tokens
+        self.settings[statement.line] = []
         for at, token in enumerate(tokens):
             if token.word == "BAS" and at + 1 < len(tokens) and tokens[at + 1].text == "(":
                 self._bas(tokens[at + 2 : closing(tokens, at + 1)], statement.line)
             elif assigned_at(tokens, at):
+                if at and token.word == "FDAT_ACT":
+                    raise KrlError("FDAT_ACT is set within another statement: set it on its own")
                 self._assign(token.word, tokens[at + 1 :], statement.line)
 
     def move(self, line: int, clause: Sequence[Token] = ()) -> None:
         """Take a motion to a Cartesian target and its ``WITH`` clause; raises `KrlError`."""
-        form = _form_of(clause, line) or self._form
+        own = _form_of(clause, line)
+        form = own or self._form
+        self.motions[line] = own[0] if own else ""
         self._moved = self._moved or line
         if form is None:
             return
@@ -132,6 +147,22 @@ class FrameRule:
                 f"{name} changes base or tool: {numbers} here, {self._forms_used[0]} for the "
                 f"motion of line {self._forms_used[1]}; correct such programs apart"
             )
+
+    def stroke(self, line: int) -> None:
+        """Take a relative motion, which runs in the tool that is in force."""
+        self.motions[line] = ""
+
+    def of_form(self, name: str, line: int) -> tuple[Stated, Stated]:
+        """Return base and tool of frame data, which may be known to other files alone."""
+        try:
+            fields = self._data.data[name].fields()
+            return (
+                self._numbered("base", fields["BASE_NO"], line, name, by=f" by {name}"),
+                self._numbered("tool", fields["TOOL_NO"], line, name, by=f" by {name}"),
+            )
+        except (KeyError, KrlError):
+            text = f"that of {name or 'FDAT_ACT'}, which is not in these files"
+            return Stated(line, text, None), Stated(line, text, None)
 
     def _numbers(self, name: str) -> str:
         datum = self._data.data.get(name)
@@ -162,6 +193,10 @@ class FrameRule:
                 f"BAS({first},...) sets base and tool by FDAT_ACT after line {stated.line} has set "
                 "them"
             )
+        elif first in BAS_RESETS:
+            self.settings[line].append((RESET, ""))
+        elif first in BAS_APPLIES:
+            self.settings[line].append((APPLY, ""))
 
     def _assign(self, name: str, rest: Sequence[Token], line: int) -> None:
         if name in NEVER_SET:
@@ -169,6 +204,7 @@ class FrameRule:
         self._changed.setdefault(name, line)
         if name == "FDAT_ACT":
             self._form = (_plain_name(name, rest), line)
+            self.settings[line].append((FORM, self._form[0]))
         elif name == "$IPO_MODE" and text_of(rest) != "=#BASE":
             raise KrlError("$IPO_MODE: the workpiece is carried by the robot")
         elif name in SET_ONCE:
@@ -228,6 +264,7 @@ class FrameRule:
         return Stated(line, text, stated, None if stated else NULL)
 
     def _set_once(self, what: str, stated: Stated) -> None:
+        self.settings[stated.line].append((what, stated))
         known = self._set.get(what)
         if known is not None:
             if known.same(stated):

@@ -24,6 +24,7 @@ from drivers.kuka.program_krl.data import (
 )
 from drivers.kuka.program_krl.external import ExternalRule, Stop
 from drivers.kuka.program_krl.frames import FrameRule, assigned_at
+from drivers.kuka.program_krl.modal import check_modal
 from drivers.kuka.program_krl.program import Program, Target
 from drivers.kuka.program_krl.strokes import MOTIONS, STROKES, Relative, StrokeRule
 from drivers.kuka.program_krl.tokens import (
@@ -165,6 +166,8 @@ class _Reader:
         self._each(partial(self._check_uses, used))
         self.problems += self.external().problems()
         self._check_called()
+        if not self.problems:
+            self.problems += check_modal(self._file, self._blocks, self._frames)
         if not self.targets and not self.problems:
             self.problems.append("no motion to a point with X, Y, Z: nothing to correct")
 
@@ -257,6 +260,7 @@ class _Reader:
         if any(token.text in ('"', "'") for token in tokens):
             raise KrlError("a string does not end on its line")
         if statement.head in STROKES:
+            self._frames.stroke(statement.line)
             self._relative += self._stands.take(statement)
             return
         _refuse_motions(statement)

@@ -1,0 +1,91 @@
+"""In which base and tool each motion of a KRL program runs, whatever way led to it."""
+
+import pytest
+
+from tests.drivers.program_krl.test_program import P1, P2, one, refusal
+
+DAT = P1 + P2 + "".join(
+    f"DECL FDAT {name}={{TOOL_NO {tool},BASE_NO {base},IPO_FRAME #BASE}}\n"
+    for name, tool, base in [("FP1", 1, 1), ("FP2", 1, 1), ("FP7", 1, 7), ("FHOME", 0, 0)]
+)  # fmt: skip
+SETS = "BAS(#TOOL,1)\nBAS(#BASE,1)"
+SUB = "\nEND\nDEF SUB( )\n"
+
+
+def form(name: str, motion: str = "", how: str = "PTP") -> str:
+    """Return an inline form, of which a motion is left out where none is given."""
+    return f"FDAT_ACT={name}\nBAS(#{how}_PARAMS,100)\n{motion}".rstrip()
+
+
+def spline(name: str, point: str) -> str:
+    return (
+        f"SLIN {point} WITH $VEL=SVEL_CP(0.1,,LCPDAT1),$TOOL=STOOL2({name}),"
+        f"$BASE=SBASE({name}.BASE_NO),$IPO_MODE=SIPO_MODE({name}.IPO_FRAME)"
+    )
+
+
+HOME = form("FHOME", "PTP HOME")
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        f"{HOME}\n{form('FP1', 'PTP XP1')}\n{form('FP2', 'LIN XP2', 'CP')}\n{HOME}",
+        f"{HOME}\nLOOP\n{form('FP1', 'PTP XP1')}\n{form('FP2', 'LIN XP2', 'CP')}\n{HOME}\nENDLOOP",
+        f"{HOME}\n{spline('FP1', 'XP1')}\n{spline('FP2', 'XP2')}\n{HOME}",
+        f"{form('FP1', 'PTP XP1')}\n{spline('FP2', 'XP2')}\nLIN_REL {{Z 5}} #TOOL\nLIN XP1",
+        f"{HOME}\n{SETS}\nLIN XP1\nLIN XP2\n{HOME}",
+        f"{HOME}\n{SETS}\nLOOP\n{SETS}\nLIN XP1\n{HOME}\nENDLOOP",
+        f"{SETS}\nLIN XP1\nSUB( )\n{SETS}\nLIN XP2{SUB}{HOME}",
+        f"IF $IN[1] THEN\n{form('FP1')}\nELSE\n{form('FP2')}\nENDIF\nLIN XP1",
+        f"{form('FP1', 'PTP XP1')}\nIF $IN[1] THEN\n{HOME}\nENDIF\n{form('FP2', 'LIN XP2')}",
+        f"{form('FP1', 'PTP XP1')}\nSUB( )\nEND\nDEF SUB( )\n{HOME}\n{form('FP1', 'LIN XP2')}",
+        f"{form('FHOME')}\nBAS(#FRAMES)\n{SETS}\nLIN XP1",
+        "BAS(#PTP_PARAMS,100)\nLIN XP1\nBAS(#CP_PARAMS,0.5)\nLIN XP2",
+        f"{SETS}\nBAS(#VEL_CP,0.1)\nBAS(#PTP_DAT)\nLIN XP1",
+    ],
+)
+def test_programs_that_keep_one_base_and_tool(body: str) -> None:
+    assert one(body, DAT).targets
+
+
+@pytest.mark.parametrize(
+    ("body", "line", "words"),
+    [
+        (f"{SETS}\nSUB( )\nLIN XP2{SUB}{HOME}", 5, "TOOL_DATA[0] by FHOME (line 9)"),
+        (f"{SETS}\nSUB(1)\nLIN XP2{SUB}{form('FP7')}", 5, "BASE_DATA[7] by FP7 (line 9)"),
+        (f"{SETS}\nIF SUB( ) THEN\nHALT\nENDIF\nLIN XP2\nEND\nDEFFCT BOOL SUB( )\n{HOME}", 7, ""),
+        (f"{SETS}\nLIN XP1\nSUB( )\nLIN XP2{SUB}{HOME}", 6, "FHOME (line 10)"),
+        (f"{SETS}\nLOOP\nLIN XP1\n{HOME}\nENDLOOP", 5, "FHOME (line 7)"),
+        (f"{SETS}\nWHILE $IN[1]\nLIN XP1\n{HOME}\nENDWHILE", 5, "FHOME (line 7)"),
+        (f"{SETS}\nFOR I=1 TO 2\nLIN XP1\n{HOME}\nENDFOR", 5, "FHOME (line 7)"),
+        (f"{SETS}\nREPEAT\nLIN XP1\n{HOME}\nUNTIL $IN[1]", 5, "FHOME (line 7)"),
+        (f"{SETS}\nAGAIN:\nLIN XP1\n{HOME}\nGOTO AGAIN", 5, "FHOME (line 7)"),
+        (f"{HOME}\n{SETS}\nLOOP\nLIN XP1\n{HOME}\nENDLOOP", 8, "FHOME (line 10)"),
+        (f"IF $IN[1] THEN\n{form('FP7')}\nELSE\n{form('FP1')}\nENDIF\nLIN XP1", 9, "[7] by FP7"),
+        (f"IF $IN[1] THEN\n{form('FP1', 'PTP XP1')}\nENDIF\nLIN XP2", 7, "before the program"),
+        (f"{spline('FP7', 'XP1')}\nLIN XP2", 3, "WITH holds for its own motion"),
+        (f"LIN XP2\n{spline('FP7', 'XP1')}", 2, "WITH holds for its own motion"),
+        (f"{HOME}\n{spline('FP7', 'XP1')}\nLIN_REL {{Z 5}} #TOOL", 6, "[0] by FHOME (line 3)"),
+        (f"{HOME}\n{SETS}\nLIN XP1\nBAS(#CP_PARAMS,0.5)\nLIN XP2", 9, "FHOME (line 8)"),
+        (f"{HOME}\n{SETS}\nLIN XP1\nBAS (#PTP_PARAMS,50 )\nLIN XP2", 9, "FHOME (line 8)"),
+        (f"{SETS}\nLIN XP1\nBAS(#CP_PARAMS,0.5)\nLIN XP2", 6, "FDAT_ACT, which is not in these"),
+        (f"{SETS}\nLIN XP1\nIF $IN[1] THEN\nFDAT_ACT=FNONE\nENDIF\nLIN XP2", 8, "FNONE"),
+    ],
+)
+def test_a_motion_that_may_run_in_another_base_or_tool_is_refused(
+    body: str, line: int, words: str
+) -> None:
+    said = refusal(body, DAT)
+    assert f"drill.src line {line}: " in said
+    assert words in said
+
+
+def test_frame_data_are_set_by_a_statement_of_its_own() -> None:
+    body = f"{SETS}\nTRIGGER WHEN DISTANCE=0 DELAY=0 DO FDAT_ACT=FP7\nLIN XP1"
+    assert "line 4: FDAT_ACT is set within another statement" in refusal(body, DAT)
+
+
+def test_an_interrupt_may_change_base_and_tool_at_any_time() -> None:
+    body = f"{SETS}\nINTERRUPT DECL 3 WHEN $IN[1] DO SUB( )\nLIN XP1{SUB}{HOME}"
+    assert "drill.src line 5: LIN may run in another" in refusal(body, DAT)
