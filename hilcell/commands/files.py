@@ -230,7 +230,8 @@ def _check_program(
         print_message(f"{name}: its tool ({setting.tool.text}) was not checked; --cell CELL does")
     if cell is not None:
         T_W_B = np.array(calibration.stations[station].T_W_B)
-        check_posture(cell.robot.status, statuses_of(program))
+        status = cell.robot.status
+        check_posture(status, statuses_of(program, status))
         if rides_on_robot(cell):
             check_slide(cell.station_named(station), slide_of(program))
         program.check_joints(tip.arm(cell.robot.arm()), T_W_B, command)

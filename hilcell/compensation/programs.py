@@ -120,9 +120,11 @@ class SetsTool(Protocol):
 class StatesPosture(Protocol):
     """A program whose targets may state the arm's posture; those of other formats do not."""
 
-    @property
-    def statuses(self) -> Sequence[tuple[str, int]]:
-        """Return the targets that do, by name and place, with their status."""
+    def statuses(self, expected: int) -> Sequence[tuple[str, int]]:
+        """Return the targets that do, by name and place, with their status.
+
+        Bits that the program leaves open are the ``expected`` ones.
+        """
 
 
 @runtime_checkable
@@ -146,9 +148,12 @@ def setting_tool(program: object) -> SetsTool | None:
     return program if isinstance(program, SetsTool) else None
 
 
-def statuses_of(program: object) -> Sequence[tuple[str, int]]:
-    """Return the targets whose posture a program states, with their status."""
-    return program.statuses if isinstance(program, StatesPosture) else ()
+def statuses_of(program: object, expected: int) -> Sequence[tuple[str, int]]:
+    """Return the targets whose posture a program states, with their status.
+
+    Bits that it leaves open are the ``expected`` ones.
+    """
+    return program.statuses(expected) if isinstance(program, StatesPosture) else ()
 
 
 def slide_of(program: object) -> tuple[str, float] | None:

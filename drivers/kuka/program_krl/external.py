@@ -22,10 +22,12 @@ class Stop(NamedTuple):
     """Where a motion may end: at a target, ``key``, or at joints.
 
     ``values`` are those it states, by component; None where they stand in no file at hand.
+    ``status`` is S where a motion by joints states it.
     """
 
     key: str
     values: Mapping[str, float] | None
+    status: int | None = None
 
 
 class Held(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -45,12 +45,21 @@ class Target:
         return f"{self.name} ({self.file} line {self.line})"
 
 
+class Kept(NamedTuple):
+    """A target that is reached in a posture of which the ``known`` bits are those of ``status``."""
+
+    where: str
+    known: int
+    status: int
+
+
 @dataclass(frozen=True, slots=True)
 class Program:
     """Texts by file name, targets in the order of their first motion, and remarks on them.
 
     ``strokes`` start at one of the targets, ``base`` is the one whose place the program states,
-    ``tool`` the one that it sets, ``slide`` the first target at a known E1, and its value, mm.
+    ``tool`` the one that it sets, ``slide`` the first target at a known E1, and its value, mm,
+    ``kept`` the postures of motions before that targets are reached in.
     """
 
     texts: dict[str, str] = field(repr=False)
@@ -60,6 +69,7 @@ class Program:
     base: StatedBase | None = None
     tool: StatedTool | None = None
     slide: tuple[str, float] | None = None
+    kept: list[Kept] = field(default_factory=list)
     suffixes = (SOURCE, DATA)
 
     @property
@@ -76,13 +86,16 @@ class Program:
         """Return what only an arm's joints show, where a motion by joints states S and T."""
         if any(each.posture is not None for each in self.targets):
             return "posture (S) and turns (T)"
-        return "postures (S)" if self.statuses else ""
+        return "postures (S)" if self.statuses(0) else ""
 
-    @property
-    def statuses(self) -> list[tuple[str, int]]:
-        """Return the targets whose posture the program states, and their S."""
+    def statuses(self, expected: int) -> list[tuple[str, int]]:
+        """Return the targets whose posture the program states, and their S.
+
+        Bits that are not known of a posture that was kept are the ``expected`` ones.
+        """
         stated = [(target.where, target.status) for target in self.targets]
-        return [(where, status) for where, status in stated if status is not None]
+        own = [(where, status) for where, status in stated if status is not None]
+        return own + [(each.where, expected & ~each.known | each.status) for each in self.kept]
 
     def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
         """Raise `TurnError` where ``command`` (N, 6) in {W} would mean other whole turns."""

@@ -25,7 +25,8 @@ from drivers.kuka.program_krl.data import (
 from drivers.kuka.program_krl.external import ExternalRule, Stop
 from drivers.kuka.program_krl.frames import FrameRule, assigned_at
 from drivers.kuka.program_krl.modal import check_modal
-from drivers.kuka.program_krl.program import Program, Target
+from drivers.kuka.program_krl.posture import kept_postures
+from drivers.kuka.program_krl.program import Kept, Program, Target
 from drivers.kuka.program_krl.strokes import MOTIONS, STROKES, Relative, StrokeRule
 from drivers.kuka.program_krl.tokens import (
     KrlError,
@@ -85,6 +86,7 @@ def read_program(source: str, text: str, data: tuple[str, str] | None) -> Progra
         reader.base(),
         reader.tool(),
         external.slide(),
+        reader.kept(),
     )
 
 
@@ -202,6 +204,10 @@ class _Reader:
     def external(self) -> ExternalRule:
         """Return where the external axes stand at the targets."""
         return ExternalRule(self._file, self._blocks, self._stops, self.targets)
+
+    def kept(self) -> list[Kept]:
+        """Return the targets that are reached in the posture of a motion before."""
+        return kept_postures(self._file, self._blocks, self._stops, self.targets)
 
     def base(self) -> StatedBase | None:
         """Return the base whose place the program states."""
@@ -355,7 +361,8 @@ class _Reader:
             target = self._target_of(datum, by_joints=motion.head in JOINTWISE)
             if known is None or (known.posture is None and motion.head in JOINTWISE):
                 self.targets[key] = target
-            stops.append(Stop(key, {name: each.value for name, each in target.numbers.items()}))
+            values = {name: each.value for name, each in target.numbers.items()}
+            stops.append(Stop(key, values, target.status))
 
     def _target_of(self, datum: Datum, *, by_joints: bool) -> Target:
         posture = status = None
