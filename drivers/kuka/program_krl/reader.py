@@ -54,7 +54,8 @@ NAMED = 5
 HEADERS = ("DEF", "DEFFCT", "EXT", "EXTFCT", "EXTP", "EXTFCTP", "CHANNEL")
 CONTROL = (
     "IF", "WHILE", "UNTIL", "FOR", "WAIT", "SWITCH", "CASE", "RETURN", "WHEN", "TO", "STEP",
-    "AND", "OR", "NOT", "EXOR", "B_AND", "B_OR", "B_NOT", "B_EXOR", "BAS",
+    "AND", "OR", "NOT", "EXOR", "B_AND", "B_OR", "B_NOT", "B_EXOR", "BAS", "DIV", "MOD", "SEC",
+    "PRIO", "DELAY", "DISTANCE", "PATH",
 )  # fmt: skip
 CONDITIONAL = {"IF": "ENDIF", "SWITCH": "ENDSWITCH", "WHILE": "ENDWHILE", "FOR": "ENDFOR"}
 LOOP_ENDS = ("ENDLOOP", "ENDFOR", "ENDWHILE", "UNTIL")
@@ -62,7 +63,16 @@ MOVES_NOTHING = (
     "PULSE", "ANIN", "ANOUT", "SIGNAL", "COPEN", "CCLOSE", "CREAD", "CWRITE", "CIOCTL", "SREAD",
     "SWRITE", "MSGNOTIFY", "MSGSTATE", "MSGQUIT", "MSGDIALOG",
     "IR_STOPM",  # the controller's own, which each program declares for its stop messages
+    "ABS", "SQRT", "SIN", "COS", "TAN", "ACOS", "ASIN", "ATAN", "ATAN2", "ROUND", "FRAND",
+    "FORWARD", "INVERSE", "INV_POS", "CAST_TO", "CAST_FROM", "VARSTATE", "VARTYPE", "GETVARSIZE",
+    "STRADD", "STRCLEAR", "STRCOPY", "STRCOMP", "STRFIND", "STRLEN", "STRDECLLEN", "STRTOBOOL",
+    "STRTOINT", "STRTOREAL", "STRTOSTRING", "STRTOFRAME", "STRTOPOS", "STRTOE6POS", "STRTOAXIS",
+    "STRTOE6AXIS", "GET_SIG_INF", "GET_DECL_PLACE", "GETCYCDEF", "GETSYSSTATE", "GET_SYSTEM_DATA",
+    "IS_KEY_PRESSED", "ISMESSAGESET", "TIMER_LIMIT", "MBX_REC", "SYNC", "SYNCCMD", "WSPACEGIVE",
+    "WSPACETAKE", "SET_KRLMSG", "EXISTS_KRLMSG", "CLEAR_KRLMSG", "SET_KRLDLG", "EXISTS_KRLDLG",
+    "SET_KRLDLGANSWER", "GET_MSGBUFFER", "ERR_CLEAR", "ERR_RAISE", "DELETE_BACKWARD_BUFFER",
 )  # fmt: skip
+EXCHANGE = "EKI_"  # begins the names of an option's functions, which exchange data alone
 
 
 def read_program(source: str, text: str, data: tuple[str, str] | None) -> Program:
@@ -389,9 +399,12 @@ class _Reader:
                     f"{token.word} is called with the motion parameter "
                     f"{points[0] if points else quoted(handed)}: where it moves is not known"
                 )
-            begins = at == 0 or tokens[at - 1].word == "DO"
-            if begins and token.word not in self._own and token.word not in MOVES_NOTHING:
-                note = f"{token.word} is another program: its motions are not corrected"
+            known = token.word in self._own or token.word in MOVES_NOTHING
+            if not known and not token.word.startswith(EXCHANGE):
+                note = (
+                    f"{token.word} is another program: its motions are not corrected, and it must "
+                    "leave base, tool, slide and posture as they are"
+                )
                 self._left.setdefault(note, statement.line)
 
     # -- the second pass ----------------------------------------------------------------------

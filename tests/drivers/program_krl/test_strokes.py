@@ -272,7 +272,37 @@ def test_no_stroke_begins_where_an_interrupt_may_have_moved_the_robot(when: str)
 )
 def test_programs_that_are_called_at_any_time_are_named(call: str) -> None:
     notes = one(f"{call}\nLIN XP1", P1).notes
-    assert "SUB is another program: its motions are not corrected (line 2)" in notes
+    (note,) = (each for each in notes if each.startswith("SUB "))
+    assert note == (
+        "SUB is another program: its motions are not corrected, and it must leave base, tool, "
+        "slide and posture as they are (line 2)"
+    )
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "OK=SUB(5.0)",
+        "IF NOT SUB(7) THEN\nENDIF",
+        "WHILE (N<3) AND SUB( )\nENDWHILE",
+        "N=ABS(SUB(2))",
+        "WAIT FOR SUB( )",
+        "RETURN SUB (N)",
+        "IF $IN[1] THEN\nN=1+sub( )\nENDIF",
+    ],
+)
+def test_functions_of_other_files_are_named_within_expressions(statement: str) -> None:
+    notes = [each for each in one(f"{statement}\nLIN XP1", P1).notes if "another" in each]
+    assert [each.split()[0].upper() for each in notes] == ["SUB"]
+
+
+def test_functions_that_are_the_controllers_own_are_not_named() -> None:
+    body = (
+        'RET=EKI_Init("Cell")\nN=ABS(SQRT(N)+SIN(3.0))\nWAIT SEC (0.5)\nIF VARSTATE("N")==#X THEN'
+        "\nENDIF\nN=StrLen(S[])\nCAST_TO(B[],OFFS,N)\nN=N MOD (3)\nOK=OWN(2)\nLIN XP1\nEND\n"
+        "DEFFCT BOOL OWN(K:IN)\nRETURN (K>1)\nENDFCT\nDEF LAST( )"
+    )
+    assert not [each for each in one(body, P1).notes if "another" in each]
 
 
 def test_the_controllers_own_handler_of_stop_messages_is_no_other_program() -> None:
