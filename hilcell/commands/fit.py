@@ -279,14 +279,14 @@ def _refuse_unchecked(program: Program, source: Path) -> None:
 
 def _check_posture(program: Program, reach: Reach, joints_rad: Array, name: str) -> None:
     """Refuse targets in another posture than the joints (N, 6) that were found for them."""
-    stated = statuses_of(program)
-    if not stated:
+    if not statuses_of(program, 0):
         return
     try:
         status, *others = np.unique(status_of(reach.arm, joints_rad)).tolist()
     except ReachError as error:
         print_message(f"{name}: the postures of its targets were not checked: {error}")
         return
+    stated = statuses_of(program, status)
     check_posture(status, [each for each in stated if each[1] & POSTURE_BITS not in others])
 
 
