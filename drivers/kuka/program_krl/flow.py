@@ -11,8 +11,9 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from typing import Generic, NamedTuple, TypeVar
 
-from drivers.kuka.program_krl.tokens import Statement
+from drivers.kuka.program_krl.tokens import KrlError, Statement
 
+DEEPEST = 50  # calls of subprograms within one another: controllers have at most 20
 State = TypeVar("State", bound=Hashable)
 
 AT_ANY_TIME = ("INTERRUPT", "TRIGGER")
@@ -45,6 +46,7 @@ class Flow(Generic[State]):
         self._blocks, self._step = blocks, step
         self._next = {name: _successors(block) for name, block in blocks.items()}
         self._done: dict[tuple[str, State], set[State]] = {}
+        self._depth = 0
         found = [each for block in blocks.values() for each in block]
         self._any_time = {
             name
@@ -56,7 +58,10 @@ class Flow(Generic[State]):
         self._entries = [name for n, name in enumerate(blocks) if n == 0 or name not in called]
 
     def follow(self, begin: State) -> None:
-        """Follow the first program, and each that no other calls, from the state ``begin``."""
+        """Follow the first program, and each that no other calls, from the state ``begin``.
+
+        Raises `KrlError` where subprograms call one another too deeply.
+        """
         for name in self._entries:
             self._through(name, begin)
 
@@ -65,6 +70,9 @@ class Flow(Generic[State]):
         if (name, begin) in self._done:
             return self._done[name, begin]
         self._done[name, begin] = {begin}  # as it calls itself
+        self._depth += 1
+        if self._depth > DEEPEST:
+            raise KrlError(f"{name} is called within more than {DEEPEST} others; call it directly")
         block, following, ends = self._blocks[name], self._next[name], set[State]()
         seen, todo = set[tuple[int, State]](), [(0, begin)]
         while todo:
@@ -81,6 +89,7 @@ class Flow(Generic[State]):
                          for end in self._through(each, s)}  # fmt: skip
             todo += [(after, each) for after in following[at] for each in left]
         self._done[name, begin] = ends
+        self._depth -= 1
         return ends
 
     def _after(self, statement: Statement, state: State) -> set[State]:

@@ -81,7 +81,7 @@ class FrameRule:
         self._form_base: Stated | None = None
         self._form_tool: Stated | None = None
         self.settings: dict[int, list[tuple[str, Stated | str]]] = {}  # by their line
-        self.motions: dict[int, str] = {}  # to places, by line: the frame data of their WITH
+        self.motions: dict[int, tuple[str, str]] = {}  # by line: base's and tool's form by WITH
         self._changed: dict[str, int] = {}  # names that are assigned, by their first line
         self.frames_used = set[str]()  # of the data list, which stand for a base or tool
         self._moved = 0
@@ -121,7 +121,8 @@ class FrameRule:
         """Take a motion to a Cartesian target and its ``WITH`` clause; raises `KrlError`."""
         own = _form_of(clause, line)
         form = own or self._form
-        self.motions[line] = own[0] if own else ""
+        tool_too = any(token.word == "$TOOL" for token in clause)
+        self.motions[line] = (own[0], own[0] * tool_too) if own else ("", "")
         self._moved = self._moved or line
         if form is None:
             return
@@ -150,7 +151,7 @@ class FrameRule:
 
     def stroke(self, line: int) -> None:
         """Take a relative motion, which runs in the tool that is in force."""
-        self.motions[line] = ""
+        self.motions[line] = ("", "")
 
     def of_form(self, name: str, line: int) -> tuple[Stated, Stated]:
         """Return base and tool of frame data, which may be known to other files alone."""

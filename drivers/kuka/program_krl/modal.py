@@ -18,11 +18,14 @@ from drivers.kuka.program_krl.tokens import Statement
 
 
 class Modal(NamedTuple):
-    """Base and tool in force, None as they were before the program, and FDAT_ACT, if it was set."""
+    """Base and tool in force, None as they were before the program, and those of FDAT_ACT.
+
+    Where equal ones are set again the former stay, so that few states differ.
+    """
 
     base: Stated | None = None
     tool: Stated | None = None
-    form: str = ""
+    form: tuple[Stated, Stated] | None = None
 
 
 def check_modal(
@@ -48,13 +51,14 @@ def check_modal(
         )
 
     def step(statement: Statement, before: Modal) -> list[Modal]:
-        after = _set(frames, statement.line, before)
-        if statement.line in frames.motions:
-            form = frames.motions[statement.line]
-            used = _applied(frames, statement.line, after, form) if form else after
-            judge(statement, "tool", used.tool, frames.tool)
+        line, after = statement.line, _set(frames, statement.line, before)
+        if line in frames.motions:
+            base, tool = frames.motions[line]
+            judge(statement, "tool", frames.of_form(tool, line)[1] if tool else after.tool,
+                  frames.tool)  # fmt: skip
             if statement.head not in STROKES:
-                judge(statement, "base", used.base, frames.base)
+                judge(statement, "base", frames.of_form(base, line)[0] if base else after.base,
+                      frames.base)  # fmt: skip
         return [after]
 
     Flow(blocks, step).follow(Modal())
@@ -67,19 +71,27 @@ def _set(frames: FrameRule, line: int, state: Modal) -> Modal:
         if what == RESET:
             state = Modal(form=state.form)
         elif what == FORM:
-            state = _applied(frames, line, state._replace(form=str(value)), str(value))
-        elif what == APPLY:
-            state = _applied(frames, line, state, state.form)
+            base, tool = state.form or (None, None)
+            stated = frames.of_form(str(value), line)
+            form = _kept(base, stated[0]), _kept(tool, stated[1])
+            state = _applied(state._replace(form=form), line)
+        elif what == APPLY and (state.form or state.base or state.tool):
+            state = _applied(state._replace(form=state.form or frames.of_form("", line)), line)
         elif isinstance(value, Stated) and what == "base":
-            state = state._replace(base=value)
+            state = state._replace(base=_kept(state.base, value))
         elif isinstance(value, Stated):
-            state = state._replace(tool=value)
+            state = state._replace(tool=_kept(state.tool, value))
     return state
 
 
-def _applied(frames: FrameRule, line: int, state: Modal, form: str) -> Modal:
-    """Return base and tool by frame data; without any named, those of before the program."""
-    if not form and state.base is None and state.tool is None:
+def _applied(state: Modal, line: int) -> Modal:
+    """Return base and tool as FDAT_ACT has them."""
+    if state.form is None:
         return state
-    base, tool = frames.of_form(form, line)
-    return state._replace(base=base, tool=tool)
+    base, tool = (each._replace(line=line) for each in state.form)
+    return state._replace(base=_kept(state.base, base), tool=_kept(state.tool, tool))
+
+
+def _kept(before: Stated | None, after: Stated) -> Stated:
+    """Return the frame in force where the one that is set is the same."""
+    return before if before is not None and before.same(after) else after

@@ -41,9 +41,9 @@ def kept_postures(
         after = set[Bits]()
         for stop in stops.get(statement.line, ()):
             if not stop.key:
-                after.add(_of_joints(stop.values or {}, statement.line))
+                after.add(_kept(before, _of_joints(stop.values or {}, statement.line)))
             elif stop.status is not None:
-                after.add(Bits(ALL, stop.status & ALL, statement.line))
+                after.add(_kept(before, Bits(ALL, stop.status & ALL, statement.line)))
             else:
                 after.add(before)
                 found[stop.key].add(before)
@@ -56,6 +56,11 @@ def kept_postures(
         for each in sorted(bits)
         if each.known
     ]
+
+
+def _kept(before: Bits, after: Bits) -> Bits:
+    """Return the posture before where the one that is taken is the same: few states differ."""
+    return before if before[:2] == after[:2] else after
 
 
 def _of_joints(values: Mapping[str, float], line: int) -> Bits:

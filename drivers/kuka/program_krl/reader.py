@@ -176,7 +176,10 @@ class _Reader:
             return
         used = {target.name.partition("[")[0] for target in self.targets.values()}
         self._each(partial(self._check_uses, used))
-        self.problems += self.external().problems()
+        try:
+            self.problems += self.external().problems()
+        except KrlError as error:
+            self.problems.append(f"{self._file}: {error}")
         self._check_called()
         if not self.problems:
             self.problems += check_modal(self._file, self._blocks, self._frames)

@@ -52,21 +52,21 @@ def test_programs_that_keep_one_base_and_tool(body: str) -> None:
 @pytest.mark.parametrize(
     ("body", "line", "words"),
     [
-        (f"{SETS}\nSUB( )\nLIN XP2{SUB}{HOME}", 5, "TOOL_DATA[0] by FHOME (line 9)"),
-        (f"{SETS}\nSUB(1)\nLIN XP2{SUB}{form('FP7')}", 5, "BASE_DATA[7] by FP7 (line 9)"),
+        (f"{SETS}\nSUB( )\nLIN XP2{SUB}{HOME}", 5, "TOOL_DATA[0] by FHOME (line 8)"),
+        (f"{SETS}\nSUB(1)\nLIN XP2{SUB}{form('FP7')}", 5, "BASE_DATA[7] by FP7 (line 8)"),
         (f"{SETS}\nIF SUB( ) THEN\nHALT\nENDIF\nLIN XP2\nEND\nDEFFCT BOOL SUB( )\n{HOME}", 7, ""),
-        (f"{SETS}\nLIN XP1\nSUB( )\nLIN XP2{SUB}{HOME}", 6, "FHOME (line 10)"),
-        (f"{SETS}\nLOOP\nLIN XP1\n{HOME}\nENDLOOP", 5, "FHOME (line 7)"),
-        (f"{SETS}\nWHILE $IN[1]\nLIN XP1\n{HOME}\nENDWHILE", 5, "FHOME (line 7)"),
-        (f"{SETS}\nFOR I=1 TO 2\nLIN XP1\n{HOME}\nENDFOR", 5, "FHOME (line 7)"),
-        (f"{SETS}\nREPEAT\nLIN XP1\n{HOME}\nUNTIL $IN[1]", 5, "FHOME (line 7)"),
-        (f"{SETS}\nAGAIN:\nLIN XP1\n{HOME}\nGOTO AGAIN", 5, "FHOME (line 7)"),
-        (f"{HOME}\n{SETS}\nLOOP\nLIN XP1\n{HOME}\nENDLOOP", 8, "FHOME (line 10)"),
+        (f"{SETS}\nLIN XP1\nSUB( )\nLIN XP2{SUB}{HOME}", 6, "FHOME (line 9)"),
+        (f"{SETS}\nLOOP\nLIN XP1\n{HOME}\nENDLOOP", 5, "FHOME (line 6)"),
+        (f"{SETS}\nWHILE $IN[1]\nLIN XP1\n{HOME}\nENDWHILE", 5, "FHOME (line 6)"),
+        (f"{SETS}\nFOR I=1 TO 2\nLIN XP1\n{HOME}\nENDFOR", 5, "FHOME (line 6)"),
+        (f"{SETS}\nREPEAT\nLIN XP1\n{HOME}\nUNTIL $IN[1]", 5, "FHOME (line 6)"),
+        (f"{SETS}\nAGAIN:\nLIN XP1\n{HOME}\nGOTO AGAIN", 5, "FHOME (line 6)"),
+        (f"{HOME}\n{SETS}\nLOOP\nLIN XP1\n{HOME}\nENDLOOP", 8, "FHOME (line 9)"),
         (f"IF $IN[1] THEN\n{form('FP7')}\nELSE\n{form('FP1')}\nENDIF\nLIN XP1", 9, "[7] by FP7"),
         (f"IF $IN[1] THEN\n{form('FP1', 'PTP XP1')}\nENDIF\nLIN XP2", 7, "before the program"),
         (f"{spline('FP7', 'XP1')}\nLIN XP2", 3, "WITH holds for its own motion"),
         (f"LIN XP2\n{spline('FP7', 'XP1')}", 2, "WITH holds for its own motion"),
-        (f"{HOME}\n{spline('FP7', 'XP1')}\nLIN_REL {{Z 5}} #TOOL", 6, "[0] by FHOME (line 3)"),
+        (f"{HOME}\n{spline('FP7', 'XP1')}\nLIN_REL {{Z 5}} #TOOL", 6, "[0] by FHOME (line 2)"),
         (f"{HOME}\n{SETS}\nLIN XP1\nBAS(#CP_PARAMS,0.5)\nLIN XP2", 9, "FHOME (line 8)"),
         (f"{HOME}\n{SETS}\nLIN XP1\nBAS (#PTP_PARAMS,50 )\nLIN XP2", 9, "FHOME (line 8)"),
         (f"{SETS}\nLIN XP1\nBAS(#CP_PARAMS,0.5)\nLIN XP2", 6, "FDAT_ACT, which is not in these"),
@@ -79,6 +79,18 @@ def test_a_motion_that_may_run_in_another_base_or_tool_is_refused(
     said = refusal(body, DAT)
     assert f"drill.src line {line}: " in said
     assert words in said
+
+
+def test_a_tool_that_a_with_leaves_out_is_the_one_in_force() -> None:
+    motion = "SLIN XP1 WITH $BASE=SBASE(FP1.BASE_NO)"
+    assert one(f"{form('FP1')}\n{motion}", DAT).targets
+    assert "line 2: SLIN may run in another tool" in refusal(motion, DAT)
+
+
+def test_subprograms_that_call_one_another_too_deeply_are_refused() -> None:
+    calls = "\n".join(f"END\nDEF S{n}( )\nS{n + 1}( )" for n in range(300))
+    said = refusal(f"{SETS}\nLIN XP1\nS0( )\n{calls}\nEND\nDEF S300( )\nLIN XP2", DAT)
+    assert "is called within more than 50 others" in said
 
 
 def test_frame_data_are_set_by_a_statement_of_its_own() -> None:
