@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import ceil
+from math import ceil, isnan
 from typing import NamedTuple
 
 import numpy as np
@@ -104,9 +104,10 @@ def check_posture(status: int, stated: Sequence[tuple[str, int]]) -> None:
 def check_slide(station: Station, stated: tuple[str, float] | None) -> None:
     """Raise `SlideError` where a program moves the slide elsewhere than to its station."""
     if stated is not None and not abs(stated[1] - station.rail_mm) <= SLIDE_MM:
+        place = "a place not known" if isnan(stated[1]) else f"{stated[1]:g} mm"
         raise SlideError(
-            f"{stated[0]} moves the slide to {stated[1]:g} mm, expected {station.rail_mm:g} mm, as "
-            f"at {station.name}: correct the program for the station that it drives to"
+            f"{stated[0]} moves the slide to {place}, expected {station.rail_mm:g} mm, as at "
+            f"{station.name}: correct the program for the station that it drives to"
         )
 
 
