@@ -68,9 +68,10 @@ def _apart(
         monkeypatch.setattr(simulator, "_start", START)
     elif not request.node.get_closest_marker("process"):
         monkeypatch.setattr(subprocess.Popen, "__init__", _no_process)
+    corrected = Path(os.environ[RUNS], CORRECTED)
     with no_leaks():
         yield
-    Path(os.environ[RUNS], CORRECTED).unlink(missing_ok=True)
+    corrected.unlink(missing_ok=True)
     for number, handler in before.items():
         if signal.getsignal(number) is not handler:
             signal.signal(number, handler)

@@ -28,6 +28,7 @@ NOT_JUDGED = (
     "measured",
     "done",
 )  # runs that judged nothing, and those that measured nothing either
+SUSPECTED = "suspected"  # of a run that suspects a cause, alone or behind its outcome
 REFUSED = 2  # the exit code of a run that nothing moved in
 RECHECKED = {"valid": "still valid", "update": "updated", "redo": "calibrate again"}
 
@@ -124,7 +125,7 @@ class CalibrationReader:
         return CalibrationFacts(
             kind, self._used, validated, undecided, rechecked.verdict == "redo",
             rechecked.doubt, self._revoked, suspected, judged,
-            "; ".join(filter(None, (verdict, "suspected" if suspected else ""))),
+            "; ".join(filter(None, (verdict, SUSPECTED if suspected else ""))),
             changed,
         )  # fmt: skip
 
@@ -147,8 +148,10 @@ def outcome(facts: CalibrationFacts, state: str, code: int | None, points: int) 
     """
     if code is None:
         return ""
-    if state == "idle" or code == REFUSED:  # the devices were asked, and nothing moved
+    if code == REFUSED:  # the devices may have been asked, and nothing moved
         return "refused"
+    if state == "idle":
+        return "not begun"
     if state != "finished":
         return state
     if code and facts.verdict in ("", OUTCOMES["accepted"]):

@@ -136,7 +136,12 @@ def document(root: Element) -> bytes:
 
 
 UNKNOWN_COUNTRY = "ZZ"  # of ISO 3166-1's codes for the user's own use
-CONFORMITY = {"pass": "pass", "undecided": "noPass", "fail": "fail"}  # a simulated run: none
+CONFORMITY = {
+    "pass": "pass",
+    "undecided": "noPass",
+    "suspected": "noPass",
+    "fail": "fail",
+}  # a simulated run: none
 STATUS = {"before": "beforeAdjustment", "idw": "afterAdjustment", "chosen": "afterAdjustment"}
 AIR = {
     "air temperature": ("basic_temperature", CELSIUS),
@@ -237,7 +242,8 @@ def _statements(facts: Facts) -> Iterator[Element]:
     if facts.revoked:
         yield _statement(f"Revoked: {facts.revoked}", valid="false")
     valid = "; ".join(f"{each.name}: {each.words}" for each in validity_facts(facts))
-    yield _statement(f"Valid for: {valid}.")
+    if valid:
+        yield _statement(f"Valid for: {valid}.")
     yield _statement(f"Decision rule: {conformity_words(facts)}.", "ISO 14253-1",
                      conformity=CONFORMITY.get(verdict_word(facts).lower()))  # fmt: skip
     yield _statement(f"Before and after adjustment: {adjustment_words(facts)}.")

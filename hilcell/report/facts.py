@@ -1,7 +1,8 @@
 """A run as its journal proves it, with its result recomputed.
 
 A report must be the same from the same journal, today and in a year, so nothing here asks for the
-time, for a live engine or for this machine.
+time, for a live engine or for this machine. Only how the calibration stands is asked of the runs
+beside it: a later one may have revoked or superseded it.
 """
 
 from __future__ import annotations
@@ -14,14 +15,18 @@ from pathlib import Path
 from typing import Any
 
 from hilcell.calibration.file import read_calibration
+from hilcell.calibration.in_use import standings_in
+from hilcell.calibration.suspicions import suspected_in
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, read_bytes
 from hilcell.clean import encodable
-from hilcell.journal.calibration_facts import REVOKED
+from hilcell.journal.calibration_facts import REVOKED, CalibrationReader
+from hilcell.journal.index import read_index
 from hilcell.journal.journal import Record, chain
 from hilcell.journal.log import Log, PlanRecord
 from hilcell.journal.runs import CALIBRATION, read_records
+from hilcell.journal.standing import Standing
 from hilcell.journal.times import in_zone, zone_of
 from hilcell.ports import HilcellError
 from hilcell.run.procedure import Procedure, Table
@@ -39,6 +44,7 @@ class Facts:
     result: dict[str, Any]
     fingerprint: str
     file_digest: str = ""  # SHA-256 of its sound calibration file
+    stands: Standing | None = None  # its calibration, among the runs of its folder
 
     @property
     def inputs(self) -> PlanRecord:
@@ -54,12 +60,36 @@ class Facts:
     def revoked(self) -> str:
         """Return why the run's calibration was revoked, "" where it was not."""
         found = [record.body["reason"] for record in self.records if _revokes(record)]
-        return str(found[-1]) if found else ""
+        if found:
+            return str(found[-1])
+        stands = self.stands
+        if stands is None or stands.state != "revoked":
+            return ""
+        return f"by {stands.by}: {stands.reason}" if stands.by else stands.reason
+
+    @property
+    def superseded(self) -> str:
+        """Return by which run its calibration is superseded, "" where it is not."""
+        stands = self.stands
+        return stands.by if stands is not None and stands.state == "superseded" else ""
+
+    @property
+    def suspected(self) -> str:
+        """Return the causes that the run suspects, "" where there is none, or that is cleared."""
+        if self.stands is not None and self.stands.state == "current":
+            return ""
+        reader = CalibrationReader()
+        for key, body in self.log.verdicts.items():
+            reader.judge(key, body)
+        return "; ".join(each.text for each in suspected_in(self.result)) * reader.facts.suspected
 
     @property
     def last(self) -> Record:
-        """Return the last record of the run itself."""
-        return next(record for record in reversed(self.records) if not _revokes(record))
+        """Return the last record of the run itself, not of a resume that never began."""
+        states = [n for n, each in enumerate(self.records) if each.kind == "state"]
+        after = self.records[states[-1] if states else 0 :]
+        ended = (each for each in after if each.kind == "end")
+        return next(ended, None) or next(each for each in reversed(after) if not _revokes(each))
 
     @property
     def zone(self) -> tzinfo:
@@ -88,8 +118,10 @@ def read_facts(folder: Path) -> Facts:
     log, run = Log(records), encodable(folder.resolve().name)
     procedure: Procedure = load_entry("procedures", log.inputs.procedure)
     result = _result(run, procedure, log)
+    runs = folder.resolve().parent
+    stands = standings_in(runs, read_index(runs)).get(folder.resolve().name)
     return Facts(run, records, log, log.cell, procedure, result, fingerprint_of(records),
-                 file_digest_of(folder, log))  # fmt: skip
+                 file_digest_of(folder, log), stands)  # fmt: skip
 
 
 def file_digest_of(folder: Path, log: Log) -> str:

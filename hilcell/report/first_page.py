@@ -23,6 +23,7 @@ from hilcell.geometry.sequential import Outcome
 from hilcell.journal.calibration_facts import (
     JUDGING,
     OUTCOMES,
+    SUSPECTED,
     VALIDATION,
     VERDICTS,
     run_outcome,
@@ -200,7 +201,8 @@ def results_at(facts: Facts, name: str) -> tuple[Result, Result]:
 def verdict_word(facts: Facts) -> str:
     """Return the verdict in a few words: PASS, FAIL or UNDECIDED where the robot was judged.
 
-    Where it was not it is the outcome in capitals; "NO VERDICT" before a run has finished.
+    Where it was not, or a cause is suspected and no limit is missed, it is the outcome in capitals;
+    "NO VERDICT" before a run has finished.
     """
     if facts.revoked:
         return "REVOKED"
@@ -208,6 +210,8 @@ def verdict_word(facts: Facts) -> str:
         return "NO VERDICT"
     outcome = run_outcome(facts.log).partition(";")[0]  # a suspicion is stated beside it
     if not any(key.startswith(JUDGING) for key in facts.log.verdicts):
+        return outcome.upper()
+    if outcome == SUSPECTED:
         return outcome.upper()
     simulated = facts.inputs.simulated
     if outcome == OUTCOMES["undecided"]:
@@ -274,9 +278,12 @@ def _party(name: str, address: str) -> str:
 
 
 def validity_facts(facts: Facts) -> list[Fact]:
-    """Return volume, orientation, temperature and age outside which `compensate` refuses."""
+    """Return volume, orientation, temperature and age outside which `compensate` refuses.
+
+    Nothing of a calibration that it refuses altogether.
+    """
     calibration = calibration_so_far(facts.log, facts.run)
-    if calibration is None:
+    if calibration is None or facts.revoked or facts.suspected:
         return []
     validity = calibration.validity
     turned = np.eye(4)

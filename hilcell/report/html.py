@@ -325,7 +325,8 @@ def standing(facts: Facts) -> tuple[str, str]:
     if facts.revoked:
         return "bad", f"its calibration is revoked: {facts.revoked}"
     if facts.finished and end is not None:
-        return "bad" if end["exit"] else "good", run_outcome(facts.log)
+        later = f"; its calibration is superseded by {facts.superseded}" * bool(facts.superseded)
+        return "bad" if end["exit"] else "good", run_outcome(facts.log) + later
     if end is None and state not in ("aborted", "faulted"):
         return "open", "not begun" if state == "idle" else f"not finished: {state}, engine gone"
     return "open", f"not finished: {run_outcome(facts.log)}"
@@ -353,6 +354,8 @@ def sentence(facts: Facts) -> str:
     word, why = verdict_word(facts), deciding(facts)
     if word == "OUT OF TOLERANCE":
         return "A check of this run is beyond its limit: see the verdicts."
+    if word == "SUSPECTED":
+        return f"{facts.suspected}. Correct nothing by it until that is cleared."
     only = "In simulation only: " if facts.inputs.simulated else ""
     if word.endswith("PASS"):
         return f"{only}After correction the robot keeps its limits, with the uncertainty added."

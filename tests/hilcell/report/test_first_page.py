@@ -1,5 +1,6 @@
 """The first page and its verdicts: a page that is signed is whole, nothing simulated can be."""
 
+import dataclasses
 import hashlib
 import re
 import xml.etree.ElementTree as ET
@@ -15,6 +16,7 @@ from hilcell.calibration.influence import Bounds
 from hilcell.cell.file import load_cell
 from hilcell.journal.calibration_facts import REVOKED
 from hilcell.journal.index import row_of
+from hilcell.journal.standing import Standing
 from hilcell.report.certificate import certificate, title
 from hilcell.report.course import course
 from hilcell.report.drawings.plan_view import plan_view
@@ -28,6 +30,7 @@ from hilcell.report.first_page import (
 from hilcell.report.html import measured, report_html, sentence, standing
 from hilcell.report.target_budget import TargetBudget
 from hilcell.report.verdicts import figures_words
+from tests.hilcell.commands.finished_runs import MADE, REDO, finished
 from tests.hilcell.report.journals import validated_run
 from tests.whole.golden import GoldenRuns
 
@@ -267,6 +270,46 @@ def test_too_few_targets_make_a_row_undecided_whose_figures_are_not(tmp_path: Pa
     found = results_sheet(facts, TargetBudget("none"))
     assert found is not None
     assert [row[-1] for row in found.rows] == ["undecided", "pass"]
+
+
+def test_a_later_run_revokes_or_supersedes(tmp_path: Path) -> None:
+    """The page said WOULD PASS of a calibration that a re-check had revoked."""
+    finished(tmp_path, "1-made", MADE)
+    finished(tmp_path, "2-re-checked", REDO, used="1-made", code=1)
+    facts = read_facts(tmp_path / "1-made")
+    assert verdict_word(facts) == "REVOKED"
+    reason = "by 2-re-checked: its re-check says redo"
+    assert standing(facts) == ("bad", f"its calibration is revoked: {reason}")
+    assert validity_facts(facts) == []
+    finished(tmp_path, "3-made", MADE)
+    finished(tmp_path, "4-made", MADE)
+    words = standing(read_facts(tmp_path / "3-made"))[1]
+    assert words.endswith("; its calibration is superseded by 4-made")
+    assert "superseded" not in standing(read_facts(tmp_path / "4-made"))[1]
+
+
+def test_a_suspected_cause_is_the_verdict_where_no_limit_is_missed(tmp_path: Path) -> None:
+    """The page said that limits are not kept, over a table that passes."""
+    writer = validated_run(tmp_path / "r", simulated=False)
+    writer.journal.append("verdict", "validation.S1100", JUDGED)
+    writer.journal.append("verdict", "suspicions", {"holds": False, "suspected": ["mount slipped"]})
+    cause = {"cause": "mount slipped", "size": 0.24, "unit": "mm", "noticed_by": "re-visits"}
+    read = read_facts(writer.ended(code=1))
+    facts = dataclasses.replace(read, result=read.result | {"suspicions": [cause]})
+    assert verdict_word(facts) == "SUSPECTED"
+    assert re.match(r".*mount slipped.*0\.24.*Correct nothing by it", sentence(facts))
+    cleared = dataclasses.replace(facts, stands=Standing("current"))
+    assert facts.suspected
+    assert not cleared.suspected
+
+
+def test_a_resume_that_never_began_is_no_part_of_the_run(tmp_path: Path) -> None:
+    writer = validated_run(tmp_path / "r")
+    writer.state("run", "aborted")
+    for code in (4, 3, 3):
+        writer.journal.append("end", "", {"state": "aborted", "exit": code, "result": {}})
+    facts = read_facts(writer.left())
+    assert facts.last.body["exit"] == 4
 
 
 def test_a_run_that_is_undecided_and_suspected_is_undecided_on_the_first_page(
