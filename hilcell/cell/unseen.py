@@ -9,6 +9,7 @@ from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import Array
 
 SCALE_PPM = 100.0  # of a weather station that lies, by 10 K or 30 hPa about each
+TOLD_PPM = 30.0  # of a certified length that is of use
 ACROSS_DEG = 30.0  # between lengths of two directions
 SLIP_DEG = 0.003  # at random, 1 sigma, at each stop
 SEATING_MM, SEATED_MM = 0.03, 0.07  # dirt in each nest, and how far it moves targets
@@ -24,6 +25,12 @@ def unseen(cell: Cell, *, turns_over: bool) -> list[str]:
         found.append(
             "no certified length (layout.length): a wrong scale of the tracker is not seen; "
             f"{SCALE_PPM:g} ppm move targets by {_scaled_mm(cell):.2f} mm"
+        )
+    elif not (ppm := _told_ppm(cell)) <= TOLD_PPM:
+        found.append(
+            f"the certified lengths (layout.length) tell scales beyond {ppm:.0f} ppm alone, by "
+            f"their U (2 u_mm); {SCALE_PPM:g} ppm move targets by {_scaled_mm(cell):.2f} mm: is "
+            "u_mm in mm?"
         )
     elif not _two_directions(cell):
         found.append(
@@ -70,6 +77,11 @@ def _scaled_mm(cell: Cell) -> float:
     """
     lever_mm = np.linalg.norm(_centre_mm(cell) - cell.layout.floor[0].xyz_mm)
     return float(1e-6 * SCALE_PPM * lever_mm)
+
+
+def _told_ppm(cell: Cell) -> float:
+    """Return the least scale that a certified length tells by its U (k = 2)."""
+    return min(2e6 * each.u_mm / each.length_mm for each in cell.layout.length)
 
 
 def _slipped_mm(cell: Cell) -> float:

@@ -61,3 +61,12 @@ def test_a_robot_without_a_stated_repeatability_may_repeat_worse() -> None:
     found = unseen(msgspec.structs.replace(cell, robot=unstated), turns_over=True)
     (text,) = [each for each in found if "robot.rp_mm" in each]
     assert "0.003 deg, is not seen; it moves targets by 0.11 mm" in text
+
+
+def test_a_length_whose_u_is_in_another_unit_tells_no_scale() -> None:
+    """4 um typed as 4 mm: a scale of 100 ppm passed, and nothing named it."""
+    for u_mm, told in ((0.004, False), (0.02, False), (0.04, True), (4.0, True)):
+        length = f'[{{nests = ["B1", "B2"], length_mm = 2000.0, u_mm = {u_mm}}}]'
+        found = unseen(load_cell("paper", {"layout.length": length}), turns_over=True)
+        assert any("is u_mm in mm?" in each for each in found) == told
+    assert "beyond 4000 ppm alone" in found[0]

@@ -114,6 +114,8 @@ def test_a_run_that_the_devices_refused_is_no_fault() -> None:
     row = msgspec.structs.replace(ROW, state="faulted", exit=2, live=False)
     assert row.verdict == "refused"
     assert msgspec.structs.replace(row, exit=3).verdict == "faulted"
+    unasked = msgspec.structs.replace(row, state="idle", exit=3)
+    assert unasked.verdict == "not begun"
 
 
 def test_only_what_changed_is_opened(runs: Path, opened: Opened) -> None:
