@@ -59,18 +59,21 @@ class Chosen(NamedTuple):
     words: str = ""
 
 
-def with_calibration(cell: Cell, table: str, runs: Path, accepts: Accepts = NOTHING) -> Chosen:
+def with_calibration(
+    cell: Cell, table: str, runs: Path, accepts: Accepts = NOTHING, machine: int | None = None
+) -> Chosen:
     """Return the cell with the path of a usable calibration file in ``table``.
 
-    The table names a run or a file; "" is the current calibration of this cell in ``runs``. A cell
-    without the table is returned as it is. Raises `NoCalibration`, `Unfit`, and `SettingsError`
-    for a file that is not sound.
+    The table names a run or a file; "" is the current calibration of this cell in ``runs``, of a
+    simulated one that of the ``machine`` with this seed, None for any. A cell without the table is
+    returned as it is. Raises `NoCalibration`, `Unfit`, and `SettingsError` for a file that is not
+    sound.
     """
     chosen = getattr(cell, table)
     if chosen is None:
         return Chosen(cell, [])  # the plan says which keys it lacks
     named = chosen.calibration
-    path = _named(runs, named) if named else _current(runs, cell, table)
+    path = _named(runs, named) if named else _current(runs, cell, table, machine)
     calibration = read_calibration(path)
     standing = standing_by_name(calibration, path, runs)
     accepted = _accepted(calibration, path, cell, standing, accepts)
@@ -151,7 +154,7 @@ def _instead(folder: Path) -> str:
     return f"it used that of {latest}"
 
 
-def _current(runs: Path, cell: Cell, table: str) -> Path:
+def _current(runs: Path, cell: Cell, table: str, machine: int | None) -> Path:
     """Return the current calibration; where there is none, the newest that is not known to be bad.
 
     A touched base is of a visit that ends when the run that looks for one homes the slide.
@@ -164,7 +167,9 @@ def _current(runs: Path, cell: Cell, table: str) -> Path:
         standing = known.get(row.name, _unproven(row))
         if (made := _made(path, row, standing, cell)) is None or made.cell != cell.name:
             continue
-        if made.simulated != simulated:
+        if machine is not None and row.machine_seed not in (None, machine):
+            gone = gone or f" (that of run {row.name} is of simulated machine {row.machine_seed})"
+        elif made.simulated != simulated:
             foreign = foreign or path  # a real cell and a simulated one of its name are two
         elif made.is_of_visit:
             gone = gone or f" (that of run {row.name} has a base that was touched on a visit)"

@@ -122,11 +122,11 @@ def run(args: argparse.Namespace) -> int:
     accepted: list[str] = []
     if uses := procedure.used_in(cell):
         accepts = Accepts(args.accept_out_of_tolerance, args.accept_not_current)
-        cell, accepted, used = with_calibration(cell, uses, args.runs, accepts)
+        asked: int | None = args.machine_seed
+        cell, accepted, used = with_calibration(cell, uses, args.runs, accepts, asked)
         for words in (used, *(f"accepted although {reason}" for reason in accepted)):
             print_message(words)
-        if args.machine_seed is None:  # the machine that was calibrated, not the seed's
-            args.machine_seed = calibrated_machine(cell, uses)
+        args.machine_seed = _machine_of(asked, calibrated_machine(cell, uses))
     plan = procedure.plan(cell, args.seed)
     try:
         check_options(cell)
@@ -249,6 +249,17 @@ def machine_seed(cell: Cell, args: argparse.Namespace) -> int | None:
     if cell.simulation is None or cell.simulation.address:
         return None
     return int(args.seed if args.machine_seed is None else args.machine_seed)
+
+
+def _machine_of(asked: int | None, calibrated: int | None) -> int | None:
+    """Return the simulated machine of a run that uses a calibration: the one calibrated.
+
+    None is one that is not asked for, or not known. Raises `SettingsError` where they differ.
+    """
+    if None not in (asked, calibrated) and asked != calibrated:
+        problem = f"{asked}: the calibration is of simulated machine {calibrated}; name another"
+        raise SettingsError("--machine-seed", [problem])
+    return calibrated if asked is None else asked
 
 
 def _check_of_simulator(cell: Cell, option: str, value: float | None) -> None:

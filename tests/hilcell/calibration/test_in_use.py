@@ -13,6 +13,7 @@ from hilcell.calibration.file import read_calibration, write_calibration
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.in_use import (
     NoCalibration,
+    calibrated_machine,
     calibration_named,
     record_of,
     standing_by_name,
@@ -107,6 +108,20 @@ def test_no_calibration_says_what_to_do(tmp_path: Path) -> None:
         with_calibration(using("1-old"), "recheck", tmp_path)
     with pytest.raises(NoCalibration, match=r"recheck\.calibration"):
         calibration_named(using(), "recheck")
+
+
+def test_a_machine_takes_its_own_calibration(tmp_path: Path) -> None:
+    """Another machine's newer one was taken, found to hold no more, and revoked."""
+    here: dict[str, Any] = {"cell": CELL.name, "digest": CELL.digest, "simulated": True}
+    for name, seed in (("1-of-1", 1), ("2-of-2", 2)):
+        known = calibration(run=name, **here)
+        finished(tmp_path, name, MADE, plan={"machine_seed": seed}, provenance=known.provenance)
+    for asked, name in ((1, "1-of-1"), (2, "2-of-2"), (None, "2-of-2")):
+        cell = with_calibration(using(), "recheck", tmp_path, machine=asked).cell
+        assert Path(cell.recheck.calibration).parent.name == name
+        assert calibrated_machine(cell, "recheck") == int(name[-1])
+    with pytest.raises(NoCalibration, match="2-of-2 is of simulated machine 2"):
+        with_calibration(using(), "recheck", tmp_path, machine=3)
 
 
 @pytest.mark.parametrize("provenance", [{"sign_checked": False}, {"simulated": False}])

@@ -6,6 +6,7 @@ import msgspec
 import pytest
 
 from hilcell.cell.file import Cell, load_cell
+from hilcell.cell.settings import SettingsError
 from hilcell.commands import run
 from hilcell.commands.cli import main, whole_parser
 from hilcell.journal.runs import read_log
@@ -78,3 +79,14 @@ def test_a_cell_slower_than_real_time_is_refused(
     with pytest.raises(SystemExit, match="2"):
         main([command, "--speed", "0.5"])
     assert "1 .. 1e+06" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("asked", "calibrated", "found"), [(None, None, None), (None, 2, 2), (1, None, 1), (2, 2, 2)]
+)
+def test_a_run_is_of_the_calibrated_machine(
+    asked: int | None, calibrated: int | None, found: int | None
+) -> None:
+    assert run._machine_of(asked, calibrated) == found
+    with pytest.raises(SettingsError, match="simulated machine 8"):
+        run._machine_of(7, 8)
