@@ -82,9 +82,9 @@ def _revisits(body: Body) -> str:
     chance = f"which chance alone keeps in {100 * (1 - RISK):g} % of runs"
     moved = "".join(f"; suspected: {each}" for each in body["suspected"])
     return (
-        f"the squares of the differences from the first visits are {body['ratio']:.2f} times what "
-        "readings and repeatability explain (chi² per degree of freedom: about 1 where nothing has "
-        f"changed); limit {body['limit']:.2f}, {chance}{moved}"
+        "differences from the first visits: of the tests of all poses together and of each cause "
+        f"(chi² per degree of freedom, 1 on average by chance), the nearest to its limit has "
+        f"{body['ratio']:.2f}; limit {body['limit']:.2f}, {chance}{moved}"
     )
 
 
