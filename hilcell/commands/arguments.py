@@ -73,7 +73,9 @@ def ports_of(text: str) -> dict[str, int]:
 def run_name(text: str) -> str:
     """Return a name that a folder can have, in letters of any language."""
     text = unicodedata.normalize("NFC", text)
-    if not re.fullmatch(r"[^\W_][\w.-]{0,99}", text) or text == "last":
+    if text == "last":
+        raise argparse.ArgumentTypeError("'last' is reserved: it names the newest run")
+    if not re.fullmatch(r"[^\W_][\w.-]{0,99}", text):
         raise argparse.ArgumentTypeError(
             "1 to 100 letters, digits, '_', '.' and '-' are wanted, the first a letter or digit, "
             f"found {text[:80]!r}"

@@ -58,6 +58,12 @@ def revoke(args: argparse.Namespace) -> int:
 def _check_permission(folder: Path) -> None:
     """Raise `StorageError` where a record cannot be added; the lock lies beside the run."""
     for place in (folder / JOURNAL, folder, folder.resolve().parent):
+        if os.statvfs(place).f_flag & os.ST_RDONLY:
+            raise StorageError(
+                f"run {folder.name}: its calibration is not revoked: {place} lies on a read-only "
+                f"file system; mount it for writing, then `hilcell revoke "
+                f"{encodable(folder.name)}` again"
+            )
         if not os.access(place, os.W_OK):
             raise StorageError(
                 f"run {folder.name}: its calibration is not revoked: no permission to write "

@@ -25,6 +25,7 @@ from typing import Any, Literal
 import msgspec
 
 from hilcell.errors import HilcellError
+from hilcell.journal.runs_folder import runs_option
 from hilcell.typed import typed
 
 # The writer goes on without any error in a file that was deleted, replaced or cut short.
@@ -171,7 +172,7 @@ class Journal:
     def __init__(self, path: Path, run: str, *, create: bool, again: str = "") -> None:
         """``again`` is the command to repeat once a failed disk is mended; usually ``resume``."""
         self.path, self.run = path, run
-        self._again = again or f"hilcell resume {run}"
+        self._asked_again = again
         self._lock = threading.Lock()
         self._listeners: list[Callable[[Record], None]] = []
         if not create:
@@ -210,6 +211,12 @@ class Journal:
         """Call ``listener`` with every record appended from now on, once it is durable."""
         self._listeners.append(listener)
 
+    @property
+    def _again(self) -> str:
+        return (
+            self._asked_again or f"hilcell resume {self.run}{runs_option(self.path.parent.parent)}"
+        )
+
     def append(self, kind: Kind, key: str, body: dict[str, Any]) -> Record:
         """Write one record and return it when it is durable.
 
@@ -218,7 +225,7 @@ class Journal:
         with self._lock:
             moment = datetime.now(UTC).isoformat(timespec="milliseconds")
             what = f"journal {self.path}: record {self._seq + 1} ({kind} {key or '-'})"
-            plain, text = plain_body(body, what, f", then `hilcell resume {self.run}`")
+            plain, text = plain_body(body, what, f", then `{self._again}`")
             record = Record(self._seq + 1, moment, kind, key, plain)
             digest = chain(self._hash, record)
             row = (record.seq, record.t, kind, key, text.decode(), digest)
@@ -294,7 +301,7 @@ class Journal:
             if lost := file.lost():
                 raise StorageError(
                     f"journal {self.path}: {file.path.name} was {lost} while run {self.run} wrote "
-                    f"it; put it back, then `hilcell resume {self.run}` measures what is missing",
+                    f"it; put it back, then `{self._again}` measures what is missing",
                     code="HC-J10",
                     record=self._seq + 1,
                 )

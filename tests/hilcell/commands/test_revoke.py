@@ -1,6 +1,7 @@
 """`revoke`, and `compensate` with calibrations that are not current."""
 
 import json
+import os
 import shutil
 import sqlite3
 import subprocess
@@ -8,10 +9,12 @@ import sys
 import tempfile
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from hilcell.commands.cli import main
 from hilcell.compensation.targets import write_targets
 from hilcell.journal.find_run import find_run
 from hilcell.journal.index import read_index, row_of
@@ -179,6 +182,7 @@ def test_last_is_the_run_last_started_or_resumed_not_last_annotated(
 REVOKE = """
 import os, sys
 from pathlib import Path
+from types import SimpleNamespace
 from hilcell.cell import addresses
 from hilcell.commands.cli import main
 revoke = ["revoke", "2-made", "--runs", sys.argv[1], "--reason", "a crash"]
@@ -209,3 +213,21 @@ def test_a_missing_permission_is_named() -> None:
         for place in places:
             assert f"{place};" in done.stderr
         assert not row_of(runs / "1-made").facts.revoked
+
+
+def test_a_read_only_file_system_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The words were: no permission, ask the owner."""
+    finished(tmp_path, "1-made", MADE)
+    monkeypatch.setattr(os, "statvfs", lambda _: SimpleNamespace(f_flag=os.ST_RDONLY))
+    words = ["revoke", "1-made", "--reason", "a nest", "--runs", str(tmp_path)]
+    assert main(words) == 7
+    assert "read-only file system" in capsys.readouterr().err
+    assert not row_of(tmp_path / "1-made").facts.revoked
+
+
+def test_the_name_of_the_newest_run_is_reserved(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["run", "home", "--name", "last"])
+    assert "'last' is reserved" in capsys.readouterr().err
