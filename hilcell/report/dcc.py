@@ -136,12 +136,10 @@ def document(root: Element) -> bytes:
 
 
 UNKNOWN_COUNTRY = "ZZ"  # of ISO 3166-1's codes for the user's own use
-CONFORMITY = {
-    "pass": "pass",
-    "undecided": "noPass",
-    "suspected": "noPass",
-    "fail": "fail",
-}  # a simulated run: none
+NOT_SHOWN = "noPass"
+CONFORMITY = {  # a simulated run: none
+    "pass": "pass", "undecided": NOT_SHOWN, "suspected": NOT_SHOWN, "fail": "fail",
+}  # fmt: skip
 STATUS = {"before": "beforeAdjustment", "idw": "afterAdjustment", "chosen": "afterAdjustment"}
 AIR = {
     "air temperature": ("basic_temperature", CELSIUS),
