@@ -21,11 +21,10 @@ STRETCHED_DEG = 15.0  # of A3: an arm is stretched at some degrees beside zero, 
 
 
 class Bits(NamedTuple):
-    """The bits of a status that are ``known``, and the line of the motion that took them."""
+    """The bits of a status that are ``known``; nothing else, so that few states differ."""
 
     known: int = 0
     status: int = 0
-    line: int = 0
 
 
 def kept_postures(
@@ -36,34 +35,33 @@ def kept_postures(
 ) -> list[Kept]:
     """Return the targets that are reached in the posture of a motion before, as far as known."""
     found: dict[str, set[Bits]] = {key: set() for key in targets}
+    lines: dict[Bits, int] = {}  # of the first motion that takes a posture
 
     def step(statement: Statement, before: Bits) -> set[Bits]:
         after = set[Bits]()
         for stop in stops.get(statement.line, ()):
+            taken = before
             if not stop.key:
-                after.add(_kept(before, _of_joints(stop.values or {}, statement.line)))
+                taken = _of_joints(stop.values or {})
             elif stop.status is not None:
-                after.add(_kept(before, Bits(ALL, stop.status & ALL, statement.line)))
+                taken = Bits(ALL, stop.status & ALL)
             else:
-                after.add(before)
                 found[stop.key].add(before)
+            if taken != before:
+                lines[taken] = min(statement.line, lines.get(taken, statement.line))
+            after.add(taken)
         return after or {before}
 
     Flow(blocks, step).follow(Bits())
     return [
-        Kept(f"{targets[key].where}, kept from {file} line {each.line}", each.known, each.status)
+        Kept(f"{targets[key].where}, kept from {file} line {lines[each]}", *each)
         for key, bits in found.items()
         for each in sorted(bits)
         if each.known
     ]
 
 
-def _kept(before: Bits, after: Bits) -> Bits:
-    """Return the posture before where the one that is taken is the same: few states differ."""
-    return before if before[:2] == after[:2] else after
-
-
-def _of_joints(values: Mapping[str, float], line: int) -> Bits:
+def _of_joints(values: Mapping[str, float]) -> Bits:
     """Return the bits that joints in deg tell without the arm's links."""
     a3_deg, a5_deg = (_wrapped(values.get(name, 0.0)) for name in ("A3", "A5"))
     known = status = 0
@@ -71,7 +69,7 @@ def _of_joints(values: Mapping[str, float], line: int) -> Bits:
         known, status = known | ELBOW, status | ELBOW * (a3_deg > 0)
     if abs(a5_deg) > SINGULAR_DEG:
         known, status = known | WRIST, status | WRIST * (a5_deg < 0)
-    return Bits(known, status, line if known else 0)
+    return Bits(known, status)
 
 
 def _wrapped(angle_deg: float) -> float:
