@@ -67,21 +67,21 @@ class ExternalRule:
         """Return the values of an axis that each target may be reached with."""
         held: dict[str, set[Held]] = {key: set() for key in self._targets}
 
-        def step(statement: Statement, before: Held) -> set[Held]:
-            after = set[Held]()
+        def step(statement: Statement, before: Held) -> list[Held]:
+            after = list[Held]()
             for stop in self._stops.get(statement.line, ()):
                 found = before
                 if stop.values is None and before.value is not None:
                     found = Held(None, statement.line)
                 elif stop.values is not None and axis in stop.values:
                     value = stop.values[axis]
-                    found = before if before.value == value else Held(value, statement.line)
-                after.add(found)
+                    found = Held(value, statement.line)
+                after.append(found)
                 if stop.key in held:
                     held[stop.key].add(found)
-            return after or {before}
+            return after or [before]
 
-        Flow(blocks, step).follow(Held())
+        Flow(blocks, step, lambda each: (each.value, each.line > 0)).follow(Held())
         return {key: sorted(found, key=lambda each: each.line) for key, found in held.items()}
 
     def problems(self) -> list[str]:

@@ -9,6 +9,7 @@ statement.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from itertools import chain
 from typing import Generic, NamedTuple, TypeVar
 
 from drivers.kuka.program_krl.tokens import KrlError, Statement
@@ -36,24 +37,29 @@ class _Open(NamedTuple):
 
 
 class Flow(Generic[State]):
-    """Follows states through a program's statements by ``step``, which acts on each of them."""
+    """Follows states through a program's statements by ``step``, which acts on each of them.
+
+    Of states with one ``key`` the first stands for all: where each branch gave a state of its own,
+    the ways through 600 branches would be 600 times as many.
+    """
 
     def __init__(
         self,
         blocks: Mapping[str, Sequence[Statement]],
         step: Callable[[Statement, State], Iterable[State]],
+        key: Callable[[State], Hashable] = lambda state: state,
     ) -> None:
-        self._blocks, self._step = blocks, step
+        self._blocks, self._step, self._key = blocks, step, key
         self._next = {name: _successors(block) for name, block in blocks.items()}
-        self._done: dict[tuple[str, State], set[State]] = {}
+        self._done: dict[tuple[str, Hashable], list[State]] = {}
         self._depth = 0
         found = [each for block in blocks.values() for each in block]
-        self._any_time = {
+        self._any_time = dict.fromkeys(
             name
             for each in found
             if any(token.word in AT_ANY_TIME for token in each.tokens[:2])
             for name in self._called(each)
-        }
+        )
         called = {name for each in found for name in self._called(each)}
         self._entries = [name for n, name in enumerate(blocks) if n == 0 or name not in called]
 
@@ -65,40 +71,47 @@ class Flow(Generic[State]):
         for name in self._entries:
             self._through(name, begin)
 
-    def _through(self, name: str, begin: State) -> set[State]:
+    def _through(self, name: str, begin: State) -> list[State]:
         """Return the states at the end of a program that begins in one."""
-        if (name, begin) in self._done:
-            return self._done[name, begin]
-        self._done[name, begin] = {begin}  # as it calls itself
+        begun = name, self._key(begin)
+        if begun in self._done:
+            return self._done[begun]
+        self._done[begun] = [begin]  # as it calls itself
         self._depth += 1
         if self._depth > DEEPEST:
             raise KrlError(f"{name} is called within more than {DEEPEST} others; call it directly")
-        block, following, ends = self._blocks[name], self._next[name], set[State]()
-        seen, todo = set[tuple[int, State]](), [(0, begin)]
+        block, following, ends = self._blocks[name], self._next[name], list[State]()
+        seen, todo = set[tuple[int, Hashable]](), [(0, begin)]
         while todo:
             at, state = todo.pop()
-            if (at, state) in seen:
+            if (at, self._key(state)) in seen:
                 continue
-            seen.add((at, state))
+            seen.add((at, self._key(state)))
             if at >= len(block):
-                ends.add(state)
+                ends.append(state)
                 continue
             left = self._after(block[at], state)
             if name not in self._any_time:
-                left |= {end for each in self._any_time for s in left
-                         for end in self._through(each, s)}  # fmt: skip
+                at_any_time = [self._through(each, s) for each in self._any_time for s in left]
+                left = self._distinct([*left, *chain.from_iterable(at_any_time)])
             todo += [(after, each) for after in following[at] for each in left]
-        self._done[name, begin] = ends
+        self._done[begun] = ends
         self._depth -= 1
         return ends
 
-    def _after(self, statement: Statement, state: State) -> set[State]:
+    def _after(self, statement: Statement, state: State) -> list[State]:
         if any(token.word in AT_ANY_TIME for token in statement.tokens[:2]):
-            return {state}
-        left = set(self._step(statement, state))
+            return [state]
+        left = self._distinct(self._step(statement, state))
         for name in self._called(statement):
-            left = {end for each in left for end in self._through(name, each)}
+            left = self._distinct(end for each in left for end in self._through(name, each))
         return left
+
+    def _distinct(self, states: Iterable[State]) -> list[State]:
+        found: dict[Hashable, State] = {}
+        for each in states:
+            found.setdefault(self._key(each), each)
+        return list(found.values())
 
     def _called(self, statement: Statement) -> list[str]:
         """Return the own subprograms that a statement calls."""

@@ -61,9 +61,14 @@ class Stated(NamedTuple):
     number: int | None
     values: tuple[float, ...] | None = None
 
+    @property
+    def frame(self) -> tuple[int | None, tuple[float, ...] | None]:
+        """Return the frame without where it is set."""
+        return self.number, self.values
+
     def same(self, other: Stated) -> bool:
         """Whether both set the same frame."""
-        return (self.number, self.values) == (other.number, other.values)
+        return self.frame == other.frame
 
 
 RESET, FORM, APPLY = "reset", "form", "apply"  # settings beside those of a base or tool

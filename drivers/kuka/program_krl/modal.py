@@ -8,7 +8,7 @@ tool by the frame data that ``FDAT_ACT`` was last set to, whatever was set since
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from typing import NamedTuple
 
 from drivers.kuka.program_krl.flow import Flow
@@ -18,14 +18,17 @@ from drivers.kuka.program_krl.tokens import Statement
 
 
 class Modal(NamedTuple):
-    """Base and tool in force, None as they were before the program, and those of FDAT_ACT.
-
-    Where equal ones are set again the former stay, so that few states differ.
-    """
+    """Base and tool in force, None as they were before the program, and those of FDAT_ACT."""
 
     base: Stated | None = None
     tool: Stated | None = None
     form: tuple[Stated, Stated] | None = None
+
+    @property
+    def frames(self) -> Hashable:
+        """Return its frames without where they are set."""
+        found = self.base, self.tool, *(self.form or (None, None))
+        return tuple(None if each is None else each.frame for each in found)
 
 
 def check_modal(
@@ -61,7 +64,7 @@ def check_modal(
                       frames.base)  # fmt: skip
         return [after]
 
-    Flow(blocks, step).follow(Modal())
+    Flow(blocks, step, lambda state: state.frames).follow(Modal())
     return [found[line] for line in sorted(found)]
 
 
@@ -71,27 +74,22 @@ def _set(frames: FrameRule, line: int, state: Modal) -> Modal:
         if what == RESET:
             state = Modal(form=state.form)
         elif what == FORM:
-            base, tool = state.form or (None, None)
-            stated = frames.of_form(str(value), line)
-            form = _kept(base, stated[0]), _kept(tool, stated[1])
-            state = _applied(state._replace(form=form), line)
+            state = _applied(state._replace(form=frames.of_form(str(value), line)), line)
         elif what == APPLY and (state.form or state.base or state.tool):
             state = _applied(state._replace(form=state.form or frames.of_form("", line)), line)
         elif isinstance(value, Stated) and what == "base":
-            state = state._replace(base=_kept(state.base, value))
+            state = state._replace(base=value)
         elif isinstance(value, Stated):
-            state = state._replace(tool=_kept(state.tool, value))
+            state = state._replace(tool=value)
     return state
 
 
 def _applied(state: Modal, line: int) -> Modal:
-    """Return base and tool as FDAT_ACT has them."""
+    """Return base and tool as FDAT_ACT has them, by the statement that changed them."""
     if state.form is None:
         return state
-    base, tool = (each._replace(line=line) for each in state.form)
-    return state._replace(base=_kept(state.base, base), tool=_kept(state.tool, tool))
-
-
-def _kept(before: Stated | None, after: Stated) -> Stated:
-    """Return the frame in force where the one that is set is the same."""
-    return before if before is not None and before.same(after) else after
+    base, tool = (
+        before if before is not None and before.same(each) else each._replace(line=line)
+        for before, each in zip((state.base, state.tool), state.form, strict=True)
+    )
+    return state._replace(base=base, tool=tool)

@@ -37,8 +37,8 @@ def kept_postures(
     found: dict[str, set[Bits]] = {key: set() for key in targets}
     lines: dict[Bits, int] = {}  # of the first motion that takes a posture
 
-    def step(statement: Statement, before: Bits) -> set[Bits]:
-        after = set[Bits]()
+    def step(statement: Statement, before: Bits) -> list[Bits]:
+        after = list[Bits]()
         for stop in stops.get(statement.line, ()):
             taken = before
             if not stop.key:
@@ -49,8 +49,8 @@ def kept_postures(
                 found[stop.key].add(before)
             if taken != before:
                 lines[taken] = min(statement.line, lines.get(taken, statement.line))
-            after.add(taken)
-        return after or {before}
+            after.append(taken)
+        return after or [before]
 
     Flow(blocks, step).follow(Bits())
     return [
