@@ -74,8 +74,7 @@ class ExternalRule:
                 if stop.values is None and before.value is not None:
                     found = Held(None, statement.line)
                 elif stop.values is not None and axis in stop.values:
-                    value = stop.values[axis]
-                    found = Held(value, statement.line)
+                    found = Held(stop.values[axis], statement.line)
                 after.append(found)
                 if stop.key in held:
                     held[stop.key].add(found)

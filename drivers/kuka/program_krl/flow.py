@@ -64,12 +64,13 @@ class Flow(Generic[State]):
         self._entries = [name for n, name in enumerate(blocks) if n == 0 or name not in called]
 
     def follow(self, begin: State) -> None:
-        """Follow the first program, and each that no other calls, from the state ``begin``.
+        """Follow the first program, and each that no way from others leads to, from ``begin``.
 
         Raises `KrlError` where subprograms call one another too deeply.
         """
-        for name in self._entries:
-            self._through(name, begin)
+        for name in (*self._entries, *self._blocks):
+            if not any(entered == name for entered, _ in self._done):
+                self._through(name, begin)
 
     def _through(self, name: str, begin: State) -> list[State]:
         """Return the states at the end of a program that begins in one."""

@@ -8,7 +8,7 @@ nobody has checked, so that such a program is refused.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -87,7 +87,7 @@ def read_program(source: str, text: str, data: tuple[str, str] | None) -> Progra
     if reader.problems:
         raise SettingsError(source, reader.problems)
     texts = {source: text} | ({name: content} if data else {})
-    targets, external = list(reader.targets.values()), reader.external()
+    targets, external = list(reader.targets.values()), reader.external
     return Program(
         texts,
         targets,
@@ -177,7 +177,7 @@ class _Reader:
         used = {target.name.partition("[")[0] for target in self.targets.values()}
         self._each(partial(self._check_uses, used))
         try:
-            self.problems += self.external().problems()
+            self.problems += self.external.problems()
         except KrlError as error:
             self.problems.append(f"{self._file}: {error}")
         self._check_called()
@@ -214,6 +214,7 @@ class _Reader:
             found.append(Stroke(where, keys.index(each.key), tuple(end), tuple(begin)))
         return found
 
+    @cached_property
     def external(self) -> ExternalRule:
         """Return where the external axes stand at the targets."""
         return ExternalRule(self._file, self._blocks, self._stops, self.targets)

@@ -97,6 +97,12 @@ def test_subprograms_that_call_one_another_too_deeply_are_refused() -> None:
     assert "is called within more than 50 others" in said
 
 
+def test_subprograms_that_call_one_another_alone_are_followed_as_well() -> None:
+    """Other files may call them; no way from the program leads there."""
+    body = f"{SETS}\nLIN XP1\nEND\nDEF SA( )\nLIN XP2\nSB( )\nEND\nDEF SB( )\n{HOME}\nSA( )"
+    assert "drill.src line 7: LIN may run in another tool" in refusal(body, DAT)
+
+
 def test_frame_data_are_set_by_a_statement_of_its_own() -> None:
     body = f"{SETS}\nTRIGGER WHEN DISTANCE=0 DELAY=0 DO FDAT_ACT=FP7\nLIN XP1"
     assert "line 4: FDAT_ACT is set within another statement" in refusal(body, DAT)
