@@ -31,6 +31,11 @@ def another_tracker(serial: str, wanted: str) -> DeviceRefused:
     return refused("HC-T03", "connect", f"serial {serial}", wanted=wanted, act=act, serial=serial)
 
 
+def with_maker(maker: str, name: str) -> str:
+    """Return the name of a model behind its maker's, once."""
+    return name if name.casefold().startswith(maker.casefold()) else f"{maker} {name}".strip()
+
+
 def checked_order(near_mm: Array, samples: int) -> Array:
     """Return the place (3,) that is to be measured; raises `DeviceError` for an impossible one."""
     near_mm = np.asarray(near_mm, dtype=float)

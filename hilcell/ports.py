@@ -71,11 +71,6 @@ def says_simulated(name: str) -> bool:
     return "simulated" in name.casefold()
 
 
-def with_maker(maker: str, name: str) -> str:
-    """Return the name of a model behind its maker's, once."""
-    return name if name.casefold().startswith(maker.casefold()) else f"{maker} {name}".strip()
-
-
 @dataclass(frozen=True, slots=True)
 class RailReading:
     """Drive and strip together: ``position_mm`` of the encoder, ``strip_mm`` of the strip.

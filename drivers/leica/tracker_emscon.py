@@ -31,6 +31,7 @@ from drivers.tracker_readings import (
     no_reading,
     refused,
     std_of_repeats,
+    with_maker,
 )
 from drivers.wires.tcp import TcpLink
 from hilcell.clean import clean
@@ -43,7 +44,6 @@ from hilcell.ports import (
     NoReading,
     TrackerReading,
     says_simulated,
-    with_maker,
 )
 from hilcell.wire.channel import Host, Port
 

@@ -30,6 +30,7 @@ from drivers.tracker_readings import (
     no_reading,
     refused,
     std_of_repeats,
+    with_maker,
 )
 from drivers.wires.link import open_link
 from drivers.wires.text_lines import TextLines
@@ -42,7 +43,6 @@ from hilcell.ports import (
     NoReading,
     TrackerReading,
     says_simulated,
-    with_maker,
 )
 from hilcell.wire.channel import SerialLine, parse_channel
 

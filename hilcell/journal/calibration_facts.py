@@ -159,10 +159,15 @@ def outcome(facts: CalibrationFacts, state: str, code: int | None, points: int) 
     return facts.verdict or NOT_JUDGED[0 if points else 1]
 
 
-def run_outcome(log: Log) -> str:
-    """Return how the run of a log came out, in the word of `outcome`."""
+def facts_of_verdicts(log: Log) -> CalibrationFacts:
+    """Return what the verdicts of a log say."""
     reader = CalibrationReader()
     for key, body in log.verdicts.items():
         reader.judge(key, body)
+    return reader.facts
+
+
+def run_outcome(log: Log) -> str:
+    """Return how the run of a log came out, in the word of `outcome`."""
     code = None if log.end is None else int(log.end["exit"])
-    return outcome(reader.facts, log.state, code, len(log.points))
+    return outcome(facts_of_verdicts(log), log.state, code, len(log.points))

@@ -21,7 +21,7 @@ from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, read_bytes
 from hilcell.clean import encodable
-from hilcell.journal.calibration_facts import REVOKED, CalibrationReader
+from hilcell.journal.calibration_facts import REVOKED, facts_of_verdicts
 from hilcell.journal.index import read_index
 from hilcell.journal.journal import Record, chain
 from hilcell.journal.log import Log, PlanRecord
@@ -78,10 +78,9 @@ class Facts:
         """Return the causes that the run suspects, "" where there is none, or that is cleared."""
         if self.stands is not None and self.stands.state == "current":
             return ""
-        reader = CalibrationReader()
-        for key, body in self.log.verdicts.items():
-            reader.judge(key, body)
-        return "; ".join(each.text for each in suspected_in(self.result)) * reader.facts.suspected
+        if not facts_of_verdicts(self.log).suspected:
+            return ""
+        return "; ".join(each.text for each in suspected_in(self.result))
 
     @property
     def last(self) -> Record:
