@@ -2,12 +2,15 @@
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 from drivers.universal_robots.program_urscript.files import load_program
 from drivers.universal_robots.program_urscript.reader import read_program
 from drivers.universal_robots.program_urscript.writer import write_station
+from hilcell.calibration.file import write_calibration
+from hilcell.calibration.influence import Influence
 from hilcell.calibration.part import Part
 from hilcell.calibration.prepared import Drilling, station_program
 from hilcell.calibration.tip import tips_of
@@ -63,6 +66,28 @@ def test_a_corrected_program_arrives_like_a_list_and_is_not_corrected_again(
     said = desk.refused(source=desk.out, out=desk.folder / "again.script")
     assert "20261101-120000-calibrate-abcd" in said
     desk.refused(source=targets, out=desk.out)  # a list is not named like a program
+
+
+def test_a_program_whose_stamp_was_lost_is_known_at_another_station(desk: Workplace) -> None:
+    """Its poses are in {B}, and the slide's place takes them elsewhere in {W}."""
+    known = calibration()
+    entry = known.stations["S1100"]
+    moved = T_W_B.copy()
+    moved[0, 3] -= 800.0
+    there = msgspec.structs.replace(entry, T_W_B=moved.tolist(), strip_mm=300.0)
+    places: dict[str, list[Influence]] = {"S1100": [], "S300": []}
+    known = msgspec.structs.replace(
+        known,
+        stations={"S1100": entry, "S300": there},
+        uncertainty=msgspec.structs.replace(known.uncertainty, stations=places),
+        verdicts=known.verdicts | {"S300": known.verdicts["S1100"]},
+    )
+    write_calibration(known, desk.folder / "calibration.json")
+    assert desk.run().returncode == 0
+    lines = desk.out.read_text("latin-1").splitlines()
+    desk.program("\n".join(line for line in lines if "corrected by" not in line))
+    said = desk.refused("--station", "S300", out=desk.folder / "again.script")
+    assert "targets are corrected ones" in said
 
 
 @pytest.mark.parametrize(
