@@ -188,6 +188,8 @@ def show(args: argparse.Namespace) -> int:
         return 0
     rows = [[name, str(summary[name])] for name in _SHOWN if summary.get(name) not in ("", None)]
     rows.append(["state", summary["state"]])
+    if summary.get("reason") not in ("", summary.get("fault")):
+        rows.append(["reason", summary["reason"]])
     if summary.get("verdict"):
         rows.append(["verdict", summary["verdict"]])
     if words := _standing(summary):

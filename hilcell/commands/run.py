@@ -61,7 +61,7 @@ from hilcell.journal.engine_file import live_engine
 from hilcell.journal.find_run import find_run
 from hilcell.journal.floor_before import floor_before
 from hilcell.journal.folder_order import ORDER, FolderOrder, clock_notes, next_order
-from hilcell.journal.index import read_index
+from hilcell.journal.index import read_index, row_of
 from hilcell.journal.journal import StorageError
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import CONTROL
@@ -184,6 +184,7 @@ def resume(args: argparse.Namespace) -> int:
         changes = NONE
         goes_on = bool(asked or log.retakes) or log.state != "finished"  # else all is measured
         if goes_on:
+            _check_alone(folder)
             _check_here(cell, folder)
             found, somebody = changed_inputs(log, procedure.used_in(cell)), asks(args)
             askable = somebody or (args.screen and not args.unattended)
@@ -212,6 +213,18 @@ def _next_order(runs: Path) -> FolderOrder:
     for note in clock_notes(rows, datetime.now(UTC)):
         print_message(f"warning: {note}")
     return next_order(rows)
+
+
+def _check_alone(folder: Path) -> None:
+    """Refuse a run that another folder beside it holds as well: both would go on in their own way."""
+    runs, origin = folder.resolve().parent, row_of(folder).origin
+    same = sorted(row.name for row in read_index(runs) if row.origin == origin)
+    if len(same) > 1:
+        raise HilcellError(
+            f"run {folder.name}: resume: expected one folder of this run in {runs}, "
+            f"got {' and '.join(map(encodable, same))}; nothing was moved; move the copy elsewhere",
+            code="HC-J16",
+        )
 
 
 def _check_here(cell: Cell, folder: Path) -> None:

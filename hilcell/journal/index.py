@@ -31,7 +31,7 @@ from hilcell.journal.states import OVER, RunState
 from hilcell.typed import decoded, typed
 
 NAME = "index.sqlite"
-SCHEMA = 9  # to be raised whenever `RunRow` changes, or what its fields mean
+SCHEMA = 10  # to be raised whenever `RunRow` changes, or what its fields mean
 BUSY_S = 2.0  # another process writes; without its leave the journals are read instead
 SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file may still change
 _SCHEMA = str(SCHEMA).encode()
@@ -276,7 +276,7 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
     plan: Record | None = None
     end: Record | None = None
     state: RunState = "idle"
-    fault = ""
+    why = ""
     simulated = False
     points: set[str] = set()
     reader, sessions = CalibrationReader(), SessionReader()
@@ -296,13 +296,12 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
             case "state":
                 change = typed(record.body, _State)
                 if change.machine == "run":
-                    state = typed(change.to, RunState)
-                    fault = change.reason if state == "faulted" else fault
+                    state, why = typed(change.to, RunState), change.reason
                     if state == "checking":
-                        end, fault = None, ""
+                        end = None
     if plan is None:
         raise NeverBegan("the journal holds no plan: the run died before its first record")
-    row = _row(name, plan, state, end, fault, len(points))
+    row = _row(name, plan, state, end, why, len(points))
     simulated = row.simulated or simulated
     return msgspec.structs.replace(
         row,
@@ -314,9 +313,7 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
     )
 
 
-def _row(
-    name: str, plan: Record, state: str, end: Record | None, fault: str, points: int
-) -> RunRow:
+def _row(name: str, plan: Record, state: str, end: Record | None, why: str, points: int) -> RunRow:
     inputs = typed(plan.body, _Plan)
     last = typed(end.body, _End) if end is not None else None
     before_mean_mm, chosen_mean_mm, chosen_max_mm = (
@@ -328,7 +325,7 @@ def _row(
         origin=hashlib.sha256(msgspec.json.encode(plan)).hexdigest(),
         state=state,
         ended=_seconds(end.t) if end is not None else "",
-        reason=fault or (last.reason if last is not None else ""),
+        reason=why or (last.reason if last is not None else ""),
         procedure=inputs.procedure,
         cell=inputs.cell.name,
         serial=inputs.cell.serial,

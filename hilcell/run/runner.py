@@ -260,8 +260,7 @@ class Runner:
             case Started():
                 self._go_on("start")
             case AtRest() if self._gate.resting and self._life.allows("rest"):
-                reason = {"reason": self._why_paused} if self._why_paused else {}
-                self._life.fire("rest", **reason)
+                self._life.fire("rest", reason=self._why_paused)
             case Halted(reason):
                 self._pause(reason)
             case Asked(prompt, cause):
@@ -279,14 +278,12 @@ class Runner:
 
     def _obey(self, command: str) -> None:
         match command:
-            case "interrupt" if self._may_pause():
-                self._pause()
+            case "interrupt" | "pause" if self._may_pause():
+                self._pause("as the operator asked")
             case "interrupt":  # the second, however fast it comes
                 self.post("stop")
             case "lost" | "watched":
                 self._look_for_screens(lost=command == "lost")
-            case "pause" if self._may_pause():
-                self._pause()
             case "proceed" if self.log.state == "suspended":
                 self._asking.answer()  # proven by a look as every answer
             case "proceed" if self._gate.closed and self.log.state != "aborting":
@@ -303,7 +300,7 @@ class Runner:
     def _may_pause(self) -> bool:
         return self.log.state in ("checking", "running") and not self._gate.closed
 
-    def _pause(self, reason: str = "") -> None:
+    def _pause(self, reason: str) -> None:
         self._why_paused = reason
         self._gate.close()
         if self._life.allows("pause"):  # not yet while devices are connected: see `_go_on`

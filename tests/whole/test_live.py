@@ -44,6 +44,8 @@ def test_pause_resume_watch_from_other_processes(
     engine.until(is_point)
     assert command("pause", engine.run, "--runs", tmp_path).returncode == 0
     paused = engine.until(lambda event: is_state(event, "paused"))
+    shown = command("show", engine.run, "--runs", tmp_path)
+    assert "as the operator asked" in shown.stdout
     engine.process.send_signal(signal.SIGSTOP)
     with monkeypatch.context() as patched:
         patched.setattr(client, "ORDER_S", 0.02)  # nothing will come

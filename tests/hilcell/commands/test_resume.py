@@ -1,6 +1,7 @@
 """``resume`` judges a journal only while it holds its run's lock."""
 
 import json
+import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -110,6 +111,22 @@ def test_at_a_terminal_a_resume_says_what_moves_and_asks(
     assert "SIMULATED" in words
     assert STEP in words
     assert records(folder) == before
+
+
+@pytest.mark.parametrize("name", ["r", "copy"])
+def test_a_run_that_has_a_copy_beside_it_does_not_go_on(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    name: str,
+) -> None:
+    folder = left(tmp_path / "r")
+    shutil.copytree(folder, tmp_path / "copy")
+    before = records(tmp_path / name)
+    assert resumed(tmp_path / name, monkeypatch, "y\n") == (2, [])
+    said = capsys.readouterr().err
+    assert "got copy and r; nothing was moved" in said
+    assert records(tmp_path / name) == before
 
 
 @pytest.mark.parametrize("words", [("--unattended",), ("--screen",), ()])

@@ -103,6 +103,18 @@ def test_rows_say_what_logs_say(runs: Path) -> None:
         assert faulted.begun == f"{read_records(runs / '2-faulted')[0].t[:19]}Z"
 
 
+@pytest.mark.parametrize("to", ["paused", "suspended"])
+def test_a_run_that_waits_says_why(tmp_path: Path, to: str) -> None:
+    writer = Writer(tmp_path / "waits").began()
+    writer.state("run", to, reason="the screen was lost")
+    (row,) = read_index(tmp_path)
+    assert (row.state, row.reason) == (to, "the screen was lost")
+    writer.state("run", "running")
+    writer.left()
+    (row,) = read_index(tmp_path)
+    assert (row.state, row.reason) == ("running", "")
+
+
 def test_a_run_of_which_there_is_a_plan_and_no_more_is_not_begun() -> None:
     row = msgspec.structs.replace(ROW, state="idle", exit=None, live=False)
     assert (row.condition, row.gone) == ("not begun", False)
