@@ -216,7 +216,7 @@ def _next_order(runs: Path) -> FolderOrder:
 
 
 def _check_alone(folder: Path) -> None:
-    """Refuse a run that another folder beside it holds as well: both would go on in their own way."""
+    """Refuse a run that another folder beside it holds as well: their journals would differ."""
     runs, origin = folder.resolve().parent, row_of(folder).origin
     same = sorted(row.name for row in read_index(runs) if row.origin == origin)
     if len(same) > 1:

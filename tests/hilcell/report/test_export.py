@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from hilcell.commands.cli import main
 from hilcell.journal.point_id import PointId
 from hilcell.report.export import POINTS, csv_bytes, json_bytes, results_table, xlsx_bytes
 from tests.hilcell.report.journals import Writer, validated_run
@@ -119,6 +120,20 @@ def test_everything_as_json(tmp_path: Path) -> None:
     assert whole["plan"]["operator"] == "A. Technician"
     assert [each["key"] for each in whole["points"]] == list(facts.log.points)
     assert whole["frames"]["world"]["matrix"][3] == [0.0, 0.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize("words", [("export", "--csv"), ("report",)])
+def test_what_is_written_of_an_unfinished_run_is_said_to_be_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]
+) -> None:
+    validated_run(tmp_path / "cut").left()
+    validated_run(tmp_path / "over").ended()
+    said = {}
+    for run in ("cut", "over"):
+        out = str(tmp_path / ("r.html" if words == ("report",) else "r.csv"))
+        assert main([*words, run, "--runs", str(tmp_path), "-o", out]) == 0
+        said[run] = "the run is running, not finished" in capsys.readouterr().err
+    assert said == {"cut": True, "over": False}
 
 
 def test_frames_and_results_are_flat(tmp_path: Path) -> None:
