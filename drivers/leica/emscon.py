@@ -30,6 +30,9 @@ SEARCH = struct.Struct("<di")
 DISTANCE = struct.Struct("<d")
 POSITION = struct.Struct("<3di")
 CONTINUOUS = struct.Struct("<4i")  # separation ms, number of points, use region, region type
+SYSTEM_SETTINGS = struct.Struct("<3i")  # weather monitor, transformation, orientation in use, ...
+ORIENTATION = struct.Struct("<6d")  # of the station: three lengths, three angles
+TRANSFORMATION = struct.Struct("<7d")  # three lengths, three angles, scale
 _MULTI = struct.Struct("<IiII3d")
 _SAMPLE = np.dtype([("status", "<i4"), ("s", "<i4"), ("us", "<i4"), ("xyz", "<f8", (3,))])
 
@@ -66,6 +69,8 @@ class Command(IntEnum):
     SET_UNITS = 5
     GET_UNITS = 6
     INITIALIZE = 7
+    GET_ORIENTATION = 13
+    GET_TRANSFORMATION = 15
     GET_ENVIRONMENT = 21
     SET_MEASUREMENT_MODE = 24
     GET_MEASUREMENT_MODE = 25
@@ -80,6 +85,7 @@ class Command(IntEnum):
     GET_REFLECTORS = 42
     SET_SEARCH = 43
     GET_SEARCH = 44
+    GET_SYSTEM_SETTINGS = 48
     START_MEASUREMENT = 49
     STOP_MEASUREMENT = 52
     CHANGE_FACE = 53
@@ -92,10 +98,24 @@ class Command(IntEnum):
 class Change(IntEnum):
     """Status changes that matter here (ES_SystemStatusChange)."""
 
+    SEARCH = 4
+    UNITS = 6
+    REFLECTOR = 7
+    SYSTEM_SETTINGS = 8
+    COMPENSATION = 11
+    COORDINATE_SYSTEM = 12
+    ORIENTATION = 15
+    TRANSFORMATION = 16
+    MEASUREMENT_MODE = 17
+    STATIONARY = 18
+    CONTINUOUS_TIME = 19
     NOT_READY = 25
     READY = 27
+    FIRST_FACE = 30
+    SECOND_FACE = 31
     PROCESSOR_CLOSING = 997
     SERVER_CLOSING = 998
+    SERVER_STARTED = 999
 
 
 STATUS = {

@@ -7,14 +7,14 @@ next connect after a kill.
 
 from __future__ import annotations
 
-from struct import Struct
 from typing import Protocol, Self
 
 import numpy as np
 
-from drivers.leica import emscon
+from drivers.leica import emscon, emscon_settings
 from drivers.leica.emscon import Change, Command, Failure, Multi, Packet, Reply, StatusChange
 from drivers.leica.emscon_errors import failed
+from drivers.leica.emscon_settings import EmsconSettings
 from drivers.supervision import Patience
 from drivers.tracker_readings import DEVICE
 from hilcell.ports import Array, Clock, DeviceError, HilcellError, NoReading, Stopped, StreamBlock
@@ -29,16 +29,10 @@ ENOUGH = 3  # steps that say how the tracker counts; fewer may be a gap
 class StreamingTracker(Protocol):
     """The tracker, as its stream uses it."""
 
+    settings: EmsconSettings
+
     def point_at(self, near_mm: Array, reflector: str) -> None:
         """Choose a reflector and catch it near (3,) mm."""
-
-    def set_mode(self, mode: int) -> None:
-        """Set the measurement mode."""
-
-    def set_checked(
-        self, what: str, write: Command, read: Command, layout: Struct, wanted: tuple[float, ...]
-    ) -> None:
-        """Write a setting and read it back."""
 
     def start(self, near_mm: Array) -> None:
         """Start to measure."""
@@ -96,14 +90,10 @@ class EmsconStream:
         """Catch the reflector and set the mode."""
         self._tracker.point_at(self._near_mm, self._reflector)
         try:
-            self._tracker.set_mode(emscon.CONTINUOUS_TIME_MODE)
-            self._tracker.set_checked(
-                "continuous time parameters",
-                Command.SET_CONTINUOUS_TIME,
-                Command.GET_CONTINUOUS_TIME,
-                emscon.CONTINUOUS,
-                (self._separation_ms, emscon.UNTIL_STOPPED, 0, 0),
-            )
+            settings = self._tracker.settings
+            settings.write(emscon_settings.MODE, emscon.CONTINUOUS_TIME_MODE)
+            parameters = (self._separation_ms, emscon.UNTIL_STOPPED, 0, 0)
+            settings.write(emscon_settings.CONTINUOUS, *parameters)
         except BaseException as error:
             self._restore(error)
             raise
@@ -143,6 +133,7 @@ class EmsconStream:
         """End the stream and return the rest of it; raises `NoReading` where nothing ever came."""
         looked_s = self._clock.now_s()
         samples = [each for packet in self._stop() for each in self._samples(packet)]
+        self._tracker.settings.prove()  # those that were changed while it measured
         if self._last_s is None and not samples:
             raise NoReading(
                 "HC-T40", DEVICE, "stream", "no sample came", act="look at the tracker's state"
@@ -243,7 +234,7 @@ class EmsconStream:
                 return
             if self._running:
                 self._stop()
-            self._tracker.set_mode(emscon.STATIONARY_MODE)
+            self._tracker.settings.write(emscon_settings.MODE, emscon.STATIONARY_MODE)
         except HilcellError as failure:  # a stop, too, would hide the error
             if error is None:
                 raise

@@ -16,9 +16,10 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from drivers.leica import emscon
+from drivers.leica import emscon, emscon_settings
 from drivers.leica.emscon import Change, Command, Failure, Packet, Reply, Single, StatusChange
 from drivers.leica.emscon_errors import failed, spoken
+from drivers.leica.emscon_settings import EmsconSettings
 from drivers.leica.emscon_stream import EmsconStream
 from drivers.on_failure import on_failure
 from drivers.supervision import Patience
@@ -49,7 +50,6 @@ from hilcell.wire.channel import Host, Port
 
 BUSY_PAUSE_S = 0.1
 SEARCH_MS = 10_000  # how long the tracker may look around; less than MOVE_S
-SETTING_SHARE = 1e-6
 
 T = TypeVar("T")
 Positive = Annotated[float, Meta(gt=0)]
@@ -80,6 +80,7 @@ class LeicaEmsconTracker:
         self._link: TcpLink | None = None
         self._reader = emscon.PacketReader()
         self._packets: deque[Packet] = deque()
+        self.settings = EmsconSettings(self._ask, self._numbers_of)
         self._numbers: dict[str, int] = {}
         self._reflector = ""
         self._arrived_s = 0.0
@@ -146,16 +147,6 @@ class LeicaEmsconTracker:
         self._choose(reflector)
         self._aim(near_mm)
 
-    def set_mode(self, mode: int) -> None:
-        """Set the measurement mode."""
-        self.set_checked(
-            "measurement mode",
-            Command.SET_MEASUREMENT_MODE,
-            Command.GET_MEASUREMENT_MODE,
-            emscon.NUMBER,
-            (mode,),
-        )
-
     def leave_stream(self) -> None:
         """Stop and put the mode back, without waiting for answers; then connect again."""
         self.stop()
@@ -193,21 +184,17 @@ class LeicaEmsconTracker:
         return self._decoded(emscon.decode_system_status, body)
 
     def _set_up(self) -> None:
-        options, number = self._options, emscon.NUMBER
-        lengths, handed = emscon.MILLIMETRE_UNITS, (emscon.RIGHT_HANDED,)
-        reading, search = (round(1000 * options.reading_s), 1), (options.find_radius_mm, SEARCH_MS)
-        set_to, c = self.set_checked, Command
-        set_to("units", c.SET_UNITS, c.GET_UNITS, emscon.UNITS, lengths)
-        set_to(
-            "coordinate system", c.SET_COORDINATE_SYSTEM, c.GET_COORDINATE_SYSTEM, number, handed
-        )
-        if self._numbers_of(c.GET_MEASUREMENT_MODE, number) != (emscon.STATIONARY_MODE,):
-            self._request(c.STOP_MEASUREMENT)  # a stream that was left behind
-        self.set_mode(emscon.STATIONARY_MODE)
-        set_to(
-            "stationary parameters", c.SET_STATIONARY, c.GET_STATIONARY, emscon.STATIONARY, reading
-        )
-        set_to("search", c.SET_SEARCH, c.GET_SEARCH, emscon.SEARCH, search)
+        options = self._options
+        # A new start: news of before, of our own initialisation also, is of no settings of ours.
+        settings = self.settings = EmsconSettings(self._ask, self._numbers_of)
+        settings.write(emscon_settings.UNITS, *emscon.MILLIMETRE_UNITS)
+        settings.write(emscon_settings.AXES, emscon.RIGHT_HANDED)
+        if settings.keep(emscon_settings.MODE) != (emscon.STATIONARY_MODE,):
+            self._request(Command.STOP_MEASUREMENT)  # a stream that was left behind
+        settings.write(emscon_settings.MODE, emscon.STATIONARY_MODE)
+        settings.write(emscon_settings.STATIONARY, round(1000 * options.reading_s), 1)
+        settings.write(emscon_settings.SEARCH, options.find_radius_mm, SEARCH_MS)
+        settings.keep_frame()
         air = self._numbers_of(Command.GET_ENVIRONMENT, emscon.ENVIRONMENT)
         if problem := emscon.air_problem(*air):
             raise refused(
@@ -220,18 +207,7 @@ class LeicaEmsconTracker:
     def _turn_to(self, face: int) -> None:
         """Turn over, and believe it only when the face reads back."""
         self._ask(Command.CHANGE_FACE, limit_s=self.MOVE_S)
-        (found,) = self._numbers_of(Command.GET_FACE, emscon.NUMBER)
-        if found != face:
-            raise refused(
-                "HC-T06",
-                "change face",
-                f"face {found:g}",
-                wanted=f"{face}",
-                act="another program holds the tracker? close it, then resume",
-                setting="face",
-                read=(found,),
-                written=(face,),
-            )
+        self.settings.expect(emscon_settings.FACE, face)
 
     def _first_face(self) -> None:
         """Turn back a tracker that an engine before this one left in its second face.
@@ -244,32 +220,8 @@ class LeicaEmsconTracker:
         (face,) = self._decoded(lambda reply: emscon.unpack(emscon.NUMBER, reply), answer.body)
         if face == emscon.SECOND_FACE:
             self._turn_to(emscon.FIRST_FACE)
-
-    def set_checked(
-        self,
-        what: str,
-        write: Command,
-        read: Command,
-        layout: Struct,
-        wanted: tuple[float, ...],
-    ) -> None:
-        """Write a setting and believe it only when it reads back.
-
-        Lengths are converted from and to the tracker's own unit, so their last digits may differ.
-        """
-        self._ask(write, layout.pack(*wanted))
-        found = self._numbers_of(read, layout)
-        if not np.allclose(found, wanted, rtol=SETTING_SHARE, atol=SETTING_SHARE):
-            raise refused(
-                "HC-T06",
-                f"set {what}",
-                f"reads back as {found}",
-                wanted=f"{wanted}",
-                act="another program holds the tracker? close it, then resume",
-                setting=what,
-                read=found,
-                written=wanted,
-            )
+        elif face == emscon.FIRST_FACE:
+            self.settings.keep(emscon_settings.FACE)
 
     def _read_reflectors(self) -> dict[str, int]:
         """Return the tracker's reflectors: name to number. One reply comes for each of them."""
@@ -296,13 +248,7 @@ class LeicaEmsconTracker:
                 reflector=reflector,
                 known=list(self._numbers),
             )
-        self.set_checked(
-            "reflector",
-            Command.SET_REFLECTOR,
-            Command.GET_REFLECTOR,
-            emscon.NUMBER,
-            (self._numbers[reflector],),
-        )
+        self.settings.write(emscon_settings.REFLECTOR, self._numbers[reflector])
         self._reflector = reflector
 
     # -- measuring ----------------------------------------------------------------------------
@@ -332,6 +278,7 @@ class LeicaEmsconTracker:
         try:
             self.start(near_mm)
             result = self._await_result()
+            self.settings.prove()  # also of what was changed while it measured
         except NoReading as error:
             # Only a stop that was answered proves that nothing of this try can still come.
             status = self._request(Command.STOP_MEASUREMENT).status
@@ -351,6 +298,7 @@ class LeicaEmsconTracker:
 
     def start(self, near_mm: Array) -> None:
         """Start to measure; search once more where the beam has lost its reflector."""
+        self.settings.prove()
         reply = self._request(Command.START_MEASUREMENT)
         if reply.status == emscon.NOT_READY:
             self._find(near_mm)
@@ -481,6 +429,8 @@ class LeicaEmsconTracker:
         packet = self._packets.popleft()
         if packet in (StatusChange(Change.SERVER_CLOSING), StatusChange(Change.PROCESSOR_CLOSING)):
             raise self._lost("the tracker's server is closing", "receive")
+        if isinstance(packet, StatusChange):
+            self.settings.hear(packet.change)
         return packet
 
     def _lost(self, found: str, operation: str) -> DeviceError:

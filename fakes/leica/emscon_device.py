@@ -185,6 +185,8 @@ class EmsconDevice:
             Command.GET_MEASUREMENT_MODE: lambda: struct.pack("<I", settings.mode),
             Command.GET_STATIONARY_MODE: lambda: struct.pack("<2i", *settings.stationary),
             Command.GET_CONTINUOUS_TIME: lambda: struct.pack("<4i", *settings.continuous),
+            Command.GET_ORIENTATION: lambda: struct.pack("<6d", *[0.0] * 6),
+            Command.GET_TRANSFORMATION: lambda: struct.pack("<7d", *[0.0] * 6, 1.0),
             Command.GET_ENVIRONMENT: lambda: struct.pack("<3d", *self._weather()),
             Command.GET_REFRACTION: lambda: struct.pack("<2d", *settings.refraction),
             Command.GET_SYSTEM_SETTINGS: lambda: struct.pack("<I8i", *settings.system),

@@ -45,7 +45,12 @@ class EmsconPeer:
 
     def __init__(self) -> None:
         self.xyz: tuple[float, ...] = (0.0, 0.0, 0.0)
-        self.settings: dict[int, bytes] = {25: struct.pack("<i", 0)}
+        self.settings: dict[int, bytes] = {
+            13: struct.pack("<6d", *[0.0] * 6),
+            15: struct.pack("<7d", *[0.0] * 6, 1.0),
+            25: struct.pack("<i", 0),
+            48: struct.pack("<9i", 2, 0, 0, 0, 1, 0, 0, 0, 0),
+        }
         self.initialized = 5
         self.commands: list[int] = []
         self.stopped = threading.Event()

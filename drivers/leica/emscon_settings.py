@@ -1,0 +1,194 @@
+"""The settings of an emScon tracker: written, read back, and read again where they changed.
+
+They belong to the tracker, not to the connection. Another client may change them, and the tracker
+then tells all its clients which one was changed, but not to which value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from struct import Struct
+
+import numpy as np
+
+from drivers.leica import emscon
+from drivers.leica.emscon import Change, Command
+from drivers.tracker_readings import DEVICE, refused
+from hilcell.ports import DeviceError
+
+SHARE = 1e-6
+SCALE_SHARE = 1e-9
+CLOSE = "another program holds the tracker? close it, then resume"
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """How a setting is read, and the news that it was changed."""
+
+    name: str
+    read: Command
+    layout: Struct
+    changes: frozenset[Change]
+
+
+@dataclass(frozen=True, slots=True)
+class Writable(Setting):
+    """A setting that can be written, too."""
+
+    write: Command
+
+
+def _setting(name: str, write: Command, read: Command, layout: Struct, change: Change) -> Writable:
+    return Writable(name, read, layout, frozenset({change}), write)
+
+
+UNITS = _setting("units", Command.SET_UNITS, Command.GET_UNITS, emscon.UNITS, Change.UNITS)
+AXES = _setting(
+    "coordinate system",
+    Command.SET_COORDINATE_SYSTEM,
+    Command.GET_COORDINATE_SYSTEM,
+    emscon.NUMBER,
+    Change.COORDINATE_SYSTEM,
+)
+MODE = _setting(
+    "measurement mode",
+    Command.SET_MEASUREMENT_MODE,
+    Command.GET_MEASUREMENT_MODE,
+    emscon.NUMBER,
+    Change.MEASUREMENT_MODE,
+)
+STATIONARY = _setting(
+    "stationary parameters",
+    Command.SET_STATIONARY,
+    Command.GET_STATIONARY,
+    emscon.STATIONARY,
+    Change.STATIONARY,
+)
+CONTINUOUS = _setting(
+    "continuous time parameters",
+    Command.SET_CONTINUOUS_TIME,
+    Command.GET_CONTINUOUS_TIME,
+    emscon.CONTINUOUS,
+    Change.CONTINUOUS_TIME,
+)
+SEARCH = _setting("search", Command.SET_SEARCH, Command.GET_SEARCH, emscon.SEARCH, Change.SEARCH)
+REFLECTOR = _setting(
+    "reflector", Command.SET_REFLECTOR, Command.GET_REFLECTOR, emscon.NUMBER, Change.REFLECTOR
+)
+FACE = Setting(
+    "face", Command.GET_FACE, emscon.NUMBER, frozenset({Change.FIRST_FACE, Change.SECOND_FACE})
+)
+SYSTEM = Setting(
+    "weather monitor, transformation and orientation in use",
+    Command.GET_SYSTEM_SETTINGS,
+    emscon.SYSTEM_SETTINGS,
+    frozenset({Change.SYSTEM_SETTINGS}),
+)
+ORIENTATION = Setting(
+    "station orientation",
+    Command.GET_ORIENTATION,
+    emscon.ORIENTATION,
+    frozenset({Change.ORIENTATION}),
+)
+TRANSFORMATION = Setting(
+    "transformation",
+    Command.GET_TRANSFORMATION,
+    emscon.TRANSFORMATION,
+    frozenset({Change.TRANSFORMATION}),
+)
+
+
+class EmsconSettings:
+    """The values that the tracker is set to, and the news of those that somebody changed."""
+
+    def __init__(
+        self,
+        ask: Callable[[Command, bytes], object],
+        numbers_of: Callable[[Command, Struct], tuple[float, ...]],
+    ) -> None:
+        self._ask, self._numbers_of = ask, numbers_of
+        self._kept: dict[Setting, tuple[float, ...]] = {}
+        self._news: set[int] = set()
+
+    def write(self, setting: Writable, *values: float) -> None:
+        """Write a setting and believe it only when it reads back."""
+        self._ask(setting.write, setting.layout.pack(*values))
+        self.expect(setting, *values)
+
+    def expect(self, setting: Setting, *values: float) -> None:
+        """Refuse a setting that does not read as these values, and keep them.
+
+        Lengths are converted from and to the tracker's own unit, so their last digits may differ.
+        """
+        found = self._numbers_of(setting.read, setting.layout)
+        self._news -= setting.changes  # our own; the reading is younger
+        if not _same(found, values):
+            raise refused(
+                "HC-T06",
+                f"set {setting.name}",
+                f"reads back as {found}",
+                wanted=f"{values}",
+                act=CLOSE,
+                setting=setting.name,
+                read=found,
+                written=values,
+            )
+        self._kept[setting] = values
+
+    def keep(self, setting: Setting) -> tuple[float, ...]:
+        """Return a setting that is left as it is, and must stay so."""
+        self._kept[setting] = found = self._numbers_of(setting.read, setting.layout)
+        return found
+
+    def keep_frame(self) -> None:
+        """Keep the frame in which the tracker measures; refuse one that stretches lengths."""
+        _weather, transforms, _orients = self.keep(SYSTEM)
+        self.keep(ORIENTATION)
+        scale = self.keep(TRANSFORMATION)[-1]
+        if transforms and not abs(scale - 1.0) <= SCALE_SHARE:
+            raise refused(
+                "HC-T06",
+                "connect",
+                f"a transformation of scale {scale:.9g} is in use",
+                wanted="1",
+                act="switch it off or set its scale to 1 in the tracker's software, then resume",
+                setting=TRANSFORMATION.name,
+                scale=scale,
+            )
+
+    def hear(self, change: int) -> None:
+        """Take the news of a change; nothing is asked yet."""
+        self._news.add(change)
+
+    def prove(self) -> None:
+        """Read each setting again that was changed; raises `DeviceError` where it is not ours."""
+        if Change.COMPENSATION in self._news:
+            raise _changed("compensation", "changed by another program", "")
+        all_of_them = Change.SERVER_STARTED in self._news
+        for setting in self._kept:
+            if all_of_them or not self._news.isdisjoint(setting.changes):
+                self.read_again(setting)
+        self._news.clear()
+
+    def read_again(self, setting: Setting) -> None:
+        """Raise `DeviceError` where a setting is no longer the kept one."""
+        found, kept = self._numbers_of(setting.read, setting.layout), self._kept[setting]
+        if not _same(found, kept):
+            raise _changed(setting.name, f"now reads {found}", f"{kept}")
+
+
+def _same(found: tuple[float, ...], expected: tuple[float, ...]) -> bool:
+    return bool(np.allclose(found, expected, rtol=SHARE, atol=SHARE))
+
+
+def _changed(name: str, found: str, expected: str) -> DeviceError:
+    return DeviceError(
+        "HC-T06",
+        DEVICE,
+        f"read {name} again",
+        found,
+        wanted=expected,
+        act="another program changed it: close it; resume sets it again",
+        fields={"setting": name},
+    )
