@@ -2,7 +2,8 @@
 
 The trap: results carry no number. One that comes late, after its beam broke or its time was up,
 would pass for the next point. So pending results are dropped before each start, a measurement that
-failed is stopped and the stop awaited, and a result far from the expected place is refused.
+failed is stopped and the stop awaited, two results to one start are no reading, and a result far
+from the expected place is refused.
 """
 
 from __future__ import annotations
@@ -84,6 +85,7 @@ class LeicaEmsconTracker:
         self._numbers: dict[str, int] = {}
         self._reflector = ""
         self._arrived_s = 0.0
+        self._results = 0  # since the start was acknowledged
 
     # -- the port -----------------------------------------------------------------------------
 
@@ -278,7 +280,7 @@ class LeicaEmsconTracker:
         try:
             self.start(near_mm)
             result = self._await_result()
-            self.settings.prove()  # also of what was changed while it measured
+            self._check_alone()
         except NoReading as error:
             # Only a stop that was answered proves that nothing of this try can still come.
             status = self._request(Command.STOP_MEASUREMENT).status
@@ -305,6 +307,24 @@ class LeicaEmsconTracker:
             reply = self._request(Command.START_MEASUREMENT)
         if reply.status != 0:
             raise failed(Command.START_MEASUREMENT, reply.status)
+        self._results = 0
+
+    def _check_alone(self) -> None:
+        """Refuse a result that was not the only one, or whose settings were changed meanwhile.
+
+        A measurement that still goes on makes the tracker busy, so its result comes before the
+        reply.
+        """
+        self.settings.read_again(emscon_settings.REFLECTOR)
+        self.settings.prove()
+        if self._results != 1:
+            raise no_reading(
+                "HC-T31",
+                f"{self._results} results came to one start",
+                wanted="1",
+                act="one was late; it is measured again",
+                results=self._results,
+            )
 
     def _await_result(self) -> Single:
         limit_s = self._options.reading_s + self.RESULT_S
@@ -431,6 +451,7 @@ class LeicaEmsconTracker:
             raise self._lost("the tracker's server is closing", "receive")
         if isinstance(packet, StatusChange):
             self.settings.hear(packet.change)
+        self._results += isinstance(packet, Single)
         return packet
 
     def _lost(self, found: str, operation: str) -> DeviceError:

@@ -16,6 +16,7 @@ from hilcell.ports import Air, DeviceError, DeviceRefused, NoReading, Stopped, T
 from tests.drivers.emscon_peer import (
     CLOSING,
     NOT_READY,
+    READY,
     EmsconPeer,
     failure,
     reflector,
@@ -132,7 +133,7 @@ def test_one_measurement(tracker: Quick, peer: EmsconPeer, time: WireTime) -> No
     np.testing.assert_array_equal(reading.std_mm, [0.0025] * 3)
     assert reading.air == Air(22.5, 1013.25, 45.0)
     assert (reading.samples, reading.taken_s) == (1, time.pc_s())
-    assert peer.commands[before:] == [55, 49]
+    assert peer.commands[before:] == [55, 49, 41]
 
 
 def test_several_samples_give_mean_and_spread(tracker: Quick, peer: EmsconPeer) -> None:
@@ -156,8 +157,25 @@ def test_results_of_an_earlier_measurement_are_dropped(tracker: Quick, peer: Ems
     np.testing.assert_array_equal(tracker.measure(POINT, SMR, 1).xyz_mm, POINT)
 
 
+@pytest.mark.parametrize("at_once", [True, False])
+def test_a_late_result_behind_the_acknowledgement_is_no_reading(
+    tracker: Quick, peer: EmsconPeer, at_once: bool
+) -> None:
+    late, right = result(POINT + [0.003, 0, 0]), result(POINT)
+    proof = iter([[reply(41, status=1)], [right, reply(41, peer.settings[41])]])
+    peer.answers[49] = lambda _: [reply(49), late, READY, right] if at_once else [reply(49), late]
+    if not at_once:
+        peer.answers[41] = lambda _: next(proof)  # busy: it still measures
+    found = measuring(tracker)
+    assert (type(found), found.code, found.fields["results"]) == (NoReading, "HC-T31", 2)
+    assert peer.commands[-1] == 52
+    peer.answers[49] = lambda _: [reply(49), READY, right]
+    peer.answers[41] = lambda _: [reply(41, peer.settings[41])]
+    np.testing.assert_array_equal(tracker.measure(POINT, SMR, 1).xyz_mm, POINT)
+
+
 def test_a_late_result_of_another_point_is_refused(tracker: Quick, peer: EmsconPeer) -> None:
-    peer.answers[49] = lambda _: [reply(49), result(POINT + [0, 5.1, 0]), result(POINT)]
+    peer.answers[49] = lambda _: [reply(49), result(POINT + [0, 5.1, 0])]
     found = measuring(tracker)
     assert isinstance(found, NoReading)
     assert found.fields["off_mm"] == pytest.approx(5.1)
@@ -228,7 +246,7 @@ def test_a_reflector_out_of_the_beam_is_searched(tracker: Quick, peer: EmsconPee
     peer.xyz = tuple(POINT)
     peer.answers[55] = lambda _: [failure(55, 37)]
     tracker.measure(POINT, SMR, 1)
-    assert peer.commands[-3:] == [55, 63, 49]
+    assert peer.commands[-4:] == [55, 63, 49, 41]
     peer.answers[63] = lambda _: [failure(63, 10004)]
     found = measuring(tracker)
     assert isinstance(found, NoReading)
@@ -240,7 +258,7 @@ def test_not_ready_is_searched_once(tracker: Quick, peer: EmsconPeer) -> None:
     answers = iter([[failure(49, 10004)], [reply(49), result(POINT)]])
     peer.answers[49] = lambda _: next(answers)
     tracker.measure(POINT, SMR, 1)
-    assert peer.commands[-4:] == [55, 49, 63, 49]
+    assert peer.commands[-5:] == [55, 49, 63, 49, 41]
 
 
 def test_a_busy_server_is_asked_again(tracker: Quick, peer: EmsconPeer) -> None:
