@@ -37,10 +37,15 @@ _MULTI = struct.Struct("<IiII3d")
 _SAMPLE = np.dtype([("status", "<i4"), ("s", "<i4"), ("us", "<i4"), ("xyz", "<f8", (3,))])
 
 MILLIMETRE_UNITS = (1, 0, 0, 0, 0)  # mm, rad, Celsius, mbar, % relative humidity
+OTHER_UNITS_MM = {
+    "metres": 1000.0, "micrometres": 0.001, "feet": 304.8, "yards": 914.4, "inches": 25.4,
+}  # fmt: skip
+FARTHEST = 1e9  # in every unit beyond the reach of any tracker; figures above are no positions
 RIGHT_HANDED = 0
 STATIONARY_MODE, CONTINUOUS_TIME_MODE = 0, 1
 UNTIL_STOPPED = 0
 INITIALIZED = 5
+AIR_MEASURED = 2  # the weather monitor reads, and corrects the distances by it
 FIRST_FACE, SECOND_FACE = 1, 2  # ES_TrackerFace
 TEMPERATURE_C = (-20.0, 60.0)
 PRESSURE_MBAR = (500.0, 1200.0)
@@ -224,11 +229,11 @@ Packet = Reply | Failure | StatusChange | Single | Multi | Other
 
 @dataclass(frozen=True, slots=True)
 class SystemStatus:
-    """Processor state, version, weather station and serial number, as the tracker reports them."""
+    """Processor state, version, weather monitor and serial number, as the tracker reports them."""
 
     processor: int
     version: str
-    weather_station: int
+    weather_monitor: int
     serial: int
 
 
@@ -259,6 +264,8 @@ def status_text(status: int) -> str:
 
 def air_problem(temperature_c: float, pressure_mbar: float, humidity_percent: float) -> str:
     """Return why the air's values are impossible, or nothing."""
+    if temperature_c == humidity_percent == 0.0:
+        return "temperature 0 C and humidity 0 %: the probe does not measure"
     limits = (
         ("temperature", temperature_c, "C", TEMPERATURE_C),
         ("pressure", pressure_mbar, "mbar", PRESSURE_MBAR),
@@ -268,6 +275,11 @@ def air_problem(temperature_c: float, pressure_mbar: float, humidity_percent: fl
         if not low <= value <= high:
             return f"{name} {value} {unit} is not between {low:g} and {high:g}"
     return ""
+
+
+def possible(*values: float) -> bool:
+    """Whether these are finite lengths within any tracker's reach, in whichever unit."""
+    return all(abs(value) < FARTHEST for value in values)
 
 
 class PacketReader:

@@ -164,7 +164,7 @@ class EmsconSettings:
     def prove(self) -> None:
         """Read each setting again that was changed; raises `DeviceError` where it is not ours."""
         if Change.COMPENSATION in self._news:
-            raise _changed("compensation", "changed by another program", "")
+            raise _changed("compensation", "it was changed", "the one of before")
         all_of_them = Change.SERVER_STARTED in self._news
         for setting in self._kept:
             if all_of_them or not self._news.isdisjoint(setting.changes):
@@ -189,6 +189,6 @@ def _changed(name: str, found: str, expected: str) -> DeviceError:
         f"read {name} again",
         found,
         wanted=expected,
-        act="another program changed it: close it; resume sets it again",
+        act="another program changed it: close that program; resume sets all settings again",
         fields={"setting": name},
     )

@@ -177,13 +177,13 @@ class EmsconStream:
         return [packet]
 
     def _check(self, packet: Multi) -> None:
-        if not bool(np.all(np.isfinite(packet.xyz))):
+        if not emscon.possible(*packet.xyz.flat):
             raise NoReading(
                 "HC-T14",
                 DEVICE,
                 "stream",
                 f"a sample at {packet.xyz} mm",
-                wanted="finite coordinates",
+                wanted="a position in mm",
             )
         if self._last_s is None:
             off_mm = float(np.linalg.norm(packet.xyz[0] - self._near_mm))

@@ -85,6 +85,7 @@ class LeicaEmsconTracker:
         self._numbers: dict[str, int] = {}
         self._reflector = ""
         self._arrived_s = 0.0
+        self._air_measured = False
         self._results = 0  # since the start was acknowledged
 
     # -- the port -----------------------------------------------------------------------------
@@ -174,6 +175,7 @@ class LeicaEmsconTracker:
                 act="look at the tracker, resume",
                 processor=status.processor,
             )
+        self._air_measured = status.weather_monitor == emscon.AIR_MEASURED
         address = f"{self._options.host}:{self._options.port}"
         answer = self._request(Command.GET_TRACKER_INFO).body  # nothing by older controllers
         name = clean(self._decoded(emscon.decode_tracker_name, answer)) if answer else ""
@@ -346,8 +348,9 @@ class LeicaEmsconTracker:
         )
 
     def _check(self, result: Single, near_mm: Array) -> None:
-        if not bool(np.all(np.isfinite((*result.xyz, *result.std, result.std_total)))):
-            raise no_reading("HC-T14", f"the result {result.xyz} is not finite", xyz=result.xyz)
+        if not emscon.possible(*result.xyz, *result.std, result.std_total):
+            found = f"the result {result.xyz}, standard deviation {result.std_total:g}"
+            raise no_reading("HC-T14", found, wanted="a position in mm", xyz=result.xyz)
         off_mm = float(np.linalg.norm(np.array(result.xyz) - near_mm))
         radius_mm = self._options.find_radius_mm
         if not off_mm <= radius_mm:
@@ -365,17 +368,18 @@ class LeicaEmsconTracker:
             raise no_reading("HC-T05", problem, act="check the weather station")
 
     def _misplaced(self, result: Single, near_mm: Array, off_mm: float) -> DeviceError:
-        in_metres_mm = float(np.linalg.norm(1000.0 * np.array(result.xyz) - near_mm))
-        if in_metres_mm <= self._options.find_radius_mm:
-            return DeviceError(
-                "HC-T18",
-                DEVICE,
-                "measure",
-                f"the result {result.xyz} is in metres",
-                wanted="mm",
-                act="another program changed the units; resume sets them again",
-                fields={"xyz": result.xyz},
-            )
+        for unit, unit_mm in emscon.OTHER_UNITS_MM.items():
+            of_unit_mm = float(np.linalg.norm(unit_mm * np.array(result.xyz) - near_mm))
+            if of_unit_mm <= self._options.find_radius_mm:
+                return DeviceError(
+                    "HC-T18",
+                    DEVICE,
+                    "measure",
+                    f"the result {result.xyz} is in {unit}",
+                    wanted="mm",
+                    act="another program changed the units; resume sets them again",
+                    fields={"xyz": result.xyz, "unit": unit},
+                )
         return misplaced(off_mm, self._options.find_radius_mm)
 
     def _reading(self, results: list[Single], reflector: str) -> TrackerReading:
@@ -387,14 +391,9 @@ class LeicaEmsconTracker:
             else np.array(results[0].std)
         )
         last = results[-1]
-        return TrackerReading(
-            points_mm.mean(axis=0),
-            std_mm,
-            len(results),
-            reflector,
-            Air(last.temperature, last.pressure, last.humidity),
-            self._arrived_s,
-        )
+        air = Air(last.temperature, last.pressure, last.humidity) if self._air_measured else None
+        mean_mm = points_mm.mean(axis=0)
+        return TrackerReading(mean_mm, std_mm, len(results), reflector, air, self._arrived_s)
 
     # -- packets ------------------------------------------------------------------------------
 

@@ -52,6 +52,7 @@ class EmsconPeer:
             48: struct.pack("<9i", 2, 0, 0, 0, 1, 0, 0, 0, 0),
         }
         self.initialized = 5
+        self.weather_monitor = 2
         self.commands: list[int] = []
         self.stopped = threading.Event()
         self.slice = 0
@@ -96,7 +97,7 @@ class EmsconPeer:
         return lambda _: [reply(command, self.settings.get(command, b""))]
 
     def _status(self, _body: bytes) -> list[bytes]:
-        values = (0, self.initialized, 3, 2, 3, 8, 900, 1, 0, 390793)
+        values = (0, self.initialized, 3, 2, 3, 8, 900, self.weather_monitor, 0, 390793)
         return [reply(1, struct.pack("<IIIIiiiIii", *values))]
 
     def _initialize(self, _body: bytes) -> list[bytes]:

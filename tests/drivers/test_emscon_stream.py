@@ -101,9 +101,10 @@ def test_packets_in_slices_are_the_same(peer: EmsconPeer, tracker: Quick) -> Non
         (samples(np.array([6.0])), "HC-T41"),
         (samples(np.array([7.03])), "HC-T41"),
         (samples(np.array([8.0, 8.01]), POINT * np.nan), "HC-T14"),
+        (samples(np.array([8.0, 8.01]), POINT * 1e300), "HC-T14"),
         (samples(np.array([8.0]), status=10013), "HC-T15"),
     ],
-    ids=["beam", "refused", "back", "twice", "nan", "status"],
+    ids=["beam", "refused", "back", "twice", "nan", "absurd", "status"],
 )
 def test_what_ends_a_stream_is_no_reading_and_restores(
     peer: EmsconPeer, tracker: Quick, packet: bytes, code: str

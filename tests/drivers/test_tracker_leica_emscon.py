@@ -219,6 +219,7 @@ def test_a_broken_beam_is_no_reading(tracker: Quick, peer: EmsconPeer, answer: l
         ([reply(49), result((float("inf"), 0, 0))], "HC-T14"),
         ([reply(49), result(POINT, air=(22.5, 0.0, 45.0))], "HC-T05"),
         ([reply(49), result(POINT, air=(float("nan"), 1000.0, 45.0))], "HC-T05"),
+        ([reply(49), result(POINT, air=(0.0, 1013.25, 0.0))], "HC-T05"),
     ],
 )
 def test_bad_results_are_no_readings(
@@ -235,11 +236,54 @@ def test_repeats_that_spread_are_no_reading(tracker: Quick, peer: EmsconPeer) ->
     assert measuring(tracker, 2).code == "HC-T15"
 
 
-def test_metres_are_the_devices_failure(tracker: Quick, peer: EmsconPeer) -> None:
-    peer.answers[49] = lambda _: [reply(49), result(POINT / 1000)]
+@pytest.mark.parametrize(
+    ("unit", "unit_mm"),
+    [
+        ("metres", 1000.0),
+        ("micrometres", 1e-3),
+        ("feet", 304.8),
+        ("yards", 914.4),
+        ("inches", 25.4),
+    ],
+)
+def test_a_result_in_other_units_is_the_devices_failure_and_names_them(
+    tracker: Quick, peer: EmsconPeer, unit: str, unit_mm: float
+) -> None:
+    peer.answers[49] = lambda _: [reply(49), result(POINT / unit_mm)]
     found = measuring(tracker)
+    assert (found.code, found.fields["unit"]) == ("HC-T18", unit)
     assert not isinstance(found, NoReading)
-    assert "metres" in found.found
+    assert f"in {unit}" in found.found
+
+
+@pytest.mark.parametrize("monitor", [0, 1, 2])
+def test_air_counts_as_measured_where_the_weather_monitor_corrects_by_it(
+    peer: EmsconPeer, time: WireTime, monitor: int
+) -> None:
+    peer.weather_monitor = monitor
+    tracker = tracker_at(peer.server.port, time)
+    tracker.connect()
+    reading = tracker.measure(POINT, SMR, 1)
+    tracker.close()
+    assert reading.air == (Air(22.5, 1013.25, 45.0) if monitor == 2 else None)
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        result((1e308, 1e308, 1e308)),
+        result(POINT, std=1e308),
+        result(POINT, std=-1e300),
+        result((0.0, -1e200, 0.0)),
+    ],
+)
+def test_figures_beyond_all_reach_are_no_reading_in_few_words(
+    tracker: Quick, peer: EmsconPeer, answer: bytes
+) -> None:
+    peer.answers[49] = lambda _: [reply(49), answer]
+    found = measuring(tracker)
+    assert (type(found), found.code) == (NoReading, "HC-T14")
+    assert len(str(found)) < 200
 
 
 def test_a_reflector_out_of_the_beam_is_searched(tracker: Quick, peer: EmsconPeer) -> None:
