@@ -8,6 +8,7 @@ from drivers.wires.tcp import Alarms
 from hilcell.ports import Array, DeviceError, DeviceRefused, NoReading
 
 DEVICE = "Tracker"
+APART = 6.0  # a repeat this many times the scatter of the others from them is none of theirs
 ALARMS = Alarms(unreachable="HC-T01", lost="HC-T02")
 
 
@@ -74,7 +75,7 @@ def misplaced(off_mm: float, radius_mm: float) -> NoReading:
 def std_of_repeats(points_mm: Array, limit_mm: float) -> Array:
     """Return the standard deviation (3,) of one of the repeats (N, 3), N > 1.
 
-    Raises `NoReading` where they spread by more than ``limit_mm``.
+    Raises `NoReading` where they spread by more than ``limit_mm``, or one is far from the others.
     """
     std_mm: Array = points_mm.std(axis=0, ddof=1)
     spread_mm = float(np.linalg.norm(std_mm))
@@ -88,4 +89,29 @@ def std_of_repeats(points_mm: Array, limit_mm: float) -> Array:
             limit_mm=limit_mm,
             repeats=len(points_mm),
         )
+    if len(points_mm) > 2:
+        _check_alike(points_mm, limit_mm)
     return std_mm
+
+
+def _check_alike(points_mm: Array, limit_mm: float) -> None:
+    """Refuse repeats (N, 3), N > 2, one of which is far from the others by their own scatter.
+
+    One of many hardly widens the spread of all, yet shifts their mean.
+    """
+    for number, point_mm in enumerate(points_mm):
+        others_mm = np.delete(points_mm, number, axis=0)
+        off_mm = float(np.linalg.norm(point_mm - others_mm.mean(axis=0)))
+        scatter_mm = float(np.linalg.norm(others_mm.std(axis=0, ddof=1)))
+        if not off_mm <= max(limit_mm, APART * scatter_mm):
+            raise no_reading(
+                "HC-T15",
+                f"repeat {number + 1} of {len(points_mm)} is {off_mm:.4f} mm from the others,"
+                f" which spread by {scatter_mm:.4f} mm (1 sigma)",
+                wanted=f"<= {limit_mm:.4f} mm",
+                act="something moves or vibrates, or a reading was damaged on its way",
+                off_mm=off_mm,
+                scatter_mm=scatter_mm,
+                limit_mm=limit_mm,
+                repeats=len(points_mm),
+            )

@@ -22,6 +22,7 @@ ABORT = "c"  # ends a motion or measurement; answered by "?"
 RAD_PER_ARCSEC = math.pi / 648_000
 MM_PER_M = 1000.0
 PLACES = 15  # decimal places that the instrument is to send
+FARTHEST = 1e5  # m or rad; figures above are no reading
 CLEAR, DISTANCE, AUTOMATIC_TILT = 3, 1, 1  # of DO_MEASURE; tilt as for GET_MEASUREMENT
 
 OK, BUSY = 0, frozenset({13, 786, 1293})
@@ -31,6 +32,7 @@ REFUSED_UNREAD = (3080, 3081, 3108, 3109)
 _REPLY = re.compile(r"%R1P,(\d{1,9}),(\d{1,9})(?:,\d{1,9})?:(\d{1,9})(?:,(.*))?")
 # A name may have the mark of an arcsecond in it, escaped or not: a quote that ends no value.
 _VALUE = re.compile(r'"((?:[^"\\]|\\.|"(?!,|$))*)"(?=,|$)|((?!")[^,]*)')
+_WHOLE = re.compile(rf"-?\d+\.\d{{{PLACES}}}")
 _ESCAPED = re.compile(r'\\(["\\])')
 
 
@@ -47,6 +49,8 @@ class Rpc(IntEnum):
     GET_TILT_SWITCH = 2007
     SET_TILT_SWITCH = 2006
     DO_MEASURE = 2008
+    GET_ANGLE_CORRECTIONS = 2014
+    SET_ANGLE_CORRECTIONS = 2016
     SET_EDM_MODE = 2020
     GET_EDM_MODE = 2021
     GET_PRISM_CONSTANT = 2023
@@ -181,6 +185,14 @@ def empty(reply: Reply) -> bool:
     return not any(value.strip() for value in reply.values)
 
 
+def is_whole(reply: Reply) -> bool:
+    """Whether each value has all its places: the line has no check sum and loses characters.
+
+    Some instruments leave zeros at the end out, so a value that is not whole may be a good one.
+    """
+    return all(map(_WHOLE.fullmatch, reply.values))
+
+
 def numbers(values: tuple[str, ...], count: int) -> tuple[float, ...]:
     """Return ``count`` numbers, perhaps not finite ones; raises `GeocomError`."""
     try:
@@ -190,6 +202,11 @@ def numbers(values: tuple[str, ...], count: int) -> tuple[float, ...]:
     if len(found) != count:
         raise GeocomError(f"expected {count} numbers, got {clean(','.join(values)[:80])!r}")
     return found
+
+
+def possible(values: tuple[float, ...]) -> bool:
+    """Whether angles and a distance may be those of a reading."""
+    return all(abs(value) < FARTHEST for value in values) and values[-1] > 0.0
 
 
 def status_text(code: int) -> str:

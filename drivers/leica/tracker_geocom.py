@@ -2,7 +2,8 @@
 
 The trap: the instrument keeps its last distance, and an answer may come after it was given up. So
 the distance is cleared before each start, every request has a number of its own, and an answer to
-a request that was given up is dropped; one to no request at all ends the connection.
+a request that was given up is dropped; one to no request at all ends the connection. A line has no
+check sum: a reading with fewer places than were set has lost a character, or a zero at its end.
 """
 
 from __future__ import annotations
@@ -49,6 +50,8 @@ from hilcell.wire.channel import SerialLine, parse_channel
 BUSY_PAUSE_S = 0.1
 DISTANCE_MS = 5000  # that the instrument may take for a distance, besides `reading_s`
 SETTING_SHARE = 1e-6
+TRIES = 5  # distances until one comes with all its places; zeros at the end take one in four
+CORRECTED = (1, 1, 1, 1)  # for tilt, tilt of the standing axis, collimation, tilting axis
 MEASURING = {Rpc.TURN_TO, Rpc.FINE_ADJUST, Rpc.DO_MEASURE, Rpc.GET_MEASUREMENT}
 ACT = "look at the instrument, then resume"
 ACTS = {
@@ -96,6 +99,11 @@ class LeicaGeocomTracker:
 
         def __post_init__(self) -> None:
             parse_channel(self.channel)
+            if self.wet_bulb_c is not None and not self.wet_bulb_c <= self.temperature_c:
+                raise ValueError(
+                    f"wet_bulb_c is {self.wet_bulb_c:g}, expected at most temperature_c"
+                    f" ({self.temperature_c:g}): a wet bulb is never warmer than the air"
+                )
 
         def accuracy(self, range_m: float) -> tuple[float, float]:
             """Return 1 sigma of one reading: along the beam, mm, and across it, rad."""
@@ -108,6 +116,7 @@ class LeicaGeocomTracker:
         # An answer to a program that ran before is then nobody's.
         self._transactions = count(time.time_ns() // 1_000_000)
         self._given_up: set[int] = set()
+        self._kept: dict[str, tuple[Rpc, tuple[float, ...]]] = {}
         self._arrived_s = 0.0
 
     # -- the port -----------------------------------------------------------------------------
@@ -116,7 +125,7 @@ class LeicaGeocomTracker:
         """Open the wire, identify, set air, prism and modes, and read all of them back."""
         self.close()
         link = open_link(DEVICE, self._options.channel, self._clock.check, ALARMS)
-        self._lines, self._given_up = TextLines(link), set()
+        self._lines, self._given_up, self._kept = TextLines(link), set(), {}
         with on_failure(self.close):
             self._begin()
             identity = self._identify(link.address)
@@ -129,6 +138,7 @@ class LeicaGeocomTracker:
         options = self._options
         known = options.reflector
         check_reflector(reflector, known, f"the prism constant is that of {known!r}")
+        self._prove()
         self._ask(Rpc.TURN_TO, *geocom.angles_to(near_mm), 0, 0, 0, limit_s=self.MOVE_S)
         points_mm = np.array([self._single(near_mm) for _ in range(samples)])
         if samples > 1:
@@ -195,6 +205,9 @@ class LeicaGeocomTracker:
         prism_m = options.prism_constant_mm / geocom.MM_PER_M
         set_to("prism constant", Rpc.SET_PRISM_CONSTANT, Rpc.GET_PRISM_CONSTANT, prism_m)
         set_to("distance mode", Rpc.SET_EDM_MODE, Rpc.GET_EDM_MODE, options.edm_mode)
+        set_to(
+            "angle corrections", Rpc.SET_ANGLE_CORRECTIONS, Rpc.GET_ANGLE_CORRECTIONS, *CORRECTED
+        )
         set_to("compensator", Rpc.SET_TILT_SWITCH, Rpc.GET_TILT_SWITCH, 1)
         set_to("target recognition", Rpc.SET_ATR, Rpc.GET_ATR, 1)
         self._ask(Rpc.DO_MEASURE, geocom.CLEAR, geocom.AUTOMATIC_TILT)
@@ -225,6 +238,25 @@ class LeicaGeocomTracker:
                 read=found,
                 written=wanted,
             )
+        self._kept[what] = read, wanted
+
+    def _prove(self) -> None:
+        """Read all settings again: somebody may have changed one at the keyboard."""
+        for what, (read, kept) in self._kept.items():
+            reply = self._ask(read)
+            if not geocom.empty(reply) and _same(self._decoded(reply, len(kept)), kept):
+                continue
+            found = self._numbers(read, len(kept))  # a character may have been lost
+            if not _same(found, kept):
+                raise DeviceError(
+                    "HC-T06",
+                    DEVICE,
+                    f"read {what} again",
+                    f"now reads {found}",
+                    wanted=f"{kept}",
+                    act="changed at the instrument? resume sets it again, or correct the cell file",
+                    fields={"setting": what},
+                )
 
     # -- measuring ----------------------------------------------------------------------------
 
@@ -233,6 +265,26 @@ class LeicaGeocomTracker:
         options = self._options
         window_rad = 2.0 * options.find_radius_mm / max(float(np.linalg.norm(near_mm)), 1.0)
         self._ask(Rpc.FINE_ADJUST, window_rad, window_rad, 0, limit_s=self.MOVE_S)
+        for _ in range(TRIES):
+            reply = self._measured()
+            values = self._decoded(reply, 3)
+            if geocom.is_whole(reply):
+                break
+        else:
+            found = f"the result {','.join(reply.values)[:80]} has lost characters"
+            wanted = f"{geocom.PLACES} decimal places"
+            raise no_reading("HC-T14", clean(found), wanted=wanted, act="check the line")
+        if not geocom.possible(values):
+            raise no_reading("HC-T14", f"the result {values} is no position", values=values)
+        xyz_mm = geocom.position_mm(*values)
+        off_mm = float(np.linalg.norm(xyz_mm - near_mm))
+        if not off_mm <= options.find_radius_mm:
+            raise misplaced(off_mm, options.find_radius_mm)
+        return xyz_mm
+
+    def _measured(self) -> Reply:
+        """Return angles and a new distance, which reading it makes an old one."""
+        options = self._options
         for program in (geocom.CLEAR, geocom.DISTANCE):
             self._ask(Rpc.DO_MEASURE, program, geocom.AUTOMATIC_TILT)
         wait_ms = DISTANCE_MS + round(1000 * options.reading_s)
@@ -245,14 +297,7 @@ class LeicaGeocomTracker:
         )
         if geocom.empty(reply):
             raise no_reading("HC-T13", "the answer has no values", act=ACT)
-        values = self._decoded(reply, 3)
-        xyz_mm = geocom.position_mm(*values) if np.all(np.isfinite(values)) else None
-        if xyz_mm is None or not values[2] > 0:
-            raise no_reading("HC-T14", f"the result {values} is no position", values=values)
-        off_mm = float(np.linalg.norm(xyz_mm - near_mm))
-        if not off_mm <= options.find_radius_mm:
-            raise misplaced(off_mm, options.find_radius_mm)
-        return xyz_mm
+        return reply
 
     # -- lines --------------------------------------------------------------------------------
 
@@ -261,10 +306,13 @@ class LeicaGeocomTracker:
         return self._decoded(self._stated(rpc), size)
 
     def _stated(self, rpc: Rpc) -> Reply:
-        """Ask for values, again while the answer has none."""
+        """Ask for values until two answers in a row are the same; the line has no check sum."""
         patience = Patience(self.REPLY_S, self.REPLY_S)
-        while geocom.empty(reply := self._ask(rpc)) and not patience.over():
-            self._clock.wait(BUSY_PAUSE_S)
+        before, reply = None, self._ask(rpc)
+        while (geocom.empty(reply) or reply.values != before) and not patience.over():
+            if geocom.empty(reply):
+                self._clock.wait(BUSY_PAUSE_S)
+            before, reply = reply.values, self._ask(rpc)
         return reply
 
     def _ask(

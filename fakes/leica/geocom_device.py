@@ -46,6 +46,7 @@ class _State:
     atmosphere: tuple[float, ...] = (658e-9, 1013.25, 12.0, 12.0)
     edm_mode: int = 3
     tilt: int = 1
+    corrections: tuple[float, ...] = (1, 1, 1, 1)  # the instrument has no such errors
     atr: int = 0
     face: int = 0
     pointing: tuple[float, float] = (0.0, math.pi / 2)  # Hz, V in face 1
@@ -72,6 +73,8 @@ class GeocomDevice:
             2006: (1, self._keep("tilt", lambda on: on in (0, 1))),
             2007: (0, lambda: _whole(state.tilt)),
             2008: (2, self._start),
+            2014: (0, lambda: _whole(*map(int, state.corrections))),
+            2016: (4, self._set_corrections),
             2020: (1, self._keep("edm_mode", lambda mode: 0 <= mode <= 14)),
             2021: (0, lambda: _whole(state.edm_mode)),
             2023: (0, lambda: self._reals(state.prism_m)),
@@ -122,6 +125,12 @@ class GeocomDevice:
 
     def _set_prism(self, constant_m: float) -> Answer:
         self._state.prism_m = constant_m
+        return Answer()
+
+    def _set_corrections(self, *on: float) -> Answer:
+        if not set(on) <= {0, 1}:
+            return Answer(INVALID)
+        self._state.corrections = on
         return Answer()
 
     def _set_atmosphere(self, *values: float) -> Answer:

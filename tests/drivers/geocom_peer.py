@@ -14,7 +14,7 @@ from contextlib import suppress
 from tests.drivers.peers import Server
 
 Answer = Callable[[str], str | None]
-SETTINGS = {107: 108, 2006: 2007, 2020: 2021, 2024: 2023, 2028: 2029, 18005: 18006}
+SETTINGS = {107: 108, 2006: 2007, 2016: 2014, 2020: 2021, 2024: 2023, 2028: 2029, 18005: 18006}
 
 
 class GeocomPeer:
@@ -28,18 +28,18 @@ class GeocomPeer:
         self.requests: list[str] = []
         self.aborted = threading.Event()
         self.settings = {
-            108: "4", 2007: "0", 2021: "3", 2023: "0.0344", 2029: "0.000000658,1013.25,12.0,12.0",
-            18006: "0",
+            108: "4", 2007: "0", 2014: "1,1,0,1", 2021: "3", 2023: "0.0344",
+            2029: "0.000000658,1013.25,12.0,12.0", 18006: "0",
         }  # fmt: skip
         self.answers: dict[int, Answer] = {
-            2108: lambda _: f"0,{self.pointing},{self.distance_m}",
+            2108: lambda _: f"0,{self.pointing},{self.distance_m:.15f}",
             5003: lambda _: "0,884321",
             5004: lambda _: '0,"TS60, R1000"',
             5034: lambda _: "0,8,50,0",
             9027: self._turn,
         }
         self.reply = lambda number, answer: f"%R1P,0,{number}:{answer}\r\n".encode()
-        self.pointing = "0,0"
+        self.pointing = ""
         self._end = self._far = -1
         self._closing = threading.Event()
         if serial:
@@ -70,7 +70,7 @@ class GeocomPeer:
                 os.close(end)
 
     def _turn(self, parameters: str) -> str:
-        self.pointing = ",".join(parameters.split(",")[:2])
+        self.pointing = ",".join(f"{float(each):.15f}" for each in parameters.split(",")[:2])
         return "0"
 
     def _serve(self, connection: socket.socket) -> None:

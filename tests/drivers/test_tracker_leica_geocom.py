@@ -21,6 +21,7 @@ pytestmark = pytest.mark.waits
 
 POINT = np.array([4000.0, -3000.0, 0.0])  # 5 m from the instrument, right of its Hz zero
 SMR = "SMR 1.5in"
+SETTINGS = [108, 2029, 2023, 2021, 2014, 2007, 18006]  # in the order in which they are read
 
 
 class Quick(LeicaGeocomTracker):
@@ -97,6 +98,7 @@ def test_connecting_sets_everything_and_states_who_answered(
     assert peer.settings == {
         108: "15",
         2007: "1",
+        2014: "1,1,1,1",
         2021: "2",
         2023: "-0.0169",
         2029: "0.000000658,1002.0,23.5,17.0",
@@ -147,12 +149,12 @@ def test_one_measurement(tracker: Quick, peer: GeocomPeer) -> None:
     peer.requests.clear()
     tracker.measure(POINT, SMR, 1)
     procedures = [int(line.split(",")[1]) for line in peer.requests]
-    assert procedures == [9027, 9037, 2008, 2008, 2108]
+    assert procedures == [*SETTINGS, 9027, 9037, 2008, 2008, 2108]
     assert peer.asked(9027) == ["0.643501108793,1.570796326795,0,0,0"]  # to the right: clockwise
     assert peer.asked(9037) == ["0.002,0.002,0"]
     assert peer.asked(2008) == ["3,1", "1,1"]  # the last distance is cleared first
     numbers = [int(line.split(":")[0].split(",")[2]) for line in peer.requests]
-    assert numbers == list(range(numbers[0], numbers[0] + 5))
+    assert numbers == list(range(numbers[0], numbers[0] + len(SETTINGS) + 5))
 
 
 def test_one_reading_is_as_uncertain_as_the_maker_states(peer: GeocomPeer, time: WireTime) -> None:
@@ -167,7 +169,7 @@ def test_one_reading_is_as_uncertain_as_the_maker_states(peer: GeocomPeer, time:
 
 def test_repeats_aim_again_and_have_their_own_spread(tracker: Quick, peer: GeocomPeer) -> None:
     distances = iter([5.0, 5.0002, 4.9998])
-    peer.answers[2108] = lambda _: f"0,{peer.pointing},{next(distances)}"
+    peer.answers[2108] = lambda _: f"0,{peer.pointing},{next(distances):.15f}"
     reading = tracker.measure(POINT, SMR, 3)
     assert len(peer.asked(9037)) == 3
     np.testing.assert_allclose(reading.xyz_mm, POINT, atol=1e-6)
@@ -176,7 +178,7 @@ def test_repeats_aim_again_and_have_their_own_spread(tracker: Quick, peer: Geoco
 
 def test_repeats_that_spread_are_no_reading(tracker: Quick, peer: GeocomPeer) -> None:
     distances = iter([5.0, 5.003])
-    peer.answers[2108] = lambda _: f"0,{peer.pointing},{next(distances)}"
+    peer.answers[2108] = lambda _: f"0,{peer.pointing},{next(distances):.15f}"
     found = measuring(tracker, 2)
     assert (type(found), found.code) == (NoReading, "HC-T15")
 
@@ -218,9 +220,9 @@ def test_readings_without_full_correction_are_taken_where_the_file_says_so(
     tracker = tracker_at(peer.channel, time, accept_uncorrected=True)
     (identity,) = tracker.connect()
     assert "accepted" in identity.model
-    peer.answers[2108] = lambda _: f"{code},{peer.pointing},5.0"
+    peer.answers[2108] = lambda _: f"{code},{peer.pointing},5.000000000000000"
     np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)
-    peer.answers[2108] = lambda _: f"1285,{peer.pointing},5.0"
+    peer.answers[2108] = lambda _: f"1285,{peer.pointing},5.000000000000000"
     assert measuring(tracker).code == "HC-T52"
     tracker.close()
 
@@ -258,6 +260,113 @@ def test_a_result_that_is_no_position_is_no_reading(
     peer.answers[2108] = lambda _: ",".join(["0", *values])
     found = measuring(tracker)
     assert (type(found), found.code) == (NoReading, "HC-T14")
+
+
+@pytest.mark.parametrize("damaged", [
+    "0.64501108793284,1.570796326794897,5.000000000000000",
+    "0.643501108793284,1.57079632,5.000000000000000",
+    "0.643501108793284,1.570796326794897,5",
+    "0.643501108793284,1.570796326794897,5000000000000000",
+    "0.643501108793284,1.570796326794897,5.00000000000000",
+])  # fmt: skip
+def test_a_reading_that_has_lost_characters_is_measured_again(
+    peer: GeocomPeer, time: WireTime, damaged: str
+) -> None:
+    tracker = tracker_at(peer.channel, time, find_radius_mm=100.0)
+    tracker.connect()
+    good, first = peer.answers[2108], iter([True])
+    peer.answers[2108] = lambda text: f"0,{damaged}" if next(first, False) else good(text)
+    np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)
+    assert peer.asked(2008) == ["3,1", "3,1", "1,1", "3,1", "1,1"], "a new distance, too"
+    peer.answers[2108] = lambda _: f"0,{damaged}"
+    found = measuring(tracker)
+    assert (type(found), found.code) == (NoReading, "HC-T14")
+    assert damaged in found.found
+    tracker.close()
+
+
+@pytest.mark.parametrize("value", ["1" + "0" * 308, "1" + "0" * 400, "-1" + "0" * 308])
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_figures_beyond_all_reach_are_no_reading(
+    tracker: Quick, peer: GeocomPeer, place: int, value: str
+) -> None:
+    values = ["0.643501108793284", "1.570796326794897", "5.000000000000000"]
+    values[place] = f"{value}.000000000000000"
+    peer.answers[2108] = lambda _: ",".join(["0", *values])
+    found = measuring(tracker)
+    assert (type(found), found.code) == (NoReading, "HC-T14")
+
+
+def test_one_of_many_repeats_that_is_far_from_the_others_is_in_no_mean(
+    peer: GeocomPeer, time: WireTime
+) -> None:
+    tracker = tracker_at(peer.channel, time, max_std_mm=3.0, find_radius_mm=20.0)
+    tracker.connect()
+    distances = iter([5.0003, 4.995, 5.0, 4.9998])
+    peer.answers[2108] = lambda _: f"0,{peer.pointing},{next(distances):.15f}"
+    found = measuring(tracker, 4)
+    assert (type(found), found.code) == (NoReading, "HC-T15")
+    assert "repeat 2 of 4" in found.found
+    tracker.close()
+
+
+@pytest.mark.parametrize(
+    ("rpc", "value"),
+    [
+        (108, "4"),
+        (2029, "0.000000658,1013.25,55.0,12.0"),
+        (2023, "0.0344"),
+        (2021, "3"),
+        (2014, "1,1,0,1"),
+        (2007, "0"),
+        (18006, "0"),
+    ],
+)
+def test_a_setting_that_is_changed_at_the_keyboard_is_refused_until_it_is_set_again(
+    tracker: Quick, peer: GeocomPeer, rpc: int, value: str
+) -> None:
+    tracker.measure(POINT, SMR, 1)
+    peer.settings[rpc] = value
+    found = measuring(tracker)
+    assert (found.code, type(found)) == ("HC-T06", DeviceError)
+    assert not peer.asked(9027)[1:], "it is not even aimed"
+    tracker.connect()
+    assert tracker.measure(POINT, SMR, 1).samples == 1
+
+
+def test_a_setting_that_has_lost_a_character_is_asked_again(
+    tracker: Quick, peer: GeocomPeer
+) -> None:
+    once = iter(["0,0.00000658,101.25,20.0,20.0"])
+    peer.answers[2029] = lambda _: next(once, f"0,{peer.settings[2029]}")
+    assert tracker.measure(POINT, SMR, 1).samples == 1
+
+
+def test_a_serial_number_that_has_lost_a_character_is_asked_again(
+    peer: GeocomPeer, time: WireTime
+) -> None:
+    once = iter(["0,88432"])
+    peer.answers[5003] = lambda _: next(once, "0,884321")
+    tracker = tracker_at(peer.channel, time, serial="884321")
+    (identity,) = tracker.connect()
+    tracker.close()
+    assert identity.serial == "884321"
+
+
+@pytest.mark.parametrize("answer", ["0", "5"])
+def test_angles_that_are_not_corrected_are_refused_as_one_face_is_measured(
+    peer: GeocomPeer, time: WireTime, answer: str
+) -> None:
+    peer.answers[2016] = lambda _: answer
+    found = refusal(tracker_at(peer.channel, time).connect)
+    assert (type(found), found.code) == (DeviceRefused, "HC-T06")
+    assert "angle corrections" in str(found)
+
+
+@pytest.mark.parametrize("wet_bulb_c", [20.1, float("nan")])
+def test_a_wet_bulb_above_the_air_is_refused(time: WireTime, wet_bulb_c: float) -> None:
+    with pytest.raises(ValueError, match="wet bulb"):
+        tracker_at("socket://127.0.0.1:1", time, temperature_c=20.0, wet_bulb_c=wet_bulb_c)
 
 
 @pytest.mark.parametrize("empty", ["0", "0,", "0,,,"])
@@ -369,9 +478,11 @@ def test_a_late_result_is_not_the_next_points(
     found = measuring(tracker)
     assert (type(found), found.code) == (NoReading, "HC-T13")
     late = next(line for line in reversed(peer.requests) if ",2108," in line)
-    held.append(right(int(late.split(":")[0].split(",")[2]), f"0,{peer.pointing},5.001"))
+    held.append(
+        right(int(late.split(":")[0].split(",")[2]), f"0,{peer.pointing},5.001000000000000")
+    )
     peer.reply = holding
-    peer.answers[2108] = lambda _: f"0,{peer.pointing},5.0"
+    peer.answers[2108] = lambda _: f"0,{peer.pointing},5.000000000000000"
     np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)
     assert not held
 
