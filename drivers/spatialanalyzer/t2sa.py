@@ -22,6 +22,7 @@ HALT, STATUS, LASER, LASER_ON = "!HALT", "?STAT", "?LSTA", "!LST:1"
 READY = ("Instrument is connected", "READY")
 BUSY, POINT_FAILED, GROUP_FAILED, HALTED = 201, 305, 340, 330
 MM_PER_INCH, MM_PER_M = 25.4, 1000.0
+FARTHEST = 1e9  # beyond the reach of any tracker, in whichever unit
 LONGEST_WORDS = 120
 # Codes of the vendor's list that a measurement, or a question of one, may bring.
 CODES = {
@@ -90,7 +91,7 @@ def parse(line: str) -> Reply:
 
 
 def position_of(reply: Reply, point: str) -> Array:
-    """Return the position (3,) in a reply; values that are no numbers are NaN.
+    """Return the position (3,) in a reply; values that are no numbers or out of reach are NaN.
 
     Raises `T2saError` where it has none, or is of another point.
     """
@@ -103,7 +104,8 @@ def position_of(reply: Reply, point: str) -> Array:
 
 
 def _number(text: str) -> float:
-    return float(text) if _NUMBER.fullmatch(text) else math.nan
+    value = float(text) if _NUMBER.fullmatch(text) else math.nan
+    return value if abs(value) < FARTHEST else math.nan
 
 
 def other_form(xyz_mm: Array, named_mm: Array, near_mm: Array, limit_mm: float) -> str:

@@ -283,7 +283,7 @@ def test_results_in_another_form_are_named(
     assert (type(found), found.code) == (DeviceError, "HC-T77")
 
 
-@pytest.mark.parametrize("value", ["NaN", "1,5"])
+@pytest.mark.parametrize("value", ["NaN", "1,5", "1e308"])
 def test_a_result_that_is_no_number_is_no_reading(
     tracker: T2saTracker, peer: T2saPeer, value: str
 ) -> None:
