@@ -69,6 +69,15 @@ class ScaleGuard:
         """Raise `DeviceError` where the ways are too far apart to be one."""
         if (ways := self.contradiction()) is None:
             return
+        act = (
+            "correct counts_per_mm of the drive or of the strip by that ratio, or check coupling "
+            "and strip head; then home the rail"
+        )
+        if ways.ratio < 0:
+            act = (
+                "drive and strip count in opposite directions: change the polarity of the drive "
+                "(607Eh of CiA 402) or the strip's direction of counting; then home the rail"
+            )
         raise DeviceError(
             "HC-R47",
             DEVICE,
@@ -76,8 +85,7 @@ class ScaleGuard:
             f"the slide went {ways.drive_mm:.1f} mm by the drive and {ways.strip_mm:.1f} mm by "
             f"the strip: a ratio of {ways.ratio:.4g}",
             wanted=f"one way within {SHARE:.0%}",
-            act="correct counts_per_mm of the drive or of the strip by that ratio, or check "
-            "coupling and strip head; then home the rail",
+            act=act,
             fields={
                 "drive_mm": ways.drive_mm,
                 "strip_mm": ways.strip_mm,

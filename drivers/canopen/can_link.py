@@ -115,7 +115,7 @@ class CanLink:
         self._beat_s: float | None = None  # when the PC's last heartbeat went out
         self._pause_s, self._paused_s = 0.0, -math.inf  # the longest recent pause, and its end
         self._failure = ""
-        self._end = threading.Event()
+        self._end, self._silent = threading.Event(), threading.Event()
         self._threads = [threading.Thread(target=self._receive, name="CAN receive", daemon=True)]
         self._threads[0].start()
 
@@ -151,6 +151,10 @@ class CanLink:
         )
         self._threads.append(beat)
         beat.start()
+
+    def end_heartbeat(self) -> None:
+        """Produce no more heartbeats: a node that watches them then stops by itself."""
+        self._silent.set()
 
     def statistics(self) -> LinkStatistics:
         """Return the link's counts so far."""
@@ -212,7 +216,7 @@ class CanLink:
     def _beat(self, cob_id: int, attended: Callable[[], bool], period_s: float) -> None:
         while not self._end.wait(period_s):
             try:
-                if attended():
+                if attended() and not self._silent.is_set():
                     self._send_beat(cob_id)
             except DeviceError:
                 return  # kept by `_fail`; the drive now stops itself

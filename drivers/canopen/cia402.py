@@ -15,6 +15,7 @@ ERROR_CODE = 0x603F
 CONTROLWORD = 0x6040
 STATUSWORD = 0x6041
 QUICK_STOP_OPTION = 0x605A
+FAULT_REACTION_OPTION = 0x605E
 MODES_OF_OPERATION = 0x6060
 MODE_DISPLAY = 0x6061
 POSITION_ACTUAL = 0x6064
@@ -28,6 +29,7 @@ HOME_OFFSET = 0x607C
 PROFILE_VELOCITY = 0x6081
 PROFILE_ACCELERATION = 0x6083
 PROFILE_DECELERATION = 0x6084
+QUICK_STOP_DECELERATION = 0x6085
 HOMING_METHOD = 0x6098
 HOMING_SPEEDS = 0x6099
 HOMING_ACCELERATION = 0x609A
@@ -36,7 +38,8 @@ DIGITAL_INPUTS = 0x60FD
 PROFILE_POSITION, HOMING = 1, 6
 MODES = {PROFILE_POSITION: "profile position", HOMING: "homing"}
 HOME_NEGATIVE_LIMIT = 17
-SLOW_DOWN_ON_QUICK_STOP_RAMP = 2  # 605A: then switch on disabled, so that the brake closes
+# 605A: then switch on disabled, so that the brake closes. 605E: then fault.
+SLOW_DOWN_RAMP, QUICK_STOP_RAMP = 1, 2  # 6084h, 6085h
 QUICK_STOP_ON_LOST_CONNECTION = 3  # 6007
 
 # Control words (CiA 402-2, table 30).
@@ -51,6 +54,8 @@ FAULT_RESET = 0x0080
 LIMIT_SWITCHES = 0b11  # of 60FD: bit 0 the negative one, bit 1 the positive one
 
 # Bits of the status word.
+VOLTAGE_ENABLED = 1 << 4
+REMOTE = 1 << 9
 TARGET_REACHED = 1 << 10
 INTERNAL_LIMIT = 1 << 11
 ACKNOWLEDGED = 1 << 12  # profile position; in homing: homing attained
@@ -83,7 +88,8 @@ _BY_6F = {
     0x27: State.ENABLED,
     0x07: State.QUICK_STOP_ACTIVE,
 }
-POWERED = frozenset({State.ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION})
+BRAKING = frozenset({State.QUICK_STOP_ACTIVE, State.FAULT_REACTION})
+POWERED = BRAKING | {State.ENABLED}
 
 # The next control word on the way to OPERATION ENABLED, with the transition's number.
 _UPWARD = {

@@ -17,7 +17,8 @@ from drivers.canopen import cia402, cia406, emcy
 from drivers.canopen.cia402 import State
 from drivers.canopen.limits import Limits
 from drivers.canopen.motion_guard import MotionGuard
-from drivers.canopen.process_image import DEVICE, ProcessImage, Snapshot
+from drivers.canopen.pdo import SYNCS
+from drivers.canopen.process_image import DEVICE, NO_MODE, ProcessImage, Snapshot
 from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported
 from drivers.canopen.speed_guard import OVERSPEED
 from drivers.motion_limits import MotionLimits
@@ -58,7 +59,9 @@ class Drive:
             alarm_text=alarm_text,
         )
         self._guards: MotionGuard  # of the motion that was prepared last
+        self._old_error = False  # of the homing before: it goes when the drive obeys
         self._left_limit: int | None = None  # where the slide stood on a switch
+        self._mode, self._unanswered = NO_MODE, 0  # by SDO, and questions in a row without answer
 
     def _look(self, operation: str) -> Snapshot:
         """Return a snapshot; raises `DeviceError` for a fault, an alarm or a lost node."""
@@ -71,40 +74,54 @@ class Drive:
         look()
         now = self._image.refresh(look)
         if not self._image.shows_mode:
-            now = replace(now, mode=self._sdo.read(cia402.MODE_DISPLAY))
+            now = replace(now, mode=self._mode_by_sdo())
         self._supervision.look()
         look()
         if now.state in (State.FAULT, State.FAULT_REACTION, State.UNKNOWN):
-            code = self._sdo.read_if_present(cia402.ERROR_CODE) or 0
-            raise DeviceError(
-                emcy.alarm(code),
-                DEVICE,
-                operation,
-                f"drive in {now.state.value}, error {emcy.text(code)}",
-                act="put the cause right, then resume",
-                fields={"state": now.state.value, "error_code": code},
-            )
+            self._image.control(cia402.QUICK_STOP)  # before the drive is asked why
+            raise self._fault(operation, f"drive in {now.state.value}", now.state)
         return now
+
+    def _mode_by_sdo(self) -> int:
+        """Return 6061h; as with a PDO, only several lost answers in a row end a motion."""
+        try:
+            self._mode, self._unanswered = self._sdo.read(cia402.MODE_DISPLAY, tries=1), 0
+        except Aborted:
+            raise
+        except DeviceError:
+            self._unanswered += 1
+            if self._unanswered >= SYNCS:
+                raise
+        return self._mode
+
+    def _fault(self, operation: str, found: str, state: State) -> DeviceError:
+        """Return what a drive in fault says; one that names no error is in fault all the same."""
+        try:
+            code = self._sdo.read(cia402.ERROR_CODE, tries=1)
+        except DeviceError as silent:
+            code, said = 0, f"its error (603Fh) is unknown: {silent.found}"
+        else:
+            said = f"error {emcy.text(code)}"
+        return DeviceError(
+            emcy.alarm(code),
+            DEVICE,
+            operation,
+            f"{found}, {said}",
+            act="put the cause right, then resume",
+            fields={"state": state.value, "error_code": code},
+        )
 
     def reset_fault(self) -> None:
         """Reset a fault and stop at SWITCH ON DISABLED; nothing is enabled."""
         operation = "reset fault"
         if self._image.refresh(self._clock.check).state is not State.FAULT:
             return
-        code = self._sdo.read_if_present(cia402.ERROR_CODE) or 0
         self._image.control(cia402.DISABLE_VOLTAGE)
         self._image.control(cia402.FAULT_RESET)  # the rising edge resets
         patience, over = Patience(STALL_S), False
         while self._image.refresh(self._clock.check).state is State.FAULT:
             if over:
-                raise DeviceError(
-                    emcy.alarm(code),
-                    DEVICE,
-                    operation,
-                    f"drive stays in fault, error {emcy.text(code)}",
-                    act="put the cause right, then resume",
-                    fields={"error_code": code},
-                )
+                raise self._fault(operation, "drive stays in fault", State.FAULT)
             over = patience.over()
             self._clock.wait(POLL_S)
         self._image.control(cia402.DISABLE_VOLTAGE)
@@ -128,6 +145,7 @@ class Drive:
         """Home by the method set in 6098h; raises `DeviceError`."""
         operation = "home"
         before = self._prepare(operation, cia402.HOMING)
+        self._old_error = before.has(cia402.MODE_ERROR)
         self.standing.standstill.forget()
         with self._supervision.motion():
             self._image.control(cia402.START)
@@ -191,6 +209,7 @@ class Drive:
 
     def _prepare(self, operation: str, mode: int) -> Snapshot:
         """Set the mode and go up to OPERATION ENABLED, one acknowledged transition at a time."""
+        self._image.check_not_stopped()
         now = self.standing.poll(operation)
         if now.mode != mode:
             self._set_mode(mode)
@@ -249,13 +268,17 @@ class Drive:
             if limits.stalled(np.array([now.position], dtype=float)):
                 if done(now):
                     raise self._restless(operation, stall_s)
+                if moving and self._old_error:
+                    self._old_error = False
+                    self._check_motion(operation, now)
+                cause, act = _why_not(now, moving=moving)
                 raise DeviceError(
                     "HC-R31",
                     DEVICE,
                     operation,
-                    f"no progress for {stall_s:.0f} s at {self._seen(now)}",
+                    f"no progress for {stall_s:.0f} s at {self._seen(now)}{cause}",
                     wanted=wanted,
-                    act="check the slide for an obstacle and the drive, then resume",
+                    act=act,
                     fields={"waited_s": stall_s, **self._fields(now)},
                 )
             if limits.overdue(self.standing.now_s, FULL_SPEED):
@@ -300,14 +323,15 @@ class Drive:
     def _check_motion(self, operation: str, now: Snapshot) -> None:
         limits, code, found = self._limits, "", ""
         self._guards.take(now, self.standing.now_s)
+        self._old_error = self._old_error and now.has(cia402.MODE_ERROR)
         where = limits.mm(now.position)
         if now.state is not State.ENABLED:
             code, found = "HC-R30", f"drive left operation enabled: {now.state.value}"
-        elif now.has(cia402.MODE_ERROR) and now.mode == cia402.HOMING:
+        elif now.mode == cia402.HOMING and now.has(cia402.MODE_ERROR) and not self._old_error:
             code, found = "HC-R35", f"homing error of method {cia402.HOME_NEGATIVE_LIMIT} (6098h)"
-        elif now.has(cia402.MODE_ERROR):
+        elif now.mode != cia402.HOMING and now.has(cia402.MODE_ERROR):
             code, found = "HC-R26", f"following error at {where}"
-        elif now.mode != cia402.HOMING and now.has(cia402.INTERNAL_LIMIT) and not self._leaves(now):
+        elif now.mode != cia402.HOMING and self._at_switch(now):
             code, found = "HC-R32", f"limit active at {where}"
         elif not abs(now.velocity) <= OVERSPEED * limits.speed:
             allowed = limits.mm(OVERSPEED * limits.speed)
@@ -358,11 +382,18 @@ class Drive:
             return side or -1
         return side or int(now.position >= limits.highest - near)
 
-    def _leaves(self, now: Snapshot) -> bool:
-        """Whether a limit is that of the switch on which the slide stood before the motion."""
+    def _at_switch(self, now: Snapshot) -> bool:
+        """Whether the slide is at a limit switch other than the one that it leaves.
+
+        Status bit 11 is also that of a limit of current or speed: 60FDh tells it from a switch.
+        """
+        if not now.has(cia402.INTERNAL_LIMIT):
+            return False
         left = self._left_limit
-        near = LEAVE_MM * self._limits.counts_per_mm
-        return left is not None and abs(now.position - left) <= near
+        if left is not None and abs(now.position - left) <= LEAVE_MM * self._limits.counts_per_mm:
+            return False
+        inputs = self._sdo.read_if_present(cia402.DIGITAL_INPUTS, tries=1)
+        return inputs is None or inputs & cia402.LIMIT_SWITCHES != 0
 
     def _fields(self, now: Snapshot) -> dict[str, object]:
         """Return the values of a poll, as data."""
@@ -381,6 +412,23 @@ class Drive:
             f"{self._limits.mm(now.position)}, {self._limits.mm(now.velocity)}/s, "
             f"{now.state.value}, statusword 0x{now.statusword:04X}, mode {now.mode}"
         )
+
+
+def _why_not(now: Snapshot, *, moving: bool) -> tuple[str, str]:
+    """Return why a drive does not go on, as its status word tells it, and what to do."""
+    if moving:
+        return "", "check the slide for an obstacle and the drive, then resume"
+    if not now.has(cia402.VOLTAGE_ENABLED):
+        return (
+            "; its power stage has no voltage (status bit 4)",
+            "switch the mains on, release the safe torque off, then resume",
+        )
+    if not now.has(cia402.REMOTE):
+        return (
+            "; it does not obey the bus (status bit 9)",
+            "end the drive's local mode, at its panel or in its own program, then resume",
+        )
+    return "", "check the drive, and the bus for lost frames, then resume"
 
 
 def _left(state: State) -> Callable[[Snapshot], bool]:

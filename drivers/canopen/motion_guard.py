@@ -8,6 +8,8 @@ from drivers.canopen.speed_guard import OVERSPEED, SpeedGuard
 from drivers.scale_guard import ScaleGuard
 from hilcell.ports import DeviceError
 
+FROZEN = 0.01  # no unit of speed differs so far from another
+
 
 class MotionGuard:
     """Positions, times and the strip beside the drive's own word."""
@@ -39,6 +41,12 @@ class MotionGuard:
         limits = self._limits
         if (seen := self._speed.contradiction()) is None:
             return
+        act = (
+            "set the drive's unit of speed (6081h, 6099h, 606Ch) to counts/s and that of "
+            "acceleration to counts/s^2, then resume"
+        )
+        if seen.factor < FROZEN:
+            act = "the position (6064h) does not follow: check the drive's encoder; then resume"
         raise DeviceError(
             "HC-R46",
             DEVICE,
@@ -46,8 +54,7 @@ class MotionGuard:
             f"speed {limits.mm(seen.by_positions)}/s by positions (6064h) and time, "
             f"{limits.mm(seen.by_drive)}/s by the drive (606Ch): a factor of {seen.factor:.3g}",
             wanted="one speed by both",
-            act="set the drive's unit of speed (6081h, 6099h, 606Ch) to counts/s and that of "
-            "acceleration to counts/s^2, then resume",
+            act=act,
             fields={
                 "position_mm": now.position / limits.counts_per_mm,
                 "speed_mm_s": seen.by_positions / limits.counts_per_mm,

@@ -14,13 +14,21 @@ from hilcell.ports import DeviceError
 
 PC_HEARTBEAT_LIMIT_MS = 1000
 HEARTBEAT_AGE_S = 1.0  # of link time
-DEVICE_PROFILE_ERROR = 1 << 5  # of the error register, 1001h
+GENERIC, COMMUNICATION = 1 << 0, 1 << 4  # of the error register, 1001h
 _ADVICE = "put the cause right, then resume; home the rail after a reset of its drive"
 _PC_ADVICE = (
     "give the engine a PC of its own, or end what keeps this one busy; resume; "
     "home the rail after a reset of its drive"
 )
 _EMCY = struct.Struct("<HB5s")
+
+
+def doubts_sensor(register: int) -> bool:
+    """Whether an error register leaves a sensor in doubt: by anything but its communication.
+
+    The generic bit comes with each error; which of the others does is the maker's choice.
+    """
+    return register not in (0, COMMUNICATION, GENERIC | COMMUNICATION)
 
 
 class NodeWatch:
@@ -33,6 +41,7 @@ class NodeWatch:
     def __init__(self, device: str, link: CanLink, node: int, in_pdo: int | None = None) -> None:
         self.state: int | None = None
         self.sensor_fails = False  # from an emergency of that family on, until it is gone
+        self.speaks_for_sensor = False  # which has no alarms of its own
         self.node, self._in_pdo = node, in_pdo
         self._device, self._link = device, link
         self._heard_s = 0.0
@@ -86,7 +95,7 @@ class NodeWatch:
         if code >> 8 == self._in_pdo:
             self.sensor_fails = True
         elif not emcy.is_error(code):  # one is gone; the register has those that are left
-            self.sensor_fails = bool(register & DEVICE_PROFILE_ERROR)
+            self.sensor_fails = doubts_sensor(register)
         if self._armed and emcy.is_error(code) and code >> 8 != self._in_pdo:
             found = f"EMCY {emcy.text(code)}, error register 0x{register:02X}"
             pause_s = self._link.pause_s

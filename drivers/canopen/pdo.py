@@ -1,7 +1,8 @@
 """PDO mappings written by SDO, read back, and the process image that they fill (CiA 301, 7.5.2).
 
 A received PDO does not say when it was sampled. All PDOs are synchronous, and a reading counts only
-when every one of them came after the SYNC that asked for it.
+when every one of them came after the SYNC that asked for it. On a slow gateway the answer to an
+earlier SYNC may still be under way: it is waited for, and does not count.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ SYNCS = 3
 POLL_S = 0.02
 DISABLED, NO_RTR = 1 << 31, 1 << 30
 EVERY_SYNC, ON_EVENT = 1, 255
+OWN_EVENT = 254  # of the maker; a PDO that is received counts at once by either
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +59,9 @@ def configure(sdo: SdoChannel, pdo: Mapping) -> None:
     if fixed is not None and held != cob_id:
         raise Unsupported(fixed, f"{pdo.communication:04X}h:01 ({what})")
     _map(sdo, pdo)
-    sdo.require(pdo.communication, 2, pdo.transmission, what)
+    other = sdo.offer(pdo.communication, 2, pdo.transmission)
+    if other is not None and not _at_once(sdo, pdo):
+        raise Unsupported(other, f"{pdo.communication:04X}h:02 = {pdo.transmission} ({what})")
     if fixed is None:
         sdo.require(pdo.communication, 1, cob_id, what)
 
@@ -85,6 +89,11 @@ def _map(sdo: SdoChannel, pdo: Mapping) -> None:
             raise Unsupported(refusal, what) from refusal
 
 
+def _at_once(sdo: SdoChannel, pdo: Mapping) -> bool:
+    """Whether a PDO that is obeyed on its event is so in the device's own way."""
+    return pdo.transmission == ON_EVENT and sdo.read(pdo.communication, 2) == OWN_EVENT
+
+
 def _objects(pdo: Mapping) -> str:
     return " and ".join(f"{index:04X}h" for index, _ in pdo.entries)
 
@@ -107,7 +116,9 @@ class Inbox:
         self._layouts = {pdo.cob_id: pdo.layout for pdo in pdos}
         self._values: dict[int, tuple[int, ...]] = {}
         self._count = dict.fromkeys(self._layouts, 0)
+        self._owed = dict.fromkeys(self._layouts, 0)  # SYNCs without an answer so far
         self._arrived_s = dict.fromkeys(self._layouts, 0.0)
+        self._heard_s = 0.0  # of link time
         for cob_id in self._layouts:
             link.subscribe(cob_id, self._on_pdo)
 
@@ -116,21 +127,24 @@ class Inbox:
         self._layouts[pdo.cob_id] = pdo.layout
 
     def refresh(self, check: Callable[[], None]) -> tuple[dict[int, tuple[int, ...]], float]:
-        """Send SYNC; return all values by identifier and since when the oldest may be waiting here.
+        """Send SYNC; return all values by identifier and since when the oldest may be true.
 
         A lost frame costs one more SYNC; raises `DeviceError` when so many of them bring nothing.
         Values that have waited in this PC for `STALE_S` are asked for again.
         """
-        before, sent_s = self._counted(), self._link.clock.pc_s()
+        before, owed, sent_s = *self._counted(), self._link.clock.pc_s()
         for _ in range(self._syncs):
+            earlier_s, sent_s = sent_s, self._link.clock.pc_s()
+            with self._changed:
+                self._owed = {cob_id: count + 1 for cob_id, count in self._owed.items()}
             self._link.send(SYNC, b"")
-            if self._await(before, check):
+            if self._await(before, owed, check):
                 with self._changed:
-                    taken_s = max(sent_s, min(self._arrived_s.values()))
+                    arrived_s = max(sent_s, min(self._arrived_s.values()))
                     values = dict(self._values)
-                if self._link.clock.pc_s() - taken_s <= STALE_S:
-                    return values, taken_s
-                before, sent_s = self._counted(), self._link.clock.pc_s()
+                if self._link.clock.pc_s() - arrived_s <= STALE_S:
+                    return values, earlier_s  # the SYNC before may have been answered
+                before, owed, sent_s = *self._counted(), self._link.clock.pc_s()
         missing = [f"0x{cob_id:03X}" for cob_id in before if self._count[cob_id] == before[cob_id]]
         if not missing:
             raise DeviceError(
@@ -150,21 +164,31 @@ class Inbox:
             fields={"cob_ids": missing, "syncs": self._syncs},
         )
 
-    def _counted(self) -> dict[int, int]:
+    def _counted(self) -> tuple[dict[int, int], dict[int, int]]:
         with self._changed:
-            return dict(self._count)
+            return dict(self._count), dict(self._owed)
 
-    def _await(self, before: dict[int, int], check: Callable[[], None]) -> bool:
-        deadline_s = self._link.time.listened_s + REPLY_S
+    def _await(
+        self, before: dict[int, int], owed: dict[int, int], check: Callable[[], None]
+    ) -> bool:
+        """Return whether a SYNC of this refresh was answered.
+
+        Answers that were owed ``before`` have come by `REPLY_S` after the last frame, or are lost.
+        """
+        began_s = self._link.time.listened_s
         while True:
             check()
             self._link.check()
-            over = self._link.time.listened_s > deadline_s  # frames until then count
+            now_s = self._link.time.listened_s
             with self._changed:
-                if all(self._count[cob_id] > before[cob_id] for cob_id in before):
+                new = {cob_id: self._count[cob_id] - count for cob_id, count in before.items()}
+                if all(new[cob_id] > owed[cob_id] for cob_id in new):
                     return True
-                if over:
-                    return False
+                if now_s > max(began_s, self._heard_s) + REPLY_S:  # frames until then count
+                    answered = all(new.values())
+                    if answered:
+                        self._owed = dict.fromkeys(self._owed, 0)
+                    return answered
                 self._changed.wait(POLL_S)
 
     def _on_pdo(self, cob_id: int, data: bytearray, _at_s: float) -> None:
@@ -172,5 +196,7 @@ class Inbox:
         with self._changed:
             self._values[cob_id] = values
             self._count[cob_id] += 1
+            self._owed[cob_id] = max(0, self._owed[cob_id] - 1)
+            self._heard_s = self._link.time.listened_s
             self._arrived_s[cob_id] = self._link.time.emptied_s
             self._changed.notify_all()

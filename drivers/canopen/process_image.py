@@ -11,6 +11,8 @@ import struct
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import reduce
+from operator import or_
 
 from drivers.canopen import cia402, cia406
 from drivers.canopen.can_link import CanLink
@@ -140,13 +142,18 @@ class ProcessImage:
                 fields={"age_s": age_s, "limit_s": COMMAND_AGE_S},
             )
         with self._lock:
-            if self._stopped and cia402.enables(controlword):
-                raise DeviceError(
-                    "HC-R38", DEVICE, "move", "the rail was stopped", act="resume to reconnect"
-                )
+            if cia402.enables(controlword):
+                self.check_not_stopped()
             if target is not None:
                 self._target = target
             self._send(controlword)
+
+    def check_not_stopped(self) -> None:
+        """Raise `DeviceError` after a quick stop."""
+        if self._stopped:
+            raise DeviceError(
+                "HC-R38", DEVICE, "move", "the rail was stopped", act="resume to reconnect"
+            )
 
     def quick_stop(self) -> None:
         """Stop on the quick-stop ramp, and never enable again; any thread, waits for nothing."""
@@ -181,8 +188,8 @@ def strip_mapping(node: int) -> Mapping:
 
 
 def strip_values(values: tuple[int, ...], watch: NodeWatch | None) -> tuple[int, int]:
-    """Return counts and alarms; a sensor without 6503h has its alarms in its emergencies."""
+    """Return counts and alarms; where 6503h is absent or says none, emergencies are the alarms."""
     counts, *alarms = values
-    if alarms:
-        return counts, alarms[0]
-    return counts, cia406.POSITION_ERROR if watch is not None and watch.sensor_fails else 0
+    if watch is not None and watch.speaks_for_sensor:
+        alarms.append(cia406.POSITION_ERROR if watch.sensor_fails else 0)
+    return counts, reduce(or_, alarms, 0)

@@ -114,9 +114,12 @@ class CanopenRail:
             return self._set_up(self._link)
 
     def home(self) -> None:
-        """Home to the negative limit switch (6098h = 17); the drive then reads 0."""
-        drive = self._used()
-        self._move(lambda: drive.home(round(WINDOW_MM * self._options.counts_per_mm)))
+        """Home to the negative limit switch (6098h = 17); the drive then reads 0, or where its
+        ramp has ended behind the edge.
+        """
+        options, drive = self._options, self._used()
+        past_mm = rail_setup.HOMING_SLOW_MM_S**2 / options.acceleration_mm_s2  # twice the ramp
+        self._move(lambda: drive.home(round((WINDOW_MM + past_mm) * options.counts_per_mm)))
 
     def move_to(self, position_mm: float) -> None:
         """Move by the drive's encoder; return at standstill, the drive holding."""
@@ -207,8 +210,7 @@ class CanopenRail:
             link.send(nmt.COMMAND, bytes((nmt.ENTER_PRE_OPERATIONAL, watch.node)))
         period_s = heartbeat_period_s(options.bitrate)
         link.start_heartbeat(options.heartbeat_node, supervision.attended, period_s)
-        beats = rail_setup.heartbeat_settings(options.bitrate)
-        rail_setup.apply(drive_sdo, beats)
+        rail_setup.set_heartbeat(drive_sdo, options.bitrate)
         rail_setup.apply(
             drive_sdo,
             rail_setup.drive_settings(
@@ -220,12 +222,13 @@ class CanopenRail:
             ),
         )
         limits = self._limits()
+        rail_setup.set_quick_stop(drive_sdo, round(limits.acceleration))
         windows = rail_setup.window_settings(
             arrived=limits.window, speed=limits.windows.speed, dwell_s=limits.windows.dwell_s
         )
         rail_setup.apply(drive_sdo, windows)
         if strip_sdo is not None:
-            rail_setup.apply(strip_sdo, beats)
+            rail_setup.set_heartbeat(strip_sdo, options.bitrate)
         configure(drive_sdo, image.status)
         image.take(configure_either(drive_sdo, image.motion, image.motion.shorter()))
         configure(drive_sdo, image.command)
@@ -311,7 +314,8 @@ class CanopenRail:
 
     def _release(self, link: CanLink, image: ProcessImage) -> None:
         sdo = open_channel(DEVICE, link, self._options.drive_node, "drive.eds", go_on)
-        release = Release(link, image, sdo, self._limits().windows)
+        watch, rest = self._watches[0], self._used().standing.rest
+        release = Release(link, image, sdo, self._limits().windows, watch=watch, rest=rest)
         release.leave_held()
         self._held_by_sdo = int(release.by_sdo)
         # From here on nobody produces the heartbeat; without this the drive would go to fault.

@@ -1,7 +1,7 @@
 """Identities of the rail's two nodes, and the settings that make the drive stop by itself.
 
 A node may acknowledge a setting and not keep it, so every object is read back; the ones that stop
-the slide when the PC dies (1016h, 6007h, 605Ah) matter most.
+the slide when the PC dies (1016h, 6007h, 605Ah, 6085h) matter most.
 """
 
 from __future__ import annotations
@@ -12,11 +12,7 @@ from dataclasses import dataclass
 
 from drivers.canopen import cia402, cia406, nmt
 from drivers.canopen.can_link import CanLink, LinkLost, heartbeat_period_s
-from drivers.canopen.node_watch import (
-    DEVICE_PROFILE_ERROR,
-    PC_HEARTBEAT_LIMIT_MS,
-    NodeWatch,
-)
+from drivers.canopen.node_watch import PC_HEARTBEAT_LIMIT_MS, NodeWatch, doubts_sensor
 from drivers.canopen.pdo import Mapping as Pdo
 from drivers.canopen.pdo import configure_either
 from drivers.canopen.sdo import ABSENT, Aborted, SdoChannel, Unsupported
@@ -36,6 +32,7 @@ START_PERIOD_S = 0.5
 POLL_S = 0.02
 HOMING_SLOW_MM_S, HOMING_SLOW_MM = 5.0, 20.0  # off the switch, at most so far
 LARGEST_U16 = 0xFFFF
+SLOWER_BEATS_MS = (100, 200)  # several within the limit of a node's silence
 
 # Why a node has the settings that it is given here.
 PURPOSES = {
@@ -43,6 +40,7 @@ PURPOSES = {
     PRODUCER_HEARTBEAT: "the PC notices that the node has died",
     cia402.ABORT_CONNECTION_OPTION: "the drive stops by itself when the PC has died",
     cia402.QUICK_STOP_OPTION: "a quick stop ends on the brake",
+    cia402.QUICK_STOP_DECELERATION: "a quick stop takes no longer than a motion's own ramp",
     cia402.PROFILE_VELOCITY: "speed of motions",
     cia402.PROFILE_ACCELERATION: "ramp of motions",
     cia402.PROFILE_DECELERATION: "ramp of motions",
@@ -231,7 +229,6 @@ def drive_settings(
     return {
         (CONSUMER_HEARTBEAT, 1): pc_node << 16 | PC_HEARTBEAT_LIMIT_MS,
         (cia402.ABORT_CONNECTION_OPTION, 0): cia402.QUICK_STOP_ON_LOST_CONNECTION,
-        (cia402.QUICK_STOP_OPTION, 0): cia402.SLOW_DOWN_ON_QUICK_STOP_RAMP,
         (cia402.PROFILE_VELOCITY, 0): speed,
         (cia402.PROFILE_ACCELERATION, 0): acceleration,
         (cia402.PROFILE_DECELERATION, 0): acceleration,
@@ -243,9 +240,29 @@ def drive_settings(
     }
 
 
-def heartbeat_settings(bitrate: int) -> Mapping[tuple[int, int], int]:
-    """Return the settings of a node that sends its heartbeat on a bus."""
-    return {(PRODUCER_HEARTBEAT, 0): round(1000 * heartbeat_period_s(bitrate))}
+def set_quick_stop(sdo: SdoChannel, acceleration: int) -> None:
+    """Let a drive stop on a ramp that is as steep as that of its motions; raises `Unsupported`.
+
+    Steeper ones of its quick stop (6085h) stay. A drive without that object stops on the ramp of
+    its motions. A drive that will not brake in a fault is seen when it does not come to rest.
+    """
+    held = sdo.read_if_present(cia402.QUICK_STOP_DECELERATION)
+    ramp = cia402.SLOW_DOWN_RAMP if held is None else cia402.QUICK_STOP_RAMP
+    apply(sdo, {(cia402.QUICK_STOP_OPTION, 0): ramp})
+    if held is not None and held < acceleration:
+        apply(sdo, {(cia402.QUICK_STOP_DECELERATION, 0): acceleration})
+    sdo.offer(cia402.FAULT_REACTION_OPTION, 0, ramp)
+
+
+def set_heartbeat(sdo: SdoChannel, bitrate: int) -> None:
+    """Let a node send its heartbeat as often as the PC does, or as it can; raises `Unsupported`."""
+    wanted_ms = round(1000 * heartbeat_period_s(bitrate))
+    if (refusal := sdo.offer(PRODUCER_HEARTBEAT, 0, wanted_ms)) is None:
+        return
+    for slower_ms in SLOWER_BEATS_MS:
+        if sdo.offer(PRODUCER_HEARTBEAT, 0, slower_ms) is None:
+            return
+    raise Unsupported(refusal, f"1017h:00 = {wanted_ms} ({PURPOSES[PRODUCER_HEARTBEAT]})")
 
 
 def homing_s(*, travel_mm: float, speed_mm_s: float) -> float:
@@ -280,11 +297,14 @@ def apply(sdo: SdoChannel, settings: Mapping[tuple[int, int], int]) -> None:
 def map_strip(sdo: SdoChannel, pdo: Pdo, watch: NodeWatch) -> Pdo:
     """Configure the PDO of a strip sensor and return it: without its alarms where it has no 6503h.
 
-    Then its emergencies have them; one that was sent before is still in the error register.
+    Then, or where 6503h never has a position error (6504h), its emergencies have them; one that
+    was sent before is still in the error register.
     """
     mapped = configure_either(sdo, pdo, pdo.shorter())
-    if mapped is not pdo:
-        watch.sensor_fails = bool(sdo.read(ERROR_REGISTER) & DEVICE_PROFILE_ERROR)
+    supported = sdo.read_if_present(cia406.SUPPORTED_ALARMS)
+    silent = supported is not None and not supported & cia406.POSITION_ERROR
+    watch.speaks_for_sensor = silent or mapped is not pdo
+    watch.sensor_fails = watch.speaks_for_sensor and doubts_sensor(sdo.read(ERROR_REGISTER))
     return mapped
 
 

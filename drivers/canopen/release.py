@@ -1,27 +1,32 @@
 """The end of a session: the drive without power, the slide at rest, and both confirmed.
 
+No PDO is confirmed, so a drive that goes on after a quick stop is asked again at each look, then by
+SDO and by the end of the PC's heartbeat, then to take its power away. One without power may still
+roll: it counts as held only when its positions stand for a dwell, or where they stood before.
+
 A drive that has missed the PC's heartbeat brakes by itself and leaves OPERATIONAL (CiA 301, 1029h).
 It then sends and obeys no PDO, but it answers SDO: the same values are read and the same control
-words are written that way. Whether it has braked is not known before, so a drive asked by SDO
-counts as held only when it has no power and its positions stand for a dwell.
+words are written that way.
 """
 
 from __future__ import annotations
 
 import time
 
-from drivers.canopen import cia402
+from drivers.canopen import cia402, nmt
 from drivers.canopen.can_link import CanLink
 from drivers.canopen.cia402 import State
+from drivers.canopen.node_watch import NodeWatch
 from drivers.canopen.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.canopen.sdo import SdoChannel
-from drivers.standstill import READINGS, Standstill, Windows
+from drivers.standstill import READINGS, Rest, Standstill, Windows
 from drivers.supervision import Patience, go_on
 from hilcell.ports import DeviceError
 
 RELEASE_S = 5.0  # wire deadline, beside two dwells
 SILENT_S = 1.0  # more than a poll takes that nothing answers
 POLL_S = 0.02
+HEARD = 5  # looks within which a drive shows that it obeys
 NO_STRIP = -1  # alarms: SDO asks the drive alone
 
 
@@ -29,25 +34,35 @@ class Release:
     """Takes the power away without the run's clock, which no longer waits after a stop."""
 
     def __init__(
-        self, link: CanLink, image: ProcessImage, sdo: SdoChannel, windows: Windows
+        self,
+        link: CanLink,
+        image: ProcessImage,
+        sdo: SdoChannel,
+        windows: Windows,
+        *,
+        watch: NodeWatch,
+        rest: Rest | None,
     ) -> None:
+        """``watch`` is that of the drive; ``rest`` is where its slide is known to stand."""
         self._link, self._image, self._sdo = link, image, sdo
-        self._windows = windows
+        self._windows, self._watch, self._rest = windows, watch, rest
         self._standstill = Standstill(windows)
-        self._braked = False  # by a control word that came by SDO
-        self.by_sdo = False  # no PDO comes, SDO is asked
+        self._unheard = 0  # looks at a drive that goes on, though it was asked to stop
+        self.by_sdo = watch.state != nmt.OPERATIONAL  # no PDO comes, SDO is asked
         self._began_s, self._looks = time.monotonic(), 0  # of asking this way
 
     def leave_held(self) -> None:
-        """Return when the drive has no power; raises `DeviceError`."""
+        """Return when the drive has no power and the slide stands; raises `DeviceError`."""
         limit_s = RELEASE_S + 2 * self._windows.dwell_s
-        patience = Patience(limit_s, SILENT_S)
+        patience, had_power = Patience(limit_s, SILENT_S), True
         while True:
             now = self._answer(patience)
             powered = now.powered or now.state is State.UNKNOWN
+            if had_power and not powered:
+                patience, had_power = Patience(limit_s, SILENT_S), False  # as long to come to rest
             if powered:
                 self._take_power(now)
-            elif self._standstill.rest is not None or not self.by_sdo:
+            elif self._standstill.rest is not None or self._stands_as_before(now):
                 return
             if patience.over():
                 found = "the drive keeps its power" if powered else "the slide does not rest"
@@ -55,12 +70,21 @@ class Release:
                     "HC-R37",
                     DEVICE,
                     "close",
-                    f"{found}: {now.state.value}",
+                    f"{found}: {now.state.value}, speed {now.velocity} counts/s",
                     wanted=f"held within {limit_s:.0f} s",
-                    act="switch the drive off",
+                    act="keep away from the slide; press the E-stop, or switch the drive off",
                     fields={"state": now.state.value, "waited_s": RELEASE_S},
                 )
             time.sleep(POLL_S)
+
+    def _stands_as_before(self, now: Snapshot) -> bool:
+        """Whether a slide that was known to stand has not moved since."""
+        windows, rest = self._windows, self._rest
+        return (
+            rest is not None
+            and abs(now.velocity) <= windows.speed
+            and abs(now.position - rest.position) <= windows.spread
+        )
 
     def _take_power(self, now: Snapshot) -> None:
         windows, passed_s = self._windows, time.monotonic() - self._began_s
@@ -69,10 +93,14 @@ class Release:
         restless = passed_s > 2 * windows.dwell_s and self._looks >= READINGS
         if self._standstill.rest is not None:
             self._control(cia402.DISABLE_VOLTAGE)
-        elif self._braked if self.by_sdo else self._image.stopped:
-            pass  # it brakes
+        elif now.state in cia402.BRAKING:
+            self._unheard = 0
         elif not abs(now.velocity) <= windows.speed or restless:
-            self._control(cia402.QUICK_STOP)
+            self._unheard += 1
+            last = self._unheard > 2 * HEARD
+            self._control(cia402.DISABLE_VOLTAGE if last else cia402.QUICK_STOP)
+            if self._unheard > HEARD:
+                self._stop_by_all_ways()
 
     def _control(self, controlword: int) -> None:
         if self.by_sdo:
@@ -81,11 +109,17 @@ class Release:
             except DeviceError:
                 self._link.check()
                 return  # the next poll shows that the drive has kept its power
-            self._braked = controlword == cia402.QUICK_STOP
         elif controlword == cia402.QUICK_STOP:
             self._image.quick_stop()
         else:
             self._image.control(controlword)
+
+    def _stop_by_all_ways(self) -> None:
+        """Stop a drive that does not answer, or does not obey."""
+        self._link.end_heartbeat()
+        if self._watch.state == nmt.STOPPED:  # it serves no SDO there
+            self._link.send(nmt.COMMAND, bytes((nmt.ENTER_PRE_OPERATIONAL, self._watch.node)))
+        self._sdo.post(cia402.CONTROLWORD, 0, cia402.QUICK_STOP)
 
     def _answer(self, patience: Patience) -> Snapshot:
         """Return the next poll that is answered; one that is not proves nothing before the end."""
@@ -97,8 +131,10 @@ class Release:
             except DeviceError as error:
                 self._link.check()  # a link that is lost brings no answer
                 silent = silent or error
-                if over and self.by_sdo:
-                    raise silent from error
+                if self.by_sdo:
+                    self._stop_by_all_ways()
+                    if over:
+                        raise silent from error
                 self._ask(by_sdo=not self.by_sdo)
             else:
                 self._standstill.take(now, time.monotonic() - self._began_s)

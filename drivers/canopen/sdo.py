@@ -138,10 +138,10 @@ class SdoChannel:
 
         return _number(self._retried(f"read {_name(index, sub)}", upload, tries), variable)
 
-    def read_if_present(self, index: int, sub: int = 0) -> int | None:
+    def read_if_present(self, index: int, sub: int = 0, *, tries: int = TRIES) -> int | None:
         """Return the value of an object that a device may leave out; None where it does."""
         try:
-            return self.read(index, sub)
+            return self.read(index, sub, tries=tries)
         except Aborted as error:
             if error.abort_code not in ABSENT:
                 raise
@@ -201,6 +201,16 @@ class SdoChannel:
         data = self._object(index, sub).encode_raw(value)
         self._retried(operation, lambda: self._download(index, sub, data))
         return operation
+
+    def post(self, index: int, sub: int, value: int) -> None:
+        """Write what the device obeys at once, and wait for no answer; raises `LinkLost`."""
+        data = self._object(index, sub).encode_raw(value)
+        head = struct.pack(
+            "<BHB", 0x23 | 4 - len(data) << 2, index, sub
+        )  # expedited, with its size
+        with self._lock:
+            self._tainted = True
+            self._link.send(0x600 + self._number, head + data.ljust(4, b"\0"))
 
     def _retried(self, operation: str, transfer: Callable[[], bytes], tries: int = TRIES) -> bytes:
         with self._lock:

@@ -90,7 +90,7 @@ class CanopenStrip:
         rail_setup.check_strip_step(sdo, options.counts_per_mm)
         watch.begin_set_up()
         link.send(nmt.COMMAND, bytes((nmt.ENTER_PRE_OPERATIONAL, options.node)))
-        rail_setup.apply(sdo, rail_setup.heartbeat_settings(self._options.bitrate))
+        rail_setup.set_heartbeat(sdo, options.bitrate)
         inbox.expect(rail_setup.map_strip(sdo, self._pdo, watch))
         rail_setup.start_nodes(link, (watch,), check)
         watch.check("connect")

@@ -26,6 +26,7 @@ NEGATIVE_LIMIT_SWITCH = 17  # homing method
 FOLLOWING_ERROR, LIMIT_SWITCH_HIT = 0x8611, 0x8612
 INT32 = range(-(1 << 31), 1 << 31)
 ABOVE_ZERO = range(1, 1 << 32)
+ROLLING_MM_S2 = 30.0  # of a slide without power or brake
 DITHER_COUNTS, DITHER_HZ = 2, 50.0
 
 
@@ -183,6 +184,8 @@ class RailDrive(CanopenSlave):
             case State.FAULT_REACTION_ACTIVE:
                 self._close_brake()
                 self.state = State.FAULT  # transition 14
+            case State.FAULT:
+                self._close_brake()
             case _:
                 pass
 
@@ -205,7 +208,12 @@ class RailDrive(CanopenSlave):
     def _react_to_fault(self) -> None:
         self._cancel()
         self.state = State.FAULT_REACTION_ACTIVE
-        self._brake_down(self.dictionary.number(0x6085))
+        option = self.dictionary.number(0x605E)
+        if option == 0:
+            self.state = State.FAULT  # without power the slide rolls on
+            self._rail.quick_stop(ROLLING_MM_S2)
+        else:
+            self._brake_down(self.dictionary.number(0x6084 if option == 1 else 0x6085))
 
     def trip_limit(self, switch: int) -> None:
         """Stop on a limit switch; ``switch`` -1 or 1 holds it open until the fault is reset."""
@@ -429,6 +437,7 @@ class RailDrive(CanopenSlave):
         add(0x6041, 0, Entry("H", 0, "ro", mappable=True, read=self._statusword))
         add(0x605A, 0, Entry("h", 2, allowed=(0, 1, 2, 5, 6)))
         modes = tuple(Mode)
+        add(0x605E, 0, Entry("h", 2, allowed=(0, 1, 2)))
         add(0x6060, 0, Entry("b", 0, mappable=True, allowed=modes, write=self._change_mode))
         add(0x6061, 0, Entry("b", 0, "ro", mappable=True, read=self._shown_mode))
         add(0x6064, 0, Entry("i", 0, "ro", mappable=True, read=self._position_shown))

@@ -16,7 +16,7 @@ from tests.drivers.peers import Server
 
 DRIVE, STRIP = 5, 6
 HEARTBEAT_S = 0.05
-OPERATIONAL, PRE_OPERATIONAL = 0x05, 0x7F
+STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0x04, 0x05, 0x7F
 NO_RTR = 1 << 30  # of a PDO's COB-ID: its maker's devices answer no remote frame
 HUNTING = (2, -1, 0, -3, 1, 2, -2)  # counts
 DISABLED, READY, SWITCHED_ON, ENABLED, QUICK, FAULT = 0x40, 0x21, 0x23, 0x27, 0x07, 0x08
@@ -57,8 +57,8 @@ def common(device_type: int, product: int) -> dict[tuple[int, int], bytes]:
 
 
 def drive_objects() -> dict[tuple[int, int], bytes]:
-    words = {index: u16(0) for index in (0x6007, 0x603F, 0x6040, 0x605A)}
-    longs = {index: u32(0) for index in (0x607C, 0x6081, 0x6083, 0x6084, 0x609A)}
+    words = {index: u16(0) for index in (0x6007, 0x603F, 0x6040, 0x605A, 0x605E)}
+    longs = {index: u32(0) for index in (0x607C, 0x6081, 0x6083, 0x6084, 0x6085, 0x609A)}
     plain = words | longs | {0x6060: u8(0), 0x6098: u8(0)}
     return (
         common(0x00020192, 0x402)
@@ -83,12 +83,14 @@ class Axis:
         self.mode, self.homing = 0, False
         self.frozen = self.deaf = self.lies = self.hunts = self.homes_at_once = False
         self.speed, self.looks, self.zero = 100_000, 0, 0
+        self.supply = 0x0210  # voltage at the power stage; obeys the bus
+        self.masked: set[int] = set()  # control words that it does not obey
         self.passed_s = 0.0  # in which the slide has gone its way at that speed
 
     def control(self, word: int, target: int) -> None:
         if word & 0x80 and self.state == FAULT:
             self.state = DISABLED
-        elif self.state != FAULT and not self.deaf:
+        elif self.state != FAULT and not self.deaf and word not in self.masked:
             self._transition(word)
         if self.homes_at_once and self.state == ENABLED and self.mode == 6 and word & 0x10:
             self.position, self.bits = 0, 0x1400
@@ -103,9 +105,7 @@ class Axis:
 
     def _transition(self, word: int) -> None:
         low = word & 0x8F
-        if not low & 2:
-            self.state = DISABLED
-        elif not low & 4:
+        if not low & 2 or not low & 4:
             self.state, self.steps = DISABLED, 0
         elif low == 6 and self.state != QUICK:
             self.state = READY
@@ -129,7 +129,7 @@ class Axis:
 
     @property
     def status(self) -> int:
-        return self.state | self.bits if self.state != FAULT else FAULT
+        return self.state | self.bits | self.supply if self.state != FAULT else FAULT
 
     @property
     def velocity(self) -> int:
@@ -165,6 +165,9 @@ class CanPeer:
         self.write_only: set[tuple[int, int]] = set()
         self.unmappable: set[int] = set()
         self.demands_no_rtr = True
+        self.on_read: Callable[[int], None] = lambda index: None
+        self.shortest_beat_ms: dict[int, int] = {}  # the shortest period that a node takes
+        self.lost_stops = 0  # quick stops that the drive does not receive by PDO
         self.lost_heartbeat: set[int] = set()  # nodes that latch it, until the next beat
         self._lock = threading.RLock()
         self._connection: socket.socket | None = None
@@ -258,7 +261,9 @@ class CanPeer:
             self._sync()
         elif cob_id == 0x200 + DRIVE:
             word, target = struct.unpack("<Hi", data)
-            if self.nmt[DRIVE] == OPERATIONAL:
+            if word == 0x0002 and self.lost_stops:
+                self.lost_stops -= 1
+            elif self.nmt[DRIVE] == OPERATIONAL:
                 self.axis.control(word, target)
             if word == 0x0002:
                 self.quick_stopped.set()
@@ -291,6 +296,9 @@ class CanPeer:
         key, reads = (index, sub), command == 0x40
         if code := self.abort.get(key, 0 if key in self.objects[node] else 0x06020000):
             return code
+        if key == (0x1017, 0) and not reads:
+            shortest_ms = self.shortest_beat_ms.get(node, 0)
+            return 0 if struct.unpack_from("<H", request, 4)[0] >= shortest_ms else 0x06090030
         if node == DRIVE and key in (self.write_only if reads else self.read_only):
             return 0x06010001 if reads else 0x06010002
         maps = index >> 8 in (0x16, 0x1A) and sub and not reads
@@ -313,11 +321,13 @@ class CanPeer:
     def _sdo(self, node: int, request: bytes) -> None:
         command, index, sub = struct.unpack_from("<BHB", request)
         key, objects = (index, sub), self.objects[node]
-        if command == 0x80 or key in self.ignore:
+        if command == 0x80 or key in self.ignore or self.nmt[node] == STOPPED:
             return
         head = request[1:4]
         if node == DRIVE:
             self._show(index)
+        if command == 0x40:
+            self.on_read(index)
         if code := self._refusal(node, request):
             self.send(0x580 + node, b"\x80" + head + u32(code))
         elif command == 0x40:

@@ -249,7 +249,8 @@ def test_a_fault_that_stays_is_reported(
     peer.axis.state = FAULT
     monkeypatch.setattr(peer.axis, "control", lambda word, target: None)
     peer.objects[DRIVE][0x603F, 0] = u16(0x8611)
-    assert refusal(rail_for(peer, time).connect).fields == {"error_code": 0x8611}
+    found = refusal(rail_for(peer, time).connect)
+    assert found.fields == {"state": "fault", "error_code": 0x8611}
 
 
 def test_a_strip_on_a_line_of_its_own_is_read_and_the_bus_has_none(

@@ -100,6 +100,66 @@ def test_a_setting_that_is_read_only_counts_where_it_is_right(
         assert isinstance(refusal(rail_for(peer, time).connect), Unsupported)
 
 
+@pytest.mark.parametrize(
+    ("held", "option", "left"),
+    [(5_000, 2, 200_000), (200_000, 2, 200_000), (2_000_000, 2, 2_000_000), (None, 1, None)],
+)
+def test_a_quick_stop_is_at_least_as_steep_as_a_motion(
+    peer: CanPeer, time: RailTime, held: int | None, option: int, left: int | None
+) -> None:
+    objects = peer.objects[DRIVE]
+    del objects[0x6085, 0]
+    if held is not None:
+        objects[0x6085, 0] = u32(held)
+    with connected(peer, time):
+        assert (objects[0x605A, 0], objects[0x605E, 0]) == (u16(option), u16(option))
+        assert objects.get((0x6085, 0)) == (left and u32(left))
+
+
+def test_a_drive_that_will_not_brake_in_a_fault_is_taken(peer: CanPeer, time: RailTime) -> None:
+    peer.read_only.add((0x605E, 0))
+    with connected(peer, time) as rail:
+        works(rail)
+
+
+def test_a_quick_stop_that_stays_slow_is_named(peer: CanPeer, time: RailTime) -> None:
+    peer.objects[DRIVE][0x6085, 0] = u32(5_000)
+    peer.read_only.add((0x6085, 0))
+    found = refusal(rail_for(peer, time).connect)
+    assert str(found.fields["what"]).startswith("6085h:00 = 200000")
+
+
+@pytest.mark.parametrize("node", [DRIVE, STRIP])
+@pytest.mark.parametrize(("shortest_ms", "set_ms"), [(0, 50), (100, 100), (150, 200)])
+def test_a_heartbeat_is_as_fast_as_the_node_can(
+    peer: CanPeer, time: RailTime, node: int, shortest_ms: int, set_ms: int
+) -> None:
+    peer.shortest_beat_ms[node] = shortest_ms
+    with connected(peer, time) as rail:
+        assert peer.objects[node][0x1017, 0] == u16(set_ms)
+        works(rail)
+
+
+def test_a_heartbeat_that_is_too_slow_is_named(peer: CanPeer, time: RailTime) -> None:
+    peer.shortest_beat_ms[DRIVE] = 500
+    found = refusal(rail_for(peer, time).connect)
+    assert str(found.fields["what"]).startswith("1017h:00 = 50")
+
+
+@pytest.mark.parametrize(("fixed", "taken"), [(254, True), (0, False)])
+def test_a_command_that_counts_at_once_in_the_makers_way_is_as_good(
+    peer: CanPeer, time: RailTime, fixed: int, taken: bool
+) -> None:
+    peer.objects[DRIVE][0x1400, 2] = u8(fixed)
+    peer.read_only.add((0x1400, 2))
+    if taken:
+        with connected(peer, time) as rail:
+            works(rail)
+    else:
+        found = refusal(rail_for(peer, time).connect)
+        assert str(found.fields["what"]).startswith("1400h:02 = 255")
+
+
 FIXED = {
     (0x1800, 1): u32(NO_RTR | 0x185),
     (0x1800, 2): u8(1),
@@ -176,6 +236,38 @@ def test_a_fault_is_named_without_the_object_of_its_code(peer: CanPeer, time: Ra
         assert (found.code, found.fields["error_code"]) == ("HC-R27", 0)
 
 
+@pytest.mark.parametrize("code", [0x08000022, None])
+def test_an_error_that_cannot_be_asked_hides_no_fault(
+    peer: CanPeer, time: RailTime, code: int | None
+) -> None:
+    if code is None:
+        peer.ignore.add((0x603F, 0))
+    else:
+        peer.abort[0x603F, 0] = code
+    with connected(peer, time) as rail:
+        peer.axis.state = FAULT
+        time.silence()
+        found = refusal(lambda: rail.move_to(700.0))
+        assert (found.code, found.fields["state"]) == ("HC-R27", "fault")
+        assert "603Fh" in found.found
+
+
+def test_a_drive_in_no_state_is_stopped_before_it_is_asked_why(
+    peer: CanPeer, time: RailTime
+) -> None:
+    with connected(peer, time) as rail:
+        asked: list[bool] = []
+
+        def note(index: int) -> None:
+            if index == 0x603F:
+                asked.append(peer.quick_stopped.is_set())
+
+        peer.on_read = note
+        peer.axis.state = 0x6F  # none of CiA 402
+        refusal(lambda: rail.move_to(700.0))
+        assert asked[0]
+
+
 # -- a strip without an object for its alarms -------------------------------------------------
 
 
@@ -200,11 +292,96 @@ def test_a_strip_without_alarms_in_its_pdo_has_them_in_its_emergencies(
         assert rail.settle().strip_mm == 800.0
 
 
-def test_an_alarm_of_before_is_in_the_error_register(peer: CanPeer, time: RailTime) -> None:
-    peer.unmappable.add(0x6503)
-    peer.objects[STRIP][0x1001, 0] = u8(0x21)
+@pytest.mark.parametrize("register", [0x21, 0x81, 0x01, 0x08])
+@pytest.mark.parametrize("silent", [False, True])
+def test_an_alarm_of_before_is_in_the_error_register(
+    peer: CanPeer, time: RailTime, register: int, silent: bool
+) -> None:
+    """The makers choose its bits; a sensor may have 6503h and never tell a position error there."""
+    if silent:
+        peer.objects[STRIP][0x6504, 0] = u16(0x8000)
+    else:
+        peer.unmappable.add(0x6503)
+    peer.objects[STRIP][0x1001, 0] = u8(register)
     with connected(peer, time) as rail:
         assert isinstance(refusal(rail.settle), StripLost)
+
+
+@pytest.mark.parametrize("register", [0x00, 0x10, 0x11])
+def test_a_heartbeat_that_was_missed_is_no_doubt_of_the_sensor(
+    peer: CanPeer, time: RailTime, register: int
+) -> None:
+    peer.unmappable.add(0x6503)
+    peer.objects[STRIP][0x1001, 0] = u8(register)
+    with connected(peer, time) as rail:
+        works(rail)
+
+
+def test_one_of_several_errors_that_is_gone_leaves_the_sensor_in_doubt(
+    peer: CanPeer, time: RailTime
+) -> None:
+    peer.unmappable.add(0x6503)
+    with connected(peer, time) as rail:
+        emergency(peer, SENSOR_FAULT, 0x81)
+        assert soon(lambda: rail._watches[-1].sensor_fails)
+        emergency(peer, ERRORS_GONE, 0x81)
+        peer.settle()
+        assert isinstance(refusal(rail.settle), StripLost)
+
+
+# -- homing -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("zero", "code"), [(62, ""), (-170, ""), (200, "HC-R35")])
+def test_a_drive_may_stand_where_its_ramp_has_ended_behind_the_edge(
+    peer: CanPeer, time: RailTime, zero: int, code: str
+) -> None:
+    """5 mm/s and 200 mm/s^2: 0.0625 mm; twice that and the window are allowed."""
+    peer.axis.zero = zero
+    with connected(peer, time) as rail:
+        if code:
+            assert refusal(rail.home).code == code
+        else:
+            rail.home()
+
+
+@pytest.mark.parametrize(("looks", "code"), [(3, ""), (10**6, "HC-R35")])
+def test_an_error_of_the_last_homing_counts_once_the_drive_has_had_its_time(
+    peer: CanPeer, time: RailTime, looks: int, code: str
+) -> None:
+    with connected(peer, time) as rail:
+        left = iter(range(looks))
+        axis = peer.axis
+        if code:
+            axis.frozen = True
+
+        def show() -> None:
+            failed = axis.mode == 6 and next(left, None) is not None
+            axis.bits = axis.bits & ~0x2000 | 0x2000 * failed
+
+        peer.on_sync = show
+        axis.mode, axis.bits = 6, 0x2000
+        if code:
+            assert refusal(rail.home).code == code
+        else:
+            rail.home()
+
+
+# -- what keeps a drive from its power ----------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("supply", "word"), [(0x0200, "no voltage"), (0x0010, "obey the bus"), (0x0210, "lost frames")]
+)
+def test_a_drive_that_stays_without_power_says_why(
+    peer: CanPeer, time: RailTime, supply: int, word: str
+) -> None:
+    with connected(peer, time) as rail:
+        peer.axis.deaf, peer.axis.supply = True, supply
+        time.silence()
+        found = refusal(lambda: rail.move_to(700.0))
+        assert found.code == "HC-R31"
+        assert word in str(found)
 
 
 # -- limits -----------------------------------------------------------------------------------
@@ -292,3 +469,43 @@ def test_a_limit_that_stays_when_the_switch_is_left_is_another_one(
     with pytest.raises(DeviceError):
         rail.move_to(600.0)
     rail.close()
+
+
+@pytest.mark.parametrize(("inputs", "code"), [(0, ""), (2, "HC-R32"), (None, "HC-R32")])
+def test_a_limit_of_current_in_mid_travel_is_no_switch(
+    peer: CanPeer, time: RailTime, inputs: int | None, code: str
+) -> None:
+    if inputs is not None:
+        peer.objects[DRIVE][0x60FD, 0] = u32(inputs)
+    limited(peer, 1200.0, 1300.0)
+    rail = stands(peer, time, 1000.0)
+    if code:
+        assert refusal(lambda: rail.move_to(1600.0)).code == code
+    else:
+        rail.move_to(1600.0)
+    rail.close()
+
+
+def test_after_a_stop_nothing_is_set_and_the_next_motion_says_so(
+    peer: CanPeer, time: RailTime
+) -> None:
+    with connected(peer, time) as rail:
+        rail.stop()
+        assert refusal(lambda: rail.move_to(700.0)).code == "HC-R38"
+        assert peer.written(0x6060) == []
+
+
+def test_a_mode_that_is_not_told_once_ends_no_motion(peer: CanPeer, time: RailTime) -> None:
+    peer.unmappable.add(0x6061)
+    with connected(peer, time) as rail:
+        works(rail)
+        lost = iter(range(1))
+
+        def tamper(line: bytes) -> list[bytes]:
+            about_mode = line.startswith(b"t5858") and line[7:11] == b"6160"
+            return [] if about_mode and next(lost, None) is not None else [line]
+
+        peer.tamper = tamper
+        time.silence(0.02)
+        works(rail)
+        assert next(lost, None) is None
