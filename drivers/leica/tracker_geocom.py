@@ -308,11 +308,12 @@ class LeicaGeocomTracker:
     def _stated(self, rpc: Rpc) -> Reply:
         """Ask for values until two answers in a row are the same; the line has no check sum."""
         patience = Patience(self.REPLY_S, self.REPLY_S)
-        before, reply = None, self._ask(rpc)
-        while (geocom.empty(reply) or reply.values != before) and not patience.over():
-            if geocom.empty(reply):
-                self._clock.wait(BUSY_PAUSE_S)
-            before, reply = reply.values, self._ask(rpc)
+        before = self._ask(rpc)
+        while geocom.empty(reply := self._ask(rpc)) or reply.values != before.values:
+            if patience.over():
+                raise self._lost("answers without values, or each another one", _spoken(rpc))
+            before = reply
+            self._clock.wait(BUSY_PAUSE_S)
         return reply
 
     def _ask(

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import os
 import threading
 from collections.abc import Iterator
@@ -351,6 +352,14 @@ def test_a_serial_number_that_has_lost_a_character_is_asked_again(
     (identity,) = tracker.connect()
     tracker.close()
     assert identity.serial == "884321"
+
+
+def test_an_instrument_that_never_answers_the_same_twice_is_lost(
+    peer: GeocomPeer, time: WireTime
+) -> None:
+    serials = itertools.count(884321)
+    peer.answers[5003] = lambda _: f"0,{next(serials)}"
+    assert refusal(tracker_at(peer.channel, time).connect).code == "HC-T02"
 
 
 @pytest.mark.parametrize("answer", ["0", "5"])
