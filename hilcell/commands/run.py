@@ -184,7 +184,7 @@ def resume(args: argparse.Namespace) -> int:
         changes = NONE
         goes_on = bool(asked or log.retakes) or log.state != "finished"  # else all is measured
         if goes_on:
-            _check_alone(folder)
+            _say_copies(folder)
             _check_here(cell, folder)
             found, somebody = changed_inputs(log, procedure.used_in(cell)), asks(args)
             askable = somebody or (args.screen and not args.unattended)
@@ -215,15 +215,15 @@ def _next_order(runs: Path) -> FolderOrder:
     return next_order(rows)
 
 
-def _check_alone(folder: Path) -> None:
-    """Refuse a run that another folder beside it holds as well: their journals would differ."""
+def _say_copies(folder: Path) -> None:
+    """Say where another folder beside it holds this run as well: their journals will differ."""
     runs, origin = folder.resolve().parent, row_of(folder).origin
     same = sorted(row.name for row in read_index(runs) if row.origin == origin)
     if len(same) > 1:
-        raise HilcellError(
-            f"run {folder.name}: resume: expected one folder of this run in {runs}, "
-            f"got {' and '.join(map(encodable, same))}; nothing was moved; move the copy elsewhere",
-            code="HC-J16",
+        print_message(
+            f"warning: {' and '.join(map(encodable, same))} in {runs} are one run; "
+            f"only {encodable(folder.name)} goes on, and the other is then an older copy of it: "
+            "move it elsewhere"
         )
 
 
