@@ -116,12 +116,14 @@ def check_one_motion(data: StreamData) -> None:
     middle_s = data.asked_s.mean(axis=1)
     inner = slice(len(axis_rad) // 4, -len(axis_rad) // 4)
     joint_rad_s = np.polyfit(middle_s[inner], axis_rad[inner], 1)[0]
+    unsure_s = float(np.diff(data.asked_s[inner], axis=1).max())  # a pose is of then or then
+    share = unsure_s / float(np.ptp(middle_s[inner]))
     beam = slice(len(data.xyz_mm) // 4, -len(data.xyz_mm) // 4)
     path_mm = np.linalg.norm(np.diff(data.xyz_mm[beam][::50], axis=0), axis=1).sum()
     times_s = data.device_s[beam][::50]
     speed_mm_s = path_mm / (times_s[-1] - times_s[0])
     radius_mm = float(np.linalg.norm(forward(CELL.robot.arm(), START_RAD)[:2, 3]))
-    assert speed_mm_s / radius_mm == pytest.approx(joint_rad_s, rel=0.005)
+    assert speed_mm_s / radius_mm == pytest.approx(joint_rad_s, rel=0.001 + share)
 
 
 def test_a_recorded_sweep_is_not_made_again(cell: Cell, tmp_path: Path) -> None:
