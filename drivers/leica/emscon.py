@@ -123,9 +123,10 @@ class Change(IntEnum):
     SERVER_STARTED = 999
 
 
+NOT_IMPLEMENTED = 2
 STATUS = {
     1: "server busy",
-    2: "command not implemented",
+    NOT_IMPLEMENTED: "command not implemented",
     **{code: f"wrong parameter {code - 3 or ''}".rstrip() for code in range(3, 11)},
     **{code: f"parameter {(code - 9) // 2} out of range" for code in range(11, 23)},
     23: "wrong reflector",

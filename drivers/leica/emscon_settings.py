@@ -104,7 +104,7 @@ class EmsconSettings:
 
     def __init__(
         self,
-        ask: Callable[[Command, bytes], object],
+        ask: Callable[[Command, bytes], bytes],
         numbers_of: Callable[[Command, Struct], tuple[float, ...]],
     ) -> None:
         self._ask, self._numbers_of = ask, numbers_of
@@ -142,7 +142,12 @@ class EmsconSettings:
         return found
 
     def keep_frame(self) -> None:
-        """Keep the frame in which the tracker measures; refuse one that stretches lengths."""
+        """Keep the frame in which the tracker measures; refuse one that stretches lengths.
+
+        A controller that does not tell its system settings is older, and tells none of these.
+        """
+        if not self._tells(SYSTEM):
+            return
         _weather, transforms, _orients = self.keep(SYSTEM)
         self.keep(ORIENTATION)
         scale = self.keep(TRANSFORMATION)[-1]
@@ -156,6 +161,14 @@ class EmsconSettings:
                 setting=TRANSFORMATION.name,
                 scale=scale,
             )
+
+    def _tells(self, setting: Setting) -> bool:
+        try:
+            return bool(self._ask(setting.read, b""))
+        except DeviceError as refusal:
+            if refusal.fields.get("status") != emscon.NOT_IMPLEMENTED:
+                raise
+            return False
 
     def hear(self, change: int) -> None:
         """Take the news of a change; nothing is asked yet."""

@@ -25,7 +25,7 @@ PLACES = 15  # decimal places that the instrument is to send
 FARTHEST = 1e5  # m or rad; figures above are no reading
 CLEAR, DISTANCE, AUTOMATIC_TILT = 3, 1, 1  # of DO_MEASURE; tilt as for GET_MEASUREMENT
 
-OK, BUSY = 0, frozenset({13, 786, 1293})
+OK, NOT_IMPLEMENTED, BUSY = 0, 5, frozenset({13, 786, 1293})
 UNCORRECTED, INACCURATE = 1283, 1284  # both with values
 # Communication codes of an instrument that is in step: unknown procedure, asleep, off.
 REFUSED_UNREAD = (3080, 3081, 3108, 3109)

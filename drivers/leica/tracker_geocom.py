@@ -50,6 +50,7 @@ from hilcell.wire.channel import SerialLine, parse_channel
 BUSY_PAUSE_S = 0.1
 DISTANCE_MS = 5000  # that the instrument may take for a distance, besides `reading_s`
 SETTING_SHARE = 1e-6
+NOWHERE_MM = np.full(3, np.nan)
 TRIES = 5  # distances until one comes with all its places; zeros at the end take one in four
 CORRECTED = (1, 1, 1, 1)  # for tilt, tilt of the standing axis, collimation, tilting axis
 MEASURING = {Rpc.TURN_TO, Rpc.FINE_ADJUST, Rpc.DO_MEASURE, Rpc.GET_MEASUREMENT}
@@ -205,9 +206,9 @@ class LeicaGeocomTracker:
         prism_m = options.prism_constant_mm / geocom.MM_PER_M
         set_to("prism constant", Rpc.SET_PRISM_CONSTANT, Rpc.GET_PRISM_CONSTANT, prism_m)
         set_to("distance mode", Rpc.SET_EDM_MODE, Rpc.GET_EDM_MODE, options.edm_mode)
-        set_to(
-            "angle corrections", Rpc.SET_ANGLE_CORRECTIONS, Rpc.GET_ANGLE_CORRECTIONS, *CORRECTED
-        )
+        read = Rpc.GET_ANGLE_CORRECTIONS
+        if self._exchange(read, (), self.REPLY_S).code != geocom.NOT_IMPLEMENTED:
+            set_to("angle corrections", Rpc.SET_ANGLE_CORRECTIONS, read, *CORRECTED)
         set_to("compensator", Rpc.SET_TILT_SWITCH, Rpc.GET_TILT_SWITCH, 1)
         set_to("target recognition", Rpc.SET_ATR, Rpc.GET_ATR, 1)
         self._ask(Rpc.DO_MEASURE, geocom.CLEAR, geocom.AUTOMATIC_TILT)
@@ -265,14 +266,19 @@ class LeicaGeocomTracker:
         options = self._options
         window_rad = 2.0 * options.find_radius_mm / max(float(np.linalg.norm(near_mm)), 1.0)
         self._ask(Rpc.FINE_ADJUST, window_rad, window_rad, 0, limit_s=self.MOVE_S)
+        before_mm = NOWHERE_MM
         for _ in range(TRIES):
             reply = self._measured()
             values = self._decoded(reply, 3)
             if geocom.is_whole(reply):
                 break
+            at_mm = geocom.position_mm(*values) if geocom.possible(values) else NOWHERE_MM
+            if float(np.linalg.norm(at_mm - before_mm)) <= options.max_std_mm:
+                break  # no two lose the same character: both have lost zeros alone
+            before_mm = at_mm
         else:
             found = f"the result {','.join(reply.values)[:80]} has lost characters"
-            wanted = f"{geocom.PLACES} decimal places"
+            wanted = f"{geocom.PLACES} decimal places, or two that agree"
             raise no_reading("HC-T14", clean(found), wanted=wanted, act="check the line")
         if not geocom.possible(values):
             raise no_reading("HC-T14", f"the result {values} is no position", values=values)

@@ -10,7 +10,7 @@ import pytest
 
 from drivers import supervision
 from hilcell.ports import DeviceError, DeviceRefused, NoReading
-from tests.drivers.emscon_peer import READY, EmsconPeer, reply, result
+from tests.drivers.emscon_peer import READY, EmsconPeer, failure, reply, result
 from tests.drivers.peers import WireTime, wire_time
 from tests.drivers.rail_bed import refusal
 from tests.drivers.test_emscon_stream import samples
@@ -147,4 +147,16 @@ def test_a_transformation_that_stretches_lengths_is_refused_while_it_is_in_use(
     found = refusal(tracker.connect)
     assert (type(found), found.code) == (DeviceRefused, "HC-T06")
     assert "scale" in found.found
+    tracker.close()
+
+
+@pytest.mark.parametrize("answer", [failure(48, 2), reply(48, status=2), reply(48)])
+def test_an_older_controller_does_not_tell_its_frame(
+    peer: EmsconPeer, time: WireTime, answer: bytes
+) -> None:
+    peer.answers[48] = lambda _: [answer]
+    del peer.settings[13], peer.settings[15]
+    tracker = tracker_at(peer.server.port, time)
+    tracker.connect()
+    np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)
     tracker.close()

@@ -264,7 +264,7 @@ def test_a_result_that_is_no_position_is_no_reading(
 
 
 @pytest.mark.parametrize("damaged", [
-    "0.64501108793284,1.570796326794897,5.000000000000000",
+    "0.63501108793284,1.570796326794897,5.000000000000000",
     "0.643501108793284,1.57079632,5.000000000000000",
     "0.643501108793284,1.570796326794897,5",
     "0.643501108793284,1.570796326794897,5000000000000000",
@@ -279,10 +279,28 @@ def test_a_reading_that_has_lost_characters_is_measured_again(
     peer.answers[2108] = lambda text: f"0,{damaged}" if next(first, False) else good(text)
     np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)
     assert peer.asked(2008) == ["3,1", "3,1", "1,1", "3,1", "1,1"], "a new distance, too"
-    peer.answers[2108] = lambda _: f"0,{damaged}"
+    others = itertools.cycle([damaged, "0.64501108793284,1.5707963267948,5.00000000000000"])
+    peer.answers[2108] = lambda _: f"0,{next(others)}"
     found = measuring(tracker)
     assert (type(found), found.code) == (NoReading, "HC-T14")
     assert damaged in found.found
+    tracker.close()
+
+
+def test_two_readings_that_agree_have_lost_zeros_alone(tracker: Quick, peer: GeocomPeer) -> None:
+    """Some instruments leave the zeros at the end of a number out."""
+    peer.answers[2108] = lambda _: f"0,{peer.pointing.split(',')[0]},1.5707963267949,5.0"
+    np.testing.assert_allclose(tracker.measure(POINT, SMR, 1).xyz_mm, POINT, atol=1e-6)
+
+
+def test_an_instrument_without_a_switch_for_its_corrections_is_taken(
+    peer: GeocomPeer, time: WireTime
+) -> None:
+    peer.answers[2014] = lambda _: "5"
+    tracker = tracker_at(peer.channel, time)
+    tracker.connect()
+    assert tracker.measure(POINT, SMR, 1).samples == 1
+    assert peer.asked(2016) == []
     tracker.close()
 
 
