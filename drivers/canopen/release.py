@@ -134,7 +134,16 @@ class Release:
                 if self.by_sdo:
                     self._stop_by_all_ways()
                     if over:
-                        raise silent from error
+                        raise DeviceError(
+                            silent.code,
+                            DEVICE,
+                            "close",
+                            silent.found,
+                            wanted="a drive that is confirmed held",
+                            act="keep away from the slide, it may move: press the E-stop; then "
+                            "check the drive's power and the bus",
+                            fields=silent.fields,
+                        ) from error
                 self._ask(by_sdo=not self.by_sdo)
             else:
                 self._standstill.take(now, time.monotonic() - self._began_s)

@@ -374,6 +374,7 @@ def test_close_names_a_drive_that_stays_silent(
     found = refusal(rail.close)
     assert found.code == "HC-R07"
     assert "0x185" in str(found.fields["cob_ids"])
+    assert "it may move" in str(found)
     assert refusal(rail.read).code == "HC-R38"
 
 
