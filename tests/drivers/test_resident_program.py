@@ -22,6 +22,62 @@ SOURCE, DATA = text_of("krl/hilcell.src"), text_of("krl/hilcell.dat")
 EKI_SOURCE, EKI_DATA = text_of("eki_krl/hilcell_eki.src"), text_of("eki_krl/hilcell_eki.dat")
 
 
+PROGRAMS = [
+    f"{folder}/{each.name}"
+    for folder in ("krl", "eki_krl")
+    for each in (resources.files("drivers.kuka") / folder).iterdir()
+    if each.name.endswith((".src", ".dat", ".sub"))
+]
+# Words of KRL, its types and its operators: none may be a name. The interpreter is blind to case.
+KEYWORDS = """
+ANIN ANOUT ANY BRAKE C_DIS C_ORI C_PTP C_VEL CASE CAST_FROM CAST_TO CCLOSE CHANNEL CIOCTL CIRC
+CIRC_REL CONFIRM CONST CONST_KEY CONTINUE COPEN CREAD CWRITE DECL DEF DEFAULT DEFDAT DEFFCT
+DELAY DIGIN DISTANCE DO ELSE END ENDDAT ENDFCT ENDFOR ENDIF ENDLOOP ENDSPLINE ENDSWITCH
+ENDWHILE ENUM ERR_RAISE EXIT EXT EXTFCT EXTFCTP EXTP FOR GLOBAL GOTO HALT IF IMPORT INTERRUPT
+IS LIN LIN_REL LOOP MAXIMUM MINIMUM OFF ON PATH PRIO PTP PTP_REL PUBLIC PULSE REPEAT RESUME
+RETURN SCIRC SEC SIGNAL SLIN SPL SPLINE SPTP SREAD STEP STRUC SWITCH SWRITE SYNC THEN TO
+TRIGGER UNTIL WAIT WHEN WHILE WITH CCOMP
+AND OR NOT EXOR B_AND B_OR B_EXOR B_NOT TRUE FALSE
+INT REAL BOOL CHAR POS E6POS AXIS E6AXIS FRAME LOAD
+"""
+
+
+def named(source: str) -> list[str]:
+    """Return the names that a program or data list gives: of routines, variables and labels."""
+    code = re.sub(r'"[^"]*"|;.*', "", source)
+    bare = re.sub(r"=[^,\n]*", "", re.sub(r"\[[^]]*\]|\{[^}]*\}", "", code))
+    found = []
+    for name, parameters in re.findall(
+        r"(?im)^\s*(?:GLOBAL\s+)?(?:DEF|DEFFCT\s+\w+|DEFDAT)\s+([\w$]+)(?:\s*\((.*)\))?", bare
+    ):
+        found += [name, *(each.split(":")[0].strip() for each in parameters.split(","))]
+    for names in re.findall(
+        r"(?im)^\s*(?:DECL\s+)?(?:GLOBAL\s+|CONST\s+)*"
+        r"(?:INT|REAL|BOOL|CHAR|E?6?POS|E?6?AXIS|FRAME|EKI_STATUS)\s+(.+)$",
+        bare,
+    ):
+        found += [each.strip() for each in names.split(",")]
+    found += re.findall(r"(?m)^\s*([\w$]+)\s*:\s*$", bare)
+    return [name for name in found if name]
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_no_name_is_a_keyword_or_too_long(program: str) -> None:
+    """The compiler of a controller refuses the whole module otherwise."""
+    source = text_of(program)
+    declarations = re.findall(r"(?m)^\s*DECL .*", re.sub(r";.*", "", source))
+    names = named(source)
+    assert len(names) > len(declarations) > 0
+    assert [name for name in names if name.upper() in KEYWORDS.split()] == []
+    assert [name for name in names if not re.fullmatch(r"[A-Za-z_$][\w$]{0,23}", name)] == []
+
+
+def test_names_are_found_wherever_they_are_given() -> None:
+    routines = "DEF A (B[] :OUT, ON :IN)\nGLOBAL DEFFCT BOOL C ( )\nDEFDAT D PUBLIC\n; INT I\n"
+    variables = "DECL GLOBAL E6AXIS E={A1 0.0, A2 1.0}\nDECL INT F, G[3]\n  REAL H=1.0\n"
+    assert named(routines + variables + "MARK:") == [*"AB", "ON", *"CDEFGH", "MARK"]
+
+
 def used(source: str, prefix: str) -> set[str]:
     """Return the names of a program that begin so, outside of comments."""
     return set(re.findall(rf"\b{prefix}_[A-Z_0-9]+\b", re.sub(r"(?m)^\s*;.*$", "", source)))
