@@ -170,3 +170,76 @@ def test_a_command_gives_its_time_before_it_acts() -> None:
     types = [int(number) for number in re.findall(r"CASE (\d)", hear)]
     assert types == [*range(eki.MOVE, eki.MOVE_SLIDE + 1)]
     assert hear.index("$TIMER[10] = -HE_MS") < hear.index("SWITCH")
+
+
+def lines_of(routine: str) -> list[str]:
+    """Return the lines of a routine of the submit program, without comments."""
+    (text,) = re.findall(rf"(?ms)^DEF {routine} \( \)\n(.*?)^END$", EKI_SOURCE)
+    return [line.strip() for line in text.splitlines() if not line.startswith(";")]
+
+
+def test_a_stop_is_heard_before_its_channel_is_cleared() -> None:
+    """What a client has sent stays readable after it has gone, until EKI_Clear."""
+    lines = lines_of("hilcell_eki")
+    cycle = lines[lines.index("ENDIF") + 1 :]
+    assert cycle[:2] == ["GONE = NOT $FLAG[911]", "HE_HEAR_STOPS ( )"]
+    assert cycle.count("HE_OPEN_STOPS ( )") == 1
+    assert "EKI_Clear" not in "".join(lines_of("HE_HEAR_STOPS") + lines_of("HE_HEAR_STOP"))
+
+
+def test_a_stop_that_cannot_be_read_brakes() -> None:
+    lines = lines_of("HE_HEAR_STOP")
+    read = lines.index('RET = EKI_GetInt ("HilcellStop", "RobotStop/@Brake", BRAKES)')
+    assert lines[read + 1 : read + 3] == [
+        "IF (RET.MSG_NO<>0) OR (BRAKES<>0) THEN",
+        "HC_STOP = TRUE",
+    ]
+    assert "ID = 0" in lines[:read]  # a variable without a value halts the interpreter
+
+
+def test_a_command_acts_only_where_each_read_has_succeeded() -> None:
+    """A read that fails leaves the last command's value, and a type of 1 is a motion."""
+    lines = lines_of("HE_TAKE")
+    reads = [n for n, line in enumerate(lines) if "EKI_Get" in line]
+    assert len(reads) == len(TAKEN["HilcellEki"])
+    for n in reads:
+        assert lines[n + 1] == "HE_WHOLE = HE_WHOLE AND (RET.MSG_NO==0)"
+    assert {"HE_WHOLE = TRUE", "HE_ID = 0", "HE_TYPE = 0", "HE_MS = 0"} <= {*lines[: reads[0]]}
+    hear = lines_of("HE_HEAR")
+    taken = hear.index("HE_TAKE ( )")
+    assert hear[taken + 1 : taken + 4] == ["IF NOT HE_WHOLE THEN", "HE_LOSE ( )", "RETURN"]
+
+
+def test_a_motion_whose_client_has_gone_brakes() -> None:
+    begin = ["IF HC_SEQ <> HC_ACK THEN", "HC_STOP = TRUE", "ENDIF", "HE_OPEN_COMMANDS ( )"]
+    assert lines_of("HE_LOSE") == begin
+    assert lines_of("hilcell_eki")[-5:] == [
+        "ELSE",
+        "IF HE_SEEN THEN",
+        "HE_LOSE ( )",
+        "ENDIF",
+        "ENDIF",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("routine", "channel"), [("HE_OPEN_COMMANDS", "HilcellEki"), ("HE_OPEN_STOPS", "HilcellStop")]
+)
+def test_nothing_is_cleared_before_it_was_opened(routine: str, channel: str) -> None:
+    """EKI_Clear of a channel without EKI_Init is a message at the panel."""
+    clear, init, opened = (f'RET = EKI_{name} ("{channel}")' for name in ("Clear", "Init", "Open"))
+    assert lines_of(routine)[1:6] == ["IF HE_OPEN THEN", clear, "ENDIF", init, opened]
+    start = lines_of("hilcell_eki")
+    assert start.index(f"{routine} ( )") < start.index("HE_OPEN = TRUE")
+
+
+@pytest.mark.parametrize(("name", "flag"), [("HilcellEki", "910"), ("HilcellStop", "911")])
+def test_a_client_without_a_cable_is_found_and_no_message_waits(name: str, flag: str) -> None:
+    internal = ElementTree.fromstring(text_of(f"eki_krl/{name}.xml")).find(".//INTERNAL")
+    assert internal is not None
+    alive, messages = internal.find("ALIVE"), internal.find("MESSAGES")
+    assert alive is not None
+    assert messages is not None
+    assert (alive.get("Set_Flag"), messages.get("Display")) == (flag, "disabled")
+    assert 0 < int(alive.get("Ping", "0")) < 60
+    assert f"$FLAG[{flag}]" in EKI_SOURCE
