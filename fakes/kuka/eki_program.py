@@ -53,7 +53,6 @@ class Queues:
 
     def __init__(self, paths: tuple[str, ...]) -> None:
         self._queues: dict[str, deque[str]] = {path: deque() for path in paths}
-        self._last = dict.fromkeys(paths, "0")
 
     def clear(self) -> None:
         """Forget everything, as a channel does that is opened."""
@@ -86,11 +85,9 @@ class Queues:
         return bool(next(iter(self._queues.values())))
 
     def take(self) -> dict[str, str]:
-        """Return one value of each queue by its name; an empty queue leaves the last one."""
-        for path, queue in self._queues.items():
-            if queue:
-                self._last[path] = queue.popleft()
-        return {path.rpartition("@")[2]: text for path, text in self._last.items()}
+        """Return one value of each queue by its name, without those whose queue is empty."""
+        queues = self._queues.items()
+        return {path.rpartition("@")[2]: queue.popleft() for path, queue in queues if queue}
 
 
 class EkiProgram:
@@ -100,7 +97,9 @@ class EkiProgram:
         self._controller, self._faults, self._time = controller, faults, time
 
     def command(self, values: dict[str, str]) -> bytes:
-        """Act by a command; return the state."""
+        """Act by a command; return the state. Raises `KrlError` for one that is not whole."""
+        if len(values) < len(RECEIVED):
+            raise KrlError(f"{len(values)} of {len(RECEIVED)} values")
         acts: dict[str, Callable[[dict[str, str]], None]] = {
             "1": lambda _: self._start("1", {axis: float(values[axis]) for axis in AXES}, values),
             "2": lambda _: self._controller.write("HC_STOP", "TRUE"),
@@ -122,9 +121,15 @@ class EkiProgram:
 
     def stop(self, values: dict[str, str]) -> bytes:
         """Act by a command of the stop's channel; return the answer."""
-        if values["Brake"] == "1":
+        if values.get("Brake") != "0":  # one that cannot be read brakes
             self._controller.write("HC_STOP", "TRUE")
         return _document("RobotStopState", {"Command": {"Id": values["Id"]}})
+
+    def lose(self) -> None:
+        """Brake a motion whose client has gone."""
+        started, ended = self._controller.read_all(("HC_SEQ", "HC_ACK"))
+        if started != ended:
+            self._controller.write("HC_STOP", "TRUE")
 
     def _start(self, command: str, target: dict[str, float], values: dict[str, str]) -> None:
         for name, text in (

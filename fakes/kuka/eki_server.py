@@ -1,14 +1,16 @@
 """EthernetKRL server of a KUKA controller: two channels of XML documents over TCP.
 
-Each channel serves one client. States leave as `segments` says, and now and then the former
-one comes once more, in one segment with the next.
+Each channel serves one client. That of the stop is looked at once in a cycle of the submit
+interpreter, and all that came until then is heard, even where the client has gone. States leave as
+`segments` says, and now and then the former one comes once more, in one segment with the next.
 """
 
 from __future__ import annotations
 
+import select
 import socket
 import threading
-from collections.abc import Callable
+from contextlib import suppress
 
 from fakes.faults import Faults, Vanished
 from fakes.kuka.c3_server import controller_of
@@ -20,6 +22,7 @@ from fakes.time import PlantTime
 from fakes.wires.listener import HOST, Listener
 from fakes.wires.segments import RECEIVE, Answers, Segments
 
+CYCLE_S = 0.06  # of the submit interpreter, with a state in it
 TWICE_EVERY = 53
 ENDLESS = b'<RobotState><Pos A1="' + b"0" * 20_000
 BOMB = (
@@ -65,47 +68,60 @@ class EkiServer:
         self._stops.close()
 
     def _serve_commands(self, client: socket.socket) -> None:
+        try:
+            self._hear_commands(client)
+        except Vanished:
+            self._hang_up()
+            return
+        except (OSError, Overflow, KrlError, ValueError):
+            pass  # the client has gone, or the interface closes the connection
+        self._lose()
+
+    def _hear_commands(self, client: socket.socket) -> None:
         segments, former = Segments(client), b""
+        queues, pending = Queues(RECEIVED), b""
+        while data := client.recv(RECEIVE):
+            pending = _add(queues, pending + data, b"</RobotCommand>")
+            while queues.waiting():
+                with self._lock:
+                    state = self._program.command(queues.take())
+                    self._time.catch_up()
+                    sent, former = self._spoilt(former, state, segments), state
+                    if not self._answers.send(client, segments, sent):
+                        return
 
-        def answer(values: dict[str, str]) -> bool:
-            nonlocal former
-            state = self._program.command(values)
-            self._time.catch_up()
-            sent, former = self._spoilt(former, state, segments), state
-            return self._answers.send(client, segments, sent)
-
-        self._serve(client, Queues(RECEIVED), b"</RobotCommand>", answer)
+    def _lose(self) -> None:
+        try:
+            with self._lock:
+                if not self._closing.is_set():
+                    self._program.lose()
+        except Vanished:
+            self._hang_up()
 
     def _serve_stops(self, client: socket.socket) -> None:
-        def answer(values: dict[str, str]) -> bool:
-            client.sendall(self._program.stop(values))
-            return True
-
-        self._serve(client, Queues(STOP_RECEIVED), b"</RobotStop>", answer)
-
-    def _serve(
-        self,
-        client: socket.socket,
-        queues: Queues,
-        end: bytes,
-        answer: Callable[[dict[str, str]], bool],
-    ) -> None:
-        pending = b""
+        queues, pending, there = Queues(STOP_RECEIVED), b"", True
         try:
-            while data := client.recv(RECEIVE):
-                *documents, pending = (pending + data).split(end)
-                for document in documents:
-                    queues.add(document + end)
-                while queues.waiting():
-                    with self._lock:
-                        stays = answer(queues.take())
-                    if not stays:
-                        return
+            while there:
+                select.select([client], [], [])
+                self._closing.wait(CYCLE_S)
+                pending, there = _look(client, queues, pending, b"</RobotStop>")
+                self._hear_stops(client, queues, there)
         except Vanished:
-            self._commands.hang_up()
-            self._stops.hang_up()
-        except (Overflow, KrlError, ValueError):
-            return  # the interface closes the connection
+            self._hang_up()
+        except (KrlError, ValueError):
+            return
+
+    def _hear_stops(self, client: socket.socket, queues: Queues, there: bool) -> None:
+        while queues.waiting():
+            with self._lock:
+                answer = self._program.stop(queues.take())
+            if there:
+                with suppress(OSError):  # the next look finds that it has gone
+                    client.sendall(answer)
+
+    def _hang_up(self) -> None:
+        self._commands.hang_up()
+        self._stops.hang_up()
 
     def _spoilt(self, former: bytes, state: bytes, segments: Segments) -> bytes:
         """Return what is sent for a state."""
@@ -115,6 +131,27 @@ class EkiServer:
             return ENDLESS
         again = self._faults.take("robot.glued_reply") is not None
         return former + state if again or segments.sent % TWICE_EVERY == TWICE_EVERY - 1 else state
+
+
+def _look(client: socket.socket, queues: Queues, pending: bytes, end: bytes) -> tuple[bytes, bool]:
+    """Take apart what has come; return the rest, and whether the client is still there."""
+    try:
+        while select.select([client], [], [], 0)[0]:
+            data = client.recv(RECEIVE)
+            if not data:
+                return pending, False
+            pending = _add(queues, pending + data, end)
+    except (OSError, Overflow, KrlError):
+        return pending, False  # the interface closes the connection, and keeps what came
+    return pending, True
+
+
+def _add(queues: Queues, received: bytes, end: bytes) -> bytes:
+    """Take whole documents apart; return the rest."""
+    *documents, rest = received.split(end)
+    for document in documents:
+        queues.add(document + end)
+    return rest
 
 
 def serve(site: Site, port: int) -> EkiServer:

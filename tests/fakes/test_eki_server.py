@@ -193,8 +193,57 @@ def test_a_value_that_is_left_out_shifts_all_later_ones() -> None:
     queues.add(b'<RobotCommand Id="1" Type="1"><Pos A1="10"/></RobotCommand>')
     queues.add(b'<RobotCommand Id="2"><Pos A1="20"/></RobotCommand>')
     queues.add(b'<RobotCommand Id="3" Type="5"><Pos A1="30"/></RobotCommand>')
-    taken = [queues.take(), queues.take()]
-    assert [(each["Id"], each["Type"]) for each in taken] == [("1", "1"), ("2", "5")]
+    taken = [queues.take(), queues.take(), queues.take()]
+    assert [(each["Id"], each.get("Type")) for each in taken] == [
+        ("1", "1"),
+        ("2", "5"),
+        ("3", None),
+    ]
+
+
+def test_a_command_with_a_value_missing_is_none(robot: Robot) -> None:
+    """The last command's value would take its place; a former type of 1 is a motion."""
+    robot.client.go(1, NEAR)
+    robot.client.wire.sendall(b'<RobotCommand Id="2" Type="1" Percent="30"></RobotCommand>')
+    with pytest.raises((EOFError, ConnectionError)):
+        robot.client.answer(2)
+    assert robot.controller.read("HC_SEQ") == "1"
+
+
+STOP = b'<RobotStop Id="%d" Brake="%d"></RobotStop>'
+
+
+@pytest.mark.parametrize("sent", [STOP % (5, 1), STOP % (0, 0) + STOP % (5, 1), STOP % (5, 1) * 40])
+def test_a_stop_brakes_though_its_client_has_gone(robot: Robot, sent: bytes) -> None:
+    """The program looks once in a cycle; by then a PC that dies has closed its connection."""
+    robot.faults.set("robot.frozen")
+    robot.client.ask(1, MOVE, FAR)
+    with connected(robot.server.stop_port) as wire:
+        wire.sendall(sent)
+    until(lambda: robot.controller.read("HC_STOP") == "TRUE")
+    assert robot.controller.read("HC_ERR") == "9"  # the timer, later, sets 8
+
+
+def test_a_stop_that_cannot_be_read_brakes(robot: Robot) -> None:
+    with connected(robot.server.stop_port) as wire:
+        wire.sendall(b'<RobotStop Id="5"></RobotStop>')
+        EkiClient(wire, STOP_END).document()
+    assert robot.controller.read("HC_STOP") == "TRUE"
+
+
+def test_a_motion_whose_client_has_gone_brakes(robot: Robot) -> None:
+    robot.faults.set("robot.frozen")
+    robot.client.ask(1, MOVE, FAR)
+    robot.client.wire.shutdown(socket.SHUT_RDWR)
+    until(lambda: robot.controller.read("HC_STOP") == "TRUE")
+    assert robot.controller.read("HC_ERR") == "9"
+
+
+def test_a_client_that_goes_after_its_motion_stops_nothing(robot: Robot) -> None:
+    robot.client.go(1, NEAR)
+    robot.client.wire.shutdown(socket.SHUT_RDWR)
+    until(lambda: opens(robot))
+    assert robot.controller.read("HC_STOP") == "FALSE"
 
 
 def test_a_full_queue_closes_the_connection() -> None:
