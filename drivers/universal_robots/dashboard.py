@@ -60,6 +60,21 @@ class Dashboard:
         self._link.unheard = True
         self._lines.send(command, command)
 
+    def last_answer(self, patience: Patience) -> str | None:
+        """Return the last answer that has come to what was sent, None where none has."""
+        line = self._lines.receive(patience)
+        while (newer := self._lines.receive(Patience(0.0))) is not None:
+            line = newer
+        return None if line is None else clean(line)
+
+    def is_open(self) -> bool:
+        """Whether the controller has not closed the connection meanwhile, as of one that idles."""
+        try:
+            self._lines.drop_pending()
+        except DeviceError:
+            return False
+        return True
+
     def close(self) -> None:
         """Close the connection."""
         self._link.close()

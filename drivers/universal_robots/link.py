@@ -13,7 +13,10 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import takewhile
+
+import numpy as np
 
 from drivers.on_failure import on_failure
 from drivers.supervision import Patience, go_on
@@ -22,6 +25,7 @@ from drivers.universal_robots.rtde import Kind, Packages, Recipe, RtdeError
 from drivers.universal_robots.state import (
     ECHO,
     INPUTS,
+    NOTHING,
     OUTPUTS,
     Order,
     UrState,
@@ -45,7 +49,7 @@ MAX_LIFE = MAX_QUESTION = 1_000_000_000
 
 
 class UrLink:
-    """One connection. ``write`` may come from any thread, all else from one."""
+    """One connection. Writes and ``end_script`` may come from any thread, all else from one."""
 
     def __init__(self, host: str, port: int, rate_hz: float, check: Callable[[], None]) -> None:
         """Set the exchange up and start it; raises `DeviceError`."""
@@ -60,6 +64,7 @@ class UrLink:
         self._emptied_s = 0.0  # when the buffer was last seen empty
         self._failure: DeviceError | None = None
         self._writing, self._life = threading.Lock(), 0
+        self._order, self._ending = Order(0, np.zeros(6), 0.0, command=NOTHING), 0
         # The register keeps the last number of the connection before.
         self._question = secrets.randbelow(MAX_QUESTION) + 1
         with on_failure(self._link.close):
@@ -94,15 +99,25 @@ class UrLink:
                 return newest
             seen_s = newest.by_s
 
-    def following(self, by_s: float) -> list[UrState]:
+    def following(self, by_s: float, *, patiently: bool = False) -> list[UrState]:
         """Wait for states fetched after a time (monotonic); return all of these."""
-        return self._following(by_s, patiently=False)
+        return self._following(by_s, patiently=patiently)
 
     def write(self, order: Order) -> None:
         """Write the registers, with the next sign of life; raises `DeviceError`."""
         with self._writing:
             self._life = self._life % MAX_LIFE + 1
-            self._link.send(self._inputs.encode(registers(order, self._life)), "write registers")
+            self._order = order
+            self._write()
+
+    def end_script(self, session: int) -> None:
+        """Have the script of a session brake and end; no later write takes that back.
+
+        Gives no sign of life. Raises `DeviceError`.
+        """
+        with self._writing:
+            self._ending = session
+            self._write()
 
     def close(self) -> None:
         """End the thread and the connection."""
@@ -110,6 +125,10 @@ class UrLink:
         if self._thread.is_alive():
             self._thread.join(JOIN_S)
         self._link.close()
+
+    def _write(self) -> None:
+        order = replace(self._order, stop=self._ending or self._order.stop)
+        self._link.send(self._inputs.encode(registers(order, self._life)), "write registers")
 
     # -- setting up ---------------------------------------------------------------------------
 

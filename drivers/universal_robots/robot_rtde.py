@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib import resources
 from typing import Annotated
@@ -35,7 +35,8 @@ from drivers.universal_robots.health import (
     unwell,
 )
 from drivers.universal_robots.link import ALARMS, UrLink
-from drivers.universal_robots.state import NOTHING, Order, UrState
+from drivers.universal_robots.release import DWELL_S, Release, stands, stop_by_all_wires
+from drivers.universal_robots.state import BRAKE, GO, NOTHING, Order, UrState
 from drivers.universal_robots.sweep import UrSweep
 from drivers.wires.tcp import TcpLink
 from hilcell.cell.file import Joint
@@ -62,10 +63,7 @@ CLOCK_S = 0.5  # wire deadline: until the controller's time goes on
 LOOK_S = 0.5  # one look counts for this long, at most
 PROGRESS_S = 0.2  # between two looks at the progress of a motion
 COUNT_S = 1.0  # the script's counter stands no longer
-DWELL_S = 0.05  # of the packages that tell standstill
 AXIS_TOLERANCE_RAD = 2e-4
-STILL_RAD = 2e-5
-STILL_RAD_S = 2e-3  # a joint that holds dithers
 PROGRESS_DEG = 0.01
 TOOL_MM, TOOL_RAD = 1e-3, 1e-5
 
@@ -99,7 +97,7 @@ class UrRtdeRobot:
         self._count, self._counted_s = 0, 0.0  # of the script's loop, and when it last changed
         self._life_due_s = self._seen_s = 0.0
         self._asked_s = 0.0  # when the state of the last reading was asked for
-        self._under_way = self._stopped = False
+        self._under_way = self._stopped = self._started = False
         self._ended_s: float | None = None  # when the last motion was seen to have ended
 
     # -- the port -----------------------------------------------------------------------------
@@ -107,12 +105,10 @@ class UrRtdeRobot:
     def connect(self) -> list[Identity]:
         """Open all connections, verify everything, and send the script; nothing moves."""
         self._close_wires()
-        options = self._options
-        with on_failure(self._close_wires):
-            where = (DEVICE, options.host, options.dashboard_port)
-            self._dashboard = Dashboard(*where, self._attend, ALARMS)
-            # The stop must get through while the run is already stopping.
-            self._stop_line = Dashboard(*where, go_on, ALARMS)
+        self._session = secrets.randbelow(MAX_SEQUENCE) + BRAKE + 1
+        self._stopped, options = False, self._options
+        with on_failure(self.close):
+            self._open_panels()
             identity = self._identify()
             self._check_remote()
             self._link = UrLink(options.host, options.rtde_port, options.rate_hz, self._attend)
@@ -153,7 +149,7 @@ class UrRtdeRobot:
     def read(self) -> RobotReading:
         """Return a reading that left the controller after this call began."""
         states = self._dwell()
-        still = not self._under_way and _stands(states)
+        still = not self._under_way and stands(states)
         return self._reading(states[-1], still=still)
 
     def sweep(self, axis: int, end_rad: float, speed_rad_s: float) -> UrSweep:
@@ -162,17 +158,21 @@ class UrRtdeRobot:
         return UrSweep(self, self._clock, axis, end_rad, speed_rad_s, full_rad_s)
 
     def stop(self) -> None:
-        """Brake and end the script; any thread; waits for no answer."""
+        """Brake and end the script, over all wires; any thread; waits for no answer."""
         self._stopped = True
-        if self._stop_line is not None:
-            self._stop_line.send("stop")
+        stop_by_all_wires(self._link, self._stop_line, self._session)
 
     def close(self) -> None:
-        """End the script, so that registers move nothing any more, then close all connections."""
+        """End the script, so that registers move nothing any more, then close all connections.
+
+        Raises `DeviceError` where a script was started, and its end or rest is not confirmed.
+        """
         try:
-            if self._link is not None and not self._stopped:
-                self.stop()
+            if self._started:
+                self._stopped = True
+                Release(self._link, self._stop_line, self._session).leave_at_rest()
         finally:
+            self._started = False
             self._close_wires()
 
     # -- connecting ---------------------------------------------------------------------------
@@ -225,12 +225,12 @@ class UrRtdeRobot:
     def _end_former_script(self) -> None:
         """End a script of ours that a dead engine left behind; refuse any other program."""
         link = self.link()
-        if (before := link.next()).runtime_state == STANDING:
+        if (before := link.next()).runtime_state == STANDING and not self._started:
             return
         if self._ours_plays(before):
             self._panel().ask("stop")
         patience, over = Patience(ENDED_S, LOOK_S), False
-        while (state := link.fresh()).runtime_state != STANDING or not _stands([state]):
+        while (state := link.fresh()).runtime_state != STANDING or not stands([state]):
             if over:
                 raise refused(
                     "HC-B25",
@@ -239,6 +239,7 @@ class UrRtdeRobot:
                     act="stop the program at the panel",
                 )
             over = patience.over()
+        self._started = False
 
     def _ours_plays(self, before: UrState) -> bool:
         """Whether a script of ours plays; false for any program that stops by itself.
@@ -263,12 +264,12 @@ class UrRtdeRobot:
     def _start_script(self) -> None:
         """Send the script; return when it has said that it runs."""
         link, options = self.link(), self._options
-        self._session = secrets.randbelow(MAX_SEQUENCE) + 1
         # The script may begin before these registers arrive, which must move nothing then.
         self._order = Order(0, link.fresh().joints_rad, 0.0, command=NOTHING)
         link.write(self._order)
         line = TcpLink(DEVICE, options.host, options.script_port, self._attend, ALARMS)
         try:
+            self._started = True
             line.send(script_text(self._session), "send the script")
             patience, over = Patience(STARTED_S, LOOK_S), False
             while True:
@@ -283,7 +284,7 @@ class UrRtdeRobot:
         finally:
             line.close()
         self._count, self._counted_s = state.count, state.by_s
-        self._under_way = self._stopped = False
+        self._under_way = False
 
     def _check_tool(self, state: UrState) -> None:
         """Refuse a tool that is not the cell file's: the pose would be another point's."""
@@ -303,6 +304,7 @@ class UrRtdeRobot:
         """Start a motion to joints (6,); return its number."""
         if self._stopped:
             raise failed("HC-B21", "the robot was stopped", act="resume to reconnect")
+        self._open_panels()
         self.look([self.link().next()])
         number = self._order.sequence % MAX_SEQUENCE + 1
         self._order = Order(number, target_rad, speed_rad_s)
@@ -326,6 +328,7 @@ class UrRtdeRobot:
         self._seen_s = states[-1].by_s
         for state in states:
             if state.acknowledged == number and state.error != 0:
+                self._clock.check()  # the run's own stop brakes by the script as well
                 self._look_at(state, but_script=True)
                 raise refused_motion(state.error)
             self._look_at(state)
@@ -365,7 +368,7 @@ class UrRtdeRobot:
             self.look(states)
             last = states[-1]
             arrived = np.abs(last.joints_rad - target_rad) <= AXIS_TOLERANCE_RAD
-            if bool(np.all(arrived)) and _stands(states):
+            if bool(np.all(arrived)) and stands(states):
                 # The pose means something only with the tool that connect has verified.
                 self._check_tool(last)
                 self._under_way, self._rest_rad = False, target_rad
@@ -427,7 +430,7 @@ class UrRtdeRobot:
 
     def brake(self, *, wanted: bool) -> None:
         """Brake by the script, or take the brake back."""
-        self._order = replace(self._order, stop=wanted)
+        self._order = replace(self._order, stop=BRAKE if wanted else GO)
         self.live()
 
     def braked(self, state: UrState) -> None:
@@ -447,6 +450,19 @@ class UrRtdeRobot:
             if state.runtime_state == PLAYING:
                 found = "another script of hilcell has taken the robot"
         return failed("HC-B66", found, wanted="the script that hilcell sent", act="resume")
+
+    def _open_panels(self) -> None:
+        """Connect to the dashboard; where it has closed an idle connection meanwhile, again."""
+        self._dashboard = self._open_panel(self._dashboard, self._attend)
+        # The stop must get through while the run is already stopping.
+        self._stop_line = self._open_panel(self._stop_line, go_on)
+
+    def _open_panel(self, before: Dashboard | None, check: Callable[[], None]) -> Dashboard:
+        if before is not None:
+            if before.is_open():
+                return before
+            before.close()
+        return Dashboard(DEVICE, self._options.host, self._options.dashboard_port, check, ALARMS)
 
     def _panel(self) -> Dashboard:
         if self._dashboard is None:
@@ -473,10 +489,3 @@ def script_text(session: int) -> bytes:
         "ascii"
     )
     return text.replace("HC_SESSION", str(session)).replace("HC_LIFE", f"{LIFE_S:g}").encode()
-
-
-def _stands(states: Sequence[UrState]) -> bool:
-    """Whether no joint moves, by speed and by spread."""
-    joints_rad = np.array([state.joints_rad for state in states])
-    speeds = np.abs([state.speeds_rad_s for state in states])
-    return bool(np.all(np.ptp(joints_rad, axis=0) <= STILL_RAD) and np.all(speeds <= STILL_RAD_S))

@@ -44,6 +44,7 @@ INPUTS = (
     *(f"input_double_register_{n}" for n in range(24, 31)),  # the joints, and the speed
 )
 NOTHING, MOVE_JOINTS = 0, 1  # commands
+GO, BRAKE = 0, 1  # stop; the number of its session also ends a script
 LARGEST = 1e6  # m, rad, rad/s: a finite number beyond is none either
 
 
@@ -137,7 +138,7 @@ class Order:
     sequence: int
     target_rad: Array
     speed_rad_s: float
-    stop: bool = False
+    stop: int = GO
     command: int = MOVE_JOINTS
 
 
@@ -161,6 +162,6 @@ def unlike(recipe: Recipe) -> list[str]:
 
 def registers(order: Order, life: int) -> dict[str, Numbers]:
     """Return the numbers of the inputs; another ``life`` is the PC's sign of life."""
-    integers = (order.sequence, order.command, life, int(order.stop))
+    integers = (order.sequence, order.command, life, order.stop)
     floats = (*order.target_rad.tolist(), order.speed_rad_s)
     return {name: (each,) for name, each in zip(INPUTS, (*integers, *floats), strict=True)}

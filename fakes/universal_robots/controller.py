@@ -109,6 +109,8 @@ class UrController:
             if LIFE in changed:
                 self._timer.set_ms(-LIFE_MS)
             self._run()
+            if self._session and self._runtime == STOPPED:
+                self._time.advance(STEP_S)  # a PC that looks at the end of its session waits
             # An exchange takes its time, and nothing else lets it pass; a sign of life takes none,
             # for the slower the PC, the more of them it gives.
             if self._time.followed and changed != {LIFE}:
@@ -213,6 +215,8 @@ class UrController:
             error = BRAKED if stop else self._start()
             if error != OK:
                 self._acknowledge(error)
+        if self._inputs["input_int_register_27"] == self._session:
+            self._end_program()
 
     def _start(self) -> int:
         speed_rad_s = self._inputs["input_double_register_30"]

@@ -25,6 +25,7 @@ LEAST_S = 1e-6  # from one package to the next
 _INPUTS = struct.Struct("!4i6dd")
 _QUESTION = struct.Struct("!i")
 MOVE = 1
+ENDS = 2  # a stop that is the number of a session, or more than a brake
 _NUMBER = re.compile(rb"write_output_integer_register\(26, (\d+)\)")
 _END = b"\nend\n"
 
@@ -70,7 +71,7 @@ class Rtde(Sized):
             return message
         sequence, command, _, stop, *numbers = _INPUTS.unpack(values)
         target = " ".join(f"{each:.9f}" for each in numbers[:6]) if command == MOVE else ""
-        return f"{sequence} {command} {stop} {target}".encode()
+        return f"{sequence} {command} {min(stop, ENDS)} {target}".encode()
 
     def answer(self, asked: bytes, recorded: bytes, answer: bytes) -> bytes:
         """Return the package with the numbers of the driver's own session; time goes on."""

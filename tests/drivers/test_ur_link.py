@@ -9,13 +9,14 @@ import struct
 import threading
 from collections.abc import Callable, Iterator, Sequence
 
+import numpy as np
 import pytest
 
 from drivers import supervision
 from drivers.universal_robots import link as ur_link
 from drivers.universal_robots.link import UrLink
 from drivers.universal_robots.rtde import Kind, Packages, encode
-from drivers.universal_robots.state import ECHO, OUTPUTS
+from drivers.universal_robots.state import ECHO, OUTPUTS, Order
 from hilcell.ports import DeviceRefused
 from tests.drivers.peers import Server, wire_time
 from tests.drivers.rail_bed import refusal
@@ -25,6 +26,7 @@ SIX = {"actual_q", "actual_qd", "actual_TCP_pose"}
 TYPES = ["VECTOR6D" if name in SIX else "DOUBLE" for name in OUTPUTS]
 ECHOED = OUTPUTS.index(ECHO) - len(OUTPUTS)  # its place among the numbers of a state
 QUESTION = struct.Struct(">Bi")
+INTEGERS = struct.Struct(">B4i")
 RATE_HZ = 125.0
 
 
@@ -39,6 +41,7 @@ class Controller:
     ) -> None:
         self.types, self.due, self._besides = types, due, besides
         self.number, self.sent, self.question, self.takes = 1, 0, 0, True
+        self.written: list[tuple[int, ...]] = []  # sequence, command, life, stop
 
     def serve(self, wire: socket.socket) -> None:
         packages = Packages()
@@ -62,7 +65,10 @@ class Controller:
                 if not (data := wire.recv(65536)):
                     return
                 for _, payload in packages.feed(data):
-                    self.question = QUESTION.unpack(payload)[1]
+                    if len(payload) == QUESTION.size:
+                        self.question = QUESTION.unpack(payload)[1]
+                    else:
+                        self.written.append(INTEGERS.unpack_from(payload)[1:])
             question = float(self.question)
             self.due()
             values = [float(self.sent), *[0.0] * (len(OUTPUTS) + 3 * 5 - 1)]
@@ -115,6 +121,26 @@ def test_a_controller_that_takes_no_question_is_lost(monkeypatch: pytest.MonkeyP
         controller.takes = False
         time.silence(0.05)
         assert refusal(link.fresh).code == "HC-B02"
+
+
+def test_no_later_write_takes_the_end_of_the_script_back() -> None:
+    controller = Controller()
+    with link_to(controller) as link:
+        link.write(Order(4, np.zeros(6), 0.1))
+        link.end_script(815)
+        link.write(Order(5, np.zeros(6), 0.1))
+        link.fresh()
+    assert [stop for *_, stop in controller.written] == [0, 815, 815]
+
+
+def test_the_end_of_the_script_gives_no_sign_of_life() -> None:
+    controller = Controller()
+    with link_to(controller) as link:
+        link.write(Order(4, np.zeros(6), 0.1))
+        for _ in range(3):
+            link.end_script(815)
+        link.fresh()
+    assert controller.written == [(4, 1, 1, 0), *[(4, 1, 1, 815)] * 3]
 
 
 def test_states_that_nobody_wants_block_no_controller(monkeypatch: pytest.MonkeyPatch) -> None:

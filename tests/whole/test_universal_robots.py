@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
+import socket
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,9 +15,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from drivers.universal_robots import dashboard
+from drivers.universal_robots import dashboard, release
 from drivers.universal_robots import robot_rtde as robot_ur_rtde
-from drivers.universal_robots.health import STOPPING
+from drivers.universal_robots.health import STOPPED, STOPPING
 from drivers.universal_robots.link import UrLink
 from drivers.universal_robots.robot_rtde import UrRtdeRobot, script_text
 from drivers.universal_robots.state import UrState
@@ -81,6 +82,14 @@ WAITS_S = {
     "robot.stops_short": ("REST_S", 0.3),
     "robot.wrong_turn": ("REST_S", 0.3),
 }
+# Packages that no longer come, or are wrong, prove no rest.
+PROVES_NOTHING = {
+    f"robot.{name}"
+    for name in (
+        "stale_position", "bad_number", "tag_mismatch", "idle_close", "no_reply", "half_open",
+        "vanish",
+    )
+}  # fmt: skip
 
 
 @pytest.fixture
@@ -172,6 +181,11 @@ def test_a_fault_in_a_motion(
         robot.move_to(TARGET, 100.0 if fault in WAITS_S else 2.0)  # a busy PC, too, sees it move
     assert found.value.code == code
     assert found.value.act
+    if fault in PROVES_NOTHING:
+        monkeypatch.setattr(release, "RELEASE_S", 0.2)
+        with pytest.raises(DeviceError, match="the arm is not confirmed at rest") as left:
+            robot.close()
+        assert (left.value.code, "press the E-stop" in left.value.act) == ("HC-B71", True)
 
 
 @pytest.mark.parametrize(
@@ -277,6 +291,123 @@ def test_a_stop_from_another_thread(bench: Bench, robot: UrRtdeRobot) -> None:
     with pytest.raises(DeviceError) as found:
         robot.move_to(HOME, 100.0)
     assert found.value.code == "HC-B21"
+
+
+def close_idle_panels(bench: Bench) -> None:
+    """Have the dashboard server close its connections, and take new ones."""
+    for client in list(bench.server._dashboard._clients):
+        client.shutdown(socket.SHUT_RDWR)
+
+
+def refuse_stops(bench: Bench, monkeypatch: pytest.MonkeyPatch, *, but_from: int = 99) -> list[str]:
+    """Have the dashboard refuse to stop, up to a number; return the list that each comes into."""
+    ask, stops = bench.controller.ask, list[str]()
+
+    def answer(command: str) -> str:
+        if command != "stop":
+            return ask(command)
+        stops.append(command)
+        return ask(command) if len(stops) >= but_from else "Failed to execute: stop"
+
+    monkeypatch.setattr(bench.controller, "ask", answer)
+    return stops
+
+
+def lose_the_stop_register(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    write = bench.controller.write
+    monkeypatch.setattr(
+        bench.controller,
+        "write",
+        lambda values: write({k: v for k, v in values.items() if k != "input_int_register_27"}),
+    )
+
+
+def test_a_stop_that_the_dashboard_refuses_brakes_by_the_script(
+    bench: Bench, robot: UrRtdeRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refuse_stops(bench, monkeypatch)
+    moving(bench, robot)
+    robot.stop()
+    until(lambda: not bench.plant.robot.moving)
+    assert bench.controller._error == STOPPED
+    until(lambda: bench.controller.ask("running").endswith("false"))
+
+
+def test_a_stop_whose_connection_the_dashboard_has_closed(bench: Bench, robot: UrRtdeRobot) -> None:
+    moving(bench, robot)
+    close_idle_panels(bench)
+    robot.stop()
+    until(lambda: not bench.plant.robot.moving)
+    robot.close()
+    assert bench.controller.ask("running").endswith("false")
+
+
+def test_an_idle_dashboard_connection_that_was_closed_is_replaced_before_a_motion(
+    bench: Bench, robot: UrRtdeRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lose_the_stop_register(bench, monkeypatch)
+    close_idle_panels(bench)
+    assert robot.move_to(TARGET, 100.0).still
+    moving(bench, robot)
+    robot.stop()
+    until(lambda: not bench.plant.robot.moving)
+
+
+def test_close_returns_when_the_arm_stands(
+    bench: Bench, robot: UrRtdeRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where the program has ended long before, and the arm brakes slowly."""
+    robot.move_to(HOME, 100.0)
+    monkeypatch.setattr(bench.plant.robot, "brake", lambda: None)
+    errors = moving(bench, robot, HOME + np.radians([6.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    bench.stop.set()
+    robot.stop()
+    until(lambda: bool(errors))
+    robot.close()
+    assert not bench.plant.robot.moving
+
+
+def test_close_repeats_a_stop_that_was_not_carried_out(
+    bench: Bench, robot: UrRtdeRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(release, "AGAIN_S", 0.0)
+    lose_the_stop_register(bench, monkeypatch)
+    stops = refuse_stops(bench, monkeypatch, but_from=3)
+    robot.close()
+    assert len(stops) >= 3
+    assert bench.controller.ask("running").endswith("false")
+
+
+def test_close_names_a_script_that_plays_on(
+    bench: Bench, robot: UrRtdeRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(release, "RELEASE_S", 0.2)
+    lose_the_stop_register(bench, monkeypatch)
+    refuse_stops(bench, monkeypatch)
+    with pytest.raises(DeviceError) as found:
+        robot.close()
+    assert found.value.code == "HC-B71"
+    assert "runtime_state is 2 (playing)" in found.value.found
+    assert "Failed to execute: stop" in found.value.found
+    robot.close()  # all wires are closed, nothing is left to confirm
+
+
+def test_another_client_moves_nothing_after_close(
+    bench: Bench, robot: UrRtdeRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refuse_stops(bench, monkeypatch)
+    robot.close()
+    bench.controller.write({"input_int_register_27": 0, "input_double_register_30": 1.0})
+    bench.controller.write({"input_int_register_25": 1, "input_int_register_24": 77})
+    assert not bench.plant.robot.moving
+
+
+def test_a_script_is_ended_where_connect_fails_behind_it(bench: Bench) -> None:
+    bench.faults.set("robot.wrong_tool")
+    with pytest.raises(DeviceRefused) as found:
+        bench.robot().connect()
+    assert found.value.code == "HC-B06"
+    assert bench.controller.ask("running").endswith("false")
 
 
 def test_a_script_left_behind_is_ended_by_the_next_connect(bench: Bench) -> None:
@@ -502,6 +633,7 @@ def test_a_package_that_was_under_way_is_no_standing_clock(
     monkeypatch.setattr(UrLink, "fresh", late)
     assert robot.read().still
     assert found[-1].timestamp_s > found[0].timestamp_s
+    monkeypatch.undo()
 
 
 def test_a_clock_that_stands_is_refused(
@@ -513,3 +645,4 @@ def test_a_clock_that_stands_is_refused(
     with pytest.raises(DeviceError) as found:
         robot.rest(state.joints_rad)
     assert found.value.code == "HC-B26"
+    monkeypatch.undo()
