@@ -81,8 +81,8 @@ class Queues:
             raise KrlError(str(error)) from error
 
     def waiting(self) -> bool:
-        """Whether a value of the first path is there."""
-        return bool(next(iter(self._queues.values())))
+        """Whether a value of the last path is there: the document has come whole."""
+        return bool(next(reversed(self._queues.values())))
 
     def take(self) -> dict[str, str]:
         """Return one value of each queue by its name, without those whose queue is empty."""
@@ -121,9 +121,9 @@ class EkiProgram:
 
     def stop(self, values: dict[str, str]) -> bytes:
         """Act by a command of the stop's channel; return the answer."""
-        if values.get("Brake") != "0":  # one that cannot be read brakes
+        if values.get("Brake") != "0":  # only this text does not brake
             self._controller.write("HC_STOP", "TRUE")
-        return _document("RobotStopState", {"Command": {"Id": values["Id"]}})
+        return _document("RobotStopState", {"Command": {"Id": values.get("Id", "0")}})
 
     def lose(self) -> None:
         """Brake a motion whose client has gone."""

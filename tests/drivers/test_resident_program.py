@@ -178,6 +178,17 @@ def lines_of(routine: str) -> list[str]:
     return [line.strip() for line in text.splitlines() if not line.startswith(";")]
 
 
+def test_a_document_is_read_when_its_last_value_has_come() -> None:
+    checked = dict(re.findall(r'EKI_CheckBuffer \("(\w+)", "([^"]+)"', EKI_SOURCE))
+    documents = {
+        "HilcellEki": eki.command(1, eki.MOVE),
+        "HilcellStop": eki.stop_command(1, brake=True),
+    }
+    for name, document in documents.items():
+        last = re.findall(rb'(\w+)="', document)[-1].decode()
+        assert checked[name].endswith(f"/@{last}")
+
+
 def test_a_stop_is_heard_before_its_channel_is_cleared() -> None:
     """What a client has sent stays readable after it has gone, until EKI_Clear."""
     lines = lines_of("hilcell_eki")

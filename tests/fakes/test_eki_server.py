@@ -204,7 +204,7 @@ def test_a_value_that_is_left_out_shifts_all_later_ones() -> None:
 def test_a_command_with_a_value_missing_is_none(robot: Robot) -> None:
     """The last command's value would take its place; a former type of 1 is a motion."""
     robot.client.go(1, NEAR)
-    robot.client.wire.sendall(b'<RobotCommand Id="2" Type="1" Percent="30"></RobotCommand>')
+    robot.client.wire.sendall(b'<RobotCommand Id="2" Life="9"><Pos E1="0"/></RobotCommand>')
     with pytest.raises((EOFError, ConnectionError)):
         robot.client.answer(2)
     assert robot.controller.read("HC_SEQ") == "1"
@@ -224,9 +224,9 @@ def test_a_stop_brakes_though_its_client_has_gone(robot: Robot, sent: bytes) -> 
     assert robot.controller.read("HC_ERR") == "9"  # the timer, later, sets 8
 
 
-def test_a_stop_that_cannot_be_read_brakes(robot: Robot) -> None:
+def test_a_stop_without_a_number_and_with_another_value_brakes(robot: Robot) -> None:
     with connected(robot.server.stop_port) as wire:
-        wire.sendall(b'<RobotStop Id="5"></RobotStop>')
+        wire.sendall(b'<RobotStop Brake="2"></RobotStop>')
         EkiClient(wire, STOP_END).document()
     assert robot.controller.read("HC_STOP") == "TRUE"
 
