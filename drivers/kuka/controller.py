@@ -58,8 +58,12 @@ class Controller(Access, Protocol):
         """Return what to look at: each poll of a motion looks at the next of these."""
 
     @property
+    def ready(self) -> tuple[str, ...]:
+        """Return what to look at before a motion is ordered."""
+
+    @property
     def measured(self) -> str:
-        """Return the variable of the joints to read while an axis sweeps."""
+        """Return the variable of the measured joints, or of the ordered ones without it."""
 
     def text(self, name: str) -> str:
         """Return a text, cleaned."""

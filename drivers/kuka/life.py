@@ -27,7 +27,8 @@ class LifeSign:
 
     def begin(self, write: Callable[[str, str], None]) -> None:
         """A motion is about to begin: tell the program how long the PC may keep silent."""
-        write(LIMIT, str(round(LIFE_S * 1000)))
+        if self._due_s == math.inf:
+            write(LIMIT, str(round(LIFE_S * 1000)))
         self._due_s = time.monotonic() + EVERY_S
 
     def give(self, line: C3Connection) -> None:

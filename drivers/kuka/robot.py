@@ -4,12 +4,14 @@ The PC hands over a target and a number; the program moves and acknowledges with
 acknowledgement alone proves nothing: motion has ended only when the number is this command's, the
 axes stand at the target and two looks, more than a cycle of the controller apart, see the same:
 within one cycle a robot at full speed reads the same twice, and one that holds still flickers in
-the last digit.
+the last digit. Joints are the measured ones where the controller has them: the ordered ones stand
+while a brake slips.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from itertools import cycle
 from typing import Annotated
@@ -29,7 +31,7 @@ from drivers.kuka.health import (
     refused_motion,
     unwell,
 )
-from drivers.kuka.sweep import KukaSweep, give_back_left_behind
+from drivers.kuka.sweep import KukaSweep, give_back_left_behind, leave_at_rest
 from drivers.motion_limits import MotionLimits, planned_s
 from drivers.on_failure import on_failure
 from drivers.robot_errors import failed, overdue, refused, stalled, stopped_short
@@ -166,10 +168,16 @@ class KukaRobot:
             self._controller.stop()
 
     def close(self) -> None:
-        """Brake a motion that is still under way, then close the wires."""
+        """Brake a motion that is under way, see all axes stand, and close the wires.
+
+        Raises `DeviceError` where they are not seen to stand.
+        """
         try:
-            if self._under_way and not self._stopped:
-                self.stop()
+            if self._under_way and self._controller is not None:
+                with suppress(DeviceError):  # what is heard follows
+                    self.stop()
+                with self._controller.undisturbed() as access:
+                    leave_at_rest(access, self._controller.measured, self._names())
         finally:
             self._close_wires()
 
@@ -274,8 +282,10 @@ class KukaRobot:
         return self.begin(lambda n: self.wire().start(n, target, speed_percent))
 
     def begin(self, start: Callable[[int], None]) -> int:
-        """Start a motion by its number; return that."""
+        """Start a motion by its number, where the controller is well; return that."""
         self._check_stopped()
+        self.wire().look()
+        self.check(*self.wire().ready)
         number = self._sequence % MAX_SEQUENCE + 1
         self._under_way, self._ended_s = True, None
         self._watch.begin()
@@ -377,8 +387,10 @@ class KukaRobot:
 
     def _axes(self) -> Array:
         """Return joints (6,) in deg, and a slide that is the robot's axis in mm (7,)."""
-        names = AXES if self.slide_mm is None else (*AXES, SLIDE)
-        return np.array(self.wire().numbers(PROGRESS, names))
+        return np.array(self.wire().numbers(self.wire().measured, self._names()))
+
+    def _names(self) -> tuple[str, ...]:
+        return AXES if self.slide_mm is None else (*AXES, SLIDE)
 
     def _whole(self, target_deg: Array) -> Array:
         """Return joints (6,), and where the slide is held (7,): the arm's motions carry it."""

@@ -105,6 +105,8 @@ class C3Controller(C3Access):
         (PROGRESS,),
     )
 
+    ready = ("$MODE_OP", "$USER_SAF")  # who may be near; an exchange each, and the rest follows
+
     def __init__(self, options: KukaC3Robot.Options, robot: SlidingKukaRobot) -> None:
         self._open = partial(C3Connection, DEVICE, options.host, options.port)
         self.address = f"{options.host}:{options.port}"
@@ -115,12 +117,8 @@ class C3Controller(C3Access):
             self._stop_line = self._open(go_on)
         self._keeper = KeepAlive((self._line, self._stop_line), lambda line: line.read("$MODE_OP"))
         self._life = LifeSign()
-        self._written: dict[str, str] = {}
-
-    @property
-    def measured(self) -> str:
-        """Return the variable of measured joints, where the controller has it."""
-        return MEASURED if self._line.knows(MEASURED) else PROGRESS
+        with on_failure(self.close):
+            self.measured = MEASURED if self._line.knows(MEASURED) else PROGRESS
 
     def text(self, name: str) -> str:
         """Return a CHAR array; some servers leave the quotes out, or pad it."""
@@ -158,9 +156,9 @@ class C3Controller(C3Access):
 
     def _start(self, number: int, axes: dict[str, float], command: int, speed_percent: int) -> None:
         self._line.write("HC_TGT", krl.structure("E6AXIS", axes))
-        self._write_once("HC_VEL", str(speed_percent))
-        self._write_once("HC_CMD", str(command))
-        self._life.begin(self._write_once)
+        self._line.write("HC_VEL", str(speed_percent))
+        self._line.write("HC_CMD", str(command))
+        self._life.begin(self._line.write)
         self._line.write("HC_SEQ", str(number))
 
     def sign(self) -> None:
@@ -189,12 +187,6 @@ class C3Controller(C3Access):
         self._keeper.close()
         for line in (self._line, self._stop_line):
             line.close()
-
-    def _write_once(self, name: str, value: str) -> None:
-        """Write values that this connection has not written yet; nobody else writes these."""
-        if self._written.get(name) != value:
-            self._line.write(name, value)
-            self._written[name] = value
 
 
 class KukaC3Robot(SlidingKukaRobot):

@@ -157,6 +157,7 @@ class EkiController:
 
     measured = "$AXIS_ACT_MEAS"
     rounds = ((*HEALTH, "$OV_PRO", PROGRESS),)
+    ready = (*HEALTH, "$OV_PRO", "$ACT_TOOL", "$ACT_BASE")  # one document has them all
 
     def __init__(self, options: KukaEkiRobot.Options, robot: SlidingKukaRobot) -> None:
         self.address = f"{options.host}:{options.port}"

@@ -9,7 +9,7 @@ give it back, at rest only, and only where nobody has changed it meanwhile.
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import cycle
 from typing import Protocol, Self
 
@@ -227,6 +227,25 @@ def give_back_left_behind(access: Access) -> None:
     access.give_back_override()
 
 
+def leave_at_rest(access: Access, joints: str, names: Sequence[str]) -> None:
+    """Brake until all axes stand, by two looks; also while a stop is on.
+
+    The stop is written again at each look: the one that waited for no answer may be lost.
+    """
+    patience, over = Patience(REST_S), False
+    before, pause = np.full(len(names), np.inf), threading.Event()
+    while not over:
+        over = patience.over()
+        access.brake()
+        access.look()
+        now = np.array(access.numbers(joints, tuple(names)))
+        if bool(np.all(np.abs(now - before) <= STILL_DEG)):
+            return
+        before = now
+        pause.wait(DWELL_S)
+    raise _restless("close")
+
+
 def await_rest(access: Access) -> None:
     """Wait until the program has taken the stop and no axis moves; also while a stop is on."""
     patience, over = Patience(REST_S), False
@@ -240,10 +259,14 @@ def await_rest(access: Access) -> None:
             return
         before_deg = now_deg
         pause.wait(DWELL_S)
-    raise DeviceError(
+    raise _restless("sweep")
+
+
+def _restless(operation: str) -> DeviceError:
+    return DeviceError(
         "HC-B41",
         DEVICE,
-        "sweep",
+        operation,
         f"not at rest {REST_S:.0f} s after the brake",
         act="see the panel, resume",
         fields={"waited_s": REST_S},

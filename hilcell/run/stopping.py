@@ -16,7 +16,7 @@ from hilcell.cell.devices import Devices
 from hilcell.errors import DeviceError, HilcellError, facts_of
 
 STOP_S = 2.0  # each device may take this long to put its stop frame on the wire
-CLOSE_S = 10.0
+CLOSE_S = 12.0  # of a rail: twice the time that its drive may take
 AT_REST = {"Rail": "held", "Robot": "at rest"}  # how a run leaves what moves
 
 

@@ -60,7 +60,10 @@ class KukaPeer:
         self.connections = 0
         self.stopped = threading.Event()
         self.mangle: Mangle = lambda _name, reply: [reply]
+        self.started: Callable[[], object] = lambda: None
         self.moved: Callable[[], None] = lambda: None
+        self.measures, self.slip_deg = False, 0.0  # of the joints against the ordered ones
+        self.deaf = 0  # stops that are lost
         self._lock = threading.Lock()
         self._steps = 0
         self.server = Server(self._serve)
@@ -87,8 +90,9 @@ class KukaPeer:
     def _read(self, name: str) -> str | None:
         if name == "HC_ACK":
             self._step()
-        if name == "$AXIS_ACT":
-            axes = ", ".join(f"A{n} {v:.6f}" for n, v in enumerate(self.axes, 1))
+        if name == "$AXIS_ACT" or (name == "$AXIS_ACT_MEAS" and self.measures):
+            off_deg = self.slip_deg * (name == "$AXIS_ACT_MEAS")
+            axes = ", ".join(f"A{n} {v + off_deg:.6f}" for n, v in enumerate(self.axes, 1))
             return f"{{E6AXIS: {axes}, E1 {self.slide_mm:.5f}}}"
         if name == "$AXIS_ACT.E1":
             return self.places or f"{self.slide_mm:.5f}"
@@ -96,9 +100,13 @@ class KukaPeer:
 
     def _write(self, name: str, value: bytes) -> str:
         text = value.decode()
+        if name == "HC_STOP" and text == "TRUE" and self.deaf:
+            self.deaf -= 1
+            return text
         self.variables[name] = text
         if name == "HC_SEQ":
             self._steps = 3
+            self.started()
         if name == "HC_STOP" and text == "TRUE":
             self._steps = 0
             self.variables["HC_ERR"], self.variables["HC_HELD"] = "9", "TRUE"

@@ -68,7 +68,8 @@ def test_a_move_is_one_document_that_only_its_finished_id_confirms(
     reading = robot.move_to(TARGET_RAD, 30.0)
     np.testing.assert_allclose(reading.joints_rad, TARGET_RAD, atol=1e-8)
     assert reading.still
-    motion, *others = peer.commands[began:]
+    look, motion, *others = peer.commands[began:]
+    assert look["Type"] == str(eki.ASK)
     assert (motion["Id"], motion["Type"], motion["Percent"]) == ("8", str(eki.MOVE), "30")
     assert (motion["A3"], motion["Life"]) == ("95.500000", "1500")
     assert all(int(other["Id"]) < 0 for other in others)
@@ -85,7 +86,11 @@ def test_a_wrong_state_refuses_to_connect_and_ends_a_motion(
     peer.variables[name] = good
     robot = robot_for(peer, time)
     robot.connect()
-    peer.frozen, peer.variables[name] = True, value
+    peer.variables[name] = value
+    assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == ALARMS[name]
+    assert peer.variables["HC_SEQ"] == "7", "no motion was ordered"
+    peer.variables[name], peer.frozen = good, True
+    peer.started = lambda: peer.variables.update({name: value})
     assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == ALARMS[name]
     robot.close()
     peer.stopped.wait()
@@ -224,8 +229,8 @@ def test_signs_come_from_the_watched_motion_only(robot: KukaEkiRobot, peer: EkiP
     assert {command["Life"] for command in peer.commands} == {"0"}
     began = len(peer.commands)
     robot.move_to(TARGET_RAD, 30.0)
-    motion, *others = [command["Life"] for command in peer.commands[began:]]
-    assert motion == "1500"
+    look, motion, *others = [command["Life"] for command in peer.commands[began:]]
+    assert (look, motion) == ("0", "1500")
     assert others[:2] == ["1500", "1500"]
     assert set(others[-2:]) == {"0"}
     robot.read()
