@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
+from functools import cached_property, partial
 
 from drivers.kuka import krl
 from drivers.kuka.c3 import C3Connection
@@ -117,8 +117,11 @@ class C3Controller(C3Access):
             self._stop_line = self._open(go_on)
         self._keeper = KeepAlive((self._line, self._stop_line), lambda line: line.read("$MODE_OP"))
         self._life = LifeSign()
-        with on_failure(self.close):
-            self.measured = MEASURED if self._line.knows(MEASURED) else PROGRESS
+
+    @cached_property
+    def measured(self) -> str:
+        """Return the variable of measured joints, where the controller has it."""
+        return MEASURED if self._line.knows(MEASURED) else PROGRESS
 
     def text(self, name: str) -> str:
         """Return a CHAR array; some servers leave the quotes out, or pad it."""
