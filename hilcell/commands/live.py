@@ -15,6 +15,7 @@ from hilcell.commands.run_output import (
     RunOutput,
     ended_words,
     kind_of,
+    left_moving,
 )
 from hilcell.journal.engine_file import live_engine
 from hilcell.journal.find_run import find_run
@@ -80,6 +81,8 @@ def _watch(folder: Path, *, as_json: bool) -> int:
     )
     fault = f": {log.fault}" if log.end is not None and log.fault else ""
     print_message(f"{kind_of(log)} {folder.name}: {state}{fault}{ended}")
+    if words := left_moving(log):
+        print_message(words)
     return 0
 
 

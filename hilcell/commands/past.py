@@ -20,7 +20,7 @@ from hilcell.commands.output import (
     terminal_columns,
     width_of,
 )
-from hilcell.commands.run_output import print_suspected
+from hilcell.commands.run_output import left_moving, print_suspected
 from hilcell.journal.find_run import find_run
 from hilcell.journal.folder_order import clock_notes
 from hilcell.journal.index import UNREADABLE, RunRow, read_index, row_of
@@ -177,6 +177,7 @@ def show(args: argparse.Namespace) -> int:
         "calibration": log.calibration,
         "accepted": inputs.accepted or None,
         "fault": log.fault,
+        "not_at_rest": left_moving(log) or None,
         "sessions": log.session,
         "link": log.link.text if log.link is not None else None,
         "link_warning": (log.link.warning or None) if log.link is not None else None,
@@ -205,5 +206,5 @@ def show(args: argparse.Namespace) -> int:
 
 _SHOWN = (
     "procedure", "cell", "simulated", "operator", "job", "seed", "machine_seed", "points",
-    "calibration", "accepted", "sessions", "link", "link_warning", "fault", "exit",
+    "calibration", "accepted", "sessions", "link", "link_warning", "fault", "not_at_rest", "exit",
 )  # fmt: skip

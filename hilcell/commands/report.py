@@ -8,6 +8,7 @@ from pathlib import Path
 from hilcell.commands.output import print_message
 from hilcell.commands.output_place import CSV, check_output
 from hilcell.journal.find_run import find_run
+from hilcell.journal.index import row_of
 from hilcell.journal.runs import CALIBRATION, JOURNAL
 from hilcell.report.facts import Facts, read_facts
 from hilcell.writing import write_whole
@@ -27,7 +28,7 @@ def report(args: argparse.Namespace) -> int:
         html = report_html(facts, pages_of(pdf_of(html, browser), PARTS))
     content = pdf_of(html, browser) if browser else html.encode()
     write_whole(place, content, inputs=_files(folder))
-    _say_written("report", facts, args.output)
+    _say_written("report", facts, folder, args.output)
     return 0
 
 
@@ -42,16 +43,15 @@ def export(args: argparse.Namespace) -> int:
     check_output(place, suffixes, what, inputs=_files(folder))
     facts = read_facts(folder)
     write_whole(place, forms[args.form](facts), inputs=_files(folder))
-    _say_written(args.form, facts, args.output)
+    _say_written(args.form, facts, folder, args.output)
     return 0
 
 
-def _say_written(what: str, facts: Facts, output: str) -> None:
+def _say_written(what: str, facts: Facts, folder: Path, output: str) -> None:
     print_message(f"{what} of run {facts.run} in {output}")
     if facts.log.state != "finished":
-        print_message(
-            f"the run is {facts.log.state}, not finished: it holds what was measured so far"
-        )
+        state = row_of(folder).condition
+        print_message(f"the run is {state}, not finished: it holds what was measured so far")
 
 
 _NAMED = {

@@ -28,7 +28,7 @@ from hilcell.commands.output import (
     print_table,
     stdout_checked,
 )
-from hilcell.errors import DeviceError, facts_of
+from hilcell.errors import DeviceError, HilcellError, facts_of
 from hilcell.journal.calibration_facts import NOT_JUDGED, OUTCOMES, VALIDATION, run_outcome
 from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.journal import Record
@@ -263,6 +263,15 @@ def print_unclosed(problems: Mapping[str, Exception], fault: Exception | None) -
     error = not_at_rest(problems)
     if error is not None and str(error) != str(fault):
         print_error(error)
+
+
+def left_moving(log: Log) -> str:
+    """Return what the last session did not see at rest when it closed its devices; "" for all."""
+    closings = [each.body for each in log.events if each.body["what"] == "closed"]
+    last = closings[-1] if closings and log.over else {}
+    problems = {name: HilcellError(text) for name, text in last.get("problems", {}).items()}
+    error = not_at_rest(problems)
+    return "" if error is None or error.summary in log.fault else str(error)
 
 
 def _print_result(procedure: Procedure, output: RunOutput, result: dict[str, Any]) -> None:

@@ -196,6 +196,7 @@ class LifeRules:
         self._state = "idle"
         self._closings: list[dict[str, Any]] = []  # of this session
         self._reason = ""  # the first of this session's fault
+        self._ended = False  # this session; a resume that was refused ends once more
         self._failed: set[str] = set()  # the keys of verdicts that do not hold now
 
     def take(self, record: Record) -> None:
@@ -234,7 +235,7 @@ class LifeRules:
             found = f"{self._state} went on by {life.by or 'nobody'}"
             self._check("I13", record, life.by in GOES_ON[self._state], found)
         if life.to == "checking":
-            self._closings, self._reason = [], ""
+            self._closings, self._reason, self._ended = [], "", False
         self._state = life.to
         if life.to in OVER:
             count = len(self._closings)
@@ -263,8 +264,9 @@ class LifeRules:
         self._check("I6", record, bool(reason) and reason == self._reason, kept)
 
     def _end(self, record: Record, end: Ended) -> None:
-        if end.state == "faulted":
+        if end.state == "faulted" and not self._ended:
             self._first_reason(record, end.reason)
+        self._ended = True
         if end.state == "finished":
             failed = ", ".join(sorted(self._failed))
             what = f"exit {end.exit}, and {failed} does not hold"

@@ -59,8 +59,10 @@ def happened_words(body: Mapping[str, Any], log: Log) -> str:
         case "connected":
             return "devices connected"
         case "closed" | "safe stop":
-            left = " and ".join(body.get("problems", {}))
-            return f"{CLOSINGS[what]}{f', but look at {left}' if left else ''}"
+            problems = body.get("problems", {})
+            left = f", but look at {' and '.join(problems)}" if problems else ""
+            moves = what == "closed" and not {"Rail", "Robot"}.isdisjoint(problems)
+            return f"{CLOSINGS[what]}{left}{': not seen at rest' if moves else ''}"
         case "link":
             return _wire(body)
         case "curve":

@@ -276,3 +276,28 @@ def test_ctrl_c_at_a_watched_run_names_it(
     monkeypatch.setattr(live, "_follow", interrupted)
     assert main(["watch", "r9", "--runs", str(tmp_path)]) == 4
     assert "run r9: " in capsys.readouterr().err
+
+
+def test_what_was_not_seen_at_rest_is_shown_of_the_journal_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    writer = Writer(tmp_path / "r1").began()
+    problem = "Robot: close: not at rest 3 s after the brake"
+    writer.journal.append("event", "", {"what": "closed", "problems": {"Robot": problem}})
+    writer.ended("faulted", 3, "Rail: CAN: link lost")
+    for words in (["show", "r1"], ["watch", "r1"]):
+        assert main([*words, "--runs", str(tmp_path)]) == 0
+        said = capsys.readouterr()
+        assert "robot could not be confirmed at rest" in " ".join((said.out + said.err).split())
+    assert main(["show", "r1", "--json", "--runs", str(tmp_path)]) == 0
+    assert "use the E-stop" in json.loads(capsys.readouterr().out)["not_at_rest"]
+
+
+def test_a_run_whose_devices_stand_says_nothing_of_that(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    writer = Writer(tmp_path / "r1").began()
+    writer.journal.append("event", "", {"what": "closed", "problems": {"Tracker": "no answer"}})
+    writer.ended("faulted", 3, "Rail: CAN: link lost")
+    assert main(["show", "r1", "--json", "--runs", str(tmp_path)]) == 0
+    assert json.loads(capsys.readouterr().out)["not_at_rest"] is None

@@ -142,8 +142,10 @@ def test_a_gap_is_found() -> None:
                          flange("odd point", "grid/3", 2, 1)).change("odd point", retaken=True),
         Doctored().after("point 1", flange("another reflector", "grid/1/seat2", 1))
         .change("end 2", result={"points": {"world": 6, "grid": 4, "control": 18}}),
+        Doctored().after("end 1", ("refused", "end", "", {"state": "faulted", "exit": 2,
+                                                          "reason": "Robot: nobody answers"})),
     ],
-    ids=["accepted", "firmware not stated once", "retake", "seat"],
+    ids=["accepted", "firmware not stated once", "retake", "seat", "refused resume"],
 )  # fmt: skip
 def test_what_was_agreed_to_breaks_nothing(journal: Doctored) -> None:
     assert broken(journal) == {}

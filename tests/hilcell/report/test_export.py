@@ -132,7 +132,7 @@ def test_what_is_written_of_an_unfinished_run_is_said_to_be_so(
     for run in ("cut", "over"):
         out = str(tmp_path / ("r.html" if words == ("report",) else "r.csv"))
         assert main([*words, run, "--runs", str(tmp_path), "-o", out]) == 0
-        said[run] = "the run is running, not finished" in capsys.readouterr().err
+        said[run] = "the run is running, engine gone, not finished" in capsys.readouterr().err
     assert said == {"cut": True, "over": False}
 
 
