@@ -174,11 +174,8 @@ class ProgressOutput(RunOutput):
             text = harmless(f"{body['group']}{place}")
             self._measured.add(record.key)
             self._show_measured(text)
-        elif record.kind == "state" and body["machine"] == "calibration":
-            self._print(f"{body['to'].replace('_', ' ')}")
-        elif record.kind == "state" and body["to"] in WAITING:
-            go_on = f"`hilcell resume {self._run}` goes on, ctrl-C stops"
-            self._print(f"{body['to']}: {_waits_for(body)}{go_on}")
+        elif record.kind == "state":
+            self._print_state(body)
         elif record.kind == "event" and body["what"] == "first pass":
             self._print(
                 f"{body['key']}: first pass outside of the cube, at {body['speed_percent']:g} %"
@@ -193,6 +190,15 @@ class ProgressOutput(RunOutput):
                 self._print(curve.words)
         elif record.kind == "event" and body["what"] == "no reading":
             self._print(f"{body['key']}: {body['reason']} (try {body['tries']})")
+
+    def _print_state(self, body: dict[str, Any]) -> None:
+        if body["machine"] == "calibration":
+            self._print(f"{body['to'].replace('_', ' ')}")
+        elif body["to"] == "checking":
+            self._print("connecting; a tracker may take half a minute to initialise")
+        elif body["to"] in WAITING:
+            go_on = f"`hilcell resume {self._run}` goes on, ctrl-C stops"
+            self._print(f"{body['to']}: {_waits_for(body)}{go_on}")
 
     def _print(self, text: str) -> None:
         self._console.print(harmless_lines(text), markup=False, highlight=False)

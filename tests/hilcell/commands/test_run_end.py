@@ -301,3 +301,9 @@ def test_a_run_whose_devices_stand_says_nothing_of_that(
     writer.ended("faulted", 3, "Rail: CAN: link lost")
     assert main(["show", "r1", "--json", "--runs", str(tmp_path)]) == 0
     assert json.loads(capsys.readouterr().out)["not_at_rest"] is None
+
+
+def test_a_run_says_that_it_connects(capsys: pytest.CaptureFixture[str]) -> None:
+    body = {"machine": "run", "from": "idle", "to": "checking"}
+    ProgressOutput("r", 3).take(Record(1, "2026-01-01T00:00:00+00:00", "state", "", body))
+    assert "connecting" in capsys.readouterr().err
