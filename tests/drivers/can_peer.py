@@ -166,6 +166,7 @@ class CanPeer:
         self.unmappable: set[int] = set()
         self.demands_no_rtr = True
         self.on_read: Callable[[int], None] = lambda index: None
+        self.only: dict[tuple[int, int], bytes] = {}  # the one value that an object takes
         self.shortest_beat_ms: dict[int, int] = {}  # the shortest period that a node takes
         self.lost_stops = 0  # quick stops that the drive does not receive by PDO
         self.lost_heartbeat: set[int] = set()  # nodes that latch it, until the next beat
@@ -296,6 +297,9 @@ class CanPeer:
         key, reads = (index, sub), command == 0x40
         if code := self.abort.get(key, 0 if key in self.objects[node] else 0x06020000):
             return code
+        if not reads and node == DRIVE and key in self.only:
+            value = self.only[key]
+            return 0 if request[4 : 4 + len(value)] == value else 0x06090030
         if key == (0x1017, 0) and not reads:
             shortest_ms = self.shortest_beat_ms.get(node, 0)
             return 0 if struct.unpack_from("<H", request, 4)[0] >= shortest_ms else 0x06090030

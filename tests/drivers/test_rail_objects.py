@@ -116,6 +116,14 @@ def test_a_quick_stop_is_at_least_as_steep_as_a_motion(
         assert objects.get((0x6085, 0)) == (left and u32(left))
 
 
+def test_a_drive_that_knows_one_quick_stop_alone_is_taken(peer: CanPeer, time: RailTime) -> None:
+    del peer.objects[DRIVE][0x6085, 0]
+    peer.only[0x605A, 0] = u16(2)
+    with connected(peer, time) as rail:
+        assert peer.objects[DRIVE][0x605A, 0] == u16(2)
+        works(rail)
+
+
 def test_a_drive_that_will_not_brake_in_a_fault_is_taken(peer: CanPeer, time: RailTime) -> None:
     peer.read_only.add((0x605E, 0))
     with connected(peer, time) as rail:
