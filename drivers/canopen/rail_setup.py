@@ -244,7 +244,8 @@ def set_quick_stop(sdo: SdoChannel, acceleration: int) -> None:
     """Let a drive stop on a ramp that is as steep as that of its motions; raises `Unsupported`.
 
     Steeper ones of its quick stop (6085h) stay. A drive without that object stops on the ramp of
-    its motions, where it can be asked to. A drive that will not brake in a fault is seen when it does not come to rest.
+    its motions, where it can be asked to. One that will not brake in a fault is seen when it does
+    not come to rest.
     """
     held, ramp = sdo.read_if_present(cia402.QUICK_STOP_DECELERATION), cia402.QUICK_STOP_RAMP
     if held is None and sdo.offer(cia402.QUICK_STOP_OPTION, 0, cia402.SLOW_DOWN_RAMP) is None:
