@@ -177,6 +177,7 @@ class CanLink:
     def close(self) -> None:
         """End both threads and close the bus; an error of the bus that closes is only kept."""
         self._end.set()
+        self._silent.set()
         for thread in self._threads:
             thread.join(JOIN_S)
         try:
@@ -214,9 +215,9 @@ class CanLink:
             self._malformed += 1  # a frame too short for its meaning; deadlines notice the loss
 
     def _beat(self, cob_id: int, attended: Callable[[], bool], period_s: float) -> None:
-        while not self._end.wait(period_s):
+        while not self._silent.wait(period_s):
             try:
-                if attended() and not self._silent.is_set():
+                if attended():
                     self._send_beat(cob_id)
             except DeviceError:
                 return  # kept by `_fail`; the drive now stops itself

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from drivers.canopen.limits import Limits
+from drivers.canopen.motion_guard import MotionGuard
+from drivers.canopen.process_image import Snapshot
 from drivers.canopen.rail import CanopenRail
 from drivers.scale_guard import ScaleGuard
+from drivers.standstill import Windows
 from tests.drivers.can_peer import CanPeer
 from tests.drivers.rail_bed import RailTime, connected, figure, peer, rail, refusal, time
 
@@ -202,3 +208,27 @@ def test_a_stepped_cell_lets_a_strip_on_its_own_wire_go_ahead_of_its_drive() -> 
     for drive_mm, strip_mm in ((0.0, 639.9), (-212.2, 190.7), (0.0, 0.0)):
         guard.take(drive_mm, strip_mm)
         assert guard.contradiction() is None
+
+
+def test_a_strip_that_counts_the_other_way_is_a_matter_of_direction() -> None:
+    guard = ScaleGuard(0.02, 250.0, together=True)
+    for place_mm in range(0, 200, 10):
+        guard.take(float(place_mm), -float(place_mm))
+    assert "opposite directions" in str(refusal(lambda: guard.check("move")))
+
+
+@pytest.mark.parametrize(("moves", "words"), [(0.0, "does not follow"), (0.1, "unit of speed")])
+def test_a_position_that_does_not_follow_is_no_unit_of_speed(moves: float, words: str) -> None:
+    windows = Windows(speed=500.0, spread=10, strip_spread=2, dwell_s=0.4)
+    limits = Limits(
+        counts_per_mm=1000.0, strip_counts_per_mm=100.0, strip_at_sync=True, lowest=0,
+        highest=3_000_000, speed=250_000.0, acceleration=200_000.0, homing_s=60.0, window=50,
+        windows=windows,
+    )  # fmt: skip
+    at = Snapshot(0x0027, 0, 0, 1, 0, 0, 0.0)
+    guard = MotionGuard(limits, at, 0.0)
+    for look in range(1, 80):
+        passed_s = 0.02 * look
+        place = round(100_000 * moves * passed_s)
+        guard.take(replace(at, position=place, velocity=100_000, strip=place // 10), passed_s)
+    assert words in str(refusal(lambda: guard.check_unit("move", at)))

@@ -503,17 +503,23 @@ def test_after_a_stop_nothing_is_set_and_the_next_motion_says_so(
         assert peer.written(0x6060) == []
 
 
-def test_a_mode_that_is_not_told_once_ends_no_motion(peer: CanPeer, time: RailTime) -> None:
+@pytest.mark.parametrize(("lost", "ends"), [(1, False), (10**6, True)])
+def test_a_mode_that_is_not_told_once_ends_no_motion(
+    peer: CanPeer, time: RailTime, lost: int, ends: bool
+) -> None:
     peer.unmappable.add(0x6061)
     with connected(peer, time) as rail:
         works(rail)
-        lost = iter(range(1))
+        left = iter(range(lost))
 
         def tamper(line: bytes) -> list[bytes]:
             about_mode = line.startswith(b"t5858") and line[7:11] == b"6160"
-            return [] if about_mode and next(lost, None) is not None else [line]
+            return [] if about_mode and next(left, None) is not None else [line]
 
         peer.tamper = tamper
         time.silence(0.02)
-        works(rail)
-        assert next(lost, None) is None
+        if ends:
+            assert refusal(lambda: works(rail)).code in ("HC-R06", "HC-R39")
+        else:
+            works(rail)
+            assert next(left, None) is None

@@ -130,13 +130,24 @@ def test_a_quick_stop_that_is_lost_on_the_wire_is_sent_again(
 
 
 def test_a_drive_that_does_not_obey_quick_stops_is_asked_by_sdo_and_loses_its_power(
-    peer: CanPeer, time: RailTime
+    peer: CanPeer, time: RailTime, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rail = holding(peer, time)
     runs(peer)
     peer.axis.masked = {0x0002}
-    began = len(peer.heard)
+    began, link = len(peer.heard), rail._link
+    assert link is not None
+    beats, end_heartbeat = [], link.end_heartbeat
+
+    def end() -> None:
+        end_heartbeat()
+        link._threads[1].join()  # or this test never ends
+        beats.append(len(peer.frames(0x77F)))
+
+    monkeypatch.setattr(link, "end_heartbeat", end)
     rail.close()
+    assert beats
+    assert len(peer.frames(0x77F)) <= beats[0] + 1  # one may have been on its way
     words = [data[0] for cob_id, data in peer.heard[began:] if cob_id == 0x205]
     assert (words[0], words[-1]) == (0x02, 0x00)
     assert set(peer.written(0x6040)) == {u16(2)}
