@@ -15,6 +15,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from hilcell.journal.runs import JOURNAL
 from tests.whole.bench import SEATS, SMALL, command, end_of, events, sets
 
 PAPER = ("--seed", "2", "--unattended")
@@ -63,8 +64,12 @@ class GoldenRun:
         return result
 
     def copied_to(self, runs: Path) -> Path:
-        """Copy the run into another folder of runs; return its folder there."""
-        return Path(shutil.copytree(self.folder, runs / self.folder.name))
+        """Copy the run into another folder of runs; return its folder there.
+
+        A worker that reads the journal meanwhile has files beside it, which come and go.
+        """
+        passing = shutil.ignore_patterns(f"{JOURNAL}-*")
+        return Path(shutil.copytree(self.folder, runs / self.folder.name, ignore=passing))
 
 
 class GoldenRuns:
