@@ -45,8 +45,7 @@ from hilcell.tui.keys import ACTIONS
 from hilcell.tui.terminal.capabilities import UNICODE
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
-from hilcell.tui.text.alarm_words import AlarmContext
-from hilcell.tui.text.alarms import alarm_page
+from hilcell.tui.text.alarms import AlarmContext, alarm_page
 from hilcell.tui.text.tables import record_row
 from tests.drivers.program_krl.samples import DAT, SRC
 from tests.hilcell.calibration.calibrations import calibration as made_calibration
@@ -341,7 +340,7 @@ def screen(data: bytes) -> None:
         run_text.banner(view, UNICODE, 80).plain,
         devices.lamps(view, UNICODE, 80).plain,
         devices.interlocks(view, UNICODE, 80).plain,
-        alarm_page(view.alarms, Latch(), CONTEXT, 80).plain,
+        *(line.plain for line in alarm_page(view.alarms, Latch(), CONTEXT).lines(80, 24)),
         *(cell for record in view.records for cell in record_row(record).cells),
     ]
     for text in painted:

@@ -15,16 +15,20 @@ from rich.segment import Segment
 from rich.style import Style
 from textual.binding import Binding, BindingsMap, BindingType
 from textual.content import Content
+from textual.css.styles import RulesMap
 from textual.events import Key
 from textual.geometry import Size
 from textual.message import Message
 from textual.scroll_view import ScrollView
 from textual.scrollbar import ScrollBarRender
 from textual.strip import Strip
+from textual.style import Style as VisualStyle
+from textual.visual import RenderOptions, Visual
 from textual.widgets import Input, Static
 
 from hilcell.clean import UNSAFE, clean
 from hilcell.tui.terminal.capabilities import Glyphs, to_ascii
+from hilcell.tui.text.layout import Lines, look_of
 
 
 class HasGlyphs(Protocol):
@@ -44,33 +48,59 @@ def to_ascii_lines(text: str) -> str:
     return "\n".join(to_ascii(line) for line in text.split("\n"))
 
 
+class Shown(Visual):
+    """Lines whose characters are all safe to print, as a panel paints them."""
+
+    def __init__(self, source: Lines, *, plain: bool) -> None:
+        self.state, self._source, self._plain = source.state, source, plain
+
+    def content(self, width: int, height: int = 0) -> Content:
+        """Return the lines for a panel of this size."""
+        lines = self._source.lines(width, height)
+        return Content("\n").join(safe_content(line, plain=self._plain) for line in lines)
+
+    def render_strips(
+        self, width: int, height: int | None, style: VisualStyle, options: RenderOptions
+    ) -> list[Strip]:
+        """Paint the lines."""
+        return self.content(width, height or 0).render_strips(width, height, style, options)
+
+    def get_optimal_width(self, rules: RulesMap, container_width: int) -> int:
+        """Return all the width there is."""
+        return container_width
+
+    def get_height(self, rules: RulesMap, width: int) -> int:
+        """Return the number of lines."""
+        return len(self._source.lines(width, 0))
+
+
 class TextPanel(Static):
-    """Shows content; never reads markup."""
+    """Shows content, or lines that are laid out as they are painted; never reads markup."""
 
     def __init__(self, id: str | None = None, *, classes: str | None = None) -> None:
         super().__init__("", markup=False, id=id, classes=classes)
-        self.content_shown: Content | None = None
+        self._state: object = None
 
-    def show(self, content: Content | str) -> None:
-        """Show content, where it differs from what is shown."""
-        wanted = Content(content) if isinstance(content, str) else content
-        safe = safe_content(wanted, plain=cast("HasGlyphs", self.app).glyphs.plain)
-        before = self.content_shown
-        if before is None or not same_content(safe, before):
-            self.content_shown = safe
-            self.update(safe, layout=self._rows_may_change(before, safe))
+    def show(self, text: Content | str | Lines) -> None:
+        """Show a text, where it differs from what is shown."""
+        plain = cast("HasGlyphs", self.app).glyphs.plain
+        content = Content(text) if isinstance(text, str) else text
+        if isinstance(content, Content):
+            state, visual = look_of(content), cast("Visual", safe_content(content, plain=plain))
+        else:
+            state, visual = content.state, Shown(content, plain=plain)
+        if state != self._state:
+            self._state = state
+            self.update(visual, layout=self._size_changes(visual))
 
-    def _rows_may_change(self, before: Content | None, now: Content) -> bool:
+    def _size_changes(self, visual: Visual) -> bool:
         """Whether the screen is to be laid out again: that costs more than the text itself."""
-        height, wraps = self.styles.height, self.styles.text_wrap != "nowrap"
-        if height is not None and not height.is_auto:
+        size, rules = self.content_size, self.styles.get_rules()
+        if (width := rules.get("width")) is not None and width.is_auto:
+            return visual.get_optimal_width(rules, 0) != size.width
+        if (height := rules.get("height")) is not None and not height.is_auto:
             return False
-        return before is None or wraps or before.plain.count("\n") != now.plain.count("\n")
-
-
-def same_content(one: Content, other: Content) -> bool:
-    """Whether two contents look the same."""
-    return one.plain == other.plain and one.spans == other.spans
+        return not size.width or visual.get_height(rules, size.width) != size.height
 
 
 class CellScrollBar(ScrollBarRender):

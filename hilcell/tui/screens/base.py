@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from hilcell.tui.engine.open_runs import OpenRuns
     from hilcell.tui.engine.run_view import RunView
     from hilcell.tui.engine.session import Session
-    from hilcell.tui.text.alarm_words import AlarmContext
+    from hilcell.tui.text.alarms import AlarmContext
 
 
 BACK, ALWAYS = "back", ("stop", "alarms")  # in the line of keys of every width
@@ -237,7 +237,7 @@ class BaseScreen(Screen[None]):
 
     def alarm_context(self) -> AlarmContext:
         """Return what alarms are shown with now."""
-        from hilcell.tui.text.alarm_words import AlarmContext  # not for the first screen
+        from hilcell.tui.text.alarms import AlarmContext  # not for the first screen
 
         app = self.application
         if app.view is None:

@@ -18,8 +18,10 @@ from hilcell.errors import HilcellError
 from hilcell.tui.engine import process
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.screens.base import BaseScreen, Page
-from hilcell.tui.text.alarms import alarm_page, interlock_page
+from hilcell.tui.text.alarms import alarm_page
+from hilcell.tui.text.devices import interlock_page
 from hilcell.tui.text.frame import wrapped
+from hilcell.tui.text.layout import Lines
 from hilcell.tui.text.points import point_page
 from hilcell.tui.text.report import report_lines
 from hilcell.tui.text.tables import log_columns, record_row
@@ -41,9 +43,9 @@ class TextPage(Page):
         super().show(view)
         self.panel("text").show(self.text(view))
 
-    def text(self, view: RunView | None) -> Content:
+    @abstractmethod
+    def text(self, view: RunView | None) -> Content | Lines:
         """Return the text of the page."""
-        raise NotImplementedError
 
 
 class AlarmPage(TextPage):
@@ -52,12 +54,11 @@ class AlarmPage(TextPage):
     title_text = "Alarms"
     footer = ("stop", "acknowledge", "pause", "quit")
 
-    def text(self, view: RunView | None) -> Content:
+    def text(self, view: RunView | None) -> Content | Lines:
         """Return the alarms, newest first."""
         if view is None:
             return Content("")
-        context = self.alarm_context()
-        return alarm_page(view.alarms, self.application.latch, context, self.line_width - 1)
+        return alarm_page(view.alarms, self.application.latch, self.alarm_context())
 
 
 class InterlockPage(TextPage):

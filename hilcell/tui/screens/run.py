@@ -24,13 +24,12 @@ from hilcell.tui.screens.plots import look_of
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
-from hilcell.tui.text.alarm_panel import alarm_panel, kept_words, newest_line, panel_is_due
-from hilcell.tui.text.alarm_words import alarm_line
+from hilcell.tui.text.alarms import AlarmBox, alarm_line, kept_words, newest_line, panel_is_due
 from hilcell.tui.text.below import below_lines, block_rows
 from hilcell.tui.text.deviation import PointRow
 from hilcell.tui.text.footer import ACTS, VIEWS, KeyOf, footer_lines
 from hilcell.tui.text.footer import WORDS as FOOTER_WORDS
-from hilcell.tui.text.lines import justified
+from hilcell.tui.text.layout import Lines, Stack, ends
 from hilcell.tui.text.newest import chosen_shown, newest_shown, point_lines
 from hilcell.tui.text.points import PointRows, columns_for, filtered
 from hilcell.tui.text.prompt import prompt_box
@@ -141,8 +140,9 @@ class RunScreen(FilterScreen):
         yield TextPanel("banner")
         with Horizontal(id="middle"):
             with Vertical(id="left"):
-                for name in (*LINES, *BOXES):
+                for name in (*LINES, *BOXES[:-1]):
                     yield TextPanel(name)
+                yield AlarmBox(id="alarm")
                 yield Table(
                     columns_for(80),
                     empty="no points yet",
@@ -159,7 +159,7 @@ class RunScreen(FilterScreen):
     def on_mount(self) -> None:
         """Hide the panels that are empty."""
         for name in ("alarm", "prompt", "verdict", "notice", "below"):
-            self.panel(name).display = False
+            self.query_one(f"#{name}").display = False
         rows = self.query_one(Table)
         rows.follow = True
         rows.focus()
@@ -222,18 +222,19 @@ class RunScreen(FilterScreen):
         rows = rows_for(self._height, self.left_width, alarm=bool(standing))
         self.panel("identity").display = rows.identity
         for name in BOXES:
-            self.panel(name).display = name == (instead or "deviation")
+            self.query_one(f"#{name}").display = name == (instead or "deviation")
         room = max(self._height - rows.fixed, MIDDLE_LEAST)
         match instead:
             case "prompt":
                 self._show_prompt(view, min(room - 1, MIDDLE - 1))
             case "alarm":
-                self._show_alarm(view, min(room, MIDDLE))
+                box, context = self.query_one(AlarmBox), self.alarm_context()
+                box.show(standing, kept_words(view.log), context, min(room, MIDDLE) - 2)
             case "verdict":
                 self._show_verdict(view, room - self._other_alarms(view))
             case _:
                 self._show_deviation(view, rows.point)
-        said = instead == "alarm" or (instead == "verdict" and not self._other_alarms(view))
+        said = instead == "verdict" and not self._other_alarms(view)
         self.panel("status").display = rows.status and not said
         self.panel("status").show(self._status(view))
         # A table has a row at least, and would push the status out.
@@ -244,13 +245,14 @@ class RunScreen(FilterScreen):
         shown = view.state == "intolerant" and verdict_of(view) is not None
         return len(self.application.latch.standing()) > shown
 
-    def _status(self, view: RunView) -> Content:
-        """Return the worst alarm, or that there is none and what comes next."""
-        standing, width = self.application.latch.standing(), self.left_width
-        line = alarm_line(standing, self.alarm_context(), width - 2 if standing else 0)
-        none = Content.styled(f"{self.application.glyphs.stale} no alarms", "$label")
-        left = Content(" ").append(line if standing else none)
-        return justified(left, run_text.following(view), width - 1) if not standing else left
+    def _status(self, view: RunView) -> Lines:
+        """Return the worst alarm that is not shown, or that there is none and what comes next."""
+        standing, context = self.application.latch.standing(), self.alarm_context()
+        if self.instead == "alarm":
+            return Stack(alarm_line(standing, context, skip=1), newest_line(view))
+        if standing:
+            return alarm_line(standing, context)
+        return ends((f"{context.glyphs.stale} no alarms", "$label"), run_text.following(view))
 
     def _show_deviation(self, view: RunView, rows: int) -> None:
         """Show the newest point of a live run, or the one that was chosen."""
@@ -272,17 +274,6 @@ class RunScreen(FilterScreen):
             self.panel("verdict").show(verdict_lines(view, verdict, glyphs, width, rows, standing))
         elif result is not None:
             self.panel("verdict").show(result_lines(view, result, glyphs, width, rows))
-
-    def _show_alarm(self, view: RunView, rows: int) -> None:
-        standing, context, width = (
-            self.application.latch.standing(),
-            self.alarm_context(),
-            self.left_width,
-        )
-        lines = alarm_panel(standing, kept_words(view.log), context, width, rows - 2)
-        other = Content(" ").append(alarm_line(standing, context, width - 2, skip=1))
-        lines += [other, newest_line(view, width)]
-        self.panel("alarm").show(Content("\n").join(lines))
 
     def _show_prompt(self, view: RunView, rows: int) -> None:
         if view.prompt is not None:

@@ -1,91 +1,289 @@
-"""Alarms and interlocks as pages of text."""
+"""Alarms: the words of one, the box of the alarm that has ended a run, and the page of all."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
 
+from textual.app import ComposeResult
+from textual.containers import Vertical
 from textual.content import Content
 
 from hilcell.alarms import Alarm, Latch, Latched
+from hilcell.clean import harmless
+from hilcell.journal.event_words import NOT_KNOWN
 from hilcell.journal.key_words import in_words
-from hilcell.run.protocol import DeviceStatus
+from hilcell.journal.log import Log
+from hilcell.journal.point_words import point_words
+from hilcell.journal.times import local_words
 from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.keys import Keymap, shown
 from hilcell.tui.terminal.capabilities import Glyphs
-from hilcell.tui.text.alarm_words import (
-    AlarmContext,
-    alarm_title,
-    part,
-    present_step,
-    state_line,
-    step_lines,
-    where_words,
-)
-from hilcell.tui.text.devices import lamp, lamps_of, locks
-from hilcell.tui.text.frame import ends
+from hilcell.tui.text.deviation import deviation_of
+from hilcell.tui.text.devices import short_age
+from hilcell.tui.text.layout import BLANK, Cell, Col, Grid, Lines, Stack, ends
+from hilcell.tui.text.run import duration
+from hilcell.tui.widgets import TextPanel, safe_content
+
+CRASH = "Cell: crash"  # where the engine was lost
+ORDERS = {"park": "its safe pose", "home": "its reference"}
+TONES = {"fault": "fault", "warning": "ask", "notice": "label"}
+STATES = ("fault", "refused", "gone")  # of a run whose alarm takes the points' place
+LOW = 12  # rows, below which the box has the present step alone
 
 
-def alarm_page(alarms: Sequence[Alarm], latch: Latch, context: AlarmContext, width: int) -> Content:
-    """Return every alarm of the session, newest first, in the words of the run's panel.
+@dataclass(frozen=True, slots=True)
+class AlarmContext:
+    """The facts beside the alarms: ``refused`` is why the key that goes on does nothing now.
 
-    Alarms that stand from before the run was resumed follow.
+    ``log`` is of the run, which says where the points are that an alarm names.
     """
-    standing = {each.alarm.code: each for each in latch.standing()}
-    raised = {alarm.code for alarm in alarms}
-    shown = [_latched(alarm, standing) for alarm in reversed(alarms)]
-    shown += [each for code, each in standing.items() if code not in raised]
-    if not shown:
-        return Content("No alarm was raised in this run.")
-    return Content("\n\n").join(_one(each, context, width) for each in shown)
+
+    now: datetime | None
+    keymap: Keymap
+    glyphs: Glyphs
+    refused: str = ""
+    log: Log = field(default_factory=Log)
 
 
-def _latched(alarm: Alarm, standing: dict[str, Latched]) -> Latched:
-    """Return how an alarm stands; one that stands no more is acknowledged and over."""
-    found = standing.get(alarm.code)
-    if found is not None and found.alarm == alarm:
-        return found
-    return Latched(alarm, alarm.severity, 1, acknowledged=found is None)
+def panel_is_due(view: RunView, standing: list[Latched]) -> bool:
+    """Whether the worst alarm has ended the run and takes the points' place."""
+    return view.state in STATES and bool(standing) and standing[0].severity == "fault"
 
 
-def _one(latched: Latched, context: AlarmContext, width: int) -> Content:
-    alarm = latched.alarm
-    count = f"step {present_step(latched) + 1} of {len(alarm.do)}" if alarm.do else ""
-    lines = [
-        alarm_title(latched, context.glyphs),
-        state_line(latched, context, width),
-        *part("What", alarm.means, width),
-        *part("Where", where_words(alarm, context.log), width),
-        *part("Found", in_words(alarm.found, context.log), width),
-        ends(Content.styled("What to do", "bold"), Content.styled(count, "bold $ask"), width),
-    ]
-    for _, drawn in step_lines(latched, context, width):
-        lines += drawn
-    return Content("\n").join(lines)
+class AlarmBox(Vertical):
+    """The alarm that has ended a run, where the points are while it works."""
 
+    def compose(self) -> ComposeResult:
+        """Build the facts, which give way where rows are few, and the steps under them."""
+        yield TextPanel("facts")
+        yield TextPanel("steps")
 
-def interlock_page(view: RunView, glyphs: Glyphs) -> Content:
-    """Return element 15 whole: each condition, then each device's last reading."""
-    status = view.status
-    if status is None or not view.live:
-        return Content("No engine is at work on this run: nothing can move from here.")
-    lines = [
-        Content.assemble(
-            (f"{each.shape} {each.name} {each.word}", f"bold {each.tone}"),
-            f": {each.whole}" if each.whole else "",
+    def show(self, standing: list[Latched], kept: str, context: AlarmContext, rows: int) -> None:
+        """Show the worst alarm in so many rows."""
+        latched, (facts, steps) = standing[0], self.query(TextPanel)
+        self.styles.height = rows
+        self.border_title = safe_content(
+            alarm_title(latched, context.glyphs), plain=context.glyphs.plain
         )
-        for each in locks(view, glyphs)
-    ] or [Content.styled(f"{glyphs.stale} no reading", "$stale")]
-    lines.append(Content(""))
-    for name in lamps_of(view):
-        device = status.devices.get(name, DeviceStatus())
-        head = lamp(name, device, view, glyphs)
-        detail = device.reason or device.text
-        lines.append(head.append(f"   {in_words(detail, view.log)}" if detail else ""))
-    lines += [
-        Content(""),
-        Content.styled(
-            "These interlocks protect the measurement. They are no safety function: guards, "
-            "enabling switch and E-stop work without hilcell.",
-            "$label",
-        ),
+        self.border_subtitle = f"alarm 1 of {len(standing)}"
+        facts.show(alarm_facts(latched, context, kept))
+        steps.show(alarm_steps(latched, context, room=rows))
+
+
+def alarm_page(alarms: Sequence[Alarm], latch: Latch, context: AlarmContext) -> Lines:
+    """Return every alarm of the session, newest first; older ones that still stand follow."""
+    standing = {each.alarm.code: each for each in latch.standing()}
+    parts: list[Lines | Cell] = []
+    for alarm in reversed(alarms):
+        found = standing.get(alarm.code)
+        if found is None or found.alarm != alarm:  # one that stands no more is acknowledged
+            found = Latched(alarm, alarm.severity, 1, acknowledged=found is None)
+        parts += _whole(found, context)
+    raised = {alarm.code for alarm in alarms}
+    for code, each in standing.items():
+        parts += [] if code in raised else _whole(each, context)
+    return Stack(*parts[:-1] or ["No alarm was raised in this run."])
+
+
+def _whole(latched: Latched, context: AlarmContext) -> list[Lines | Cell]:
+    title = alarm_title(latched, context.glyphs)
+    return [title, alarm_facts(latched, context), alarm_steps(latched, context), BLANK]
+
+
+def alarm_title(latched: Latched, glyphs: Glyphs) -> Content:
+    """Return an alarm's shape, code and title, inverse."""
+    alarm, tone = latched.alarm, TONES[latched.severity]
+    times = f" ({latched.count} times)" if latched.count > 1 else ""
+    words = f" {shape(latched, glyphs)} {alarm.code}  {alarm.title}{times} "
+    return Content.styled(words, f"bold $on-{tone} on ${tone}-fill")
+
+
+def shape(latched: Latched, glyphs: Glyphs) -> str:
+    """Return the shape of an alarm's severity."""
+    shapes = {"fault": glyphs.lost, "warning": glyphs.warned, "notice": glyphs.stale}
+    return shapes[latched.severity]
+
+
+def alarm_facts(latched: Latched, context: AlarmContext, kept: str = "") -> Lines:
+    """Return since when an alarm stands, its cause, its meaning, its place and what was found."""
+    alarm = latched.alarm
+    since = Content.styled("of the whole run", "$label")
+    if alarm.t:
+        age = ""
+        if context.now is not None:
+            age_s = (context.now - datetime.fromisoformat(alarm.t)).total_seconds()
+            age = f" ({duration(age_s)} ago)"
+        since = Content.assemble(
+            ("since ", "$label"), (local_words(alarm.t), "bold"), (age, "$label")
+        )
+    state = ("acknowledged", "$label") if latched.acknowledged else ("not acknowledged", "$ask")
+    left = Content("   ").join([since, cause_words(latched, context.glyphs)])
+    facts: list[tuple[Cell, Cell]] = [
+        (("What", "$label"), alarm.means),
+        (("Where", "$label"), where_words(alarm, context.log)),
+        (("Found", "$label"), (in_words(alarm.found, context.log), "$label" if kept else "")),
     ]
-    return Content("\n").join(lines)
+    facts += [(("Kept", "$label"), (kept, "$label"))] if kept else []
+    return Stack(
+        Grid([(left, state)], Col(grows=True, wraps=True), Col()),
+        Grid(facts, Col(6), Col(grows=True, wraps=True)),
+    )
+
+
+def cause_words(latched: Latched, glyphs: Glyphs) -> Content:
+    """Return whether an alarm's cause is gone, as far as it is known."""
+    if latched.gone:
+        found = Content.styled(f"{glyphs.gone} gone at {local_words(latched.gone)}", "bold $passed")
+    elif latched.alarm.cause == "over" or latched.settled:
+        found = Content.styled(f"{glyphs.gone} over", "$label")
+    elif latched.alarm.cause == "watched":
+        found = Content.styled(f" {glyphs.locked} STILL THERE ", "bold $on-fault on $fault-fill")
+    else:
+        found = Content.styled(f"{glyphs.stale} not watched", "bold $ask")
+    return Content.assemble(("cause ", "$label"), found)
+
+
+def where_words(alarm: Alarm, log: Log) -> str:
+    """Return the place of an alarm; of a motion, where the journal's last order has sent it."""
+    order = log.order
+    crashed = alarm.where == CRASH
+    if order is not None and log.began < order.seq <= alarm.seq:
+        device, _, how = str(order.body.get("action", "")).partition(".")
+        if crashed or alarm.where == f"{device.capitalize()}: move":
+            at = str(order.body.get("station", "")) if device == "rail" else order.key
+            to = ORDERS.get(how) or in_words(at, log)
+            return harmless(f"{device.capitalize()}, on its way to {to}")
+    if crashed:
+        return f"Engine, {'between two motions' if alarm.seq > log.began else 'earlier session'}"
+    return in_words(alarm.where or "-", log)
+
+
+def present_step(latched: Latched) -> int:
+    """Return the index of the first step that is not done, as far as it is known.
+
+    A person's steps are left to the person with the acknowledgement, a controller's are done when
+    the cause is seen to be gone; where nobody watches the cause, the controller is asked as the run
+    goes on.
+    """
+    alarm, last = latched.alarm, max(len(latched.alarm.do) - 1, 0)
+    for index in range(last):
+        asked_later = alarm.cause == "not watched" or alarm.by[index] == "you"
+        if not (_step_done(latched, index) or (latched.acknowledged and asked_later)):
+            return index
+    return last
+
+
+def _step_done(latched: Latched, index: int) -> bool:
+    """Whether a step is known to be done; an acknowledgement says nothing of a person's steps."""
+    alarm = latched.alarm
+    if alarm.goes_on and index == len(alarm.do) - 1:
+        return False
+    return bool(latched.gone) and alarm.by[index] == "controller"
+
+
+def alarm_steps(latched: Latched, context: AlarmContext, room: int = 0) -> Lines:
+    """Return the steps, each with its mark and who checks it; in a box, whether the run can go on.
+
+    A box of few rows has ``room`` for the present step alone.
+    """
+    alarm, present, glyphs = latched.alarm, present_step(latched), context.glyphs
+    rows: list[Sequence[Cell]] = []
+    for index, (step, by) in enumerate(zip(alarm.do, alarm.by, strict=True)):
+        mark = (glyphs.done, "bold $passed") if _step_done(latched, index) else (" ", "")
+        words = Content.styled(step, "bold" if index == present else "$label")
+        if alarm.goes_on and index == len(alarm.do) - 1:
+            words = _go_on(alarm, context)
+        mark = (glyphs.moving, "bold $ask") if index == present else mark
+        rows.append((mark, f"{index + 1} ", words, (by, "$label")))
+    columns = Col(), Col(), Col(grows=True, wraps=True), Col(right=True)
+    grid = Grid(rows, *columns, styles={present: "on $cursor-row"})
+    if 0 < room < LOW:
+        return Grid(rows[present : present + 1], *columns, styles={0: "on $cursor-row"})
+    count = Content.assemble(
+        ("What to do: ", "bold"), (f"step {present + 1} of {len(rows)}", "bold $ask")
+    )
+    heading = ends(count if rows else ("What to do", "bold"), ("checked by", "$label"))
+    return Stack(
+        heading, grid, *([(f"     {_outlook(latched, context)}", "$label")] if room else [])
+    )
+
+
+def _outlook(latched: Latched, context: AlarmContext) -> str:
+    """Return whether the key that goes on works, and what is known of the cause."""
+    key = shown(context.keymap["pause"][0])
+    if context.refused:
+        return f"{key} does nothing now: {context.refused}."
+    if latched.alarm.ended:
+        return "This run keeps its points; it will most likely fault again."
+    if latched.gone:
+        return f"The cause is gone: {key} works."
+    return "Nothing moves before the devices say that the cause is gone."
+
+
+def _go_on(alarm: Alarm, context: AlarmContext) -> Content:
+    """Return the last step with its keys, grey while they do nothing."""
+    name = "new" if alarm.ended else "pause"
+    style = "$stale on $badge" if context.refused else "bold $foreground on $badge"
+    key = (f" {shown(context.keymap[name][0])} ", style)
+    if alarm.ended:
+        return Content.assemble("Start a new run: ", key)
+    return Content.assemble(
+        "Go on: ", key, " then ", (" Enter ", style), "; devices are asked first"
+    )
+
+
+def alarm_line(standing: list[Latched], context: AlarmContext, skip: int = 0) -> Lines:
+    """Return the worst alarm after the first ``skip`` in one line, and the key for all of them."""
+    glyphs = context.glyphs
+    if len(standing) <= skip:
+        words = "no other alarm" if skip else "no alarms"
+        return ends((f"{glyphs.stale} {words}", "$label"), "")
+    latched = standing[skip]
+    count = {1: "alarms", 2: "both alarms"}.get(len(standing), f"all {len(standing)} alarms")
+    key = Content.assemble((shown(context.keymap["alarms"][0]), "bold"), f"  {count}")
+    at = f", {local_words(latched.alarm.t)}" if latched.alarm.t else ""
+    acknowledged = ", acknowledged" if latched.acknowledged else ""
+    left = Content.assemble(
+        (f"{shape(latched, glyphs)} {latched.alarm.code} ", f"bold ${TONES[latched.severity]}"),
+        latched.alarm.title,
+        (f"  {latched.severity}{at}{acknowledged}", "$label"),
+    )
+    return ends(left, key)
+
+
+def kept_words(log: Log) -> str:
+    """Return how much is measured, and how the devices were left, as the journal has it."""
+    of = f" of {log.plan.points}" if log.plan is not None and log.plan.points else ""
+    return f"{log.counted}{of} points; {_left(log)}"
+
+
+def _left(log: Log) -> str:
+    """Return how the session has left the devices."""
+    found = {
+        each.body["what"]: each.body.get("problems", {})
+        for each in log.events
+        if each.seq > log.began and each.body["what"] in ("safe stop", "closed")
+    }
+    failed = sorted({name for problems in found.values() for name in problems})
+    if failed:
+        return f"look at {' and '.join(failed)}: not stopped or closed as it should be"
+    if not log.was_connected:
+        return f"{NOT_KNOWN}: look at the cell"
+    if "closed" not in found:
+        return "how the devices were left is not recorded"
+    held = "slide held, " if log.plan is None or log.cell.has_rail else ""
+    return f"{held}robot at rest; nothing moves"
+
+
+def newest_line(view: RunView) -> Lines:
+    """Return the newest point with its error and its age."""
+    point = view.newest
+    if point is None:
+        return ends(("no point is measured yet", "$label"), "")
+    found = deviation_of(view.log, point)
+    error = "" if found is None else f"|e| {found.norm_mm:.3f} mm, "
+    name = point_words(point.id, point.station)
+    age = f"{error}{short_age(view.newest_age_s)} ago"
+    return ends((f"newest good point: {name}", "$label"), (age, "$stale"))

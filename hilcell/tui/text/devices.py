@@ -11,6 +11,7 @@ from textual.content import Content
 from hilcell.alarms.alarm import DRIFT_LIMIT_K
 from hilcell.journal.calibration_facts import run_outcome
 from hilcell.journal.event_words import NOT_KNOWN
+from hilcell.journal.key_words import in_words
 from hilcell.journal.states import WAITING
 from hilcell.journal.times import local_words, time_words
 from hilcell.run.protocol import DeviceStatus, Interlock
@@ -220,3 +221,32 @@ def _person_needed(view: RunView) -> str:
         return "waits for you"
     words = {"paused": "paused", "suspended": "waits for you"}
     return words.get(view.state, "paused") if view.state in WAITING else ""
+
+
+def interlock_page(view: RunView, glyphs: Glyphs) -> Content:
+    """Return element 15 whole: each condition, then each device's last reading."""
+    status = view.status
+    if status is None or not view.live:
+        return Content("No engine is at work on this run: nothing can move from here.")
+    lines = [
+        Content.assemble(
+            (f"{each.shape} {each.name} {each.word}", f"bold {each.tone}"),
+            f": {each.whole}" if each.whole else "",
+        )
+        for each in locks(view, glyphs)
+    ] or [Content.styled(f"{glyphs.stale} no reading", "$stale")]
+    lines.append(Content(""))
+    for name in lamps_of(view):
+        device = status.devices.get(name, DeviceStatus())
+        head = lamp(name, device, view, glyphs)
+        detail = device.reason or device.text
+        lines.append(head.append(f"   {in_words(detail, view.log)}" if detail else ""))
+    lines += [
+        Content(""),
+        Content.styled(
+            "These interlocks protect the measurement. They are no safety function: guards, "
+            "enabling switch and E-stop work without hilcell.",
+            "$label",
+        ),
+    ]
+    return Content("\n").join(lines)

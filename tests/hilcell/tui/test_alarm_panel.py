@@ -7,24 +7,29 @@ from datetime import UTC, datetime
 
 import pytest
 from textual.content import Content
+from textual.pilot import Pilot
 
 from hilcell.alarms import Alarm, Latch, Latched, alarms_of
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.tui.terminal.capabilities import UNICODE
-from hilcell.tui.text.alarm_panel import alarm_panel, kept_words, newest_line, panel_is_due
-from hilcell.tui.text.alarm_words import (
+from hilcell.tui.text.alarms import (
     AlarmContext,
+    alarm_facts,
     alarm_line,
+    alarm_page,
+    alarm_steps,
     cause_words,
+    kept_words,
+    newest_line,
+    panel_is_due,
     present_step,
     where_words,
 )
-from hilcell.tui.text.alarms import alarm_page
 from tests.hilcell.alarms.journals import BEGUN, event, log_of, point, state
-from tests.hilcell.tui.recording_app import DEFAULT_KEYS
+from tests.hilcell.tui.recording_app import DEFAULT_KEYS, RecordingApp, run_app, text_of
 from tests.hilcell.tui.sample_runs import measuring
-from tests.hilcell.tui.views import view_of
+from tests.hilcell.tui.views import drawn, view_of
 
 T = "2026-03-04T08:00:23.000+00:00"
 NOW = datetime(2026, 3, 4, 8, 2, 37, tzinfo=UTC)
@@ -44,9 +49,10 @@ NOTICE = Latched(
 )  # fmt: skip
 
 
-def panel(latched: Latched, columns: int = 79, rows: int = 14, refused: str = "") -> list[str]:
-    found = alarm_panel([latched], "kept", replace(CONTEXT, refused=refused), columns, rows)
-    return [line.plain for line in found]
+def panel(latched: Latched, rows: int = 14, refused: str = "") -> str:
+    context = replace(CONTEXT, refused=refused)
+    facts, steps = alarm_facts(latched, context, "kept"), alarm_steps(latched, context, rows)
+    return f"{drawn(facts)}\n{drawn(steps)}"
 
 
 @pytest.mark.parametrize(
@@ -64,9 +70,9 @@ def test_the_cause_is_gone_only_where_that_is_known(latched: Latched, words: str
 
 
 def test_the_panel_says_since_when_where_and_what() -> None:
-    text = "\n".join(panel(THERE))
+    text = panel(THERE)
     for words in (
-        "HC-B10  Robot emergency stop", "alarm 1 of 1", "since 08:00:23 UTC (2:14 ago)",
+        "since 08:00:23 UTC (2:14 ago)",
         "not acknowledged", "Where  Robot: move", "Found  $ALARM_STOP is FALSE", "Kept   kept",
         "step 1 of 3", "checked by", "space  then  Enter",
     ):  # fmt: skip
@@ -90,36 +96,32 @@ def test_the_present_step_is_the_first_that_is_not_done(latched: Latched, presen
 
 
 def test_only_steps_that_are_known_to_be_done_are_ticked() -> None:
-    ticked = [line for line in panel(replace(GONE, acknowledged=True)) if "√" in line]
-    assert [line.split()[2] for line in ticked] == ["2"], "nobody has seen the person's step"
-    assert ticked[0].rstrip("║ ").endswith("controller")
-    assert not any("√" in line for line in panel(replace(UNWATCHED))), "nobody knows yet"
-    (controller,) = [line for line in panel(GONE) if "controller" in line]
+    ticked = [line for line in panel(replace(GONE, acknowledged=True)).splitlines() if "√" in line]
+    assert [line.split()[1] for line in ticked] == ["2"], "nobody has seen the person's step"
+    assert ticked[0].endswith("controller")
+    assert "√" not in panel(UNWATCHED), "nobody knows yet"
+    (controller,) = [line for line in panel(GONE).splitlines() if "controller" in line]
     assert "√ 2" in controller
 
 
-@pytest.mark.parametrize("columns", [56, 60, 79, 80, 140])
-def test_the_panel_fits_and_keeps_the_present_step(columns: int) -> None:
-    long = replace(THERE, alarm=replace(STOP, means="word " * 48, found="found " * 40))
-    for latched in (THERE, long, replace(GONE, acknowledged=True)):
-        for rows in range(5, 20):
-            lines = panel(latched, columns, rows)
-            assert len(lines) == rows
-            assert {Content(line).cell_length for line in lines} == {columns}
-            assert any("►" in line for line in lines)
-            assert any("cause" in line for line in lines)
+@pytest.mark.parametrize("columns", [60, 80, 140])
+@pytest.mark.parametrize("rows", [14, 16, 20, 24, 40])
+def test_the_box_keeps_its_title_its_cause_and_the_present_step(columns: int, rows: int) -> None:
+    async def look(app: RecordingApp, pilot: Pilot[int]) -> None:
+        text = text_of(app)
+        for words in ("HC-T99  Tracker fault", "alarm 1 of 1", "cause ○", "► 1  Clear"):
+            assert words in text
+
+    run_app(look, "fault", size=(columns, rows))
 
 
-def test_no_word_is_cut_while_rows_are_free() -> None:
+def test_no_word_is_cut() -> None:
     means = "Every point that is shown is safe; drive and robot hold by themselves. " * 3
     alarm = replace(STOP, means=means + "End.", found="figure " * 30 + "last.")
-    text = "\n".join(panel(replace(THERE, alarm=alarm), rows=24))
+    text = panel(replace(THERE, alarm=alarm))
     assert "…" not in text
     for words in ("End.", "last."):
         assert words in text
-    assert "…" in "\n".join(panel(replace(THERE, alarm=alarm), rows=14))
-    crash = replace(THERE, alarm=replace(STOP, means=f"{'word ' * 35}End."))
-    assert "End." in "\n".join(panel(crash, rows=14)), "a blank goes before a word"
 
 
 def _style(line: Content, word: str) -> str:
@@ -129,22 +131,22 @@ def _style(line: Content, word: str) -> str:
 
 def test_the_key_that_goes_on_is_grey_until_it_would_work() -> None:
     for refused, style in (("", "$foreground"), ("a run is live", "$stale")):
-        lines = alarm_panel([THERE], "kept", replace(CONTEXT, refused=refused), 79, 14)
+        lines = alarm_steps(THERE, replace(CONTEXT, refused=refused), 14).lines(79, 14)
         (line,) = [each for each in lines if "Go on:" in each.plain]
         assert style in _style(line, "space")
         assert any(refused in each.plain for each in lines)
     ended = replace(THERE, alarm=replace(STOP, ended=True))
-    assert any("Start a new run:  n " in line for line in panel(ended))
+    assert "Start a new run:  n " in panel(ended)
 
 
 def test_one_line_names_the_next_alarm_and_the_key_of_all() -> None:
     both = [THERE, NOTICE]
-    line = alarm_line(both, CONTEXT, 79, skip=1).plain
+    line = drawn(alarm_line(both, CONTEXT, skip=1))
     assert line.startswith("○ HC-V05 Point measured again  notice, 08:00:23 UTC")
     assert line.endswith("e  both alarms")
-    assert alarm_line(both, CONTEXT, 79).plain.startswith("× HC-B10 ")
-    assert alarm_line([], CONTEXT, 79).plain.startswith("○ no alarms")
-    assert "acknowledged" in alarm_line([replace(THERE, acknowledged=True)], CONTEXT, 79).plain
+    assert drawn(alarm_line(both, CONTEXT)).startswith("× HC-B10 ")
+    assert drawn(alarm_line([], CONTEXT)).startswith("○ no alarms")
+    assert "acknowledged" in drawn(alarm_line([replace(THERE, acknowledged=True)], CONTEXT))
 
 
 @pytest.mark.parametrize(
@@ -166,7 +168,7 @@ def test_a_place_is_where_the_last_order_sent_it(
     log = log_of(*BEGUN, ("intent", key, body))
     alarm = replace(STOP, where=where, seq=5)
     assert where_words(alarm, log) == words
-    assert f"Where  {words}" in alarm_page([alarm], Latch(), replace(CONTEXT, log=log), 79).plain
+    assert f"Where  {words}" in drawn(alarm_page([alarm], Latch(), replace(CONTEXT, log=log)))
     for after, engine in (
         (point("validate/S300/chosen/050"), "between two motions"),
         (event("station held"), "between two motions"),
@@ -179,15 +181,15 @@ def test_a_place_is_where_the_last_order_sent_it(
 
 def test_the_page_has_those_that_stand_and_those_that_are_over() -> None:
     latch = Latch()
-    assert alarm_page([], latch, CONTEXT, 79).plain == "No alarm was raised in this run."
+    assert drawn(alarm_page([], latch, CONTEXT)) == "No alarm was raised in this run."
     latch.take([STOP])
     for alarms in ([STOP], []):  # of this session, and of one before
-        page = alarm_page(alarms, latch, CONTEXT, 79).plain
+        page = drawn(alarm_page(alarms, latch, CONTEXT))
         assert page.count("HC-B10") == 1
         assert "not acknowledged" in page
     latch.acknowledge()
     latch.take([], "t")
-    assert "not acknowledged" not in alarm_page([STOP], latch, CONTEXT, 79).plain
+    assert "not acknowledged" not in drawn(alarm_page([STOP], latch, CONTEXT))
 
 
 def test_what_is_kept_is_what_the_journal_says() -> None:
@@ -213,10 +215,10 @@ def test_the_panel_is_of_runs_that_have_ended_by_a_fault() -> None:
 
 
 def test_the_newest_point_is_named_with_its_age() -> None:
-    line = newest_line(view_of("fault"), 79).plain
+    line = drawn(newest_line(view_of("fault")))
     assert "|e| 1.170 mm" in line
     assert line.endswith(" ago")
-    assert newest_line(view_of("checking"), 79).plain.strip() == "no point is measured yet"
+    assert drawn(newest_line(view_of("checking"))) == "no point is measured yet"
 
 
 def test_an_alarm_counts_points_as_the_line_of_the_kept_ones_does() -> None:

@@ -15,9 +15,8 @@ from hilcell.run.protocol import Interlock
 from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.terminal.capabilities import UNICODE
 from hilcell.tui.text import devices
-from hilcell.tui.text.alarms import interlock_page
 from hilcell.tui.text.below import below_lines, event_words, interlock_lines, step_lines
-from hilcell.tui.text.devices import locks
+from hilcell.tui.text.devices import interlock_page, locks
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, sample_run, status, validated
 
 WIDTH = 79

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.text.layout import Lines
 from tests.hilcell.tui.recording_app import RecordingSession
 from tests.hilcell.tui.sample_runs import fresh, sample_run
 
@@ -14,3 +15,8 @@ def view_of(name: str) -> RunView:
     session = RecordingSession(Path("/runs/made-up"))
     session.take(fresh(name), sample_run(name).now)
     return session.view
+
+
+def drawn(text: Lines, width: int = 79, height: int = 24) -> str:
+    """Return a text as a panel of this size shows it, without spaces at the ends of lines."""
+    return "\n".join(line.plain.rstrip() for line in text.lines(width, height))
