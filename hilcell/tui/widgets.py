@@ -27,8 +27,8 @@ from textual.visual import RenderOptions, Visual
 from textual.widgets import Input, Static
 
 from hilcell.clean import UNSAFE, clean
+from hilcell.tui.layout import Lines, look_of
 from hilcell.tui.terminal.capabilities import Glyphs, to_ascii
-from hilcell.tui.text.layout import Lines, look_of
 
 
 class HasGlyphs(Protocol):

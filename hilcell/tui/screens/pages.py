@@ -17,11 +17,11 @@ from textual.widgets import Input
 from hilcell.errors import HilcellError
 from hilcell.tui.engine import process
 from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.layout import Lines
 from hilcell.tui.screens.base import BaseScreen, Page
 from hilcell.tui.text.alarms import alarm_page
 from hilcell.tui.text.devices import interlock_page
 from hilcell.tui.text.frame import wrapped
-from hilcell.tui.text.layout import Lines
 from hilcell.tui.text.points import point_page
 from hilcell.tui.text.report import report_lines
 from hilcell.tui.text.tables import log_columns, record_row

@@ -17,6 +17,7 @@ from textual.widgets import Input
 from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import shown
+from hilcell.tui.layout import Lines, Stack, ends
 from hilcell.tui.plots.draw import Look
 from hilcell.tui.plots.scale import Scale
 from hilcell.tui.screens.pages import FilterScreen
@@ -29,7 +30,6 @@ from hilcell.tui.text.below import below_lines, block_rows
 from hilcell.tui.text.deviation import PointRow
 from hilcell.tui.text.footer import ACTS, VIEWS, KeyOf, footer_lines
 from hilcell.tui.text.footer import WORDS as FOOTER_WORDS
-from hilcell.tui.text.layout import Lines, Stack, ends
 from hilcell.tui.text.newest import chosen_shown, newest_shown, point_lines
 from hilcell.tui.text.points import PointRows, columns_for, filtered
 from hilcell.tui.text.prompt import prompt_box

@@ -19,10 +19,10 @@ from hilcell.journal.point_words import point_words
 from hilcell.journal.times import local_words
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import Keymap, shown
+from hilcell.tui.layout import BLANK, Cell, Col, Grid, Lines, Stack, ends
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.deviation import deviation_of
 from hilcell.tui.text.devices import short_age
-from hilcell.tui.text.layout import BLANK, Cell, Col, Grid, Lines, Stack, ends
 from hilcell.tui.text.run import duration
 from hilcell.tui.widgets import TextPanel, safe_content
 
@@ -119,7 +119,7 @@ def alarm_facts(latched: Latched, context: AlarmContext, kept: str = "") -> Line
             ("since ", "$label"), (local_words(alarm.t), "bold"), (age, "$label")
         )
     state = ("acknowledged", "$label") if latched.acknowledged else ("not acknowledged", "$ask")
-    left = Content("   ").join([since, cause_words(latched, context.glyphs)])
+    cause = cause_words(latched, context.glyphs)
     facts: list[tuple[Cell, Cell]] = [
         (("What", "$label"), alarm.means),
         (("Where", "$label"), where_words(alarm, context.log)),
@@ -127,7 +127,7 @@ def alarm_facts(latched: Latched, context: AlarmContext, kept: str = "") -> Line
     ]
     facts += [(("Kept", "$label"), (kept, "$label"))] if kept else []
     return Stack(
-        Grid([(left, state)], Col(grows=True, wraps=True), Col()),
+        Grid([(since, cause, state)], Col(grows=True), Col(), Col(), gap=3),
         Grid(facts, Col(6), Col(grows=True, wraps=True)),
     )
 
