@@ -18,7 +18,7 @@ from hilcell.journal.log import Log
 from hilcell.journal.stream_file import read_stream
 from hilcell.ports import Array, NoReading
 from hilcell.run.cell_session import CellSession
-from hilcell.run.clear_ways import check_sweep
+from hilcell.run.collision import check_sweep
 from hilcell.run.procedure import Span, Step, Table
 from hilcell.run.sweeping import SweepOrder, record_sweep
 from procedures.durations import closing, first_pass_percent, robot_moves_s, step

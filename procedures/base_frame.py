@@ -20,7 +20,7 @@ from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
-from hilcell.run.clear_ways import check_poses
+from hilcell.run.collision import check_poses
 from hilcell.run.procedure import Span, Step
 from procedures.durations import closing, flange_points, step
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from hilcell.cell.file import Cell, Station
 from hilcell.ports import Array
-from hilcell.run.clear_ways import leaves_cube
+from hilcell.run.collision import leaves_cube
 from hilcell.run.procedure import Span, Step
 
 SEEN_S = 0.06  # until a driver has looked often enough to see that a motion has ended

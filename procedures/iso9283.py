@@ -29,7 +29,7 @@ from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
-from hilcell.run.clear_ways import check_path
+from hilcell.run.collision import check_path
 from hilcell.run.motion import Straight
 from hilcell.run.procedure import Procedure, Span, Step, Table
 from procedures.base_frame import BaseFrame

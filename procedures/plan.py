@@ -10,7 +10,7 @@ from hilcell.geometry.frames import apply, inverse, matrix, zyx_from_pose
 from hilcell.geometry.inverse import Bools
 from hilcell.geometry.rotations import from_rotvec, from_zyx
 from hilcell.ports import Array, HilcellError
-from hilcell.run.clear_ways import check_poses, clear_poses
+from hilcell.run.collision import check_poses, clear_poses
 
 
 def other_stations(cell: Cell) -> list[Station]:

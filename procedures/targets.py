@@ -28,7 +28,7 @@ from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
-from hilcell.run.clear_ways import check_poses
+from hilcell.run.collision import check_poses
 from hilcell.run.procedure import Procedure, Step, Table
 from procedures.durations import closing, first_hold, flange_points, step
 from procedures.home import Home

@@ -89,7 +89,7 @@ from hilcell.run.client import order
 from hilcell.run.control import Control
 from hilcell.run.exits import DONE, EXIT_ABORTED, EXIT_STORAGE, RESUMABLE, exit_code
 from hilcell.run.procedure import Plan, Procedure
-from hilcell.run.retake import retake_refusal
+from hilcell.run.remeasure import retake_refusal
 from hilcell.run.runner import Runner, finish
 from hilcell.run.same_cell import NONE, Changes, accepted, cell_file, changed_inputs
 from hilcell.run.signals import note_signals, stopped_by_signals

@@ -23,7 +23,7 @@ from hilcell.run.measuring import Ask, Measuring
 from hilcell.run.motion import Motion, Straight
 from hilcell.run.operator import Operator
 from hilcell.run.prompts import FLANGE
-from hilcell.run.retake import still_refused
+from hilcell.run.remeasure import still_refused
 from hilcell.run.room_guard import RoomGuard
 from hilcell.run.run_context import RunContext
 from hilcell.run.station_guard import StationGuard

@@ -23,8 +23,8 @@ from hilcell.ports import (
 from hilcell.run.interlocks import check_strip
 from hilcell.run.motion import Motion
 from hilcell.run.prompts import Look, Prompt, beam_prompt
+from hilcell.run.readings import time_of
 from hilcell.run.run_context import RunContext
-from hilcell.run.seen import time_of
 
 MEASURE_TRIES = 3
 

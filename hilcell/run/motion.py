@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 
 from hilcell.calibration.controller_pose import check_pose
-from hilcell.cell.file import Cell, RailTable, Station
-from hilcell.cell.surroundings import posture
+from hilcell.cell.file import RailTable, Station
 from hilcell.journal.journal import StorageError
 from hilcell.journal.log import FACTORY_LINKS, Driven, ReadingTime
 from hilcell.journal.runs import read_log
-from hilcell.ports import Array, Clock, DeviceError, Rail, RailReading, RobotReading, StripLost
-from hilcell.run.clear_ways import below, check_way, leaves_cube, stops_on_way
+from hilcell.ports import Array, DeviceError, Rail, RailReading, RobotReading, StripLost
+from hilcell.run.collision import ComingPoses, below, check_way, stops_on_way
 from hilcell.run.interlocks import (
     check_joint_limits,
     check_rests,
@@ -24,65 +21,8 @@ from hilcell.run.interlocks import (
     rail_may_move,
     robot_may_move,
 )
+from hilcell.run.readings import fresh, seen, time_of
 from hilcell.run.run_context import RunContext
-from hilcell.run.seen import seen, time_of
-
-# The proof knows where each way begins if nothing comes between, and keeps a reserve. Where the
-# slide and the robot then are read elsewhere, no point of the arm is farther from its proven way
-# than the levers allow (`Body.travel_mm`): joints go in step, so along two ways to the same pose
-# they differ nowhere by more than at their ends. Within the reserve the way is clear. Any other
-# way is none of these, and is proven by itself.
-
-RESERVE_MM = 5.0  # beyond the wanted clearance; a plan's legs have 10
-
-
-@dataclass(frozen=True, slots=True)
-class Coming:
-    """A pose: from which posture (7,) its ways are proven, if they are; `leaves_cube`."""
-
-    start: Array | None
-    leaves_cube: bool
-
-
-class ComingPoses:
-    """Knows the poses by their joints, to the last bit."""
-
-    def __init__(self, cell: Cell) -> None:
-        self._cell = cell
-        self._coming: dict[bytes, Coming] = {}
-
-    def expect(self, rail_mm: float, joints_rad: Array) -> None:
-        """Prove the ways from the safe pose to joints (N, 6) in turn, each from below."""
-        cell = self._cell
-        if cell.surroundings is None:
-            return
-        before_rad = np.vstack([np.radians(cell.robot.safe_deg), joints_rad])[:-1]
-        stops = posture(rail_mm, np.array([before_rad, below(cell, joints_rad), joints_rad]))
-        ways = stops[:-1].reshape(-1, 7), stops[1:].reshape(-1, 7)
-        proof = cell.surroundings.prove(*ways, RESERVE_MM)
-        to_below, from_there = proof.clear.reshape(2, -1)
-        clear = to_below & from_there
-        self._coming = {
-            joints.tobytes(): Coming(stops[0, n] if clear[n] else None, bool(leaves))
-            for n, (joints, leaves) in enumerate(
-                zip(joints_rad, leaves_cube(cell, joints_rad), strict=True)
-            )
-        }
-
-    def clear(self, rail_mm: float, from_rad: Array, to_rad: Array) -> bool:
-        """Whether the ways from joints (6,) to others, from below, are within the reserve."""
-        coming, around = self._coming.get(to_rad.tobytes()), self._cell.surroundings
-        if coming is None or coming.start is None or around is None:
-            return False
-        return around.apart_mm(coming.start, posture(rail_mm, from_rad)) <= RESERVE_MM
-
-    def leaves_cube(self, joints_rad: Array) -> bool:
-        """Return `leaves_cube` of joints (6,)."""
-        coming = self._coming.get(joints_rad.tobytes())
-        if coming is None:
-            return bool(leaves_cube(self._cell, joints_rad[None])[0])
-        return coming.leaves_cube
-
 
 # The trap: the drive's encoder is blind to backlash. So the last motion always comes from the
 # same side, and only the strip, read at rest, says where the slide is.
@@ -216,28 +156,6 @@ class FirstPass:
             except StorageError as error:
                 self._run.event("earlier run unreadable", run=name, reason=str(error))
         return found
-
-
-# A PC that did not run between a reading and its use has an old reading and a device that is
-# well. So it reads again; the interlocks judge the age of the new reading all the same.
-
-TRIES = 5
-SHARE = 0.8  # of the limit: the rest is left until the motion begins
-
-R = TypeVar("R", RailReading, RobotReading)
-
-
-def fresh(read: Callable[[], R], clock: Clock, limit_s: float, taken: R | None = None) -> R:
-    """Return ``taken`` if it is well below ``limit_s`` old, or the first of some readings that is.
-
-    Where none is, the last one is returned.
-    """
-    reading = read() if taken is None else taken
-    for _ in range(TRIES - 1):
-        if clock.pc_s() - reading.taken_s <= SHARE * limit_s:
-            break
-        reading = read()
-    return reading
 
 
 SAME_RAD = 1e-4  # of joints read back: the robot stands at that pose

@@ -14,7 +14,7 @@ from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
 from hilcell.ports import HilcellError, StripLost
 from hilcell.run.cell_session import CellSession
-from hilcell.run.clear_ways import check_rides
+from hilcell.run.collision import check_rides
 from hilcell.run.tracker_guard import BlockLost
 
 

@@ -14,7 +14,7 @@ from hilcell.journal.log import Point
 from hilcell.ports import Array, DeviceError, NoReading
 from hilcell.run.measuring import Ask
 from hilcell.run.prompts import Look, Prompt
-from hilcell.run.retake import retake_refusal
+from hilcell.run.remeasure import retake_refusal
 from hilcell.run.run_context import RunContext
 
 ROOM_BACK = "room back"  # event

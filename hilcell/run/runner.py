@@ -36,7 +36,7 @@ from hilcell.run.exits import (
 from hilcell.run.interlocks import Sight, overview
 from hilcell.run.procedure import Procedure
 from hilcell.run.protocol import Status
-from hilcell.run.retake import retake_refusal
+from hilcell.run.remeasure import retake_refusal
 from hilcell.run.same_cell import NONE, Changes
 from hilcell.run.signals import COMMANDS, signals_as_commands
 from hilcell.run.states import RUN, StateMachine

@@ -16,9 +16,9 @@ from hilcell.cell.devices import streams_of, sweeps_of
 from hilcell.journal.stream_file import StreamFile, StreamRecord
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
-from hilcell.run.clear_ways import check_stated
+from hilcell.run.collision import check_stated
 from hilcell.run.interlocks import check_joint_limits
-from hilcell.run.seen import seen
+from hilcell.run.readings import seen
 
 PACE_S = 0.25  # between two questions for the joints: hundreds of them make one line
 

@@ -18,7 +18,7 @@ from hilcell.identification.readings import IdentificationError
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
-from hilcell.run.clear_ways import clear_poses
+from hilcell.run.collision import clear_poses
 from procedures import chosen_poses
 from procedures.chosen_poses import CANDIDATES, ChosenPoses, candidates_rad
 

@@ -141,7 +141,7 @@ def test_chance_is_no_suspicion(seed: int) -> None:
         *sweep(
             ("robot.mount_slip", 5.0, "", "world/F1", "mount offset", 5.0),
             ("robot.lost_zero", 0.1, "", "grid/1-1-1", "zero lost", 0.1),  # by day: test_live
-            # by day: test_retake
+            # by day: test_remeasure
             ("robot.mount_slip", 0.2, "", "validate/S1100/before/003", "mount slipped", 0.2),
             ("robot.mount_slip", 0.2, "", "base/axis6/005", "mount slipped", 0.2),
         ),

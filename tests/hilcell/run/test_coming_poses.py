@@ -15,8 +15,7 @@ from hilcell.geometry.clear_motion import Proof
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, RobotReading
 from hilcell.run.cell_session import CellSession
-from hilcell.run.clear_ways import leaves_cube
-from hilcell.run.motion import RESERVE_MM, ComingPoses
+from hilcell.run.collision import RESERVE_MM, ComingPoses, leaves_cube
 from tests.hilcell.run.bed import CELL, Bed
 from tests.hilcell.run.rig import Points, procedure
 

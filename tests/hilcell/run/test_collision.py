@@ -14,7 +14,7 @@ from hilcell.journal.journal import Record
 from hilcell.ports import Array, RobotReading
 from hilcell.run import sweeping
 from hilcell.run.cell_session import CellSession
-from hilcell.run.clear_ways import (
+from hilcell.run.collision import (
     check_path,
     check_poses,
     check_rides,

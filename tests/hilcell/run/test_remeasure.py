@@ -12,7 +12,7 @@ from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
-from hilcell.run.retake import retake_refusal, still_refused
+from hilcell.run.remeasure import retake_refusal, still_refused
 from hilcell.run.states import CALIBRATION
 from tests.hilcell.run.bed import Bed, Live, until
 from tests.hilcell.run.rig import procedure
