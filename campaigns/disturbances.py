@@ -23,7 +23,7 @@ import numpy as np
 from campaigns.spread import print_table, progress, spread
 from campaigns.truth import Truth, machine, true_errors_mm
 from fakes.simulator import PaperCell
-from hilcell.calibration.noticed import CLOSING
+from hilcell.calibration.diagnosis import CLOSING
 from hilcell.cell.file import Cell, load_cell
 from hilcell.ports import HilcellError
 from tests.whole.bench import SMALL, Simulation, command, events, sets

@@ -12,8 +12,8 @@ from hilcell.calibration.base_circles import (
     frame_of_sweeps,
     sweep_of,
 )
-from hilcell.calibration.base_place import misplaced_base
-from hilcell.calibration.noticed import risen_nest, since_before
+from hilcell.calibration.diagnosis import misplaced_base
+from hilcell.calibration.since import risen_nest, since_before
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.circles import base_frame_covariance
 from hilcell.journal.log import Log

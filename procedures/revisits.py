@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from hilcell.calibration.frames import grid_of, vertex_ids
-from hilcell.calibration.noticed import (
+from hilcell.calibration.causes import suspected_in
+from hilcell.calibration.diagnosis import (
     CLOSING,
     REVISIT,
     VERDICTS,
@@ -23,9 +23,8 @@ from hilcell.calibration.noticed import (
     revisits,
     suspicions_of,
 )
+from hilcell.calibration.frames import grid_of, vertex_ids
 from hilcell.calibration.reversal import REVERSAL, Reversal, reversal
-from hilcell.calibration.since import CHANGED_SINCE
-from hilcell.calibration.suspicions import suspected_in
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
@@ -39,7 +38,6 @@ from procedures.plan import joints_for, other_stations
 from procedures.validate import judge_suspicions
 
 COUNT, QUICK_COUNT = 12, 3
-WHICH = "`hilcell revoke` the wrong one of both calibrations."
 REVERSED = 4
 
 
@@ -179,8 +177,5 @@ def _figures(found: Reversal) -> dict[str, Any]:
 
 def suspicion_words(result: dict[str, Any]) -> str:
     """Return what is suspected, in words."""
-    lines = []
-    for each in suspected_in(result):
-        then = WHICH if each.cause == CHANGED_SINCE else "Do not use this calibration."
-        lines.append(f"Suspected: {each.text}. {then}")
-    return "\n".join(lines)
+    found = suspected_in(result)
+    return "\n".join(f"Suspected: {each.text}. {each.cause.advice}" for each in found)

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from hilcell.calibration.causes import Suspicion
 from hilcell.calibration.frames import grid_of
 from hilcell.calibration.in_use import calibration_in
-from hilcell.calibration.suspicions import Suspicion
 from hilcell.calibration.touch import (
     suspected,
     touch_ids,

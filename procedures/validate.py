@@ -11,12 +11,13 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.bounds import coverages
+from hilcell.calibration.causes import Cause
 from hilcell.calibration.decision import check_limits, class_warning, guard_of, judged, limits_of
+from hilcell.calibration.diagnosis import suspicions_of
 from hilcell.calibration.errors import validation
 from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.frames import grid_of, measured_of
 from hilcell.calibration.influence import NoBound
-from hilcell.calibration.noticed import changes, suspicions_of
 from hilcell.calibration.orientation import (
     MOVED_MM,
     check_turn_limit,
@@ -25,7 +26,7 @@ from hilcell.calibration.orientation import (
     turn_coverages,
     validated_turns,
 )
-from hilcell.calibration.since import CHANGED_SINCE
+from hilcell.calibration.since import compared
 from hilcell.calibration.touch import beside_nest
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.choice import MODELS
@@ -206,18 +207,19 @@ def judge_suspicions(session: CellSession) -> None:
     What has changed since the current calibration is a verdict of its own: it is for a person to
     say which of both is right, and then nothing is against the other.
     """
-    found = suspicions_of(session.log)
-    suspected = [each.text for each in found if each.cause != CHANGED_SINCE]
+    found, before = suspicions_of(session.log), session.log.inputs.floor_before
+    suspected = [each.text for each in found if each.cause is not Cause.CHANGED_SINCE]
     session.verdict("suspicions", holds=not suspected, suspected=suspected)
-    before, compared = session.log.inputs.floor_before, changes(session.log)
-    if before is not None and compared:
+    risen = any(each.cause is Cause.NEST_MOVED for each in found)
+    changes = compared(session.log, with_base=not risen)
+    if before is not None and changes:
         session.verdict(
             "since",
-            holds=all(each.holds for each in compared),
+            holds=all(each.holds for each in changes),
             before=before.run,
-            suspected=[each.text for each in found if each.cause == CHANGED_SINCE],
-            beyond=[msgspec.to_builtins(each) for each in compared if not each.holds],
-            compared=len(compared),
+            suspected=[each.text for each in found if each.cause is Cause.CHANGED_SINCE],
+            beyond=[msgspec.to_builtins(each) for each in changes if not each.holds],
+            compared=len(changes),
         )
 
 

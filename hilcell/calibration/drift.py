@@ -19,13 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.calibration.change import PENALTY
+from hilcell.calibration.causes import PENALTY, Cause, Pattern, Suspicion, patterns
 from hilcell.calibration.errors import visit_scatter
 from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.frame_covariance import base_covariance, hold_covariance, world_covariance
 from hilcell.calibration.influence import no_less_than_nought
-from hilcell.calibration.suspicions import Pattern, Suspicion, patterns
 from hilcell.calibration.visit_noise import visit_noise
 from hilcell.geometry.frames import apply, inverse, motion_levers
 from hilcell.geometry.kinematics import Arm, forward
@@ -104,7 +103,7 @@ def slope_of(series: Series, arm: Arm) -> Suspicion | None:
 def _named(cause: Pattern, slopes: Array) -> Suspicion:
     size = float(slopes[0]) if len(slopes) == 1 else float(np.linalg.norm(slopes))
     unit = f"{cause.unit} over the run, as of {cause.cause}"
-    return Suspicion("drift", cause.factor * size, unit, NOTICED_BY)
+    return Suspicion(Cause.DRIFT, cause.factor * size, unit, NOTICED_BY)
 
 
 def _whitened(whitening: Array, columns: Array) -> Array:

@@ -11,8 +11,8 @@ import math
 import msgspec
 import numpy as np
 
+from hilcell.calibration.causes import Cause, Suspicion
 from hilcell.calibration.contribution import systematic_mm2
-from hilcell.calibration.suspicions import Suspicion
 from hilcell.cell.file import Cell
 from hilcell.cell.layout import CERTIFIED_C, KnownLength
 from hilcell.geometry.statistics import rectangular_variance
@@ -95,4 +95,4 @@ def scale(log: Log) -> Suspicion | None:
     if not wrong:
         return None
     worst = max(wrong, key=lambda each: each.share)
-    return Suspicion("scale", worst.off_ppm, "ppm", f"known length {' to '.join(worst.nests)}")
+    return Suspicion(Cause.SCALE, worst.off_ppm, "ppm", f"known length {' to '.join(worst.nests)}")

@@ -19,7 +19,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hilcell.calibration.suspicions import (
+from hilcell.calibration.causes import (
+    Cause,
     Suspicion,
     axis_6_pattern,
     left_by,
@@ -190,7 +191,7 @@ def suspicions(
     such a motion, only a mount is suspected whose slip explains them as well.
     """
     if judgement.may_be_slip:
-        return [Suspicion("mount slipped", judgement.slip_mm, "mm", NOTICED_BY)]
+        return [Suspicion(Cause.MOUNT_SLIPPED, judgement.slip_mm, "mm", NOTICED_BY)]
     if judgement.rest.holds:
         return []
     likely: list[tuple[float, Suspicion]] = []

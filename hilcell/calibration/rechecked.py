@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.bounds import driven_poses
+from hilcell.calibration.causes import Suspicion
 from hilcell.calibration.decision import judged_errors
 from hilcell.calibration.influence import no_less_than_nought
 from hilcell.calibration.recheck import (
@@ -18,7 +19,6 @@ from hilcell.calibration.recheck import (
     judged,
     suspicions,
 )
-from hilcell.calibration.suspicions import Suspicion
 from hilcell.calibration.visit import used, visited
 from hilcell.geometry.frames import motion_levers
 from hilcell.geometry.statistics import bounds95_mm

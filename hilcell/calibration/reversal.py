@@ -12,8 +12,8 @@ import math
 import msgspec
 import numpy as np
 
+from hilcell.calibration.causes import ZEROS, Cause, Suspicion
 from hilcell.calibration.form import LostMotion
-from hilcell.calibration.suspicions import ZEROS, Suspicion
 from hilcell.calibration.visit_noise import of_differences, visit_noise
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.jacobian import parameter_jacobian
@@ -55,7 +55,7 @@ class Reversal(msgspec.Struct, frozen=True):
             return None
         axis = int(np.argmax(self.excess_urad))
         unit = f"urad of axis {axis + 1}"
-        return Suspicion("reversal", self.lost_urad[axis], unit, NOTICED_BY)
+        return Suspicion(Cause.REVERSAL, self.lost_urad[axis], unit, NOTICED_BY)
 
 
 def lost_motion(log: Log) -> LostMotion:

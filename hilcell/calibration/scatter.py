@@ -19,11 +19,10 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.bounds import validated_bounds, validation_points
-from hilcell.calibration.change import RISK, SPREAD
+from hilcell.calibration.causes import LARGE_AXES, RISK, SPREAD, ZEROS, Cause, Suspicion
 from hilcell.calibration.errors import visit_scatter
 from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.influence import NoBound
-from hilcell.calibration.suspicions import LARGE_AXES, ZEROS, Suspicion
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.statistics import (
     chi2_quantile,
@@ -70,7 +69,7 @@ def scattered(log: Log) -> Suspicion | None:
     found = log.once(_scatter, besides=NO_READINGS)
     if found is None or found.holds:
         return None
-    return Suspicion("repeatability", found.size, found.unit, NOTICED_BY)
+    return Suspicion(Cause.REPEATABILITY, found.size, found.unit, NOTICED_BY)
 
 
 def worse_than_stated(log: Log) -> Suspicion | None:
@@ -89,7 +88,8 @@ def worse_than_stated(log: Log) -> Suspicion | None:
     if seen_mm2 <= most * ((stated_mm / ISOTROPIC) ** 2 + noise_mm2):
         return None
     size_mm = ISOTROPIC * float(np.sqrt(seen_mm2 - noise_mm2))
-    return Suspicion("repeatability", size_mm, "mm", f"repeated visits, RP {stated_mm:g} mm stated")
+    noticed_by = f"repeated visits, RP {stated_mm:g} mm stated"
+    return Suspicion(Cause.REPEATABILITY, size_mm, "mm", noticed_by)
 
 
 def _scatter(log: Log) -> Scatter | None:

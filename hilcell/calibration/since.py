@@ -14,12 +14,12 @@ limits (drift, tracker, seating, hold, growth) are taken as such, and both are a
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final
 
 import msgspec
 import numpy as np
 
 from hilcell.calibration.base_circles import axis_6_height_mm
+from hilcell.calibration.causes import Cause, Suspicion
 from hilcell.calibration.contribution import systematic_mm2
 from hilcell.calibration.errors import pooled, visits_mm
 from hilcell.calibration.frame_covariance import (
@@ -29,8 +29,8 @@ from hilcell.calibration.frame_covariance import (
     hold_covariance,
     slide_covariance,
     world_covariance,
+    world_motion,
 )
-from hilcell.calibration.suspicions import Suspicion
 from hilcell.geometry.rotations import to_rotvec
 from hilcell.geometry.statistics import (
     f_quantile,
@@ -43,7 +43,6 @@ from hilcell.ports import Array
 
 RISK = 0.001
 BOUNDED = float(np.sqrt(3.0))  # of what is stated as a limit, which no change exceeds
-CHANGED_SINCE: Final = "changed since"
 SPREAD = 1.5  # of the circles' variance: scatter along them is not of each point by itself
 FITTED = 12  # parameters of the two circles: centre, axis and radius of each
 _AXES = tuple("xyz")
@@ -74,6 +73,12 @@ class Parameter(msgspec.Struct, frozen=True):
         )
 
 
+def since_before(log: Log, *, with_base: bool = True) -> Suspicion | None:
+    """Return what has changed most since the current calibration, if anything has."""
+    before = log.inputs.floor_before
+    return None if before is None else changed_since(compared(log, with_base=with_base), before.run)
+
+
 def changed_since(changes: list[Parameter], run: str) -> Suspicion | None:
     """Return the change that is farthest beyond its limit; None where all keep theirs."""
     beyond = [each for each in changes if not each.holds]
@@ -81,7 +86,7 @@ def changed_since(changes: list[Parameter], run: str) -> Suspicion | None:
         return None
     worst = max(beyond, key=lambda each: abs(each.now - each.then) / each.limit)
     return Suspicion(
-        CHANGED_SINCE,
+        Cause.CHANGED_SINCE,
         worst.now - worst.then,
         f"{worst.unit} of {worst.name}",
         f"the calibration of run {run}: {worst.words}",
@@ -91,7 +96,8 @@ def changed_since(changes: list[Parameter], run: str) -> Suspicion | None:
 def compared(log: Log, *, with_base: bool = True) -> list[Parameter]:
     """Return the parameters that this run and the one of the current calibration both measured.
 
-    ``with_base``: the base as well.
+    ``with_base``: the base as well. One that lies elsewhere by a nest that rose is no change of its
+    own.
     """
     before = log.inputs.floor_before
     if before is None or len(floor_points(log)) < FLOOR_NESTS:
@@ -208,3 +214,44 @@ def _growth(log: Log, key: str, before: FloorBefore) -> Array:
     rate = rectangular_variance(log.cell.uncertainty.arm_growth_um_m_k * 1e-6)
     found[:3, :3] = rate * (change_k * at_mm) ** 2 * np.eye(3)
     return found
+
+
+# Distances of three nests hardly change where one rises straight out of their plane, but {W} tilts
+# about the other two, and the robot's base lies elsewhere in it. So {B} as this run measured it is
+# compared with that of the calibration's run: each nest moves it along one direction of six. A nest
+# is suspected where its height explains the difference better than chance does, and chance what is
+# left: a base that was moved, or a robot with other zeros, is no risen nest.
+
+
+def risen_nest(log: Log) -> Suspicion | None:
+    """Return the nest that rose or sank, if one clearly has; None where no base can tell."""
+    before = log.inputs.floor_before
+    if before is None or before.base is None or not before.alike:
+        return None
+    if "circle_rms_mm" not in log.frames.get("base", {}):
+        return None
+    now = log.matrix("base")
+    covariance = noise_covariance(log, "base") + limit_covariance(log, "base")
+    covariance += np.array(before.base.covariance)
+    d = frame_change(np.array(before.base.matrix), now)
+    up = log.matrix("world")[:3, :3].T[:, 2]  # of {W}, in the tracker's frame
+    columns = [world_motion(log, now[:3, 3], nest, up) for nest in range(FLOOR_NESTS)]
+    heights_mm, sigmas_mm = np.array([_fitted(d, covariance, each) for each in columns]).T
+    nest = int(np.argmax(np.abs(heights_mm / sigmas_mm)))
+    explained = (heights_mm[nest] / sigmas_mm[nest]) ** 2
+    left = float(d @ np.linalg.solve(covariance, d)) - explained
+    freedom = 2.0 * len(log.select("base")) - FITTED
+    if not explained > f_quantile(1.0 - RISK / FLOOR_NESTS, 1, freedom):
+        return None
+    if not left <= 5.0 * f_quantile(1.0 - RISK, 5, freedom):
+        return None
+    name = log.cell.layout.floor[nest].name
+    noticed_by = f"base frame of run {before.run}"
+    return Suspicion(Cause.NEST_MOVED, float(heights_mm[nest]), f"mm of {name}", noticed_by)
+
+
+def _fitted(d: Array, covariance: Array, column: Array) -> tuple[float, float]:
+    """Return the height by generalised least squares, and its standard uncertainty."""
+    weighted = np.linalg.solve(covariance, column)
+    information = float(weighted @ column)
+    return float(weighted @ d) / information, 1.0 / np.sqrt(information)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hilcell.calibration.causes import ZEROS
 from hilcell.calibration.form import LostMotion
-from hilcell.calibration.suspicions import ZEROS
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.statistics import bounds95_mm, lengths_mm

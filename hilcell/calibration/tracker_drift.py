@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hilcell.calibration.change import RISK, SPREAD
-from hilcell.calibration.suspicions import Suspicion
+from hilcell.calibration.causes import RISK, SPREAD, Cause, Suspicion
 from hilcell.geometry.frames import motion_levers
 from hilcell.geometry.statistics import f_quantile, lengths_mm
 from hilcell.journal.log import NO_READINGS, Log, Point, positions_mm
@@ -60,7 +59,7 @@ def _tracker_drift(log: Log) -> Suspicion | None:
     limit_mm = np.sqrt(3.0) * log.cell.uncertainty.drift_limit_mm
     if not (sure and alone and moved_mm > limit_mm):
         return None
-    return Suspicion("drift", factor * float(np.linalg.norm(motion)), unit, NOTICED_BY)
+    return Suspicion(Cause.DRIFT, factor * float(np.linalg.norm(motion)), unit, NOTICED_BY)
 
 
 def _shares(log: Log, points: list[Point]) -> Array:

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from hilcell.calibration.suspicions import Suspicion
+from hilcell.calibration.causes import Cause, Suspicion
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import coverage_factor
@@ -61,9 +61,9 @@ class BothFaces(msgspec.Struct, frozen=True):
     @property
     def suspicion(self) -> Suspicion | None:
         """Return the axis that is off, if a nest shows that one is."""
-        return (
-            None if self.holds else Suspicion("instrument", self.size_urad, self.unit, NOTICED_BY)
-        )
+        if self.holds:
+            return None
+        return Suspicion(Cause.INSTRUMENT, self.size_urad, self.unit, NOTICED_BY)
 
     @property
     def text(self) -> str:
@@ -118,14 +118,11 @@ def judged_faces(
     return BothFaces(nests, URAD * float(sizes[axis]), AXES[axis])
 
 
-def instrument(log: Log) -> list[Suspicion]:
-    """Return the axes of the tracker that are off, as both faces showed them."""
-    found = []
-    for number, key in enumerate(VERDICTS):
-        if key in log.verdicts:
-            seen = two_faces(log, number)
-            found += [] if seen is None or seen.suspicion is None else [seen.suspicion]
-    return found[:1]
+def instrument(log: Log) -> Suspicion | None:
+    """Return the first axis of the tracker that both faces showed to be off."""
+    judged = (two_faces(log, n) for n, key in enumerate(VERDICTS) if key in log.verdicts)
+    suspicions = (each.suspicion for each in judged if each is not None)
+    return next((each for each in suspicions if each is not None), None)
 
 
 def _limits_mm(cell: Cell, at_mm: Array) -> Array:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Self
 import msgspec
 
 from hilcell.alarms.catalogue import code_of_verdict, entry_of
-from hilcell.calibration.suspicions import suspected_in
+from hilcell.calibration.causes import suspected_in
 from hilcell.cell.file import Cell
 from hilcell.clean import harmless
 from hilcell.commands.output import (

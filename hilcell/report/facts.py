@@ -14,9 +14,9 @@ from datetime import tzinfo
 from pathlib import Path
 from typing import Any
 
+from hilcell.calibration.causes import suspected_in
 from hilcell.calibration.file import read_calibration
 from hilcell.calibration.in_use import standings_in
-from hilcell.calibration.suspicions import suspected_in
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, read_bytes

@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from hilcell.calibration.change import RISK
+from hilcell.calibration.causes import RISK
 from hilcell.calibration.decision import Judged
 from hilcell.calibration.known_length import LengthFound
 from hilcell.calibration.pose_test import ISO

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hilcell.calibration.noticed import NOTICED_BY, reference_c
-from hilcell.calibration.suspicions import Suspicion
+from hilcell.calibration.causes import Cause, Suspicion
+from hilcell.calibration.diagnosis import NOTICED_BY, reference_c
 from hilcell.journal.log import Point
 from hilcell.ports import Array, DeviceError, NoReading
 from hilcell.run.measuring import Ask
@@ -73,7 +73,7 @@ class RoomGuard:
             f"air {now_c:.1f} C, {now_c - then_c:+.1f} K from the grid's first point",
             wanted=f"within {table.back_k:g} K of {then_c:.1f} C for {table.steady_s:g} s",
             act="wait until the room is as it was, then resume",
-            fields=Suspicion("temperature", now_c - then_c, "K", NOTICED_BY).facts
+            fields=Suspicion(Cause.TEMPERATURE, now_c - then_c, "K", NOTICED_BY).facts
             | {"air_c": now_c, "then_c": then_c, "limit_k": table.range_k},
         )
 

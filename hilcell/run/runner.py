@@ -17,7 +17,7 @@ from dataclasses import asdict
 from typing import Any
 
 from hilcell.alarms.acknowledged import Acknowledged
-from hilcell.calibration.suspicions import blamed
+from hilcell.calibration.causes import blamed
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
 from hilcell.errors import DriverDefect, facts_of

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilcell.calibration.suspicions import Suspicion
+from hilcell.calibration.causes import Cause, Suspicion
 from hilcell.cell.file import Nest, Station
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Point, positions_mm
@@ -119,7 +119,7 @@ class StationGuard:
 
 
 def _jumped(station: Station, off: Off) -> DeviceError:
-    suspicion = Suspicion("strip", off.off_mm, "mm", f"slide nest at {station.name}")
+    suspicion = Suspicion(Cause.STRIP, off.off_mm, "mm", f"slide nest at {station.name}")
     return DeviceError(
         "HC-S10",
         "Rail",

@@ -16,8 +16,8 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from hilcell.calibration.causes import Cause, Suspicion
 from hilcell.calibration.frames import world_from_tracker
-from hilcell.calibration.suspicions import Suspicion
 from hilcell.cell.file import Cell
 from hilcell.cell.layout import Nest
 from hilcell.geometry.beam_noise import BeamNoise
@@ -199,7 +199,7 @@ class TrackerGuard:
         act = "fix its stand, then start a new run"
         if built:
             act = f"{built} rests on points measured since it was proven; start a new run"
-        suspicion = Suspicion("tracker moved", facts["moved_mm"], "mm", "control points")
+        suspicion = Suspicion(Cause.TRACKER_MOVED, facts["moved_mm"], "mm", "control points")
         raise _moved(
             f"moved by {facts['moved_mm']:.3f} mm",
             f"<= {facts['limit_mm']:.3f} mm",

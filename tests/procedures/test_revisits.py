@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hilcell.calibration.noticed import CLOSING, REVISIT, overtaken, revisited, revisits
+from hilcell.calibration.diagnosis import CLOSING, REVISIT, overtaken, revisited, revisits
 from hilcell.calibration.reversal import REVERSAL
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log, Point

@@ -9,8 +9,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from hilcell.calibration.causes import blamed, suspected_in
 from hilcell.calibration.frames import Frames, grid_of, measured_of
-from hilcell.calibration.suspicions import blamed, suspected_in
 from hilcell.calibration.touch import beside_nest, touch_targets_mm, visit_covariance
 from hilcell.cell.file import Cell, Station, load_cell
 from hilcell.compensation.choice import MODELS

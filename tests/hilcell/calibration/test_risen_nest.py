@@ -6,8 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from hilcell.calibration.diagnosis import suspicions_of
 from hilcell.calibration.frame_covariance import world_motion
-from hilcell.calibration.noticed import risen_nest, suspicions_of
+from hilcell.calibration.since import risen_nest
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.floor_before import floor_before
 from hilcell.journal.journal import read_journal

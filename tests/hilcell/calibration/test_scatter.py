@@ -6,13 +6,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from hilcell.calibration.causes import LARGE_AXES, ZEROS
 from hilcell.calibration.scatter import (
     Deviations,
     Scatter,
     worse_than_stated,
     worst_scatter,
 )
-from hilcell.calibration.suspicions import LARGE_AXES, ZEROS
 from hilcell.cell.file import load_cell
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.journal.journal import read_journal

@@ -8,9 +8,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from hilcell.calibration.diagnosis import suspicions_of
 from hilcell.calibration.file import read_calibration, write_calibration
 from hilcell.calibration.form import Update
-from hilcell.calibration.noticed import changes, suspicions_of
 from hilcell.calibration.since import Parameter, changed_since, compared
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.calibration_facts import USED
@@ -49,7 +49,7 @@ def moved(
 
 
 def test_the_same_base_and_stations_hold(log: Log, before: FloorBefore) -> None:
-    found = changes(then(log, before))
+    found = compared(then(log, before))
     assert all(each.holds for each in found)
     places = 1 + len(log.cell.station)
     assert len(found) == 1 + 6 * places

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.noticed import REVISIT, revisited, revisits
+from hilcell.calibration.diagnosis import REVISIT, revisited, revisits
 from hilcell.calibration.visit_noise import (
     of_differences,
     scatter_besides,
@@ -102,7 +102,7 @@ def test_two_visits_of_other_poses_differ_as_their_covariance_states() -> None:
         blocks = sum(noise.covariances(points, np.eye(3)) for points in (then, now))
         found.append(float(d @ np.linalg.solve(of_differences(np.asarray(blocks)), d)) / len(d))
     assert np.mean(found) == pytest.approx(1.2, abs=0.2)  # 27 visits show three axes' scatter
-    assert max(found) < 3.26  # the limit of the test in `hilcell.calibration.change`
+    assert max(found) < 3.26  # the limit of the test in `hilcell.calibration.causes`
 
 
 def test_an_unchanged_robot_is_not_suspected_by_a_coarse_instrument(log: Log) -> None:

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from hilcell.alarms.alarm import alarms_of
-from hilcell.calibration.suspicions import Suspicion
+from hilcell.calibration.causes import Cause, Suspicion
 from hilcell.cell.devices import ConnectFailed, load_entry
 from hilcell.commands import live
 from hilcell.commands.cli import main
@@ -59,7 +59,7 @@ def test_the_cause_that_ended_a_run_is_shown(
     """The cause that a fault suspects is no table of a finished run."""
     writer = Writer(tmp_path / "r1").began()
     writer.state("run", "faulted")
-    suspected = {"suspicions": [msgspec.to_builtins(Suspicion("strip", 1.0, "mm", "slide nest"))]}
+    suspected = {"suspicions": [Suspicion(Cause.STRIP, 1.0, "mm", "slide nest").facts]}
     end = {"state": "faulted", "exit": 3, "result": suspected}
     writer.journal.append("end", "", end)
     folder = writer.left()

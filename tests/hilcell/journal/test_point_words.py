@@ -7,7 +7,7 @@ from pathlib import Path
 
 import hilcell
 import procedures
-from hilcell.calibration.noticed import VERDICTS
+from hilcell.calibration.diagnosis import VERDICTS
 from hilcell.journal.point_words import KINDS, counted_words
 from hilcell.report.facts import read_facts
 from tests.whole.golden import GoldenRuns

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.noticed import warm
+from hilcell.calibration.diagnosis import warm
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.journal.point_id import PointId

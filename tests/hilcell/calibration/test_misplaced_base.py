@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hilcell.calibration.base_place import misplaced_base
+from hilcell.calibration.diagnosis import misplaced_base
 from hilcell.cell.file import Cell, load_cell
 from hilcell.journal.log import Log
 

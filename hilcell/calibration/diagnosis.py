@@ -1,8 +1,13 @@
-"""Suspicions that a run's own comparisons raise: re-visits, the mount, the validation."""
+"""Causes of wrong figures that a run's own comparisons let suspect: re-visits, the mount, targets.
+
+Each detector looks at one comparison. Where another's findings decide whether it has anything to
+say, it declares that one, so what they find does not depend on the order of their list.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Iterable
 from itertools import chain
 
 import numpy as np
@@ -10,34 +15,27 @@ from msgspec import convert
 from msgspec.structs import replace
 
 from hilcell.calibration.base_circles import axis_6_height_mm, circle_of
-from hilcell.calibration.base_place import misplaced_base
 from hilcell.calibration.bounds import validated, validation_points
 from hilcell.calibration.budget import growth_since
-from hilcell.calibration.change import RISK, Change, Differences, changed, likeliest
+from hilcell.calibration.causes import (
+    RISK,
+    Cause,
+    Change,
+    Differences,
+    Suspicion,
+    changed,
+    likeliest,
+)
 from hilcell.calibration.contribution import systematic_mm2
 from hilcell.calibration.drift import robot_drift
 from hilcell.calibration.errors import errors_of, visit_scatter
 from hilcell.calibration.file import learnt_so_far
-from hilcell.calibration.frame_covariance import (
-    FLOOR_NESTS,
-    hold_covariance,
-    world_covariance,
-    world_motion,
-)
+from hilcell.calibration.frame_covariance import hold_covariance, world_covariance
 from hilcell.calibration.influence import SIZE, NoBound, motion
 from hilcell.calibration.known_length import scale
 from hilcell.calibration.reversal import reversal
 from hilcell.calibration.scatter import scattered, worse_than_stated
-from hilcell.calibration.since import (
-    FITTED,
-    Parameter,
-    changed_since,
-    compared,
-    frame_change,
-    limit_covariance,
-    noise_covariance,
-)
-from hilcell.calibration.suspicions import Suspicion
+from hilcell.calibration.since import risen_nest, since_before
 from hilcell.calibration.tracker_drift import tracker_drift
 from hilcell.calibration.two_faces import instrument
 from hilcell.calibration.visit_noise import of_differences, visit_noise
@@ -45,12 +43,7 @@ from hilcell.geometry.circles import base_frame_covariance, reading_covariance
 from hilcell.geometry.frames import apply, inverse, matrix, motion_levers
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.rotations import from_rotvec
-from hilcell.geometry.statistics import (
-    bounds95_mm,
-    chance_of_at_most,
-    f_quantile,
-    rectangular_variance,
-)
+from hilcell.geometry.statistics import bounds95_mm, chance_of_at_most, rectangular_variance
 from hilcell.journal.log import (
     NO_READINGS,
     Log,
@@ -62,6 +55,45 @@ from hilcell.journal.log import (
 from hilcell.journal.point_id import CHECKS, CONTROL
 from hilcell.journal.set_ups import PROOFS
 from hilcell.ports import Array
+
+Found = Iterable[Suspicion | None]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Detector:
+    """A comparison of a run's data, and the causes that it can name.
+
+    ``find`` gets what the detectors that it ``needs`` have found, and nothing of any other.
+    """
+
+    causes: tuple[Cause, ...]
+    find: Callable[[Log, list[Suspicion]], Found]
+    needs: tuple[Detector, ...] = ()
+
+
+def findings(log: Log, detectors: Iterable[Detector]) -> dict[Detector, list[Suspicion]]:
+    """Return what each detector has found, and each that one of them needs."""
+    found: dict[Detector, list[Suspicion]] = {}
+
+    def of(detector: Detector) -> list[Suspicion]:
+        if detector not in found:
+            needed = [each for need in detector.needs for each in of(need)]
+            suspicions = detector.find(log, needed)
+            found[detector] = [each for each in suspicions if each is not None]
+        return found[detector]
+
+    for each in detectors:
+        of(each)
+    return found
+
+
+def suspicions_of(log: Log) -> list[Suspicion]:
+    """Return what a run's journal lets suspect; nothing where all is as predicted."""
+    found = findings(log, DETECTORS)
+    return [suspicion for each in DETECTORS for suspicion in found[each]]
+
+
+# -- the room --------------------------------------------------------------------------------------
 
 NOTICED_BY = "weather station"
 
@@ -82,8 +114,51 @@ def warm(log: Log) -> Suspicion | None:
     worst_k = max(off_k, key=abs, default=0.0)
     if abs(worst_k) <= log.cell.room.range_k:
         return None
-    return Suspicion("temperature", worst_k, "K", NOTICED_BY)
+    return Suspicion(Cause.TEMPERATURE, worst_k, "K", NOTICED_BY)
 
+
+# -- the robot's base where it was measured, against where the cell file has it --------------------
+
+# Floor nests are known to each other: reflectors of another size in all of them leave their
+# distances as they are, and lift {W} with all that is measured in it. The base stands where it
+# stood, so it comes out lower or higher by the difference of the radii.
+
+BASES_PLACE = "the base's place in the cell file"
+INCH_MM = 25.4
+BALLS_IN = (0.5, 0.875, 1.5)  # diameters of reflectors as sold
+SAME_MM = 3.0  # by which a base that is bolted as usual may be elsewhere
+
+
+def misplaced_base(log: Log) -> Suspicion | None:
+    """Return a base that is not where the cell file says, with the cause that fits."""
+    cell = log.cell
+    if "circle_rms_mm" not in log.frames.get("base", {}):
+        return None
+    station = cell.station_named(cell.grid.station)
+    stated_mm = cell.layout.nominal_base(station.rail_mm)[:3, 3]
+    off_mm = log.matrix("base")[:3, 3] - stated_mm
+    size_mm = float(np.linalg.norm(off_mm))
+    if size_mm <= cell.layout.base_tolerance_mm:
+        return None
+    if balls := _balls(off_mm):
+        return Suspicion(
+            Cause.REFLECTOR, float(off_mm[2]), f"mm along z of {{W}}, as of {balls}", BASES_PLACE
+        )
+    return Suspicion(Cause.BASE_MISPLACED, size_mm, "mm", BASES_PLACE)
+
+
+def _balls(off_mm: Array) -> str:
+    """Return which reflectors in all floor nests leave a base (3,) off so; "" for none."""
+    for seated in BALLS_IN:
+        for expected in BALLS_IN:
+            higher_mm = (expected - seated) * INCH_MM / 2.0
+            fits = float(np.linalg.norm(off_mm - [0.0, 0.0, higher_mm])) <= SAME_MM
+            if higher_mm and fits:
+                return f"{seated:g} in reflectors in floor nests for {expected:g} in"
+    return ""
+
+
+# -- the mount -------------------------------------------------------------------------------------
 
 # Both are compared with what links, zeros and a mount measured by hand explain, and with what the
 # instrument itself does: a turn of {B} about z, that axis 6's small circle leaves open, looks
@@ -103,7 +178,7 @@ def mount_offset(log: Log) -> Suspicion | None:
         of_base, radius_mm2 = _by_circles(log)
         off_mm = abs(frame["radius_mm"][1] - axis_6_radius_mm(arm))
         if not off_mm <= np.hypot(MOST_RADIUS_MM, SIGMAS * np.sqrt(radius_mm2)):
-            return Suspicion("mount offset", off_mm, "mm", CIRCLE)
+            return Suspicion(Cause.MOUNT_OFFSET, off_mm, "mm", CIRCLE)
     points = log.select("grid")
     if not points:
         return None
@@ -117,7 +192,7 @@ def mount_offset(log: Log) -> Suspicion | None:
     covariance = (mount_mm2 + systematic) * np.eye(3) + J @ of_base @ J.T
     if off @ np.linalg.solve(covariance, off) <= SIGMAS**2:
         return None
-    return Suspicion("mount offset", float(np.linalg.norm(off)), "mm", CONSTANT)
+    return Suspicion(Cause.MOUNT_OFFSET, float(np.linalg.norm(off)), "mm", CONSTANT)
 
 
 def _by_circles(log: Log) -> tuple[Array, float]:
@@ -150,6 +225,8 @@ def axis_6_radius_mm(arm: Arm) -> float:
     return float(np.hypot(last[0, 3], last[1, 3]))
 
 
+# -- poses that were visited again, and corrected targets ------------------------------------------
+
 REVISIT, CLOSING = "revisit", "closing"  # kinds of points: after the grid, and in the end
 REVISITS = {REVISIT: "re-visited poses", CLOSING: "vertices re-visited at the end"}
 VERDICTS = {REVISIT: "revisits", CLOSING: "revisits.closing"}  # their keys in the journal
@@ -157,32 +234,6 @@ VALIDATION = "validation"
 MOMENTS = 5  # of the grid at which a change may have come
 LEAST_INSIDE = 0.82  # of corrected targets, within bounds that 95 % should keep
 LEAST_WITHOUT_CURVES = 0.6  # where the gears' ripple is not known: 0.73 was seen
-
-
-def suspicions_of(log: Log) -> list[Suspicion]:
-    """Return what a run's journal lets suspect; nothing where all is as predicted.
-
-    A correction that was learnt from a robot which changed names no cause of its own.
-    """
-    rounds = (
-        established(log, kind) or revisits(log, kind).suspicion
-        for kind in REVISITS
-        if revisited(log, kind)
-    )
-    again = next((each for each in rounds if each is not None), None)
-    turned = log.once(reversal, besides=NO_READINGS)
-    lost = turned.suspicion if turned is not None else None
-    # The causes that fit where corrected targets are not within their bounds.
-    fit = log.judged.get("fit") if again is None else None
-    of_validation = [] if fit is None else log.once(_of_targets, fit.seq, besides=NO_READINGS)
-    mount = log.once(mount_offset, besides=NO_READINGS)
-    of_robot = [each for each in (mount, lost, again, *of_validation) if each is not None]
-    # Slow and small changes show where nothing larger has changed, or nothing that has a name.
-    named = any(each.cause != "unknown" for each in of_robot)
-    slow = None if named else tracker_drift(log) or scattered(log) or robot_drift(log)
-    found = [scale(log), *instrument(log), warm(log), misplaced_base(log)]
-    found += [risen_nest(log), since_before(log), worse_than_stated(log), *of_robot, slow]
-    return [each for each in found if each is not None]
 
 
 def established(log: Log, kind: str) -> Suspicion | None:
@@ -318,62 +369,67 @@ def _of_targets(log: Log, fit: int) -> list[Suspicion]:
     return found
 
 
-# -- A floor nest that rose straight out of the plane of the three since the current calibration ---
+# -- the detectors ---------------------------------------------------------------------------------
 
-# Distances of three nests hardly change then, but {W} tilts about the other two, and the robot's
-# base lies elsewhere in it. So {B} as this run measured it is compared with that of the
-# calibration's run: each nest moves it along one direction of six. A nest is suspected where its
-# height explains the difference better than chance does, and chance what is left: a base that was
-# moved, or a robot with other zeros, is no risen nest.
+# A correction that was learnt from a robot which changed names no cause of its own. Slow and small
+# changes show where nothing larger has changed, or nothing that has a name.
 
-
-def risen_nest(log: Log) -> Suspicion | None:
-    """Return the nest that rose or sank, if one clearly has; None where no base can tell."""
-    before = log.inputs.floor_before
-    if before is None or before.base is None or not before.alike:
-        return None
-    if "circle_rms_mm" not in log.frames.get("base", {}):
-        return None
-    now = log.matrix("base")
-    covariance = noise_covariance(log, "base") + limit_covariance(log, "base")
-    covariance += np.array(before.base.covariance)
-    d = frame_change(np.array(before.base.matrix), now)
-    up = log.matrix("world")[:3, :3].T[:, 2]  # of {W}, in the tracker's frame
-    columns = [world_motion(log, now[:3, 3], nest, up) for nest in range(FLOOR_NESTS)]
-    heights_mm, sigmas_mm = np.array([_fitted(d, covariance, each) for each in columns]).T
-    nest = int(np.argmax(np.abs(heights_mm / sigmas_mm)))
-    explained = (heights_mm[nest] / sigmas_mm[nest]) ** 2
-    left = float(d @ np.linalg.solve(covariance, d)) - explained
-    freedom = 2.0 * len(log.select("base")) - FITTED
-    if not explained > f_quantile(1.0 - RISK / FLOOR_NESTS, 1, freedom):
-        return None
-    if not left <= 5.0 * f_quantile(1.0 - RISK, 5, freedom):
-        return None
-    name = log.cell.layout.floor[nest].name
-    noticed_by = f"base frame of run {before.run}"
-    return Suspicion("nest moved", float(heights_mm[nest]), f"mm of {name}", noticed_by)
+OF_POSES = (Cause.MOUNT_SLIPPED, Cause.TEMPERATURE, Cause.ZERO_LOST, Cause.STRIP, Cause.UNKNOWN)
 
 
-def _fitted(d: Array, covariance: Array, column: Array) -> tuple[float, float]:
-    """Return the height by generalised least squares, and its standard uncertainty."""
-    weighted = np.linalg.solve(covariance, column)
-    information = float(weighted @ column)
-    return float(weighted @ d) / information, 1.0 / np.sqrt(information)
+def _again(log: Log, kind: str) -> Found:
+    """Yield what re-visits show, or have shown."""
+    if revisited(log, kind):
+        yield established(log, kind) or revisits(log, kind).suspicion
 
 
-def since_before(log: Log) -> Suspicion | None:
-    """Return what has changed most since the current calibration, if anything has."""
-    before = log.inputs.floor_before
-    return None if before is None else changed_since(changes(log), before.run)
+def _lost_motion(log: Log) -> Found:
+    turned = log.once(reversal, besides=NO_READINGS)
+    return [] if turned is None else [turned.suspicion]
 
 
-def changes(log: Log) -> list[Parameter]:
-    """Return the parameters of this calibration and of the current one, side by side.
-
-    A base that lies elsewhere by a nest that rose is no change of its own.
-    """
-    return log.once(_changes, besides=NO_READINGS)
+def _targets(log: Log) -> Found:
+    fit = log.judged.get("fit")
+    return [] if fit is None else log.once(_of_targets, fit.seq, besides=NO_READINGS)
 
 
-def _changes(log: Log) -> list[Parameter]:
-    return compared(log, with_base=risen_nest(log) is None)
+def _where_none_is_named(
+    find: Callable[[Log], Suspicion | None],
+) -> Callable[[Log, list[Suspicion]], Found]:
+    def looking(log: Log, needed: list[Suspicion]) -> Found:
+        if all(each.cause is Cause.UNKNOWN for each in needed):
+            yield find(log)
+
+    return looking
+
+
+NEST = Detector((Cause.NEST_MOVED,), lambda log, _: [risen_nest(log)])
+MOUNT = Detector(
+    (Cause.MOUNT_OFFSET,), lambda log, _: [log.once(mount_offset, besides=NO_READINGS)]
+)
+LOST_MOTION = Detector((Cause.REVERSAL,), lambda log, _: _lost_motion(log))
+AFTER_GRID = Detector(OF_POSES, lambda log, _: _again(log, REVISIT))
+AT_END = Detector(
+    OF_POSES, lambda log, changed: [] if changed else _again(log, CLOSING), (AFTER_GRID,)
+)
+TARGETS = Detector(
+    OF_POSES, lambda log, changed: [] if changed else _targets(log), (AFTER_GRID, AT_END)
+)
+LARGE = (MOUNT, LOST_MOTION, AFTER_GRID, AT_END, TARGETS)
+TRACKER = Detector((Cause.DRIFT,), _where_none_is_named(tracker_drift), LARGE)
+SCATTER = Detector((Cause.REPEATABILITY,), _where_none_is_named(scattered), (*LARGE, TRACKER))
+SLOW = Detector((Cause.DRIFT,), _where_none_is_named(robot_drift), (*LARGE, TRACKER, SCATTER))
+
+# In the order in which their findings are shown.
+DETECTORS = (
+    Detector((Cause.SCALE,), lambda log, _: [scale(log)]),
+    Detector((Cause.INSTRUMENT,), lambda log, _: [instrument(log)]),
+    Detector((Cause.TEMPERATURE,), lambda log, _: [warm(log)]),
+    Detector((Cause.REFLECTOR, Cause.BASE_MISPLACED), lambda log, _: [misplaced_base(log)]),
+    NEST,
+    Detector(
+        (Cause.CHANGED_SINCE,), lambda log, risen: [since_before(log, with_base=not risen)], (NEST,)
+    ),
+    Detector((Cause.REPEATABILITY,), lambda log, _: [worse_than_stated(log)]),
+    *LARGE, TRACKER, SCATTER, SLOW,
+)  # fmt: skip

@@ -1,12 +1,18 @@
-"""Poses that were measured twice: chance explains them, or the cause that was put in is named."""
+"""Poses that were measured twice: chance explains them, or the cause that was put in is named.
+
+The cause that an error names is the result of the run that it ends.
+"""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import pytest
 
-from hilcell.calibration.change import Differences, changed
+from hilcell.calibration.causes import Cause, Differences, Suspicion, blamed, changed, suspected_in
 from hilcell.cell.file import load_cell
+from hilcell.errors import DeviceError
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import Array
 from procedures.plan import poses_at
@@ -128,3 +134,30 @@ def test_wider_scatter_is_found_by_all_differences_together() -> None:
 def test_not_a_number_does_not_hold() -> None:
     nowhere = np.full((COUNT, 3), np.nan)
     assert not changed(measured(0, nowhere), ARM, "x").holds
+
+
+STRIP = Suspicion(Cause.STRIP, 1.0, "mm", "slide nest at S300")
+
+
+def ended_by(**fields: object) -> DeviceError:
+    return DeviceError("HC-S10", "Rail", "hold S300", "beside it", fields=fields)
+
+
+def test_an_error_names_its_cause_by_the_fields_of_a_suspicion() -> None:
+    error = ended_by(**STRIP.facts, station="S300")
+    assert suspected_in(blamed(error.facts())) == [STRIP]
+
+
+@pytest.mark.parametrize(
+    "facts",
+    [
+        {},
+        ended_by(station="S300").facts(),
+        ended_by(cause="strip").facts(),
+        ended_by(**STRIP.facts | {"size": math.nan}).facts(),
+        ended_by(**STRIP.facts | {"cause": "witchcraft"}).facts(),
+    ],
+)
+def test_an_error_without_a_cause_blames_nothing(facts: dict[str, object]) -> None:
+    assert blamed(facts) == {}
+    assert suspected_in(blamed(facts)) == []

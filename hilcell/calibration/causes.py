@@ -1,0 +1,279 @@
+"""Causes of errors that nothing else explains: how each moves the poses, and which explains best.
+
+An axis that lost its zero moves them by its column of the Jacobian, a reflector that slipped by its
+orientation, an arm that grew by its reach. A suspicion is a hint where to look, no proof: a
+few poses cannot tell every cause from another.
+
+The tracker is proven by its own nests, so a pose that comes out elsewhere when it is measured again
+is the robot's, its mount's or the slide's doing. Of N differences d with covariance C,
+``d' C^-1 d`` is judged as 3N F(3N, nu), nu the degrees of freedom by which the repeatability is
+known at a few places and wider by its spread over the others, and what a cause of k parameters
+explains of it as k F(k, nu), the risk shared by all causes. The cause is named that leaves what
+chance explains, the one of fewest parameters first; none where the best of them leaves most. One
+orientation of the tool cannot tell a reflector that slipped from a shift of the base. A slip that
+has the direction of a turn of axis 6 by itself is taken for its lost zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from hilcell.geometry.frames import motion_levers
+from hilcell.geometry.jacobian import parameter_jacobian
+from hilcell.geometry.kinematics import Arm, forward
+from hilcell.geometry.statistics import f_quantile
+from hilcell.ports import Array
+from hilcell.typed import typed
+
+LARGE_AXES = 5
+LEAST_LEVER_MM = 20.0  # of a reflector beside axis 6: below, no turn of it is seen
+ZEROS = slice(18, 24)  # of the links' parameters: the joints' offsets
+RISK = 0.001  # of each of two tests: that poses which have not changed are found to
+SPREAD = 1.5  # of the scatter's variance over a cube: a joint's own scatter acts by its reach
+PENALTY = 4.0  # of chi^2, that a parameter more must gain
+MOST_LEFT = 0.5  # of chi^2, by a cause that is named
+
+
+class Cause(StrEnum):
+    """A cause in words."""
+
+    TRACKER_MOVED = "tracker moved"
+    MOUNT_SLIPPED = "mount slipped"
+    ZERO_LOST = "zero lost"
+    MOUNT_OFFSET = "mount offset"
+    SCALE = "scale"
+    REVERSAL = "reversal"
+    TEMPERATURE = "temperature"
+    STRIP = "strip"
+    NEST_MOVED = "nest moved"
+    CHANGED_SINCE = "changed since"
+    REPEATABILITY = "repeatability"
+    DRIFT = "drift"
+    INSTRUMENT = "instrument"
+    REFLECTOR = "reflector"
+    BASE_MISPLACED = "base misplaced"
+    UNKNOWN = "unknown"
+
+    @property
+    def advice(self) -> str:
+        """Return what to do with a calibration whose run lets suspect the cause."""
+        if self is Cause.CHANGED_SINCE:
+            return "`hilcell revoke` the wrong one of both calibrations."
+        return "Do not use this calibration."
+
+
+class Suspicion(msgspec.Struct, frozen=True):
+    """A cause that fits, its size, and the comparison by which it was noticed."""
+
+    cause: Cause
+    size: float
+    unit: str
+    noticed_by: str
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Return it as fields of an error that names it."""
+        found: dict[str, Any] = msgspec.to_builtins(self)
+        return found
+
+    @property
+    def words(self) -> str:
+        """Return cause and size."""
+        return f"{self.cause} ({self.size:.4g} {self.unit})"
+
+    @property
+    def text(self) -> str:
+        """Return it in words, with the comparison."""
+        return f"{self.words}, noticed by {self.noticed_by}"
+
+
+def blamed(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the result of a run that ended with an error of these facts: the cause, where its
+    fields are those of a `Suspicion`.
+    """
+    try:
+        found = typed(facts.get("fields", {}), Suspicion)
+    except msgspec.ValidationError:  # it names no cause, or a size that is no number
+        return {}
+    return {"suspicions": [found.facts]}
+
+
+def suspected_in(result: Mapping[str, Any]) -> list[Suspicion]:
+    """Return the suspicions of a run's result."""
+    return typed(result.get("suspicions", []), list[Suspicion])
+
+
+class Pattern(NamedTuple):
+    """How a cause moves N poses: columns (3N, K) of mm per unit, the factor to ``unit``."""
+
+    cause: Cause
+    columns: Array
+    factor: float
+    unit: str
+
+
+def patterns(arm: Arm, joints_rad: Array) -> list[Pattern]:
+    """Return the patterns at joints (N, 6) of the robot's causes, in {B}."""
+    poses = forward(arm, joints_rad)
+    J = parameter_jacobian(arm, joints_rad)[:, :3, ZEROS] * arm.sign
+    grown = motion_levers(poses[:, :3, 3])[:, :, 6].reshape(-1, 1)
+    return [
+        Pattern(Cause.MOUNT_SLIPPED, poses[:, :3, :3].reshape(-1, 3), 1.0, "mm"),
+        Pattern(Cause.TEMPERATURE, grown, 1e6, "µm/m"),
+        *(_zero(J, n) for n in range(LARGE_AXES)),
+    ]
+
+
+def axis_6_pattern(arm: Arm, joints_rad: Array) -> list[Pattern]:
+    """Return the pattern of axis 6 as in `patterns`; none where it hardly moves the reflector.
+
+    It is that of a mount which slipped along the turn, and no reflector alone tells them apart. So
+    it is no cause to test for, but the likelier one where a slip has this direction by itself.
+    """
+    J = parameter_jacobian(arm, joints_rad)[:, :3, ZEROS] * arm.sign
+    lever_mm = float(np.sqrt(np.square(J[:, :, LARGE_AXES]).sum(axis=1).mean()))
+    return [_zero(J, LARGE_AXES)] if lever_mm >= LEAST_LEVER_MM else []
+
+
+def _zero(J: Array, axis: int) -> Pattern:
+    """Return the pattern of a lost zero; ``J`` (N, 3, 6) are the joints' columns."""
+    columns = J[:, :, axis].reshape(-1, 1)
+    return Pattern(Cause.ZERO_LOST, columns, float(np.degrees(1.0)), f"deg of axis {axis + 1}")
+
+
+def strip_pattern(rail: Sequence[float] | Array, count: int) -> Pattern:
+    """Return the pattern of a slide that stands elsewhere along ``rail`` (3,) in {B}."""
+    return Pattern(Cause.STRIP, np.tile(np.asarray(rail), count)[:, None], 1.0, "mm")
+
+
+def weights_of(covariance_mm2: Array) -> Array:
+    """Return the weights (3N, 3N) of errors with a covariance: its inverse."""
+    return np.array(np.linalg.inv(covariance_mm2), dtype=float)
+
+
+def left_by(
+    errors_mm: Array, weights: Array, columns: Array, besides: Array | None = None
+) -> tuple[float, float]:
+    """Return the chi^2 of errors (N, 3) that columns (3N, K) leave, and the columns' size.
+
+    ``weights`` (3N, 3N) are those of `weights_of`.
+    ``besides`` (3N, M) may explain errors as well, and counts for no size. The size of a single
+    column has its sign, that of three is their length.
+    """
+    own = columns.shape[1]
+    J = columns if besides is None else np.hstack([columns, besides])
+    e = errors_mm.reshape(-1)
+    weighted = weights @ np.column_stack([J, e])
+    chi2, pull = float(e @ weighted[:, -1]), J.T @ weighted[:, -1]
+    information = J.T @ weighted[:, :-1]
+    scale = 1.0 / np.sqrt(np.diag(information))  # columns differ in units
+    inverse = np.ones((1, 1))  # of one column, scaled
+    if len(scale) > 1:
+        inverse = np.linalg.pinv(scale[:, None] * information * scale, hermitian=True)
+    x = scale * (inverse @ (scale * pull))
+    size = float(x[0]) if own == 1 else float(np.linalg.norm(x[:own]))
+    return chi2 - float(x @ pull), size
+
+
+class Differences(msgspec.Struct, frozen=True):
+    """Differences (N, 3) in {B} at joints (N, 6), their covariance (3N, 3N), and the degrees of
+    freedom of its estimate. ``rail`` (3,) is the rail's direction in {B}, 0 without one.
+
+    Of poses in the order of their first visits the first ones may have changed, and the others
+    been visited after the change: so many as one of ``firsts`` says.
+    """
+
+    difference_mm: Array
+    covariance_mm2: Array
+    joints_rad: Array
+    freedom: float
+    rail: Array
+    firsts: Sequence[int]
+
+
+class Change(msgspec.Struct, frozen=True):
+    """The test that comes closest to its limit, and the cause that explains best what it found."""
+
+    ratio: float  # of chi^2, or of what a cause explains of it, to its degrees of freedom
+    limit: float
+    suspicion: Suspicion | None
+
+    @property
+    def holds(self) -> bool:
+        """Whether chance explains the differences."""
+        return self.ratio <= self.limit
+
+
+def changed(found: Differences, arm: Arm, noticed_by: str) -> Change:
+    """Return what two visits of the same poses have shown.
+
+    Two tests: whether chance explains all differences together, and whether one cause explains
+    them better than chance would make it. The second finds a change that each pose hides.
+    """
+    d = found.difference_mm.reshape(-1)
+    chi2 = float(d @ np.linalg.solve(found.covariance_mm2, d))
+    explained = _explained(found, arm, noticed_by)
+    risk = RISK / len(explained)
+    limits = {
+        k: f_quantile(1.0 - risk, k, found.freedom) for k in {each.parameters for each in explained}
+    }
+    tests = [(chi2 / len(d), SPREAD * f_quantile(1.0 - RISK, len(d), found.freedom))]
+    tests += [((chi2 - e.left) / e.parameters, limits[e.parameters]) for e in explained]
+    ratio, limit = max(tests, key=lambda test: test[0] / test[1])
+    if ratio <= limit:
+        return Change(ratio, limit, None)
+    return Change(ratio, limit, _named(found, arm, explained, noticed_by))
+
+
+def likeliest(found: Differences, arm: Arm, noticed_by: str) -> Suspicion:
+    """Return the cause that leaves least, each parameter having to gain its penalty."""
+    return _named(found, arm, _explained(found, arm, noticed_by), noticed_by)
+
+
+def _named(found: Differences, arm: Arm, explained: list[_Explained], noticed_by: str) -> Suspicion:
+    best = min(explained, key=_penalised)
+    if best.suspicion.cause is Cause.MOUNT_SLIPPED:
+        turns = _by_patterns(found, axis_6_pattern(arm, found.joints_rad), noticed_by)
+        best = min([best, *turns], key=_penalised)
+    d = found.difference_mm.reshape(-1)
+    if best.left <= MOST_LEFT * float(d @ np.linalg.solve(found.covariance_mm2, d)):
+        return best.suspicion
+    rms_mm = float(np.sqrt(np.square(found.difference_mm).sum(axis=1).mean()))
+    return Suspicion(Cause.UNKNOWN, rms_mm, "mm", noticed_by)
+
+
+def _penalised(each: _Explained) -> float:
+    return each.left + PENALTY * each.parameters
+
+
+class _Explained(NamedTuple):
+    """A cause, the chi^2 that it leaves, and its number of parameters."""
+
+    suspicion: Suspicion
+    left: float
+    parameters: int
+
+
+def _explained(found: Differences, arm: Arm, noticed_by: str) -> list[_Explained]:
+    """Return every cause at every moment at which it may have come."""
+    strip = [strip_pattern(found.rail, len(found.joints_rad))] if found.rail.any() else []
+    return _by_patterns(found, [*patterns(arm, found.joints_rad), *strip], noticed_by)
+
+
+def _by_patterns(
+    found: Differences, causes: Sequence[Pattern], noticed_by: str
+) -> list[_Explained]:
+    explained, weights = [], weights_of(found.covariance_mm2)
+    for cause, all_columns, factor, unit in causes:
+        for first in found.firsts:
+            columns = all_columns.copy()
+            columns[3 * first :] = 0.0
+            left, size = left_by(found.difference_mm, weights, columns)
+            suspicion = Suspicion(cause, factor * size, unit, noticed_by)
+            explained.append(_Explained(suspicion, left, columns.shape[1]))
+    return explained

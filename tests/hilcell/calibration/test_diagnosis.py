@@ -1,0 +1,146 @@
+"""What detectors find in a whole run depends on what they need of one another, and on no order."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterable
+
+import msgspec
+import numpy as np
+import pytest
+
+from hilcell.calibration.causes import ZEROS, Cause, patterns
+from hilcell.calibration.diagnosis import DETECTORS, findings, suspicions_of
+from hilcell.calibration.frame_covariance import world_motion
+from hilcell.calibration.reversal import REVERSAL
+from hilcell.geometry.frames import inverse
+from hilcell.geometry.jacobian import parameter_jacobian
+from hilcell.geometry.rotations import from_rotvec
+from hilcell.journal.journal import Record, read_journal
+from hilcell.journal.log import FloorBefore, FrameBefore, Log, Point, commanded_rad
+from hilcell.journal.runs import JOURNAL
+from hilcell.ports import Array
+from tests.whole.golden import GoldenRuns
+
+SHUFFLES = 3
+
+
+@pytest.fixture(scope="module")
+def records(golden: GoldenRuns) -> list[Record]:
+    return list(read_journal(golden["small"].folder / JOURNAL))
+
+
+def move(log: Log, points: Iterable[Point], off_mm: Array) -> None:
+    """Move what was measured by (N, 3), axes of {B}."""
+    R_L_B = (inverse(log.matrix("world")) @ log.matrix("base"))[:3, :3]
+    for point, by_mm in zip(points, off_mm @ R_L_B.T, strict=True):
+        x, y, z = (np.array(log.points[point.key].xyz_mm) + by_mm).tolist()
+        log.points[point.key] = msgspec.structs.replace(log.points[point.key], xyz_mm=(x, y, z))
+
+
+def robot_changes(cause: int, size_mm: float, *, after: float | None) -> Callable[[Log], None]:
+    """Let a pattern move all poses by a mean of ``size_mm``: after a share of the run; slowly
+    where that is None.
+    """
+
+    def disturb(log: Log) -> None:
+        points = sorted((p for p in log.points.values() if p.commanded_deg), key=log.recorded)
+        off_mm = patterns(log.cell.robot.arm(), commanded_rad(points))[cause].columns[:, :1]
+        off_mm = off_mm.reshape(-1, 3) * size_mm / np.sqrt(np.square(off_mm).mean() * 3.0)
+        seen = np.array([log.recorded(p) for p in points], dtype=float)
+        share = (seen - seen[0]) / (seen[-1] - seen[0])
+        move(log, points, off_mm * (share if after is None else share > after)[:, None])
+
+    return disturb
+
+
+def scattered(kind: str, std_mm: float) -> Callable[[Log], None]:
+    def disturb(log: Log) -> None:
+        points = log.select(kind)
+        move(log, points, np.random.default_rng(1).normal(0.0, std_mm, (len(points), 3)))
+
+    return disturb
+
+
+def tracker_drifts(log: Log) -> None:
+    for point in [*log.points.values()]:
+        move(log, [point], np.array([[2e-3 * log.recorded(point), 0.0, 0.0]]))
+
+
+def room_warms(log: Log) -> None:
+    key = log.select("grid")[-1].key
+    log.points[key] = msgspec.structs.replace(log.points[key], temperature_c=45.0)
+
+
+def axis_2_loses_motion(log: Log) -> None:
+    points, arm = log.select(REVERSAL), log.cell.robot.arm()
+    J = parameter_jacobian(arm, commanded_rad(points))[:, :3, ZEROS] * arm.sign
+    move(log, points, -200e-6 * J[:, :, 1])
+
+
+def wider_circle(log: Log) -> None:
+    first, wide_mm = log.frames["base"]["radius_mm"]
+    log.frames["base"] = log.frames["base"] | {"radius_mm": [first, wide_mm + 4.0]}
+
+
+def nest_rises(log: Log) -> None:
+    then, up = log.matrix("base"), log.matrix("world")[:3, :3].T[:, 2]
+    moved = world_motion(log, then[:3, 3], 1, 2.0 * up)
+    then[:3, 3] -= moved[:3]
+    then[:3, :3] = from_rotvec(-moved[3:]) @ then[:3, :3]
+    base = FrameBefore(then.tolist(), log.frames["base"]["covariance"])
+    before = FloorBefore("c1", {}, None, base, alike=True)
+    log.plan = msgspec.structs.replace(log.inputs, floor_before=before)
+
+
+DISTURBANCES: dict[str, tuple[Callable[[Log], None], ...]] = {
+    "none": (),
+    "slip": (robot_changes(0, 2.0, after=0.5),),
+    "zero": (robot_changes(3, 2.0, after=0.9),),
+    "slow": (robot_changes(2, 0.5, after=None),),
+    "tracker": (tracker_drifts,),
+    "targets": (scattered("validate", 0.4),),
+    "visits": (scattered("repeatability", 0.6), room_warms),
+    "mount": (wider_circle, axis_2_loses_motion, scattered("validate", 0.4)),
+    "nest": (nest_rises, tracker_drifts),
+    "all": (nest_rises, room_warms, wider_circle, robot_changes(4, 3.0, after=0.7)),
+}
+
+
+def disturbed(records: list[Record], name: str) -> Log:
+    """Return a log of its own, for it keeps what was computed of it."""
+    log = Log(records)
+    for disturb in DISTURBANCES[name]:
+        disturb(log)
+    return log
+
+
+@pytest.mark.parametrize("name", DISTURBANCES)
+def test_the_order_of_the_detectors_says_nothing(records: list[Record], name: str) -> None:
+    wanted, rng = findings(disturbed(records, name), DETECTORS), random.Random(name)
+    for _ in range(SHUFFLES):
+        order = rng.sample(DETECTORS, len(DETECTORS))
+        assert findings(disturbed(records, name), order) == wanted
+
+
+@pytest.mark.parametrize("name", DISTURBANCES)
+def test_a_detector_alone_finds_what_it_finds_among_all(records: list[Record], name: str) -> None:
+    among_all = findings(disturbed(records, name), DETECTORS)
+    for each in DETECTORS:
+        assert findings(disturbed(records, name), [each])[each] == among_all[each]
+        assert {suspicion.cause for suspicion in among_all[each]} <= {*each.causes}
+
+
+def test_the_disturbances_of_these_tests_are_seen(records: list[Record]) -> None:
+    found = {name: suspicions_of(disturbed(records, name)) for name in DISTURBANCES}
+    assert [name for name, suspicions in found.items() if not suspicions] == ["none"]
+    assert {each.cause for suspicions in found.values() for each in suspicions} == {
+        Cause.MOUNT_SLIPPED, Cause.ZERO_LOST, Cause.MOUNT_OFFSET, Cause.REVERSAL,
+        Cause.TEMPERATURE, Cause.NEST_MOVED, Cause.REPEATABILITY, Cause.DRIFT, Cause.UNKNOWN,
+    }  # fmt: skip
+
+
+def test_every_cause_but_those_of_a_guard_has_a_detector() -> None:
+    assert {*Cause} - {cause for each in DETECTORS for cause in each.causes} == {
+        Cause.TRACKER_MOVED
+    }
