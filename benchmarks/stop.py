@@ -37,6 +37,7 @@ from hilcell.journal.point_id import PointId
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import JOURNAL
 from hilcell.ports import SimulatedCell
+from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.control import Control
 from hilcell.run.procedure import Procedure, Step
@@ -124,7 +125,7 @@ def cycle(cell: Cell, simulated: SimulatedCell, place: Place, folder: Path, phas
     journal.append("plan", "", msgspec.to_builtins(plan_of(cell, phase)))
     runner = Runner(
         cell,
-        Procedure(phase, "", (Phase(phase),), lambda result: ([], [])),
+        Procedure(phase, "", (Phase(phase),), lambda result: Table((), ())),
         journal,
         devices=build_devices(cell, place.addresses, clock),
         clock=clock,

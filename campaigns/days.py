@@ -31,6 +31,7 @@ from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import JOURNAL
+from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Step
 from hilcell.run.runner import Runner
@@ -103,7 +104,7 @@ def engine(points: int) -> int:
         journal.append("plan", "", msgspec.to_builtins(plan_of(cell, "month")))
         runner = Runner(
             cell,
-            Procedure("month", "", (Month(points),), lambda result: ([], [])),
+            Procedure("month", "", (Month(points),), lambda result: Table((), ())),
             journal,
             devices=build_devices(cell, simulated.options, clock),
             clock=clock,

@@ -31,6 +31,11 @@ def harmless(text: str) -> str:
     )
 
 
+def harmless_lines(text: str) -> str:
+    """Return ``text`` with its line breaks, but nothing else that a terminal obeys."""
+    return "\n".join(map(harmless, text.split("\n")))
+
+
 def encodable(text: str) -> str:
     """Return ``text`` with bytes of a file's name that are no text replaced: no JSON holds them."""
     return text.encode(errors="replace").decode()

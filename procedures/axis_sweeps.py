@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,9 +19,10 @@ from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.log import Log
 from hilcell.journal.stream_file import read_stream
 from hilcell.ports import Array, NoReading
+from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_sweep
-from hilcell.run.procedure import Span, Step, Table
+from hilcell.run.procedure import Span, Step
 from hilcell.run.sweeping import SweepOrder, record_sweep
 from procedures.durations import closing, first_pass_percent, robot_moves_s, step
 from procedures.plan import check_range, check_reach, poses_at
@@ -225,18 +228,19 @@ def sweep_words(result: dict[str, Any]) -> str:
 
 def sweep_table(result: dict[str, Any]) -> Table:
     """Return the swept axes with their lines, for a person to read."""
-    headers = ["axis", "used", "cycles: amplitude urad", "lag ms", "noise urad", "signal %"]
-    rows = []
-    for each in result["sweeps"]["axes"]:
-        pairs = zip(each["cycles"], each["amplitude_urad"], strict=True)
-        rows.append(
-            [
-                f"A{each['axis']}",
-                "yes" if each["used"] else each["reason"],
-                ", ".join(f"{cycles:.1f}: {size:.1f}" for cycles, size in pairs) or "none",
-                f"{each['lag_ms']:.2f}",
-                f"{each['noise_urad']:.1f}",
-                f"{100 * each['share']:.0f}",
-            ]
-        )
-    return headers, rows
+    return Table(
+        [
+            Column("axis", lambda row: f"A{row['axis']}"),
+            Column("used", lambda row: "yes" if row["used"] else row["reason"]),
+            Column("cycles: amplitude", _lines, "µrad"),
+            Column("lag", itemgetter("lag_ms"), "ms", ".2f"),
+            Column("noise", itemgetter("noise_urad"), "µrad", ".1f"),
+            Column("signal", lambda row: 100 * row["share"], "%", ".0f"),
+        ],
+        result["sweeps"]["axes"],
+    )
+
+
+def _lines(axis: Mapping[str, Any]) -> str:
+    pairs = zip(axis["cycles"], axis["amplitude_urad"], strict=True)
+    return ", ".join(f"{cycles:.1f}: {size:.1f}" for cycles, size in pairs) or "none"

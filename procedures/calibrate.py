@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from operator import itemgetter, methodcaller
 from typing import Any
 
 from hilcell.geometry.statistics import Figures
 from hilcell.journal.calibration_facts import OUTCOMES
-from hilcell.run.procedure import Procedure, Table
+from hilcell.journal.ways_sent import WAYS
+from hilcell.present.table import Column, Named, Table
+from hilcell.run.procedure import Procedure
 from procedures.axis_sweeps import AxisSweeps, sweep_table, sweep_words
 from procedures.base_frame import BaseFrame
 from procedures.chosen_poses import ChosenPoses
@@ -27,27 +31,41 @@ from procedures.world_frame import WorldFrame
 
 def validation_table(result: dict[str, Any]) -> Table:
     """Return the errors before and after, station by station, as the paper states them."""
-    names, rows = Figures._fields, []
-    oriented = any(
-        "orientation" in each.get("before", {}) for each in result["validation"].values()
+    rows = [
+        {"place": where, "way": way, "sent": sent.get(way), "outcome": outcome}
+        | figures[way]
+        | figures[way].get("orientation", {})
+        for where, figures in result["validation"].items()
+        for sent in (figures.get("points_sent", {"before": figures["points"]}),)
+        for outcome in (figures.get("decision", {}).get("outcome"),)
+        for way in ("before", "idw", "chosen", "floor")
+        if way in figures
+    ]
+    names = Figures._fields
+    oriented = any(row["way"] == "before" and "orientation" in row for row in rows)
+    return Table(
+        [
+            Column("station", lambda row: row["place"] if row["way"] == "before" else ""),
+            Column("points", itemgetter("sent"), form="d"),
+            Column("error of", lambda row: _sent(row, result["method"])),
+            *(Column(name, methodcaller("get", name), "mm", ".4f") for name in names),
+            *(
+                Column(f"turn {name}", methodcaller("get", f"{name}_deg"), "°", ".4f")
+                for name in names
+                if oriented
+            ),
+        ],
+        rows,
     )
-    angles = [f"{name}_deg" for name in names] if oriented else []
-    for where, figures in result["validation"].items():
-        for label in ("before", "idw", "chosen", "floor"):
-            if label not in figures:
-                continue
-            each = figures[label]
-            name = f"chosen: {result['method']}" if label == "chosen" else label
-            if label == "chosen" and "decision" in figures:
-                name += f", {OUTCOMES[figures['decision']['outcome']]}"
-            counts = figures.get("points_sent", {"before": figures["points"]})
-            first = [where if label == "before" else "", str(counts.get(label, ""))]
-            texts = [f"{each[figure]:.4f}" if figure in each else "" for figure in names]
-            turns = each.get("orientation", {})
-            texts += [f"{turns[key]:.4f}" if key in turns else "" for key in angles]
-            rows.append([*first, name, *texts])
-    headers = ["station", "points", "error of", *(f"{figure} mm" for figure in names)]
-    return [*headers, *(f"turn {key.replace('_', ' ')}" for key in angles)], rows
+
+
+def _sent(row: Mapping[str, Any], method: str) -> Named:
+    """Return how targets were sent, and the outcome of those that were corrected."""
+    name, words = row["way"], WAYS.get(row["way"], row["way"])
+    if name == "chosen":
+        judged = f", {OUTCOMES[row['outcome']]}" if row["outcome"] else ""
+        return Named(f"chosen: {method}{judged}", f"{words}{judged}")
+    return Named(name, words)
 
 
 def words(result: dict[str, Any]) -> str:
@@ -65,31 +83,23 @@ def words(result: dict[str, Any]) -> str:
 
 def station_table(result: dict[str, Any]) -> Table:
     """Return the quality of each station's frame."""
-    headers = [
-        "station",
-        "strip mm",
-        "fit rms mm",
-        "tool point u mm",
-        "worst corner u mm",
-        "left out",
-    ]
-    rows = [
+    return Table(
         [
-            name,
-            f"{each['strip_mm']:.2f}",
-            f"{each['rms_mm']:.4f}",
-            f"{each['tool_uncertainty_mm']:.4f}",
-            f"{each['cube_uncertainty_mm']:.4f}",
-            ", ".join(each["left_out"]) or "none",
-        ]
-        for name, each in result["stations"].items()
-    ]
-    return headers, rows
+            Column("station", itemgetter("station")),
+            Column("strip", itemgetter("strip_mm"), "mm", ".2f"),
+            Column("fit rms", itemgetter("rms_mm"), "mm", ".4f"),
+            Column("tool point u", itemgetter("tool_uncertainty_mm"), "mm", ".4f"),
+            Column("worst corner u", itemgetter("cube_uncertainty_mm"), "mm", ".4f"),
+            Column("left out", lambda row: ", ".join(row["left_out"]) or "none"),
+        ],
+        [each | {"station": name} for name, each in result["stations"].items()],
+    )
 
 
 def point_table(result: dict[str, Any]) -> Table:
     """Return how many points of each group were measured."""
-    return ["group", "points"], [[name, str(count)] for name, count in result["points"].items()]
+    points = Column("points", itemgetter(1), form="d")
+    return Table([Column("group", itemgetter(0)), points], result["points"].items())
 
 
 TO_STATION = (Home(), WorldFrame(), HoldStation())

@@ -18,9 +18,10 @@ from hilcell.fit.robot_file import Measurements, RobotModel, Row, read_measureme
 from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.ports import HilcellError
+from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.interlocks import check_joint_limits
-from hilcell.run.procedure import Procedure, Step, Table
+from hilcell.run.procedure import Procedure, Step
 from procedures.durations import flange_points, measure_s
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -22,8 +23,9 @@ from hilcell.conformance.trial import Trial
 from hilcell.conformance.verdicts import PORTS, NeedsPerson, Port
 from hilcell.journal.log import Log
 from hilcell.ports import Array, HilcellError, RailReading, RobotReading, Stream, TrackerReading
+from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Procedure, Step, Table
+from hilcell.run.procedure import Procedure, Step
 from procedures.home import Home
 
 STANDS_DEG = 0.05  # an axis that turns by less is not announced
@@ -255,12 +257,9 @@ def _check_slow(cell: Cell) -> None:
 
 def conformance_table(result: dict[str, Any]) -> Table:
     """Return one line a promise."""
-    rows = [
-        [port, each["promise"], each["verdict"], each["why"]]
-        for port, outcomes in result[NAME].items()
-        for each in outcomes
-    ]
-    return ["port", "promise", "verdict", "why"], rows
+    rows = [each | {"port": port} for port, outcomes in result[NAME].items() for each in outcomes]
+    names = ("port", "promise", "verdict", "why")
+    return Table([Column(name, itemgetter(name)) for name in names], rows)
 
 
 CONFORMANCE = Procedure(

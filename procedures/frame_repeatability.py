@@ -7,6 +7,7 @@ them where they were at the reference.
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,9 @@ from hilcell.geometry.statistics import f_quantile, lengths_mm, rms
 from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, HilcellError
+from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Step, Table
+from hilcell.run.procedure import Step
 from procedures.base_frame import (
     check_circles,
     points_on_arc,
@@ -119,14 +121,21 @@ def seen_from(log: Log, kind: str, station: Station) -> Array:
 def frame_repeatability_table(result: dict[str, Any]) -> Table:
     """Return the distances in both frames, point by point, and the ratio."""
     figures = result["frame_repeatability"]
-    rows = [
-        [f"{station}, point {n + 1}", f"{base_mm:.4f}", f"{station_mm:.4f}"]
+    rows: list[tuple[str, float | None, float | None]] = [
+        (f"{station}, point {n + 1}", base_mm, station_mm)
         for station in figures["base"]
         for n, (base_mm, station_mm) in enumerate(
             zip(figures["base"][station], figures["station"][station], strict=True)
         )
     ]
     low, high = figures["ratio_interval"]
-    rows.append(["rms", *(f"{figures['rms_mm'][kind]:.4f}" for kind in ("base", "station"))])
-    rows.append([f"ratio {figures['ratio']:.1f} (95 %: {low:.1f} .. {high:.1f})", "", ""])
-    return ["moved against the reference", "base frame mm", "station frame mm"], rows
+    rows.append(("rms", figures["rms_mm"]["base"], figures["rms_mm"]["station"]))
+    rows.append((f"ratio {figures['ratio']:.1f} (95 %: {low:.1f} .. {high:.1f})", None, None))
+    return Table(
+        [
+            Column("moved against the reference", itemgetter(0)),
+            Column("base frame", itemgetter(1), "mm", ".4f"),
+            Column("station frame", itemgetter(2), "mm", ".4f"),
+        ],
+        rows,
+    )

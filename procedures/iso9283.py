@@ -8,6 +8,7 @@ visit that is missing after a stop is approached in the same way.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -28,10 +29,11 @@ from hilcell.geometry.pose_test import CYCLE
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, HilcellError
+from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_path
 from hilcell.run.motion import Straight
-from hilcell.run.procedure import Procedure, Span, Step, Table
+from hilcell.run.procedure import Procedure, Span, Step
 from procedures.base_frame import BaseFrame
 from procedures.durations import closing, measure_s, robot_moves_s, step
 from procedures.home import Home
@@ -151,19 +153,22 @@ def commands_rad(cell: Cell, calibrated: bool) -> Array:
 
 def pose_table(result: dict[str, Any]) -> Table:
     """Return the characteristics pose by pose, then those of the distance."""
-    found = result[ISO]
-    rows = [
-        [name, *(f"{value:.0f}" for value in each["commanded_mm"])]
-        + [f"{each[key]:.4f}" for key in _POSE_KEYS]
-        for name, each in found["poses"].items()
-    ]
-    headers = ["pose", "x mm", "y mm", "z mm", "AP_p mm", "AP_x mm", "AP_y mm", "AP_z mm",
-               "U(AP) mm", "RP_l mm", "U(RP) mm", "robot's"]  # fmt: skip
-    return headers, rows
-
-
-_POSE_KEYS = ("ap_mm", "ap_x_mm", "ap_y_mm", "ap_z_mm", "ap_u95_mm", "rp_mm", "rp_u95_mm",
-              "rp_robot_mm")  # fmt: skip
+    figures = {
+        "AP_p": "ap_mm", "AP_x": "ap_x_mm", "AP_y": "ap_y_mm", "AP_z": "ap_z_mm",
+        "U(AP)": "ap_u95_mm", "RP_l": "rp_mm", "U(RP)": "rp_u95_mm",
+    }  # fmt: skip
+    poses = [each | {"pose": name} for name, each in result[ISO]["poses"].items()]
+    return Table(
+        [
+            Column("pose", itemgetter("pose")),
+            Column("x", lambda row: row["commanded_mm"][0], "mm", ".0f"),
+            Column("y", lambda row: row["commanded_mm"][1], "mm", ".0f"),
+            Column("z", lambda row: row["commanded_mm"][2], "mm", ".0f"),
+            *(Column(name, itemgetter(key), "mm", ".4f") for name, key in figures.items()),
+            Column("robot's", itemgetter("rp_robot_mm"), form=".4f"),
+        ],
+        poses,
+    )
 
 
 def pose_words(result: dict[str, Any]) -> str:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import Any
 
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
+from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Part, Procedure, Step, Table
+from hilcell.run.procedure import Part, Procedure, Step
 from procedures.axis_sweeps import AxisSweeps
 from procedures.base_frame import BaseFrame
 from procedures.fit import Fit
@@ -76,19 +78,18 @@ def rows_for(log: Log) -> list[Row]:
 
 def paper_table(result: dict[str, Any]) -> Table:
     """Return the rows for a person to read."""
-    rows = [
+    return Table(
         [
-            row["row"],
-            "" if row["paper"] is None else f"{row['paper']:g}",
-            f"{row['here']:.4g}",
-            "" if row["chosen"] is None else f"{row['chosen']:.4g}",
-            row["unit"],
-            row["criterion"],
-            verdict(row),
-        ]
-        for row in result["rows"]
-    ]
-    return ["row", "paper", "here", "chosen", "unit", "criterion", ""], rows
+            Column("row", itemgetter("row")),
+            Column("paper", itemgetter("paper"), form="g"),
+            Column("here", itemgetter("here"), form=".4g"),
+            Column("chosen", itemgetter("chosen"), form=".4g"),
+            Column("unit", itemgetter("unit")),
+            Column("criterion", itemgetter("criterion")),
+            Column("", verdict),
+        ],
+        result["rows"],
+    )
 
 
 PAPER = Procedure(

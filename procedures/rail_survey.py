@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,9 @@ from hilcell.geometry.statistics import slope, variance_of_mean
 from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
+from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import FLANGE, CellSession
-from hilcell.run.procedure import Span, Step, Table
+from hilcell.run.procedure import Span, Step
 from procedures.durations import closing, measure_s, rail_move_s, step
 
 FORTH, BACK = "forth", "back"
@@ -150,22 +152,22 @@ def turn_rad(before_mm: Array, after_mm: Array) -> Array:
 def survey_table(result: dict[str, Any]) -> Table:
     """Return the survey's figures for a person to read."""
     survey = result["rail_survey"]
-    rows = [
-        ["largest error", f"{survey['max_error_mm']:.4f}", "", "mm"],
-        *(
-            [name, f"{survey[key]['value']:.4f}", f"{survey[key]['u']:.4f}", unit_name]
-            for name, key, unit_name in (
-                ("backlash", "backlash_mm", "mm"),
-                ("scale", "scale_ppm", "ppm"),
-            )
-        ),
-        *(
-            [f"straightness, {name}", f"{value:.4f}", "", "mm"]
-            for name, value in survey["straightness_mm"].items()
-        ),
-        *(
-            [f"{name}, peak to peak", f"{float(np.ptp(turns)):.4f}", "", "mrad"]
-            for name, turns in survey["angles_mrad"].items()
-        ),
+    backlash, scale = survey["backlash_mm"], survey["scale_ppm"]
+    rows: list[tuple[str, float, float | None, str]] = [
+        ("largest error", survey["max_error_mm"], None, "mm"),
+        ("backlash", backlash["value"], backlash["u"], "mm"),
+        ("scale", scale["value"], scale["u"], "ppm"),
     ]
-    return ["figure", "value", "u (k = 1)", "unit"], rows
+    for name, value in survey["straightness_mm"].items():
+        rows.append((f"straightness, {name}", value, None, "mm"))
+    for name, turns in survey["angles_mrad"].items():
+        rows.append((f"{name}, peak to peak", float(np.ptp(turns)), None, "mrad"))
+    return Table(
+        [
+            Column("figure", itemgetter(0)),
+            Column("value", itemgetter(1), form=".4f"),
+            Column("u (k = 1)", itemgetter(2), form=".4f"),
+            Column("unit", itemgetter(3)),
+        ],
+        rows,
+    )

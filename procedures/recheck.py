@@ -7,6 +7,7 @@ correction at its own station.
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -23,9 +24,10 @@ from hilcell.journal.calibration_facts import USED
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, HilcellError
+from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
-from hilcell.run.procedure import Procedure, Step, Table
+from hilcell.run.procedure import Procedure, Step
 from procedures.durations import closing, flange_points, step
 from procedures.home import Home
 from procedures.plan import drivable, turned
@@ -148,22 +150,18 @@ def commands_rad(cell: Cell, calibration: Calibration, seed: int) -> Array:
 
 def recheck_table(result: dict[str, Any]) -> Table:
     """Return every pose's error beside the predicted one, and the verdict."""
-    found = result["recheck"]
-    rows = [
+    return Table(
         [
-            each["pose"],
-            *(f"{value:.0f}" for value in each["at_mm"]),
-            f"{each['error_mm']:.4f}",
-            f"{each['bound_mm']:.4f}",
-            f"{each['left_mm']:.4f}",
-        ]
-        for each in found["poses"]
-    ]
-    headers = [
-        "pose", "x mm", "y mm", "z mm", "error mm", "predicted mm (95 %)",
-        "left after best motion mm",
-    ]  # fmt: skip
-    return headers, rows
+            Column("pose", itemgetter("pose")),
+            Column("x", lambda row: row["at_mm"][0], "mm", ".0f"),
+            Column("y", lambda row: row["at_mm"][1], "mm", ".0f"),
+            Column("z", lambda row: row["at_mm"][2], "mm", ".0f"),
+            Column("error", itemgetter("error_mm"), "mm", ".4f"),
+            Column("predicted mm (95 %)", itemgetter("bound_mm"), form=".4f"),
+            Column("left after best motion", itemgetter("left_mm"), "mm", ".4f"),
+        ],
+        result["recheck"]["poses"],
+    )
 
 
 def recheck_words(result: dict[str, Any]) -> str:

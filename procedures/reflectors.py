@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import Any
 
 import msgspec
@@ -11,8 +12,9 @@ from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import REFLECTOR, PointId
 from hilcell.ports import HilcellError
+from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import FLANGE, CellSession
-from hilcell.run.procedure import Procedure, Step, Table
+from hilcell.run.procedure import Procedure, Step
 from procedures.durations import closing, readings, step
 from procedures.home import Home
 from procedures.world_frame import WorldFrame
@@ -67,18 +69,16 @@ def places_of(cell: Cell) -> list[str]:
 
 def reflector_table(result: dict[str, Any]) -> Table:
     """Return the reflectors for a person to read."""
-    headers = ["reflector of", "along the beam mm", "across mm", "limit mm", ""]
-    rows = [
+    return Table(
         [
-            each["place"],
-            f"{each['along_mm']:+.4f}",
-            f"{each['across_mm']:.4f}",
-            f"{each['limit_mm']:.4f}",
-            "" if each["holds"] else "differs",
-        ]
-        for each in result["reflectors"]
-    ]
-    return headers, rows
+            Column("reflector of", itemgetter("place")),
+            Column("along the beam", itemgetter("along_mm"), "mm", "+.4f"),
+            Column("across", itemgetter("across_mm"), "mm", ".4f"),
+            Column("limit", itemgetter("limit_mm"), "mm", ".4f"),
+            Column("", lambda row: "" if row["holds"] else "differs"),
+        ],
+        result["reflectors"],
+    )
 
 
 REFLECTORS = Procedure(

@@ -8,6 +8,7 @@ target comes closer.
 from __future__ import annotations
 
 from itertools import product
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -24,8 +25,9 @@ from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.journal.reading_noise import noise_at, run_noise
 from hilcell.ports import Array
+from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Step, Table
+from hilcell.run.procedure import Step
 from procedures.durations import closing, flange_points, leg, step
 from procedures.plan import check_targets, joints_for, other_stations, poses_at
 
@@ -107,6 +109,11 @@ def middle_mm(grid: Grid, cells: Array) -> Array:
 
 def sign_table(result: dict[str, Any]) -> Table:
     """Return the target's error before and corrected."""
-    sign = result["sign"]
-    row = [f"{sign[key]:.4f}" for key in ("before_mm", "corrected_mm", "ratio")]
-    return ["before mm", "corrected mm", "ratio"], [row]
+    return Table(
+        [
+            Column("before", itemgetter("before_mm"), "mm", ".4f"),
+            Column("corrected", itemgetter("corrected_mm"), "mm", ".4f"),
+            Column("ratio", itemgetter("ratio"), form=".4f"),
+        ],
+        [result["sign"]],
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,9 @@ from hilcell.geometry.statistics import from_mean_mm, repeatability_mm
 from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
+from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Span, Step, Table
+from hilcell.run.procedure import Span, Step
 from procedures.durations import approach_s, closing, first_hold, measure_s, rail_move_s, step
 
 APPROACH_MM = 150.0
@@ -141,14 +143,16 @@ def approach_table(result: dict[str, Any]) -> Table:
     """Return range, RP and backlash of the slide without and with the strip."""
     figures = result["station_repeatability"]
     rows = [
-        [
-            f"{how}, {'from below' if way == 'one_side' else 'from random sides'}",
-            *(f"{each[key]:.4f}" if key in each else "" for key in _APPROACH_KEYS),
-        ]
+        (f"{how}, {'from below' if way == 'one_side' else 'from random sides'}", each)
         for how in HOWS
         for way, each in (("one_side", figures["one_side"][how]), ("random", figures[how]))
     ]
-    return ["approach", "range mm", "RP mm", "backlash mm"], rows
-
-
-_APPROACH_KEYS = ("range_mm", "rp_mm", "backlash_mm")
+    return Table(
+        [
+            Column("approach", itemgetter(0)),
+            Column("range", lambda row: row[1].get("range_mm"), "mm", ".4f"),
+            Column("RP", lambda row: row[1].get("rp_mm"), "mm", ".4f"),
+            Column("backlash", lambda row: row[1].get("backlash_mm"), "mm", ".4f"),
+        ],
+        rows,
+    )

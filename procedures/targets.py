@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +28,10 @@ from hilcell.geometry.frames import inverse, poses_from_zyx
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, HilcellError
+from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
-from hilcell.run.procedure import Procedure, Step, Table
+from hilcell.run.procedure import Procedure, Step
 from procedures.durations import closing, first_hold, flange_points, step
 from procedures.home import Home
 from procedures.recheck import use
@@ -132,7 +134,8 @@ def commands_rad(cell: Cell, calibration: Calibration, names: list[str], values:
 def targets_table(result: dict[str, Any]) -> Table:
     """Return the worst targets' errors as found."""
     found = sorted(result["targets"]["targets"], key=lambda each: -each["error_mm"])
-    return ["target", "error mm"], [[t["name"], f"{t['error_mm']:.4f}"] for t in found[:ROWS]]
+    error = Column("error", itemgetter("error_mm"), "mm", ".4f")
+    return Table([Column("target", itemgetter("name")), error], found[:ROWS])
 
 
 def targets_words(result: dict[str, Any]) -> str:

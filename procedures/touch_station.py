@@ -7,6 +7,7 @@ calibration was made. The calibration is written again with the touched base of 
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,9 @@ from hilcell.calibration.visit import used
 from hilcell.cell.file import Cell, Station
 from hilcell.journal.log import Log
 from hilcell.ports import HilcellError
+from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Procedure, Step, Table
+from hilcell.run.procedure import Procedure, Step
 from procedures.durations import closing, first_hold, step
 from procedures.home import Home
 from procedures.recheck import use
@@ -90,20 +92,19 @@ def _entry(calibration: Calibration, station: Station) -> Any:
 
 def touch_table(result: dict[str, Any]) -> Table:
     """Return by how much the base was moved, and its uncertainty before and after."""
-    headers = ["station", "poses", "along rail mm", "shift mm", "turn urad", "u before mm", "u mm"]
-    rows = [
+    touched = [each | {"station": name} for name, each in result.get("touch", {}).items()]
+    return Table(
         [
-            name,
-            str(found["poses"]),
-            f"{found['along_rail_mm']:+z.4f}",
-            f"{np.linalg.norm(found['shift_mm']):.4f}",
-            f"{np.linalg.norm(found['turn_urad']):.1f}",
-            f"{found['u_before_mm']:.4f}",
-            f"{found['u_after_mm']:.4f}",
-        ]
-        for name, found in result.get("touch", {}).items()
-    ]
-    return headers, rows
+            Column("station", itemgetter("station")),
+            Column("poses", itemgetter("poses"), form="d"),
+            Column("along rail", itemgetter("along_rail_mm"), "mm", "+z.4f"),
+            Column("shift", lambda row: float(np.linalg.norm(row["shift_mm"])), "mm", ".4f"),
+            Column("turn", lambda row: float(np.linalg.norm(row["turn_urad"])), "µrad", ".1f"),
+            Column("u before", itemgetter("u_before_mm"), "mm", ".4f"),
+            Column("u", itemgetter("u_after_mm"), "mm", ".4f"),
+        ],
+        touched,
+    )
 
 
 def touch_words(result: dict[str, Any]) -> str:

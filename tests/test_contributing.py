@@ -16,8 +16,8 @@ from hilcell.alarms.catalogue import Entry
 from hilcell.cell.file import load_cell
 from hilcell.clock import WallClock
 from hilcell.ports import Air, NoReading, Tracker
+from hilcell.present.table import Column
 from hilcell.report import tables
-from hilcell.report.columns import Column
 from hilcell.report.html import report_html
 from tests.hilcell.report.journals import validated_run
 from tests.hilcell.report.pages import Page
@@ -79,7 +79,8 @@ def test_the_procedure_plans_measures_and_states_its_result(tmp_path: Path) -> N
     assert bed.run(procedure) == 0
     result = procedure.result(bed.log())
     assert result["floor_noise_mm"] == pytest.approx(0.01)
-    assert procedure.table(result) == (["floor noise mm"], [["0.0100"]])
+    table = procedure.table(result)
+    assert (table.headers, table.texts()) == (["floor noise mm"], [["0.0100"]])
 
 
 def test_the_alarm_is_listed_and_raised() -> None:

@@ -3,19 +3,31 @@
 from __future__ import annotations
 
 import argparse
+from operator import attrgetter
 
 import msgspec
 
-from hilcell.clean import encodable, harmless
+from hilcell.clean import encodable
 from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.errors import HilcellError
 from hilcell.journal.engine_file import live_engine
 from hilcell.journal.find_run import find_run
 from hilcell.journal.runs import read_log
-from hilcell.report.comparison import Comparison, compare_runs, figure_words, where_words
-from hilcell.report.drift import Change
+from hilcell.present.table import Column, Table
+from hilcell.report.comparison import (
+    CHANGES,
+    Comparison,
+    Setting,
+    compare_runs,
+    figure_words,
+    where_words,
+)
 
-DIGITS = {"mm": 4, "deg": 5, "°C": 2}
+SETTINGS: tuple[Column[Setting], ...] = (
+    Column("differs", attrgetter("key")),
+    Column("first", attrgetter("first")),
+    Column("second", attrgetter("second")),
+)
 
 
 def compare(args: argparse.Namespace) -> int:
@@ -46,23 +58,8 @@ def _facts(found: Comparison, first: str, second: str) -> dict[str, object]:
 
 
 def _print(found: Comparison, first: str, second: str) -> None:
-    settings = [[each.key, each.first, each.second] for each in found.settings]
-    _draw(["differs", "first", "second"], [["run", first, second], *settings])
-    headers = ["where", "what", "first", "second", "change", "limit", "unit", "verdict"]
-    _draw(headers, [_row(each) for each in found.changes])
+    print_table(Table(SETTINGS, [Setting("run", first, second), *found.settings]))
+    print_table(Table(CHANGES, found.changes))
     for note in found.notes:
         print_message(f"note: {note}")
     print_message(found.verdict)
-
-
-def _draw(headers: list[str], rows: list[list[str]]) -> None:
-    print_table((headers, [[harmless(text) for text in row] for row in rows]))
-
-
-def _row(each: Change) -> list[str]:
-    digits = DIGITS[each.unit]
-    pair = ["" if value is None else f"{value:.{digits}f}" for value in (each.first, each.second)]
-    sign = "" if each.first is None else "+"
-    limit = "" if each.limit is None else f"{each.limit:.{digits}f}"
-    change = f"{each.change:{sign}.{digits}f}"
-    return [where_words(each), figure_words(each), *pair, change, limit, each.unit, each.verdict]

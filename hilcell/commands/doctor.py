@@ -14,8 +14,9 @@ from hilcell.cell.addresses import THIS_MACHINE
 from hilcell.cell.devices import PORTS, check_options, device_places, installed, load_entry
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
+from hilcell.clean import harmless_lines
 from hilcell.commands import this_pc
-from hilcell.commands.output import harmless_lines, print_data, print_json
+from hilcell.commands.output import print_data, print_json
 from hilcell.commands.this_pc import Finding
 from hilcell.run.cell_lock import CellLocked, lock_of_device, locked
 from hilcell.run.exits import EXIT_REFUSED

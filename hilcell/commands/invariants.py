@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import itemgetter
 from pathlib import Path
 
 from hilcell.clean import encodable, harmless
@@ -9,6 +10,7 @@ from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.invariants.judging import judge
 from hilcell.invariants.tally import INVARIANTS, Break, Verdict
 from hilcell.journal.runs import read_records
+from hilcell.present.table import Column, Table
 
 FIRST = 3  # violations of one invariant that are printed
 
@@ -38,11 +40,13 @@ def _place(found: Break) -> dict[str, object]:
 
 
 def _print(verdicts: dict[str, Verdict]) -> None:
-    rows = [
-        [name, INVARIANTS[name], _word(verdict), str(verdict.checked)]
-        for name, verdict in verdicts.items()
+    columns: list[Column[tuple[str, Verdict]]] = [
+        Column("", itemgetter(0)),
+        Column("invariant", lambda row: INVARIANTS[row[0]]),
+        Column("holds", lambda row: _word(row[1])),
+        Column("checked", lambda row: row[1].checked, form="d"),
     ]
-    print_table((["", "invariant", "holds", "checked"], rows))
+    print_table(Table(columns, verdicts.items()))
     for name, verdict in verdicts.items():
         for word, found in (("broken", verdict.broken), ("not proven", verdict.unproven)):
             for each in found[:FIRST]:

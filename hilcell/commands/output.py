@@ -6,26 +6,22 @@ would act on the terminal, so everything that is printed for people is cleaned.
 
 from __future__ import annotations
 
-import io
 import os
 import shutil
 import sys
 import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
-from hilcell.clean import harmless
+from hilcell.clean import harmless_lines
 from hilcell.commands.encoding import in_ascii
 from hilcell.errors import HilcellError
+from hilcell.present.terminal import drawn
 from hilcell.writing import NotPrinted
 
 if TYPE_CHECKING:
-    from rich.table import Table as RichTable
-
-    from hilcell.run.procedure import Table
-
-WIDEST = 500  # columns of a table
+    from hilcell.present.table import Table
 
 
 def print_message(text: str) -> None:
@@ -102,11 +98,6 @@ def stdout_checked() -> Iterator[None]:
         ) from error
 
 
-def harmless_lines(text: str) -> str:
-    """Return ``text`` with its line breaks, but nothing else that a terminal obeys."""
-    return "\n".join(map(harmless, text.split("\n")))
-
-
 def terminal_columns() -> int | None:
     """Return how wide the terminal is to which stdout goes; None for a file or a pipe."""
     if sys.stdout is None or not sys.stdout.isatty():
@@ -115,42 +106,7 @@ def terminal_columns() -> int | None:
 
 
 def print_table(table: Table) -> None:
-    """Print a table on stdout, harmless; one without rows is left out. Raises `NotPrinted`.
-
-    At its full width, but in a narrow terminal long words are folded: those of the first column
-    stay whole, to be copied.
-    """
-    from rich.console import Console
-
-    if not table[1]:
-        return
-    text, width, room = io.StringIO(), width_of(table), terminal_columns()
-    folded = room is not None and room < width
-    console = Console(file=text, markup=False, highlight=False, width=WIDEST)
-    console.width = room if room is not None and folded else width
-    console.print(_drawn(table, folded=folded))
-    with stdout_checked():
-        sys.stdout.write(text.getvalue())
-
-
-def width_of(table: Table) -> int:
-    """Return how many columns of a terminal a table takes, unfolded."""
-    from rich.console import Console
-    from rich.measure import Measurement
-
-    console = Console(file=io.StringIO(), markup=False, highlight=False, width=WIDEST)
-    return Measurement.get(console, console.options, _drawn(table, folded=False)).maximum
-
-
-def _drawn(table: Table, *, folded: bool) -> RichTable:
-    from rich.table import Table as RichTable
-
-    headers, rows = table
-    drawn = RichTable()
-    for column, header in enumerate(headers):
-        justify: Literal["left", "right"] = "left" if column == 0 else "right"
-        whole = column == 0 or not folded
-        drawn.add_column(harmless(header), justify=justify, no_wrap=whole, overflow="fold")
-    for row in rows:
-        drawn.add_row(*map(harmless_lines, row))
-    return drawn
+    """Print a table on stdout; one without rows is left out. Raises `NotPrinted`."""
+    if table:
+        with stdout_checked():
+            sys.stdout.write(drawn(table, terminal_columns()))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable
 from contextlib import suppress
 from datetime import datetime
+from operator import itemgetter
 from typing import Any
 
 from hilcell.calibration.in_use import standings_in
@@ -18,7 +18,6 @@ from hilcell.commands.output import (
     print_message,
     print_table,
     terminal_columns,
-    width_of,
 )
 from hilcell.commands.run_output import left_moving, print_suspected
 from hilcell.journal.find_run import find_run
@@ -26,7 +25,9 @@ from hilcell.journal.folder_order import clock_notes
 from hilcell.journal.index import UNREADABLE, RunRow, read_index, row_of
 from hilcell.journal.runs import read_log
 from hilcell.journal.standing import Standing
-from hilcell.run.procedure import Procedure, Table
+from hilcell.present.table import Column, Table
+from hilcell.present.terminal import width_of
+from hilcell.run.procedure import Procedure
 
 
 def runs(args: argparse.Namespace) -> int:
@@ -88,41 +89,28 @@ def _kind(summary: dict[str, Any]) -> str:
     return "simulated" if summary["simulated"] else "real"
 
 
-def _word(value: object) -> str:
-    return "" if value is None else harmless(str(value))
+def _fact(name: str) -> Column[dict[str, Any]]:
+    return Column(name, lambda each: "" if each.get(name) is None else harmless(str(each[name])))
 
 
-LIST: dict[str, Callable[[dict[str, Any]], str]] = {  # headers of the list, and their cells
-    "run": lambda each: _word(each["run"]),
-    "procedure": lambda each: _word(each.get("procedure")),
-    "cell": lambda each: _word(each.get("cell")),
-    "operator": lambda each: _word(each.get("operator")),
-    "state": lambda each: _word(each.get("state")),
-    "verdict": lambda each: _word(each.get("verdict")),
-    "points": lambda each: _word(each.get("points")),
-    "exit": lambda each: _word(each.get("exit")),
-    "begun": lambda each: _local(each.get("begun")),
-    "kind": _kind,
-    "calibration": _standing,
-}
+LIST: tuple[Column[dict[str, Any]], ...] = (
+    *map(_fact, ("run", "procedure", "cell", "operator", "state", "verdict", "points", "exit")),
+    Column("begun", lambda each: _local(each.get("begun"))),
+    Column("kind", _kind),
+    Column("calibration", _standing),
+)
 FIRST_OUT = ("procedure", "exit", "points", "operator", "begun", "state", "calibration")
 
 
 def print_list(found: list[dict[str, Any]]) -> None:
     """Print runs as a table; where a terminal is too narrow, without what is said elsewhere."""
-    room, headers = terminal_columns(), [*LIST]
-    left_out = iter(FIRST_OUT)
-    while room is not None and width_of(_listed(found, headers)) > room:
-        if (header := next(left_out, None)) is None:
-            break
-        headers.remove(header)
-    print_table(_listed(found, headers))
-    if len(headers) < len(LIST):
+    room, columns, left_out = terminal_columns(), [*LIST], [*FIRST_OUT]
+    while room is not None and left_out and width_of(Table(columns, found)) > room:
+        name = left_out.pop(0)
+        columns = [column for column in columns if column.name != name]
+    print_table(Table(columns, found))
+    if len(columns) < len(LIST):
         print_message("a wider terminal, or --json, shows more of each run")
-
-
-def _listed(found: list[dict[str, Any]], headers: list[str]) -> Table:
-    return headers, [[LIST[header](each) for header in headers] for each in found]
 
 
 def _summary(row: RunRow, standing: Standing | None) -> dict[str, Any]:
@@ -187,15 +175,15 @@ def show(args: argparse.Namespace) -> int:
     if args.json:
         print_json(summary)
         return 0
-    rows = [[name, str(summary[name])] for name in _SHOWN if summary.get(name) not in ("", None)]
-    rows.append(["state", summary["state"]])
+    rows = [(name, str(summary[name])) for name in _SHOWN if summary.get(name) not in ("", None)]
+    rows.append(("state", summary["state"]))
     if summary.get("reason") not in ("", summary.get("fault")):
-        rows.append(["reason", summary["reason"]])
+        rows.append(("reason", summary["reason"]))
     if summary.get("verdict"):
-        rows.append(["verdict", summary["verdict"]])
+        rows.append(("verdict", summary["verdict"]))
     if words := _standing(summary):
-        rows.append(["its calibration", words])
-    print_table((["run", summary["run"]], rows))
+        rows.append(("its calibration", words))
+    print_table(Table([Column("run", itemgetter(0)), Column(summary["run"], itemgetter(1))], rows))
     print_suspected(log)
     if finished:
         print_table(procedure.table(result))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from operator import itemgetter
 from pathlib import Path
 
 from hilcell.calibration.tip import tip_named
@@ -17,6 +18,7 @@ from hilcell.errors import bounded
 from hilcell.planning.holes import read_holes, twins
 from hilcell.planning.plan import HolePlan, StationPlan, ratio
 from hilcell.planning.plan import plan as plan_holes
+from hilcell.present.table import Column, Table
 
 
 def plan(args: argparse.Namespace) -> int:
@@ -83,19 +85,12 @@ def _travel(travel_mm: float, bound_mm: float) -> dict[str, object]:
 
 
 def _print(cell: Cell, found: HolePlan) -> None:
-    headers = ["station", "rail mm", "holes", "travel mm", "lower bound mm", "ratio"]
     rows = [
-        [
-            each.station.name,
-            f"{each.station.rail_mm:.2f}",
-            str(len(each.holes)),
-            *_figures(each.travel_mm, each.bound_mm),
-        ]
+        (each.station.name, each.station.rail_mm, len(each.holes), each.travel_mm, each.bound_mm)
         for each in found.stations
     ]
     count = sum(len(each.holes) for each in found.stations)
-    rows.append(["all", "", str(count), *_figures(found.travel_mm, found.bound_mm)])
-    print_table((headers, rows))
+    print_table(Table(STATIONS, [*rows, ("all", None, count, found.travel_mm, found.bound_mm)]))
     new = [each.station.name for each in found.stations if each.station not in cell.station]
     if new:
         print_message(
@@ -103,5 +98,12 @@ def _print(cell: Cell, found: HolePlan) -> None:
         )
 
 
-def _figures(travel_mm: float, bound_mm: float) -> list[str]:
-    return [f"{travel_mm:.1f}", f"{bound_mm:.1f}", f"{ratio(travel_mm, bound_mm):.4f}"]
+# Of each station, and of all: name, rail (mm), holes, travel (mm), its lower bound (mm).
+STATIONS: tuple[Column[tuple[str, float | None, int, float, float]], ...] = (
+    Column("station", itemgetter(0)),
+    Column("rail", itemgetter(1), "mm", ".2f"),
+    Column("holes", itemgetter(2), form="d"),
+    Column("travel", itemgetter(3), "mm", ".1f"),
+    Column("lower bound", itemgetter(4), "mm", ".1f"),
+    Column("ratio", lambda row: ratio(row[3], row[4]), form=".4f"),
+)

@@ -8,14 +8,14 @@ import os
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from datetime import UTC, datetime
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from hilcell.cell.settings import did_you_mean
-from hilcell.clean import clean, encodable, harmless
+from hilcell.clean import clean, encodable, harmless, harmless_lines
 from hilcell.commands.output import (
-    harmless_lines,
     print_answer,
     print_data,
     print_json,
@@ -23,6 +23,7 @@ from hilcell.commands.output import (
     print_table,
 )
 from hilcell.errors import HilcellError
+from hilcell.present.table import Column, Table
 from hilcell.run.exits import EXIT_OK, EXIT_STORAGE
 
 if TYPE_CHECKING:
@@ -113,9 +114,11 @@ def show(args: argparse.Namespace) -> int:
     if not found["cells"]:
         print_message(f"plant database {database.name}: no runs were shipped yet")
         return EXIT_OK
-    _print_cells(found["cells"])
+    print_table(Table(CELLS, found["cells"]))
     _print_robots(found["robots"])
-    _print_equipment(found)
+    print_table(Table(STATIONS, found["stations"]))
+    print_table(Table(INSTRUMENTS, found["instruments"]))
+    print_table(Table(ALARMS, found["alarms"]))
     for doubt in found["doubts"]:
         print_data(harmless_lines(f"note: {doubt}"))
     return EXIT_OK
@@ -178,100 +181,100 @@ def _answers(connection: Connection, args: argparse.Namespace) -> dict[str, Any]
     return plain
 
 
-def _print_cells(cells: list[dict[str, Any]]) -> None:
-    headers = ["cell", "serial", "machine", "calibration", "made", "valid until", "days left"]
-    rows = [
-        [
-            _word(each["cell"]), _word(each["serial"]), _word(each["machine"]),
-            _word(each["calibration"] or each["condition"]), _day(each["calibrated"]),
-            _day(each["valid_until"]), _days(each),
-            f"{_word(each['last_run'])}, {_word(each['last_state'])}, {_day(each['last_ended'])}",
-        ]
-        for each in cells
-    ]  # fmt: skip
-    print_table(([*headers, "last run"], rows))
+Row = dict[str, Any]
 
 
-def _days(cell: dict[str, Any]) -> str:
+def _named(name: str, key: str = "") -> Column[Row]:
+    return Column(name, lambda each: harmless(each[key or name]))
+
+
+def _date(name: str, key: str = "") -> Column[Row]:
+    return Column(name, lambda each: (each[key or name] or "")[:10])
+
+
+def _listed(name: str, key: str = "") -> Column[Row]:
+    return Column(name, lambda each: harmless(", ".join(each[key or name])))
+
+
+def _last_run(cell: Row) -> str:
+    ended = (cell["last_ended"] or "")[:10]
+    return f"{harmless(cell['last_run'])}, {harmless(cell['last_state'])}, {ended}"
+
+
+def _days(cell: Row) -> str:
     if cell["condition"] == "valid":
         return f"{cell['days_left']:.0f}"
-    return _word(cell["condition"]) if cell["calibration"] else ""
+    return harmless(cell["condition"]) if cell["calibration"] else ""
 
 
-def _print_robots(robots: list[dict[str, Any]]) -> None:
-    headers = ["robot", "cell", "calibrations", "of", "mm a year", "U", "drifts", "noise mm"]
-    rows = [
-        [
-            _word(each["robot"]), _word(each["cell"]), str(each["calibrations"]), drift["what"],
-            f"{drift['mm_per_year']:+z.4f}", f"{drift['U_mm_per_year']:.4f}",
-            "yes" if drift["drifts"] else "no", f"{drift['noise_mm']:.4f}",
-        ]
-        for each in robots
-        for drift in each["drift"]
-    ]  # fmt: skip
-    if rows:
-        print_table((headers, rows))
+CELLS: tuple[Column[Row], ...] = (
+    _named("cell"),
+    _named("serial"),
+    _named("machine"),
+    Column("calibration", lambda each: harmless(each["calibration"] or each["condition"])),
+    _date("made", "calibrated"),
+    _date("valid until", "valid_until"),
+    Column("days left", _days),
+    Column("last run", _last_run),
+)
+DRIFTS: tuple[Column[Row], ...] = (
+    _named("robot"),
+    _named("cell"),
+    Column("calibrations", itemgetter("calibrations"), form="d"),
+    Column("of", itemgetter("what")),
+    Column("mm a year", itemgetter("mm_per_year"), form="+z.4f"),
+    Column("U", itemgetter("U_mm_per_year"), form=".4f"),
+    Column("drifts", lambda each: "yes" if each["drifts"] else "no"),
+    Column("noise", itemgetter("noise_mm"), "mm", ".4f"),
+)
+CHANGES: tuple[Column[Row], ...] = (
+    _named("robot"),
+    _named("cell"),
+    Column("step of", itemgetter("what")),
+    Column("between", lambda each: f"{each['since'][:10]} .. {each['until'][:10]}"),
+    Column("mm", itemgetter("size_mm"), form="+z.3f"),
+    Column("U", itemgetter("U_mm"), form=".3f"),
+    Column(
+        "first seen by",
+        lambda each: harmless(each["before"]) + ("" if each["confirmed"] else " (one run only)"),
+    ),
+    Column("said then", lambda each: "\n".join(map(harmless, each["said"]))),
+)
+ENDS = ("low", "high")
+STATIONS: tuple[Column[Row], ...] = (
+    _named("station that gets worse", "station"),
+    _named("cell"),
+    Column("mean", itemgetter("mean_mm"), "mm", ".3f"),
+    Column("tolerance", itemgetter("tolerance_mm"), form="g"),
+    Column("mm a year", itemgetter("mm_per_year"), form="+z.3f"),
+    Column("95 %", lambda each: " .. ".join(f"{each[f'{end}_mm_per_year']:+z.3f}" for end in ENDS)),
+    Column("out in years", itemgetter("out_in_years"), form=".1f"),
+)
+INSTRUMENTS: tuple[Column[Row], ...] = (
+    _named("instrument", "kind"),
+    _named("serial"),
+    _named("model"),
+    _listed("cells"),
+    Column("runs", itemgetter("runs"), form="d"),
+    _date("last"),
+    Column("scale", itemgetter("scale_ppm"), "ppm", "+z.1f"),
+    Column("u", itemgetter("u_ppm"), "ppm", ".1f"),
+    _listed("disagrees with", "disagrees_with"),
+)
+ALARMS: tuple[Column[Row], ...] = (
+    _named("alarm", "code"),
+    _named("title"),
+    Column("severity", itemgetter("severity")),
+    Column("count", itemgetter("count"), form="d"),
+    _listed("cells"),
+    _date("last"),
+)
+
+
+def _print_robots(robots: list[Row]) -> None:
+    print_table(Table(DRIFTS, [each | drift for each in robots for drift in each["drift"]]))
     for each in robots:
         for what, reason in each["not_judged"].items():
-            who = f"robot {_word(each['robot'])} in {_word(each['cell'])}"
+            who = f"robot {harmless(each['robot'])} in {harmless(each['cell'])}"
             print_data(f"{who}: no drift stated of {what}: {reason}")
-    steps = [(each, change) for each in robots for change in each["changes"]]
-    if steps:
-        changes = [
-            [
-                _word(each["robot"]), _word(each["cell"]), change["what"],
-                f"{_day(change['since'])} .. {_day(change['until'])}",
-                f"{change['size_mm']:+z.3f}", f"{change['U_mm']:.3f}",
-                _word(change["before"]) + ("" if change["confirmed"] else " (one run only)"),
-                "\n".join(map(_word, change["said"])),
-            ]
-            for each, change in steps
-        ]  # fmt: skip
-        headers = ["robot", "cell", "step of", "between", "mm", "U", "first seen by", "said then"]
-        print_table((headers, changes))
-
-
-def _print_equipment(found: dict[str, Any]) -> None:
-    if found["stations"]:
-        headers = ["station that gets worse", "cell", "mean mm", "tolerance", "mm a year", "95 %"]
-        rows = [
-            [
-                _word(each["station"]), _word(each["cell"]), f"{each['mean_mm']:.3f}",
-                "" if each["tolerance_mm"] is None else f"{each['tolerance_mm']:g}",
-                f"{each['mm_per_year']:+z.3f}",
-                f"{each['low_mm_per_year']:+z.3f} .. {each['high_mm_per_year']:+z.3f}",
-                "" if each["out_in_years"] is None else f"{each['out_in_years']:.1f}",
-            ]
-            for each in found["stations"]
-        ]  # fmt: skip
-        print_table(([*headers, "out in years"], rows))
-    headers = ["instrument", "serial", "model", "cells", "runs", "last", "scale ppm", "u ppm"]
-    rows = [
-        [
-            _word(each["kind"]), _word(each["serial"]), _word(each["model"]),
-            _word(", ".join(each["cells"])), str(each["runs"]), _day(each["last"]),
-            "" if each["scale_ppm"] is None else f"{each['scale_ppm']:+z.1f}",
-            "" if each["u_ppm"] is None else f"{each['u_ppm']:.1f}",
-            _word(", ".join(each["disagrees_with"])),
-        ]
-        for each in found["instruments"]
-    ]  # fmt: skip
-    print_table(([*headers, "disagrees with"], rows))
-    if found["alarms"]:
-        headers = ["alarm", "title", "severity", "count", "cells", "last"]
-        rows = [
-            [
-                _word(each["code"]), _word(each["title"]), each["severity"], str(each["count"]),
-                _word(", ".join(each["cells"])), _day(each["last"]),
-            ]
-            for each in found["alarms"]
-        ]  # fmt: skip
-        print_table((headers, rows))
-
-
-def _word(text: str) -> str:
-    return harmless(text)
-
-
-def _day(moment: str | None) -> str:
-    return (moment or "")[:10]
+    print_table(Table(CHANGES, [each | change for each in robots for change in each["changes"]]))

@@ -7,6 +7,7 @@ import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime, timedelta
+from operator import attrgetter
 from pathlib import Path
 
 import msgspec
@@ -32,6 +33,7 @@ from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.planning.holes import read_holes, twins
 from hilcell.planning.plan import HolePlan, plan
+from hilcell.present.table import Column, Table
 from hilcell.report.sheet import Sheet, SheetHole, SheetStation, sheet_html
 from hilcell.writing import NotWritten, write_together
 
@@ -240,8 +242,7 @@ def prepare(args: argparse.Namespace) -> int:
     if args.json:
         print_json(facts)
     else:
-        headers = ["station", "rail mm", "holes", "bound95 max mm", "file", "program"]
-        print_table((headers, list(_rows(stations))))
+        print_table(Table(STATIONS, stations))
     for each in stations:
         words = summary(each.bounds, each.plan.holes, each.turns_deg)
         print_message(f"{each.plan.station.name}: {words}; {each.stroke}")
@@ -302,12 +303,14 @@ def _make(folder: Path) -> None:
         raise NotWritten(f"{folder}: cannot be used: {error.strerror or error}") from error
 
 
-def _rows(stations: list[Prepared]) -> Iterator[list[str]]:
-    for each in stations:
-        station, bounds_mm = each.plan.station, each.bounds95_mm
-        largest = "" if bounds_mm is None else f"{max(bounds_mm):.3f}"
-        place = [station.name, f"{station.rail_mm:.2f}", str(len(each.plan.holes))]
-        yield [*place, largest, each.file, " ".join(each.program)]
+STATIONS: tuple[Column[Prepared], ...] = (
+    Column("station", attrgetter("plan.station.name")),
+    Column("rail", attrgetter("plan.station.rail_mm"), "mm", ".2f"),
+    Column("holes", lambda each: len(each.plan.holes), form="d"),
+    Column("bound95 max", lambda each: max(each.bounds95_mm or [], default=None), "mm", ".3f"),
+    Column("file", attrgetter("file")),
+    Column("program", lambda each: " ".join(each.program)),
+)
 
 
 def _print_written(cell: Cell, stations: list[Prepared], folder: Path) -> None:

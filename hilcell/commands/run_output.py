@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -17,10 +18,9 @@ import msgspec
 from hilcell.alarms.catalogue import code_of_verdict, entry_of
 from hilcell.calibration.causes import suspected_in
 from hilcell.cell.file import Cell
-from hilcell.clean import harmless
+from hilcell.clean import harmless, harmless_lines
 from hilcell.commands.output import (
     flush_data,
-    harmless_lines,
     json_line,
     print_error,
     print_json,
@@ -37,8 +37,9 @@ from hilcell.journal.log import Log
 from hilcell.journal.point_id import CONTROL
 from hilcell.journal.point_words import OTHERS
 from hilcell.journal.states import WAITING
+from hilcell.present.table import Column, Table
 from hilcell.report.verdicts import deciding_words
-from hilcell.run.procedure import Plan, Procedure
+from hilcell.run.procedure import Plan, Procedure, Step
 from hilcell.run.stopping import not_at_rest
 from hilcell.typed import typed
 from hilcell.writing import NotPrinted
@@ -338,9 +339,12 @@ def print_dry_run(cell: Cell, procedure: Procedure, plan: Plan, *, as_json: bool
         for event in (head | body, end):
             print_json(event)
         return
-    rows = [[step.name, str(step.points), f"{step.duration_s / 60:.1f}"] for step in plan.steps]
-    rows.append(["all", str(plan.points), f"{plan.duration_s / 60:.1f}"])
-    print_table((["step", "points", "minutes"], rows))
+    columns = (
+        Column[Step]("step", attrgetter("name")),
+        Column[Step]("points", attrgetter("points"), form="d"),
+        Column[Step]("minutes", lambda step: step.duration_s / 60, form=".1f"),
+    )
+    print_table(Table(columns, [*plan.steps, Step("all", plan.points, plan.duration_s)]))
     for note in plan.notes:
         print_message(note)
     print_warnings(plan)

@@ -8,12 +8,12 @@ import os
 from collections import Counter
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hilcell.clean import clean
+from hilcell.clean import clean, harmless_lines
 from hilcell.commands.output import (
-    harmless_lines,
     print_data,
     print_json,
     print_message,
@@ -21,9 +21,10 @@ from hilcell.commands.output import (
 )
 from hilcell.commands.output_place import check_output
 from hilcell.errors import HilcellError
+from hilcell.present.table import Column, Table
 from hilcell.run.exits import EXIT_ABORTED, EXIT_FAULT, EXIT_OK, EXIT_OUT_OF_TOLERANCE
 from hilcell.run.signals import interrupted_once
-from hilcell.study.design import cases
+from hilcell.study.design import Case, cases
 from hilcell.study.errors import Cluster, missing
 from hilcell.study.study_file import Study, read_study
 from hilcell.writing import write_whole
@@ -116,13 +117,17 @@ def _dry_run(asked: Study, *, as_json: bool) -> int:
             }
         )
         return EXIT_OK
-    rows = [
-        [str(each.number), str(each.point.number), str(each.machine), str(each.seed),
-         *(choice.word for choice in each.point.choices)]
-        for each in itertools.islice(found, MOST_LISTED)
-    ]  # fmt: skip
-    names = [factor.title for factor in asked.factor]
-    print_table((["case", "point", "machine", "seed", *names], rows))
+    from hilcell.study.tables import point_columns
+
+    point, *factors = point_columns(asked)
+    columns: list[Column[Case]] = [
+        Column("case", attrgetter("number"), form="d"),
+        point,
+        Column("machine", attrgetter("machine"), form="d"),
+        Column("seed", attrgetter("seed"), form="d"),
+        *factors,
+    ]
+    print_table(Table(columns, itertools.islice(found, MOST_LISTED)))
     if more := sum(1 for _ in found):
         print_message(f"{more} more cases; --json lists all")
     if asked.optimise is not None:
@@ -196,11 +201,11 @@ def _answer(results: Results, planned: int, *, as_json: bool) -> int:
     if as_json:
         print_json(facts(results.study, found, planned))
     else:
-        for sheet in sheets(results.study, found, rows):
-            print_data(harmless_lines(f"\n{sheet.title}"))
-            print_table((sheet.headers, sheet.rows))
-            if sheet.note:
-                print_data(harmless_lines(sheet.note))
+        for each in sheets(results.study, found, rows):
+            print_data(harmless_lines(f"\n{each.title}"))
+            print_table(each)
+            if each.note:
+                print_data(harmless_lines(each.note))
     print_message(count_words(results.study, found, planned))
     bad = found.counts.get(FAILED, 0) or not found.counts.get(DONE, 0)
     return EXIT_OUT_OF_TOLERANCE if bad else EXIT_OK

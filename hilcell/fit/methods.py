@@ -13,6 +13,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Protocol, Self, TypedDict
 
 import numpy as np
@@ -35,6 +36,7 @@ from hilcell.geometry.kinematics import Arm, Array
 from hilcell.identification.readings import Bools, IdentificationError, Ints, ManyContradict
 from hilcell.identification.repeats import FOLDS, count_poses, folds_of, places_of
 from hilcell.identification.system import observability
+from hilcell.present.table import Column, Table
 
 NAMED = 5  # rows that one message names
 UNDETERMINED_MM = 5.0  # a bound beyond this says that the training rows do not determine a row
@@ -286,11 +288,17 @@ def figures_of(miss_mm: Array) -> dict[str, float]:
     return {f"{name}_mm": value for name, value in figures.items()}
 
 
-def methods_table(methods: Mapping[str, Mapping[str, float]]) -> tuple[list[str], list[list[str]]]:
-    """Return headers and rows of the figures of each method."""
+def methods_table(methods: Mapping[str, Mapping[str, float]]) -> Table:
+    """Return the figures of each method."""
     names = statistics.Figures._fields
-    rows = [[name, *(f"{each[f'{n}_mm']:.4f}" for n in names)] for name, each in methods.items()]
-    return ["method", *(f"{name} mm" for name in names)], rows
+    columns: list[Column[Mapping[str, str | float]]] = [
+        Column("method", itemgetter("method")),
+        *(Column(name, itemgetter(f"{name}_mm"), "mm", ".4f") for name in names),
+    ]
+    rows: list[Mapping[str, str | float]] = [
+        {"method": name, **each} for name, each in methods.items()
+    ]
+    return Table(columns, rows)
 
 
 def _contradicting(placement: Placement, rows: Measurements) -> tuple[Bools, dict[str, str]]:

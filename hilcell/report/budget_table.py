@@ -16,7 +16,7 @@ from hilcell.calibration.contribution import COVERAGE_FACTOR, Contribution
 from hilcell.calibration.influence import ASSUMED, MEASURED, Bounds, Part
 from hilcell.calibration.measurement_budget import Budget
 from hilcell.ports import Array
-from hilcell.report.columns import Column, Sheet, sheet
+from hilcell.present.table import Column, Table
 from hilcell.report.first_page import K_3D
 from hilcell.report.target_budget import TargetBudget
 
@@ -46,6 +46,7 @@ class Row:
     estimate_mm: float | None = None
     rectangular: bool = False
     along: str = ""
+    is_sum: bool = False
 
     @property
     def estimate(self) -> str:
@@ -74,9 +75,7 @@ ROWS: tuple[Column[Row], ...] = (
 )
 
 
-def budget_sheet(
-    budget: Budget | None, targets: TargetBudget, hidden: Sequence[str] = ()
-) -> Sheet | None:
+def budget_sheet(budget: Budget | None, targets: TargetBudget, hidden: Sequence[str] = ()) -> Table:
     """Return the table, nothing where the run allows neither budget; ``hidden`` are errors that no
     line has in it, in words.
     """
@@ -91,7 +90,7 @@ def budget_sheet(
             f"limits is the half-width that gives the same u. {_freedom(bounds)}"
         )
     notes += [f"In no line, because no run shows it: {each}." for each in hidden]
-    return sheet(TITLE, ROWS, rows, " ".join(notes))
+    return Table(ROWS, rows, TITLE, " ".join(notes), lambda row: "sum" if row.is_sum else "")
 
 
 def error_rows(budget: Budget) -> list[Row]:
@@ -134,13 +133,13 @@ def _error_sum(budget: Budget) -> Row:
         f"U = {COVERAGE_FACTOR:.2f} u = {budget.U_mm:.3f} mm along the error; 3-D position: "
         f"{K_3D:.2f} u = {K_3D * budget.u_mm:.3f} mm (95 %)"
     )
-    return Row(ERROR_SUM, words, "", budget.u_mm, 100.0)
+    return Row(ERROR_SUM, words, "", budget.u_mm, 100.0, is_sum=True)
 
 
 def _target_sum(bounds: Bounds) -> Row:
     radii_mm = bounds.radii_mm
     words = f"3-D 95 % bound: mean {radii_mm.mean():.3f} mm, largest {radii_mm.max():.3f} mm"
-    return Row(TARGET_SUM, words, "", _whole_mm(bounds), 100.0)
+    return Row(TARGET_SUM, words, "", _whole_mm(bounds), 100.0, is_sum=True)
 
 
 def _whole_mm(bounds: Bounds) -> float:

@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
+from operator import attrgetter
 
 import msgspec
 import numpy as np
@@ -21,6 +23,7 @@ from hilcell.geometry.statistics import Figures, variance_of_mean
 from hilcell.journal.asset import differing
 from hilcell.journal.log import Log
 from hilcell.journal.ways_sent import SHORT_WAYS
+from hilcell.present.table import Column
 from hilcell.report.drift import Change, Side, base_variance_mm2, frame_changes, grid_drift, side_of
 
 
@@ -249,3 +252,24 @@ def figure_words(change: Change) -> str:
         return change.what
     how, _, figure = change.what.partition(" ")
     return f"{SHORT_WAYS.get(how, how)}: {'95 %' if figure == 'p95' else figure}"
+
+
+_DIGITS = {"mm": 4, "deg": 5}
+
+
+def _figure(name: str, change: Change) -> str | None:
+    value: float | None = getattr(change, name)
+    sign = "+" if name == "change" and change.first is not None else ""  # a length has none
+    return None if value is None else f"{value:{sign}.{_DIGITS.get(change.unit, 2)}f}"
+
+
+CHANGES: tuple[Column[Change], ...] = (
+    Column("where", where_words),
+    Column("what", figure_words),
+    *(
+        Column[Change](name, partial(_figure, name), form="s")
+        for name in ("first", "second", "change", "limit")
+    ),
+    Column("unit", attrgetter("unit")),
+    Column("verdict", attrgetter("verdict")),
+)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from operator import itemgetter
-from typing import Any
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 from hilcell.journal.event_words import after, happened_words
 from hilcell.journal.folder_order import ORDER
@@ -14,7 +14,7 @@ from hilcell.journal.key_words import in_words, key_words
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import BACK, CONTROL
 from hilcell.journal.times import in_zone
-from hilcell.report.columns import Column, Sheet, sheet
+from hilcell.present.table import Column, Table
 from hilcell.report.facts import Facts
 from hilcell.report.method import chosen_poses_words
 
@@ -57,18 +57,25 @@ STATES = {
     "faulted": "Stopped by a fault", "finished": "Run finished",
 }  # fmt: skip
 AT_WORK = ("checking", "running")
-STOPS = ("Engine", "Stopped", "Aborted", "Paused", "Suspended")  # with which bold lines begin
-Line = tuple[str, str]
+STOPS = ("paused", "suspended", "aborted", "faulted")  # states whose lines are bold
+
+
+class Line(NamedTuple):
+    """One line of the course: its time, its words, and whether the run stopped there."""
+
+    t: str
+    words: str
+    stop: bool = False
 
 
 def _columns(facts: Facts) -> tuple[Column[Line], ...]:
     """Return the columns: local time, with UTC in brackets where that is another."""
     name = facts.zone.tzname(None)
     time = "UTC" if not facts.inputs.utc_offset_min else f"{name} (UTC)"
-    return Column(time, itemgetter(0)), Column("course in words", itemgetter(1))
+    return Column(time, attrgetter("t")), Column("course in words", attrgetter("words"))
 
 
-def course(facts: Facts) -> Sheet | None:
+def course(facts: Facts) -> Table:
     """Return how the run went."""
     counts = Counter(record.body["what"] for record in facts.records if record.kind == "event")
     note = (
@@ -76,16 +83,19 @@ def course(facts: Facts) -> Sheet | None:
         f"listed: {counts['tracker proven']} proofs that the tracker stood still"
         + (f", {counts['slide proven']} that the slide did." if facts.cell.has_rail else ".")
     )
-    return sheet("Course of the run", _columns(facts), _dated(_lines(facts), facts), note)
+    lines = _dated(_lines(facts), facts)
+    return Table(
+        _columns(facts), lines, "Course of the run", note, lambda line: "stop" if line.stop else ""
+    )
 
 
-def _dated(lines: Iterator[tuple[str, str]], facts: Facts) -> Iterator[Line]:
+def _dated(lines: Iterator[Line], facts: Facts) -> Iterator[Line]:
     """Yield lines by the time of day; the date stands where it changes."""
     date = None
-    for t, words in lines:
+    for t, words, stop in lines:
         moment = in_zone(t, facts.zone)
         time = f"{moment:%H:%M:%S}" if moment.date() == date else f"{moment:%Y-%m-%d %H:%M:%S}"
-        yield (f"{time} ({t[11:19]})" if moment.utcoffset() else time), words
+        yield Line(f"{time} ({t[11:19]})" if moment.utcoffset() else time, words, stop)
         date = moment.date()
 
 
@@ -128,29 +138,34 @@ class _Steps:
         return f"{text} Computed again, nothing measured." if line in self._computed else ""
 
 
-def _lines(facts: Facts) -> Iterator[tuple[str, str]]:
-    """Yield time and words of each line; a step also says how many points it gave."""
+def _lines(facts: Facts) -> Iterator[Line]:
+    """Yield each line with its time in the journal; a step also says how many points it gave."""
     log, last, steps = Log(), "", _Steps()
-    found: list[tuple[str, str]] = []
+    found: list[Line] = []
     for record in facts.records:
         starts = _starts(record.kind, record.body)
         if starts and log.session and not log.over:
-            found.append((last, _cut_off(log)))
+            found.append(Line(last, _cut_off(log), stop=True))
         for words in _words(facts, log, record.kind, record.body):
-            found.append((record.t, words))
+            found.append(Line(record.t, words, _stops(record)))
             if record.kind == "event" and record.body["what"] == "step":
                 steps.begin(len(found) - 1, record.body["name"])
         if starts:
             steps.leave()
         if record.kind == "point" and record.key in log.retakes:  # whatever step is under way
-            found.append((record.t, f"Measured again: {key_words(record.key, facts.log)}."))
+            found.append(Line(record.t, f"Measured again: {key_words(record.key, facts.log)}."))
         else:
             steps.take(record, log)
         if record.kind != "event" or record.body["what"] not in BEFORE_IT_GOES_ON:
             last = record.t
         log.take(record)
-    shown = ((time, steps.words(n, words)) for n, (time, words) in enumerate(found))
-    yield from ((time, words) for time, words in shown if words)
+    shown = (line._replace(words=steps.words(n, line.words)) for n, line in enumerate(found))
+    yield from (line for line in shown if line.words)
+
+
+def _stops(record: Record) -> bool:
+    body = record.body
+    return record.kind == "state" and body["machine"] == "run" and body["to"] in STOPS
 
 
 def _is_measured(record: Record) -> bool:

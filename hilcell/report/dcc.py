@@ -17,6 +17,7 @@ import numpy as np
 from hilcell import __version__
 from hilcell.calibration.decision import guard_of
 from hilcell.clean import harmless
+from hilcell.journal.calibration_facts import VERDICTS
 from hilcell.report import tables
 from hilcell.report.certificate import (
     conditions_words,
@@ -350,7 +351,8 @@ def _turns(facts: Facts) -> Iterator[Element]:
 def _verdict(facts: Facts, result: Result) -> Element:
     """Return a figure's limit, and whether it is kept; a simulated one only would be."""
     limit = quantity("limit", real(result.limit_mm, MM), ref="hilcell_limit")
-    words, conforms = f"limit {result.limit_mm:g} mm: {result.verdict}", CONFORMITY[result.verdict]
+    word = "" if result.outcome is None else VERDICTS[result.outcome]
+    words, conforms = f"limit {result.limit_mm:g} mm: {word}", CONFORMITY.get(word, "")
     real_one = not facts.inputs.simulated
     return dcc("measurementMetaData", dcc(
         "metaData", text("declaration", words if real_one else f"{words}, if it were real"),

@@ -1,35 +1,27 @@
-"""A run's points, frames and results for other programs: CSV, XLSX or JSON, units in the headers.
-
-Spreadsheets run text that begins like a formula, so such text is quoted.
-"""
+"""A run's points, frames and results for other programs, as CSV, XLSX or JSON."""
 
 from __future__ import annotations
 
-import csv
-import io
-import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from operator import attrgetter
+from datetime import datetime
+from operator import attrgetter, itemgetter
 from typing import Any
 
 import msgspec
 import numpy as np
 
 from hilcell.calibration.orientation import seats_of, turned_of
-from hilcell.clean import harmless
 from hilcell.geometry.frames import apply, zyx_from_pose
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log, Point
 from hilcell.ports import Array
+from hilcell.present.files import csv_of, xlsx_of
+from hilcell.present.table import Column, Table, Value
 from hilcell.report import tables
-from hilcell.report.columns import Column, T, Value
 from hilcell.report.facts import Facts
 from hilcell.report.tables import Posed
 from hilcell.report.target_budget import target_budget
-
-Row = list[Value]
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,17 +160,18 @@ def _measured(
     return Measured(record, point, world_mm, error_mm, pose, bound_mm, turned_deg)
 
 
-def _keys(columns: Sequence[Column[Any]]) -> list[str]:
-    return [column.key for column in columns]
+def points_table(facts: Facts) -> Table:
+    """Return every point."""
+    return Table(POINTS, points(facts), "points")
 
 
-def _values(columns: Sequence[Column[T]], rows: Iterable[T]) -> list[Row]:
-    return [[column.of(row) for column in columns] for row in rows]
-
-
-def results_table(facts: Facts) -> list[Row]:
+def results_table(facts: Facts) -> Table:
     """Return the result as one row a figure; its path names the unit where it has one."""
-    return [[path, value] for path, value in _leaves("", facts.result)]
+    return Table(_named("figure"), _leaves("", facts.result), "results")
+
+
+def _named(name: str) -> tuple[Column[tuple[str, Value]], ...]:
+    return Column(name, itemgetter(0)), Column("value", itemgetter(1))
 
 
 def _leaves(path: str, value: Any) -> Iterable[tuple[str, Value]]:
@@ -193,124 +186,53 @@ def _leaves(path: str, value: Any) -> Iterable[tuple[str, Value]]:
         yield from _leaves(f"{path}.{name}" if path else str(name), each)
 
 
-def run_table(facts: Facts) -> list[Row]:
+def run_table(facts: Facts) -> Table:
     """Return the identity of the run."""
     inputs = facts.inputs
-    rows: list[Row] = [
-        ["run", facts.run],
-        ["procedure", inputs.procedure],
-        ["cell", inputs.cell["name"]],
-        ["digest", inputs.digest],
-        ["journal", facts.fingerprint],
-        ["seed", inputs.seed],
-        ["machine_seed", "" if inputs.machine_seed is None else inputs.machine_seed],
-        ["simulated", _yes(inputs.simulated)],
-        ["operator", inputs.operator],
-        ["job", inputs.job],
-        ["state", facts.log.state],
-        ["began_utc", facts.records[0].t],
-        ["ended_utc", facts.last.t],
+    rows: list[tuple[str, Value]] = [
+        ("run", facts.run),
+        ("procedure", inputs.procedure),
+        ("cell", inputs.cell["name"]),
+        ("digest", inputs.digest),
+        ("journal", facts.fingerprint),
+        ("seed", inputs.seed),
+        ("machine_seed", "" if inputs.machine_seed is None else inputs.machine_seed),
+        ("simulated", _yes(inputs.simulated)),
+        ("operator", inputs.operator),
+        ("job", inputs.job),
+        ("state", facts.log.state),
+        ("began_utc", facts.records[0].t),
+        ("ended_utc", facts.last.t),
     ]
-    rows += [[f"version.{name}", version] for name, version in inputs.versions.items()]
-    rows += [[f"device.{asset.device}", asset.text] for asset in facts.log.assets]
+    rows += [(f"version.{name}", version) for name, version in inputs.versions.items()]
+    rows += [(f"device.{asset.device}", asset.text) for asset in facts.log.assets]
     for asset in facts.log.assets:
         for name in ("maker", "model", "serial", "firmware"):
-            rows.append([f"asset.{asset.kind}.{name}", getattr(asset, name)])
+            rows.append((f"asset.{asset.kind}.{name}", getattr(asset, name)))
     if facts.log.link is not None:
-        rows.append(["link", facts.log.link.text])
+        rows.append(("link", facts.log.link.text))
         if facts.log.link.warning:
-            rows.append(["link_warning", facts.log.link.warning])
-    return rows
+            rows.append(("link_warning", facts.log.link.warning))
+    return Table(_named("name"), rows, "run")
 
 
 def csv_bytes(facts: Facts) -> bytes:
     """Return the points as CSV in UTF-8."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    simulated = _yes(facts.inputs.simulated)
-    writer.writerow([*_keys(POINTS), "simulated"])
-    rows = _values(POINTS, points(facts))
-    writer.writerows([*map(_quoted, row), simulated] for row in rows)
-    return text.getvalue().encode()
+    simulated = Column[Measured]("simulated", lambda row: _yes(facts.inputs.simulated))
+    return csv_of(Table((*POINTS, simulated), points(facts)))
 
 
 def _yes(holds: bool) -> str:
     return "yes" if holds else "no"
 
 
-def _quoted(value: Value) -> Value:
-    if not isinstance(value, str):
-        return value
-    shown = harmless(value)
-    return f"'{shown}" if shown.startswith(("=", "+", "-", "@")) else shown
-
-
 def xlsx_bytes(facts: Facts) -> bytes:
     """Return a workbook with the sheets run, points, frames, results and before and after."""
-    from xlsxwriter import Workbook
-
-    file = io.BytesIO()
-    with Workbook(file, {"in_memory": True, "nan_inf_to_errors": True}) as book:
-        book.set_properties({"created": datetime.fromisoformat(facts.records[0].t)})
-        styles = {form: book.add_format({"num_format": form}) for form in _FORMS.values()}
-        bold = book.add_format({"bold": True})
-        for name, headers, rows in (
-            ("run", ["name", "value"], run_table(facts)),
-            ("points", _keys(POINTS), _values(POINTS, points(facts))),
-            ("frames", _keys(FRAMES), _values(FRAMES, tables.posed(facts))),
-            ("results", ["figure", "value"], results_table(facts)),
-            (COMPARED, _keys(tables.ACCURACY),
-             _values(tables.ACCURACY, tables.validated_rows(facts))),
-        ):  # fmt: skip
-            sheet = book.add_worksheet(name)
-            sheet.freeze_panes(1, 0)
-            sheet.set_column(0, len(headers) - 1, 16)
-            _write_row(sheet, 0, list(headers), [bold] * len(headers))
-            for number, row in enumerate(rows, start=1):
-                keys = headers if headers[1:] != ["value"] else [str(row[0])] * 2
-                forms = [_FORMS.get(key.rpartition("_")[2], "General") for key in keys]
-                _write_row(sheet, number, row, [styles.get(form) for form in forms])
-            if name != COMPARED:
-                sheet.autofilter(0, 0, max(1, len(rows)), len(headers) - 1)
-            elif rows:
-                columns = [{"header": header} for header in headers]
-                sheet.add_table(0, 0, len(rows), len(headers) - 1,
-                                {"name": "before_after", "columns": columns})  # fmt: skip
-    return file.getvalue()
-
-
-COMPARED = "before and after"
-# How a spreadsheet shows a figure, by the unit that ends its key.
-_FORMS = {
-    "utc": "yyyy-mm-dd hh:mm:ss",
-    "mm": "0.0000",
-    "deg": "0.00000",
-    "c": "0.00",
-    "mbar": "0.0",
-    "percent": "0.0",
-    "s": "0.000",
-}
-
-
-def _write_row(sheet: Any, number: int, row: Row, styles: Sequence[Any]) -> None:
-    for column, (value, style) in enumerate(zip(row, styles, strict=True)):
-        if isinstance(value, str):
-            if style is not None and style.num_format == _FORMS["utc"] and _TIME.match(value):
-                sheet.write_datetime(number, column, _in_utc(value), style)
-            else:
-                sheet.write_string(number, column, harmless(value), style)
-        elif isinstance(value, bool):
-            sheet.write_boolean(number, column, value)
-        elif value is not None:
-            sheet.write_number(number, column, value, style)
-
-
-_TIME = re.compile(r"\d{4}-\d\d-\d\dT")
-
-
-def _in_utc(time: str) -> datetime:
-    """Return a journal's time without its zone, which spreadsheets do not know."""
-    return datetime.fromisoformat(time).astimezone(UTC).replace(tzinfo=None)
+    compared = Table(tables.ACCURACY, tables.validated_rows(facts), "before and after")
+    frames = Table(FRAMES, tables.posed(facts), "frames")
+    sheets = [run_table(facts), points_table(facts), frames, results_table(facts), compared]
+    begun = datetime.fromisoformat(facts.records[0].t)
+    return xlsx_of(sheets, begun, {compared.title: "before_after"})
 
 
 def json_bytes(facts: Facts) -> bytes:
@@ -323,7 +245,7 @@ def json_bytes(facts: Facts) -> bytes:
         "states": log.states,
         "sessions": log.session,
         "fault": log.fault,
-        "points": [{column.key: column.of(row) for column in POINTS} for row in points(facts)],
+        "points": points_table(facts).records,
         "frames": log.frames,
         "verdicts": log.verdicts,
         "events": [record.event(facts.run) for record in log.events],

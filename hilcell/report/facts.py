@@ -21,7 +21,8 @@ from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, read_bytes
 from hilcell.clean import encodable
-from hilcell.journal.calibration_facts import REVOKED, facts_of_verdicts
+from hilcell.geometry.sequential import Outcome
+from hilcell.journal.calibration_facts import REVOKED, VERDICTS, facts_of_verdicts
 from hilcell.journal.index import read_index
 from hilcell.journal.journal import Record, chain
 from hilcell.journal.log import Log, PlanRecord
@@ -29,7 +30,7 @@ from hilcell.journal.runs import CALIBRATION, read_records
 from hilcell.journal.standing import Standing
 from hilcell.journal.times import in_zone, zone_of
 from hilcell.ports import HilcellError
-from hilcell.run.procedure import Procedure, Table
+from hilcell.run.procedure import Procedure
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,10 +101,14 @@ class Facts:
         """Return the day on which the run ended, there."""
         return in_zone(self.last.t, self.zone).date().isoformat()
 
-    @property
-    def table(self) -> Table | None:
-        """Return the procedure's own table of its result."""
-        return self.procedure.table(self.result) if self.result else None
+    def verdict_words(self, outcome: Outcome | None, none: str = "") -> str:
+        """Return an outcome as the first page says it: of a simulated cell in brackets.
+
+        ``none`` stands where nothing was judged.
+        """
+        if outcome is None:
+            return none
+        return f"({VERDICTS[outcome]})" if self.inputs.simulated else VERDICTS[outcome]
 
 
 def _revokes(record: Record) -> bool:

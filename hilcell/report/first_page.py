@@ -5,7 +5,7 @@ It stands alone: nothing on it needs another page. Results are those of the jour
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime, timedelta
 from operator import attrgetter
 from typing import NamedTuple
@@ -25,11 +25,10 @@ from hilcell.journal.calibration_facts import (
     OUTCOMES,
     SUSPECTED,
     VALIDATION,
-    VERDICTS,
     run_outcome,
 )
+from hilcell.present.table import Column, Table, Value
 from hilcell.report import pose_test
-from hilcell.report.columns import Column, Sheet, Value, sheet
 from hilcell.report.facts import Facts
 from hilcell.report.pose_test import tests_poses
 from hilcell.report.target_budget import TargetBudget
@@ -82,12 +81,11 @@ class Result:
         return "included" if self.U_mm is None else self.U_mm
 
     @property
-    def verdict(self) -> str:
+    def outcome(self) -> Outcome | None:
         """Return whether it keeps the limit, by the decision rule, which judges no bound."""
         if self.U_mm is None:
-            return NOT_APPLICABLE
-        found = outcome_of(self.after_mm, self.limit_mm, self.U_mm)
-        return VERDICTS[gravest([found, self.also])]
+            return None
+        return gravest([outcome_of(self.after_mm, self.limit_mm, self.U_mm), self.also])
 
 
 RESULTS: tuple[Column[Result], ...] = (
@@ -99,33 +97,22 @@ RESULTS: tuple[Column[Result], ...] = (
     Column("after", attrgetter("after_mm"), "mm", ".3f"),
     Column("U", attrgetter("U"), "mm", ".3f"),
     Column("after may be at most", attrgetter("most_mm"), "mm", ".3f"),
-    Column("verdict", attrgetter("verdict"), form="s"),
 )
 
 
-def results_sheet(facts: Facts, targets: TargetBudget) -> Sheet | None:
+def results_sheet(facts: Facts, targets: TargetBudget) -> Table:
     """Return the table of results, nothing where nothing was judged."""
     if tests_poses(facts):
-        return conditional(pose_test.results_sheet(facts), facts)
+        return pose_test.results_sheet(facts)
     left = len(judged_places(facts)) - len(_shown(facts))
     note = f"{left} stations further from their limits: see Verdicts." if left else ""
     results = shown_results(facts)
     if results and (bound := bound_result(facts, targets)) is not None:
         results.append(bound)
-    return conditional(sheet("Results", RESULTS, results, note), facts)
-
-
-def conditional(found: Sheet | None, facts: Facts) -> Sheet | None:
-    """Return a table of results; the verdicts on a simulated cell, in its last column, stand in
-    brackets.
-    """
-    if found is None or not facts.inputs.simulated:
-        return found
-    return replace(found, rows=[_in_brackets(row) for row in found.rows])
-
-
-def _in_brackets(row: list[str]) -> list[str]:
-    return [*row[:-1], f"({row[-1]})"] if row[-1] in VERDICTS.values() else row
+    verdict = Column[Result](
+        "verdict", lambda row: facts.verdict_words(row.outcome, NOT_APPLICABLE), form="s"
+    )
+    return Table((*RESULTS, verdict), results, "Results", note)
 
 
 def judged_places(facts: Facts) -> dict[str, Judged]:
@@ -364,10 +351,10 @@ INSTRUMENTS: tuple[Column[Instrument], ...] = (
 )
 
 
-def instruments(facts: Facts) -> Sheet | None:
+def instruments(facts: Facts) -> Table:
     """Return the table of instruments."""
     rows = instrument_rows(facts)
-    return sheet("Instruments and traceability", INSTRUMENTS, rows, traceability(facts))
+    return Table(INSTRUMENTS, rows, "Instruments and traceability", traceability(facts))
 
 
 def traceability(facts: Facts) -> str:

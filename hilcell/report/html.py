@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
@@ -23,8 +23,10 @@ from hilcell.journal.curve_record import URAD, CurveRecord
 from hilcell.journal.point_id import CONTROL
 from hilcell.journal.times import span_words
 from hilcell.ports import Array
+from hilcell.present.page import environment
+from hilcell.present.table import Column, Table
 from hilcell.report import pose_test, tables, turns
-from hilcell.report.budget_table import ERROR_SUM, TARGET_SUM, budget_sheet
+from hilcell.report.budget_table import budget_sheet
 from hilcell.report.certificate import (
     certificate,
     conditions_words,
@@ -32,8 +34,7 @@ from hilcell.report.certificate import (
     procedure_words,
     title,
 )
-from hilcell.report.columns import KEY, Column, Sheet, present, sheet
-from hilcell.report.course import STOPS, course
+from hilcell.report.course import course
 from hilcell.report.drawings.curve_plots import curve_plots
 from hilcell.report.drawings.error_plots import enlarged, in_order, over_bound
 from hilcell.report.drawings.over_time import air, floor_moves
@@ -45,7 +46,6 @@ from hilcell.report.drawings.variance import variance_bar
 from hilcell.report.drawings.vectors import vectors
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import (
-    conditional,
     deciding,
     instruments,
     item_facts,
@@ -58,7 +58,6 @@ from hilcell.report.first_page import (
 from hilcell.report.method import models
 from hilcell.report.pose_test import tests_poses
 from hilcell.report.remeasured import remeasured
-from hilcell.report.sheet import environment
 from hilcell.report.target_budget import TargetBudget, bounds_sheet, target_budget
 from hilcell.report.verdicts import verdicts
 from hilcell.report.worst import worst
@@ -90,13 +89,13 @@ def corners_mm(cell: Cell, station: Station) -> Array:
     return apply(cell.layout.nominal_base(station.rail_mm), centre + signs * half)
 
 
-def volume_sheet(cell: Cell, tracker_mm: Array) -> Sheet | None:
+def volume_sheet(cell: Cell, tracker_mm: Array) -> Table:
     """Return the table; ``tracker_mm`` (3,) is where the tracker stands in {W}."""
     places = {station.name: corners_mm(cell, station) for station in cell.station}
     every = np.concatenate(list(places.values()))
     far_m = np.linalg.norm(every - tracker_mm, axis=1) / 1000
     note = f"Tracker to corners: {far_m.min():.1f} to {far_m.max():.1f} m."
-    return sheet("Calibrated volume", RANGES, _ranges(places), note)
+    return Table(RANGES, _ranges(places), "Calibrated volume", note)
 
 
 def _ranges(places: dict[str, Array]) -> list[Range]:
@@ -135,14 +134,14 @@ CURVES: tuple[Column[CurveRecord], ...] = (
 )
 
 
-def curves(facts: Facts) -> Sheet | None:
+def curves(facts: Facts) -> Table:
     """Return the swept axes with their lines."""
     note = (
         "Found by slow sweeps in both directions: lines in cycles per revolution of the joint. "
         "Lag: how much older the joints' readings are than the tracker's. Noise: of one sample. "
         "Signal: share of the short-wave variance that the lines explain."
     )
-    return sheet("Transmission errors", CURVES, facts.log.curves.values(), note)
+    return Table(CURVES, facts.log.curves.values(), "Transmission errors", note)
 
 
 WORDS = (
@@ -193,19 +192,23 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
     ``pages`` says on which page each part begins, where that is known: on paper.
     """
     budget, targets = budget_of(facts.log), target_budget(facts.log, facts.run)
-    own = None if has_tables(facts) else tables.own_table(facts)
+    own = Table((), ()) if has_tables(facts) else tables.own_table(facts)
     drawn = _drawings(facts, targets)
-    station_sheets = present(
-        tables.accuracy(facts),
-        turns.orientation(facts),
-        tables.stations(facts),
-        tables.touches(facts),
-        tables.frames(facts),
-        tables.circles(facts),
-        worst(facts, targets),
-    )
+    accuracy, judged, worst_ones = tables.accuracy(facts), verdicts(facts), worst(facts, targets)
+    stations = [
+        accuracy, turns.orientation(facts), tables.stations(facts), tables.touches(facts)
+    ]  # fmt: skip
+    frames = [tables.frames(facts), tables.circles(facts)]
+    named = {
+        "results": own,
+        "stations": any(stations),
+        "worst targets": worst_ones,
+        "frames": any(frames) and not any(stations),
+        "drift": drawn["nests"] or drawn["air"],
+    }
+    stations_title = ", ".join(name for name, there in named.items() if there).capitalize()
     return (
-        environment()
+        environment("hilcell.report")
         .get_template("report.html.j2")
         .render(
             **_first_page(facts, budget, targets),
@@ -213,50 +216,33 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
             facts=facts,
             version=__version__,
             pages=pages or {},
-            parts=PARTS | {"stations": _stations_title(drawn, own, station_sheets)},
-            stops=STOPS,
-            key_name=KEY,
+            parts=PARTS | {"stations": stations_title},
             words_of=partial(words_of, has_rail=facts.cell.has_rail),
             controls=sum(each.group == CONTROL for each in facts.log.points.values()),
             page_mark=re.sub(r"[^A-Za-z0-9._-]", "_", facts.run),
             certificate=certificate(facts, budget, targets),
             pose_sheets=pose_test.sheets(facts),
             has_part=lambda name, body: f' id="{name}"' in body,
-            station_sheets=station_sheets,
+            station_sheets=[*stations, *frames, worst_ones],
             own_sheet=own,
-            empty=not present(own, tables.accuracy(facts), verdicts(facts)),
+            empty=not (own or accuracy or judged),
             curve_sheet=curves(facts),
             paper_sheet=tables.paper_rows(facts),
             budget_sheet=budget_sheet(budget, targets, _hidden(facts, targets)),
             bounds_sheet=bounds_sheet(targets),
-            sums=(ERROR_SUM, TARGET_SUM),
             models=models(facts),
-            verdicts=verdicts(facts),
+            verdicts=judged,
             targets=targets,
-            record_sheets=present(
+            record_sheets=[
                 course(facts),
                 remeasured(facts),
                 tables.devices(facts),
                 tables.conditions(facts),
                 tables.groups(facts),
                 tables.software(facts),
-            ),
+            ],
         )
     )  # fmt: skip
-
-
-def _stations_title(drawn: Mapping[str, object], own: Sheet | None, found: Sequence[Sheet]) -> str:
-    """Return the name of the part with the stations, of what there is in it; "" of nothing."""
-    titles = {each.title for each in found}
-    named = {
-        "results": own is not None,
-        "stations": bool(titles & {"Before and after", "Orientation", "Stations", "Touch poses"}),
-        "worst targets": any(title.endswith("worst targets") for title in titles),
-        "frames": bool(titles & {"Frames", "Base frame: circles"}),
-        "drift": bool(drawn["nests"] or drawn["air"]),
-    }
-    named["frames"] &= not named["stations"]
-    return ", ".join(name for name, there in named.items() if there).capitalize()
 
 
 def _hidden(facts: Facts, targets: TargetBudget) -> list[str]:
@@ -278,9 +264,7 @@ def _first_page(facts: Facts, budget: Budget | None, targets: TargetBudget) -> d
         "sentence": sentence(facts),
         "conformity": conformity_words(facts),
         "results": results_sheet(facts, targets),
-        "turn_results": conditional(
-            pose_test.turn_results(facts) or turns.results_sheet(facts), facts
-        ),
+        "turn_results": pose_test.turn_results(facts) or turns.results_sheet(facts),
         "strip": strip(nearest_results(facts, targets), facts.inputs.simulated),
         "uncertainty": uncertainty_words(facts, budget),
         "item": item_facts(facts, measured(facts)),

@@ -9,7 +9,7 @@ from typing import Any
 from hilcell.calibration.errors import places, validation
 from hilcell.calibration.frames import ORIENTED
 from hilcell.geometry.statistics import Figures
-from hilcell.report.columns import Column, Sheet, sheet
+from hilcell.present.table import Column, Table
 from hilcell.report.facts import Facts
 
 PAPER = "Tian et al., Chinese Journal of Aeronautics, 2014"
@@ -103,7 +103,7 @@ MODELS: tuple[Column[Missed], ...] = (
 )
 
 
-def models(facts: Facts) -> Sheet | None:
+def models(facts: Facts) -> Table:
     """Return how far each model misses poses left out, which one was chosen, and why."""
     fit = _fit(facts)
     rows = [
@@ -116,7 +116,7 @@ def models(facts: Facts) -> Sheet | None:
     reasons += [f"Curves of the axis sweeps: {curves}."] if curves else []
     unswept = facts.result.get("sweeps", {}).get("left_out", "")
     reasons += [f"Axes not swept: {unswept}."] if unswept else []
-    return sheet("Choice of the correction", MODELS, rows, " ".join(filter(None, reasons)))
+    return Table(MODELS, rows, "Choice of the correction", " ".join(filter(None, reasons)))
 
 
 def chosen_poses_words(facts: Facts, chosen: Mapping[str, Any]) -> str:

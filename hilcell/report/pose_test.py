@@ -11,9 +11,9 @@ import numpy as np
 from hilcell.calibration.decision import RULE
 from hilcell.calibration.pose_test import ANGLES, ISO, LIMITS, TURN_LIMITS, attained, worst_turn
 from hilcell.geometry.pose_test import CORNERS, CYCLE, PLANE
+from hilcell.geometry.sequential import Outcome
 from hilcell.geometry.statistics import from_mean_mm
-from hilcell.journal.calibration_facts import VERDICTS
-from hilcell.report.columns import Column, Sheet, present, sheet
+from hilcell.present.table import Column, Table
 from hilcell.report.drawings.svg import INK, MUTED, axes_sheet
 from hilcell.report.facts import Facts
 
@@ -38,21 +38,21 @@ class Result(NamedTuple):
     limit: float | None
 
     @property
-    def verdict(self) -> str:
-        """Return whether the value and its U keep the limit."""
+    def outcome(self) -> Outcome | None:
+        """Return whether the value and its U keep the limit; None where none is stated."""
         if self.limit is None:
-            return "not judged"
-        return VERDICTS["accepted" if self.value + self.U <= self.limit else "rejected"]
+            return None
+        return "accepted" if self.value + self.U <= self.limit else "rejected"
 
 
-def _results_in(unit: str, form: str) -> tuple[Column[Result], ...]:
+def _results_in(unit: str, form: str, facts: Facts) -> tuple[Column[Result], ...]:
     return (
         Column("characteristic", lambda row: row.name),
         Column("at", lambda row: row.where),
         Column("value", lambda row: row.value, unit, form),
         Column("U", lambda row: row.U, unit, form),
         Column("limit", lambda row: row.limit, unit, form),
-        Column("verdict", lambda row: row.verdict, form="s"),
+        Column("verdict", lambda row: facts.verdict_words(row.outcome, "not judged"), form="s"),
     )
 
 
@@ -61,11 +61,10 @@ def tests_poses(facts: Facts) -> bool:
     return ISO in facts.result
 
 
-def results_sheet(facts: Facts) -> Sheet | None:
+def results_sheet(facts: Facts) -> Table:
     """Return the worst characteristics, for the first page."""
-    return sheet(
-        "Results, at the worst pose", _results_in("mm", ".3f"), _results(facts.result[ISO])
-    )
+    columns = _results_in("mm", ".3f", facts)
+    return Table(columns, _results(facts.result[ISO]), "Results, at the worst pose")
 
 
 def _results(found: Mapping[str, Any]) -> Iterator[Result]:
@@ -124,22 +123,22 @@ def method_words(facts: Facts) -> str:
     )
 
 
-def sheets(facts: Facts) -> list[Sheet]:
+def sheets(facts: Facts) -> list[Table]:
     """Return conditions, poses, angles and distance; none of a run that is no pose test."""
     if not tests_poses(facts):
         return []
     found = facts.result[ISO]
-    return present(
-        sheet("Test conditions", CONDITIONS, _conditions(found)),
-        sheet("Pose accuracy and repeatability", POSES, found["poses"].items(), POSES_NOTE),
-        sheet(
-            "Accuracy and repeatability of angles",
+    return [
+        Table(CONDITIONS, _conditions(found), "Test conditions"),
+        Table(POSES, found["poses"].items(), "Pose accuracy and repeatability", POSES_NOTE),
+        Table(
             TURNS,
             found.get("orientation", {}).items(),
+            "Accuracy and repeatability of angles",
             TURNS_NOTE,
         ),
-        sheet("Distance accuracy and repeatability", DISTANCE, [found["distance"]], DISTANCE_NOTE),
-    )
+        Table(DISTANCE, [found["distance"]], "Distance accuracy and repeatability", DISTANCE_NOTE),
+    ]
 
 
 def departures(facts: Facts) -> list[str]:
@@ -251,10 +250,10 @@ TURNS_NOTE = (
 )
 
 
-def turn_results(facts: Facts) -> Sheet | None:
+def turn_results(facts: Facts) -> Table:
     """Return the worst angles beside their limits, for the first page."""
     if not tests_poses(facts):
-        return None
+        return Table((), ())
     found = facts.result[ISO]
     rows = [
         Result(
@@ -263,7 +262,7 @@ def turn_results(facts: Facts) -> Sheet | None:
         for key in TURN_LIMITS
         if (each := worst_turn(found.get("orientation", {}), key)) is not None
     ]
-    return sheet("Results, angles at the worst pose", _results_in("°", ".4f"), rows)
+    return Table(_results_in("°", ".4f", facts), rows, "Results, angles at the worst pose")
 
 
 def _way(key: str) -> Callable[[Mapping[str, Any]], float]:

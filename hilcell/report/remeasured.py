@@ -19,7 +19,7 @@ from hilcell.calibration.orientation import seats_of, turned_each_time
 from hilcell.journal.log import Log, Point
 from hilcell.journal.point_words import point_words
 from hilcell.ports import Array
-from hilcell.report.columns import KEY, Column, Sheet, sheet
+from hilcell.present.table import Column, Table
 from hilcell.report.facts import Facts
 
 REASONS = {
@@ -65,10 +65,10 @@ TURNS: tuple[Column[Repeat], ...] = (
     Column("turned first", attrgetter("first_deg"), "°", ".4f"),
     Column("turned again", attrgetter("again_deg"), "°", ".4f"),
 )
-KEYS = Column[Repeat](KEY, attrgetter("again.key"))
+KEYS = Column[Repeat]("key", attrgetter("again.key"), small=True)
 
 
-def remeasured(facts: Facts) -> Sheet | None:
+def remeasured(facts: Facts) -> Table:
     """Return the points that were measured more than once, with both values."""
     found = repeats(facts)
     turned = any(each.again_deg is not None for each in found)
@@ -77,7 +77,7 @@ def remeasured(facts: Facts) -> Sheet | None:
     note += "of other points the later value."
     note += " Once more: hilcell resume RUN --retake KEY; hilcell export RUN --csv lists every key."
     columns = (*REPEATS, *TURNS, KEYS) if turned else (*REPEATS, KEYS)
-    return sheet("Points measured more than once", columns, found, note)
+    return Table(columns, found, "Points measured more than once", note)
 
 
 def repeats(facts: Facts) -> list[Repeat]:

@@ -17,7 +17,7 @@ from hilcell.geometry.statistics import Figures
 from hilcell.journal.asset import Asset
 from hilcell.journal.point_words import counted_words
 from hilcell.ports import Array
-from hilcell.report.columns import Column, Sheet, Value, sheet
+from hilcell.present.table import Column, Table, Value
 from hilcell.report.drawings.paper_figures import series_name
 from hilcell.report.facts import Facts
 
@@ -74,7 +74,7 @@ def validated_rows(facts: Facts) -> list[Validated]:
     ]
 
 
-def accuracy(facts: Facts) -> Sheet | None:
+def accuracy(facts: Facts) -> Table:
     """Return the errors before and after per place, and both ratios of the paper's abstract."""
     rows, last = [], ""
     for row in validated_rows(facts):
@@ -87,7 +87,7 @@ def accuracy(facts: Facts) -> Sheet | None:
         note += f" Repeatability and tracker noise alone would leave {floor:.3f} mm (mean)."
     if rp_robot is not None:
         note += f" RP of the robot (ISO 9283), tracker noise taken off: {rp_robot:.3f} mm."
-    return sheet("Before and after", ACCURACY, rows, note)
+    return Table(ACCURACY, rows, "Before and after", note)
 
 
 # A station, and its frame's record.
@@ -103,17 +103,17 @@ STATIONS: tuple[Column[tuple[Station, Mapping[str, Any]]], ...] = (
 )
 
 
-def stations(facts: Facts) -> Sheet | None:
+def stations(facts: Facts) -> Table:
     """Return the quality of each station's frame that this run measured, of no adopted one."""
     if not facts.cell.has_rail:
-        return None
+        return Table((), ())
     found = ((each, facts.log.frames.get(f"station.{each.name}")) for each in facts.cell.station)
     rows = ((station, frame) for station, frame in found if frame and "strip_mm" in frame)
     note = (
         "Tool point: the grid's centre as the station frame carries it, 3D, 1 σ. Left out: nests "
     )
     note += "whose distances to the others changed since the grid's station."
-    return sheet("Stations", STATIONS, rows, note)
+    return Table(STATIONS, rows, "Stations", note)
 
 
 # A station, and the record of the last visit on which its base was touched.
@@ -129,7 +129,7 @@ TOUCHES: tuple[Column[tuple[Station, Mapping[str, Any]]], ...] = (
 )
 
 
-def touches(facts: Facts) -> Sheet | None:
+def touches(facts: Facts) -> Table:
     """Return what the touch poses found at each station."""
     found = ((each, facts.log.frames.get(f"touch.{each.name}")) for each in facts.cell.station)
     rows = ((station, frame) for station, frame in found if frame is not None)
@@ -138,7 +138,7 @@ def touches(facts: Facts) -> Sheet | None:
         "u: tool point, 3D, 1 σ. Found / expected: the motion found, relative to what the "
         "uncertainty before lets expect. Targets stay where the station frame has them."
     )
-    return sheet("Touch poses", TOUCHES, rows, note)
+    return Table(TOUCHES, rows, "Touch poses", note)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,11 +167,11 @@ def posed(facts: Facts) -> list[Posed]:
     return [Posed(name, matrix, zyx_from_pose(matrix)) for name, matrix in matrices.items()]
 
 
-def frames(facts: Facts) -> Sheet | None:
+def frames(facts: Facts) -> Table:
     """Return every measured frame as position and Z-Y-X angles in {W}."""
     note = "In {W}; “world” is the tracker in {W}. Angles Z-Y-X."
     named = Column[Posed]("frame", lambda row: row.name.replace("_", " ").replace(".", ", "))
-    return sheet("Frames", (named, *FRAMES[1:]), posed(facts), note)
+    return Table((named, *FRAMES[1:]), posed(facts), "Frames", note)
 
 
 CIRCLES: tuple[Column[tuple[str, float, float]], ...] = (
@@ -181,13 +181,13 @@ CIRCLES: tuple[Column[tuple[str, float, float]], ...] = (
 )
 
 
-def circles(facts: Facts) -> Sheet | None:
+def circles(facts: Facts) -> Table:
     """Return how round the circles of axes 1 and 6 were."""
     base = facts.log.frames.get("base", {})
     if "circle_rms_mm" not in base:
-        return None
+        return Table((), ())
     rows = zip(("axis 1", "axis 6"), base["radius_mm"], base["circle_rms_mm"], strict=True)
-    return sheet("Base frame: circles", CIRCLES, rows)
+    return Table(CIRCLES, rows, "Base frame: circles")
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,9 +222,9 @@ def air(facts: Facts) -> list[Condition]:
     ]
 
 
-def conditions(facts: Facts) -> Sheet | None:
+def conditions(facts: Facts) -> Table:
     """Return the air at the tracker, smallest, largest and mean."""
-    return sheet("Air at the tracker", AIR, air(facts))
+    return Table(AIR, air(facts), "Air at the tracker")
 
 
 DEVICES: tuple[Column[Asset], ...] = tuple(
@@ -233,13 +233,13 @@ DEVICES: tuple[Column[Asset], ...] = tuple(
 )
 
 
-def devices(facts: Facts) -> Sheet | None:
+def devices(facts: Facts) -> Table:
     """Return the devices that answered."""
     link = facts.log.link
     note = f"CAN link: {link.text}." if link is not None else ""
     if link is not None and link.warning:
         note += f" Warning: {link.warning}."
-    return sheet("Devices", DEVICES, facts.log.assets, note)
+    return Table(DEVICES, facts.log.assets, "Devices", note)
 
 
 SOFTWARE: tuple[Column[Pair], ...] = (
@@ -252,15 +252,15 @@ GROUPS: tuple[Column[tuple[str, int]], ...] = (
 )
 
 
-def software(facts: Facts) -> Sheet | None:
+def software(facts: Facts) -> Table:
     """Return the versions that measured."""
-    return sheet("Software that measured", SOFTWARE, facts.inputs.versions.items())
+    return Table(SOFTWARE, facts.inputs.versions.items(), "Software that measured")
 
 
-def groups(facts: Facts) -> Sheet | None:
+def groups(facts: Facts) -> Table:
     """Return how many points of each kind were measured, in the order of the run."""
     counts = Counter(counted_words(point.id) for point in facts.log.points.values())
-    return sheet("Points", GROUPS, counts.items())
+    return Table(GROUPS, counts.items(), "Points")
 
 
 PAPER: tuple[Column[Mapping[str, Any]], ...] = (
@@ -278,17 +278,16 @@ PAPER: tuple[Column[Mapping[str, Any]], ...] = (
 )
 
 
-def paper_rows(facts: Facts) -> Sheet | None:
+def paper_rows(facts: Facts) -> Table:
     """Return the paper's figures beside this run's, where the procedure compares them."""
     found = facts.result.get("rows")
     note = "Set: brought about by the cell file or the simulated machine, so that it cannot fail."
-    return sheet("The paper, row by row", PAPER, found if isinstance(found, list) else [], note)
+    return Table(PAPER, found if isinstance(found, list) else [], "The paper, row by row", note)
 
 
-def own_table(facts: Facts) -> Sheet | None:
+def own_table(facts: Facts) -> Table:
     """Return the procedure's own table of its result."""
-    if facts.table is None:
-        return None
-    headers, rows = facts.table
-    note = facts.procedure.words(facts.result)
-    return Sheet(facts.procedure.summary.capitalize(), headers, rows, note=note)
+    found = facts.procedure.table(facts.result) if facts.result else Table((), ())
+    found.title = facts.procedure.summary.capitalize()
+    found.note = facts.procedure.words(facts.result) if facts.result else ""
+    return found

@@ -25,7 +25,7 @@ from hilcell.calibration.form import Calibration
 from hilcell.calibration.in_use import calibration_in
 from hilcell.calibration.influence import Bounds, NoBound
 from hilcell.journal.log import Log
-from hilcell.report.columns import Column, Sheet, sheet
+from hilcell.present.table import Column, Table
 
 NO_FIT = "this run has fitted no correction"
 
@@ -136,11 +136,11 @@ def placed(budget: TargetBudget) -> list[Placed]:
     ]
 
 
-def bounds_sheet(budget: TargetBudget) -> Sheet | None:
+def bounds_sheet(budget: TargetBudget) -> Table:
     """Return the bounds by place."""
     note = (
         "95 % of 3-D errors should be inside. In use: any target of the cube, at any temperature "
         "that the check of validity allows. In validation: without what stays the same from grid "
         "to validation, at the temperatures of the run, with the tracker's reading."
     )
-    return sheet("95 % bounds of corrected targets", PLACES, placed(budget), note)
+    return Table(PLACES, placed(budget), "95 % bounds of corrected targets", note)

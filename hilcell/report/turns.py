@@ -11,9 +11,9 @@ import numpy as np
 from hilcell.calibration.decision import outcome_of
 from hilcell.calibration.errors import OTHERS, places
 from hilcell.calibration.orientation import Turned, validated_turns
+from hilcell.geometry.sequential import Outcome
 from hilcell.geometry.statistics import Figures
-from hilcell.journal.calibration_facts import VERDICTS
-from hilcell.report.columns import Column, Sheet, Value, sheet
+from hilcell.present.table import Column, Table, Value
 from hilcell.report.drawings.paper_figures import series_name
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import judged_places
@@ -44,9 +44,9 @@ class Result(NamedTuple):
     U_deg: float
 
     @property
-    def verdict(self) -> str:
+    def outcome(self) -> Outcome:
         """Return whether it keeps the limit, by the decision rule."""
-        return VERDICTS[outcome_of(self.after_deg, self.limit_deg, self.U_deg)]
+        return outcome_of(self.after_deg, self.limit_deg, self.U_deg)
 
 
 RESULTS: tuple[Column[Result], ...] = (
@@ -56,13 +56,15 @@ RESULTS: tuple[Column[Result], ...] = (
     Column("after", attrgetter("after_deg"), "°", ".4f"),
     Column("U", attrgetter("U_deg"), "°", ".4f"),
     Column("after may be at most", lambda row: row.limit_deg - row.U_deg, "°", ".4f"),
-    Column("verdict", attrgetter("verdict"), form="s"),
 )
 
 
-def results_sheet(facts: Facts) -> Sheet | None:
+def results_sheet(facts: Facts) -> Table:
     """Return the orientation nearest to its limit, where one is stated, for the first page."""
-    return sheet("Results, orientation at the worst station", RESULTS, _worst(facts))
+    verdict = Column[Result](
+        "verdict", lambda row: facts.verdict_words(row.outcome), form="s"
+    )  # fmt: skip
+    return Table((*RESULTS, verdict), _worst(facts), "Results, orientation at the worst station")
 
 
 def _worst(facts: Facts) -> list[Result]:
@@ -85,7 +87,7 @@ def oriented(facts: Facts) -> Iterator[tuple[str, str, Turned]]:
             yield name, how, turned
 
 
-def orientation(facts: Facts) -> Sheet | None:
+def orientation(facts: Facts) -> Table:
     """Return by how much the tool was turned from its nominal orientation, before and after."""
     rows, last, noise_deg = list[Oriented](), "", 0.0
     for name, how, turned in oriented(facts):
@@ -101,7 +103,7 @@ def orientation(facts: Facts) -> Sheet | None:
     note += f"the readings' noise in, up to {noise_deg:.4f}° (root mean square). The 95 % bound of "
     note += "a target in use is of the true angle, without that noise."
     becomes = facts.log.verdicts.get("fit", {}).get("orientation")
-    return sheet("Orientation", ORIENTATION, rows, f"{note} Orientation {becomes}.")
+    return Table(ORIENTATION, rows, "Orientation", f"{note} Orientation {becomes}.")
 
 
 def orientation_words(facts: Facts) -> str:

@@ -17,7 +17,7 @@ from hilcell.calibration.recheck import WORDS
 from hilcell.calibration.since import Parameter
 from hilcell.journal.calibration_facts import SINCE, VALIDATION
 from hilcell.journal.key_words import verdict_words
-from hilcell.report.columns import Column, Sheet, sheet
+from hilcell.present.table import Column, Table
 from hilcell.report.facts import Facts
 from hilcell.typed import typed
 
@@ -29,9 +29,9 @@ UNITS = {
 _SIGNS = {"<=": "≤", r"\+-": "±", r" deg\b": "°"}
 
 
-def verdicts(facts: Facts) -> Sheet | None:
+def verdicts(facts: Facts) -> Table:
     """Return the verdicts, with the figures behind them."""
-    return sheet("Verdicts", VERDICTS, facts.log.verdicts.items())
+    return Table(VERDICTS, facts.log.verdicts.items(), "Verdicts")
 
 
 def figures_words(key: str, body: Body) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from hilcell.calibration.errors import errors_of, targets
 from hilcell.journal.log import Log, Point
 from hilcell.ports import Array
-from hilcell.report.columns import Column, Sheet, Value, sheet
+from hilcell.present.table import Column, Table, Value
 from hilcell.report.facts import Facts
 from hilcell.report.target_budget import TargetBudget
 
@@ -62,11 +62,11 @@ WORST: tuple[Column[Worst], ...] = (
 )
 
 
-def worst(facts: Facts, budget: TargetBudget) -> Sheet | None:
+def worst(facts: Facts, budget: TargetBudget) -> Table:
     """Return the corrected targets with the largest errors."""
     log = facts.log
     if "world" not in log.frames:
-        return None
+        return Table((), ())
     found = [p for station in log.cell.station for p in targets(log, station.name, "chosen")]
     norms_mm = errors_of(log, found).norms_mm
     order = np.argsort(-norms_mm, kind="stable")[:MOST]
@@ -86,8 +86,8 @@ def worst(facts: Facts, budget: TargetBudget) -> Sheet | None:
     if rows:
         key = found[order[0]].key
         note += f" Key of the first: {key}; hilcell export RUN --csv lists every key."
-    return sheet("The ten worst targets" if len(rows) == MOST else "The worst targets", WORST, rows,
-                 note)  # fmt: skip
+    title = "The ten worst targets" if len(rows) == MOST else "The worst targets"
+    return Table(WORST, rows, title, note)
 
 
 def _row(log: Log, rank: int, point: Point, before: Point | None, budget: TargetBudget) -> Worst:

@@ -13,6 +13,7 @@ import msgspec
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
 from hilcell.ports import HilcellError, StripLost
+from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_rides
 from hilcell.run.tracker_guard import BlockLost
@@ -95,9 +96,6 @@ def _performed(act: Callable[[], object], session: CellSession) -> bool:
         session.await_strip(lost)
         return False
     return True
-
-
-Table = tuple[list[str], list[list[str]]]
 
 
 @dataclass(frozen=True, slots=True)

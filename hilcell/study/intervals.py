@@ -31,6 +31,11 @@ class Interval:
         return self.half >= 0.0 and abs(self.mean) > max(self.half, ROUNDING)
 
     @property
+    def reversed(self) -> Interval:
+        """Return it with the other sign."""
+        return Interval(-self.mean, self.half)
+
+    @property
     def ends(self) -> tuple[float, float]:
         """Return where it ends; the mean twice where there is none."""
         half = self.half if self.half >= 0.0 else 0.0

@@ -8,6 +8,7 @@ from itertools import groupby
 from typing import NamedTuple
 
 from hilcell import __version__
+from hilcell.present.page import environment
 from hilcell.report.drawings.drawing import (
     AFTER,
     ENDS,
@@ -25,7 +26,6 @@ from hilcell.report.drawings.drawing import (
     text,
     wide_mm,
 )
-from hilcell.report.sheet import environment
 from hilcell.study.analysis import Answers, Design, Effect, Rows
 from hilcell.study.intervals import Interval, Share
 from hilcell.study.outcome import RESULTS
@@ -43,7 +43,7 @@ from hilcell.study.tables import (
 def page(study: Study, found: Answers, rows: Rows, planned: int) -> str:
     """Return the page, the same from the same rows."""
     return (
-        environment("hilcell.study")
+        environment("hilcell.study", "hilcell.report")
         .get_template("study.html.j2")
         .render(
             study=study,

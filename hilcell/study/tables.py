@@ -6,11 +6,14 @@ import math
 import re
 from collections import Counter
 from collections.abc import Mapping
-from typing import Any
+from functools import partial
+from operator import attrgetter, itemgetter
+from typing import Any, Protocol
 
-from hilcell.report.columns import Sheet, present
+from hilcell.present.table import Column, Table
 from hilcell.study.analysis import Answers, Design, Effect, Rows, whole
 from hilcell.study.case import CANNOT_BE, DONE, FAILED
+from hilcell.study.design import Point
 from hilcell.study.intervals import Interval, Share
 from hilcell.study.outcome import RESULTS
 from hilcell.study.study_file import Optimum, Study
@@ -21,33 +24,43 @@ WITHOUT = "one machine gives no interval; state more `machines`"
 WAITING = "one machine gives no interval; the others are not measured yet"
 
 
-def sheets(study: Study, found: Answers, rows: Rows) -> list[Sheet]:
+def sheets(study: Study, found: Answers, rows: Rows) -> list[Table]:
     """Return all tables that there are."""
-    return present(
+    made = (
         best_sheet(study, found),
         front_sheet(study, found),
         purchases_sheet(study, found),
         effects_sheet(study, found),
         reasons_sheet(rows),
     )
+    return [table for table in made if table]
 
 
-def best_sheet(study: Study, found: Answers) -> Sheet | None:
+class _OfPoint(Protocol):
+    @property
+    def point(self) -> Point: ...
+
+
+def point_columns(study: Study) -> list[Column[_OfPoint]]:
+    """Return the number of a point, and a column for each factor."""
+    factors = enumerate(each.title for each in study.factor)
+    return [
+        Column("point", lambda row: str(row.point.number)),
+        *(Column[_OfPoint](title, partial(_choice, n)) for n, title in factors),
+    ]
+
+
+def _choice(n: int, row: _OfPoint) -> str:
+    return row.point.choices[n].word
+
+
+def best_sheet(study: Study, found: Answers) -> Table:
     """Return the best design that an optimiser has found, and the one it was begun with."""
     best, wanted = found.best, study.optimise
     if best is None or wanted is None:
-        return None
+        return Table((), ())
     tried = [best, *(each for each in found.designs if each.point.number == 1 and each != best)]
-    rows = [
-        [
-            str(each.point.number),
-            *(choice.word for choice in each.point.choices),
-            f"{each.minutes:.0f}",
-            with_half(each.accuracy, 4),
-        ]
-        for each in tried
-    ]
-    headers = ["point", *(each.title for each in study.factor), "minutes", _accuracy(study)]
+    columns: list[Column[Design]] = [*point_columns(study), MINUTES, _accuracy(study)]
     goal = [f"{study.accuracy[:-3]} error"]
     if wanted.mm_per_minute:
         goal.append(f"{wanted.mm_per_minute:g} mm a minute")
@@ -57,84 +70,72 @@ def best_sheet(study: Study, found: Answers) -> Sheet | None:
         "then the design that the search began with. The best of many was lucky as well: measure "
         "it again in a study with more machines."
     )
-    return Sheet("Best design found", headers, rows, 1 + len(study.factor), note)
+    return Table(columns, tried, "Best design found", note)
 
 
-def front_sheet(study: Study, found: Answers) -> Sheet | None:
+MINUTES = Column[Design]("minutes", attrgetter("minutes"), form=".0f")
+
+
+def _accuracy(study: Study) -> Column[Design]:
+    return Column(study.accuracy[:-3], lambda row: with_half(row.accuracy, 4), "mm", "s")
+
+
+def front_sheet(study: Study, found: Answers) -> Table:
     """Return the designs that no other beats in everything, the fastest first."""
-    if not found.front:
-        return None
-    names = [factor.title for factor in study.factor]
-    money = [study.money] if study.has_costs else []
     of_all = study.machines * study.seeds
-    some = ["done"] if any(each.cases < of_all for each in found.front) else []
-    rows = [
-        [
-            str(each.point.number),
-            *(choice.word for choice in each.point.choices),
-            f"{each.minutes:.0f}",
-            *([f"{each.point.cost:g}"] if money else []),
-            with_half(each.accuracy, 4),
-            percent(each.covered),
-            *([f"{each.cases} of {of_all}"] if some else []),
-        ]
-        for each in found.front
-    ]
-    headers = ["point", *names, "minutes", *money, _accuracy(study), "covered %", *some]
-    against = "accuracy, minutes and money" if money else "accuracy and minutes"
+    columns: list[Column[Design]] = [*point_columns(study), MINUTES]
+    if study.has_costs:
+        columns.append(Column(study.money, lambda row: row.point.cost, form="g"))
+    columns += [_accuracy(study), Column("covered", lambda row: percent(row.covered), "%", "s")]
+    if any(each.cases < of_all for each in found.front):
+        columns.append(Column("done", lambda row: f"{row.cases} of {of_all}", form="s"))
+    against = "accuracy, minutes and money" if study.has_costs else "accuracy and minutes"
     note = (
         f"Of {len(found.designs)} designs these are beaten by no other in {against}."
         if len(found.designs) > 1
         else "No other design has a result."
     ) + f" {RESULTS[study.accuracy][0].capitalize()}."
-    return Sheet("Pareto front", headers, rows, 1 + len(names), note + _one_machine(study, found))
+    return Table(columns, found.front, "Pareto front", note + _one_machine(study, found))
 
 
-def purchases_sheet(study: Study, found: Answers) -> Sheet | None:
+def purchases_sheet(study: Study, found: Answers) -> Table:
     """Return what each step from a first level gains, the largest gain that is shown first."""
-    if not found.purchases:
-        return None
-    money = [f"more {study.money}"] if study.has_costs else []
-    rows = [
-        [
-            each.factor.title,
-            each.start,
-            each.word,
-            with_half(Interval(-each.change.mean, each.change.half), 4),
-            _shown(each),
-            signed(each.minutes, 0),
-            *([signed(each.cost, 0)] if money else []),
-        ]
-        for each in found.purchases
+    columns: list[Column[Effect]] = [
+        Column("factor", attrgetter("factor.title")),
+        Column("from", attrgetter("start")),
+        Column("to", attrgetter("word")),
+        Column("gain", lambda row: with_half(row.change.reversed, 4), "mm", "s"),
+        Column("shown", _shown, form="s"),
+        Column("more minutes", lambda row: signed(row.minutes, 0), form="s"),
     ]
-    headers = ["factor", "from", "to", "gain mm", "shown", "more minutes", *money]
+    if study.has_costs:
+        columns.append(Column(f"more {study.money}", lambda row: signed(row.cost, 0), form="s"))
     note = "Gain: by how much the error falls when this factor alone changes, all else averaged."
     if any(each.word != each.start and not each.is_step for each in found.effects):
         note += " Steps that the cases cannot separate are left out; main effects say why."
-    return Sheet("Buy next", headers, rows, 3, note + _one_machine(study, found))
+    return Table(columns, found.purchases, "Buy next", note + _one_machine(study, found))
 
 
-def effects_sheet(study: Study, found: Answers) -> Sheet | None:
+def effects_sheet(study: Study, found: Answers) -> Table:
     """Return the accuracy at each level of each factor, all else averaged."""
-    rows = [
-        [
-            each.factor.title,
-            each.word,
-            with_half(each.mean, 4),
-            with_half(each.change, 4) if each.word != each.start else "",
-            signed(each.minutes, 0),
-            percent(each.covered),
-        ]
-        for each in found.effects
+    columns: list[Column[Effect]] = [
+        Column("factor", attrgetter("factor.title")),
+        Column("level", attrgetter("word")),
+        Column(study.accuracy[:-3], lambda row: with_half(row.mean, 4), "mm", "s"),
+        Column(
+            "change",
+            lambda row: with_half(row.change, 4) if row.word != row.start else None,
+            "mm",
+            "s",
+        ),
+        Column("minutes", lambda row: signed(row.minutes, 0), form="s"),
+        Column("covered", lambda row: percent(row.covered), "%", "s"),
     ]
-    if not rows:
-        return None
-    headers = ["factor", "level", _accuracy(study), "change mm", "minutes", "covered %"]
     note = "\n".join([*found.not_estimable, _explained(found)])
     if found.covered is not None:
         within = f"{percent(found.covered)} % of targets lie within their 95 % bound."
         note += f"Over all designs {within}"
-    return Sheet("Main effects", headers, rows, 2, note)
+    return Table(columns, found.effects, "Main effects", note)
 
 
 def _explained(found: Answers) -> str:
@@ -147,17 +148,19 @@ def _explained(found: Answers) -> str:
     return f"Main effects alone explain {share} {counts}. "
 
 
-def reasons_sheet(rows: Rows) -> Sheet | None:
+def reasons_sheet(rows: Rows) -> Table:
     """Return why cases were not done, the most frequent reason first."""
     bad = [(row["state"], brief(row["reason"])) for row in rows if row["state"] != DONE]
     counts = Counter((state, _kind(reason)) for state, reason in bad)
     first = {(state, _kind(reason)): reason for state, reason in reversed(bad)}
-    texts = [[key[0], first[key], str(n)] for key, n in counts.most_common(MOST_REASONS)]
-    more = len(counts) - len(texts)
+    more = len(counts) - MOST_REASONS
     note = f"And {more} more reasons." if more > 0 else ""
-    return Sheet("Cases without a result", ["state", "reason", "cases"], texts, 2, note) if (
-        texts
-    ) else None  # fmt: skip
+    columns: list[Column[tuple[tuple[str, str], int]]] = [
+        Column("state", lambda row: row[0][0]),
+        Column("reason", lambda row: first[row[0]]),
+        Column("cases", itemgetter(1), form="d"),
+    ]
+    return Table(columns, counts.most_common(MOST_REASONS), "Cases without a result", note)
 
 
 def count_words(study: Study, found: Answers, planned: int) -> str:
@@ -235,10 +238,6 @@ def signed(value: float, digits: int) -> str:
         return NONE
     shown = f"{value:+.{digits}f}"
     return "0" if float(shown) == 0.0 else shown.replace("-", "−")
-
-
-def _accuracy(study: Study) -> str:
-    return f"{study.accuracy[:-3]} mm"
 
 
 def _shown(each: Effect) -> str:

@@ -147,7 +147,7 @@ def test_a_curve_is_journalled_as_data_and_never_swept_for_again(bed: Bed) -> No
     (figures,) = AxisSweeps().result(log)["sweeps"]["axes"]
     assert figures["used"]
     assert figures["axis"] == 1
-    assert sweep_table(AxisSweeps().result(log))[1][0][:2] == ["A1", "yes"]
+    assert sweep_table(AxisSweeps().result(log)).rows[0][:2] == ["A1", "yes"]
     assert bed.run(ACT) == 0
     assert parts(bed)[1].streams == 2
 

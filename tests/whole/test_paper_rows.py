@@ -82,7 +82,7 @@ def test_rows_that_cannot_fail_say_so_and_all_others_say_when_they_fail(paper: P
     assert {name for name, row in rows.items() if row["set"]} == SET
     for name, row in rows.items():
         assert bool(row["fails"]) is (name not in SET)
-    shown = {cells[0]: cells[-1] for cells in paper_table(paper.result)[1]}
+    shown = {cells[0]: cells[-1] for cells in paper_table(paper.result).rows}
     assert {name for name, word in shown.items() if word == "set"} == SET
 
 

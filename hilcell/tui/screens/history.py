@@ -9,6 +9,8 @@ from textual.app import ComposeResult
 from textual.content import Content
 
 from hilcell.errors import HilcellError
+from hilcell.report.comparison import CHANGES
+from hilcell.report.drift import Change
 from hilcell.tui.engine import process
 from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.keys import shown
@@ -16,6 +18,7 @@ from hilcell.tui.screens.base import Page
 from hilcell.tui.screens.pages import CHOOSE, FilterScreen
 from hilcell.tui.text.tables import columns_for, history_row
 from hilcell.tui.widgets import Column, Row, Table, TextPanel
+from hilcell.typed import typed
 
 if TYPE_CHECKING:
     from hilcell.journal.index import RunRow
@@ -125,7 +128,6 @@ COLUMNS = (
     Column("limit", 7, right=True),
     Column("verdict", 7),
 )
-DIGITS = {"mm": 4, "deg": 5}
 
 
 class ComparePage(Page):
@@ -175,12 +177,9 @@ def comparison_text(found: dict[str, Any]) -> Content:
 
 def change_row(change: dict[str, Any]) -> Row:
     """Return one change; one beyond its limit is coloured."""
-    digits = DIGITS.get(change["unit"], 2)
-    numbers = [
-        "" if change[name] is None else f"{change[name]:{sign}.{digits}f}"
-        for name, sign in (("first", ""), ("second", ""), ("change", "+"), ("limit", ""))
-    ]
-    what = f"{change['figure']}, {change['unit']}"
-    tone = "" if change["verdict"] in ("", "within") else "fault"
-    cells = (change["where"], what, *numbers, change["verdict"])
-    return Row(f"{change['place']}/{change['what']}", cells, tone)
+    found = typed(change, Change)
+    where, what, *figures, unit, verdict = (
+        column.text(column.of(found), minus="-") for column in CHANGES
+    )
+    tone = "fault" if found.verdict == "beyond" else ""
+    return Row(f"{found.place}/{found.what}", (where, f"{what}, {unit}", *figures, verdict), tone)

@@ -14,7 +14,7 @@ from hilcell.clean import harmless
 from hilcell.journal.log import Log
 from hilcell.journal.point_words import procedure_words
 from hilcell.tui.text.frame import wrapped
-from hilcell.tui.text.result import own_words, words_in
+from hilcell.tui.text.result import own_words
 from hilcell.tui.text.sheets import sheet_lines
 
 LABEL = 13  # columns of a name
@@ -37,13 +37,12 @@ def report_lines(found: Mapping[str, Any], log: Log | None, width: int) -> list[
         facts.append(("calibration", str(standing.get("text", ""))))
     lines = [line for name, text in facts for line in _fact(name, text, width)]
     result = found.get("result")
-    table, text = None, ""
     if found.get("state") == "finished" and isinstance(result, dict):
         table, text = own_words(procedure, result)
-    if table is not None and table[1]:
-        lines += [Content(""), *sheet_lines(words_in(table, log), width)]
-    if text:
-        lines += [Content(""), *wrapped(harmless(text), width)]
+        if table:
+            lines += [Content(""), *sheet_lines(table, width, log)]
+        if text:
+            lines += [Content(""), *wrapped(harmless(text), width)]
     return lines
 
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal, TypeVar
+from operator import attrgetter
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import msgspec
 from textual.content import Content
@@ -17,16 +18,16 @@ from hilcell.calibration.pose_test import ISO
 from hilcell.cell.devices import load_entry
 from hilcell.clean import harmless
 from hilcell.errors import HilcellError
-from hilcell.journal.key_words import id_of, in_words
+from hilcell.journal.key_words import id_of
 from hilcell.journal.log import Log
 from hilcell.journal.point_words import short_words
-from hilcell.journal.ways_sent import AS_SENT, CORRECTED, PAPER
+from hilcell.present.table import Column, Table
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.digits import figure
 from hilcell.tui.text.frame import wrapped
 from hilcell.tui.text.head import NEXT, Figure, Head, gravest, head_lines
-from hilcell.tui.text.sheets import Table, sheet_lines
+from hilcell.tui.text.sheets import sheet_lines
 from hilcell.typed import typed
 
 NO_FIGURES = "Finished. This procedure measures nothing that is judged."
@@ -40,7 +41,7 @@ class Result:
 
     head: Head
     text: str
-    table: Table | None
+    table: Table
 
 
 class _Pose(msgspec.Struct):
@@ -115,8 +116,6 @@ def result_of(view: RunView) -> Result | None:
     if checked is not None:
         return _of_recheck(checked, view.log)
     table, text = own_words(view.log.plan.procedure, found)
-    if table is not None and not table[1]:
-        table = None
     return Result(Head((), "", "label", ()), text or ("" if table else NO_FIGURES), table)
 
 
@@ -128,15 +127,17 @@ def _converted(found: Any, kind: type[T]) -> T | None:
         return None
 
 
-def own_words(name: str, result: dict[str, Any]) -> tuple[Table | None, str]:
+def own_words(name: str, result: dict[str, Any]) -> tuple[Table, str]:
     """Return a procedure's own table and words of a result; nothing of what it cannot read."""
     if not result:
-        return None, ""
+        return Table((), ()), ""
     try:
         procedure = load_entry("procedures", name)
-        return procedure.table(result), procedure.words(result)
+        table: Table = procedure.table(result)
+        table.texts()  # raises where a value is not of its column
+        return table, procedure.words(result)
     except (HilcellError, LookupError, TypeError, ValueError, AttributeError):
-        return None, ""  # of another version, or of a procedure that is not installed here
+        return Table((), ()), ""  # of another version, or of a procedure that is not installed here
 
 
 # -- a pose test -----------------------------------------------------------------------------------
@@ -153,28 +154,28 @@ def _of_test(test: _PoseTest, *, passed: bool) -> Result:
         Figure("worst AP_p, mm", ap.ap_mm, f"at {at_ap}", ap_mm, ap.ap_u95_mm),
         Figure("worst RP_l, mm", rp.rp_mm, f"at {at_rp}", rp_mm, rp.rp_u95_mm),
     )
-    headers = ["pose", "AP_p mm", "U mm", "RP_l mm", "U mm"]
+    limits, turned = test.limits, test.orientation
     rows = [
-        [name, *map(figure, (each.ap_mm, each.ap_u95_mm, each.rp_mm, each.rp_u95_mm))]
+        _PoseRow(
+            name,
+            figure(each.ap_mm),
+            figure(each.ap_u95_mm),
+            figure(each.rp_mm),
+            figure(each.rp_u95_mm),
+            *_worst_angles(turned.get(name)),
+            "pass"
+            if _keeps(each.ap_mm + each.ap_u95_mm, ap_mm)
+            and _keeps(each.rp_mm + each.rp_u95_mm, rp_mm)
+            and _angles_keep(turned.get(name), limits)
+            else "FAIL",
+        )
         for name, each in test.poses.items()
     ]
-    turned = test.orientation
-    if turned:
-        headers += ["AP_abc °", "RP_abc °"]
-        for row, name in zip(rows, test.poses, strict=True):
-            row.extend(_worst_angles(turned.get(name)))
-    if test.limits:
-        headers.append("verdict")
-        for row, (name, each) in zip(rows, test.poses.items(), strict=True):
-            kept = _keeps(each.ap_mm + each.ap_u95_mm, ap_mm)
-            kept &= _keeps(each.rp_mm + each.rp_u95_mm, rp_mm)
-            kept &= _angles_keep(turned.get(name), test.limits)
-            row.append("pass" if kept else "FAIL")
-        limits = [_limit(ap_mm), "", _limit(rp_mm), ""]
-        if turned:
-            limits += [_limit(test.limits.get(f"{key}_limit_deg")) for key in ("ap", "rp")]
-        limits.append("")
-        rows.append(["limit", *limits])
+    columns = [*POSES, *(ANGLES if turned else ())]
+    if limits:
+        columns.append(Column("verdict", attrgetter("verdict")))
+        angles = (_limit(limits.get(f"{key}_limit_deg")) for key in ("ap", "rp"))
+        rows.append(_PoseRow("limit", _limit(ap_mm), "", _limit(rp_mm), "", *angles))
     text = _distance_words(test.distance, ad_mm, rd_mm) if test.distance is not None else ""
     words, stated, role = (("ISO",), "no limits stated", "label")
     if test.limits:
@@ -183,7 +184,33 @@ def _of_test(test: _PoseTest, *, passed: bool) -> Result:
             if passed
             else (("FAIL",), "not within its limits", "fault")
         )
-    return Result(Head(words, stated, role, figures), text, (headers, rows))
+    return Result(Head(words, stated, role, figures), text, Table(columns, rows))
+
+
+class _PoseRow(NamedTuple):
+    """A pose's figures as they are shown, or their limits."""
+
+    name: str
+    ap: str
+    ap_U: str
+    rp: str
+    rp_U: str
+    ap_angle: str
+    rp_angle: str
+    verdict: str = ""
+
+
+POSES = (
+    Column[_PoseRow]("pose", attrgetter("name")),
+    Column[_PoseRow]("AP_p", attrgetter("ap"), "mm", "s"),
+    Column[_PoseRow]("U", attrgetter("ap_U"), "mm", "s"),
+    Column[_PoseRow]("RP_l", attrgetter("rp"), "mm", "s"),
+    Column[_PoseRow]("U", attrgetter("rp_U"), "mm", "s"),
+)
+ANGLES = (
+    Column[_PoseRow]("AP_abc", attrgetter("ap_angle"), "°", "s"),
+    Column[_PoseRow]("RP_abc", attrgetter("rp_angle"), "°", "s"),
+)
 
 
 def _distance_words(found: _Distance, ad_mm: float | None, rd_mm: float | None) -> str:
@@ -196,11 +223,11 @@ def _distance_words(found: _Distance, ad_mm: float | None, rd_mm: float | None) 
     )
 
 
-def _worst_angles(found: _Angles | None) -> list[str]:
+def _worst_angles(found: _Angles | None) -> tuple[str, str]:
     """Return the largest AP and RP of a pose's angles, as far as they were measured."""
-    parts = [] if found is None else [found.ap_deg, found.rp_deg]
-    shown = [f"{max(map(abs, each.values())):.4f}" if each else "-" for each in parts]
-    return shown or ["-", "-"]
+    parts = ({}, {}) if found is None else (found.ap_deg, found.rp_deg)
+    ap, rp = (f"{max(map(abs, each.values())):.4f}" if each else "-" for each in parts)
+    return ap, rp
 
 
 def _angles_keep(found: _Angles | None, limits: dict[str, float]) -> bool:
@@ -229,22 +256,20 @@ def _limit(limit_mm: float | None) -> str:
 
 def _of_recheck(found: _Recheck, log: Log) -> Result:
     worst = sorted(found.poses, key=lambda each: -gravest(each.error_mm))
-    rows = [
-        [
-            short_words(id_of(each.pose, log)),
-            *map(figure, (each.bound_mm, each.error_mm, each.left_mm)),
-        ]
-        for each in worst
+    columns: list[Column[_Target]] = [
+        Column("worst first", lambda each: short_words(id_of(each.pose, log))),
+        Column("predicted below", lambda each: figure(each.bound_mm), "mm", "s"),
+        Column("now", lambda each: figure(each.error_mm), "mm", "s"),
+        Column("less the base's motion", lambda each: figure(each.left_mm), "mm", "s"),
     ]
     limits_mm = found.mean_tolerance_mm, found.max_tolerance_mm
-    at = rows[0][0] if rows else "its target"
+    at = short_words(id_of(worst[0].pose, log)) if worst else "its target"
     figures = (
         Figure("mean |e| now, mm", found.mean_mm, "all", limits_mm[0], found.mean_U_mm),
         Figure("largest |e| now, mm", found.max_mm, at, limits_mm[1], found.max_U_mm),
     )
-    headers = ["worst first", "predicted below mm", "now mm", "less the base's motion mm"]
     head = Head(*RECHECKED[found.verdict], figures)
-    return Result(head, found.text, (headers, rows) if rows else None)
+    return Result(head, found.text, Table(columns, worst))
 
 
 # -- drawing ---------------------------------------------------------------------------------------
@@ -255,7 +280,7 @@ def result_lines(view: RunView, found: Result, glyphs: Glyphs, width: int, rows:
     lines = head_lines(view, found.head, glyphs, width, rows)
     text = wrapped(harmless(found.text), width - 2) if found.text else []
     lines += [Content(" ").append(line).stylize("$label") for line in text]
-    table = [] if found.table is None else sheet_lines(words_in(found.table, view.log), width)
+    table = sheet_lines(found.table, width, view.log)
     room = rows - len(lines)
     if len(table) > room:
         table = [
@@ -267,27 +292,3 @@ def result_lines(view: RunView, found: Result, glyphs: Glyphs, width: int, rows:
         lines.append(Content.assemble((" next: ", "$label"), NEXT))
     lines += [Content("")] * (rows - len(lines))
     return Content("\n").join(line.truncate(width) for line in lines[:rows])
-
-
-def words_in(table: Table, log: Log | None = None) -> Table:
-    """Return a table with its keys and names in words."""
-    headers, rows = table
-    return (
-        [_header_words(each) for each in headers],
-        [[_cell_words(cell, log) for cell in row] for row in rows],
-    )
-
-
-def _header_words(header: str) -> str:
-    return header.replace("urad", "µrad").replace("_", " ") if "urad" in header else header
-
-
-def _cell_words(cell: str, log: Log | None) -> str:
-    if cell == "before":
-        return AS_SENT
-    if cell == "idw":
-        return PAPER
-    if cell.startswith("chosen: "):
-        _, _, outcome = cell.partition(", ")
-        return CORRECTED + (f", {outcome}" if outcome else "")
-    return in_words(cell, log) if log is not None else cell

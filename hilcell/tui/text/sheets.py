@@ -11,19 +11,28 @@ from collections.abc import Sequence
 from textual.content import Content
 
 from hilcell.clean import harmless
+from hilcell.journal.key_words import in_words
+from hilcell.journal.log import Log
+from hilcell.present.table import Named, Table
 from hilcell.tui.text.frame import wrapped
 
-Table = tuple[list[str], list[list[str]]]
 GAP = 2
 WIDEST = 30  # columns of a cell; a longer text wraps
 HEAD = "$label on $panel"
 
 
-def sheet_lines(table: Table, width: int) -> list[Content]:
-    """Return the table in lines of at most ``width``, each block with its header."""
-    headers, rows = table
-    shown = [[harmless(cell) for cell in row] for row in (headers, *rows)]
-    columns = [list(column) for column in zip(*shown, strict=False)]
+def sheet_lines(table: Table, width: int, log: Log | None = None) -> list[Content]:
+    """Return the table in lines of at most ``width``, each block with its header.
+
+    Names of the program, and keys of the points of ``log``, are in words.
+    """
+    shown = [table.headers, *table.texts("-")]
+    for texts, values in zip(shown[1:], table.rows, strict=True):
+        for at, value in enumerate(values):
+            text = value.words if isinstance(value, Named) else texts[at]
+            texts[at] = text if log is None else in_words(text, log)
+    shown = [[harmless(cell) for cell in row] for row in shown]
+    columns = [list(column) for column in zip(*shown, strict=True)]
     widest = max(min(WIDEST, width - 2), 1)
     widths = [_column_width(column, widest, whole=True) for column in columns]
     if sum(widths) + GAP * (len(widths) - 1) > width - 1:

@@ -93,12 +93,11 @@ def test_each_measurand_ends_with_its_sum(golden: GoldenRuns) -> None:
     facts = read_facts(golden["small"].folder)
     budget, targets = budget_of(facts.log), target_budget(facts.log, facts.run)
     found = budget_sheet(budget, targets)
-    assert found is not None
     assert found.headers == [column.header for column in ROWS]
-    sources = [row[0] for row in found.rows]
+    sources = [row[0] for row in found.texts()]
     half = sources.index(ERROR_SUM) + 1
     assert sources[-1] == TARGET_SUM
-    for rows in (found.rows[:half], found.rows[half:]):
+    for rows in (found.texts()[:half], found.texts()[half:]):
         *lines, last = rows
         assert sum(float(row[-1]) for row in lines) == pytest.approx(100.0, abs=0.05 * len(rows))
         root_mm = math.sqrt(sum(float(row[-2]) ** 2 for row in lines))

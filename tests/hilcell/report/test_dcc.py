@@ -12,7 +12,7 @@ from dsi_unit import DsiUnit
 
 from hilcell.calibration.bounds import Coverage
 from hilcell.calibration.decision import guard_of
-from hilcell.journal.calibration_facts import REVOKED
+from hilcell.journal.calibration_facts import REVOKED, VERDICTS
 from hilcell.report import dcc
 from hilcell.report.dcc import CELSIUS, DEGREE, FORMS, HECTOPASCAL, MM, PERCENT, dcc_bytes, real
 from hilcell.report.facts import Facts
@@ -86,7 +86,11 @@ def test_figures_are_those_of_the_report_with_u_and_k(tmp_path: Path) -> None:
     assert float(U) > 0
     assert figures(root, "S1100, before", "hilcell_largest")[0][0] == f"{largest.before_mm:.4f}"
     assert figures(root, "S1100, before", "hilcell_targets")[0][:2] == ("4", "\\one")
-    verdicts = [each.verdict for name in ("S1100", "S300") for each in results_at(facts, name)]
+    verdicts = [
+        VERDICTS[each.outcome or "rejected"]
+        for name in ("S1100", "S300")
+        for each in results_at(facts, name)
+    ]
     assert verdicts == ["pass", "pass", "fail", "pass"]
     conformity = ".//dcc:quantity/dcc:measurementMetaData//dcc:conformity"
     assert texts(root, conformity) == verdicts
@@ -124,7 +128,7 @@ def test_a_figure_within_its_uncertainty_of_the_limit_does_not_conform(tmp_path:
     writer.journal.append("verdict", "validation.S1100", body)
     writer.state("calibration", "validated")
     facts = writer.facts()
-    assert [each.verdict for each in results_at(facts, "S1100")] == ["undecided", "pass"]
+    assert [each.outcome for each in results_at(facts, "S1100")] == ["undecided", "accepted"]
     conformity = ".//dcc:quantity/dcc:measurementMetaData//dcc:conformity"
     assert texts(parsed(facts), conformity) == ["noPass", "pass"]
 

@@ -141,4 +141,4 @@ def test_frames_and_results_are_flat(tmp_path: Path) -> None:
     with zipfile.ZipFile(io.BytesIO(xlsx_bytes(facts))) as book:
         cells = list(_tree(book, "worksheets/sheet3.xml").iter(f"{SHEET}row"))
     assert [float(cell.findtext(f"{SHEET}v", "nan")) for cell in cells[1]][1:7] == [0.0] * 6
-    assert ["points.validate_before", 8] in results_table(facts)
+    assert ["points.validate_before", 8] in results_table(facts).rows

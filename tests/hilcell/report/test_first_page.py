@@ -110,8 +110,7 @@ def test_report_and_list_of_runs_have_one_word(
 
 def test_results_beside_their_limits(tmp_path: Path) -> None:
     found = results_sheet(judged(tmp_path / "r", max_mm=0.27), TargetBudget("none"))
-    assert found is not None
-    assert found.rows == [
+    assert found.texts() == [
         ["Mean of 4 targets at S1100", "0.120", "2.000", "0.050", "0.040", "0.080", "pass"],
         ["Largest of 4 targets at S1100", "0.300", "3.000", "0.270", "0.050", "0.250", "undecided"],
     ]
@@ -134,9 +133,8 @@ def test_certificates_of_the_cell_file_make_it_a_certificate(tmp_path: Path) -> 
     assert certified.digest == cell.digest
     facts = judged(tmp_path / "r", plan={"cell": msgspec.to_builtins(certified)})
     found = instruments(facts)
-    assert found is not None
-    assert [row[3] for row in found.rows] == ["TC-17, 2026-04-17", "SC-88", "KC-90", "simulated"]
-    assert found.rows[0][2] == "750123"
+    assert [row[3] for row in found.texts()] == ["TC-17, 2026-04-17", "SC-88", "KC-90", "simulated"]
+    assert found.texts()[0][2] == "750123"
     assert title(facts) == "Calibration certificate"
     assert title(judged(tmp_path / "s")) == "Calibration report"
 
@@ -251,8 +249,7 @@ def test_figures_have_units(key: str, body: dict[str, Any], figures: list[str]) 
 def test_verdicts_of_a_simulation_stand_in_brackets(tmp_path: Path) -> None:
     facts = judged(tmp_path / "s", plan={"simulated": True}, max_mm=0.27)
     found = results_sheet(facts, TargetBudget("none"))
-    assert found is not None
-    assert [row[-1] for row in found.rows] == ["(pass)", "(undecided)"]
+    assert [row[-1] for row in found.texts()] == ["(pass)", "(undecided)"]
 
 
 def test_the_95_percent_bound_stands_in_the_table_and_is_not_judged(tmp_path: Path) -> None:
@@ -260,16 +257,14 @@ def test_the_95_percent_bound_stands_in_the_table_and_is_not_judged(tmp_path: Pa
     radii_mm = np.array([0.05, 0.074])
     bounds = cast("Bounds", SimpleNamespace(radii_mm=radii_mm))
     found = results_sheet(facts, TargetBudget(in_use={"S1100": bounds}))
-    assert found is not None
     limit = f"{facts.cell.validation.max_tolerance_mm:.3f}"
-    assert found.rows[-1][1:] == [limit, "–", "0.074", "included", limit, "–"]
+    assert found.texts()[-1][1:] == [limit, "–", "0.074", "included", limit, "–"]
 
 
 def test_too_few_targets_make_a_row_undecided_whose_figures_are_not(tmp_path: Path) -> None:
     facts = judged(tmp_path / "r", outcome="undecided", holds=False, decision="too few targets")
     found = results_sheet(facts, TargetBudget("none"))
-    assert found is not None
-    assert [row[-1] for row in found.rows] == ["undecided", "pass"]
+    assert [row[-1] for row in found.texts()] == ["undecided", "pass"]
 
 
 def test_a_later_run_revokes_or_supersedes(tmp_path: Path) -> None:
@@ -332,10 +327,9 @@ def test_times_are_those_of_the_wall_beside_utc(tmp_path: Path) -> None:
     assert "UTC+05:30 (" in measured(there)
     assert measured(there).endswith(" UTC)")
     listed = course(there)
-    assert listed is not None
     assert listed.headers[0] == "UTC+05:30 (UTC)"
-    hours = [int(time[-9:-7]) * 60 + int(time[-6:-4]) for time, _ in listed.rows]
-    for (time, _), minutes in zip(listed.rows, hours, strict=True):
+    hours = [int(time[-9:-7]) * 60 + int(time[-6:-4]) for time, _ in listed.texts()]
+    for (time, _), minutes in zip(listed.texts(), hours, strict=True):
         clock = time[:-11][-8:]
         assert (int(clock[:2]) * 60 + int(clock[3:5]) - minutes) % 1440 == 330
 

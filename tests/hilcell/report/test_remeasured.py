@@ -37,8 +37,7 @@ def retaken(folder: Path, again_mm: float, what: str = "retake asked") -> Facts:
 )
 def test_both_values_and_why(tmp_path: Path, what: str, why: str) -> None:
     found = remeasured(retaken(tmp_path / "r", 0.01, what))
-    assert found is not None
-    (row,) = [dict(zip(found.headers, row, strict=True)) for row in found.rows]
+    (row,) = [dict(zip(found.headers, row, strict=True)) for row in found.texts()]
     assert why in row["why"]
     assert (row["error first mm"], row["error again mm"]) == ("0.3000", "0.0100")
     assert (row["apart mm"], row["counts"]) == ("0.3002", "first")
@@ -49,16 +48,14 @@ def test_of_a_target_the_larger_error_counts_everywhere(tmp_path: Path) -> None:
     (chosen,) = [v["chosen"] for v in (validation(facts.log, ["S1100"]),)]
     assert chosen.norms_mm.tolist() == pytest.approx([0.1, 0.2, 0.3, 0.2])
     sheet = accuracy(facts)
-    assert sheet is not None
-    after = next(row for row in sheet.rows if row[1].startswith("after"))
+    after = next(row for row in sheet.texts() if row[1].startswith("after"))
     assert after[3] == "0.200", "the table has the same mean"
 
 
 def test_a_larger_later_value_counts(tmp_path: Path) -> None:
     facts = retaken(tmp_path / "r", 0.5)
     found = remeasured(facts)
-    assert found is not None
-    assert found.rows[0][2] == "again"
+    assert found.texts()[0][2] == "again"
     assert validation(facts.log, ["S1100"])["chosen"].figures.max == pytest.approx(0.5)
 
 
@@ -67,8 +64,7 @@ def test_of_three_values_the_largest_counts(tmp_path: Path) -> None:
     for error_mm in (0.4, 0.05):
         writer.validated("S1100", "chosen", [(error_mm, 0.0, 0.0)])
     found = remeasured(writer.facts())
-    assert found is not None
-    assert [row[2] for row in found.rows] == ["again", "first"]
+    assert [row[2] for row in found.texts()] == ["again", "first"]
 
 
 def test_points_of_a_moved_tracker(tmp_path: Path) -> None:
@@ -77,9 +73,8 @@ def test_points_of_a_moved_tracker(tmp_path: Path) -> None:
     writer.journal.append("event", "", moved)
     writer.point(TARGET, (200.0, 100.0, 1040.0), "S1100", nominal_mm=(200.0, 100.0, 1040.0))
     found = remeasured(writer.facts())
-    assert found is not None
-    assert "tracker" in found.rows[0][1]
-    assert found.rows[0][2] == "again"
+    assert "tracker" in found.texts()[0][1]
+    assert found.texts()[0][2] == "again"
 
 
 def test_every_start_of_an_engine_stands_in_the_course(tmp_path: Path) -> None:
@@ -90,8 +85,7 @@ def test_every_start_of_an_engine_stands_in_the_course(tmp_path: Path) -> None:
     writer.state("run", "faulted", reason="Tracker: measure validate/S300/chosen/049: no beam")
     writer.state("run", "checking")  # resumed
     found = course(read_facts(writer.left()))
-    assert found is not None
-    words = " ".join(row[1] for row in found.rows)
+    words = " ".join(row[1] for row in found.texts())
     for session in (1, 2, 3):
         assert f"session {session}" in words
     assert "A. Technician" in words
@@ -123,8 +117,7 @@ def test_each_step_and_event_has_its_line(tmp_path: Path) -> None:
         if event["what"] == "station held":
             writer.validated("S1100", "chosen", AFTER_MM[:2])
     found = course(writer.facts())
-    assert found is not None
-    words = [row[1] for row in found.rows[1:-1]]
+    words = [row[1] for row in found.texts()[1:-1]]
     assert len(words) == len(events)
     assert [word in line for line, (_, word) in zip(words, events, strict=True)] == [True] * 10
 
@@ -148,8 +141,7 @@ def test_of_an_orientation_the_larger_value_counts_too(
             )  # fmt: skip
     facts = writer.facts()
     found = remeasured(facts)
-    assert found is not None
-    rows = [dict(zip(found.headers, row, strict=True)) for row in found.rows]
+    rows = [dict(zip(found.headers, row, strict=True)) for row in found.texts()]
     assert {(row["turned first °"], row["turned again °"]) for row in rows} == {
         ("0.0573", "0.0115")
     }
@@ -180,8 +172,7 @@ def test_a_step_that_a_later_session_only_passes_is_not_in_the_course(tmp_path: 
     writer.state("run", "checking")
     steps("world-frame", "axis-sweeps", "fit", "validate")
     found = course(read_facts(writer.left()))
-    assert found is not None
-    lines = [row[1] for row in found.rows]
+    lines = [row[1] for row in found.texts()]
     assert [sum(word in line for line in lines) for word in ("World", "sweeps", "Targets")] == [
         1, 1, 1,
     ]  # fmt: skip
@@ -205,8 +196,7 @@ def test_a_point_measured_again_is_not_of_the_step_in_which_it_came(tmp_path: Pa
         writer.state("run", "finished")
         writer.state("run", "checking")
     found = course(read_facts(writer.left()))
-    assert found is not None
-    again = [row[1] for row in found.rows]
+    again = [row[1] for row in found.texts()]
     again = again[next(n for n, line in enumerate(again) if "session 2" in line) :]
     assert sum("grid" in line.lower() for line in again) == 0
     assert sum("gain" in line and "target 3 at S1100" in line for line in again) == 1
@@ -229,10 +219,9 @@ def test_a_crash_stands_at_its_time_and_before_what_came_after(tmp_path: Path) -
         for each in facts.records
     ]
     found = course(replace(facts, records=late))
-    assert found is not None
-    words = [row[1] for row in found.rows]
+    words = [row[1] for row in found.texts()]
     at = next(n for n, each in enumerate(words) if each.startswith("Engine gone"))
-    assert before.t[11:19] in found.rows[at][0]
+    assert before.t[11:19] in found.texts()[at][0]
     assert "session 2" in words[at + 1]
     assert not any("session 14" in each for each in words)
 
@@ -246,6 +235,5 @@ def test_a_step_that_a_plan_leaves_out_is_not_in_the_course(tmp_path: Path) -> N
         if seen:
             writer.point(PointId("back", number=0, nest="F1"), (1.0, 2.0, 3.0))
         found = course(writer.facts())
-        assert found is not None
-        lines.append([row[1] for row in found.rows if "both faces" in row[1]])
+        lines.append([row[1] for row in found.texts() if "both faces" in row[1]])
     assert lines == [["Nests in both faces of the tracker. 1 point."], []]

@@ -24,6 +24,7 @@ from hilcell.ports import (
     Stopped,
     TrackerReading,
 )
+from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Step
 from tests.clocks import DrivenClock
@@ -173,7 +174,7 @@ class Points:
 
 
 def procedure(*parts: Any) -> Procedure:
-    return Procedure("desk", "for tests", tuple(parts), lambda result: ([], []))
+    return Procedure("desk", "for tests", tuple(parts), lambda result: Table((), ()))
 
 
 def failing(error: Exception) -> Callable[[], NoReturn]:

@@ -67,8 +67,7 @@ def test_a_range_of_which_one_end_gave_no_result(tmp_path: Path) -> None:
     assert (high["change_mm"], high["minutes"]) == (none, None)
     assert said["not_estimable"] == found.not_estimable
     sheet = effects_sheet(asked, found)
-    assert sheet is not None
-    assert sheet.rows[0] == ["x mm", "1800", "–", "", "–", "–"]
+    assert sheet.texts()[0] == ["x mm", "1800", "–", "", "–", "–"]
     html = page(asked, found, measured, 24)
     for line in found.not_estimable:
         assert f'<p class="note">{line}</p>' in html

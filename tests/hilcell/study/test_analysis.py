@@ -93,8 +93,7 @@ def test_one_machine_gives_no_interval(tmp_path: Path) -> None:
     found = answers(asked, measured)
     assert all(math.isnan(each.change.half) for each in found.effects)
     sheet = purchases_sheet(asked, found)
-    assert sheet is not None
-    assert [row[4] for row in sheet.rows] == ["no", "no"]
+    assert [row[4] for row in sheet.texts()] == ["no", "no"]
     assert facts(asked, found, 4)["effects"][0]["accuracy_mm"]["half95"] is None
     assert "<svg" in page(asked, found, measured, 4)
 
@@ -119,8 +118,7 @@ def test_the_shown_gain_comes_first(tmp_path: Path) -> None:
     found = answers(asked, rows(asked, swinging))
     assert [each.factor.name for each in found.purchases] == ["readings", "place"]
     sheet = purchases_sheet(asked, found)
-    assert sheet is not None
-    assert [(row[0], row[4]) for row in sheet.rows] == [("readings", "gain"), ("place", "no")]
+    assert [(row[0], row[4]) for row in sheet.texts()] == [("readings", "gain"), ("place", "no")]
 
 
 def test_cases_that_cannot_be_are_no_zeros(tmp_path: Path) -> None:
@@ -134,7 +132,7 @@ def test_cases_that_cannot_be_are_no_zeros(tmp_path: Path) -> None:
     assert known == {"2": True, "5": True, "near": True, "far": False}
     assert count_words(asked, found, 16) == "16 cases: 8 done, 8 cannot be"
     reasons = sheets(asked, found, measured)[-1]
-    assert reasons.rows == [["cannot be", "grid: out of reach", "8"]]
+    assert reasons.texts() == [["cannot be", "grid: out of reach", "8"]]
 
 
 @pytest.mark.parametrize(
@@ -157,8 +155,7 @@ def test_the_front_in_the_table(tmp_path: Path) -> None:
     errors_mm = (0.1, 0.09, 0.2, 0.05)
     found = answers(asked, rows(asked, lambda c: errors_mm[c.point.number - 1]))
     sheet = front_sheet(asked, found)
-    assert sheet is not None
-    assert [row[0] for row in sheet.rows] == ["1", "2", "4"]
+    assert [row[0] for row in sheet.texts()] == ["1", "2", "4"]
     assert "EUR" in sheet.headers
 
 
@@ -189,7 +186,7 @@ def test_reasons_that_differ_in_figures_are_one_kind(tmp_path: Path) -> None:
         for n, row in enumerate(rows(asked, additive), start=-3)
     ]
     (reasons,) = sheets(asked, answers(asked, measured), measured)
-    assert reasons.rows == [["failed", "slide +1.50 mm off", "16"]]
+    assert reasons.texts() == [["failed", "slide +1.50 mm off", "16"]]
 
 
 @pytest.mark.parametrize("shares", [[1.0, 1.0, 1.0, 1.0], [1.0, 1.0, 0.98, 1.0], [0.0, 0.0, 0.02]])

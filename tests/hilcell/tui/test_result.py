@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 from itertools import product
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 
+from hilcell.present.table import Column, Table
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE
@@ -130,11 +132,16 @@ def test_it_fits_where_there_is_little_room(result: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("width", [20, 38, 58, 79, 119])
 def test_a_table_is_drawn_to_the_width_and_cuts_no_number(width: int) -> None:
-    headers = ["pose", *(f"figure {n} mm" for n in range(12)), "why"]
-    numbers = [f"{1234.5678 + n:.4f}" for n in range(12)]
-    lines = sheet_lines((headers, [["P1", *numbers, "because it is so, and for no other"]]), width)
+    numbers = [1234.5678 + n for n in range(12)]
+    columns: list[Column[list[str | float]]] = [
+        Column("pose", itemgetter(0)),
+        *(Column(f"figure {n}", itemgetter(n + 1), "mm", ".4f") for n in range(12)),
+        Column("why", itemgetter(13)),
+    ]
+    row: list[str | float] = ["P1", *numbers, "because it is so, and for no other"]
+    lines = sheet_lines(Table(columns, [row]), width)
     text = "\n".join(line.plain for line in lines)
-    assert all(number in text for number in numbers)
+    assert all(f"{number:.4f}" in text for number in numbers)
     assert max(line.cell_length for line in lines) <= width
     assert not set("│┃━…") & set(text)
 

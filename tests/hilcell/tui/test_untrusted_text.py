@@ -71,9 +71,13 @@ def poisoned_outside(
     monkeypatch.setattr(start, "summaries", lambda names: dict.fromkeys(names, text))
 
 
+# Words of the program itself, which no journal and no cell file has in it.
+OURS = ("mm", "deg", "finished", "calibrate", "validation", "frames")
+
+
 def _poison(value: Any, text: str) -> Any:
     if isinstance(value, str):
-        return value if value in ("mm", "deg", "finished", "calibrate") else value + text
+        return value if value in OURS else value + text
     if isinstance(value, list):
         return [_poison(each, text) for each in value]
     if isinstance(value, dict):

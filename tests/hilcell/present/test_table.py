@@ -4,9 +4,12 @@ from pathlib import Path
 
 import pytest
 
+from hilcell.present.files import csv_of
+from hilcell.present.table import Column, Named, Table
+from hilcell.present.terminal import drawn
 from hilcell.report import tables
-from hilcell.report.columns import Column, Sheet, sheet
 from hilcell.report.html import report_html
+from hilcell.tui.text.sheets import sheet_lines
 from tests.hilcell.report.journals import validated_run
 from tests.hilcell.report.pages import Page
 
@@ -24,13 +27,32 @@ def test_a_column_has_its_unit_in_its_header_and_in_its_key() -> None:
     ("value", "text"), [(1.005, "1.00"), (-2.0, "\N{MINUS SIGN}2.00"), (0.0, "")]
 )
 def test_a_figure_is_rounded_and_a_missing_one_is_blank(value: float, text: str) -> None:
-    assert LENGTH.text(value) == text
+    assert LENGTH.text(LENGTH.of(value)) == text
 
 
 def test_words_stand_before_figures() -> None:
-    made = sheet("T", (NAME, LENGTH, NAME), [1.5], "note")
-    assert made == Sheet("T", ["name", "Length mm", "name"], [["1.5", "1.50", "1.5"]], 1, "note")
-    assert sheet("T", (NAME,), []) is None
+    made = Table((NAME, LENGTH, NAME), [1.5])
+    assert made.headers == ["name", "Length mm", "name"]
+    assert (made.rows, made.texts()) == ([["1.5", 1.5, "1.5"]], [["1.5", "1.50", "1.5"]])
+    assert made.words == 1
+    assert made
+    assert not Table((NAME,), [])
+
+
+def test_a_name_of_the_program_is_in_words_on_the_screen_only() -> None:
+    table = Table([Column[str]("error of", lambda way: Named(way, "as sent"))], ["before"])
+    assert table.texts() == [["before"]]
+    assert csv_of(table) == b"error of\nbefore\n"
+    assert "before" in drawn(table, None)
+    assert "as sent" in "".join(line.plain for line in sheet_lines(table, 80))
+
+
+def test_a_terminal_has_ascii() -> None:
+    angle = Column[float]("turn", float, "µrad", "+.1f")
+    assert drawn(Table([angle], [-2.0]), None).splitlines()[1::2][:2] == [
+        "┃ turn urad ┃",
+        "│ -2.0      │",
+    ]
 
 
 def test_a_new_column_of_the_report_is_one_definition(

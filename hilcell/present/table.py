@@ -1,0 +1,123 @@
+"""The table: columns, each defined once, and the values of its rows.
+
+Every place that shows or hands on a table takes this one: the terminal, the report, a study's page,
+the screen, CSV and XLSX. A cell is a value; its text, unit and rounding are the column's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import takewhile
+from typing import Generic, NamedTuple, Never, TypeVar
+
+T = TypeVar("T")
+T_contra = TypeVar("T_contra", contravariant=True)
+
+MINUS = "\N{MINUS SIGN}"
+_PLAIN_UNITS = {"°": "deg", "°C": "C", "µrad": "urad"}
+_UNITS_IN_KEYS = _PLAIN_UNITS | {"°C": "c", "%": "percent"}
+
+
+class Named(NamedTuple):
+    """A cell that the program calls by a name, which the screen shows in words."""
+
+    name: str
+    words: str
+
+
+Value = str | int | float | Named | None
+
+
+@dataclass(frozen=True)  # with slots, `Column[T](...)` fails in Python 3.11
+class Column(Generic[T_contra]):
+    """``of`` gives the value of a row, None where it has none.
+
+    ``form`` is how a figure is shown, as `format` takes it; words have none, and words in
+    place of a figure need none. ``small``: keys, for programs rather than people.
+    """
+
+    name: str
+    of: Callable[[T_contra], Value]
+    unit: str = ""
+    form: str = ""
+    small: bool = False
+
+    @property
+    def header(self) -> str:
+        """Return name and unit for people."""
+        return f"{self.name} {self.unit}".rstrip()
+
+    @property
+    def plain_header(self) -> str:
+        """Return name and unit in ASCII, for a terminal: ``turn urad``."""
+        return f"{self.name} {_PLAIN_UNITS.get(self.unit, self.unit)}".rstrip()
+
+    @property
+    def key(self) -> str:
+        """Return name and unit for programs: ``x_mm``, ``a_deg``."""
+        unit = _UNITS_IN_KEYS.get(self.unit, self.unit)
+        return f"{self.name.lower()}_{unit}".rstrip("_")
+
+    def text(self, value: Value, minus: str = MINUS) -> str:
+        """Return a value of this column as it is shown, nothing where there is none."""
+        if isinstance(value, Named):
+            return value.name
+        if value is None or isinstance(value, str):
+            return value or ""
+        text = format(value, self.form)
+        if not text.strip("-0."):  # no zero has a sign
+            return text.lstrip("-")
+        return text.replace("-", minus)
+
+
+class Table:
+    """Rows of values (N rows, one value a column), in the order of ``columns``.
+
+    ``mark`` gives the kind of a row that stands out: "sum", "stop", else "". A table without rows
+    is false: nobody shows it.
+    """
+
+    def __init__(
+        self,
+        columns: Sequence[Column[T]],
+        rows: Iterable[T],
+        title: str = "",
+        note: str = "",
+        mark: Callable[[T], str] = lambda row: "",
+    ) -> None:
+        kept = [*rows]
+        self.columns: Sequence[Column[Never]] = columns
+        self.rows: list[list[Value]] = [[each.of(row) for each in columns] for row in kept]
+        self.marks = [mark(row) for row in kept]
+        self.title, self.note = title, note
+
+    def __bool__(self) -> bool:
+        return bool(self.rows)
+
+    @property
+    def words(self) -> int:
+        """Return how many columns at the left are words, the others being figures."""
+        return sum(1 for _ in takewhile(lambda column: not column.form, self.columns))
+
+    @property
+    def headers(self) -> list[str]:
+        """Return the headers for people."""
+        return [column.header for column in self.columns]
+
+    @property
+    def keys(self) -> list[str]:
+        """Return the headers for programs."""
+        return [column.key for column in self.columns]
+
+    @property
+    def records(self) -> list[dict[str, Value]]:
+        """Return each row as its values by their keys, for JSON."""
+        return [dict(zip(self.keys, row, strict=True)) for row in self.rows]
+
+    def texts(self, minus: str = MINUS) -> list[list[str]]:
+        """Return the cells as they are shown."""
+        return [
+            [column.text(value, minus) for column, value in zip(self.columns, row, strict=True)]
+            for row in self.rows
+        ]
