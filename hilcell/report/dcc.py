@@ -28,14 +28,15 @@ from hilcell.report.certificate import (
 from hilcell.report.drawings.paper_figures import series_name
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import (
+    Judgement,
     Result,
     certified,
     instrument_rows,
     judged_places,
+    judgement,
     results_at,
     traceability,
     validity_facts,
-    verdict_word,
 )
 from hilcell.report.method import adjustment_words
 from hilcell.report.tables import Posed, Validated
@@ -138,8 +139,8 @@ def document(root: Element) -> bytes:
 
 UNKNOWN_COUNTRY = "ZZ"  # of ISO 3166-1's codes for the user's own use
 NOT_SHOWN = "noPass"
-CONFORMITY = {  # a simulated run: none
-    "pass": "pass", "undecided": NOT_SHOWN, "suspected": NOT_SHOWN, "fail": "fail",
+CONFORMITY: dict[Judgement, str] = {
+    "accepted": "pass", "undecided": NOT_SHOWN, "suspected": NOT_SHOWN, "rejected": "fail",
 }  # fmt: skip
 STATUS = {"before": "beforeAdjustment", "idw": "afterAdjustment", "chosen": "afterAdjustment"}
 AIR = {
@@ -243,8 +244,10 @@ def _statements(facts: Facts) -> Iterator[Element]:
     valid = "; ".join(f"{each.name}: {each.words}" for each in validity_facts(facts))
     if valid:
         yield _statement(f"Valid for: {valid}.")
+    judged = judgement(facts)
+    only_would_be = facts.inputs.simulated and judged in VERDICTS
     yield _statement(f"Decision rule: {conformity_words(facts)}.", "ISO 14253-1",
-                     conformity=CONFORMITY.get(verdict_word(facts).lower()))  # fmt: skip
+                     conformity=None if only_would_be else CONFORMITY.get(judged))  # fmt: skip
     yield _statement(f"Before and after adjustment: {adjustment_words(facts)}.")
     yield _statement("The results relate only to the item described and to its state when it was "
                      "measured. No accreditation is claimed by the software.")  # fmt: skip
@@ -351,8 +354,8 @@ def _turns(facts: Facts) -> Iterator[Element]:
 def _verdict(facts: Facts, result: Result) -> Element:
     """Return a figure's limit, and whether it is kept; a simulated one only would be."""
     limit = quantity("limit", real(result.limit_mm, MM), ref="hilcell_limit")
-    word = "" if result.outcome is None else VERDICTS[result.outcome]
-    words, conforms = f"limit {result.limit_mm:g} mm: {word}", CONFORMITY.get(word, "")
+    outcome = result.outcome or "undecided"  # of a bound, which is not judged
+    words, conforms = f"limit {result.limit_mm:g} mm: {VERDICTS[outcome]}", CONFORMITY[outcome]
     real_one = not facts.inputs.simulated
     return dcc("measurementMetaData", dcc(
         "metaData", text("declaration", words if real_one else f"{words}, if it were real"),

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from operator import attrgetter
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -21,10 +21,11 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.sequential import Outcome
 from hilcell.journal.calibration_facts import (
-    JUDGING,
     OUTCOMES,
     SUSPECTED,
     VALIDATION,
+    VERDICTS,
+    facts_of_verdicts,
     run_outcome,
 )
 from hilcell.present.table import Column, Table, Value
@@ -185,26 +186,46 @@ def results_at(facts: Facts, name: str) -> tuple[Result, Result]:
     )  # fmt: skip
 
 
+Judgement = Outcome | Literal["revoked", "unfinished", "suspected", "failed check", "not judged"]
+
+
+def judgement(facts: Facts) -> Judgement:
+    """Return how the run judged the robot.
+
+    "suspected": a cause is suspected and no limit is missed; "failed check": nothing on the robot
+    was judged, and another check failed.
+    """
+    if facts.revoked:
+        return "revoked"
+    if not facts.finished or facts.log.end is None:
+        return "unfinished"
+    word = run_outcome(facts.log).partition(";")[0]  # a suspicion is stated beside it
+    if word == SUSPECTED:
+        return "suspected"
+    if not facts_of_verdicts(facts.log).judged:
+        return "failed check" if word == OUTCOMES["rejected"] else "not judged"
+    if word == OUTCOMES["undecided"]:
+        return "undecided"
+    return "accepted" if word == OUTCOMES["accepted"] else "rejected"
+
+
 def verdict_word(facts: Facts) -> str:
     """Return the verdict in a few words: PASS, FAIL or UNDECIDED where the robot was judged.
 
     Where it was not, or a cause is suspected and no limit is missed, it is the outcome in capitals;
     "NO VERDICT" before a run has finished.
     """
-    if facts.revoked:
-        return "REVOKED"
-    if not facts.finished or facts.log.end is None:
-        return "NO VERDICT"
-    outcome = run_outcome(facts.log).partition(";")[0]  # a suspicion is stated beside it
-    if not any(key.startswith(JUDGING) for key in facts.log.verdicts):
-        return outcome.upper()
-    if outcome == SUSPECTED:
-        return outcome.upper()
-    simulated = facts.inputs.simulated
-    if outcome == OUTCOMES["undecided"]:
-        return "WOULD BE UNDECIDED" if simulated else "UNDECIDED"
-    word = "PASS" if outcome == OUTCOMES["accepted"] else "FAIL"
-    return f"WOULD {word}" if simulated else word
+    match judged := judgement(facts):
+        case "revoked":
+            return "REVOKED"
+        case "unfinished":
+            return "NO VERDICT"
+        case "suspected" | "failed check" | "not judged":
+            return run_outcome(facts.log).partition(";")[0].upper()
+    word = VERDICTS[judged].upper()
+    if not facts.inputs.simulated:
+        return word
+    return f"WOULD BE {word}" if judged == "undecided" else f"WOULD {word}"
 
 
 def deciding(facts: Facts) -> str:

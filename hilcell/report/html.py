@@ -49,6 +49,7 @@ from hilcell.report.first_page import (
     deciding,
     instruments,
     item_facts,
+    judgement,
     nearest_results,
     results_sheet,
     uncertainty_words,
@@ -335,18 +336,20 @@ def sentence(facts: Facts) -> str:
     for kind in ("recheck", "targets"):
         if kind in facts.result:
             return str(facts.result[kind]["text"])
-    word, why = verdict_word(facts), deciding(facts)
-    if word == "OUT OF TOLERANCE":
-        return "A check of this run is beyond its limit: see the verdicts."
-    if word == "SUSPECTED":
-        return f"{facts.suspected}. Correct nothing by it until that is cleared."
     only = "In simulation only: " if facts.inputs.simulated else ""
-    if word.endswith("PASS"):
-        return f"{only}After correction the robot keeps its limits, with the uncertainty added."
-    if word.endswith("FAIL"):
-        return f"{only}The robot is not shown to keep its limits, with the uncertainty added{why}."
-    if word.endswith("UNDECIDED"):
-        return f"{only}Neither that the robot keeps its limits is shown nor the contrary{why}."
+    match judgement(facts):
+        case "failed check":
+            return "A check of this run is beyond its limit: see the verdicts."
+        case "suspected":
+            return f"{facts.suspected}. Correct nothing by it until that is cleared."
+        case "accepted":
+            return f"{only}After correction the robot keeps its limits, with the uncertainty added."
+        case "rejected":
+            shown = "The robot is not shown to keep its limits, with the uncertainty added"
+            return f"{only}{shown}{deciding(facts)}."
+        case "undecided":
+            shown = "Neither that the robot keeps its limits is shown nor the contrary"
+            return f"{only}{shown}{deciding(facts)}."
     return "No correction was judged against limits in this run."
 
 

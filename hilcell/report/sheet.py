@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 from hilcell import __version__
 from hilcell.clean import harmless
 from hilcell.present.page import environment
+from hilcell.present.table import Column, Table
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +27,17 @@ class SheetHole:
     correction_mm: float
     bound95_mm: float | None
     turn95_deg: float | None = None
+
+
+HOLES: tuple[Column[SheetHole], ...] = (
+    Column("hole", attrgetter("name")),
+    Column("x", lambda hole: hole.place_mm[0], "mm", ".2f"),
+    Column("y", lambda hole: hole.place_mm[1], "mm", ".2f"),
+    Column("z", lambda hole: hole.place_mm[2], "mm", ".2f"),
+    Column("corrected by", attrgetter("correction_mm"), "mm", ".3f"),
+)
+BOUND = Column[SheetHole]("95 % bound", attrgetter("bound95_mm"), "mm", ".3f")
+TURN = Column[SheetHole]("95 % bound", attrgetter("turn95_deg"), "°", ".4f")
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +88,15 @@ class Sheet:
     def has_turns(self) -> bool:
         """Return whether every hole has a bound of its orientation."""
         return all(hole.turn95_deg is not None for each in self.stations for hole in each.holes)
+
+    def holes(self, station: SheetStation) -> Table:
+        """Return the table of a station, without bounds that nobody states."""
+        columns = [
+            *HOLES,
+            *([] if self.no_bounds else [BOUND]),
+            *([TURN] if self.has_turns else []),
+        ]
+        return Table(columns, station.holes)
 
     @property
     def footer_css(self) -> str:

@@ -2,32 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from contextlib import suppress
-from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.index import RunRow
 from hilcell.journal.journal import Record
 from hilcell.journal.times import in_zone
+from hilcell.present.table import Column as Fact
 from hilcell.tui.widgets import Column, Row
 from hilcell.typed import typed
 
-PROCEDURE = 13
 _BEGUN, _DATE = Column("begun UTC", 16), Column("begun", 10)
 _ALWAYS = 63  # columns of date with time, procedure, verdict and operator, and of the edges
 _RUN_TONES = {"finished": "", "aborted": "label", "faulted": "fault"}
 
 
-@dataclass(frozen=True, slots=True)
-class _Cell:
-    """One column of the history: its text, and what goes first where there is little room."""
+class _Shown(NamedTuple):
+    """One column of the history: its width, and its rank where there is little room."""
 
-    column: Column
-    text: Callable[[RunRow], str]
-    rank: int = 0  # 0: always there
+    width: int
+    fact: Fact[RunRow]
+    rank: int = 0  # 0: always there; the highest goes first
+
+    @property
+    def column(self) -> Column:
+        return Column(self.fact.header, self.width, right=bool(self.fact.form))
 
 
 def _outcome(run: RunRow) -> str:
@@ -49,43 +51,39 @@ def _local(run: RunRow) -> str:
     return ""
 
 
-def _mm(value: float | None) -> str:
-    return "" if value is None else f"{value:.3f}"
-
-
-_CELLS = (
-    _Cell(Column("procedure", PROCEDURE), lambda run: run.procedure or run.name[-PROCEDURE:]),
-    _Cell(Column("verdict or state", 16), _outcome),
-    _Cell(Column("operator", 10), attrgetter("operator")),
-    _Cell(Column("kind", 4), _kind, 1),
-    _Cell(Column("cell", 10), attrgetter("cell"), 2),
-    _Cell(Column("points", 6, right=True), lambda run: str(run.points or ""), 6),
-    _Cell(Column("before", 6, right=True), lambda run: _mm(run.before_mean_mm), 4),
-    _Cell(Column("after", 6, right=True), lambda run: _mm(run.chosen_mean_mm), 3),
-    _Cell(Column("max mm", 6, right=True), lambda run: _mm(run.chosen_max_mm), 8),
-    _Cell(Column("local time", 10), _local, 5),
-    _Cell(Column("job", 12), attrgetter("job"), 7),
-    _Cell(Column("run", 36), attrgetter("name"), 9),
+_SHOWN: tuple[_Shown, ...] = (
+    _Shown(13, Fact("procedure", lambda run: run.procedure or run.name[-13:])),
+    _Shown(16, Fact("verdict or state", _outcome)),
+    _Shown(10, Fact("operator", attrgetter("operator"))),
+    _Shown(4, Fact("kind", _kind), 1),
+    _Shown(10, Fact("cell", attrgetter("cell")), 2),
+    _Shown(6, Fact("points", lambda run: run.points or None, form="d"), 6),
+    _Shown(6, Fact("before", attrgetter("before_mean_mm"), form=".3f"), 4),
+    _Shown(6, Fact("after", attrgetter("chosen_mean_mm"), form=".3f"), 3),
+    _Shown(6, Fact("max", attrgetter("chosen_max_mm"), "mm", ".3f"), 8),
+    _Shown(10, Fact("local time", _local), 5),
+    _Shown(12, Fact("job", attrgetter("job")), 7),
+    _Shown(36, Fact("run", attrgetter("name")), 9),
 )
 
 
-def _cells_for(width: int) -> list[_Cell]:
+def _shown_in(width: int) -> list[_Shown]:
     """Return the columns that fit, in their order."""
     free = width - _ALWAYS
     left_out = False
     kept = {0}
-    for cell in sorted(_CELLS, key=attrgetter("rank")):
-        if cell.rank and not left_out:
-            free -= cell.column.width + 1
+    for each in sorted(_SHOWN, key=attrgetter("rank")):
+        if each.rank and not left_out:
+            free -= each.width + 1
             left_out = free < 0
-            kept |= set() if left_out else {cell.rank}
-    return [cell for cell in _CELLS if cell.rank in kept]
+            kept |= set() if left_out else {each.rank}
+    return [each for each in _SHOWN if each.rank in kept]
 
 
 def columns_for(width: int) -> tuple[Column, ...]:
     """Return the columns that fit; mean |e| before and after in mm."""
     begun = _BEGUN if width >= _ALWAYS else _DATE
-    return Column("", 1), begun, *(cell.column for cell in _cells_for(width))
+    return Column("", 1), begun, *(each.column for each in _shown_in(width))
 
 
 def history_row(run: RunRow, marked: Collection[str], width: int) -> Row:
@@ -94,7 +92,7 @@ def history_row(run: RunRow, marked: Collection[str], width: int) -> Row:
         "live" if run.live else "fault" if run.exit in (1, 3) else _RUN_TONES.get(run.state, "ask")
     )
     begun = run.begun.replace("T", " ")[: columns_for(width)[1].width]
-    texts = (cell.text(run) for cell in _cells_for(width))
+    texts = (each.fact.text(each.fact.of(run)) for each in _shown_in(width))
     return Row(run.name, ("*" if run.name in marked else "", begun, *texts), tone)
 
 
