@@ -42,6 +42,7 @@ from hilcell.run.protocol import LONGEST_REQUEST, Status
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import ACTIONS
+from hilcell.tui.layout import Lines
 from hilcell.tui.terminal.capabilities import UNICODE
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
@@ -334,13 +335,16 @@ def screen(data: bytes) -> None:
     view = RunView("run", status=found.status)
     for record in (*sample.records[:FEW], *found.records):
         view.take(record)
+    shown: list[Lines] = [
+        run_text.identity(view),
+        run_text.step(view),
+        run_text.banner(view, UNICODE),
+        devices.lamps(view, UNICODE),
+        devices.interlocks(view, UNICODE),
+        alarm_page(view.alarms, Latch(), CONTEXT),
+    ]
     painted = [
-        run_text.identity(view, 80).plain,
-        run_text.step(view, 80).plain,
-        run_text.banner(view, UNICODE, 80).plain,
-        devices.lamps(view, UNICODE, 80).plain,
-        devices.interlocks(view, UNICODE, 80).plain,
-        *(line.plain for line in alarm_page(view.alarms, Latch(), CONTEXT).lines(80, 24)),
+        *(line.plain for each in shown for line in each.lines(80)),
         *(cell for record in view.records for cell in record_row(record).cells),
     ]
     for text in painted:

@@ -1,4 +1,4 @@
-"""Small tables, rows and drawings, whose lines are made for the room that their panel has.
+"""Small tables, rules, bars and drawings, whose lines are made for the room that their panel has.
 
 A panel asks for the lines as it paints: nothing outside this module and the style sheet counts
 columns.
@@ -6,6 +6,7 @@ columns.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
@@ -13,7 +14,6 @@ from typing import Protocol
 
 from textual.content import Content
 
-Cell = Content | str | tuple[str, str]  # the last: a text and its style
 BLANK = Content("")
 
 
@@ -24,25 +24,45 @@ class Lines(Protocol):
     def state(self) -> object:
         """Return a value that is equal where the lines look the same."""
 
-    def lines(self, width: int, height: int) -> list[Content]:
+    def lines(self, width: int, height: int = 0) -> list[Content]:
         """Return lines of at most ``width`` columns; the panel cuts those after ``height``."""
+
+
+class Filler(Protocol):
+    """A cell that is drawn for the width of its column."""
+
+    @property
+    def state(self) -> object:
+        """Return a value that is equal where it looks the same."""
+
+    def drawn(self, width: int) -> Content:
+        """Return a line of at most ``width`` columns."""
+
+
+Text = Content | str | tuple[str, str]  # the last: a text and its style
+Cell = Text | Filler
 
 
 @dataclass(frozen=True, slots=True)
 class Col:
-    """One column: its width, 0 for that of its longest cell.
+    """One column: its least width; without growing, it is as wide as its longest cell.
 
-    ``grows``: it takes the room that the others leave; ``wraps``: long cells wrap, others are cut.
+    ``grows``: it takes the room that the others leave, at most ``most`` columns of it; ``wraps``:
+    long cells wrap, others are cut.
     """
 
     width: int = 0
     right: bool = False
     grows: bool = False
     wraps: bool = False
+    most: int = 0
 
 
 class Grid:
-    """Rows of cells in columns; ``styles`` are those of whole rows, by number."""
+    """Rows of cells in columns; ``styles`` are those of whole rows, by number.
+
+    Where there is little room, columns are as wide as their cells, then the last ones are left out.
+    """
 
     def __init__(
         self,
@@ -57,26 +77,37 @@ class Grid:
     @property
     def state(self) -> object:
         """Return what the look depends on."""
-        cells = [look_of(cell) for row in self._rows for cell in row]
+        cells = [
+            look_of(cell) if isinstance(cell, Content) else cell.state
+            for row in self._rows
+            for cell in row
+        ]
         return cells, self._columns, self._gap, self._styles
+
+    def _widths(self, width: int) -> list[int]:
+        """Return the widths of the columns that there is room for."""
+        needs = [
+            max((each.cell_length for each in cells if isinstance(each, Content)), default=0)
+            for cells in zip(*self._rows, strict=True)
+        ]
+        needs = [0 if col.grows else n for col, n in zip(self._columns, needs, strict=True)]
+        widths = [max(each, col.width) for each, col in zip(needs, self._columns, strict=True)]
+        if sum(widths) + self._gap * (len(widths) - 1) > width:
+            widths = needs
+        while len(widths) > 1 and sum(widths) + self._gap * (len(widths) - 1) > width:
+            widths = widths[:-1]
+        room = max(width - sum(widths) - self._gap * (len(widths) - 1), 0)
+        for n, col in enumerate(self._columns[: len(widths)]):
+            if col.grows:
+                more = min(room, col.most - widths[n]) if col.most else room
+                widths[n], room = widths[n] + more, room - more
+        return widths
 
     def lines(self, width: int, height: int = 0) -> list[Content]:
         """Return the rows, each in as many lines as its longest cell needs."""
-        widths = [
-            0
-            if col.grows
-            else col.width or max((row[n].cell_length for row in self._rows), default=0)
-            for n, col in enumerate(self._columns)
-        ]
-        room = max(width - sum(widths) - self._gap * (len(widths) - 1), 1)
-        widths = [
-            room if col.grows else each for col, each in zip(self._columns, widths, strict=True)
-        ]
-        found = []
+        widths, found = self._widths(width), []
         for number, row in enumerate(self._rows):
-            cells = [
-                self._cell_lines(*each) for each in zip(row, self._columns, widths, strict=True)
-            ]
+            cells = [_cell_lines(*each) for each in zip(row, self._columns, widths, strict=False)]
             for n in range(max(map(len, cells))):
                 parts = (
                     cell[n] if n < len(cell) else Content(" " * room)
@@ -86,16 +117,16 @@ class Grid:
                 found.append(line.stylize_before(self._styles.get(number, "")))
         return found
 
-    def _cell_lines(self, cell: Content, column: Col, width: int) -> list[Content]:
-        """Return the lines of a cell, each of its column's width."""
-        wrapped = cell.wrap(width) if column.wraps and cell.cell_length > width else [cell]
-        lines = (line.truncate(width, ellipsis=True) for line in wrapped)
-        return [
-            line.pad_left(width - line.cell_length)
-            if column.right
-            else line.truncate(width, pad=True)
-            for line in lines
-        ]
+
+def _cell_lines(cell: Content | Filler, column: Col, width: int) -> list[Content]:
+    """Return the lines of a cell, each of its column's width."""
+    content = cell if isinstance(cell, Content) else cell.drawn(width)
+    wrapped = content.wrap(width) if column.wraps and content.cell_length > width else [content]
+    lines = (line.truncate(width, ellipsis=True) for line in wrapped)
+    return [
+        line.pad_left(width - line.cell_length) if column.right else line.truncate(width, pad=True)
+        for line in lines
+    ]
 
 
 def ends(left: Cell, right: Cell) -> Grid:
@@ -106,11 +137,10 @@ def ends(left: Cell, right: Cell) -> Grid:
 class Stack:
     """Parts one under the other; contents wrap."""
 
-    def __init__(self, *parts: Lines | Cell) -> None:
+    def __init__(self, *parts: Lines | Text) -> None:
+        wrapped = Col(grows=True, wraps=True)
         self._parts = [
-            part
-            if not isinstance(part, Content | str | tuple)
-            else Grid([(part,)], Col(grows=True, wraps=True))
+            Grid([(part,)], wrapped) if isinstance(part, str | tuple | Content) else part
             for part in parts
         ]
 
@@ -124,19 +154,151 @@ class Stack:
         return [*chain.from_iterable(part.lines(width, height) for part in self._parts)]
 
 
-@dataclass(frozen=True, slots=True)
 class Drawing:
-    """Lines that fill their panel; they look the same as long as ``state`` is equal."""
+    """Lines that are drawn for the size of their panel, by ``draw(width, height)``."""
 
-    state: object
-    lines: Callable[[int, int], list[Content]]
+    def __init__(self, state: object, draw: Callable[[int, int], list[Content]]) -> None:
+        """``state`` is equal where the lines look the same."""
+        self.state, self._draw = state, draw
+
+    def lines(self, width: int, height: int = 0) -> list[Content]:
+        """Return the lines."""
+        return self._draw(width, height)
 
 
-def content_of(cell: Cell) -> Content:
-    """Return a cell as content."""
-    if isinstance(cell, Content):
-        return cell
-    return Content(cell) if isinstance(cell, str) else Content.styled(*cell)
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """A rule with a title on its left and a remark at its end."""
+
+    title: Content
+    remark: Content = BLANK
+
+    @property
+    def state(self) -> object:
+        """Return what the look depends on."""
+        return look_of(self.title), look_of(self.remark)
+
+    def lines(self, width: int, height: int = 0) -> list[Content]:
+        """Return one line."""
+        left = Content.assemble(("─ ", "$stale"), self.title, " ")
+        tail = Content.assemble(" ", self.remark, (" ─", "$stale")) if self.remark else BLANK
+        room = width - left.cell_length - tail.cell_length
+        if room < 1:
+            return [left.truncate(width, ellipsis=True)]
+        return [left.append(Content.styled("─" * room, "$stale")).append(tail)]
+
+
+def section(title: str, remark: str = "") -> Rule:
+    """Return the heading of a part of the screen."""
+    return Rule(Content.styled(title, "bold $label"), Content.styled(remark, "$label"))
+
+
+@dataclass(frozen=True, slots=True)
+class Fitting:
+    """The first of some texts that fits; nothing where none does."""
+
+    texts: tuple[Content, ...]
+
+    @property
+    def state(self) -> object:
+        """Return what the look depends on."""
+        return [look_of(each) for each in self.texts]
+
+    def drawn(self, width: int) -> Content:
+        """Return a text of at most ``width`` columns."""
+        return next((each for each in self.texts if each.cell_length <= width), BLANK)
+
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """A bar filled from 0 to ``share`` of its width, to half a column; NaN fills it.
+
+    ``mark``: the share at which a limit is drawn; ``guard``: how wide the band is before and after
+    it, also a share, in which neither pass nor fail is shown. It is hatched.
+    """
+
+    share: float
+    style: str
+    mark: float | None = None
+    guard: float = 0.0
+
+    @property
+    def state(self) -> object:
+        """Return what the look depends on; not the numbers: NaN is not equal to itself."""
+        return repr(self)
+
+    def drawn(self, width: int) -> Content:
+        """Return the bar."""
+        halves = math.floor(2 * width * self.share + 1e-9) if self.share <= 1.0 else 2 * width
+        whole, half = divmod(max(halves, 0), 2)
+        filled = whole + half
+        low = high = width
+        if self.mark is not None and 0.0 < self.guard < math.inf:
+            low = math.floor(width * (self.mark - self.guard) + 1e-9)
+            low = min(max(low, filled), width)
+            high = min(max(math.ceil(width * (self.mark + self.guard) - 1e-9), low), width)
+        line = Content.assemble(
+            ("█" * whole, self.style),
+            ("▌" * half, f"{self.style} on $track"),
+            ("░" * (low - filled), "$track on $track"),
+            ("▒" * (high - low), "$ask on $track"),
+            ("░" * (width - high), "$track on $track"),
+        )
+        if self.mark is None:
+            return line
+        at = min(math.floor(width * self.mark + 1e-9), width - 1)
+        ground = f"$background on {self.style}" if at < filled else "$foreground on $track"
+        return line[:at].append(Content.styled("│", ground)).append(line[at + 1 :])
+
+
+@dataclass(frozen=True, slots=True)
+class SignedBar:
+    """A bar from a middle line, to the left where ``share`` is negative; NaN has none."""
+
+    share: float
+    style: str
+
+    @property
+    def state(self) -> object:
+        """Return what the look depends on."""
+        return repr(self)
+
+    def drawn(self, width: int) -> Content:
+        """Return the bar."""
+        half = (width - 1) // 2
+        length = min(round(half * abs(self.share)), half) if math.isfinite(self.share) else 0
+        filled, rest = Content.styled("▄" * length, f"{self.style}"), Content(" " * (half - length))
+        none, line = Content(" " * half), Content.styled("│", "$label")
+        parts = [rest, filled, line, none] if self.share < 0 else [none, line, filled, rest]
+        return Content("").join(parts).stylize_before("on $panel")
+
+
+@dataclass(frozen=True, slots=True)
+class Ticks:
+    """Texts at their shares of the width, in rising order: the scale under a bar."""
+
+    ticks: tuple[tuple[float, Content], ...]
+
+    @property
+    def state(self) -> object:
+        """Return what the look depends on."""
+        return [(share, look_of(text)) for share, text in self.ticks]
+
+    def drawn(self, width: int) -> Content:
+        """Return the line; a text that would touch the one before is left out."""
+        line = BLANK
+        for share, text in self.ticks:
+            gap = math.floor(width * share + 1e-9) - line.cell_length
+            if gap >= min(line.cell_length, 1):
+                line = line.append(" " * gap).append(text)
+        return line
+
+
+def content_of(cell: Cell) -> Content | Filler:
+    """Return a text as content."""
+    if isinstance(cell, str):
+        return Content(cell)
+    return Content.styled(*cell) if isinstance(cell, tuple) else cell
 
 
 def look_of(content: Content) -> object:

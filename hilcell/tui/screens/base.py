@@ -185,7 +185,7 @@ class BaseScreen(Screen[None]):
             self.mark_simulated(simulated=run_text.is_simulated(view))
             background = self.application.open_runs.background
             other = background.view if background is not None else None
-            lines = run_text.banner(view, self.application.glyphs, self.line_width, other)
+            lines = run_text.banner(view, self.application.glyphs, other)
             self.panel("banner").show(lines)
 
     def mark_simulated(self, *, simulated: bool) -> None:

@@ -17,7 +17,7 @@ from textual.widgets import Input
 from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import shown
-from hilcell.tui.layout import Lines, Stack, ends
+from hilcell.tui.layout import Drawing, Lines, Stack, ends
 from hilcell.tui.plots.draw import Look
 from hilcell.tui.plots.scale import Scale
 from hilcell.tui.screens.pages import FilterScreen
@@ -32,9 +32,8 @@ from hilcell.tui.text.footer import ACTS, VIEWS, KeyOf, footer_lines
 from hilcell.tui.text.footer import WORDS as FOOTER_WORDS
 from hilcell.tui.text.newest import chosen_shown, newest_shown, point_lines
 from hilcell.tui.text.points import PointRows, columns_for, filtered
-from hilcell.tui.text.prompt import prompt_box
+from hilcell.tui.text.prompt import PromptBox
 from hilcell.tui.text.result import Result, result_lines, result_of
-from hilcell.tui.text.rows import rows_for
 from hilcell.tui.text.side import side_lines
 from hilcell.tui.text.verdict import verdict_lines, verdict_of
 from hilcell.tui.widgets import Table, TextPanel
@@ -47,22 +46,21 @@ class WidePanels:
 
     def __init__(self) -> None:
         self._scale: Scale | None = None
-        self._side_seen: tuple[object, ...] = ()
-        self._below_place = (0, 0)  # columns and rows
+        self._room = 0  # rows under the points
         self._drawn_s = {"side": -math.inf, "below": -math.inf}
 
     def show_side(
         self, panel: TextPanel, view: RunView, rows: Sequence[PointRow], look: Look, theme: str
     ) -> None:
-        """Show map and plot, where the panel has room and there is something new."""
-        size = panel.size
-        state = (size, theme, look, len(view.log.points), view.last)
-        same_place = self._side_seen[:3] == state[:3]
-        if not size.height or state == self._side_seen or (same_place and self._early("side")):
-            return
-        self._side_seen = state
-        lines, self._scale = side_lines(view, rows, *size, look, self._scale)
-        panel.show(Content("\n").join(lines))
+        """Show map and plot, where there is something new."""
+
+        def draw(width: int, height: int) -> list[Content]:
+            lines, self._scale = side_lines(view, rows, width, height, look, self._scale)
+            return lines
+
+        if panel.display and not self._early("side"):
+            state = theme, look, len(view.log.points), view.last and view.last.key
+            panel.show(Drawing(state, draw))
 
     def show_below(
         self, panel: TextPanel, view: RunView, rows: Sequence[PointRow], glyphs: Glyphs, height: int
@@ -70,13 +68,11 @@ class WidePanels:
         """Show interlocks, next steps and events on a terminal of this height."""
         room = block_rows(height, live=view.live)
         panel.display = room > 0 and view.log.plan is not None
-        width = panel.size.width or 79
-        place = (width, room)
-        if not panel.display or (place == self._below_place and self._early("below")):
+        if not panel.display or (room == self._room and self._early("below")):
             return
-        self._below_place = place
+        self._room = room
         errors_mm = {row.point.key: row.norm_mm for row in rows if row.deviation is not None}
-        panel.show(Content("\n").join(below_lines(view, errors_mm, glyphs, width, room)))
+        panel.show(below_lines(view, errors_mm, glyphs, room))
 
     def _early(self, name: str) -> bool:
         """Whether a panel was drawn just now; else it is drawn now."""
@@ -87,12 +83,12 @@ class WidePanels:
         return False
 
 
-LEFT = 79  # columns of the lines that are alike at every width, beside the simulation's edge
 SLOTS = ("stop", *(slot.name for slot in (*ACTS, *VIEWS)))
 LINES = ("identity", "step", "progress", "lamps", "interlock")
 HIDE_POINTS = ("verdict", "alarm")
 BOXES = ("deviation", "prompt", *HIDE_POINTS)  # of which one is shown
-MIDDLE, MIDDLE_LEAST = 16, 6  # rows 7 to 22, and where there are few
+LOW = 20  # rows, below which boxes leave out what matters least
+FULL = 24  # rows of a terminal, of which boxes leave none to the table
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +114,7 @@ class RunScreen(FilterScreen):
         (120, "-table"),  # the table has nominal and measured places in its stead
         (138, "-wide"),  # the map in three views
     ]
+    VERTICAL_BREAKPOINTS = [(0, "-low"), (22, "-fair"), (24, "-full"), (32, "-tall")]  # noqa: RUF012
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("enter", "enter", "answer", show=False),
         Binding("q,backspace", "back", show=False, priority=True),
@@ -140,8 +137,9 @@ class RunScreen(FilterScreen):
         yield TextPanel("banner")
         with Horizontal(id="middle"):
             with Vertical(id="left"):
-                for name in (*LINES, *BOXES[:-1]):
+                for name in (*LINES, "deviation", "verdict"):
                     yield TextPanel(name)
+                yield PromptBox(id="prompt")
                 yield AlarmBox(id="alarm")
                 yield Table(
                     columns_for(80),
@@ -171,20 +169,15 @@ class RunScreen(FilterScreen):
         if view is None:
             return
         self.points_open &= not view.live
-        glyphs, width = self.application.glyphs, self.left_width
-        self.panel("identity").show(run_text.identity(view, width))
-        self.panel("step").show(run_text.step(view, width))
-        self.panel("progress").show(run_text.progress(view, width))
-        self.panel("lamps").show(devices.lamps(view, glyphs, width))
-        self.panel("interlock").show(devices.interlocks(view, glyphs, width))
+        glyphs = self.application.glyphs
+        self.panel("identity").show(run_text.identity(view))
+        self.panel("step").show(run_text.step(view))
+        self.panel("progress").show(run_text.progress(view))
+        self.panel("lamps").show(devices.lamps(view, glyphs))
+        self.panel("interlock").show(devices.interlocks(view, glyphs))
         self._show_points(view)
         self._show_wide(view)
         self._show_middle(view)
-
-    @property
-    def left_width(self) -> int:
-        """Return the columns of the lines that are alike at every width."""
-        return min(self.line_width, LEFT)
 
     @property
     def instead(self) -> str:
@@ -219,26 +212,26 @@ class RunScreen(FilterScreen):
     def _show_middle(self, view: RunView) -> None:
         """Show the newest point or what stands in its place, and the status under the points."""
         instead, standing = self.instead, self.application.latch.standing()
-        rows = rows_for(self._height, self.left_width, alarm=bool(standing))
-        self.panel("identity").display = rows.identity
+        glyphs, height = self.application.glyphs, self.app.size.height
         for name in BOXES:
             self.query_one(f"#{name}").display = name == (instead or "deviation")
-        room = max(self._height - rows.fixed, MIDDLE_LEAST)
         match instead:
             case "prompt":
-                self._show_prompt(view, min(room - 1, MIDDLE - 1))
+                if view.prompt is not None:
+                    self.query_one(PromptBox).show(view.prompt, view, glyphs, low=height < LOW)
             case "alarm":
-                box, context = self.query_one(AlarmBox), self.alarm_context()
-                box.show(standing, kept_words(view.log), context, min(room, MIDDLE) - 2)
+                kept, context = kept_words(view.log), self.alarm_context()
+                self.query_one(AlarmBox).show(standing, kept, context, low=height < LOW)
             case "verdict":
-                self._show_verdict(view, room - self._other_alarms(view))
+                self._show_verdict(view)
             case _:
-                self._show_deviation(view, rows.point)
+                self._show_deviation(view, 6 if height >= FULL else 5 if height >= 21 else 3)
         said = instead == "verdict" and not self._other_alarms(view)
-        self.panel("status").display = rows.status and not said
+        self.panel("status").display = not said and (bool(standing) or height >= FULL - 1)
         self.panel("status").show(self._status(view))
         # A table has a row at least, and would push the status out.
-        self.query_one(Table).styles.height = 0 if instead and room <= MIDDLE else "1fr"
+        rows = height - block_rows(height, live=view.live)
+        self.query_one(Table).styles.height = 0 if instead and rows <= FULL else "1fr"
 
     def _other_alarms(self, view: RunView) -> bool:
         """Whether alarms stand that a verdict does not show."""
@@ -263,22 +256,20 @@ class RunScreen(FilterScreen):
         point = newest_shown(view, known)
         if not newest:
             point = chosen_shown(view, table.key, known, chosen=not last)
-        lines = point_lines(point, self.application.glyphs, self.left_width, rows)
-        self.panel("deviation").show(lines)
+        self.panel("deviation").show(point_lines(point, self.application.glyphs, rows))
 
-    def _show_verdict(self, view: RunView, rows: int) -> None:
-        glyphs, width = self.application.glyphs, self.left_width
-        verdict, result = verdict_of(view), self._result_of(view)
+    def _show_verdict(self, view: RunView) -> None:
+        glyphs, verdict, result = self.application.glyphs, verdict_of(view), self._result_of(view)
         if verdict is not None:
             standing = len(self.application.latch.standing())
-            self.panel("verdict").show(verdict_lines(view, verdict, glyphs, width, rows, standing))
+            self.panel("verdict").show(verdict_lines(view, verdict, glyphs, standing))
         elif result is not None:
-            self.panel("verdict").show(result_lines(view, result, glyphs, width, rows))
 
-    def _show_prompt(self, view: RunView, rows: int) -> None:
-        if view.prompt is not None:
-            box = prompt_box(view.prompt, view, self.application.glyphs, self.left_width, rows)
-            self.panel("prompt").show(Content("\n").join(box))
+            def draw(width: int, height: int) -> list[Content]:
+                found = result_lines(view, result, glyphs, width, height or FULL)
+                return found.split(allow_blank=True)
+
+            self.panel("verdict").show(Drawing(id(result), draw))
 
     def on_table_row_highlighted(self) -> None:
         """Show the point that is chosen now."""
@@ -332,12 +323,6 @@ class RunScreen(FilterScreen):
         height = self.app.size.height
         self._wide.show_below(below, view, self._rows, self.application.glyphs, height)
 
-    @property
-    def _height(self) -> int:
-        """Return the rows of the terminal without those of the panel under the points."""
-        view, height = self.application.view, self.app.size.height
-        return height if view is None else height - block_rows(height, live=view.live)
-
     def label(self, name: str) -> str:
         """Return what a key does now."""
         if name == "sort":
@@ -351,9 +336,9 @@ class RunScreen(FilterScreen):
         if isinstance(self.focused, Input):
             return super().key_line()
         slots = {name: self.key_of(name) for name in SLOTS}
-        state = (slots, self.left_width)
+        state = (slots, self.line_width)
         if state != self._footer[0]:
-            self._footer = (state, footer_lines(slots.__getitem__, self.left_width))
+            self._footer = (state, footer_lines(slots.__getitem__, self.line_width))
         return self._footer[1]
 
     def key_of(self, name: str) -> KeyOf:

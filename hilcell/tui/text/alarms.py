@@ -19,7 +19,7 @@ from hilcell.journal.point_words import point_words
 from hilcell.journal.times import local_words
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import Keymap, shown
-from hilcell.tui.layout import BLANK, Cell, Col, Grid, Lines, Stack, ends
+from hilcell.tui.layout import BLANK, Cell, Col, Grid, Lines, Stack, Text, ends
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.deviation import deviation_of
 from hilcell.tui.text.devices import short_age
@@ -30,7 +30,6 @@ CRASH = "Cell: crash"  # where the engine was lost
 ORDERS = {"park": "its safe pose", "home": "its reference"}
 TONES = {"fault": "fault", "warning": "ask", "notice": "label"}
 STATES = ("fault", "refused", "gone")  # of a run whose alarm takes the points' place
-LOW = 12  # rows, below which the box has the present step alone
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,22 +59,21 @@ class AlarmBox(Vertical):
         yield TextPanel("facts")
         yield TextPanel("steps")
 
-    def show(self, standing: list[Latched], kept: str, context: AlarmContext, rows: int) -> None:
-        """Show the worst alarm in so many rows."""
+    def show(self, standing: list[Latched], kept: str, context: AlarmContext, *, low: bool) -> None:
+        """Show the worst alarm; with few rows, without what matters least."""
         latched, (facts, steps) = standing[0], self.query(TextPanel)
-        self.styles.height = rows
         self.border_title = safe_content(
             alarm_title(latched, context.glyphs), plain=context.glyphs.plain
         )
         self.border_subtitle = f"alarm 1 of {len(standing)}"
         facts.show(alarm_facts(latched, context, kept))
-        steps.show(alarm_steps(latched, context, room=rows))
+        steps.show(alarm_steps(latched, context, in_box=True, low=low))
 
 
 def alarm_page(alarms: Sequence[Alarm], latch: Latch, context: AlarmContext) -> Lines:
     """Return every alarm of the session, newest first; older ones that still stand follow."""
     standing = {each.alarm.code: each for each in latch.standing()}
-    parts: list[Lines | Cell] = []
+    parts: list[Lines | Text] = []
     for alarm in reversed(alarms):
         found = standing.get(alarm.code)
         if found is None or found.alarm != alarm:  # one that stands no more is acknowledged
@@ -87,7 +85,7 @@ def alarm_page(alarms: Sequence[Alarm], latch: Latch, context: AlarmContext) -> 
     return Stack(*parts[:-1] or ["No alarm was raised in this run."])
 
 
-def _whole(latched: Latched, context: AlarmContext) -> list[Lines | Cell]:
+def _whole(latched: Latched, context: AlarmContext) -> list[Lines | Text]:
     title = alarm_title(latched, context.glyphs)
     return [title, alarm_facts(latched, context), alarm_steps(latched, context), BLANK]
 
@@ -183,10 +181,12 @@ def _step_done(latched: Latched, index: int) -> bool:
     return bool(latched.gone) and alarm.by[index] == "controller"
 
 
-def alarm_steps(latched: Latched, context: AlarmContext, room: int = 0) -> Lines:
+def alarm_steps(
+    latched: Latched, context: AlarmContext, *, in_box: bool = False, low: bool = False
+) -> Lines:
     """Return the steps, each with its mark and who checks it; in a box, whether the run can go on.
 
-    A box of few rows has ``room`` for the present step alone.
+    ``low``: the present step alone.
     """
     alarm, present, glyphs = latched.alarm, present_step(latched), context.glyphs
     rows: list[Sequence[Cell]] = []
@@ -199,14 +199,14 @@ def alarm_steps(latched: Latched, context: AlarmContext, room: int = 0) -> Lines
         rows.append((mark, f"{index + 1} ", words, (by, "$label")))
     columns = Col(), Col(), Col(grows=True, wraps=True), Col(right=True)
     grid = Grid(rows, *columns, styles={present: "on $cursor-row"})
-    if 0 < room < LOW:
+    if low:
         return Grid(rows[present : present + 1], *columns, styles={0: "on $cursor-row"})
     count = Content.assemble(
         ("What to do: ", "bold"), (f"step {present + 1} of {len(rows)}", "bold $ask")
     )
     heading = ends(count if rows else ("What to do", "bold"), ("checked by", "$label"))
     return Stack(
-        heading, grid, *([(f"     {_outlook(latched, context)}", "$label")] if room else [])
+        heading, grid, *([(f"     {_outlook(latched, context)}", "$label")] if in_box else [])
     )
 
 

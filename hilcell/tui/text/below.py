@@ -21,30 +21,26 @@ from hilcell.journal.times import in_zone
 from hilcell.run.forecast import Ahead
 from hilcell.run.protocol import DeviceStatus
 from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.layout import Cell, Col, Fitting, Grid, Lines, Stack, Text, section
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.devices import NAMES, locks
-from hilcell.tui.text.lines import justified, section
 from hilcell.tui.text.run import duration
 
 MOTIONS = {"robot.park": "robot sent to its safe pose", "rail.home": "rail sent to its reference"}
 
 
-def event_lines(
-    view: RunView, errors_mm: Mapping[str, float], width: int, height: int
-) -> list[Content]:
+def event_lines(view: RunView, errors_mm: Mapping[str, float], rows: int) -> list[Lines | Text]:
     """Return a heading and the newest events, newest first; ``errors_mm`` are |e| by point."""
     zone = f"{in_zone(view.records[-1].t):%Z}" if view.records else ""
-    lines = [section("newest events", width, zone)]
+    events: list[list[Cell]] = []
     for record in reversed(view.records):
-        if len(lines) >= height:
+        if len(events) >= rows - 1:
             break
         if words := event_words(view, record, errors_mm):
-            style = "$foreground" if len(lines) == 1 else "$label"
-            line = Content.assemble(
-                (f" {in_zone(record.t):%H:%M:%S}  ", "$label"), (harmless(words), style)
-            )
-            lines.append(line.truncate(width, ellipsis=True))
-    return lines
+            style = "$label" if events else "$foreground"
+            time = f" {in_zone(record.t):%H:%M:%S} "
+            events.append([(time, "$label"), (harmless(words), style)])
+    return [section("newest events", zone), Grid(events, Col(), Col(grows=True))]
 
 
 def event_words(view: RunView, record: Record, errors_mm: Mapping[str, float]) -> str:
@@ -103,14 +99,12 @@ def _judged(record: Record) -> str:
 SCREEN = 24  # rows, which everything above takes
 LEAST, MOST = 4, 17  # rows of the block
 MOST_STEPS, MOST_EVENTS = 5, 6
-REASON_AT = 18  # columns before the reason
 TIMES = "starts in   takes"
 PARTS = {
     "flange": "{step}: {count} points",
     "sweep": "{step}: {count} sweeps",
     "leg": "Rail to the next station",
 }
-Lines = list[Content]
 
 
 def block_rows(height: int, *, live: bool) -> int:
@@ -119,36 +113,36 @@ def block_rows(height: int, *, live: bool) -> int:
     return spare if spare >= LEAST else 0
 
 
-def below_lines(
-    view: RunView, errors_mm: Mapping[str, float], glyphs: Glyphs, width: int, rows: int
-) -> Lines:
+def below_lines(view: RunView, errors_mm: Mapping[str, float], glyphs: Glyphs, rows: int) -> Lines:
     """Return the block in at most so many rows; a run that is over has events alone."""
-    lines: Lines = []
+    parts: list[Lines | Text] = []
     if view.live:
-        lines += interlock_lines(view, glyphs, width)[:rows]
-        if rows - len(lines) > 1:
-            lines += step_lines(view, glyphs, width, rows - len(lines))
-    if rows - len(lines) > 1:
-        lines += event_lines(view, errors_mm, width, min(rows - len(lines), MOST_EVENTS + 1))
-    return lines
+        found = locks(view, glyphs)
+        parts, rows = interlock_lines(view, glyphs), rows - 1 - max(len(found), 1)
+        if rows > 1:
+            parts += step_lines(view, glyphs, rows)
+            rows -= 1 + max(min(len(_parts(view)), MOST_STEPS), 1)
+    if rows > 1:
+        parts += event_lines(view, errors_mm, min(rows, MOST_EVENTS + 1))
+    return Stack(*parts)
 
 
-def interlock_lines(view: RunView, glyphs: Glyphs, width: int) -> Lines:
+def interlock_lines(view: RunView, glyphs: Glyphs) -> list[Lines | Text]:
     """Return each condition of motion with its reason, or with the reading that frees it.
 
     A reason that is too long for its line is the short one: no figure is cut.
     """
-    lines, found = [section("interlocks", width)], locks(view, glyphs)
+    found = locks(view, glyphs)
     if not found or view.status is None:
-        return [*lines, Content.styled(f" {glyphs.stale} no reading", "$stale")]
+        return [section("interlocks"), (f" {glyphs.stale} no reading", "$stale")]
+    rows: list[list[Cell]] = []
     for each in found:
-        why = each.whole if len(each.whole) <= width - REASON_AT else each.short
-        line = Content.assemble(
-            (f" {each.shape} ", each.tone), (f"{each.name:<8}", "bold"), f"{each.word:<7}",
-            (why or _reading(each.name, view.status.devices), "$label"),
-        )  # fmt: skip
-        lines.append(line.truncate(width, ellipsis=True))
-    return lines
+        whys = (
+            (each.whole, each.short) if each.whole else (_reading(each.name, view.status.devices),)
+        )
+        why = Fitting(tuple(Content.styled(text, "$label") for text in whys))
+        rows.append([(f" {each.shape}", each.tone), (each.name, "bold"), each.word, why])
+    return [section("interlocks"), Grid(rows, Col(2), Col(7), Col(6), Col(grows=True))]
 
 
 def _reading(name: str, devices: Mapping[str, DeviceStatus]) -> str:
@@ -162,21 +156,21 @@ def _reading(name: str, devices: Mapping[str, DeviceStatus]) -> str:
     return f"last reading {text['tracker']}" if "tracker" in text else ""
 
 
-def step_lines(view: RunView, glyphs: Glyphs, width: int, rows: int) -> Lines:
+def step_lines(view: RunView, glyphs: Glyphs, rows: int) -> list[Lines | Text]:
     """Return the step under way and those after it, when each starts and how long it takes."""
-    lines = [section("next steps", width, TIMES)]
-    starts_s = 0.0
+    heading, starts_s, steps = section("next steps", TIMES), 0.0, []
     for n, (words, takes_s) in enumerate(_parts(view)[: min(rows - 1, MOST_STEPS)]):
         start = "now" if n == 0 else duration(starts_s)
         style = "$foreground" if n == 0 else "$label"
         shape = glyphs.moving if n == 0 and not view.at_rest else " "
-        left = Content.assemble((f" {shape} ", "$live"), (words, style))
-        times = Content.styled(f"{start:>8}{duration(takes_s):>9}  ", style)
-        lines.append(justified(left.truncate(max(width - 20, 1), ellipsis=True), times, width))
+        steps.append(
+            ((f" {shape}", "$live"), (words, style), (start, style), (duration(takes_s), style), "")
+        )
         starts_s += takes_s
-    if len(lines) == 1:
-        lines.append(Content.styled("   not known yet", "$label"))
-    return lines
+    if not steps:
+        return [heading, ("   not known yet", "$label")]
+    columns = Col(2), Col(grows=True), Col(8, right=True), Col(8, right=True), Col(1)
+    return [heading, Grid(steps, *columns)]
 
 
 def _parts(view: RunView) -> list[tuple[str, float]]:

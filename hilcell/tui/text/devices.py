@@ -16,8 +16,8 @@ from hilcell.journal.states import WAITING
 from hilcell.journal.times import local_words, time_words
 from hilcell.run.protocol import DeviceStatus, Interlock
 from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.layout import BLANK, Cell, Col, Fitting, Grid, Lines, ends
 from hilcell.tui.terminal.capabilities import Glyphs
-from hilcell.tui.text.lines import justified, placed
 
 
 def end_remark(view: RunView) -> str:
@@ -45,9 +45,7 @@ def _no_verdict(view: RunView) -> str:
 LAMPS = ("rail", "strip", "robot", "tracker")
 OF_RAIL = LAMPS[:2]
 STALE_AFTER_S = 5.0
-_LAMPS_AT, _LOCKS_AT = (1, 15, 30, 45), (1, 45, 60)
 LONGEST_REASON = 26
-APART = 4  # columns between two statements in a row, and at its end
 REASONS = {  # in short, by the code of the interlock; the whole one is on the interlocks' page
     "HC-B30": "no fresh robot reading",
     "HC-B31": "robot moves",
@@ -66,14 +64,14 @@ def lamps_of(view: RunView) -> tuple[str, ...]:
     return LAMPS if view.has_rail else LAMPS[len(OF_RAIL) :]
 
 
-def lamps(view: RunView, glyphs: Glyphs, width: int) -> Content:
+def lamps(view: RunView, glyphs: Glyphs) -> Lines:
     """Return the lamps with the age of their readings, and the air."""
     devices = view.status.devices if view.status is not None and view.live else {}
-    found = [lamp(name, devices.get(name, DeviceStatus()), view, glyphs) for name in lamps_of(view)]
-    line = placed(*zip(_LAMPS_AT, found, strict=False))
-    if line.cell_length > width:
-        line = Content(" ").join([Content(""), *found])
-    return justified(line.truncate(width), air(view, glyphs), width - 1)
+    found: list[Cell] = [
+        lamp(name, devices.get(name, DeviceStatus()), view, glyphs) for name in lamps_of(view)
+    ]
+    columns = Col(13), *[Col(14)] * (len(found) - 2), Col(), Col(1, right=True, grows=True)
+    return Grid([[*found, air(view, glyphs)]], *columns)
 
 
 def lamp(name: str, device: DeviceStatus, view: RunView, glyphs: Glyphs) -> Content:
@@ -116,7 +114,7 @@ def air(view: RunView, glyphs: Glyphs) -> Content:
     """Return the air's temperature at the tracker, and its drift since the first point."""
     drift = drift_k(view)
     if view.last is None:
-        return Content("")
+        return BLANK
     if view.last.temperature_c is None or drift is None:
         return Content.styled("air not measured", "$label")
     celsius = f"{view.last.temperature_c:.1f} {glyphs.degree}C"
@@ -128,43 +126,35 @@ def air(view: RunView, glyphs: Glyphs) -> Content:
 # -- interlocks ------------------------------------------------------------------------------------
 
 
-def interlocks(view: RunView, glyphs: Glyphs, width: int) -> Content:
-    """Return what may move and, in short, why not; a part without room is left out, not cut."""
+def interlocks(view: RunView, glyphs: Glyphs) -> Lines:
+    """Return what may move and, in short, why not; of a run that is over, that nothing may."""
     if not view.live:
-        return _ended(view, glyphs, width)
+        closed = Fitting((*_nothing_moves(view, glyphs), BLANK))
+        return Grid([(closed, end_remark(view))], Col(grows=True), Col(), gap=3)
     found = locks(view, glyphs)
     if not found:
         known = view.status is not None and bool(view.status.interlocks)
         age = f" for {short_age(view.status_age_s)}" if known else ""
-        return Content.styled(f" {glyphs.stale} interlocks: no reading{age}", "$stale")
-    parts = [_part(each, reason=n == 0) for n, each in enumerate(found)]
-    columns = _LOCKS_AT if view.has_rail else _LOCKS_AT[:1] + _LOCKS_AT[2:]
-    line = placed(*zip(columns, parts, strict=False))
-    while line.cell_length > width and len(parts) > 1:
-        parts.pop()
-        line = placed(*zip(columns, parts, strict=False))
-    return line
-
-
-def _ended(view: RunView, glyphs: Glyphs, width: int) -> Content:
-    """Return that nothing may move, and since when, and the result, as far as there is room."""
-    remark = end_remark(view)
-    for closed in _nothing_moves(view, glyphs):
-        if not remark or closed.cell_length + len(remark) + APART <= width:
-            return justified(closed, Content(remark), width - 1).truncate(width, ellipsis=True)
-    return Content(f" {remark}").truncate(width, ellipsis=True)
+        return ends((f"{glyphs.stale} interlocks: no reading{age}", "$stale"), "")
+    parts = []
+    for n, each in enumerate(found):
+        why = f": {each.short}" if n == 0 and each.short else ""
+        shape, words = (each.shape, each.tone), f" {each.name} {each.word}"
+        parts.append(Content.assemble(shape, words, (why, each.tone)))
+    columns = Col(43), *[Col(14)] * (len(parts) - 2), *[Col()] * (len(parts) > 1)
+    return Grid([parts], *columns)
 
 
 def _nothing_moves(view: RunView, glyphs: Glyphs) -> list[Content]:
     """Return that nothing may move, the longest words first."""
     if view.state == "gone":
-        gone = f" {glyphs.lost} the engine is gone: nobody watches the cell"
+        gone = f"{glyphs.lost} the engine is gone: nobody watches the cell"
         return [Content.styled(gone, "$ask")]
     end = view.records[-1] if view.records and view.log.end is not None else None
     at = [f" at {time_words(end.t)}", f" at {local_words(end.t)}"] if end is not None else []
     known = end is None or view.log.was_connected
     words = "devices closed{}; nothing may move" if known else f"closed{{}}; {NOT_KNOWN}"
-    texts = (f" {glyphs.stale} {words.format(each)}" for each in (*at, ""))
+    texts = (f"{glyphs.stale} {words.format(each)}" for each in (*at, ""))
     return [Content.styled(each, "$label") for each in texts]
 
 
@@ -202,11 +192,6 @@ def _lock(each: Interlock, view: RunView, glyphs: Glyphs) -> Lock:
 def _signed(text: str) -> str:
     """Return a text with the signs of its figures as they are printed."""
     return re.sub(r"(?<![\w.])-(?=\d)", "−", text.replace("+-", "±"))
-
-
-def _part(lock: Lock, *, reason: bool) -> Content:
-    why = f": {lock.short}" if reason and lock.short else ""
-    return Content.assemble((lock.shape, lock.tone), f" {lock.name} {lock.word}", (why, lock.tone))
 
 
 def _first_words(blocked: str) -> str:

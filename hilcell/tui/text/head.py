@@ -11,15 +11,15 @@ from dataclasses import dataclass
 from textual.content import Content
 
 from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.layout import BLANK, Bar, Cell, Col, Fitting, Grid, Lines, Stack
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.digits import figure, large, large_rows
-from hilcell.tui.text.lines import bar, placed
 from hilcell.tui.text.run import is_simulated, simulation_block
 
-BLOCK, FIRST_AT, SECOND_AT = 24, 26, 53
+BLOCK = 24  # columns of the words' ground
 MOST_LETTERS = (BLOCK + 1) // 4  # that are large; a longer word is a bold line
-BAR, TO_LIMIT = 24, 19
-LEAST_WIDTH, LEAST_ROWS, LEAST_PLACE = 78, 14, 28
+BAR, TO_LIMIT = 24, 19  # columns
+LEAST_WIDTH, LEAST_ROWS = 78, 14
 NEXT = "o report   p plots   w worst points   n new run"
 
 
@@ -63,10 +63,14 @@ def head_lines(view: RunView, head: Head, glyphs: Glyphs, width: int, rows: int)
     """Return the words and the figures, large where there is room; nothing without words."""
     if not head.words:
         return []
-    mark = simulation_block() if is_simulated(view) else Content("")
+    mark = simulation_block() if is_simulated(view) else BLANK
     if is_small(width, rows):
-        return _small(head, mark, glyphs, width)
-    return _large(head, mark, glyphs)
+        return _small(head, mark, glyphs).lines(width)
+    figures = [_large_figure(each, glyphs) for each in head.figures]
+    columns = Col(BLOCK), Col(25), Col()
+    return Grid(zip(_block(head, mark, glyphs), *figures, strict=True), *columns, gap=2).lines(
+        width
+    )
 
 
 def _style(role: str) -> tuple[str, str]:
@@ -76,16 +80,6 @@ def _style(role: str) -> tuple[str, str]:
     return f"bold $on-{role} on ${role}-fill", f"on ${role}-fill"
 
 
-def _large(head: Head, mark: Content, glyphs: Glyphs) -> list[Content]:
-    block = _block(head, mark, glyphs)
-    columns = [_large_figure(each, glyphs) for each in head.figures]
-    places = (FIRST_AT, SECOND_AT)
-    return [
-        placed((0, line), *((at, each[n]) for at, each in zip(places, columns, strict=True)))
-        for n, line in enumerate(block)
-    ]
-
-
 def _block(head: Head, mark: Content, glyphs: Glyphs) -> list[Content]:
     style, ground = _style(head.role)
     texts: list[str] = []
@@ -93,10 +87,9 @@ def _block(head: Head, mark: Content, glyphs: Glyphs) -> list[Content]:
         texts += ["", word, ""] if glyphs.plain or len(word) > MOST_LETTERS else large_rows(word)
     if len(head.words) == 1:
         texts = ["", *texts, "", head.stated]
-    pad = (BLOCK - mark.cell_length) // 2
-    rest = BLOCK - pad - mark.cell_length
-    last = Content.assemble((" " * pad, ground), mark, (" " * rest, ground))
-    return [*(Content.styled(f"{text:^{BLOCK}}", style) for text in texts), last]
+    last = mark.pad_left((BLOCK - mark.cell_length) // 2).truncate(BLOCK, pad=True)
+    words = (Content.styled(f"{text:^{BLOCK}}", style) for text in texts)
+    return [*words, last.stylize_before(ground)]
 
 
 def _tone(each: Figure, glyphs: Glyphs) -> tuple[str, str]:
@@ -105,41 +98,35 @@ def _tone(each: Figure, glyphs: Glyphs) -> tuple[str, str]:
     return ("$fault", glyphs.warned) if each.over else ("$passed", glyphs.fresh)
 
 
-def _at(each: Figure, room: int) -> str:
-    """Return place and limit in ``room``: a long name is shortened, the limit never."""
-    limit = ", no limit stated" if each.limit_mm is None else f", limit {each.limit_mm:.3f}"
-    if each.limit_mm is None and 1 + len(each.at) + len(limit) > room:
-        limit = ", no limit"
-    at = Content(f" {each.at}").truncate(max(room - len(limit), 1), ellipsis=True).plain
-    return f"{at}{limit}"
+def _place(each: Figure) -> str:
+    """Return place and limit; a long name is shortened, the limit never."""
+    limit = "no limit" if each.limit_mm is None else f"limit {each.limit_mm:.3f}"
+    return f" {Content(each.at).truncate(10, ellipsis=True).plain}, {limit}"
 
 
-def _large_figure(each: Figure, glyphs: Glyphs) -> list[Content]:
+def _large_figure(each: Figure, glyphs: Glyphs) -> list[Cell]:
     tone, shape = _tone(each, glyphs)
     digits = large(figure(each.value_mm), tone if each.over else "$foreground", glyphs)
-    at = Content.assemble((shape, tone), (_at(each, SECOND_AT - FIRST_AT - 3), "$label"))
-    line = Content("")
+    at = Content.assemble((shape, tone), (_place(each), "$label"))
+    bar = BLANK
     if each.limit_mm:
         mark = TO_LIMIT / BAR
         share, guard = (mark * length / each.limit_mm for length in (each.value_mm, each.U_mm))
-        line = bar(share, BAR, tone, mark, guard)
-    return [Content.styled(each.title, "$label"), *digits, at, line, Content("")]
+        bar = Bar(share, tone, mark, guard).drawn(BAR)
+    return [(each.title, "$label"), *digits, at, bar, BLANK]
 
 
-def _small(head: Head, mark: Content, glyphs: Glyphs, columns: int) -> list[Content]:
+def _small(head: Head, mark: Content, glyphs: Glyphs) -> Lines:
     stated = (head.stated,) if len(head.words) == 1 else ()
     text = "  ".join(["", " ".join(head.words), *stated, ""])
-    lines = [Content("").join([Content.styled(text, _style(head.role)[0]), mark])]
-    titles = [each.title.removesuffix(", mm") for each in head.figures]
-    width = max(map(len, titles), default=0)
-    for title, each in zip(titles, head.figures, strict=True):
+    rows: list[list[Cell]] = []
+    for each in head.figures:
         tone, shape = _tone(each, glyphs)
-        room = max(columns - width - len(f"    {figure(each.value_mm)} mm"), LEAST_PLACE)
-        lines.append(
-            Content.assemble(
-                (f" {shape}", tone), (f" {title:<{width}} ", "$label"),
-                (f"{figure(each.value_mm)} mm", f"bold {tone}" if each.over else "bold"),
-                (_at(each, room), "$label"),
-            )
-        )  # fmt: skip
-    return lines
+        value = (f"{figure(each.value_mm)} mm", f"bold {tone}" if each.over else "bold")
+        title = (each.title.removesuffix(", mm"), "$label")
+        places = _place(each), _place(each).partition(", ")[2]
+        place = Fitting(tuple(Content.styled(text, "$label") for text in places))
+        rows.append(["", (shape, tone), title, value, place])
+    columns = Col(), Col(), Col(), Col(), Col(grows=True)
+    words = Content("").join([Content.styled(text, _style(head.role)[0]), mark])
+    return Stack(words, Grid(rows, *columns))

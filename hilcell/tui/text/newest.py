@@ -18,20 +18,32 @@ from hilcell.journal.log import Log, Point
 from hilcell.journal.point_words import point_words
 from hilcell.journal.ways_sent import AS_SENT, WAYS
 from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.layout import (
+    BLANK,
+    Bar,
+    Cell,
+    Col,
+    Drawing,
+    Grid,
+    Lines,
+    Rule,
+    SignedBar,
+    Stack,
+    Ticks,
+    ends,
+)
 from hilcell.tui.plots.scale import step_at_least
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.deviation import Deviation, deviation_of
 from hilcell.tui.text.devices import short_age
 from hilcell.tui.text.digits import figure, large
-from hilcell.tui.text.lines import bar, placed, ruled, signed_bar
 
 DeviationOf = Callable[[Log, Point], Deviation | None]
 FULL_ROWS, SMALL_ROWS = 6, 3
 STALE_S = 30.0  # two points of a run are rarely so far apart
 RAW_SCALE_MM = 2.0
-FIGURES_AT, COMPONENTS_AT, BARS_AT, SCALE_AT = 5, 27, 42, 71
-HALF_BAR = 13
-TOLERANCE_AT, TO_LIMIT, PAST_LIMIT = 20, 44, 11
+TO_LIMIT = 0.8  # of the tolerance bar
+LEAST_LARGE = 41  # columns
 SAID: dict[Outcome, tuple[str, str, str]] = {  # role, shape's name, words
     "accepted": ("passed", "fresh", OUTCOMES["accepted"]),
     "undecided": ("ask", "warned", OUTCOMES["undecided"].upper()),
@@ -86,22 +98,22 @@ def _shown(
     return Shown(f"{which}: {point_words(point.id, point.station)}", found, remark, stale, word)
 
 
-def point_lines(shown: Shown, glyphs: Glyphs, width: int, rows: int = FULL_ROWS) -> Content:
+def point_lines(shown: Shown, glyphs: Glyphs, rows: int = FULL_ROWS) -> Lines:
     """Return the rows, at most ``rows`` of them; digits are one line where three have no room."""
     found, remark = shown.deviation, Content.styled(shown.remark, "$label")
     if shown.stale and shown.remark:
         remark = Content.styled(f"{glyphs.warned} {shown.remark}", "$ask")
-    lines = [ruled(Content.styled(shown.name, "bold $label"), remark, width)]
+    head = Rule(Content.styled(shown.name, "bold $label"), remark)
     if found is None:
-        none = "" if shown.remark == "" else " no nominal place, so no deviation"
-        lines.append(Content.styled(none, "$label"))
-        lines += [Content("")] * (rows - len(lines))
-    elif rows >= FULL_ROWS - 1 and width > COMPONENTS_AT + 13:
-        lines += _large_lines(shown, found, glyphs, width)
-        lines += [_tolerance_line(shown, found, glyphs, width), _scale_line(found, width)]
-    else:
-        lines += [_one_line(shown, found, width), _tolerance_line(shown, found, glyphs, width)]
-    return Content("\n").join(line.truncate(width) for line in lines[:rows])
+        none = "no nominal place, so no deviation" if shown.remark else ""
+        return Stack(head, (f" {none}", "$label"), *[BLANK] * (rows - 2))
+    said = _tolerance(shown, found, glyphs)
+    small = Stack(head, ends(_one_line(shown, found), ""), Grid(said[:1], *SAID_COLUMNS))
+    if rows < FULL_ROWS - 1:
+        return small
+    whole = Stack(head, _large(shown, found, glyphs), Grid(said[: rows - 4], *SAID_COLUMNS))
+    state = whole.state, small.state
+    return Drawing(state, lambda width, _: (small if width < LEAST_LARGE else whole).lines(width))
 
 
 def _style(shown: Shown, found: Deviation) -> str:
@@ -114,24 +126,26 @@ def _signed(value_mm: float) -> str:
     return f"{value_mm:+z.3f}".replace("-", "−") if math.isfinite(value_mm) else "-.---"
 
 
-def _large_lines(shown: Shown, found: Deviation, glyphs: Glyphs, width: int) -> list[Content]:
-    digits = large(figure(found.norm_mm), _style(shown, found), glyphs)
+def _large(shown: Shown, found: Deviation, glyphs: Glyphs) -> Lines:
     scale_mm = _scale_mm(found)
     text = "bold $stale" if shown.stale else "bold"
     fill = "$stale" if shown.stale else "$foreground"
-    units, scales = ("|e|", "mm", ""), (f"±{scale_mm:g}", "mm", "")
-    lines = []
-    for row, (name, value_mm) in enumerate(zip(("dx", "dy", "dz"), found.error_mm, strict=True)):
+    rows: list[list[Cell]] = []
+    for name, value_mm, digits, unit, scale in zip(
+        ("dx", "dy", "dz"),
+        found.error_mm,
+        large(figure(found.norm_mm), _style(shown, found), glyphs),
+        ("|e|", "mm", ""),
+        (f"±{scale_mm:g}", "mm", ""),
+        strict=True,
+    ):
         component = Content.assemble(
             (f"{name} ", "$label"), (f"{_signed(value_mm):>6}", text), (" mm", "$label")
         )
-        parts = [(1, Content.styled(units[row], "$label")), (FIGURES_AT, digits[row])]
-        parts.append((COMPONENTS_AT, component))
-        if width > SCALE_AT + 4:
-            parts.append((BARS_AT, signed_bar(value_mm / scale_mm, HALF_BAR, fill)))
-            parts.append((SCALE_AT, Content.styled(scales[row], "$label")))
-        lines.append(placed(*parts))
-    return lines
+        bar = SignedBar(value_mm / scale_mm, fill)
+        rows.append(["", (unit, "$label"), digits, component, bar, (scale, "$label")])
+    columns = Col(), Col(3), Col(21), Col(14), Col(28), Col()
+    return Grid(rows, *columns)
 
 
 def _scale_mm(found: Deviation) -> float:
@@ -141,42 +155,35 @@ def _scale_mm(found: Deviation) -> float:
     return step_at_least(max([least_mm, *known]))
 
 
-def _one_line(shown: Shown, found: Deviation, width: int) -> Content:
+def _one_line(shown: Shown, found: Deviation) -> Content:
     dx, dy, dz = map(_signed, found.error_mm)
-    text = "$stale" if shown.stale else "$label"
     return Content.assemble(
         " ",
         (f"|e| {figure(found.norm_mm)} mm", f"bold {_style(shown, found)}"),
-        (f"   dx {dx}  dy {dy}  dz {dz}", text),
-    ).truncate(width)
+        (f"   dx {dx}  dy {dy}  dz {dz}", "$stale" if shown.stale else "$label"),
+    )
 
 
-def _tolerance_line(shown: Shown, found: Deviation, glyphs: Glyphs, width: int) -> Content:
+SAID_COLUMNS = Col(), Col(17), Col(10, grows=True, most=55)
+
+
+def _tolerance(shown: Shown, found: Deviation, glyphs: Glyphs) -> list[list[Cell]]:
+    """Return what is said of the limit with |e| against it, and under it the scale and U."""
     if found.limit_mm is None:
-        return Content.styled(f" {glyphs.stale} {shown.word}", "$stale" if shown.stale else "")
-    role, shape, words = SAID[found.outcome]
-    said = Content.styled(f"{getattr(glyphs, shape)} {words}", f"bold ${role}")
+        words = (f"{glyphs.stale} {shown.word}", "$stale" if shown.stale else "")
+        return [["", words, ""], ["", "", ""]]
+    role, shape, word = SAID[found.outcome]
+    said = (f"{getattr(glyphs, shape)} {word}", f"bold ${role}")
     if shown.stale:
-        said = Content.styled(f"{glyphs.stale} {WAS[found.outcome]}", "$stale")
-    room = min(TO_LIMIT + PAST_LIMIT, width - TOLERANCE_AT)
-    if room < PAST_LIMIT:
-        return placed((1, said))
-    mark = TO_LIMIT / (TO_LIMIT + PAST_LIMIT)
-    share, guard = (mark * each / found.limit_mm for each in (found.norm_mm, found.U_mm))
-    drawn = bar(share, room, _style(shown, found), mark, guard)
-    return placed((1, said), (TOLERANCE_AT, drawn))
-
-
-def _scale_line(found: Deviation, width: int) -> Content:
-    """Return the quarters of the limit under the bar, and U of the error beside them."""
-    if found.limit_mm is None:
-        return Content("")
+        said = (f"{glyphs.stale} {WAS[found.outcome]}", "$stale")
+    share, guard = (TO_LIMIT * each / found.limit_mm for each in (found.norm_mm, found.U_mm))
+    bar = Bar(share, _style(shown, found), TO_LIMIT, guard)
     digits = 2 if math.isclose(100 * found.limit_mm / 4 % 1, 0, abs_tol=1e-9) else 3
-    ticks = [(TOLERANCE_AT, Content.styled("0", "$label"))]
+    ticks = [(0.0, Content.styled("0", "$label"))]
     for quarter in (1, 2, 3):
         text = f"{found.limit_mm * quarter / 4:.{digits}f}"
-        ticks.append((TOLERANCE_AT + quarter * TO_LIMIT // 4, Content.styled(text, "$label")))
+        ticks.append((TO_LIMIT * quarter / 4, Content.styled(text, "$label")))
     limit = Content.assemble((f"{found.limit_mm:.{digits}f}", "bold"), (" limit", "$label"))
-    ticks.append((TOLERANCE_AT + TO_LIMIT, limit))
-    U = Content.styled(f"U {found.U_mm:.3f} mm", "$label")
-    return placed((1, U), *ticks).truncate(width)
+    ticks.append((TO_LIMIT, limit))
+    U = (f"U {found.U_mm:.3f} mm", "$label")
+    return [["", said, bar], ["", U, Ticks(tuple(ticks))]]

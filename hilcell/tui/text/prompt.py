@@ -3,50 +3,51 @@
 from __future__ import annotations
 
 import msgspec
+from textual.app import ComposeResult
+from textual.containers import Horizontal, Vertical
 from textual.content import Content
 
 from hilcell.clean import harmless
 from hilcell.journal.key_words import in_words
 from hilcell.run.protocol import PromptStatus
 from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.layout import BLANK, Cell, Col, Drawing, Grid, Lines
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.devices import short_age
 from hilcell.tui.text.digits import large
-from hilcell.tui.text.frame import BORDERS, SINGLE, fitted, framed, wrapped
-from hilcell.tui.text.site import site_of
-from hilcell.tui.text.sketch import sketch
+from hilcell.tui.text.sketch import site_of, sketch
+from hilcell.tui.widgets import TextPanel, safe_content
 
-RIGHT = 25  # columns of the task and the reading
-BETWEEN = " │ "
-LIMIT_AT = 18  # column of the limit beside the digits
 MOST_NAMES = 2  # that fit beside the plan
 CAPTION = "from above, to scale"
 AT_REST = "robot at safe pose, slide held: nothing moves"
 
 
-def prompt_box(
-    prompt: PromptStatus, view: RunView, glyphs: Glyphs, columns: int, rows: int
-) -> list[Content]:
-    """Return one prompt in a box of ``columns`` and ``rows``; its words may be a device's."""
-    prompt = msgspec.structs.replace(
-        prompt,
-        title=harmless(prompt.title),
-        text=in_words(harmless(prompt.text.replace("\n", " ")), view.log),
-        place=harmless(prompt.place),
-    )
-    room = max(rows - 2, 1)
-    right = _task(prompt, view, glyphs, room)[:room]
-    wide = columns - BORDERS - RIGHT - len(BETWEEN)
-    left = _picture(prompt, view, wide, room)
-    blank = Content("")
-    lines = [
-        fitted(left[n] if n < len(left) else blank, wide)
-        .append(Content.styled(BETWEEN, "$stale"))
-        .append(fitted(right[n] if n < len(right) else blank, RIGHT))
-        for n in range(room)
-    ]
-    title = Content.styled(f" ? {prompt.title} ", "bold $on-ask on $ask-fill")
-    return framed(lines, columns, title, _count(view), "$ask", SINGLE)
+class PromptBox(Horizontal):
+    """One prompt in a box: the plan or the words at the left, the task at the right."""
+
+    def compose(self) -> ComposeResult:
+        """Build both sides; Enter stays in sight."""
+        yield TextPanel("picture")
+        with Vertical(id="task"):
+            yield TextPanel("enter")
+            yield TextPanel("reading")
+
+    def show(self, prompt: PromptStatus, view: RunView, glyphs: Glyphs, *, low: bool) -> None:
+        """Show a prompt, with few rows without large digits; its words may be a device's."""
+        prompt = msgspec.structs.replace(
+            prompt,
+            title=harmless(prompt.title),
+            text=in_words(harmless(prompt.text.replace("\n", " ")), view.log),
+            place=harmless(prompt.place),
+        )
+        picture, enter, reading = self.query(TextPanel)
+        title = Content.styled(f" ? {prompt.title} ", "bold $on-ask on $ask-fill")
+        self.border_title = safe_content(title, plain=glyphs.plain)
+        self.border_subtitle = _count(view)
+        picture.show(prompt_picture(prompt, view))
+        enter.show(enter_line(prompt, view))
+        reading.show(prompt_task(prompt, view, glyphs, low=low))
 
 
 def seats(view: RunView) -> bool:
@@ -65,33 +66,29 @@ def _count(view: RunView) -> str:
     return f"{done + 1} of {planned}" if done < planned else ""
 
 
-def _picture(prompt: PromptStatus, view: RunView, columns: int, rows: int) -> list[Content]:
-    """Return the left side: the plan, over it the words where they say more than the right side."""
-    site = site_of(view, prompt)
-    if site is not None and seats(view):
-        drawn = sketch(site, columns, rows - 2)
+def prompt_picture(prompt: PromptStatus, view: RunView) -> Lines:
+    """Return the plan, over it the words where they say more than the task."""
+    site, seating = site_of(view, prompt), seats(view)
+    rest = AT_REST if view.has_rail else "robot at safe pose: nothing moves"
+
+    def draw(width: int, height: int) -> list[Content]:
+        drawn = [] if site is None or not seating else sketch(site, width, height - 2)
         if drawn:
-            rest = AT_REST if view.has_rail else "robot at safe pose: nothing moves"
-            caption, end = Content.styled(CAPTION, "$label"), Content.styled(rest, "$label")
-            return [caption, *drawn, end]
-    words = wrapped(prompt.text, columns, most=rows)
-    drawn = [] if site is None else sketch(site, columns, rows - len(words) - 1)
-    return [*words, *([Content("")] if drawn else []), *drawn]
+            return [Content.styled(CAPTION, "$label"), *drawn, Content.styled(rest, "$label")]
+        words = Content(prompt.text).wrap(width)
+        drawn = [] if site is None else sketch(site, width, height - len(words) - 1)
+        return [*words, *([BLANK] if drawn else []), *drawn]
+
+    return Drawing((prompt.text, site, seating), draw)
 
 
-def _task(prompt: PromptStatus, view: RunView, glyphs: Glyphs, rows: int) -> list[Content]:
-    """Return the right side: the task, how far it is off, who sees it, and Enter."""
-    task, enter = _place(prompt, view), _enter(prompt, view)
-    seen = [] if not prompt.check else _seen(prompt, view, glyphs)
-    off = [] if not prompt.check else _off(prompt, view, glyphs, short=False)
-    spare = rows - len([*task, *off, *seen, enter])
-    if spare < 0:
-        off = off and _off(prompt, view, glyphs, short=True)
-        return [*task[-2:], *off, *seen[: max(rows - 4, 1)], enter]
-    above, below, under = (min(1, max(spare - n, 0)) for n in (1, 0, 2))
-    blank = Content("")
-    lines = [*task, *[blank] * above, *off, *[blank] * below, *seen, *[blank] * under]
-    return [*lines, *[blank] * (rows - len(lines) - 1), enter]
+def prompt_task(prompt: PromptStatus, view: RunView, glyphs: Glyphs, *, low: bool = False) -> Lines:
+    """Return the task, how far the reflector is off, and who sees it."""
+    place = _place(prompt, view)
+    off = _off(prompt, view, glyphs, low=low) if prompt.check else []
+    seen = _seen(prompt, view, glyphs) if prompt.check else []
+    lines = [*place[-2:], *off, *seen] if low else [*place, BLANK, *off, BLANK, *seen]
+    return Grid([[line] for line in lines], Col(grows=True))
 
 
 def _place(prompt: PromptStatus, view: RunView) -> list[Content]:
@@ -106,21 +103,11 @@ def _place(prompt: PromptStatus, view: RunView) -> list[Content]:
 
 def _coordinates(prompt: PromptStatus, view: RunView) -> Content:
     layout = view.log.cell.layout
-    for nests in (layout.standing, layout.slide):
-        for nest in nests:
-            if nest.name == prompt.place:
-                return _at(nest.x_mm, nest.y_mm, nest.z_mm)
-    return Content("")
-
-
-def _at(x_mm: float, y_mm: float, z_mm: float) -> Content:
-    """Return coordinates with their unit, closer together where the column is narrow."""
-    for head, gap in (("at   ", "  "), ("at ", " "), ("", " ")):
-        xyz = gap.join((f"x {x_mm:.0f}", f"y {y_mm:.0f}", f"z {z_mm:.0f}"))
-        line = Content.assemble((head, "$label"), f"{xyz} mm")
-        if line.cell_length <= RIGHT:
-            break
-    return line
+    for nest in (*layout.standing, *layout.slide):
+        if nest.name == prompt.place:
+            xyz = f"x {nest.x_mm:.0f} y {nest.y_mm:.0f} z {nest.z_mm:.0f} mm"
+            return Content.assemble(("at ", "$label"), xyz)
+    return BLANK
 
 
 def is_ready(prompt: PromptStatus, view: RunView) -> bool:
@@ -128,25 +115,19 @@ def is_ready(prompt: PromptStatus, view: RunView) -> bool:
     return not prompt.check or (prompt.ready and not view.stale and prompt.age_s is not None)
 
 
-def _off(prompt: PromptStatus, view: RunView, glyphs: Glyphs, *, short: bool) -> list[Content]:
+def _off(prompt: PromptStatus, view: RunView, glyphs: Glyphs, *, low: bool) -> list[Content]:
     """Return how far the reflector is off its place, large, and the limit."""
     known = prompt.seen_mm is not None and prompt.age_s is not None and not view.stale
     style = "$stale" if not known else "$passed" if is_ready(prompt, view) else "$ask"
     text = _figure(prompt.seen_mm) if known and prompt.seen_mm is not None else "-.--"
     limit = "" if prompt.limit_mm is None else f"{prompt.limit_mm:.2f}"
     what = "off its place, mm" if prompt.expected_mm is not None else "strip off drive, mm"
-    if short:
+    if low:
         words = ("off ", "$label"), (f"{text} mm", f"bold {style}"), (f" limit {limit}", "$label")
         return [Content.assemble(*words)]
-    named = Content.styled("limit" if limit else "", "$label")
-    beside = [Content(""), named, Content.styled(limit, "bold")]
-    return [
-        Content.styled(what, "$label"),
-        *(
-            fitted(row, LIMIT_AT).append(word)
-            for row, word in zip(large(text, style, glyphs), beside, strict=True)
-        ),
-    ]
+    beside: list[Cell] = ["", ("limit" if limit else "", "$label"), (limit, "bold")]
+    digits = Grid(zip(large(text, style, glyphs), beside, strict=True), Col(17), Col())
+    return [Content.styled(what, "$label"), *digits.lines(25)]
 
 
 def _figure(value_mm: float) -> str:
@@ -190,7 +171,7 @@ def _last_look(prompt: PromptStatus, view: RunView) -> list[Content]:
     return [Content.styled(f"  last look {age} ago", "$label")]
 
 
-def _enter(prompt: PromptStatus, view: RunView) -> Content:
+def enter_line(prompt: PromptStatus, view: RunView) -> Content:
     """Return the key that answers, grey until it would."""
     ready = is_ready(prompt, view)
     words = "measure it here" if prompt.expected_mm is not None and seats(view) else "go on"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from itertools import product
 from typing import Any
 
 from textual.content import Content
@@ -16,9 +15,9 @@ from hilcell.journal.point_words import part_words, procedure_words, step_words
 from hilcell.journal.runs import short_run
 from hilcell.journal.times import local_words
 from hilcell.tui.engine.run_view import EngineState, RunView
+from hilcell.tui.layout import BLANK, Bar, Cell, Col, Fitting, Grid, Lines, ends
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.devices import short_age
-from hilcell.tui.text.lines import bar, justified, placed
 
 STATES = {
     "looking": ("LOOKING", "label"),
@@ -47,11 +46,8 @@ NO_PLAN_TEXTS = {  # where there is no plan in the journal
     EngineState.ANSWERING: "nothing to see yet",
     EngineState.SILENT: "nothing to see yet",
 }
-MOST_OF_A_RUN = 14
-GAP = 3  # between the parts of a row
-BAR, BESIDE_BAR = 43, 36
-ROOMY = 100  # columns for the badge beside a notice of the run behind
-MOST_OF_A_NAME, LEAST_OF_A_NAME = 20, 8
+MOST_OF_A_RUN, MOST_OF_A_NAME = 14, 20  # columns
+BAR = 43  # columns at most
 
 
 def block(text: str, tone: str) -> Content:
@@ -89,26 +85,24 @@ def state_block(view: RunView, glyphs: Glyphs) -> Content:
     return block(f"{glyphs.states[view.state]} {state_of(view)[0]}", role_of(view))
 
 
-def banner(view: RunView, glyphs: Glyphs, width: int, background: RunView | None = None) -> Content:
+def banner(view: RunView, glyphs: Glyphs, background: RunView | None = None) -> Lines:
     """Return the first row: state, LIVE or HISTORIC, SIMULATION, and a notice; trouble fills it.
 
     ``background``: the live run that goes on while this one is shown.
     """
     tone = role_of(view)
     ground = f"bold $on-{tone} on ${tone}-fill" if tone in LOUD else ""
-    gap = Content.styled(" ", ground)
-    left = state_block(view, glyphs)
-    if view.engine is not EngineState.UNKNOWN and (background is None or width > ROOMY):
-        left = Content("").join([left, gap, badge("LIVE" if view.live else "HISTORIC")])
+    parts = [state_block(view, glyphs)]
+    if view.engine is not EngineState.UNKNOWN and background is None:
+        parts.append(badge("LIVE" if view.live else "HISTORIC"))
     if is_simulated(view):
-        left = Content("").join([left, gap, simulation_block()])
-    room = width - left.cell_length - 2
-    if background is None:
-        notice, style = _stop_notice(view, room)
-    else:
-        notice, style = _background_notice(background, room), "bold $ask"
-    rest = Content.styled(f"{notice:>{room}} ", ground or style) if room > 0 else Content("")
-    return Content("").join([left, gap, rest])
+        parts.append(simulation_block())
+    notices, style = _stop_notices(view), "bold $fault" if view.state == "silent" else "$label"
+    if background is not None:
+        notices, style = _background_notices(background), "bold $ask"
+    notice = Fitting(tuple(Content.styled(f"{each} ", ground or style) for each in notices))
+    left = Content(" ").join(parts)
+    return Grid([(left, notice)], Col(), Col(right=True, grows=True), styles={0: ground})
 
 
 def is_simulated(view: RunView) -> bool:
@@ -116,22 +110,18 @@ def is_simulated(view: RunView) -> bool:
     return view.log.plan is not None and view.log.plan.simulated
 
 
-def _stop_notice(view: RunView, room: int) -> tuple[str, str]:
-    """Return the notice beside the state, and its style on a calm row."""
+def _stop_notices(view: RunView) -> tuple[str, ...]:
+    """Return the notices beside the state, the longest first."""
     if view.state == "silent":
         since = f" for {short_age(view.status_age_s)}" if view.status is not None else ""
-        return f"silent{since}: use the E-stop", "bold $fault"
-    live = view.live or view.state == "looking"
-    notice = NOT_E_STOP if live else "nothing is connected"
-    return notice if room >= len(notice) else "", "$label"
+        return f"silent{since}: use the E-stop", "use the E-stop"
+    return (NOT_E_STOP if view.live or view.state == "looking" else "nothing is connected",)
 
 
-def _background_notice(background: RunView, room: int) -> str:
-    """Return the longest notice of the background run that fits."""
+def _background_notices(background: RunView) -> tuple[str, ...]:
     word = state_of(background)[0]
     stop = "use the E-stop" if background.state == "silent" else "Esc stops"
-    notices = (f"behind: {word}; q goes back, {stop}", f"behind: {word}; {stop}", "1 behind")
-    return next((each for each in notices if len(each) <= room), "")
+    return f"behind: {word}; q goes back, {stop}", f"behind: {word}; {stop}", "1 behind"
 
 
 def end_text(view: RunView) -> str:
@@ -141,38 +131,18 @@ def end_text(view: RunView) -> str:
     return f"the run behind, {view.run}, has ended: {state_of(view)[0]}{why}"
 
 
-def identity(view: RunView, width: int) -> Content:
-    """Return procedure, cell, job, operator and run, as many as there is room for."""
+def identity(view: RunView) -> Lines:
+    """Return procedure, cell, job, operator and run."""
     plan = view.log.plan
     if plan is None:
         begun = NO_PLAN_TEXTS[view.engine]
-        return Content(f" run {view.run}: {view.trouble or begun}").truncate(width, ellipsis=True)
-    run = _labelled("run", short(short_run(view.run), MOST_OF_A_RUN))
+        return ends(f"run {view.run}: {view.trouble or begun}", "")
     names = {"cell": str(plan.cell.get("name", "?")), "job": plan.job, "operator": plan.operator}
-    attended = Content.styled("unattended" if plan.unattended else "attended", "$label")
-    line = Content.assemble(" ", (procedure_words(plan.procedure), "bold"))
-    room = width - line.cell_length - GAP - run.cell_length - 1
-    for part in _fitting(names, attended, room):
-        line = line.append(" " * GAP).append(part)
-    return justified(line, run, width - 1)
-
-
-def _fitting(names: Mapping[str, str], attended: Content, room: int) -> list[Content]:
-    """Return the parts that fit: long names are shortened before one is left out."""
-    for last, most in product(([attended], []), range(MOST_OF_A_NAME, LEAST_OF_A_NAME - 1, -1)):
-        parts = [_labelled(name, short(text, most)) for name, text in names.items() if text]
-        if _length(*parts, *last) <= room:
-            return [*parts, *last]
-    shown: list[Content] = []
-    for part in parts:
-        if _length(*shown, part) <= room:
-            shown.append(part)
-    return shown
-
-
-def _length(*parts: Content) -> int:
-    """Return the columns of parts with the gaps before them."""
-    return sum(GAP + part.cell_length for part in parts)
+    parts = [Content.styled(procedure_words(plan.procedure), "bold")]
+    parts += [_labelled(name, short(text)) for name, text in names.items() if text]
+    parts.append(Content.styled("unattended" if plan.unattended else "attended", "$label"))
+    run = _labelled("run", short(short_run(view.run), MOST_OF_A_RUN))
+    return ends(Content("   ").join(parts), run)
 
 
 def _labelled(name: str, value: str) -> Content:
@@ -184,21 +154,20 @@ def short(name: str, most: int = MOST_OF_A_NAME) -> str:
     return Content(name).truncate(most, ellipsis=True).plain
 
 
-def step(view: RunView, width: int) -> Content:
+def step(view: RunView) -> Lines:
     """Return the current step in words, and how many of its part are measured."""
     plan, now = view.log.plan, view.step
     if plan is None or not now:
-        return Content.styled(" no step yet", "$label")
+        return ends(("no step yet", "$label"), "")
     number, of = int(now["number"]), int(now["of"])
     name = step_words(str(now["name"]), has_rail=view.has_rail)
-    head = Content.assemble((f" Step {number} of {of}  ", "$label"), (name, "bold"))
-    if view.state in ("done", "intolerant"):
-        return justified(head.append(": finished"), _counted(_planned(view)), width - 1)
-    words = _part(view)
-    head = head.append(f": {words}" if words else "")
-    count = _counted(_of_step(view, number))
-    room = width - 2 - count.cell_length if count.cell_length else width
-    return justified(head.truncate(room, ellipsis=True), count, width - 1)
+    over = view.state in ("done", "intolerant")
+    words = "finished" if over else _part(view)
+    taken, planned = _planned(view) if over else _of_step(view, number)
+    head = Content.assemble(
+        (f"Step {number} of {of}  ", "$label"), (name, "bold"), f": {words}" if words else ""
+    )
+    return ends(head, (f"{taken} of {planned}" if planned else "", "bold"))
 
 
 def _part(view: RunView) -> str:
@@ -207,10 +176,6 @@ def _part(view: RunView) -> str:
         return ""
     of_nests = view.span is not None and view.span.of_nests
     return "" if view.last.id.group == CONTROL and not of_nests else part_words(view.last.id)
-
-
-def _counted(found: tuple[int, int]) -> Content:
-    return Content.styled(f"{found[0]} of {found[1]}" if found[1] else "", "bold")
 
 
 def _planned(view: RunView) -> tuple[int, int]:
@@ -235,16 +200,14 @@ def sweeps_of(steps: Sequence[Mapping[str, Any]]) -> int:
     return sum(span["measured"] for span in spans if span["kind"] == "sweep")
 
 
-def progress(view: RunView, width: int) -> Content:
+def progress(view: RunView) -> Lines:
     """Return the bar in the state's colour, the time worked, and the time left or of the end."""
     tone = role_of(view)
     calm = not view.live and tone != "passed"
-    style = "$label" if calm else f"${tone}-fill"
-    worked = Content.styled(f"{duration(view.elapsed_s)} worked", "")
-    left = Content.styled(_left(view), "bold")
-    room = min(max(width - BESIDE_BAR, 8), BAR)
-    line = Content(" ").append(bar(share_done(view), room, style))
-    return justified(placed((0, line), (room + 18 - worked.cell_length, worked)), left, width - 1)
+    done = Bar(share_done(view), "$label" if calm else f"${tone}-fill")
+    row: list[Cell] = [done, f"{duration(view.elapsed_s)} worked", (_left(view), "bold")]
+    bar = Col(8, grows=True, most=BAR)
+    return Grid([row], bar, Col(16, right=True), Col(1, right=True, grows=True))
 
 
 def _left(view: RunView) -> str:
@@ -284,7 +247,7 @@ def following(view: RunView) -> Content:
     """Return the next step and when it begins; nothing once the run is over."""
     plan, now = view.log.plan, view.step
     if plan is None or not now or not view.live:
-        return Content("")
+        return BLANK
     number = int(now["number"])
     words = "the end"
     if number < len(plan.steps):

@@ -21,13 +21,13 @@ from hilcell.journal.calibration_facts import OUTCOMES, VERDICTS, run_outcome
 from hilcell.journal.key_words import in_words
 from hilcell.journal.set_ups import PROVEN
 from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.layout import Cell, Col, Drawing, Fitting, Grid, Lines, Stack, Text
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.digits import figure
-from hilcell.tui.text.frame import wrapped
 from hilcell.tui.text.head import NEXT, Figure, Head, gravest, head_lines, is_small
 from hilcell.typed import typed
 
-ROWS, MOST_OF_A_NAME = 16, 20
+TALL, MOST_OF_A_NAME = 40, 20  # rows that hold everything; columns
 VALIDATION = "validation"  # its verdicts are shown by station
 SHOWN: dict[Outcome, tuple[str, str]] = {  # the shape's name, the style
     "accepted": ("fresh", "$passed"),
@@ -159,23 +159,23 @@ def _station(name: str, place: _Place, judged: Judged) -> Station:
 # -- drawing ---------------------------------------------------------------------------------------
 
 
-def verdict_lines(
-    view: RunView, found: Verdict, glyphs: Glyphs, width: int, rows: int = ROWS, standing: int = 0
-) -> Content:
+def verdict_lines(view: RunView, found: Verdict, glyphs: Glyphs, standing: int = 0) -> Lines:
     """Return the block, the two worst figures, the stations, and what is to be known or done.
 
     ``standing`` alarms are latched, also those that the journal raises no more.
     """
-    lines = head_lines(view, _head(found), glyphs, width, rows)
-    facts = _facts(view, found, glyphs, width, standing)
-    if is_small(width, rows):
-        lines += facts
-    else:
-        facts = facts[: max(rows - len(lines) - len(found.stations) - 2, 2)]
-        room = max(rows - len(lines) - len(facts), 3)
-        lines += [*_table(found, glyphs, room), *facts]
-    lines += [Content("")] * (min(rows, ROWS) - len(lines))
-    return Content("\n").join(line.truncate(width, ellipsis=True) for line in lines[:rows])
+    facts = Stack(*_facts(view, found, glyphs, standing))
+
+    def draw(width: int, height: int) -> list[Content]:
+        rows = height or TALL
+        lines, said = head_lines(view, _head(found), glyphs, width, rows), facts.lines(width)
+        if is_small(width, rows):
+            return [*lines, *said]
+        said = said[: max(rows - len(lines) - len(found.stations) - 2, 2)]
+        room = max(rows - len(lines) - len(said), 3)
+        return [*lines, *_table(found, glyphs, room).lines(width), *said]
+
+    return Drawing((repr(found), glyphs.plain, facts.state), draw)
 
 
 def words_of(found: Verdict) -> tuple[str, str]:
@@ -200,57 +200,58 @@ def _head(found: Verdict) -> Head:
     return Head((word,), stated, role, figures)
 
 
-def _table(found: Verdict, glyphs: Glyphs, room: int) -> list[Content]:
+def _table(found: Verdict, glyphs: Glyphs, room: int) -> Lines:
     """Return the stations in at most ``room`` rows with header and limit; the worst are first."""
-    head = " station       targets mean as sent     mean  95 % below   max mm  verdict"
-    lines = [Content.styled(f"{head:<78}", "$label on $panel")]
     order = sorted(found.stations, key=lambda each: -gravest(each.mean_mm))
     kept = order[: room - 2]
     shown = [each for each in found.stations if each in kept]
-    lines += [_row(each, found, glyphs) for each in shown]
     left = len(found.stations) - len(shown)
-    name = f"limit, {left} more in the report" if left else "limit"
-    limit = f"{found.mean_limit_mm:9.3f}{'-':>12}{found.max_limit_mm:9.3f}"
-    return [*lines, Content.styled(f" {name:<34}{limit}", "$label")]
+    titles = "station", "targets", "mean as sent", "mean", "95 % below", "max mm", " verdict"
+    limits = (f"{found.mean_limit_mm:.3f}", "-", f"{found.max_limit_mm:.3f}")
+    name = f"limit ({left} more in the report)" if left else "limit"
+    rows: list[list[Cell]] = [["", *((title, "$label") for title in titles)]]
+    rows += [_row(each, found, glyphs) for each in shown]
+    rows.append(["", (name, "$label"), "", "", *((each, "$label") for each in limits), ""])
+    numbers = [Col(width, right=True) for width in (7, 12, 8, 11, 8)]
+    return Grid(rows, Col(), Col(13), *numbers, Col(9, grows=True), styles={0: "on $panel"})
 
 
-def _row(each: Station, found: Verdict, glyphs: Glyphs) -> Content:
+def _row(each: Station, found: Verdict, glyphs: Glyphs) -> list[Cell]:
     shape, tone = SHOWN[each.outcome]
     word = VERDICTS[each.outcome]
     word = f"{getattr(glyphs, shape)} {word.upper() if each.outcome == 'rejected' else word}"
     mean_style = "bold" if each.mean_mm <= found.mean_limit_mm else "bold $fault"
     max_style = "" if each.max_mm <= found.max_limit_mm else "bold $fault"
-    name = Content(harmless(each.name)).truncate(13, ellipsis=True).plain
-    return Content.assemble(
-        f" {name:<13}",
-        (f"{each.targets:>8}{each.before_mm:13.3f}", "$label"),
-        (f"{figure(each.mean_mm):>9}", mean_style),
-        f"{figure(each.p95_mm):>12}",
-        (f"{figure(each.max_mm):>9}", max_style),
-        (f" {word}", tone),
-    )
+    return [
+        "",
+        Content(harmless(each.name)).truncate(13, ellipsis=True),
+        (str(each.targets), "$label"),
+        (f"{each.before_mm:.3f}", "$label"),
+        (figure(each.mean_mm), mean_style),
+        figure(each.p95_mm),
+        (figure(each.max_mm), max_style),
+        (word, tone),
+    ]
 
 
-def _facts(
-    view: RunView, found: Verdict, glyphs: Glyphs, width: int, standing: int
-) -> list[Content]:
+def _facts(view: RunView, found: Verdict, glyphs: Glyphs, standing: int) -> list[Lines | Text]:
     """Return what is to be known of a run that passed; of one that failed, why and what to do."""
     if not found.passed and view.alarms:
         gravest_alarm = max(view.alarms, key=lambda alarm: SEVERITIES.index(alarm.severity))
-        return _advice(view, found, gravest_alarm, glyphs, width)
+        return _advice(view, found, gravest_alarm, glyphs)
     sure = max(found.stations, key=lambda each: gravest(each.sure_mm))
     bound = f"below {sure.sure_mm:.3f} mm", f" at {_short(sure.name)}"
     floor = f"   floor: {found.floor_mm:.3f} mm" if math.isfinite(found.floor_mm) else ""
     return [
-        _whole(width, (" true mean, 95 % sure: ", "$label"), *bound, (floor, "$label")),
+        _whole((" true mean, 95 % sure: ", "$label"), *bound, (floor, "$label")),
         *_orientation(found),
-        _written(view, found, glyphs, width),
-        _drift(view, glyphs, standing, width),
+        _written(view, found, glyphs),
+        _drift(view, glyphs, standing),
         Content.assemble((" next: ", "$label"), NEXT),
     ]
 
 
-def _orientation(found: Verdict) -> list[Content]:
+def _orientation(found: Verdict) -> list[Lines | Text]:
     """Return the largest error of orientation beside its limit, where one is stated."""
     turns = {each.name: each.turn for each in found.stations if each.turn is not None}
     if not turns:
@@ -265,34 +266,22 @@ def _short(name: str) -> str:
     return Content(harmless(name)).truncate(MOST_OF_A_NAME, ellipsis=True).plain
 
 
-def _whole(width: int, *phrases: Content | tuple[str, str] | str) -> Content:
-    """Return as many phrases as fit, each whole; the first one in any case."""
-    line = Content.assemble(phrases[0])
-    for phrase in phrases[1:]:
-        longer = Content.assemble(line, phrase)
-        if longer.cell_length > width:
-            break
-        line = longer
-    return line
+def _whole(*phrases: Text) -> Lines:
+    """Return as many phrases as fit, each whole."""
+    texts = [Content.assemble(*phrases[:n]) for n in range(len(phrases), 0, -1)]
+    return Grid([[Fitting((*texts, texts[-1].truncate(1)))]], Col(grows=True))
 
 
-def _advice(
-    view: RunView, found: Verdict, alarm: Alarm, glyphs: Glyphs, width: int
-) -> list[Content]:
+def _advice(view: RunView, found: Verdict, alarm: Alarm, glyphs: Glyphs) -> list[Lines | Text]:
     """Return why the run failed, with the stations concerned, and the steps, each whole."""
     where = f"{alarm.where}: " if alarm.where else ""
     words = in_words(f"{where}{alarm.found}", view.log)
     if entry_of(alarm.code, "").verdict == VALIDATION:
         words = reason_words(found) or words
-    lines = wrapped(harmless(f"{alarm.code} {words}"), width - 4)
-    head = Content.styled(f" {glyphs.warned} ", "bold $fault")
-    shown = [head.append(lines[0].stylize("bold $fault", 0, len(alarm.code)))]
-    shown += [line.pad_left(3) for line in lines[1:]]
-    for number, step in enumerate(alarm.do[:3], start=1):
-        first, *rest = wrapped(step, width - 4)
-        shown.append(Content.assemble((f" {number} ", "bold"), first))
-        shown += [line.pad_left(3) for line in rest]
-    return shown
+    why = Content(harmless(f"{alarm.code} {words}")).stylize("bold $fault", 0, len(alarm.code))
+    rows: list[list[Cell]] = [["", (glyphs.warned, "bold $fault"), why]]
+    rows += [["", (str(n), "bold"), step] for n, step in enumerate(alarm.do[:3], start=1)]
+    return [Grid(rows, Col(), Col(), Col(grows=True, wraps=True))]
 
 
 def reason_words(found: Verdict) -> str:
@@ -332,22 +321,22 @@ def _reason(each: Station, found: Verdict) -> str:
     return ", ".join(unsure) or "too few targets to show it"
 
 
-def _written(view: RunView, found: Verdict, glyphs: Glyphs, width: int) -> Content:
+def _written(view: RunView, found: Verdict, glyphs: Glyphs) -> Lines | Text:
     celsius = view.log.temperatures_c()
     unit = f"{glyphs.degree}C"
     air = f"; air was {min(celsius):.1f} to {max(celsius):.1f} {unit}" if celsius else ""
     if not view.log.calibrates:
         none = " no calibration file was to be written"
-        return _whole(width, (none, "$label"), (air, "$label"))
+        return _whole((none, "$label"), (air, "$label"))
     if view.calibration_lost:
         text = f" {glyphs.warned} calibration.json is not written: space writes it"
         return Content.styled(text, "$ask")
     names = " ".join(each.name for each in found.stations)
     head = Content.assemble((" written: ", "$label"), "calibration.json")
-    return _whole(width, head, (f" for {names}", "$label"), (air, "$label"))
+    return _whole(head, (f" for {names}", "$label"), (air, "$label"))
 
 
-def _drift(view: RunView, glyphs: Glyphs, standing: int, width: int) -> Content:
+def _drift(view: RunView, glyphs: Glyphs, standing: int) -> Lines:
     """Return how many alarms stand, or are over, and how far the floor nests moved."""
     proofs = [event.body["off_mm"] for event in view.log.events if event.body["what"] == PROVEN]
     moved = max((max(each) for each in proofs if each), default=None)
@@ -358,4 +347,4 @@ def _drift(view: RunView, glyphs: Glyphs, standing: int, width: int) -> Content:
     drift = "" if moved is None else f"; floor nests stood within {moved:.3f} mm"
     tone, shape = ("$ask", glyphs.warned) if count else ("$passed", glyphs.fresh)
     head = Content.assemble((f" {shape}", tone), (f" {text}", "$label"))
-    return _whole(width, head, (drift, "$label"))
+    return _whole(head, (drift, "$label"))

@@ -49,9 +49,9 @@ NOTICE = Latched(
 )  # fmt: skip
 
 
-def panel(latched: Latched, rows: int = 14, refused: str = "") -> str:
+def panel(latched: Latched, refused: str = "") -> str:
     context = replace(CONTEXT, refused=refused)
-    facts, steps = alarm_facts(latched, context, "kept"), alarm_steps(latched, context, rows)
+    facts, steps = alarm_facts(latched, context, "kept"), alarm_steps(latched, context, in_box=True)
     return f"{drawn(facts)}\n{drawn(steps)}"
 
 
@@ -131,7 +131,7 @@ def _style(line: Content, word: str) -> str:
 
 def test_the_key_that_goes_on_is_grey_until_it_would_work() -> None:
     for refused, style in (("", "$foreground"), ("a run is live", "$stale")):
-        lines = alarm_steps(THERE, replace(CONTEXT, refused=refused), 14).lines(79, 14)
+        lines = alarm_steps(THERE, replace(CONTEXT, refused=refused), in_box=True).lines(79)
         (line,) = [each for each in lines if "Go on:" in each.plain]
         assert style in _style(line, "space")
         assert any(refused in each.plain for each in lines)

@@ -13,13 +13,13 @@ from hilcell.journal.point_id import PointId
 from hilcell.run.forecast import Ahead, Forecast
 from hilcell.run.protocol import Interlock
 from hilcell.tui.engine.run_view import EngineState, RunView
+from hilcell.tui.layout import Stack
 from hilcell.tui.terminal.capabilities import UNICODE
 from hilcell.tui.text import devices
 from hilcell.tui.text.below import below_lines, event_words, interlock_lines, step_lines
 from hilcell.tui.text.devices import interlock_page, locks
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, sample_run, status, validated
-
-WIDTH = 79
+from tests.hilcell.tui.views import drawn
 
 
 def view_of(story: SampleRun, state: str = "running") -> RunView:
@@ -35,7 +35,7 @@ def test_events_go_first_then_steps() -> None:
     heads = ("interlocks", "next steps", "newest events")
     seen = {}
     for rows in (4, 7, 12, 17):
-        text = "\n".join(line.plain for line in below_lines(view, {}, UNICODE, WIDTH, rows))
+        text = drawn(below_lines(view, {}, UNICODE, rows))
         assert len(text.splitlines()) <= rows
         seen[rows] = tuple(head in text for head in heads)
     assert seen[4] == (True, False, False)
@@ -44,7 +44,7 @@ def test_events_go_first_then_steps() -> None:
 
 
 def test_an_interlock_has_its_whole_reason_or_the_reading_that_frees_it() -> None:
-    lines = [line.plain for line in interlock_lines(view_of(measuring()), UNICODE, WIDTH)]
+    lines = drawn(Stack(*interlock_lines(view_of(measuring()), UNICODE))).splitlines()
     assert lines[1].split()[:3] == ["■", "Rail", "locked"]
     assert "robot not at safe pose, A2 −53.017 deg" in lines[1]
     assert "Robot   free   slide 1100.20 mm, held, strip 1100.00 mm" in lines[2]
@@ -54,8 +54,8 @@ def test_an_interlock_has_its_whole_reason_or_the_reading_that_frees_it() -> Non
 @pytest.mark.parametrize("name", ["running", "paused", "suspended"])
 def test_row_panel_and_page_say_the_same_of_each_interlock(name: str) -> None:
     view = view_of(sample_run(name), name)
-    row = devices.interlocks(view, UNICODE, WIDTH).plain
-    panel = [line.plain for line in interlock_lines(view, UNICODE, WIDTH)]
+    row = drawn(devices.interlocks(view, UNICODE))
+    panel = drawn(Stack(*interlock_lines(view, UNICODE))).splitlines()
     page = interlock_page(view, UNICODE).plain.splitlines()
     for number, lock in enumerate(locks(view, UNICODE)):
         assert f"{lock.shape} {lock.name} {lock.word}" in row
@@ -71,7 +71,7 @@ def test_a_reason_is_never_cut_and_has_the_signs_of_its_figures(width: int) -> N
     why = "robot not at safe pose, A2 -41.381 deg, wanted -100.000 +-0.1 deg"
     locked = [Interlock("rail move", why, "HC-B32")]
     view.status = msgspec.structs.replace(view.status, interlocks=locked)
-    lines = [line.plain for line in interlock_lines(view, UNICODE, width)]
+    lines = drawn(Stack(*interlock_lines(view, UNICODE)), width).splitlines()
     assert lines[1].rstrip() == " ■ Rail    locked robot not at safe pose"
     assert "A2 −41.381 deg, wanted −100.000 ±0.1 deg" in interlock_page(view, UNICODE).plain
 
@@ -79,7 +79,7 @@ def test_a_reason_is_never_cut_and_has_the_signs_of_its_figures(width: int) -> N
 def test_a_stale_status_frees_nothing() -> None:
     view = view_of(measuring())
     view.status_age_s = 60.0
-    text = "\n".join(line.plain for line in interlock_lines(view, UNICODE, WIDTH))
+    text = drawn(Stack(*interlock_lines(view, UNICODE)))
     assert "free" not in text
     assert "no reading" in text
 
@@ -90,7 +90,7 @@ def test_steps_start_one_after_the_other() -> None:
         Ahead(5, "flange", 3, 80.0), Ahead(5, "10 readings", 3, 5.0), Ahead(5, "leg", 0, 14.0),
         Ahead(6, "fit", 0, 0.0), Ahead(7, "flange", 6, 61.0),
     ]  # fmt: skip
-    lines = [line.plain.split() for line in step_lines(view, UNICODE, WIDTH, 6)[1:]]
+    lines = [line.split() for line in drawn(Stack(*step_lines(view, UNICODE, 6))).splitlines()[1:]]
     assert [line[-2:] for line in lines] == [
         ["now", "1:25"], ["1:25", "0:14"], ["1:39", "0:00"], ["1:39", "1:01"],
     ]  # fmt: skip

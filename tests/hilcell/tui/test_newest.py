@@ -23,6 +23,7 @@ from hilcell.tui.text.newest import (
     point_lines,
 )
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, status, validated
+from tests.hilcell.tui.views import drawn
 
 ANY = st.floats(allow_nan=True, allow_infinity=True)
 
@@ -56,7 +57,7 @@ def shown(norm_mm: float, limit_mm: float | None = 1.0, U_mm: float = 0.1, **mor
 def test_it_says_what_the_decision_rule_says(
     norm_mm: float, limit_mm: float | None, said: str, style: str
 ) -> None:
-    lines = point_lines(shown(norm_mm, limit_mm), UNICODE, 79).split("\n", allow_blank=True)
+    lines = point_lines(shown(norm_mm, limit_mm), UNICODE).lines(79)
     assert len(lines) == FULL_ROWS
     assert lines[4].plain.strip().startswith(said)
     assert style in str(lines[1].spans)  # the digits
@@ -66,7 +67,7 @@ def test_it_says_what_the_decision_rule_says(
     ("norm_mm", "word"), [(0.5, "was in tol."), (1.5, "was out of tol."), (0.95, "was undecided")]
 )
 def test_an_old_value_is_grey_and_says_that_it_was(norm_mm: float, word: str) -> None:
-    lines = point_lines(shown(norm_mm, stale=True), UNICODE, 79).split("\n")
+    lines = point_lines(shown(norm_mm, stale=True), UNICODE).lines(79)
     assert f"○ {word}" in lines[4].plain
     for line in lines[1:5]:
         for role in ("passed", "fault"):
@@ -99,7 +100,7 @@ def test_a_point_without_a_nominal_place_has_no_digits_of_the_one_before() -> No
     story = measuring().point(PointId("repeatability", place=0, number=2), None)
     found = newest_shown(view_after(story))
     assert found.deviation is None
-    text = point_lines(found, UNICODE, 79).plain
+    text = drawn(point_lines(found, UNICODE))
     assert "repeated pose 1 3 at S1100" in text
     assert "no nominal place, so no deviation" in text
     assert "█" not in text
@@ -125,14 +126,14 @@ def test_any_deviation_fits_any_width(
     found = Deviation("p", (dx, dy, dz), (0.0, 0.0, 0.0), limit)
     for rows in (FULL_ROWS, FULL_ROWS - 1, SMALL_ROWS):
         for glyphs in (UNICODE, ASCII):
-            lines = point_lines(Shown("p", found, ""), glyphs, width, rows).split("\n")
+            lines = point_lines(Shown("p", found, ""), glyphs, rows).lines(width)
             assert len(lines) <= rows
             assert max(line.cell_length for line in lines) <= max(width, 20)
 
 
 @pytest.mark.parametrize("width", [20, 39, 41, 45, 60])
 def test_digits_are_never_cut(width: int) -> None:
-    text = point_lines(shown(12.345), UNICODE, width).plain
+    text = drawn(point_lines(shown(12.345), UNICODE), width)
     assert "12.345" in text or "▄█  ▀▀█   ▀▀█ █ █ █▀▀" in text
 
 
@@ -144,12 +145,12 @@ def test_bars_have_a_scale_of_1_2_5_that_holds_them(
     error_mm: tuple[float, float, float], scale: str
 ) -> None:
     found = Deviation("p", error_mm, (0.0, 0.0, 0.0), 0.3)
-    assert scale in point_lines(Shown("p", found, ""), UNICODE, 79).plain.split()
+    assert scale in drawn(point_lines(Shown("p", found, ""), UNICODE)).split()
 
 
 @pytest.mark.parametrize(("U_mm", "hatched"), [(0.0, 0), (0.1, 9), (math.nan, 0), (9.0, 32)])
 def test_the_guard_band_is_hatched_around_the_limit(U_mm: float, hatched: int) -> None:
-    line = point_lines(shown(0.5, U_mm=U_mm), UNICODE, 79).split("\n")[4].plain
+    line = point_lines(shown(0.5, U_mm=U_mm), UNICODE).lines(79)[4].plain
     assert line.count("▒") == hatched
     assert "│" in line
     if hatched == 9:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import msgspec
 import pytest
-from textual.content import Content
+from textual.pilot import Pilot
 
 from hilcell.run.protocol import DeviceStatus, PromptStatus
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE
-from hilcell.tui.text.prompt import prompt_box
+from hilcell.tui.text.prompt import enter_line, prompt_picture, prompt_task
+from tests.hilcell.tui.recording_app import RecordingApp, run_app, text_of
 from tests.hilcell.tui.sample_runs import PROMPT
 from tests.hilcell.tui.test_alarm_panel import _style
-from tests.hilcell.tui.views import view_of
+from tests.hilcell.tui.views import drawn, view_of
 
 
 def seating() -> RunView:
@@ -23,12 +24,11 @@ def seating() -> RunView:
     return view
 
 
-def box(prompt: PromptStatus, view: RunView, columns: int = 79, rows: int = 15) -> list[Content]:
-    return prompt_box(prompt, view, UNICODE, columns, rows)
-
-
-def text(prompt: PromptStatus, view: RunView) -> str:
-    return "\n".join(line.plain for line in box(prompt, view))
+def text(prompt: PromptStatus, view: RunView, *, low: bool = False) -> str:
+    """Return both sides, one under the other."""
+    task = drawn(prompt_task(prompt, view, UNICODE, low=low))
+    picture = drawn(prompt_picture(prompt, view), 48, 13)
+    return "\n".join((picture, task, enter_line(prompt, view).plain))
 
 
 def but(**facts: object) -> PromptStatus:
@@ -38,7 +38,7 @@ def but(**facts: object) -> PromptStatus:
 def test_the_task_is_beside_the_plan() -> None:
     found = text(PROMPT, seating())
     for words in (
-        "? Seat the reflector in P1", "from above, to scale", "Take it out of F1",
+        "from above, to scale", "Take it out of F1",
         "Seat it in P1", "at x 350 y -350 z 60 mm", "off its place, mm", "limit", "5.00",
         "● tracker sees it", "0.3 s ago", "Enter  measure it here", "nothing moves", " tracker ",
     ):  # fmt: skip
@@ -90,8 +90,7 @@ def test_enter_is_grey_until_it_answers(
     if stale:
         view.status_age_s = 60.0
     assert words in text(prompt, view)
-    (line,) = [each for each in box(prompt, view) if " Enter " in each.plain]
-    assert ("$ask-fill" in _style(line, "Enter")) == bright
+    assert ("$ask-fill" in _style(enter_line(prompt, view), "Enter")) == bright
 
 
 def test_an_old_figure_is_dashes() -> None:
@@ -99,20 +98,23 @@ def test_an_old_figure_is_dashes() -> None:
     fresh = text(PROMPT, view)
     view.status_age_s = 60.0
     assert text(PROMPT, view) != fresh
-    plain = "\n".join(line.plain for line in prompt_box(PROMPT, view, ASCII, 79, 15))
+    plain = drawn(prompt_task(PROMPT, view, ASCII))
     assert "-.--" in plain
     assert "1.24" not in plain
 
 
-@pytest.mark.parametrize("columns", [58, 80])
-@pytest.mark.parametrize("rows", [5, 7, 14, 20])
-def test_the_box_fits_and_keeps_the_place_and_enter(columns: int, rows: int) -> None:
-    for view in (seating(), view_of("suspended")):
-        lines = box(PROMPT, view, columns, rows)
-        assert len(lines) == rows
-        assert {line.cell_length for line in lines} == {columns}
-        found = "\n".join(line.plain for line in lines)
-        assert "P1" in found
-        if rows >= 7:
-            assert " Enter " in found
-            assert "tracker sees it" in found
+@pytest.mark.parametrize("columns", [60, 80, 140])
+@pytest.mark.parametrize("rows", [16, 20, 24, 40])
+def test_the_box_keeps_the_place_the_reading_and_enter(columns: int, rows: int) -> None:
+    async def look(app: RecordingApp, pilot: Pilot[int]) -> None:
+        seen = text_of(app)
+        for words in ("? Seat the reflector in P1", "At P1", "tracker sees it", " Enter "):
+            assert words in seen
+
+    run_app(look, "suspended", size=(columns, rows))
+
+
+def test_a_low_box_has_its_figure_in_a_line() -> None:
+    found = text(PROMPT, seating(), low=True)
+    assert "off 1.24 mm limit 5.00" in found
+    assert "Seat it in P1" in found

@@ -25,7 +25,7 @@ from hilcell.tui.text.deviation import Deviation
 from hilcell.tui.text.devices import end_remark
 from hilcell.tui.text.plots import strip_plot, tabs_of
 from tests.hilcell.tui.sample_runs import measuring, sample_run, sample_runs, validated
-from tests.hilcell.tui.views import view_of
+from tests.hilcell.tui.views import drawn, view_of
 
 ANY = st.floats(allow_nan=True, allow_infinity=True)
 BOUNDS = {"coverage": 0.963, "mean_mm": 0.2171, "max_mm": 0.3}
@@ -67,7 +67,7 @@ def test_the_step_of_axis_sweeps_counts_its_sweeps() -> None:
     steps = [dict(each) for each in view.log.plan.steps]
     steps[number] |= {"points": 0, "spans": spans}
     view.log.plan = msgspec.structs.replace(view.log.plan, steps=steps)
-    assert run_text.step(view, 79).plain.endswith(" 0 of 8")
+    assert drawn(run_text.step(view), 79).endswith(" 0 of 8")
 
 
 # -- lamps -----------------------------------------------------------------------------------------
@@ -105,7 +105,7 @@ def test_a_lamp_is_not_good_when_the_engine_has_gone_silent() -> None:
 
 
 def test_a_past_run_has_no_lamps() -> None:
-    assert devices.lamps(view_of("done"), UNICODE, 80).plain.count(" -") == len(devices.LAMPS)
+    assert drawn(devices.lamps(view_of("done"), UNICODE), 80).count(" -") == len(devices.LAMPS)
 
 
 def test_a_robot_on_the_floor_has_no_lamps_of_a_rail() -> None:
@@ -124,8 +124,8 @@ def test_a_robot_on_the_floor_has_no_lamps_of_a_rail() -> None:
         )
     )
     view = replace(view, log=log)
-    assert "Rail" not in devices.lamps(view, UNICODE, 80).plain
-    assert "Robot" in devices.lamps(view, UNICODE, 80).plain
+    assert "Rail" not in drawn(devices.lamps(view, UNICODE), 80)
+    assert "Robot" in drawn(devices.lamps(view, UNICODE), 80)
     assert run_text.resume_text(view).startswith("The robot will move")
     assert strip_plot not in [tab.make for tab in tabs_of(log)]
 
@@ -137,21 +137,21 @@ def test_a_robot_on_the_floor_has_no_lamps_of_a_rail() -> None:
 def test_no_line_is_wider_than_the_terminal(name: str) -> None:
     view = view_of(name)
     for width in (20, 39, 40, 58, 79, 80, 100, 137, 200):
-        lines = [run_text.progress(view, width), devices.interlocks(view, UNICODE, width)]
-        if width >= 80:
-            lines += [
-                run_text.banner(view, UNICODE, width),
-                run_text.identity(view, width),
-                run_text.step(view, width),
-                devices.lamps(view, UNICODE, width),
-            ]
-        for line in lines:
-            assert line.cell_length <= max(width, 40), line.plain
+        for lines in (
+            run_text.progress(view),
+            run_text.banner(view, UNICODE),
+            run_text.identity(view),
+            run_text.step(view),
+            devices.interlocks(view, UNICODE),
+            devices.lamps(view, UNICODE),
+        ):
+            [line] = lines.lines(width)
+            assert line.cell_length <= width, line.plain
 
 
 @pytest.mark.parametrize("name", sample_runs())
 def test_the_banner_shows_the_state_and_the_warning_of_the_stop(name: str) -> None:
-    line = run_text.banner(view_of(name), UNICODE, 80).plain
+    line = drawn(run_text.banner(view_of(name), UNICODE), 80)
     assert f"{UNICODE.states[name]} {run_text.STATES[name][0]}" in line
     assert ("LIVE" in line) + ("HISTORIC" in line) == (name != "looking")
     notice = run_text.NOT_E_STOP if view_of(name).live else "nothing is connected"
@@ -163,7 +163,7 @@ def test_the_banner_shows_the_state_and_the_warning_of_the_stop(name: str) -> No
 def test_a_background_run_is_shown_in_every_state(name: str) -> None:
     view = view_of(name)
     for background in ("running", "silent"):
-        line = run_text.banner(view, UNICODE, 80, view_of(background)).plain
+        line = drawn(run_text.banner(view, UNICODE, view_of(background)), 80)
         assert f"behind: {run_text.STATES[background][0]}" in line
         assert ("use the E-stop" if background == "silent" else "Esc stops") in line
 
@@ -179,18 +179,18 @@ def test_a_real_run_is_not_called_a_simulation() -> None:
     view = view_of("running")
     assert view.log.plan is not None
     view.log.plan = msgspec.structs.replace(view.log.plan, simulated=False)
-    assert "SIMULATION" not in run_text.banner(view, UNICODE, 80).plain
+    assert "SIMULATION" not in drawn(run_text.banner(view, UNICODE), 80)
 
 
 def test_the_step_is_shown_in_words_with_the_count_of_its_part() -> None:
     view = view_of("running")
-    line = run_text.step(view, 79).plain
+    line = drawn(run_text.step(view), 79)
     assert "5 of 7  Robot grid" in line
     assert line.endswith(" 5 of 8")
     view.span = UnderWay(50, 75, of_nests=False)
-    assert run_text.step(view, 79).plain.endswith(" 50 of 75")
-    assert "7 of 7  Validation" in run_text.step(view_of("done"), 79).plain
-    assert " of " not in run_text.step(view_of("checking"), 79).plain
+    assert drawn(run_text.step(view), 79).endswith(" 50 of 75")
+    assert "7 of 7  Validation" in drawn(run_text.step(view_of("done")), 79)
+    assert " of " not in drawn(run_text.step(view_of("checking")), 79)
 
 
 def test_the_next_step_is_named_with_the_time_to_it() -> None:
@@ -206,15 +206,15 @@ def test_a_part_of_a_validation_is_named() -> None:
     view = RunView("r", engine=EngineState.ANSWERING)
     for record in story.records:
         view.take(record)
-    assert ": corrected targets at S1100" in run_text.step(view, 79).plain
+    assert ": corrected targets at S1100" in drawn(run_text.step(view), 79)
     story.point(PointId("control", nest="F1"), commanded_deg=None)
     view.take(story.records[-1])
     view.span = UnderWay(2, 3, of_nests=True)
-    assert run_text.step(view, 79).plain.endswith(" 2 of 3")
-    assert "Validation: floor nests" in run_text.step(view, 79).plain
+    assert drawn(run_text.step(view), 79).endswith(" 2 of 3")
+    assert "Validation: floor nests" in drawn(run_text.step(view), 79)
     for span in (UnderWay(4, 8, of_nests=False), None):  # the count is of others
         view.span = span
-        assert "floor nests" not in run_text.step(view, 79).plain
+        assert "floor nests" not in drawn(run_text.step(view), 79)
 
 
 def test_running_is_never_bright_where_nothing_is_heard() -> None:
@@ -222,15 +222,15 @@ def test_running_is_never_bright_where_nothing_is_heard() -> None:
     assert run_text.role_of(view) == "live"
     view.status_age_s = 2.1
     assert run_text.role_of(view) == "label"
-    assert "live" not in str(run_text.banner(view, UNICODE, 79).spans)
-    assert "live" not in str(run_text.progress(view, 79).spans)
+    assert "live" not in str(run_text.banner(view, UNICODE).lines(79)[0].spans)
+    assert "live" not in str(run_text.progress(view).lines(79)[0].spans)
     view.status = None
     assert run_text.role_of(view) == "label"
 
 
 @pytest.mark.parametrize("name", sample_runs())
 def test_trouble_fills_the_first_row_and_calm_does_not(name: str) -> None:
-    line = run_text.banner(view_of(name), UNICODE, 79)
+    line = run_text.banner(view_of(name), UNICODE).lines(79)[0]
     loud = run_text.STATES[name][1] in run_text.LOUD
     filled = [span for span in line.spans if "-fill" in str(span.style)]
     assert line.cell_length == 79
@@ -241,14 +241,14 @@ def test_a_long_job_leaves_room_for_the_run() -> None:
     view = view_of("running")
     assert view.log.plan is not None
     view.log.plan = msgspec.structs.replace(view.log.plan, job="J" * 500, operator="Ann" * 50)
-    line = run_text.identity(view, 79).plain
+    line = drawn(run_text.identity(view), 79)
     assert "job JJJJ" in line
     assert "…" in line
     assert line.endswith("run made-up")
 
 
 def test_a_journal_that_cannot_be_read_says_why() -> None:
-    assert run_text.identity(view_of("unreadable"), 80).plain.endswith("damaged or not a journal")
+    assert drawn(run_text.identity(view_of("unreadable")), 80).endswith("damaged or not a journal")
 
 
 def test_the_newest_point_stays_while_nests_are_proven() -> None:
@@ -266,7 +266,7 @@ def test_the_bar_is_as_long_as_the_share(remaining_s: float | None) -> None:
     view.elapsed_s, view.remaining_s = 10.0, remaining_s
     share = run_text.share_done(view)
     assert 0.0 <= share <= 1.0
-    line = run_text.progress(view, 79).plain
+    line = drawn(run_text.progress(view), 79)
     bar = line.count("█") + line.count("▌") + line.count("░")
     assert bar == run_text.BAR
     assert line.count("█") + line.count("▌") / 2 == math.floor(2 * bar * share) / 2
@@ -280,18 +280,18 @@ def test_a_run_that_is_over_is_done() -> None:
 
 def test_interlocks_say_in_short_what_is_locked_and_why() -> None:
     view = view_of("running")
-    line = devices.interlocks(view, UNICODE, 79).plain
+    line = drawn(devices.interlocks(view, UNICODE), 79)
     for words in ("■ Rail locked: robot not at safe pose", "► Robot free", "► Tracker free"):
         assert words in line
     view.status_age_s = 9.0
-    assert "9.0 s" in devices.interlocks(view, UNICODE, 79).plain
+    assert "9.0 s" in drawn(devices.interlocks(view, UNICODE), 79)
     view.status = None
-    assert "free" not in devices.interlocks(view, UNICODE, 79).plain
+    assert "free" not in drawn(devices.interlocks(view, UNICODE), 79)
 
 
 def test_a_lock_that_needs_a_person_says_so_in_its_colour() -> None:
     for name, why in (("paused", "paused"), ("suspended", "waits for you")):
-        line = devices.interlocks(view_of(name), UNICODE, 79)
+        line = devices.interlocks(view_of(name), UNICODE).lines(79)[0]
         assert f"■ Rail locked: {why}" in line.plain
         assert "■ Robot locked ○ Tracker waits" in line.plain
         assert "ask" in str(line.spans)
@@ -304,14 +304,14 @@ def test_reasons_are_short_and_a_long_one_is_never_cut() -> None:
     for blocked, shown in (("the door is open", "the door is open"), ("x" * 27, "see the")):
         locks = [Interlock("rail move", blocked, "HC-X1")]
         view.status = msgspec.structs.replace(view.status, interlocks=locks)
-        assert f"Rail locked: {shown}" in devices.interlocks(view, UNICODE, 79).plain
+        assert f"Rail locked: {shown}" in drawn(devices.interlocks(view, UNICODE), 79)
 
 
 def test_a_run_that_ended_without_a_verdict_says_so() -> None:
-    line = devices.interlocks(view_of("aborted"), UNICODE, 79).plain
+    line = drawn(devices.interlocks(view_of("aborted"), UNICODE), 79)
     assert "nothing may move" in line
     assert re.search(r"move {3,}no verdict: 8 of 21 points", line)
-    assert "08:00:25 UTC" in devices.interlocks(view_of("aborted"), UNICODE, 119).plain
+    assert "08:00:25 UTC" in drawn(devices.interlocks(view_of("aborted"), UNICODE), 119)
     assert end_remark(view_of("done")) == end_remark(view_of("running")) == ""
 
 
@@ -378,6 +378,6 @@ def test_a_point_that_is_re_measured_has_no_time_left() -> None:
     """It is beyond the plan: the row said "0:00 left"."""
     view = view_of("running")
     view.remaining_s = 65.0
-    assert "1:05 left" in run_text.progress(view, 79).plain
+    assert "1:05 left" in drawn(run_text.progress(view), 79)
     view.remaining_s = 0.0
-    assert "left" not in run_text.progress(view, 79).plain
+    assert "left" not in drawn(run_text.progress(view), 79)
