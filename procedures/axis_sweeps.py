@@ -23,7 +23,7 @@ from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_sweep
 from hilcell.run.procedure import Span, Step
-from hilcell.run.sweeping import SweepOrder, record_sweep
+from hilcell.run.sweeping import SweepOrder
 from procedures.durations import closing, first_pass_percent, robot_moves_s, step
 from procedures.plan import check_range, check_reach, poses_at
 
@@ -130,7 +130,7 @@ class AxisSweeps:
         """Sweep; again where the beam was lost on the way, raises `NoReading` if it stays so."""
         for tries in range(1, TRIES + 1):
             try:
-                record_sweep(session, order)
+                session.sweep(order)
             except NoReading as error:
                 facts = {"reason": str(error), "error": error.of_point(order.key).facts()}
                 session.event("no reading", key=order.key, tries=tries, **facts)

@@ -32,7 +32,7 @@ from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_path
-from hilcell.run.motion import Straight
+from hilcell.run.mover import Straight
 from hilcell.run.procedure import Procedure, Span, Step
 from procedures.base_frame import BaseFrame
 from procedures.durations import closing, measure_s, robot_moves_s, step

@@ -41,7 +41,7 @@ TRAPS = {  # a motion or a result that would be wrong without notice; all else i
     "drivers/leica/tracker_emscon.py": "a late result passes for the next point",
     "drivers/leica/tracker_geocom.py": "an old distance or a late answer passes for the next point",
     "drivers/spatialanalyzer/tracker_t2sa.py": "a simulated or an old result passes for a reading",
-    "hilcell/run/motion.py": "a station is missed by the backlash",
+    "hilcell/run/mover.py": "a station is missed by the backlash",
 }
 
 

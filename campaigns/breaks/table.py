@@ -16,7 +16,7 @@ ROWS = Path(__file__).with_name("rows")
 class Break:
     """One break: ``old`` in ``target`` becomes ``new``; one of ``tests`` must then fail.
 
-    ``target`` is a dotted name, ``hilcell.run.motion.Motion.hold_here``. ``breaks`` says which
+    ``target`` is a dotted name, ``hilcell.run.mover.Mover.park_robot``. ``breaks`` says which
     property of safety or accuracy is lost.
     """
 

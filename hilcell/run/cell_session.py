@@ -1,7 +1,9 @@
-"""The guarded hands of a run: procedures move and measure with them.
+"""The face of a run that procedures see: motions and points, guarded.
 
-A point that the journal already holds is returned as it is: that, and nothing else, is what makes
-a run resumable.
+It stands on three layers, each of which knows only those below: `Mover` moves slide and robot,
+`Meter` measures where they stand, `Watch` proves that tracker, slide and room are as they were. A
+point that the journal already holds is returned as it is: that, and nothing else, is what makes a
+run resumable.
 """
 
 from __future__ import annotations
@@ -18,24 +20,22 @@ from hilcell.geometry.kinematics import forward
 from hilcell.journal.log import Point
 from hilcell.journal.point_id import PointId
 from hilcell.journal.run_journal import Records
-from hilcell.ports import Array, Clock, RailReading, RobotReading, StripLost
-from hilcell.run.measuring import Ask, Measuring
-from hilcell.run.motion import Motion, Straight
-from hilcell.run.operator import Operator
+from hilcell.journal.stream_file import StreamRecord
+from hilcell.ports import Array, Clock
+from hilcell.run.meter import Meter
+from hilcell.run.mover import Mover, Straight
 from hilcell.run.prompts import FLANGE
 from hilcell.run.remeasure import still_refused
-from hilcell.run.room_guard import RoomGuard
-from hilcell.run.run_context import RunContext
-from hilcell.run.station_guard import StationGuard
-from hilcell.run.strip_guard import StripGuard
-from hilcell.run.tracker_guard import TrackerGuard
+from hilcell.run.run_context import Ask, RunContext
+from hilcell.run.sweeping import SweepOrder, record_sweep
+from hilcell.run.watch import Watch
 
 __all__ = ["FLANGE", "CellSession"]
 
 STRAY_MM = 10.0  # of a pose in the measured base: nominal errors are far less, a lost zero is more
 
 
-class CellSession(RunContext):
+class CellSession:
     """A cell with its devices open, as one run sees it. Used by the worker thread alone."""
 
     def __init__(
@@ -49,94 +49,49 @@ class CellSession(RunContext):
         ask: Ask,
         pause: Callable[[str], None] = lambda reason: None,
     ) -> None:
-        super().__init__(cell, devices, clock, journal, checkpoint, pause)
-        self._motion = Motion(self)
-        self._measuring = Measuring(self, self._motion, ask, self.prove_where_doubtful)
-        self._operator = Operator(self, self._motion, self._measuring, ask)
-        self._guard = TrackerGuard(self, self.floor_point)
-        self._room = RoomGuard(self, ask)
-        self._strip = StripGuard(self, self._motion, ask)
-        self._stations = StationGuard(self, self._motion, self._guard, self._held_point)
-        self._arm = cell.robot.arm()
-        self._parked_mm = forward(self._arm, np.radians(cell.robot.safe_deg))[:3, 3]  # in {B}
+        self._run = run = RunContext(cell, devices, clock, journal, checkpoint, pause, ask)
+        self._mover = mover = Mover(run)
+        self._meter = meter = Meter(run, mover)
+        self._watch = watch = Watch(run, mover, meter)
+        self._parked_mm = forward(cell.robot.arm(), np.radians(cell.robot.safe_deg))[:3, 3]  # {B}
 
-    # -- motions ------------------------------------------------------------------------------
+        # The layers' own, as far as procedures use it.
+        self.cell, self.devices, self.clock = cell, devices, clock
+        self.log, self.frames, self.folder = run.log, run.frames, run.folder
+        self.checkpoint, self.pause = checkpoint, pause
+        self.event, self.curve = run.event, run.curve
+        self.frame, self.verdict = run.frame, run.verdict
+        self.reach, self.reached = run.reach, run.reached
+        self.home_rail, self.rail_referenced = mover.home_rail, mover.rail_referenced
+        self.rail_to, self.await_strip = mover.rail_to, mover.await_strip
+        self.robot_to, self.expect = mover.robot_to, mover.expect
+        self.floor_point, self.back_point = meter.floor_point, meter.back_point
+        self.borrowed_point, self.restored = meter.borrowed_point, meter.restored
+        self.frame_world, self.close_step = watch.frame_world, watch.close_step
+        self.hold_station = watch.hold_station
 
     @property
     def held(self) -> Station | None:
         """Return the station at which the slide is held."""
-        return self._motion.held
+        return self._mover.held
 
-    def home_rail(self) -> None:
-        """Find the drive's reference; the robot goes to its safe pose first."""
-        self._motion.home_rail()
-
-    def rail_to(self, position_mm: float) -> None:
-        """Move by the drive alone, without the strip, and hold."""
-        self._motion.rail_to(position_mm)
-
-    def hold_station(self, station: Station, *, again: bool = False) -> None:
-        """Bring the slide to ``station`` by the strip, hold it there, and prove that it is there.
-
-        ``again`` approaches it where it is held, and leaves the proof to the caller.
-        """
-        if again:
-            self._motion.hold_station(station, again=True)
-        else:
-            self._stations.hold(station)
-
-    def rail_referenced(self) -> bool:
-        """Whether drive and absolute strip agree, which proves the drive's reference."""
-        return self._motion.rail_referenced()
-
-    def await_strip(self, lost: StripLost) -> None:
-        """Hold the slide and suspend the run until its strip reads well; no station is held."""
-        self._strip.wait(lost)
+    @property
+    def seed(self) -> int:
+        """Return the run's seed, from which random targets are drawn."""
+        return self.log.inputs.seed
 
     def park_robot(self) -> None:
         """Bring the robot to its safe pose."""
         self.checkpoint()
-        self._motion.park_robot()
+        self._mover.park_robot()
 
-    def robot_to(self, joints_rad: Array, what: str) -> RobotReading:
-        """Go to joints (6,), every axis from below, and settle."""
-        return self._motion.robot_to(joints_rad, what)
-
-    def expect(self, station: Station, joints_rad: Array) -> None:
-        """Prove at once the ways to joints (N, 6) that the robot goes to next, in turn."""
-        self._motion.expect(station, joints_rad)
-
-    def check_way(self, rail: RailReading, joints_rad: Array, what: str) -> None:
-        """Refuse a motion from where the robot rests to joints (6,) that is not clear."""
-        self._motion.check_way(rail, joints_rad, what)
-
-    def check_held(self) -> RailReading:
-        """Return a young reading of a slide that is held, at its station, so the robot may move."""
-        return self._motion.check_held(self.held)
-
-    def begin_sweep(self, rail: RailReading, joints_rad: Array, what: str) -> None:
-        """Judge the readings by which the robot sweeps to joints (6,), immediately before it."""
-        self._motion.begin(rail, self.held, joints_rad, what)
-
-    # -- the tracker's set-up -----------------------------------------------------------------
-
-    def frame_world(self) -> None:
-        """Frame {W} from the floor nests, or prove that the frame in the journal still holds."""
-        self._guard.frame_world()
-
-    def close_step(self, *, carried: bool = False) -> None:
-        """Prove the tracker at the end of a step that has measured something.
-
-        Where the reflector is carried by hand to the nests, only if ``carried``.
-        """
-        if carried or not self.cell.layout.by_hand:
-            self._guard.prove_new()
-
-    def prove_where_doubtful(self) -> None:
-        """Prove it after a pause, and after many points."""
-        self._guard.prove_where_doubtful()
-
-    # -- points -------------------------------------------------------------------------------
+    def sweep(self, order: SweepOrder) -> StreamRecord:
+        """Sweep one axis with the tracker streaming, once in a run's life; see `record_sweep`."""
+        if order.key in self.log.streams:
+            return self.log.streams[order.key]
+        self.checkpoint()
+        self._watch.prove_where_doubtful()
+        return record_sweep(self._run, self._mover, order)
 
     def flange_point(
         self,
@@ -159,7 +114,7 @@ class CellSession(RunContext):
         its own. ``nominal_deg`` (3,) are A, B, C of the target in {W}, kept where they are.
         Points that wait to be re-measured come first, and a room that is as it was.
         """
-        self._room.check()
+        self._watch.check_room()
         self.retake_waiting()
         count = len(self.cell.robot.seats_mm) if seats else 1
         ids = [id.at_seat(seat) for seat in range(1, count + 1)]
@@ -181,7 +136,7 @@ class CellSession(RunContext):
         waiting = [self.log.points[key] for key in self.log.retakes]
         for point in waiting:
             if refused := still_refused(self.log, point.key):
-                self.event("retake refused", key=point.key, reason=refused)
+                self._run.event("retake refused", key=point.key, reason=refused)
                 continue
             facts: dict[str, Any] = {"nominal_mm": point.nominal_mm}
             if point.nominal_deg is not None:
@@ -200,7 +155,7 @@ class CellSession(RunContext):
         self.checkpoint()
         self.hold_station(station)
         if self.cell.layout.by_hand:
-            self._operator.seat(FLANGE, self._parked_flange_mm(self.frames.base_in_world(station)))
+            self._meter.seat(FLANGE, self._parked_flange_mm(self.frames.base_in_world(station)))
 
     def _flange_points(
         self,
@@ -216,18 +171,18 @@ class CellSession(RunContext):
         nominal target known.
         """
         self.checkpoint()
-        self._guard.prove_where_doubtful()
+        self._watch.prove_where_doubtful()
         self.flange_at(station)
         above, what = ids[0].side > 0, ids[0].key
-        robot = self._motion.robot_to(joints_rad, what, above=above, straight=straight)
-        T_W_T = self.frames.base_in_world(station) @ forward(self._arm, joints_rad)
+        robot = self._mover.robot_to(joints_rad, what, above=above, straight=straight)
+        T_W_T = self.frames.base_in_world(station) @ forward(self.cell.robot.arm(), joints_rad)
         seats_mm, samples = self.cell.robot.seats_mm, self.cell.tracker.samples
         for n, id in enumerate(ids):
             smr_mm = seats_mm[0 if id.seat is None else id.seat - 1]
             at_mm = apply(T_W_T, (smr_mm - seats_mm[0])[None])[0]
             place = FLANGE if id.seat is None else f"{FLANGE} {id.seat}"
-            reading = self._measuring.measure_in_world(id.key, place, at_mm, samples, STRAY_MM)
-            self._measuring.keep(
+            reading = self._watch.measured_in_world(id.key, place, at_mm, samples, STRAY_MM)
+            self._meter.keep(
                 id,
                 station.name,
                 reading,
@@ -249,75 +204,29 @@ class CellSession(RunContext):
         self.checkpoint()
         robot = self.robot_to(joints_rad, missing[0][0].key)
         for id, near_mm in missing:
-            reading = self._measuring.measure(id.key, id.target, near_mm, self.cell.tracker.samples)
-            self._measuring.keep(id, "", reading, robot, commanded_deg=np.degrees(joints_rad))
-
-    def floor_point(self, id: PointId, nest: Nest) -> Point:
-        """Measure a nest on the floor."""
-        if known := self.log.find(id):
-            return known
-        self.checkpoint()
-        self._operator.seat(nest.name, nest.xyz_mm)
-        proves = id.kind == "control"
-        samples = self.cell.proof_samples if proves else self.cell.nest_samples
-        reading = self._measuring.measure_in_world(
-            id.key, nest.name, nest.xyz_mm, samples, on_floor=True
-        )
-        return self._measuring.keep(id, "", reading)
-
-    def back_point(self, id: PointId, nest: Nest, samples: int) -> Point:
-        """Measure a nest on the floor in the tracker's second face."""
-        if known := self.log.find(id):
-            return known
-        self.checkpoint()
-        reading = self._measuring.measure_in_world(
-            id.key, nest.name, nest.xyz_mm, samples, on_floor=True, back=True
-        )
-        return self._measuring.keep(id, "", reading)
-
-    def borrowed_point(self, id: PointId, place: str, nest: Nest) -> Point:
-        """Measure the reflector of ``place`` in a floor nest, once it was carried there."""
-        if known := self.log.find(id):
-            return known
-        self.checkpoint()
-        self._operator.borrow(place, nest)
-        reading = self._measuring.measure_in_world(
-            id.key, nest.name, nest.xyz_mm, self.cell.nest_samples, on_floor=True
-        )
-        return self._measuring.keep(id, "", reading)
-
-    def restored(self, nest: Nest) -> None:
-        """Have every borrowed reflector put back where it belongs."""
-        self.checkpoint()
-        self._operator.borrow(nest.name, nest)
+            reading = self._watch.measured(id.key, id.target, near_mm, self.cell.tracker.samples)
+            self._meter.keep(id, "", reading, robot, commanded_deg=np.degrees(joints_rad))
 
     def slide_point(self, id: PointId, station: Station, nest: Nest, *, samples: int) -> Point:
         """Measure a nest on the slide while ``station`` is held."""
         if known := self.log.find(id):
             return known
         self.checkpoint()
-        self._room.check()
-        self._guard.prove_where_doubtful()
+        self._watch.check_room()
+        self._watch.prove_where_doubtful()
         self.hold_station(station)
         expected = (self.frames.base_in_world(station) @ np.append(nest.xyz_mm, 1.0))[:3]
-        self._operator.seat(nest.name, expected)
+        self._meter.seat(nest.name, expected)
         limit_mm = 2 * self.cell.layout.nest_tolerance_mm
-        reading = self._measuring.measure_in_world(id.key, nest.name, expected, samples, limit_mm)
-        return self._measuring.keep(id, station.name, reading)
-
-    def _held_point(self, id: PointId, station: Station, nest: Nest) -> Point:
-        """Measure a nest on a slide that is held, as quickly as a target."""
-        expected = (self.frames.base_in_world(station) @ np.append(nest.xyz_mm, 1.0))[:3]
-        samples = self.cell.tracker.samples
-        reading = self._measuring.measure_in_world(id.key, nest.name, expected, samples)
-        return self._measuring.keep(id, station.name, reading)
+        reading = self._watch.measured_in_world(id.key, nest.name, expected, samples, limit_mm)
+        return self._meter.keep(id, station.name, reading)
 
     def slide_now(self, id: PointId, name: str) -> Point:
         """Measure a nest on the slide, or ``flange``, wherever the slide stands, robot parked."""
         if known := self.log.find(id):
             return known
         self.checkpoint()
-        self._guard.prove_where_doubtful()
+        self._watch.prove_where_doubtful()
         rail = self.devices.rail.read()
         T_W_B = self.cell.layout.nominal_base(rail.strip_mm)
         if name == FLANGE:
@@ -325,10 +234,10 @@ class CellSession(RunContext):
         else:
             nests = {nest.name: nest.xyz_mm for nest in self.cell.layout.slide}
             expected = (T_W_B @ np.append(nests[name], 1.0))[:3]
-        self._operator.seat(name, expected)
+        self._meter.seat(name, expected)
         samples = self.cell.nest_samples
-        reading = self._measuring.measure_in_world(id.key, name, expected, samples)
-        return self._measuring.keep(id, "", reading)
+        reading = self._watch.measured_in_world(id.key, name, expected, samples)
+        return self._meter.keep(id, "", reading)
 
     def _parked_flange_mm(self, T_W_B: Array) -> Array:
         """Return where the flange's reflector (3,) is in {W} with the robot at its safe pose."""

@@ -12,6 +12,7 @@ the grid's cube and the circles of the base frame. There, and nowhere else, the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -19,8 +20,12 @@ from hilcell.cell.file import Cell, Station
 from hilcell.cell.surroundings import Surroundings, posture
 from hilcell.geometry.clearance import Bools
 from hilcell.geometry.kinematics import forward
+from hilcell.journal.journal import StorageError
+from hilcell.journal.log import Driven
+from hilcell.journal.runs import read_log
 from hilcell.ports import Array
 from hilcell.run.interlocks import Blocked, check_joint_limits
+from hilcell.run.run_context import RunContext
 
 PLANNED_MM = 10.0  # by which a plan is stricter: corrections, the base as measured, the held place
 CUBE_MM, CUBE_RAD = 20.0, np.radians(1.0)  # corrected poses are a little outside, too
@@ -277,3 +282,54 @@ class ComingPoses:
         if coming is None:
             return bool(leaves_cube(self._cell, joints_rad[None])[0])
         return coming.leaves_cube
+
+
+# Their volumes are only as right as the cell file. So the robot goes there slowly the first time,
+# and an attended run pauses before the first of them, unless the cell file says otherwise. A pose
+# is known once this run, or one of those finished before it, was driven there.
+
+
+class FirstPass:
+    """Says how fast the robot may go to a pose, and who has to watch."""
+
+    def __init__(self, run: RunContext, coming: ComingPoses) -> None:
+        self._run, self._coming = run, coming
+        self._announced = False
+
+    def speed_percent(self, strip_mm: float, joints_rad: Array, what: str) -> float:
+        """Return the speed to joints (6,) with the slide there.
+
+        The first pose that is not known is announced; an attended run then pauses here.
+        """
+        cell = self._run.cell
+        usual = cell.robot.speed_percent
+        if cell.surroundings is None or not self._coming.leaves_cube(joints_rad):
+            return usual
+        if any(
+            driven.has(strip_mm, joints_rad) for driven in (self._run.log.driven, *self._earlier)
+        ):
+            return usual
+        slow = min(cell.robot.first_pass_percent, usual)
+        if not self._announced:
+            self._announced = True
+            self._announce(what, slow)
+        return slow
+
+    def _announce(self, what: str, percent: float) -> None:
+        self._run.event("first pass", key=what, speed_percent=percent)
+        if self._run.cell.pauses_at_first_pass:
+            self._run.pause(
+                f"{what}: the robot leaves the grid's cube, to where it was never driven in this "
+                f"cell, at {percent:g} %; clear the cell and stay at the E-stop"
+            )
+
+    @cached_property
+    def _earlier(self) -> list[Driven]:
+        """Return where the runs before this one were driven; a deleted one proves nothing."""
+        found, plan = [], self._run.log.plan
+        for name in plan.driven_by if plan else []:
+            try:
+                found.append(read_log(self._run.folder.parent / name).driven)
+            except StorageError as error:
+                self._run.event("earlier run unreadable", run=name, reason=str(error))
+        return found

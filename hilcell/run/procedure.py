@@ -16,7 +16,7 @@ from hilcell.ports import HilcellError, StripLost
 from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_rides
-from hilcell.run.tracker_guard import BlockLost
+from hilcell.run.watch import BlockLost
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,15 +14,18 @@ from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.log import Point
 from hilcell.journal.point_id import PointId
 from hilcell.journal.run_journal import Records
-from hilcell.ports import Array, Clock
+from hilcell.ports import Array, Clock, NoReading
+from hilcell.run.prompts import Look, Prompt
 from hilcell.run.states import CALIBRATION, StateMachine
+
+Ask = Callable[[Prompt, Callable[[], Look], NoReading | None], Look]
 
 
 class RunContext:
     """Used by the worker thread alone.
 
-    ``last`` is this session's newest point. ``checkpoint`` pauses the run where it was asked to,
-    ``pause`` pauses an attended run.
+    ``checkpoint`` pauses the run where it was asked to, ``pause`` pauses an attended run, ``ask``
+    suspends it until the operator's answer, or a cause that is gone, is proven by a look.
     """
 
     def __init__(
@@ -33,12 +36,12 @@ class RunContext:
         journal: Records,
         checkpoint: Callable[[], None],
         pause: Callable[[str], None],
+        ask: Ask,
     ) -> None:
         self.cell, self.devices, self.clock = cell, devices, clock
         self.log, self.frames = journal.log, Frames(cell, journal.log)
-        self.checkpoint, self.pause = checkpoint, pause
+        self.checkpoint, self.pause, self.ask = checkpoint, pause, ask
         self._journal = journal
-        self.last: Point | None = None
         self._calibration = StateMachine(CALIBRATION, journal)
 
     def reached(self, state: str) -> bool:
@@ -76,11 +79,6 @@ class RunContext:
         self._journal.append("verdict", key, {"holds": holds} | facts)
 
     @property
-    def seed(self) -> int:
-        """Return the run's seed, from which random targets are drawn."""
-        return self.log.inputs.seed
-
-    @property
     def folder(self) -> Path:
         """Return the run's folder."""
         return self._journal.path.parent
@@ -91,5 +89,4 @@ class RunContext:
         if self.log.set_ups.number:
             head["set_up"] = self.log.set_ups.number
         self._journal.append("point", id.key, head | facts)
-        self.last = self.log.point(id)
-        return self.last
+        return self.log.point(id)

@@ -15,10 +15,11 @@ import numpy as np
 from hilcell.cell.devices import streams_of, sweeps_of
 from hilcell.journal.stream_file import StreamFile, StreamRecord
 from hilcell.ports import Array
-from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_stated
 from hilcell.run.interlocks import check_joint_limits
+from hilcell.run.mover import Mover
 from hilcell.run.readings import seen
+from hilcell.run.run_context import RunContext
 
 PACE_S = 0.25  # between two questions for the joints: hundreds of them make one line
 
@@ -43,39 +44,36 @@ class SweepOrder:
         return joints_rad
 
 
-def record_sweep(session: CellSession, order: SweepOrder) -> StreamRecord:
+def record_sweep(run: RunContext, mover: Mover, order: SweepOrder) -> StreamRecord:
     """Go to the start, sweep where the slide stands, and return what the journal keeps of it."""
-    if order.key in session.log.streams:
-        return session.log.streams[order.key]
-    tracker, robot = streams_of(session.devices.tracker), sweeps_of(session.devices.robot)
-    session.checkpoint()
-    session.prove_where_doubtful()
-    check_joint_limits(session.cell, order.target_rad, order.key)
-    check_stated(session.cell, order.key)
-    session.robot_to(order.start_rad, order.key)
-    session.check_way(session.check_held(), order.target_rad, order.key)
-    reflector = session.cell.tracker.reflector
+    tracker, robot = streams_of(run.devices.tracker), sweeps_of(run.devices.robot)
+    check_joint_limits(run.cell, order.target_rad, order.key)
+    check_stated(run.cell, order.key)
+    mover.robot_to(order.start_rad, order.key)
+    reflector = run.cell.tracker.reflector
     joints_deg = np.degrees(order.target_rad)
-    rail = session.check_held()
-    target = {"axis": order.axis + 1, "joints_deg": joints_deg}
-    session.intend(order.key, "robot.sweep", **target, seen=seen(rail, session.clock.pc_s()))
-    with (
-        StreamFile(session.folder, order.key) as file,
-        tracker.stream(order.near_mm, reflector, order.rate_hz) as stream,
-        robot.sweep(order.axis, order.end_rad, order.speed_rad_s) as sweep,
-    ):
-        stream.kickoff()
-        session.begin_sweep(rail, order.target_rad, order.key)
-        sweep.kickoff()
-        while not sweep.ended:
-            session.clock.wait(PACE_S)
-            file.take((), [sweep.collect()])
-            file.take(stream.collect())
-        sweep.complete()
-        file.take(stream.complete())
-        record = msgspec.structs.replace(file.finish(), set_up=session.log.set_ups.number)
-        speed_deg_s, rate_hz = float(np.degrees(sweep.speed_rad_s)), stream.rate_hz
-    session.event(
+    with mover.admitted() as motion:
+        motion.check_way(order.target_rad, order.key)
+    with mover.admitted() as motion:
+        target = {"axis": order.axis + 1, "joints_deg": joints_deg}
+        run.intend(order.key, "robot.sweep", **target, seen=seen(*motion.slide()))
+        with (
+            StreamFile(run.folder, order.key) as file,
+            tracker.stream(order.near_mm, reflector, order.rate_hz) as stream,
+            robot.sweep(order.axis, order.end_rad, order.speed_rad_s) as sweep,
+        ):
+            stream.kickoff()
+            motion.begin(order.target_rad, order.key)
+            sweep.kickoff()
+            while not sweep.ended:
+                run.clock.wait(PACE_S)
+                file.take((), [sweep.collect()])
+                file.take(stream.collect())
+            sweep.complete()
+            file.take(stream.complete())
+            record = msgspec.structs.replace(file.finish(), set_up=run.log.set_ups.number)
+            speed_deg_s, rate_hz = float(np.degrees(sweep.speed_rad_s)), stream.rate_hz
+    run.event(
         "stream",
         **msgspec.structs.asdict(record),
         axis=order.axis + 1,
@@ -84,6 +82,6 @@ def record_sweep(session: CellSession, order: SweepOrder) -> StreamRecord:
         start_deg=np.degrees(order.start_rad),
         end_deg=joints_deg,
         reflector=reflector,
-        session=session.log.session,
+        session=run.log.session,
     )
     return record

@@ -87,11 +87,10 @@ def engine(control: str, folder: Path) -> Iterator[Engine]:
 
 
 def main() -> None:
-    from hilcell.run.sweeping import record_sweep
 
     control, folder, *near = sys.argv[1:]
     with engine(control, Path(folder)) as found:
-        record_sweep(found.bench, order(np.array(near, dtype=float), 150.0))
+        found.bench.sweep(order(np.array(near, dtype=float), 150.0))
 
 
 if __name__ == "__main__":

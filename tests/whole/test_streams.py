@@ -20,7 +20,6 @@ from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log
 from hilcell.journal.stream_file import FOLDER, StreamData, read_stream
 from hilcell.ports import Array, DeviceError, NoReading, Stopped
-from hilcell.run.sweeping import record_sweep
 from tests.fakes.wires import C3Client, EmsconClient, connected
 from tests.whole.sweeper import KEY, START_RAD, Engine, engine, order
 
@@ -89,7 +88,7 @@ def files(folder: Path) -> list[str]:
 
 def swept(cell: Cell, folder: Path, degrees: float = 4.0) -> tuple[StreamData, Engine]:
     with engine(cell.address, folder) as found:
-        record = record_sweep(found.bench, order(cell.near_mm, degrees))
+        record = found.bench.sweep(order(cell.near_mm, degrees))
         return read_stream(folder, record), found
 
 
@@ -130,7 +129,7 @@ def test_a_recorded_sweep_is_not_made_again(cell: Cell, tmp_path: Path) -> None:
     swept(cell, tmp_path)
     before = cell.variables("HC_SEQ")
     with engine(cell.address, tmp_path) as found:
-        assert record_sweep(found.bench, order(cell.near_mm)) == found.log.streams[KEY]
+        assert found.bench.sweep(order(cell.near_mm)) == found.log.streams[KEY]
     assert cell.variables("HC_SEQ") == before
 
 
@@ -144,7 +143,7 @@ def stop_in_the_middle(cell: Cell, tmp_path: Path) -> None:
     with engine(cell.address, tmp_path) as found:
         found.at_wait, found.then = 5, found.stop_all
         with pytest.raises(Stopped):
-            record_sweep(found.bench, order(cell.near_mm))
+            found.bench.sweep(order(cell.near_mm))
         while cell.variables("HC_STOP", "HC_ERR") != ["TRUE", "9"]:
             pass  # a stop waits for no answer; the test's time limit bounds this wait
         while not cell.is_restored():
@@ -152,7 +151,7 @@ def stop_in_the_middle(cell: Cell, tmp_path: Path) -> None:
     assert files(tmp_path) == []
     assert not found.log.streams
     with engine(cell.address, tmp_path) as again:
-        assert record_sweep(again.bench, order(cell.near_mm)).samples > 390
+        assert again.bench.sweep(order(cell.near_mm)).samples > 390
 
 
 @speeds
@@ -165,12 +164,12 @@ def break_in_the_middle(cell: Cell, tmp_path: Path) -> None:
     with engine(cell.address, tmp_path) as found, Control(cell.address) as control:
         control.ask("fault", name="tracker.stream_break", after=100)
         with pytest.raises(NoReading) as broken:
-            record_sweep(found.bench, order(cell.near_mm))
+            found.bench.sweep(order(cell.near_mm))
         assert broken.value.code == "HC-T10"
         assert cell.is_restored()
         assert cell.variables("HC_STOP") == ["FALSE"]
         assert files(tmp_path) == []
-        assert record_sweep(found.bench, order(cell.near_mm)).samples > 390
+        assert found.bench.sweep(order(cell.near_mm)).samples > 390
     assert files(tmp_path) == [".stream"]
 
 
@@ -179,7 +178,7 @@ def test_a_robot_fault_in_the_middle(cell: Cell, tmp_path: Path) -> None:
         found.at_wait = 5
         found.then = lambda: control.ask("fault", name="robot.override_zero")
         with pytest.raises(DeviceError) as stopped:
-            record_sweep(found.bench, order(cell.near_mm))
+            found.bench.sweep(order(cell.near_mm))
         assert stopped.value.code == "HC-B16"
     assert cell.mode() == STATIONARY
     assert cell.variables("$OV_PRO", "HC_OV_OLD") == ["0", "0"]  # the operator's, not ours
@@ -201,6 +200,6 @@ def test_an_engine_killed_in_the_middle(cell: Cell, tmp_path: Path) -> None:
     with engine(cell.address, tmp_path) as found:
         assert cell.is_restored()
         assert not found.log.streams
-        record = record_sweep(found.bench, order(cell.near_mm))
+        record = found.bench.sweep(order(cell.near_mm))
     assert files(tmp_path) == [".stream"]
     assert Log(read_journal(tmp_path / "journal.sqlite")).streams == {KEY: record}

@@ -11,7 +11,7 @@ from hilcell.cell.file import load_cell
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, DeviceError, RailReading, RobotReading, TrackerReading
 from hilcell.run.cell_session import CellSession
-from hilcell.run.motion import Straight
+from hilcell.run.mover import Straight
 from tests.hilcell.run.bed import CELL, Bed, broken_beam
 from tests.hilcell.run.rig import Points, procedure
 

@@ -220,7 +220,8 @@ def test_a_reading_from_before_a_motion_is_not_where_the_next_one_starts(post: B
 
     def go(session: CellSession, number: int) -> None:
         session.robot_to(LEFT, "start of a sweep")
-        session.begin_sweep(session.devices.rail.read(), LEFT, "sweep")
+        with session._mover.admitted() as sweep:
+            sweep.begin(LEFT, "sweep")
         post.robot.joints_rad = RIGHT  # the sweep took it there
         session.robot_to(LEFT, "next")
 
@@ -298,7 +299,7 @@ def test_a_sweep_through_a_volume_is_not_made(
     order = sweeping.SweepOrder("s", LEFT, 0, float(RIGHT[0]), 0.02, np.zeros(3), 100.0)
 
     def go(session: CellSession, number: int) -> None:
-        sweeping.record_sweep(session, order)
+        session.sweep(order)
 
     assert fault_of(bed, go) == code
     assert bed.robot.moves == (2 if code == "HC-B34" else 0)  # to its start

@@ -115,6 +115,10 @@ def park(session: CellSession) -> None:
     session.park_robot()
 
 
+def home(session: CellSession) -> None:
+    session.home_rail()
+
+
 @pytest.mark.parametrize("act", [to_home, park])
 def test_after_a_commit_that_took_long_the_robot_moves_by_new_readings(
     tmp_path: Path, act: Callable[[CellSession], None]
@@ -135,12 +139,12 @@ def test_after_a_commit_that_took_long_no_robot_moves_by_old_ones(
 
 
 def test_after_a_commit_that_took_long_the_slide_moves_by_new_readings(tmp_path: Path) -> None:
-    did = stalled(tmp_path, CellSession.home_rail)
+    did = stalled(tmp_path, home)
     assert {*did[: did.index("rail home")]} == {"commit", "robot read"}
 
 
 def test_after_a_commit_that_took_long_no_slide_moves_by_old_ones(tmp_path: Path) -> None:
-    did = stalled(tmp_path, CellSession.home_rail, robot=9.0)
+    did = stalled(tmp_path, home, robot=9.0)
     assert "rail home" not in did
     assert did[-1] == "3"
 

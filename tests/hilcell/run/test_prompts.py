@@ -9,7 +9,7 @@ import pytest
 import hilcell.run.worker as worker_module
 from hilcell.ports import DeviceError, NoReading
 from hilcell.run import device_status
-from hilcell.run.measuring import MEASURE_TRIES
+from hilcell.run.meter import MEASURE_TRIES
 from tests.hilcell.run.bed import Bed, Live, broken_beam, until
 from tests.hilcell.run.rig import Points, failing, hang, procedure
 

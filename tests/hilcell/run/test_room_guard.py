@@ -14,7 +14,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Air
 from hilcell.run.cell_session import CellSession
-from hilcell.run.room_guard import ROOM_BACK
+from hilcell.run.watch import ROOM_BACK
 from tests.hilcell.run.bed import CELL, PLAN, Bed, Live, until
 from tests.hilcell.run.rig import Points, procedure
 

@@ -13,7 +13,7 @@ from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.set_ups import TRACKER_MOVED
 from hilcell.ports import Array, Stopped, TrackerReading
 from hilcell.run.cell_session import CellSession
-from hilcell.run.station_guard import SLIDE_PROVEN
+from hilcell.run.watch import SLIDE_PROVEN
 from tests.hilcell.run.bed import CELL, Bed, Live
 from tests.hilcell.run.rig import Points, procedure
 

@@ -15,7 +15,7 @@ from hilcell.journal.journal import read_journal
 from hilcell.ports import RailReading, StripLost
 from hilcell.run.cell_session import CellSession
 from hilcell.run.device_status import CellMonitor
-from hilcell.run.strip_guard import STRIP_BACK
+from hilcell.run.mover import STRIP_BACK
 from tests.hilcell.run.bed import CELL, Bed, Live
 from tests.hilcell.run.rig import DeskRail, Points, procedure
 
@@ -68,7 +68,8 @@ def striking(bed: Bed, strike: Callable[[DirtyRail], None]) -> Points:
             struck.append(number)
             strike(rail_of(bed))
         session.hold_station(S1100, again=rail_of(bed).frozen_mm is not None)
-        session.check_held()
+        with session._mover.admitted():
+            pass
 
     return Points(3, act)
 

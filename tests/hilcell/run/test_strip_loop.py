@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from hilcell.cell.file import load_cell
 from hilcell.ports import DeviceError, Identity, LinkStatistics, RailReading
-from hilcell.run.motion import approach_station
+from hilcell.run.mover import approach_station
 
 CELL = load_cell("paper")
 S1100 = CELL.station_named("S1100")

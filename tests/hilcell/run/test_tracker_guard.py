@@ -15,8 +15,9 @@ from hilcell.journal.point_id import PointId
 from hilcell.journal.set_ups import PROVEN, TRACKER_MOVED
 from hilcell.ports import Array, DeviceError, NoReading, TrackerReading
 from hilcell.run.cell_session import CellSession
-from hilcell.run.measuring import MEASURE_TRIES
-from hilcell.run.tracker_guard import MOST_SET_UPS, check_distances, check_places
+from hilcell.run.floor_nests import check_distances, check_places
+from hilcell.run.meter import MEASURE_TRIES
+from hilcell.run.watch import MOST_SET_UPS
 from tests.hilcell.run.bed import CELL, PLAN, Bed, Live, until
 from tests.hilcell.run.rig import Points, procedure
 
@@ -297,22 +298,23 @@ def test_the_tracker_is_proven_after_a_pause_and_after_many_points(
     Floor(bed, monkeypatch)
 
     def act(session: CellSession, number: int) -> None:
+        watch, journal = session._watch, session._run._journal
         until(lambda: session.log.state == "running")  # another thread writes that
-        session.prove_where_doubtful()
+        watch.prove_where_doubtful()
         proofs = len(bed.events(PROVEN))
         measured_step(session)
-        session.prove_where_doubtful()
+        watch.prove_where_doubtful()
         assert len(bed.events(PROVEN)) == proofs  # neither
-        session._journal.append("state", "", {"machine": "run", "from": "running", "to": "paused"})
-        session.prove_where_doubtful()
+        journal.append("state", "", {"machine": "run", "from": "running", "to": "paused"})
+        watch.prove_where_doubtful()
         assert len(bed.events(PROVEN)) == proofs + 1
-        session._journal.append("state", "", {"machine": "run", "from": "running", "to": "paused"})
-        session.prove_where_doubtful()  # though nothing was measured since
+        journal.append("state", "", {"machine": "run", "from": "running", "to": "paused"})
+        watch.prove_where_doubtful()  # though nothing was measured since
         assert len(bed.events(PROVEN)) == proofs + 2
-        session._journal.append("state", "", {"machine": "run", "from": "paused", "to": "running"})
+        journal.append("state", "", {"machine": "run", "from": "paused", "to": "running"})
         for n in range(CELL.plan.prove_every):
             session.floor_point(PointId("six", nest=str(n)), CELL.layout.floor[0])
-        session.prove_where_doubtful()
+        watch.prove_where_doubtful()
         assert len(bed.events(PROVEN)) == proofs + 3
 
     assert performed(bed, act)["exit"] == 0, bed.log().fault

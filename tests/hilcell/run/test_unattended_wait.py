@@ -9,7 +9,7 @@ import msgspec
 from hilcell.cell.file import Cell
 from hilcell.invariants.judging import judge
 from hilcell.journal.journal import read_journal
-from hilcell.run.measuring import MEASURE_TRIES
+from hilcell.run.meter import MEASURE_TRIES
 from hilcell.run.worker import UnattendedWait
 from tests.clocks import DrivenClock
 from tests.hilcell.run.bed import CELL, Bed, Live, broken_beam

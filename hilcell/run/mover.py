@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from hilcell.calibration.controller_pose import check_pose
 from hilcell.cell.file import RailTable, Station
-from hilcell.journal.journal import StorageError
-from hilcell.journal.log import FACTORY_LINKS, Driven, ReadingTime
-from hilcell.journal.runs import read_log
-from hilcell.ports import Array, DeviceError, Rail, RailReading, RobotReading, StripLost
-from hilcell.run.collision import ComingPoses, below, check_way, stops_on_way
+from hilcell.journal.log import FACTORY_LINKS, ReadingTime
+from hilcell.ports import (
+    Array,
+    DeviceError,
+    NoReading,
+    Rail,
+    RailReading,
+    RobotReading,
+    StripLost,
+)
+from hilcell.run.collision import ComingPoses, FirstPass, below, check_way, stops_on_way
 from hilcell.run.interlocks import (
     check_joint_limits,
     check_rests,
@@ -21,6 +28,7 @@ from hilcell.run.interlocks import (
     rail_may_move,
     robot_may_move,
 )
+from hilcell.run.prompts import Look, Prompt
 from hilcell.run.readings import fresh, seen, time_of
 from hilcell.run.run_context import RunContext
 
@@ -107,57 +115,8 @@ def _check_strip_follows(
         )
 
 
-# Their volumes are only as right as the cell file. So the robot goes there slowly the first time,
-# and an attended run pauses before the first of them, unless the cell file says otherwise. A pose
-# is known once this run, or one of those finished before it, was driven there.
-
-
-class FirstPass:
-    """Says how fast the robot may go to a pose, and who has to watch."""
-
-    def __init__(self, run: RunContext, coming: ComingPoses) -> None:
-        self._run, self._coming = run, coming
-        self._announced = False
-
-    def speed_percent(self, strip_mm: float, joints_rad: Array, what: str) -> float:
-        """Return the speed to joints (6,) with the slide there.
-
-        The first pose that is not known is announced; an attended run then pauses here.
-        """
-        cell = self._run.cell
-        usual = cell.robot.speed_percent
-        if cell.surroundings is None or not self._coming.leaves_cube(joints_rad):
-            return usual
-        if any(
-            driven.has(strip_mm, joints_rad) for driven in (self._run.log.driven, *self._earlier)
-        ):
-            return usual
-        slow = min(cell.robot.first_pass_percent, usual)
-        if not self._announced:
-            self._announced = True
-            self._announce(what, slow)
-        return slow
-
-    def _announce(self, what: str, percent: float) -> None:
-        self._run.event("first pass", key=what, speed_percent=percent)
-        if self._run.cell.pauses_at_first_pass:
-            self._run.pause(
-                f"{what}: the robot leaves the grid's cube, to where it was never driven in this "
-                f"cell, at {percent:g} %; clear the cell and stay at the E-stop"
-            )
-
-    @cached_property
-    def _earlier(self) -> list[Driven]:
-        """Return where the runs before this one were driven; a deleted one proves nothing."""
-        found, plan = [], self._run.log.plan
-        for name in plan.driven_by if plan else []:
-            try:
-                found.append(read_log(self._run.folder.parent / name).driven)
-            except StorageError as error:
-                self._run.event("earlier run unreadable", run=name, reason=str(error))
-        return found
-
-
+STRIP_BACK = "strip back"  # event
+FROZEN = "HC-S02"
 SAME_RAD = 1e-4  # of joints read back: the robot stands at that pose
 
 
@@ -169,14 +128,84 @@ class Straight:
     speed_percent: float
 
 
-class Motion:
-    """Moves one of both at a time. ``held`` is the station at which the slide is held."""
+class RobotMotion:
+    """A motion of the robot while the slide is held at ``station``.
+
+    A reading that has grown old, by a pause, a commit or the stop before, is taken again when it is
+    used next, and judged at each use. Since ``robot`` was read the robot has not moved; None where
+    it may have. ``began``: the rail's reading by which it last began to move.
+    """
+
+    def __init__(
+        self, run: RunContext, station: Station | None, robot: RobotReading | None
+    ) -> None:
+        self._run, self._station = run, station
+        self._rail: RailReading | None = None
+        self.robot = robot
+        self.began: ReadingTime | None = None
+
+    @property
+    def strip_mm(self) -> float:
+        """Return where the slide is held."""
+        return self.slide()[0].strip_mm
+
+    def slide(self) -> tuple[RailReading, float]:
+        """Return the slide's reading and when it was judged; raises `Blocked`."""
+        run = self._run
+        self._rail = rail = fresh(
+            run.devices.rail.read, run.clock, run.cell.settle.reading_age_s, self._rail
+        )
+        judged_s = run.clock.pc_s()
+        robot_may_move(run.cell, rail, self._station, judged_s)
+        return rail, judged_s
+
+    def resting_rad(self) -> Array:
+        """Return the joints (6,) where the robot rests; raises `Blocked`."""
+        run = self._run
+        self.robot = robot = fresh(
+            run.devices.robot.read, run.clock, run.cell.settle.reading_age_s, self.robot
+        )
+        check_rests(run.cell, robot, run.clock.pc_s())
+        return robot.joints_rad
+
+    def check_way(self, joints_rad: Array, what: str) -> None:
+        """Refuse a way from where the robot rests to joints (6,) that is not clear."""
+        if self._run.cell.surroundings is not None:
+            check_way(self._run.cell, self.strip_mm, self.resting_rad(), joints_rad, what)
+
+    def begin(self, joints_rad: Array, what: str) -> None:
+        """Judge both readings immediately before the robot moves to joints (6,).
+
+        A robot that was read again may stand elsewhere: its way is checked again.
+        """
+        if self._run.cell.surroundings is not None:
+            proven = self.robot
+            self.resting_rad()
+            if self.robot is not proven:
+                self.check_way(joints_rad, what)
+        self.began = time_of(*self.slide())
+        self.robot = None
+
+    def drive(self, stops: list[Array], speed_percent: float, what: str) -> RobotReading:
+        """Go to joints (6,) in turn; return the reading at the last of them."""
+        for stop in stops:
+            self.begin(stop, what)
+            reading = self.robot = self._run.devices.robot.move_to(stop, speed_percent)
+        return reading
+
+
+class Mover:
+    """Moves one of both at a time.
+
+    ``held`` is the station at which the slide is held, ``began`` the rail's reading by which the
+    robot's last motion began.
+    """
 
     def __init__(self, run: RunContext) -> None:
         self._run = run
         self.held: Station | None = None
-        self._last: RobotReading | None = None  # since which the robot has not moved
-        self.began: ReadingTime | None = None  # the rail's, by which the robot's last motion began
+        self.began: ReadingTime | None = None
+        self._robot: RobotReading | None = None  # since which the robot has not moved
         self._coming = ComingPoses(run.cell)
         self._first_pass = FirstPass(run, self._coming)
 
@@ -225,11 +254,6 @@ class Motion:
             began=began,
         )
 
-    def hold_here(self) -> None:
-        """Hold the slide where it stands; no station counts as held."""
-        self.held = None
-        self._hold_rail()
-
     def _stands_at(self, station: Station) -> bool:
         held = [r.body["station"] for r in self._run.log.events if r.body["what"] == "station held"]
         if self._run.log.session < 2 or not held or held[-1] != station.name:
@@ -243,6 +267,44 @@ class Motion:
         """Whether drive and absolute strip agree, which proves the drive's reference."""
         reading = self._run.devices.rail.read()
         return abs(reading.position_mm - reading.strip_mm) <= self._run.cell.rail.slip_limit_mm
+
+    def await_strip(self, lost: StripLost) -> None:
+        """Hold the slide where it is, and suspend the run until its strip reads well.
+
+        Somebody may have had his hands at it, so no station counts as held afterwards: the next act
+        that needs one approaches it and proves it by a nest.
+        """
+        self.held = None
+        self._hold_rail()
+        prompt = Prompt(
+            title="The strip cannot be read",
+            text=f"{lost.summary}. The slide is held. Clean the strip at the head, see that the "
+            "head is fixed and near enough to it, and look at its cable.",
+            place="the strip",
+            expected_mm=None,
+            limit_mm=self._run.cell.rail.slip_limit_mm,
+            reason=lost.summary,
+        )
+        self._run.ask(prompt, lambda: self._look_at_strip(lost), lost)
+        self._run.event(STRIP_BACK)
+
+    def _look_at_strip(self, lost: StripLost) -> Look:
+        """Read the strip; one that was frozen must be where the drive is, as far as may slip.
+
+        One that was in alarm may be read before the drive has its reference.
+        """
+        try:
+            reading = self._run.devices.rail.read()
+        except DeviceError as error:
+            at_s, silent = self._run.clock.pc_s(), not isinstance(error, NoReading)
+            return Look(None, error.summary, at_s, lost=silent)
+        if not reading.still:
+            return Look(
+                None, f"the slide moves at {reading.velocity_mm_s:.3f} mm/s", reading.taken_s
+            )
+        off_mm = abs(reading.strip_mm - reading.position_mm) if lost.code == FROZEN else 0.0
+        why = f"strip {reading.strip_mm:.2f} mm, drive {reading.position_mm:.2f} mm"
+        return Look(off_mm, why, reading.taken_s)
 
     def _prepare_rail(self, action: str, facts: dict[str, object]) -> ReadingTime:
         """Park the robot and journal the intent; return the reading by which the slide moves."""
@@ -270,6 +332,17 @@ class Motion:
 
     # -- the robot ----------------------------------------------------------------------------
 
+    @contextmanager
+    def admitted(self) -> Iterator[RobotMotion]:
+        """Admit one motion of the robot; raises `Blocked` where the slide is not held.
+
+        Nobody knows where one that fails has ended, so the robot is read again before the next.
+        """
+        motion, self._robot = RobotMotion(self._run, self.held, self._robot), None
+        motion.slide()
+        yield motion
+        self._robot, self.began = motion.robot, motion.began
+
     def park_robot(self) -> RobotReading:
         """Bring the robot to its safe pose unless it is there; return its reading there.
 
@@ -277,24 +350,20 @@ class Motion:
         holds none yet, parks wherever the slide rests. Here, before the first motion, the
         controller's kinematics are compared with the cell file's.
         """
-        safe_rad = np.radians(self._run.cell.robot.safe_deg)
+        cell = self._run.cell
+        safe_rad = np.radians(cell.robot.safe_deg)
         now = self._run.devices.robot.read()
         if now.still:  # a pose that was read under way is not that of its joints
-            self._check_kinematics(now)
+            kinematics = check_pose(cell.robot, now, "park")
+            if not (kinematics.holds or self._run.log.by_factory_links):
+                self._run.event(FACTORY_LINKS, off_mm=kinematics.off_mm)
         if bool(np.all(np.abs(now.joints_rad - safe_rad) < SAME_RAD)):
             return now
-        rail = self.check_held(self.held)
-        self._last = now
-        self.check_way(rail, safe_rad, "park")
-        rail = self.check_held(self.held, rail)
-        self._run.intend("", "robot.park", seen=seen(rail, self._run.clock.pc_s()))
-        return self._drive([safe_rad], self._run.cell.robot.speed_percent, rail, self.held, "park")
-
-    def _check_kinematics(self, robot: RobotReading) -> None:
-        """Refuse a controller with other links than the cell file; journal those of its factory."""
-        found = check_pose(self._run.cell.robot, robot, "park")
-        if not (found.holds or self._run.log.by_factory_links):
-            self._run.event(FACTORY_LINKS, off_mm=found.off_mm)
+        self._robot = now
+        with self.admitted() as motion:
+            motion.check_way(safe_rad, "park")
+            self._run.intend("", "robot.park", seen=seen(*motion.slide()))
+            return motion.drive([safe_rad], cell.robot.speed_percent, "park")
 
     def robot_to(
         self,
@@ -309,22 +378,22 @@ class Motion:
         Coming from one side on every axis takes the joints' backlash out of the error. A speed that
         is stated does not hold for a first pass.
         """
+        usual_percent = self._run.cell.robot.speed_percent
         check_joint_limits(self._run.cell, joints_rad, what)
-        rail = self.check_held(self.held)
-        speed_percent = self._first_pass.speed_percent(rail.strip_mm, joints_rad, what)
-        rail = self.check_held(self.held, rail)  # the run may have paused
-        if straight is None:
-            stops = self._stops(rail, joints_rad, what, above)
-        else:
-            stops = self._straight_stops(rail, straight, joints_rad, what)
-            if speed_percent == self._run.cell.robot.speed_percent:
-                speed_percent = straight.speed_percent
-        rail = self.check_held(self.held, rail)
-        place = {"joints_deg": np.degrees(joints_rad), "strip_mm": rail.strip_mm}
-        if straight is not None:
-            place |= {"from_deg": np.degrees(straight.from_rad), "speed_percent": speed_percent}
-        self._run.intend(what, "robot.move", **place, seen=seen(rail, self._run.clock.pc_s()))
-        reading = self._drive(stops, speed_percent, rail, self.held, what)
+        with self.admitted() as motion:
+            speed_percent = self._first_pass.speed_percent(motion.strip_mm, joints_rad, what)
+            if straight is None:
+                stops = self._stops(motion, joints_rad, what, above)
+            else:
+                stops = self._straight_stops(motion, straight, joints_rad, what)
+                if speed_percent == usual_percent:
+                    speed_percent = straight.speed_percent
+            rail, judged_s = motion.slide()
+            place = {"joints_deg": np.degrees(joints_rad), "strip_mm": rail.strip_mm}
+            if straight is not None:
+                place |= {"from_deg": np.degrees(straight.from_rad), "speed_percent": speed_percent}
+            self._run.intend(what, "robot.move", **place, seen=seen(rail, judged_s))
+            reading = motion.drive(stops, speed_percent, what)
         self._run.clock.wait(self._run.cell.settle.robot_s)
         return reading
 
@@ -332,81 +401,21 @@ class Motion:
         """Prove at once the ways to joints (N, 6) that the robot goes to next, in turn."""
         self._coming.expect(station.strip_mm, joints_rad)
 
-    def check_way(self, rail: RailReading, joints_rad: Array, what: str) -> None:
-        """Refuse a motion from where the robot rests to joints (6,) that is not clear."""
-        if self._run.cell.surroundings is not None:
-            check_way(self._run.cell, rail.strip_mm, self._resting_rad(), joints_rad, what)
-
-    def check_held(self, station: Station | None, taken: RailReading | None = None) -> RailReading:
-        """Return a young reading of a slide that is held, at ``station``, so the robot may move."""
-        return self._check_held(station, taken)[0]
-
-    def _check_held(
-        self, station: Station | None, taken: RailReading | None
-    ) -> tuple[RailReading, float]:
-        """Return the reading, and when it was judged."""
-        rail = fresh(
-            self._run.devices.rail.read, self._run.clock, self._run.cell.settle.reading_age_s, taken
-        )
-        now_s = self._run.clock.pc_s()
-        robot_may_move(self._run.cell, rail, station, now_s)
-        return rail, now_s
-
-    def _stops(self, rail: RailReading, joints_rad: Array, what: str, above: bool) -> list[Array]:
+    def _stops(self, motion: RobotMotion, joints_rad: Array, what: str, above: bool) -> list[Array]:
         """Return where to go, in turn, on the way to joints (6,)."""
         cell = self._run.cell
-        now_rad = joints_rad if cell.surroundings is None else self._resting_rad()
-        if not above and self._coming.clear(rail.strip_mm, now_rad, joints_rad):
+        now_rad = joints_rad if cell.surroundings is None else motion.resting_rad()
+        if not above and self._coming.clear(motion.strip_mm, now_rad, joints_rad):
             return [below(cell, joints_rad), joints_rad]
-        return stops_on_way(cell, rail.strip_mm, now_rad, joints_rad, what, above=above)
+        return stops_on_way(cell, motion.strip_mm, now_rad, joints_rad, what, above=above)
 
     def _straight_stops(
-        self, rail: RailReading, straight: Straight, joints_rad: Array, what: str
+        self, motion: RobotMotion, straight: Straight, joints_rad: Array, what: str
     ) -> list[Array]:
         """Return where to go, in turn: to the pose to come from, unless the robot rests there."""
         before_rad = straight.from_rad
-        there = bool(np.all(np.abs(self._resting_rad() - before_rad) < SAME_RAD))
+        there = bool(np.all(np.abs(motion.resting_rad() - before_rad) < SAME_RAD))
         if self._run.cell.surroundings is not None:
-            check_way(self._run.cell, rail.strip_mm, before_rad, joints_rad, what)
-        first = [] if there else self._stops(rail, before_rad, what, above=False)
+            check_way(self._run.cell, motion.strip_mm, before_rad, joints_rad, what)
+        first = [] if there else self._stops(motion, before_rad, what, above=False)
         return [*first, joints_rad]
-
-    def _resting_rad(self) -> Array:
-        """Return the joints (6,) where the robot rests, by a reading young enough to move by."""
-        limit_s = self._run.cell.settle.reading_age_s
-        robot = fresh(self._run.devices.robot.read, self._run.clock, limit_s, self._last)
-        check_rests(self._run.cell, robot, self._run.clock.pc_s())
-        self._last = robot
-        return robot.joints_rad
-
-    def begin(
-        self, rail: RailReading, station: Station | None, joints_rad: Array, what: str
-    ) -> RailReading:
-        """Judge the readings by which the robot moves to joints (6,), immediately before it does.
-
-        Those at hand may have grown old: by a commit, or by the motion before. Then they are taken
-        again, and a robot that may stand elsewhere has its way checked again.
-        """
-        if self._run.cell.surroundings is not None:
-            proven = self._last
-            self._resting_rad()
-            if self._last is not proven:
-                self.check_way(rail, joints_rad, what)
-        rail, judged_s = self._check_held(station, rail)
-        self._last = None  # nobody knows where a motion that fails has ended
-        self.began = time_of(rail, judged_s)
-        return rail
-
-    def _drive(
-        self,
-        stops: list[Array],
-        speed_percent: float,
-        rail: RailReading,
-        station: Station | None,
-        what: str,
-    ) -> RobotReading:
-        """Go to joints (6,) in turn; return the reading at the last of them."""
-        for stop in stops:
-            rail = self.begin(rail, station, stop, what)
-            reading = self._last = self._run.devices.robot.move_to(stop, speed_percent)
-        return reading

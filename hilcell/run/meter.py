@@ -1,0 +1,248 @@
+"""Readings of the tracker: taken at rest, judged, and journalled before anybody sees them.
+
+A reflector that is carried by hand is asked for; the tracker proves where it sits.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from hilcell.calibration.controller_pose import check_pose
+from hilcell.cell.devices import turning_over
+from hilcell.cell.file import Nest
+from hilcell.geometry.frames import inverse
+from hilcell.journal.log import Point, Readings, ReadingTime
+from hilcell.journal.point_id import PointId
+from hilcell.ports import (
+    Array,
+    DeviceError,
+    NoReading,
+    RailReading,
+    RobotReading,
+    TrackerReading,
+)
+from hilcell.run.interlocks import check_held, check_strip
+from hilcell.run.mover import Mover
+from hilcell.run.prompts import FLANGE, Look, beam_prompt, borrow_prompt, seat_prompt
+from hilcell.run.readings import time_of
+from hilcell.run.run_context import RunContext
+
+MEASURE_TRIES = 3
+FLANGE_TOLERANCE_MM = 20.0  # of a seat, by the nominal arm
+
+
+class Meter:
+    """Measures where slide and robot stand. ``last`` is the newest point of this session."""
+
+    def __init__(self, run: RunContext, mover: Mover) -> None:
+        self._run, self._mover = run, mover
+        self.last: Point | None = None
+
+    # -- readings -----------------------------------------------------------------------------
+
+    def measure(
+        self, key: str, place: str, near_mm: Array, samples: int, *, back: bool = False
+    ) -> TrackerReading | None:
+        """Measure the reflector at ``place``, expected at (3,), tracker's frame; in the second face
+        of a tracker that turns over where ``back``.
+
+        Tries again, then asks the operator until the beam finds the reflector. Returns None then:
+        the tracker may have moved meanwhile, and is proven before the next measurement.
+        """
+        for tries in range(1, MEASURE_TRIES + 1):
+            try:
+                return self._reading(key, near_mm, samples, back=back)
+            except NoReading as error:
+                failed, cause = error, error.of_point(key)
+                facts = {"reason": str(error), "error": cause.facts()}
+                self._run.event("no reading", key=key, tries=tries, **facts)
+        limit_mm = self._run.cell.tracker.find_radius_mm
+        prompt = beam_prompt(self._run.cell, key, place, near_mm, limit_mm, failed)
+        self._run.ask(prompt, lambda: self._look(key, near_mm), cause)
+        return None
+
+    def _reading(
+        self, key: str, near_mm: Array, samples: int, *, back: bool = False
+    ) -> TrackerReading:
+        """Return one measurement; raises `NoReading`."""
+        tracker = self._run.devices.tracker
+        take = turning_over(tracker).measure_back if back else tracker.measure
+        reflector, began_s = self._run.cell.tracker.reflector, self._run.clock.pc_s()
+        reading = take(near_mm, reflector, samples)
+        _check_fresh(key, reading, began_s)
+        return reading
+
+    def _look(self, key: str, near_mm: Array) -> Look:
+        """Look for the reflector with the beam alone; a tracker that fails sees nothing."""
+        try:
+            reading = self._reading(key, near_mm, 1)
+        except DeviceError as error:
+            at_s, silent = self._run.clock.pc_s(), not isinstance(error, NoReading)
+            return Look(None, error.summary, at_s, lost=silent)
+        x, y, z = (float(value) for value in reading.xyz_mm)
+        off_mm = float(np.linalg.norm(reading.xyz_mm - near_mm))
+        return Look(off_mm, "", reading.taken_s, (x, y, z))
+
+    def check_expected(
+        self, key: str, reading: TrackerReading, expected_mm: Array, limit_mm: float
+    ) -> None:
+        """Refuse a reflector further than ``limit_mm`` from (3,) in {W}, once {B} was measured."""
+        if not self._run.frames.based():
+            return
+        found_mm = self._run.frames.world_from_tracker(reading.xyz_mm)[0]
+        off_mm = math.dist(found_mm, expected_mm)
+        if not off_mm <= limit_mm:
+            raise DeviceError(
+                "HC-T17",
+                "Tracker",
+                f"measure {key}",
+                f"reflector {off_mm:.2f} mm from its expected place",
+                wanted=f"<= {limit_mm:.1f} mm",
+                act="another reflector was caught, tool, base or tracker moved, or an axis lost "
+                "its zero; check, resume",
+                fields={"point": key, "off_mm": off_mm, "limit_mm": limit_mm},
+            )
+
+    def keep(
+        self,
+        id: PointId,
+        station: str,
+        reading: TrackerReading,
+        robot: RobotReading | None = None,
+        **facts: Any,
+    ) -> Point:
+        """Journal a reading with those of rail and robot; raises `DeviceError` for a slide that
+        left its station meanwhile, and for a pose that is not that of its joints.
+        """
+        rail = self._run.devices.rail.read()
+        if self._mover.held is not None:
+            check_strip(self._run.cell, rail, self._mover.held, f"after measuring {id.key}")
+        body: dict[str, object] = {
+            "station": station,
+            "frame": "tracker",
+            "reflector": reading.reflector,
+            "xyz_mm": reading.xyz_mm,
+            "std_mm": reading.std_mm,
+            "samples": reading.samples,
+            "temperature_c": reading.air and reading.air.temperature_c,
+            "pressure_mbar": reading.air and reading.air.pressure_mbar,
+            "humidity_percent": reading.air and reading.air.humidity_percent,
+            "rail_mm": rail.position_mm,
+            "strip_mm": rail.strip_mm,
+            "readings": _times(reading, rail, robot, self._mover.began, self._run.clock.pc_s()),
+        }
+        if robot is not None:
+            check_pose(self._run.cell.robot, robot, f"measure {id.key}")
+            body |= {"joints_deg": np.degrees(robot.joints_rad), "pose": robot.pose}
+        self.last = self._run.point(id, **body | facts)
+        return self.last
+
+    # -- nests on the floor, which prove the tracker ----------------------------------------------
+
+    def floor_point(self, id: PointId, nest: Nest) -> Point:
+        """Measure a nest on the floor."""
+        if known := self._run.log.find(id):
+            return known
+        self._run.checkpoint()
+        self.seat(nest.name, nest.xyz_mm)
+        cell = self._run.cell
+        samples = cell.proof_samples if id.kind == "control" else cell.nest_samples
+        return self._floor_point(id, nest, samples)
+
+    def back_point(self, id: PointId, nest: Nest, samples: int) -> Point:
+        """Measure a nest on the floor in the tracker's second face."""
+        if known := self._run.log.find(id):
+            return known
+        self._run.checkpoint()
+        return self._floor_point(id, nest, samples, back=True)
+
+    def borrowed_point(self, id: PointId, place: str, nest: Nest) -> Point:
+        """Measure the reflector of ``place`` in a floor nest, once it was carried there."""
+        if known := self._run.log.find(id):
+            return known
+        self._run.checkpoint()
+        self._borrow(place, nest)
+        return self._floor_point(id, nest, self._run.cell.nest_samples)
+
+    def restored(self, nest: Nest) -> None:
+        """Have every borrowed reflector put back where it belongs."""
+        self._run.checkpoint()
+        self._borrow(nest.name, nest)
+
+    def _floor_point(self, id: PointId, nest: Nest, samples: int, *, back: bool = False) -> Point:
+        near_mm = self._run.frames.tracker_from_world(nest.xyz_mm)[0]
+        while True:
+            if reading := self.measure(id.key, nest.name, near_mm, samples, back=back):
+                return self.keep(id, "", reading)
+
+    # -- the person who carries reflectors --------------------------------------------------------
+
+    def seat(self, place: str, nominal_mm: Array) -> None:
+        """Have the one reflector carried to ``place``, nominally (3,) in {W}, unless it is there.
+
+        Robot parked, slide held. Mounted reflectors are where they are.
+        """
+        run = self._run
+        if not run.cell.layout.by_hand or run.log.seated == place:
+            return
+        self._mover.park_robot()
+        rail = run.devices.rail.read()
+        check_held(run.cell, rail, self._mover.held, f"seat the reflector at {place}")
+        near_mm, limit_mm = self._expected(place, nominal_mm, rail.strip_mm)
+        prompt = seat_prompt(run.cell, place, run.log.seated, near_mm, limit_mm)
+        look = run.ask(prompt, lambda: self._look(f"look at {place}", near_mm), None)
+        self._run.event("seated", place=place, xyz_mm=look.xyz_mm, strip_mm=rail.strip_mm)
+
+    def _expected(self, place: str, nominal_mm: Array, strip_mm: float) -> tuple[Array, float]:
+        """Return where a seated reflector (3,) will be, tracker's frame, and within which distance.
+
+        Its last position, shifted by the slide's motion where it rides on the slide, is used first.
+        """
+        layout = self._run.cell.layout
+        if place in self._run.log.sights:
+            sight = self._run.log.sights[place]
+            rides = place not in {nest.name for nest in layout.standing}
+            T_L_W = inverse(self._run.frames.tracker_in_world())
+            along = T_L_W[:3, :3] @ np.array(layout.rail_direction)
+            moved_mm = (strip_mm - sight.strip_mm) * rides * along
+            return np.array(sight.xyz_mm) + moved_mm, layout.nest_tolerance_mm
+        near_mm = self._run.frames.tracker_from_world(nominal_mm)[0]
+        if "world" not in self._run.log.frames:
+            return near_mm, self._run.cell.tracker.find_radius_mm
+        limit_mm = FLANGE_TOLERANCE_MM if place == FLANGE else 2 * layout.nest_tolerance_mm
+        return near_mm, limit_mm
+
+    def _borrow(self, place: str, nest: Nest) -> None:
+        """Have the reflector of ``place`` carried to ``nest``; the robot is parked."""
+        self._mover.park_robot()
+        near_mm = self._run.frames.tracker_from_world(nest.xyz_mm)[0]
+        prompt = borrow_prompt(self._run.cell, place, nest.name, near_mm)
+        self._run.ask(prompt, lambda: self._look(f"look at {nest.name}", near_mm), None)
+
+
+def _times(
+    tracker: TrackerReading,
+    rail: RailReading,
+    robot: RobotReading | None,
+    began: ReadingTime | None,
+    now_s: float,
+) -> Readings:
+    measured = ReadingTime(tracker.taken_s, now_s - tracker.taken_s)
+    if robot is None:
+        return Readings(measured, time_of(rail, now_s))
+    return Readings(measured, time_of(rail, now_s), time_of(robot, now_s), began)
+
+
+def _check_fresh(key: str, reading: TrackerReading, began_s: float) -> None:
+    if not reading.taken_s >= began_s:
+        raise DeviceError(
+            "HC-T31",
+            "Tracker",
+            f"measure {key}",
+            f"result is {began_s - reading.taken_s:.3f} s older than its request",
+            act="an answer of an earlier measurement was still under way; resume",
+            fields={"point": key, "late_s": began_s - reading.taken_s},
+        )

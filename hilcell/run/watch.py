@@ -1,0 +1,466 @@
+"""Proofs that tracker, slide and room are as they were when the run began to measure.
+
+A tracker that was bumped measures everything beside its place, and every reading looks good. So the
+floor nests are measured again at the end of every measuring step, after every pause and after so
+many points. Where all of them have moved alike, the tracker has: the points since its last proof
+are invalid, {W} is framed again at its new set-up, and the step is performed again. Where they
+have moved against each other, they are measured once more: the tracker may have been bumped between
+two of them. Where they still differ, a nest has moved, and nothing can be trusted.
+
+A strip that has jumped a pole reads the station's value with the slide beside it; neither drive nor
+strip shows that, and after a jump while everything was dead nothing else does. So after each hold
+one nest of the slide is compared with the first hold of the station in this run: base and station
+frame rest on that one.
+
+A room that has become too warm or too cold suspends a run, and lets it go on when it is back.
+Level, not edge: each point's own temperature is judged before the next is measured, on resume too.
+While the run is suspended the tracker looks at a floor nest for its weather station alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+
+from hilcell.calibration.causes import Cause, Suspicion
+from hilcell.calibration.diagnosis import NOTICED_BY, reference_c
+from hilcell.calibration.frames import world_from_tracker
+from hilcell.cell.file import Cell, Nest, Station
+from hilcell.geometry.frames import apply
+from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.journal.point_id import HELD, LENGTH, PointId
+from hilcell.journal.reading_noise import run_noise
+from hilcell.journal.set_ups import FRAMED_AGAIN, PROOFS, PROVEN, TRACKER_MOVED, world_key
+from hilcell.ports import Array, DeviceError, NoReading, TrackerReading
+from hilcell.run.floor_nests import (
+    ALIKE,
+    check_distances,
+    check_places,
+    distance_limits,
+    limit_since,
+    limits_of,
+    motions_mm,
+    some_stand,
+    wrong_distances,
+)
+from hilcell.run.meter import Meter
+from hilcell.run.mover import Mover
+from hilcell.run.prompts import Look, Prompt
+from hilcell.run.remeasure import retake_refusal
+from hilcell.run.run_context import RunContext
+
+MOST_SET_UPS = 5  # of one run: a tracker that moves oftener stands badly
+STRAIGHT_MM = 0.5  # a way between stations by the strip: its error, the rail's tilt and lean
+SLIDE_PROVEN = "slide proven"  # event: so far off at most, which is within the limit
+ROOM_BACK = "room back"  # event
+PLACE = "the room"
+
+
+class BlockLost(Exception):
+    """The points since the tracker's last proof are invalid; their act is performed again."""
+
+
+class Off(NamedTuple):
+    """How far the slide stands beside where it was, along the rail, and the limit."""
+
+    off_mm: float
+    limit_mm: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether hold, readings and drift explain it."""
+        return abs(self.off_mm) <= self.limit_mm
+
+
+class Watch:
+    """Proves tracker, hold and room; measures again, after a proof, where somebody was asked."""
+
+    def __init__(self, run: RunContext, mover: Mover, meter: Meter) -> None:
+        self._run, self._mover, self._meter = run, mover, meter
+        self._proven: tuple[str, int] | None = None  # station and visit
+        self._room_judged: Point | None = None
+        self._room_within_s: float | None = None  # since which, cell time
+
+    def measured(self, key: str, place: str, near_mm: Array, samples: int) -> TrackerReading:
+        """Measure the reflector at ``place``, expected at (3,), tracker's frame.
+
+        After a question the tracker is proven first: it may have moved meanwhile.
+        """
+        while (reading := self._meter.measure(key, place, near_mm, samples)) is None:
+            self.prove_where_doubtful()
+        return reading
+
+    def measured_in_world(
+        self,
+        key: str,
+        place: str,
+        expected_mm: Array,
+        samples: int,
+        limit_mm: float | None = None,
+    ) -> TrackerReading:
+        """Measure the reflector at ``place``, expected at (3,) in {W}; see `measured`.
+
+        Raises `DeviceError` where it is further away than ``limit_mm``, once {B} was measured.
+        """
+        near_mm = self._run.frames.tracker_from_world(expected_mm)[0]
+        reading = self.measured(key, place, near_mm, samples)
+        if limit_mm is not None:
+            self._meter.check_expected(key, reading, expected_mm, limit_mm)
+        return reading
+
+    # -- the tracker's set-up ---------------------------------------------------------------------
+
+    def frame_world(self) -> None:
+        """Frame {W} at the tracker's present set-up; where that is done, prove it."""
+        cell, log = self._run.cell, self._run.log
+        number = log.set_ups.number
+        if world_key(number) in log.frames:
+            self.prove()
+            return
+        self._discard_begun(number)
+        nests = self._measured(_nest_ids(cell, number))
+        measured_mm = positions_mm(nests)
+        if not number:
+            check_places(cell, measured_mm)
+            check_distances(cell, measured_mm)
+            self._check_before(nests)
+        elif any(self._changes(nests)):
+            self._renew(nests, self._controls())
+        self._run.frame(world_key(number), world_from_tracker(cell, measured_mm), points=nests)
+
+    def _discard_begun(self, number: int) -> None:
+        """Discard nests that an engine before this one measured: the tracker may have moved."""
+        ids = _nest_ids(self._run.cell, number)
+        if begun := [id.key for id in ids if self._run.log.find(id)]:
+            self._run.event(FRAMED_AGAIN, invalid=begun)
+
+    def prove(self) -> None:
+        """Prove that the tracker stands where {W} was framed.
+
+        Raises `BlockLost` where it has moved, after {W} was framed again, and `DeviceError`
+        where a nest has, or where frames rest on what was measured since the last proof.
+        """
+        cell, log = self._run.cell, self._run.log
+        before = [log.point(id) for id in _nest_ids(cell, log.set_ups.number)]
+        now = self._controls()
+        stand = self._stand(before, now)
+        if not stand and (some_stand(before, now) or any(self._changes(now))):
+            now = self._controls()
+            stand = self._stand(before, now)
+        if not stand:
+            if some_stand(before, now):
+                self._blame(motions_mm(before, now))
+            self._renew(before, now)
+        self._run.event(PROVEN, off_mm=motions_mm(before, now))
+
+    def close_step(self, *, carried: bool = False) -> None:
+        """Prove the tracker at the end of a step that has measured something.
+
+        Where the reflector is carried by hand to the nests, only if ``carried``.
+        """
+        log = self._run.log
+        framed = world_key(log.set_ups.number) in log.frames
+        if log.set_ups.open and framed and (carried or not self._run.cell.layout.by_hand):
+            self.prove()
+
+    def prove_where_doubtful(self) -> None:
+        """Prove it after a pause, and after as many points as the plan allows between proofs.
+
+        After a pause also where nothing waits for a proof: the next point would be the first of a
+        block to be lost. A reflector that is carried by hand stays where it is; every seat of it
+        is a pause.
+        """
+        cell, log = self._run.cell, self._run.log
+        done = log.set_ups
+        doubtful = done.interrupted or len(done.unproven) >= cell.plan.prove_every
+        if doubtful and not cell.layout.by_hand and world_key(done.number) in log.frames:
+            self.prove()
+
+    def _measured(self, ids: list[PointId]) -> list[Point]:
+        nests = self._run.cell.layout.floor
+        return [self._meter.floor_point(id, nest) for id, nest in zip(ids, nests, strict=True)]
+
+    def _controls(self) -> list[Point]:
+        """Measure all floor nests as control points."""
+        log, nests = self._run.log, self._run.cell.layout.floor
+        return self._measured([_control_id(log, nest) for nest in nests])
+
+    def _renew(self, before: list[Point], now: list[Point]) -> NoReturn:
+        """Frame {W} at a new set-up, of a tracker that stands elsewhere than it did ``before``."""
+        for fields in self._changes(now):
+            then_mm, at_mm = fields["wanted_mm"], fields["distance_mm"]
+            raise _moved(
+                f"{' to '.join(fields['nests'])} was {then_mm:.3f} mm, is {at_mm:.3f} mm",
+                f"{then_mm:.3f} +-{fields['limit_mm']:.3f} mm",
+                "a floor nest or its reflector has moved; fix it, then start a new run",
+                fields,
+            )
+        set_ups = self._run.log.set_ups
+        limits_mm = limits_of(self._run.cell, run_noise(self._run.log), before, now)
+        facts = {
+            "moved_mm": float(motions_mm(before, now).max()),
+            "limit_mm": float(limits_mm.min()),
+        }
+        self._check_renewable(facts)
+        number, invalid = set_ups.number + 1, list(set_ups.unproven)
+        self._run.event(TRACKER_MOVED, set_up=number, invalid=invalid, **facts)
+        self.frame_world()
+        raise BlockLost
+
+    def _stand(self, before: Sequence[Point], now: Sequence[Point]) -> bool:
+        """Whether all nests are seen where they were."""
+        limits_mm = limits_of(self._run.cell, run_noise(self._run.log), before, now)
+        return bool(np.all(motions_mm(before, now) <= limits_mm))
+
+    def _changes(self, now: list[Point]) -> Iterator[dict[str, Any]]:
+        """Yield the pairs of nests whose distance is not the one that {W} was first framed by."""
+        cell, log = self._run.cell, self._run.log
+        first = [log.point(id) for id in _nest_ids(cell, 0)]
+        limits_mm = distance_limits(cell, run_noise(log), first, now)
+        return wrong_distances(cell, positions_mm(first), positions_mm(now), limits_mm)
+
+    def _check_before(self, nests: list[Point]) -> None:
+        """Refuse nests that have moved since the cell's current calibration was measured.
+
+        The cell file knows their distances to millimetres, the tracker to hundredths.
+        """
+        cell, before = self._run.cell, self._run.log.inputs.floor_before
+        if before is None:
+            return
+        then_mm = np.array([before.nests_mm[nest.name] for nest in cell.layout.floor])
+        limit_mm = limit_since(cell, run_noise(self._run.log), nests, before.temperature_c)
+        for fields in wrong_distances(cell, then_mm, positions_mm(nests), limit_mm):
+            raise DeviceError(
+                "HC-T32",
+                "Tracker",
+                "world frame",
+                f"{' to '.join(fields['nests'])} is {fields['distance_mm']:.3f} mm",
+                wanted=f"{fields['wanted_mm']:.3f} +-{limit_mm:.3f} mm, as in run {before.run}",
+                act="a floor nest has moved since that run, or a reflector is not seated; put it "
+                "right and resume, or revoke that run's calibration and start a new run",
+                fields=fields | {"run": before.run},
+            )
+
+    def _blame(self, off_mm: Array) -> NoReturn:
+        """Refuse nests of which some stand: one that is lifted out of the plane of three changes
+        no distance by as much as would show.
+        """
+        stands = off_mm <= ALIKE * off_mm.max()
+        names = np.array([nest.name for nest in self._run.cell.layout.floor])
+        moving, standing = names[~stands].tolist(), names[stands].tolist()
+        raise _moved(
+            f"{', '.join(moving)} moved by {off_mm.max():.3f} mm, {', '.join(standing)} by "
+            f"{off_mm[stands].max():.3f} mm at most",
+            "all alike, as of a tracker that was moved",
+            "a floor nest or its reflector has moved, or the tracker has tilted; check them, then "
+            "start a new run",
+            {"nests": moving, "moved_mm": float(off_mm.max()), "standing": standing},
+        )
+
+    def _check_renewable(self, facts: dict[str, Any]) -> None:
+        """Refuse to go on where frames rest on invalid points, or after too many set-ups."""
+        log = self._run.log
+        invalid = [log.points[key] for key in log.set_ups.unproven if key in log.points]
+        built = next((key for point in invalid if (key := _rests_on(log, point))), "")
+        if not built and log.set_ups.number < MOST_SET_UPS:
+            return
+        act = "fix its stand, then start a new run"
+        if built:
+            act = f"{built} rests on points measured since it was proven; start a new run"
+        suspicion = Suspicion(Cause.TRACKER_MOVED, facts["moved_mm"], "mm", "control points")
+        raise _moved(
+            f"moved by {facts['moved_mm']:.3f} mm",
+            f"<= {facts['limit_mm']:.3f} mm",
+            f"the tracker was bumped: {act}",
+            facts | suspicion.facts,
+        )
+
+    # -- the slide's hold -------------------------------------------------------------------------
+
+    def hold_station(self, station: Station, *, again: bool = False) -> None:
+        """Hold a station and prove it, unless it was proven since the slide last moved.
+
+        ``again`` approaches it where it is held, and leaves the proof to the caller. Without {W},
+        without a rail, and where the reflector is carried by hand, nothing can be proven. Raises
+        `BlockLost` where it was the tracker that has moved. A strip that has jumped pauses an
+        attended run; `DeviceError` where the slide is still beside its place afterwards.
+        """
+        self._mover.hold_station(station, again=again)
+        log = self._run.log
+        framed = world_key(log.set_ups.number) in log.frames
+        if again or not (framed and self._run.cell.has_rail) or self._run.cell.layout.by_hand:
+            return
+        if self._proven == (station.name, log.visit):
+            return
+        self._mover.park_robot()  # the arm may stand in the beam's way to the slide
+        off = self._prove_hold(station)
+        if not off.holds:
+            self.prove()
+            self._run.pause(
+                f"the slide stands {off.off_mm:+.3f} mm along the rail beside where {station.name} "
+                f"was, wanted within {off.limit_mm:.3f} mm: the strip has jumped, or a slide nest "
+                "has moved"
+            )
+            self._mover.hold_station(station, again=True)
+            off = self._prove_hold(station)
+        if not off.holds:
+            raise _jumped(station, off)
+        self._proven = (station.name, log.visit)
+
+    def _prove_hold(self, station: Station) -> Off:
+        """Measure the nest, and journal that it is where it was, if so."""
+        self.prove_where_doubtful()
+        nest = self._run.cell.layout.slide[0]
+        turn = len(self._run.log.select(HELD, station.name))
+        id = PointId(
+            HELD, station=station.name, session=self._run.log.session, turn=turn, nest=nest.name
+        )
+        expected_mm = (self._run.frames.base_in_world(station) @ np.append(nest.xyz_mm, 1.0))[:3]
+        samples = self._run.cell.tracker.samples  # as quickly as a target
+        reading = self.measured_in_world(id.key, nest.name, expected_mm, samples)
+        point = self._meter.keep(id, station.name, reading)
+        off = self._off(station, point)
+        if off.holds:
+            self._run.event(SLIDE_PROVEN, key=point.key, off_mm=off.off_mm, limit_mm=off.limit_mm)
+        return off
+
+    def _off(self, station: Station, now: Point) -> Off:
+        """Return how far a point of this hold is from the first one's: of the station, or of any.
+
+        The first of all is where it is. From one station to another the strip leads less well than
+        back to the same.
+        """
+        log, cell = self._run.log, self._run.cell
+        keys = (event.body["key"] for event in log.events if event.body["what"] == SLIDE_PROVEN)
+        before = [log.points[key] for key in keys if key in log.points]
+        here = [point for point in before if point.station == station.name]
+        if not before:
+            return Off(0.0, 0.0)
+        first = (here or before)[0]
+        held_mm = 2.0 * cell.rail.held_within_mm if here else STRAIGHT_MM
+        limit_mm = held_mm + float(limits_of(cell, run_noise(log), [first], [now])[0])
+        at_mm = apply(log.matrix("world"), positions_mm([first, now]))
+        way_mm = station.strip_mm - cell.station_named(first.station).strip_mm
+        along_mm = float((at_mm[1] - at_mm[0]) @ np.array(cell.layout.rail_direction))
+        return Off(along_mm - way_mm, limit_mm)
+
+    # -- the room ---------------------------------------------------------------------------------
+
+    def check_room(self) -> None:
+        """Suspend the run where its newest point was measured beyond the room's range.
+
+        That point waits to be re-measured, where it may be. Where the reflector is carried by hand
+        there is none to look at, and somebody who feels the room.
+        """
+        point, table = self._meter.last, self._run.cell.room
+        if point is None or point is self._room_judged or self._run.cell.layout.by_hand:
+            return
+        then_c, self._room_judged = reference_c(self._run.log), point
+        if then_c is None or point.temperature_c is None:
+            return
+        if abs(point.temperature_c - then_c) <= table.range_k:
+            return
+        self._await_room(point, then_c)
+
+    def _await_room(self, point: Point, then_c: float) -> None:
+        cause, nest = self._room_cause(point, then_c), self._run.cell.layout.floor[0]
+        x, y, z = self._run.frames.tracker_from_world(nest.xyz_mm)[0].tolist()
+        prompt = Prompt(
+            title="Wait for the room's temperature",
+            text=f"{cause.found}. The run goes on by itself when the air is {cause.wanted}; close "
+            "doors and gates, look at the heating.",
+            place=PLACE,
+            expected_mm=(x, y, z),
+            limit_mm=self._run.cell.tracker.find_radius_mm,
+            reason=f"room temperature: {cause.found}, wanted {cause.wanted}",
+            by_itself=True,
+        )
+        self._room_within_s = None
+        if not retake_refusal(self._run.log, point.key):
+            self._run.event("retake asked", key=point.key)  # done also by a run that is resumed
+        self._run.ask(
+            prompt, lambda: self._look_at_room(np.array(prompt.expected_mm), then_c), cause
+        )
+        self._run.event(ROOM_BACK)
+
+    def _room_cause(self, point: Point, then_c: float) -> NoReading:
+        table, now_c = self._run.cell.room, point.temperature_c or 0.0
+        return NoReading(
+            "HC-V14",
+            "Tracker",
+            f"weather station at {point.key}",
+            f"air {now_c:.1f} C, {now_c - then_c:+.1f} K from the grid's first point",
+            wanted=f"within {table.back_k:g} K of {then_c:.1f} C for {table.steady_s:g} s",
+            act="wait until the room is as it was, then resume",
+            fields=Suspicion(Cause.TEMPERATURE, now_c - then_c, "K", NOTICED_BY).facts
+            | {"air_c": now_c, "then_c": then_c, "limit_k": table.range_k},
+        )
+
+    def _look_at_room(self, near_mm: Array, then_c: float) -> Look:
+        """Look at the weather station; good once the air has been within the band long enough."""
+        table, reflector = self._run.cell.room, self._run.cell.tracker.reflector
+        try:
+            reading = self._run.devices.tracker.measure(near_mm, reflector, 1)
+        except DeviceError as error:
+            at_s, silent = self._run.clock.pc_s(), not isinstance(error, NoReading)
+            return Look(None, error.summary, at_s, lost=silent)
+        now_s = self._run.clock.now_s()
+        off_k = np.nan if reading.air is None else reading.air.temperature_c - then_c
+        if not abs(off_k) <= table.back_k:
+            self._room_within_s = None
+            return Look(None, f"the air is {off_k:+.1f} K from {then_c:.1f} C", reading.taken_s)
+        self._room_within_s = now_s if self._room_within_s is None else self._room_within_s
+        steady_s = now_s - self._room_within_s
+        if not steady_s >= table.steady_s:
+            why = f"the air has been within {table.back_k:g} K for {steady_s:.0f} s"
+            return Look(None, f"{why}, wanted {table.steady_s:g} s", reading.taken_s)
+        return Look(float(np.linalg.norm(reading.xyz_mm - near_mm)), "", reading.taken_s)
+
+
+def _nest_ids(cell: Cell, set_up: int) -> list[PointId]:
+    """Return the identities of the points that frame {W} at a set-up."""
+    return [PointId("world", number=set_up or None, nest=nest.name) for nest in cell.layout.floor]
+
+
+def _control_id(log: Log, nest: Nest) -> PointId:
+    """Return the identity of the nest's next control point."""
+    before = (point for kind in (*PROOFS, LENGTH) for point in log.measured(kind))
+    turn = sum(point.id.nest == nest.name for point in before)
+    return PointId("control", session=log.session, turn=turn, nest=nest.name)
+
+
+def _rests_on(log: Log, point: Point) -> str:
+    """Return the frame or verdict that was built with a point, if there is one."""
+    built = {
+        "base": "base",
+        "slide": f"station.{point.station}",
+        "three": f"three_points.{point.station}",
+        "grid": "fit",
+        "oriented": "fit",
+        "pose": "fit",
+        "repeatability": "fit",
+    }.get(point.id.kind, "")
+    return built if built in log.frames or built in log.verdicts else ""
+
+
+def _moved(found: str, wanted: str, act: str, fields: dict[str, Any]) -> DeviceError:
+    return DeviceError(
+        "HC-T33", "Tracker", "control points", found, wanted=wanted, act=act, fields=fields
+    )
+
+
+def _jumped(station: Station, off: Off) -> DeviceError:
+    suspicion = Suspicion(Cause.STRIP, off.off_mm, "mm", f"slide nest at {station.name}")
+    return DeviceError(
+        "HC-S10",
+        "Rail",
+        f"hold {station.name}",
+        f"the strip reads the station, the slide stands {off.off_mm:+.3f} mm beside it",
+        wanted=f"within {off.limit_mm:.3f} mm along the rail of its first hold in this run",
+        act="the strip has jumped, or a slide nest has moved; put the strip head right and resume, "
+        "else start a new run",
+        fields=suspicion.facts
+        | {"station": station.name, "off_mm": off.off_mm, "limit_mm": off.limit_mm},
+    )
