@@ -31,6 +31,7 @@ from hilcell.calibration.touch import beside_nest
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected_poses
+from hilcell.compensation.interpolation import Idw
 from hilcell.compensation.model import ErrorModel
 from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.journal.log import Log
@@ -100,7 +101,7 @@ class Validate:
     def perform(self, session: CellSession) -> None:
         """Validate at the grid's station, then at the others with transferred data."""
         measured = measured_of(session.log)
-        paper = MODELS["idw"].learn(measured)
+        paper = Idw.learn(measured)
         chosen = MODELS[str(session.log.verdicts["fit"]["method"])].learn(measured)
         models = {"idw": paper, "chosen": chosen}
         for name, poses in target_poses(session.cell, session.seed).items():

@@ -12,10 +12,12 @@ import numpy as np
 from hilcell.cell.file import Cell, Station
 from hilcell.cell.plan import coarsest_pitch_mm
 from hilcell.compensation.grid import Grid, MeasuredGrid
-from hilcell.compensation.measured import Measured, OtherReflectors, StaticPoses
+from hilcell.compensation.measured import Measured, MeasuredArm, StaticPoses
 from hilcell.compensation.outliers import outlying
 from hilcell.compensation.similarity import Pairs, similarity_pairs
-from hilcell.geometry.frames import apply, inverse, three_point_frame
+from hilcell.geometry.frames import apply, inverse, matrix, three_point_frame
+from hilcell.geometry.kinematics import forward
+from hilcell.identification.readings import Readings
 from hilcell.journal.log import Log, Point, commanded_rad, covariances_mm2, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.journal.set_ups import world_key
@@ -141,59 +143,44 @@ def grid_errors_mm(log: Log) -> Array:
 def measured_grid(log: Log) -> MeasuredGrid:
     """Return the grid's errors in {B} with the covariance of each vertex's averaged reading."""
     points, grid = log.select("grid"), grid_of(log.cell)
-    found = _static(log, points)
     i, j, k = np.array([point.id.vertex for point in points], dtype=int).reshape(-1, 3).T
     errors_mm: Array = np.full((*grid.shape, 3), np.nan)
     covariance_mm2: Array = np.full((*grid.shape, 3, 3), np.nan)
-    errors_mm[i, j, k] = found.actual_mm - found.nominal_mm
-    covariance_mm2[i, j, k] = found.covariance_mm2
+    nominal_mm, actual_mm, covariance_mm2[i, j, k] = _static(log, points)
+    errors_mm[i, j, k] = actual_mm - nominal_mm
     return MeasuredGrid(grid, errors_mm, covariance_mm2)
 
 
-def static_poses(log: Log) -> StaticPoses:
-    """Return the poses at which the robot's error was measured, as commanded: grid, and free."""
-    return _static(log, _static_points(log))
-
-
-def _static_points(log: Log) -> list[Point]:
-    return [*log.select("grid"), *log.select(ORIENTED), *log.select("pose")]
-
-
-def _static(log: Log, points: list[Point]) -> StaticPoses:
+def _static(log: Log, points: list[Point]) -> tuple[Array, Array, Array]:
+    """Return nominal and actual positions (N, 3) in {B}, and the readings' covariances."""
     T_B_W = inverse(log.matrix("base"))
     T_B_L = T_B_W @ log.matrix("world")
     nominal_mm: Array = np.array([p.nominal_mm for p in points], dtype=float).reshape(-1, 3)
-    return StaticPoses(
-        commanded_rad(points),
-        apply(T_B_W, nominal_mm),
-        apply(T_B_L, positions_mm(points)),
-        covariances_mm2(points, T_B_L[:3, :3]),
-    )
+    actual_mm = apply(T_B_L, positions_mm(points))
+    return apply(T_B_W, nominal_mm), actual_mm, covariances_mm2(points, T_B_L[:3, :3])
 
 
 def measured_of(log: Log) -> Measured:
-    """Return everything that the models learn from."""
+    """Return everything that the models learn from: poses as commanded, grid and free ones."""
+    points = [*log.select("grid"), *log.select(ORIENTED), *log.select("pose")]
+    robot, joints_rad = log.cell.robot.nominal(), commanded_rad(points)
+    nominal_mm, actual_mm, covariance_mm2 = _static(log, points)
+    nominal = matrix(forward(robot.arm, joints_rad)[:, :3, :3], nominal_mm)
+    poses = StaticPoses.of(joints_rad, nominal, actual_mm - nominal_mm, covariance_mm2)
     curves = tuple(record.curve() for record in log.curves.values() if record.holds)
-    poses, others = static_poses(log), other_reflectors(log)
-    return Measured(measured_grid(log), log.cell.robot.nominal(), poses, curves, others)
-
-
-def other_reflectors(log: Log) -> OtherReflectors | None:
-    """Return the other reflectors at the poses of `static_poses`; None where the cell has one."""
-    places_mm = log.cell.robot.seats_mm[1:]
-    if not len(places_mm):
-        return None
+    seats_mm = log.cell.robot.seats_mm
+    xyz_mm: Array = np.full((len(points), len(seats_mm), 3), np.nan)
+    own_mm2: Array = np.full((*xyz_mm.shape, 3), np.nan)
+    xyz_mm[:, 0], own_mm2[:, 0] = actual_mm, covariance_mm2
     T_B_L = inverse(log.matrix("base")) @ log.matrix("world")
-    points = _static_points(log)
-    shape = (len(points), len(places_mm), 3)
-    at_mm, covariance_mm2 = np.full(shape, np.nan), np.full((*shape, 3), np.nan)
     for row, point in enumerate(points):
-        for n in range(len(places_mm)):
-            seen = log.find(point.id.at_seat(n + 2))
+        for n in range(1, len(seats_mm)):
+            seen = log.find(point.id.at_seat(n + 1))
             if seen is not None:
-                at_mm[row, n] = apply(T_B_L, positions_mm([seen]))[0]
-                covariance_mm2[row, n] = covariances_mm2([seen], T_B_L[:3, :3])[0]
-    return OtherReflectors(places_mm, at_mm, covariance_mm2)
+                xyz_mm[row, n] = apply(T_B_L, positions_mm([seen]))[0]
+                own_mm2[row, n] = covariances_mm2([seen], T_B_L[:3, :3])[0]
+    readings = Readings(joints_rad, xyz_mm, np.nan_to_num(own_mm2))
+    return Measured(poses, measured_grid(log), MeasuredArm(robot, readings, seats_mm, curves))
 
 
 def vertex_ids(grid: Grid) -> list[PointId]:

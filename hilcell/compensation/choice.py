@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -16,49 +16,34 @@ from hilcell.compensation.grid import Grid
 from hilcell.compensation.interpolation import Idw, Trilinear, check_covariance
 from hilcell.compensation.kinematic import Kinematic
 from hilcell.compensation.measured import Measured
-from hilcell.compensation.model import LearntModel, ModelError, Prediction
+from hilcell.compensation.model import LearntModel, Prediction
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import figures_of, lengths_mm
 from hilcell.identification.readings import IdentificationError
 
 
 @dataclass(frozen=True, eq=False)
-class Nominal:
+class Nominal(LearntModel):
     """Predicts no error; the covariance (3, 3) is the mean square of those measured."""
 
-    turns: ClassVar[bool] = True
+    name = "nominal"
+    text = "not corrected: no model did better than nominal positions"
+    turns = True
 
     covariance_mm2: Array
 
     @classmethod
     def learn(cls, measured: Measured) -> Self:
         """Return the model with the errors' mean square."""
-        errors = -cls.left_out_mm(measured)
-        return cls(errors.T @ errors / len(errors))
-
-    @classmethod
-    def left_out_mm(cls, measured: Measured) -> Array:
-        """Return the nominal less the measured positions (M, 3).
-
-        Raises `IdentificationError` where no pose was measured.
-        """
-        if not len(measured.poses):
-            raise IdentificationError("nominal positions: no pose was measured")
-        return measured.poses.nominal_mm - measured.poses.actual_mm
+        errors_mm = measured.poses.error_mm
+        return cls(errors_mm.T @ errors_mm / len(errors_mm))
 
     @classmethod
     def restore(cls, grid: Grid, errors_mm: Array, parameters: Mapping[str, Any]) -> Self:
         """Return the model as `parameters` keeps it."""
-        try:
-            covariance = np.array(dict(parameters)["covariance_mm2"], dtype=float)
-        except (KeyError, ValueError, TypeError) as error:
-            raise ModelError(f"no covariance of nominal positions: {error}") from error
-        check_covariance("covariance_mm2", covariance, (3, 3))
-        return cls(covariance)
-
-    def parameters(self) -> dict[str, Any]:
-        """Return the covariance."""
-        return {"covariance_mm2": self.covariance_mm2.tolist()}
+        model = super().restore(grid, errors_mm, parameters)
+        check_covariance("covariance_mm2", model.covariance_mm2, (3, 3))
+        return model
 
     def predict(self, poses: Array) -> Prediction:
         """Return no error at poses (N, 4, 4)."""
@@ -66,13 +51,10 @@ class Nominal:
         return Prediction(np.zeros((count, 3)), np.broadcast_to(self.covariance_mm2, (count, 3, 3)))
 
 
-NOMINAL = "nominal"
+NOMINAL = Nominal.name
 WEIGHTS = {"mean": 2.0, "max": 1.0}  # the largest of few dozen misses scatters much more
 MODELS: dict[str, type[LearntModel]] = {
-    NOMINAL: Nominal,
-    "idw": Idw,
-    "trilinear": Trilinear,
-    "kinematic": Kinematic,
+    model.name: model for model in (Nominal, Idw, Trilinear, Kinematic)
 }
 
 

@@ -2,23 +2,23 @@
 
 `Idw` is the paper's (eqs 9-10), on distances from nominal to nominal position. It does not
 reproduce even a linear field (slope g on pitch h leaves 0.154 g h mean, 0.365 g h max);
-`Trilinear` on the same vertices does.
+`Trilinear` on the same vertices does. Of poses that are not a lattice `Idw` takes the nearest.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import msgspec
 import numpy as np
 
 from hilcell.compensation.grid import Grid, GridError, Ints, MeasuredGrid
 from hilcell.compensation.measured import Measured
-from hilcell.compensation.model import ModelError, Prediction
+from hilcell.compensation.model import LearntModel, ModelError, Prediction
 from hilcell.geometry.kinematics import Array
 from hilcell.typed import typed
 
@@ -37,7 +37,7 @@ class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @dataclass(frozen=True, eq=False)
-class Interpolation(ABC):
+class Interpolation(LearntModel):
     """An error blended from the eight vertices of the target's cell, with weights w that sum to 1.
 
     The covariance is ``sum w_i^2 V_i + (1 - sum w_i^2) R``. The first term carries the covariance
@@ -50,8 +50,6 @@ class Interpolation(ABC):
     left out but cancels: the grid and the targets are carried by the same {B}.
     """
 
-    turns: ClassVar[bool] = False
-
     lattice: MeasuredGrid
     residual_mm2: Array
 
@@ -59,11 +57,6 @@ class Interpolation(ABC):
     @abstractmethod
     def weights(place: Array, pitch_mm: float | Array) -> Array:
         """Return the weights (N, 8) of `CORNERS` at places (N, 3), 0..1 in a cell."""
-
-    @classmethod
-    def learn(cls, measured: Measured) -> Self:
-        """Return the model of the measured grid."""
-        return cls.of_grid(measured.grid)
 
     @classmethod
     def of_grid(cls, lattice: MeasuredGrid) -> Self:
@@ -126,7 +119,20 @@ class Interpolation(ABC):
 
 
 class Idw(Interpolation):
-    """Inverse distances, eqs 9-10."""
+    """Inverse distances, eqs 9-10; over `NearestPoses` where no lattice was measured."""
+
+    name = "idw"
+    text = (
+        "corrected by inverse-distance interpolation of the grid's errors "
+        "(Tian et al., Chinese Journal of Aeronautics, 2014)"
+    )
+
+    @classmethod
+    def learn(cls, measured: Measured) -> LearntModel:
+        """Return the model of the measured grid, or of the poses."""
+        if measured.lattice is None:
+            return NearestPoses.learn(measured)
+        return cls.of_grid(measured.lattice)
 
     @staticmethod
     def weights(place: Array, pitch_mm: float | Array) -> Array:
@@ -138,12 +144,68 @@ class Idw(Interpolation):
 class Trilinear(Interpolation):
     """Linear along each axis."""
 
+    name = "trilinear"
+    text = "corrected by trilinear interpolation of the grid's errors"
+    scattered = False
+
+    @classmethod
+    def learn(cls, measured: Measured) -> Self:
+        """Return the model of the measured grid."""
+        return cls.of_grid(measured.grid)
+
     @staticmethod
     def weights(place: Array, pitch_mm: float | Array) -> Array:
         """Return the trilinear weights (N, 8) at places (N, 3)."""
         share = np.where(CORNERS == 1, place[:, None, :], 1.0 - place[:, None, :])
         weight: Array = share.prod(axis=-1)
         return weight
+
+
+NEIGHBOURS = 8  # poses that one prediction is interpolated from
+
+
+@dataclass(frozen=True, eq=False)
+class NearestPoses(LearntModel):
+    """Eqs 9-10 over the `NEIGHBOURS` nearest of scattered poses, at points and of errors (N, 3).
+
+    One covariance (3, 3) holds for all targets: the mean square of the misses at poses left out. It
+    covers the poses' readings, repeatability and what lies between the poses, in the mean over
+    them; it does not say where in space a prediction is worse.
+    """
+
+    points_mm: Array
+    errors_mm: Array
+    covariance_mm2: Array
+
+    @classmethod
+    def learn(cls, measured: Measured) -> Self:
+        """Return the model of two poses or more."""
+        poses, missed_mm = measured.poses, cls.left_out_mm(measured)
+        covariance_mm2 = missed_mm.T @ missed_mm / len(poses)
+        return cls(poses.nominal[:, :3, 3], poses.error_mm, covariance_mm2)
+
+    @classmethod
+    def left_out_mm(cls, measured: Measured) -> Array:
+        """Return predicted less measured errors (N, 3), by folds."""
+        poses, points_mm = measured.poses, measured.poses.nominal[:, :3, 3]
+        missed_mm = -poses.error_mm
+        for fold in np.unique(poses.fold):
+            out = poses.fold == fold
+            missed_mm[out] += _blended(points_mm[~out], poses.error_mm[~out], points_mm[out])
+        return missed_mm
+
+    def predict(self, poses: Array) -> Prediction:
+        """Return the errors at poses (N, 4, 4); their places alone count."""
+        error_mm = _blended(self.points_mm, self.errors_mm, poses[:, :3, 3])
+        return Prediction(error_mm, np.broadcast_to(self.covariance_mm2, (len(poses), 3, 3)))
+
+
+def _blended(points_mm: Array, errors_mm: Array, targets_mm: Array) -> Array:
+    distance = np.linalg.norm(targets_mm[:, None] - points_mm, axis=-1)
+    nearest = np.argsort(distance, axis=1, kind="stable")[:, :NEIGHBOURS]
+    weights = inverse_distance_weights(np.take_along_axis(distance, nearest, axis=1))
+    blended: Array = np.einsum("nk,nkx->nx", weights, errors_mm[nearest])
+    return blended
 
 
 def inverse_distance_weights(distance: Array) -> Array:

@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import msgspec
 import numpy as np
 
 from hilcell.compensation.grid import Grid
-from hilcell.compensation.measured import Measured
-from hilcell.compensation.model import ModelError, Prediction, Turn
+from hilcell.compensation.measured import Measured, MeasuredArm
+from hilcell.compensation.model import LearntModel, ModelError, Prediction, Turn
 from hilcell.geometry.inverse import NominalRobot
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.rotations import to_rotvec
@@ -31,7 +31,7 @@ from hilcell.identification.estimate import (
 )
 from hilcell.identification.kinematics import Kinematics, Placed, State
 from hilcell.identification.noise import Noise
-from hilcell.identification.readings import IdentificationError, Readings
+from hilcell.identification.readings import IdentificationError
 from hilcell.identification.system import observability
 from hilcell.typed import typed
 
@@ -109,12 +109,15 @@ class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @dataclass(frozen=True, eq=False)
-class Kinematic:
+class Kinematic(LearntModel):
     """Errors by identified kinematics. The covariance covers the parameters, the repeatability of
     one visit, and what no parameter describes, both as the static poses show them.
     """
 
-    turns: ClassVar[bool] = True
+    name = "kinematic"
+    text = "corrected by the robot's kinematics, identified from these errors"
+    turns = True
+    scattered = False
 
     robot: NominalRobot
     kinematics: Kinematics
@@ -132,11 +135,12 @@ class Kinematic:
 
         Raises `IdentificationError`.
         """
-        estimate, decision = _identified(measured)
+        arm = _arm(measured)
+        estimate, decision = _identified(arm)
         known = observability(estimate.system)
         excess = _excess(estimate)
         return cls(
-            measured.robot,
+            arm.robot,
             estimate.kinematics,
             estimate.state,
             excess * estimate.system.covariance,
@@ -153,7 +157,7 @@ class Kinematic:
 
         Gross readings, which nothing was learnt from, are not among them.
         """
-        return -_left_out_mm(_identified(measured)[0])
+        return -_left_out_mm(_identified(_arm(measured))[0])
 
     def predict(self, poses: Array) -> Prediction:
         """Return the errors at nominal poses (N, 4, 4) in {B}; raises `ReachError`."""
@@ -238,30 +242,34 @@ ROWS = ("a_mm", "alpha_rad", "d_mm", "offset_rad", "sign")
 def curves_used(measured: Measured) -> CurvesUsed:
     """Return whether the curves are used, and why; also where no robot can be identified."""
     try:
-        return _identified(measured)[1]
+        return _identified(_arm(measured))[1]
     except IdentificationError as error:
         return CurvesUsed(False, f"not used: {error}")
 
 
+def _arm(measured: Measured) -> MeasuredArm:
+    if measured.arm is None:
+        raise IdentificationError("kinematics: the arm's reflectors were not measured")
+    return measured.arm
+
+
 @lru_cache(maxsize=1)
-def _identified(measured: Measured) -> tuple[Estimate, CurvesUsed]:
+def _identified(measured: MeasuredArm) -> tuple[Estimate, CurvesUsed]:
     """Return the identification, with curves only if poses left out are predicted better.
 
     A run asks for it with each of its results; it is made again when a number has changed.
     """
-    arm = measured.robot.arm
-    readings, seats_mm = _readings(measured), arm.tool[None, :3, 3]
-    if measured.others is not None:
-        seats_mm = np.concatenate([seats_mm, measured.others.places_mm])
-    assumed = ASSUMED if measured.others is None else ASSUMED_SEVERAL
+    arm, seats_mm = measured.robot.arm, measured.seats_mm
+    assumed = ASSUMED if len(seats_mm) == 1 else ASSUMED_SEVERAL
     kinematics = Kinematics(arm, len(seats_mm), assumed=assumed)
     start, noise = kinematics.start(np.eye(4), seats_mm), Noise.of_joints(len(seats_mm))
-    without = _better(identify(kinematics, readings, start, noise), replace(kinematics, tool=True))
+    found = identify(kinematics, measured.readings, start, noise)
+    without = _better(found, replace(kinematics, tool=True))
     kinematics = without.kinematics
     curves = tuple(curve for curve in measured.curves if len(curve.cycles))
     if not curves:
-        found = "found no wave" if measured.curves else "were not made"
-        return without, CurvesUsed(False, f"not used: axis sweeps {found}")
+        why = "found no wave" if measured.curves else "were not made"
+        return without, CurvesUsed(False, f"not used: axis sweeps {why}")
     with_ = _with_curves(without, curves)
     kept = tuple(curve for curve, bad in zip(curves, _contradicted(with_), strict=True) if not bad)
     if 0 < len(kept) < len(curves):
@@ -277,23 +285,13 @@ def _identified(measured: Measured) -> tuple[Estimate, CurvesUsed]:
     return (with_ if used else without), CurvesUsed(used, reason, *both)
 
 
-def _readings(measured: Measured) -> Readings:
-    """Return where the reflectors were, the tool point first."""
-    poses, others = measured.poses, measured.others
-    xyz_mm, covariance_mm2 = poses.actual_mm[:, None], poses.covariance_mm2[:, None]
-    if others is not None:
-        xyz_mm = np.concatenate([xyz_mm, others.actual_mm], axis=1)
-        covariance_mm2 = np.concatenate([covariance_mm2, others.covariance_mm2], axis=1)
-    return Readings(poses.joints_rad, xyz_mm, np.nan_to_num(covariance_mm2))
-
-
 def seats_mm(measured: Measured) -> Array:
     """Return where the reflectors (K, 3) are on the flange, as identified.
 
     They define the tool's orientation: the flange's, by the controller's zero of axis 6. Raises
     `IdentificationError`.
     """
-    return _identified(measured)[0].state.smr_mm
+    return _identified(_arm(measured))[0].state.smr_mm
 
 
 def _with_curves(without: Estimate, curves: tuple[TransmissionCurve, ...]) -> Estimate:

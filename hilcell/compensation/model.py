@@ -1,18 +1,22 @@
 """A model of a robot's errors: nominal poses in, predicted errors and their covariance out.
 
-A model is one module with one class, registered under its name in `hilcell.compensation.choice`;
-nothing else in the core names it.
+A model is one class, registered in `hilcell.compensation.choice`; `hilcell run` and `hilcell fit`
+both learn, judge and choose from those, and nothing else in the core names them.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Protocol, Self
+
+import numpy as np
 
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.measured import Measured
 from hilcell.geometry.kinematics import Array
+from hilcell.identification.readings import IdentificationError
 from hilcell.ports import HilcellError
 
 
@@ -53,21 +57,45 @@ class ErrorModel(Protocol):
         """Return the errors at nominal poses (N, 4, 4) in {B}; raises `HilcellError` outside."""
 
 
-class LearntModel(ErrorModel, Protocol):
-    """A model that a calibration learns from what it measured, judges and keeps in its file.
+@dataclass(frozen=True, eq=False)
+class LearntModel(ABC):
+    """A model that is learnt from measured poses, judged, chosen and kept in a calibration file.
 
-    ``turns``: its predictions hold for other orientations than the grid's.
+    A subclass is a frozen dataclass of arrays with an entry in `hilcell.compensation.choice.MODELS`
+    under its ``name``; ``text`` says in a report how the model corrects. ``turns``: its predictions
+    hold for other orientations than the grid's. ``scattered``: poses anywhere in space are enough,
+    as `hilcell fit` has them; other models learn from a lattice, or from the arm's readings.
     """
 
-    turns: ClassVar[bool]
+    name: ClassVar[str]
+    text: ClassVar[str]
+    turns: ClassVar[bool] = False
+    scattered: ClassVar[bool] = True
 
     @classmethod
-    def learn(cls, measured: Measured) -> Self:
+    @abstractmethod
+    def learn(cls, measured: Measured) -> LearntModel:
         """Return the model; raises `HilcellError` where what was measured is not enough."""
 
     @classmethod
     def left_out_mm(cls, measured: Measured) -> Array:
-        """Return predicted less measured errors (M, 3) of poses that were not learnt from."""
+        """Return predicted less measured errors (M, 3) of poses that were not learnt from.
+
+        Raises `IdentificationError` where no pose was measured.
+        """
+        poses = measured.poses
+        if not len(poses):
+            raise IdentificationError(f"{cls.name}: no pose was measured")
+        missed_mm = -poses.error_mm
+        for fold in np.unique(poses.fold):
+            out = poses.fold == fold
+            model = cls.learn(Measured(poses.at(~out)))
+            missed_mm[out] += model.predict(poses.nominal[out]).error_mm
+        return missed_mm
+
+    @abstractmethod
+    def predict(self, poses: Array) -> Prediction:
+        """Return the errors at nominal poses (N, 4, 4) in {B}; raises `HilcellError` outside."""
 
     @classmethod
     def restore(cls, grid: Grid, errors_mm: Array, parameters: Mapping[str, Any]) -> Self:
@@ -75,6 +103,15 @@ class LearntModel(ErrorModel, Protocol):
 
         The file has the grid's errors (nx, ny, nz, 3) beside the model's own parameters.
         """
+        try:
+            found = {name: np.array(value, dtype=float) for name, value in parameters.items()}
+            model = cls(**found)
+        except (ValueError, TypeError) as error:
+            raise ModelError(f"invalid parameters of model {cls.name}: {error}") from error
+        if not all(np.isfinite(values).all() for values in found.values()):
+            raise ModelError(f"invalid parameters of model {cls.name}: expected finite numbers")
+        return model
 
     def parameters(self) -> dict[str, Any]:
         """Return what `restore` needs besides the grid's errors, as plain JSON values."""
+        return {field.name: getattr(self, field.name).tolist() for field in fields(self)}

@@ -11,16 +11,17 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import itemgetter
 from typing import Protocol, Self, TypedDict
 
 import numpy as np
 
-from hilcell.compensation.choice import NOMINAL, choose
-from hilcell.compensation.model import Prediction
-from hilcell.compensation.scattered import NEIGHBOURS, NearestPoses, Nominal
+from hilcell.compensation.choice import MODELS, NOMINAL, choose
+from hilcell.compensation.interpolation import NEIGHBOURS
+from hilcell.compensation.measured import Measured, StaticPoses
+from hilcell.compensation.model import LearntModel
 from hilcell.fit.fitted_arm import TERMS, FittedArm
 from hilcell.fit.placement import (
     ABSURD_MM,
@@ -120,44 +121,34 @@ class Method(Protocol):
         """Return the degrees of freedom of the covariances' estimate."""
 
 
-class PointModel(Protocol):
-    """Predicts errors at nominal positions (N, 3), in whatever orientation."""
-
-    def predict(self, targets_mm: Array) -> Prediction:
-        """Return the errors."""
-
-
-POINT_MODELS: Mapping[str, Callable[[Array, Array, Ints], PointModel]] = {
-    "nominal": Nominal.learn,
-    "idw": NearestPoses.learn,
-}
-
-
 @dataclass(frozen=True, eq=False)
 class AtPoints:
-    """Nominal positions and the errors of one of `POINT_MODELS`, a model of its own by reflector,
-    learnt from its own rows at their nominal positions in {B}.
+    """Nominal positions and the errors that an error model predicts there, by reflector.
+
+    Each reflector has a model of its own, learnt from its own rows: nominal poses in {B}, errors
+    with the tracker's axes.
     """
 
     placement: Placement
-    models: Mapping[str, PointModel]
+    models: Mapping[str, LearntModel]
     freedom: float
 
     @classmethod
-    def learn(cls, placement: Placement, rows: Measurements, method: str) -> Self:
+    def learn(cls, placement: Placement, rows: Measurements, model: type[LearntModel]) -> Self:
         """Raises `FitError` where a reflector has too few poses to interpolate from."""
-        error_mm, at_mm = rows.xyz_mm - placement.predicted_mm(rows), placement.in_base_mm(rows)
-        of_row, fold = np.array(rows.target), folds_of(rows.joints_rad)
+        error_mm, of_row = rows.xyz_mm - placement.predicted_mm(rows), np.array(rows.target)
+        unknown_mm2 = np.full((len(rows), 3, 3), np.nan)
+        poses = StaticPoses.of(rows.joints_rad, placement.nominal(rows), error_mm, unknown_mm2)
         models = {}
         for target in placement.smr_mm:
-            own = of_row == target
-            poses = count_poses(rows.joints_rad[own])
-            if poses < NEIGHBOURS:
+            own = poses.at(of_row == target)
+            count = count_poses(own.joints_rad)
+            if count < NEIGHBOURS:
                 raise FitError(
-                    f"target {target}: {poses} training poses of different joints, "
+                    f"target {target}: {count} training poses of different joints, "
                     f"wanted at least {NEIGHBOURS} to interpolate from; measure more"
                 )
-            models[target] = POINT_MODELS[method](at_mm[own], error_mm[own], fold[own])
+            models[target] = model.learn(Measured(own))
         return cls(placement, models, 3.0 * len(rows))
 
     @property
@@ -172,12 +163,12 @@ class AtPoints:
 
     def predict(self, rows: Measurements) -> tuple[Array, Array]:
         """Return positions (N, 3) in the tracker's frame and covariances (N, 3, 3)."""
-        at_mm, found_mm = self.placement.in_base_mm(rows), self.placement.predicted_mm(rows)
+        poses, found_mm = self.placement.nominal(rows), self.placement.predicted_mm(rows)
         covariance_mm2 = np.empty((len(rows), 3, 3))
         of_row = np.array(rows.target)
         for target, model in self.models.items():
             own = of_row == target
-            prediction = model.predict(at_mm[own])
+            prediction = model.predict(poses[own])
             found_mm[own] += prediction.error_mm
             covariance_mm2[own] = prediction.covariance_mm2
         return found_mm, covariance_mm2
@@ -216,7 +207,7 @@ def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) 
     validated = {name: figures_of(miss) for name, miss in left_out.items()}
     chosen = choose({name: _by_kind(figures) for name, figures in validated.items()}, WEIGHTS)
     methods: dict[str, Method] = {
-        name: AtPoints.learn(placement, kept, name) for name in POINT_MODELS
+        name: AtPoints.learn(placement, kept, model) for name, model in scattered().items()
     }
     methods |= arms
     judged, coverage, reason = validated, dict[str, Coverage](), ""
@@ -232,7 +223,7 @@ def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) 
         "chosen": chosen,
         "reason": reason or _reason(chosen, validated),
         "refused": refused,
-        "outliers": _outliers(methods[best or "nominal"], train.at(sorted(order[bad]))),
+        "outliers": _outliers(methods[best or NOMINAL], train.at(sorted(order[bad]))),
         "coverage": coverage,
         "coverage95": coverage[chosen]["share"] if coverage else None,
         "model": None if best is None else _model(best, arms[best]),
@@ -243,20 +234,24 @@ def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) 
     return Fitted(result, methods, validated)
 
 
+def scattered() -> dict[str, type[LearntModel]]:
+    """Return the error models that learn from poses anywhere, by name."""
+    return {name: model for name, model in MODELS.items() if model.scattered}
+
+
 def cross_validate(arm: Arm, rows: Measurements) -> dict[str, Array]:
-    """Return measured minus predicted (N, 3) by one of `POINT_MODELS`, each row predicted from
-    other poses.
+    """Return measured minus predicted (N, 3) by each of `scattered`, from other poses.
 
     A fifth of the poses is left out together.
     """
     fold = _folds(rows)
-    miss_mm = {name: np.empty((len(rows), 3)) for name in POINT_MODELS}
+    miss_mm = {name: np.empty((len(rows), 3)) for name in scattered()}
     for left_out in range(FOLDS):
         known = rows.at(np.flatnonzero(fold != left_out))
         asked = rows.at(np.flatnonzero(fold == left_out))
         placement = place(arm, known)
         for name, miss in miss_mm.items():
-            found_mm = AtPoints.learn(placement, known, name).predict(asked)[0]
+            found_mm = AtPoints.learn(placement, known, MODELS[name]).predict(asked)[0]
             miss[fold == left_out] = asked.xyz_mm - found_mm
     return miss_mm
 

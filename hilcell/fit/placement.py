@@ -48,13 +48,14 @@ class Placement:
     T_L_B: Array
     smr_mm: Mapping[str, Array]
 
-    def in_base_mm(self, rows: Measurements) -> Array:
-        """Return the rows' nominal positions (N, 3) in {B}."""
-        return apply_each(forward(self.arm, rows.joints_rad), self._offsets(rows))
+    def nominal(self, rows: Measurements) -> Array:
+        """Return the rows' nominal poses (N, 4, 4) in {B}: each reflector, turned as the flange."""
+        flange = forward(self.arm, rows.joints_rad)
+        return matrix(flange[:, :3, :3], apply_each(flange, self._offsets(rows)))
 
     def predicted_mm(self, rows: Measurements) -> Array:
         """Return the rows' nominal positions (N, 3) in the tracker's frame."""
-        return apply(self.T_L_B, self.in_base_mm(rows))
+        return apply(self.T_L_B, self.nominal(rows)[:, :3, 3])
 
     def miss_mm(self, rows: Measurements) -> Array:
         """Return how far the rows are from their nominal positions (N,)."""

@@ -8,17 +8,11 @@ from typing import Any
 
 from hilcell.calibration.errors import places, validation
 from hilcell.calibration.frames import ORIENTED
+from hilcell.compensation.choice import MODELS
+from hilcell.compensation.kinematic import Kinematic
 from hilcell.geometry.statistics import Figures
 from hilcell.present.table import Column, Table
 from hilcell.report.facts import Facts
-
-PAPER = "Tian et al., Chinese Journal of Aeronautics, 2014"
-CORRECTED = {
-    "nominal": "not corrected: no model did better than nominal positions",
-    "idw": f"corrected by inverse-distance interpolation of the grid's errors ({PAPER})",
-    "trilinear": "corrected by trilinear interpolation of the grid's errors",
-    "kinematic": "corrected by the robot's kinematics, identified from these errors",
-}
 
 
 def method_words(facts: Facts) -> str:
@@ -62,12 +56,12 @@ def _axes(curves: Mapping[int, object]) -> str:
 
 
 def _used(fit: Mapping[str, Any]) -> str:
-    used = fit.get("curves", {}).get("used", True) and fit.get("method") == "kinematic"
+    used = fit.get("curves", {}).get("used", True) and fit.get("method") == Kinematic.name
     return "" if used else " (not used)"
 
 
 def _corrected(model: str) -> str:
-    return CORRECTED.get(model, f"corrected by the model {model}" if model else "corrected")
+    return MODELS[model].text if model in MODELS else "corrected"
 
 
 def adjustment_words(facts: Facts) -> str:
@@ -97,7 +91,7 @@ def _miss(figure: str) -> Callable[[Missed], float | None]:
     return lambda row: row[1].get(figure)
 
 
-MODELS: tuple[Column[Missed], ...] = (
+MISSES: tuple[Column[Missed], ...] = (
     Column("model", itemgetter(0)),
     *(Column(name, _miss(name), "mm", ".3f") for name in Figures._fields),
 )
@@ -116,7 +110,7 @@ def models(facts: Facts) -> Table:
     reasons += [f"Curves of the axis sweeps: {curves}."] if curves else []
     unswept = facts.result.get("sweeps", {}).get("left_out", "")
     reasons += [f"Axes not swept: {unswept}."] if unswept else []
-    return Table(MODELS, rows, "Choice of the correction", " ".join(filter(None, reasons)))
+    return Table(MISSES, rows, "Choice of the correction", " ".join(filter(None, reasons)))
 
 
 def chosen_poses_words(facts: Facts, chosen: Mapping[str, Any]) -> str:

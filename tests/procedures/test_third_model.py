@@ -1,8 +1,8 @@
-"""A third model needs its own module and one registration, and no other line of the core."""
+"""A further model needs its own class and one registration, and no other line of the core."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -12,44 +12,33 @@ import pytest
 from hilcell.calibration.file import compensate_targets, read_calibration, write_calibration
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.choice import MODELS
-from hilcell.compensation.grid import Grid
 from hilcell.compensation.measured import Measured
-from hilcell.compensation.model import ModelError, Prediction
+from hilcell.compensation.model import LearntModel, Prediction
+from hilcell.fit.methods import fit
 from hilcell.ports import Array
 from procedures.fit import Fit
 from procedures.sign_check import SignCheck
 from tests.hilcell.calibration.calibrations import calibration
-from tests.hilcell.compensation.models import level
+from tests.hilcell.fit.test_fit import IRB120, SMR_MM
+from tests.hilcell.fit.test_fit import measured as measured_rows
 from tests.procedures.test_sign_check import FakeBench
 
 
-class Plane:
+@dataclass(frozen=True, eq=False)
+class Plane(LearntModel):
     """An error that is linear in the place."""
 
-    def __init__(self, terms: Array) -> None:
-        self.terms = terms  # (4, 3)
+    name = "plane"
+    text = "corrected by a plane"
+
+    terms: Array  # (4, 3)
 
     @classmethod
     def learn(cls, measured: Measured) -> Self:
-        at_mm = _with_one(measured.grid.grid.vertices_mm().reshape(-1, 3))
-        terms = np.linalg.lstsq(at_mm, measured.grid.errors_mm.reshape(-1, 3), rcond=None)[0]
+        poses = measured.poses
+        at_mm = _with_one(poses.nominal[:, :3, 3])
+        terms = np.linalg.lstsq(at_mm, poses.error_mm, rcond=None)[0]
         return cls(np.array(terms, dtype=float))
-
-    @classmethod
-    def left_out_mm(cls, measured: Measured) -> Array:
-        at_mm = measured.grid.grid.vertices_mm().reshape(-1, 3)
-        return cls.learn(measured).predict(level(at_mm)).error_mm - measured.grid.errors_mm.reshape(
-            -1, 3
-        )
-
-    @classmethod
-    def restore(cls, grid: Grid, errors_mm: Array, parameters: Mapping[str, Any]) -> Self:
-        if "terms" not in parameters:
-            raise ModelError("there are no terms")
-        return cls(np.array(parameters["terms"]))
-
-    def parameters(self) -> dict[str, Any]:
-        return {"terms": self.terms.tolist()}
 
     def predict(self, poses: Array) -> Prediction:
         error_mm = _with_one(poses[:, :3, 3]) @ self.terms
@@ -73,6 +62,11 @@ def test_it_is_judged_chosen_and_applied_on_the_cell() -> None:
     bench.keep("verdict", "fit", {"holds": True, "method": "plane"})
     SignCheck().perform(bench)
     assert bench.log.verdicts["sign"]["corrected_mm"] < 0.01
+
+
+def test_it_is_judged_on_a_robot_that_was_measured_elsewhere() -> None:
+    rows, test = (measured_rows(seed, 16, list(SMR_MM)) for seed in (1, 2))
+    assert set(fit(IRB120, rows, test)["methods"]) == {"nominal", "idw", "plane"}
 
 
 def test_it_is_kept_in_the_file_and_corrects_targets(tmp_path: Path) -> None:

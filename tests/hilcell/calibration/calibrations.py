@@ -23,7 +23,7 @@ from hilcell.calibration.influence import ASSUMED, MEASURED, Influence, Uncertai
 from hilcell.cell.file import load_cell
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.grid import Grid
-from hilcell.compensation.measured import Measured
+from hilcell.compensation.measured import Measured, StaticPoses
 from hilcell.geometry.frames import pose_from_zyx
 from tests.hilcell.compensation import models
 
@@ -47,7 +47,12 @@ REPEATABILITY_MM = 0.02
 
 def measured(size_mm: float = 1.2) -> Measured:
     """Return that field on its grid, as read with 5 um of noise."""
-    return models.measured(Grid(LOW_MM, PITCH_MM, SHAPE), field_mm(size_mm), READINGS_MM2)
+    grid, errors_mm = Grid(LOW_MM, PITCH_MM, SHAPE), field_mm(size_mm)
+    lattice = models.lattice(grid, errors_mm, READINGS_MM2)
+    at, error_mm = models.level(grid.vertices_mm().reshape(-1, 3)), errors_mm.reshape(-1, 3)
+    joints_rad = np.arange(len(at))[:, None] * np.ones(6)
+    own_mm2 = lattice.covariance_mm2.reshape(-1, 3, 3)
+    return Measured(StaticPoses.of(joints_rad, at, error_mm, own_mm2), lattice)
 
 
 def calibration(

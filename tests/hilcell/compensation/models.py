@@ -3,15 +3,15 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hilcell.cell.file import load_cell
 from hilcell.compensation.grid import Grid, MeasuredGrid
 from hilcell.compensation.interpolation import Interpolation
 from hilcell.compensation.measured import Measured, StaticPoses
 from hilcell.geometry.kinematics import Array
 
 Kind = type[Interpolation]
-NO_ROBOT = load_cell("paper").robot.nominal()
-NO_POSES = StaticPoses(np.zeros((0, 6)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+NO_POSES = StaticPoses.of(
+    np.zeros((0, 6)), np.zeros((0, 4, 4)), np.zeros((0, 3)), np.zeros((0, 3, 3))
+)
 
 
 def lattice(grid: Grid, errors_mm: ArrayLike, covariance_mm2: ArrayLike = 0.0) -> MeasuredGrid:
@@ -22,7 +22,7 @@ def lattice(grid: Grid, errors_mm: ArrayLike, covariance_mm2: ArrayLike = 0.0) -
 
 def measured(grid: Grid, errors_mm: ArrayLike, covariance_mm2: ArrayLike = 0.0) -> Measured:
     """Return the same as models learn it, for those that look at the grid alone."""
-    return Measured(lattice(grid, errors_mm, covariance_mm2), NO_ROBOT, NO_POSES)
+    return Measured(NO_POSES, lattice(grid, errors_mm, covariance_mm2))
 
 
 def level(points_mm: ArrayLike) -> Array:

@@ -201,9 +201,9 @@ def test_the_residual_is_what_vertices_left_out_miss_beyond_their_readings(model
     unresolved = rng.normal(0, [0.03, 0.05, 0.02], (*grid.shape, 3))
     noise = rng.normal(0, 0.04, (*grid.shape, 3))
     readings = 0.04**2 * np.eye(3)
-    both = model.learn(measured(grid, unresolved + noise, readings)).residual_mm2
-    alone = model.learn(measured(grid, unresolved)).residual_mm2
-    nothing = model.learn(measured(grid, noise, readings)).residual_mm2
+    both = model.of_grid(lattice(grid, unresolved + noise, readings)).residual_mm2
+    alone = model.of_grid(lattice(grid, unresolved)).residual_mm2
+    nothing = model.of_grid(lattice(grid, noise, readings)).residual_mm2
     np.testing.assert_allclose(np.diag(both), np.diag(alone), rtol=0.3, atol=2e-4)
     assert np.trace(nothing) < 0.15 * np.trace(alone)
 

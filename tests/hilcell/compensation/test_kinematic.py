@@ -12,13 +12,13 @@ from hilcell.cell.file import load_cell
 from hilcell.compensation.choice import MODELS, Nominal, choose, chosen
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.kinematic import Kinematic, _excess, _identified, curves_used
-from hilcell.compensation.measured import Measured, StaticPoses
+from hilcell.compensation.measured import Measured, MeasuredArm, StaticPoses
 from hilcell.compensation.model import ModelError
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.identification.curve import TransmissionCurve
 from hilcell.identification.kinematics import Kinematics, State
-from hilcell.identification.readings import IdentificationError
+from hilcell.identification.readings import IdentificationError, Readings
 from tests.hilcell.compensation.models import lattice
 
 CELL = load_cell("paper")
@@ -71,8 +71,15 @@ def measured(
     joints, actual_mm = truth(points_mm, noise_mm, errors=errors)
     grid = lattice(GRID, (actual_mm[:27] - points_mm[:27]).reshape(vertices.shape), noise_mm**2)
     own = np.tile(noise_mm**2 * np.eye(3), (count, 1, 1))
-    poses = StaticPoses(joints[:count], points_mm[:count], actual_mm[:count], own)
-    return Measured(grid, ROBOT, poses, curves)
+    joints, points_mm, actual_mm = joints[:count], points_mm[:count], actual_mm[:count]
+    poses = StaticPoses.of(joints, poses_at(points_mm), actual_mm - points_mm, own)
+    readings = Readings(joints, actual_mm[:, None], own[:, None])
+    return Measured(poses, grid, MeasuredArm(ROBOT, readings, ROBOT.arm.tool[None, :3, 3], curves))
+
+
+def arm_of(data: Measured) -> MeasuredArm:
+    assert data.arm is not None
+    return data.arm
 
 
 def missed_mm(model: Kinematic) -> Array:
@@ -94,7 +101,7 @@ def test_unseen_poses_are_predicted_within_their_bounds() -> None:
 
 def test_errors_that_repeat_with_an_angle_widen_the_covariance() -> None:
     """A grid of 27 has few angles of axis 1, whose waves no parameter describes."""
-    estimate, _ = _identified(measured(27))
+    estimate, _ = _identified(arm_of(measured(27)))
     assert _excess(estimate) > 1.2
     model = Kinematic.learn(measured(27))
     ratio = model.noise.joint_rad / estimate.noise.joint_rad

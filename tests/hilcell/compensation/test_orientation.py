@@ -12,13 +12,14 @@ from hilcell.cell.file import load_cell
 from hilcell.compensation.correction import corrected, corrected_poses
 from hilcell.compensation.grid import Grid
 from hilcell.compensation.kinematic import Kinematic, seats_mm
-from hilcell.compensation.measured import Measured, OtherReflectors, StaticPoses
+from hilcell.compensation.measured import Measured, MeasuredArm, StaticPoses
 from hilcell.compensation.model import ModelError, Prediction, Turn
 from hilcell.compensation.remainder import Pass, Remainder, WithRemainder
 from hilcell.geometry.frames import matrix, orientations
 from hilcell.geometry.kinematics import Arm, Array, forward
 from hilcell.geometry.rotations import from_rotvec, to_rotvec
 from hilcell.geometry.statistics import lengths_mm
+from hilcell.identification.readings import Readings
 from tests.hilcell.compensation.models import lattice
 
 SEATS = {"robot.more_smr_mm": "[[-40.0, 110.0, 127.0], [-40.0, -110.0, 127.0]]"}
@@ -72,9 +73,10 @@ def measured(seed: int = 3, noise_mm: float = NOISE_MM) -> Measured:
     at_mm += noise_mm * np.random.default_rng(seed).standard_normal(at_mm.shape)
     own_mm2 = np.broadcast_to(noise_mm**2 * np.eye(3), (*at_mm.shape, 3))
     grid = lattice(GRID, (at_mm[:27, 0] - points_mm[:27]).reshape(vertices.shape), noise_mm**2)
-    static = StaticPoses(ROBOT.joints_for(poses), points_mm, at_mm[:, 0], own_mm2[:, 0])
-    others = OtherReflectors(NOMINAL_MM[1:], at_mm[:, 1:], own_mm2[:, 1:])
-    return Measured(grid, ROBOT, static, (), others)
+    joints_rad = ROBOT.joints_for(poses)
+    static = StaticPoses.of(joints_rad, poses, at_mm[:, 0] - points_mm, own_mm2[:, 0])
+    readings = Readings(joints_rad, at_mm, own_mm2)
+    return Measured(static, grid, MeasuredArm(ROBOT, readings, NOMINAL_MM))
 
 
 @pytest.fixture(scope="module")
@@ -161,10 +163,11 @@ def test_the_tool_s_orientation_is_that_of_the_flange(known: Known) -> None:
 
 def test_a_reflector_that_was_not_seen_at_a_pose_is_left_out() -> None:
     data = measured()
-    assert data.others is not None
-    actual_mm = data.others.actual_mm.copy()
-    actual_mm[5, 1] = np.nan
-    model = Kinematic.learn(replace(data, others=replace(data.others, actual_mm=actual_mm)))
+    assert data.arm is not None
+    unseen = np.zeros(data.arm.readings.known.shape, dtype=bool)
+    unseen[5, 2] = True
+    readings = data.arm.readings.without(unseen)
+    model = Kinematic.learn(replace(data, arm=replace(data.arm, readings=readings)))
     assert model.predict(poses_at(drawn_mm(2, 1))).turn is not None
 
 
@@ -196,7 +199,11 @@ def test_targets_folded_in_leave_the_orientation() -> None:
 
 
 def test_one_reflector_tells_no_orientation_and_no_more_of_the_position(known: Known) -> None:
-    alone = Kinematic.learn(replace(measured(), others=None))
+    data = measured()
+    assert data.arm is not None
+    one = replace(data.arm.readings, xyz_mm=data.arm.readings.xyz_mm[:, :1],
+                  covariance_mm2=data.arm.readings.covariance_mm2[:, :1])  # fmt: skip
+    alone = Kinematic.learn(replace(data, arm=MeasuredArm(ROBOT, one, NOMINAL_MM[:1])))
     poses, arm = poses_at(drawn_mm(9, 60)), crooked(3)
     assert alone.predict(poses).turn is None
     wanted_mm = seen_mm(arm, poses)[:, 0] - poses[:, :3, 3]

@@ -15,6 +15,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from hilcell.compensation.interpolation import Idw
 from hilcell.fit.methods import AtPoints, cross_validate, fit
 from hilcell.fit.placement import FitError, place
 from hilcell.fit.robot_file import (
@@ -205,7 +206,7 @@ def test_a_reflector_learns_from_its_own_rows_only() -> None:
     of_smr2 = np.array(rows.target) == "SMR2"
     spoilt = replace(rows, xyz_mm=rows.xyz_mm + 5.0 * of_smr2[:, None])
     before_mm, after_mm = (
-        AtPoints.learn(placement, each, "idw").predict(test)[0] for each in (rows, spoilt)
+        AtPoints.learn(placement, each, Idw).predict(test)[0] for each in (rows, spoilt)
     )
     change = after_mm - before_mm
     wanted = 5.0 * (np.array(test.target) == "SMR2")
