@@ -80,8 +80,7 @@ class Meter:
         try:
             reading = self._reading(key, near_mm, 1)
         except DeviceError as error:
-            at_s, silent = self._run.clock.pc_s(), not isinstance(error, NoReading)
-            return Look(None, error.summary, at_s, lost=silent)
+            return Look.failed(error, self._run.clock.pc_s())
         x, y, z = (float(value) for value in reading.xyz_mm)
         off_mm = float(np.linalg.norm(reading.xyz_mm - near_mm))
         return Look(off_mm, "", reading.taken_s, (x, y, z))

@@ -14,7 +14,6 @@ from hilcell.journal.log import FACTORY_LINKS, ReadingTime
 from hilcell.ports import (
     Array,
     DeviceError,
-    NoReading,
     Rail,
     RailReading,
     RobotReading,
@@ -296,8 +295,7 @@ class Mover:
         try:
             reading = self._run.devices.rail.read()
         except DeviceError as error:
-            at_s, silent = self._run.clock.pc_s(), not isinstance(error, NoReading)
-            return Look(None, error.summary, at_s, lost=silent)
+            return Look.failed(error, self._run.clock.pc_s())
         if not reading.still:
             return Look(
                 None, f"the slide moves at {reading.velocity_mm_s:.3f} mm/s", reading.taken_s

@@ -54,6 +54,11 @@ class Look:
     xyz_mm: tuple[float, float, float] | None = None
     lost: bool = False
 
+    @classmethod
+    def failed(cls, error: DeviceError, at_s: float) -> Look:
+        """Return the look of a device that reads nothing, or does not answer."""
+        return cls(None, error.summary, at_s, lost=not isinstance(error, NoReading))
+
 
 class Asking:
     """The prompt that stands, the last look at its place, and the answers that wait for one."""

@@ -404,8 +404,7 @@ class Watch:
         try:
             reading = self._run.devices.tracker.measure(near_mm, reflector, 1)
         except DeviceError as error:
-            at_s, silent = self._run.clock.pc_s(), not isinstance(error, NoReading)
-            return Look(None, error.summary, at_s, lost=silent)
+            return Look.failed(error, self._run.clock.pc_s())
         now_s = self._run.clock.now_s()
         off_k = np.nan if reading.air is None else reading.air.temperature_c - then_c
         if not abs(off_k) <= table.back_k:
