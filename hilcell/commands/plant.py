@@ -7,9 +7,10 @@ import importlib.util
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from operator import itemgetter
-from typing import TYPE_CHECKING, Any
+from operator import attrgetter
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -29,7 +30,10 @@ from hilcell.run.exits import EXIT_OK, EXIT_STORAGE
 if TYPE_CHECKING:
     from sqlalchemy import Connection
 
+    from hilcell.plant.cells import CellState
     from hilcell.plant.database import Database
+    from hilcell.plant.equipment import AlarmCount, Instrument, StationCourse
+    from hilcell.plant.robots import Change, Drift, RobotCourse
     from hilcell.plant.shipper import Behind
 
 URL = "HILCELL_PLANT"
@@ -109,17 +113,17 @@ def show(args: argparse.Namespace) -> int:
         with database.transaction() as connection:
             found = _answers(connection, args)
     if args.json:
-        print_json(found)
+        print_json(msgspec.to_builtins(found))
         return EXIT_OK
-    if not found["cells"]:
+    if not found.cells:
         print_message(f"plant database {database.name}: no runs were shipped yet")
         return EXIT_OK
-    print_table(Table(CELLS, found["cells"]))
-    _print_robots(found["robots"])
-    print_table(Table(STATIONS, found["stations"]))
-    print_table(Table(INSTRUMENTS, found["instruments"]))
-    print_table(Table(ALARMS, found["alarms"]))
-    for doubt in found["doubts"]:
+    print_table(Table(CELLS, found.cells))
+    _print_robots(found.robots)
+    print_table(Table(STATIONS, found.stations))
+    print_table(Table(INSTRUMENTS, found.instruments))
+    print_table(Table(ALARMS, found.alarms))
+    for doubt in found.doubts:
         print_data(harmless_lines(f"note: {doubt}"))
     return EXIT_OK
 
@@ -148,7 +152,19 @@ def open_database(url: str | None) -> Database:
     return Database(url)
 
 
-def _answers(connection: Connection, args: argparse.Namespace) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Answers:
+    """The records' answers, each part a table."""
+
+    cells: list[CellState]
+    robots: list[RobotCourse]
+    stations: list[StationCourse]
+    instruments: list[Instrument]
+    alarms: list[AlarmCount]
+    doubts: list[str]
+
+
+def _answers(connection: Connection, args: argparse.Namespace) -> Answers:
     from hilcell.plant.cells import cells
     from hilcell.plant.doubts import doubts
     from hilcell.plant.equipment import alarms, instruments, worse_stations
@@ -169,112 +185,93 @@ def _answers(connection: Connection, args: argparse.Namespace) -> dict[str, Any]
         if cell in ("", state.cell)
         and (not robot or (state.cell, state.serial, state.machine) in places)
     ]
-    found = {
-        "cells": states,
-        "robots": courses,
-        "stations": worse_stations(connection, cell, robot),
-        "instruments": instruments(connection, cell, robot),
-        "alarms": alarms(connection, cell, robot),
-        "doubts": doubts(connection, {state.cell for state in states}),
-    }
-    plain: dict[str, Any] = msgspec.to_builtins(found)
-    return plain
+    return Answers(
+        cells=states,
+        robots=courses,
+        stations=worse_stations(connection, cell, robot),
+        instruments=instruments(connection, cell, robot),
+        alarms=alarms(connection, cell, robot),
+        doubts=doubts(connection, {state.cell for state in states}),
+    )
 
 
-Row = dict[str, Any]
+def _day(moment: datetime | None) -> str:
+    return "" if moment is None else f"{moment:%Y-%m-%d}"
 
 
-def _named(name: str, key: str = "") -> Column[Row]:
-    return Column(name, lambda each: harmless(each[key or name]))
+def _days(cell: CellState) -> str:
+    if cell.condition == "valid":
+        return f"{cell.days_left:.0f}"
+    return cell.condition if cell.calibration else ""
 
 
-def _date(name: str, key: str = "") -> Column[Row]:
-    return Column(name, lambda each: (each[key or name] or "")[:10])
-
-
-def _listed(name: str, key: str = "") -> Column[Row]:
-    return Column(name, lambda each: harmless(", ".join(each[key or name])))
-
-
-def _last_run(cell: Row) -> str:
-    ended = (cell["last_ended"] or "")[:10]
-    return f"{harmless(cell['last_run'])}, {harmless(cell['last_state'])}, {ended}"
-
-
-def _days(cell: Row) -> str:
-    if cell["condition"] == "valid":
-        return f"{cell['days_left']:.0f}"
-    return harmless(cell["condition"]) if cell["calibration"] else ""
-
-
-CELLS: tuple[Column[Row], ...] = (
-    _named("cell"),
-    _named("serial"),
-    _named("machine"),
-    Column("calibration", lambda each: harmless(each["calibration"] or each["condition"])),
-    _date("made", "calibrated"),
-    _date("valid until", "valid_until"),
+CELLS: tuple[Column[CellState], ...] = (
+    Column("cell", attrgetter("cell")),
+    Column("serial", attrgetter("serial")),
+    Column("machine", attrgetter("machine")),
+    Column("calibration", lambda each: each.calibration or each.condition),
+    Column("made", lambda each: _day(each.calibrated)),
+    Column("valid until", lambda each: _day(each.valid_until)),
     Column("days left", _days),
-    Column("last run", _last_run),
+    Column("last run", lambda each: f"{each.last_run}, {each.last_state}, {_day(each.last_ended)}"),
 )
-DRIFTS: tuple[Column[Row], ...] = (
-    _named("robot"),
-    _named("cell"),
-    Column("calibrations", itemgetter("calibrations"), form="d"),
-    Column("of", itemgetter("what")),
-    Column("mm a year", itemgetter("mm_per_year"), form="+z.4f"),
-    Column("U", itemgetter("U_mm_per_year"), form=".4f"),
-    Column("drifts", lambda each: "yes" if each["drifts"] else "no"),
-    Column("noise", itemgetter("noise_mm"), "mm", ".4f"),
+DRIFTS: tuple[Column[tuple[RobotCourse, Drift]], ...] = (
+    Column("robot", lambda row: row[0].robot),
+    Column("cell", lambda row: row[0].cell),
+    Column("calibrations", lambda row: row[0].calibrations, form="d"),
+    Column("of", lambda row: row[1].what),
+    Column("mm a year", lambda row: row[1].mm_per_year, form="+z.4f"),
+    Column("U", lambda row: row[1].U_mm_per_year, form=".4f"),
+    Column("drifts", lambda row: "yes" if row[1].drifts else "no"),
+    Column("noise", lambda row: row[1].noise_mm, "mm", ".4f"),
 )
-CHANGES: tuple[Column[Row], ...] = (
-    _named("robot"),
-    _named("cell"),
-    Column("step of", itemgetter("what")),
-    Column("between", lambda each: f"{each['since'][:10]} .. {each['until'][:10]}"),
-    Column("mm", itemgetter("size_mm"), form="+z.3f"),
-    Column("U", itemgetter("U_mm"), form=".3f"),
+STEPS: tuple[Column[tuple[RobotCourse, Change]], ...] = (
+    Column("robot", lambda row: row[0].robot),
+    Column("cell", lambda row: row[0].cell),
+    Column("step of", lambda row: row[1].what),
+    Column("between", lambda row: f"{_day(row[1].since)} .. {_day(row[1].until)}"),
+    Column("mm", lambda row: row[1].size_mm, form="+z.3f"),
+    Column("U", lambda row: row[1].U_mm, form=".3f"),
     Column(
         "first seen by",
-        lambda each: harmless(each["before"]) + ("" if each["confirmed"] else " (one run only)"),
+        lambda row: row[1].before if row[1].confirmed else f"{row[1].before} (one run only)",
     ),
-    Column("said then", lambda each: "\n".join(map(harmless, each["said"]))),
+    Column("said then", lambda row: "\n".join(map(harmless, row[1].said))),
 )
-ENDS = ("low", "high")
-STATIONS: tuple[Column[Row], ...] = (
-    _named("station that gets worse", "station"),
-    _named("cell"),
-    Column("mean", itemgetter("mean_mm"), "mm", ".3f"),
-    Column("tolerance", itemgetter("tolerance_mm"), form="g"),
-    Column("mm a year", itemgetter("mm_per_year"), form="+z.3f"),
-    Column("95 %", lambda each: " .. ".join(f"{each[f'{end}_mm_per_year']:+z.3f}" for end in ENDS)),
-    Column("out in years", itemgetter("out_in_years"), form=".1f"),
+STATIONS: tuple[Column[StationCourse], ...] = (
+    Column("station that gets worse", attrgetter("station")),
+    Column("cell", attrgetter("cell")),
+    Column("mean", attrgetter("mean_mm"), "mm", ".3f"),
+    Column("tolerance", attrgetter("tolerance_mm"), form="g"),
+    Column("mm a year", attrgetter("mm_per_year"), form="+z.3f"),
+    Column("95 %", lambda each: f"{each.low_mm_per_year:+z.3f} .. {each.high_mm_per_year:+z.3f}"),
+    Column("out in years", attrgetter("out_in_years"), form=".1f"),
 )
-INSTRUMENTS: tuple[Column[Row], ...] = (
-    _named("instrument", "kind"),
-    _named("serial"),
-    _named("model"),
-    _listed("cells"),
-    Column("runs", itemgetter("runs"), form="d"),
-    _date("last"),
-    Column("scale", itemgetter("scale_ppm"), "ppm", "+z.1f"),
-    Column("u", itemgetter("u_ppm"), "ppm", ".1f"),
-    _listed("disagrees with", "disagrees_with"),
+INSTRUMENTS: tuple[Column[Instrument], ...] = (
+    Column("instrument", attrgetter("kind")),
+    Column("serial", attrgetter("serial")),
+    Column("model", attrgetter("model")),
+    Column("cells", lambda each: ", ".join(each.cells)),
+    Column("runs", attrgetter("runs"), form="d"),
+    Column("last", lambda each: _day(each.last)),
+    Column("scale", attrgetter("scale_ppm"), "ppm", "+z.1f"),
+    Column("u", attrgetter("u_ppm"), "ppm", ".1f"),
+    Column("disagrees with", lambda each: ", ".join(each.disagrees_with)),
 )
-ALARMS: tuple[Column[Row], ...] = (
-    _named("alarm", "code"),
-    _named("title"),
-    Column("severity", itemgetter("severity")),
-    Column("count", itemgetter("count"), form="d"),
-    _listed("cells"),
-    _date("last"),
+ALARMS: tuple[Column[AlarmCount], ...] = (
+    Column("alarm", attrgetter("code")),
+    Column("title", attrgetter("title")),
+    Column("severity", attrgetter("severity")),
+    Column("count", attrgetter("count"), form="d"),
+    Column("cells", lambda each: ", ".join(each.cells)),
+    Column("last", lambda each: _day(each.last)),
 )
 
 
-def _print_robots(robots: list[Row]) -> None:
-    print_table(Table(DRIFTS, [each | drift for each in robots for drift in each["drift"]]))
+def _print_robots(robots: list[RobotCourse]) -> None:
+    print_table(Table(DRIFTS, [(each, drift) for each in robots for drift in each.drift]))
     for each in robots:
-        for what, reason in each["not_judged"].items():
-            who = f"robot {harmless(each['robot'])} in {harmless(each['cell'])}"
+        for what, reason in each.not_judged.items():
+            who = f"robot {harmless(each.robot)} in {harmless(each.cell)}"
             print_data(f"{who}: no drift stated of {what}: {reason}")
-    print_table(Table(CHANGES, [each | change for each in robots for change in each["changes"]]))
+    print_table(Table(STEPS, [(each, step) for each in robots for step in each.changes]))
