@@ -8,24 +8,25 @@ visit that is missing after a stop is approached in the same way.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from operator import itemgetter
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from hilcell.calibration.in_use import calibration_in, calibration_named
-from hilcell.calibration.pose_test import (
+from hilcell.calibration.iso9283 import (
+    CYCLE,
     ISO,
+    RP_ANGLES,
+    Pose,
+    PoseTest,
     commanded_mm,
-    judgement,
-    pose_test,
-    turn_words,
+    evaluated,
     velocity_percent,
 )
 from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected_poses
 from hilcell.geometry.frames import apply
-from hilcell.geometry.pose_test import CYCLE
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array, HilcellError
@@ -34,6 +35,7 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_path
 from hilcell.run.mover import Straight
 from hilcell.run.procedure import Procedure, Span, Step
+from hilcell.typed import typed
 from procedures.base_frame import BaseFrame
 from procedures.durations import closing, measure_s, robot_moves_s, step
 from procedures.home import Home
@@ -72,7 +74,7 @@ class BaseOfTest:
         return {} if log.cell.iso9283.calibration else BaseFrame().result(log)
 
 
-class PoseTest:
+class PoseCycle:
     """Goes round the cycle and measures every pose."""
 
     name = ISO
@@ -113,12 +115,12 @@ class PoseTest:
                 seats=True, straight=straight,
             )  # fmt: skip
         session.close_step(carried=True)
-        if judged := judgement(pose_test(session.log)):
+        if judged := evaluated(session.log).judgement():
             session.verdict(ISO, **judged)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the characteristics of every pose and of the distance."""
-        return {ISO: pose_test(log)}
+        return {ISO: msgspec.to_builtins(evaluated(log))}
 
 
 def _check_load(cell: Cell) -> None:
@@ -151,46 +153,51 @@ def commands_rad(cell: Cell, calibrated: bool) -> Array:
     return check_targets(cell, cell.station_named(cell.grid.station), poses, WHAT)
 
 
+COLUMNS: tuple[Column[tuple[str, Pose]], ...] = (
+    Column("pose", lambda row: row[0]),
+    Column("x", lambda row: row[1].commanded_mm[0], "mm", ".0f"),
+    Column("y", lambda row: row[1].commanded_mm[1], "mm", ".0f"),
+    Column("z", lambda row: row[1].commanded_mm[2], "mm", ".0f"),
+    Column("AP_p", lambda row: row[1].ap_mm, "mm", ".4f"),
+    Column("AP_x", lambda row: row[1].ap_x_mm, "mm", ".4f"),
+    Column("AP_y", lambda row: row[1].ap_y_mm, "mm", ".4f"),
+    Column("AP_z", lambda row: row[1].ap_z_mm, "mm", ".4f"),
+    Column("U(AP)", lambda row: row[1].ap_u95_mm, "mm", ".4f"),
+    Column("RP_l", lambda row: row[1].rp_mm, "mm", ".4f"),
+    Column("U(RP)", lambda row: row[1].rp_u95_mm, "mm", ".4f"),
+    Column("robot's", lambda row: row[1].rp_robot_mm, form=".4f"),
+)
+
+
 def pose_table(result: dict[str, Any]) -> Table:
-    """Return the characteristics pose by pose, then those of the distance."""
-    figures = {
-        "AP_p": "ap_mm", "AP_x": "ap_x_mm", "AP_y": "ap_y_mm", "AP_z": "ap_z_mm",
-        "U(AP)": "ap_u95_mm", "RP_l": "rp_mm", "U(RP)": "rp_u95_mm",
-    }  # fmt: skip
-    poses = [each | {"pose": name} for name, each in result[ISO]["poses"].items()]
-    return Table(
-        [
-            Column("pose", itemgetter("pose")),
-            Column("x", lambda row: row["commanded_mm"][0], "mm", ".0f"),
-            Column("y", lambda row: row["commanded_mm"][1], "mm", ".0f"),
-            Column("z", lambda row: row["commanded_mm"][2], "mm", ".0f"),
-            *(Column(name, itemgetter(key), "mm", ".4f") for name, key in figures.items()),
-            Column("robot's", itemgetter("rp_robot_mm"), form=".4f"),
-        ],
-        poses,
-    )
+    """Return the characteristics pose by pose."""
+    return Table(COLUMNS, typed(result[ISO], PoseTest).poses.items())
 
 
 def pose_words(result: dict[str, Any]) -> str:
     """Return the worst poses, the distance, and the departures from the standard."""
-    found = result[ISO]
-    worst, way = found["worst"], found["distance"]
-    tested = (
-        f"with the correction of {found['corrected_by']}" if found["corrected_by"] else "as it is"
+    found = typed(result[ISO], PoseTest)
+    worst, way = found.worst, found.distance
+    tested = f"with the correction of {found.corrected_by}" if found.corrected_by else "as it is"
+    turns = ", ".join(
+        f"{each.symbol} {'±' if each.of is RP_ANGLES else ''}{each.value:.4f}° (U {each.U:.4f}, "
+        f"{each.where})"
+        for each in found.figures()
+        if each.of.unit == "deg"
     )
+    angles = f" Worst of the angles: {turns}." if turns else ""
     return (
-        f"The robot {tested}: AP_p {worst['ap_mm']:.3f} mm at worst ({worst['ap_pose']}), RP_l "
-        f"{worst['rp_mm']:.3f} mm ({worst['rp_pose']}); distance {way['from']}-{way['to']}: AD "
-        f"{way['ad_mm']:+z.4f} mm (U {way['ad_u95_mm']:.4f}), RD ±{way['rd_mm']:.4f} mm."
-        f"{turn_words(found.get('orientation', {}))} Departures from ISO 9283: "
-        f"{'; '.join(found['deviations'])}."
+        f"The robot {tested}: AP_p {worst.ap_mm:.3f} mm at worst ({worst.ap_pose}), RP_l "
+        f"{worst.rp_mm:.3f} mm ({worst.rp_pose}); distance {way.start}-{way.to}: AD "
+        f"{way.ad_mm:+z.4f} mm (U {way.ad_u95_mm:.4f}), RD ±{way.rd_mm:.4f} mm.{angles} "
+        f"Departures from ISO 9283: {'; '.join(found.deviations)}."
     )
 
 
 ISO9283 = Procedure(
     ISO,
     "the pose test of ISO 9283: accuracy and repeatability of poses and a distance",
-    (Home(), WorldFrame(), HoldStation(), BaseOfTest(), PoseTest()),
+    (Home(), WorldFrame(), HoldStation(), BaseOfTest(), PoseCycle()),
     pose_table,
     words=pose_words,
     may_use=ISO,

@@ -13,11 +13,11 @@ from hilcell.calibration.measurement_budget import Budget
 from hilcell.cell.file import Cell
 from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.journal.times import in_zone
-from hilcell.report import pose_test
+from hilcell.report import iso9283
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import certified, validity_facts
+from hilcell.report.iso9283 import tests_poses
 from hilcell.report.method import adjustment_words, method_words
-from hilcell.report.pose_test import tests_poses
 from hilcell.report.target_budget import TargetBudget
 
 PAGE_1, POSES, STATIONS, UNCERTAINTY = "certificate", "poses", "stations", "uncertainty"
@@ -97,7 +97,7 @@ def procedure_words(facts: Facts) -> str:
     if _calibrated(facts):
         return method_words(facts)
     if tests_poses(facts):
-        return pose_test.method_words(facts)
+        return iso9283.method_words(facts)
     return f"hilcell procedure {facts.inputs.procedure}: {facts.procedure.summary}"
 
 
@@ -165,7 +165,7 @@ def _results_part(facts: Facts) -> str:
 
 def _deviations(facts: Facts) -> str:
     found = [f"a calibration was used although {why}" for why in facts.inputs.accepted]
-    found += pose_test.departures(facts)
+    found += iso9283.departures(facts)
     return "; ".join(found) or "none recorded"
 
 
@@ -176,7 +176,7 @@ def _revoked(facts: Facts) -> str:
 def conformity_words(facts: Facts) -> str:
     """Return limits and decision rule."""
     if tests_poses(facts):
-        return pose_test.conformity_words(facts)
+        return iso9283.conformity_words(facts)
     limits, plan = facts.cell.validation, facts.cell.plan
     judged = [v for key, v in facts.log.verdicts.items() if key.startswith(VALIDATION)]
     rule = RULE

@@ -29,9 +29,9 @@ from hilcell.journal.calibration_facts import (
     run_outcome,
 )
 from hilcell.present.table import Column, Table, Value
-from hilcell.report import pose_test
+from hilcell.report import iso9283
 from hilcell.report.facts import Facts
-from hilcell.report.pose_test import tests_poses
+from hilcell.report.iso9283 import tests_poses
 from hilcell.report.target_budget import TargetBudget
 from hilcell.report.verdicts import with_signs
 from hilcell.typed import typed
@@ -104,7 +104,7 @@ RESULTS: tuple[Column[Result], ...] = (
 def results_sheet(facts: Facts, targets: TargetBudget) -> Table:
     """Return the table of results, nothing where nothing was judged."""
     if tests_poses(facts):
-        return pose_test.results_sheet(facts)
+        return iso9283.results_sheet(facts)
     left = len(judged_places(facts)) - len(_shown(facts))
     note = f"{left} stations further from their limits: see Verdicts." if left else ""
     results = shown_results(facts)
@@ -245,7 +245,7 @@ def deciding(facts: Facts) -> str:
 def uncertainty_words(facts: Facts, budget: Budget | None) -> str:
     """Return U with its coverage factors, of one coordinate and of a 3-D position."""
     if tests_poses(facts):
-        return pose_test.uncertainty_words()
+        return iso9283.uncertainty_words()
     if budget is None:
         return ""
     return (
@@ -275,7 +275,7 @@ def item_facts(facts: Facts, measured: str) -> list[Fact]:
         Fact("Cell", f"{cell.name}, serial {cell.serial}"),
         Fact("Robot", f"{cell.robot.name}{robot}, {on}"),
         Fact("Stations", names + more),
-        *(Fact(*each) for each in pose_test.stated_conditions(facts)),
+        *(Fact(*each) for each in iso9283.stated_conditions(facts)),
         Fact("Measured", measured),
         Fact("Operator", facts.inputs.operator),
     ]

@@ -25,7 +25,7 @@ from hilcell.journal.times import span_words
 from hilcell.ports import Array
 from hilcell.present.page import environment
 from hilcell.present.table import Column, Table
-from hilcell.report import pose_test, tables, turns
+from hilcell.report import iso9283, tables, turns
 from hilcell.report.budget_table import budget_sheet
 from hilcell.report.certificate import (
     certificate,
@@ -56,8 +56,8 @@ from hilcell.report.first_page import (
     validity_facts,
     verdict_word,
 )
+from hilcell.report.iso9283 import tests_poses
 from hilcell.report.method import models
-from hilcell.report.pose_test import tests_poses
 from hilcell.report.remeasured import remeasured
 from hilcell.report.target_budget import TargetBudget, bounds_sheet, target_budget
 from hilcell.report.verdicts import verdicts
@@ -222,7 +222,7 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
             controls=sum(each.group == CONTROL for each in facts.log.points.values()),
             page_mark=re.sub(r"[^A-Za-z0-9._-]", "_", facts.run),
             certificate=certificate(facts, budget, targets),
-            pose_sheets=pose_test.sheets(facts),
+            pose_sheets=iso9283.sheets(facts),
             has_part=lambda name, body: f' id="{name}"' in body,
             station_sheets=[*stations, *frames, worst_ones],
             own_sheet=own,
@@ -265,7 +265,7 @@ def _first_page(facts: Facts, budget: Budget | None, targets: TargetBudget) -> d
         "sentence": sentence(facts),
         "conformity": conformity_words(facts),
         "results": results_sheet(facts, targets),
-        "turn_results": pose_test.turn_results(facts) or turns.results_sheet(facts),
+        "turn_results": iso9283.turn_results(facts) or turns.results_sheet(facts),
         "strip": strip(nearest_results(facts, targets), facts.inputs.simulated),
         "uncertainty": uncertainty_words(facts, budget),
         "item": item_facts(facts, measured(facts)),
@@ -274,7 +274,7 @@ def _first_page(facts: Facts, budget: Budget | None, targets: TargetBudget) -> d
         "turns": turns.orientation_words(facts),
         "conditions": conditions_words(facts),
         "method": procedure_words(facts),
-        "departures": pose_test.departures(facts),
+        "departures": iso9283.departures(facts),
     }
 
 
@@ -292,8 +292,8 @@ def _drawings(facts: Facts, targets: TargetBudget) -> dict[str, object]:
         "air": air(facts),
         "histogram": over_bound(facts, targets),
         "curve_plots": curve_plots(facts),
-        "pose_drawings": [each for each in drawn if each.name in pose_test.FIGURES],
-        "drawings": [each for each in drawn if each.name not in pose_test.FIGURES],
+        "pose_drawings": [each for each in drawn if each.name in iso9283.FIGURES],
+        "drawings": [each for each in drawn if each.name not in iso9283.FIGURES],
     }
 
 
@@ -332,7 +332,7 @@ def sentence(facts: Facts) -> str:
     if facts.revoked:
         return "The calibration of this run was revoked: correct nothing by it."
     if tests_poses(facts):
-        return pose_test.sentence(facts)
+        return iso9283.sentence(facts)
     for kind in ("recheck", "targets"):
         if kind in facts.result:
             return str(facts.result[kind]["text"])

@@ -11,8 +11,8 @@ import msgspec
 
 from hilcell.calibration.causes import RISK
 from hilcell.calibration.decision import Judged
+from hilcell.calibration.iso9283 import CHARACTERISTICS, ISO
 from hilcell.calibration.known_length import LengthFound
-from hilcell.calibration.pose_test import ISO
 from hilcell.calibration.recheck import WORDS
 from hilcell.calibration.since import Parameter
 from hilcell.journal.calibration_facts import SINCE, VALIDATION
@@ -117,14 +117,13 @@ def _recheck(body: Body) -> str:
     return f"{words}; {body['doubt']}" if body.get("doubt") else words
 
 
-def _pose_test(body: Body) -> str:
+def _iso9283(body: Body) -> str:
     found = []
-    for name in body:
-        key, _, unit = name.rpartition("_limit_")
-        if key:
-            figure, U = (_figure(body[f"{key}{part}_{unit}"]) for part in ("", "_u95"))
-            words = key.upper().replace("_", " ")
-            found.append(f"{words} {figure} +- {U} {unit}, wanted <= {body[name]:g} {unit}")
+    for of in CHARACTERISTICS:
+        if of.limit in body:
+            figure, U = (_figure(body[f"{of.key}{part}_{of.unit}"]) for part in ("", "_u95"))
+            limit = f"{body[of.limit]:g} {of.unit}"
+            found.append(f"{of.key.upper()} {figure} +- {U} {of.unit}, wanted <= {limit}")
     return "; ".join(found)
 
 
@@ -160,7 +159,7 @@ FIGURES: dict[str, Callable[[Body], str]] = {
     "sign": _sign,
     "fit": _fit,
     "recheck": _recheck,
-    ISO: _pose_test,
+    ISO: _iso9283,
     "orientation": _orientation,
     "known-length": _lengths,
     "two-face": lambda body: str(body["words"]),

@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.file import write_calibration
-from hilcell.calibration.pose_test import commanded_mm
+from hilcell.calibration.iso9283 import CYCLE, commanded_mm
 from hilcell.cell.file import load_cell
 from hilcell.geometry.kinematics import forward
-from hilcell.geometry.pose_test import CYCLE
 from hilcell.ports import Array
 from procedures import iso9283
-from procedures.iso9283 import PoseTest, commands_rad
+from procedures.iso9283 import PoseCycle, commands_rad
 from tests.hilcell.calibration.calibrations import LOW_MM, PITCH_MM, calibration
 
 CELL = load_cell("paper", {"iso9283.velocity_percent": "55"})
@@ -48,7 +47,7 @@ def test_the_ways_that_are_checked_are_those_that_are_driven(
 ) -> None:
     checked: list[tuple[Array, Array]] = []
     monkeypatch.setattr(iso9283, "check_path", lambda *found: checked.append((found[2], found[3])))
-    PoseTest().plan(CELL, 1)
+    PoseCycle().plan(CELL, 1)
     ((before_rad, joints_rad),) = checked
     driven = driven_by(monkeypatch, visits=2 * len(CYCLE))
     for n, (_, straight, to_rad) in enumerate(driven):
@@ -85,5 +84,5 @@ def driven_by(monkeypatch: pytest.MonkeyPatch, visits: int) -> list[Any]:
     )
     monkeypatch.setattr(iso9283, "calibration_in", lambda _: None)
     with pytest.raises(Enough):
-        PoseTest().perform(session)
+        PoseCycle().perform(session)
     return found

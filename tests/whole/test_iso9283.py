@@ -20,7 +20,7 @@ from hilcell.report.facts import read_facts
 from hilcell.report.first_page import results_sheet, verdict_word
 from hilcell.report.html import standing
 from hilcell.report.target_budget import TargetBudget
-from procedures.iso9283 import PoseTest
+from procedures.iso9283 import PoseCycle
 from tests.hilcell.report.test_every_procedure import assert_references_resolve
 from tests.whole.bench import SMALL, Simulation, command, cut, end_of, events, sets, simulation
 from tests.whole.trace import judge
@@ -171,7 +171,7 @@ def test_several_reflectors_give_the_repeatability_of_angles(tmp_path: Path) -> 
 def test_a_load_above_the_rated_one_is_refused(tmp_path: Path) -> None:
     cell = load_cell("fixed", {"iso9283.load_kg": "120", "iso9283.rated_load_kg": "100"})
     with pytest.raises(HilcellError, match="load_kg"):
-        PoseTest().plan(cell, 1)
+        PoseCycle().plan(cell, 1)
 
 
 def report_of(runs: Path, name: str) -> str:

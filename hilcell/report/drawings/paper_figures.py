@@ -10,7 +10,7 @@ import numpy as np
 
 from hilcell.calibration.errors import OTHERS, Errors, places, validation
 from hilcell.calibration.frames import grid_pairs
-from hilcell.calibration.pose_test import ISO
+from hilcell.calibration.iso9283 import ISO
 from hilcell.clean import harmless
 from hilcell.compensation.similarity import binned
 from hilcell.journal.log import Log, positions_mm
@@ -18,7 +18,7 @@ from hilcell.journal.point_words import HOLDS, SIDES
 from hilcell.ports import Array
 from hilcell.report.drawings.svg import MUTED, axes_sheet, house_style, svg_of
 from hilcell.report.facts import Facts
-from hilcell.report.pose_test import fig_attained, fig_poses
+from hilcell.report.iso9283 import fig_attained, fig_poses
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

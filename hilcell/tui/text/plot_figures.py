@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from textual.content import Content
 
+from hilcell.calibration.iso9283 import AP, RP
 from hilcell.geometry.statistics import figures_of, repeatability_mm
 from hilcell.journal.curve_record import URAD
 from hilcell.journal.log import Log
@@ -170,7 +171,7 @@ def repeat_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
         rp_mm = repeatability_mm(distances_mm) if len(distances_mm) > 1 else None
         numbers = (float(distances_mm.mean()), rp_mm, float(distances_mm.max()))
         lines.append(marked(look, inks.get(name, PLACES[0]), row(name, numbers)))
-    words = "RP: mean + 3 s of the distances from the mean (ISO 9283, 7.2.2)."
+    words = f"RP: mean + 3 s of the distances from the mean (ISO 9283, {RP.clause})."
     return [*lines, Content(""), *_grey(words)]
 
 
@@ -187,7 +188,7 @@ def pose_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
         words = ""
     else:
         words = "No limits are stated (iso9283.ap_limit_mm, iso9283.rp_limit_mm). "
-    words += "AP_p: from the commanded place to the visits' mean (ISO 9283, 7.2.1)."
+    words += f"AP_p: from the commanded place to the visits' mean (ISO 9283, {AP.clause})."
     return [*lines, Content(""), *_grey(words)]
 
 

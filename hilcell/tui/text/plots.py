@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from hilcell.calibration.errors import HOWS, Errors, counting, errors_of
-from hilcell.calibration.pose_test import ISO, attained
+from hilcell.calibration.iso9283 import ISO, attained
 from hilcell.calibration.rechecked import KIND as RECHECK
 from hilcell.calibration.rechecked import rechecked
 from hilcell.geometry.statistics import bounds95_mm, from_mean_mm, repeatability_mm

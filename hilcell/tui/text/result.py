@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple, TypeVar
 import msgspec
 from textual.content import Content
 
-from hilcell.calibration.pose_test import ISO
+from hilcell.calibration.iso9283 import AD, AP, AP_ANGLES, ISO, RD, RP, RP_ANGLES, Angles, PoseTest
 from hilcell.cell.devices import load_entry
 from hilcell.clean import harmless
 from hilcell.errors import HilcellError
@@ -42,38 +42,6 @@ class Result:
     head: Head
     text: str
     table: Table
-
-
-class _Pose(msgspec.Struct):
-    ap_mm: float
-    ap_u95_mm: float
-    rp_mm: float
-    rp_u95_mm: float
-
-
-class _Distance(msgspec.Struct):
-    first: str = msgspec.field(name="from")
-    to: str = ""
-    ad_mm: float = math.nan
-    ad_u95_mm: float = math.nan
-    rd_mm: float = math.nan
-    rd_u95_mm: float = math.nan
-
-
-class _Angles(msgspec.Struct):
-    """Of a, b and c, deg; AP is empty where the reflectors' places are not known."""
-
-    rp_deg: dict[str, float]
-    rp_u95_deg: dict[str, float]
-    ap_deg: dict[str, float] = {}
-    ap_u95_deg: dict[str, float] = {}
-
-
-class _PoseTest(msgspec.Struct):
-    poses: dict[str, _Pose]
-    orientation: dict[str, _Angles] = {}
-    distance: _Distance | None = None
-    limits: dict[str, float] = {}
 
 
 class _Target(msgspec.Struct):
@@ -109,7 +77,7 @@ def result_of(view: RunView) -> Result | None:
     found = (view.log.end or {}).get("result")
     if not isinstance(found, dict):
         return None
-    test = _converted(found.get(ISO), _PoseTest)
+    test = _converted(found.get(ISO), PoseTest)
     if test is not None and test.poses:
         return _of_test(test, passed=view.state == "done")
     checked = _converted(found.get(RECHECK), _Recheck)
@@ -143,18 +111,13 @@ def own_words(name: str, result: dict[str, Any]) -> tuple[Table, str]:
 # -- a pose test -----------------------------------------------------------------------------------
 
 
-def _of_test(test: _PoseTest, *, passed: bool) -> Result:
-    ap_mm, rp_mm, ad_mm, rd_mm = (
-        test.limits.get(f"{n}_limit_mm") for n in ("ap", "rp", "ad", "rd")
-    )
-    at_ap = max(test.poses, key=lambda name: gravest(test.poses[name].ap_mm))
-    at_rp = max(test.poses, key=lambda name: gravest(test.poses[name].rp_mm))
-    ap, rp = test.poses[at_ap], test.poses[at_rp]
+def _of_test(test: PoseTest, *, passed: bool) -> Result:
+    worst, limits, turned = test.worst, test.limits, test.orientation
+    ap_mm, rp_mm = limits.get(AP.limit), limits.get(RP.limit)
     figures = (
-        Figure("worst AP_p, mm", ap.ap_mm, f"at {at_ap}", ap_mm, ap.ap_u95_mm),
-        Figure("worst RP_l, mm", rp.rp_mm, f"at {at_rp}", rp_mm, rp.rp_u95_mm),
+        Figure("worst AP_p, mm", worst.ap_mm, f"at {worst.ap_pose}", ap_mm, worst.ap_u95_mm),
+        Figure("worst RP_l, mm", worst.rp_mm, f"at {worst.rp_pose}", rp_mm, worst.rp_u95_mm),
     )
-    limits, turned = test.limits, test.orientation
     rows = [
         _PoseRow(
             name,
@@ -163,20 +126,15 @@ def _of_test(test: _PoseTest, *, passed: bool) -> Result:
             figure(each.rp_mm),
             figure(each.rp_u95_mm),
             *_worst_angles(turned.get(name)),
-            "pass"
-            if _keeps(each.ap_mm + each.ap_u95_mm, ap_mm)
-            and _keeps(each.rp_mm + each.rp_u95_mm, rp_mm)
-            and _angles_keep(turned.get(name), limits)
-            else "FAIL",
+            "pass" if test.keeps(name) else "FAIL",
         )
         for name, each in test.poses.items()
     ]
     columns = [*POSES, *(ANGLES if turned else ())]
     if limits:
         columns.append(Column("verdict", attrgetter("verdict")))
-        angles = (_limit(limits.get(f"{key}_limit_deg")) for key in ("ap", "rp"))
+        angles = (_limit(limits.get(of.limit)) for of in (AP_ANGLES, RP_ANGLES))
         rows.append(_PoseRow("limit", _limit(ap_mm), "", _limit(rp_mm), "", *angles))
-    text = _distance_words(test.distance, ad_mm, rd_mm) if test.distance is not None else ""
     words, stated, role = (("ISO",), "no limits stated", "label")
     if test.limits:
         words, stated, role = (
@@ -184,7 +142,7 @@ def _of_test(test: _PoseTest, *, passed: bool) -> Result:
             if passed
             else (("FAIL",), "not within its limits", "fault")
         )
-    return Result(Head(words, stated, role, figures), text, Table(columns, rows))
+    return Result(Head(words, stated, role, figures), _distance_words(test), Table(columns, rows))
 
 
 class _PoseRow(NamedTuple):
@@ -202,49 +160,32 @@ class _PoseRow(NamedTuple):
 
 POSES = (
     Column[_PoseRow]("pose", attrgetter("name")),
-    Column[_PoseRow]("AP_p", attrgetter("ap"), "mm", "s"),
+    Column[_PoseRow](AP.symbol, attrgetter("ap"), "mm", "s"),
     Column[_PoseRow]("U", attrgetter("ap_U"), "mm", "s"),
-    Column[_PoseRow]("RP_l", attrgetter("rp"), "mm", "s"),
+    Column[_PoseRow](RP.symbol, attrgetter("rp"), "mm", "s"),
     Column[_PoseRow]("U", attrgetter("rp_U"), "mm", "s"),
 )
 ANGLES = (
-    Column[_PoseRow]("AP_abc", attrgetter("ap_angle"), "°", "s"),
-    Column[_PoseRow]("RP_abc", attrgetter("rp_angle"), "°", "s"),
+    Column[_PoseRow](AP_ANGLES.symbol, attrgetter("ap_angle"), "°", "s"),
+    Column[_PoseRow](RP_ANGLES.symbol, attrgetter("rp_angle"), "°", "s"),
 )
 
 
-def _distance_words(found: _Distance, ad_mm: float | None, rd_mm: float | None) -> str:
-    ad, rd = f"{found.ad_mm:+z.3f}", f"{found.rd_mm:.3f}"
-    limits = [f"{n} {each:.3f}" for n, each in (("AD", ad_mm), ("RD", rd_mm)) if each is not None]
+def _distance_words(test: PoseTest) -> str:
+    found, stated = test.distance, ((of.key.upper(), test.limits.get(of.limit)) for of in (AD, RD))
+    limits = [f"{name} {limit_mm:.3f}" for name, limit_mm in stated if limit_mm is not None]
     said = f"; limits {', '.join(limits)} mm" if limits else ""
     return (
-        f"distance {found.first}-{found.to}: AD {ad} mm (U {found.ad_u95_mm:.3f}), "
-        f"RD ±{rd} mm (U {found.rd_u95_mm:.3f}){said}"
+        f"distance {found.start}-{found.to}: AD {found.ad_mm:+z.3f} mm (U {found.ad_u95_mm:.3f}), "
+        f"RD ±{found.rd_mm:.3f} mm (U {found.rd_u95_mm:.3f}){said}"
     )
 
 
-def _worst_angles(found: _Angles | None) -> tuple[str, str]:
+def _worst_angles(found: Angles | None) -> tuple[str, str]:
     """Return the largest AP and RP of a pose's angles, as far as they were measured."""
     parts = ({}, {}) if found is None else (found.ap_deg, found.rp_deg)
     ap, rp = (f"{max(map(abs, each.values())):.4f}" if each else "-" for each in parts)
     return ap, rp
-
-
-def _angles_keep(found: _Angles | None, limits: dict[str, float]) -> bool:
-    """Whether each angle and its U keep the limits that are stated; unknown ones do not."""
-    if found is None:
-        found = _Angles({}, {})
-    ap = found.ap_deg, found.ap_u95_deg, limits.get("ap_limit_deg")
-    rp = found.rp_deg, found.rp_u95_deg, limits.get("rp_limit_deg")
-    return all(
-        limit is None
-        or (bool(value) and all(abs(value[n]) + U.get(n, math.nan) <= limit for n in value))
-        for value, U, limit in (ap, rp)
-    )
-
-
-def _keeps(value_mm: float, limit_mm: float | None) -> bool:
-    return limit_mm is None or value_mm <= limit_mm
 
 
 def _limit(limit_mm: float | None) -> str:

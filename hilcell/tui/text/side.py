@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from textual.content import Content
 
-from hilcell.calibration.pose_test import ISO
+from hilcell.calibration.iso9283 import ISO
 from hilcell.calibration.rechecked import KIND as RECHECK
 from hilcell.journal.log import Log
 from hilcell.ports import Array

@@ -225,8 +225,8 @@ VALIDATED = {
         (
             "iso9283",
             {"ap_mm": 0.5, "ap_u95_mm": 0.02, "ap_limit_mm": 0.6,
-             "rp_c_deg": None, "rp_c_u95_deg": None, "rp_c_limit_deg": 0.1},
-            ["AP 0.500 ± 0.020 mm", "0.6 mm", "RP C not known", "0.1°"],
+             "rp_deg": None, "rp_u95_deg": None, "rp_limit_deg": 0.1},
+            ["AP 0.500 ± 0.020 mm", "0.6 mm", "RP not known", "0.1°"],
         ),
         (
             "orientation",

@@ -18,23 +18,13 @@ from hilcell.tui.terminal.capabilities import ASCII, UNICODE
 from hilcell.tui.text.digits import large_rows
 from hilcell.tui.text.result import Result, result_lines, result_of
 from hilcell.tui.text.sheets import sheet_lines
+from tests.hilcell.calibration.pose_tests import made_up
 from tests.hilcell.tui.recording_app import RecordingApp, options, press, settle, text_of
 from tests.hilcell.tui.sample_runs import SampleRun, validated
 from tests.hilcell.tui.views import view_of
 
 ROWS = 16
-POSE = {"ap_u95_mm": 0.149, "rp_mm": 0.066, "rp_u95_mm": 0.011}
-TEST: dict[str, Any] = {
-    "poses": {
-        "P1": POSE | {"ap_mm": 1.21},
-        "P3": POSE | {"ap_mm": 1.504, "rp_mm": 0.075},
-    },
-    "distance": {
-        "from": "P2", "to": "P4", "ad_mm": 0.3871, "ad_u95_mm": 0.0375, "rd_mm": 0.0728,
-        "rd_u95_mm": 0.0191,
-    },
-    "limits": {},
-}  # fmt: skip
+TEST: dict[str, Any] = msgspec.to_builtins(made_up())
 TEXT = (
     "Still valid: the errors are as calibration 20261123-033616-calibrate-22df predicts; drift "
     "0.000 mm, uncertainty 0.043 mm. As found, 7 corrected poses are 0.033 mm off in the mean and "

@@ -1,0 +1,501 @@
+"""The pose test of ISO 9283:1998: its poses, characteristics, uncertainties and conditions.
+
+Positions (n, 3) in mm, axes of the base; each attained n times. Each U (k = 2) has the scatter of n
+attainments (GUM 4.2.3), that of AP and AD what all attainments share as well.
+
+AP compares with the commanded pose in {B}. Where {B} was measured in the run, its uncertainty is
+AP's too; where a calibration gave it, that of {W} is, by which the tracker finds it again. RP, AD
+and RD need no frame.
+
+With several reflectors on the flange the orientation is measured as well. RP of its angles needs no
+more; AP needs to know where the reflectors are on the flange, and only a calibration does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from hilcell.calibration.contribution import combined_mm, expanded_mm
+from hilcell.calibration.errors import Errors, errors_of
+from hilcell.calibration.in_use import calibration_in
+from hilcell.calibration.measurement_budget import NOISE, WORLD, budget_of
+from hilcell.calibration.orientation import turned_of, turned_rad2
+from hilcell.cell.file import Cell
+from hilcell.compensation.kinematic import Kinematic
+from hilcell.geometry.frames import apply, inverse, motion_levers
+from hilcell.geometry.statistics import from_mean_mm, repeatability_mm, rms
+from hilcell.journal.log import Log, Point, variances_mm2
+from hilcell.ports import Array
+
+ISO = "iso9283"  # kind of the points, key of result and verdict
+STANDARD_CYCLES = 30
+RATED_PERCENT = 100.0
+PAUSED = ("paused", "suspended")  # states of a run
+
+
+class Characteristic(msgspec.Struct, frozen=True):
+    """A characteristic of the standard; ``key`` and ``unit`` are in the names of its limit."""
+
+    key: str
+    symbol: str
+    title: str
+    unit: str
+    clause: str
+
+    @property
+    def limit(self) -> str:
+        """Return its limit's name in the cell file, in results and in verdicts."""
+        return f"{self.key}_limit_{self.unit}"
+
+
+AP = Characteristic("ap", "AP_p", "pose accuracy", "mm", "7.2.1")
+RP = Characteristic("rp", "RP_l", "pose repeatability", "mm", "7.2.2")
+AD = Characteristic("ad", "|AD|", "distance accuracy", "mm", "7.3.2")
+RD = Characteristic("rd", "RD", "distance repeatability, ±", "mm", "7.3.3")
+AP_ANGLES = Characteristic("ap", "AP_abc", "orientation accuracy", "deg", "7.2.1")
+RP_ANGLES = Characteristic("rp", "RP_abc", "orientation repeatability, ±", "deg", "7.2.2")
+CHARACTERISTICS = (AP, RP, AD, RD, AP_ANGLES, RP_ANGLES)
+ANGLES = ("a", "b", "c")  # rotations about x, y, z of the base
+
+
+class Worst(NamedTuple):
+    """A characteristic where it is worst: its value without a sign, U, and the limit if stated."""
+
+    of: Characteristic
+    symbol: str
+    where: str
+    value: float
+    U: float
+    limit: float | None
+
+    @property
+    def holds(self) -> bool:
+        """Whether value and U together keep the limit; a value that is no number does not."""
+        return self.limit is None or self.value + self.U <= self.limit
+
+
+# -- results, with the names that they have in JSON; lengths in mm, U at 95 % (k = 2) --------------
+
+
+class Cube(msgspec.Struct, frozen=True):
+    """The test cube in {B}, and the plane of the poses by its corners."""
+
+    side_mm: float
+    centre_mm: list[float]
+    plane: str
+
+
+class Pose(msgspec.Struct, frozen=True):
+    """AP and RP of one pose. AP: barycentre of the attained positions less the commanded one."""
+
+    commanded_mm: list[float]
+    count: int
+    ap_mm: float
+    ap_x_mm: float
+    ap_y_mm: float
+    ap_z_mm: float
+    ap_u95_mm: float
+    rp_mm: float
+    rp_u95_mm: float
+    rp_robot_mm: float  # the measurement's noise taken off
+    l_mean_mm: float
+    s_l_mm: float
+
+
+class Distance(msgspec.Struct, frozen=True):
+    """AD and RD of one distance; AD_x, AD_y, AD_z are those of the distances along each axis."""
+
+    start: str = msgspec.field(name="from")
+    to: str
+    commanded_mm: float
+    ad_mm: float
+    ad_x_mm: float
+    ad_y_mm: float
+    ad_z_mm: float
+    ad_u95_mm: float
+    rd_mm: float
+    rd_u95_mm: float
+
+
+class WorstPoses(msgspec.Struct, frozen=True):
+    """AP and RP where each is largest."""
+
+    ap_mm: float
+    ap_u95_mm: float
+    ap_pose: str
+    rp_mm: float
+    rp_u95_mm: float
+    rp_pose: str
+
+
+class Angles(msgspec.Struct, frozen=True, omit_defaults=True):
+    """AP and RP of the angles a, b, c of one pose; AP where the reflectors' places are known."""
+
+    count: int
+    rp_deg: dict[str, float]
+    rp_u95_deg: dict[str, float]
+    ap_deg: dict[str, float] = {}
+    ap_u95_deg: dict[str, float] = {}
+
+    def of(self, characteristic: Characteristic) -> tuple[dict[str, float], dict[str, float]]:
+        """Return values and U by angle, as far as they were measured."""
+        if characteristic is AP_ANGLES:
+            return self.ap_deg, self.ap_u95_deg
+        return self.rp_deg, self.rp_u95_deg
+
+
+class PoseTest(msgspec.Struct, frozen=True, kw_only=True):
+    """The test's conditions (clause 6), as far as the run or the cell file knows them, and what it
+    has measured, by pose.
+    """
+
+    cycles: int
+    velocity_percent: float
+    load_kg: float | None
+    rated_load_kg: float | None
+    warm_up_min: float | None
+    stabilisation_s: float
+    temperature_c: tuple[float, float] | None
+    tracker_noise_mm: float
+    corrected_by: str
+    cube: Cube
+    poses: dict[str, Pose]
+    distance: Distance
+    worst: WorstPoses
+    orientation: dict[str, Angles]
+    not_measured: list[str]
+    deviations: list[str]
+    limits: dict[str, float]
+
+    def figures(self) -> list[Worst]:
+        """Return each characteristic that was measured, where it is worst."""
+        worst, way = self.worst, self.distance
+        ends = f"{way.start} to {way.to}"
+        found = [
+            (AP, AP.symbol, worst.ap_pose, worst.ap_mm, worst.ap_u95_mm),
+            (RP, RP.symbol, worst.rp_pose, worst.rp_mm, worst.rp_u95_mm),
+            (AD, AD.symbol, ends, abs(way.ad_mm), way.ad_u95_mm),
+            (RD, RD.symbol, ends, way.rd_mm, way.rd_u95_mm),
+        ]
+        turns = ((of, worst_angle(self.orientation, of)) for of in (AP_ANGLES, RP_ANGLES))
+        found += [(of, *angle) for of, angle in turns if angle is not None]
+        return [Worst(*each, self.limits.get(each[0].limit)) for each in found]
+
+    def keeps(self, pose: str) -> bool:
+        """Whether AP and RP of a pose keep the limits that are stated; unknown ones do not."""
+        at, angles = self.poses[pose], self.orientation.get(pose)
+        found = {AP: [(at.ap_mm, at.ap_u95_mm)], RP: [(at.rp_mm, at.rp_u95_mm)]}
+        for of in (AP_ANGLES, RP_ANGLES):
+            values, u95_deg = ({}, {}) if angles is None else angles.of(of)
+            found[of] = [(abs(value), u95_deg[angle]) for angle, value in values.items()]
+        return all(
+            bool(each) and all(value + U <= self.limits[of.limit] for value, U in each)
+            for of, each in found.items()
+            if of.limit in self.limits
+        )
+
+    def judgement(self) -> dict[str, Any]:
+        """Return the verdict on the stated limits, {} without any. Nothing that was not measured
+        keeps its limit.
+        """
+        measured = {each.of: each for each in self.figures()}
+        facts: dict[str, Any] = {}
+        for of in CHARACTERISTICS:
+            if (limit := self.limits.get(of.limit)) is not None:
+                at = measured.get(of, Worst(of, of.symbol, "", math.nan, math.nan, limit))
+                facts |= {
+                    f"{of.key}_{of.unit}": at.value,
+                    f"{of.key}_u95_{of.unit}": at.U,
+                    of.limit: limit,
+                    "holds": facts.get("holds", True) and at.holds,
+                }
+        return facts
+
+
+def worst_angle(
+    orientation: Mapping[str, Angles], of: Characteristic
+) -> tuple[str, str, float, float] | None:
+    """Return symbol, pose, value and U (deg) where both together are most; None where it was not
+    measured.
+    """
+    found = [
+        (f"{of.key.upper()}_{angle}", pose, abs(value), u95_deg[angle])
+        for pose, (values, u95_deg) in ((pose, each.of(of)) for pose, each in orientation.items())
+        for angle, value in values.items()
+    ]
+    return max(found, key=lambda each: np.nan_to_num(each[2] + each[3], nan=np.inf), default=None)
+
+
+# -- the poses (6.8) -------------------------------------------------------------------------------
+
+SHARE_OF_DIAGONAL = 0.1  # that test poses keep off the cube's corners: (10 +- 2) % (6.8.5)
+# Corners by the signs of x, y, z: C1 to C4 around the cube's top, C5 to C8 below them.
+CORNERS = {
+    "C1": (-1, -1, 1), "C2": (-1, 1, 1), "C3": (1, 1, 1), "C4": (1, -1, 1),
+    "C5": (-1, -1, -1), "C6": (-1, 1, -1), "C7": (1, 1, -1), "C8": (1, -1, -1),
+}  # fmt: skip
+PLANE = ("C1", "C2", "C7", "C8")  # its diagonals C1-C7 and C2-C8 are the cube's
+CYCLE = ("P5", "P4", "P3", "P2", "P1")  # from P1 (table 7)
+ENDS = ("P2", "P4")  # of the distance: on one diagonal
+
+
+def cube_of(cell: Cell) -> Cube:
+    """Return the largest cube in the grid's volume, edges parallel to the base (6.8.2)."""
+    centre_mm = cell.grid.centre.matrix()[:3, 3].tolist()
+    return Cube(min(cell.grid.size_mm), centre_mm, "-".join(PLANE))
+
+
+def commanded_mm(cell: Cell) -> dict[str, Array]:
+    """Return P1, the cube's centre, and P2 to P5 on diagonals of the plane, (3,) in {B} (6.8.5)."""
+    cube = cube_of(cell)
+    reach_mm = (1.0 - 2.0 * SHARE_OF_DIAGONAL) * cube.side_mm / 2.0
+    centre_mm = np.array(cube.centre_mm)
+    corners = {f"P{n}": np.array(CORNERS[name]) for n, name in enumerate(PLANE, start=2)}
+    return {"P1": centre_mm} | {
+        name: centre_mm + reach_mm * corner for name, corner in corners.items()
+    }
+
+
+def velocity_percent(cell: Cell) -> float:
+    """Return the speed of the test, in percent of the rated one."""
+    stated = cell.iso9283.velocity_percent
+    return cell.robot.speed_percent if stated is None else stated
+
+
+# -- the characteristics (7.2, 7.3) ----------------------------------------------------------------
+
+
+def pose_of(at: Errors, commanded_mm: Array, shared_mm2: Array, noise_mm2: float) -> Pose:
+    """Return AP and RP of positions attained at one commanded position (7.2.1, 7.2.2).
+
+    All attainments share the covariance ``shared_mm2`` (3, 3). ``noise_mm2`` is the measurement's,
+    the trace of its covariance: mean squares subtract, distances keep the shape of their
+    distribution. U of RP_l = mean + 3 S is that of the scatter of both, taken as independent.
+    """
+    attained_mm = at.nominal_mm + at.error_mm
+    count, scatter_mm2 = len(attained_mm), np.cov(attained_mm.T)
+    ap_mm = attained_mm.mean(axis=0) - at.nominal_mm[0]
+    ap_p_mm = float(np.linalg.norm(ap_mm))
+    along = ap_mm / ap_p_mm if ap_p_mm > 0.0 else np.eye(3)[0]
+    known_mm2 = scatter_mm2 / count + shared_mm2
+    l_mm = from_mean_mm(attained_mm)
+    rp_mm, s_l_mm = repeatability_mm(l_mm), float(l_mm.std(ddof=1))
+    whole_mm2 = float(np.trace(scatter_mm2))
+    of_robot = 1.0 - noise_mm2 / whole_mm2 if whole_mm2 > noise_mm2 else 0.0
+    return Pose(
+        commanded_mm.tolist(),
+        count,
+        ap_p_mm,
+        float(ap_mm[0]),
+        float(ap_mm[1]),
+        float(ap_mm[2]),
+        expanded_mm(math.sqrt(float(along @ known_mm2 @ along))),
+        rp_mm,
+        expanded_mm(s_l_mm * math.sqrt(1.0 / count + 9.0 / (2.0 * (count - 1)))),
+        rp_mm * math.sqrt(of_robot),
+        float(l_mm.mean()),
+        s_l_mm,
+    )
+
+
+def distance_of(ends: tuple[Errors, Errors], shared_mm: float) -> Distance:
+    """Return AD and RD = +-3 S of two ends attained in turn (7.3.2, 7.3.3).
+
+    ``shared_mm`` is u of the measured distance besides the scatter.
+    """
+    one, other = ends
+    ways_mm = (one.nominal_mm + one.error_mm) - (other.nominal_mm + other.error_mm)
+    commanded_mm = one.nominal_mm[0] - other.nominal_mm[0]
+    lengths_mm = np.linalg.norm(ways_mm, axis=1)
+    length_mm, count = float(np.linalg.norm(commanded_mm)), len(ways_mm)
+    along_mm = np.abs(ways_mm).mean(axis=0) - np.abs(commanded_mm)
+    s_d_mm = float(lengths_mm.std(ddof=1))
+    return Distance(
+        *ENDS,
+        length_mm,
+        float(lengths_mm.mean()) - length_mm,
+        float(along_mm[0]),
+        float(along_mm[1]),
+        float(along_mm[2]),
+        expanded_mm(math.hypot(s_d_mm / math.sqrt(count), shared_mm)),
+        3.0 * s_d_mm,
+        expanded_mm(3.0 * s_d_mm / math.sqrt(2.0 * (count - 1))),
+    )
+
+
+def angles_of(turns_rad: Array, shared_rad2: Array | None) -> Angles:
+    """Return AP (7.2.1) and RP = +-3 S (7.2.2) of rotation vectors (n, 3), axes of the base.
+
+    Of errors as small as a robot's the angles are the vector's coordinates. ``shared_rad2`` (3, 3)
+    is the covariance that all attainments share; without it AP is not known.
+    """
+    s_rad, count = turns_rad.std(axis=0, ddof=1), len(turns_rad)
+    rp_rad = 3.0 * s_rad
+    rp = _by_angle(rp_rad), _by_angle(rp_rad / math.sqrt(2.0 * (count - 1)), expanded=True)
+    if shared_rad2 is None:
+        return Angles(count, *rp)
+    u_rad = np.sqrt(s_rad**2 / count + np.diag(shared_rad2))
+    return Angles(count, *rp, _by_angle(turns_rad.mean(axis=0)), _by_angle(u_rad, expanded=True))
+
+
+def _by_angle(values_rad: Array, *, expanded: bool = False) -> dict[str, float]:
+    values_deg = np.degrees(values_rad) * (2.0 if expanded else 1.0)
+    return dict(zip(ANGLES, values_deg.tolist(), strict=True))
+
+
+# -- of a run --------------------------------------------------------------------------------------
+
+
+def attained(log: Log) -> dict[str, Errors]:
+    """Return what was attained at each pose, in {B} and in order of the cycles, so far."""
+    T_B_W = inverse(log.matrix("base"))
+    found = {name: errors_of(log, points) for name, points in _visits(log).items() if points}
+    return {
+        name: Errors(apply(T_B_W, each.nominal_mm), each.error_mm @ T_B_W[:3, :3].T)
+        for name, each in found.items()
+    }
+
+
+def _visits(log: Log) -> dict[str, list[Point]]:
+    visits: dict[str, list[Point]] = {name: [] for name in sorted(CYCLE)}
+    for point in log.select(ISO):
+        visits[point.id.pose].append(point)
+    return visits
+
+
+def evaluated(log: Log) -> PoseTest:
+    """Return the test's conditions and results."""
+    cell, clouds, used, celsius = log.cell, attained(log), calibration_in(log), log.temperatures_c()
+    table, corrected_by = cell.iso9283, "" if used is None else used.provenance.latest
+    poses = {
+        name: pose_of(
+            at,
+            commanded_mm(cell)[name],
+            _shared_mm2(log, commanded_mm(cell)[name], corrected=bool(corrected_by)),
+            float(variances_mm2(_visits(log)[name]).sum(axis=1).mean()),
+        )
+        for name, at in clouds.items()
+    }
+    at_ap = max(poses, key=lambda name: poses[name].ap_mm)
+    at_rp = max(poses, key=lambda name: poses[name].rp_mm)
+    ap, rp, orientation = poses[at_ap], poses[at_rp], _orientation(log)
+    limits = {of.limit: getattr(table, of.limit) for of in CHARACTERISTICS}
+    return PoseTest(
+        cycles=table.cycles,
+        velocity_percent=velocity_percent(cell),
+        load_kg=table.load_kg,
+        rated_load_kg=table.rated_load_kg,
+        warm_up_min=table.warm_up_min,
+        stabilisation_s=cell.settle.robot_s,
+        temperature_c=(min(celsius), max(celsius)) if celsius else None,
+        tracker_noise_mm=rms([point.std_mm for point in log.select(ISO)]),
+        corrected_by=corrected_by,
+        cube=cube_of(cell),
+        poses=poses,
+        distance=distance_of(
+            (clouds[ENDS[0]], clouds[ENDS[1]]), math.sqrt(2.0) * _system_mm(log, framed=False)
+        ),
+        worst=WorstPoses(ap.ap_mm, ap.ap_u95_mm, at_ap, rp.rp_mm, rp.rp_u95_mm, at_rp),
+        orientation=orientation,
+        not_measured=[
+            f"{of.key.upper()}_{angle}"
+            for of in (AP_ANGLES, RP_ANGLES)
+            for angle in ANGLES
+            if worst_angle(orientation, of) is None
+        ],
+        deviations=[
+            *_deviations(cell, corrected=bool(corrected_by), orientation=orientation),
+            *interruptions(log),
+        ],
+        limits={name: limit for name, limit in limits.items() if limit is not None},
+    )
+
+
+def _shared_mm2(log: Log, at_mm: Array, *, corrected: bool) -> Array:
+    """Return the covariance (3, 3) in {B}, at ``at_mm`` (3,), that all attainments share."""
+    covariance: Array = _system_mm(log, framed=corrected) ** 2 * np.eye(3)
+    if not corrected:
+        T = log.matrix("base")
+        base = np.array(log.frames["base"]["covariance"], dtype=float)
+        J = motion_levers((T[:3, :3] @ at_mm)[None])[0, :, :6]
+        covariance += T[:3, :3].T @ (J @ base @ J.T) @ T[:3, :3]
+    return covariance
+
+
+def _system_mm(log: Log, *, framed: bool) -> float:
+    """Return u of one coordinate but for the readings' noise, which the scatter has; with that of
+    {W} where results are ``framed`` by it.
+    """
+    budget = budget_of(log)
+    without = (NOISE,) if framed else (NOISE, WORLD)
+    lines = [] if budget is None else [each for each in budget.lines if each.name not in without]
+    return combined_mm(lines)
+
+
+def _orientation(log: Log) -> dict[str, Angles]:
+    """Return AP and RP of the angles by pose, axes of {B}; nothing with one reflector.
+
+    AP where the calibration that is tested says where the reflectors are on the flange: elsewhere
+    than stated they turn every attainment alike, which cancels in RP.
+    """
+    if not log.cell.robot.more_smr_mm:
+        return {}
+    used, seats = calibration_in(log), log.cell.robot.seats_mm
+    model = None if used is None else used.learnt_model()
+    known = isinstance(model, Kinematic) and len(model.state.smr_mm) == len(seats)
+    if isinstance(model, Kinematic) and known:
+        seats = model.state.smr_mm
+    found, R = {}, log.matrix("base")[:3, :3]
+    for name, points in _visits(log).items():
+        turned = turned_of(log, points, seats)
+        if len(turned) > 1:
+            rad2 = turned_rad2(log, turned, readings=False).mean(axis=0) if known else None
+            found[name] = angles_of(turned.error_rad @ R, None if rad2 is None else R.T @ rad2 @ R)
+    return found
+
+
+def _deviations(cell: Cell, *, corrected: bool, orientation: Mapping[str, Angles]) -> Iterator[str]:
+    """Yield in what the test departs from the standard's own conditions."""
+    table, speed_percent = cell.iso9283, velocity_percent(cell)
+    if table.cycles != STANDARD_CYCLES:
+        yield f"{table.cycles} cycles, the standard has {STANDARD_CYCLES}"
+    if speed_percent != RATED_PERCENT:
+        yield f"{speed_percent:g} % of the rated velocity, the standard asks for 100 %"
+    if table.load_kg is None or table.rated_load_kg is None:
+        yield "the load is not stated (iso9283.load_kg, iso9283.rated_load_kg)"
+    elif table.load_kg != table.rated_load_kg:
+        yield f"{table.load_kg:g} kg of {table.rated_load_kg:g} kg rated load, wanted 100 %"
+    if table.warm_up_min is None:
+        yield "the warm-up is not stated (iso9283.warm_up_min)"
+    if corrected:
+        yield "the commanded poses carry a correction: the robot with its calibration is tested"
+    yield "distances are taken from the pose cycle, not from a cycle of their own"
+    if not orientation:
+        yield "orientations were not measured: the test takes the position of one reflector"
+    elif worst_angle(orientation, AP_ANGLES) is None:
+        yield "AP_a, AP_b and AP_c were not measured: no calibration says where the reflectors are"
+
+
+def interruptions(log: Log) -> Iterator[str]:
+    """Yield in what the cycles were no steady course: stops and pauses between two visits."""
+    visits = log.select(ISO)
+    sessions = len({point.session for point in visits})
+    if sessions > 1:
+        held = "; the slide was held again, its slip is in RP" if log.cell.has_rail else ""
+        yield f"the cycles were interrupted {_times(sessions - 1)} and resumed{held}"
+    places = [log.recorded(point) for point in visits]
+    pauses = sum(
+        record.body["to"] in PAUSED and min(places) < record.seq < max(places)
+        for record in log.life
+    )
+    if pauses:
+        yield f"the cycles were paused {_times(pauses)}, the robot at rest meanwhile"
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
