@@ -15,8 +15,9 @@ from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table
-from hilcell.run.cell_session import FLANGE, CellSession
+from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Span, Step
+from hilcell.run.prompts import FLANGE
 from procedures.durations import closing, measure_s, rail_move_s, step
 
 FORTH, BACK = "forth", "back"

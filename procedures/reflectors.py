@@ -13,8 +13,9 @@ from hilcell.journal.log import Log
 from hilcell.journal.point_id import REFLECTOR, PointId
 from hilcell.ports import HilcellError
 from hilcell.present.table import Column, Table
-from hilcell.run.cell_session import FLANGE, CellSession
+from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Step
+from hilcell.run.prompts import FLANGE
 from procedures.durations import closing, readings, step
 from procedures.home import Home
 from procedures.world_frame import WorldFrame

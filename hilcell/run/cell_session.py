@@ -30,8 +30,6 @@ from hilcell.run.run_context import Ask, RunContext
 from hilcell.run.sweeping import SweepOrder, record_sweep
 from hilcell.run.watch import Watch
 
-__all__ = ["FLANGE", "CellSession"]
-
 STRAY_MM = 10.0  # of a pose in the measured base: nominal errors are far less, a lost zero is more
 
 

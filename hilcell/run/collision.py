@@ -284,9 +284,9 @@ class ComingPoses:
         return coming.leaves_cube
 
 
-# Their volumes are only as right as the cell file. So the robot goes there slowly the first time,
-# and an attended run pauses before the first of them, unless the cell file says otherwise. A pose
-# is known once this run, or one of those finished before it, was driven there.
+# Outside of the cube the volumes are only as right as the cell file. So the robot goes there slowly
+# the first time, and an attended run pauses before the first such pose, unless the cell file says
+# otherwise. A pose is known once this run, or one of those finished before it, was driven there.
 
 
 class FirstPass:

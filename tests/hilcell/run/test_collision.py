@@ -11,7 +11,7 @@ import pytest
 from hilcell.cell.file import Cell, KeepOut, Pose
 from hilcell.geometry.clearance import placed_mm
 from hilcell.journal.journal import Record
-from hilcell.ports import Array, RobotReading
+from hilcell.ports import Array, DeviceError, RobotReading
 from hilcell.run import sweeping
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import (
@@ -223,6 +223,27 @@ def test_a_reading_from_before_a_motion_is_not_where_the_next_one_starts(post: B
         with session._mover.admitted() as sweep:
             sweep.begin(LEFT, "sweep")
         post.robot.joints_rad = RIGHT  # the sweep took it there
+        session.robot_to(LEFT, "next")
+
+    assert fault_of(post, go) == "HC-B34"
+    assert post.robot.moves == 2
+
+
+def test_nobody_knows_where_a_motion_that_failed_has_ended(
+    post: Bed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    post.robot.joints_rad = LEFT
+
+    def lost(joints_rad: Array, speed_percent: float) -> RobotReading:
+        post.robot.joints_rad = RIGHT
+        raise DeviceError("HC-B01", "Robot", "move", "no answer")
+
+    def go(session: CellSession, number: int) -> None:
+        session.robot_to(LEFT, "start")
+        with monkeypatch.context() as patch:
+            patch.setattr(post.robot, "move_to", lost)
+            with pytest.raises(DeviceError):
+                session.robot_to(LEFT, "fails")
         session.robot_to(LEFT, "next")
 
     assert fault_of(post, go) == "HC-B34"
