@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from typing import Any
 
 from hilcell.calibration.in_use import standings_in
 from hilcell.cell.devices import load_entry
-from hilcell.clean import encodable, harmless
+from hilcell.clean import encodable
 from hilcell.commands.invariants import check
 from hilcell.commands.output import (
     print_json,
@@ -35,19 +36,18 @@ def runs(args: argparse.Namespace) -> int:
     rows = read_index(args.runs)
     known = standings_in(args.runs, rows)
     listed = sorted((row for row in rows if _asked_for(row, args)), key=lambda row: row.name)
-    found = [_summary(row, known.get(row.name)) for row in listed]
     for note in clock_notes(rows):
         print_message(f"warning: {note}")
     if args.json:
-        print_json({"runs": found})
+        print_json({"runs": [_summary(row, known.get(row.name)) for row in listed]})
         return 0
     if not os.path.isdir(args.runs):  # noqa: PTH112 - Path.is_dir raises for a name too long
         print_message(f"no runs: the folder {args.runs} is not there")
         return 0
-    if not found:
+    if not listed:
         print_message(f"no {'such ' if rows else ''}runs in {args.runs}")
         return 0
-    print_list(found)
+    _print_list(listed, known)
     for row in listed:
         if row.state == UNREADABLE:
             print_message(row.reason)
@@ -72,44 +72,45 @@ def _time(begun: str) -> datetime | None:
     return None
 
 
-def _local(begun: str | None) -> str:
+def _local(begun: str) -> str:
     """Return a time of the index (UTC) in the zone of this PC."""
-    time = _time(begun or "")
+    time = _time(begun)
     return "" if time is None else f"{time.astimezone():%Y-%m-%d %H:%M %Z}"
 
 
-def _standing(summary: dict[str, Any]) -> str:
-    standing = summary.get("standing")
-    return "" if standing is None else harmless(str(standing["text"]))
-
-
-def _kind(summary: dict[str, Any]) -> str:
-    if "simulated" not in summary:  # it cannot be read
+def _kind(row: RunRow) -> str:
+    if not row.readable:
         return ""
-    return "simulated" if summary["simulated"] else "real"
+    return "simulated" if row.simulated else "real"
 
 
-def _fact(name: str) -> Column[dict[str, Any]]:
-    return Column(name, lambda each: "" if each.get(name) is None else harmless(str(each[name])))
-
-
-LIST: tuple[Column[dict[str, Any]], ...] = (
-    *map(_fact, ("run", "procedure", "cell", "operator", "state", "verdict", "points", "exit")),
-    Column("begun", lambda each: _local(each.get("begun"))),
+LIST: tuple[Column[RunRow], ...] = (
+    Column("run", lambda row: encodable(row.name)),
+    Column("procedure", attrgetter("procedure")),
+    Column("cell", attrgetter("cell")),
+    Column("operator", attrgetter("operator")),
+    Column("state", lambda row: row.condition if row.readable else row.state),
+    Column("verdict", attrgetter("verdict")),
+    Column("points", lambda row: row.points if row.readable else None, form="d"),
+    Column("exit", attrgetter("exit"), form="d"),
+    Column("begun", lambda row: _local(row.begun) if row.readable else None),
     Column("kind", _kind),
-    Column("calibration", _standing),
 )
 FIRST_OUT = ("procedure", "exit", "points", "operator", "begun", "state", "calibration")
 
 
-def print_list(found: list[dict[str, Any]]) -> None:
+def _print_list(rows: list[RunRow], known: Mapping[str, Standing]) -> None:
     """Print runs as a table; where a terminal is too narrow, without what is said elsewhere."""
-    room, columns, left_out = terminal_columns(), [*LIST], [*FIRST_OUT]
-    while room is not None and left_out and width_of(Table(columns, found)) > room:
+    texts = {row.name: encodable(known[row.name].text) for row in rows if row.name in known}
+    standing = Column[RunRow](
+        "calibration", lambda row: texts.get(row.name) if row.readable else None
+    )
+    room, columns, left_out = terminal_columns(), [*LIST, standing], [*FIRST_OUT]
+    while room is not None and left_out and width_of(Table(columns, rows)) > room:
         name = left_out.pop(0)
         columns = [column for column in columns if column.name != name]
-    print_table(Table(columns, found))
-    if len(columns) < len(LIST):
+    print_table(Table(columns, rows))
+    if len(columns) <= len(LIST):
         print_message("a wider terminal, or --json, shows more of each run")
 
 
@@ -181,8 +182,8 @@ def show(args: argparse.Namespace) -> int:
         rows.append(("reason", summary["reason"]))
     if summary.get("verdict"):
         rows.append(("verdict", summary["verdict"]))
-    if words := _standing(summary):
-        rows.append(("its calibration", words))
+    if standing is not None:
+        rows.append(("its calibration", encodable(standing.text)))
     print_table(Table([Column("run", itemgetter(0)), Column(summary["run"], itemgetter(1))], rows))
     print_suspected(log)
     if finished:

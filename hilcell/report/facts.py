@@ -101,7 +101,7 @@ class Facts:
         """Return the day on which the run ended, there."""
         return in_zone(self.last.t, self.zone).date().isoformat()
 
-    def verdict_words(self, outcome: Outcome | None, none: str = "") -> str:
+    def outcome_words(self, outcome: Outcome | None, none: str = "") -> str:
         """Return an outcome as the first page says it: of a simulated cell in brackets.
 
         ``none`` stands where nothing was judged.

@@ -111,7 +111,7 @@ def results_sheet(facts: Facts, targets: TargetBudget) -> Table:
     if results and (bound := bound_result(facts, targets)) is not None:
         results.append(bound)
     verdict = Column[Result](
-        "verdict", lambda row: facts.verdict_words(row.outcome, NOT_APPLICABLE), form="s"
+        "verdict", lambda row: facts.outcome_words(row.outcome, NOT_APPLICABLE), form="s"
     )
     return Table((*RESULTS, verdict), results, "Results", note)
 

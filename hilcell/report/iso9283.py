@@ -60,7 +60,7 @@ def _columns(
     def verdict(row: Worst) -> str:
         if row.limit is None:
             return "not judged"
-        return facts.verdict_words("accepted" if row.holds else "rejected")
+        return facts.outcome_words("accepted" if row.holds else "rejected")
 
     return (
         Column("characteristic", name),

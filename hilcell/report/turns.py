@@ -62,7 +62,7 @@ RESULTS: tuple[Column[Result], ...] = (
 def results_sheet(facts: Facts) -> Table:
     """Return the orientation nearest to its limit, where one is stated, for the first page."""
     verdict = Column[Result](
-        "verdict", lambda row: facts.verdict_words(row.outcome), form="s"
+        "verdict", lambda row: facts.outcome_words(row.outcome), form="s"
     )  # fmt: skip
     return Table((*RESULTS, verdict), _worst(facts), "Results, orientation at the worst station")
 
