@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from hilcell.calibration.reflectors import compared
+from hilcell.calibration.instrument import compared_reflectors
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import REFLECTOR, PointId
@@ -51,14 +51,16 @@ class Reflectors:
         session.restored(nest)
         session.frame_world()
         if VERDICT not in session.log.verdicts:
-            found = compared(session.log)
+            found = compared_reflectors(session.log)
             wrong = [each.text for each in found if not each.holds]
             facts = {"reflectors": msgspec.to_builtins(found), "wrong": wrong}
             session.verdict("reflectors", holds=not wrong, **facts)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return each reflector against the others."""
-        rows = [msgspec.to_builtins(each) | {"holds": each.holds} for each in compared(log)]
+        rows = [
+            msgspec.to_builtins(each) | {"holds": each.holds} for each in compared_reflectors(log)
+        ]
         return {"reflectors": rows}
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from hilcell.calibration.two_faces import VERDICTS, two_faces
+from hilcell.calibration.instrument import TWO_FACES, two_faces
 from hilcell.cell.devices import abilities
 from hilcell.cell.file import Cell
 from hilcell.cell.layout import Nest
@@ -31,7 +31,7 @@ class TwoFaces:
 
     def __init__(self, *, at_end: bool = False) -> None:
         self._number, self.name = (1, "two-face-closing") if at_end else (0, "two-face")
-        self._verdict = VERDICTS[self._number]
+        self._verdict = TWO_FACES[self._number]
 
     def plan(self, cell: Cell, seed: int) -> Step:
         """Return the step; leave it out where it cannot be, or where time is short."""

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from hilcell.calibration.known_length import VERDICT, LengthFound, known_lengths
+from hilcell.calibration.instrument import KNOWN_LENGTH, LengthFound, known_lengths
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import LENGTH, PointId
@@ -29,7 +29,7 @@ def length_spans(cell: Cell) -> list[Span]:
 def check_lengths(session: CellSession) -> None:
     """Measure and judge the certified lengths, once; a wrong one pauses an attended run."""
     layout = session.cell.layout
-    if not layout.length or VERDICT in session.log.verdicts:
+    if not layout.length or KNOWN_LENGTH in session.log.verdicts:
         return
     for nest in layout.bar:
         session.floor_point(PointId(LENGTH, nest=nest.name), nest)
@@ -44,7 +44,7 @@ def check_lengths(session: CellSession) -> None:
 
 def length_result(log: Log) -> dict[str, Any]:
     """Return the certified lengths as found, where there are any."""
-    rows = log.verdicts.get(VERDICT, {}).get("lengths", [])
+    rows = log.verdicts.get(KNOWN_LENGTH, {}).get("lengths", [])
     found = [(row, typed(row, LengthFound)) for row in rows]
     lengths = [row | {"off_ppm": each.off_ppm, "holds": each.holds} for row, each in found]
     return {"known_lengths": lengths} if lengths else {}

@@ -27,17 +27,15 @@ from hilcell.calibration.causes import (
     likeliest,
 )
 from hilcell.calibration.contribution import systematic_mm2
-from hilcell.calibration.drift import robot_drift
+from hilcell.calibration.drift import robot_drift, tracker_drift
 from hilcell.calibration.errors import errors_of, visit_scatter
 from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.frame_covariance import hold_covariance, world_covariance
 from hilcell.calibration.influence import SIZE, NoBound, motion
-from hilcell.calibration.known_length import scale
+from hilcell.calibration.instrument import axis_off, scale
 from hilcell.calibration.reversal import reversal
 from hilcell.calibration.scatter import scattered, worse_than_stated
 from hilcell.calibration.since import risen_nest, since_before
-from hilcell.calibration.tracker_drift import tracker_drift
-from hilcell.calibration.two_faces import instrument
 from hilcell.calibration.visit_noise import of_differences, visit_noise
 from hilcell.geometry.circles import base_frame_covariance, reading_covariance
 from hilcell.geometry.frames import apply, inverse, matrix, motion_levers
@@ -423,7 +421,7 @@ SLOW = Detector((Cause.DRIFT,), _where_none_is_named(robot_drift), (*LARGE, TRAC
 # In the order in which their findings are shown.
 DETECTORS = (
     Detector((Cause.SCALE,), lambda log, _: [scale(log)]),
-    Detector((Cause.INSTRUMENT,), lambda log, _: [instrument(log)]),
+    Detector((Cause.INSTRUMENT,), lambda log, _: [axis_off(log)]),
     Detector((Cause.TEMPERATURE,), lambda log, _: [warm(log)]),
     Detector((Cause.REFLECTOR, Cause.BASE_MISPLACED), lambda log, _: [misplaced_base(log)]),
     NEST,

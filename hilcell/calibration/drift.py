@@ -1,12 +1,18 @@
-"""A robot that changes slowly while it is calibrated: an arm that grows with its warm motors, say.
+"""A tracker or a robot that changes slowly during a run: no comparison alone is beyond its limit.
 
-No pose differs by more than visits do, and the closing re-visits lie within what the strip and the
-tracker may do. But all poses of a run, taken less what the calibration's own model expects, in the
-order of their records, show a slope. Each cause of a changed robot is fitted linear in the run's
-progress, beside what else moves poses: a shift and turn of {B} at each hold of the slide, as far as
-strip, station frame and tracker allow; the arm's growth with the room, from none to the most that
-is stated; and smooth errors of the model. A slope counts where chance does not explain it, and
-where over the run it moves the poses by more than one visit scatters.
+The tracker. Each proof of the floor nests keeps its limit, or {W} is framed again; in between all
+is measured a little beside its place. So all readings of the floor nests are fitted with one motion
+of the tracker, linear in the run's records, each set-up from a start of its own. A tracker that was
+bumped shows no slope within a set-up, and one that wanders is not explained by one slope.
+
+The robot: an arm that grows with its warm motors, say. No pose differs by more than visits do, and
+the closing re-visits lie within what the strip and the tracker may do. But all poses of a run,
+taken less what the calibration's own model expects, in the order of their records, show a slope.
+Each cause of a changed robot is fitted linear in the run's progress, beside what else moves poses:
+a shift and turn of {B} at each hold of the slide, as far as strip, station frame and tracker allow;
+the arm's growth with the room, from none to the most that is stated; and smooth errors of the
+model. A slope counts where chance does not explain it, and where over the run it moves the poses by
+more than one visit scatters.
 """
 
 from __future__ import annotations
@@ -19,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.calibration.causes import PENALTY, Cause, Pattern, Suspicion, patterns
+from hilcell.calibration.causes import PENALTY, RISK, SPREAD, Cause, Pattern, Suspicion, patterns
 from hilcell.calibration.errors import visit_scatter
 from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.form import Calibration
@@ -28,15 +34,84 @@ from hilcell.calibration.influence import no_less_than_nought
 from hilcell.calibration.visit_noise import visit_noise
 from hilcell.geometry.frames import apply, inverse, motion_levers
 from hilcell.geometry.kinematics import Arm, forward
-from hilcell.geometry.statistics import f_quantile, rectangular_variance, rms
+from hilcell.geometry.statistics import f_quantile, lengths_mm, rectangular_variance, rms
 from hilcell.journal.log import NO_READINGS, Log, Point, commanded_rad, positions_mm
+from hilcell.journal.reading_noise import noise_at, run_noise
+from hilcell.journal.set_ups import PROOFS
 from hilcell.ports import Array, HilcellError
+
+# -- the tracker -----------------------------------------------------------------------------------
+
+NESTS_IN_ORDER = "floor nests, in the order of their readings"
+LEAST_READINGS = 4  # of each nest
+MOST_LEFT = 0.1  # of chi^2, by a slope that is not quite straight; a step leaves a quarter or more
+URAD = 1e6
+CAUSES = (("mm of the tracker over the run", slice(0, 3), 1.0),
+          ("urad of the tracker over the run", slice(3, 6), URAD))  # fmt: skip
+
+
+def tracker_drift(log: Log) -> Suspicion | None:
+    """Return a slow motion of the tracker beyond the drift that the cell states, if there is."""
+    return log.once(_tracker_drift, besides=NO_READINGS)
+
+
+def _tracker_drift(log: Log) -> Suspicion | None:
+    nests = [nest.name for nest in log.cell.layout.floor]
+    points = [p for kind in PROOFS for p in log.measured(kind) if p.id.nest in nests]
+    if len(points) < LEAST_READINGS * len(nests):
+        return None
+    noise = run_noise(log)
+    at_mm, share = positions_mm(points), _shares(log, points)
+    off_mm, since = _within(points, at_mm, share)
+    J = motion_levers(at_mm)[:, :, :6] * since[:, None, None]
+    whitening = np.linalg.inv(np.linalg.cholesky(noise_at(noise, points)))
+    white = (whitening @ off_mm[:, :, None]).ravel()
+    groups = len({(p.set_up, p.id.nest) for p in points})
+    found = []
+    for unit, own, factor in CAUSES:
+        D = (whitening @ J[:, :, own]).reshape(-1, 3)
+        motion = np.linalg.lstsq(D, white, rcond=None)[0]
+        left = float(np.square(white - D @ motion).sum())
+        explained = float(np.square(white).sum()) - left
+        found.append((left, explained, motion, unit, own, factor))
+    left, explained, motion, unit, own, factor = min(found, key=lambda each: each[0])
+    freedom = 3 * (len(points) - groups) - 3
+    sure = explained > 3 * SPREAD * f_quantile(1.0 - RISK / len(CAUSES), 3, noise.freedom)
+    chance = freedom * SPREAD * f_quantile(1.0 - RISK, freedom, noise.freedom)
+    alone = left <= chance + MOST_LEFT * (explained + left)
+    moved_mm = lengths_mm(motion_levers(at_mm)[:, :, own] @ motion).max()
+    limit_mm = np.sqrt(3.0) * log.cell.uncertainty.drift_limit_mm
+    if not (sure and alone and moved_mm > limit_mm):
+        return None
+    return Suspicion(Cause.DRIFT, factor * float(np.linalg.norm(motion)), unit, NESTS_IN_ORDER)
+
+
+def _shares(log: Log, points: list[Point]) -> Array:
+    """Return which share (N,) of the run's records was over at each point."""
+    seen = np.array([log.recorded(point) for point in points], dtype=float)
+    shares: Array = (seen - seen.min()) / (seen.max() - seen.min())
+    return shares
+
+
+def _within(points: list[Point], at_mm: Array, share: Array) -> tuple[Array, Array]:
+    """Return places (N, 3) and shares (N,) less the mean of the same nest at the same set-up,
+    weighted by their readings.
+    """
+    off_mm, since = at_mm.copy(), share.copy()
+    samples = np.array([point.samples for point in points], dtype=float)
+    for group in {(p.set_up, p.id.nest) for p in points}:
+        rows = [n for n, p in enumerate(points) if (p.set_up, p.id.nest) == group]
+        off_mm[rows] -= np.average(at_mm[rows], axis=0, weights=samples[rows])
+        since[rows] -= np.average(share[rows], weights=samples[rows])
+    return off_mm, since
+
+
+# -- the robot -------------------------------------------------------------------------------------
 
 # Kinds of points. Visits of three places alone are left out: the model's errors there are no noise.
 KINDS = ("grid", "revisit", "touch", "validate", "closing")
-NOTICED_BY = "all poses of the run, in their order"
+POSES_IN_ORDER = "all poses of the run, in their order"
 LEAST_POSES = 30
-RISK = 0.001  # of a slope by chance, over all causes
 MODEL_MM = 0.05  # root mean square over the poses
 MOTION = 6  # of {B} at a hold: shift, rotation vector
 
@@ -103,7 +178,7 @@ def slope_of(series: Series, arm: Arm) -> Suspicion | None:
 def _named(cause: Pattern, slopes: Array) -> Suspicion:
     size = float(slopes[0]) if len(slopes) == 1 else float(np.linalg.norm(slopes))
     unit = f"{cause.unit} over the run, as of {cause.cause}"
-    return Suspicion(Cause.DRIFT, cause.factor * size, unit, NOTICED_BY)
+    return Suspicion(Cause.DRIFT, cause.factor * size, unit, POSES_IN_ORDER)
 
 
 def _whitened(whitening: Array, columns: Array) -> Array:

@@ -13,8 +13,8 @@ import numpy as np
 
 from hilcell import __version__
 from hilcell.calibration.errors import places, validation
+from hilcell.calibration.instrument import TWO_FACES
 from hilcell.calibration.measurement_budget import Budget, budget_of
-from hilcell.calibration.two_faces import VERDICTS
 from hilcell.cell.file import Cell, Station
 from hilcell.cell.unseen import unseen
 from hilcell.geometry.frames import apply
@@ -249,7 +249,7 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
 def _hidden(facts: Facts, targets: TargetBudget) -> list[str]:
     """Return the errors of corrected targets that the run could not see."""
     return (
-        [] if targets.missing else unseen(facts.cell, turns_over=VERDICTS[0] in facts.log.verdicts)
+        [] if targets.missing else unseen(facts.cell, turns_over=TWO_FACES[0] in facts.log.verdicts)
     )
 
 

@@ -11,8 +11,8 @@ import msgspec
 
 from hilcell.calibration.causes import RISK
 from hilcell.calibration.decision import Judged
+from hilcell.calibration.instrument import LengthFound
 from hilcell.calibration.iso9283 import CHARACTERISTICS, ISO
-from hilcell.calibration.known_length import LengthFound
 from hilcell.calibration.recheck import WORDS
 from hilcell.calibration.since import Parameter
 from hilcell.journal.calibration_facts import SINCE, VALIDATION

@@ -8,7 +8,7 @@ import pytest
 
 from fakes.in_process import InProcessCell
 from hilcell.calibration.causes import Cause
-from hilcell.calibration.two_faces import instrument
+from hilcell.calibration.instrument import axis_off
 from hilcell.cell.file import load_cell
 from hilcell.run import direct_run
 from hilcell.run.procedure import Procedure
@@ -60,7 +60,7 @@ def test_an_axis_that_is_off_fails_its_verdict_and_is_suspected(
     monkeypatch.setattr(direct_run, "in_process_cell", lambda cell, seed: simulated)
     log = direct_run.direct_run(CELL, BOTH, seed=1, machine_seed=1, folder=tmp_path)
     assert log.verdicts["two-face"]["holds"] is not bool(urad)
-    found = instrument(log)
+    found = axis_off(log)
     assert (found is not None) is bool(urad)
     if found is not None:
         assert found.cause is Cause.INSTRUMENT

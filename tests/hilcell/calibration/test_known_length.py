@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.known_length import VERDICT, LengthFound, known_lengths, scale
+from hilcell.calibration.instrument import KNOWN_LENGTH, LengthFound, known_lengths, scale
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.geometry.frames import apply, inverse
@@ -68,7 +68,7 @@ def test_certificate_and_temperature_count(tmp_path: Path) -> None:
 def test_the_suspicion_is_the_verdict_s(tmp_path: Path) -> None:
     log = measured(tmp_path / "run", 1.0001)
     assert scale(log) is None  # not judged yet
-    log.verdicts[VERDICT] = {"lengths": msgspec.to_builtins(known_lengths(log.cell, log))}
+    log.verdicts[KNOWN_LENGTH] = {"lengths": msgspec.to_builtins(known_lengths(log.cell, log))}
     found = scale(log)
     assert found is not None
     assert (found.cause, found.unit, found.noticed_by) == ("scale", "ppm", "known length B1 to B2")

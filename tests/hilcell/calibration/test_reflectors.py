@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hilcell.calibration.reflectors import compared_places
+from hilcell.calibration.instrument import compared_places
 
 NEST_MM = np.array([4400.0, 100.0, -1500.0])
 BEAM = NEST_MM / np.linalg.norm(NEST_MM)

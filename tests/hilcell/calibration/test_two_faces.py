@@ -7,7 +7,7 @@ import pytest
 
 from fakes.faults import Faults
 from fakes.truth.tracker_truth import TrackerTruth
-from hilcell.calibration.two_faces import AXES, BothFaces, judged_faces
+from hilcell.calibration.instrument import AXES, BothFaces, judged_faces
 from hilcell.cell.file import load_cell
 
 CELL = load_cell("paper")

@@ -1,0 +1,299 @@
+"""Whether the instrument is right: its scale, its own axes, and the reflectors that it sees.
+
+A tracker whose scale is wrong (a weather station that lies), a reflector of another size or a wrong
+unit makes every point wrong, and all that is measured agrees with itself.
+
+A reading in the first face and one in the second, the back sight, differ by twice what the axes are
+off, whatever else is wrong. At a place of range r and height z above the tracker, half of the
+difference is ``c r + i z`` sideways and ``v r`` downwards: collimation c, the transit axis' tilt i,
+the index v of the vertical circle. All that a run measures is off by as much: a tilt of 50 urad
+moves what lies a metre lower by 0.05 mm against what lies level.
+
+In one nest all centres are at one place, as far as balls are round and centred: a reflector whose
+ball has another radius, or whose prism is longer, is seen elsewhere, along the beam mostly. In its
+own nest nothing shows that: the nest's place is not known so well.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+
+from hilcell.calibration.causes import Cause, Suspicion
+from hilcell.calibration.contribution import systematic_mm2
+from hilcell.cell.file import Cell
+from hilcell.cell.layout import CERTIFIED_C, KnownLength
+from hilcell.geometry.frames import apply, inverse
+from hilcell.geometry.statistics import coverage_factor, rectangular_variance
+from hilcell.journal.log import Log, Point, covariances_mm2, positions_mm
+from hilcell.journal.point_id import BACK, LENGTH, REFLECTOR, PointId
+from hilcell.journal.reading_noise import noise_at, run_noise
+from hilcell.journal.set_ups import PROOFS, world_key
+from hilcell.ports import Array
+from hilcell.typed import typed
+
+SIGMAS = 4.0  # of the readings' noise, beyond the stated limits of tracker and centring
+
+# -- scale: certified lengths ----------------------------------------------------------------------
+
+KNOWN_LENGTH = "known-length"  # key of its verdict
+COVERAGE = 2.0  # k: about 95 %
+
+
+class LengthFound(msgspec.Struct, frozen=True):
+    """A certified length at the air's temperature, as measured, and U (k = 2) of the difference."""
+
+    nests: tuple[str, str]
+    wanted_mm: float
+    found_mm: float
+    U_mm: float
+
+    @property
+    def off_ppm(self) -> float:
+        """Return how much longer it was measured."""
+        return 1e6 * (self.found_mm / self.wanted_mm - 1.0)
+
+    @property
+    def share(self) -> float:
+        """Return the difference as a share of U."""
+        return abs(self.found_mm - self.wanted_mm) / self.U_mm
+
+    @property
+    def holds(self) -> bool:
+        """Whether certificate and tracker explain the difference."""
+        return self.share <= 1.0
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        return (
+            f"{' to '.join(self.nests)} was measured {self.found_mm:.3f} mm, certified "
+            f"{self.wanted_mm:.3f} mm, U = {self.U_mm:.3f} mm (k = 2): {self.off_ppm:+z.0f} ppm"
+        )
+
+
+def known_lengths(cell: Cell, log: Log) -> list[LengthFound]:
+    """Return the cell's certified lengths as a run has measured them."""
+    return [_found(cell, log, each) for each in cell.layout.length]
+
+
+def _end(cell: Cell, log: Log, nest: str) -> Point:
+    """Return the point of a nest, on the floor or on a bar, of the first framing of {W}."""
+    of_floor = {each.name for each in cell.layout.floor}
+    return log.point(PointId("world" if nest in of_floor else LENGTH, nest=nest))
+
+
+def _found(cell: Cell, log: Log, known: KnownLength) -> LengthFound:
+    """Return a length with the uncertainty that certificate, tracker and centring leave."""
+    ends = [_end(cell, log, nest) for nest in known.nests]
+    at_mm = positions_mm(ends)
+    way_mm = at_mm[1] - at_mm[0]
+    found_mm = float(np.linalg.norm(way_mm))
+    along = way_mm / found_mm
+    stated = cell.uncertainty
+    variance_mm2 = (
+        known.u_mm**2
+        + float(along @ covariances_mm2(ends, np.eye(3)).sum(axis=0) @ along)
+        + float(systematic_mm2(stated, at_mm).sum())
+        + 2 * rectangular_variance(stated.smr_centring_limit_mm)
+    )
+    celsius = [point.temperature_c for point in ends if point.temperature_c is not None]
+    warm_k = float(np.mean(celsius)) - CERTIFIED_C if celsius else 0.0
+    wanted_mm = known.length_mm * (1.0 + known.expansion_um_m_k * 1e-6 * warm_k)
+    return LengthFound(known.nests, wanted_mm, found_mm, COVERAGE * math.sqrt(variance_mm2))
+
+
+def scale(log: Log) -> Suspicion | None:
+    """Return a tracker's scale that a certified length has shown to be wrong."""
+    rows = log.verdicts.get(KNOWN_LENGTH, {}).get("lengths", [])
+    found = [typed(row, LengthFound) for row in rows]
+    wrong = [each for each in found if not each.holds]
+    if not wrong:
+        return None
+    worst = max(wrong, key=lambda each: each.share)
+    return Suspicion(Cause.SCALE, worst.off_ppm, "ppm", f"known length {' to '.join(worst.nests)}")
+
+
+# -- axes: nests seen in both faces ----------------------------------------------------------------
+
+TWO_FACES = ("two-face", "two-face.closing")  # at the start, and at the end
+BOTH_FACES = "nests seen in both faces"
+URAD = 1e6
+AXES = ("urad of collimation", "urad of the transit axis' tilt", "urad of the vertical index")
+FRONTS = (*PROOFS, "length")  # kinds of points
+
+
+class Faces(msgspec.Struct, frozen=True):
+    """Half the difference of both faces at a nest, sideways and downwards, and its limit."""
+
+    nest: str
+    across_mm: float
+    down_mm: float
+    limit_mm: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether tracker and noise explain the difference."""
+        return bool(np.hypot(self.across_mm, self.down_mm) <= self.limit_mm)
+
+
+class BothFaces(msgspec.Struct, frozen=True):
+    """Both faces at each nest, and the axis that explains them best, in urad."""
+
+    nests: list[Faces]
+    size_urad: float
+    unit: str
+
+    @property
+    def holds(self) -> bool:
+        """Whether every nest keeps its limit."""
+        return all(each.holds for each in self.nests)
+
+    @property
+    def suspicion(self) -> Suspicion | None:
+        """Return the axis that is off, if a nest shows that one is."""
+        if self.holds:
+            return None
+        return Suspicion(Cause.INSTRUMENT, self.size_urad, self.unit, BOTH_FACES)
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        worst = max(self.nests, key=lambda each: np.hypot(each.across_mm, each.down_mm))
+        off_mm = float(np.hypot(worst.across_mm, worst.down_mm))
+        return (
+            f"half the difference of both faces is {off_mm:.3f} mm at most, at {worst.nest}, limit "
+            f"{worst.limit_mm:.3f} mm; as of {self.size_urad:+.0f} {self.unit}"
+        )
+
+
+def two_faces(log: Log, number: int) -> BothFaces | None:
+    """Return what both faces have shown at the start (0) or the end (1); None without readings."""
+    backs = [point for point in log.measured(BACK) if point.id.number == number]
+    both = [(front, back) for back in backs if (front := _front(log, back)) is not None]
+    if not both:
+        return None
+    fronts, backs = [front for front, _ in both], [back for _, back in both]
+    noise = run_noise(log)
+    noise_mm2 = (noise_at(noise, fronts) + noise_at(noise, backs)) / 4.0
+    sigmas = coverage_factor(SIGMAS, noise.freedom)
+    limits_mm = _limits_mm(log.cell, positions_mm(fronts)) + sigmas * np.sqrt(
+        np.trace(noise_mm2, axis1=1, axis2=2)
+    )
+    return judged_faces(
+        [point.id.nest for point in fronts], _own_mm(log, fronts), _own_mm(log, backs), limits_mm
+    )
+
+
+def judged_faces(
+    names: Sequence[str], front_mm: Array, back_mm: Array, limits_mm: Array
+) -> BothFaces:
+    """Return what readings (N, 3) in both faces show, in the tracker's own frame."""
+    x, y, z = front_mm.T
+    flat_mm, range_mm = np.hypot(x, y), np.linalg.norm(front_mm, axis=1)
+    nought = np.zeros(len(x))
+    around = np.stack([-y, x, nought], axis=1) / flat_mm[:, None]
+    down = np.stack([x * z, y * z, -(flat_mm**2)], axis=1) / (flat_mm * range_mm)[:, None]
+    half_mm = (front_mm - back_mm) / 2.0
+    seen = np.stack([(half_mm * each).sum(axis=1) for each in (around, down)], axis=1)
+    columns = np.zeros((len(x), 2, 3))
+    columns[:, 0, 0], columns[:, 0, 1], columns[:, 1, 2] = range_mm, z, range_mm
+    weighted = columns / range_mm[:, None, None]  # noise across the beam grows with the range
+    rows = weighted.reshape(-1, 3)
+    off = (seen / range_mm[:, None]).reshape(-1)
+    sizes = rows.T @ off / np.maximum(np.square(rows).sum(axis=0), 1e-12)
+    left = np.square(off[:, None] - rows * sizes).sum(axis=0)
+    axis = int(np.argmin(left))
+    rows_found = zip(names, seen.tolist(), limits_mm.tolist(), strict=True)
+    nests = [Faces(name, across, below, limit) for name, (across, below), limit in rows_found]
+    return BothFaces(nests, URAD * float(sizes[axis]), AXES[axis])
+
+
+def axis_off(log: Log) -> Suspicion | None:
+    """Return the first axis of the tracker that both faces showed to be off."""
+    judged = (two_faces(log, n) for n, key in enumerate(TWO_FACES) if key in log.verdicts)
+    suspicions = (each.suspicion for each in judged if each is not None)
+    return next((each for each in suspicions if each is not None), None)
+
+
+def _limits_mm(cell: Cell, at_mm: Array) -> Array:
+    """Return by how much (N,) the tracker's stated limits let places (N, 3) be off."""
+    stated = cell.uncertainty
+    range_mm: Array = np.linalg.norm(at_mm, axis=1)
+    return stated.tracker_limit_mm + 1e-6 * stated.tracker_limit_um_m * range_mm
+
+
+def _front(log: Log, back: Point) -> Point | None:
+    """Return the newest reading of a nest in the first face before the one in the second."""
+    points = (p for kind in FRONTS for p in log.measured(kind) if p.id.nest == back.id.nest)
+    seen = log.recorded(back)
+    before = [p for p in points if p.set_up == back.set_up and log.recorded(p) < seen]
+    return max(before, key=log.recorded, default=None)
+
+
+def _own_mm(log: Log, points: Sequence[Point]) -> Array:
+    """Return places (N, 3) as the tracker saw them from its own set-up."""
+    first = log.matrix("world")
+    own = [inverse(log.matrix(world_key(point.set_up))) @ first for point in points]
+    rows = zip(own, positions_mm(points), strict=True)
+    found: Array = np.array([apply(T, at_mm[None])[0] for T, at_mm in rows])
+    return found
+
+
+# -- reflectors: each in the same nest -------------------------------------------------------------
+
+FEWEST_REFLECTORS = 3  # of two nobody can say which is off
+
+
+class Compared(msgspec.Struct, frozen=True):
+    """The reflector of a place: how far from the median of the others, along the beam and across
+    it, and its limit.
+    """
+
+    place: str
+    along_mm: float
+    across_mm: float
+    limit_mm: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether centring and noise explain it."""
+        return bool(np.hypot(self.along_mm, self.across_mm) <= self.limit_mm)
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        return (
+            f"the reflector of {self.place} is seen {self.along_mm:+.3f} mm along the beam and "
+            f"{self.across_mm:.3f} mm across it from the others, limit {self.limit_mm:.3f} mm"
+        )
+
+
+def compared_reflectors(log: Log) -> list[Compared]:
+    """Return each reflector against the others; nothing where too few were measured."""
+    points = list(log.measured(REFLECTOR))
+    if len(points) < FEWEST_REFLECTORS:
+        return []
+    noise = run_noise(log)
+    noise_mm2 = noise_at(noise, points)
+    sigmas = coverage_factor(SIGMAS, noise.freedom)
+    limits_mm = 2.0 * log.cell.uncertainty.smr_centring_limit_mm + sigmas * np.sqrt(
+        np.trace(noise_mm2, axis1=1, axis2=2) * (1.0 + 1.0 / len(points))
+    )
+    return compared_places([point.id.nest for point in points], positions_mm(points), limits_mm)
+
+
+def compared_places(names: list[str], at_mm: Array, limits_mm: Array) -> list[Compared]:
+    """Return places (N, 3), tracker's frame, each against the median of all others."""
+    found = []
+    for row, (name, limit_mm) in enumerate(zip(names, limits_mm.tolist(), strict=True)):
+        others_mm = np.median(np.delete(at_mm, row, axis=0), axis=0)
+        beam = others_mm / np.linalg.norm(others_mm)
+        off_mm = at_mm[row] - others_mm
+        along_mm = float(off_mm @ beam)
+        across_mm = float(np.linalg.norm(off_mm - along_mm * beam))
+        found.append(Compared(name, along_mm, across_mm, limit_mm))
+    return found
