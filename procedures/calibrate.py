@@ -8,7 +8,7 @@ from typing import Any
 
 from hilcell.geometry.statistics import Figures
 from hilcell.journal.calibration_facts import OUTCOMES
-from hilcell.journal.ways_sent import WAYS
+from hilcell.journal.ways_sent import BOTH, TEXTS, Sent
 from hilcell.present.table import Column, Named, Table
 from hilcell.run.procedure import Procedure
 from procedures.axis_sweeps import AxisSweeps, sweep_table, sweep_words
@@ -36,16 +36,16 @@ def validation_table(result: dict[str, Any]) -> Table:
         | figures[way]
         | figures[way].get("orientation", {})
         for where, figures in result["validation"].items()
-        for sent in (figures.get("points_sent", {"before": figures["points"]}),)
+        for sent in (figures.get("points_sent", {Sent.BEFORE: figures["points"]}),)
         for outcome in (figures.get("decision", {}).get("outcome"),)
-        for way in ("before", "idw", "chosen", "floor")
+        for way in (*Sent, "floor")
         if way in figures
     ]
     names = Figures._fields
-    oriented = any(row["way"] == "before" and "orientation" in row for row in rows)
+    oriented = any(row["way"] == Sent.BEFORE and "orientation" in row for row in rows)
     return Table(
         [
-            Column("station", lambda row: row["place"] if row["way"] == "before" else ""),
+            Column("station", lambda row: row["place"] if row["way"] == Sent.BEFORE else ""),
             Column("points", itemgetter("sent"), form="d"),
             Column("error of", lambda row: _sent(row, result["method"])),
             *(Column(name, methodcaller("get", name), "mm", ".4f") for name in names),
@@ -61,8 +61,8 @@ def validation_table(result: dict[str, Any]) -> Table:
 
 def _sent(row: Mapping[str, Any], method: str) -> Named:
     """Return how targets were sent, and the outcome of those that were corrected."""
-    name, words = row["way"], WAYS.get(row["way"], row["way"])
-    if name == "chosen":
+    name, words = row["way"], TEXTS.get(row["way"], row["way"])
+    if name == Sent.CHOSEN:
         judged = f", {OUTCOMES[row['outcome']]}" if row["outcome"] else ""
         return Named(f"chosen: {method}{judged}", f"{words}{judged}")
     return Named(name, words)
@@ -72,8 +72,8 @@ def words(result: dict[str, Any]) -> str:
     """Return in words what became of the tool's orientation, and what is suspected."""
     lines = []
     for where, figures in list(result.get("validation", {}).items())[:1]:
-        if all("orientation" in figures.get(how, {}) for how in ("before", "chosen")):
-            before, after = (figures[how]["orientation"] for how in ("before", "chosen"))
+        if all("orientation" in figures.get(how, {}) for how in BOTH):
+            before, after = (figures[how]["orientation"] for how in BOTH)
             lines.append(
                 f"Orientation of the tool at {where}: {before['mean_deg']:.4f} deg off before, "
                 f"{after['mean_deg']:.4f} deg after (means); {result['fit']['orientation']}."

@@ -21,6 +21,7 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.sequential import Decision, Outcome, SequentialRule
 from hilcell.journal.calibration_facts import OUTCOMES
 from hilcell.journal.log import Log
+from hilcell.journal.ways_sent import Sent
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
 
@@ -80,7 +81,7 @@ def octant_targets(cell: Cell, seed: int, low_mm: Array, high_mm: Array) -> dict
 
 def decision_at(log: Log, station: str) -> Decision:
     """Return what the corrected targets measured so far at a station have shown."""
-    chosen = validation(log, [station]).get("chosen")
+    chosen = validation(log, [station]).get(Sent.CHOSEN)
     if chosen is None:
         return rule_of(log.cell).decide([])
     return rule_of(log.cell, guard_at(log, station)).decide(chosen.norms_mm)
@@ -91,7 +92,7 @@ def guard_at(log: Log, station: str) -> Guard:
     for record in reversed(log.events):
         if record.body["what"] == DECIDED and record.body["station"] == station:
             return Guard(record.body["mean_U_mm"], record.body["max_U_mm"])
-    return guard_of(log, len(validation(log, [station])["chosen"]))
+    return guard_of(log, len(validation(log, [station])[Sent.CHOSEN]))
 
 
 def keep_guard(session: CellSession, station: str) -> None:
@@ -109,7 +110,7 @@ def rounds(log: Log, station: str, how: str) -> Iterator[range]:
     """
     yield range(BLOCK)
     for end in range(2 * BLOCK, log.cell.plan.most_targets + 1, BLOCK):
-        if how != "chosen" or decision_at(log, station).outcome != "undecided":
+        if how != Sent.CHOSEN or decision_at(log, station).outcome != "undecided":
             return
         yield range(end - BLOCK, end)
 
@@ -122,7 +123,7 @@ def judgement(log: Log, stations: list[str]) -> dict[str, Any]:
     """
     decisions = [decision_at(log, station) for station in stations]
     counts = [each.targets for each in decisions]
-    chosen, limits = validation(log, stations)["chosen"], limits_of(log.cell)
+    chosen, limits = validation(log, stations)[Sent.CHOSEN], limits_of(log.cell)
     guard, figures = guard_of(log, len(chosen)), chosen.figures
     by_station: list[Outcome] = [
         "accepted" if each.outcome == "accepted" else "undecided" for each in decisions

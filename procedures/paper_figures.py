@@ -18,6 +18,7 @@ from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import lengths_mm, ranks, rms
 from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.journal.point_id import PointId
+from hilcell.journal.ways_sent import Sent
 from hilcell.ports import Array
 from procedures.plan import other_stations
 
@@ -47,9 +48,9 @@ def validation(where: str, *keys: str) -> Figure:
     return here
 
 
-def reduction(where: str, how: str = "idw") -> Figure:
+def reduction(where: str, how: str = Sent.IDW) -> Figure:
     """Return by which share a correction, the paper's or another, lowers the mean error."""
-    before, after = validation(where, "before", "mean"), validation(where, how, "mean")
+    before, after = validation(where, Sent.BEFORE, "mean"), validation(where, how, "mean")
     return lambda log, result: share_removed(before(log, result), after(log, result))
 
 
@@ -104,7 +105,7 @@ def interpolation_off_mm(log: Log, result: Result) -> float:
     pitch. Two steps, not the limit: at a face between cells e jumps (0.1 mm is common), so that a
     target near a face may have no P_cmd of which the equation is exactly true.
     """
-    points = log.select("validate", log.cell.grid.station, how="idw")
+    points = log.select("validate", log.cell.grid.station, how=Sent.IDW)
     nominal_mm = np.array([point.nominal_mm for point in points])
     wanted_mm = apply(inverse(log.matrix("base")), nominal_mm)
     sent_mm = forward(log.cell.robot.arm(), commanded_rad(points))[:, :3, 3]

@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 from hilcell.calibration.errors import errors_of, targets
 from hilcell.calibration.frames import grid_pairs
 from hilcell.cell.file import Cell
+from hilcell.compensation.interpolation import Idw
 from hilcell.geometry.frames import apply, inverse, matrix, rigid_fit, three_point_frame
 from hilcell.geometry.inverse import reachable
 from hilcell.geometry.statistics import chi2_quantile, f_quantile, ranks, rms, variance_of_mean
 from hilcell.journal.log import Log
+from hilcell.journal.ways_sent import Sent
 from hilcell.ports import Array
 from procedures.paper_figures import Result, transfer, validation
 from procedures.plan import other_stations
@@ -215,14 +217,14 @@ def as_cross_validated(log: Log, result: Result) -> Limits:
 
     It is taken at twice the pitch, so the grid itself leaves less.
     """
-    norms_mm = errors_of(log, targets(log, log.cell.grid.station, "idw")).norms_mm
+    norms_mm = errors_of(log, targets(log, log.cell.grid.station, Sent.IDW)).norms_mm
     share = 3 * np.sqrt(2 * variance_of_mean(norms_mm)) / norms_mm.mean()
-    return -INFINITE, (1 + share) * result["fit"]["loocv"]["idw"]["mean"]
+    return -INFINITE, (1 + share) * result["fit"]["loocv"][Idw.name]["mean"]
 
 
 def transferred(log: Log, result: Result) -> Limits:
     """Return the mean at the grid's station and, in squares, the paper's cost of the transfer."""
-    here_mm = validation("reference", "idw", "mean")(log, result)
+    here_mm = validation("reference", Sent.IDW, "mean")(log, result)
     return -INFINITE, float(np.sqrt(here_mm**2 + PAPER_OTHERS_MM**2 - PAPER_REFERENCE_MM**2))
 
 
@@ -236,9 +238,9 @@ def same_robot(log: Log, result: Result) -> Limits:
     tools_mm = [result["stations"][name]["tool_uncertainty_mm"] for name in others]
     variance_mm2 = max(tools_mm) ** 2
     for names in ([reference], others):
-        points = [p for name in names for p in targets(log, name, "before")]
+        points = [p for name in names for p in targets(log, name, Sent.BEFORE)]
         variance_mm2 += variance_of_mean(errors_of(log, points).norms_mm)
-    mean_mm = validation("reference", "before", "mean")(log, result)
+    mean_mm = validation("reference", Sent.BEFORE, "mean")(log, result)
     return mean_mm - 3 * np.sqrt(variance_mm2), mean_mm + 3 * np.sqrt(variance_mm2)
 
 
@@ -249,7 +251,7 @@ def largest_of_many(log: Log, result: Result) -> Limits:
     times their mean in all runs but one in a thousand, and below 2.2 times in every second run.
     """
     count = validation("reference", "points")(log, result)
-    mean_mm = validation("reference", "idw", "mean")(log, result)
+    mean_mm = validation("reference", Sent.IDW, "mean")(log, result)
     mean = np.sqrt(8.0 / np.pi)  # of Maxwell's law with unit standard deviation
     largest = float(np.sqrt(chi2_quantile(SURE ** (1 / count), 3)) / mean)
     return -INFINITE, max(PAPER_LARGEST_MM, largest * mean_mm)
@@ -260,6 +262,8 @@ def reduced(where: str) -> Limit:
 
     def limits(log: Log, result: Result) -> Limits:
         floor_mm = validation(where, "floor", "mean")(log, result)
-        return 0.85, 1.0 - FLOOR_SHARE * floor_mm / validation(where, "before", "mean")(log, result)
+        return 0.85, 1.0 - FLOOR_SHARE * floor_mm / validation(where, Sent.BEFORE, "mean")(
+            log, result
+        )
 
     return limits

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hilcell.journal.log import Log
+from hilcell.journal.ways_sent import Sent
 from procedures import paper_figures as figures
 from procedures import paper_limits as limits
 from procedures.paper_figures import Figure, Result, at, reduction, validation
@@ -158,45 +159,45 @@ ROWS = (
     by_cell("fig11.cells", 27, figures.cells),
     by_cell("fig12.targets", 135, validation("reference", "points")),
     Row(
-        "fig12.before.mean", 1.2092, "mm", validation("reference", "before", "mean"),
+        "fig12.before.mean", 1.2092, "mm", validation("reference", Sent.BEFORE, "mean"),
         between(1.09, 1.33), "the robot is not the paper's", "simulation",
     ),
     Row(
-        "fig12.after.mean", 0.1168, "mm", validation("reference", "idw", "mean"),
+        "fig12.after.mean", 0.1168, "mm", validation("reference", Sent.IDW, "mean"),
         limits.as_cross_validated,
         "the correction is not sent, has the wrong sign or two axes exchanged",
-        chosen=validation("reference", "chosen", "mean"),
+        chosen=validation("reference", Sent.CHOSEN, "mean"),
     ),
     by_cell("fig13.targets", 150, validation("others", "points")),
     Row(
-        "fig13.before.mean", 1.2511, "mm", validation("others", "before", "mean"),
+        "fig13.before.mean", 1.2511, "mm", validation("others", Sent.BEFORE, "mean"),
         limits.same_robot,
         "targets are placed by the cell file's base instead of the measured frames",
     ),
     Row(
-        "fig13.after.mean", 0.16, "mm", validation("others", "idw", "mean"), limits.transferred,
+        "fig13.after.mean", 0.16, "mm", validation("others", Sent.IDW, "mean"), limits.transferred,
         "targets or measured data are carried by the strip's travel alone",
-        chosen=validation("others", "chosen", "mean"),
+        chosen=validation("others", Sent.CHOSEN, "mean"),
     ),
     Row(
-        "abstract.before.max", 2.0, "mm", validation("reference", "before", "max"),
+        "abstract.before.max", 2.0, "mm", validation("reference", Sent.BEFORE, "max"),
         between(1.2, 2.4), "the robot is not the paper's", "simulation",
     ),
     Row(
-        "abstract.after.max", 0.3, "mm", validation("reference", "idw", "max"),
+        "abstract.after.max", 0.3, "mm", validation("reference", Sent.IDW, "max"),
         limits.largest_of_many,
         "one target is sent without its correction, or one vertex is wrong by 2 mm",
-        chosen=validation("reference", "chosen", "max"),
+        chosen=validation("reference", Sent.CHOSEN, "max"),
     ),
     Row(
         "abstract.reduction.reference", 0.90, "", reduction("reference"),
         limits.reduced("reference"),
         "a part of the correction is lost; or squares are averaged, which beats the floor",
-        chosen=reduction("reference", "chosen"),
+        chosen=reduction("reference", Sent.CHOSEN),
     ),
     Row(
         "abstract.reduction.others", 0.87, "", reduction("others"), limits.reduced("others"),
         "a part of the correction is lost on the way to another station",
-        chosen=reduction("others", "chosen"),
+        chosen=reduction("others", Sent.CHOSEN),
     ),
 )  # fmt: skip

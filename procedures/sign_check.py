@@ -24,6 +24,7 @@ from hilcell.geometry.statistics import lengths_mm
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.journal.reading_noise import noise_at, run_noise
+from hilcell.journal.ways_sent import Sent
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
@@ -33,7 +34,7 @@ from procedures.plan import check_targets, joints_for, other_stations, poses_at
 
 CLEARLY = 0.5  # the corrected error over the one before; the wrong sign gives about 2
 SIGMAS, MOST = 2.0, 1.0  # of the readings' noise beyond that; no further than the middle of 0 and 2
-IDS = {how: PointId("sign", how=how) for how in ("before", "corrected")}
+IDS = {how: PointId("sign", how=how) for how in (Sent.BEFORE, "corrected")}
 
 
 class SignCheck:
@@ -62,7 +63,7 @@ class SignCheck:
             return
         station = session.cell.station_named(session.cell.grid.station)
         target_mm = worst_mm(session.log)
-        commands = {"before": target_mm, "corrected": self.command(session.log, target_mm)}
+        commands = {Sent.BEFORE: target_mm, "corrected": self.command(session.log, target_mm)}
         nominal_mm = apply(session.frames.base_in_world(station), target_mm)[0]
         for how, command in commands.items():
             joints = joints_for(session.cell, command)[0]

@@ -36,6 +36,7 @@ from hilcell.compensation.model import ErrorModel
 from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
+from hilcell.journal.ways_sent import BOTH, Sent
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
@@ -54,9 +55,6 @@ from procedures.repeatability import floor
 from procedures.station_frames import frame_spans, frame_station, nest_points
 from procedures.touch import touch_once, touch_result, touch_spans
 
-WAYS = ("before", "idw", "chosen")  # as it is, by the paper's method, by the chosen one
-QUICK_WAYS = ("before", "chosen")
-ORIENTED = ("before", "chosen")  # the paper's method knows positions only
 DRAWS = 8  # of a target's turn, and of its place
 MARGIN_MM = 5.0  # random targets keep off the cube's faces by this much
 
@@ -87,9 +85,9 @@ class Validate:
             else:
                 spans += leg(cell, here, station)
             for how in ways(cell):
-                measured = touch_spans(cell, station) if how == "chosen" else []
+                measured = touch_spans(cell, station) if how == Sent.CHOSEN else []
                 sent_rad = joints_rad[: planned(cell, how)]
-                measured.append(flange_points(cell, sent_rad, seats=how in ORIENTED))
+                measured.append(flange_points(cell, sent_rad, seats=how in BOTH))
                 count = sum(span.measured for span in measured)
                 proofs = closing(cell, carried=True, points=count) if how in closed(cell) else []
                 spans += [*measured, *proofs]
@@ -103,14 +101,14 @@ class Validate:
         measured = measured_of(session.log)
         paper = Idw.learn(measured)
         chosen = MODELS[str(session.log.verdicts["fit"]["method"])].learn(measured)
-        models = {"idw": paper, "chosen": chosen}
+        models = {Sent.IDW: paper, Sent.CHOSEN: chosen}
         for name, poses in target_poses(session.cell, session.seed).items():
             station = session.cell.station_named(name)
             frame_station(session, station)
             for how in ways(session.cell):
                 for numbers in rounds(session.log, name, how, len(poses)):
                     self._send(session, station, how, numbers, poses, models.get(how))
-                if session.cell.plan.quick and how == "chosen":
+                if session.cell.plan.quick and how == Sent.CHOSEN:
                     enough_targets.keep_guard(session, name)
                 if how in closed(session.cell):
                     session.close_step(carried=True)
@@ -122,13 +120,13 @@ class Validate:
         self,
         session: CellSession,
         station: Station,
-        how: str,
+        how: Sent,
         numbers: range,
         poses: Array,
         model: ErrorModel | None,
     ) -> None:
         ids = [PointId("validate", station=station.name, how=how, number=n) for n in numbers]
-        seats = len(session.cell.robot.seats_mm) if how in ORIENTED else 1
+        seats = len(session.cell.robot.seats_mm) if how in BOTH else 1
         wanted_ids = [id.at_seat(seat) for id in ids for seat in range(1, seats + 1)]
         if all(session.log.find(id) for id in wanted_ids):
             return
@@ -146,14 +144,14 @@ class Validate:
                 visit = session.log.visit
             session.flange_point(
                 id, station, joints_rad[n], nominal_mm=nominal_mm[n], nominal_deg=nominal_deg[n],
-                seats=how in ORIENTED,
+                seats=how in BOTH,
             )  # fmt: skip
 
     def _judge(self, session: CellSession) -> None:
         limits, places = limits_of(session.cell), _places(session.cell)
         for where, figures in self._figures(session.log).items():
-            chosen, shown = figures["chosen"], figures.get("decision", {})
-            turned = validated_turns(session.log, places[where]).get("chosen")
+            chosen, shown = figures[Sent.CHOSEN], figures.get("decision", {})
+            turned = validated_turns(session.log, places[where]).get(Sent.CHOSEN)
             found = judged(
                 chosen["mean"],
                 chosen["max"],
@@ -171,8 +169,8 @@ class Validate:
         """Journal whether a corrected orientation is better than before, and reflectors stayed."""
         stations = [station.name for station in session.cell.station]
         turns = validated_turns(session.log, stations)
-        if {"before", "chosen"} <= turns.keys() and orients(session.log):
-            before, chosen = (turns[how].figures["mean_deg"] for how in ("before", "chosen"))
+        if set(BOTH) <= turns.keys() and orients(session.log):
+            before, chosen = (turns[how].figures["mean_deg"] for how in BOTH)
             moved_mm = moved_on_flange_mm(session.log)
             session.verdict(
                 "orientation", holds=chosen < before and moved_mm <= MOVED_MM,
@@ -184,7 +182,7 @@ class Validate:
         figures = self._figures(log)
         for where, bounds in _coverage(log, _places(log.cell)).items():
             figures[where]["bounds"] = bounds
-            figures[where]["chosen"] |= {
+            figures[where][Sent.CHOSEN] |= {
                 "bound95_mean": bounds["mean_mm"],
                 "covered": bounds["coverage"],
             }
@@ -249,7 +247,7 @@ def _coverage(log: Log, places: dict[str, list[str]]) -> dict[str, dict[str, Any
 
 
 def command(
-    session: CellSession, station: Station, how: str, poses: Array, model: ErrorModel | None
+    session: CellSession, station: Station, how: Sent, poses: Array, model: ErrorModel | None
 ) -> Array:
     """Return the poses (N, 4, 4) in {B} to send the robot to, for those of the station frame's {B}.
 
@@ -259,7 +257,7 @@ def command(
     if model is None:
         return poses
     frames, targets_mm = session.frames, poses[:, :3, 3]
-    if how == "idw":
+    if how == Sent.IDW:
         T_W_B = frames.base_by_three_points(station)
         at_mm = apply(inverse(T_W_B) @ frames.base_in_world(station), targets_mm)
     else:
@@ -279,30 +277,30 @@ def station_figures(log: Log, stations: list[str]) -> dict[str, Any]:
     for how, turns in validated_turns(log, stations).items():
         figures[how]["orientation"] = turns.figures
     counts = {how: len(errors) for how, errors in series.items()}
-    return {"points": counts["chosen"], "points_sent": counts, **figures}
+    return {"points": counts[Sent.CHOSEN], "points_sent": counts, **figures}
 
 
-def ways(cell: Cell) -> tuple[str, ...]:
+def ways(cell: Cell) -> tuple[Sent, ...]:
     """Return the ways in which each target is sent."""
-    return QUICK_WAYS if cell.plan.quick else WAYS
+    return BOTH if cell.plan.quick else tuple(Sent)
 
 
-def closed(cell: Cell) -> tuple[str, ...]:
+def closed(cell: Cell) -> tuple[Sent, ...]:
     """Return the ways after which the tracker is proven; at each station after the last at least.
 
     Once a station in a quick plan, and where the reflector is carried by hand.
     """
-    return WAYS[-1:] if cell.plan.quick or cell.layout.by_hand else WAYS
+    return (Sent.CHOSEN,) if cell.plan.quick or cell.layout.by_hand else tuple(Sent)
 
 
-def planned(cell: Cell, how: str) -> int | None:
+def planned(cell: Cell, how: Sent) -> int | None:
     """Return how many targets a quick plan sends where all is well; None is all of them."""
     if not cell.plan.quick:
         return None
-    return enough_targets.least_targets(cell) if how == "chosen" else enough_targets.BLOCK
+    return enough_targets.least_targets(cell) if how == Sent.CHOSEN else enough_targets.BLOCK
 
 
-def rounds(log: Log, station: str, how: str, count: int) -> Iterator[range]:
+def rounds(log: Log, station: str, how: Sent, count: int) -> Iterator[range]:
     """Yield the numbers of the targets to send next, of ``count``."""
     return enough_targets.rounds(log, station, how) if log.cell.plan.quick else iter([range(count)])
 

@@ -19,9 +19,9 @@ from hilcell.calibration.influence import Bounds, Influence, NoBound, Uncertaint
 from hilcell.geometry.frames import inverse, matrix
 from hilcell.geometry.kinematics import forward
 from hilcell.journal.log import Log, Point, commanded_rad
+from hilcell.journal.ways_sent import Sent
 from hilcell.ports import Array
 
-HOW = "chosen"  # the targets that the model corrected
 PLACES_PER_CELL = (0.25, 0.75)  # along each axis of a grid's cell
 
 
@@ -140,7 +140,7 @@ def driven_poses(
 
 def validation_points(log: Log, station: str) -> list[Point]:
     """Return the points of a station that `validated` judges, in its order."""
-    return targets(log, station, HOW)
+    return targets(log, station, Sent.CHOSEN)
 
 
 def coverages(

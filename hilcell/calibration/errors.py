@@ -14,9 +14,9 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import Figures, figures_of, lengths_mm
 from hilcell.journal.log import Log, Point, positions_mm, repeated_visits
+from hilcell.journal.ways_sent import Sent
 from hilcell.ports import Array
 
-HOWS = ("before", "idw", "chosen")
 OTHERS = "others"
 
 
@@ -49,7 +49,7 @@ def errors_of(log: Log, points: list[Point]) -> Errors:
     return Errors(nominal_mm, actual_mm - nominal_mm)
 
 
-def targets(log: Log, station: str, how: str) -> list[Point]:
+def targets(log: Log, station: str, how: Sent) -> list[Point]:
     """Return the targets of a station sent in one way, each by its largest measured error.
 
     So a target that is measured again, whatever the reason, cannot make the figures smaller.
@@ -69,13 +69,13 @@ def counting(log: Log, point: Point) -> Point:
     return measured[int(np.argmax(errors_of(log, measured).norms_mm))]
 
 
-def validation(log: Log, stations: list[str]) -> dict[str, Errors]:
+def validation(log: Log, stations: list[str]) -> dict[Sent, Errors]:
     """Return the errors before and after at ``stations``, as far as they were measured."""
     sent: dict[tuple[str, str], list[Point]] = {}
     for point in log.select("validate") if "world" in log.frames else ():
         sent.setdefault((point.station, point.id.how), []).append(point)
-    series: dict[str, Errors] = {}
-    for how in HOWS:
+    series: dict[Sent, Errors] = {}
+    for how in Sent:
         points = [p for name in stations for p in sent.get((name, how), ())]
         if known := _counting(log, points):
             series[how] = errors_of(log, known)

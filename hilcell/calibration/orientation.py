@@ -17,10 +17,9 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from hilcell.calibration.bounds import HOW, driven_poses, lines_in_use, lines_in_validation
+from hilcell.calibration.bounds import driven_poses, lines_in_use, lines_in_validation
 from hilcell.calibration.contribution import expanded_mm
 from hilcell.calibration.decision import UNKNOWN_TURN, Turn, stated_mm2
-from hilcell.calibration.errors import HOWS
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.frame_covariance import FLOOR_NESTS, floor_points, world_covariance
 from hilcell.calibration.frames import measured_of
@@ -39,6 +38,7 @@ from hilcell.geometry.statistics import (
 )
 from hilcell.identification.readings import IdentificationError
 from hilcell.journal.log import Log, Point, covariances_mm2, positions_mm
+from hilcell.journal.ways_sent import Sent
 from hilcell.ports import Array, HilcellError
 
 TURNS = slice(3, 6)  # of an influence's covariance
@@ -153,7 +153,7 @@ def _turned(log: Log, poses: Sequence[Sequence[Point]], seats: Array) -> Turned:
     return Turned(known, to_rotvec(R @ np.swapaxes(nominal, 1, 2)), reading_rad2, per_mm2_rad2)
 
 
-def validated_turns(log: Log, stations: Sequence[str]) -> dict[str, Turned]:
+def validated_turns(log: Log, stations: Sequence[str]) -> dict[Sent, Turned]:
     """Return the errors at ``stations`` by the way of sending, as far as they were measured.
 
     Each target counts by its largest measured error.
@@ -162,7 +162,7 @@ def validated_turns(log: Log, stations: Sequence[str]) -> dict[str, Turned]:
     if seats is None:
         return {}
     found = {}
-    for how in HOWS:
+    for how in Sent:
         points = [p for name in stations for p in log.select("validate", name, how=how)]
         turned = largest_turned(log, points, seats)
         if len(turned):
@@ -290,7 +290,7 @@ def _validated(
     calibration: Calibration, log: Log, station: str, seats: Array
 ) -> tuple[Array, Array]:
     """Return the errors and bounds, (N,) each in deg, of a station's corrected targets."""
-    turned = largest_turned(log, log.select("validate", station, how=HOW), seats)
+    turned = largest_turned(log, log.select("validate", station, how=Sent.CHOSEN), seats)
     if not len(turned):
         return np.zeros(0), np.zeros(0)
     T_W_B = np.array(calibration.stations[station].T_W_B)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from hilcell.journal.point_id import CONTROL, PointId
-from hilcell.journal.ways_sent import PAPER, SHORT_WAYS, WAYS
+from hilcell.journal.ways_sent import TEXTS, Sent
 
 _PROCEDURES = {
     "calibrate": "Calibration",
@@ -71,7 +71,8 @@ KINDS = {
 }
 SIDES = {"one_side": "from one side", "random": "from random sides"}
 HOLDS = {"plain": "drive alone", "strip": "by the strip"}
-_DETAILS = WAYS | SIDES | HOLDS  # of `PointId.how` and `PointId.way`
+_DETAILS = TEXTS | SIDES | HOLDS  # of `PointId.how` and `PointId.way`
+_SHORT: dict[str, str] = {way: way.short for way in Sent}
 NEST_KINDS = ("world", "control", "length", "back", "reflector", "held", "slide", "three")
 OTHERS = "others"  # stations that are judged together
 
@@ -93,7 +94,7 @@ def part_words(id: PointId) -> str:
         return "floor nests" if id.kind == CONTROL else "slide nests"
     where = f" at {id.station}" if id.station else ""
     if id.kind == "validate":
-        return f"{WAYS.get(id.how, id.how)} targets{where}"
+        return f"{TEXTS.get(id.how, id.how)} targets{where}"
     return where.removeprefix(" ")
 
 
@@ -107,18 +108,18 @@ def point_words(id: PointId, station: str = "") -> str:
     at = id.station or station
     where = f" at {at}" if at else ""
     if id.kind == "validate":
-        return f"{_target(id)}{where}" + (f", {PAPER}" if id.how == "idw" else "")
+        return f"{_target(id)}{where}" + (f", {Sent.IDW.text}" if id.how == Sent.IDW else "")
     if id.kind == "sign":
-        return f"sign check {WAYS.get(id.how, id.how)}{where}"
+        return f"sign check {TEXTS.get(id.how, id.how)}{where}"
     return f"{_kind(id).one} {_which(id)}".rstrip() + where
 
 
 def short_words(id: PointId) -> str:
     """Return a point in few letters, without its station: *corrected 50*."""
     if id.kind == "validate":
-        return f"{SHORT_WAYS.get(id.how, id.how)} {_counted(id)}"
+        return f"{_SHORT.get(id.how, id.how)} {_counted(id)}"
     if id.kind == "sign":
-        return f"sign {SHORT_WAYS.get(id.how, id.how)}"
+        return f"sign {_SHORT.get(id.how, id.how)}"
     return f"{_kind(id).short} {_which(id)}".rstrip()
 
 
@@ -141,8 +142,10 @@ def _kind(id: PointId) -> Kind:
 
 
 def _target(id: PointId) -> str:
-    name = {"before": "target %s as sent", "idw": "target %s", "chosen": "corrected target %s"}
-    return name.get(id.how, f"{id.how} target %s") % _counted(id)
+    if id.how == Sent.BEFORE:
+        return f"target {_counted(id)} {Sent.BEFORE.text}"
+    how = "" if id.how == Sent.IDW else f"{TEXTS.get(id.how, id.how)} "
+    return f"{how}target {_counted(id)}"
 
 
 def _counted(id: PointId) -> str:

@@ -22,7 +22,7 @@ from hilcell.errors import HilcellError
 from hilcell.geometry.statistics import Figures, variance_of_mean
 from hilcell.journal.asset import differing
 from hilcell.journal.log import Log
-from hilcell.journal.ways_sent import SHORT_WAYS
+from hilcell.journal.ways_sent import Sent
 from hilcell.present.table import Column
 from hilcell.report.drift import Change, Side, base_variance_mm2, frame_changes, grid_drift, side_of
 
@@ -120,7 +120,7 @@ def _validation(first: Side, second: Side) -> Iterator[Change]:
 
 
 def _validated(
-    place: str, how: str, first: tuple[Side, Errors], second: tuple[Side, Errors]
+    place: str, how: Sent, first: tuple[Side, Errors], second: tuple[Side, Errors]
 ) -> Iterator[Change]:
     """Yield the change of each figure; the mean alone has a limit."""
     figures = zip(Figures._fields, first[1].figures, second[1].figures, strict=True)
@@ -130,7 +130,7 @@ def _validated(
         yield Change("validation", place, figure, "mm", one_mm, two_mm, change_mm, limit_mm)
 
 
-def _mean_limit_mm(how: str, *runs: tuple[Side, Errors]) -> float | None:
+def _mean_limit_mm(how: Sent, *runs: tuple[Side, Errors]) -> float | None:
     """Return U of a change of the mean: which targets were drawn, the measurement's u, {B}'s.
 
     {B} counts before only: a correction learnt in a run's {B} makes up for where that {B} is.
@@ -141,7 +141,7 @@ def _mean_limit_mm(how: str, *runs: tuple[Side, Errors]) -> float | None:
         if side.u_mm is None or base_mm2 is None or len(errors) < 2:
             return None
         variance_mm2 += variance_of_mean(errors.norms_mm)
-        variance_mm2 += side.u_mm**2 + (base_mm2 if how == "before" else 0.0)
+        variance_mm2 += side.u_mm**2 + (base_mm2 if how == Sent.BEFORE else 0.0)
     return expanded_mm(math.sqrt(variance_mm2))
 
 
@@ -251,7 +251,7 @@ def figure_words(change: Change) -> str:
     if change.group != "validation":
         return change.what
     how, _, figure = change.what.partition(" ")
-    return f"{SHORT_WAYS.get(how, how)}: {'95 %' if figure == 'p95' else figure}"
+    return f"{Sent(how).short}: {'95 %' if figure == 'p95' else figure}"
 
 
 _DIGITS = {"mm": 4, "deg": 5}

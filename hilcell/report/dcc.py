@@ -18,6 +18,7 @@ from hilcell import __version__
 from hilcell.calibration.decision import guard_of
 from hilcell.clean import harmless
 from hilcell.journal.calibration_facts import VERDICTS
+from hilcell.journal.ways_sent import Sent
 from hilcell.report import tables
 from hilcell.report.certificate import (
     conditions_words,
@@ -142,7 +143,6 @@ NOT_SHOWN = "noPass"
 CONFORMITY: dict[Judgement, str] = {
     "accepted": "pass", "undecided": NOT_SHOWN, "suspected": NOT_SHOWN, "rejected": "fail",
 }  # fmt: skip
-STATUS = {"before": "beforeAdjustment", "idw": "afterAdjustment", "chosen": "afterAdjustment"}
 AIR = {
     "air temperature": ("basic_temperature", CELSIUS),
     "air pressure": ("basic_pressure", HECTOPASCAL),
@@ -315,7 +315,9 @@ def _air(facts: Facts) -> Iterator[Element]:
 def _errors(facts: Facts) -> Iterator[Element]:
     judged = judged_places(facts)
     for row in tables.validated_rows(facts):
-        found = results_at(facts, row.place) if row.way == "chosen" and row.place in judged else ()
+        found = (
+            results_at(facts, row.place) if row.way == Sent.CHOSEN and row.place in judged else ()
+        )
         yield dcc("list", text("name", f"{row.place}, {row.how}"),
                   *_figures(facts, row, *(_verdict(facts, each) for each in found)),
                   dcc("influenceConditions", _adjustment(row.way, row.how)),
@@ -363,8 +365,9 @@ def _verdict(facts: Facts, result: Result) -> Element:
     ))  # fmt: skip
 
 
-def _adjustment(way: str, words: str) -> Element:
-    return dcc("influenceCondition", text("name", "adjustment"), dcc("status", STATUS[way]),
+def _adjustment(way: Sent, words: str) -> Element:
+    status = "beforeAdjustment" if way == Sent.BEFORE else "afterAdjustment"
+    return dcc("influenceCondition", text("name", "adjustment"), dcc("status", status),
                dcc("data", text("text", words)))  # fmt: skip
 
 

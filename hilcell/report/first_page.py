@@ -28,6 +28,7 @@ from hilcell.journal.calibration_facts import (
     facts_of_verdicts,
     run_outcome,
 )
+from hilcell.journal.ways_sent import Sent
 from hilcell.present.table import Column, Table, Value
 from hilcell.report import iso9283
 from hilcell.report.facts import Facts
@@ -171,9 +172,9 @@ def bound_result(facts: Facts, targets: TargetBudget) -> Result | None:
 def results_at(facts: Facts, name: str) -> tuple[Result, Result]:
     """Return mean and largest error of a judged station."""
     each, series = judged_places(facts)[name], validation(facts.log, [name])
-    before = series["before"].figures if "before" in series else None
-    sent = len(series["before"]) if "before" in series else 0
-    count = len(series["chosen"]) if "chosen" in series else 0
+    before = series[Sent.BEFORE].figures if Sent.BEFORE in series else None
+    sent = len(series[Sent.BEFORE]) if Sent.BEFORE in series else 0
+    count = len(series[Sent.CHOSEN]) if Sent.CHOSEN in series else 0
     also: Outcome = "accepted" if each.holds or each.deciding != each.decision else each.outcome
     targets = f"{count} targets at {name}" + (
         f" (before: {sent})" if sent not in (0, count) else ""

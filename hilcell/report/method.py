@@ -11,6 +11,7 @@ from hilcell.calibration.frames import ORIENTED
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.kinematic import Kinematic
 from hilcell.geometry.statistics import Figures
+from hilcell.journal.ways_sent import BOTH, Sent
 from hilcell.present.table import Column, Table
 from hilcell.report.facts import Facts
 
@@ -68,13 +69,13 @@ def adjustment_words(facts: Facts) -> str:
     """Return which of the errors before and after adjustment this run measured."""
     series = [validation(facts.log, names) for names in places(facts.cell).values()]
     measured = {how for each in series for how in each}
-    if {"before", "chosen"} <= measured:
+    if set(BOTH) <= measured:
         return (
             "both are reported: “before” is the robot commanded by its nominal kinematics, "
             "“after” the same robot with corrected targets"
         )
     if measured:
-        how = "before" if "before" in measured else "after"
+        how = "before" if Sent.BEFORE in measured else "after"
         return f"only “{how}” was measured"
     if facts.procedure.used_in(facts.cell):
         return (

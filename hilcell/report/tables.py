@@ -16,6 +16,7 @@ from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.statistics import Figures
 from hilcell.journal.asset import Asset
 from hilcell.journal.point_words import counted_words
+from hilcell.journal.ways_sent import Sent
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table, Value
 from hilcell.report.drawings.paper_figures import series_name
@@ -35,7 +36,7 @@ class Validated:
     """Targets of one place sent in one way; ``before`` are the same without a correction."""
 
     place: str
-    way: str
+    way: Sent
     how: str  # the way in words
     errors: Errors
     before: Errors | None
@@ -66,7 +67,7 @@ def validated_rows(facts: Facts) -> list[Validated]:
             how,
             series_name(how, facts),
             errors,
-            series.get("before"),
+            series.get(Sent.BEFORE),
         )
         for place, stations in places(facts.cell).items()
         for series in (validation(facts.log, stations),)

@@ -13,6 +13,7 @@ from hilcell.calibration.errors import OTHERS, places
 from hilcell.calibration.orientation import Turned, validated_turns
 from hilcell.geometry.sequential import Outcome
 from hilcell.geometry.statistics import Figures
+from hilcell.journal.ways_sent import BOTH, Sent
 from hilcell.present.table import Column, Table, Value
 from hilcell.report.drawings.paper_figures import series_name
 from hilcell.report.facts import Facts
@@ -74,12 +75,12 @@ def _worst(facts: Facts) -> list[Result]:
     if not known or limit_deg is None:
         return []
     place = max(known, key=lambda name: np.nan_to_num(known[name].max_deg, nan=np.inf))
-    before = validated_turns(facts.log, [place]).get("before")
+    before = validated_turns(facts.log, [place]).get(Sent.BEFORE)
     before_deg = None if before is None else before.figures["max_deg"]
     return [Result(f"Largest at {place}", limit_deg, before_deg, *known[place])]
 
 
-def oriented(facts: Facts) -> Iterator[tuple[str, str, Turned]]:
+def oriented(facts: Facts) -> Iterator[tuple[str, Sent, Turned]]:
     """Yield place, way of sending and errors of each series of targets that had an orientation."""
     for place, stations in places(facts.cell).items():
         name = "others together" if place == OTHERS else place
@@ -110,14 +111,14 @@ def orientation_words(facts: Facts) -> str:
     """Return the figures at the grid's station in a sentence; "" where none were measured."""
     here = facts.cell.grid.station
     turns = validated_turns(facts.log, [here])
-    if not {"before", "chosen"} <= turns.keys():
+    if not set(BOTH) <= turns.keys():
         return ""
-    before, after = (turns[how].figures for how in ("before", "chosen"))
+    before, after = (turns[how].figures for how in BOTH)
     means, most = (
         f"{before[name]:.4f}° before and {after[name]:.4f}° after"
         for name in ("mean_deg", "max_deg")
     )
-    count = len(turns["chosen"])
+    count = len(turns[Sent.CHOSEN])
     return (
         f"The tool was turned from its nominal orientation by {means} in the mean, at most {most} "
         f"({count} targets at {here})."

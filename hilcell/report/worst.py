@@ -10,6 +10,7 @@ import numpy as np
 
 from hilcell.calibration.errors import errors_of, targets
 from hilcell.journal.log import Log, Point
+from hilcell.journal.ways_sent import Sent
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table, Value
 from hilcell.report.facts import Facts
@@ -67,13 +68,13 @@ def worst(facts: Facts, budget: TargetBudget) -> Table:
     log = facts.log
     if "world" not in log.frames:
         return Table((), ())
-    found = [p for station in log.cell.station for p in targets(log, station.name, "chosen")]
+    found = [p for station in log.cell.station for p in targets(log, station.name, Sent.CHOSEN)]
     norms_mm = errors_of(log, found).norms_mm
     order = np.argsort(-norms_mm, kind="stable")[:MOST]
     before = {
         (p.station, p.id.number): p
         for station in log.cell.station
-        for p in targets(log, station.name, "before")
+        for p in targets(log, station.name, Sent.BEFORE)
     }
     rows = [
         _row(log, rank, found[n], before.get((found[n].station, found[n].id.number)), budget)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from hilcell.journal.ways_sent import Sent
+
 Result = Mapping[str, Any]
 
 
@@ -24,7 +26,7 @@ def _mean(result: Result, what: str, key: str = "mean") -> float:
 
 
 def _worst(result: Result, key: str) -> float:
-    return float(max(place["chosen"][key] for place in _places(result)))
+    return float(max(place[Sent.CHOSEN][key] for place in _places(result)))
 
 
 def _stations(result: Result) -> float:
@@ -36,21 +38,21 @@ def _targets(result: Result) -> float:
 
 
 RESULTS: Mapping[str, tuple[str, Callable[[Result], float]]] = {
-    "mean_mm": ("mean error after correction", lambda r: _mean(r, "chosen")),
+    "mean_mm": ("mean error after correction", lambda r: _mean(r, Sent.CHOSEN)),
     "p95_mm": ("95 % quantile of the error, of the worse place", lambda r: _worst(r, "p95")),
     "max_mm": ("largest error", lambda r: _worst(r, "max")),
     "grid_mm": (
         "mean error at the grid's station",
-        lambda r: float(_places(r)[0]["chosen"]["mean"]),
+        lambda r: float(_places(r)[0][Sent.CHOSEN]["mean"]),
     ),
     "others_mm": (
         "mean error at the other stations",
-        lambda r: float(_places(r)[-1]["chosen"]["mean"]),
+        lambda r: float(_places(r)[-1][Sent.CHOSEN]["mean"]),
     ),
-    "before_mm": ("mean error before correction", lambda r: _mean(r, "before")),
-    "idw_mm": ("mean error corrected as in the paper (IDW)", lambda r: _mean(r, "idw")),
-    "bound95_mm": ("mean 95 % bound of a target", lambda r: _mean(r, "chosen", "bound95_mean")),
-    "covered": ("share of targets within their bound", lambda r: _mean(r, "chosen", "covered")),
+    "before_mm": ("mean error before correction", lambda r: _mean(r, Sent.BEFORE)),
+    "idw_mm": ("mean error corrected as in the paper (IDW)", lambda r: _mean(r, Sent.IDW)),
+    "bound95_mm": ("mean 95 % bound of a target", lambda r: _mean(r, Sent.CHOSEN, "bound95_mean")),
+    "covered": ("share of targets within their bound", lambda r: _mean(r, Sent.CHOSEN, "covered")),
     "floor_mm": (
         "error that repeatability and tracker leave",
         lambda r: float(r["repeatability"]["floor_mm"]),

@@ -8,6 +8,7 @@ import numpy as np
 
 from hilcell.calibration.decision import limits_of
 from hilcell.calibration.errors import validation
+from hilcell.journal.ways_sent import BOTH, Sent
 from hilcell.ports import Array
 from hilcell.report.drawings.drawing import (
     AFTER,
@@ -44,7 +45,7 @@ K_95 = 2.796  # bound over sigma: chi of three degrees of freedom
 def in_order(facts: Facts) -> str:
     """Return all errors in rising order, before and after, against the limits; "" without any."""
     series = validation(facts.log, [station.name for station in facts.cell.station])
-    shown = {how: series[how].norms_mm for how in ("before", "chosen") if how in series}
+    shown = {how: series[how].norms_mm for how in BOTH if how in series}
     if not shown:
         return ""
     limits = limits_of(facts.cell)
@@ -60,10 +61,10 @@ def in_order(facts: Facts) -> str:
     parts += _floor(facts, frame)
     named = []
     for how, norms_mm in shown.items():
-        colour, name = (BEFORE, "before") if how == "before" else (AFTER, "after")
-        parts.append(_curve(frame, norms_mm, colour, "2 1" if how == "before" else ""))
+        colour, name = (BEFORE, "before") if how == Sent.BEFORE else (AFTER, "after")
+        parts.append(_curve(frame, norms_mm, colour, "2 1" if how == Sent.BEFORE else ""))
         # Left, where the curve after is low, and below that before.
-        y = frame.y.one(float(norms_mm.min() if how == "before" else norms_mm.max())) + 2.6
+        y = frame.y.one(float(norms_mm.min() if how == Sent.BEFORE else norms_mm.max())) + 2.6
         words = f"{name}: mean {norms_mm.mean():.3f}, largest {norms_mm.max():.3f}"
         named.append((y, words, colour))
     parts += labels(frame.x.begin + 1.0, named, frame.y.begin - 2.5 - NEAREST_MM)
@@ -73,10 +74,10 @@ def in_order(facts: Facts) -> str:
 def enlarged(facts: Facts, budget: TargetBudget) -> str:
     """Return the errors after correction by station, linear; "" without any."""
     found = {
-        station.name: errors["chosen"].norms_mm
+        station.name: errors[Sent.CHOSEN].norms_mm
         for station in facts.cell.station
         for errors in (validation(facts.log, [station.name]),)
-        if "chosen" in errors
+        if Sent.CHOSEN in errors
     }
     if not found:
         return ""

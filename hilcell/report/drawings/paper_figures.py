@@ -15,6 +15,7 @@ from hilcell.clean import harmless
 from hilcell.compensation.similarity import binned
 from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.point_words import HOLDS, SIDES
+from hilcell.journal.ways_sent import Sent
 from hilcell.ports import Array
 from hilcell.report.drawings.svg import MUTED, axes_sheet, house_style, svg_of
 from hilcell.report.facts import Facts
@@ -24,12 +25,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLOURS = {"before": "#c26a2e", "idw": "#8796a5", "chosen": "#12507b"}
-MARKERS = {"before": "o", "idw": "^", "chosen": "o"}
+COLOURS = {Sent.BEFORE: "#c26a2e", Sent.IDW: "#8796a5", Sent.CHOSEN: "#12507b"}
+MARKERS = {Sent.BEFORE: "o", Sent.IDW: "^", Sent.CHOSEN: "o"}
 PAIRS_DRAWN = 500  # each dot is an element of the page: a picture of them its policy would block
-TURNS = (("roll", "idw"), ("pitch", "before"), ("yaw", "chosen"))
+TURNS = (("roll", Sent.IDW), ("pitch", Sent.BEFORE), ("yaw", Sent.CHOSEN))
 RESULTS = {"rail_survey", "frame_repeatability", ISO}
-HELD = {"plain": "before", "strip": "chosen"}  # drawn in the colours of these
+HELD = {"plain": Sent.BEFORE, "strip": Sent.CHOSEN}  # drawn in the colours of these
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,14 +100,14 @@ def _of_paper(facts: Facts, words: str) -> str:
     return words if is_paper(facts) else ""
 
 
-def series_name(how: str, facts: Facts) -> str:
+def series_name(how: Sent, facts: Facts) -> str:
     """Return how a series of targets is called."""
     method = harmless(str(facts.log.verdicts.get("fit", {}).get("method", "")))
     chosen = f"after, {method}" if method else "after, chosen"
     return {
-        "before": "before",
-        "idw": "after, IDW" + _of_paper(facts, " (paper)"),
-        "chosen": chosen,
+        Sent.BEFORE: "before",
+        Sent.IDW: "after, IDW" + _of_paper(facts, " (paper)"),
+        Sent.CHOSEN: chosen,
     }[how]
 
 
@@ -130,7 +131,7 @@ def fig_13(facts: Facts) -> Drawn | None:
     return _targets(facts, series, words + paper)
 
 
-def _targets(facts: Facts, series: Mapping[str, Errors], caption: str) -> Drawn | None:
+def _targets(facts: Facts, series: Mapping[Sent, Errors], caption: str) -> Drawn | None:
     if not series or not is_paper(facts):
         return None
     figure, axes = axes_sheet(2.6)
@@ -139,7 +140,7 @@ def _targets(facts: Facts, series: Mapping[str, Errors], caption: str) -> Drawn 
         _scatter(ax, how, errors.norms_mm, series_name(how, facts))
         mean_mm = errors.figures.mean
         ax.axhline(mean_mm, color=COLOURS[how], linewidth=0.8, linestyle=(0, (4, 2)))
-        if how != "idw":  # it would lie on the other mean
+        if how != Sent.IDW:  # it would lie on the other mean
             ax.text(
                 1.008,
                 mean_mm,
@@ -157,9 +158,9 @@ def _targets(facts: Facts, series: Mapping[str, Errors], caption: str) -> Drawn 
     return figure, "Dashed lines: means. " + caption
 
 
-def _scatter(ax: Axes, how: str, y: Array, label: str) -> None:
+def _scatter(ax: Axes, how: Sent, y: Array, label: str) -> None:
     x = np.arange(1, len(y) + 1)
-    face = "none" if how == "before" else COLOURS[how]
+    face = "none" if how == Sent.BEFORE else COLOURS[how]
     ax.plot(x, y, linestyle="none", marker=MARKERS[how], markersize=3.0, markeredgewidth=0.8,
             markerfacecolor=face, markeredgecolor=COLOURS[how], label=label)  # fmt: skip
 
@@ -186,7 +187,7 @@ def fig_1(facts: Facts) -> Drawn | None:
         return None
     figure, axes = axes_sheet(2.6)
     ax: Axes = axes[0, 0]
-    for way, how in (("forth", "chosen"), ("back", "before")):
+    for way, how in (("forth", Sent.CHOSEN), ("back", Sent.BEFORE)):
         nominal_mm, error_mm = np.array(survey["curve"][way], dtype=float).reshape(-1, 2).T
         ax.plot(
             nominal_mm,
@@ -194,7 +195,7 @@ def fig_1(facts: Facts) -> Drawn | None:
             marker=MARKERS[how],
             markersize=2.8,
             color=COLOURS[how],
-            markerfacecolor="none" if how == "before" else COLOURS[how],
+            markerfacecolor="none" if how == Sent.BEFORE else COLOURS[how],
             label=way,
         )
     ax.set_xlabel("nominal position on the rail, mm")
@@ -249,7 +250,7 @@ def fig_similarity(facts: Facts) -> Drawn | None:
         ax.plot(distance[::every], pairs.difference_mm[::every], ".", color=MUTED, alpha=0.35,
                 markersize=2, label="a pair of vertices")  # fmt: skip
         means = binned(distance, pairs.difference_mm, np.linspace(0.0, distance.max(), 13))
-        ax.plot(means.centre, means.difference_mm, color=COLOURS["chosen"], label="mean")
+        ax.plot(means.centre, means.difference_mm, color=COLOURS[Sent.CHOSEN], label="mean")
         ax.set_xlabel(name)
     axes[0, 0].set_ylabel("difference of errors, mm")
     _legend_above(axes[0, -1])
@@ -268,7 +269,7 @@ def fig_8(facts: Facts) -> Drawn | None:
     stations = list(found["base"])
     figure, axes = axes_sheet(2.5, 1, len(stations), sharey=True)
     for ax, station in zip(axes[0], stations, strict=True):
-        for kind, how, shift in (("base", "before", -0.2), ("station", "chosen", 0.2)):
+        for kind, how, shift in (("base", Sent.BEFORE, -0.2), ("station", Sent.CHOSEN, 0.2)):
             off_mm = found[kind][station]
             ax.bar(
                 np.arange(1, len(off_mm) + 1) + shift,

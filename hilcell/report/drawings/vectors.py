@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hilcell.calibration.errors import Errors, grid_errors, validation
+from hilcell.journal.ways_sent import Sent
 from hilcell.ports import Array
 from hilcell.report.drawings.drawing import (
     AFTER,
@@ -48,7 +49,7 @@ def _rows(facts: Facts) -> list[tuple[str, Errors, str]]:
     station = facts.cell.grid.station
     series = validation(facts.log, [station])
     shown = shortened(station, NAME_MM)
-    names = (("before", "before", BEFORE), ("chosen", "after", AFTER))
+    names = ((Sent.BEFORE, "before", BEFORE), (Sent.CHOSEN, "after", AFTER))
     rows = [
         (f"{shown}, {name}", series[how], colour) for how, name, colour in names if how in series
     ]

@@ -13,9 +13,9 @@ from hilcell.calibration.measurement_budget import budget_of
 from hilcell.geometry.sequential import Outcome
 from hilcell.geometry.statistics import rms
 from hilcell.journal.log import Log, Point
+from hilcell.journal.ways_sent import Sent
 from hilcell.ports import Array, HilcellError
 
-JUDGED = "chosen"  # the paper's method is measured beside it, to be compared
 BAD_STATES = ("out", "undecided", "noisy")
 STATES: dict[Outcome, str] = {"rejected": "out", "undecided": "undecided"}
 
@@ -56,7 +56,7 @@ def expanded_of(log: Log) -> float:
 
 def is_judged(point: Point) -> bool:
     """Whether the error of a point is judged: of a target sent with the chosen correction."""
-    return point.id.kind == "validate" and point.id.how == JUDGED
+    return point.id.kind == "validate" and point.id.how == Sent.CHOSEN
 
 
 def deviation_of(log: Log, point: Point) -> Deviation | None:

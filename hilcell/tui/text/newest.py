@@ -16,7 +16,7 @@ from hilcell.geometry.sequential import Outcome
 from hilcell.journal.calibration_facts import OUTCOMES
 from hilcell.journal.log import Log, Point
 from hilcell.journal.point_words import point_words
-from hilcell.journal.ways_sent import AS_SENT, WAYS
+from hilcell.journal.ways_sent import TEXTS, Sent
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import (
     BLANK,
@@ -94,7 +94,7 @@ def _shown(
     view: RunView, point: Point, which: str, remark: str, deviation: DeviationOf, *, stale: bool
 ) -> Shown:
     found = deviation(view.log, point)
-    word = f"{WAYS.get(point.id.how, AS_SENT)}: no limit"
+    word = f"{TEXTS.get(point.id.how, Sent.BEFORE.text)}: no limit"
     return Shown(f"{which}: {point_words(point.id, point.station)}", found, remark, stale, word)
 
 

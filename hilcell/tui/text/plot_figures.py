@@ -12,7 +12,7 @@ from hilcell.calibration.iso9283 import AP, RP
 from hilcell.geometry.statistics import figures_of, repeatability_mm
 from hilcell.journal.curve_record import URAD
 from hilcell.journal.log import Log
-from hilcell.journal.ways_sent import WAYS
+from hilcell.journal.ways_sent import Sent
 from hilcell.ports import Array
 from hilcell.tui.plots.canvas import Ink
 from hilcell.tui.plots.draw import Look, Plot
@@ -68,8 +68,8 @@ def error_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
     lines = [section("figures", WIDTH), _heads("mean", "95 %", "max")]
     for series in plot.series:
         short = SHORT.get(series.name, series.name)
-        how = next(how for how, name in WAYS.items() if name == series.name)
-        numbers = row(short, _three(found.by_how[how]), strong=0 if how == "chosen" else -1)
+        how = next(way for way in Sent if way.text == series.name)
+        numbers = row(short, _three(found.by_how[how]), strong=0 if how == Sent.CHOSEN else -1)
         lines.append(marked(look, series.ink, numbers))
     floor = floor_mm(log)
     if floor:
@@ -77,7 +77,7 @@ def error_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
     if plot.limits:
         table = log.cell.validation
         lines.append(row("  limit", (table.mean_tolerance_mm, None, table.max_tolerance_mm)))
-    if "chosen" in found.by_how:
+    if Sent.CHOSEN in found.by_how:
         lines += _by_station(of.errors) + _worst(found) + _words(log, found, floor)
     return lines
 
@@ -104,12 +104,14 @@ def _by_station(errors: Errors3D) -> Lines:
         return []
     lines = [Content(""), section("corrected, by station", WIDTH)]
     by_station = {name: errors.at(name).by_how for name in errors.stations}
-    lines += [row(name, _three(by["chosen"])) for name, by in by_station.items() if "chosen" in by]
+    lines += [
+        row(name, _three(by[Sent.CHOSEN])) for name, by in by_station.items() if Sent.CHOSEN in by
+    ]
     return lines
 
 
 def _worst(found: Errors3D) -> Lines:
-    errors = np.nan_to_num(found.by_how["chosen"], nan=-1.0)
+    errors = np.nan_to_num(found.by_how[Sent.CHOSEN], nan=-1.0)
     lines = [Content(""), section("worst targets", WIDTH)]
     for at in np.argsort(-errors, kind="stable")[:MOST_WORST].tolist():
         if errors[at] >= 0:
@@ -124,7 +126,7 @@ def _worst(found: Errors3D) -> Lines:
 
 def _words(log: Log, found: Errors3D, floor: Mapping[str, float]) -> Lines:
     limit_mm = log.cell.validation.max_tolerance_mm
-    errors = found.by_how["chosen"][np.isfinite(found.by_how["chosen"])]
+    errors = found.by_how[Sent.CHOSEN][np.isfinite(found.by_how[Sent.CHOSEN])]
     over = int(np.sum(~(errors <= limit_mm)))
     near = int(np.sum(errors > NEAR * limit_mm)) - over
     said = "No target near its limit."
@@ -132,8 +134,8 @@ def _words(log: Log, found: Errors3D, floor: Mapping[str, float]) -> Lines:
         said = f"{over} over the limit, {near} within {100 * (1 - NEAR):.0f} % of it."
     sentences = [said, _of_means(log, found)]
     mean_mm = mean_of(errors)
-    if "before" in found.by_how and mean_mm > 0:
-        same = found.by_how["before"][np.isfinite(found.by_how["chosen"])]
+    if Sent.BEFORE in found.by_how and mean_mm > 0:
+        same = found.by_how[Sent.BEFORE][np.isfinite(found.by_how[Sent.CHOSEN])]
         sentences.append(f"Mean {mean_of(same) / mean_mm:.1f} times smaller.")
     if floor.get("mean", 0) > 0:
         times = mean_mm / floor["mean"]
@@ -150,9 +152,9 @@ def _of_means(log: Log, found: Errors3D) -> str:
     """Return how the worst station's mean is to its limit."""
     limit_mm = log.cell.validation.mean_tolerance_mm
     means_mm = {
-        name: mean_of(found.at(name).by_how["chosen"])
+        name: mean_of(found.at(name).by_how[Sent.CHOSEN])
         for name in found.stations
-        if "chosen" in found.at(name).by_how
+        if Sent.CHOSEN in found.at(name).by_how
     }
     worst = max(means_mm, key=lambda name: means_mm[name])
     mean_mm = means_mm[worst]

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hilcell.calibration.errors import HOWS, Errors, counting, errors_of
+from hilcell.calibration.errors import Errors, counting, errors_of
 from hilcell.calibration.iso9283 import ISO, attained
 from hilcell.calibration.rechecked import KIND as RECHECK
 from hilcell.calibration.rechecked import rechecked
@@ -20,7 +20,7 @@ from hilcell.geometry.statistics import bounds95_mm, from_mean_mm, repeatability
 from hilcell.journal.curve_record import URAD
 from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.journal.point_id import PointId
-from hilcell.journal.ways_sent import WAYS
+from hilcell.journal.ways_sent import Sent
 from hilcell.ports import Array, HilcellError
 from hilcell.tui.plots.canvas import Ink
 from hilcell.tui.plots.draw import Mark, Plot, Series
@@ -30,7 +30,7 @@ AS_SENT = Ink("$label", "o", "$label")
 PAPER = Ink("$live 70%", "+", "$label")
 LIVE = Ink("$live", "x", "$live")
 OTHER = Ink("$foreground", "*", "$foreground")
-INKS = {"before": AS_SENT, "idw": PAPER, "chosen": LIVE}
+INKS = {Sent.BEFORE: AS_SENT, Sent.IDW: PAPER, Sent.CHOSEN: LIVE}
 PLACES = (LIVE, AS_SENT, PAPER, OTHER)
 SHARES = (0, 25, 50, 75, 95)  # percent
 MOST_TICKS = 5
@@ -46,7 +46,7 @@ class Errors3D:
     """|e| of targets (N,) in mm by how they were sent; NaN where one was not measured."""
 
     targets: tuple[Target, ...]
-    by_how: dict[str, Array]
+    by_how: dict[Sent, Array]
     grid: bool = False  # of the grid's points: no target was validated yet
 
     def at(self, station: str) -> Errors3D:
@@ -81,9 +81,9 @@ def errors_by_target(log: Log) -> Errors3D:
         order.setdefault((point.station, n if grid else point.id.number or 0), len(order))
         for n, point in enumerate(points)
     ]
-    hows = np.array([point.id.how or "before" for point in points])
-    by_how = {}
-    for how in HOWS:
+    hows = np.array([point.id.how or Sent.BEFORE for point in points])
+    by_how: dict[Sent, Array] = {}
+    for how in Sent:
         if (mine := hows == how).any():
             by_how[how] = np.full(len(order), np.nan)
             by_how[how][np.array(where)[mine]] = norms_mm[mine]
@@ -173,7 +173,7 @@ def target_plot(found: Errors3D, limits: tuple[float, ...], limit_name: str) -> 
     """Return |e| target by target."""
     count = max(len(found.targets), 1)
     x = (np.arange(len(found.targets)) + 0.5) / count
-    series = [Series(WAYS[how], INKS[how], x, y) for how, y in found.by_how.items()]
+    series = [Series(how.text, INKS[how], x, y) for how, y in found.by_how.items()]
     what = "grid point" if found.grid else "target"
     title = f"|e| {what} by {what}, mm"
     return Plot(title, what, _counted(count), tuple(series), limits, limit_name)
@@ -186,7 +186,7 @@ def sorted_plot(of: Measured, pick: str = "") -> Plot:
     for how, y in found.by_how.items():
         known = np.sort(y[np.isfinite(y)])
         x = np.arange(len(known)) / max(len(known), 1)
-        series.append(Series(WAYS[how], INKS[how], x, known, joined=True))
+        series.append(Series(how.text, INKS[how], x, known, joined=True))
     what = "grid points" if found.grid else "targets"
     ticks = tuple((share / 100, f"{share} %") for share in SHARES)
     x_title = f"share of the {what} that have less than this error"

@@ -15,6 +15,7 @@ from textual.content import Content
 from hilcell.calibration.iso9283 import ISO
 from hilcell.calibration.rechecked import KIND as RECHECK
 from hilcell.journal.log import Log
+from hilcell.journal.ways_sent import BOTH, Sent
 from hilcell.ports import Array
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.plots.draw import Look, Plot, draw
@@ -38,7 +39,6 @@ KINDS = ("grid", "validate", ISO, RECHECK)
 PLOTS = {ISO: poses_plot, RECHECK: recheck_plot}  # of procedures that have a plot of their own
 TITLES = {ISO: "|e| of the poses", RECHECK: "|e| re-checked"}
 NOTHING_YET = "the map and the errors appear with the first target"
-SHOWN = ("before", "chosen")  # the paper's method has a place on the page of plots
 Rows = list[PointRow]
 Lines = list[Content]
 
@@ -63,8 +63,8 @@ def side_lines(
 
 def volume_of(log: Log, targets: Rows) -> Volume:
     """Return the map's data: corrected targets, before there are any the errors as sent."""
-    after = [row for row in targets if row.point.id.how == "chosen"]
-    raw = [row for row in targets if row.point.id.how in ("", "before")]
+    after = [row for row in targets if row.point.id.how == Sent.CHOSEN]
+    raw = [row for row in targets if row.point.id.how in ("", Sent.BEFORE)]
     shown = after or raw or targets
     last = max(range(len(shown)), key=lambda n: log.recorded(shown[n].point))
     newest = max(targets, key=lambda row: log.recorded(row.point))
@@ -172,9 +172,9 @@ def _errors(log: Log, rows: Rows) -> Errors3D:
         order.setdefault(n if grid else row.point.id.number or 0, len(order))
         for n, row in enumerate(mine)
     ]
-    by_how: dict[str, Array] = {}
-    for how in SHOWN:
-        at = [n for n, row in enumerate(mine) if (row.point.id.how or "before") == how]
+    by_how: dict[Sent, Array] = {}
+    for how in BOTH:
+        at = [n for n, row in enumerate(mine) if (row.point.id.how or Sent.BEFORE) == how]
         if at:
             by_how[how] = np.full(len(order), np.nan)
             by_how[how][[where[n] for n in at]] = [mine[n].norm_mm for n in at]

@@ -12,6 +12,7 @@ from hilcell.calibration.orientation import validated_turns
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.folder_order import ORDER
 from hilcell.journal.point_id import PointId
+from hilcell.journal.ways_sent import Sent
 from hilcell.report.course import course
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.remeasured import remeasured
@@ -45,7 +46,7 @@ def test_both_values_and_why(tmp_path: Path, what: str, why: str) -> None:
 
 def test_of_a_target_the_larger_error_counts_everywhere(tmp_path: Path) -> None:
     facts = retaken(tmp_path / "r", 0.01)
-    (chosen,) = [v["chosen"] for v in (validation(facts.log, ["S1100"]),)]
+    (chosen,) = [v[Sent.CHOSEN] for v in (validation(facts.log, ["S1100"]),)]
     assert chosen.norms_mm.tolist() == pytest.approx([0.1, 0.2, 0.3, 0.2])
     sheet = accuracy(facts)
     after = next(row for row in sheet.texts() if row[1].startswith("after"))
@@ -56,7 +57,7 @@ def test_a_larger_later_value_counts(tmp_path: Path) -> None:
     facts = retaken(tmp_path / "r", 0.5)
     found = remeasured(facts)
     assert found.texts()[0][2] == "again"
-    assert validation(facts.log, ["S1100"])["chosen"].figures.max == pytest.approx(0.5)
+    assert validation(facts.log, ["S1100"])[Sent.CHOSEN].figures.max == pytest.approx(0.5)
 
 
 def test_of_three_values_the_largest_counts(tmp_path: Path) -> None:
@@ -145,7 +146,7 @@ def test_of_an_orientation_the_larger_value_counts_too(
     assert {(row["turned first °"], row["turned again °"]) for row in rows} == {
         ("0.0573", "0.0115")
     }
-    turned = validated_turns(facts.log, ["S1100"])["chosen"]
+    turned = validated_turns(facts.log, ["S1100"])[Sent.CHOSEN]
     assert turned.figures["max_deg"] == pytest.approx(0.0573, abs=1e-4)
 
 

@@ -14,6 +14,7 @@ import pytest
 from hilcell.calibration.errors import errors_of
 from hilcell.journal.log import Log, Point
 from hilcell.journal.point_id import PointId
+from hilcell.journal.ways_sent import Sent
 from hilcell.tui.plots.draw import Look
 from hilcell.tui.text.plot_figures import FIGURES
 from hilcell.tui.text.plot_page import BESIDE, Choice, plot_lines, tab_line
@@ -45,7 +46,7 @@ def changed(log: Log, key: str, **more: Any) -> Point:
 
 def test_plots_show_the_reports_errors(tmp_path: Path) -> None:
     log = validated_run(tmp_path / "run").facts().log
-    for how in ("before", "idw", "chosen"):
+    for how in Sent:
         points = log.select("validate", how=how)
         if points:
             wanted = errors_of(log, points).norms_mm
@@ -71,9 +72,9 @@ def test_a_target_that_was_not_measured_yet_keeps_its_place() -> None:
     story = validated()
     story.records = [r for r in story.records if r.key != "validate/S1100/chosen/000"]
     found = errors_by_target(Log(story.records))
-    assert math.isnan(found.by_how["chosen"][0])
-    assert found.by_how["chosen"][1] == pytest.approx(np.hypot(0.1, 0.01))
-    assert np.isfinite(found.by_how["before"]).all()
+    assert math.isnan(found.by_how[Sent.CHOSEN][0])
+    assert found.by_how[Sent.CHOSEN][1] == pytest.approx(np.hypot(0.1, 0.01))
+    assert np.isfinite(found.by_how[Sent.BEFORE]).all()
 
 
 @pytest.mark.parametrize(("again_mm", "wanted_mm"), [(0.3, 0.4), (0.5, 0.5)])
@@ -84,7 +85,7 @@ def test_of_a_target_measured_again_the_larger_error_is_drawn(
     story = validated(worst_mm=0.4)
     story.point(id, (1100.0, 301.0, 400.0), (0.0, again_mm, 0.0), retaken=True)
     of = measured_of(story)
-    assert of.errors.by_how["chosen"][1] == pytest.approx(wanted_mm, abs=1e-3)
+    assert of.errors.by_how[Sent.CHOSEN][1] == pytest.approx(wanted_mm, abs=1e-3)
     lines = plot_lines(of, Choice(), 130, 30, LETTERS)
     [worst] = [line.plain for line in lines if "target 2" in line.plain]
     assert f"{wanted_mm:.3f}" in worst
@@ -112,7 +113,7 @@ def test_a_station_has_its_own_targets() -> None:
     of = measured_of(story)
     assert of.errors.stations == ("S1100", "S300")
     assert of.errors.at("S300").targets == (("S300", 0),)
-    assert list(of.errors.at("S300").by_how) == ["before"]
+    assert list(of.errors.at("S300").by_how) == [Sent.BEFORE]
     assert len(of.errors.at("").targets) == 3
 
 
@@ -180,7 +181,7 @@ def test_figures_say_mean_limit_and_the_worst() -> None:
     assert f"{limit_mm:.3f}" in text
     assert "target 2    S1100        1.200" in text
     assert "1 over the limit" in text
-    mean_mm = of.errors.by_how["chosen"].mean()
+    mean_mm = of.errors.by_how[Sent.CHOSEN].mean()
     assert f"{1.2 / mean_mm:.1f} times smaller" in " ".join(text.split())
 
 
