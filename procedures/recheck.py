@@ -7,15 +7,21 @@ correction at its own station.
 
 from __future__ import annotations
 
-from operator import itemgetter
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from hilcell.calibration.file import ORIENTATION_TOLERANCE_DEG
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.in_use import calibration_in, calibration_named, record_of
-from hilcell.calibration.rechecked import doubt, recheck_result, rechecked_run
+from hilcell.calibration.recheck import (
+    KIND,
+    CheckedPose,
+    RecheckResult,
+    recheck_result,
+    rechecked_run,
+)
 from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected
 from hilcell.geometry.closed_form import ReachError
@@ -28,6 +34,7 @@ from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
 from hilcell.run.procedure import Procedure, Step
+from hilcell.typed import typed
 from procedures.durations import closing, flange_points, step
 from procedures.home import Home
 from procedures.plan import drivable, turned
@@ -78,19 +85,19 @@ class Recheck:
             again = joints_rad[n], nominal_mm[n]
             session.flange_point(ids[n], station, again[0], nominal_mm=again[1], retake=True)
         session.close_step(carried=True)
-        result = self.result(session.log)["recheck"]
+        result = recheck_result(session.log)
         session.verdict(
             "recheck",
-            holds=result["verdict"] == "valid",
-            verdict=result["verdict"],
-            drift_mm=result["drift_mm"],
-            drift_u_mm=result["drift_u_mm"],
-            doubt=doubt(result),
+            holds=result.verdict == "valid",
+            verdict=result.verdict,
+            drift_mm=result.drift_mm,
+            drift_u_mm=result.drift_u_mm,
+            doubt=result.doubt,
         )
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the judgement and its figures."""
-        return recheck_result(log)
+        return {KIND: msgspec.to_builtins(recheck_result(log))}
 
 
 def use(session: CellSession, table: str) -> Calibration:
@@ -148,25 +155,25 @@ def commands_rad(cell: Cell, calibration: Calibration, seed: int) -> Array:
         raise HilcellError(f"re-check pose: {error}", code="HC-C10") from error
 
 
+COLUMNS: tuple[Column[CheckedPose], ...] = (
+    Column("pose", lambda row: row.pose),
+    Column("x", lambda row: row.at_mm[0], "mm", ".0f"),
+    Column("y", lambda row: row.at_mm[1], "mm", ".0f"),
+    Column("z", lambda row: row.at_mm[2], "mm", ".0f"),
+    Column("error", lambda row: row.error_mm, "mm", ".4f"),
+    Column("predicted mm (95 %)", lambda row: row.bound_mm, form=".4f"),
+    Column("left after best motion", lambda row: row.left_mm, "mm", ".4f"),
+)
+
+
 def recheck_table(result: dict[str, Any]) -> Table:
     """Return every pose's error beside the predicted one, and the verdict."""
-    return Table(
-        [
-            Column("pose", itemgetter("pose")),
-            Column("x", lambda row: row["at_mm"][0], "mm", ".0f"),
-            Column("y", lambda row: row["at_mm"][1], "mm", ".0f"),
-            Column("z", lambda row: row["at_mm"][2], "mm", ".0f"),
-            Column("error", itemgetter("error_mm"), "mm", ".4f"),
-            Column("predicted mm (95 %)", itemgetter("bound_mm"), form=".4f"),
-            Column("left after best motion", itemgetter("left_mm"), "mm", ".4f"),
-        ],
-        result["recheck"]["poses"],
-    )
+    return Table(COLUMNS, typed(result[KIND], RecheckResult).poses)
 
 
 def recheck_words(result: dict[str, Any]) -> str:
     """Return the verdict in words."""
-    return str(result["recheck"]["text"])
+    return typed(result[KIND], RecheckResult).text
 
 
 RECHECK = Procedure(

@@ -15,10 +15,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
+import msgspec
 import numpy as np
 
+from hilcell.calibration.bounds import driven_poses
 from hilcell.calibration.causes import (
     Cause,
     Suspicion,
@@ -27,11 +29,17 @@ from hilcell.calibration.causes import (
     patterns,
     weights_of,
 )
+from hilcell.calibration.decision import judged_errors
+from hilcell.calibration.influence import no_less_than_nought
+from hilcell.calibration.visit import used, visited
 from hilcell.geometry.frames import cross_matrix, matrix, motion_levers
 from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.rotations import from_rotvec
+from hilcell.geometry.statistics import bounds95_mm
+from hilcell.journal.log import Log, Point, commanded_rad
 from hilcell.ports import Array, HilcellError
 
+KIND = "recheck"  # of the points, key of result and verdict
 RISK = 0.01  # that a calibration which holds is not found to
 TESTS = 2  # the motion and the rest share it
 MOTION, SLIP = 6, 3  # degrees of freedom
@@ -79,7 +87,7 @@ class Rechecked:
         return np.moveaxis(np.diagonal(blocks, axis1=0, axis2=2), -1, 0)
 
 
-class ChiSquare(NamedTuple):
+class ChiSquare(msgspec.Struct, frozen=True):
     """A value, its degrees of freedom, and its limit at its share of the risk."""
 
     chi2: float
@@ -237,3 +245,210 @@ def _drift(found: Rechecked) -> tuple[float, float]:
     spread_mm2 = math.sqrt(2 * float(np.square(C).sum()) + 4 * float(shown @ C @ shown)) / count
     drift_mm = math.sqrt(excess_mm2)
     return drift_mm, math.sqrt(excess_mm2 + spread_mm2) - drift_mm
+
+
+# -- of a run --------------------------------------------------------------------------------------
+
+
+def rechecked_run(log: Log) -> Judgement:
+    """Return the judgement of a run that has measured its poses; raises `HilcellError`."""
+    return judged(rechecked(log))
+
+
+def rechecked(log: Log) -> Rechecked:
+    """Return errors and covariance of the measured poses, in the calibration's {B}."""
+    return as_predicted(log, log.select(KIND), log.cell.grid.station)
+
+
+def as_predicted(log: Log, points: list[Point], station: str) -> Rechecked:
+    """Return errors of points at a station, with the covariance that the calibration predicts."""
+    calibration, found = used(log), visited(log, points, station)
+    poses = driven_poses(calibration, log, points, found.nominal_mm)
+    model = calibration.error_model().predict(poses)
+    J = motion_levers(found.nominal_mm).reshape(-1, 7)
+    return Rechecked(
+        found.nominal_mm,
+        found.actual_mm - found.nominal_mm,
+        no_less_than_nought(model.covariance_mm2 - found.within_mm2) + found.own_mm2,
+        J @ found.common @ J.T,
+        poses[:, :3, :3],
+    )
+
+
+def final_verdict(log: Log, found: Judgement) -> Verdict:
+    """Return the verdict: redo, where no update brings the errors into tolerance."""
+    if found.verdict == "redo":
+        return "redo"
+    errors_mm = found.left_mm if found.verdict == "update" else rechecked(log).errors_mm
+    return found.verdict if judged_errors(log, errors_mm).holds else "redo"
+
+
+class CheckedPose(msgspec.Struct, frozen=True):
+    """The error of a pose beside its predicted bound (95 %), and the error that the motion of the
+    base leaves.
+    """
+
+    pose: str
+    at_mm: list[float]
+    error_mm: float
+    bound_mm: float
+    left_mm: float
+    sigmas: float
+
+
+class ChiSquares(msgspec.Struct, frozen=True):
+    """The tests of a `Judgement`."""
+
+    motion: ChiSquare
+    rest: ChiSquare
+    slip: ChiSquare
+
+
+class RecheckResult(msgspec.Struct, frozen=True, kw_only=True):
+    """The verdict, its figures, and the sentence for people, with their names in JSON."""
+
+    verdict: Verdict
+    calibration: str
+    station: str
+    points: int
+    drift_mm: float
+    drift_u_mm: float
+    shift_mm: float
+    u_mm: float
+    turn_urad: float
+    turn_u_urad: float
+    chi2: float
+    tests: ChiSquares
+    risk: float
+    mean_mm: float
+    max_mm: float
+    mean_tolerance_mm: float
+    max_tolerance_mm: float
+    mean_U_mm: float
+    max_U_mm: float
+    in_tolerance: bool
+    temperature_c: float | None
+    calibrated_c: tuple[float, float] | None
+    poses: list[CheckedPose]
+    suspicions: list[Suspicion]
+    text: str = ""
+
+    @property
+    def doubt(self) -> str:
+        """Return what explains an update as well as a base that moved; "" is nothing."""
+        if self.verdict != "update" or not self.suspicions:
+            return ""
+        return (
+            f"a reflector that slipped by {self.suspicions[0].size:.3f} mm on its mount explains "
+            "it as well; see that it sits; if it had slipped, seat it, revoke this run and re-check"
+        )
+
+
+def recheck_result(log: Log) -> RecheckResult:
+    """Return the result of a run that has measured its poses; raises `HilcellError`."""
+    found, judgement = rechecked(log), rechecked_run(log)
+    calibration, as_found = used(log), judged_errors(log, found.errors_mm)
+    air_c, points, bounds_mm = log.temperatures_c(), log.select(KIND), bounds95_mm(found.each_mm2)
+    result = RecheckResult(
+        verdict=final_verdict(log, judgement),
+        calibration=calibration.provenance.latest,
+        station=log.cell.grid.station,
+        points=len(found.errors_mm),
+        drift_mm=judgement.drift_mm,
+        drift_u_mm=judgement.drift_u_mm,
+        shift_mm=judgement.shift_mm,
+        u_mm=judgement.u_mm,
+        turn_urad=judgement.turn_urad,
+        turn_u_urad=judgement.turn_u_urad,
+        chi2=judgement.chi2,
+        tests=ChiSquares(judgement.moved, judgement.rest, judgement.slipped),
+        risk=RISK,
+        mean_mm=as_found.mean_mm,
+        max_mm=as_found.max_mm,
+        mean_tolerance_mm=as_found.mean_tolerance_mm,
+        max_tolerance_mm=as_found.max_tolerance_mm,
+        mean_U_mm=as_found.mean_U_mm,
+        max_U_mm=as_found.max_U_mm,
+        in_tolerance=as_found.holds,
+        temperature_c=float(np.mean(air_c)) if air_c else None,
+        calibrated_c=calibration.validity.temperature_c,
+        poses=[
+            CheckedPose(
+                point.key,
+                found.targets_mm[n].tolist(),
+                float(np.linalg.norm(found.errors_mm[n])),
+                float(bounds_mm[n]),
+                float(np.linalg.norm(judgement.left_mm[n])),
+                float(judgement.sigmas[n]),
+            )
+            for n, point in enumerate(points)
+        ],
+        suspicions=suspicions(found, judgement, log.cell.robot.arm(), commanded_rad(points)),
+    )
+    return msgspec.structs.replace(result, text=_words(result, judgement.worst))
+
+
+def _words(result: RecheckResult, worst: int) -> str:
+    """Return the verdict as a technician reads it."""
+    spread = 2.0 * result.u_mm
+    match result.verdict:
+        case "valid":
+            begin = (
+                f"Still valid: the errors are as calibration {result.calibration} predicts; "
+                f"drift {result.drift_mm:.3f} mm, uncertainty {result.drift_u_mm:.3f} mm."
+            )
+        case "update":
+            begin = (
+                f"Update: the robot's base has moved by {result.shift_mm:.3f} mm ± "
+                f"{spread:.3f} mm (k = 2) at the volume's middle and turned by "
+                f"{result.turn_urad:.0f} µrad, {_instead(result.suspicions)} This run's "
+                "calibration has the base where it seems to stand now: take its base frames over "
+                "on the controller and compensate the programs again."
+            )
+        case _:
+            begin = _redo(result, worst)
+    kept = "within" if result.in_tolerance else "out of"
+    return (
+        f"{begin} As found, {result.points} corrected poses are {result.mean_mm:.3f} mm off "
+        f"in the mean and {result.max_mm:.3f} mm at most, {kept} tolerance "
+        f"({result.mean_tolerance_mm:g} and {result.max_tolerance_mm:g} mm; U "
+        f"{result.mean_U_mm:.3f} and {result.max_U_mm:.3f} mm added)."
+    )
+
+
+def _instead(causes: list[Suspicion]) -> str:
+    """Say what may have happened where the base seems to have moved."""
+    if causes:
+        return (
+            f"or the reflector has slipped on its mount by {causes[0].size:.3f} mm, or an axis's "
+            "zero is lost: the poses do not tell them apart. See first that the reflector sits on "
+            "its mount and that the mastering is right."
+        )
+    return (
+        "or an axis's zero is lost; a reflector that slipped on its mount does not explain it. See "
+        "first that the mastering is right."
+    )
+
+
+def _redo(result: RecheckResult, worst: int) -> str:
+    if result.tests.rest.holds:
+        return "Calibrate again: the errors are as predicted, but out of tolerance."
+    pose = result.poses[worst]
+    at = ", ".join(f"{value:.0f}" for value in pose.at_mm)
+    return (
+        f"Calibrate again: no motion of the base explains the errors; worst is {pose.pose} at "
+        f"({at}) mm: {pose.error_mm:.3f} mm, predicted {pose.bound_mm:.3f} mm (95 %), and "
+        f"{pose.left_mm:.3f} mm after the best motion. {_hint(result.suspicions)}"
+    )
+
+
+def _hint(causes: list[Suspicion]) -> str:
+    if not causes:
+        return "Look for a lost zero of an axis, a loose tool or reflector, another temperature."
+    explained = f"It would be explained by: {'; or '.join(cause.words for cause in causes[:3])}."
+    if causes[0].cause is not Cause.MOUNT_SLIPPED:
+        return explained
+    return (
+        f"{explained} Seat the reflector again, take this re-check back with `hilcell revoke`, and "
+        "re-check."
+    )

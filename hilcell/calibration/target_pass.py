@@ -16,8 +16,7 @@ import numpy as np
 from hilcell.calibration.bounds import target_bounds
 from hilcell.calibration.decision import Judged, judged_errors
 from hilcell.calibration.form import Calibration, TargetPass, Targets
-from hilcell.calibration.recheck import FEWEST, Judgement, judged
-from hilcell.calibration.rechecked import as_predicted
+from hilcell.calibration.recheck import FEWEST, Judgement, as_predicted, judged
 from hilcell.calibration.visit import Visited, used, visited
 from hilcell.compensation.remainder import Remainder
 from hilcell.geometry.frames import poses_from_zyx, zyx_from_pose

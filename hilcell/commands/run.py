@@ -20,9 +20,9 @@ import msgspec
 
 from hilcell import __version__
 from hilcell.alarms.catalogue import catalogue
+from hilcell.calibration.derived import calibration_after
 from hilcell.calibration.file import write_calibration
 from hilcell.calibration.in_use import Accepts, calibrated_machine, with_calibration
-from hilcell.calibration.updated import calibration_after
 from hilcell.cell.copied import check_copied
 from hilcell.cell.devices import (
     build_devices,

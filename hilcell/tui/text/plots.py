@@ -14,8 +14,8 @@ import numpy as np
 
 from hilcell.calibration.errors import Errors, counting, errors_of
 from hilcell.calibration.iso9283 import ISO, attained
-from hilcell.calibration.rechecked import KIND as RECHECK
-from hilcell.calibration.rechecked import rechecked
+from hilcell.calibration.recheck import KIND as RECHECK
+from hilcell.calibration.recheck import rechecked
 from hilcell.geometry.statistics import bounds95_mm, from_mean_mm, repeatability_mm
 from hilcell.journal.curve_record import URAD
 from hilcell.journal.log import Log, Point, positions_mm

@@ -6,15 +6,16 @@ procedure shows its own table, as ``hilcell show`` prints it. No sentence and no
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 from textual.content import Content
 
 from hilcell.calibration.iso9283 import AD, AP, AP_ANGLES, ISO, RD, RP, RP_ANGLES, Angles, PoseTest
+from hilcell.calibration.recheck import KIND as RECHECK
+from hilcell.calibration.recheck import CheckedPose, RecheckResult
 from hilcell.cell.devices import load_entry
 from hilcell.clean import harmless
 from hilcell.errors import HilcellError
@@ -31,7 +32,6 @@ from hilcell.tui.text.sheets import sheet_lines
 from hilcell.typed import typed
 
 NO_FIGURES = "Finished. This procedure measures nothing that is judged."
-RECHECK = "recheck"
 T = TypeVar("T")
 
 
@@ -42,25 +42,6 @@ class Result:
     head: Head
     text: str
     table: Table
-
-
-class _Target(msgspec.Struct):
-    pose: str
-    error_mm: float
-    bound_mm: float
-    left_mm: float
-
-
-class _Recheck(msgspec.Struct):
-    verdict: Literal["valid", "update", "redo"]
-    text: str = ""
-    mean_mm: float = math.nan
-    max_mm: float = math.nan
-    mean_U_mm: float = 0.0
-    max_U_mm: float = 0.0
-    mean_tolerance_mm: float | None = None
-    max_tolerance_mm: float | None = None
-    poses: list[_Target] = []
 
 
 RECHECKED = {
@@ -80,7 +61,7 @@ def result_of(view: RunView) -> Result | None:
     test = _converted(found.get(ISO), PoseTest)
     if test is not None and test.poses:
         return _of_test(test, passed=view.state == "done")
-    checked = _converted(found.get(RECHECK), _Recheck)
+    checked = _converted(found.get(RECHECK), RecheckResult)
     if checked is not None:
         return _of_recheck(checked, view.log)
     table, text = own_words(view.log.plan.procedure, found)
@@ -195,9 +176,9 @@ def _limit(limit_mm: float | None) -> str:
 # -- a re-check ------------------------------------------------------------------------------------
 
 
-def _of_recheck(found: _Recheck, log: Log) -> Result:
+def _of_recheck(found: RecheckResult, log: Log) -> Result:
     worst = sorted(found.poses, key=lambda each: -gravest(each.error_mm))
-    columns: list[Column[_Target]] = [
+    columns: list[Column[CheckedPose]] = [
         Column("worst first", lambda each: short_words(id_of(each.pose, log))),
         Column("predicted below", lambda each: figure(each.bound_mm), "mm", "s"),
         Column("now", lambda each: figure(each.error_mm), "mm", "s"),

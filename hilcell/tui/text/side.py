@@ -13,7 +13,7 @@ import numpy as np
 from textual.content import Content
 
 from hilcell.calibration.iso9283 import ISO
-from hilcell.calibration.rechecked import KIND as RECHECK
+from hilcell.calibration.recheck import KIND as RECHECK
 from hilcell.journal.log import Log
 from hilcell.journal.ways_sent import BOTH, Sent
 from hilcell.ports import Array

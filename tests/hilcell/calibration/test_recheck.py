@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hilcell.calibration import rechecked as module
+from hilcell.calibration import recheck as module
 from hilcell.calibration.recheck import (
     NotJudged,
     Rechecked,

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from hilcell.calibration.recheck import CheckedPose, ChiSquare, ChiSquares, RecheckResult
 from hilcell.present.table import Column, Table
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import EngineState, RunView
@@ -30,14 +31,41 @@ TEXT = (
     "0.000 mm, uncertainty 0.043 mm. As found, 7 corrected poses are 0.033 mm off in the mean and "
     "0.045 mm at most, within tolerance."
 )
-RECHECK: dict[str, Any] = {
-    "verdict": "valid", "text": TEXT, "mean_mm": 0.033, "max_mm": 0.045,
-    "mean_tolerance_mm": 0.12, "max_tolerance_mm": 0.3,
-    "poses": [
-        {"pose": f"recheck/{n:03d}", "error_mm": 0.03 + 0.001 * n, "bound_mm": 0.098,
-         "left_mm": 0.034} for n in range(7)
-    ],
-}  # fmt: skip
+HOLDS = ChiSquare(4.0, 6, 20.3)
+RECHECK: dict[str, Any] = msgspec.to_builtins(
+    RecheckResult(
+        verdict="valid",
+        calibration="20261123-033616-calibrate-22df",
+        station="S1100",
+        points=7,
+        drift_mm=0.0,
+        drift_u_mm=0.043,
+        shift_mm=0.01,
+        u_mm=0.02,
+        turn_urad=5.0,
+        turn_u_urad=20.0,
+        chi2=12.0,
+        tests=ChiSquares(HOLDS, HOLDS, HOLDS),
+        risk=0.01,
+        mean_mm=0.033,
+        max_mm=0.045,
+        mean_tolerance_mm=0.12,
+        max_tolerance_mm=0.3,
+        mean_U_mm=0.0,
+        max_U_mm=0.0,
+        in_tolerance=True,
+        temperature_c=None,
+        calibrated_c=None,
+        poses=[
+            CheckedPose(
+                f"recheck/{n:03d}", [1850.0, 0.0, 950.0], 0.03 + 0.001 * n, 0.098, 0.034, 1.0
+            )
+            for n in range(7)
+        ],
+        suspicions=[],
+        text=TEXT,
+    )
+)
 
 
 def ended(result: dict[str, Any], state: str = "done", procedure: str = "calibrate") -> RunView:

@@ -16,8 +16,7 @@ from hilcell.calibration.budget import touched
 from hilcell.calibration.file import calibration_of
 from hilcell.calibration.form import Calibration, Update, written_now
 from hilcell.calibration.influence import MEASURED, Influence, moved_frame
-from hilcell.calibration.recheck import Judgement
-from hilcell.calibration.rechecked import rechecked_run
+from hilcell.calibration.recheck import Judgement, rechecked_run
 from hilcell.calibration.target_pass import folded, target_points
 from hilcell.calibration.visit import used
 from hilcell.journal.log import Log
