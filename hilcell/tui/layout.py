@@ -47,7 +47,7 @@ Cell = Text | Filler
 class Col:
     """One column: its least width; without growing, it is as wide as its longest cell.
 
-    ``grows``: it takes the room that the others leave, at most ``most`` columns of it; ``wraps``:
+    ``most``: its greatest width; ``grows``: it takes the room that the others leave; ``wraps``:
     long cells wrap, others are cut.
     """
 
@@ -90,7 +90,10 @@ class Grid:
             max((each.cell_length for each in cells if isinstance(each, Content)), default=0)
             for cells in zip(*self._rows, strict=True)
         ]
-        needs = [0 if col.grows else n for col, n in zip(self._columns, needs, strict=True)]
+        needs = [
+            0 if col.grows else min(need, col.most or need)
+            for col, need in zip(self._columns, needs, strict=True)
+        ]
         widths = [max(each, col.width) for each, col in zip(needs, self._columns, strict=True)]
         if sum(widths) + self._gap * (len(widths) - 1) > width:
             widths = needs
@@ -121,7 +124,7 @@ class Grid:
 def _cell_lines(cell: Content | Filler, column: Col, width: int) -> list[Content]:
     """Return the lines of a cell, each of its column's width."""
     content = cell if isinstance(cell, Content) else cell.drawn(width)
-    wrapped = content.wrap(width) if column.wraps and content.cell_length > width else [content]
+    wrapped = content.wrap(width) if column.wraps and 0 < width < content.cell_length else [content]
     lines = (line.truncate(width, ellipsis=True) for line in wrapped)
     return [
         line.pad_left(width - line.cell_length) if column.right else line.truncate(width, pad=True)
@@ -132,6 +135,12 @@ def _cell_lines(cell: Content | Filler, column: Col, width: int) -> list[Content
 def ends(left: Cell, right: Cell) -> Grid:
     """Return one line with a text at each end; the left one is cut where room is short."""
     return Grid([(left, right)], Col(grows=True), Col())
+
+
+def facts_grid(facts: Iterable[tuple[str, Text]], width: int = 12) -> Grid:
+    """Return names with their texts, which wrap beside them."""
+    rows = [((name, "$label"), text) for name, text in facts]
+    return Grid(rows, Col(width), Col(grows=True, wraps=True))
 
 
 class Stack:

@@ -62,7 +62,8 @@ def test_a_pose_test_shows_each_pose_with_its_limit(tmp_path: Path) -> None:
     assert "pose P3" in page(of, 1)
     for words in ("map: |e| of the poses", "15 targets", "pose accuracy AP_p, mm"):
         assert words in beside(view), words
-    text = point_page(view, next(point.key for point in log.select("iso9283"))).plain
+    page_of_one = point_page(view, next(point.key for point in log.select("iso9283")))
+    text = "\n".join(line.plain for line in page_of_one.lines(79))
     assert "rail" not in text.replace("rails", "")
 
 

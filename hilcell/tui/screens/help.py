@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from textual.content import Content
-
 from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.layout import Lines
 from hilcell.tui.screens.base import BaseScreen
 from hilcell.tui.screens.history import HistoryPage
 from hilcell.tui.screens.pages import LogPage, TextPage
@@ -29,11 +28,10 @@ class HelpPage(TextPage):
     title_text = "Help"
     footer = ("stop", "quit")
 
-    def text(self, view: RunView | None) -> Content:
+    def text(self, view: RunView | None) -> Lines:
         """Return the help."""
         fixed = {title: keys_of(each) for title, each in SCREENS.items()}
-        app, width = self.application, self.line_width - 1  # beside the scroll bar
-        return help_lines(app.keymap, app.glyphs, fixed, width)
+        return help_lines(self.application.keymap, self.application.glyphs, fixed)
 
 
 def keys_of(screen: type[BaseScreen]) -> list[tuple[str, str]]:

@@ -17,11 +17,10 @@ from textual.widgets import Input
 from hilcell.errors import HilcellError
 from hilcell.tui.engine import process
 from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.layout import Lines
+from hilcell.tui.layout import BLANK, Lines, Stack
 from hilcell.tui.screens.base import BaseScreen, Page
 from hilcell.tui.text.alarms import alarm_page
 from hilcell.tui.text.devices import interlock_page
-from hilcell.tui.text.frame import wrapped
 from hilcell.tui.text.points import point_page
 from hilcell.tui.text.report import report_lines
 from hilcell.tui.text.tables import log_columns, record_row
@@ -82,9 +81,9 @@ class DetailPage(TextPage):
         super().__init__()
         self._key = key
 
-    def text(self, view: RunView | None) -> Content:
+    def text(self, view: RunView | None) -> Content | Lines:
         """Return the point."""
-        return point_page(view, self._key) if view is not None else Content("")
+        return point_page(view, self._key) if view is not None else BLANK
 
     def do_retake(self) -> None:
         """Re-measure this point."""
@@ -196,14 +195,13 @@ class ReportPage(TextPage):
         self.application.start_task(self._show_figures())
         self.application.start_task(self._write())
 
-    def text(self, view: RunView | None) -> Content:
+    def text(self, view: RunView | None) -> Lines:
         """Return where the file is, and the figures."""
-        width = self.line_width
-        lines = [*wrapped(self._where, width, "bold"), Content("")]
+        where = self._where, "bold"
         if self._figures is None:
-            return Content("\n").join([*lines, Content(self._state)])
+            return Stack(where, BLANK, self._state)
         log = view.log if view is not None else None
-        return Content("\n").join([*lines, *report_lines(self._figures, log, width)])
+        return Stack(where, BLANK, report_lines(self._figures, log))
 
     async def _show_figures(self) -> None:
         runs = str(self._folder.parent)

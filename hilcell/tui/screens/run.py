@@ -264,12 +264,7 @@ class RunScreen(FilterScreen):
             standing = len(self.application.latch.standing())
             self.panel("verdict").show(verdict_lines(view, verdict, glyphs, standing))
         elif result is not None:
-
-            def draw(width: int, height: int) -> list[Content]:
-                found = result_lines(view, result, glyphs, width, height or FULL)
-                return found.split(allow_blank=True)
-
-            self.panel("verdict").show(Drawing(id(result), draw))
+            self.panel("verdict").show(result_lines(view, result, glyphs))
 
     def on_table_row_highlighted(self) -> None:
         """Show the point that is chosen now."""

@@ -27,11 +27,11 @@ from hilcell.tui.engine import process
 from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import BY_NAME, shown
+from hilcell.tui.layout import ends, section
 from hilcell.tui.screens.base import BaseScreen, Dialog, answer_keys
 from hilcell.tui.text import start as text
 from hilcell.tui.text.footer import EVERY_ACTION, FULL_WIDTH, PALETTE_KEY, KeyOf, form_footer
 from hilcell.tui.text.footer import WORDS as FOOTER_WORDS
-from hilcell.tui.text.lines import section
 from hilcell.tui.text.run import duration, moves
 from hilcell.tui.widgets import Choice, TextField, TextPanel
 
@@ -47,7 +47,6 @@ SPEEDS = ("max", "100", "10", "1")
 VIEWS = ("history", "theme", "help", "quit")  # in the footer's second row
 FIRST = "calibrate"
 QUIET_S = 0.4  # without a change, before the plan is computed
-FIELDS_WIDTH, PLAN_FROM = 42, 76  # columns
 BEFORE_FROM = 22  # rows
 
 
@@ -56,6 +55,7 @@ class StartScreen(BaseScreen):
 
     footer = ("help", "history", "theme", "quit")
     fixed = in_box = (("Enter", "start"), ("Tab", "next field"), ("▲▼", "choose"))
+    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (77, "-planned")]  # noqa: RUF012 - as Textual has it
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("down", "turn(1)", show=False, priority=True),  # in the order typed
         Binding("up", "turn(-1)", show=False, priority=True),
@@ -114,30 +114,24 @@ class StartScreen(BaseScreen):
     def show(self, view: RunView | None) -> None:
         """Show what is known of the plan; there is no run yet."""
         self.mark_simulated(simulated=self._checked.simulated)
-        glyphs, wide, high = self.application.glyphs, self.line_width, self.app.size.height
-        planned = wide >= PLAN_FROM
-        left = FIELDS_WIDTH if planned else wide
+        checked, glyphs = self._checked, self.application.glyphs
         attended = self.query_one("#attended", Choice).value == WATCHED[0]
-        before = text.before_lines(self._checked, wide, attended=attended)
-        before = before if self._is_roomy else []
-        rows = high - len(before) - (6 if before else 4)
-        self.panel("banner").show(text.banner(self._checked, glyphs, wide))
-        self.panel("who").show(section("what and who", left - 1))
-        checks = text.check_lines(self._checked, glyphs, left - 1, max(rows - len(FIELDS) - 4, 1))
-        self.panel("checks").show(_lines(checks))
-        self.query_one("#fields").styles.width = left
-        self.panel("plan").display = planned
-        if planned:
-            self.panel("plan").show(
-                _lines(text.plan_lines(self._checked, glyphs, wide - left - 1, rows))
-            )
-        self.panel("before").show(_lines(before))
-        self.panel("before").display = bool(before)
-        self.panel("start").show(text.start_line(self._checked, wide))
+        before = text.before_lines(checked, attended=attended)
+        taken = len(before.lines(self.line_width)) + 6 if self._is_roomy else 4
+        rows = self.app.size.height - taken
+        self.panel("banner").show(text.banner(checked, glyphs))
+        self.panel("who").show(section("what and who"))
+        self.panel("checks").styles.max_height = max(rows - len(FIELDS) - 4, 1)
+        self.panel("checks").show(text.check_lines(checked, glyphs))
+        self.panel("plan").styles.max_height = rows
+        self.panel("plan").show(text.plan_lines(checked, glyphs))
+        self.panel("before").show(before)
+        self.panel("before").display = self._is_roomy
+        self.panel("start").show(text.start_line(checked))
         speed = self.query_one("#speed", Choice).value
-        self.panel("end").show(text.end_line(self._checked, speed))
+        self.panel("end").show(text.end_line(checked, speed))
         summary = self._summaries.get(self.query_one("#procedure", Choice).value, "")
-        self.panel("summary").show(Content.styled(summary, "$label").truncate(wide, ellipsis=True))
+        self.panel("summary").show(ends((summary, "$label"), ""))
         self._show_summary()
         self.panel("keys").show(self.key_line())
 
@@ -288,10 +282,6 @@ def _choice(name: str, words: Sequence[str], labels: Sequence[str] = ()) -> Comp
     with Horizontal(classes="field"):
         yield Label(name)
         yield Choice(words, name, labels)
-
-
-def _lines(lines: list[Content]) -> Content:
-    return Content("\n").join(lines)
 
 
 def _cell_of(request: process.RunRequest) -> Cell | None:

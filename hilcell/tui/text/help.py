@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from textual.content import Content
-
 from hilcell.journal.point_words import procedure_words
 from hilcell.tui.keys import ACTIONS, Keymap, shown
+from hilcell.tui.layout import BLANK, Cell, Col, Grid, Lines, Stack, Text
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.footer import EVERY_ACTION, PALETTE_KEY, WORDS
-from hilcell.tui.text.frame import hanging, wrapped
 from hilcell.tui.text.run import STATES
 
 LINES = (
@@ -35,39 +33,28 @@ STORY = f"""\
 A first calibration: choose {procedure_words("calibrate")}, type your name, then Enter twice.
 When it is DONE: look at the largest errors and find their cause, then write the report.
 After a FAULT: read the alarm, put it right, then resume. Measured points are kept."""
-KEYS, WORD, NAME = 10, 13, 18  # columns
 
 
 def help_lines(
-    keymap: Keymap, glyphs: Glyphs, fixed: Mapping[str, Sequence[tuple[str, str]]], width: int
-) -> Content:
+    keymap: Keymap, glyphs: Glyphs, fixed: Mapping[str, Sequence[tuple[str, str]]]
+) -> Lines:
     """Return the whole help; ``fixed``: by screen, the keys that cannot be rebound."""
-    keys = [
-        (" ".join(shown(key) for key in keymap[each.name]), each.label, each.help)
+    keys: list[Sequence[Cell]] = [
+        (
+            (" ".join(shown(key) for key in keymap[each.name]), "bold"),
+            WORDS.get(each.label, each.label),
+            each.help,
+        )
         for each in ACTIONS
     ]
-    keys.append((PALETTE_KEY, EVERY_ACTION, "the palette: every action by its name"))
-    parts: list[Content] = []
-    for line in STORY.splitlines():
-        parts += wrapped(line, width)
-    parts += _title("Keys")
-    for key, label, text in keys:
-        parts += _entry(key, KEYS, f"{WORDS.get(label, label):<{WORD}}{text}", width)
+    keys.append(((PALETTE_KEY, "bold"), EVERY_ACTION, "the palette: every action by its name"))
+    text = Col(grows=True, wraps=True)
+    parts: list[Lines | Text] = [*STORY.splitlines(), BLANK, ("Keys", "bold")]
+    parts.append(Grid(keys, Col(9), Col(12), text))
     for title, pairs in fixed.items():
-        parts += _title(f"Keys of {title}")
-        for key, text in pairs:
-            parts += _entry(key, KEYS, text, width)
-    parts += _title("What the screen says")
-    for name, text in LINES:
-        parts += _entry(name, NAME, text, width)
-    parts += _title("States")
+        parts += [BLANK, (f"Keys of {title}", "bold")]
+        parts.append(Grid((((key, "bold"), words) for key, words in pairs), Col(9), text))
+    parts += [BLANK, ("What the screen says", "bold")]
+    parts.append(Grid((((name, "bold"), words) for name, words in LINES), Col(17), text))
     states = "  ".join(f"{glyphs.states[key]} {word}" for key, (word, _) in STATES.items())
-    return Content("\n").join([*parts, *wrapped(states, width)])
-
-
-def _title(title: str) -> list[Content]:
-    return [Content(""), Content.styled(title, "bold")]
-
-
-def _entry(name: str, indent: int, text: str, width: int) -> list[Content]:
-    return hanging(Content.styled(f"{name:<{indent - 1}} ", "bold"), text, width)
+    return Stack(*parts, BLANK, ("States", "bold"), states)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from textual.content import Content
 
 from hilcell.ports import Array
-from hilcell.tui.text.lines import section
+from hilcell.tui.layout import section
 
 AXES, UP = "xyz", 2
 ACROSS, ALONG, ROWS = 38, 13, 8  # cells of a view: along the rail's axis, across it, and high
@@ -133,8 +133,8 @@ def _heading(of: Volume, width: int) -> Content:
     count = f"{len(of.errors_mm)} of {of.planned}" if of.planned else str(len(of.errors_mm))
     for title, remark in ((f"map: {of.title}", f"{count} targets"), (f"map: {count}", "")):
         if len(title) + len(remark) + RULED * (1 + bool(remark)) <= width:
-            return section(title, width, remark)
-    return section("map", width)
+            return section(title, remark).lines(width)[0]
+    return section("map").lines(width)[0]
 
 
 def _legend(of: Volume, *, plain: bool) -> Lines:

@@ -14,9 +14,9 @@ from hilcell.journal.curve_record import URAD
 from hilcell.journal.log import Log
 from hilcell.journal.ways_sent import Sent
 from hilcell.ports import Array
+from hilcell.tui.layout import section
 from hilcell.tui.plots.canvas import Ink
 from hilcell.tui.plots.draw import Look, Plot
-from hilcell.tui.text.lines import section
 from hilcell.tui.text.plots import (
     PLACES,
     Errors3D,
@@ -65,7 +65,7 @@ def mark_of(look: Look, ink: Ink) -> Content:
 def error_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
     """Return mean, 95 % and maximum of |e| by series and station, the worst, and words."""
     log, found = of.log, of.errors.at(pick)
-    lines = [section("figures", WIDTH), _heads("mean", "95 %", "max")]
+    lines = [_heading("figures"), _heads("mean", "95 %", "max")]
     for series in plot.series:
         short = SHORT.get(series.name, series.name)
         how = next(way for way in Sent if way.text == series.name)
@@ -102,7 +102,7 @@ def _three(values: Array) -> tuple[float, ...]:
 def _by_station(errors: Errors3D) -> Lines:
     if len(errors.stations) < 2:
         return []
-    lines = [Content(""), section("corrected, by station", WIDTH)]
+    lines = [Content(""), _heading("corrected, by station")]
     by_station = {name: errors.at(name).by_how for name in errors.stations}
     lines += [
         row(name, _three(by[Sent.CHOSEN])) for name, by in by_station.items() if Sent.CHOSEN in by
@@ -112,7 +112,7 @@ def _by_station(errors: Errors3D) -> Lines:
 
 def _worst(found: Errors3D) -> Lines:
     errors = np.nan_to_num(found.by_how[Sent.CHOSEN], nan=-1.0)
-    lines = [Content(""), section("worst targets", WIDTH)]
+    lines = [Content(""), _heading("worst targets")]
     for at in np.argsort(-errors, kind="stable")[:MOST_WORST].tolist():
         if errors[at] >= 0:
             station, number = found.targets[at]
@@ -145,7 +145,7 @@ def _words(log: Log, found: Errors3D, floor: Mapping[str, float]) -> Lines:
         )
     wrapped = [line for each in sentences for line in textwrap.wrap(each, WIDTH)]
     tells = [Content.styled(line, "$label") for line in wrapped]
-    return [Content(""), section("what it tells", WIDTH), *tells]
+    return [Content(""), _heading("what it tells"), *tells]
 
 
 def _of_means(log: Log, found: Errors3D) -> str:
@@ -167,7 +167,7 @@ def _of_means(log: Log, found: Errors3D) -> str:
 
 def repeat_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
     """Return mean, RP (ISO 9283) and maximum of the distances from the mean, by place."""
-    lines = [section("figures", WIDTH), _heads("mean", "RP", "max")]
+    lines = [_heading("figures"), _heads("mean", "RP", "max")]
     inks = {series.name: series.ink for series in plot.series}
     for name, distances_mm in of.visits_mm.items():
         rp_mm = repeatability_mm(distances_mm) if len(distances_mm) > 1 else None
@@ -179,7 +179,7 @@ def repeat_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
 
 def pose_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
     """Return AP_p and RP_l of each pose, and the limits that are stated."""
-    lines = [section("figures", WIDTH), _heads("AP_p", "RP_l", "n")]
+    lines = [_heading("figures"), _heads("AP_p", "RP_l", "n")]
     for name, figures in of.figures_by_pose.items():
         visits = f"{len(of.poses[name].error_mm):>{NUMBER}}"
         lines.append(row(name, figures).append(Content.styled(visits, "$label")))
@@ -197,11 +197,11 @@ def pose_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
 def recheck_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
     """Return |e| now and its predicted bound, mean and largest, and the worst targets."""
     now_mm, bounds_mm = of.rechecked_mm
-    lines = [section("figures", WIDTH), _heads("mean", "95 %", "max")]
+    lines = [_heading("figures"), _heads("mean", "95 %", "max")]
     lines += [marked(look, each.ink, row(each.name, _three(each.y))) for each in plot.series]
     if not len(bounds_mm):
         return [*lines, Content(""), *_grey("The calibration predicts no bound of these targets.")]
-    lines += [Content(""), section("worst targets", WIDTH), _heads("bound", "", "now")]
+    lines += [Content(""), _heading("worst targets"), _heads("bound", "", "now")]
     for n in np.argsort(-now_mm, kind="stable")[:MOST_WORST].tolist():
         lines.append(row(f"target {n + 1}", (float(bounds_mm[n]), None, float(now_mm[n]))))
     over = int(np.sum(~(now_mm <= bounds_mm)))
@@ -211,7 +211,7 @@ def recheck_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
 
 def strip_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
     """Return mean and largest of the strip's residual, by station, and its limit."""
-    lines = [section("figures", WIDTH), _heads("mean", "", "max")]
+    lines = [_heading("figures"), _heads("mean", "", "max")]
     for name, values in of.strip_mm.items():
         lines.append(row(name, (float(values.mean()), None, float(np.abs(values).max()))))
     rail = of.log.cell.rail
@@ -227,7 +227,7 @@ def strip_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
 def sweep_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
     """Return the gear lines of every swept axis."""
     lines = [
-        section("gear lines", WIDTH),
+        _heading("gear lines"),
         Content.styled("axis   cycles/rev.   size µrad", "$label"),
     ]
     for name in of.swept:
@@ -244,6 +244,10 @@ def sweep_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
             lines.append(Content.styled(f"{name:<4}  none", style))
     words = "A line is an error that comes back so often in one turn of the joint."
     return [*lines, Content(""), *_grey(words)]
+
+
+def _heading(title: str) -> Content:
+    return section(title).lines(WIDTH)[0]
 
 
 def _grey(words: str) -> Lines:

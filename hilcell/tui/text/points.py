@@ -6,13 +6,12 @@ import math
 import re
 from collections.abc import Collection, Iterable, Sequence
 
-from textual.content import Content
-
 from hilcell.calibration.errors import counting, errors_of
 from hilcell.geometry.statistics import rms
 from hilcell.journal.log import Log, Point
 from hilcell.journal.point_words import point_words, short_words
 from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.layout import Lines, Stack, facts_grid
 from hilcell.tui.text.deviation import (
     BAD_STATES,
     Deviation,
@@ -220,11 +219,11 @@ def _triple(values: Sequence[float], digits: int, room: int) -> str:
     return next((text for text in texts if len(text) <= room), "see its page")
 
 
-def point_page(view: RunView, key: str) -> Content:
+def point_page(view: RunView, key: str) -> Lines:
     """Return all that the journal holds of a point."""
     point = view.log.points.get(key)
     if point is None:
-        return Content(f"{key}: the journal holds no such point")
+        return Stack(f"{key}: the journal holds no such point")
     row = row_of(view.log, point)
     facts: list[tuple[str, str]] = [("point", point_words(point.id, point.station))]
     facts += [("key", key), ("state", row.state)]
@@ -242,9 +241,7 @@ def point_page(view: RunView, key: str) -> Content:
         facts += _repeated(view.log, point)
         point = counting(view.log, point)
     facts += _measured(point, has_rail=view.has_rail)
-    return Content("\n").join(
-        Content.assemble((f"{name:<28}", "$label"), text) for name, text in facts
-    )
+    return facts_grid(facts, 27)
 
 
 def _repeated(log: Log, point: Point) -> list[tuple[str, str]]:

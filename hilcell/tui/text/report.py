@@ -8,16 +8,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from textual.content import Content
-
 from hilcell.clean import harmless
 from hilcell.journal.log import Log
 from hilcell.journal.point_words import procedure_words
-from hilcell.tui.text.frame import wrapped
+from hilcell.tui.layout import BLANK, Lines, Stack, Text, facts_grid
 from hilcell.tui.text.result import own_words
 from hilcell.tui.text.sheets import sheet_lines
 
-LABEL = 13  # columns of a name
 NAMES = {  # of the summary, by the name shown
     "operator": "operator", "job": "job", "points": "points", "state": "state",
     "verdict": "verdict", "calibration": "stage", "seed": "seed",
@@ -25,8 +22,8 @@ NAMES = {  # of the summary, by the name shown
 }  # fmt: skip
 
 
-def report_lines(found: Mapping[str, Any], log: Log | None, width: int) -> list[Content]:
-    """Return the facts of a run, its own table and its sentence, in lines of at most ``width``."""
+def report_lines(found: Mapping[str, Any], log: Log | None) -> Lines:
+    """Return the facts of a run, its own table and its sentence."""
     procedure = str(found.get("procedure", ""))
     facts = [("run", str(found.get("run", ""))), ("procedure", procedure_words(procedure))]
     facts += [("cell", str(found.get("cell", "")))]
@@ -35,15 +32,13 @@ def report_lines(found: Mapping[str, Any], log: Log | None, width: int) -> list[
     standing = found.get("standing")
     if isinstance(standing, Mapping):
         facts.append(("calibration", str(standing.get("text", ""))))
-    lines = [line for name, text in facts for line in _fact(name, text, width)]
+    parts: list[Lines | Text] = [facts_grid((name, harmless(text)) for name, text in facts)]
     result = found.get("result")
     if found.get("state") == "finished" and isinstance(result, dict):
         table, text = own_words(procedure, result)
-        if table:
-            lines += [Content(""), *sheet_lines(table, width, log)]
-        if text:
-            lines += [Content(""), *wrapped(harmless(text), width)]
-    return lines
+        parts += [BLANK, sheet_lines(table, log)] if table else []
+        parts += [BLANK, harmless(text)] if text else []
+    return Stack(*parts)
 
 
 def _words(value: object) -> str:
@@ -52,9 +47,3 @@ def _words(value: object) -> str:
         return "; ".join(map(_words, value))
     text = str(value)
     return text if " " in text else text.replace("_", " ")
-
-
-def _fact(name: str, text: str, width: int) -> list[Content]:
-    first, *rest = wrapped(harmless(text), max(width - LABEL, 1)) or [Content("")]
-    head = Content.styled(f"{name:<{LABEL}}", "$label").append(first)
-    return [head, *(line.pad_left(LABEL) for line in rest)]

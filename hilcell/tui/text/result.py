@@ -24,14 +24,15 @@ from hilcell.journal.log import Log
 from hilcell.journal.point_words import short_words
 from hilcell.present.table import Column, Table
 from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.layout import Cell, Col, Drawing, Grid, Lines
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.digits import figure
-from hilcell.tui.text.frame import wrapped
 from hilcell.tui.text.head import NEXT, Figure, Head, gravest, head_lines
 from hilcell.tui.text.sheets import sheet_lines
 from hilcell.typed import typed
 
 NO_FIGURES = "Finished. This procedure measures nothing that is judged."
+MOST_ROWS = 40  # which hold most results whole
 T = TypeVar("T")
 
 
@@ -197,20 +198,22 @@ def _of_recheck(found: RecheckResult, log: Log) -> Result:
 # -- drawing ---------------------------------------------------------------------------------------
 
 
-def result_lines(view: RunView, found: Result, glyphs: Glyphs, width: int, rows: int) -> Content:
+def result_lines(view: RunView, found: Result, glyphs: Glyphs) -> Lines:
     """Return the word and its figures, the sentence, and as many rows of the table as fit."""
-    lines = head_lines(view, found.head, glyphs, width, rows)
-    text = wrapped(harmless(found.text), width - 2) if found.text else []
-    lines += [Content(" ").append(line).stylize("$label") for line in text]
-    table = sheet_lines(found.table, width, view.log)
-    room = rows - len(lines)
-    if len(table) > room:
-        table = [
-            *table[: max(room - 1, 0)],
-            Content.styled(" o report: all of the table", "$label"),
-        ]
-    lines += table
-    if len(lines) < rows:
-        lines.append(Content.assemble((" next: ", "$label"), NEXT))
-    lines += [Content("")] * (rows - len(lines))
-    return Content("\n").join(line.truncate(width) for line in lines[:rows])
+    table = sheet_lines(found.table, view.log)
+
+    def draw(width: int, height: int) -> list[Content]:
+        rows = height or MOST_ROWS
+        lines = head_lines(view, found.head, glyphs, width, rows)
+        if found.text:
+            said: list[Cell] = ["", (harmless(found.text), "$label")]
+            lines += Grid([said], Col(), Col(grows=True, wraps=True)).lines(width)
+        lines += table.lines(width)
+        if len(lines) > rows:
+            more = Content.styled(" o report: all of the table", "$label")
+            lines = [*lines[: max(rows - 1, 0)], more]
+        else:
+            lines.append(Content.assemble((" next: ", "$label"), NEXT))
+        return [line.truncate(width) for line in lines]
+
+    return Drawing((id(found), glyphs.plain), draw)

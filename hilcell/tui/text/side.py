@@ -18,11 +18,10 @@ from hilcell.journal.log import Log
 from hilcell.journal.ways_sent import BOTH, Sent
 from hilcell.ports import Array
 from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.layout import section
 from hilcell.tui.plots.draw import Look, Plot, draw
 from hilcell.tui.plots.scale import Scale, log_scale
 from hilcell.tui.text.deviation import PointRow
-from hilcell.tui.text.frame import wrapped
-from hilcell.tui.text.lines import section
 from hilcell.tui.text.map import NO_POINT, Volume, map_lines
 from hilcell.tui.text.plot_figures import mark_of
 from hilcell.tui.text.plots import (
@@ -54,7 +53,7 @@ def side_lines(
     """Return the lines, at most ``height``, and the plot's scale, for the next time."""
     targets = [row for row in rows if row.point.id.kind in KINDS and row.deviation is not None]
     if not targets:
-        return wrapped(NOTHING_YET, width, "$label"), before
+        return Content.styled(NOTHING_YET, "$label").wrap(width), before
     room = min(MAP_ROWS, height - LEAST_PLOT)
     above = map_lines(volume_of(view.log, targets), width, room, plain=look.plain)
     below, scale = _plot(view.log, targets, width, height - len(above), look, before)
@@ -140,7 +139,7 @@ def _drawn(
     plot: Plot, width: int, height: int, look: Look, before: Scale | None
 ) -> tuple[Lines, Scale]:
     scale = log_scale(plot.values, plot.limits, before)
-    head = section(plot.title, width)
+    head = section(plot.title).lines(width)[0]
     drawn = draw(plot, scale, width, max(height - 2, 5), look, named=False)
     return [head, _legend(plot, look, width), *drawn], scale
 

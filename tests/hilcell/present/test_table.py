@@ -44,7 +44,7 @@ def test_a_name_of_the_program_is_in_words_on_the_screen_only() -> None:
     assert table.texts() == [["before"]]
     assert csv_of(table) == b"error of\nbefore\n"
     assert "before" in drawn(table, None)
-    assert "as sent" in "".join(line.plain for line in sheet_lines(table, 80))
+    assert "as sent" in "".join(line.plain for line in sheet_lines(table).lines(80))
 
 
 def test_a_terminal_has_ascii() -> None:

@@ -17,6 +17,7 @@ from hilcell.tui.text.plots import MOST_TABS
 from hilcell.tui.widgets import Choice, Table, TextField
 from tests.hilcell.tui.all_screens import isolated
 from tests.hilcell.tui.recording_app import DEFAULT_KEYS, RecordingApp, press, run_app, text_of
+from tests.hilcell.tui.views import drawn
 
 __all__ = ["isolated"]
 
@@ -54,7 +55,7 @@ def test_each_key_of_a_screen_is_explained_and_each_explained_one_is_bound(title
 
 
 def test_each_action_stands_there_with_the_word_of_its_footer() -> None:
-    lines = help_lines(DEFAULT_KEYS, UNICODE, {}, 79).plain.splitlines()
+    lines = drawn(help_lines(DEFAULT_KEYS, UNICODE, {})).splitlines()
     starts = [line[:23].split() for line in lines if len(line) > 23]
     for action in ACTIONS:
         word = WORDS.get(action.label, action.label)
@@ -73,5 +74,5 @@ def test_no_line_of_the_help_is_wider_than_the_screen() -> None:
     run_app(act, "running", size=(80, 70))
     fixed = {title: keys_of(each) for title, each in SCREENS.items()}
     for width in (22, 39, 59, 79):
-        lines = help_lines(DEFAULT_KEYS, UNICODE, fixed, width).plain.splitlines()
+        lines = drawn(help_lines(DEFAULT_KEYS, UNICODE, fixed), width).splitlines()
         assert max(map(len, lines)) <= width

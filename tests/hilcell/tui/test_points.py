@@ -22,6 +22,7 @@ from hilcell.tui.text.newest import chosen_shown
 from hilcell.tui.text.points import PointRows, columns_for, filtered, point_page, to_row
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, validated
+from tests.hilcell.tui.views import drawn
 
 ROTATION_DEG = 37.0
 
@@ -226,13 +227,13 @@ def test_columns_go_where_there_is_no_room_but_never_the_error_or_the_state(widt
 
 def test_the_page_of_a_point_tells_everything() -> None:
     view = RunView("r", log_of(validated()))
-    text = point_page(view, "validate/S1100/chosen/001").plain
+    text = drawn(point_page(view, "validate/S1100/chosen/001"))
     for part in ("validate/S1100/chosen/001", "validate_chosen", "S1100", "+0.0000  +0.1000",
                  "0.1005", "1.000", "SMR 1.5in", "22.50 C", "1010.0 mbar", "45 %",
                  "1100.200 / 1100.00"):  # fmt: skip
         assert part in text
-    assert "nominal" not in point_page(view, "world/F1").plain
-    assert "no such point" in point_page(view, "grid/9-9-9").plain
+    assert "nominal" not in drawn(point_page(view, "world/F1"))
+    assert "no such point" in drawn(point_page(view, "grid/9-9-9"))
 
 
 def measured_again(off_mm: float) -> Log:
@@ -258,12 +259,12 @@ def test_of_a_target_measured_again_the_larger_error_counts(
 
 def test_the_page_of_a_point_names_both_readings_and_which_counts() -> None:
     key = "validate/S1100/chosen/001"
-    text = point_page(RunView("r", measured_again(0.3)), key).plain
+    text = drawn(point_page(RunView("r", measured_again(0.3)), key))
     assert "0.4001 (the larger: counts), 0.3000" in text
     assert "1100.0000  301.4000  400.0100" in text  # the reading that counts
-    text = point_page(RunView("r", measured_again(0.5)), key).plain
+    text = drawn(point_page(RunView("r", measured_again(0.5)), key))
     assert "0.4001, 0.5000 (the larger: counts)" in text
-    assert "counts" not in point_page(RunView("r", log_of(validated())), key).plain
+    assert "counts" not in drawn(point_page(RunView("r", log_of(validated())), key))
 
 
 # -- rows are made once ----------------------------------------------------------------------------

@@ -8,13 +8,14 @@ from textual.pilot import Pilot
 from hilcell.tui.text.report import report_lines
 from tests.hilcell.tui.all_screens import SAID, SHOWN, isolated
 from tests.hilcell.tui.recording_app import RecordingApp, press, run_app, text_of
+from tests.hilcell.tui.views import drawn
 
 __all__ = ["isolated"]
 
 
 @pytest.mark.parametrize("width", [38, 59, 78, 99, 139])
 def test_the_figures_are_in_words_and_fit(width: int) -> None:
-    lines = report_lines(SHOWN, None, width)
+    lines = report_lines(SHOWN, None).lines(width)
     text = "\n".join(line.plain for line in lines)
     assert max(line.cell_length for line in lines) <= width
     assert not set("│┃━┏…") & set(text)
@@ -27,7 +28,7 @@ def test_the_figures_are_in_words_and_fit(width: int) -> None:
 
 def test_a_run_that_did_not_finish_states_its_fault_and_no_table() -> None:
     found = SHOWN | {"state": "faulted", "fault": "Tracker: measure: beam broken; " * 5}
-    text = "\n".join(line.plain for line in report_lines(found, None, 79))
+    text = drawn(report_lines(found, None))
     assert " ".join(text.split()).count("beam broken;") == 5
     assert "paper method" not in text
 

@@ -22,7 +22,7 @@ from hilcell.tui.text.sheets import sheet_lines
 from tests.hilcell.calibration.pose_tests import made_up
 from tests.hilcell.tui.recording_app import RecordingApp, options, press, settle, text_of
 from tests.hilcell.tui.sample_runs import SampleRun, validated
-from tests.hilcell.tui.views import view_of
+from tests.hilcell.tui.views import drawn, view_of
 
 ROWS = 16
 TEST: dict[str, Any] = msgspec.to_builtins(made_up())
@@ -81,7 +81,7 @@ def ended(result: dict[str, Any], state: str = "done", procedure: str = "calibra
 def shown(view: RunView, width: int = 79, rows: int = ROWS) -> str:
     found = result_of(view)
     assert found is not None
-    return result_lines(view, found, UNICODE, width, rows).plain
+    return drawn(result_lines(view, found, UNICODE), width, rows)
 
 
 def test_a_pose_test_shows_its_worst_figures_large_and_a_table_by_pose() -> None:
@@ -142,8 +142,7 @@ def test_it_fits_where_there_is_little_room(result: dict[str, Any]) -> None:
     found = result_of(view)
     assert isinstance(found, Result)
     for width, rows, glyphs in product((20, 38, 58, 79), (4, 13, 30), (UNICODE, ASCII)):
-        lines = result_lines(view, found, glyphs, width, rows).split("\n", allow_blank=True)
-        assert len(lines) == rows
+        lines = result_lines(view, found, glyphs).lines(width, rows)
         assert max(line.cell_length for line in lines) <= width
         assert "…" not in "".join(line.plain for line in lines)
 
@@ -157,7 +156,7 @@ def test_a_table_is_drawn_to_the_width_and_cuts_no_number(width: int) -> None:
         Column("why", itemgetter(13)),
     ]
     row: list[str | float] = ["P1", *numbers, "because it is so, and for no other"]
-    lines = sheet_lines(Table(columns, [row]), width)
+    lines = sheet_lines(Table(columns, [row])).lines(width)
     text = "\n".join(line.plain for line in lines)
     assert all(f"{number:.4f}" in text for number in numbers)
     assert max(line.cell_length for line in lines) <= width

@@ -30,6 +30,7 @@ from tests.hilcell.tui.recording_app import (
     until,
 )
 from tests.hilcell.tui.sample_runs import BEGAN
+from tests.hilcell.tui.views import drawn
 
 __all__ = ["isolated"]
 
@@ -144,19 +145,18 @@ CHECKED = text.Checked(PLAN | {"simulated": True}, "", load_cell("paper"), BEGAN
 
 @pytest.mark.parametrize("rows", [4, 9, 20])
 def test_the_plan_fits_and_ends_with_the_sum(rows: int) -> None:
-    lines = text.plan_lines(CHECKED, UNICODE, 37, rows)
+    lines = text.plan_lines(CHECKED, UNICODE).lines(37, rows)
     assert len(lines) <= rows
     assert lines[-1].plain.split() == ["all", "7", "steps", "21", "2:42"]
     assert any("more steps" in line.plain for line in lines) == (rows < 8)  # six do something
 
 
 def test_what_to_see_to_names_the_nests() -> None:
-    said = "\n".join(line.plain for line in text.before_lines(CHECKED, 79, attended=True))
+    said = drawn(text.before_lines(CHECKED, attended=True))
     assert "Reflectors in F1 F2 F3, B1 B2, P1 to P8, clean; one on the tool." in said
     by_hand = msgspec.structs.replace(load_cell("paper").layout, reflectors="by_hand")
     cell = msgspec.structs.replace(load_cell("paper"), layout=by_hand)
-    found = text.before_lines(text.Checked(PLAN, "", cell, BEGAN), 79, attended=False)
-    said = "\n".join(line.plain for line in found)
+    said = drawn(text.before_lines(text.Checked(PLAN, "", cell, BEGAN), attended=False))
     assert "One reflector" in said
     assert "Unattended: nobody answers" in said
 
@@ -172,10 +172,10 @@ def test_the_end_is_a_time_of_day_where_time_is_real() -> None:
 
 def test_a_real_cell_has_no_simulation_on_its_page() -> None:
     real = text.Checked(PLAN | {"simulated": False, "rail": False}, "", None, BEGAN)
-    for line in (text.banner(real, UNICODE, 80), text.start_line(real, 80)):
-        assert "SIMULATION" not in line.plain
-    assert "start: robot will move" in text.start_line(real, 80).plain
-    assert "SIMULATION" in text.banner(CHECKED, UNICODE, 80).plain
+    for line in (text.banner(real, UNICODE), text.start_line(real)):
+        assert "SIMULATION" not in drawn(line)
+    assert "start: robot will move" in drawn(text.start_line(real))
+    assert "SIMULATION" in drawn(text.banner(CHECKED, UNICODE))
 
 
 def test_a_form_that_cannot_be_built_ends_its_test(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -194,15 +194,17 @@ def test_a_form_that_cannot_be_built_ends_its_test(monkeypatch: pytest.MonkeyPat
 
 def test_the_mark_of_a_simulation_is_never_cut() -> None:
     for width in range(40, 100):
-        assert text.start_line(CHECKED, width).plain.rstrip().endswith("▒ SIMULATION ▒")
+        assert drawn(text.start_line(CHECKED), width).endswith("▒ SIMULATION ▒")
 
 
 def test_a_cell_without_a_rail_parks_its_robot() -> None:
     fixed = text.Checked(PLAN | {"rail": False}, "", load_cell("fixed"), BEGAN)
-    lines = [line.plain for line in text.plan_lines(fixed, UNICODE, 37, 20)]
+    lines = drawn(text.plan_lines(fixed, UNICODE), 37).splitlines()
     assert lines[1].startswith(" 1 Park the robot")
     assert not any("rail" in line for line in lines)
-    assert text.plan_lines(CHECKED, UNICODE, 37, 20)[1].plain.startswith(" 1 Home the rail")
+    assert (
+        drawn(text.plan_lines(CHECKED, UNICODE), 37).splitlines()[1].startswith(" 1 Home the rail")
+    )
 
 
 def test_a_refused_plan_names_steps_and_points_in_words() -> None:

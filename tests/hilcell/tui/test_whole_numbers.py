@@ -49,5 +49,5 @@ def test_a_refusal_is_whole_where_there_is_room() -> None:
         "Paper's campaign refused before anything moves: this cell has no rail, "
         "its robot stands still"
     )
-    lines = check_lines(Checked(refused=reason), UNICODE, 40, 8)
+    lines = check_lines(Checked(refused=reason), UNICODE).lines(40, 8)
     assert reason in " ".join(" ".join(line.plain for line in lines).split())
