@@ -24,7 +24,7 @@ from hilcell.calibration.diagnosis import (
     suspicions_of,
 )
 from hilcell.calibration.frames import grid_of, vertex_ids
-from hilcell.calibration.reversal import REVERSAL, Reversal, reversal
+from hilcell.calibration.lost_motion import REVERSAL, Reversal, reversal
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log

@@ -31,7 +31,7 @@ from hilcell.calibration.influence import (
     moved_frame,
     no_less_than_nought,
 )
-from hilcell.calibration.reversal import Reversal, reversal
+from hilcell.calibration.lost_motion import Reversal, reversal
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Station
 from hilcell.geometry.frames import apply, inverse

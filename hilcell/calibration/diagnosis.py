@@ -33,7 +33,7 @@ from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.frame_covariance import hold_covariance, world_covariance
 from hilcell.calibration.influence import SIZE, NoBound, motion
 from hilcell.calibration.instrument import axis_off, scale
-from hilcell.calibration.reversal import reversal
+from hilcell.calibration.lost_motion import reversal
 from hilcell.calibration.scatter import scattered, worse_than_stated
 from hilcell.calibration.since import risen_nest, since_before
 from hilcell.calibration.visit_noise import of_differences, visit_noise

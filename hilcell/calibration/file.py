@@ -32,7 +32,7 @@ from hilcell.calibration.form import (
 )
 from hilcell.calibration.frames import Frames, measured_of
 from hilcell.calibration.influence import SIZE
-from hilcell.calibration.reversal import lost_motion
+from hilcell.calibration.lost_motion import lost_motion
 from hilcell.calibration.tip import AT_REFLECTOR, Tip
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, read_bytes, unreadable

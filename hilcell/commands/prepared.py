@@ -13,10 +13,10 @@ import numpy as np
 from hilcell.calibration.file import compensate_targets
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import NoBound
+from hilcell.calibration.lost_motion import straight_way
 from hilcell.calibration.part import REACH_MM, Part
 from hilcell.calibration.prepared import NEAR_SHARE, Drilling, station_program
 from hilcell.calibration.programs import StrokeError, StrokeLimits, check_strokes
-from hilcell.calibration.straight_way import straight_way
 from hilcell.calibration.tip import Tip
 from hilcell.cell.file import Cell
 from hilcell.commands.arguments import STROKE_MM

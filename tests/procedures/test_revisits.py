@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hilcell.calibration.diagnosis import CLOSING, REVISIT, overtaken, revisited, revisits
-from hilcell.calibration.reversal import REVERSAL
+from hilcell.calibration.lost_motion import REVERSAL
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log, Point
 from tests.whole.golden import GoldenRuns

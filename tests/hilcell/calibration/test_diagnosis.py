@@ -12,7 +12,7 @@ import pytest
 from hilcell.calibration.causes import ZEROS, Cause, patterns
 from hilcell.calibration.diagnosis import DETECTORS, findings, suspicions_of
 from hilcell.calibration.frame_covariance import world_motion
-from hilcell.calibration.reversal import REVERSAL
+from hilcell.calibration.lost_motion import REVERSAL
 from hilcell.geometry.frames import inverse
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.rotations import from_rotvec

@@ -9,7 +9,7 @@ import pytest
 from hilcell.calibration.budget import uncertainty_of
 from hilcell.calibration.causes import ZEROS
 from hilcell.calibration.diagnosis import suspicions_of
-from hilcell.calibration.reversal import REVERSAL, Reversal, reversal
+from hilcell.calibration.lost_motion import REVERSAL, Reversal, reversal
 from hilcell.geometry.frames import inverse
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.journal.journal import read_journal

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilcell.calibration.form import LostMotion
-from hilcell.calibration.straight_way import TAKE_UP_RAD, straight_way
+from hilcell.calibration.lost_motion import TAKE_UP_RAD, straight_way
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import pose_from_zyx
 from hilcell.geometry.kinematics import forward
