@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 from hilcell.clean import harmless_lines
 from hilcell.commands.encoding import in_ascii
 from hilcell.errors import HilcellError
-from hilcell.present.terminal import drawn
 from hilcell.writing import NotPrinted
 
 if TYPE_CHECKING:
@@ -108,5 +107,7 @@ def terminal_columns() -> int | None:
 def print_table(table: Table) -> None:
     """Print a table on stdout; one without rows is left out. Raises `NotPrinted`."""
     if table:
+        from hilcell.present.renderers import drawn  # `--help` does without it
+
         with stdout_checked():
             sys.stdout.write(drawn(table, terminal_columns()))

@@ -26,8 +26,8 @@ from hilcell.journal.folder_order import clock_notes
 from hilcell.journal.index import UNREADABLE, RunRow, read_index, row_of
 from hilcell.journal.runs import read_log
 from hilcell.journal.standing import Standing
+from hilcell.present.renderers import width_of
 from hilcell.present.table import Column, Table
-from hilcell.present.terminal import width_of
 from hilcell.run.procedure import Procedure
 
 

@@ -14,11 +14,11 @@ from hilcell.cell.file import Cell
 from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.journal.times import in_zone
 from hilcell.report import iso9283
+from hilcell.report.budgets import TargetBudget
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import certified, validity_facts
 from hilcell.report.iso9283 import tests_poses
 from hilcell.report.method import adjustment_words, method_words
-from hilcell.report.target_budget import TargetBudget
 
 PAGE_1, POSES, STATIONS, UNCERTAINTY = "certificate", "poses", "stations", "uncertainty"
 

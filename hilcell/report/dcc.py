@@ -20,6 +20,7 @@ from hilcell.clean import harmless
 from hilcell.journal.calibration_facts import VERDICTS
 from hilcell.journal.ways_sent import Sent
 from hilcell.report import tables
+from hilcell.report.budgets import TargetBudget, placed, target_budget
 from hilcell.report.certificate import (
     conditions_words,
     conformity_words,
@@ -40,9 +41,7 @@ from hilcell.report.first_page import (
     validity_facts,
 )
 from hilcell.report.method import adjustment_words
-from hilcell.report.tables import Posed, Validated
-from hilcell.report.target_budget import TargetBudget, placed, target_budget
-from hilcell.report.turns import oriented
+from hilcell.report.tables import Posed, Validated, oriented
 from hilcell.writing import NotWritten
 
 # The PTB's schema DCC 3.1.2 gives names and order (namespace ``dcc``), D-SI 2 the quantities

@@ -16,12 +16,12 @@ from hilcell.geometry.frames import apply, zyx_from_pose
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log, Point
 from hilcell.ports import Array
-from hilcell.present.files import csv_of, xlsx_of
+from hilcell.present.renderers import csv_of, xlsx_of
 from hilcell.present.table import Column, Table, Value
 from hilcell.report import tables
+from hilcell.report.budgets import target_budget
 from hilcell.report.facts import Facts
 from hilcell.report.tables import Posed
-from hilcell.report.target_budget import target_budget
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,13 +31,12 @@ from hilcell.journal.calibration_facts import (
 from hilcell.journal.ways_sent import Sent
 from hilcell.present.table import Column, Table, Value
 from hilcell.report import iso9283
+from hilcell.report.budgets import K_3D, TargetBudget
 from hilcell.report.facts import Facts
 from hilcell.report.iso9283 import tests_poses
-from hilcell.report.target_budget import TargetBudget
 from hilcell.report.verdicts import with_signs
 from hilcell.typed import typed
 
-K_3D = 2.80  # times u of one coordinate: 95 % of three equal normal ones (chi^2, 3 degrees)
 BLANK = "…" * 12  # to fill in by hand
 NO_CERTIFICATE, NOT_APPLICABLE = "none, simulated", "–"
 MOST_PLACES, LONG_NAME = 4, 20  # whose results stand on the page; one of long names

@@ -23,10 +23,10 @@ from hilcell.journal.curve_record import URAD, CurveRecord
 from hilcell.journal.point_id import CONTROL
 from hilcell.journal.times import span_words
 from hilcell.ports import Array
-from hilcell.present.page import environment
+from hilcell.present.renderers import environment
 from hilcell.present.table import Column, Table
-from hilcell.report import iso9283, tables, turns
-from hilcell.report.budget_table import budget_sheet
+from hilcell.report import iso9283, tables
+from hilcell.report.budgets import TargetBudget, bounds_sheet, budget_sheet, target_budget
 from hilcell.report.certificate import (
     certificate,
     conditions_words,
@@ -58,10 +58,8 @@ from hilcell.report.first_page import (
 )
 from hilcell.report.iso9283 import tests_poses
 from hilcell.report.method import models
-from hilcell.report.remeasured import remeasured
-from hilcell.report.target_budget import TargetBudget, bounds_sheet, target_budget
+from hilcell.report.tables import remeasured, worst
 from hilcell.report.verdicts import verdicts
-from hilcell.report.worst import worst
 
 MOST_STATIONS = 4  # one by one
 SAME_MM = 0.5
@@ -197,7 +195,7 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
     drawn = _drawings(facts, targets)
     accuracy, judged, worst_ones = tables.accuracy(facts), verdicts(facts), worst(facts, targets)
     stations = [
-        accuracy, turns.orientation(facts), tables.stations(facts), tables.touches(facts)
+        accuracy, tables.orientation(facts), tables.stations(facts), tables.touches(facts)
     ]  # fmt: skip
     frames = [tables.frames(facts), tables.circles(facts)]
     named = {
@@ -265,13 +263,13 @@ def _first_page(facts: Facts, budget: Budget | None, targets: TargetBudget) -> d
         "sentence": sentence(facts),
         "conformity": conformity_words(facts),
         "results": results_sheet(facts, targets),
-        "turn_results": iso9283.turn_results(facts) or turns.results_sheet(facts),
+        "turn_results": iso9283.turn_results(facts) or tables.worst_turn(facts),
         "strip": strip(nearest_results(facts, targets), facts.inputs.simulated),
         "uncertainty": uncertainty_words(facts, budget),
         "item": item_facts(facts, measured(facts)),
         "validity": validity_facts(facts),
         "instruments": instruments(facts),
-        "turns": turns.orientation_words(facts),
+        "turns": tables.orientation_words(facts),
         "conditions": conditions_words(facts),
         "method": procedure_words(facts),
         "departures": iso9283.departures(facts),

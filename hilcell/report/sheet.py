@@ -11,7 +11,7 @@ from operator import attrgetter
 
 from hilcell import __version__
 from hilcell.clean import harmless
-from hilcell.present.page import environment
+from hilcell.present.renderers import environment
 from hilcell.present.table import Column, Table
 
 

@@ -3,24 +3,39 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from operator import attrgetter, itemgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from hilcell.calibration.errors import OTHERS, Errors, places, reduction, validation
+from hilcell.calibration.decision import outcome_of
+from hilcell.calibration.errors import (
+    OTHERS,
+    Errors,
+    counting,
+    errors_of,
+    places,
+    reduction,
+    targets,
+    validation,
+)
+from hilcell.calibration.orientation import Turned, seats_of, turned_each_time, validated_turns
 from hilcell.cell.file import Station
 from hilcell.geometry.frames import zyx_from_pose
+from hilcell.geometry.sequential import Outcome
 from hilcell.geometry.statistics import Figures
 from hilcell.journal.asset import Asset
-from hilcell.journal.point_words import counted_words
-from hilcell.journal.ways_sent import Sent
+from hilcell.journal.log import Log, Point
+from hilcell.journal.point_words import counted_words, point_words
+from hilcell.journal.ways_sent import BOTH, Sent
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table, Value
+from hilcell.report.budgets import TargetBudget
 from hilcell.report.drawings.paper_figures import series_name
 from hilcell.report.facts import Facts
+from hilcell.report.first_page import judged_places
 
 Pair = tuple[str, str]
 
@@ -292,3 +307,339 @@ def own_table(facts: Facts) -> Table:
     found.title = facts.procedure.summary.capitalize()
     found.note = facts.procedure.words(facts.result) if facts.result else ""
     return found
+
+
+# -- the ten worst corrected targets, of re-measured ones both values ------------------------------
+
+
+MOST = 10
+NO_BREAK = "\N{NO-BREAK SPACE}"
+
+
+@dataclass(frozen=True, slots=True)
+class Worst:
+    """One target: its nominal place (3,), its error before and after (3,), all in {W}, mm.
+
+    ``again_mm`` is the largest error of its other measurements, None where it was measured once.
+    """
+
+    rank: int
+    name: str
+    nominal_mm: Array
+    before_mm: float | None
+    error_mm: Array
+    again_mm: float | None
+    bound_mm: float | None
+
+    @property
+    def norm_mm(self) -> float:
+        """Return the 3-D error."""
+        return float(np.linalg.norm(self.error_mm))
+
+    @property
+    def share(self) -> float | None:
+        """Return the error over its own 95 % bound."""
+        return None if self.bound_mm is None else self.norm_mm / self.bound_mm
+
+
+def _part(name: str, n: int) -> Callable[[Worst], Value]:
+    return lambda row: float(getattr(row, name)[n])
+
+
+WORST: tuple[Column[Worst], ...] = (
+    Column("rank", lambda row: str(row.rank)),
+    Column("target", attrgetter("name")),
+    *(Column(axis, _part("nominal_mm", n), "mm", ".0f") for n, axis in enumerate("xyz")),
+    Column("before", attrgetter("before_mm"), "mm", ".3f"),
+    *(Column(f"e{axis}", _part("error_mm", n), "mm", "+.3f") for n, axis in enumerate("xyz")),
+    Column("3-D", attrgetter("norm_mm"), "mm", ".3f"),
+    Column("again", attrgetter("again_mm"), "mm", ".3f"),
+    Column("95 % bound", attrgetter("bound_mm"), "mm", ".3f"),
+    Column("after ÷ bound", attrgetter("share"), form=".2f"),
+)
+
+
+def worst(facts: Facts, budget: TargetBudget) -> Table:
+    """Return the corrected targets with the largest errors."""
+    log = facts.log
+    if "world" not in log.frames:
+        return Table((), ())
+    found = [p for station in log.cell.station for p in targets(log, station.name, Sent.CHOSEN)]
+    norms_mm = errors_of(log, found).norms_mm
+    order = np.argsort(-norms_mm, kind="stable")[:MOST]
+    before = {
+        (p.station, p.id.number): p
+        for station in log.cell.station
+        for p in targets(log, station.name, Sent.BEFORE)
+    }
+    rows = [
+        _row(log, rank, found[n], before.get((found[n].station, found[n].id.number)), budget)
+        for rank, n in enumerate(order, start=1)
+    ]
+    note = (
+        "Places and errors in {W}. After ÷ bound above 1: beyond the own bound, which 5 % of "
+        "targets are expected to be. Where a target was measured again, the larger value counts."
+    )
+    if rows:
+        key = found[order[0]].key
+        note += f" Key of the first: {key}; hilcell export RUN --csv lists every key."
+    title = "The ten worst targets" if len(rows) == MOST else "The worst targets"
+    return Table(WORST, rows, title, note)
+
+
+def _row(log: Log, rank: int, point: Point, before: Point | None, budget: TargetBudget) -> Worst:
+    others = [p for p in (*log.repeated.get(point.key, ()), log.points[point.key])
+              if p.xyz_mm != point.xyz_mm]  # fmt: skip
+    found = errors_of(log, [point])
+    return Worst(
+        rank,
+        f"{(point.id.number or 0) + 1} at {point.station}".replace(" ", NO_BREAK),
+        found.nominal_mm[0],
+        float(errors_of(log, [before]).norms_mm[0]) if before is not None else None,
+        found.error_mm[0],
+        float(errors_of(log, others).norms_mm.max()) if others else None,
+        budget.points_mm.get(point.key),
+    )
+
+
+# -- points measured more than once: both values, why, and which counts ----------------------------
+
+# Of a target the larger error counts, of position (`hilcell.calibration.errors.counting`) and of
+# orientation (`hilcell.calibration.orientation.largest_turned`) alike: to re-measure only large
+# errors would make the figures smaller than the robot is. Of every other point the later does.
+
+REASONS = {
+    "retake asked": "the operator asked for it",
+    "outlier measured again": "its error stood out from the others",
+    "visited once more": "visited once more",
+}
+INVALIDATED = "measured before the tracker was found moved"
+
+
+@dataclass(frozen=True, eq=False)
+class Repeat:
+    """Two measurements of one point, one after the other, and why there are two.
+
+    Errors |e| in mm are None where the point has no nominal place, the tool's turns in deg where
+    its orientation was not measured.
+    """
+
+    first: Point
+    again: Point
+    why: str
+    first_mm: float | None
+    again_mm: float | None
+    counts: str
+    first_deg: float | None = None
+    again_deg: float | None = None
+
+    @property
+    def apart_mm(self) -> float:
+        """Return how far the two were from each other."""
+        return float(np.linalg.norm(np.subtract(self.again.xyz_mm, self.first.xyz_mm)))
+
+
+REPEATS: tuple[Column[Repeat], ...] = (
+    Column("point", lambda row: point_words(row.again.id, row.again.station)),
+    Column("why", attrgetter("why")),
+    Column("counts", attrgetter("counts")),
+    Column("error first", attrgetter("first_mm"), "mm", ".4f"),
+    Column("error again", attrgetter("again_mm"), "mm", ".4f"),
+    Column("apart", attrgetter("apart_mm"), "mm", ".4f"),
+)
+TURNS: tuple[Column[Repeat], ...] = (
+    Column("turned first", attrgetter("first_deg"), "°", ".4f"),
+    Column("turned again", attrgetter("again_deg"), "°", ".4f"),
+)
+KEYS = Column[Repeat]("key", attrgetter("again.key"), small=True)
+
+
+def remeasured(facts: Facts) -> Table:
+    """Return the points that were measured more than once, with both values."""
+    found = repeats(facts)
+    turned = any(each.again_deg is not None for each in found)
+    what = "error of position and that of orientation count" if turned else "error counts"
+    note = f"Every value stays in the journal. Of a target the larger {what}, whatever the reason; "
+    note += "of other points the later value."
+    note += " Once more: hilcell resume RUN --retake KEY; hilcell export RUN --csv lists every key."
+    columns = (*REPEATS, *TURNS, KEYS) if turned else (*REPEATS, KEYS)
+    return Table(columns, found, "Points measured more than once", note)
+
+
+def repeats(facts: Facts) -> list[Repeat]:
+    """Return each pair of successive measurements of one point, in the order of the later ones."""
+    pairs = list(_pairs(facts))
+    counted = {key: _counted(facts.log, key) for key in {again.key for _, again, _ in pairs}}
+    seats, times = seats_of(facts.log), Counter[str]()
+    found = []
+    for first, again, why in pairs:
+        turns = _turns_deg(facts.log, again.key, seats)[times[again.key] :][:2]
+        times[again.key] += 1
+        found.append(
+            Repeat(
+                first,
+                again,
+                why,
+                _error_mm(facts.log, first),
+                _error_mm(facts.log, again),
+                _which(counted[again.key], first, again),
+                *(turns if len(turns) == 2 else ()),
+            )
+        )
+    return found
+
+
+def _turns_deg(log: Log, key: str, seats: Array | None) -> list[float]:
+    """Return by how much a target's tool was turned, each time that it was measured."""
+    point = log.points.get(key)
+    if seats is None or point is None or point.id.kind != "validate":
+        return []
+    tool = log.find(point.id.at_seat(1))
+    return turned_each_time(log, tool, seats).angles_deg.tolist() if tool else []
+
+
+def _counted(log: Log, key: str) -> Point | None:
+    """Return the measurement of a point that counts, nothing where none does any more."""
+    point = log.points.get(key)
+    target = point is not None and point.id.kind == "validate" and point.nominal_mm is not None
+    return counting(log, point) if point is not None and target and "world" in log.frames else point
+
+
+def _which(counted: Point | None, first: Point, again: Point) -> str:
+    places_mm = {"again": again.xyz_mm, "first": first.xyz_mm}
+    found = (name for name, at_mm in places_mm.items() if counted and at_mm == counted.xyz_mm)
+    return next(found, "neither")
+
+
+def _pairs(facts: Facts) -> Iterator[tuple[Point, Point, str]]:
+    before: dict[str, Point] = {}
+    reasons: dict[str, str] = {}
+    for record in facts.records:
+        if record.kind == "event":
+            if record.body["what"] in REASONS and "key" in record.body:
+                reasons[record.body["key"]] = REASONS[record.body["what"]]
+            for key in record.body.get("invalid", ()):
+                reasons[key] = INVALIDATED
+        elif record.kind == "point":
+            point = facts.log.read(record)
+            if point.key in before:
+                why = reasons.pop(point.key, "the run was resumed")
+                yield before[point.key], point, why
+            before[point.key] = point
+
+
+def _error_mm(log: Log, point: Point) -> float | None:
+    if point.nominal_mm is None or "world" not in log.frames:
+        return None
+    return float(errors_of(log, [point]).norms_mm[0])
+
+
+# -- by how much the tool was turned from its nominal orientation, before and after ----------------
+
+
+# A place, the way of sending, how many targets, their figures.
+Oriented = tuple[str, str, int, Mapping[str, float]]
+
+
+def _angle(figure: str) -> Callable[[Oriented], Value]:
+    return lambda row: row[3][f"{figure}_deg"]
+
+
+ORIENTATION: tuple[Column[Oriented], ...] = (
+    Column("station", itemgetter(0)),
+    Column("error", itemgetter(1)),
+    Column("targets", itemgetter(2), form="d"),
+    *(Column(name, _angle(name), "°", ".4f") for name in Figures._fields),
+)
+
+
+class TurnResult(NamedTuple):
+    """The largest error of orientation that was judged, deg; None where it is not known."""
+
+    name: str
+    limit_deg: float
+    before_deg: float | None
+    after_deg: float
+    U_deg: float
+
+    @property
+    def outcome(self) -> Outcome:
+        """Return whether it keeps the limit, by the decision rule."""
+        return outcome_of(self.after_deg, self.limit_deg, self.U_deg)
+
+
+TURN_RESULTS: tuple[Column[TurnResult], ...] = (
+    Column("orientation of the tool", attrgetter("name")),
+    Column("limit", attrgetter("limit_deg"), "°", ".3f"),
+    Column("before", attrgetter("before_deg"), "°", ".4f"),
+    Column("after", attrgetter("after_deg"), "°", ".4f"),
+    Column("U", attrgetter("U_deg"), "°", ".4f"),
+    Column("after may be at most", lambda row: row.limit_deg - row.U_deg, "°", ".4f"),
+)
+
+
+def worst_turn(facts: Facts) -> Table:
+    """Return the orientation nearest to its limit, where one is stated, for the first page."""
+    verdict = Column[TurnResult](
+        "verdict", lambda row: facts.outcome_words(row.outcome), form="s"
+    )  # fmt: skip
+    return Table(
+        (*TURN_RESULTS, verdict), _turn_results(facts), "Results, orientation at the worst station"
+    )
+
+
+def _turn_results(facts: Facts) -> list[TurnResult]:
+    turns = {name: each.turn for name, each in judged_places(facts).items()}
+    known = {name: turn for name, turn in turns.items() if turn is not None}
+    limit_deg = facts.cell.validation.max_tolerance_deg
+    if not known or limit_deg is None:
+        return []
+    place = max(known, key=lambda name: np.nan_to_num(known[name].max_deg, nan=np.inf))
+    before = validated_turns(facts.log, [place]).get(Sent.BEFORE)
+    before_deg = None if before is None else before.figures["max_deg"]
+    return [TurnResult(f"Largest at {place}", limit_deg, before_deg, *known[place])]
+
+
+def oriented(facts: Facts) -> Iterator[tuple[str, Sent, Turned]]:
+    """Yield place, way of sending and errors of each series of targets that had an orientation."""
+    for place, stations in places(facts.cell).items():
+        name = "others together" if place == OTHERS else place
+        for how, turned in validated_turns(facts.log, stations).items():
+            yield name, how, turned
+
+
+def orientation(facts: Facts) -> Table:
+    """Return by how much the tool was turned from its nominal orientation, before and after."""
+    rows, last, noise_deg = list[Oriented](), "", 0.0
+    for name, how, turned in oriented(facts):
+        noise_deg = max(noise_deg, turned.noise_deg)
+        shown = "" if name == last else name
+        rows.append((shown, series_name(how, facts), len(turned), turned.figures))
+        last = name
+    note = (
+        "The tool's pose is the rigid fit of its reflectors, where they were found on the flange; "
+    )
+    note += "about axis 6 it counts from the controller's zero. Error: the angle of one rotation; "
+    note += "of a target measured again the larger one counts. The angles are measured: they have "
+    note += f"the readings' noise in, up to {noise_deg:.4f}° (root mean square). The 95 % bound of "
+    note += "a target in use is of the true angle, without that noise."
+    becomes = facts.log.verdicts.get("fit", {}).get("orientation")
+    return Table(ORIENTATION, rows, "Orientation", f"{note} Orientation {becomes}.")
+
+
+def orientation_words(facts: Facts) -> str:
+    """Return the figures at the grid's station in a sentence; "" where none were measured."""
+    here = facts.cell.grid.station
+    turns = validated_turns(facts.log, [here])
+    if not set(BOTH) <= turns.keys():
+        return ""
+    before, after = (turns[how].figures for how in BOTH)
+    means, most = (
+        f"{before[name]:.4f}° before and {after[name]:.4f}° after"
+        for name in ("mean_deg", "max_deg")
+    )
+    count = len(turns[Sent.CHOSEN])
+    return (
+        f"The tool was turned from its nominal orientation by {means} in the mean, at most {most} "
+        f"({count} targets at {here})."
+    )

@@ -8,7 +8,7 @@ from itertools import groupby
 from typing import NamedTuple
 
 from hilcell import __version__
-from hilcell.present.page import environment
+from hilcell.present.renderers import environment
 from hilcell.report.drawings.drawing import (
     AFTER,
     ENDS,

@@ -15,11 +15,11 @@ from scipy.spatial.transform import Rotation
 from hilcell.cell.file import load_cell
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import HilcellError
+from hilcell.report.budgets import TargetBudget
 from hilcell.report.certificate import conformity_words
 from hilcell.report.facts import read_facts
 from hilcell.report.first_page import results_sheet, verdict_word
 from hilcell.report.html import standing
-from hilcell.report.target_budget import TargetBudget
 from procedures.iso9283 import PoseCycle
 from tests.hilcell.report.test_every_procedure import assert_references_resolve
 from tests.whole.bench import SMALL, Simulation, command, cut, end_of, events, sets, simulation

@@ -10,6 +10,7 @@ from hilcell.calibration.decision import limits_of
 from hilcell.calibration.errors import validation
 from hilcell.journal.ways_sent import BOTH, Sent
 from hilcell.ports import Array
+from hilcell.report.budgets import TargetBudget
 from hilcell.report.drawings.drawing import (
     AFTER,
     BAND,
@@ -31,7 +32,6 @@ from hilcell.report.drawings.drawing import (
     wide_mm,
 )
 from hilcell.report.facts import Facts
-from hilcell.report.target_budget import TargetBudget
 
 WIDTH_MM, HEIGHT_MM, LEFT_MM, RIGHT_MM, TOP_MM, BOTTOM_MM = 88.0, 54.0, 10.0, 22.0, 6.0, 10.0
 DASHES = ("", "1.6 0.9", "0.4 0.8")  # of the stations

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from hilcell.report.budget_table import Row, target_rows
+from hilcell.report.budgets import Row, TargetBudget, target_rows
 from hilcell.report.drawings.drawing import HAIR, INK, MUTED, apart, path, rectangle, svg, text
-from hilcell.report.target_budget import TargetBudget
 
 SHADES = ("#0b4a7d", "#3f76a6", "#7fa6c9", "#b4cbe0", "#d9e4ee", "#eef3f8")
 WHITE_ON = 2  # so many shades are dark

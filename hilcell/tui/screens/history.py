@@ -9,8 +9,7 @@ from textual.app import ComposeResult
 from textual.content import Content
 
 from hilcell.errors import HilcellError
-from hilcell.report.comparison import CHANGES
-from hilcell.report.drift import Change
+from hilcell.report.comparison import CHANGES, Change
 from hilcell.tui.engine import process
 from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.keys import shown

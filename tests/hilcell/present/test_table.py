@@ -4,9 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.present.files import csv_of
+from hilcell.present.renderers import csv_of, drawn
 from hilcell.present.table import Column, Named, Table
-from hilcell.present.terminal import drawn
 from hilcell.report import tables
 from hilcell.report.html import report_html
 from hilcell.tui.text.sheets import sheet_lines

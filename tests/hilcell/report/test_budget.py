@@ -12,16 +12,16 @@ from hilcell.calibration.influence import ASSUMED, MEASURED, Bounds, Part
 from hilcell.calibration.measurement_budget import Budget, budget_of
 from hilcell.cell.file import load_cell
 from hilcell.journal.point_id import PointId
-from hilcell.report.budget_table import (
+from hilcell.report.budgets import (
     ERROR_SUM,
     ROWS,
     TARGET_SUM,
     budget_sheet,
     error_rows,
+    target_budget,
     target_rows,
 )
 from hilcell.report.facts import read_facts
-from hilcell.report.target_budget import target_budget
 from tests.hilcell.report.journals import BEFORE_MM, Writer
 from tests.whole.golden import GoldenRuns
 

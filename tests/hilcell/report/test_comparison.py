@@ -17,8 +17,7 @@ from hilcell.geometry.statistics import Figures
 from hilcell.journal.journal import Journal, Record, StorageError, read_journal
 from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.runs import JOURNAL
-from hilcell.report.comparison import Comparison, Setting, compare_runs
-from hilcell.report.drift import Change, length_factor
+from hilcell.report.comparison import Change, Comparison, Setting, compare_runs, length_factor
 from hilcell.run.control import Control
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.run.test_control import Recorder

@@ -14,10 +14,10 @@ from hilcell.calibration.bounds import Coverage
 from hilcell.calibration.decision import guard_of
 from hilcell.journal.calibration_facts import REVOKED, VERDICTS
 from hilcell.report import dcc
+from hilcell.report.budgets import TargetBudget
 from hilcell.report.dcc import CELSIUS, DEGREE, FORMS, HECTOPASCAL, MM, PERCENT, dcc_bytes, real
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import results_at
-from hilcell.report.target_budget import TargetBudget
 from hilcell.writing import NotWritten
 from tests.hilcell.report.dcc_structure import DCC, SI, faults
 from tests.hilcell.report.journals import DEVICES, plan_record, validated_run

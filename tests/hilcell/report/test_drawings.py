@@ -10,6 +10,7 @@ from msgspec import structs
 
 from hilcell.cell.file import load_cell
 from hilcell.journal.point_id import PointId
+from hilcell.report.budgets import TargetBudget, target_budget
 from hilcell.report.drawings.drawing import (
     MUTED,
     Scale,
@@ -22,8 +23,7 @@ from hilcell.report.drawings.variance import variance_bar
 from hilcell.report.drawings.vectors import vectors
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.first_page import Result
-from hilcell.report.target_budget import TargetBudget, target_budget
-from hilcell.report.worst import worst
+from hilcell.report.tables import worst
 from tests.hilcell.report.drawn import assert_apart
 from tests.hilcell.report.journals import Writer, validated_run
 from tests.whole.golden import GoldenRuns

@@ -17,6 +17,7 @@ from hilcell.cell.file import load_cell
 from hilcell.journal.calibration_facts import REVOKED
 from hilcell.journal.index import row_of
 from hilcell.journal.standing import Standing
+from hilcell.report.budgets import TargetBudget
 from hilcell.report.certificate import certificate, title
 from hilcell.report.course import course
 from hilcell.report.drawings.plan_view import plan_view
@@ -28,7 +29,6 @@ from hilcell.report.first_page import (
     verdict_word,
 )
 from hilcell.report.html import measured, report_html, sentence, standing
-from hilcell.report.target_budget import TargetBudget
 from hilcell.report.verdicts import figures_words
 from tests.hilcell.commands.finished_runs import MADE, REDO, finished
 from tests.hilcell.report.journals import validated_run

@@ -15,8 +15,7 @@ from hilcell.journal.point_id import PointId
 from hilcell.journal.ways_sent import Sent
 from hilcell.report.course import course
 from hilcell.report.facts import Facts, read_facts
-from hilcell.report.remeasured import remeasured
-from hilcell.report.tables import accuracy
+from hilcell.report.tables import accuracy, remeasured
 from tests.hilcell.report.journals import AFTER_MM, Writer, validated_run
 
 TARGET = PointId("validate", station="S1100", how="chosen", number=2)  # off by 0.3 mm at first
@@ -129,7 +128,7 @@ SEATS_MM = np.array([[98.0, 0.0, 127.0], [-40.0, 110.0, 127.0], [-40.0, -110.0, 
 def test_of_an_orientation_the_larger_value_counts_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in ("hilcell.calibration.orientation", "hilcell.report.remeasured"):
+    for module in ("hilcell.calibration.orientation", "hilcell.report.tables"):
         monkeypatch.setattr(f"{module}.seats_of", lambda log: SEATS_MM)  # as a base frame finds it
     writer = Writer(tmp_path / "r").began()
     for turn_rad in (1e-3, 2e-4):

@@ -1,7 +1,4 @@
-"""Tables for other programs: CSV, and a workbook for spreadsheets, units in the headers.
-
-Spreadsheets run text that begins like a formula, so such text is quoted.
-"""
+"""A table rendered: drawn for a terminal, as HTML by a macro, as CSV, as a workbook."""
 
 from __future__ import annotations
 
@@ -10,14 +7,93 @@ import io
 import re
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from functools import cache
 from typing import TYPE_CHECKING
 
-from hilcell.clean import harmless
+from hilcell.clean import harmless, harmless_lines
 from hilcell.present.table import Named, Table, Value
 
 if TYPE_CHECKING:
+    from jinja2 import Environment
+    from rich.table import Table as Drawn
     from xlsxwriter.format import Format
     from xlsxwriter.worksheet import Worksheet
+
+
+WIDEST = 500  # columns of a table
+
+
+def drawn(table: Table, room: int | None) -> str:
+    """Return the table in lines, harmless; ``room`` are the terminal's columns, None for a file.
+
+    In a narrow terminal long words are folded: those of the first column stay whole, to be copied.
+    """
+    from rich.console import Console
+
+    width = width_of(table)
+    folded = room is not None and room < width
+    text = io.StringIO()
+    console = Console(file=text, markup=False, highlight=False, width=WIDEST)
+    console.width = room if room is not None and folded else width
+    console.print(_built(table, folded=folded))
+    return text.getvalue()
+
+
+def width_of(table: Table) -> int:
+    """Return how many columns of a terminal a table takes, unfolded."""
+    from rich.console import Console
+    from rich.measure import Measurement
+
+    console = Console(file=io.StringIO(), markup=False, highlight=False, width=WIDEST)
+    return Measurement.get(console, console.options, _built(table, folded=False)).maximum
+
+
+def _built(table: Table, *, folded: bool) -> Drawn:
+    from rich.table import Table as Drawn
+
+    made = Drawn()
+    for n, column in enumerate(table.columns):
+        made.add_column(
+            harmless(column.plain_header),
+            justify="right" if n else "left",
+            no_wrap=not (n and folded),
+            overflow="fold",
+        )
+    for row in table.texts(minus="-"):
+        made.add_row(*map(harmless_lines, row))
+    return made
+
+
+# -- pages of HTML from templates: a table's macro is ``table.html.j2``, of every room -------------
+
+
+@cache  # to compile the templates takes longer than to fill them in
+def environment(*packages: str) -> Environment:
+    """Return jinja2's environment: every value is escaped and in one line, none may be missing.
+
+    Templates are those of the packages, the first first, and of this room.
+    """
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+
+    def finalize(value: object) -> object:
+        return harmless("; ".join(value.splitlines())) if type(value) is str else value
+
+    made = Environment(
+        loader=ChoiceLoader([PackageLoader(each, ".") for each in (*packages, __package__)]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=finalize,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    made.filters["trusted"] = Markup  # for hilcell's own SVG only
+    return made
+
+
+# -- tables for other programs: CSV, and a workbook for spreadsheets, units in the headers ---------
+
+# Spreadsheets run text that begins like a formula, so such text is quoted.
 
 
 def csv_of(table: Table) -> bytes:
