@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,8 @@ from hilcell.calibration.in_use import calibration_named
 from hilcell.calibration.target_pass import (
     KIND,
     LISTED,
+    TargetError,
+    TargetsResult,
     gross_targets,
     judged_pass,
     listed,
@@ -32,6 +33,7 @@ from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
 from hilcell.run.procedure import Procedure, Step
+from hilcell.typed import typed
 from procedures.durations import closing, first_hold, flange_points, step
 from procedures.home import Home
 from procedures.recheck import use
@@ -92,7 +94,8 @@ class TargetPass:
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return errors as found, and how far they are folded in."""
-        return targets_result(log)
+        found = targets_result(log)
+        return {KIND: msgspec.to_builtins(found) | {"text": found.text}}
 
 
 def table_of(cell: Cell) -> Path:
@@ -131,16 +134,21 @@ def commands_rad(cell: Cell, calibration: Calibration, names: list[str], values:
         raise HilcellError(f"target: {error}", code="HC-C10") from error
 
 
+COLUMNS: tuple[Column[TargetError], ...] = (
+    Column("target", lambda row: row.name),
+    Column("error", lambda row: row.error_mm, "mm", ".4f"),
+)
+
+
 def targets_table(result: dict[str, Any]) -> Table:
     """Return the worst targets' errors as found."""
-    found = sorted(result["targets"]["targets"], key=lambda each: -each["error_mm"])
-    error = Column("error", itemgetter("error_mm"), "mm", ".4f")
-    return Table([Column("target", itemgetter("name")), error], found[:ROWS])
+    found = typed(result[KIND], TargetsResult).targets
+    return Table(COLUMNS, sorted(found, key=lambda each: -each.error_mm)[:ROWS])
 
 
 def targets_words(result: dict[str, Any]) -> str:
     """Return the result in words."""
-    return str(result["targets"]["text"])
+    return typed(result[KIND], TargetsResult).text
 
 
 TARGETS = Procedure(

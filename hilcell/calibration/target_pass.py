@@ -8,7 +8,6 @@ folded in where the base, the slide or the mount has moved.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -68,34 +67,91 @@ def folded(log: Log, run: str) -> Calibration:
     return msgspec.structs.replace(calibration, targets=Targets(remainder.variance_mm2, passes))
 
 
-def targets_result(log: Log) -> dict[str, Any]:
-    """Return errors as found, by target, and how far they are folded in."""
+class TargetError(msgspec.Struct, frozen=True):
+    """The error of a target as found."""
+
+    name: str
+    error_mm: float
+
+
+class TargetsResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Errors as found, and how far they are folded in, with their names in JSON.
+
+    A motion that all targets share is stated where the calibration does not predict it.
+    """
+
+    calibration: str
+    station: str
+    points: int
+    as_found: dict[str, float]
+    in_tolerance: bool
+    as_predicted: bool
+    shift_mm: float | None = None
+    u_mm: float | None = None
+    share: float
+    bound_before_mm: float
+    bound_after_mm: float
+    left_out: list[str]
+    targets: list[TargetError]
+
+    @property
+    def text(self) -> str:
+        """Return the result as a technician reads it."""
+        begin = (
+            f"With calibration {self.calibration}, {self.points} targets at {self.station} are "
+            f"{self.as_found['mean']:.3f} mm off in the mean and {self.as_found['max']:.3f} mm at "
+            "most. "
+        )
+        if not self.in_tolerance:
+            return (
+                f"{begin}That is out of tolerance: nothing is folded in; `hilcell run recheck` "
+                "first."
+            )
+        if self.shift_mm is not None and self.u_mm is not None:
+            return (
+                f"{begin}They share a motion of {self.shift_mm:.3f} mm ± {2.0 * self.u_mm:.3f} mm "
+                "(k = 2) that the calibration does not predict: base, slide or the reflector's "
+                "mount has moved. Nothing is folded in; `hilcell run recheck` first."
+            )
+        left_out = f" Left out, they contradict all others: {', '.join(self.left_out[:5])}."
+        return (
+            f"{begin}{100 * self.share:.0f} % of what the model left of each is folded into this "
+            "run's calibration, the rest is this visit's noise: compensate the programs with it. "
+            f"Mean 95 % bound {self.bound_after_mm:.3f} mm, before {self.bound_before_mm:.3f} mm."
+            f"{left_out if self.left_out else ''}"
+        )
+
+
+def targets_result(log: Log) -> TargetsResult:
+    """Return the result of a run that has measured its targets."""
     calibration, points = used(log), target_points(log)
     station, (_, values) = points[0].station, listed(log) or ([], np.zeros((0, 6)))
-    after, errors_mm = folded(log, ""), _errors_mm(log)
-    gross, poses = gross_targets(log), _pass(log)[1]
-    bounds = [
+    after, sizes_mm = folded(log, ""), lengths_mm(_errors_mm(log))
+    before_mm, after_mm = (
         float(target_bounds(each, station, poses_from_zyx(values)).radii_mm.mean())
         for each in (calibration, after)
-    ]
-    left = after.targets.remainder().at(poses)[1] if after.targets is not None else np.ones(1)
-    result = {
-        "calibration": calibration.provenance.latest,
-        "station": station,
-        "points": len(points),
-        "as_found": figures_of(lengths_mm(errors_mm))._asdict(),
-        "in_tolerance": judged_pass(log).holds,
-        **_motion(log),
-        "share": 1.0 - float(left.mean()),
-        "bound_before_mm": bounds[0],
-        "bound_after_mm": bounds[1],
-        "left_out": gross,
-        "targets": [
-            {"name": point.id.target, "error_mm": float(size)}
-            for point, size in zip(points, lengths_mm(errors_mm), strict=True)
+    )
+    left, moved = np.ones(1), moved_together(log)
+    if after.targets is not None:
+        left = after.targets.remainder().at(_pass(log)[1])[1]
+    return TargetsResult(
+        calibration=calibration.provenance.latest,
+        station=station,
+        points=len(points),
+        as_found=figures_of(sizes_mm)._asdict(),
+        in_tolerance=judged_pass(log).holds,
+        as_predicted=moved is None,
+        shift_mm=None if moved is None else moved.shift_mm,
+        u_mm=None if moved is None else moved.u_mm,
+        share=1.0 - float(left.mean()),
+        bound_before_mm=before_mm,
+        bound_after_mm=after_mm,
+        left_out=gross_targets(log),
+        targets=[
+            TargetError(point.id.target, float(size_mm))
+            for point, size_mm in zip(points, sizes_mm, strict=True)
         ],
-    }  # fmt: skip
-    return {"targets": result | {"text": _words(result)}}
+    )
 
 
 def judged_pass(log: Log) -> Judged:
@@ -116,13 +172,6 @@ def moved_together(log: Log) -> Judgement | None:
     own_mm2 = found.own_mm2 * max(1.0, len(points) / APART)
     judgement = judged(replace(found, own_mm2=own_mm2))
     return None if judgement.moved.holds else judgement
-
-
-def _motion(log: Log) -> dict[str, Any]:
-    found = moved_together(log)
-    if found is None:
-        return {"as_predicted": True}
-    return {"as_predicted": False, "shift_mm": found.shift_mm, "u_mm": found.u_mm}
 
 
 def _errors_mm(log: Log) -> Array:
@@ -157,31 +206,3 @@ def _stated_mm2(calibration: Calibration, poses: Array) -> float:
     at[:, :3, 3] = calibration.grid().clamped(poses[:, :3, 3])
     covariance_mm2 = calibration.learnt_model().predict(at).covariance_mm2
     return float(np.trace(covariance_mm2, axis1=1, axis2=2).mean()) / 3
-
-
-def _words(result: dict[str, Any]) -> str:
-    """Return the result as a technician reads it."""
-    mean_mm, max_mm = result["as_found"]["mean"], result["as_found"]["max"]
-    begin = (
-        f"With calibration {result['calibration']}, {result['points']} targets at "
-        f"{result['station']} are {mean_mm:.3f} mm off in the mean and {max_mm:.3f} mm at most. "
-    )
-    if not result["in_tolerance"]:
-        return (
-            f"{begin}That is out of tolerance: nothing is folded in; `hilcell run recheck` first."
-        )
-    if not result["as_predicted"]:
-        return (
-            f"{begin}They share a motion of {result['shift_mm']:.3f} mm ± "
-            f"{2.0 * result['u_mm']:.3f} mm (k = 2) that the calibration does not predict: base, "
-            "slide or the reflector's mount has moved. Nothing is folded in; `hilcell run recheck` "
-            "first."
-        )
-    words = (
-        f"{begin}{100 * result['share']:.0f} % of what the model left of each is folded into this "
-        "run's calibration, the rest is this visit's noise: compensate the programs with it. Mean "
-        f"95 % bound {result['bound_after_mm']:.3f} mm, before {result['bound_before_mm']:.3f} mm."
-    )
-    if result["left_out"]:
-        words += f" Left out, they contradict all others: {', '.join(result['left_out'][:5])}."
-    return words
