@@ -51,7 +51,7 @@ class Fit:
         measured = measured_of(log)
         choice = chosen(measured, turned=log.cell.plan.turns)
         fit = {
-            "loocv": choice.figures,
+            "loocv": {name: each._asdict() for name, each in choice.figures.items()},
             "reason": choice.reason,
             "refused": choice.refused,
             "curves": msgspec.to_builtins(curves_used(measured)),

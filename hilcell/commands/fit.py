@@ -15,6 +15,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.commands.bounds import summary, write_bounds
 from hilcell.commands.output import print_data, print_json, print_message, print_table
 from hilcell.commands.output_place import CSV, check_output
+from hilcell.compensation.choice import NOMINAL
 from hilcell.compensation.programs import (
     Program,
     load_program,
@@ -24,7 +25,7 @@ from hilcell.compensation.programs import (
 )
 from hilcell.compensation.stamp import Stamp
 from hilcell.fit.fitted_arm import FittedArm
-from hilcell.fit.methods import UNDETERMINED_MM, FitResult, Fitted, fitted, methods_table
+from hilcell.fit.methods import UNDETERMINED_MM, FitResult, Fitted, fitted, in_mm, methods_table
 from hilcell.fit.placement import FitError
 from hilcell.fit.robot_file import Measurements, Robot, read_measurements, read_robot
 from hilcell.fit.robot_targets import (
@@ -82,8 +83,7 @@ def _write_arm(
     args: argparse.Namespace, robot: Robot, fit: Fitted, inputs: list[Path]
 ) -> dict[str, float]:
     """Write the identified arm as URDF and DH table; return the figures of what it leaves."""
-    from hilcell.fit.arm_files import alone, write_dh, write_urdf
-    from hilcell.fit.rigid_arm import rigid_arm
+    from hilcell.fit.rigid_arm import alone, rigid_arm, write_dh, write_urdf
 
     if args.urdf_out:
         check_output(Path(args.urdf_out), (URDF, ".xml"), "a URDF", inputs=inputs)
@@ -98,7 +98,7 @@ def _write_arm(
         write_dh(Path(args.dh_out), robot, found, inputs=inputs)
     written = " and ".join(filter(None, (args.urdf_out, args.dh_out)))
     print_message("\n".join([f"the identified arm is in {written}", *alone(found.figures)]))
-    return {f"{name}_mm": value for name, value in found.figures._asdict().items()}
+    return in_mm(found.figures)
 
 
 def _print(result: FitResult) -> None:
@@ -159,7 +159,6 @@ def _robot(path: Path, tip: str) -> Robot:
 
 # -- targets that ``fit`` corrects: a list of poses or joints, or a robot program ------------------
 
-NOMINAL = "nominal"
 ROOT = "the robot's root frame"  # that poses of `fit` are in
 MARGIN_RAD = np.radians(5.0)  # beyond the measured joints that still counts as within
 

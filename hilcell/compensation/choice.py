@@ -18,7 +18,7 @@ from hilcell.compensation.kinematic import Kinematic
 from hilcell.compensation.measured import Measured
 from hilcell.compensation.model import LearntModel, Prediction
 from hilcell.geometry.kinematics import Array
-from hilcell.geometry.statistics import figures_of, lengths_mm
+from hilcell.geometry.statistics import Figures, figures_of, lengths_mm
 from hilcell.identification.readings import IdentificationError
 
 
@@ -60,13 +60,13 @@ MODELS: dict[str, type[LearntModel]] = {
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The model chosen and why; by model mean, p95 and max (mm) of the misses at poses left out,
+    """The model chosen and why; by model the figures of the misses at poses left out,
     and why others could not be learnt or chosen.
     """
 
     model: str
     reason: str
-    figures: dict[str, dict[str, float]]
+    figures: dict[str, Figures]
     refused: dict[str, str]
 
 
@@ -78,7 +78,7 @@ def chosen(measured: Measured, *, turned: bool = False) -> Choice:
     figures, refused = {}, {}
     for name, model in MODELS.items():
         try:
-            figures[name] = figures_of(lengths_mm(model.left_out_mm(measured)))._asdict()
+            figures[name] = figures_of(lengths_mm(model.left_out_mm(measured)))
         except IdentificationError as error:
             refused[name] = str(error)
         if turned and not model.turns:
@@ -87,32 +87,39 @@ def chosen(measured: Measured, *, turned: bool = False) -> Choice:
     return Choice(name, _reason(name, figures), figures, refused)
 
 
-def choose(
-    figures: Mapping[str, Mapping[str, float]], weights: Mapping[str, float] = WEIGHTS
-) -> str:
+def choose(figures: Mapping[str, Figures], weights: Mapping[str, float] = WEIGHTS) -> str:
     """Return the model whose figures are least by ``weights``, those of mean and largest miss; one
     that does not beat nominal is not.
     """
-    best = {kind: min(each[kind] for each in figures.values()) for kind in weights}
+    nominal = figures.get(NOMINAL)
+    best = {kind: min(getattr(each, kind) for each in figures.values()) for kind in weights}
     return min(
-        (name for name in figures if name == NOMINAL or not _beaten(figures, name)),
+        (
+            name
+            for name, each in figures.items()
+            if name == NOMINAL or nominal is None or each.mean < nominal.mean
+        ),
         key=lambda name: sum(
-            weight * _relative(figures[name][kind], best[kind]) for kind, weight in weights.items()
+            weight * _relative(getattr(figures[name], kind), best[kind])
+            for kind, weight in weights.items()
         ),
     )
-
-
-def _beaten(figures: Mapping[str, Mapping[str, float]], name: str) -> bool:
-    """Whether nominal positions are as good as a model in the mean."""
-    return NOMINAL in figures and not figures[name]["mean"] < figures[NOMINAL]["mean"]
 
 
 def _relative(value: float, best: float) -> float:
     return value / best if best > 0.0 else float(value > 0.0)
 
 
-def _reason(name: str, figures: Mapping[str, Mapping[str, float]]) -> str:
-    listed = ", ".join(f"{each} {of['mean']:.4f} / {of['max']:.4f}" for each, of in figures.items())
+def listed(figures: Mapping[str, Figures], weights: Mapping[str, float] = WEIGHTS) -> str:
+    """Return the figures that a choice weighs, in words."""
+    rows = (
+        f"{name} " + " / ".join(f"{getattr(each, kind):.4f}" for kind in weights)
+        for name, each in figures.items()
+    )
+    return f"{' / '.join(weights)} mm {', '.join(rows)}"
+
+
+def _reason(name: str, figures: Mapping[str, Figures]) -> str:
     if name == NOMINAL:
-        return f"no model beats nominal positions at poses left out: mean / max mm {listed}"
-    return f"least mean and largest miss at poses left out: mean / max mm {listed}"
+        return f"no model beats nominal positions at poses left out: {listed(figures)}"
+    return f"least mean and largest miss at poses left out: {listed(figures)}"

@@ -18,7 +18,7 @@ from typing import Protocol, Self, TypedDict
 
 import numpy as np
 
-from hilcell.compensation.choice import MODELS, NOMINAL, choose
+from hilcell.compensation.choice import MODELS, NOMINAL, choose, listed
 from hilcell.compensation.interpolation import NEIGHBOURS
 from hilcell.compensation.measured import Measured, StaticPoses
 from hilcell.compensation.model import LearntModel
@@ -34,6 +34,7 @@ from hilcell.fit.placement import (
 from hilcell.fit.robot_file import Measurements, Robot
 from hilcell.geometry import statistics
 from hilcell.geometry.kinematics import Arm, Array
+from hilcell.geometry.statistics import Figures
 from hilcell.identification.readings import Bools, IdentificationError, Ints, ManyContradict
 from hilcell.identification.repeats import FOLDS, count_poses, folds_of, places_of
 from hilcell.identification.system import observability
@@ -180,7 +181,7 @@ class Fitted:
 
     result: FitResult
     methods: Mapping[str, Method]
-    validated: Mapping[str, dict[str, float]]
+    validated: Mapping[str, Figures]
 
 
 def fit(robot: Robot, train: Measurements, test: Measurements | None = None) -> FitResult:
@@ -205,13 +206,13 @@ def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) 
     arms, left_out = ({}, {}) if refused else _arms(placement, kept, refused)
     left_out = cross_validate(arm, kept) | left_out
     validated = {name: figures_of(miss) for name, miss in left_out.items()}
-    chosen = choose({name: _by_kind(figures) for name, figures in validated.items()}, WEIGHTS)
+    chosen = choose(validated, WEIGHTS)
     methods: dict[str, Method] = {
         name: AtPoints.learn(placement, kept, model) for name, model in scattered().items()
     }
     methods |= arms
     judged, coverage, reason = validated, dict[str, Coverage](), ""
-    best = min(arms, key=lambda name: validated[name]["mean_mm"], default=None)
+    best = min(arms, key=lambda name: validated[name].mean, default=None)
     if test is not None:
         refuse_another_robot(placement, test, "the test set")
         judged, coverage = _judged(methods, test, best)
@@ -219,7 +220,7 @@ def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) 
         if reason := worse_than_nominal(chosen, judged):
             chosen = NOMINAL
     result: FitResult = {
-        "methods": judged,
+        "methods": {name: in_mm(figures) for name, figures in judged.items()},
         "chosen": chosen,
         "reason": reason or _reason(chosen, validated),
         "refused": refused,
@@ -271,21 +272,25 @@ def _arms(
     miss_mm = {name: arm.left_out_mm(fold) for name, arm in arms.items()}
     if not arms:
         return arms, miss_mm
-    best = min(arms, key=lambda name: figures_of(miss_mm[name])["mean_mm"])
+    best = min(arms, key=lambda name: figures_of(miss_mm[name]).mean)
     arms[RESIDUAL] = arms[best].with_residual()
     miss_mm[RESIDUAL] = arms[RESIDUAL].left_out_mm(fold)
     return arms, miss_mm
 
 
-def figures_of(miss_mm: Array) -> dict[str, float]:
+def figures_of(miss_mm: Array) -> Figures:
     """Return the figures of misses (N, 3)."""
-    figures = statistics.figures_of(statistics.lengths_mm(miss_mm))._asdict()
-    return {f"{name}_mm": value for name, value in figures.items()}
+    return statistics.figures_of(statistics.lengths_mm(miss_mm))
+
+
+def in_mm(figures: Figures) -> dict[str, float]:
+    """Return figures by the keys of results."""
+    return {f"{name}_mm": value for name, value in figures._asdict().items()}
 
 
 def methods_table(methods: Mapping[str, Mapping[str, float]]) -> Table:
     """Return the figures of each method."""
-    names = statistics.Figures._fields
+    names = Figures._fields
     columns: list[Column[Mapping[str, str | float]]] = [
         Column("method", itemgetter("method")),
         *(Column(name, itemgetter(f"{name}_mm"), "mm", ".4f") for name in names),
@@ -352,7 +357,7 @@ def _supposed(arm: Arm, rows: Measurements, miss_mm: Array, bad: Ints) -> str:
 
 def _judged(
     methods: Mapping[str, Method], test: Measurements, best: str | None
-) -> tuple[dict[str, dict[str, float]], dict[str, Coverage]]:
+) -> tuple[dict[str, Figures], dict[str, Coverage]]:
     """Return the methods' figures on test rows, and how their bounds cover the misses."""
     found, coverage, bounds = {}, {}, {}
     for name, method in methods.items():
@@ -373,10 +378,10 @@ def _refuse_undetermined(test: Measurements, miss_mm: Array, bound_mm: Array) ->
     if len(bad):
         rest = "no other row is left"
         if len(bad) < len(test):
-            figures = figures_of(np.delete(miss_mm, bad, axis=0))
+            left = figures_of(np.delete(miss_mm, bad, axis=0))
             rest = (
                 "the others are missed by "
-                + " / ".join(f"{value:.4f}" for value in figures.values())
+                + " / ".join(f"{value:.4f}" for value in left)
                 + " mm (mean / p95 / max)"
             )
         raise FitError(
@@ -387,23 +392,23 @@ def _refuse_undetermined(test: Measurements, miss_mm: Array, bound_mm: Array) ->
 
 
 def _refuse_contradicting(
-    test: Measurements, chosen: str, found: Coverage, figures: Mapping[str, float]
+    test: Measurements, chosen: str, found: Coverage, figures: Figures
 ) -> None:
     """Refuse test rows that the bounds do not hold for: corrections would be as wrong."""
     if not found["share"] >= LEAST_INSIDE:
         raise FitError(
             f"{test.source}: {found['share']:.1%} of {len(test)} rows are within the 95 % bounds "
             f"of {chosen} ({found['bound_mm']:.4f} mm mean), wanted at least {LEAST_INSIDE:.0%}; "
-            f"it misses them by {figures['mean_mm']:.4f} mm in the mean: training and test rows "
+            f"it misses them by {figures.mean:.4f} mm in the mean: training and test rows "
             "contradict each other, so the robot's state (a joint's zero, its load, its "
             "temperature), the tracker's set-up or the units differ; measure both files in one "
             "state, or give as test rows those of the robot that is to be corrected"
         )
 
 
-def worse_than_nominal(chosen: str, judged: Mapping[str, Mapping[str, float]]) -> str:
+def worse_than_nominal(chosen: str, judged: Mapping[str, Figures]) -> str:
     """Return why nominal positions are kept: the choice misses the test rows by more; "" else."""
-    mean_mm, nominal_mm = judged[chosen]["mean_mm"], judged[NOMINAL]["mean_mm"]
+    mean_mm, nominal_mm = judged[chosen].mean, judged[NOMINAL].mean
     if chosen == NOMINAL or mean_mm < nominal_mm:
         return ""
     return (
@@ -458,18 +463,11 @@ def _order(rows: Measurements) -> Ints:
     return np.lexsort((target, pose, *joints.T[::-1], places_of(joints)))
 
 
-def _by_kind(figures: Mapping[str, float]) -> dict[str, float]:
-    return {name: figures[f"{name}_mm"] for name in statistics.Figures._fields}
-
-
-def _reason(chosen: str, validated: Mapping[str, Mapping[str, float]]) -> str:
-    listed = ", ".join(
-        f"{name} {figures['mean_mm']:.4f} / {figures['p95_mm']:.4f}"
-        for name, figures in validated.items()
-    )
+def _reason(chosen: str, validated: Mapping[str, Figures]) -> str:
     if chosen == NOMINAL:
-        return f"no method beats nominal positions at poses left out: mean / p95 mm {listed}"
-    return f"least mean and p95 of misses at training poses left out: mean / p95 mm {listed}"
+        return f"no method beats nominal positions at poses left out: {listed(validated, WEIGHTS)}"
+    shown = listed(validated, WEIGHTS)
+    return f"least mean and p95 of misses at training poses left out: {shown}"
 
 
 def _named(rows: Measurements, bad: Ints, miss_mm: Array) -> str:

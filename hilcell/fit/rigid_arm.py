@@ -1,28 +1,42 @@
-"""The arm that DH rows and URDF can state: link parameters alone, without gravity and waves.
+"""The arm that DH rows and URDF can state, and its files: link parameters alone.
 
-It is the method `mdh` of a fit, identified by itself. The links of a model that has gravity too are
-others, and without it they would leave the mean deflection as an error.
+It is the method `mdh` of a fit, identified by itself, without gravity and waves. The links of a
+model that has gravity too are others, and without it they would leave the mean deflection as an
+error.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
+import msgspec
 import numpy as np
 
+from hilcell import __version__
+from hilcell.clean import clean
+from hilcell.compensation.targets import write_rows
 from hilcell.fit.fitted_arm import FittedArm
 from hilcell.fit.methods import Fitted
 from hilcell.fit.placement import FitError
+from hilcell.fit.robot_file import Robot
+from hilcell.fit.urdf_file import Urdf, urdf_of
+from hilcell.geometry.chain import beside, chain_of
+from hilcell.geometry.frames import apply, inverse, zyx_from_pose
 from hilcell.geometry.jacobian import KINDS
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.statistics import Figures
 from hilcell.identification.estimate import Estimate
 from hilcell.identification.kinematics import LINKS
 from hilcell.identification.system import DETERMINED
+from hilcell.writing import write_whole
 
 RIGID = "mdh"  # of the methods
 UNITS = {"mm": ("mm", 1.0), "rad": ("deg", float(np.degrees(1.0)))}
+DH_HEADER = ["parameter", "unit", "nominal", "identified", "u", "prior_u", "determined"]
+CONVENTION = "Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha) Ry(beta)"
+JSON = ".json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +85,7 @@ def rigid_arm(nominal: Arm, fitted: Fitted) -> RigidArm:
         found.smr_mm,
         parameters,
         covariance,
-        Figures(*(figures[f"{name}_mm"] for name in Figures._fields)),
+        figures,
     )
 
 
@@ -91,3 +105,95 @@ def _parameters(nominal: Arm, found: Estimate) -> tuple[list[Parameter], Array]:
         Parameter(name, UNITS[unit][0], *map(float, values))
         for (name, unit), *values in zip(labels, before, after, u, prior_u, strict=True)
     ], covariance
+
+
+def write_dh(path: Path, robot: Robot, found: RigidArm, *, inputs: Iterable[Path]) -> None:
+    """Write the DH table as CSV, or as JSON with the parameters' covariance, by the suffix.
+
+    Raises `NotWritten` as `write_whole` does.
+    """
+    if path.suffix.lower() != JSON:
+        write_rows(path, DH_HEADER, _dh_rows(found), inputs=inputs)
+        return
+    table = {
+        "robot": robot.name,
+        "convention": CONVENTION,
+        "sign": found.arm.sign.tolist(),
+        "base": robot.base.tolist(),
+        "tool": robot.tool.tolist(),
+        "parameters": [asdict(each) | {"determined": each.determined} for each in found.parameters],
+        "covariance": found.covariance.tolist(),
+        "T_L_B": found.T_L_B.tolist(),
+        "reflectors_mm": {name: point.tolist() for name, point in found.smr_mm.items()},
+    }
+    write_whole(path, msgspec.json.format(msgspec.json.encode(table), indent=1), inputs=inputs)
+
+
+def _dh_rows(found: RigidArm) -> Iterable[list[str]]:
+    for each in found.parameters:
+        values = (each.nominal, each.identified, each.u, each.prior_u)
+        determined = "yes" if each.determined else "no"
+        yield [
+            each.name,
+            each.unit,
+            *(f"{round(value, 6) + 0.0:.6f}" for value in values),
+            determined,
+        ]
+
+
+def write_urdf(
+    path: Path,
+    robot: Robot,
+    found: RigidArm,
+    remarks: Sequence[str],
+    *,
+    inputs: Iterable[Path],
+) -> None:
+    """Write the nominal file with the identified origins, or a new one where none was read.
+
+    Raises `NotWritten` as `write_whole` does.
+    """
+    chain = chain_of(robot.base, replace(found.arm, tool=robot.tool))
+    left = np.eye(4)
+    if isinstance(robot, Urdf):
+        chain = beside(chain, robot.chain)
+        left = robot.left_at_tip(chain)
+    in_tip_mm = {
+        label: apply(left @ inverse(robot.tool), point[None])[0]
+        for label, point in found.smr_mm.items()
+    }
+    comment = [
+        f"Calibrated by hilcell {__version__}: joint origins only. {remarks[0]}",
+        *remarks[1:],
+        "Root link in the tracker's frame, xyz in m, rpy in rad: "
+        + _pose(found.T_L_B @ inverse(robot.base)),
+        *(
+            f"Reflector {clean(label)} in the tip link, in m: {_numbers(point)}"
+            for label, point in in_tip_mm.items()
+        ),
+    ]
+    if isinstance(robot, Urdf):
+        content = robot.with_chain(chain, comment)
+    else:
+        content = urdf_of(robot.name, chain, comment)
+    write_whole(path, content, inputs=inputs)
+
+
+def _pose(T: Array) -> str:
+    return f"{_numbers(T[:3, 3])}; {_numbers(np.radians(zyx_from_pose(T)[:2:-1]) * 1000.0)}"
+
+
+def _numbers(values_mm: Array) -> str:
+    return " ".join(f"{value / 1000.0:.7f}" for value in values_mm)
+
+
+def alone(figures: Figures) -> list[str]:
+    """Return what a URDF or a DH table leaves out, and what it leaves, in lines."""
+    left = (
+        f"By itself it leaves mean {figures.mean:.4f}, p95 {figures.p95:.4f}, max "
+        f"{figures.max:.4f} mm at poses left out of its identification in turn."
+    )
+    return [
+        "It cannot state deflection by gravity, waves of the gears and the residual model.",
+        left,
+    ]

@@ -143,7 +143,7 @@ def test_cross_validation_of_one_cell_is_refused() -> None:
 def test_the_better_method_is_chosen() -> None:
     choice = chosen(measured(GRID, GRID.vertices_mm() * 0.001))
     figures = choice.figures
-    assert figures["trilinear"]["max"] < 1e-9 < figures["idw"]["mean"] <= figures["idw"]["p95"]
+    assert figures["trilinear"].max < 1e-9 < figures["idw"].mean <= figures["idw"].p95
     assert choice.model == "trilinear"
     assert "no pose" in choice.refused["nominal"]
 

@@ -8,6 +8,7 @@ import pytest
 from hilcell.fit.methods import fit, worse_than_nominal
 from hilcell.fit.placement import FitError
 from hilcell.fit.robot_file import Measurements
+from hilcell.geometry.statistics import Figures
 from tests.hilcell.fit.test_fit import IRB120, measured
 
 
@@ -68,8 +69,9 @@ def test_test_rows_that_contradict_the_training_rows_are_refused() -> None:
 
 def test_a_choice_worse_than_nominal_on_the_test_rows_is_not_kept() -> None:
     """The reproduction: 6.1 against 5.3 mm, chosen without a word."""
-    judged = {"nominal": {"mean_mm": 5.3}, "idw": {"mean_mm": 6.1}, "tool": {"mean_mm": 0.1}}
+    means_mm = (("nominal", 5.3), ("idw", 6.1), ("tool", 0.1))
+    judged = {name: Figures(mean_mm, 7.0, 9.0) for name, mean_mm in means_mm}
     assert worse_than_nominal("idw", judged)
     assert not worse_than_nominal("tool", judged)
     assert not worse_than_nominal("nominal", judged)
-    assert worse_than_nominal("idw", judged | {"idw": {"mean_mm": float("nan")}})
+    assert worse_than_nominal("idw", judged | {"idw": Figures(float("nan"), 7.0, 9.0)})

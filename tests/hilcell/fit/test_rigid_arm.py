@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilcell.fit.arm_files import alone, write_dh, write_urdf
 from hilcell.fit.methods import fitted
 from hilcell.fit.placement import FitError
-from hilcell.fit.rigid_arm import RigidArm, rigid_arm
+from hilcell.fit.rigid_arm import RigidArm, alone, rigid_arm, write_dh, write_urdf
 from hilcell.fit.robot_file import Measurements, Robot
 from hilcell.fit.urdf_file import Urdf, read_urdf
 from hilcell.geometry.frames import apply, inverse
