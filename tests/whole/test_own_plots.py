@@ -57,7 +57,7 @@ def test_a_pose_test_shows_each_pose_with_its_limit(tmp_path: Path) -> None:
     for name, figures in found.items():
         np.testing.assert_allclose(figures, (wanted[name]["ap_mm"], wanted[name]["rp_mm"]))
     assert [tab.name for tab in tabs_of(log)] == ["pose accuracy", "repeatability"]
-    for words in ("pose accuracy AP_p, mm", "P5", "limit of AP_p", "limit        3.000"):
+    for words in ("pose accuracy AP_p, mm", "P5", "limit of AP_p", "limit      3.000"):
         assert words in page(of), words
     assert "pose P3" in page(of, 1)
     for words in ("map: |e| of the poses", "15 targets", "pose accuracy AP_p, mm"):

@@ -2,15 +2,70 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
+from hilcell.journal.point_words import procedure_words
 from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.layout import Lines
+from hilcell.tui.keys import ACTIONS, Keymap, shown
+from hilcell.tui.layout import BLANK, Cell, Col, Grid, Lines, Stack, Text
 from hilcell.tui.screens.base import BaseScreen
 from hilcell.tui.screens.history import HistoryPage
 from hilcell.tui.screens.pages import LogPage, TextPage
 from hilcell.tui.screens.plots import PlotPage
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import StartScreen
-from hilcell.tui.text.help import help_lines
+from hilcell.tui.terminal.capabilities import Glyphs
+from hilcell.tui.text.footer import EVERY_ACTION, PALETTE_KEY, WORDS
+from hilcell.tui.text.run import STATES
+
+LINES = (
+    ("state", "the block on top: shape, word and colour say the same"),
+    ("LIVE / HISTORIC", "an engine is at work, or the run is over"),
+    ("SIMULATION", "no machine moves: the cell is a simulated one"),
+    ("step", "the step, its part, how many of the part's points are measured"),
+    ("bar", "time worked, time left; pauses do not count"),
+    ("lamps", "each device's last reading and its age; grey is too old to be trusted"),
+    ("air", "temperature at the tracker, and its change since the first point"),
+    ("interlocks", "locked, free or waiting, and in short why; all of it on their page"),
+    ("|e| dx dy dz", "actual - nominal in {W}, of the newest or the chosen point; grey is old"),
+    ("PASS, FAIL", "a finished run: its worst station decides; UNDECIDED: neither is shown"),
+    ("last rows", "the worst alarm, or the next step; acts; views; a grey key does nothing"),
+    ("points", "all points; up and down choose, Enter opens one"),
+    ("as sent", "before the correction; paper method: corrected as the paper does"),
+    ("corrected", "by the correction that is used; this alone is held against the tolerance"),
+    ("point's state", "in, ok; OUT: over its limit; noisy: its readings scatter too much"),
+    ("waits, again", "the point is to be re-measured; it was re-measured"),
+)
+STORY = f"""\
+A first calibration: choose {procedure_words("calibrate")}, type your name, then Enter twice.
+When it is DONE: look at the largest errors and find their cause, then write the report.
+After a FAULT: read the alarm, put it right, then resume. Measured points are kept."""
+
+
+def help_lines(
+    keymap: Keymap, glyphs: Glyphs, fixed: Mapping[str, Sequence[tuple[str, str]]]
+) -> Lines:
+    """Return the whole help; ``fixed``: by screen, the keys that cannot be rebound."""
+    keys: list[Sequence[Cell]] = [
+        (
+            (" ".join(shown(key) for key in keymap[each.name]), "bold"),
+            WORDS.get(each.label, each.label),
+            each.help,
+        )
+        for each in ACTIONS
+    ]
+    keys.append(((PALETTE_KEY, "bold"), EVERY_ACTION, "the palette: every action by its name"))
+    text = Col(grows=True, wraps=True)
+    parts: list[Lines | Text] = [*STORY.splitlines(), BLANK, ("Keys", "bold")]
+    parts.append(Grid(keys, Col(9), Col(12), text))
+    for title, pairs in fixed.items():
+        parts += [BLANK, (f"Keys of {title}", "bold")]
+        parts.append(Grid((((key, "bold"), words) for key, words in pairs), Col(9), text))
+    parts += [BLANK, ("What the screen says", "bold")]
+    parts.append(Grid((((name, "bold"), words) for name, words in LINES), Col(17), text))
+    states = "  ".join(f"{glyphs.states[key]} {word}" for key, (word, _) in STATES.items())
+    return Stack(*parts, BLANK, ("States", "bold"), states)
+
 
 SCREENS: dict[str, type[BaseScreen]] = {  # those whose keys are explained, by their titles
     "the run": RunScreen,

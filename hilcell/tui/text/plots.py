@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from textual.content import Content
 
 from hilcell.calibration.errors import Errors, counting, errors_of
 from hilcell.calibration.iso9283 import ISO, attained
@@ -23,7 +24,7 @@ from hilcell.journal.point_id import PointId
 from hilcell.journal.ways_sent import Sent
 from hilcell.ports import Array, HilcellError
 from hilcell.tui.plots.canvas import Ink
-from hilcell.tui.plots.draw import Mark, Plot, Series
+from hilcell.tui.plots.draw import Look, Mark, Plot, Series
 from hilcell.tui.plots.scale import Scale, even_scale, log_scale, step_at_least
 
 AS_SENT = Ink("$label", "o", "$label")
@@ -335,6 +336,12 @@ def scale_of(plot: Plot, height: int, before: Scale | None, *, is_log: bool) -> 
     if is_log:
         return log_scale(plot.values, plot.limits, before)
     return even_scale(plot.values, plot.limits, height, before)
+
+
+def mark_of(look: Look, ink: Ink) -> Content:
+    """Return the mark of a series in a key."""
+    words = ink.letter, ink.words
+    return Content.styled(*words) if look.letters else Content.styled("■", ink.colour)
 
 
 def mean_of(values: Array) -> float:

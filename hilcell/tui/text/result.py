@@ -1,4 +1,4 @@
-"""The result of a finished run that has no validation, where the digits of a live one were.
+"""A run's result: in the place of the digits where it has no validation, and on the report's page.
 
 A pose test shows its worst AP and RP large, a re-check what to do with the calibration. Every other
 procedure shows its own table, as ``hilcell show`` prints it. No sentence and no number is cut.
@@ -6,6 +6,7 @@ procedure shows its own table, as ``hilcell show`` prints it. No sentence and no
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any, NamedTuple, TypeVar
@@ -19,16 +20,15 @@ from hilcell.calibration.recheck import CheckedPose, RecheckResult
 from hilcell.cell.devices import load_entry
 from hilcell.clean import harmless
 from hilcell.errors import HilcellError
-from hilcell.journal.key_words import id_of
+from hilcell.journal.key_words import id_of, in_words
 from hilcell.journal.log import Log
-from hilcell.journal.point_words import short_words
-from hilcell.present.table import Column, Table
+from hilcell.journal.point_words import procedure_words, short_words
+from hilcell.present.table import Column, Named, Table
 from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.layout import Cell, Col, Drawing, Grid, Lines
+from hilcell.tui.layout import BLANK, Cell, Col, Drawing, Grid, Lines, Stack, Text, facts_grid
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.digits import figure
 from hilcell.tui.text.head import NEXT, Figure, Head, gravest, head_lines
-from hilcell.tui.text.sheets import sheet_lines
 from hilcell.typed import typed
 
 NO_FIGURES = "Finished. This procedure measures nothing that is judged."
@@ -217,3 +217,81 @@ def result_lines(view: RunView, found: Result, glyphs: Glyphs) -> Lines:
         return [line.truncate(width) for line in lines]
 
     return Drawing((id(found), glyphs.plain), draw)
+
+
+NAMES = {  # of the summary, by the name shown
+    "operator": "operator", "job": "job", "points": "points", "state": "state",
+    "verdict": "verdict", "calibration": "stage", "seed": "seed",
+    "accepted": "accepted", "link_warning": "warning", "fault": "fault",
+}  # fmt: skip
+
+
+def report_lines(found: Mapping[str, Any], log: Log | None) -> Lines:
+    """Return the facts of a run, its own table and its sentence."""
+    procedure = str(found.get("procedure", ""))
+    facts = [("run", str(found.get("run", ""))), ("procedure", procedure_words(procedure))]
+    facts += [("cell", str(found.get("cell", "")))]
+    facts += [("simulated", "yes, no device moved" if found.get("simulated") else "no")]
+    facts += [(shown, _words(found[name])) for name, shown in NAMES.items() if found.get(name)]
+    standing = found.get("standing")
+    if isinstance(standing, Mapping):
+        facts.append(("calibration", str(standing.get("text", ""))))
+    parts: list[Lines | Text] = [facts_grid((name, harmless(text)) for name, text in facts)]
+    result = found.get("result")
+    if found.get("state") == "finished" and isinstance(result, dict):
+        table, text = own_words(procedure, result)
+        parts += [BLANK, sheet_lines(table, log)] if table else []
+        parts += [BLANK, harmless(text)] if text else []
+    return Stack(*parts)
+
+
+def _words(value: object) -> str:
+    """Return a value as a person reads it; names of states have no underscores."""
+    if isinstance(value, list):
+        return "; ".join(map(_words, value))
+    text = str(value)
+    return text if " " in text else text.replace("_", " ")
+
+
+GAP = 2
+WIDEST = 30  # columns of a cell; a longer text wraps
+
+
+def sheet_lines(table: Table, log: Log | None = None) -> Lines:
+    """Return the table in as many blocks as it needs, each with its header.
+
+    Names of the program, and keys of the points of ``log``, are in words.
+    """
+    shown = [table.headers, *table.texts("-")]
+    for texts, values in zip(shown[1:], table.rows, strict=True):
+        for at, value in enumerate(values):
+            text = value.words if isinstance(value, Named) else texts[at]
+            texts[at] = text if log is None else in_words(text, log)
+    shown = [[harmless(cell) for cell in row] for row in shown]
+    columns = [list(column) for column in zip(*shown, strict=True)]
+
+    def draw(width: int, height: int) -> list[Content]:
+        widths = [max(map(len, column)) for column in columns]
+        if sum(widths) + GAP * len(widths) > width:  # headers wrap before columns go on below
+            widths = [max(map(len, [*head.split(), *cells])) for head, *cells in columns]
+        widths = [max(min(each, WIDEST, width - 2), 1) for each in widths]
+        lines: list[Content] = []
+        for block in _blocks(widths, width - 1):
+            cols = (Col(most=widths[n], right=n > 0, wraps=True) for n in block)
+            rows = [[row[n] for n in block] for row in shown]
+            grid = Grid(rows, *cols, gap=GAP, styles={0: "$label on $panel"})
+            lines += [line.pad_left(1) for line in grid.lines(width - 1)]
+        return lines
+
+    return Drawing(shown, draw)
+
+
+def _blocks(widths: Sequence[int], width: int) -> list[list[int]]:
+    """Return the columns of each block; the first column begins all of them."""
+    blocks: list[list[int]] = [[0]] if widths else []
+    for n in range(1, len(widths)):
+        used = sum(widths[m] + GAP for m in blocks[-1])
+        if used + widths[n] > width and len(blocks[-1]) > 1:
+            blocks.append([0])
+        blocks[-1].append(n)
+    return blocks

@@ -13,9 +13,18 @@ from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.plots.draw import Look
-from hilcell.tui.text.map import LETTERS, NO_POINT, SHAPES, Grades, Volume, map_lines
 from hilcell.tui.text.points import PointRows
-from hilcell.tui.text.side import MAP_ROWS, side_lines, volume_of
+from hilcell.tui.text.side import (
+    LETTERS,
+    MAP_ROWS,
+    NO_POINT,
+    SHAPES,
+    Grades,
+    Volume,
+    map_lines,
+    side_lines,
+    volume_of,
+)
 from tests.hilcell.tui.sample_runs import SampleRun, begun, measuring, validated
 
 WIDE = 58

@@ -16,8 +16,7 @@ from hilcell.journal.log import Log, Point
 from hilcell.journal.point_id import PointId
 from hilcell.journal.ways_sent import Sent
 from hilcell.tui.plots.draw import Look
-from hilcell.tui.text.plot_figures import FIGURES
-from hilcell.tui.text.plot_page import BESIDE, Choice, plot_lines, tab_line
+from hilcell.tui.text.plot_page import BESIDE, FIGURES, Choice, plot_lines, tab_line
 from hilcell.tui.text.plots import (
     TABS,
     Measured,
@@ -31,6 +30,7 @@ from hilcell.tui.text.plots import (
 )
 from tests.hilcell.report.journals import validated_run
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, validated
+from tests.hilcell.tui.views import drawn
 
 LETTERS = Look(letters=True, plain=True)
 
@@ -100,8 +100,7 @@ def test_words_beside_the_errors_speak_of_the_mean_too(tolerance_mm: float, said
     plan = of.log.inputs
     table = plan.cell["validation"] | {"mean_tolerance_mm": tolerance_mm}
     of.log.plan = msgspec.structs.replace(plan, cell=plan.cell | {"validation": table})
-    lines = FIGURES["each target"](of, "", errors_plot(of), LETTERS)
-    text = " ".join(line.plain for line in lines)
+    text = " ".join(drawn(FIGURES["each target"](of, "", errors_plot(of), LETTERS), 31).split())
     assert "No target near its limit." in text
     assert said in text
 
@@ -176,7 +175,7 @@ def test_figures_stand_beside_the_plot_or_under_it_or_are_away() -> None:
 def test_figures_say_mean_limit_and_the_worst() -> None:
     of = measured_of(validated(worst_mm=1.2))
     plot = errors_plot(of)
-    text = "\n".join(line.plain for line in FIGURES["sorted"](of, "", plot, Look()))
+    text = drawn(FIGURES["sorted"](of, "", plot, Look()), 31)
     limit_mm = of.log.cell.validation.max_tolerance_mm
     assert f"{limit_mm:.3f}" in text
     assert "target 2    S1100        1.200" in text
