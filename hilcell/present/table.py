@@ -110,11 +110,6 @@ class Table:
         """Return the headers for programs."""
         return [column.key for column in self.columns]
 
-    @property
-    def records(self) -> list[dict[str, Value]]:
-        """Return each row as its values by their keys, for JSON."""
-        return [dict(zip(self.keys, row, strict=True)) for row in self.rows]
-
     def texts(self, minus: str = MINUS) -> list[list[str]]:
         """Return the cells as they are shown."""
         return [

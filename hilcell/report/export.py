@@ -237,7 +237,8 @@ def xlsx_bytes(facts: Facts) -> bytes:
 
 def json_bytes(facts: Facts) -> bytes:
     """Return everything: inputs, states, points, frames, verdicts, events and the result."""
-    log = facts.log
+    log, table = facts.log, points_table(facts)
+    keys = table.keys
     whole = {
         "run": facts.run,
         "journal": facts.fingerprint,
@@ -245,7 +246,7 @@ def json_bytes(facts: Facts) -> bytes:
         "states": log.states,
         "sessions": log.session,
         "fault": log.fault,
-        "points": points_table(facts).records,
+        "points": [dict(zip(keys, row, strict=True)) for row in table.rows],
         "frames": log.frames,
         "verdicts": log.verdicts,
         "events": [record.event(facts.run) for record in log.events],
