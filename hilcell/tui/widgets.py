@@ -24,6 +24,7 @@ from textual.scrollbar import ScrollBarRender
 from textual.strip import Strip
 from textual.style import Style as VisualStyle
 from textual.visual import RenderOptions, Visual
+from textual.widget import Widget
 from textual.widgets import Input, Static
 
 from hilcell.clean import UNSAFE, clean
@@ -101,6 +102,19 @@ class TextPanel(Static):
         if (height := rules.get("height")) is not None and not height.is_auto:
             return False
         return not size.width or visual.get_height(rules, size.width) != size.height
+
+
+class Titled(Widget):
+    """A box with a title in its border, and a note in the one below; painted when they change."""
+
+    _titles: object = None
+
+    def show_titles(self, title: Content, note: str) -> None:
+        """Show both."""
+        if (state := (look_of(title), note)) != self._titles:
+            self._titles = state
+            self.border_title = safe_content(title, plain=cast("HasGlyphs", self.app).glyphs.plain)
+            self.border_subtitle = note
 
 
 class CellScrollBar(ScrollBarRender):

@@ -30,7 +30,7 @@ from hilcell.tui.text.below import below_lines, block_rows
 from hilcell.tui.text.deviation import PointRow
 from hilcell.tui.text.footer import ACTS, VIEWS, KeyOf, footer_lines
 from hilcell.tui.text.footer import WORDS as FOOTER_WORDS
-from hilcell.tui.text.newest import chosen_shown, newest_shown, point_lines
+from hilcell.tui.text.newest import chosen_shown, newest_shown, point_lines, rows_for
 from hilcell.tui.text.points import PointRows, columns_for, filtered
 from hilcell.tui.text.prompt import PromptBox
 from hilcell.tui.text.result import Result, result_lines, result_of
@@ -59,7 +59,7 @@ class WidePanels:
             return lines
 
         if panel.display and not self._early("side"):
-            state = theme, look, len(view.log.points), view.last and view.last.key
+            state = theme, look, len(view.log.points), view.last
             panel.show(Drawing(state, draw))
 
     def show_below(
@@ -225,7 +225,7 @@ class RunScreen(FilterScreen):
             case "verdict":
                 self._show_verdict(view)
             case _:
-                self._show_deviation(view, 6 if height >= FULL else 5 if height >= 21 else 3)
+                self._show_deviation(view, rows_for(height))
         said = instead == "verdict" and not self._other_alarms(view)
         self.panel("status").display = not said and (bool(standing) or height >= FULL - 1)
         self.panel("status").show(self._status(view))

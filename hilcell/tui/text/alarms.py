@@ -24,7 +24,7 @@ from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.deviation import deviation_of
 from hilcell.tui.text.devices import short_age
 from hilcell.tui.text.run import duration
-from hilcell.tui.widgets import TextPanel, safe_content
+from hilcell.tui.widgets import TextPanel, Titled
 
 CRASH = "Cell: crash"  # where the engine was lost
 ORDERS = {"park": "its safe pose", "home": "its reference"}
@@ -51,7 +51,7 @@ def panel_is_due(view: RunView, standing: list[Latched]) -> bool:
     return view.state in STATES and bool(standing) and standing[0].severity == "fault"
 
 
-class AlarmBox(Vertical):
+class AlarmBox(Vertical, Titled):
     """The alarm that has ended a run, where the points are while it works."""
 
     def compose(self) -> ComposeResult:
@@ -62,10 +62,8 @@ class AlarmBox(Vertical):
     def show(self, standing: list[Latched], kept: str, context: AlarmContext, *, low: bool) -> None:
         """Show the worst alarm; with few rows, without what matters least."""
         latched, (facts, steps) = standing[0], self.query(TextPanel)
-        self.border_title = safe_content(
-            alarm_title(latched, context.glyphs), plain=context.glyphs.plain
-        )
-        self.border_subtitle = f"alarm 1 of {len(standing)}"
+        note = f"alarm 1 of {len(standing)}"
+        self.show_titles(alarm_title(latched, context.glyphs), note)
         facts.show(alarm_facts(latched, context, kept))
         steps.show(alarm_steps(latched, context, in_box=True, low=low))
 

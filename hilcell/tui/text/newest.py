@@ -67,6 +67,11 @@ class Shown:
     word: str = ""  # where there is no limit: why
 
 
+def rows_for(height: int) -> int:
+    """Return the rows of the newest point on a terminal of this height."""
+    return FULL_ROWS if height >= 24 else FULL_ROWS - 1 if height >= 21 else SMALL_ROWS
+
+
 def newest_shown(view: RunView, deviation: DeviationOf = deviation_of) -> Shown:
     """Return the newest point of a live run; never one of an earlier step in bright digits."""
     point = view.newest

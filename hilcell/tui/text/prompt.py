@@ -16,14 +16,14 @@ from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.devices import short_age
 from hilcell.tui.text.digits import large
 from hilcell.tui.text.sketch import site_of, sketch
-from hilcell.tui.widgets import TextPanel, safe_content
+from hilcell.tui.widgets import TextPanel, Titled
 
 MOST_NAMES = 2  # that fit beside the plan
 CAPTION = "from above, to scale"
 AT_REST = "robot at safe pose, slide held: nothing moves"
 
 
-class PromptBox(Horizontal):
+class PromptBox(Horizontal, Titled):
     """One prompt in a box: the plan or the words at the left, the task at the right."""
 
     def compose(self) -> ComposeResult:
@@ -43,8 +43,7 @@ class PromptBox(Horizontal):
         )
         picture, enter, reading = self.query(TextPanel)
         title = Content.styled(f" ? {prompt.title} ", "bold $on-ask on $ask-fill")
-        self.border_title = safe_content(title, plain=glyphs.plain)
-        self.border_subtitle = _count(view)
+        self.show_titles(title, _count(view))
         picture.show(prompt_picture(prompt, view))
         enter.show(enter_line(prompt, view))
         reading.show(prompt_task(prompt, view, glyphs, low=low))
