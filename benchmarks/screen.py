@@ -15,9 +15,9 @@ import time
 from pathlib import Path
 
 from benchmarks.words import parser
-from hilcell.alarms.acknowledged import Acknowledged
 from hilcell.journal.journal import Journal
 from hilcell.journal.runs import JOURNAL
+from hilcell.model.events import AlarmsAcknowledged
 from hilcell.run.control import Control
 from hilcell.run.protocol import Status
 from tests.hilcell.tui.sample_runs import RUN, sample_run, status
@@ -53,7 +53,7 @@ class StandIn:
     def retake(self, key: str) -> str:
         return ""
 
-    def acknowledge(self, made: Acknowledged) -> str:
+    def acknowledge(self, made: AlarmsAcknowledged) -> str:
         return ""
 
     def watched(self, by: int) -> int:

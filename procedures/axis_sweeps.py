@@ -15,9 +15,10 @@ from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.kinematics import forward
 from hilcell.identification.motion import SweepStream
 from hilcell.identification.sweeps import SweptAxis, swept_axis
-from hilcell.journal.curve_record import CurveRecord
+from hilcell.journal.curve_record import curve_measured
 from hilcell.journal.log import Log
 from hilcell.journal.stream_file import read_stream
+from hilcell.model.events import AxesNotSwept, CurveMeasured, NoReadingOf
 from hilcell.ports import Array, NoReading
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
@@ -27,7 +28,6 @@ from hilcell.run.sweeping import SweepOrder
 from procedures.durations import closing, first_pass_percent, robot_moves_s, step
 from procedures.plan import check_range, check_reach, poses_at
 
-LEFT_OUT = "axes not swept"
 COST = "the ripple of the gears stays in the error after correction"
 WAYS = ("up", "down")
 LATTICE = 7  # places along each edge of the cube, whose joints are swept
@@ -78,14 +78,14 @@ class AxisSweeps:
         """Sweep, and journal each axis's curve as soon as it is known, once."""
         cell = session.cell
         if reason := left_out(cell):
-            session.event(LEFT_OUT, reason=reason)
+            session.add(AxesNotSwept(reason=reason))
             return
         left = [axis for axis in axes_of(cell) if axis not in session.log.curves]
         cube = cube_joints(cell)
         swept = [self._swept(session, cube, axis) for axis in left]
         session.close_step()
         for found in swept:
-            session.curve(CurveRecord.of(found))
+            session.add(curve_measured(found))
 
     def _swept(self, session: CellSession, cube: CubeJoints, axis: int) -> SweptAxis:
         """Return an axis's result, of further sweeps where the first cannot be used."""
@@ -133,7 +133,7 @@ class AxisSweeps:
                 session.sweep(order)
             except NoReading as error:
                 facts = {"reason": str(error), "error": error.of_point(order.key).facts()}
-                session.event("no reading", key=order.key, tries=tries, **facts)
+                session.add(NoReadingOf(key=order.key, tries=tries, **facts))
                 if tries == TRIES:
                     raise
             else:
@@ -141,7 +141,7 @@ class AxisSweeps:
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the figures of each axis, or why none was swept."""
-        said = [r.body["reason"] for r in log.events if r.body["what"] == LEFT_OUT]
+        said = [each.reason for each in log.happened(AxesNotSwept)]
         axes = [figures_of(record) for record in log.curves.values()]
         return {"sweeps": {"left_out": said[-1] if said else "", "axes": axes}}
 
@@ -201,7 +201,7 @@ def cube_joints(cell: Cell) -> CubeJoints:
     return CubeJoints(joints_rad.min(axis=0), joints_rad.max(axis=0), middle_rad)
 
 
-def figures_of(record: CurveRecord) -> dict[str, Any]:
+def figures_of(record: CurveMeasured) -> dict[str, Any]:
     """Return an axis's figures for a program to read."""
     return {
         "axis": record.axis,
@@ -209,7 +209,7 @@ def figures_of(record: CurveRecord) -> dict[str, Any]:
         "reason": record.reason,
         "range_deg": np.degrees([record.low_rad, record.high_rad]).tolist(),
         "cycles": record.cycles,
-        "amplitude_urad": (record.amplitudes_rad * 1e6).tolist(),
+        "amplitude_urad": record.amplitudes_urad,
         "lag_ms": record.lag_s * 1e3,
         "lag_u_ms": record.lag_sigma_s * 1e3,
         "noise_urad": record.noise_rad * 1e6,

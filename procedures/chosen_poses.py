@@ -19,6 +19,7 @@ from hilcell.identification.design import Design, Rows, design
 from hilcell.identification.readings import IdentificationError
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
+from hilcell.model.events import NoPosesChosen, PosesChosen
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
@@ -26,7 +27,6 @@ from procedures.durations import closing, flange_count, flange_points, step
 from procedures.plan import drivable, joints_for, poses_at, turned
 
 CANDIDATES, PLACES = 128, 64
-CHOSEN = "poses chosen"
 
 
 class ChosenPoses:
@@ -54,7 +54,7 @@ class ChosenPoses:
             return
         event = _chosen(session.log) or self._choose(session)
         station = session.cell.station_named(session.cell.grid.station)
-        joints_rad = np.radians(event["joints_deg"]).reshape(-1, 6)
+        joints_rad = np.radians(event.joints_deg).reshape(-1, 6)
         nominal_mm = forward(session.cell.robot.arm(), joints_rad)[:, :3, 3]
         world_mm = apply(session.frames.base_in_world(station), nominal_mm)
         for number, (joints, at_mm) in enumerate(zip(joints_rad, world_mm, strict=True)):
@@ -62,23 +62,24 @@ class ChosenPoses:
             session.flange_point(id, station, joints, nominal_mm=at_mm, seats=True)
         session.close_step()
 
-    def _choose(self, session: CellSession) -> dict[str, Any]:
+    def _choose(self, session: CellSession) -> PosesChosen:
         joints_rad = candidates_rad(session.cell)
         try:
             found = choice(session.log, joints_rad)
         except IdentificationError as error:
             found = Design([], [])
-            session.event("no poses chosen", reason=str(error), error=error.facts())
+            session.add(NoPosesChosen(reason=str(error), error=error.facts()))
         chosen_deg = np.degrees(joints_rad[found.chosen])
-        session.event(CHOSEN, joints_deg=chosen_deg, bounds_mm=found.bounds_mm)
-        return {"joints_deg": chosen_deg}
+        chosen = PosesChosen(joints_deg=chosen_deg.tolist(), bounds_mm=found.bounds_mm)
+        session.add(chosen)
+        return chosen
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the mean 95 % bound over the cube as predicted before and after each pose."""
         if not any(log.cell.plan.pose_counts):
             return {}
         event = _chosen(log)
-        return {"chosen_poses": {"bounds_mm": event["bounds_mm"] if event else []}}
+        return {"chosen_poses": {"bounds_mm": event.bounds_mm if event else []}}
 
 
 def choice(log: Log, joints_rad: Array) -> Design:
@@ -132,8 +133,8 @@ def _places_mm(cell: Cell, shares: Array) -> Array:
     return grid.origin_mm + shares * (grid.far_mm - grid.origin_mm)
 
 
-def _chosen(log: Log) -> dict[str, Any] | None:
-    return next((each.body for each in log.events if each.body["what"] == CHOSEN), None)
+def _chosen(log: Log) -> PosesChosen | None:
+    return next(iter(log.happened(PosesChosen)), None)
 
 
 def _spread(count: int, dimensions: int) -> Array:

@@ -22,6 +22,7 @@ from hilcell.conformance.promise import Outcome, Promise, judge
 from hilcell.conformance.trial import Trial
 from hilcell.conformance.verdicts import PORTS, NeedsPerson, Port
 from hilcell.journal.log import Log
+from hilcell.model.events import Announced, PromiseJudged
 from hilcell.ports import Array, HilcellError, RailReading, RobotReading, Stream, TrackerReading
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
@@ -165,7 +166,7 @@ def _agreed(session: CellSession, what: str) -> None:
     """Announce a motion and pause before it; an unattended run has nobody who agrees."""
     if session.log.inputs.unattended:
         raise NeedsPerson(f"{what}: somebody has to agree; run it attended")
-    session.event("announced", motion=what)
+    session.add(Announced(motion=what))
     session.pause(
         f'conformance: {what}; clear the cell, stay at the E-stop, then type "yes" at '
         f"`hilcell resume {session.folder.name}`, or let it go on at the screen"
@@ -206,7 +207,7 @@ class Conformance:
     def _try(self, session: CellSession, port: Port, judged: Judged) -> None:
         for promise in _waiting(session.log, port):
             session.checkpoint()
-            session.event("promise", port=port, **judged(promise).facts())
+            session.add(PromiseJudged(port=port, **judged(promise).facts()))
         if (key := f"{NAME} {port}") not in session.log.verdicts:
             broken = [e["promise"] for e in _found(session.log, port) if e["verdict"] == "broken"]
             driver = getattr(session.cell, port).driver
@@ -239,8 +240,8 @@ def _waiting(log: Log, port: Port) -> list[Promise]:
 def _found(log: Log, port: str) -> list[dict[str, Any]]:
     """Return the outcomes of a port that the journal holds."""
     keys = ("promise", "verdict", "why", "took_s")
-    events = [e.body for e in log.events if e.body["what"] == "promise"]
-    return [{key: e[key] for key in keys} for e in events if e["port"] == port]
+    events = log.happened(PromiseJudged)
+    return [{key: getattr(e, key) for key in keys} for e in events if e.port == port]
 
 
 def _check_slow(cell: Cell) -> None:

@@ -22,6 +22,7 @@ from hilcell.geometry.sequential import Decision, Outcome, SequentialRule
 from hilcell.journal.calibration_facts import OUTCOMES
 from hilcell.journal.log import Log
 from hilcell.journal.ways_sent import Sent
+from hilcell.model.events import StationDecided
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
 
@@ -29,7 +30,6 @@ OCTANTS = np.array(  # of a box, in an order whose every step crosses one face
     [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 1, 1), (1, 1, 1), (1, 0, 1), (0, 0, 1)]
 )
 BLOCK = len(OCTANTS)
-DECIDED = "station decided"  # the event
 LEAST_MM = 1e-6  # a limit that no error keeps, where U leaves nothing of the tolerance
 
 
@@ -89,18 +89,17 @@ def decision_at(log: Log, station: str) -> Decision:
 
 def guard_at(log: Log, station: str) -> Guard:
     """Return the U by which a station was decided: that of then, not of what is measured later."""
-    for record in reversed(log.events):
-        if record.body["what"] == DECIDED and record.body["station"] == station:
-            return Guard(record.body["mean_U_mm"], record.body["max_U_mm"])
+    for decided in reversed(log.happened(StationDecided)):
+        if decided.station == station:
+            return Guard(decided.mean_U_mm, decided.max_U_mm)
     return guard_of(log, len(validation(log, [station])[Sent.CHOSEN]))
 
 
 def keep_guard(session: CellSession, station: str) -> None:
     """Journal the U by which a station was decided, once."""
-    known = (each.body for each in session.log.events if each.body["what"] == DECIDED)
-    if station not in [body["station"] for body in known]:
+    if station not in [each.station for each in session.log.happened(StationDecided)]:
         guard = guard_at(session.log, station)
-        session.event(DECIDED, station=station, mean_U_mm=guard.mean_mm, max_U_mm=guard.max_mm)
+        session.add(StationDecided(station=station, mean_U_mm=guard.mean_mm, max_U_mm=guard.max_mm))
 
 
 def rounds(log: Log, station: str, how: str) -> Iterator[range]:

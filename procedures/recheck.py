@@ -26,9 +26,9 @@ from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected
 from hilcell.geometry.closed_form import ReachError
 from hilcell.geometry.frames import apply
-from hilcell.journal.calibration_facts import USED
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
+from hilcell.model.events import CalibrationUsed, OutlierMeasuredAgain
 from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
@@ -81,7 +81,7 @@ class Recheck:
         found = rechecked_run(session.log)
         if found.verdict == "redo" and not session.log.point(ids[found.worst]).retaken:
             n = found.worst
-            session.event("outlier measured again", key=ids[n].key)
+            session.add(OutlierMeasuredAgain(key=ids[n].key))
             again = joints_rad[n], nominal_mm[n]
             session.flange_point(ids[n], station, again[0], nominal_mm=again[1], retake=True)
         session.close_step(carried=True)
@@ -106,7 +106,7 @@ def use(session: CellSession, table: str) -> Calibration:
     if calibration is None:
         calibration = calibration_named(session.cell, table)
         path = getattr(session.cell, table).calibration
-        session.event(USED, **record_of(calibration, path))
+        session.add(CalibrationUsed(**record_of(calibration, path)))
     if "base" not in session.log.frames:
         entry = calibration.stations[session.cell.grid.station]
         session.frame("base", np.array(entry.T_W_B), calibration=calibration.provenance.latest)

@@ -29,6 +29,7 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
+from hilcell.model.events import VisitedOnceMore
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
@@ -84,7 +85,7 @@ class Revisits:
             for id, joints_rad, vertex_mm in waiting:
                 session.hold_station(station)
                 if again := log.find(id) is not None:
-                    session.event("visited once more", key=id.key)
+                    session.add(VisitedOnceMore(key=id.key))
                 nominal_mm = None if vertex_mm is None else apply(T_W_B, vertex_mm)
                 session.flange_point(id, station, joints_rad, nominal_mm=nominal_mm, retake=again)
         session.close_step()

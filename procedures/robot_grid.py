@@ -14,6 +14,7 @@ from hilcell.geometry.frames import apply, matrix
 from hilcell.geometry.rotations import to_rotvec
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
+from hilcell.model.events import OutlierMeasuredAgain
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
@@ -97,7 +98,7 @@ class RobotGrid:
         doubtful = [v for v in vertices if v[0] in ids and not session.log.point(v[0]).retaken]
         for id, *_ in doubtful:
             for seat in range(1, len(session.cell.robot.seats_mm) + 1):
-                session.event("outlier measured again", key=id.at_seat(seat).key)
+                session.add(OutlierMeasuredAgain(key=id.at_seat(seat).key))
         return doubtful
 
     def result(self, log: Log) -> dict[str, Any]:

@@ -13,7 +13,6 @@ from hilcell.calibration.form import Calibration
 from hilcell.calibration.in_use import calibration_named
 from hilcell.calibration.target_pass import (
     KIND,
-    LISTED,
     TargetError,
     TargetsResult,
     gross_targets,
@@ -28,6 +27,7 @@ from hilcell.geometry.closed_form import ReachError
 from hilcell.geometry.frames import inverse, poses_from_zyx
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
+from hilcell.model.events import OutlierMeasuredAgain, TargetsListed
 from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
@@ -68,7 +68,9 @@ class TargetPass:
         cell, calibration = session.cell, use(session, TABLE)
         if listed(session.log) is None:
             names, values = targets_of(cell)
-            session.event(LISTED, file=str(table_of(cell)), names=names, values=values.tolist())
+            session.add(
+                TargetsListed(file=str(table_of(cell)), names=names, values=values.tolist())
+            )
         names, values = listed(session.log) or ([], np.zeros((0, 6)))
         joints_rad = commands_rad(cell, calibration, names, values)
         for name, joints, nominal_mm in zip(names, joints_rad, values[:, :3], strict=True):
@@ -86,7 +88,7 @@ class TargetPass:
         for name in gross_targets(session.log):
             n, id = names.index(name), PointId(KIND, target=name)
             if not session.log.point(id).retaken:
-                session.event("outlier measured again", key=id.key)
+                session.add(OutlierMeasuredAgain(key=id.key))
                 session.flange_point(
                     id, station_of(session.cell), joints_rad[n],
                     nominal_mm=values[n, :3], retake=True,

@@ -13,6 +13,26 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from hilcell.alarms.catalogue import By, Entry, Severity, code_of_verdict, entry_of
 from hilcell.clean import clean
+from hilcell.model.events import (
+    AnswerRefused,
+    Closed,
+    Closing,
+    CommandRefused,
+    CurveMeasured,
+    DeviceBack,
+    DeviceLost,
+    Json,
+    LinkCounted,
+    NoReadingOf,
+    OutlierMeasuredAgain,
+    RetakeRefused,
+    SafeStopSent,
+    ScreenBack,
+    ScreenLost,
+    StationHeld,
+    after,
+)
+from hilcell.model.records import Ended, StateChanged
 
 if TYPE_CHECKING:
     from hilcell.journal.journal import Record
@@ -188,62 +208,65 @@ def _then(entry: Entry, run: str, go_on: str, *, over: bool) -> str:
 
 
 def _events(log: Log, session: list[Record]) -> Iterator[_Moment]:
-    back = max((r.seq for r in session if r.body["what"] == "screen back"), default=0)
+    back = max((r.seq for r in session if isinstance(r.fact, ScreenBack)), default=0)
     for record in session:
-        body, t, seq = record.body, record.t, record.seq
-        match body["what"]:
-            case "no reading":  # tried again at once; whether that helped is said elsewhere
-                yield from _moments(body, t, seq, "notice")
-            case "safe stop" | "closed" as what:
-                for name in body["problems"]:
-                    finding = _cell(PROBLEMS[what], what, _problem(name, body))
+        t, seq = record.t, record.seq
+        match record.fact:
+            case NoReadingOf(error=error):  # tried again at once; whether that helped is elsewhere
+                yield from _moments(error, t, seq, "notice")
+            case SafeStopSent() | Closed() as closing:
+                for name in closing.problems:
+                    finding = _cell(PROBLEMS[closing.what], closing.what, _problem(name, closing))
                     yield _Moment(finding, t, seq, cause="not watched")
-            case "command refused":
-                found = f"{body['command']} is not possible while {body['in']}"
+            case CommandRefused(command=command, state=state):
+                found = f"{command} is not possible while {state}"
                 yield _Moment(_cell("HC-C06", "command", found), t, seq)
-            case "screen lost" if seq > back:
+            case ScreenLost() if seq > back:
                 found = "nobody watches any more"
                 yield _Moment(_cell("HC-C08", "screen lost", found), t, seq, cause="watched")
-            case "answer refused" | "retake refused" as what:
-                found = ": ".join(str(body[name]) for name in ("key", "reason") if name in body)
-                yield _Moment(_cell(REFUSALS[what], what, found), t, seq)
-            case "link" if log.link is not None and log.link.warning:
-                yield _Moment(_cell("HC-R12", "link", log.link.text), t, seq)
-            case "outlier measured again" | "curve":
-                yield from _of_points(body, t, seq)
+            case AnswerRefused() | RetakeRefused() as refused:
+                found = refused.subject + after(refused.why) if refused.subject else refused.why
+                yield _Moment(_cell(REFUSALS[refused.what], refused.what, found), t, seq)
+            case LinkCounted() if log.link is not None and log.link.warning:
+                yield _Moment(_cell("HC-R12", "link", log.link.counts), t, seq)
+            case OutlierMeasuredAgain() | CurveMeasured() as measured:
+                yield from _of_points(measured, t, seq)
+
+
+def _of_points(
+    measured: OutlierMeasuredAgain | CurveMeasured, t: str, seq: int
+) -> Iterator[_Moment]:
+    """Yield the alarms of points and sweeps that were not as they should be."""
+    if isinstance(measured, OutlierMeasuredAgain):
+        found = f"{measured.key} stands out from its neighbours and was measured again"
+        yield _Moment(_cell("HC-V05", "outlier", found), t, seq)
+    elif not measured.holds:
+        found = f"A{measured.axis}: {measured.reason}"
+        yield _Moment(_cell("HC-V06", "axis sweep", found), t, seq)
 
 
 def _devices(log: Log, session: list[Record]) -> Iterator[_Moment]:
     """Yield the devices that are lost while the run waits: the next motion would be refused."""
-    lost: dict[str, Record] = {}
+    lost: dict[str, tuple[Record, Json]] = {}
     for record in session if log.state in ("paused", "suspended") else ():
-        if record.body["what"] == "device lost":
-            lost[record.body["device"]] = record
-        elif record.body["what"] == "device back":
-            lost.pop(record.body["device"], None)
-    for record in lost.values():
-        yield from _moments(record.body, record.t, record.seq, cause="watched")
-
-
-def _of_points(body: dict[str, Any], t: str, seq: int) -> Iterator[_Moment]:
-    """Yield the alarms of points and sweeps that were not as they should be."""
-    if body["what"] == "curve" and body["reason"]:
-        found = f"A{body['axis']}: {body['reason']}"
-        yield _Moment(_cell("HC-V06", "axis sweep", found), t, seq)
-    elif body["what"] != "curve":
-        found = f"{body['key']} stands out from its neighbours and was measured again"
-        yield _Moment(_cell("HC-V05", "outlier", found), t, seq)
+        match record.fact:
+            case DeviceLost(device=device, error=error):
+                lost[device] = record, error
+            case DeviceBack(device=device):
+                lost.pop(device, None)
+    for record, error in lost.values():
+        yield from _moments(error, record.t, record.seq, cause="watched")
 
 
 def _moments(
-    body: dict[str, Any],
+    error: Json,
     t: str,
     seq: int,
     severity: Severity | None = None,
     cause: Cause = "over",
 ) -> Iterator[_Moment]:
     """Yield the alarms of a record's error."""
-    for finding in findings_of(body["error"]):
+    for finding in findings_of(error):
         yield _Moment(finding, t, seq, severity, cause)
 
 
@@ -251,9 +274,9 @@ def _cell(code: str, operation: str, found: str, wanted: str = "") -> Finding:
     return Finding(code, "Cell", operation, found, wanted)
 
 
-def _problem(name: str, body: dict[str, Any]) -> str:
+def _problem(name: str, closing: Closing) -> str:
     """Return the message of a device's error, with its name once and without its advice."""
-    finding = findings_of(body["errors"][name])[0]
+    finding = findings_of(closing.errors[name])[0]
     text = f"{finding.where}: {finding.text}" if finding.where else finding.text
     return text if text.startswith(f"{name}: ") else f"{name}: {text}"
 
@@ -262,14 +285,14 @@ def _strip(log: Log, session: list[Record]) -> Iterator[_Moment]:
     """Yield the holds that took long, or at which drive and strip have moved apart."""
     rail, first_mm = log.cell.rail, dict[str, float]()
     for record in session:
-        body = record.body
-        if body["what"] != "station held":
+        held = record.fact
+        if not isinstance(held, StationHeld):
             continue
-        name, tries = str(body["station"]), int(body["tries"])
+        name, tries = held.station, held.tries
         if tries > MANY_APPROACHES * rail.max_approaches:
             found = f"{name} held only after {tries} approaches, {rail.max_approaches} are allowed"
             yield _Moment(_cell("HC-S08", "strip approaches", found), record.t, record.seq)
-        apart_mm = float(body["rail_mm"]) - float(body["strip_mm"])
+        apart_mm = held.rail_mm - held.strip_mm
         strayed_mm = apart_mm - first_mm.setdefault(name, apart_mm)
         if not abs(strayed_mm) <= STRAYED * rail.slip_limit_mm:
             found = f"{name}: drive and strip have moved {strayed_mm:+z.2f} mm apart"
@@ -312,13 +335,16 @@ def _end(log: Log, session: list[Record], *, live: bool) -> Iterator[_Moment]:
     """Yield why the run stands as it does."""
     state, end = log.state, log.end
     last = log.life[-1] if log.life else None
-    body = last.body if last is not None else {}
+    change = last.fact if last is not None else None
+    change = (
+        change if isinstance(change, StateChanged) else StateChanged(before="", to="", machine="")
+    )
     t, seq = (last.t, last.seq) if last is not None else ("", 0)
-    reason = str(body.get("reason", ""))
-    if state == "faulted":
-        yield from _moments(body, t, seq, "fault", "not watched")
-    elif state == "suspended" and live and "error" in body:
-        yield from _moments(body, t, seq, cause="watched")
+    reason, error = change.reason, change.error
+    if state == "faulted" and error:
+        yield from _moments(error, t, seq, "fault", "not watched")
+    elif state == "suspended" and live and error:
+        yield from _moments(error, t, seq, cause="watched")
     elif state == "aborted":
         yield _Moment(_cell("HC-C05", "stopped", reason or "the run was stopped"), t, seq)
     elif not live and (end is None or (log.life and not log.over)):  # a refused resume has an end
@@ -352,7 +378,9 @@ def _lost(log: Log) -> Iterator[_Moment]:
         yield _Moment(finding, final.t, final.seq, cause="watched")
 
 
-def _refused(end: dict[str, Any] | None, known: str, t: str, seq: int) -> Iterator[_Moment]:
+def _refused(end: Ended | None, known: str, t: str, seq: int) -> Iterator[_Moment]:
     """Yield why a session did not begin, where its end alone says so."""
-    if end is not None and end.get("reason", "") != known and end["exit"] in REFUSED_EXITS:
-        yield from _moments(end, t, seq, "fault", "not watched")
+    if end is None or not end.error:
+        return
+    if end.reason != known and end.exit in REFUSED_EXITS:
+        yield from _moments(end.error, t, seq, "fault", "not watched")

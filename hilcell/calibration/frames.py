@@ -18,6 +18,7 @@ from hilcell.compensation.similarity import Pairs, similarity_pairs
 from hilcell.geometry.frames import apply, inverse, matrix, three_point_frame
 from hilcell.geometry.kinematics import forward
 from hilcell.identification.readings import Readings
+from hilcell.journal.curve_record import curve_of
 from hilcell.journal.log import Log, Point, commanded_rad, covariances_mm2, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.journal.set_ups import world_key
@@ -167,7 +168,7 @@ def measured_of(log: Log) -> Measured:
     nominal_mm, actual_mm, covariance_mm2 = _static(log, points)
     nominal = matrix(forward(robot.arm, joints_rad)[:, :3, :3], nominal_mm)
     poses = StaticPoses.of(joints_rad, nominal, actual_mm - nominal_mm, covariance_mm2)
-    curves = tuple(record.curve() for record in log.curves.values() if record.holds)
+    curves = tuple(curve_of(record) for record in log.curves.values() if record.holds)
     seats_mm = log.cell.robot.seats_mm
     xyz_mm: Array = np.full((len(points), len(seats_mm), 3), np.nan)
     own_mm2: Array = np.full((*xyz_mm.shape, 3), np.nan)

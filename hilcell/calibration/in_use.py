@@ -22,13 +22,13 @@ from hilcell.calibration.form import Calibration, Provenance
 from hilcell.calibration.validity import Unfit, check_fitness
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
-from hilcell.journal.calibration_facts import USED
 from hilcell.journal.find_run import find_run
 from hilcell.journal.folder_order import in_order
 from hilcell.journal.index import RunRow, read_index, row_of
 from hilcell.journal.log import Log
 from hilcell.journal.runs import CALIBRATION, is_run, read_log
 from hilcell.journal.standing import Standing, standings
+from hilcell.model.events import CalibrationUsed
 from hilcell.ports import HilcellError
 from hilcell.typed import typed
 
@@ -119,8 +119,8 @@ def record_of(calibration: Calibration, path: str) -> dict[str, Any]:
 def calibration_in(log: Log) -> Calibration | None:
     """Return the calibration that a run uses, once it has begun to."""
     for record in reversed(log.events):
-        if record.body["what"] == USED:
-            return typed(record.body["content"], Calibration)
+        if isinstance(record.fact, CalibrationUsed):
+            return typed(record.fact.content, Calibration)
     return None
 
 

@@ -22,20 +22,19 @@ from hilcell.geometry.frames import poses_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import figures_of, lengths_mm
 from hilcell.journal.log import Log, Point, commanded_rad
+from hilcell.model.events import TargetsListed
 from hilcell.ports import Array
 
 KIND = "targets"
-LISTED = "targets listed"  # the event that keeps the file's content
 GROSS = 5.0
 APART = 10  # targets of which each stands for itself, as in a re-check
 
 
 def listed(log: Log) -> tuple[list[str], Array] | None:
     """Return names and values (N, 6) in {W} of the targets, once they stand in the journal."""
-    for record in log.events:
-        if record.body["what"] == LISTED:
-            values: Array = np.array(record.body["values"], dtype=float)
-            return list(record.body["names"]), values
+    for found in log.happened(TargetsListed):
+        values: Array = np.array(found.values, dtype=float)
+        return found.names, values
     return None
 
 

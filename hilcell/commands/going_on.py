@@ -10,6 +10,7 @@ from hilcell.commands.output import print_message
 from hilcell.commands.run_output import kind_of
 from hilcell.errors import HilcellError
 from hilcell.journal.log import Log
+from hilcell.model.events import Announced, StepBegun
 from hilcell.run.procedure import Procedure
 
 
@@ -90,8 +91,8 @@ def agrees(
 
 def say_under_way(run: str, log: Log, procedure: Procedure) -> None:
     """Say what a run does that waits for nobody."""
-    announced = [each for each in log.events if each.body["what"] == "announced"]
-    what = str(announced[-1].body["motion"]) if announced else _moves(log, procedure)
+    announced = log.happened(Announced)
+    what = announced[-1].motion if announced else _moves(log, procedure)
     print_message(
         f"{kind_of(log)} {run}: {log.state}; it waits for no answer, and nothing was asked of it. "
         f"Under way: {what}"
@@ -100,7 +101,7 @@ def say_under_way(run: str, log: Log, procedure: Procedure) -> None:
 
 def _moves(log: Log, procedure: Procedure) -> str:
     """Return what moves in the step with which the run goes on."""
-    begun = [int(e.body["number"]) for e in log.events if e.body["what"] == "step"]
+    begun = [each.number for each in log.happened(StepBegun)]
     number = min(begun[-1] if begun else 1, len(procedure.parts))
     part = procedure.parts[number - 1]
     return f"step {number} of {len(procedure.parts)}, {part.name}, moves {part.moves}"

@@ -157,7 +157,7 @@ def show(args: argparse.Namespace) -> int:
     inputs = log.inputs
     procedure: Procedure = load_entry("procedures", inputs.procedure)
     finished = log.state == "finished"
-    result = procedure.result(log) if finished else (log.end or {}).get("result", {})
+    result = procedure.result(log) if finished else log.result
     standing = standings_in(folder.parent, read_index(folder.parent)).get(folder.name)
     summary = _summary(row_of(folder), standing) | {
         "digest": inputs.digest,

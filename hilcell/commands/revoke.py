@@ -9,13 +9,13 @@ from pathlib import Path
 from hilcell.calibration.in_use import standing_of
 from hilcell.clean import encodable
 from hilcell.commands.output import print_json, print_message
-from hilcell.journal.calibration_facts import REVOKED
 from hilcell.journal.engine_file import live_engine
 from hilcell.journal.find_run import find_run
 from hilcell.journal.index import row_of
 from hilcell.journal.journal import StorageError
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import JOURNAL, read_log
+from hilcell.model.events import CalibrationRevoked
 from hilcell.ports import HilcellError
 from hilcell.run.cell_lock import lock_of_name, locked
 
@@ -39,8 +39,8 @@ def revoke(args: argparse.Namespace) -> int:
         again = f"hilcell revoke {name}"
         journal = RunJournal(folder / JOURNAL, name, create=False, again=again)
         try:
-            body = {"what": REVOKED, "reason": args.reason, "operator": args.operator}
-            journal.append("event", "", body)
+            revoked = CalibrationRevoked(reason=args.reason, operator=args.operator)
+            journal.append("event", "", revoked)
         finally:
             journal.close()
     standing = standing_of(folder.resolve())

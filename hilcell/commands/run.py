@@ -410,7 +410,7 @@ def _run(
             if args.record_wire:
                 head = _head(cell, log, folder)
                 recording = _recording(cell, addresses, folder, head)
-                stack.callback(lambda: recording.close((log.end or {}).get("exit")))
+                stack.callback(lambda: recording.close(None if log.end is None else log.end.exit))
                 addresses, clock = recording.addresses, recording.clock(clock, stop)
             devices = build_devices(cell, addresses, clock)
             runner = Runner(

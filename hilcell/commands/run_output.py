@@ -30,13 +30,13 @@ from hilcell.commands.output import (
 )
 from hilcell.errors import DeviceError, HilcellError, facts_of
 from hilcell.journal.calibration_facts import NOT_JUDGED, OUTCOMES, VALIDATION, run_outcome
-from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.journal import Record
 from hilcell.journal.key_words import verdict_words
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import CONTROL
 from hilcell.journal.point_words import OTHERS
 from hilcell.journal.states import WAITING
+from hilcell.model.events import Closed, CurveMeasured
 from hilcell.present.table import Column, Table
 from hilcell.report.verdicts import deciding_words
 from hilcell.run.procedure import Plan, Procedure, Step
@@ -187,7 +187,7 @@ class ProgressOutput(RunOutput):
             if body["verdict"] == "broken":
                 self._print(f"{promise}: broken: {body['why']}")
         elif record.kind == "event" and body["what"] == "curve":
-            if not (curve := typed(body, CurveRecord)).holds:
+            if not (curve := typed(body, CurveMeasured)).holds:
                 self._print(curve.words)
         elif record.kind == "event" and body["what"] == "no reading":
             self._print(f"{body['key']}: {body['reason']} (try {body['tries']})")
@@ -230,8 +230,8 @@ def print_end(
             if entry_of(each.code).specific:
                 print_message(f"what to do: hilcell explain {each.code}")
     print_suspected(log)
-    if log.end is not None and log.end["result"] and log.state == "finished":
-        _print_result(procedure, output, log.end["result"])
+    if log.end is not None and log.end.result and log.state == "finished":
+        _print_result(procedure, output, log.end.result)
     for key, verdict in failed_verdicts(log.verdicts).items():
         print_message(failed_words(key, verdict))
     if log.link is not None and log.link.warning:
@@ -261,7 +261,7 @@ def failed_verdicts(verdicts: Mapping[str, dict[str, Any]]) -> dict[str, dict[st
 def print_suspected(log: Log) -> None:
     """Print which cause the fault names that ended a run; a finished one's words have its own."""
     if log.end is not None and log.state == "faulted":
-        for each in suspected_in(log.end["result"]):
+        for each in suspected_in(log.end.result):
             print_message(f"Suspected: {each.text}.")
 
 
@@ -274,9 +274,9 @@ def print_unclosed(problems: Mapping[str, Exception], fault: Exception | None) -
 
 def left_moving(log: Log) -> str:
     """Return what the last session did not see at rest when it closed its devices; "" for all."""
-    closings = [each.body for each in log.events if each.body["what"] == "closed"]
-    last = closings[-1] if closings and log.over else {}
-    problems = {name: HilcellError(text) for name, text in last.get("problems", {}).items()}
+    closings = log.happened(Closed)
+    last = closings[-1].problems if closings and log.over else {}
+    problems = {name: HilcellError(text) for name, text in last.items()}
     error = not_at_rest(problems)
     return "" if error is None or error.summary in log.fault else str(error)
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import msgspec
 
-from hilcell.journal.log import Readings, ReadingTime
+from hilcell.model.events import ReadingTime
+from hilcell.model.point import Readings
 
 Three = tuple[float, float, float]
 

@@ -6,24 +6,36 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import combinations
-from typing import Any, Protocol
+from typing import Protocol
 
 import msgspec
 import numpy as np
 
-from hilcell.alarms.acknowledged import Acknowledged
 from hilcell.geometry.beam_noise import beam_noise
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import coverage_factor
-from hilcell.invariants.bodies import Ended, Framed, Life, Measured
+from hilcell.invariants.bodies import Framed, Measured
 from hilcell.invariants.motions import FUTURE_S, Motions
 from hilcell.invariants.scene import Scene, is_proof, is_world, nest_of, pose_of, set_up_of
 from hilcell.invariants.tally import Tally, Verdict
-from hilcell.journal.asset import Asset, asset_of, same
+from hilcell.journal.asset import same
 from hilcell.journal.journal import Record, StorageError
-from hilcell.journal.log import Readings, ReadingTime
-from hilcell.journal.set_ups import PROVEN, TRACKER_MOVED
 from hilcell.journal.states import OVER, WAITING
+from hilcell.model.events import (
+    AlarmsAcknowledged,
+    Asset,
+    ChangesAccepted,
+    Closed,
+    Connected,
+    ReadingTime,
+    SafeStopSent,
+    StepBegun,
+    StreamRecorded,
+    TrackerMoved,
+    TrackerProven,
+)
+from hilcell.model.point import Readings
+from hilcell.model.records import Ended, StateChanged
 from hilcell.typed import typed
 
 SIGMAS = 4.0
@@ -43,24 +55,23 @@ class TrackerSetUps:
                 self._point(record, typed(record.body, Measured))
             case "frame":
                 self._frame(record, typed(record.body, Framed))
-            case "state" if record.body.get("machine") == "run":
-                if typed(record.body, Life).to == "finished":
-                    self._closed(record, "the run's end", list(self._scene.unproven))
-            case "event":
-                self._event(record)
+            case "state" | "event":
+                self._happened(record)
 
-    def _event(self, record: Record) -> None:
-        body, scene = record.body, self._scene
-        match body.get("what"):
-            case "step":
+    def _happened(self, record: Record) -> None:
+        scene = self._scene
+        match record.fact:
+            case StateChanged(machine="run", to="finished"):
+                self._closed(record, "the run's end", list(scene.unproven))
+            case StepBegun(name=name):
                 here = [key for key, session in scene.unproven.items() if session == scene.session]
-                self._closed(record, f"step {body['name']}", here)
-            case "stream":
-                self._followed(record, body["key"])
-            case found if found == PROVEN:
+                self._closed(record, f"step {name}", here)
+            case StreamRecorded(key=key):
+                self._followed(record, key)
+            case TrackerProven():
                 self._proof(record)
-            case found if found == TRACKER_MOVED:
-                kept = sorted(scene.unproven.keys() - set(body["invalid"]))
+            case TrackerMoved(invalid=invalid):
+                kept = sorted(scene.unproven.keys() - set(invalid))
                 what = f"kept {', '.join(kept)} of a tracker that had moved"
                 self._check("I10", record, not kept, what)
 
@@ -194,7 +205,7 @@ class LifeRules:
         self._check = tally.check
         self._seq = 0
         self._state = "idle"
-        self._closings: list[dict[str, Any]] = []  # of this session
+        self._closings: list[Closed] = []  # of this session
         self._reason = ""  # the first of this session's fault
         self._ended = False  # this session; a resume that was refused ends once more
         self._failed: set[str] = set()  # the keys of verdicts that do not hold now
@@ -204,31 +215,24 @@ class LifeRules:
         gap = f"record {self._seq} came before"
         self._check("I8", record, record.seq == self._seq + 1, gap)
         self._seq = record.seq
-        match record.kind:
-            case "state" if record.body.get("machine") == "run":
-                self._life(record, typed(record.body, Life))
-            case "verdict":
-                (self._failed.discard if record.body["holds"] else self._failed.add)(record.key)
-            case "event":
-                self._event(record)
-            case "end":
-                self._end(record, typed(record.body, Ended))
-
-    def _event(self, record: Record) -> None:
-        match record.body.get("what"):
-            case "closed":
-                self._closings.append(record.body)
-                took_s = record.body["took_s"]
+        if record.kind == "verdict":
+            (self._failed.discard if record.body["holds"] else self._failed.add)(record.key)
+        match record.fact if record.kind in ("state", "event", "end") else None:
+            case StateChanged(machine="run") as life:
+                self._life(record, life)
+            case Ended() as end:
+                self._end(record, end)
+            case Closed(took_s=took_s) as closed:
+                self._closings.append(closed)
                 what = f"the teardown took {took_s:.1f} s, at most {TEARDOWN_S:g} s"
                 self._check("I7", record, 0.0 <= took_s <= TEARDOWN_S, what)
-            case "safe stop" if record.body.get("cause"):
-                self._reason = self._reason or record.body["cause"]
-            case "acknowledged":
-                until = typed(record.body, Acknowledged).until
+            case SafeStopSent(cause=cause):
+                self._reason = self._reason or cause
+            case AlarmsAcknowledged(until=until):
                 unseen = f"alarms up to record {until} were acknowledged before it was written"
                 self._check("I17", record, until < record.seq, unseen)
 
-    def _life(self, record: Record, life: Life) -> None:
+    def _life(self, record: Record, life: StateChanged) -> None:
         what = f"state was {self._state}, not {life.before}"
         self._check("I9", record, life.before == self._state, what)
         if life.to == "running" and self._state in WAITING:
@@ -249,7 +253,7 @@ class LifeRules:
 
         Then the run has not ended well, and says so.
         """
-        problems = self._closings[-1].get("problems", {}) if self._closings else {}
+        problems = self._closings[-1].problems if self._closings else {}
         for device in HELD_DEVICES:
             problem = problems.get(device, "")
             if problem and to == "faulted":
@@ -377,15 +381,15 @@ class Identities:
 
     def take(self, record: Record) -> None:
         """Judge a record."""
-        match record.body.get("what") if record.kind == "event" else "":
-            case "changes accepted":
+        match record.fact if record.kind == "event" else None:
+            case ChangesAccepted():
                 self._accepted = True
-            case "connected":
-                self._connected(record)
+            case Connected() as event:
+                self._connected(record, event)
 
-    def _connected(self, record: Record) -> None:
-        now = {each.kind: each for each in map(asset_of, record.body["devices"])}
-        hilcell = record.body["hilcell"]
+    def _connected(self, record: Record, event: Connected) -> None:
+        now = {each.kind: each for each in event.devices}
+        hilcell = event.hilcell
         if self._before:
             kinds = self._before.keys() | now.keys()
             changed = [k for k in sorted(kinds) if not same(self._before.get(k), now.get(k))]

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
-from hilcell.invariants.bodies import CellFacts, Inputs, Life, Measured, Motion, Station
+from hilcell.invariants.bodies import CellFacts, Inputs, Measured, Motion, Station
 from hilcell.journal.journal import Record
 from hilcell.journal.point_id import CHECKS, SEAT
-from hilcell.journal.set_ups import FRAMED_AGAIN, INTERRUPTED, PROOFS, PROVEN, TRACKER_MOVED
+from hilcell.journal.set_ups import INTERRUPTED, PROOFS
 from hilcell.journal.states import OVER, WAITING
+from hilcell.model.events import (
+    Event,
+    OtherEvent,
+    OutlierMeasuredAgain,
+    RetakeAsked,
+    StationFoundHeld,
+    StationHeld,
+    StreamRecorded,
+    TrackerMoved,
+    TrackerProven,
+    VisitedOnceMore,
+    WorldFramedAgain,
+)
+from hilcell.model.records import StateChanged
 from hilcell.typed import typed
-
-STANDS = ("station held", "station found held")
-AGAIN = (  # events that allow a point a second time
-    "retake asked", "outlier measured again", "visited once more",
-)  # fmt: skip
 
 
 @dataclass(slots=True)
@@ -62,11 +70,14 @@ class Scene:
     def take(self, record: Record) -> None:
         """Add a record."""
         body = record.body
+        match record.fact if record.kind in ("state", "event") else None:
+            case StateChanged(machine="run") as life:
+                self._take_state(life)
+            case Event() | OtherEvent() as event:
+                self._take_event(event)
         match record.kind:
             case "plan":
                 self.inputs = typed(body, Inputs)
-            case "state" if body.get("machine") == "run":
-                self._take_state(typed(body, Life))
             case "intent":
                 self._take_motion(record.key, typed(body, Motion))
             case "point":
@@ -74,10 +85,8 @@ class Scene:
             case "frame" if is_world(record.key):
                 self.framed.add(set_up_of(record.key))
                 self._prove()
-            case "event":
-                self._take_event(body)
 
-    def _take_state(self, life: Life) -> None:
+    def _take_state(self, life: StateChanged) -> None:
         self.state = life.to
         self.interrupted |= life.to in INTERRUPTED
         if life.to == "checking":
@@ -100,21 +109,21 @@ class Scene:
         elif not is_proof(key):
             self.unproven[key] = self.session
 
-    def _take_event(self, body: dict[str, Any]) -> None:
-        what = body.get("what")
-        if what in STANDS:
-            self.held = body["station"]
-        elif what in AGAIN:
-            self.again.add(body["key"])
-        elif what == "stream":
-            self.unproven[body["key"]] = self.session
-        elif what == PROVEN:
-            self._prove()
-        elif what == TRACKER_MOVED:
-            self.set_up = body["set_up"]
-            self._drop(body["invalid"])
-        elif what == FRAMED_AGAIN:
-            self._drop(body["invalid"])
+    def _take_event(self, event: Event | OtherEvent) -> None:
+        match event:
+            case StationHeld() | StationFoundHeld():
+                self.held = event.station
+            case RetakeAsked() | OutlierMeasuredAgain() | VisitedOnceMore():
+                self.again.add(event.key)
+            case StreamRecorded():
+                self.unproven[event.key] = self.session
+            case TrackerProven():
+                self._prove()
+            case TrackerMoved():
+                self.set_up = event.set_up
+                self._drop(event.invalid)
+            case WorldFramedAgain():
+                self._drop(event.invalid)
 
     def _drop(self, keys: list[str]) -> None:
         for key in keys:

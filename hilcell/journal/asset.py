@@ -1,39 +1,8 @@
-"""The assets of a cell as the journal names them: one entry per device with a serial number."""
+"""Whether the assets of two runs, or of two sessions, are the same ones."""
 
 from __future__ import annotations
 
-from typing import Any
-
-import msgspec
-
-from hilcell.typed import typed
-
-
-class Asset(msgspec.Struct, frozen=True, kw_only=True):
-    """A robot, a tracker, a rail's drive or its strip. "" where a device does not say.
-
-    ``device`` is the port by which it was reached: drive and strip are both at "Rail".
-    """
-
-    kind: str = ""
-    device: str = ""
-    maker: str = ""
-    model: str = ""
-    serial: str = ""
-    firmware: str = ""
-    address: str = ""
-    simulated: bool = False
-
-    @property
-    def text(self) -> str:
-        """Return it in words: model and serial number."""
-        return f"{self.model}, serial {self.serial}"
-
-
-def asset_of(entry: dict[str, Any]) -> Asset:
-    """Return a device of the event `connected`; its name is its kind where it has no other."""
-    asset = typed(entry, Asset)
-    return asset if asset.kind else msgspec.structs.replace(asset, kind=asset.device.lower())
+from hilcell.model.events import Asset
 
 
 def same(before: Asset | None, now: Asset | None) -> bool:

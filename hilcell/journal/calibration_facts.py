@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import msgspec
 
 from hilcell.journal.journal import Record
+from hilcell.model.events import CalibrationRevoked, CalibrationUsed
 from hilcell.typed import typed
 
 if TYPE_CHECKING:
     from hilcell.journal.log import Log
 
-USED = "calibration used"  # the events
-REVOKED = "calibration revoked"
 VALIDATION = "validation."  # the key of a verdict is this and the place
 SINCE = "since"  # the key of the verdict on what has changed since the calibration before
 JUDGING = (VALIDATION, "iso9283", "targets")  # verdicts on the robot against stated limits
@@ -69,12 +68,6 @@ class _Verdict(msgspec.Struct):
     before: str = ""
 
 
-class _Event(msgspec.Struct):
-    what: str
-    run: str = ""
-    reason: str = ""
-
-
 class CalibrationReader:
     """Gathers the facts from the records of a journal, in their order."""
 
@@ -88,12 +81,12 @@ class CalibrationReader:
         self.moved = self.moved or record.kind == "intent"
         if record.kind == "verdict":
             self.judge(record.key, record.body)
-        elif record.kind == "event" and record.body["what"] in (USED, REVOKED):
-            event = typed(record.body, _Event)
-            if event.what == USED:
-                self._used = event.run
-            else:
-                self._revoked = event.reason
+            return
+        match record.fact if record.kind == "event" else None:
+            case CalibrationUsed(run=run):
+                self._used = run
+            case CalibrationRevoked(reason=reason):
+                self._revoked = reason
 
     def judge(self, key: str, body: Mapping[str, Any]) -> None:
         """Add a verdict; raises `msgspec.ValidationError`."""
@@ -169,5 +162,5 @@ def facts_of_verdicts(log: Log) -> CalibrationFacts:
 
 def run_outcome(log: Log) -> str:
     """Return how the run of a log came out, in the word of `outcome`."""
-    code = None if log.end is None else int(log.end["exit"])
+    code = None if log.end is None else int(log.end.exit)
     return outcome(facts_of_verdicts(log), log.state, code, len(log.points))

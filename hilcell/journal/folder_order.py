@@ -74,12 +74,11 @@ class SessionReader:
 
     def take(self, record: Record) -> None:
         """Add one record; raises `msgspec.ValidationError`."""
-        body = record.body
         if record.kind == "plan":
-            self.order = self._taken = typed(body.get(ORDER, {}), FolderOrder)
-        elif record.kind == "event" and body["what"] == ORDER:
-            self._taken = typed(body, FolderOrder)
-        elif record.kind == "state" and body["to"] == "checking":
+            self.order = self._taken = typed(record.body.get(ORDER, {}), FolderOrder)
+        elif record.kind == "event" and record.body["what"] == ORDER:
+            self._taken = typed(record.body, FolderOrder)
+        elif record.kind == "state" and record.body["to"] == "checking":
             self.order, self.began = self._taken, f"{record.t[:23]}Z"
 
 

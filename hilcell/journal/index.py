@@ -28,6 +28,8 @@ from hilcell.journal.folder_order import FolderOrder, SessionReader, in_order
 from hilcell.journal.journal import ABSENT, NeverBegan, Record, StorageError
 from hilcell.journal.runs import JOURNAL, read_records, unusable
 from hilcell.journal.states import OVER, RunState
+from hilcell.model.events import Connected
+from hilcell.model.records import Ended, StateChanged
 from hilcell.typed import decoded, typed
 
 NAME = "index.sqlite"
@@ -221,26 +223,6 @@ class _Plan(msgspec.Struct):
     replayed: bool
 
 
-class _Device(msgspec.Struct):
-    simulated: bool = False  # as the device says of itself
-
-
-class _Connected(msgspec.Struct):
-    devices: list[_Device]
-
-
-class _End(msgspec.Struct):
-    exit: int
-    result: dict[str, object] = {}
-    reason: str = ""
-
-
-class _State(msgspec.Struct):
-    machine: str
-    to: str
-    reason: str = ""
-
-
 class _Errors(msgspec.Struct):
     mean: float
     max: float
@@ -290,15 +272,14 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
                 points.add(record.key)
             case "end":
                 end = record
-            case "event" if record.body["what"] == "connected":
-                devices = typed(record.body, _Connected).devices
+            case "event":
+                devices = record.fact.devices if isinstance(record.fact, Connected) else []
                 simulated = simulated or any(each.simulated for each in devices)
             case "state":
-                change = typed(record.body, _State)
-                if change.machine == "run":
-                    state, why = typed(change.to, RunState), change.reason
-                    if state == "checking":
-                        end = None
+                match record.fact:
+                    case StateChanged(machine="run", to=to, reason=why):
+                        state = typed(to, RunState)
+                        end = None if state == "checking" else end
     if plan is None:
         raise NeverBegan("the journal holds no plan: the run died before its first record")
     row = _row(name, plan, state, end, why, len(points))
@@ -315,7 +296,7 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
 
 def _row(name: str, plan: Record, state: str, end: Record | None, why: str, points: int) -> RunRow:
     inputs = typed(plan.body, _Plan)
-    last = typed(end.body, _End) if end is not None else None
+    last = end.fact if end is not None and isinstance(end.fact, Ended) else None
     before_mean_mm, chosen_mean_mm, chosen_max_mm = (
         _figures(last.result, inputs.cell.grid.station) if last is not None else (None, None, None)
     )

@@ -18,14 +18,15 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, TypeAlias
 
 import msgspec
 
 from hilcell.errors import HilcellError
 from hilcell.journal.runs_folder import runs_option
+from hilcell.model.records import Fact, Kind, fact_of
 from hilcell.typed import typed
 
 # The writer goes on without any error in a file that was deleted, replaced or cut short.
@@ -68,6 +69,8 @@ class OpenFile:
         return found.st_dev, found.st_ino, found.st_size
 
 
+Body: TypeAlias = dict[str, Any] | msgspec.Struct  # of a record to be written
+
 FORM = 2
 READ_BACK = 500  # records between two checks that the file holds what was acknowledged
 CACHE_KIB = 256  # of SQLite's pages: a writer that appends needs the last ones only
@@ -81,7 +84,6 @@ MOST_STEPS, STEPS = 2 * 10**8, 10**6
 NULL = b"null"  # JSON of None, and of every number that is not finite
 # Raised where a file is read that is no journal of ours.
 BROKEN = (ValueError, TypeError, msgspec.MsgspecError, RecursionError, MemoryError)
-Kind = Literal["plan", "state", "intent", "point", "frame", "verdict", "event", "end"]
 
 _TABLES = """
 CREATE TABLE meta (name TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
@@ -143,7 +145,7 @@ class NotFinite(HilcellError):
     code = "HC-J12"
 
 
-class Record(msgspec.Struct, frozen=True):
+class Record(msgspec.Struct, frozen=True, dict=True):
     """One acknowledged record. ``key`` names its subject; a later one of the key supersedes."""
 
     seq: int
@@ -151,6 +153,11 @@ class Record(msgspec.Struct, frozen=True):
     kind: Kind
     key: str
     body: dict[str, Any]
+
+    @cached_property
+    def fact(self) -> Fact:
+        """Return the body as its type; raises `msgspec.ValidationError`."""
+        return fact_of(self.kind, self.key, self.body)
 
     def event(self, run: str) -> dict[str, Any]:
         """Return the record as the event that commands print."""
@@ -217,7 +224,7 @@ class Journal:
             self._asked_again or f"hilcell resume {self.run}{runs_option(self.path.parent.parent)}"
         )
 
-    def append(self, kind: Kind, key: str, body: dict[str, Any]) -> Record:
+    def append(self, kind: Kind, key: str, body: Body) -> Record:
         """Write one record and return it when it is durable.
 
         Raises `StorageError`, and `NotFinite` before anything is written.
@@ -321,7 +328,7 @@ class Journal:
             self._base.close()
 
 
-def plain_body(body: dict[str, Any], what: str, then: str = "") -> tuple[dict[str, Any], bytes]:
+def plain_body(body: Body, what: str, then: str = "") -> tuple[dict[str, Any], bytes]:
     """Return a record's body in plain types, and its JSON; raises `NotFinite` that names it."""
     plain: dict[str, Any] = msgspec.to_builtins(body, enc_hook=lambda value: value.tolist())
     text = msgspec.json.encode(plain)

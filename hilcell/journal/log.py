@@ -17,16 +17,28 @@ import numpy as np
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
 from hilcell.geometry.statistics import reading_variances_mm2
-from hilcell.journal.asset import Asset, asset_of
-from hilcell.journal.curve_record import CurveRecord
-from hilcell.journal.journal import Kind, NeverBegan, Record
-from hilcell.journal.link_record import LinkRecord
+from hilcell.journal.journal import NeverBegan, Record
 from hilcell.journal.packed import Packed
-from hilcell.journal.point_id import CONTROL, PointId
 from hilcell.journal.set_ups import SetUps, carried, world_key
 from hilcell.journal.states import OVER, WAITING, CalibrationState, RunState
-from hilcell.journal.stream_file import StreamRecord
-from hilcell.ports import Air, Array
+from hilcell.model.events import (
+    Asset,
+    Connected,
+    CurveMeasured,
+    Event,
+    FactoryLinks,
+    Json,
+    LinkCounted,
+    OtherEvent,
+    RetakeAsked,
+    RetakeRefused,
+    Seated,
+    StationHeld,
+    StreamRecorded,
+)
+from hilcell.model.point import CONTROL, Point, PointId
+from hilcell.model.records import Ended, Intended, Kind, StateChanged
+from hilcell.ports import Array
 from hilcell.typed import typed
 
 if TYPE_CHECKING:
@@ -48,16 +60,21 @@ class Driven:
 
     def take(self, record: Record) -> None:
         """Add one record."""
-        body = record.body
-        if record.kind == "state" and body["to"] == "checking":
-            self._under_way = None  # its session ended before it was seen to arrive
-        if record.kind not in ("intent", "point"):
+        if record.kind not in ("state", "intent", "point"):
             return
+        match record.fact:
+            case StateChanged(to="checking"):
+                self._under_way = None  # its session ended before it was seen to arrive
+            case Intended(action="robot.move", strip_mm=float(strip_mm), joints_deg=joints_deg):
+                self._arrived()
+                self._under_way = [strip_mm, *joints_deg]
+            case Intended() | Point():
+                self._arrived()
+
+    def _arrived(self) -> None:
         if self._under_way is not None:
             self._ends.extend(self._under_way)
         self._under_way = None
-        if body.get("action") == "robot.move" and "strip_mm" in body:
-            self._under_way = [body["strip_mm"], *body["joints_deg"]]
 
     def has(self, strip_mm: float, joints_rad: Array) -> bool:
         """Whether a motion ended at joints (6,) with the slide there."""
@@ -69,97 +86,14 @@ class Driven:
 
 
 T = TypeVar("T")
+E = TypeVar("E", bound=Event)
 Args = TypeVarTuple("Args")
 
 NO_READINGS: tuple[Kind, ...] = ("intent", "state", "verdict")  # records: no point, no frame
-FACTORY_LINKS = "factory links"  # the event of a controller that computes with measured links
-
-
-class ReadingTime(msgspec.Struct, frozen=True, omit_defaults=True):
-    """When a reading was taken, in s of the PC's monotonic clock, and its age when it was used.
-
-    ``ended_s`` is when the motion before it was seen to have ended. Times of one session can be
-    compared with each other, and with nothing else.
-    """
-
-    taken_s: float
-    age_s: float
-    ended_s: float | None = None
-
-
-class Readings(msgspec.Struct, frozen=True, omit_defaults=True):
-    """The times of the readings that make a point.
-
-    ``began`` is the rail's by which the robot's motion to it began, aged as it was at the command.
-    """
-
-    tracker: ReadingTime
-    rail: ReadingTime
-    robot: ReadingTime | None = None
-    began: ReadingTime | None = None
-
-    @property
-    def settled_s(self) -> float | None:
-        """Return how long slide and robot had been at rest; None where neither has moved."""
-        both = (self.rail, self.robot)
-        ends_s = [each.ended_s for each in both if each is not None and each.ended_s is not None]
-        return self.tracker.taken_s - max(ends_s) if ends_s else None
-
-
-class Point(msgspec.Struct, frozen=True, kw_only=True):
-    """One acknowledged measurement, raw, with all that is needed to use it later.
-
-    ``xyz_mm`` is the mean of ``samples``, as seen from the tracker's first set-up, ``nominal_mm``
-    the nominal target in {W} and ``nominal_deg`` its angles A, B, C, where the orientation was
-    measured; joints in deg. Its record also says the controller's pose.
-    """
-
-    id: PointId
-    key: str
-    group: str
-    station: str
-    reflector: str
-    xyz_mm: tuple[float, float, float]
-    std_mm: tuple[float, float, float]
-    samples: int
-    session: int
-    frame: str
-    temperature_c: float | None = None
-    pressure_mbar: float | None = None
-    humidity_percent: float | None = None
-    retaken: bool = False
-    nominal_mm: tuple[float, float, float] | None = None
-    nominal_deg: tuple[float, float, float] | None = None
-    smr_mm: tuple[float, float, float] | None = None
-    commanded_deg: tuple[float, ...] | None = None
-    joints_deg: tuple[float, ...] | None = None
-    rail_mm: float | None = None
-    strip_mm: float | None = None
-    readings: Readings | None = None
-    set_up: int = 0  # at which it was measured
-
-    @property
-    def air(self) -> Air | None:
-        """Return the air at the tracker, or None where no weather station measured it."""
-        if (
-            self.temperature_c is None
-            or self.pressure_mbar is None
-            or self.humidity_percent is None
-        ):
-            return None
-        return Air(self.temperature_c, self.pressure_mbar, self.humidity_percent)
 
 
 class _Row(Point, frozen=True, kw_only=True, array_like=True):
     """A point as the log packs it."""
-
-
-class Seated(msgspec.Struct, frozen=True, kw_only=True):
-    """Where a reflector was seen once it was seated, tracker's frame, and what the strip read."""
-
-    place: str
-    xyz_mm: tuple[float, float, float]
-    strip_mm: float
 
 
 class FrameBefore(msgspec.Struct, frozen=True):
@@ -245,18 +179,18 @@ class Log:
         self.calibration: CalibrationState = "unknown"
         self.life: list[Record] = []  # the states that the run went through
         self.session, self.began = 0, 0  # its number, and the record with which it began
-        self.end: dict[str, Any] | None = None
+        self.end: Ended | None = None
         self.fault = ""
         self.moved = False  # in this session
         self.visit = 0  # one more with each order to the slide: a touched base is of one visit
         self.driven = Driven()
         self.set_ups = SetUps()
         self.retakes: dict[str, None] = {}  # keys of points that wait to be re-measured
-        self.link: LinkRecord | None = None  # of all sessions that have ended by themselves
+        self.link: LinkCounted | None = None  # of all sessions that have ended by themselves
         self.seated = ""  # the place of a reflector that is carried by hand
         self.sights: dict[str, Seated] = {}
-        self.streams: dict[str, StreamRecord] = {}
-        self.curves: dict[int, CurveRecord] = {}  # by axis, 1 to 6
+        self.streams: dict[str, StreamRecorded] = {}
+        self.curves: dict[int, CurveMeasured] = {}  # by axis, 1 to 6
         self.assets: list[Asset] = []  # that answered when they were last connected
         self.newest: Record | None = None
         self._newest: dict[Kind, int] = {}  # numbers of records
@@ -269,40 +203,42 @@ class Log:
 
     def take(self, record: Record) -> None:
         """Add one record."""
-        body, before = record.body, self._worked
+        body, fact, before = record.body, record.fact, self._worked
         self.newest = record
         self._newest[record.kind] = record.seq
         self._worked = before if record.kind == "end" else record
+        match fact:
+            case StateChanged():
+                self._take_state(record, fact, before)
+            case Point():
+                self._take_point(self._carried(fact), record.seq)
+                self.order = None
+            case Ended():
+                self.end = fact
+            case Intended():
+                self.moved, self.order = True, record
+                self.visit += fact.action.startswith("rail.")
+            case Event() | OtherEvent():
+                self.events.append(record)
+                self._take_event(fact)
         match record.kind:
             case "plan":
                 self.plan = typed(body, PlanRecord)
                 self._cell = None
-            case "state":
-                self._take_state(record, before)
-            case "point":
-                self._take_point(self.read(record), record.seq)
-                self.order = None
             case "frame":
                 self.frames[record.key] = body
                 self._carry_nests(record.key, record.seq)
             case "verdict":
                 self.verdicts[record.key] = body
                 self.judged[record.key] = record
-            case "event":
-                self.events.append(record)
-                self._take_event(body)
-            case "end":
-                self.end = body
-            case "intent":
-                self.moved, self.order = True, record
-                self.visit += str(body.get("action", "")).startswith("rail.")
         self.driven.take(record)
         for key in self.set_ups.take(record):
             self._drop(key)
 
     def read(self, record: Record) -> Point:
         """Return the point of a record, a later one may count, as seen from the first set-up."""
-        return self._carried(typed(record.body | {"key": record.key}, Point))
+        assert isinstance(record.fact, Point)  # noqa: S101 - a record of another kind is none
+        return self._carried(record.fact)
 
     def _carried(self, point: Point) -> Point:
         """Return a point as its tracker would have seen it from the first set-up."""
@@ -344,39 +280,35 @@ class Log:
         self.points[point.key] = point
         self.retakes.pop(point.key, None)
 
-    def _take_event(self, body: dict[str, Any]) -> None:
-        match body.get("what"):
-            case "retake asked":
-                self.retakes[body["key"]] = None
-            case "retake refused":
-                self.retakes.pop(body["key"], None)
-            case "station held":
+    def _take_event(self, event: Event | OtherEvent) -> None:
+        match event:
+            case RetakeAsked():
+                self.retakes[event.key] = None
+            case RetakeRefused():
+                self.retakes.pop(event.key, None)
+            case StationHeld():
                 self.order = None
-            case "link":
-                link = typed(body, LinkRecord)  # each session counts from its connect
-                self.link = link if self.link is None else self.link.followed_by(link)
-            case "connected":
-                self.assets = [asset_of(entry) for entry in body["devices"]]
+            case LinkCounted():  # each session counts from its connect
+                self.link = event if self.link is None else self.link.followed_by(event)
+            case Connected():
+                self.assets = event.devices
                 if any(asset.simulated for asset in self.assets):
                     # Its own statement counts, with any cell file.
                     self.plan = msgspec.structs.replace(self.inputs, simulated=True)
-            case "stream":
-                self.streams[body["key"]] = typed(body, StreamRecord)
-            case "curve":
-                curve = typed(body, CurveRecord)
-                self.curves[curve.axis] = curve
-            case "seated":
-                sight = typed(body, Seated)
-                self.seated, self.sights[sight.place] = sight.place, sight
+            case StreamRecorded():
+                self.streams[event.key] = event
+            case CurveMeasured():
+                self.curves[event.axis] = event
+            case Seated():
+                self.seated, self.sights[event.place] = event.place, event
 
-    def _take_state(self, record: Record, before: Record | None) -> None:
-        body = record.body
-        if body["machine"] == "calibration":
-            self.calibration = typed(body["to"], CalibrationState)
+    def _take_state(self, record: Record, change: StateChanged, before: Record | None) -> None:
+        if change.machine == "calibration":
+            self.calibration = typed(change.to, CalibrationState)
             return
-        if body["to"] == "checking" and self.life and not self.over and before is not None:
+        if change.to == "checking" and self.life and not self.over and before is not None:
             self.cut_off.append(CutOff(before, self.state, len(self.points), self.began))
-        self.state = typed(body["to"], RunState)
+        self.state = typed(change.to, RunState)
         self.life.append(record)
         if self.state in ("checking", *WAITING):
             self.order = None
@@ -384,7 +316,7 @@ class Log:
             self.session, self.began = self.session + 1, record.seq
             self.end, self.fault, self.moved = None, "", False
         if self.state == "faulted" and not self.fault:
-            self.fault = str(body.get("reason", ""))
+            self.fault = change.reason
 
     def once(
         self,
@@ -402,10 +334,19 @@ class Log:
             known = self._computed[key] = (newest, compute(self, *args))
         return known[1]
 
+    def happened(self, kind: type[E]) -> list[E]:
+        """Return the events of a type in their order."""
+        return [record.fact for record in self.events if isinstance(record.fact, kind)]
+
     @property
     def states(self) -> dict[str, str]:
         """Return the state of each machine."""
         return {"run": self.state, "calibration": self.calibration}
+
+    @property
+    def result(self) -> Json:
+        """Return the result with which the last session ended; nothing before its end."""
+        return {} if self.end is None else self.end.result
 
     @property
     def over(self) -> bool:
@@ -415,7 +356,7 @@ class Log:
     @property
     def by_factory_links(self) -> bool:
         """Whether the controller computes with links that its maker has measured on this arm."""
-        return any(record.body["what"] == FACTORY_LINKS for record in self.events)
+        return bool(self.happened(FactoryLinks))
 
     @property
     def calibrates(self) -> bool:
@@ -498,7 +439,7 @@ class Log:
     @property
     def was_connected(self) -> bool:
         """Whether all devices were connected in this session: else how they stand is not known."""
-        connected = (each.seq for each in self.events if each.body["what"] == "connected")
+        connected = (each.seq for each in self.events if isinstance(each.fact, Connected))
         return max(connected, default=0) > self.began
 
     def temperatures_c(self) -> list[float]:

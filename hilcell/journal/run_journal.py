@@ -6,10 +6,11 @@ The log has what the file held before, so a resumed run is set up as a new one i
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
-from hilcell.journal.journal import Journal, Kind, Record
+from hilcell.journal.journal import Body, Journal, Record
 from hilcell.journal.log import Log
+from hilcell.model.records import Kind
 
 
 class Records(Protocol):
@@ -18,7 +19,7 @@ class Records(Protocol):
     log: Log
     path: Path
 
-    def append(self, kind: Kind, key: str, body: dict[str, Any]) -> Record:
+    def append(self, kind: Kind, key: str, body: Body) -> Record:
         """Keep one record, apply it to the log and return it; raises `NotFinite`."""
 
 

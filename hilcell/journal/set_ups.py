@@ -6,18 +6,16 @@ A tracker that was moved is at a new set-up, with a {W} of its own: its frame is
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.journal import Record
-from hilcell.journal.point_id import CHECKS
+from hilcell.model.events import StreamRecorded, TrackerMoved, TrackerProven, WorldFramedAgain
+from hilcell.model.point import CHECKS
+from hilcell.model.records import StateChanged
 from hilcell.ports import Array
 
 Three = tuple[float, float, float]
-PROVEN, TRACKER_MOVED = "tracker proven", "tracker moved"  # events
-FRAMED_AGAIN = "world frame begun again"  # by an engine after the one that measured some nests
 PROOFS = ("world", "control")  # kinds of points
 INTERRUPTED = ("paused", "suspended", "checking")  # states in which nobody sees a bump
 
@@ -58,32 +56,26 @@ class SetUps:
 
     def take(self, record: Record) -> list[str]:
         """Add one record; return the keys of what has become invalid by it."""
-        body = record.body
         if record.kind == "point":
             if not record.key.startswith(tuple(f"{kind}/" for kind in PROOFS)):
                 self.unproven[record.key] = None
             elif record.key.startswith(f"{PROOFS[1]}/"):
                 self._proofs.append(record.key)
-        elif record.kind == "state":
-            self.interrupted |= body["machine"] == "run" and body["to"] in INTERRUPTED
         elif record.kind == "frame" and record.key == world_key(self.number):
             self._prove()
-        elif record.kind == "event":
-            return self._take_event(body)
-        return []
-
-    def _take_event(self, body: dict[str, Any]) -> list[str]:
-        match body.get("what"):
-            case "stream":
-                self.unproven[body["key"]] = None
-            case moved if moved == TRACKER_MOVED:
-                self.number = body["set_up"]
+        match record.fact if record.kind in ("state", "event") else None:
+            case StateChanged(machine="run", to=to):
+                self.interrupted |= to in INTERRUPTED
+            case StreamRecorded(key=key):
+                self.unproven[key] = None
+            case TrackerMoved(set_up=number, invalid=invalid):
+                self.number = number
                 self.refuted.update(self._proofs)
                 self._proofs.clear()
-                return list(body["invalid"])
-            case again if again == FRAMED_AGAIN:
-                return list(body["invalid"])
-            case proven if proven == PROVEN:
+                return invalid
+            case WorldFramedAgain(invalid=invalid):
+                return invalid
+            case TrackerProven():
                 self._prove()
         return []
 

@@ -23,11 +23,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from hilcell.journal.journal import StorageError, is_there
+from hilcell.model.events import StreamRecorded
 from hilcell.ports import Array, JointSample, NoReading, StreamBlock
 
 FORM = 1  # of the file; to be raised whenever its arrays change
@@ -41,21 +41,6 @@ JOINTS = np.dtype(
     [("joints_rad", "<f8", (6,)), ("before_s", "<f8"), ("after_s", "<f8"), ("device_s", "<f8")]
 )
 Rows = NDArray[np.void]
-
-
-class StreamRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """The journal's record of a stream; ``file`` is in the run's folder of streams."""
-
-    key: str
-    file: str
-    sha256: str
-    samples: int
-    joint_samples: int
-    first_device_s: float
-    last_device_s: float
-    longest_gap_s: float  # between two samples
-    set_up: int = 0  # of the tracker
-    form: int
 
 
 @dataclass(frozen=True)
@@ -116,7 +101,7 @@ class StreamFile:
             row["device_s"] = sample.device_s
             self._append(row)
 
-    def finish(self) -> StreamRecord:
+    def finish(self) -> StreamRecorded:
         """Make the file durable under its name; return what the journal has to keep.
 
         Raises `NoReading` where there is no sample, and `StorageError`.
@@ -132,7 +117,7 @@ class StreamFile:
             _sync_folder(self._folder)
         except OSError as error:
             raise self._failed(error) from error
-        return StreamRecord(
+        return StreamRecorded(
             key=self._key,
             file=self._path.name,
             sha256=self._digest.hexdigest(),
@@ -141,6 +126,7 @@ class StreamFile:
             first_device_s=self._first_s,
             last_device_s=self._last_s,
             longest_gap_s=self._gap_s,
+            set_up=0,
             form=FORM,
         )
 
@@ -176,7 +162,7 @@ class StreamFile:
         )
 
 
-def read_stream(run_folder: Path, record: StreamRecord) -> StreamData:
+def read_stream(run_folder: Path, record: StreamRecorded) -> StreamData:
     """Return a stream by its journal's record; raises `StorageError` where it is another's."""
     path = run_folder / FOLDER / Path(record.file).name
     if record.form != FORM:

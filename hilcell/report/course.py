@@ -3,24 +3,37 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from hilcell.journal.event_words import after, happened_words
+from hilcell.journal.event_words import happened_words
 from hilcell.journal.folder_order import ORDER
 from hilcell.journal.journal import Record
 from hilcell.journal.key_words import in_words, key_words
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import BACK, CONTROL
 from hilcell.journal.times import in_zone
+from hilcell.model.events import (
+    ChangesAccepted,
+    CurveMeasured,
+    Event,
+    OtherEvent,
+    PosesChosen,
+    SessionOrdered,
+    StepBegun,
+    StreamRecorded,
+    after,
+)
+from hilcell.model.point import Point
+from hilcell.model.records import Fact, StateChanged
 from hilcell.present.table import Column, Table
 from hilcell.report.facts import Facts
 from hilcell.report.method import chosen_poses_words
 
 # Routine, or in a table of its own: counted, not listed.
 ROUTINE = ("connected", "closed", "tracker proven", "slide proven", "stream", "link", ORDER)
-BEFORE_IT_GOES_ON = (ORDER, "changes accepted")  # of the next session, and written before it
+BEFORE_IT_GOES_ON = (SessionOrdered, ChangesAccepted)  # of the next session, and written before it
 OPTIONAL = {"two-face", "two-face-closing"}  # steps that a plan may leave out
 MOVING = {"home"}  # steps that move at every start
 STEPS = {
@@ -77,7 +90,7 @@ def _columns(facts: Facts) -> tuple[Column[Line], ...]:
 
 def course(facts: Facts) -> Table:
     """Return how the run went."""
-    counts = Counter(record.body["what"] for record in facts.records if record.kind == "event")
+    counts = Counter(r.fact.what for r in facts.records if isinstance(r.fact, Event | OtherEvent))
     note = (
         f"{facts.log.session} start{'s' if facts.log.session != 1 else ''} of an engine. Not "
         f"listed: {counts['tracker proven']} proofs that the tracker stood still"
@@ -143,20 +156,20 @@ def _lines(facts: Facts) -> Iterator[Line]:
     log, last, steps = Log(), "", _Steps()
     found: list[Line] = []
     for record in facts.records:
-        starts = _starts(record.kind, record.body)
+        starts = _starts(record.fact)
         if starts and log.session and not log.over:
             found.append(Line(last, _cut_off(log), stop=True))
-        for words in _words(facts, log, record.kind, record.body):
+        for words in _words(facts, log, record.fact):
             found.append(Line(record.t, words, _stops(record)))
-            if record.kind == "event" and record.body["what"] == "step":
-                steps.begin(len(found) - 1, record.body["name"])
+            if isinstance(record.fact, StepBegun):
+                steps.begin(len(found) - 1, record.fact.name)
         if starts:
             steps.leave()
         if record.kind == "point" and record.key in log.retakes:  # whatever step is under way
             found.append(Line(record.t, f"Measured again: {key_words(record.key, facts.log)}."))
         else:
             steps.take(record, log)
-        if record.kind != "event" or record.body["what"] not in BEFORE_IT_GOES_ON:
+        if not isinstance(record.fact, BEFORE_IT_GOES_ON):
             last = record.t
         log.take(record)
     shown = (line._replace(words=steps.words(n, line.words)) for n, line in enumerate(found))
@@ -164,15 +177,16 @@ def _lines(facts: Facts) -> Iterator[Line]:
 
 
 def _stops(record: Record) -> bool:
-    body = record.body
-    return record.kind == "state" and body["machine"] == "run" and body["to"] in STOPS
+    change = record.fact
+    return isinstance(change, StateChanged) and change.machine == "run" and change.to in STOPS
 
 
 def _is_measured(record: Record) -> bool:
     """Whether a record is of a reading that is no proof of nests."""
-    if record.kind == "point":
-        return bool(record.body["group"] != CONTROL or record.key.startswith(f"{BACK}/"))
-    return record.kind == "event" and record.body["what"] in ("stream", "curve")
+    fact = record.fact
+    if isinstance(fact, Point):
+        return fact.group != CONTROL or fact.id.kind == BACK
+    return isinstance(fact, StreamRecorded | CurveMeasured)
 
 
 def _is_computed(record: Record, log: Log) -> bool:
@@ -186,21 +200,22 @@ def _points(count: int) -> str:
     return f" {count} point{'s' if count > 1 else ''}." if count else ""
 
 
-def _starts(kind: str, body: Mapping[str, Any]) -> bool:
-    return kind == "state" and body["machine"] == "run" and body["to"] == "checking"
+def _starts(fact: Fact) -> bool:
+    return isinstance(fact, StateChanged) and fact.machine == "run" and fact.to == "checking"
 
 
-def _words(facts: Facts, log: Log, kind: str, body: Mapping[str, Any]) -> list[str]:
+def _words(facts: Facts, log: Log, fact: Fact) -> list[str]:
     """Return a record as sentences; the state of the calibration follows from the steps."""
-    if _starts(kind, body):
+    if _starts(fact):
         return [_start(facts, log)]
-    if kind == "state" and body["machine"] == "run":
-        reason = after(in_words(str(body.get("reason") or ""), facts.log))
-        if body["to"] in STATES:
-            return [f"{STATES[body['to']]}{reason}."]
-        return [f"Goes on{reason}."] if log.state not in ("idle", *AT_WORK) else []
-    if kind == "event" and body["what"] not in ROUTINE:
-        return [_happened(facts, body)]
+    match fact:
+        case StateChanged(machine="run", to=to, reason=why):
+            reason = after(in_words(why, facts.log))
+            if to in STATES:
+                return [f"{STATES[to]}{reason}."]
+            return [f"Goes on{reason}."] if log.state not in ("idle", *AT_WORK) else []
+        case Event() | OtherEvent() as event if event.what not in ROUTINE:
+            return [_happened(facts, event)]
     return []
 
 
@@ -223,15 +238,14 @@ def _cut_off(log: Log) -> str:
     )
 
 
-def _happened(facts: Facts, body: Mapping[str, Any]) -> str:
+def _happened(facts: Facts, event: Event | OtherEvent) -> str:
     """Return an event as a sentence: a step by what it does, others in the words of the screen."""
-    match body["what"]:
-        case "step":
+    match event:
+        case StepBegun(name=name):
             steps = STEPS if facts.cell.has_rail else STEPS | WITHOUT_RAIL
-            name = str(body["name"])
             words = steps.get(name, name.replace("-", " "))
-        case "poses chosen":
-            words = f"poses chosen: {chosen_poses_words(facts, body)}"
+        case PosesChosen():
+            words = f"poses chosen: {chosen_poses_words(facts, event)}"
         case _:
-            words = happened_words(body, facts.log).replace("urad", "µrad")
+            words = happened_words(event, facts.log).replace("urad", "µrad")
     return f"{words[:1].upper()}{words[1:]}."

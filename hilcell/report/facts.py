@@ -22,13 +22,14 @@ from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, read_bytes
 from hilcell.clean import encodable
 from hilcell.geometry.sequential import Outcome
-from hilcell.journal.calibration_facts import REVOKED, VERDICTS, facts_of_verdicts
+from hilcell.journal.calibration_facts import VERDICTS, facts_of_verdicts
 from hilcell.journal.index import read_index
 from hilcell.journal.journal import Record, chain
 from hilcell.journal.log import Log, PlanRecord
 from hilcell.journal.runs import CALIBRATION, read_records
 from hilcell.journal.standing import Standing
 from hilcell.journal.times import in_zone, zone_of
+from hilcell.model.events import CalibrationRevoked
 from hilcell.ports import HilcellError
 from hilcell.run.procedure import Procedure
 
@@ -60,9 +61,9 @@ class Facts:
     @property
     def revoked(self) -> str:
         """Return why the run's calibration was revoked, "" where it was not."""
-        found = [record.body["reason"] for record in self.records if _revokes(record)]
+        found = [r.fact.reason for r in self.records if isinstance(r.fact, CalibrationRevoked)]
         if found:
-            return str(found[-1])
+            return found[-1]
         stands = self.stands
         if stands is None or stands.state != "revoked":
             return ""
@@ -113,7 +114,7 @@ class Facts:
 
 def _revokes(record: Record) -> bool:
     """Whether a record was added after the run, to revoke its calibration."""
-    return record.kind == "event" and record.body["what"] == REVOKED
+    return isinstance(record.fact, CalibrationRevoked)
 
 
 def read_facts(folder: Path) -> Facts:

@@ -19,7 +19,7 @@ from hilcell.cell.file import Cell, Station
 from hilcell.cell.unseen import unseen
 from hilcell.geometry.frames import apply
 from hilcell.journal.calibration_facts import run_outcome
-from hilcell.journal.curve_record import URAD, CurveRecord
+from hilcell.journal.curve_record import URAD, CurveMeasured
 from hilcell.journal.point_id import CONTROL
 from hilcell.journal.times import span_words
 from hilcell.ports import Array
@@ -114,12 +114,12 @@ def _ranges(places: dict[str, Array]) -> list[Range]:
     return found
 
 
-def _lines(record: CurveRecord) -> str:
-    pairs = zip(record.cycles, record.amplitudes_rad * URAD, strict=True)
+def _lines(record: CurveMeasured) -> str:
+    pairs = zip(record.cycles, record.amplitudes_urad, strict=True)
     return ", ".join(f"{cycles:.1f}: {size:.1f}" for cycles, size in pairs) or "none"
 
 
-CURVES: tuple[Column[CurveRecord], ...] = (
+CURVES: tuple[Column[CurveMeasured], ...] = (
     Column("axis", lambda row: f"A{row.axis}"),
     Column("cycles: amplitude", _lines, "µrad"),
     Column("used", lambda row: "yes" if row.holds else f"no: {row.reason}"),
@@ -309,7 +309,7 @@ def standing(facts: Facts) -> tuple[str, str]:
         return "bad", f"its calibration is revoked: {facts.revoked}"
     if facts.finished and end is not None:
         later = f"; its calibration is superseded by {facts.superseded}" * bool(facts.superseded)
-        return "bad" if end["exit"] else "good", run_outcome(facts.log) + later
+        return "bad" if end.exit else "good", run_outcome(facts.log) + later
     if end is None and state not in ("aborted", "faulted"):
         return "open", "not begun" if state == "idle" else f"not finished: {state}, engine gone"
     return "open", f"not finished: {run_outcome(facts.log)}"

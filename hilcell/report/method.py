@@ -12,6 +12,7 @@ from hilcell.compensation.choice import MODELS
 from hilcell.compensation.kinematic import Kinematic
 from hilcell.geometry.statistics import Figures
 from hilcell.journal.ways_sent import BOTH, Sent
+from hilcell.model.events import PosesChosen
 from hilcell.present.table import Column, Table
 from hilcell.report.facts import Facts
 
@@ -114,9 +115,9 @@ def models(facts: Facts) -> Table:
     return Table(MISSES, rows, "Choice of the correction", " ".join(filter(None, reasons)))
 
 
-def chosen_poses_words(facts: Facts, chosen: Mapping[str, Any]) -> str:
+def chosen_poses_words(facts: Facts, chosen: PosesChosen) -> str:
     """Return how many poses were chosen beside the grid, and why no more."""
-    plan, count, bounds_mm = facts.cell.plan, len(chosen["joints_deg"]), chosen["bounds_mm"]
+    plan, count, bounds_mm = facts.cell.plan, len(chosen.joints_deg), chosen.bounds_mm
     if not bounds_mm:
         return "none"
     course = f"{bounds_mm[0]:.3f} mm"

@@ -20,7 +20,7 @@ from hilcell.geometry.kinematics import forward
 from hilcell.journal.log import Point
 from hilcell.journal.point_id import PointId
 from hilcell.journal.run_journal import Records
-from hilcell.journal.stream_file import StreamRecord
+from hilcell.model.events import RetakeRefused, StreamRecorded
 from hilcell.ports import Array, Clock
 from hilcell.run.meter import Meter
 from hilcell.run.mover import Mover, Straight
@@ -57,7 +57,7 @@ class CellSession:
         self.cell, self.devices, self.clock = cell, devices, clock
         self.log, self.frames, self.folder = run.log, run.frames, run.folder
         self.checkpoint, self.pause = checkpoint, pause
-        self.event, self.curve = run.event, run.curve
+        self.add, self.event = run.add, run.event
         self.frame, self.verdict = run.frame, run.verdict
         self.reach, self.reached = run.reach, run.reached
         self.home_rail, self.rail_referenced = mover.home_rail, mover.rail_referenced
@@ -83,7 +83,7 @@ class CellSession:
         self.checkpoint()
         self._mover.park_robot()
 
-    def sweep(self, order: SweepOrder) -> StreamRecord:
+    def sweep(self, order: SweepOrder) -> StreamRecorded:
         """Sweep one axis with the tracker streaming, once in a run's life; see `record_sweep`."""
         if order.key in self.log.streams:
             return self.log.streams[order.key]
@@ -134,7 +134,7 @@ class CellSession:
         waiting = [self.log.points[key] for key in self.log.retakes]
         for point in waiting:
             if refused := still_refused(self.log, point.key):
-                self._run.event("retake refused", key=point.key, reason=refused)
+                self._run.add(RetakeRefused(key=point.key, reason=refused))
                 continue
             facts: dict[str, Any] = {"nominal_mm": point.nominal_mm}
             if point.nominal_deg is not None:

@@ -23,6 +23,7 @@ from hilcell.geometry.kinematics import forward
 from hilcell.journal.journal import StorageError
 from hilcell.journal.log import Driven
 from hilcell.journal.runs import read_log
+from hilcell.model.events import EarlierRunUnreadable, FirstPassBegun
 from hilcell.ports import Array
 from hilcell.run.interlocks import Blocked, check_joint_limits
 from hilcell.run.run_context import RunContext
@@ -316,7 +317,7 @@ class FirstPass:
         return slow
 
     def _announce(self, what: str, percent: float) -> None:
-        self._run.event("first pass", key=what, speed_percent=percent)
+        self._run.add(FirstPassBegun(key=what, speed_percent=percent))
         if self._run.cell.pauses_at_first_pass:
             self._run.pause(
                 f"{what}: the robot leaves the grid's cube, to where it was never driven in this "
@@ -331,5 +332,5 @@ class FirstPass:
             try:
                 found.append(read_log(self._run.folder.parent / name).driven)
             except StorageError as error:
-                self._run.event("earlier run unreadable", run=name, reason=str(error))
+                self._run.add(EarlierRunUnreadable(run=name, reason=str(error)))
         return found

@@ -19,9 +19,9 @@ from typing import Protocol
 
 import msgspec
 
-from hilcell.alarms.acknowledged import Acknowledged
 from hilcell.journal.engine_file import ENGINE, EngineFile
 from hilcell.journal.journal import StorageError
+from hilcell.model.events import AlarmsAcknowledged
 from hilcell.run.protocol import COMMANDS, LONGEST_REQUEST, Refusal, Request, Status
 from hilcell.typed import decoded
 from hilcell.writing import NotWritten, write_whole
@@ -45,7 +45,7 @@ class Engine(Protocol):
     def retake(self, key: str) -> str:
         """Have a point re-measured; return why that is refused."""
 
-    def acknowledge(self, made: Acknowledged) -> str:
+    def acknowledge(self, made: AlarmsAcknowledged) -> str:
         """Journal that alarms were acknowledged; return why that is refused."""
 
     def watched(self, by: int) -> int:
@@ -179,7 +179,9 @@ class _Handler(socketserver.StreamRequestHandler):
             case "retake":
                 return engine.retake(request.key)
             case "acknowledge":
-                return engine.acknowledge(Acknowledged(request.codes, request.until))
+                return engine.acknowledge(
+                    AlarmsAcknowledged(codes=list(request.codes), until=request.until)
+                )
             case "attend" | "leave":
                 self._attend(attends=request.command == "attend")
         return ""

@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from hilcell import __version__
 from hilcell.cell.devices import Devices, connect_all, in_process_cell
 from hilcell.cell.file import Cell
-from hilcell.journal.journal import Kind, Record, plain_body
+from hilcell.journal.journal import Body, Record, plain_body
 from hilcell.journal.log import Log
+from hilcell.model.events import Connected
+from hilcell.model.records import Kind
 from hilcell.ports import NoReading
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Plan, Procedure
@@ -31,7 +32,7 @@ class MemoryJournal:
         self.path = folder / "journal"
         self._moment, self._seq = moment, 0
 
-    def append(self, kind: Kind, key: str, body: dict[str, Any]) -> Record:
+    def append(self, kind: Kind, key: str, body: Body) -> Record:
         """Apply one record to the log and return it; raises `NotFinite`."""
         plain, _ = plain_body(body, f"record {self._seq + 1} ({kind} {key or '-'})")
         self._seq += 1
@@ -76,7 +77,7 @@ def direct_run(
     )
     devices = Devices(simulated.rail, simulated.robot, simulated.tracker)
     identities = connect_all(devices, lambda _: None)
-    journal.append("event", "", {"what": "connected", "devices": identities, "hilcell": ""})
+    journal.append("event", "", Connected.of(identities, ""))
     session = CellSession(
         cell, devices, simulated.clock, journal, checkpoint=lambda: None, ask=_nobody
     )

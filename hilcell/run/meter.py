@@ -14,8 +14,10 @@ from hilcell.calibration.controller_pose import check_pose
 from hilcell.cell.devices import turning_over
 from hilcell.cell.file import Nest
 from hilcell.geometry.frames import inverse
-from hilcell.journal.log import Point, Readings, ReadingTime
+from hilcell.journal.log import Point
 from hilcell.journal.point_id import PointId
+from hilcell.model.events import NoReadingOf, ReadingTime, Seated
+from hilcell.model.point import Readings
 from hilcell.ports import (
     Array,
     DeviceError,
@@ -58,7 +60,7 @@ class Meter:
             except NoReading as error:
                 failed, cause = error, error.of_point(key)
                 facts = {"reason": str(error), "error": cause.facts()}
-                self._run.event("no reading", key=key, tries=tries, **facts)
+                self._run.add(NoReadingOf(key=key, tries=tries, **facts))
         limit_mm = self._run.cell.tracker.find_radius_mm
         prompt = beam_prompt(self._run.cell, key, place, near_mm, limit_mm, failed)
         self._run.ask(prompt, lambda: self._look(key, near_mm), cause)
@@ -193,7 +195,8 @@ class Meter:
         near_mm, limit_mm = self._expected(place, nominal_mm, rail.strip_mm)
         prompt = seat_prompt(run.cell, place, run.log.seated, near_mm, limit_mm)
         look = run.ask(prompt, lambda: self._look(f"look at {place}", near_mm), None)
-        self._run.event("seated", place=place, xyz_mm=look.xyz_mm, strip_mm=rail.strip_mm)
+        assert look.xyz_mm is not None  # noqa: S101 - an answer is proven by a look that saw it
+        self._run.add(Seated(place=place, xyz_mm=look.xyz_mm, strip_mm=rail.strip_mm))
 
     def _expected(self, place: str, nominal_mm: Array, strip_mm: float) -> tuple[Array, float]:
         """Return where a seated reflector (3,) will be, tracker's frame, and within which distance.

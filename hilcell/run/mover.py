@@ -10,7 +10,7 @@ import numpy as np
 
 from hilcell.calibration.controller_pose import check_pose
 from hilcell.cell.file import RailTable, Station
-from hilcell.journal.log import FACTORY_LINKS, ReadingTime
+from hilcell.model.events import FactoryLinks, ReadingTime, StationFoundHeld, StationHeld, StripBack
 from hilcell.ports import (
     Array,
     DeviceError,
@@ -114,7 +114,6 @@ def _check_strip_follows(
         )
 
 
-STRIP_BACK = "strip back"  # event
 FROZEN = "HC-S02"
 SAME_RAD = 1e-4  # of joints read back: the robot stands at that pose
 
@@ -236,7 +235,7 @@ class Mover:
             return
         if not self._run.cell.has_rail or (not again and self._stands_at(station)):
             self.held = station
-            self._run.event("station found held", station=station.name)
+            self._run.add(StationFoundHeld(station=station.name))
             return
         began = self._prepare_rail("rail.approach", {"station": station.name})
         approach = approach_station(self._run.devices.rail, self._run.cell.rail, station)
@@ -244,17 +243,18 @@ class Mover:
         reading = self._run.devices.rail.read()
         check_strip(self._run.cell, reading, station, "hold")
         self.held = station
-        self._run.event(
-            "station held",
-            station=station.name,
-            tries=approach.tries,
-            strip_mm=reading.strip_mm,
-            rail_mm=reading.position_mm,
-            began=began,
+        self._run.add(
+            StationHeld(
+                station=station.name,
+                tries=approach.tries,
+                strip_mm=reading.strip_mm,
+                rail_mm=reading.position_mm,
+                began=began,
+            )
         )
 
     def _stands_at(self, station: Station) -> bool:
-        held = [r.body["station"] for r in self._run.log.events if r.body["what"] == "station held"]
+        held = [each.station for each in self._run.log.happened(StationHeld)]
         if self._run.log.session < 2 or not held or held[-1] != station.name:
             return False
         reading = self._run.devices.rail.read()
@@ -285,7 +285,7 @@ class Mover:
             reason=lost.summary,
         )
         self._run.ask(prompt, lambda: self._look_at_strip(lost), lost)
-        self._run.event(STRIP_BACK)
+        self._run.add(StripBack())
 
     def _look_at_strip(self, lost: StripLost) -> Look:
         """Read the strip; one that was frozen must be where the drive is, as far as may slip.
@@ -354,7 +354,7 @@ class Mover:
         if now.still:  # a pose that was read under way is not that of its joints
             kinematics = check_pose(cell.robot, now, "park")
             if not (kinematics.holds or self._run.log.by_factory_links):
-                self._run.event(FACTORY_LINKS, off_mm=kinematics.off_mm)
+                self._run.add(FactoryLinks(off_mm=kinematics.off_mm))
         if bool(np.all(np.abs(now.joints_rad - safe_rad) < SAME_RAD)):
             return now
         self._robot = now

@@ -12,6 +12,7 @@ import msgspec
 
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
+from hilcell.model.events import StepBegun
 from hilcell.ports import HilcellError, StripLost
 from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
@@ -176,7 +177,7 @@ class Procedure:
 
     def _acts(self, session: CellSession) -> None:
         for number, part in enumerate(self.parts, start=1):
-            session.event("step", name=part.name, number=number, of=len(self.parts))
+            session.add(StepBegun(name=part.name, number=number, of=len(self.parts)))
             while not _performed(partial(part.perform, session), session):
                 pass
 

@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from hilcell.journal.log import ReadingTime
+from hilcell.model.events import ReadingTime
 from hilcell.ports import Clock, RailReading, RobotReading
 
 # A PC that did not run between a reading and its use has an old reading and a device that is

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-import msgspec
-
 from hilcell.calibration.frames import Frames
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
-from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.log import Point
 from hilcell.journal.point_id import PointId
 from hilcell.journal.run_journal import Records
+from hilcell.model.events import Event
 from hilcell.ports import Array, Clock, NoReading
 from hilcell.run.prompts import Look, Prompt
 from hilcell.run.states import CALIBRATION, StateMachine
@@ -55,13 +53,13 @@ class RunContext:
         if not self.reached(target):
             self._calibration.fire(trigger)
 
-    def event(self, what: str, **facts: object) -> None:
+    def add(self, event: Event) -> None:
         """Journal something worth knowing."""
-        self._journal.append("event", "", {"what": what} | facts)
+        self._journal.append("event", "", event)
 
-    def curve(self, record: CurveRecord) -> None:
-        """Journal the result of an axis's sweeps."""
-        self.event("curve", **msgspec.to_builtins(record))
+    def event(self, what: str, **facts: object) -> None:
+        """Journal an event of a kind that `hilcell.model.events` does not declare."""
+        self._journal.append("event", "", {"what": what} | facts)
 
     def intend(self, key: str, action: str, **facts: object) -> None:
         """Journal what is about to be done."""

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from hilcell.alarms.acknowledged import Acknowledged
 from hilcell.calibration.causes import blamed
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
@@ -24,6 +23,18 @@ from hilcell.errors import DriverDefect, facts_of
 from hilcell.journal.journal import StorageError
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.states import PASSING
+from hilcell.model.events import (
+    AlarmsAcknowledged,
+    Closed,
+    Closing,
+    CommandRefused,
+    InternalError,
+    LinkCounted,
+    RetakeAsked,
+    SafeStopSent,
+    ScreenBack,
+    ScreenLost,
+)
 from hilcell.ports import Clock, DeviceError, HilcellError, RecordingEnded, Stopped
 from hilcell.run.exits import (
     EXIT_FAULT,
@@ -68,7 +79,7 @@ class Runner:
         self._cell, self._procedure, self._journal = cell, procedure, journal
         self._stop, self._unattended = stop, unattended
         self._safe_stop = SafeStop(devices)
-        self._messages: queue.SimpleQueue[Message | Acknowledged | str] = queue.SimpleQueue()
+        self._messages: queue.SimpleQueue[Message | AlarmsAcknowledged | str] = queue.SimpleQueue()
         self._worker = Worker(
             cell,
             procedure,
@@ -154,12 +165,12 @@ class Runner:
         if refused := retake_refusal(self.log, key):
             return refused
         try:
-            self._journal.append("event", "", {"what": "retake asked", "key": key})
+            self._journal.append("event", "", RetakeAsked(key=key))
         except StorageError as error:
             return str(error)
         return ""
 
-    def acknowledge(self, made: Acknowledged) -> str:
+    def acknowledge(self, made: AlarmsAcknowledged) -> str:
         """Have it journalled that alarms were acknowledged; return why that is refused."""
         newest = self.log.newest
         refused = made.refusal(0 if newest is None else newest.seq)
@@ -238,12 +249,12 @@ class Runner:
                     return self._stop_worker(command)
                 case str(command):
                     self._obey(command)
-                case Acknowledged() as made:
-                    self._journal.append("event", "", made.event())
+                case AlarmsAcknowledged() as made:
+                    self._journal.append("event", "", made)
                 case message if self.log.state != "aborting":  # else the worker is about to leave
                     self._follow(message)
 
-    def _next(self) -> Message | Acknowledged | str:
+    def _next(self) -> Message | AlarmsAcknowledged | str:
         """Wait for a message.
 
         In slices: a signal that comes just before a wait begins is handled when the wait ends.
@@ -294,8 +305,8 @@ class Runner:
                 if self._life.allows("abort"):  # else it was asked for before
                     self._life.fire("abort")
             case _:
-                what = {"what": "command refused", "command": command, "in": self._known_state()}
-                self._journal.append("event", "", what)
+                refused = CommandRefused(command=command, state=self._known_state())
+                self._journal.append("event", "", refused)
 
     def _may_pause(self) -> bool:
         return self.log.state in ("checking", "running") and not self._gate.closed
@@ -310,19 +321,19 @@ class Runner:
         """Pause or go on by the screens that attend now: more may have come or gone meanwhile."""
         if lost and not self._screens:
             self._unwatched = True
-            self._journal.append("event", "", {"what": "screen lost"})
+            self._journal.append("event", "", ScreenLost())
             if not self._unattended and self._may_pause():
                 self._pause("the screen was lost")
         elif self._screens and self._unwatched:
             self._unwatched = False
-            self._journal.append("event", "", {"what": "screen back"})
+            self._journal.append("event", "", ScreenBack())
         self._worker.screen_known.set()  # a run that has to pause has its gate closed by now
 
     # -- the main thread: the end -------------------------------------------------------------
 
     def _stop_worker(self, command: str) -> Exception:
         self._stop.set()
-        self._note("safe stop", self._safe_stop.wait())
+        self._note(SafeStopSent(**facts_of_problems(self._left_moving(self._safe_stop.wait()))))
         if self._life.allows("stop"):
             self._life.fire("stop")
         if self._worker.ended_within(WORKER_S):
@@ -343,12 +354,14 @@ class Runner:
             self._life.fire("stop", reason=str(error))  # aborted at a checkpoint: all is at rest
         elif error is not None and not self._stop.is_set():
             self._stop.set()
-            self._note("safe stop", self._safe_stop.wait(), cause=str(error))
+            left = facts_of_problems(self._left_moving(self._safe_stop.wait()))
+            self._note(SafeStopSent(**left, cause=str(error)))
             self._worker.ended_within(WORKER_S)
         began_s = time.monotonic()
         problems = self._close_devices()
-        self._note("closed", problems, took_s=time.monotonic() - began_s)
-        self._journal.append("event", "", {"what": "link"} | self._link())
+        left = facts_of_problems(self._left_moving(problems))
+        self._note(Closed(took_s=time.monotonic() - began_s, **left))
+        self._journal.append("event", "", LinkCounted(**self._link()))
         self._journal.read_back()  # a result is computed only from what is kept
         if error is None or isinstance(error, Stopped):
             # A person who reads "finished", or has aborted the run, goes near.
@@ -400,12 +413,11 @@ class Runner:
         self._life.fire("fault", reason=str(error), error=facts_of(error))
         if isinstance(error, DriverDefect) or not isinstance(error, HilcellError):
             trace = "".join(traceback.format_exception(error))
-            self._journal.append("event", "", {"what": "internal error", "trace": trace})
+            self._journal.append("event", "", InternalError(trace=trace))
 
-    def _note(self, what: str, problems: dict[str, Exception], **facts: object) -> None:
-        body = {"what": what} | facts | facts_of_problems(self._left_moving(problems))
+    def _note(self, event: Closing) -> None:
         try:
-            self._journal.append("event", "", body)
+            self._journal.append("event", "", event)
         except StorageError as error:
             self._fault = self._fault or error
 

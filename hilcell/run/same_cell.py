@@ -10,16 +10,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
-
 from hilcell import __version__
 from hilcell.cell.differences import differences
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.source import built_in_cells
-from hilcell.journal.asset import Asset, asset_of, same
+from hilcell.journal.asset import same
 from hilcell.journal.log import Log
 from hilcell.journal.run_journal import RunJournal
+from hilcell.model.events import Asset, ChangesAccepted, Connected
 from hilcell.ports import DeviceRefused, Identity
 
 
@@ -77,7 +76,7 @@ def changed_assets(before: Sequence[Asset], now: Sequence[Identity]) -> list[str
     if not before:
         return []
     first = {asset.kind: asset for asset in before}
-    found = {asset.kind: asset for asset in (asset_of(msgspec.to_builtins(each)) for each in now)}
+    found = {asset.kind: asset for asset in Connected.of(now, "").devices}
     return [
         f"{kind}: {_words(first.get(kind))} before, {_words(found.get(kind))} now"
         for kind in sorted(first.keys() | found.keys())
@@ -95,8 +94,7 @@ def _words(asset: Asset | None) -> str:
 def accepted(journal: RunJournal, changes: Sequence[str], by: str) -> None:
     """Journal that somebody, or an option, has accepted changes."""
     if changes:
-        body = {"what": "changes accepted", "changes": list(changes), "by": by}
-        journal.append("event", "", body)
+        journal.append("event", "", ChangesAccepted(changes=list(changes), by=by))
 
 
 def not_as_before(changes: Sequence[str]) -> DeviceRefused:

@@ -11,9 +11,11 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from typing import TypedDict
 
 from hilcell.cell.devices import Devices
 from hilcell.errors import DeviceError, HilcellError, facts_of
+from hilcell.model.events import Json
 
 STOP_S = 2.0  # each device may take this long to put its stop frame on the wire
 CLOSE_S = 12.0  # of a rail: twice the time that its drive may take
@@ -68,13 +70,19 @@ def _summary(error: Exception) -> str:
     return error.summary if isinstance(error, DeviceError) else str(error)
 
 
-def facts_of_problems(problems: Mapping[str, Exception]) -> dict[str, object]:
-    """Return what the journal keeps of problems by device: their words, and their facts."""
-    words: dict[str, object] = {
+class Left(TypedDict):
+    """What the journal keeps of problems by device: their words, and their errors' facts."""
+
+    problems: dict[str, str]
+    errors: dict[str, Json]
+
+
+def facts_of_problems(problems: Mapping[str, Exception]) -> Left:
+    """Return the facts of problems by device."""
+    return {
         "problems": {name: str(error) for name, error in problems.items()},
+        "errors": {name: facts_of(error) for name, error in problems.items()},
     }
-    errors = {name: facts_of(error) for name, error in problems.items()}
-    return words | ({"errors": errors} if errors else {})
 
 
 class Acts:

@@ -13,7 +13,8 @@ import msgspec
 import numpy as np
 
 from hilcell.cell.devices import streams_of, sweeps_of
-from hilcell.journal.stream_file import StreamFile, StreamRecord
+from hilcell.journal.stream_file import StreamFile
+from hilcell.model.events import StreamRecorded
 from hilcell.ports import Array
 from hilcell.run.collision import check_stated
 from hilcell.run.interlocks import check_joint_limits
@@ -44,7 +45,7 @@ class SweepOrder:
         return joints_rad
 
 
-def record_sweep(run: RunContext, mover: Mover, order: SweepOrder) -> StreamRecord:
+def record_sweep(run: RunContext, mover: Mover, order: SweepOrder) -> StreamRecorded:
     """Go to the start, sweep where the slide stands, and return what the journal keeps of it."""
     tracker, robot = streams_of(run.devices.tracker), sweeps_of(run.devices.robot)
     check_joint_limits(run.cell, order.target_rad, order.key)
@@ -71,17 +72,16 @@ def record_sweep(run: RunContext, mover: Mover, order: SweepOrder) -> StreamReco
                 file.take(stream.collect())
             sweep.complete()
             file.take(stream.complete())
-            record = msgspec.structs.replace(file.finish(), set_up=run.log.set_ups.number)
-            speed_deg_s, rate_hz = float(np.degrees(sweep.speed_rad_s)), stream.rate_hz
-    run.event(
-        "stream",
-        **msgspec.structs.asdict(record),
-        axis=order.axis + 1,
-        speed_deg_s=speed_deg_s,
-        rate_hz=rate_hz,
-        start_deg=np.degrees(order.start_rad),
-        end_deg=joints_deg,
-        reflector=reflector,
-        session=run.log.session,
-    )
-    return record
+            measured = msgspec.structs.replace(
+                file.finish(),
+                set_up=run.log.set_ups.number,
+                axis=order.axis + 1,
+                speed_deg_s=float(np.degrees(sweep.speed_rad_s)),
+                rate_hz=stream.rate_hz,
+                start_deg=np.degrees(order.start_rad).tolist(),
+                end_deg=joints_deg.tolist(),
+                reflector=reflector,
+                session=run.log.session,
+            )
+    run.add(measured)
+    return measured

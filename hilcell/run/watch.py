@@ -32,7 +32,15 @@ from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.journal.point_id import HELD, LENGTH, PointId
 from hilcell.journal.reading_noise import run_noise
-from hilcell.journal.set_ups import FRAMED_AGAIN, PROOFS, PROVEN, TRACKER_MOVED, world_key
+from hilcell.journal.set_ups import PROOFS, world_key
+from hilcell.model.events import (
+    RetakeAsked,
+    RoomBack,
+    SlideProven,
+    TrackerMoved,
+    TrackerProven,
+    WorldFramedAgain,
+)
 from hilcell.ports import Array, DeviceError, NoReading, TrackerReading
 from hilcell.run.floor_nests import (
     ALIKE,
@@ -53,8 +61,6 @@ from hilcell.run.run_context import RunContext
 
 MOST_SET_UPS = 5  # of one run: a tracker that moves oftener stands badly
 STRAIGHT_MM = 0.5  # a way between stations by the strip: its error, the rail's tilt and lean
-SLIDE_PROVEN = "slide proven"  # event: so far off at most, which is within the limit
-ROOM_BACK = "room back"  # event
 PLACE = "the room"
 
 
@@ -134,7 +140,7 @@ class Watch:
         """Discard nests that an engine before this one measured: the tracker may have moved."""
         ids = _nest_ids(self._run.cell, number)
         if begun := [id.key for id in ids if self._run.log.find(id)]:
-            self._run.event(FRAMED_AGAIN, invalid=begun)
+            self._run.add(WorldFramedAgain(invalid=begun))
 
     def prove(self) -> None:
         """Prove that the tracker stands where {W} was framed.
@@ -153,7 +159,7 @@ class Watch:
             if some_stand(before, now):
                 self._blame(motions_mm(before, now))
             self._renew(before, now)
-        self._run.event(PROVEN, off_mm=motions_mm(before, now))
+        self._run.add(TrackerProven(off_mm=motions_mm(before, now).tolist()))
 
     def close_step(self, *, carried: bool = False) -> None:
         """Prove the tracker at the end of a step that has measured something.
@@ -205,7 +211,7 @@ class Watch:
         }
         self._check_renewable(facts)
         number, invalid = set_ups.number + 1, list(set_ups.unproven)
-        self._run.event(TRACKER_MOVED, set_up=number, invalid=invalid, **facts)
+        self._run.add(TrackerMoved(set_up=number, invalid=invalid, **facts))
         self.frame_world()
         raise BlockLost
 
@@ -323,7 +329,7 @@ class Watch:
         point = self._meter.keep(id, station.name, reading)
         off = self._off(station, point)
         if off.holds:
-            self._run.event(SLIDE_PROVEN, key=point.key, off_mm=off.off_mm, limit_mm=off.limit_mm)
+            self._run.add(SlideProven(key=point.key, off_mm=off.off_mm, limit_mm=off.limit_mm))
         return off
 
     def _off(self, station: Station, now: Point) -> Off:
@@ -333,7 +339,7 @@ class Watch:
         back to the same.
         """
         log, cell = self._run.log, self._run.cell
-        keys = (event.body["key"] for event in log.events if event.body["what"] == SLIDE_PROVEN)
+        keys = (proof.key for proof in log.happened(SlideProven))
         before = [log.points[key] for key in keys if key in log.points]
         here = [point for point in before if point.station == station.name]
         if not before:
@@ -379,11 +385,11 @@ class Watch:
         )
         self._room_within_s = None
         if not retake_refusal(self._run.log, point.key):
-            self._run.event("retake asked", key=point.key)  # done also by a run that is resumed
+            self._run.add(RetakeAsked(key=point.key))  # done also by a run that is resumed
         self._run.ask(
             prompt, lambda: self._look_at_room(np.array(prompt.expected_mm), then_c), cause
         )
-        self._run.event(ROOM_BACK)
+        self._run.add(RoomBack())
 
     def _room_cause(self, point: Point, then_c: float) -> NoReading:
         table, now_c = self._run.cell.room, point.temperature_c or 0.0

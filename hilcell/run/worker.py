@@ -16,6 +16,7 @@ from hilcell import __version__
 from hilcell.cell.devices import Devices, connect_all
 from hilcell.cell.file import Cell
 from hilcell.journal.run_journal import RunJournal
+from hilcell.model.events import AnswerRefused, Connected, DeviceBack, DeviceLost
 from hilcell.ports import Clock, DeviceError, Identity, NoReading, Stopped
 from hilcell.run.cell_lock import lock_of_device, locked
 from hilcell.run.cell_session import CellSession
@@ -241,7 +242,7 @@ class Worker:
     def _perform(self) -> None:
         identities = connect_all(self.devices, self._claim)
         changes = [*self._changes.inputs, *changed_assets(self._journal.log.assets, identities)]
-        connected = {"what": "connected", "devices": identities, "hilcell": __version__}
+        connected = Connected.of(identities, __version__)
         self._changes.check(changes)
         if not changes:
             self._journal.append("event", "", connected)
@@ -314,11 +315,11 @@ class Worker:
         """Journal which devices are lost while the run waits, and which are back."""
         before, self._lost = self._lost, self.monitor.lost
         for name in before.keys() - self._lost.keys():
-            self._journal.append("event", "", {"what": "device back", "device": name})
+            self._journal.append("event", "", DeviceBack(device=name))
         for name, error in self._lost.items():
             if name not in before:
-                facts = {"device": name, "reason": str(error), "error": error.facts()}
-                self._journal.append("event", "", {"what": "device lost"} | facts)
+                lost = DeviceLost(device=name, reason=str(error), error=error.facts())
+                self._journal.append("event", "", lost)
 
     def _check_end(self) -> None:
         """Leave here when a stop or an abort was asked for."""
@@ -383,7 +384,7 @@ class Worker:
                 why = ""
             elif answers:
                 why = refusal(prompt, seen, self._lost)
-                self._journal.append("event", "", {"what": "answer refused", "reason": why})
+                self._journal.append("event", "", AnswerRefused(reason=why))
         finally:
             for answer in answers:
                 answer.set_result(why)

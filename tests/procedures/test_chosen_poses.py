@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ from hilcell.geometry.rotations import to_rotvec
 from hilcell.identification.design import Design
 from hilcell.identification.readings import IdentificationError
 from hilcell.journal.point_id import PointId
+from hilcell.model.events import Event
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import clear_poses
@@ -31,13 +32,16 @@ class Journal:
 
     def __init__(self) -> None:
         self.cell = QUICK
-        self.log = SimpleNamespace(cell=QUICK, events=[])
+        self.log = SimpleNamespace(cell=QUICK, happened=self.happened)
+        self.events: list[Event] = []
         self.frames = SimpleNamespace(base_in_world=lambda station: np.eye(4))
         self.sent: list[tuple[str, list[float]]] = []
 
-    def event(self, what: str, **facts: Any) -> None:
-        plain = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in facts.items()}
-        self.log.events.append(SimpleNamespace(body={"what": what} | plain))
+    def add(self, event: Event) -> None:
+        self.events.append(event)
+
+    def happened(self, kind: type[Event]) -> list[Event]:
+        return [each for each in self.events if isinstance(each, kind)]
 
     def close_step(self) -> None:
         self.sent.append(("closed", []))
@@ -88,7 +92,7 @@ def test_a_robot_that_is_not_identified_gets_no_poses(monkeypatch: pytest.Monkey
     monkeypatch.setattr(chosen_poses, "choice", refuse)
     ChosenPoses().perform(cast("CellSession", journal))
     assert journal.sent == [("closed", [])]
-    assert journal.log.events[0].body["reason"] == "too few"
+    assert [event.why for event in journal.events][:1] == ["too few"]
 
 
 def test_a_full_plan_has_none() -> None:

@@ -71,13 +71,10 @@ def test_a_station_stays_decided_by_the_uncertainty_of_then(
     """U grew after S300 was decided: seed 22 of `hard` was accepted, and undecided in the end."""
     events: list[Any] = []
     found = Errors(np.zeros((40, 3)), np.tile([0.045, 0.0, 0.0], (40, 1)))
-    log = cast("Log", SimpleNamespace(cell=QUICK, events=events))
+    log = cast("Log", SimpleNamespace(cell=QUICK, happened=lambda kind: events))
     session = cast(
         "CellSession",
-        SimpleNamespace(
-            log=log,
-            event=lambda what, **facts: events.append(SimpleNamespace(body={"what": what} | facts)),
-        ),
+        SimpleNamespace(log=log, add=events.append),
     )
     monkeypatch.setattr(enough_targets, "validation", lambda log, stations: {"chosen": found})
     now = Guard(0.03, 0.03)
@@ -103,7 +100,7 @@ def test_a_tolerance_that_u_has_nearly_used_up_ends_undecided_and_not_in_a_fault
     """The plan was refused in the middle of the validation, when U was known."""
     cell = load_cell("paper", {"plan.quick": "true", "validation.mean_tolerance_mm": "0.025"})
     found = Errors(np.zeros((96, 3)), np.tile([0.002, 0.0, 0.0], (96, 1)))
-    log = cast("Log", SimpleNamespace(cell=cell, events=[]))
+    log = cast("Log", SimpleNamespace(cell=cell, happened=lambda kind: []))
     monkeypatch.setattr(enough_targets, "validation", lambda log, stations: {"chosen": found})
     monkeypatch.setattr(enough_targets, "guard_of", lambda log, count: Guard(0.0225, 0.0225))
     assert enough_targets.decision_at(log, "S300") == Decision("undecided", 96)
@@ -129,7 +126,10 @@ def test_what_is_above_a_tolerance_less_u_is_out_of_tolerance_only_above_it_less
     """The report said undecided of the very figures that the verdict called rejected."""
     cell = load_cell("paper", {"plan.quick": "true", "validation.mean_tolerance_mm": "0.1"})
     found = Errors(np.zeros((96, 3)), np.tile([error_mm, 0.0, 0.0], (96, 1)))
-    log, guard = cast("Log", SimpleNamespace(cell=cell, events=[])), Guard(0.06, 0.06)
+    log, guard = (
+        cast("Log", SimpleNamespace(cell=cell, happened=lambda kind: [])),
+        Guard(0.06, 0.06),
+    )
     monkeypatch.setattr(enough_targets, "validation", lambda log, stations: {"chosen": found})
     monkeypatch.setattr(enough_targets, "guard_of", lambda log, count: guard)
     assert enough_targets.decision_at(log, "S300").outcome != "undecided"  # more would not help

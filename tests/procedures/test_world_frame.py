@@ -9,7 +9,6 @@ import pytest
 
 from hilcell.geometry.frames import matrix
 from hilcell.journal.runs import read_log
-from hilcell.journal.set_ups import TRACKER_MOVED
 from hilcell.ports import Array, TrackerReading
 from hilcell.run.cell_session import CellSession
 from procedures.station_frames import StationFrames
@@ -35,7 +34,7 @@ def test_no_world_is_framed_by_nests_that_stand_otherwise(
 
     monkeypatch.setattr(bed.tracker, "measure", stretched)
     bed.run(procedure(Points(1, act)))
-    assert (bed.log().end or {})["error"]["code"] == "HC-T32"
+    assert (end := bed.log().end) is not None and end.error["code"] == "HC-T32"
     assert not bed.log().frames
 
 
@@ -45,7 +44,7 @@ def test_the_tracker_in_the_result_is_that_of_the_last_set_up(tmp_path: Path) ->
     assert WorldFrame().result(read_log(tmp_path / "r"))["tracker"] == {
         "T_W_L": first.tolist(), "moved": 0, "set_ups": [first.tolist()],
     }  # fmt: skip
-    event = {"what": TRACKER_MOVED, "set_up": 1, "invalid": []}
+    event = {"what": "tracker moved", "set_up": 1, "invalid": []}
     writer.journal.append("event", "", event)
     writer.frame("world.1", matrix=last)
     assert WorldFrame().result(read_log(writer.left()))["tracker"] == {

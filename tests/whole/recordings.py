@@ -61,7 +61,7 @@ def curves(folder: Path) -> list[float]:
     return [
         figure
         for curve in read_log(folder).curves.values()
-        for figure in (*curve.cycles, *(1e6 * curve.amplitudes_rad), 1e3 * curve.lag_s)
+        for figure in (*curve.cycles, *curve.amplitudes_urad, 1e3 * curve.lag_s)
     ]
 
 

@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 
 from campaigns.disturbances import PLACES, calibrated
-from hilcell.journal.set_ups import TRACKER_MOVED
 from tests.whole.bench import (
     SMALL,
     OwnCell,
@@ -70,7 +69,7 @@ def test_a_tracker_that_is_bumped_in_mid_grid_costs_the_grid_and_nothing_else(
     end = printed[-1]
     assert (end["state"], end["exit"]) == ("finished", 0), end
     assert end["result"]["tracker"]["moved"] == 1
-    (moved,) = [e for e in printed if e["kind"] == "event" and e["what"] == TRACKER_MOVED]
+    (moved,) = [e for e in printed if e["kind"] == "event" and e["what"] == "tracker moved"]
     assert moved["moved_mm"] == pytest.approx(BUMP_MM, abs=0.05)
     assert len(moved["invalid"]) == 27
     assert all(key.startswith("grid/") for key in moved["invalid"])
@@ -97,7 +96,7 @@ def test_a_bump_while_the_nests_are_measured_is_no_moved_nest(tmp_path: Path) ->
         done = command(*run(cell, tmp_path), "--json", hear=hear)
     assert end_of(done)["result"]["suspicions"] == []
     printed = events(done.stdout)
-    (moved,) = [e for e in printed if e["kind"] == "event" and e["what"] == TRACKER_MOVED]
+    (moved,) = [e for e in printed if e["kind"] == "event" and e["what"] == "tracker moved"]
     assert len(moved["invalid"]) == 27
     assert judge(printed) == []
 

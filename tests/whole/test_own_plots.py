@@ -51,7 +51,7 @@ def test_a_pose_test_shows_each_pose_with_its_limit(tmp_path: Path) -> None:
     view = view_of(tmp_path, "iso9283", "fixed", short)
     of, log = Measured(view.log), view.log
     assert log.end is not None
-    wanted = log.end["result"]["iso9283"]["poses"]
+    wanted = log.end.result["iso9283"]["poses"]
     found = of.figures_by_pose
     assert found.keys() == wanted.keys()
     for name, figures in found.items():
@@ -72,7 +72,7 @@ def test_a_recheck_shows_each_target_with_its_bound(golden: GoldenRuns, tmp_path
     view = view_of(tmp_path, "recheck", "paper", words)
     of, log = Measured(view.log), view.log
     assert log.end is not None
-    wanted = log.end["result"]["recheck"]["poses"]
+    wanted = log.end.result["recheck"]["poses"]
     now_mm, bounds_mm = of.rechecked_mm
     np.testing.assert_allclose(now_mm, [each["error_mm"] for each in wanted])
     np.testing.assert_allclose(bounds_mm, [each["bound_mm"] for each in wanted])

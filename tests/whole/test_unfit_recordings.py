@@ -71,8 +71,9 @@ def lines_of(path: Path) -> list[bytes]:
 
 def fault(folder: Path) -> dict[str, Any]:
     """Return the error that ended a run."""
-    error: dict[str, Any] = (read_log(folder).end or {})["error"]
-    return error
+    end = read_log(folder).end
+    assert end is not None
+    return end.error
 
 
 @pytest.mark.parametrize(

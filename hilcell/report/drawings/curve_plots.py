@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hilcell.journal.curve_record import URAD, CurveRecord
+from hilcell.journal.curve_record import CurveMeasured
 from hilcell.report.drawings.drawing import (
     AFTER,
     ENDS,
@@ -41,7 +41,7 @@ def curve_plots(facts: Facts) -> str:
     )
 
 
-def _row(record: CurveRecord, most_urad: float) -> Iterator[str]:
+def _row(record: CurveMeasured, most_urad: float) -> Iterator[str]:
     high, low = TOP_MM, TOP_MM + HIGH_MM
     joint_deg, measured_urad, by_curve_urad = np.array(record.shown).T
     size = round_up(float(np.abs(measured_urad).max()))
@@ -62,7 +62,7 @@ def _row(record: CurveRecord, most_urad: float) -> Iterator[str]:
     )
     yield across.drawn("cycles per revolution (logarithmic)", "")
     yield path(across.at(cycles, amplitude_urad), INK, 0.3)
-    for at, amplitude in zip(record.cycles, record.amplitudes_rad * URAD, strict=True):
+    for at, amplitude in zip(record.cycles, record.amplitudes_urad, strict=True):
         x, y = across.x.one(at), across.y.one(float(amplitude))
         yield circle(x, y, 0.8, AFTER, AFTER)
         yield text(label_mm(x), y - 1.4, f"{at:.1f}: {amplitude:.0f}", "middle", AFTER, bold=True)

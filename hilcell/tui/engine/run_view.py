@@ -121,9 +121,9 @@ class RunView:
         if self.engine is EngineState.SILENT and not self.ended:
             return "silent"
         if state == "finished":
-            return "intolerant" if self.log.end and self.log.end["exit"] else "done"
+            return "intolerant" if self.log.end and self.log.end.exit else "done"
         if state == "faulted":
-            refused = self.log.end is not None and self.log.end["exit"] == REFUSED
+            refused = self.log.end is not None and self.log.end.exit == REFUSED
             return "refused" if refused else "fault"
         return "stopping" if state == "aborting" else state
 

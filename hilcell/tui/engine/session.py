@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Unpack
 import msgspec
 
 from hilcell.alarms import Latch, alarms_of
-from hilcell.alarms.acknowledged import Acknowledged, acknowledged_in
+from hilcell.alarms.acknowledged import acknowledged_in
 from hilcell.alarms.alarm import GO_ON
 from hilcell.errors import HilcellError
+from hilcell.model.events import AlarmsAcknowledged
 from hilcell.run.client import EngineClient, stop_engine
 from hilcell.run.forecast import Forecast
 from hilcell.run.protocol import Command, Subject
@@ -148,18 +149,18 @@ class Session:
                 client.close()
         self.feed.look_now()
 
-    def acknowledge(self) -> Acknowledged:
+    def acknowledge(self) -> AlarmsAcknowledged:
         """Acknowledge every alarm on this screen; return that, to be sent to the engine."""
         codes = (each.alarm.code for each in self.latch.standing() if not each.acknowledged)
         newest = self.view.log.newest
-        made = Acknowledged(tuple(codes), 0 if newest is None else newest.seq)
+        made = AlarmsAcknowledged(codes=list(codes), until=0 if newest is None else newest.seq)
         self.latch.acknowledge()
         return made
 
-    def send(self, made: Acknowledged) -> None:
+    def send(self, made: AlarmsAcknowledged) -> None:
         """Have the engine journal it; where none does, only this screen knows."""
         with suppress(HilcellError):
-            self.ask("acknowledge", codes=made.codes, until=made.until)
+            self.ask("acknowledge", codes=tuple(made.codes), until=made.until)
 
     def close(self, *, leave: bool) -> None:
         """Detach from the run."""

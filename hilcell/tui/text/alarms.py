@@ -12,11 +12,11 @@ from textual.content import Content
 
 from hilcell.alarms import Alarm, Latch, Latched
 from hilcell.clean import harmless
-from hilcell.journal.event_words import NOT_KNOWN
 from hilcell.journal.key_words import in_words
 from hilcell.journal.log import Log
 from hilcell.journal.point_words import point_words
 from hilcell.journal.times import local_words
+from hilcell.model.events import NOT_KNOWN, Closing
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import Keymap, shown
 from hilcell.tui.layout import BLANK, Cell, Col, Grid, Lines, Stack, Text, ends
@@ -260,9 +260,9 @@ def kept_words(log: Log) -> str:
 def _left(log: Log) -> str:
     """Return how the session has left the devices."""
     found = {
-        each.body["what"]: each.body.get("problems", {})
+        each.fact.what: each.fact.problems
         for each in log.events
-        if each.seq > log.began and each.body["what"] in ("safe stop", "closed")
+        if each.seq > log.began and isinstance(each.fact, Closing)
     }
     failed = sorted({name for problems in found.values() for name in problems})
     if failed:

@@ -13,11 +13,14 @@ from operator import attrgetter
 from textual.content import Content
 
 from hilcell.clean import harmless
-from hilcell.journal.event_words import after, happened_words, length_words
+from hilcell.journal.event_words import happened_words
 from hilcell.journal.journal import Record
 from hilcell.journal.key_words import in_words, key_words, verdict_words
 from hilcell.journal.point_words import step_words
 from hilcell.journal.times import in_zone
+from hilcell.model.events import Event, OtherEvent, after
+from hilcell.model.point import Point
+from hilcell.model.records import Ended, Intended, StateChanged
 from hilcell.run.forecast import Ahead
 from hilcell.run.protocol import DeviceStatus
 from hilcell.tui.engine.run_view import RunView
@@ -45,38 +48,35 @@ def event_lines(view: RunView, errors_mm: Mapping[str, float], rows: int) -> lis
 
 def event_words(view: RunView, record: Record, errors_mm: Mapping[str, float]) -> str:
     """Return an event in words; nothing for what other lines of the screen tell."""
-    body, log = record.body, view.log
-    match record.kind:
-        case "point":
-            return _measured(view, record, errors_mm)
-        case "intent":
-            return _sent(view, record)
-        case "event":
-            return happened_words(body, log)
-        case "verdict":
-            return _judged(record)
-        case "end":
-            return f"the session has ended: {body.get('state')}, exit {body.get('exit')}"
-        case "state" if body.get("machine") == "run":
-            reason = in_words(str(body.get("reason") or "").replace("\n", " "), log)
-            return f"the run is {body.get('to')}{after(reason)}"
-    return ""
+    log = view.log
+    match record.fact:
+        case Point() as point:
+            return _measured(view, point, errors_mm)
+        case Intended() as motion:
+            return _sent(view, record.key, motion)
+        case Event() | OtherEvent() as event:
+            return happened_words(event, log)
+        case Ended(state=state, exit=code):
+            return f"the session has ended: {state}, exit {code}"
+        case StateChanged(machine="run", to=to, reason=reason):
+            return f"the run is {to}{after(in_words(reason.replace(chr(10), ' '), log))}"
+    return _judged(record) if record.kind == "verdict" else ""
 
 
-def _measured(view: RunView, record: Record, errors_mm: Mapping[str, float]) -> str:
-    error_mm = errors_mm.get(record.key)
+def _measured(view: RunView, point: Point, errors_mm: Mapping[str, float]) -> str:
+    error_mm = errors_mm.get(point.key)
     size = "" if error_mm is None else f": |e| {error_mm:.3f} mm"
-    again = " again" if record.body.get("retaken") else ""
-    return f"measured {key_words(record.key, view.log)}{again}{size}"
+    again = " again" if point.retaken else ""
+    return f"measured {key_words(point.key, view.log)}{again}{size}"
 
 
-def _sent(view: RunView, record: Record) -> str:
-    body, action = record.body, str(record.body.get("action", ""))
+def _sent(view: RunView, key: str, motion: Intended) -> str:
+    action = motion.action
     if action in MOTIONS:
         return MOTIONS[action]
     if action == "rail.approach":
-        return f"rail sent to {body.get('station')}"
-    words = in_words(record.key, view.log)
+        return f"rail sent to {motion.station}"
+    words = in_words(key, view.log)
     if action == "robot.sweep":
         return f"robot begins the {words}"
     if action == "robot.move":
@@ -88,11 +88,7 @@ def _judged(record: Record) -> str:
     """Return a verdict: its subject, whether it holds, and the mean error that it is about."""
     body, words = record.body, verdict_words(record.key)
     mean_mm, limit_mm = body.get("mean_mm"), body.get("mean_tolerance_mm")
-    figures = (
-        ""
-        if limit_mm is None
-        else f": mean {length_words(mean_mm, 3)}, limit {length_words(limit_mm, 3)}"
-    )
+    figures = "" if limit_mm is None else f": mean {mean_mm:.3f} mm, limit {limit_mm:.3f} mm"
     return f"{words} {'holds' if body.get('holds') else 'does not hold'}{figures}"
 
 

@@ -10,10 +10,10 @@ from textual.content import Content
 
 from hilcell.alarms.alarm import DRIFT_LIMIT_K
 from hilcell.journal.calibration_facts import run_outcome
-from hilcell.journal.event_words import NOT_KNOWN
 from hilcell.journal.key_words import in_words
 from hilcell.journal.states import WAITING
 from hilcell.journal.times import local_words, time_words
+from hilcell.model.events import NOT_KNOWN
 from hilcell.run.protocol import DeviceStatus, Interlock
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import BLANK, Cell, Col, Fitting, Grid, Lines, ends
@@ -26,7 +26,7 @@ def end_remark(view: RunView) -> str:
     Nothing where the validation's verdict is shown, or the run has not ended.
     """
     if view.state in ("done", "intolerant"):
-        judged = "validation" in (view.log.end or {}).get("result", {})
+        judged = "validation" in view.log.result
         return "" if judged else run_outcome(view.log)
     return _no_verdict(view)
 

@@ -18,7 +18,6 @@ from hilcell.calibration.iso9283 import ISO, attained
 from hilcell.calibration.recheck import KIND as RECHECK
 from hilcell.calibration.recheck import rechecked
 from hilcell.geometry.statistics import bounds95_mm, from_mean_mm, repeatability_mm
-from hilcell.journal.curve_record import URAD
 from hilcell.journal.log import Log, Point, positions_mm
 from hilcell.journal.point_id import PointId
 from hilcell.journal.ways_sent import Sent
@@ -271,7 +270,7 @@ def sweep_plot(of: Measured, pick: str = "") -> Plot:
     step = step_at_least(most / MOST_TICKS)
     ticks = [(n * step / most, f"{n * step:g}") for n in range(math.floor(most / step) + 1)]
     series = [Series("spectrum", AS_SENT, spectrum[:, 0] / most, spectrum[:, 1], joined=True)]
-    lines = [*zip(record.cycles, (record.amplitudes_rad * URAD).tolist(), strict=True)]
+    lines = [*zip(record.cycles, record.amplitudes_urad, strict=True)]
     if lines:
         x = np.repeat([cycles / most for cycles, _ in lines], STROKE)
         y = np.concatenate([np.linspace(0.0, size, STROKE) for _, size in lines])

@@ -19,6 +19,7 @@ from textual.content import Content
 from hilcell.calibration.frames import Frames
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
+from hilcell.model.events import StationHeld
 from hilcell.ports import Array
 from hilcell.run.protocol import PromptStatus
 from hilcell.tui.engine.run_view import RunView
@@ -84,14 +85,8 @@ def _rail_mm(log: Log) -> float:
     newest = [*log.points][-1:]
     found = log.points[newest[0]].rail_mm if newest else None
     if found is None:
-        found = next(
-            (
-                float(each.body["rail_mm"])
-                for each in reversed(log.events)
-                if each.body["what"] == "station held"
-            ),
-            log.cell.station_named(log.cell.grid.station).rail_mm,
-        )
+        held = log.happened(StationHeld)
+        found = held[-1].rail_mm if held else log.cell.station_named(log.cell.grid.station).rail_mm
     return found
 
 

@@ -7,10 +7,10 @@ from contextlib import suppress
 from operator import attrgetter
 from typing import Any, NamedTuple
 
-from hilcell.journal.curve_record import CurveRecord
 from hilcell.journal.index import RunRow
 from hilcell.journal.journal import Record
 from hilcell.journal.times import in_zone
+from hilcell.model.events import CurveMeasured
 from hilcell.present.table import Column as Fact
 from hilcell.tui.widgets import Column, Row
 from hilcell.typed import typed
@@ -154,7 +154,7 @@ def record_words(record: Record) -> str:
         case "intent":
             return " ".join(filter(None, (str(body.get("action", "")), record.key, _facts(body))))
         case "event" if body.get("what") == "curve":
-            return f"curve of {typed(body, CurveRecord).words}"
+            return f"curve of {typed(body, CurveMeasured).words}"
         case "event":
             return f"{body.get('what')} {_facts(body)}".strip()
         case "end":

@@ -19,7 +19,7 @@ from hilcell.clean import harmless
 from hilcell.geometry.sequential import Outcome
 from hilcell.journal.calibration_facts import OUTCOMES, VERDICTS, run_outcome
 from hilcell.journal.key_words import in_words
-from hilcell.journal.set_ups import PROVEN
+from hilcell.model.events import TrackerProven
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import Cell, Col, Drawing, Fitting, Grid, Lines, Stack, Text
 from hilcell.tui.terminal.capabilities import Glyphs
@@ -142,7 +142,7 @@ def verdict_of(view: RunView) -> Verdict | None:
 
 def _places(view: RunView) -> dict[str, _Place]:
     """Return the places of a finished validation; nothing of another procedure's result."""
-    found = (view.log.end or {}).get("result", {}).get("validation", {})
+    found = view.log.result.get("validation", {})
     try:
         return typed(found, dict[str, _Place])
     except msgspec.ValidationError:
@@ -338,7 +338,7 @@ def _written(view: RunView, found: Verdict, glyphs: Glyphs) -> Lines | Text:
 
 def _drift(view: RunView, glyphs: Glyphs, standing: int) -> Lines:
     """Return how many alarms stand, or are over, and how far the floor nests moved."""
-    proofs = [event.body["off_mm"] for event in view.log.events if event.body["what"] == PROVEN]
+    proofs = [e.fact.off_mm for e in view.log.events if isinstance(e.fact, TrackerProven)]
     moved = max((max(each) for each in proofs if each), default=None)
     over = sum(alarm.cause == "over" for alarm in view.alarms)
     count = max(len(view.alarms), standing) - over

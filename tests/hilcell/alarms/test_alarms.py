@@ -10,7 +10,7 @@ from hilcell.cell.devices import ConnectFailed
 from hilcell.cell.settings import SettingsError
 from hilcell.errors import DeviceError, DeviceRefused, HilcellError, NoReading
 from hilcell.identification.sweeps import SweptAxis
-from hilcell.journal.curve_record import CurveRecord
+from hilcell.journal.curve_record import curve_measured
 from hilcell.journal.log import Log
 from hilcell.run.cell_lock import CellLocked
 from tests.hilcell.alarms.journals import (
@@ -51,7 +51,7 @@ HELD = {"station": "S1100", "tries": 2, "rail_mm": 1100.0, "strip_mm": 1100.0}
 DONE = (CLOSED, state("finished"), ended(None, 0, "finished"))
 OVER = (*BEGUN, *DONE)
 
-REFUSED = msgspec.to_builtins(CurveRecord.of(SweptAxis(0, "upwards: 9 samples")))
+REFUSED = msgspec.to_builtins(curve_measured(SweptAxis(0, "upwards: 9 samples")))
 
 NO_FILE = "HC-J11"  # no record tells of it, but the run's folder
 

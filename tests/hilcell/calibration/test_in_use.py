@@ -25,10 +25,10 @@ from hilcell.calibration.in_use import (
 from hilcell.calibration.validity import Unfit
 from hilcell.cell.file import Cell, RecheckTable, load_cell
 from hilcell.cell.settings import SettingsError
-from hilcell.journal.calibration_facts import REVOKED, USED
 from hilcell.journal.index import read_index
 from hilcell.journal.journal import Journal
 from hilcell.journal.runs import CALIBRATION, JOURNAL
+from hilcell.model.events import CalibrationUsed
 from hilcell.ports import HilcellError
 from tests.hilcell.calibration.calibrations import calibration
 from tests.hilcell.commands.finished_runs import MADE, finished
@@ -153,7 +153,8 @@ def test_a_file_alone_must_be_of_the_same_cell_file(tmp_path: Path) -> None:
 def test_a_run_that_wrote_none_says_what_to_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verdict: dict[str, str] | None
 ) -> None:
-    event = SimpleNamespace(body={"what": USED, **record_of(made(tmp_path, "1-old"), "")})
+    used = CalibrationUsed(**record_of(made(tmp_path, "1-old"), ""))
+    event = SimpleNamespace(fact=used)
     log = SimpleNamespace(events=[event], verdicts={} if verdict is None else {"recheck": verdict})
     monkeypatch.setattr(in_use, "read_log", lambda folder: log)
     with pytest.raises(NoCalibration, match=r"r1 .*1-old"):
@@ -182,7 +183,7 @@ def test_a_damaged_calibration_that_was_revoked_ends_no_run(tmp_path: Path) -> N
     made(tmp_path, "1-old")
     made(tmp_path, "2-revoked")
     journal = Journal(tmp_path / "2-revoked" / JOURNAL, "2-revoked", create=False)
-    journal.append("event", "", {"what": REVOKED, "reason": "bumped tracker"})
+    journal.append("event", "", {"what": "calibration revoked", "reason": "bumped tracker"})
     journal.close()
     (tmp_path / "2-revoked" / CALIBRATION).write_bytes(b"{")
     cell = with_calibration(using(), "recheck", tmp_path).cell
@@ -229,7 +230,7 @@ def test_a_run_that_was_revoked_stays_so_in_a_copy_of_its_runs(tmp_path: Path) -
     path = copy / "1-made" / CALIBRATION
     known = read_calibration(path)
     journal = Journal(runs / "1-made" / JOURNAL, "1-made", create=False)
-    journal.append("event", "", {"what": REVOKED, "reason": "a nest"})
+    journal.append("event", "", {"what": "calibration revoked", "reason": "a nest"})
     journal.close()
     for named in (runs, copy):
         found = standing_by_name(known, path, named)

@@ -13,7 +13,6 @@ from hilcell.calibration.file import read_calibration, write_calibration
 from hilcell.calibration.form import Update
 from hilcell.calibration.since import Parameter, changed_since, compared
 from hilcell.geometry.rotations import from_rotvec
-from hilcell.journal.calibration_facts import USED
 from hilcell.journal.floor_before import floor_before
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import FloorBefore, FrameBefore, Log
@@ -164,7 +163,7 @@ def test_a_calibration_that_a_re_check_has_changed_has_the_frames_of_its_first_r
     first = golden["small"].copied_to(tmp_path)
     writer = Writer(tmp_path / "recheck", cell=log.inputs.cell, digest=log.inputs.digest,
                     machine_seed=1).began()  # fmt: skip
-    writer.journal.append("event", "", {"what": USED, "run": first.name})
+    writer.journal.append("event", "", {"what": "calibration used", "run": first.name})
     for point in log.select("world"):
         if point.id.number is None:
             writer.point(point.id, point.xyz_mm)

@@ -10,7 +10,6 @@ from typing import Any
 import msgspec
 
 from hilcell.calibration.file import write_calibration
-from hilcell.journal.calibration_facts import USED
 from hilcell.journal.runs import CALIBRATION
 from tests.hilcell.calibration.calibrations import calibration
 from tests.hilcell.report.journals import Writer
@@ -30,7 +29,7 @@ def finished(
     ``plan`` to that of the run."""
     writer = Writer(runs / name, **plan).began()
     if used:
-        writer.journal.append("event", "", {"what": USED, "run": used})
+        writer.journal.append("event", "", {"what": "calibration used", "run": used})
     for key, more in verdicts.items():
         writer.journal.append("verdict", key, {"holds": True} | more)
     writer.state("run", "finished")

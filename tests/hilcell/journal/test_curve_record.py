@@ -7,7 +7,7 @@ import numpy as np
 
 from hilcell.identification.curve import TransmissionCurve
 from hilcell.identification.sweeps import SweptAxis
-from hilcell.journal.curve_record import CurveRecord
+from hilcell.journal.curve_record import curve_measured, curve_of
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
 
@@ -33,13 +33,13 @@ FOUND = SweptAxis(
 
 
 def body_of(found: SweptAxis) -> dict[str, object]:
-    body: dict[str, object] = msgspec.to_builtins(CurveRecord.of(found))
+    body: dict[str, object] = msgspec.to_builtins(curve_measured(found))
     return {"what": "curve"} | body
 
 
 def test_a_log_has_the_curve_as_it_was() -> None:
     log = Log([Record(1, "", "event", "", body_of(FOUND))])
-    found = log.curves[2].curve()
+    found = curve_of(log.curves[2])
     for name in ("axis", "shift_sigma_rad", "low_rad", "high_rad", "noise_rad"):
         assert getattr(found, name) == getattr(CURVE, name)
     q = np.linspace(-1.0, 0.2, 50)
@@ -48,7 +48,7 @@ def test_a_log_has_the_curve_as_it_was() -> None:
 
 
 def test_a_result_without_a_curve_says_why() -> None:
-    record = CurveRecord.of(SweptAxis(4, "upwards: 9 samples"))
+    record = curve_measured(SweptAxis(4, "upwards: 9 samples"))
     assert not record.holds
     assert "upwards: 9 samples" in record.words
-    assert len(record.curve().cycles) == 0
+    assert len(curve_of(record).cycles) == 0

@@ -93,7 +93,7 @@ def test_rows_say_what_logs_say(runs: Path) -> None:
             assert (row.cell, row.serial) == (log.cell.name, log.cell.serial)
             assert (row.state, row.points) == (log.states["run"], len(log.points))
             assert (row.job, row.seed) == (log.inputs.job, log.inputs.seed)
-            assert row.exit == (log.end or {}).get("exit")
+            assert row.exit == (None if log.end is None else log.end.exit)
             assert row.simulated
             assert not row.live
         abandoned, faulted, _ = rows

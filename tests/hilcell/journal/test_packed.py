@@ -6,8 +6,10 @@ import msgspec
 import numpy as np
 
 from hilcell.journal.journal import Record
-from hilcell.journal.log import Driven, Log, Point, Readings, ReadingTime
+from hilcell.journal.log import Driven, Log, Point
 from hilcell.journal.point_id import PointId
+from hilcell.model.events import ReadingTime
+from hilcell.model.point import Readings
 
 NOW = ReadingTime(59597.515816423, 0.0012767939988407306, 59597.182127809)
 POINT = Point(

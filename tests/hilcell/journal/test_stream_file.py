@@ -9,7 +9,7 @@ import pytest
 
 from hilcell.journal import stream_file
 from hilcell.journal.journal import StorageError
-from hilcell.journal.stream_file import FOLDER, StreamFile, StreamRecord, read_stream
+from hilcell.journal.stream_file import FOLDER, StreamFile, StreamRecorded, read_stream
 from hilcell.ports import JointSample, NoReading, StreamBlock
 
 JOINTS_RAD = np.arange(6) / 7.0
@@ -20,7 +20,7 @@ def block(first: int, count: int) -> StreamBlock:
     return StreamBlock(5.0 + times_s, np.outer(times_s, [1.0, 2.0, 3.0]), first, first + 0.5)
 
 
-def written(folder: Path, *counts: int) -> StreamRecord:
+def written(folder: Path, *counts: int) -> StreamRecorded:
     with StreamFile(folder, "sweep/A1/up") as file:
         first = 0
         for count in counts:

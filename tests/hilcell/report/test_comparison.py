@@ -118,7 +118,7 @@ def test_figures_are_those_of_both_results(seeds: Comparison, pair: tuple[Path, 
     assert len(changes) == 4 * 3 * len(Figures._fields)
     for each in changes:
         how, what = each.what.split()
-        one, two = (end["result"]["validation"][each.place][how][what] for end in results if end)
+        one, two = (end.result["validation"][each.place][how][what] for end in results if end)
         assert [each.first, each.second] == pytest.approx([one, two])
         assert each.change == pytest.approx(two - one)
         assert (each.limit is not None) == (what == "mean")

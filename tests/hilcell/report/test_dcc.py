@@ -12,7 +12,7 @@ from dsi_unit import DsiUnit
 
 from hilcell.calibration.bounds import Coverage
 from hilcell.calibration.decision import guard_of
-from hilcell.journal.calibration_facts import REVOKED, VERDICTS
+from hilcell.journal.calibration_facts import VERDICTS
 from hilcell.report import dcc
 from hilcell.report.budgets import TargetBudget
 from hilcell.report.dcc import CELSIUS, DEGREE, FORMS, HECTOPASCAL, MM, PERCENT, dcc_bytes, real
@@ -174,7 +174,7 @@ def test_a_revoked_calibration_is_not_valid(tmp_path: Path) -> None:
     writer = validated_run(tmp_path / "s", simulated=False)
     writer.journal.append("verdict", "validation.S1100", PASSED)
     writer.state("calibration", "validated")
-    writer.journal.append("event", "", {"what": REVOKED, "reason": "wrong reflector"})
+    writer.journal.append("event", "", {"what": "calibration revoked", "reason": "wrong reflector"})
     root = parsed(writer.facts())
     assert "wrong reflector" in " ".join(texts(root, ".//dcc:statement/dcc:declaration"))
     assert texts(root, ".//dcc:valid") == ["false"]

@@ -14,7 +14,6 @@ import pytest
 
 from hilcell.calibration.influence import Bounds
 from hilcell.cell.file import load_cell
-from hilcell.journal.calibration_facts import REVOKED
 from hilcell.journal.index import row_of
 from hilcell.journal.standing import Standing
 from hilcell.report.budgets import TargetBudget
@@ -174,7 +173,7 @@ def words_of(facts: Facts, name: str) -> str:
 
 def test_a_revoked_calibration_says_so_and_ended_when_it_did(tmp_path: Path) -> None:
     writer = validated_run(tmp_path / "run")
-    writer.journal.append("event", "", {"what": REVOKED, "reason": "wrong reflector"})
+    writer.journal.append("event", "", {"what": "calibration revoked", "reason": "wrong reflector"})
     facts = writer.facts()
     assert facts.revoked == "wrong reflector"
     assert facts.last.kind == "end"

@@ -38,7 +38,7 @@ def fault_of(bed: Bed, act: Callable[[CellSession, int], None]) -> str:
     bed.run(procedure(Points(1, act)))
     end = bed.log().end
     assert end is not None
-    return str(end.get("error", {}).get("code", ""))
+    return str(end.error.get("code", ""))
 
 
 @pytest.mark.parametrize("late_s", [10.0, np.nan])

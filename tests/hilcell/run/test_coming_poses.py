@@ -147,7 +147,7 @@ def visit(bed: Bed, *poses_rad: Array, swept_rad: Array | None = None) -> str:
     bed.run(procedure(Points(1, go)))
     end = bed.log().end
     assert end is not None
-    return str(end.get("error", {}).get("code", ""))
+    return str(end.error.get("code", ""))
 
 
 def test_ways_that_come_as_expected_are_proven_once(

@@ -16,9 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hilcell.run.client as client_module
-from hilcell.alarms.acknowledged import Acknowledged
 from hilcell.journal.engine_file import EngineFile, live_engine
 from hilcell.journal.journal import StorageError
+from hilcell.model.events import AlarmsAcknowledged
 from hilcell.ports import HilcellError
 from hilcell.run.cell_lock import CellLocked, lock_of_name, locked
 from hilcell.run.client import order
@@ -56,7 +56,7 @@ class Recorder:
         self.told.append(f"retake {key}")
         return self.refusal
 
-    def acknowledge(self, made: Acknowledged) -> str:
+    def acknowledge(self, made: AlarmsAcknowledged) -> str:
         self.told.append(f"acknowledge {made}")
         return self.refusal
 
@@ -115,14 +115,16 @@ def test_an_acknowledgement_reaches_the_engine_or_is_refused(
 ) -> None:
     read = b'{"command": "acknowledge", "codes": ["HC-T10"], "until": 7}\n'
     assert screen.raw(read)["ok"] is True
-    assert desk.told == [f"acknowledge {Acknowledged(('HC-T10',), 7)}"]
+    assert desk.told == [f"acknowledge {AlarmsAcknowledged(codes=[*('HC-T10',)], until=7)}"]
     desk.refusal = "it has not been written"
     assert screen.raw(read) == {"ok": False, "error": "it has not been written"}
     client = client_module.EngineClient.of_run(tmp_path)
     assert client is not None
     with closing(client), pytest.raises(HilcellError, match="not been written"):
         client.ask("acknowledge", codes=("HC-R31", "HC-T10"), until=8)
-    assert desk.told[-1] == f"acknowledge {Acknowledged(('HC-R31', 'HC-T10'), 8)}"
+    assert (
+        desk.told[-1] == f"acknowledge {AlarmsAcknowledged(codes=[*('HC-R31', 'HC-T10')], until=8)}"
+    )
 
 
 @pytest.mark.parametrize("command", ["answer", "retake"])

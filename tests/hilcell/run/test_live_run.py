@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import hilcell.run.runner as runner_module
-from hilcell.alarms.acknowledged import Acknowledged
+from hilcell.model.events import AlarmsAcknowledged
 from hilcell.run.cell_session import CellSession
 from hilcell.run.protocol import DeviceStatus
 from hilcell.run.states import RUN
@@ -236,10 +236,12 @@ def test_an_acknowledgement_is_journalled_and_one_of_what_nobody_has_seen_is_ref
 ) -> None:
     with Live(bed, procedure(Points(MANY))) as live:
         live.until("state", "running")
-        assert live.runner.acknowledge(Acknowledged(("HC-R31", "HC-V04"), 2)) == ""
+        assert (
+            live.runner.acknowledge(AlarmsAcknowledged(codes=["HC-R31", "HC-V04"], until=2)) == ""
+        )
         until(lambda: bool(bed.events("acknowledged")))
-        for unseen in (("HC-R31",), 10**6), (("HC-R31",), 0), ((), 2):
-            assert live.runner.acknowledge(Acknowledged(*unseen))
+        for codes, record in (["HC-R31"], 10**6), (["HC-R31"], 0), ([], 2):
+            assert live.runner.acknowledge(AlarmsAcknowledged(codes=codes, until=record))
         live.runner.post("stop")
     facts = {"codes": ["HC-R31", "HC-V04"], "until": 2}
     assert bed.events("acknowledged") == [{"what": "acknowledged"} | facts]

@@ -15,7 +15,6 @@ from hilcell.journal.journal import read_journal
 from hilcell.ports import RailReading, StripLost
 from hilcell.run.cell_session import CellSession
 from hilcell.run.device_status import CellMonitor
-from hilcell.run.mover import STRIP_BACK
 from tests.hilcell.run.bed import CELL, Bed, Live
 from tests.hilcell.run.rig import DeskRail, Points, procedure
 
@@ -86,7 +85,7 @@ def test_an_unattended_run_goes_on_when_the_strip_reads_again(bed: Bed, readings
     assert went_on(bed) == ["look"]
     (asked,) = bed.asked()
     assert asked["error"]["code"] == "HC-S01"
-    assert len(bed.events(STRIP_BACK)) == 1
+    assert len(bed.events("strip back")) == 1
     assert len(bed.events("station held")) == 2, "hands were at the head: it is held again"
     assert [record.key for record in bed.records("point")] == ["p/0", "p/1", "p/2"]
     assert not rail.powered

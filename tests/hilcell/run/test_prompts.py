@@ -212,7 +212,7 @@ def test_unattended_nobody_is_asked(tmp_path: Path) -> None:
     assert (error["code"], error["fields"]) == ("HC-T10", {"point": "p/0"})
     end = bed.log().end
     assert end is not None
-    assert end["error"] == error
+    assert end.error == error
 
 
 def test_a_device_lost_while_the_run_asks_is_journalled_and_no_answer_is_taken(

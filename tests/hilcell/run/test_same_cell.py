@@ -11,9 +11,9 @@ import pytest
 
 from hilcell import __version__
 from hilcell.cell.file import load_cell
-from hilcell.journal.asset import asset_of
 from hilcell.journal.log import Log
 from hilcell.journal.runs import read_log
+from hilcell.model.events import Connected
 from hilcell.ports import DeviceError, Identity
 from hilcell.run.cell_session import CellSession
 from hilcell.run.same_cell import Changes, cell_file, changed_assets, changed_inputs
@@ -83,7 +83,7 @@ def test_a_cell_is_found_again_from_any_folder(file: Path, monkeypatch: pytest.M
     ],
 )
 def test_another_asset_is_noticed(now: list[Identity], differs: str) -> None:
-    before = [asset_of(msgspec.to_builtins(each)) for each in (DRIVE, STRIP)]
+    before = Connected.of((DRIVE, STRIP), "").devices
     found = changed_assets(before, now)
     assert len(found) == bool(differs)
     assert all(differs in change for change in found)

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from hilcell.journal.journal import Kind, Record, StorageError
+from hilcell.journal.journal import Body, Kind, Record, StorageError
 from hilcell.journal.log import Log
 from hilcell.journal.run_journal import RunJournal
 from hilcell.run.states import CALIBRATION, RUN, StateMachine, Table, TransitionRefused, mermaid
@@ -28,9 +28,10 @@ class Paper(RunJournal):
         self.written: list[dict[str, Any]] = []
         self.full = False
 
-    def append(self, kind: Kind, key: str, body: dict[str, Any]) -> Record:
+    def append(self, kind: Kind, key: str, body: Body) -> Record:
         if self.full:
             raise StorageError("disk full")
+        assert isinstance(body, dict)
         record = Record(2, "", kind, key, body)
         self.written.append(body)
         self.log.take(record)

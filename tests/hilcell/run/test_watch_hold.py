@@ -10,10 +10,8 @@ import pytest
 
 from hilcell.cell.file import Cell, load_cell
 from hilcell.geometry.frames import apply, inverse
-from hilcell.journal.set_ups import TRACKER_MOVED
 from hilcell.ports import Array, Stopped, TrackerReading
 from hilcell.run.cell_session import CellSession
-from hilcell.run.watch import SLIDE_PROVEN
 from tests.hilcell.run.bed import CELL, Bed, Live
 from tests.hilcell.run.rig import Points, procedure
 
@@ -55,7 +53,7 @@ def whole(act: Act) -> Points:
 
 
 def off_mm(bed: Bed) -> list[float]:
-    return [event["off_mm"] for event in bed.events(SLIDE_PROVEN)]
+    return [event["off_mm"] for event in bed.events("slide proven")]
 
 
 @pytest.mark.parametrize("within_mm", [0.0, -0.1])
@@ -97,11 +95,11 @@ def test_a_strip_that_has_jumped_ends_a_run_that_nobody_attends(
     assert bed.run(procedure(whole(act))) == 3
     end = bed.log().end
     assert end is not None
-    assert end["error"]["code"] == "HC-S10"
-    fields = end["error"]["fields"]
+    assert end.error["code"] == "HC-S10"
+    fields = end.error["fields"]
     assert fields["cause"] == "strip"
     assert fields["off_mm"] == pytest.approx(jump_mm, abs=1e-6)
-    (suspicion,) = end["result"]["suspicions"]
+    (suspicion,) = end.result["suspicions"]
     assert suspicion.pop("size") == pytest.approx(jump_mm, abs=1e-6)
     place = fields["station"]
     assert suspicion == {"cause": "strip", "unit": "mm", "noticed_by": f"slide nest at {place}"}
@@ -148,13 +146,13 @@ def test_a_tracker_that_was_bumped_is_not_taken_for_a_strip(
 
     def act(session: CellSession) -> None:
         session.hold_station(S1100)
-        if not bed.events(TRACKER_MOVED):
+        if not bed.events("tracker moved"):
             session.hold_station(S300)
             slide.bumped_mm = 1.0
             session.hold_station(S1100)
 
     assert bed.run(procedure(whole(act))) == 0, bed.log().fault
-    (moved,) = bed.events(TRACKER_MOVED)
+    (moved,) = bed.events("tracker moved")
     assert moved["invalid"] == [
         "held/S1100/1-0/P1", "held/S300/1-0/P1", "held/S1100/1-1/P1",
     ]  # fmt: skip

@@ -14,7 +14,6 @@ from hilcell.cell.settings import SettingsError
 from hilcell.journal.point_id import PointId
 from hilcell.ports import Air
 from hilcell.run.cell_session import CellSession
-from hilcell.run.watch import ROOM_BACK
 from tests.hilcell.run.bed import CELL, PLAN, Bed, Live, until
 from tests.hilcell.run.rig import Points, procedure
 
@@ -64,7 +63,7 @@ def test_it_goes_on_by_itself_and_measures_the_point_again(bed: Bed, off_k: floa
     (asked,) = bed.asked()
     assert asked["error"]["code"] == "HC-V14"
     assert f"{off_k:+.1f} K" in asked["reason"]
-    assert len(bed.events(ROOM_BACK)) == 1
+    assert len(bed.events("room back")) == 1
     log = bed.log()
     assert log.points["grid/1-0-0"].temperature_c == START_C + 1.9
     assert [record.key for record in bed.records("point")].count("grid/1-0-0") == 2

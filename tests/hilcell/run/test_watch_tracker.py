@@ -6,13 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
 from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.point_id import PointId
-from hilcell.journal.set_ups import PROVEN, TRACKER_MOVED
 from hilcell.ports import Array, DeviceError, NoReading, TrackerReading
 from hilcell.run.cell_session import CellSession
 from hilcell.run.floor_nests import check_distances, check_places
@@ -109,7 +109,8 @@ def performed(bed: Bed, act: Act) -> dict[str, Any]:
         act(session, number)
 
     bed.run(procedure(Points(1, whole)))
-    return bed.log().end or {}
+    end = bed.log().end
+    return {} if end is None else msgspec.to_builtins(end)
 
 
 @pytest.mark.parametrize("lifted_mm", [0.12, 5.0])
@@ -125,7 +126,7 @@ def test_a_nest_that_is_lifted_is_not_taken_for_a_tracker_that_was_bumped(
 
     assert performed(bed, struck(strike))["exit"] == 3
     assert f"F1 moved by {lifted_mm:.3f} mm" in bed.log().fault
-    assert not bed.events(TRACKER_MOVED)
+    assert not bed.events("tracker moved")
 
 
 def test_readings_that_agree_by_chance_are_as_uncertain_as_the_others(
@@ -140,7 +141,7 @@ def test_readings_that_agree_by_chance_are_as_uncertain_as_the_others(
         floor.lifted_mm[0, 2] = 0.3
 
     assert performed(bed, struck(strike))["exit"] == 0, bed.log().fault
-    assert bed.events(PROVEN)[-1]["off_mm"] == pytest.approx([0.3, 0.0, 0.0])
+    assert bed.events("tracker proven")[-1]["off_mm"] == pytest.approx([0.3, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("T", [moved(-3.0), moved(0.0, 1e-3)], ids=str)
@@ -151,13 +152,13 @@ def test_a_step_of_a_tracker_that_was_bumped_is_measured_again(
     floor = Floor(bed, monkeypatch)
 
     def strike() -> None:
-        if not bed.events(TRACKER_MOVED):
+        if not bed.events("tracker moved"):
             floor.T = T
 
     assert performed(bed, struck(strike))["exit"] == 0, bed.log().fault
-    (event,) = bed.events(TRACKER_MOVED)
+    (event,) = bed.events("tracker moved")
     assert event["invalid"] == [id.key for id in STEP]
-    assert bed.events(PROVEN)[-1]["off_mm"] == pytest.approx([0.0] * 3, abs=1e-6)
+    assert bed.events("tracker proven")[-1]["off_mm"] == pytest.approx([0.0] * 3, abs=1e-6)
     log = bed.log()
     assert log.set_ups.number == 1
     for id, seen_mm in zip(STEP, SEEN_MM, strict=True):
@@ -187,11 +188,11 @@ def test_a_bump_between_two_nests_is_not_blamed_on_a_nest(
     floor = Floor(bed, monkeypatch)
 
     def strike() -> None:
-        if not bed.events(TRACKER_MOVED):
+        if not bed.events("tracker moved"):
             floor.bumps = bumps
 
     assert performed(bed, struck(strike))["exit"] == 0, bed.log().fault
-    assert len(bed.events(TRACKER_MOVED)) == bed.log().set_ups.number == set_ups
+    assert len(bed.events("tracker moved")) == bed.log().set_ups.number == set_ups
     for id, seen_mm in zip(STEP, SEEN_MM, strict=True):
         point = bed.log().point(id)
         assert point.set_up == set_ups
@@ -210,7 +211,7 @@ def test_a_nest_that_moved_alone_ends_the_run(
 
     end = performed(bed, struck(strike))
     assert end["error"]["code"] in ("HC-T33", "HC-J12")  # a NaN is stopped by the journal
-    assert not bed.events(TRACKER_MOVED)
+    assert not bed.events("tracker moved")
 
 
 def test_a_nest_that_moved_while_the_tracker_was_bumped_ends_the_run(
@@ -226,7 +227,7 @@ def test_a_nest_that_moved_while_the_tracker_was_bumped_ends_the_run(
 
     assert performed(bed, struck(strike))["exit"] == 3
     assert "F1" in bed.log().fault
-    assert not bed.events(TRACKER_MOVED)
+    assert not bed.events("tracker moved")
 
 
 def test_the_tracker_is_proven_after_a_question_before_the_point_that_asked(
@@ -242,9 +243,9 @@ def test_the_tracker_is_proven_after_a_question_before_the_point_that_asked(
         session.frame_world()
         session.frame("base", session.cell.layout.nominal_base(S1100.rail_mm))
         floor.missed = MEASURE_TRIES
-        proofs.append(len(bed.events(PROVEN)))
+        proofs.append(len(bed.events("tracker proven")))
         session.flange_point(PointId("grid", vertex=(0, 0, 0)), S1100, HOME_RAD)
-        proofs.append(len(bed.events(PROVEN)))
+        proofs.append(len(bed.events("tracker proven")))
 
     with Live(bed, procedure(Points(1, act))) as live:
         live.until("state", "suspended")
@@ -301,21 +302,21 @@ def test_the_tracker_is_proven_after_a_pause_and_after_many_points(
         watch, journal = session._watch, session._run._journal
         until(lambda: session.log.state == "running")  # another thread writes that
         watch.prove_where_doubtful()
-        proofs = len(bed.events(PROVEN))
+        proofs = len(bed.events("tracker proven"))
         measured_step(session)
         watch.prove_where_doubtful()
-        assert len(bed.events(PROVEN)) == proofs  # neither
+        assert len(bed.events("tracker proven")) == proofs  # neither
         journal.append("state", "", {"machine": "run", "from": "running", "to": "paused"})
         watch.prove_where_doubtful()
-        assert len(bed.events(PROVEN)) == proofs + 1
+        assert len(bed.events("tracker proven")) == proofs + 1
         journal.append("state", "", {"machine": "run", "from": "running", "to": "paused"})
         watch.prove_where_doubtful()  # though nothing was measured since
-        assert len(bed.events(PROVEN)) == proofs + 2
+        assert len(bed.events("tracker proven")) == proofs + 2
         journal.append("state", "", {"machine": "run", "from": "paused", "to": "running"})
         for n in range(CELL.plan.prove_every):
             session.floor_point(PointId("six", nest=str(n)), CELL.layout.floor[0])
         watch.prove_where_doubtful()
-        assert len(bed.events(PROVEN)) == proofs + 3
+        assert len(bed.events("tracker proven")) == proofs + 3
 
     assert performed(bed, act)["exit"] == 0, bed.log().fault
 

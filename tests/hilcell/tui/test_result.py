@@ -72,7 +72,7 @@ def ended(result: dict[str, Any], state: str = "done", procedure: str = "calibra
     view = view_of(state)
     assert view.log.end is not None
     assert view.log.plan is not None
-    view.log.end = view.log.end | {"result": result}
+    view.log.end = msgspec.structs.replace(view.log.end, result=result)
     view.log.plan = msgspec.structs.replace(view.log.plan, procedure=procedure)
     return view
 

@@ -15,6 +15,7 @@ from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
 from hilcell.journal.point_id import PointId
+from hilcell.model.records import Ended
 from hilcell.run.forecast import UnderWay
 from hilcell.run.protocol import DeviceStatus, Interlock
 from hilcell.tui.engine.run_view import EngineState, RunView
@@ -317,7 +318,7 @@ def test_a_run_that_ended_without_a_verdict_says_so() -> None:
 
 def test_a_finished_run_that_judged_nothing_says_so() -> None:
     view = view_of("done")
-    view.log.end = {"state": "finished", "exit": 0, "result": {}}
+    view.log.end = Ended(state="finished", exit=0)
     view.log.verdicts.clear()
     assert end_remark(view) == "measured"
 

@@ -10,8 +10,8 @@ import msgspec
 import pytest
 from textual.pilot import Pilot
 
-from hilcell.alarms.acknowledged import Acknowledged
 from hilcell.journal.journal import Record
+from hilcell.model.events import AlarmsAcknowledged
 from hilcell.run import client
 from hilcell.run.control import Control
 from hilcell.tui.engine.feed import RunUpdate, utc_now
@@ -94,9 +94,9 @@ def test_an_alarm_that_came_after_the_last_record_seen_still_waits() -> None:
     newest = run.records[-1]
     for until_record, waits in ((newest.seq - 1, True), (newest.seq, False)):
         session = RecordingSession(RUNS / "r")
-        made = Acknowledged(("HC-T99",), until_record)
+        made = AlarmsAcknowledged(codes=["HC-T99"], until=until_record)
         session.take(RunUpdate(run.records, EngineState.ANSWERING), run.now)
-        event = Record(newest.seq + 1, newest.t, "event", "", made.event())
+        event = Record(newest.seq + 1, newest.t, "event", "", msgspec.to_builtins(made))
         session.take(RunUpdate([event], EngineState.ANSWERING), run.now)
         assert waiting(session) == {"HC-T99": waits}
 

@@ -10,6 +10,7 @@ import pytest
 
 from hilcell.alarms.alarm import Alarm, Cause, alarms_of
 from hilcell.journal.journal import Record
+from hilcell.model.records import Ended
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE
 from hilcell.tui.text.digits import large_rows
@@ -35,7 +36,7 @@ def finished(state: str, places: dict[str, dict[str, float]], U_mm: float = 0.00
     }
     validation["others"] = validation[next(iter(places))]
     assert view.log.end is not None
-    view.log.end = view.log.end | {"result": {"validation": validation}}
+    view.log.end = msgspec.structs.replace(view.log.end, result={"validation": validation})
     for name, each in places.items():
         outcome = "accepted" if each["mean"] <= 0.12 else "rejected"
         view.log.verdicts[f"validation.{name}"] = {
@@ -188,7 +189,7 @@ def test_only_a_finished_run_has_a_verdict(name: str) -> None:
 )
 def test_a_result_of_another_kind_has_no_verdict(result: dict[str, object]) -> None:
     view = view_of("done")
-    view.log.end = {"state": "finished", "exit": 0, "result": result}
+    view.log.end = Ended(state="finished", exit=0, result=result)
     assert verdict_of(view) is None
 
 
@@ -257,7 +258,7 @@ def test_a_long_name_of_a_station_hides_no_limit_and_no_figure() -> None:
 def test_a_phrase_without_room_is_left_out_whole() -> None:
     view = finished("done", PLACES)
     assert view.log.end is not None
-    view.log.end["result"]["validation"]["S300"]["floor"] = {"mean": 0.031}
+    view.log.end.result["validation"]["S300"]["floor"] = {"mean": 0.031}
     found = verdict_of(view)
     assert found is not None
     wide = drawn(verdict_lines(view, found, UNICODE), 79, 9)

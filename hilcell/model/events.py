@@ -1,0 +1,674 @@
+"""The events of a run, each with its fields and its words: a tagged union, ``what`` is the tag.
+
+Whoever adds an event declares it here; one that no type is declared for, as a plug-in's, is an
+`OtherEvent`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict
+from math import nan, sqrt
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeAlias
+
+import msgspec
+from msgspec import field
+
+if TYPE_CHECKING:
+    from hilcell.ports import Identity
+
+Three: TypeAlias = tuple[float, float, float]
+Pair: TypeAlias = tuple[float, float]
+Json: TypeAlias = dict[str, Any]  # a plain object: an error's facts, a calibration's file
+
+HELD_BY_SDO = "the drive sent no PDO at the end, SDO confirmed that the slide is held"
+LOSSY = 0.005  # share of the frames on the rail's wire
+NOT_KNOWN = "devices were not all connected, and how they stand is not known"
+ORDINALS = {1: "1st", 2: "2nd", 3: "3rd"}
+URAD = 1e6
+
+
+class Event(msgspec.Struct, frozen=True, kw_only=True, tag_field="what"):
+    """Something worth knowing. ``title`` is its name where the tag is no words for people."""
+
+    title: ClassVar[str] = ""
+
+    @property
+    def what(self) -> str:
+        """Return the tag."""
+        return str(type(self).__struct_config__.tag)
+
+    @property
+    def subject(self) -> str:
+        """Return the point (by its key), station or run that it is about; "" for none."""
+        return ""
+
+    @property
+    def why(self) -> str:
+        """Return its reason; "" for none."""
+        return ""
+
+    @property
+    def text(self) -> str:
+        """Return it in words, points by their keys; "" where there is nothing to say."""
+        words = " ".join(filter(None, (self.title or self.what, self.subject)))
+        return words + after(self.why)
+
+
+class OtherEvent(msgspec.Struct, frozen=True):
+    """An event of a plug-in: its tag, and its fields as they are."""
+
+    what: str
+    fields: Json
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        subject = next((self.fields[k] for k in ("key", "station", "run") if k in self.fields), "")
+        words = " ".join(filter(None, (self.what, str(subject))))
+        return words + after(str(self.fields.get("reason") or ""))
+
+
+def after(reason: str) -> str:
+    """Return a reason as it follows what it is the reason of."""
+    return f": {reason}" if reason else ""
+
+
+class OfPoint(Event, frozen=True, kw_only=True):
+    """An event about one point."""
+
+    key: str
+
+    @property
+    def subject(self) -> str:
+        """Return the point's key."""
+        return self.key
+
+
+class Reasoned(Event, frozen=True, kw_only=True):
+    """An event with a reason."""
+
+    reason: str
+
+    @property
+    def why(self) -> str:
+        """Return the reason."""
+        return self.reason
+
+
+# -- devices ---------------------------------------------------------------------------------------
+
+
+class Asset(msgspec.Struct, frozen=True, kw_only=True):
+    """A robot, a tracker, a rail's drive or its strip. "" where a device does not say.
+
+    ``device`` is the port by which it was reached: drive and strip are both at "Rail", and such
+    that have no kind are of their device's.
+    """
+
+    device: str = ""
+    model: str = ""
+    serial: str = ""
+    address: str = ""
+    simulated: bool = False  # as the device says of itself
+    kind: str = ""
+    maker: str = ""
+    firmware: str = ""
+
+    def __post_init__(self) -> None:
+        """Name a device without a kind by its port."""
+        if not self.kind:
+            msgspec.structs.force_setattr(self, "kind", self.device.lower())
+
+    @property
+    def text(self) -> str:
+        """Return it in words: model and serial number."""
+        return f"{self.model}, serial {self.serial}"
+
+
+class Connected(Event, frozen=True, kw_only=True, tag="connected"):
+    """All devices answered; ``hilcell`` is the version that connected them."""
+
+    title: ClassVar[str] = "devices connected"
+    devices: list[Asset]
+    hilcell: str = ""
+
+    @classmethod
+    def of(cls, identities: Iterable[Identity], hilcell: str) -> Self:
+        """Return the event of devices as they named themselves."""
+        return cls(devices=[Asset(**asdict(each)) for each in identities], hilcell=hilcell)
+
+
+class DeviceLost(Reasoned, frozen=True, kw_only=True, tag="device lost"):
+    """A device stopped answering while the run waits."""
+
+    device: str
+    error: Json
+
+
+class DeviceBack(Event, frozen=True, kw_only=True, tag="device back"):
+    """It answers again."""
+
+    device: str
+
+
+class Closing(Event, frozen=True, kw_only=True, omit_defaults=True):
+    """All devices were stopped, or closed: ``problems`` and the errors' facts by device."""
+
+    problems: dict[str, str]
+    errors: dict[str, Json] = field(default_factory=dict)
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        left = f", but look at {' and '.join(self.problems)}" if self.problems else ""
+        return self.title + left
+
+
+class SafeStopSent(Closing, frozen=True, kw_only=True, omit_defaults=True, tag="safe stop"):
+    """A stop was sent to all devices; ``cause`` is the fault that it follows."""
+
+    title: ClassVar[str] = "a stop was sent to all devices"
+    cause: str = ""
+
+
+class Closed(Closing, frozen=True, kw_only=True, omit_defaults=True, tag="closed"):
+    """All devices were closed, in ``took_s``."""
+
+    title: ClassVar[str] = "devices closed"
+    took_s: float = nan
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        moves = not {"Rail", "Robot"}.isdisjoint(self.problems)
+        return super().text + (": not seen at rest" if moves else "")
+
+
+class LinkCounted(Event, frozen=True, kw_only=True, tag="link"):
+    """Counts and losses of the rail's wire in one session, or in several together."""
+
+    frames: int
+    bad_lines: int
+    refused: int
+    malformed: int
+    held_by_sdo: int = 0
+
+    def followed_by(self, later: LinkCounted) -> LinkCounted:
+        """Return the counts of both; how the slide was held is of the later end."""
+        return LinkCounted(
+            frames=self.frames + later.frames,
+            bad_lines=self.bad_lines + later.bad_lines,
+            refused=self.refused + later.refused,
+            malformed=self.malformed + later.malformed,
+            held_by_sdo=later.held_by_sdo,
+        )
+
+    @property
+    def lost(self) -> int:
+        """Return how many frames were lost."""
+        return self.bad_lines + self.refused + self.malformed
+
+    @property
+    def lost_share(self) -> float:
+        """Return how much was lost, as a share of all."""
+        return self.lost / max(1, self.frames + self.lost)
+
+    @property
+    def warning(self) -> str:
+        """Return the warning that so much was lost; "" where the link is well."""
+        if self.lost_share < LOSSY:
+            return ""
+        return (
+            f"the rail's CAN link loses {100 * self.lost_share:.2f} %, a healthy one less than "
+            f"{100 * LOSSY:.1f} %: check its plugs, the shield, the two terminators and the "
+            "gateway's cable"
+        )
+
+    @property
+    def counts(self) -> str:
+        """Return all counts in words."""
+        return (
+            f"{self.frames} frames, {self.bad_lines} bad lines, {self.refused} refused, "
+            f"{self.malformed} malformed ({100 * self.lost_share:.2f} % lost)"
+            f"{f'; {HELD_BY_SDO}' if self.held_by_sdo else ''}"
+        )
+
+    @property
+    def text(self) -> str:
+        """Return the losses in words; "" where all was well."""
+        found = [f"{self.lost} of {self.frames} frames lost"] if self.lost else []
+        found += [HELD_BY_SDO] if self.held_by_sdo else []
+        return f"rail's wire: {'; '.join(found)}" if found else ""
+
+
+class FactoryLinks(Event, frozen=True, kw_only=True, tag="factory links"):
+    """The controller computes with links that its maker has measured on this arm."""
+
+    off_mm: float
+
+
+# -- the course of a run ---------------------------------------------------------------------------
+
+
+class StepBegun(Event, frozen=True, kw_only=True, tag="step"):
+    """A step of the procedure begins: number ``number`` of ``of``."""
+
+    name: str
+    number: int = 0
+    of: int = 0
+
+
+class SessionOrdered(Event, frozen=True, kw_only=True, tag="order"):
+    """A session goes on: which one of its folder of runs it is, as `FolderOrder` says it."""
+
+    number: int
+    folder: str = ""
+    after: str = ""
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        return f"goes on as session {self.number}"
+
+
+class Announced(Event, frozen=True, kw_only=True, tag="announced"):
+    """A motion that a person is asked to agree to."""
+
+    motion: str
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        return f"announced: {self.motion}"
+
+
+class ScreenLost(Event, frozen=True, tag="screen lost"):
+    """Nobody watches any more."""
+
+
+class ScreenBack(Event, frozen=True, tag="screen back"):
+    """A screen attends again."""
+
+
+class AnswerRefused(Reasoned, frozen=True, kw_only=True, tag="answer refused"):
+    """The answer to a prompt was not proven."""
+
+
+class CommandRefused(Event, frozen=True, kw_only=True, tag="command refused"):
+    """A command that is not possible in a state of the run."""
+
+    command: str
+    state: str = field(name="in")
+
+
+class AlarmsAcknowledged(Event, frozen=True, kw_only=True, tag="acknowledged"):
+    """Somebody has acknowledged the alarms of these codes that came up to record ``until``.
+
+    The codes stand beside the last record that was seen: an alarm may have no record (0).
+    """
+
+    title: ClassVar[str] = "alarms acknowledged:"
+    codes: list[str]
+    until: int
+
+    @property
+    def subject(self) -> str:
+        """Return the codes."""
+        return ", ".join(self.codes)
+
+    def refusal(self, newest: int) -> str:
+        """Return why a run whose newest record is ``newest`` refuses it; "" where it does not."""
+        if not self.codes:
+            return "acknowledge: the codes of alarms are wanted, found none"
+        if not 1 <= self.until <= newest:
+            return (
+                f"acknowledge: until: record {self.until} cannot have been seen; wanted is one of "
+                f"records 1 to {newest}"
+            )
+        return ""
+
+
+class ChangesAccepted(Event, frozen=True, kw_only=True, tag="changes accepted"):
+    """Somebody, or an option, has accepted that devices or cell file are not as they were."""
+
+    changes: list[str]
+    by: str
+
+
+class InternalError(Event, frozen=True, kw_only=True, tag="internal error"):
+    """A defect of hilcell or of a driver, with its traceback."""
+
+    trace: str
+
+
+class EarlierRunUnreadable(Reasoned, frozen=True, kw_only=True, tag="earlier run unreadable"):
+    """The poses that an earlier run drove are not known."""
+
+    run: str
+
+    @property
+    def subject(self) -> str:
+        """Return the run."""
+        return self.run
+
+
+# -- stations, tracker and room --------------------------------------------------------------------
+
+
+class ReadingTime(msgspec.Struct, frozen=True, omit_defaults=True):
+    """When a reading was taken, in s of the PC's monotonic clock, and its age when it was used.
+
+    ``ended_s`` is when the motion before it was seen to have ended. Times of one session can be
+    compared with each other, and with nothing else.
+    """
+
+    taken_s: float
+    age_s: float
+    ended_s: float | None = None
+
+
+class StationHeld(Event, frozen=True, kw_only=True, tag="station held"):
+    """The slide is held at a station; ``began``: the reading by which it moved there."""
+
+    station: str
+    tries: int
+    strip_mm: float
+    rail_mm: float = nan
+    began: ReadingTime | None = None
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        which = ORDINALS.get(self.tries, f"{self.tries}th")
+        at = f"{self.strip_mm:.2f} mm by the strip, {which} approach"
+        return f"rail held at {self.station}: {at}"
+
+
+class StationFoundHeld(Event, frozen=True, kw_only=True, tag="station found held"):
+    """The slide of a resumed run stands at the station already; a cell without rail always does."""
+
+    title: ClassVar[str] = "rail found held at"
+    station: str
+
+    @property
+    def subject(self) -> str:
+        """Return the station."""
+        return self.station
+
+
+class SlideProven(OfPoint, frozen=True, kw_only=True, tag="slide proven"):
+    """A nest on the slide was seen where it should be, off by ``off_mm``."""
+
+    off_mm: float
+    limit_mm: float
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        return f"slide checked by a nest: off {self.off_mm:.3f} mm"
+
+
+class TrackerProven(Event, frozen=True, kw_only=True, tag="tracker proven"):
+    """The floor nests were seen where they were, each off by ``off_mm``."""
+
+    off_mm: list[float]
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        moved_mm = max(map(abs, self.off_mm), default=0.0)
+        return f"floor nests checked: tracker moved {moved_mm:.3f} mm"
+
+
+class Invalidating(Event, frozen=True, kw_only=True):
+    """What makes points and streams invalid, by their keys."""
+
+    invalid: list[str]
+
+
+class TrackerMoved(Invalidating, frozen=True, kw_only=True, tag="tracker moved"):
+    """The tracker stands elsewhere: set-up number ``set_up`` begins."""
+
+    set_up: int
+    moved_mm: float = nan
+    limit_mm: float = nan
+
+    @property
+    def text(self) -> str:
+        """Return by how much it has moved, and what that costs."""
+        lost = len(self.invalid)
+        again = f"{lost} point{'s are' if lost != 1 else ' is'} measured again"
+        return f"tracker moved by {self.moved_mm:.3f} mm: {again}"
+
+
+class WorldFramedAgain(Invalidating, frozen=True, kw_only=True, tag="world frame begun again"):
+    """Another engine measures all floor nests: the one before had measured some of them."""
+
+
+class RoomBack(Event, frozen=True, tag="room back"):
+    """The room is as it was, within its limits."""
+
+
+class StripBack(Event, frozen=True, tag="strip back"):
+    """The magnetic strip reads well again."""
+
+
+# -- points ----------------------------------------------------------------------------------------
+
+
+class FirstPassBegun(OfPoint, frozen=True, kw_only=True, tag="first pass"):
+    """The robot goes slowly to where it was never driven in this cell."""
+
+    title: ClassVar[str] = "first pass of"
+    speed_percent: float
+
+
+class NoReadingOf(OfPoint, frozen=True, kw_only=True, tag="no reading"):
+    """A measurement failed, and may be tried again."""
+
+    title: ClassVar[str] = "no reading of"
+    tries: int
+    reason: str
+    error: Json
+
+    @property
+    def why(self) -> str:
+        """Return the reason."""
+        return self.reason
+
+
+class RetakeAsked(OfPoint, frozen=True, kw_only=True, tag="retake asked"):
+    """Somebody asks for a point to be re-measured, or the room did."""
+
+    title: ClassVar[str] = "re-measurement asked of"
+
+
+class RetakeRefused(OfPoint, frozen=True, kw_only=True, tag="retake refused"):
+    """The point can no longer be re-measured."""
+
+    title: ClassVar[str] = "not re-measured:"
+    reason: str
+
+    @property
+    def why(self) -> str:
+        """Return the reason."""
+        return self.reason
+
+
+class OutlierMeasuredAgain(OfPoint, frozen=True, kw_only=True, tag="outlier measured again"):
+    """A point stood out from its neighbours."""
+
+    title: ClassVar[str] = "stands out and is measured again:"
+
+
+class VisitedOnceMore(OfPoint, frozen=True, kw_only=True, tag="visited once more"):
+    """A pose that was not where it had been is looked at once more."""
+
+    title: ClassVar[str] = "visited once more:"
+
+
+class Seated(Event, frozen=True, kw_only=True, tag="seated"):
+    """Where a reflector was seen once it was seated, tracker's frame, and what the strip read."""
+
+    place: str
+    xyz_mm: Three
+    strip_mm: float = nan
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        return f"reflector seated in {self.place}"
+
+
+class StreamRecorded(OfPoint, frozen=True, kw_only=True, tag="stream"):
+    """A stream of readings during a sweep; ``file`` is in the run's folder of streams.
+
+    What stands below ``form`` says how the axis (1 to 6) was swept.
+    """
+
+    title: ClassVar[str] = "recorded"
+    file: str
+    sha256: str
+    samples: int
+    joint_samples: int
+    first_device_s: float
+    last_device_s: float
+    longest_gap_s: float  # between two samples
+    set_up: int  # of the tracker
+    form: int
+    axis: int = 0
+    speed_deg_s: float = 0.0
+    rate_hz: float = 0.0
+    start_deg: list[float] = field(default_factory=list)
+    end_deg: list[float] = field(default_factory=list)
+    reflector: str = ""
+    session: int = 0
+
+
+class CurveMeasured(Event, frozen=True, kw_only=True, tag="curve"):
+    """Figures of the transmission of one axis, 1 to 6.
+
+    ``reason`` is empty where the curve holds. ``amplitude_rad`` are cosine and sine of each of
+    ``cycles`` per revolution, ``covariance_rad2`` theirs by turns. ``shown`` is for pictures: joint
+    in deg, short-wave error as measured and by the curve in urad; ``spectrum`` cycles and urad.
+    """
+
+    axis: int
+    reason: str
+    cycles: list[float]
+    amplitude_rad: list[Pair]
+    covariance_rad2: list[list[float]]
+    shift_rad: float
+    shift_sigma_rad: float
+    low_rad: float
+    high_rad: float
+    noise_rad: float
+    lag_s: float
+    lag_sigma_s: float
+    signal_rad: float
+    share: float
+    differ_rad: float
+    lost: int
+    shown: list[Three]
+    spectrum: list[Pair]
+
+    @property
+    def holds(self) -> bool:
+        """Whether there is a curve; one without any line states that the gear has none."""
+        return not self.reason
+
+    @property
+    def amplitudes_urad(self) -> list[float]:
+        """Return the size of each line (K,)."""
+        return [URAD * sqrt(cosine**2 + sine**2) for cosine, sine in self.amplitude_rad]
+
+    @property
+    def words(self) -> str:
+        """Return the result as one short line."""
+        if not self.holds:
+            return f"A{self.axis} not used: {self.reason}"
+        sizes = sorted(zip(self.amplitudes_urad, self.cycles, strict=True), reverse=True)
+        lines = ", ".join(f"{size:.1f} urad at {cycles:.1f}" for size, cycles in sizes)
+        return f"A{self.axis}: {lines or 'no line'}; lag {self.lag_s * 1e3:.1f} ms"
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        return f"curve of {self.words}"
+
+
+class AxesNotSwept(Reasoned, frozen=True, kw_only=True, tag="axes not swept"):
+    """The procedure's sweeps were left out."""
+
+
+class PosesChosen(Event, frozen=True, kw_only=True, tag="poses chosen"):
+    """Joints (N, 6) that tell most, and the predicted bound before and after each."""
+
+    joints_deg: list[list[float]]
+    bounds_mm: list[float]
+
+
+class NoPosesChosen(Reasoned, frozen=True, kw_only=True, tag="no poses chosen"):
+    """No choice was possible; the run goes on without."""
+
+    error: Json
+
+
+# -- targets and calibrations ----------------------------------------------------------------------
+
+
+class StationDecided(Event, frozen=True, kw_only=True, tag="station decided"):
+    """A station's validation has enough targets; the expanded uncertainties of mean and maximum."""
+
+    title: ClassVar[str] = "enough targets at"
+    station: str
+    mean_U_mm: float
+    max_U_mm: float
+
+    @property
+    def subject(self) -> str:
+        """Return the station."""
+        return self.station
+
+
+class TargetsListed(Event, frozen=True, kw_only=True, tag="targets listed"):
+    """The content of a file of targets: names and x, y, z (mm), A, B, C (deg) in {W}."""
+
+    file: str
+    names: list[str]
+    values: list[list[float]]
+
+
+class CalibrationUsed(Event, frozen=True, kw_only=True, tag="calibration used"):
+    """The calibration that a run uses: of which run, from which file, and its content."""
+
+    run: str
+    file: str = ""
+    content: Json = field(default_factory=dict)
+
+    @property
+    def subject(self) -> str:
+        """Return the run."""
+        return self.run
+
+
+class CalibrationRevoked(Reasoned, frozen=True, kw_only=True, tag="calibration revoked"):
+    """Somebody has revoked the run's own calibration."""
+
+    operator: str = ""
+
+
+class PromiseJudged(Event, frozen=True, kw_only=True, tag="promise"):
+    """Whether a driver has kept a promise of its port."""
+
+    port: str
+    promise: str
+    verdict: str
+    why: str
+    took_s: float = nan
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        return f"promise {self.port} {self.promise} {self.verdict}"

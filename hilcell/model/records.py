@@ -1,0 +1,118 @@
+"""What a journal holds: each kind of record as a type, decoded from its plain JSON.
+
+A record is what was acknowledged: it is never changed. Its fact is made of it when it is first
+asked for: most readers look at a few kinds only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal, TypeAlias
+
+import msgspec
+from msgspec import field
+
+from hilcell.model import events
+from hilcell.model.events import Event, Json, OtherEvent
+from hilcell.model.point import Point
+from hilcell.typed import typed
+
+Kind: TypeAlias = Literal["plan", "state", "intent", "point", "frame", "verdict", "event", "end"]
+
+
+class StateChanged(msgspec.Struct, frozen=True, kw_only=True):
+    """A machine has gone from one state to another; ``by`` says what made a waiting run go on."""
+
+    machine: str
+    before: str = field(name="from", default="")
+    to: str
+    trigger: str = ""
+    reason: str = ""
+    by: str = ""
+    error: Json = field(default_factory=dict)
+
+
+class SeenBefore(msgspec.Struct, frozen=True, kw_only=True):
+    """The reading that admits a motion: of the robot for the slide's, of the rail for the robot's.
+
+    Times in s of the PC's monotonic clock; ``age_s`` is that when the motion was journalled.
+    """
+
+    taken_s: float
+    age_s: float
+    still: bool
+    ended_s: float | None = None
+    powered: bool | None = None
+    strip_mm: float | None = None
+    joints_deg: tuple[float, ...] = ()
+
+
+class Intended(msgspec.Struct, frozen=True, kw_only=True):
+    """A motion that is about to begin: where to, and the reading that admits it.
+
+    A slide goes to a ``station`` by the strip or to ``position_mm`` by its drive; the robot goes to
+    ``joints_deg`` with the slide at ``strip_mm``, straight from ``from_deg`` where that is not
+    empty.
+    """
+
+    action: str = ""
+    session: int = 0
+    seen: SeenBefore | None = None
+    station: str = ""
+    position_mm: float | None = None
+    axis: int = 0
+    joints_deg: tuple[float, ...] = ()
+    strip_mm: float | None = None
+    from_deg: tuple[float, ...] = ()
+    speed_percent: float | None = None
+
+
+class Ended(msgspec.Struct, frozen=True, kw_only=True):
+    """A session has ended, with an exit code and its procedure's result, or the reason of none."""
+
+    state: str
+    exit: int
+    result: Json = field(default_factory=dict)
+    reason: str = ""
+    error: Json = field(default_factory=dict)
+
+
+def _leaves(kind: type[Event]) -> Iterator[type[Event]]:
+    for each in kind.__subclasses__():
+        if each.__subclasses__():
+            yield from _leaves(each)
+        else:
+            yield each
+
+
+EVENTS: dict[str, type[Event]] = {
+    str(each.__struct_config__.tag): each for each in _leaves(events.Event)
+}
+
+
+Fact: TypeAlias = Event | OtherEvent | StateChanged | Intended | Point | Ended | Json
+
+
+def fact_of(kind: Kind, key: str, body: Json) -> Fact:
+    """Return a record's content as its type; raises `msgspec.ValidationError`."""
+    match kind:
+        case "event":
+            return event_of(body)
+        case "point":
+            return typed(body | {"key": key}, Point)
+        case "state":
+            return typed(body, StateChanged)
+        case "intent":
+            return typed(body, Intended)
+        case "end":
+            return typed(body, Ended)
+        case _:
+            return body
+
+
+def event_of(body: Json) -> Event | OtherEvent:
+    """Return an event of its plain fields; raises `msgspec.ValidationError`."""
+    what = str(body["what"])
+    if what in EVENTS:
+        return typed(body, EVENTS[what])
+    return OtherEvent(what, {name: value for name, value in body.items() if name != "what"})
