@@ -34,7 +34,9 @@ def test_no_world_is_framed_by_nests_that_stand_otherwise(
 
     monkeypatch.setattr(bed.tracker, "measure", stretched)
     bed.run(procedure(Points(1, act)))
-    assert (end := bed.log().end) is not None and end.error["code"] == "HC-T32"
+    end = bed.log().end
+    assert end is not None
+    assert end.error["code"] == "HC-T32"
     assert not bed.log().frames
 
 
