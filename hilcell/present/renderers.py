@@ -80,7 +80,9 @@ def environment(*packages: str) -> Environment:
         return harmless("; ".join(value.splitlines())) if type(value) is str else value
 
     made = Environment(
-        loader=ChoiceLoader([PackageLoader(each, ".") for each in (*packages, __name__.rpartition(".")[0])]),
+        loader=ChoiceLoader(
+            [PackageLoader(each, ".") for each in (*packages, __name__.rpartition(".")[0])]
+        ),
         autoescape=True,
         undefined=StrictUndefined,
         finalize=finalize,

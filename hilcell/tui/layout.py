@@ -149,7 +149,7 @@ class Stack:
     def __init__(self, *parts: Lines | Text) -> None:
         wrapped = Col(grows=True, wraps=True)
         self._parts = [
-            Grid([(part,)], wrapped) if isinstance(part, str | tuple | Content) else part
+            Grid([(part,)], wrapped) if isinstance(part, (str, tuple, Content)) else part
             for part in parts
         ]
 

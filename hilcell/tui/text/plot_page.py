@@ -216,7 +216,7 @@ def error_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
 
 def floor_mm(log: Log) -> Mapping[str, float]:
     """Return mean and p95 that robot and tracker leave by themselves, of a run that has ended."""
-    places = (log.end or {}).get("result", {}).get("validation", {})
+    places = log.result.get("validation", {})
     place = places.get(log.cell.grid.station, {}) if isinstance(places, dict) else {}
     floor = place.get("floor", {}) if isinstance(place, dict) else {}
     return {name: each for name, each in floor.items() if isinstance(each, float)}
@@ -352,7 +352,7 @@ def sweep_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
     for name in of.swept:
         record = of.log.curves[int(name[1:])]
         style = "bold" if name == (pick or of.swept[0]) else "$label"
-        for cycles, size in zip(record.cycles, record.amplitudes_rad * URAD, strict=True):
+        for cycles, size in zip(record.cycles, record.amplitudes_urad, strict=True):
             rows.append([(each, style) for each in (name, f"{cycles:.1f}", f"{size:.1f}")])
         if not record.holds:
             remarks.append((f"{name} not used: {record.reason}", "$label"))

@@ -51,7 +51,7 @@ HELD = {"station": "S1100", "tries": 2, "rail_mm": 1100.0, "strip_mm": 1100.0}
 DONE = (CLOSED, state("finished"), ended(None, 0, "finished"))
 OVER = (*BEGUN, *DONE)
 
-REFUSED = msgspec.to_builtins(curve_measured(SweptAxis(0, "upwards: 9 samples")))
+REFUSED = msgspec.structs.asdict(curve_measured(SweptAxis(0, "upwards: 9 samples")))
 
 NO_FILE = "HC-J11"  # no record tells of it, but the run's folder
 
