@@ -162,5 +162,5 @@ def facts_of_verdicts(log: Log) -> CalibrationFacts:
 
 def run_outcome(log: Log) -> str:
     """Return how the run of a log came out, in the word of `outcome`."""
-    code = None if log.end is None else int(log.end.exit)
+    code = None if log.end is None else log.end.exit
     return outcome(facts_of_verdicts(log), log.state, code, len(log.points))

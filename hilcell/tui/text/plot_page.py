@@ -14,7 +14,6 @@ from textual.content import Content
 
 from hilcell.calibration.iso9283 import AP, RP
 from hilcell.geometry.statistics import figures_of, repeatability_mm
-from hilcell.journal.curve_record import URAD
 from hilcell.journal.log import Log
 from hilcell.journal.ways_sent import Sent
 from hilcell.ports import Array
