@@ -1,1 +1,1 @@
-"""The nouns of the program: what a journal holds, and what everybody reads from it."""
+"""The nouns of the program, as a journal holds them; every room reads these types."""

@@ -1,6 +1,6 @@
-"""The events of a run, each with its fields and its words: a tagged union, ``what`` is the tag.
+"""The events of a run, each with its fields and its words: a union with the tag ``what``.
 
-Whoever adds an event declares it here; one that no type is declared for, as a plug-in's, is an
+An event is declared here and nowhere else; one without a type, as a plug-in has, is an
 `OtherEvent`.
 """
 
@@ -422,7 +422,7 @@ class TrackerProven(Event, frozen=True, kw_only=True, tag="tracker proven"):
 
 
 class Invalidating(Event, frozen=True, kw_only=True):
-    """What makes points and streams invalid, by their keys."""
+    """An event that makes points and streams invalid, by their keys."""
 
     invalid: list[str]
 

@@ -1,4 +1,4 @@
-"""What a journal holds: each kind of record as a type, decoded from its plain JSON.
+"""The records of a journal: each kind as a type, decoded from its plain JSON.
 
 A record is what was acknowledged: it is never changed. Its fact is made of it when it is first
 asked for: most readers look at a few kinds only.
