@@ -341,7 +341,7 @@ def _end(log: Log, session: list[Record], *, live: bool) -> Iterator[_Moment]:
     )
     t, seq = (last.t, last.seq) if last is not None else ("", 0)
     reason, error = change.reason, change.error
-    if state == "faulted" and error:
+    if state == "faulted":
         yield from _moments(error, t, seq, "fault", "not watched")
     elif state == "suspended" and live and error:
         yield from _moments(error, t, seq, cause="watched")

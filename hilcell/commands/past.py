@@ -168,7 +168,7 @@ def show(args: argparse.Namespace) -> int:
         "fault": log.fault,
         "not_at_rest": left_moving(log) or None,
         "sessions": log.session,
-        "link": log.link.text if log.link is not None else None,
+        "link": log.link.counts if log.link is not None else None,
         "link_warning": (log.link.warning or None) if log.link is not None else None,
         "verdicts": log.verdicts,
         "result": result,

@@ -371,9 +371,9 @@ class ReadingTime(msgspec.Struct, frozen=True, omit_defaults=True):
 class StationHeld(Event, frozen=True, kw_only=True, tag="station held"):
     """The slide is held at a station; ``began``: the reading by which it moved there."""
 
-    station: str
-    tries: int
-    strip_mm: float
+    station: str = ""
+    tries: int = 1
+    strip_mm: float = nan
     rail_mm: float = nan
     began: ReadingTime | None = None
 
@@ -468,9 +468,9 @@ class NoReadingOf(OfPoint, frozen=True, kw_only=True, tag="no reading"):
     """A measurement failed, and may be tried again."""
 
     title: ClassVar[str] = "no reading of"
-    tries: int
-    reason: str
-    error: Json
+    tries: int = 1
+    reason: str = ""
+    error: Json = field(default_factory=dict)
 
     @property
     def why(self) -> str:
@@ -535,7 +535,7 @@ class StreamRecorded(OfPoint, frozen=True, kw_only=True, tag="stream"):
     first_device_s: float
     last_device_s: float
     longest_gap_s: float  # between two samples
-    set_up: int  # of the tracker
+    set_up: int = 0  # of the tracker
     form: int
     axis: int = 0
     speed_deg_s: float = 0.0
@@ -643,7 +643,7 @@ class TargetsListed(Event, frozen=True, kw_only=True, tag="targets listed"):
 class CalibrationUsed(Event, frozen=True, kw_only=True, tag="calibration used"):
     """The calibration that a run uses: of which run, from which file, and its content."""
 
-    run: str
+    run: str = ""
     file: str = ""
     content: Json = field(default_factory=dict)
 

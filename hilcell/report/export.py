@@ -210,7 +210,7 @@ def run_table(facts: Facts) -> Table:
         for name in ("maker", "model", "serial", "firmware"):
             rows.append((f"asset.{asset.kind}.{name}", getattr(asset, name)))
     if facts.log.link is not None:
-        rows.append(("link", facts.log.link.text))
+        rows.append(("link", facts.log.link.counts))
         if facts.log.link.warning:
             rows.append(("link_warning", facts.log.link.warning))
     return Table(_named("name"), rows, "run")

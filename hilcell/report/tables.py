@@ -252,7 +252,7 @@ DEVICES: tuple[Column[Asset], ...] = tuple(
 def devices(facts: Facts) -> Table:
     """Return the devices that answered."""
     link = facts.log.link
-    note = f"CAN link: {link.text}." if link is not None else ""
+    note = f"CAN link: {link.counts}." if link is not None else ""
     if link is not None and link.warning:
         note += f" Warning: {link.warning}."
     return Table(DEVICES, facts.log.assets, "Devices", note)

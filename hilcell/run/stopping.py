@@ -71,7 +71,7 @@ def _summary(error: Exception) -> str:
 
 
 class Left(TypedDict):
-    """What the journal keeps of problems by device: their words, and their errors' facts."""
+    """Problems by device, for the journal: their words, and the facts of their errors."""
 
     problems: dict[str, str]
     errors: dict[str, Json]

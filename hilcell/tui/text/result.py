@@ -56,7 +56,7 @@ def result_of(view: RunView) -> Result | None:
     """Return the result of a run that has come to its end; None for every other, or for none."""
     if view.state not in ("done", "intolerant") or view.log.plan is None:
         return None
-    found = view.log.result or None
+    found = None if view.log.end is None else view.log.result
     if not isinstance(found, dict):
         return None
     test = _converted(found.get(ISO), PoseTest)

@@ -17,8 +17,8 @@ from hilcell.commands.cli import main
 from hilcell.commands.run_output import ProgressOutput, RunOutput, failed_words, print_end
 from hilcell.errors import DeviceError
 from hilcell.journal.journal import Record
-from hilcell.journal.link_record import LinkRecord
 from hilcell.journal.runs import read_log
+from hilcell.model.events import LinkCounted
 from hilcell.report.export import xlsx_bytes
 from hilcell.report.facts import read_facts
 from hilcell.report.html import report_html
@@ -185,7 +185,7 @@ def test_a_link_that_loses_frames_is_named_at_the_end_in_show_and_in_the_report(
     writer = Writer(tmp_path / "r1").began()
     link(writer, bad_lines=bad_lines)
     folder = writer.ended()
-    advice = LinkRecord(0, 1, 0, 0).warning.partition(": ")[2]
+    advice = LinkCounted(frames=0, bad_lines=1, refused=0, malformed=0).warning.partition(": ")[2]
     home, output = load_entry("procedures", "home"), RunOutput(as_json=False)
     print_end(folder, read_log(folder), home, output, None)
     assert (advice in " ".join(capsys.readouterr().err.split())) is warned
@@ -216,11 +216,14 @@ def test_losses_of_earlier_sessions_stay_counted_when_a_run_is_resumed(
 
 
 def test_how_the_slide_was_held_is_of_the_last_end() -> None:
-    held, not_so = LinkRecord(1, 0, 0, 0, held_by_sdo=1), LinkRecord(1, 0, 0, 0)
+    held, not_so = (
+        LinkCounted(frames=1, bad_lines=0, refused=0, malformed=0, held_by_sdo=1),
+        LinkCounted(frames=1, bad_lines=0, refused=0, malformed=0),
+    )
     assert held.followed_by(not_so).held_by_sdo == 0
     assert not_so.followed_by(held).held_by_sdo == 1
-    assert LinkRecord(1, 0, 0, 0).warning == ""
-    assert "100.00 %" in LinkRecord(0, 1, 0, 0).warning
+    assert LinkCounted(frames=1, bad_lines=0, refused=0, malformed=0).warning == ""
+    assert "100.00 %" in LinkCounted(frames=0, bad_lines=1, refused=0, malformed=0).warning
 
 
 VALIDATED = POSITION | {"outcome": "rejected", "mean_mm": 0.2}

@@ -11,6 +11,7 @@ import pytest
 from hilcell.errors import facts_of
 from hilcell.journal.journal import Record, StorageError, read_journal
 from hilcell.journal.log import Log
+from hilcell.model.events import LinkCounted
 from hilcell.ports import DeviceError, DeviceRefused
 from hilcell.run import stopping
 from hilcell.run.cell_session import CellSession
@@ -156,7 +157,7 @@ def test_devices_are_closed_once_also_where_the_disk_fills_up_between(
     real = bed.journal.append
 
     def append(kind: Any, key: str, body: dict[str, Any]) -> Any:
-        if body.get("what") == "link":
+        if isinstance(body, LinkCounted):
             raise StorageError("journal: disk full")
         return real(kind, key, body)
 
