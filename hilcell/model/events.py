@@ -371,7 +371,7 @@ class ReadingTime(msgspec.Struct, frozen=True, omit_defaults=True):
 class StationHeld(Event, frozen=True, kw_only=True, tag="station held"):
     """The slide is held at a station; ``began``: the reading by which it moved there."""
 
-    station: str = ""
+    station: str
     tries: int = 1
     strip_mm: float = nan
     rail_mm: float = nan
@@ -412,7 +412,7 @@ class SlideProven(OfPoint, frozen=True, kw_only=True, tag="slide proven"):
 class TrackerProven(Event, frozen=True, kw_only=True, tag="tracker proven"):
     """The floor nests were seen where they were, each off by ``off_mm``."""
 
-    off_mm: list[float]
+    off_mm: list[float] = field(default_factory=list)
 
     @property
     def text(self) -> str:

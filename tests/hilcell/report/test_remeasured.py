@@ -108,7 +108,10 @@ def test_each_step_and_event_has_its_line(tmp_path: Path) -> None:
         ),
         ({"what": "no reading", "key": "grid/1-0-0", "tries": 3, "reason": "no beam"}, "1-0-0"),
         ({"what": "first pass", "key": "sweep/A1/up", "speed_percent": 10.0}, "A1"),
-        ({"what": "station decided", "station": "S300", "mean_U_mm": 0.04}, "S300"),
+        (
+            {"what": "station decided", "station": "S300", "mean_U_mm": 0.04, "max_U_mm": 0.05},
+            "S300",
+        ),
         ({"what": "axes not swept", "reason": "too far from the tracker"}, "too far"),
         ({"what": "screen lost", "after_s": 2.0}, "creen"),
     ]
