@@ -171,7 +171,7 @@ def test_a_place_is_where_the_last_order_sent_it(
     assert f"Where  {words}" in drawn(alarm_page([alarm], Latch(), replace(CONTEXT, log=log)))
     for after, engine in (
         (point("validate/S300/chosen/050"), "between two motions"),
-        (event("station held"), "between two motions"),
+        (event("station held", station="S1"), "between two motions"),
         (state("suspended"), "between two motions"),
         (state("checking"), "earlier session"),
     ):
