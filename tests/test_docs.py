@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.commands.arguments import HOLES, TARGETS
+from hilcell.arguments import HOLES, TARGETS
 from hilcell.commands.bounds import HEADER as BOUNDS
 from hilcell.compensation.stamp import COLUMN
 from hilcell.compensation.targets import HEADER

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import random
 import signal
 import sys
@@ -23,6 +22,7 @@ from hilcell.cell.file import Cell, load_cell, located, stated_drivers
 from hilcell.cell.lines import by_line
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.unseen import unseen
+from hilcell.commands.orders import Check, Diagram, Sim
 from hilcell.commands.output import (
     flush_data,
     print_answer,
@@ -122,9 +122,9 @@ def _read(lines: SimpleQueue[str | None]) -> None:
     lines.put(None)
 
 
-def check(args: argparse.Namespace) -> int:
+def check(args: Check) -> int:
     """Check a cell file, the drivers' options and the calibration's plan."""
-    cell = _sound(args.cell, dict(args.set))
+    cell = _sound(args.cell, dict(args.settings))
     if warning := check_copied(args.cell, cell):
         print_message(warning)
     for table in (cell.touch, cell.targets):
@@ -182,16 +182,16 @@ def _word(able: bool) -> str:
     return "yes" if able else "no"
 
 
-def sim(args: argparse.Namespace) -> int:
+def sim(args: Sim) -> int:
     """Run the simulated cell by itself and print where its devices listen."""
-    cell = load_cell(args.cell, dict(args.set))
+    cell = load_cell(args.cell, dict(args.settings))
     simulated = start_simulation(
         cell,
-        seed=machine_seed(cell, args),
+        seed=machine_seed(cell, args.seed, args.machine_seed),
         speed=args.speed,
         faults=args.faults,
         truth=args.truth,
-        ports=args.ports,
+        ports=args.ports or {},
     )
     if simulated is None:
         raise HilcellError(
@@ -223,7 +223,7 @@ def sim(args: argparse.Namespace) -> int:
     return 0
 
 
-def diagram(args: argparse.Namespace) -> int:
+def diagram(args: Diagram) -> int:
     """Print the state machines as Mermaid diagrams."""
     for table in (RUN, CALIBRATION):
         print_data(f"%% {table.name}\n{mermaid(table)}\n")

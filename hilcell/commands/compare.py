@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 from operator import attrgetter
 
 import msgspec
 
 from hilcell.clean import encodable
+from hilcell.commands.orders import Compare
 from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.errors import HilcellError
 from hilcell.journal.engine_file import live_engine
@@ -30,7 +30,7 @@ SETTINGS: tuple[Column[Setting], ...] = (
 )
 
 
-def compare(args: argparse.Namespace) -> int:
+def compare(args: Compare) -> int:
     """Print the changes from the first run to the second; a drift is no failure of the command."""
     folders = [find_run(args.runs, name) for name in (args.first, args.second)]
     if folders[0].resolve() == folders[1].resolve():

@@ -17,7 +17,9 @@ import shtab
 from hilcell.alarms.catalogue import catalogue
 from hilcell.cell.source import built_in_cells
 from hilcell.commands.cli import whole_parser
+from hilcell.commands.orders import Completion
 from hilcell.commands.output import print_data
+from hilcell.commands.parser import Parser
 
 Completer = dict[str, str | dict[str, str]]  # by shell, as shtab has it
 _FILE = re.compile(r"FILE|OUT|TARGETS|HOLES|\.csv|\.toml")
@@ -46,7 +48,7 @@ _NAMED: dict[str, Completer] = {
 _CELL_OF_RUNS: Completer = {"bash": "_hilcell_cell_of_runs", "zsh": "_hilcell_cell_of_runs"}
 
 
-def completion(args: argparse.Namespace) -> int:
+def completion(args: Completion) -> int:
     """Print the script of one shell."""
     parser = deepcopy(whole_parser())  # it is written into
     for action in _actions(parser):
@@ -60,9 +62,9 @@ def completion(args: argparse.Namespace) -> int:
     return 0
 
 
-def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+def _actions(parser: Parser) -> Iterator[argparse.Action]:
     """Yield the arguments of all commands."""
-    for action in parser._actions:  # noqa: SLF001 - argparse offers no list of them
+    for action in parser.fill()._actions:  # noqa: SLF001 - argparse offers no list of them
         yield action
         for command in action.choices.values() if isinstance(action.choices, dict) else ():
             yield from _actions(command)

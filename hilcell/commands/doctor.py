@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import shutil
 import socket
@@ -16,6 +15,7 @@ from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.clean import harmless_lines
 from hilcell.commands import this_pc
+from hilcell.commands.orders import Doctor
 from hilcell.commands.output import print_data, print_json
 from hilcell.commands.this_pc import Finding
 from hilcell.run.cell_lock import CellLocked, lock_of_device, locked
@@ -27,11 +27,11 @@ PARTS = (*PORTS, *(f"simulated_{group}" for group in PORTS), "programs", "progra
 SHOWN = {"ok": "ok", "warning": "note", "wrong": "WRONG"}
 
 
-def doctor(args: argparse.Namespace) -> int:
+def doctor(args: Doctor) -> int:
     """Print what was checked; exit code 2 where something has to be mended before a run."""
     found = list(_of_this_pc(args.runs))
     if args.cell:
-        found += _of_cell(args.cell, dict(args.set))
+        found += _of_cell(args.cell, dict(args.settings))
     sound = all(each.state != "wrong" for each in found)
     if args.json:
         print_json({"ok": sound, "checks": [each._asdict() for each in found]})

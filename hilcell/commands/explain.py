@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 import re
 from difflib import get_close_matches
 
 from hilcell.alarms.catalogue import Entry, catalogue
+from hilcell.commands.orders import Explain
 from hilcell.commands.output import print_data, print_json
 from hilcell.errors import HilcellError
 
 NEAREST = 3
 
 
-def explain(args: argparse.Namespace) -> int:
+def explain(args: Explain) -> int:
     """Print one entry of the catalogue."""
     entry = _entry(args.code)
     facts = {"code": entry.code, "title": entry.title, "means": entry.means, "do": entry.do}

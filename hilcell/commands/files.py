@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -34,6 +33,7 @@ from hilcell.commands.bounds import (
     turns_of_targets,
     write_bounds,
 )
+from hilcell.commands.orders import Compensate
 from hilcell.commands.output import print_json, print_message
 from hilcell.commands.output_place import CSV, check_output
 from hilcell.commands.released import Released, released
@@ -60,11 +60,11 @@ DRILL_KEY = "uncertainty.drill_offset_mm"
 LISTS = ("", ".csv", ".txt")  # suffixes of what is read as a list of targets without a remark
 
 
-def compensate(args: argparse.Namespace) -> int:
+def compensate(args: Compensate) -> int:
     """Write corrected targets, or a corrected program, for one station."""
-    check_settings(args.cell, dict(args.set))
-    cell = load_cell(args.cell, dict(args.set)) if args.cell else None
-    found = released(args, cell)
+    check_settings(args.cell, dict(args.settings))
+    cell = load_cell(args.cell, dict(args.settings)) if args.cell else None
+    found = released(args.calibration, args.release, cell)
     calibration = found.calibration
     source, out = Path(args.targets), Path(args.output)
     inputs = [source, found.path, Path(args.cell or source)]
@@ -74,14 +74,16 @@ def compensate(args: argparse.Namespace) -> int:
     root = root_of(calibration, args.station, program)
     names, listed = _listed(source) if program is None else (program.names, program.values())
     targets = taken_in(root, listed)  # in {W}
-    folders = memories(args.runs, found.path)
+    folders = memories(args.release.runs, found.path)
     refuse_known(folders, source.name, names, targets[:, :3], listed[:, :3])
     known = found.cell if cell is None and program is None else cell
     tip, drill_mm = _tip(known, args.tool, program, source), drill_mm_of(known)
     if program is not None and args.station in calibration.stations:
         check_base(calibration, args.station, program.base, targets)  # names a cause of the next
     command = compensate_targets(calibration, args.station, targets, names, tip)
-    bounds = bounds_of_targets(calibration, args.station, targets, args.temperature, tip, drill_mm)
+    bounds = bounds_of_targets(
+        calibration, args.station, targets, args.release.temperature, tip, drill_mm
+    )
     if program is not None:
         limits = _stroke_limits(args, bounds)
         _check_program(calibration, args, program, targets, command, cell, limits, tip)
@@ -208,7 +210,7 @@ def _listed(source: Path) -> tuple[list[str], Array]:
 
 def _check_program(
     calibration: Calibration,
-    args: argparse.Namespace,
+    args: Compensate,
     program: Program,
     targets: Array,
     command: Array,
@@ -239,7 +241,7 @@ def _check_program(
         print_message(f"{name}: {program.needs_arm} were not checked; --cell CELL does")
 
 
-def _stroke_limits(args: argparse.Namespace, bounds: Found) -> StrokeLimits:
+def _stroke_limits(args: Compensate, bounds: Found) -> StrokeLimits:
     """Return the tolerance that is stated; else the bounds, within which no difference is sure."""
     if args.stroke_tolerance is not None:
         return StrokeLimits(args.allow_stroke, args.stroke_tolerance, "--stroke-tolerance")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from hilcell.calibration.influence import bounds_of
 from hilcell.calibration.programs import POSTURE_BITS, check_posture
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.bounds import summary, write_bounds
+from hilcell.commands.orders import Fit
 from hilcell.commands.output import print_data, print_json, print_message, print_table
 from hilcell.commands.output_place import CSV, check_output
 from hilcell.compensation.choice import NOMINAL
@@ -49,7 +49,7 @@ URDF = ".urdf"
 NAMED = 10  # rows that are left out
 
 
-def fit(args: argparse.Namespace) -> int:
+def fit(args: Fit) -> int:
     """Fit measured data, print how far each method's predictions are off, write what is asked."""
     robot = _robot(Path(args.robot), args.tip)
     train = _read(Path(args.train))
@@ -79,9 +79,7 @@ def _covariance(fit: Fitted) -> dict[str, list[list[float]]]:
     return {"covariance": arm.estimate.system.covariance.tolist()}
 
 
-def _write_arm(
-    args: argparse.Namespace, robot: Robot, fit: Fitted, inputs: list[Path]
-) -> dict[str, float]:
+def _write_arm(args: Fit, robot: Robot, fit: Fitted, inputs: list[Path]) -> dict[str, float]:
     """Write the identified arm as URDF and DH table; return the figures of what it leaves."""
     from hilcell.fit.rigid_arm import alone, rigid_arm, write_dh, write_urdf
 
@@ -175,7 +173,7 @@ class Job:
     inputs: list[Path]
 
 
-def job_of(args: argparse.Namespace, train: Measurements, inputs: list[Path]) -> Job | None:
+def job_of(args: Fit, train: Measurements, inputs: list[Path]) -> Job | None:
     """Return what the command line asks for, or nothing; raises `SettingsError`."""
     if not args.correct:
         if args.output or args.bounds:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 
@@ -11,24 +10,25 @@ from hilcell.commands.run_output import kind_of
 from hilcell.errors import HilcellError
 from hilcell.journal.log import Log
 from hilcell.model.events import Announced, StepBegun
+from hilcell.run.order import Attendance
 from hilcell.run.procedure import Procedure
 
 
-def asks(args: argparse.Namespace) -> bool:
+def asks(attendance: Attendance) -> bool:
     """Whether somebody is at a terminal to be asked: no script, and no screen, which asks itself.
 
     ``--unattended`` says that nobody is there.
     """
     here = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
-    return here and not (args.unattended or args.screen)
+    return here and not (attendance.unattended or attendance.screen)
 
 
-def check_unasked(run: str, log: Log, procedure: Procedure, args: argparse.Namespace) -> None:
+def check_unasked(run: str, log: Log, procedure: Procedure, attendance: Attendance) -> None:
     """Refuse to let a real robot go on where somebody should be asked and nobody can be.
 
     A simulated one moves nothing: scripts go on with it, and what moves is only said.
     """
-    if args.unattended or args.screen:
+    if attendance.unattended or attendance.screen:
         return
     if not log.inputs.simulated:
         raise HilcellError(

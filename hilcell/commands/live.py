@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 from hilcell.clean import encodable
+from hilcell.commands.orders import Pause, Stop, Watch
 from hilcell.commands.output import print_answer, print_message
 from hilcell.commands.run_output import (
     JsonOutput,
@@ -29,24 +29,24 @@ from hilcell.run.protocol import Command
 FOLLOW_S = 0.1
 
 
-def pause(args: argparse.Namespace) -> int:
+def pause(args: Pause) -> int:
     """Ask a live run to pause after the point in flight."""
     return _command(args, "pause")
 
 
-def stop(args: argparse.Namespace) -> int:
+def stop(args: Stop) -> int:
     """Ask a live run to stop now."""
     return _command(args, "stop")
 
 
-def _command(args: argparse.Namespace, command: Command) -> int:
+def _command(args: Pause, command: Command) -> int:
     folder = find_run(args.runs, args.run)
     answer = order(folder, command)
     print_answer(answer.answer(), f"run {folder.name}: asked to {command}", as_json=args.json)
     return 0
 
 
-def watch(args: argparse.Namespace) -> int:
+def watch(args: Watch) -> int:
     """Follow a run's journal to its end, or until the engine has died."""
     folder = find_run(args.runs, args.run)
     try:

@@ -1,33 +1,48 @@
-"""The parser of the command line: short errors that name the nearest command or option."""
+"""From a signature to its parser: short errors that name the nearest command or option."""
 
 from __future__ import annotations
 
 import argparse
 import re
 import sys
-from collections.abc import Iterable, Sequence
-from importlib.metadata import entry_points
-from typing import Any, NoReturn
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Literal, NoReturn, TypeVar, get_args, get_origin, get_type_hints
 
+from hilcell.arguments import Argument, Signature, Switches
 from hilcell.commands.output import print_message, stdout_checked
 
 HELP = ("-h", "--help")  # no word is mistyped for it: each command has it
 PASSWORD = re.compile(r"(://[^:/@\s]*:)\S*@")  # of a URL that stands where none is wanted
 REFUSED = 2  # of `hilcell.run.exits`, which is heavy to import
+MISSING = object()
+Taken = TypeVar("Taken", bound=Signature)
 
 
 class Parser(argparse.ArgumentParser):
-    """Reads the words of one command; ``commands`` are those that may follow, if any may."""
+    """Reads the words of one command, by the signature ``takes``, or those of its ``commands``."""
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, *, takes: type[Signature] | None = None, **options: Any) -> None:
         super().__init__(**options, allow_abbrev=False)
+        self.takes = takes
         self.commands: argparse._SubParsersAction[Parser] | None = None
-        self.groups: dict[str, tuple[str, ...]] = {}  # of commands by title, as the help lists them
+        self.groups: Mapping[str, Iterable[str]] = {}  # of commands by title, as the help lists
 
-    def add_commands(self, dest: str = "command") -> argparse._SubParsersAction[Parser]:
-        """Return where commands are added; ``dest`` is the argument that takes the one chosen."""
-        self.commands = self.add_subparsers(dest=dest, metavar="COMMAND", required=True)
+    def add_commands(self) -> argparse._SubParsersAction[Parser]:
+        """Return where commands are added."""
+        self.commands = self.add_subparsers(metavar="COMMAND", required=True)
         return self.commands
+
+    def knows(self, option: str) -> bool:
+        """Whether an option is one of this parser's own."""
+        self.fill()
+        return option in self._option_string_actions
+
+    def fill(self) -> Parser:
+        """Return it with its arguments, which are added late: a process reads one command."""
+        takes, self.takes = self.takes, None
+        if takes is not None:
+            _add_arguments(self, takes)
+        return self
 
     def format_help(self) -> str:
         """Return the help, with the commands in their groups."""
@@ -50,6 +65,7 @@ class Parser(argparse.ArgumentParser):
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Refuse unknown words first: argparse would name missing arguments in their place."""
+        self.fill()
         self._refuse_unknown(sys.argv[1:] if args is None else args)
         return super().parse_known_args(args, namespace)
 
@@ -66,10 +82,6 @@ class Parser(argparse.ArgumentParser):
                 self._refuse_early(name, words)
                 self.error(f"{name[:80]} is no option{_nearest(name, known)}")
 
-    def knows(self, option: str) -> bool:
-        """Whether an option is one of this parser's own."""
-        return option in self._option_string_actions
-
     def _refuse_early(self, name: str, words: Sequence[str]) -> None:
         """Refuse an option that stands before the command to which it belongs."""
         choices = self.commands.choices if self.commands is not None else {}
@@ -80,6 +92,8 @@ class Parser(argparse.ArgumentParser):
     def _refuse_unknown_command(self, word: str, known: Iterable[str]) -> None:
         if word in known:
             return
+        from importlib.metadata import entry_points  # takes a third of the time of `--help`
+
         if word in entry_points(group="hilcell.procedures").names:
             self.error(f"{word} is a procedure; did you mean `{self.prog} run {word}`?")
         self.error(f"{word[:80]!r} is no command{_nearest(word, known)}")
@@ -101,6 +115,56 @@ class Parser(argparse.ArgumentParser):
         with stdout_checked():
             sys.stdout.write(message)
             sys.stdout.flush()
+
+
+def _add_arguments(parser: Parser, takes: type[Signature]) -> None:
+    """Add the arguments of a signature, and of the signatures that are its fields."""
+    for name, hint in get_type_hints(takes, include_extras=True).items():
+        if _is_signature(hint):
+            _add_arguments(parser, hint)
+            continue
+        kind, argument = get_args(hint)
+        if isinstance(argument, Switches):
+            group = parser.add_mutually_exclusive_group(required=True)
+            for word, text in argument.help.items():
+                group.add_argument(
+                    f"--{word}", dest=name, action="store_const", const=word, help=text
+                )
+        else:
+            _add(parser, name, kind, argument, getattr(takes, name, MISSING))
+
+
+def _add(parser: Parser, name: str, kind: object, argument: Argument, default: object) -> None:
+    options: dict[str, Any] = {"help": argument.help.replace("%", "%%")}
+    if default is not MISSING:
+        options["default"] = default
+    if kind is bool:
+        options["action"] = "store_true"
+    elif get_origin(kind) is Literal:
+        options["choices"] = get_args(kind)
+    else:
+        options |= {"metavar": argument.metavar, "type": argument.read}
+    if get_origin(kind) is tuple:
+        options |= {"action": "append", "default": []}
+    needed = argument.required and default is MISSING
+    if argument.word:
+        parser.add_argument(name, nargs=None if needed else "?", **options)
+    else:
+        names = argument.names or (f"--{name.replace('_', '-')}",)
+        parser.add_argument(*names, dest=name, required=needed, **options)
+
+
+def made(takes: type[Taken], values: Mapping[str, Any]) -> Taken:
+    """Return what a command takes, of the values that its parser has read."""
+    found: dict[str, object] = {}
+    for name, hint in get_type_hints(takes).items():
+        value = made(hint, values) if _is_signature(hint) else values[name]
+        found[name] = tuple(value) if isinstance(value, list) else value
+    return takes(**found)
+
+
+def _is_signature(hint: object) -> bool:
+    return isinstance(hint, type) and issubclass(hint, Signature)
 
 
 def _nearest(word: str, known: Iterable[str]) -> str:

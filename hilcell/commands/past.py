@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 from collections.abc import Mapping
 from contextlib import suppress
@@ -14,6 +13,7 @@ from hilcell.calibration.in_use import standings_in
 from hilcell.cell.devices import load_entry
 from hilcell.clean import encodable
 from hilcell.commands.invariants import check
+from hilcell.commands.orders import ListRuns, Show
 from hilcell.commands.output import (
     print_json,
     print_message,
@@ -31,7 +31,7 @@ from hilcell.present.table import Column, Table
 from hilcell.run.procedure import Procedure
 
 
-def runs(args: argparse.Namespace) -> int:
+def runs(args: ListRuns) -> int:
     """List the runs of a folder, in the order of their names."""
     rows = read_index(args.runs)
     known = standings_in(args.runs, rows)
@@ -54,7 +54,7 @@ def runs(args: argparse.Namespace) -> int:
     return 0
 
 
-def _asked_for(row: RunRow, args: argparse.Namespace) -> bool:
+def _asked_for(row: RunRow, args: ListRuns) -> bool:
     """Return whether a run is of the cell and operator, and as young, as was asked for."""
     since: datetime | None = args.since
     begun = _time(row.begun)
@@ -148,7 +148,7 @@ def _facts(standing: Standing) -> dict[str, Any]:
     }
 
 
-def show(args: argparse.Namespace) -> int:
+def show(args: Show) -> int:
     """Show a run; its result is recomputed from the journal."""
     folder = find_run(args.runs, args.run)
     if args.check:

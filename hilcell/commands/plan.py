@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from operator import itemgetter
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from hilcell.calibration.tip import tip_named
 from hilcell.calibration.volume import Volume
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
+from hilcell.commands.orders import Plan
 from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.commands.output_place import CSV, check_output
 from hilcell.commands.released import released
@@ -21,9 +21,9 @@ from hilcell.planning.plan import plan as plan_holes
 from hilcell.present.table import Column, Table
 
 
-def plan(args: argparse.Namespace) -> int:
+def plan(args: Plan) -> int:
     """Print the fewest stations for the holes, and their orders with a lower bound on travel."""
-    cell = load_cell(args.cell, dict(args.set))
+    cell = load_cell(args.cell, dict(args.settings))
     calibrated = _calibrated(args, cell)
     holes = read_holes(Path(args.holes), tip_named(cell, args.tool).T_D_T)
     for warning in bounded(twins(holes)):
@@ -45,14 +45,14 @@ def plan(args: argparse.Namespace) -> int:
     return 0
 
 
-def _calibrated(args: argparse.Namespace, cell: Cell) -> Volume | None:
+def _calibrated(args: Plan, cell: Cell) -> Volume | None:
     """Return where the calibration that is named corrects; refused as `compensate` refuses it."""
     if not args.calibration:
         print_message("not asked where a calibration corrects: --calibration RUN does")
         return None
     if args.free:
         raise SettingsError("--free", ["stations that are not calibrated; leave out one of both"])
-    found = released(args, cell)
+    found = released(args.calibration, args.release, cell)
     for note in found.notes():
         print_message(note)
     return Volume(found.calibration)

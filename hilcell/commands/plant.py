@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import os
 from collections.abc import Mapping, Sequence
@@ -16,6 +15,7 @@ import msgspec
 
 from hilcell.cell.settings import did_you_mean
 from hilcell.clean import clean, encodable, harmless, harmless_lines
+from hilcell.commands.orders import PlantInit, PlantShip, PlantShow
 from hilcell.commands.output import (
     print_answer,
     print_data,
@@ -41,7 +41,7 @@ PACKAGES = ("sqlalchemy", "alembic", "psycopg")  # of the database
 NAMED = 3  # runs, in a message
 
 
-def init(args: argparse.Namespace) -> int:
+def init(args: PlantInit) -> int:
     """Make the tables of a plant's database, where they are not there."""
     with closing(open_database(args.plant)) as database:
         before = database.make()
@@ -56,7 +56,7 @@ def init(args: argparse.Namespace) -> int:
     return EXIT_OK
 
 
-def ship(args: argparse.Namespace) -> int:
+def ship(args: PlantShip) -> int:
     """Ship the runs of a folder that are over; exit code 7 where one could not be."""
     from hilcell.plant.shipper import ship as ship_runs
 
@@ -106,7 +106,7 @@ def _behind_words(behind: Mapping[str, Behind]) -> str:
     )
 
 
-def show(args: argparse.Namespace) -> int:
+def show(args: PlantShow) -> int:
     """Show what the plant's records say of cells, robots, stations, instruments and alarms."""
     with closing(open_database(args.plant)) as database:
         database.check()
@@ -164,7 +164,7 @@ class Answers:
     doubts: list[str]
 
 
-def _answers(connection: Connection, args: argparse.Namespace) -> Answers:
+def _answers(connection: Connection, args: PlantShow) -> Answers:
     from hilcell.plant.cells import cells
     from hilcell.plant.doubts import doubts
     from hilcell.plant.equipment import alarms, instruments, worse_stations

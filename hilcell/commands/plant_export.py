@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import getpass
 import sys
 from contextlib import closing
 
 from hilcell.clean import encodable, harmless
+from hilcell.commands.orders import PlantExport, PlantVerify
 from hilcell.commands.output import print_answer, print_message
 from hilcell.commands.plant import open_database, require_packages
 from hilcell.run.exits import EXIT_OK, EXIT_OUT_OF_TOLERANCE
@@ -15,7 +15,7 @@ from hilcell.run.exits import EXIT_OK, EXIT_OUT_OF_TOLERANCE
 SIGNING = ("cryptography",)
 
 
-def export(args: argparse.Namespace) -> int:
+def export(args: PlantExport) -> int:
     """Write a cell's record with a signed manifest."""
     require_packages(SIGNING)
     from hilcell.plant.export import export as export_cell
@@ -37,7 +37,7 @@ def export(args: argparse.Namespace) -> int:
     return EXIT_OK
 
 
-def verify(args: argparse.Namespace) -> int:
+def verify(args: PlantVerify) -> int:
     """Verify an exported record; exit code 1 where a file differs, is missing or is extra."""
     require_packages(SIGNING)
     from hilcell.plant.audit import verify as verify_record

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -24,6 +23,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.cell.tool import STANDOFF_MORE_MM
 from hilcell.commands.bounds import summary
 from hilcell.commands.files import check_settings, drill_mm_of, remember
+from hilcell.commands.orders import Prepare
 from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.commands.output_place import KNOWN
 from hilcell.commands.prepared import Job, Prepared, prepared, standoff_remarks, unknown_drill
@@ -207,15 +207,19 @@ def _time(written: str) -> datetime:
 SUMMARY = "summary.json"
 
 
-def prepare(args: argparse.Namespace) -> int:
+def prepare(args: Prepare) -> int:
     """Plan the holes where the calibration corrects, correct them, and write all files."""
-    check_settings(args.cell, dict(args.set))
-    cell = load_cell(args.cell, dict(args.set))
-    found, source, folder = released(args, cell), Path(args.holes), Path(args.output)
+    check_settings(args.cell, dict(args.settings))
+    cell = load_cell(args.cell, dict(args.settings))
+    found, source, folder = (
+        released(args.calibration, args.release, cell),
+        Path(args.holes),
+        Path(args.output),
+    )
     tip = tip_named(cell, args.tool, cell.robot.options.get("tool"))
     standoff_mm = _standoff_mm(tip, args.standoff)
     holes = read_holes(source, tip.T_D_T)
-    refuse_known(memories(args.runs, found.path), source.name, holes.names, holes.points_mm)
+    refuse_known(memories(args.release.runs, found.path), source.name, holes.names, holes.points_mm)
     for warning in bounded(warnings := twins(holes)):
         print_message(warning)
     whole = plan(cell, holes, calibrated=Volume(found.calibration), heard=print_message)
@@ -224,7 +228,14 @@ def prepare(args: argparse.Namespace) -> int:
     facts = _summary(found, source, tip, whole, stations, warnings)
     contents = {SUMMARY: msgspec.json.format(msgspec.json.encode(facts), indent=1) + b"\n"}
     sheet = sheet_of(
-        found, cell, source.name, args.max_age, args.temperature, job, stations, warnings
+        found,
+        cell,
+        source.name,
+        args.release.max_age,
+        args.release.temperature,
+        job,
+        stations,
+        warnings,
     )
     contents[SHEET] = sheet_html(sheet).encode()
     for each in stations:

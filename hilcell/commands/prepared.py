@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from hilcell.arguments import STROKE_MM
 from hilcell.calibration.file import compensate_targets
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import NoBound
@@ -19,9 +19,9 @@ from hilcell.calibration.prepared import NEAR_SHARE, Drilling, station_program
 from hilcell.calibration.programs import StrokeError, StrokeLimits, check_strokes
 from hilcell.calibration.tip import Tip
 from hilcell.cell.file import Cell
-from hilcell.commands.arguments import STROKE_MM
 from hilcell.commands.bounds import TURN, Found, bounds_of_targets, turns_of_targets
 from hilcell.commands.files import drill_mm_of
+from hilcell.commands.orders import Prepare
 from hilcell.commands.released import Released
 from hilcell.compensation.programs import Stroke
 from hilcell.compensation.stamp import Stamp
@@ -107,14 +107,14 @@ class Job:
     standoff_mm: float
 
 
-def prepared(
-    args: argparse.Namespace, cell: Cell, found: Released, job: Job, each: StationPlan
-) -> Prepared:
+def prepared(args: Prepare, cell: Cell, found: Released, job: Job, each: StationPlan) -> Prepared:
     """Return a station's holes, corrected; raises `HilcellError` where one must not be."""
     name, calibration, tip = each.station.name, found.calibration, job.tip
     nominal = as_listed(each.poses)  # as `plan` states them, and `compensate` reads them
     command = as_listed(compensate_targets(calibration, name, nominal, each.holes, tip))
-    bounds = bounds_of_targets(calibration, name, nominal, args.temperature, tip, drill_mm_of(cell))
+    bounds = bounds_of_targets(
+        calibration, name, nominal, args.release.temperature, tip, drill_mm_of(cell)
+    )
     stroke = _stroke(calibration, name, nominal, command, tip)
     stamp, writer = found.stamp(name), writer_of(cell.robot.driver)
     program: Mapping[str, bytes] = {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from hilcell.cell.file import Cell
 from hilcell.compensation.stamp import Stamp
 from hilcell.journal.find_run import find_run
 from hilcell.journal.standing import Standing
+from hilcell.run.order import Release
 
 UNKNOWN = "standing unknown: not among this cell's finished runs"
 
@@ -68,26 +68,26 @@ class Released:
             )
 
 
-def released(args: argparse.Namespace, cell: Cell | None) -> Released:
-    """Return the calibration that ``args`` name; raises `Unfit`, `NoCalibration`, `SettingsError`.
+def released(name: str, release: Release, cell: Cell | None) -> Released:
+    """Return the calibration of a run or a file; raises `Unfit`, `NoCalibration`, `SettingsError`.
 
     ``cell`` is that of today, None leaves it unchecked.
     """
-    where = Path(args.calibration)
+    where = Path(name)
     is_file = os.path.isfile(where)  # noqa: PTH113 - Path.is_file raises for a name too long
-    path = where if is_file else written_by(find_run(args.runs, args.calibration))
+    path = where if is_file else written_by(find_run(release.runs, name))
     calibration = read_calibration(path)
-    standing = standing_by_name(calibration, path, args.runs)
-    calibrated = cell_calibrated(calibration, path, args.runs)
+    standing = standing_by_name(calibration, path, release.runs)
+    calibrated = cell_calibrated(calibration, path, release.runs)
     accepted = check_fitness(
         calibration,
         datetime.now(UTC),
-        max_age_days=args.max_age,
-        temperature_c=args.temperature,
+        max_age_days=release.max_age,
+        temperature_c=release.temperature,
         cell=cell,
         calibrated=calibrated,
-        accept_out_of_tolerance=args.accept_out_of_tolerance,
+        accept_out_of_tolerance=release.accept_out_of_tolerance,
         standing=standing,
-        accept_not_current=args.accept_not_current,
+        accept_not_current=release.accept_not_current,
     )
-    return Released(calibration, path, args.runs, standing, accepted, calibrated)
+    return Released(calibration, path, release.runs, standing, accepted, calibrated)

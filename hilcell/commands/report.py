@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
+from hilcell.commands.orders import Export, Report
 from hilcell.commands.output import print_message
 from hilcell.commands.output_place import CSV, check_output
 from hilcell.journal.find_run import find_run
@@ -14,7 +14,7 @@ from hilcell.report.facts import Facts, read_facts
 from hilcell.writing import write_whole
 
 
-def report(args: argparse.Namespace) -> int:
+def report(args: Report) -> int:
     """Write one self-contained HTML file, or print it to a PDF where it is named so."""
     from hilcell.report.html import PARTS, report_html
     from hilcell.report.pdf import find_browser, pages_of, pdf_of
@@ -32,7 +32,7 @@ def report(args: argparse.Namespace) -> int:
     return 0
 
 
-def export(args: argparse.Namespace) -> int:
+def export(args: Export) -> int:
     """Write points as CSV, tables as a workbook, the certificate as a DCC, or all as JSON."""
     from hilcell.report.dcc import dcc_bytes
     from hilcell.report.export import csv_bytes, json_bytes, xlsx_bytes

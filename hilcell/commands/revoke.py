@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 from pathlib import Path
 
 from hilcell.calibration.in_use import standing_of
 from hilcell.clean import encodable
+from hilcell.commands.orders import Revoke
 from hilcell.commands.output import print_json, print_message
 from hilcell.journal.engine_file import live_engine
 from hilcell.journal.find_run import find_run
@@ -20,7 +20,7 @@ from hilcell.ports import HilcellError
 from hilcell.run.cell_lock import lock_of_name, locked
 
 
-def revoke(args: argparse.Namespace) -> int:
+def revoke(args: Revoke) -> int:
     """Revoke the calibration of a run, and name the one that is current then."""
     folder = find_run(args.runs, args.run)
     log = read_log(folder)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import gc
 import math
 import platform
@@ -45,6 +44,7 @@ from hilcell.commands.going_on import (
     check_word,
     say_under_way,
 )
+from hilcell.commands.orders import Resume
 from hilcell.commands.output import print_message
 from hilcell.commands.run_output import (
     JsonOutput,
@@ -88,6 +88,7 @@ from hilcell.run.cell_lock import (
 from hilcell.run.client import order
 from hilcell.run.control import Control
 from hilcell.run.exits import DONE, EXIT_ABORTED, EXIT_STORAGE, RESUMABLE, exit_code
+from hilcell.run.order import Attendance, Order
 from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.remeasure import retake_refusal
 from hilcell.run.runner import Runner, finish
@@ -109,12 +110,12 @@ class Ending(NamedTuple):
     unclosed: Mapping[str, Exception] = MappingProxyType({})
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: Order) -> int:
     """Perform a procedure on a cell."""
-    cell = load_cell(args.cell, dict(args.set))
+    cell = load_cell(args.cell, dict(args.settings))
     _check_of_simulator(cell, "--speed", args.speed)
     _check_of_simulator(cell, "--machine-seed", args.machine_seed)
-    check_attended(cell, unattended=args.unattended)
+    check_attended(cell, unattended=args.attendance.unattended)
     if warning := check_copied(args.cell, cell):
         print_message(warning)
     procedure: Procedure = load_entry("procedures", args.procedure)
@@ -126,12 +127,12 @@ def run(args: argparse.Namespace) -> int:
         cell, accepted, used = with_calibration(cell, uses, args.runs, accepts, asked)
         for words in (used, *(f"accepted although {reason}" for reason in accepted)):
             print_message(words)
-        args.machine_seed = _machine_of(asked, calibrated_machine(cell, uses))
+        args = args.replace(machine_seed=_machine_of(asked, calibrated_machine(cell, uses)))
     plan = procedure.plan(cell, args.seed)
     try:
         check_options(cell)
     except SettingsError as error:
-        raise located(args.cell, error.problems, dict(args.set)) from None
+        raise located(args.cell, error.problems, dict(args.settings)) from None
     check_repeated(cell, args.procedure, args.seed)
     if args.dry_run:
         print_dry_run(cell, procedure, plan, as_json=args.json)
@@ -142,7 +143,7 @@ def run(args: argparse.Namespace) -> int:
         "driven_by": _finished_runs(args.runs, cell),
         "accepted": accepted,
         "floor_before": msgspec.to_builtins(
-            floor_before(args.runs, cell, machine_seed(cell, args))
+            floor_before(args.runs, cell, machine_seed(cell, args.seed, args.machine_seed))
         ),
     }
     name = args.name or new_run(procedure.name)
@@ -158,13 +159,13 @@ def run(args: argparse.Namespace) -> int:
             with closing(RunJournal(folder / JOURNAL, name, create=True)) as journal:
                 output = _output(args.json, name, plan.points, journal)
                 journal.append("plan", "", _plan_record(cell, procedure, plan, args) | earlier)
-                return _perform(cell, procedure, journal, output, folder, args)
+                return _perform(cell, procedure, journal, output, folder, args.attendance)
         except CellLocked:
             forget(folder)
             raise
 
 
-def resume(args: argparse.Namespace) -> int:
+def resume(args: Resume) -> int:
     """Let a paused run go on, or continue one that ended early."""
     folder = find_run(args.runs, args.run)
     if live_engine(folder) is not None:
@@ -172,7 +173,7 @@ def resume(args: argparse.Namespace) -> int:
     log = read_log(folder)
     _open_retakes(log, folder, args.retake)
     cell, inputs = log.cell, log.inputs
-    check_attended(cell, unattended=args.unattended)
+    check_attended(cell, unattended=args.attendance.unattended)
     procedure: Procedure = load_entry("procedures", inputs.procedure)
     runs = folder.resolve().parent  # by whatever path the run was named, it has one lock
     with (
@@ -186,8 +187,8 @@ def resume(args: argparse.Namespace) -> int:
         if goes_on:
             _say_copies(folder)
             _check_here(cell, folder)
-            found, somebody = changed_inputs(log, procedure.used_in(cell)), asks(args)
-            askable = somebody or (args.screen and not args.unattended)
+            found, somebody = changed_inputs(log, procedure.used_in(cell)), asks(args.attendance)
+            askable = somebody or (args.attendance.screen and not args.attendance.unattended)
             changes = Changes(found, args.accept_changes, askable)
             changes.check(found)
             if somebody:
@@ -196,7 +197,7 @@ def resume(args: argparse.Namespace) -> int:
                 accepted(journal, found, "the operator")
                 changes = Changes(accepted=args.accept_changes)
             else:
-                check_unasked(folder.name, log, procedure, args)
+                check_unasked(folder.name, log, procedure, args.attendance)
         output = _output(args.json, journal.run, inputs.points, journal)
         if goes_on:
             journal.append("event", "", {"what": ORDER} | msgspec.to_builtins(_next_order(runs)))
@@ -204,7 +205,7 @@ def resume(args: argparse.Namespace) -> int:
             journal.append("event", "", {"what": "retake asked", "key": key})
         points = log.points.items()
         output.skip_measured(key for key, at in points if at.id.group != CONTROL)
-        return _perform(cell, procedure, journal, output, folder, args, changes)
+        return _perform(cell, procedure, journal, output, folder, args.attendance, changes)
 
 
 def _next_order(runs: Path) -> FolderOrder:
@@ -254,14 +255,14 @@ def _open_retakes(log: Log, folder: Path, retakes: Sequence[str]) -> list[str]:
     return asked
 
 
-def machine_seed(cell: Cell, args: argparse.Namespace) -> int | None:
+def machine_seed(cell: Cell, seed: int, own: int | None) -> int | None:
     """Return the seed of the machine that is started: its own, or else the run's.
 
     None where no simulator is started: it is unknown.
     """
     if cell.simulation is None or cell.simulation.address:
         return None
-    return int(args.seed if args.machine_seed is None else args.machine_seed)
+    return seed if own is None else own
 
 
 def _machine_of(asked: int | None, calibrated: int | None) -> int | None:
@@ -314,12 +315,12 @@ def check_attended(cell: Cell, *, unattended: bool) -> None:
         )
 
 
-def _resume_live(folder: Path, args: argparse.Namespace) -> int:
+def _resume_live(folder: Path, args: Resume) -> int:
     """Let a live run go on; one that nobody attends, or that a screen shows, asks nobody here.
 
     A motion that was announced waits for a typed word, also where a screen is open.
     """
-    somebody, status = asks(args), order(folder, "status")
+    somebody, status = asks(args.attendance), order(folder, "status")
     log, under_way = read_log(folder), status.state == "running" and not status.pausing
     procedure: Procedure = load_entry("procedures", log.inputs.procedure)
     if not somebody:
@@ -327,7 +328,7 @@ def _resume_live(folder: Path, args: argparse.Namespace) -> int:
     if somebody or not (status.unattended or status.screens):
         waits_for = str(log.life[-1].body.get("reason", "")) if log.life else ""
         if not somebody:
-            check_unasked(folder.name, log, procedure, args)
+            check_unasked(folder.name, log, procedure, args.attendance)
         elif not under_way and not agrees(folder.name, log, procedure, [], waits_for):
             return EXIT_ABORTED
     if under_way:
@@ -341,7 +342,7 @@ def _resume_live(folder: Path, args: argparse.Namespace) -> int:
     return 0
 
 
-def _order_retakes(folder: Path, args: argparse.Namespace) -> None:
+def _order_retakes(folder: Path, args: Resume) -> None:
     for key in args.retake:
         order(folder, "retake", key=key)
 
@@ -352,7 +353,7 @@ def _perform(
     journal: RunJournal,
     output: RunOutput,
     folder: Path,
-    args: argparse.Namespace,
+    attendance: Attendance,
     changes: Changes = NONE,
 ) -> int:
     """Run to an end, write the calibration, and print the outcome."""
@@ -365,7 +366,7 @@ def _perform(
             ending = Ending(finish(procedure, journal), None)
             ending = _with_calibration(ending, journal, folder)
         else:
-            ending = _run(cell, procedure, journal, folder, args, noted, changes)
+            ending = _run(cell, procedure, journal, folder, attendance, noted, changes)
         code, fault, unclosed = ending
     output.close(code, log, fault)
     print_end(folder, log, procedure, output, fault)
@@ -387,7 +388,7 @@ def _run(
     procedure: Procedure,
     journal: RunJournal,
     folder: Path,
-    args: argparse.Namespace,
+    attendance: Attendance,
     noted: list[signal.Signals],
     changes: Changes,
 ) -> Ending:
@@ -407,7 +408,7 @@ def _run(
             if simulated is None or (cell.simulation and cell.simulation.address):
                 _lock_devices(cell, addresses, journal.run, stack)  # nobody else has our own ones
             clock: Clock = simulated.clock(stop) if simulated is not None else WallClock(stop)
-            if args.record_wire:
+            if attendance.record_wire:
                 head = _head(cell, log, folder)
                 recording = _recording(cell, addresses, folder, head)
                 stack.callback(lambda: recording.close(None if log.end is None else log.end.exit))
@@ -420,8 +421,8 @@ def _run(
                 devices=devices,
                 clock=clock,
                 stop=stop,
-                unattended=args.unattended,
-                ordered=args.screen,
+                unattended=attendance.unattended,
+                ordered=attendance.screen,
                 changes=changes,
             )
             try:
@@ -491,22 +492,20 @@ def _output(as_json: bool, run: str, points: int, journal: RunJournal) -> RunOut
     return output
 
 
-def _plan_record(
-    cell: Cell, procedure: Procedure, plan: Plan, args: argparse.Namespace
-) -> dict[str, Any]:
+def _plan_record(cell: Cell, procedure: Procedure, plan: Plan, args: Order) -> dict[str, Any]:
     speed = None if args.speed is None or math.isinf(args.speed) else args.speed
     packages = ("numpy", "scipy", "canopen", "python-can", "transitions", "msgspec")
     versions = {package: version(package) for package in packages}
     return procedure.inputs(cell, plan) | {
         "cell_file": cell_file(args.cell),
         "seed": args.seed,
-        "machine_seed": machine_seed(cell, args),
+        "machine_seed": machine_seed(cell, args.seed, args.machine_seed),
         "replayed": is_replay(cell),
         "speed": speed,
-        "unattended": args.unattended,
+        "unattended": args.attendance.unattended,
         "operator": args.operator,
         "job": args.job,
         "versions": {"hilcell": __version__, "python": platform.python_version()} | versions,
-        "settings": dict(args.set),
+        "settings": dict(args.settings),
         "utc_offset_min": offset_min(),
     }

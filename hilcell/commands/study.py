@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import os
 from collections import Counter
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hilcell.clean import clean, harmless_lines
+from hilcell.commands.orders import RunStudy
 from hilcell.commands.output import (
     print_data,
     print_json,
@@ -37,7 +37,7 @@ REPORT = "report"
 MOST_LISTED = 1000  # cases; a table of 65 536 takes half a minute
 
 
-def study(args: argparse.Namespace) -> int:
+def study(args: RunStudy) -> int:
     """Perform a study, or report the results of one."""
     _check_words(args)
     try:
@@ -46,7 +46,7 @@ def study(args: argparse.Namespace) -> int:
         raise missing(error) from error
 
 
-def _check_words(args: argparse.Namespace) -> None:
+def _check_words(args: RunStudy) -> None:
     if args.file == REPORT and not args.folder:
         raise HilcellError("study report: name the folder of results", code="HC-C11")
     if args.file != REPORT and args.folder:
@@ -55,7 +55,11 @@ def _check_words(args: argparse.Namespace) -> None:
             "is `hilcell study report DIR`",
             code="HC-C11",
         )
-    performing = {"--workers": args.workers, "--scheduler": args.scheduler, "--dry-run": args.plan}
+    performing = {
+        "--workers": args.workers,
+        "--scheduler": args.scheduler,
+        "--dry-run": args.dry_run,
+    }
     for option, given in performing.items():
         if args.file == REPORT and given:
             raise HilcellError(f"study report: {option} is for performing", code="HC-C11")
@@ -66,11 +70,11 @@ def _check_words(args: argparse.Namespace) -> None:
         )
 
 
-def _perform(args: argparse.Namespace) -> int:
+def _perform(args: RunStudy) -> int:
     path = Path(args.file)
     asked = read_study(path)
     folder = Path(args.output) if args.output else path.with_name(f"{path.stem}-results")
-    if args.plan:
+    if args.dry_run:
         return _dry_run(asked, as_json=args.json)
     from hilcell.study.results import Results
 
@@ -137,7 +141,7 @@ def _dry_run(asked: Study, *, as_json: bool) -> int:
     return EXIT_OK
 
 
-def _workers(args: argparse.Namespace) -> AbstractContextManager[Workers]:
+def _workers(args: RunStudy) -> AbstractContextManager[Workers]:
     from hilcell.study.cluster import local_workers, workers_of
 
     if args.scheduler:
@@ -170,7 +174,7 @@ def _ended(counts: Counter[str]) -> str:
     return ", ".join(f"{n} {state}" for state, n in sorted(counts.items()))
 
 
-def _report(args: argparse.Namespace) -> int:
+def _report(args: RunStudy) -> int:
     from hilcell.study.page import page
     from hilcell.study.results import open_results, plain_rows
 

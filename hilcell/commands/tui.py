@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+from hilcell.commands.orders import Tui
 from hilcell.commands.output import print_message
 from hilcell.errors import HilcellError
 from hilcell.journal.runs_folder import runs_option
@@ -18,7 +18,7 @@ COLOURS = {"16": "standard", "none": "truecolor"}  # Textual's names, where they
 SWITCH_S = 0.0005  # the thread that reads Esc waits this long, at most, for one that draws
 
 
-def tui(args: argparse.Namespace) -> int:
+def tui(args: Tui) -> int:
     """Show the technician's screen until it is left; raises what keeps it from opening."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise HilcellError(
@@ -39,7 +39,7 @@ def tui(args: argparse.Namespace) -> int:
         glyphs=glyphs,
         run=args.run,
         cell=args.cell,
-        settings=tuple(f"{key}={value}" for key, value in args.set),
+        settings=tuple(f"{key}={value}" for key, value in args.settings),
         theme=args.theme,
         slow=args.slow,
     )

@@ -22,7 +22,8 @@ from hilcell.ports import DeviceError
     ],
 )
 def test_the_machine_has_a_seed_of_its_own_or_the_runs(words: list[str], wanted: int) -> None:
-    assert run.machine_seed(load_cell("paper"), whole_parser().parse_args(words)) == wanted
+    found = whole_parser().parse_args(words)
+    assert run.machine_seed(load_cell("paper"), found.seed, found.machine_seed) == wanted
 
 
 def test_a_resumed_run_has_the_machine_that_it_began_with(

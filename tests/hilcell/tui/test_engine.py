@@ -43,7 +43,7 @@ def test_names_that_look_like_options_are_names(name: str) -> None:
         RunRequest("paper", "home", name, name, settings=("a.b=c",)).arguments()
     )
     assert (found.operator, found.job, found.unattended) == (name, name, False)
-    assert found.set == [("a.b", "c")]
+    assert found.settings == [("a.b", "c")]
 
 
 def test_speed_is_named_only_where_it_is_chosen() -> None:

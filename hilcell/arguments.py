@@ -1,4 +1,9 @@
-"""Values on the command line, checked: each function raises `argparse.ArgumentTypeError`."""
+"""Signatures of commands: classes whose fields are the arguments, and the readers of their texts.
+
+A field is ``seed: Annotated[int, Argument("of random targets", "N", seed_of)] = 1``; the class is
+the signature from which `hilcell.commands.parser` makes the parser. Readers raise
+`argparse.ArgumentTypeError`.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +11,59 @@ import argparse
 import math
 import re
 import unicodedata
+from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
+from typing import Annotated, Any, NamedTuple, Self, dataclass_transform
 
 from hilcell.clean import clean
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True)
+class Signature:
+    """A frozen dataclass of keywords; `dataclasses` itself would double the time of `--help`."""
+
+    def __init__(self, **values: object) -> None:
+        of = type(self)
+        names = [name for each in of.__mro__ for name in vars(each).get("__annotations__", ())]
+        defaults = {name: getattr(of, name) for name in names if hasattr(of, name)}
+        vars(self).update(defaults | values)
+        if vars(self).keys() != {*names}:
+            raise TypeError(f"{of.__name__}: expected {', '.join(names)}, got {', '.join(values)}")
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"{type(self).__name__}.{name} cannot be changed")
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and vars(self) == vars(other)
+
+    __hash__ = None  # type: ignore[assignment] # as of any class that is compared by values
+
+    def replace(self, **changes: Any) -> Self:
+        """Return it with other values."""
+        return type(self)(**(vars(self) | changes))
+
+
+class Argument(NamedTuple):
+    """An option, or a ``word`` of the command line, read by ``read``.
+
+    A field of ``bool`` is a switch, a tuple may be given repeatedly, a `Literal` is a choice. It is
+    ``required`` where the field has no default. ``names`` take the place of the field's name.
+    """
+
+    help: str
+    metavar: str | None = None
+    read: Callable[[str], object] = str
+    names: tuple[str, ...] = ()
+    word: bool = False
+    required: bool = True
+
+
+class Switches(NamedTuple):
+    """A choice by one switch of several: their help by name."""
+
+    help: dict[str, str]
+
 
 LEAST_SPEED, MOST_SPEED = 1.0, 1e6
 MOST_SEED = 2**63 - 1
@@ -177,3 +231,55 @@ def scheduler(text: str) -> str:
     if not re.fullmatch(r"(?:tcp|tls)://(?:[\w.-]+|\[[\da-fA-F:.]+\]):\d{1,5}", text):
         raise argparse.ArgumentTypeError(f"tcp://HOST:PORT is wanted, found {clean(text[:80])!r}")
     return text
+
+
+# -- arguments of several commands -----------------------------------------------------------------
+
+CellName = Annotated[
+    str, Argument("a built-in name or a TOML path (default: paper, simulated)", "CELL")
+]
+Settings = Annotated[
+    tuple[tuple[str, str], ...],
+    Argument("override one value of the cell file; may be repeated", "KEY=VALUE", assignment,
+             names=("--set",)),
+]  # fmt: skip
+MachineSeed = Annotated[
+    int | None,
+    Argument(
+        "of the simulated machine: robot, rail, tracker (default: the seed; where a run uses a "
+        "calibration, that of the calibrated machine)",
+        "N",
+        seed_of,
+    ),
+]
+Noted = Annotated[str, Argument("kept in the journal", "NAME", clean)]
+Runs = Annotated[
+    Path,
+    Argument(
+        "folder of runs (default: HILCELL_RUNS, or one for each user)", "DIR", Path, required=False
+    ),
+]
+RunName = Annotated[str, Argument("a run's name, its beginning, or `last`", "RUN", word=True)]
+Json = Annotated[bool, Argument("print JSON: one object")]
+JsonLines = Annotated[bool, Argument("print JSON: one event a line, as journalled")]
+OutOfTolerance = Annotated[
+    bool,
+    Argument("use a calibration whose validation failed, was not made or had another tolerance"),
+]
+NotCurrent = Annotated[
+    bool, Argument("use a calibration that is revoked, superseded or out of date")
+]
+ToolName = Annotated[
+    str,
+    Argument(
+        "the tool of the cell file at whose tip they are given, or `reflector` (default: the "
+        "cell's only tool; the reflector where it has none)",
+        "NAME",
+    ),
+]
+Bounds = Annotated[
+    str,
+    Argument(
+        "also write the 95 % bound of each target's error, and u of its coordinates", "FILE.csv"
+    ),
+]

@@ -1,0 +1,472 @@
+"""The signatures of all commands but `run`: their arguments and help.
+
+They are apart from what the commands do, so that a parser needs none of that.
+"""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Literal
+
+from hilcell.arguments import (
+    HOLES,
+    STROKE_MM,
+    TARGETS,
+    Argument,
+    Bounds,
+    CellName,
+    Json,
+    JsonLines,
+    MachineSeed,
+    Noted,
+    RunName,
+    Runs,
+    Settings,
+    Signature,
+    Switches,
+    ToolName,
+    days,
+    folder,
+    moment,
+    name,
+    ports_of,
+    reason,
+    scheduler,
+    seed_of,
+    speed_of,
+    standoff,
+    stroke,
+    stroke_tolerance,
+    workers,
+)
+from hilcell.run.order import Attendance, Release
+
+CalibrationName = Annotated[str, Argument("a run or calibration.json", "CALIBRATION")]
+HolesFile = Annotated[str, Argument(HOLES, "HOLES.csv", word=True)]
+
+
+class Resume(Signature):
+    """Continue a run, or a paused one."""
+
+    run: RunName
+    runs: Runs
+    attendance: Attendance = Attendance()
+    accept_changes: Annotated[
+        bool,
+        Argument(
+            "go on with another device, cell file or version of hilcell; the journal keeps it"
+        ),
+    ] = False
+    retake: Annotated[
+        tuple[str, ...],
+        Argument("re-measure this point; may be repeated; opens a finished run again", "KEY"),
+    ] = ()
+    json: JsonLines = False
+
+
+class Pause(Signature):
+    """Pause a live run after the point in flight."""
+
+    run: RunName
+    runs: Runs
+    json: Annotated[bool, Argument("print JSON: the engine's answer")] = False
+
+
+class Stop(Pause):
+    """Stop a live run now, safely; it can be resumed."""
+
+
+class Watch(Signature):
+    """Follow a run from another terminal."""
+
+    run: RunName
+    runs: Runs
+    json: JsonLines = False
+
+
+class Tui(Signature):
+    """The technician's screen: start, attach to or look at runs."""
+
+    run: Annotated[
+        str,
+        Argument(
+            "a run's name, its beginning, or `last` (default: the live one, else the form)",
+            "RUN",
+            word=True,
+        ),
+    ] = ""
+    runs: Runs
+    cell: CellName = "paper"
+    settings: Settings = ()
+    theme: Annotated[
+        Literal["calm", "daylight", "contrast", "contrast-light"],
+        Argument("calm is safe for colour-blind eyes (default)"),
+    ] = "calm"
+    colors: Annotated[
+        Literal["auto", "none", "16", "256", "truecolor"],
+        Argument("what the terminal can show (default: auto)"),
+    ] = "auto"
+    ascii: Annotated[bool, Argument("no shapes beyond ASCII")] = False
+    slow: Annotated[bool, Argument("for thin links: once a second")] = False
+    keys: Annotated[
+        str,
+        Argument(
+            "other keys (default: keys.toml in the user's configuration, where it exists)",
+            "FILE.toml",
+        ),
+    ] = ""
+
+
+class Plan(Signature):
+    """Choose stations and orders for holes."""
+
+    holes: HolesFile
+    cell: CellName = "paper"
+    settings: Settings = ()
+    tool: ToolName = ""
+    free: Annotated[bool, Argument("stations anywhere along the rail, too")] = False
+    output: Annotated[str, Argument("CSV: station,order,name", "OUT", names=("-o", "--output"))] = (
+        ""
+    )
+    calibration: Annotated[
+        str,
+        Argument(
+            "a run or calibration.json: no hole where `compensate` would refuse it", "CALIBRATION"
+        ),
+    ] = ""
+    release: Release
+    json: Json = False
+
+
+class Prepare(Signature):
+    """Plan holes, correct them, and write a file of targets for each station."""
+
+    holes: HolesFile
+    cell: CellName = "paper"
+    settings: Settings = ()
+    tool: ToolName = ""
+    standoff: Annotated[
+        float | None,
+        Argument(
+            "along the outward normal, before and after each hole (default: the tool's of the "
+            "cell file, at least its drill's length plus 20; 100 for the reflector)",
+            "MM",
+            standoff,
+        ),
+    ] = None
+    calibration: CalibrationName
+    output: Annotated[
+        str, Argument("a new folder, or an empty one", "FOLDER", names=("-o", "--output"))
+    ]
+    release: Release
+    json: Json = False
+
+
+class Compensate(Signature):
+    """Correct targets by a calibration."""
+
+    calibration: Annotated[str, Argument("a run or calibration.json", "CALIBRATION", word=True)]
+    targets: Annotated[
+        str,
+        Argument(
+            f"nominal targets in {{W}}, header {TARGETS}; or a robot program of an installed "
+            "format",
+            "TARGETS.csv|PROGRAM",
+            word=True,
+        ),
+    ]
+    allow_stroke: Annotated[
+        float,
+        Argument(
+            "how far a program's relative motions along the tool may lead from their point "
+            f"(default: {STROKE_MM:g})",
+            "MM",
+            stroke,
+        ),
+    ] = STROKE_MM
+    stroke_tolerance: Annotated[
+        float | None,
+        Argument(
+            "by how far these may miss, across and along, on all of their way (default: the 95 % "
+            "bound of their point)",
+            "MM",
+            stroke_tolerance,
+        ),
+    ] = None
+    station: Annotated[str, Argument("where they are reached", "S")]
+    output: Annotated[
+        str, Argument("corrected targets, or program", "OUT", names=("-o", "--output"))
+    ]
+    cell: Annotated[
+        str,
+        Argument(
+            "refuse a calibration of another cell, and turns of the joints that change", "CELL"
+        ),
+    ] = ""
+    settings: Settings = ()
+    tool: ToolName = ""
+    release: Release
+    bounds: Bounds = ""
+    json: Json = False
+
+
+class Show(Signature):
+    """Show a run, computed from its journal."""
+
+    run: RunName
+    runs: Runs
+    check: Annotated[
+        bool, Argument("judge the run's invariants from its journal; exit 1 where one is broken")
+    ] = False
+    json: Json = False
+
+
+class ListRuns(Signature):
+    """List the runs."""
+
+    cell: Annotated[str | None, Argument("those of this cell, by its name", "NAME")] = None
+    operator: Annotated[str | None, Argument("those of this operator", "NAME")] = None
+    since: Annotated[
+        datetime | None,
+        Argument(
+            "those that began at 2026-11-22 or later, or 2026-11-22T14:00, in local time",
+            "DATE",
+            moment,
+        ),
+    ] = None
+    runs: Runs
+    json: Annotated[bool, Argument("print JSON: one object with all runs")] = False
+
+
+class Report(Signature):
+    """Write a run's report."""
+
+    run: RunName
+    runs: Runs
+    output: Annotated[
+        str,
+        Argument(
+            "one file; FILE.pdf is printed by a browser of this machine",
+            "FILE.html",
+            names=("-o", "--output"),
+        ),
+    ]
+
+
+class Export(Signature):
+    """Export a run's tables."""
+
+    run: RunName
+    runs: Runs
+    form: Annotated[
+        Literal["csv", "xlsx", "json", "dcc"],
+        Switches(
+            {
+                "csv": "the points",
+                "xlsx": "a workbook: run, points, frames, results",
+                "json": "everything",
+                "dcc": "a Digital Calibration Certificate (PTB, XML)",
+            }
+        ),
+    ]
+    output: Annotated[str, Argument("where to write", "FILE", names=("-o", "--output"))]
+
+
+class Compare(Signature):
+    """Compare two runs of a cell: the drift between them."""
+
+    first: Annotated[str, Argument("the earlier run", "RUN", word=True)]
+    second: Annotated[str, Argument("the later run", "RUN", word=True)]
+    runs: Runs
+    json: Json = False
+
+
+class Explain(Signature):
+    """Say what an alarm means, and what to do."""
+
+    code: Annotated[str, Argument("as shown beside the alarm: HC-R31", "CODE", word=True)]
+    json: Json = False
+
+
+class Revoke(Signature):
+    """Revoke the calibration of a run."""
+
+    run: RunName
+    runs: Runs
+    reason: Annotated[str, Argument("kept in the journal", "TEXT", reason)]
+    operator: Noted = ""
+    json: Json = False
+
+
+class Check(Signature):
+    """Check a cell file and its plan."""
+
+    cell: Annotated[str, Argument("a built-in name or a TOML path", "CELL", word=True)]
+    settings: Settings = ()
+    json: Json = False
+
+
+class Doctor(Signature):
+    """Check this PC before a run; nothing moves."""
+
+    cell: Annotated[
+        str,
+        Argument("also connect once to each device of a real cell that no run is using", "CELL"),
+    ] = ""
+    settings: Settings = ()
+    runs: Runs
+    json: Json = False
+
+
+class Sim(Signature):
+    """Run the simulated cell by itself."""
+
+    cell: CellName = "paper"
+    settings: Settings = ()
+    seed: Annotated[int, Argument("of the machine (default: 1)", "N", seed_of)] = 1
+    machine_seed: MachineSeed = None
+    truth: Annotated[bool, Argument("the control channel answers what is true; for tests")] = False
+    speed: Annotated[float, Argument("default: 1", "X|max", speed_of)] = 1.0
+    faults: Annotated[
+        str,
+        Argument("faults to inject, TOML: docs/training.md has their names and their form", "FILE"),
+    ] = ""
+    train: Annotated[bool, Argument("offer faults from a menu, for technicians to practise")] = (
+        False
+    )
+    ports: Annotated[
+        dict[str, int] | None,
+        Argument(
+            "TCP ports of rail, robot, tracker, control (default: free ones)",
+            "NAME=PORT,...",
+            ports_of,
+        ),
+    ] = None
+
+
+class Completion(Signature):
+    """Print the script that completes commands in a shell: bash, zsh, .."""
+
+    shell: Annotated[Literal["bash", "zsh", "fish", "tcsh"], Argument("the shell", word=True)]
+
+
+class Fit(Signature):
+    """Fit measured data and judge the fit."""
+
+    robot: Annotated[str, Argument("nominal DH rows, or URDF", "ROBOT.toml|ROBOT.urdf")]
+    tip: Annotated[str, Argument("of a URDF: the link where the arm ends", "LINK")] = ""
+    train: Annotated[str, Argument("measured rows to learn from", "A.csv")]
+    test: Annotated[str, Argument("rows to judge by (default: cross-validation)", "B.csv")] = ""
+    urdf_out: Annotated[str, Argument("write the URDF with the identified arm", "FILE")] = ""
+    dh_out: Annotated[
+        str, Argument("write its DH table: CSV, or .json with covariance", "FILE")
+    ] = ""
+    correct: Annotated[str, Argument("correct poses or joints", "TARGETS.csv|PROGRAM")] = ""
+    tool: Annotated[str, Argument("the reflector that targets are meant for", "TARGET")] = ""
+    output: Annotated[
+        str, Argument("corrected targets, or program", "OUT", names=("-o", "--output"))
+    ] = ""
+    bounds: Bounds = ""
+    json: Json = False
+
+
+class RunStudy(Signature):
+    """Simulate many cells before any exists: accuracy against minutes and money."""
+
+    file: Annotated[
+        str, Argument("a study file (docs/study.md), or `report`", "FILE|report", word=True)
+    ]
+    folder: Annotated[str, Argument("results to report", "DIR", word=True)] = ""
+    workers: Annotated[
+        int | None,
+        Argument("processes on this PC (default: one for each processor)", "N", workers),
+    ] = None
+    scheduler: Annotated[
+        str | None,
+        Argument("a Dask scheduler, tcp://HOST:PORT, whose workers measure", "ADDRESS", scheduler),
+    ] = None
+    output: Annotated[
+        str,
+        Argument(
+            "folder of results (default: FILE-results); of a report its file "
+            "(default: DIR/report.html)",
+            "OUT",
+            names=("-o", "--output"),
+        ),
+    ] = ""
+    dry_run: Annotated[bool, Argument("list the cases only")] = False
+    json: Json = False
+
+
+class Diagram(Signature):
+    """Print the state machines as Mermaid."""
+
+
+class Plant(Signature):
+    """Keep the records of all cells in one database, and ask it."""
+
+
+DATABASE = (
+    "the plant's database (default: HILCELL_PLANT): postgresql://USER@HOST/DATABASE, its password "
+    "in ~/.pgpass, or sqlite:///FILE"
+)
+ToPlant = Annotated[str | None, Argument(DATABASE, "URL", names=("--to",))]
+FromPlant = Annotated[str | None, Argument(DATABASE, "URL", names=("--from",))]
+
+
+class PlantInit(Signature):
+    """Make the tables, or bring them up to this version's."""
+
+    plant: ToPlant = None
+    json: Json = False
+
+
+class PlantShip(Signature):
+    """Ship the runs that are over and not there yet."""
+
+    plant: ToPlant = None
+    runs: Annotated[
+        Path,
+        Argument(
+            "folder of runs (default: HILCELL_RUNS, or one for each user)",
+            "DIR",
+            folder,
+            word=True,
+            required=False,
+        ),
+    ]
+    json: Json = False
+
+
+class PlantShow(Signature):
+    """Show cells, drift of robots, instruments and alarms."""
+
+    plant: FromPlant = None
+    cell: Annotated[str | None, Argument("of this cell alone", "NAME", name)] = None
+    robot: Annotated[
+        str | None, Argument("of this robot and what was with it alone", "SERIAL", name)
+    ] = None
+    max_age: Annotated[
+        float, Argument("how long a calibration is valid (default: 180)", "DAYS", days)
+    ] = 180.0
+    json: Json = False
+
+
+class PlantExport(Signature):
+    """Write the record of one cell for an auditor, signed."""
+
+    plant: FromPlant = None
+    cell: Annotated[str, Argument("name of the cell", "CELL", word=True)]
+    serial: Annotated[str | None, Argument("of the cell with this serial number", "SERIAL")] = None
+    out: Annotated[Path, Argument("a new place", "FOLDER|FILE.zip", Path, names=("-o",))]
+    key: Annotated[Path, Argument("private key, Ed25519 in PEM", "KEYFILE", Path)]
+    json: Json = False
+
+
+class PlantVerify(Signature):
+    """Verify an exported record: each file that differs, is missing or is extra."""
+
+    record: Annotated[Path, Argument("what was exported", "FOLDER|FILE.zip", Path, word=True)]
+    public_key: Annotated[Path, Argument("the plant's, in PEM", "FILE", Path)]
+    json: Json = False
