@@ -32,7 +32,7 @@ from hilcell.model.events import (
     StationHeld,
     after,
 )
-from hilcell.model.records import Ended, StateChanged
+from hilcell.model.records import Change, Ended, StateChanged
 
 if TYPE_CHECKING:
     from hilcell.journal.journal import Record
@@ -334,12 +334,8 @@ def _figures(body: dict[str, Any]) -> str:
 def _end(log: Log, session: list[Record], *, live: bool) -> Iterator[_Moment]:
     """Yield why the run stands as it does."""
     state, end = log.state, log.end
-    last = log.life[-1] if log.life else None
-    change = last.fact if last is not None else None
-    change = (
-        change if isinstance(change, StateChanged) else StateChanged(before="", to="", machine="")
-    )
-    t, seq = (last.t, last.seq) if last is not None else ("", 0)
+    none = StateChanged(machine="run", to="idle")
+    seq, t, change = log.life[-1] if log.life else Change(0, "", none)
     reason, error = change.reason, change.error
     if state == "faulted":
         yield from _moments(error, t, seq, "fault", "not watched")

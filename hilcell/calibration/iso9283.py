@@ -490,8 +490,7 @@ def interruptions(log: Log) -> Iterator[str]:
         yield f"the cycles were interrupted {_times(sessions - 1)} and resumed{held}"
     places = [log.recorded(point) for point in visits]
     pauses = sum(
-        record.body["to"] in PAUSED and min(places) < record.seq < max(places)
-        for record in log.life
+        change.to in PAUSED and min(places) < change.seq < max(places) for change in log.life
     )
     if pauses:
         yield f"the cycles were paused {_times(pauses)}, the robot at rest meanwhile"

@@ -43,9 +43,9 @@ def check_unasked(run: str, log: Log, procedure: Procedure, attendance: Attendan
 
 def awaited_motion(log: Log) -> str:
     """Return the announced motion for which a live run waits, "" where it waits for none."""
-    announced = [each for each in log.events if each.body["what"] == "announced"]
-    went_on = max((each.seq for each in log.life if each.body["to"] == "running"), default=0)
-    return str(announced[-1].body["motion"]) if announced and announced[-1].seq > went_on else ""
+    went_on = max((change.seq for change in log.life if change.to == "running"), default=0)
+    since = (each.fact for each in reversed(log.events) if each.seq > went_on)
+    return next((fact.motion for fact in since if isinstance(fact, Announced)), "")
 
 
 def check_word(run: str, motion: str, log: Log) -> None:

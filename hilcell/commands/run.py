@@ -326,7 +326,7 @@ def _resume_live(folder: Path, args: Resume) -> int:
     if not somebody:
         check_word(folder.name, awaited_motion(log), log)
     if somebody or not (status.unattended or status.screens):
-        waits_for = str(log.life[-1].body.get("reason", "")) if log.life else ""
+        waits_for = log.life[-1].change.reason if log.life else ""
         if not somebody:
             check_unasked(folder.name, log, procedure, args.attendance)
         elif not under_way and not agrees(folder.name, log, procedure, [], waits_for):

@@ -36,12 +36,13 @@ from hilcell.journal.log import Log
 from hilcell.journal.point_id import CONTROL
 from hilcell.journal.point_words import OTHERS
 from hilcell.journal.states import WAITING
-from hilcell.model.events import Closed, CurveMeasured
+from hilcell.model.events import Closed, CurveMeasured, FirstPassBegun, NoReadingOf, PromiseJudged
+from hilcell.model.point import Point
+from hilcell.model.records import StateChanged
 from hilcell.present.table import Column, Table
 from hilcell.report.verdicts import deciding_words
 from hilcell.run.procedure import Plan, Procedure, Step
 from hilcell.run.stopping import not_at_rest
-from hilcell.typed import typed
 from hilcell.writing import NotPrinted
 
 if TYPE_CHECKING:
@@ -169,37 +170,31 @@ class ProgressOutput(RunOutput):
 
     def print_record(self, record: Record) -> None:
         """Advance the bar, or print what the operator must know."""
-        body = record.body
-        if record.kind == "point" and body["group"] != CONTROL:
-            place = f" at {body['station']}" if body["station"] else ""
-            text = harmless(f"{body['group']}{place}")
-            self._measured.add(record.key)
-            self._show_measured(text)
-        elif record.kind == "state":
-            self._print_state(body)
-        elif record.kind == "event" and body["what"] == "first pass":
-            self._print(
-                f"{body['key']}: first pass outside of the cube, at {body['speed_percent']:g} %"
-            )
-        elif record.kind == "event" and body["what"] == "promise":
-            promise = f"{body['port']} {body['promise']}"
-            self._progress.update(self._task, description=harmless(promise))
-            if body["verdict"] == "broken":
-                self._print(f"{promise}: broken: {body['why']}")
-        elif record.kind == "event" and body["what"] == "curve":
-            if not (curve := typed(body, CurveMeasured)).holds:
-                self._print(curve.words)
-        elif record.kind == "event" and body["what"] == "no reading":
-            self._print(f"{body['key']}: {body['reason']} (try {body['tries']})")
+        match record.fact:
+            case Point(group=group, station=station) if group != CONTROL:
+                self._measured.add(record.key)
+                self._show_measured(harmless(f"{group} at {station}" if station else group))
+            case StateChanged() as change:
+                self._print_state(change)
+            case FirstPassBegun(key=key, speed_percent=percent):
+                self._print(f"{key}: first pass outside of the cube, at {percent:g} %")
+            case PromiseJudged(port=port, promise=promise, verdict=verdict, why=why):
+                self._progress.update(self._task, description=harmless(f"{port} {promise}"))
+                if verdict == "broken":
+                    self._print(f"{port} {promise}: broken: {why}")
+            case CurveMeasured(holds=False, words=words):
+                self._print(words)
+            case NoReadingOf(key=key, reason=reason, tries=tries):
+                self._print(f"{key}: {reason} (try {tries})")
 
-    def _print_state(self, body: dict[str, Any]) -> None:
-        if body["machine"] == "calibration":
-            self._print(f"{body['to'].replace('_', ' ')}")
-        elif body["to"] == "checking":
+    def _print_state(self, change: StateChanged) -> None:
+        if change.machine == "calibration":
+            self._print(change.to.replace("_", " "))
+        elif change.to == "checking":
             self._print("connecting; a tracker may take half a minute to initialise")
-        elif body["to"] in WAITING:
+        elif change.to in WAITING:
             go_on = f"`hilcell resume {self._run}` goes on, ctrl-C stops"
-            self._print(f"{body['to']}: {_waits_for(body)}{go_on}")
+            self._print(f"{change.to}: {_waits_for(change)}{go_on}")
 
     def _print(self, text: str) -> None:
         self._console.print(harmless_lines(text), markup=False, highlight=False)
@@ -305,12 +300,11 @@ def kind_of(log: Log) -> str:
     return "SIMULATED run" if log.inputs.simulated else "run"
 
 
-def _waits_for(body: dict[str, Any]) -> str:
+def _waits_for(change: StateChanged) -> str:
     """Return what a paused or suspended run waits for, as the start of a sentence."""
-    prompt = body.get("prompt")
-    if prompt is not None:
-        return f"{prompt['title']}. {prompt['text']} When it is done, "
-    return f"{body['reason']}; " if "reason" in body else ""
+    if change.prompt is not None:
+        return f"{change.prompt['title']}. {change.prompt['text']} When it is done, "
+    return f"{change.reason}; " if change.reason else ""
 
 
 def failed_words(key: str, verdict: dict[str, Any]) -> str:

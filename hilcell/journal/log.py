@@ -9,7 +9,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Collection, Iterable, Iterator, MutableMapping, Sequence
 from itertools import chain
-from typing import TYPE_CHECKING, Any, TypeVar, TypeVarTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, TypeVarTuple
 
 import msgspec
 import numpy as np
@@ -37,7 +37,7 @@ from hilcell.model.events import (
     StreamRecorded,
 )
 from hilcell.model.point import CONTROL, Point, PointId
-from hilcell.model.records import Ended, Intended, Kind, StateChanged
+from hilcell.model.records import Change, Ended, Intended, Kind, StateChanged
 from hilcell.ports import Array
 from hilcell.typed import typed
 
@@ -148,6 +148,14 @@ class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
     utc_offset_min: int = 0  # by which the clock on the wall was ahead of UTC when it began
 
 
+class Ordered(NamedTuple):
+    """A motion that was ordered, to a point (its key) or a place."""
+
+    seq: int
+    key: str
+    motion: Intended
+
+
 class CutOff(msgspec.Struct, frozen=True):
     """A session without an end of its own: its last record, its state and the points by then.
 
@@ -177,7 +185,7 @@ class Log:
         self.events: list[Record] = []
         self.state: RunState = "idle"
         self.calibration: CalibrationState = "unknown"
-        self.life: list[Record] = []  # the states that the run went through
+        self.life: list[Change] = []  # the states that the run went through
         self.session, self.began = 0, 0  # its number, and the record with which it began
         self.end: Ended | None = None
         self.fault = ""
@@ -195,7 +203,7 @@ class Log:
         self.newest: Record | None = None
         self._newest: dict[Kind, int] = {}  # numbers of records
         self._worked: Record | None = None  # the newest that is no end: a refused resume has one
-        self.order: Record | None = None  # the last motion that is not known to have ended
+        self.order: Ordered | None = None  # the last motion that is not known to have ended
         self.cut_off: list[CutOff] = []  # earlier sessions that a crash has ended
         self._computed: dict[Any, tuple[int, Any]] = {}
         for record in records:
@@ -216,7 +224,7 @@ class Log:
             case Ended():
                 self.end = fact
             case Intended():
-                self.moved, self.order = True, record
+                self.moved, self.order = True, Ordered(record.seq, record.key, fact)
                 self.visit += fact.action.startswith("rail.")
             case Event() | OtherEvent():
                 self.events.append(record)
@@ -309,7 +317,7 @@ class Log:
         if change.to == "checking" and self.life and not self.over and before is not None:
             self.cut_off.append(CutOff(before, self.state, len(self.points), self.began))
         self.state = typed(change.to, RunState)
-        self.life.append(record)
+        self.life.append(Change(record.seq, record.t, change))
         if self.state in ("checking", *WAITING):
             self.order = None
         if self.state == "checking":

@@ -7,7 +7,7 @@ asked for: most readers look at a few kinds only.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import msgspec
 from msgspec import field
@@ -29,7 +29,21 @@ class StateChanged(msgspec.Struct, frozen=True, kw_only=True):
     trigger: str = ""
     reason: str = ""
     by: str = ""
+    prompt: Json | None = None  # of a run that waits for an answer
     error: Json = field(default_factory=dict)
+
+
+class Change(NamedTuple):
+    """A change of the run's state, with its record's number and time."""
+
+    seq: int
+    t: str
+    change: StateChanged
+
+    @property
+    def to(self) -> str:
+        """Return the state that the run went to."""
+        return self.change.to
 
 
 class SeenBefore(msgspec.Struct, frozen=True, kw_only=True):

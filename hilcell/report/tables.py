@@ -30,6 +30,7 @@ from hilcell.journal.asset import Asset
 from hilcell.journal.log import Log, Point
 from hilcell.journal.point_words import counted_words, point_words
 from hilcell.journal.ways_sent import BOTH, Sent
+from hilcell.model.events import Invalidating, OutlierMeasuredAgain, RetakeAsked, VisitedOnceMore
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table, Value
 from hilcell.report.budgets import TargetBudget
@@ -515,12 +516,12 @@ def _pairs(facts: Facts) -> Iterator[tuple[Point, Point, str]]:
     before: dict[str, Point] = {}
     reasons: dict[str, str] = {}
     for record in facts.records:
-        if record.kind == "event":
-            if record.body["what"] in REASONS and "key" in record.body:
-                reasons[record.body["key"]] = REASONS[record.body["what"]]
-            for key in record.body.get("invalid", ()):
-                reasons[key] = INVALIDATED
-        elif record.kind == "point":
+        match record.fact:
+            case RetakeAsked() | OutlierMeasuredAgain() | VisitedOnceMore() as event:
+                reasons[event.key] = REASONS[event.what]
+            case Invalidating(invalid=invalid):
+                reasons |= dict.fromkeys(invalid, INVALIDATED)
+        if record.kind == "point":
             point = facts.log.read(record)
             if point.key in before:
                 why = reasons.pop(point.key, "the run was resumed")

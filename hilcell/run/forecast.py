@@ -16,6 +16,10 @@ from typing import Any, NamedTuple
 from hilcell.journal.journal import Record
 from hilcell.journal.point_id import CONTROL
 from hilcell.journal.states import WORKING, RunState
+from hilcell.model.events import StepBegun, StreamRecorded
+from hilcell.model.point import Point
+from hilcell.model.records import Ended, StateChanged
+from hilcell.typed import typed
 
 FLANGE, READINGS = "flange", " readings"  # kinds of spans: at the robot's flange, of nests
 CLOSING_S = 0.35  # real seconds: the devices are released, the result is computed
@@ -157,27 +161,23 @@ class Forecast:
 
     def take(self, record: Record) -> None:
         """Add one record."""
-        body, moment = record.body, datetime.fromisoformat(record.t)
-        begins = record.kind == "state" and body["to"] == "checking"
+        fact, moment = record.fact, datetime.fromisoformat(record.t)
+        begins = isinstance(fact, StateChanged) and fact.to == "checking"
         if not begins and record.kind != "end":  # a session may end that never began
             self._pass(moment)
         self._latest = moment
-        match record.kind:
-            case "plan":
-                self._plan(body)
-            case "state" if body["machine"] == "run":
-                self._enter(body["to"])
-            case "event" if body["what"] == "step":
-                self._begin(body["number"])
-            case "event" if body["what"] == "stream":
+        if record.kind == "plan":
+            self._plan(record.body)
+        match fact:
+            case StateChanged(machine="run", to=to):
+                self._enter(typed(to, RunState))
+            case StepBegun(number=number):
+                self._begin(number)
+            case StreamRecorded():
                 self._measure("sweep", again=False)
-            case "point":
-                self._measure(
-                    body["group"],
-                    again=body.get("retaken", False),
-                    joints=body.get("commanded_deg") is not None,
-                )
-            case "end":
+            case Point(group=group, retaken=again, commanded_deg=joints):
+                self._measure(group, again=again, joints=joints is not None)
+            case Ended():
                 self._working = False
 
     def elapsed_s(self, now: datetime) -> float:

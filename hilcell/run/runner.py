@@ -25,6 +25,7 @@ from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.states import PASSING
 from hilcell.model.events import (
     AlarmsAcknowledged,
+    Announced,
     Closed,
     Closing,
     CommandRefused,
@@ -150,9 +151,9 @@ class Runner:
 
     def gone_on(self, since: int) -> str:
         """Return why an agreement to what was asked at record ``since`` holds no more, else ""."""
-        if any(each.seq > since and each.body["to"] == "running" for each in self.log.life):
+        if any(each.seq > since and each.to == "running" for each in self.log.life):
             return "it has gone on since you were asked, so nothing was done; ask again"
-        if any(each.seq > since and each.body["what"] == "announced" for each in self.log.events):
+        if any(each.seq > since and isinstance(each.fact, Announced) for each in self.log.events):
             return "a motion was announced since you were asked, so nothing was done; ask again"
         return ""
 
@@ -207,7 +208,7 @@ class Runner:
 
     def _known_state(self) -> str:
         """Return the state as clients know it, for whom ``pausing`` is no state but a flag."""
-        life = (record.body["to"] for record in reversed(self.log.life))
+        life = (change.to for change in reversed(self.log.life))
         return next((state for state in life if state not in PASSING), "idle")
 
     def _link(self) -> dict[str, int]:

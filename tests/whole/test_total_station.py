@@ -24,7 +24,7 @@ def test_an_unattended_run_waits_while_readings_are_not_accurate(tmp_path: Path)
         to = ("--runs", tmp_path, "--name", "x")
         done = command("run", "world-frame", "--unattended", *to, *words)
     assert done.returncode == 0, done.stderr
-    life = [(each.body["to"], each.body.get("by")) for each in read_log(tmp_path / "x").life]
+    life = [(each.to, each.change.by or None) for each in read_log(tmp_path / "x").life]
     assert [each for each in life if each[0] == "suspended" or each[1]] == [
         ("suspended", None),
         ("running", "look"),

@@ -11,6 +11,7 @@ from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.measurement_budget import control_moves
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.journal.reading_noise import run_noise
+from hilcell.model.records import StateChanged
 from hilcell.ports import Array
 from hilcell.report.drawings.drawing import (
     AFTER,
@@ -129,8 +130,8 @@ def _stops(facts: Facts, frame: Frame) -> Iterator[str]:
     """Yield a hatched box for each time between two sessions."""
     before = ""
     for record in facts.records:
-        body = record.body
-        if record.kind == "state" and body["machine"] == "run" and body["to"] == "checking":
+        change = record.fact if record.kind == "state" else None
+        if isinstance(change, StateChanged) and (change.machine, change.to) == ("run", "checking"):
             begin = _seconds(before or record.t)
             left, right = frame.x.one(begin), frame.x.one(_seconds(record.t))
             yield hatched(left, TOP_MM, right - left, frame.y.begin - TOP_MM)

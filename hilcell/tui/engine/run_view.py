@@ -10,12 +10,13 @@ import math
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hilcell.journal.calibration_facts import REFUSED
 from hilcell.journal.log import Log, Point
 from hilcell.journal.point_id import CONTROL
 from hilcell.journal.states import WAITING
+from hilcell.model.events import StepBegun
 from hilcell.run.protocol import PromptStatus, Status
 from hilcell.run.states import RUN
 
@@ -59,7 +60,7 @@ class RunView:
     newest: Point | None = None  # that is no proof of nests; drawn large
     newest_t: str = ""  # when its record was written
     span: UnderWay | None = None  # how far the part under way is
-    step: dict[str, Any] = field(default_factory=dict)
+    step: StepBegun | None = None
     measured: dict[int, set[str]] = field(default_factory=dict)  # keys of points by step
 
     def take(self, record: Record) -> None:
@@ -73,9 +74,9 @@ class RunView:
             if self.last.id.group != CONTROL:
                 self.newest, self.newest_t = self.last, record.t
                 if self.step:
-                    self.measured.setdefault(int(self.step["number"]), set()).add(record.key)
-        elif record.kind == "event" and record.body.get("what") == "step":
-            self.step = record.body
+                    self.measured.setdefault(self.step.number, set()).add(record.key)
+        elif record.kind == "event" and isinstance(record.fact, StepBegun):
+            self.step = record.fact
 
     @property
     def has_rail(self) -> bool:
@@ -86,7 +87,7 @@ class RunView:
     def newest_is_old(self) -> bool:
         """Whether the newest point is of a step before this one."""
         key = self.newest.key if self.newest is not None else ""
-        return bool(self.step) and key not in self.measured.get(int(self.step["number"]), ())
+        return self.step is not None and key not in self.measured.get(self.step.number, ())
 
     @property
     def newest_age_s(self) -> float:

@@ -146,9 +146,9 @@ def where_words(alarm: Alarm, log: Log) -> str:
     order = log.order
     crashed = alarm.where == CRASH
     if order is not None and log.began < order.seq <= alarm.seq:
-        device, _, how = str(order.body.get("action", "")).partition(".")
+        device, _, how = order.motion.action.partition(".")
         if crashed or alarm.where == f"{device.capitalize()}: move":
-            at = str(order.body.get("station", "")) if device == "rail" else order.key
+            at = order.motion.station if device == "rail" else order.key
             to = ORDERS.get(how) or in_words(at, log)
             return harmless(f"{device.capitalize()}, on its way to {to}")
     if crashed:

@@ -51,7 +51,7 @@ class PromptBox(Horizontal, Titled):
 
 def seats(view: RunView) -> bool:
     """Whether the prompt asks to seat a reflector, and no failed reading made it ask."""
-    return bool(view.log.life) and "error" not in view.log.life[-1].body
+    return bool(view.log.life) and not view.log.life[-1].change.error
 
 
 def _count(view: RunView) -> str:
@@ -59,7 +59,7 @@ def _count(view: RunView) -> str:
     plan = view.log.plan
     if plan is None or not view.step or not seats(view):
         return ""
-    number = int(view.step["number"])
+    number = view.step.number
     planned = plan.steps[number - 1]["points"] if number <= len(plan.steps) else 0
     done = len(view.measured.get(number, ()))
     return f"{done + 1} of {planned}" if done < planned else ""

@@ -159,8 +159,8 @@ def step(view: RunView) -> Lines:
     plan, now = view.log.plan, view.step
     if plan is None or not now:
         return ends(("no step yet", "$label"), "")
-    number, of = int(now["number"]), int(now["of"])
-    name = step_words(str(now["name"]), has_rail=view.has_rail)
+    number, of = now.number, now.of
+    name = step_words(now.name, has_rail=view.has_rail)
     over = view.state in ("done", "intolerant")
     words = "finished" if over else _part(view)
     taken, planned = _planned(view) if over else _of_step(view, number)
@@ -248,7 +248,7 @@ def following(view: RunView) -> Content:
     plan, now = view.log.plan, view.step
     if plan is None or not now or not view.live:
         return BLANK
-    number = int(now["number"])
+    number = now.number
     words = "the end"
     if number < len(plan.steps):
         words = step_words(plan.steps[number]["name"], has_rail=view.has_rail)

@@ -75,7 +75,7 @@ def _place(xyz_mm: Array) -> Place:
 
 def _done(view: RunView) -> frozenset[str]:
     """Return the nests that were measured in the present step."""
-    keys = view.measured.get(int(view.step["number"]), set()) if view.step else set()
+    keys = view.measured.get(view.step.number, set()) if view.step else set()
     points = (view.log.points.get(key) for key in keys)
     return frozenset(point.id.nest for point in points if point is not None and point.id.nest)
 

@@ -133,7 +133,9 @@ def test_a_gap_is_found() -> None:
 @pytest.mark.parametrize(
     "journal",
     [
-        Doctored().after("found", event("agreed", "changes accepted", changes=["x"], by="me")).move("agreed", "resume")
+        Doctored()
+        .after("found", event("agreed", "changes accepted", changes=["x"], by="me"))
+        .move("agreed", "resume")
         .change("connected again", devices=OTHER),
         Doctored().change("connected again", devices=[{**each, "firmware": "1.2"}
                                                       for each in DEVICES]),

@@ -264,7 +264,7 @@ def test_a_robot_that_was_moved_while_the_disk_stalled_has_its_way_checked_again
     post.journal.listen(stall)
     assert runner.run() == 3
     post.journal.close()
-    assert post.log().life[-1].body["error"]["code"] == "HC-B34"
+    assert post.log().life[-1].change.error["code"] == "HC-B34"
     assert post.robot.moves == 0
 
 

@@ -40,7 +40,7 @@ def test_one_device_at_two_addresses_is_locked(tmp_path: Path) -> None:
     assert code == 6
     fault = bed.log().fault
     assert fault.startswith(f"Rail (drive, serial {serial}) is locked by run r (pid ")
-    assert bed.log().life[-1].body["error"]["code"] == "HC-C04"
+    assert bed.log().life[-1].change.error["code"] == "HC-C04"
     assert bed.robot.moves == 0
     assert bed.run(procedure(Points(1))) == 0  # free again
 

@@ -108,7 +108,7 @@ def test_while_it_waits_the_slide_is_held_and_an_answer_is_proven(bed: Bed) -> N
 def test_a_strip_that_stays_dirty_is_a_fault_with_its_own_code(bed: Bed) -> None:
     assert bed.run(procedure(striking(bed, lambda rail: setattr(rail, "dirty", 10**6)))) == 3
     assert bed.states() == ["checking", "running", "suspended", "faulted"]
-    assert bed.log().life[-1].body["error"]["code"] == "HC-S01"
+    assert bed.log().life[-1].change.error["code"] == "HC-S01"
     assert bed.rail.closed == 1
 
 

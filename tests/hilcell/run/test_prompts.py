@@ -208,7 +208,7 @@ def test_unattended_nobody_is_asked(tmp_path: Path) -> None:
     bed.tracker.answer = broken_beam(3)
     assert bed.run(procedure(Points(1))) == 3
     assert "suspended" not in bed.states()
-    error = bed.log().life[-1].body["error"]
+    error = bed.log().life[-1].change.error
     assert (error["code"], error["fields"]) == ("HC-T10", {"point": "p/0"})
     end = bed.log().end
     assert end is not None

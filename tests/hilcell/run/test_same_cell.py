@@ -137,7 +137,7 @@ def test_an_attended_run_waits_until_the_operator_agrees(tmp_path: Path) -> None
     measured = bed.tracker.measured
     with Live(bed, procedure(Points(2))) as live:
         live.until("state", "paused")
-        assert change in live.runner.log.life[-1].body["reason"]
+        assert change in live.runner.log.life[-1].change.reason
         assert (bed.tracker.measured, bed.robot.moves) == (measured, 0)
         live.runner.post("proceed")
     assert live.code == 0
@@ -150,7 +150,7 @@ def test_an_operator_who_stops_has_not_agreed(tmp_path: Path) -> None:
     for _ in range(2):
         with Live(bed, procedure(Points(2))) as live:
             live.until("state", "paused")
-            assert change in live.runner.log.life[-1].body["reason"]
+            assert change in live.runner.log.life[-1].change.reason
             live.runner.stop()
         assert live.code == 4
     assert bed.events("changes accepted") == []

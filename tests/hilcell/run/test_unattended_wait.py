@@ -80,7 +80,7 @@ def test_a_cause_that_stays_is_a_fault_with_its_own_code(tmp_path: Path) -> None
     bed.tracker.answer = broken_beam(1000)
     assert bed.run(procedure(Points(1))) == 3
     assert bed.states() == ["checking", "running", "suspended", "faulted"]
-    assert bed.log().life[-1].body["error"]["code"] == "HC-T10"
+    assert bed.log().life[-1].change.error["code"] == "HC-T10"
     assert bed.rail.closed == 1
 
 

@@ -6,6 +6,7 @@ import msgspec
 import pytest
 from textual.pilot import Pilot
 
+from hilcell.model.records import StateChanged
 from hilcell.run.protocol import DeviceStatus, PromptStatus
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE
@@ -19,7 +20,8 @@ from tests.hilcell.tui.views import drawn, view_of
 def seating() -> RunView:
     """Return a run that asks by itself: no failed reading made it ask."""
     view = view_of("suspended")
-    view.log.life[-1] = msgspec.structs.replace(view.log.life[-1], body={"to": "suspended"})
+    waits = StateChanged(machine="run", to="suspended")
+    view.log.life[-1] = view.log.life[-1]._replace(change=waits)
     view.log.seated = "F1"
     return view
 

@@ -64,7 +64,8 @@ def test_the_step_of_axis_sweeps_counts_its_sweeps() -> None:
     assert run_text.sweeps_of([{"name": "home"}]) == 0
     view = view_of("running")
     assert view.log.plan is not None
-    number = int(view.step["number"]) - 1
+    assert view.step is not None
+    number = view.step.number - 1
     steps = [dict(each) for each in view.log.plan.steps]
     steps[number] |= {"points": 0, "spans": spans}
     view.log.plan = msgspec.structs.replace(view.log.plan, steps=steps)
