@@ -12,7 +12,7 @@ import time
 from textual.pilot import Pilot
 
 from benchmarks.words import parser
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from hilcell.tui.app.app import RunUpdated
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import EngineState

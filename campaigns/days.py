@@ -28,9 +28,9 @@ from hilcell.cell.devices import build_devices, start_simulation
 from hilcell.cell.file import Cell, load_cell
 from hilcell.geometry.frames import matrix
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import PointId
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import JOURNAL
+from hilcell.model.point import PointId
 from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Step

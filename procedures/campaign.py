@@ -16,7 +16,7 @@ from hilcell.cell.file import Cell
 from hilcell.fit.methods import fit, methods_table
 from hilcell.fit.robot_file import Measurements, RobotModel, Row, read_measurements
 from hilcell.journal.log import Log, positions_mm
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from hilcell.ports import HilcellError
 from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession

@@ -18,8 +18,8 @@ from hilcell.geometry.kinematics import forward
 from hilcell.identification.design import Design, Rows, design
 from hilcell.identification.readings import IdentificationError
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import PointId
 from hilcell.model.events import NoPosesChosen, PosesChosen
+from hilcell.model.point import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step

@@ -28,7 +28,7 @@ from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected_poses
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession

@@ -16,9 +16,9 @@ from hilcell.geometry.frames import apply, cross_matrix, inverse
 from hilcell.geometry.jacobian import PARAMETERS, moved, parameter_jacobian
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import lengths_mm, ranks, rms
-from hilcell.journal.log import Log, Point, positions_mm
-from hilcell.journal.point_id import PointId
+from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.ways_sent import Sent
+from hilcell.model.point import Point, PointId
 from hilcell.ports import Array
 from procedures.plan import other_stations
 

@@ -12,7 +12,7 @@ from hilcell.geometry.frames import apply, rigid_fit, unit
 from hilcell.geometry.rotations import to_rotvec
 from hilcell.geometry.statistics import slope, variance_of_mean
 from hilcell.journal.log import Log, positions_mm
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession

@@ -27,8 +27,8 @@ from hilcell.compensation.correction import corrected
 from hilcell.geometry.closed_form import ReachError
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import PointId
 from hilcell.model.events import CalibrationUsed, OutlierMeasuredAgain
+from hilcell.model.point import PointId
 from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession

@@ -10,7 +10,7 @@ import msgspec
 from hilcell.calibration.instrument import compared_reflectors
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import REFLECTOR, PointId
+from hilcell.model.point import REFLECTOR, PointId
 from hilcell.ports import HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession

@@ -14,8 +14,8 @@ from hilcell.geometry.statistics import (
     repeatability_mm,
     rms,
 )
-from hilcell.journal.log import Log, Point, positions_mm, variances_mm2
-from hilcell.journal.point_id import PointId
+from hilcell.journal.log import Log, positions_mm, variances_mm2
+from hilcell.model.point import Point, PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step

@@ -28,8 +28,8 @@ from hilcell.calibration.lost_motion import REVERSAL, Reversal, reversal
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import PointId
 from hilcell.model.events import VisitedOnceMore
+from hilcell.model.point import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step

@@ -13,8 +13,8 @@ from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, matrix
 from hilcell.geometry.rotations import to_rotvec
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import PointId
 from hilcell.model.events import OutlierMeasuredAgain
+from hilcell.model.point import PointId
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step

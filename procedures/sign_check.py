@@ -22,9 +22,9 @@ from hilcell.compensation.grid import Grid
 from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import PointId
 from hilcell.journal.reading_noise import noise_at, run_noise
 from hilcell.journal.ways_sent import Sent
+from hilcell.model.point import PointId
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession

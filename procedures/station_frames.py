@@ -24,9 +24,9 @@ from hilcell.geometry.frames import (
 )
 from hilcell.geometry.rigidity import SIGMAS, Moved, moved_points
 from hilcell.geometry.statistics import coverage_factor
-from hilcell.journal.log import Log, Point, positions_mm
-from hilcell.journal.point_id import PointId
+from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.reading_noise import noise_at, run_noise
+from hilcell.model.point import Point, PointId
 from hilcell.ports import Array, DeviceError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Span, Step

@@ -26,8 +26,8 @@ from hilcell.compensation.targets import read_targets
 from hilcell.geometry.closed_form import ReachError
 from hilcell.geometry.frames import inverse, poses_from_zyx
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import PointId
 from hilcell.model.events import OutlierMeasuredAgain, TargetsListed
+from hilcell.model.point import PointId
 from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession

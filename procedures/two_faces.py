@@ -11,7 +11,7 @@ from hilcell.cell.devices import abilities
 from hilcell.cell.file import Cell
 from hilcell.cell.layout import Nest
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import BACK, PointId
+from hilcell.model.point import BACK, PointId
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Span, Step
 from procedures.durations import measure_s, step

@@ -35,8 +35,8 @@ from hilcell.compensation.interpolation import Idw
 from hilcell.compensation.model import ErrorModel
 from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import PointId
 from hilcell.journal.ways_sent import BOTH, Sent
+from hilcell.model.point import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step

@@ -11,8 +11,8 @@ import numpy as np
 from hilcell.calibration.instrument import KNOWN_LENGTH, LengthFound, known_lengths
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import LENGTH, PointId
 from hilcell.journal.set_ups import world_key
+from hilcell.model.point import LENGTH, PointId
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Span, Step
 from hilcell.typed import typed

@@ -10,7 +10,8 @@ from hilcell.cell.file import Cell, Six
 from hilcell.geometry.circles import Circle, base_frame, fit_circle
 from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward
-from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.journal.log import Log, positions_mm
+from hilcell.model.point import Point
 from hilcell.ports import Array
 
 

@@ -18,8 +18,9 @@ from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import Bounds, Influence, NoBound, Uncertainty, bounds_of
 from hilcell.geometry.frames import inverse, matrix
 from hilcell.geometry.kinematics import forward
-from hilcell.journal.log import Log, Point, commanded_rad
+from hilcell.journal.log import Log, commanded_rad
 from hilcell.journal.ways_sent import Sent
+from hilcell.model.point import Point
 from hilcell.ports import Array
 
 PLACES_PER_CELL = (0.25, 0.75)  # along each axis of a grid's cell

@@ -39,12 +39,12 @@ from hilcell.geometry.statistics import chi2_quantile, rectangular_variance, rms
 from hilcell.journal.log import (
     NO_READINGS,
     Log,
-    Point,
     commanded_rad,
     covariances_mm2,
     positions_mm,
     variances_mm2,
 )
+from hilcell.model.point import Point
 from hilcell.ports import Array
 
 NO_VISITS = "the run visited no place again, so that the robot's repeatability is not known"

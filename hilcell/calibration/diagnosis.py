@@ -42,16 +42,9 @@ from hilcell.geometry.frames import apply, inverse, matrix, motion_levers
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.geometry.statistics import bounds95_mm, chance_of_at_most, rectangular_variance
-from hilcell.journal.log import (
-    NO_READINGS,
-    Log,
-    Point,
-    commanded_rad,
-    covariances_mm2,
-    positions_mm,
-)
-from hilcell.journal.point_id import CHECKS, CONTROL
+from hilcell.journal.log import NO_READINGS, Log, commanded_rad, covariances_mm2, positions_mm
 from hilcell.journal.set_ups import PROOFS
+from hilcell.model.point import CHECKS, CONTROL, Point
 from hilcell.ports import Array
 
 Found = Iterable[Suspicion | None]

@@ -35,9 +35,10 @@ from hilcell.calibration.visit_noise import visit_noise
 from hilcell.geometry.frames import apply, inverse, motion_levers
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.statistics import f_quantile, lengths_mm, rectangular_variance, rms
-from hilcell.journal.log import NO_READINGS, Log, Point, commanded_rad, positions_mm
+from hilcell.journal.log import NO_READINGS, Log, commanded_rad, positions_mm
 from hilcell.journal.reading_noise import noise_at, run_noise
 from hilcell.journal.set_ups import PROOFS
+from hilcell.model.point import Point
 from hilcell.ports import Array, HilcellError
 
 # -- the tracker -----------------------------------------------------------------------------------

@@ -20,8 +20,8 @@ from hilcell.geometry.frames import (
     three_point_frames,
 )
 from hilcell.geometry.statistics import rectangular_variance
-from hilcell.journal.log import Log, Point, positions_mm, variances_mm2
-from hilcell.journal.point_id import PointId
+from hilcell.journal.log import Log, positions_mm, variances_mm2
+from hilcell.model.point import Point, PointId
 from hilcell.ports import Array
 
 FLOOR_NESTS = 3  # that define {W}

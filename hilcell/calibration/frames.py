@@ -19,9 +19,9 @@ from hilcell.geometry.frames import apply, inverse, matrix, three_point_frame
 from hilcell.geometry.kinematics import forward
 from hilcell.identification.readings import Readings
 from hilcell.journal.curve_record import curve_of
-from hilcell.journal.log import Log, Point, commanded_rad, covariances_mm2, positions_mm
-from hilcell.journal.point_id import PointId
+from hilcell.journal.log import Log, commanded_rad, covariances_mm2, positions_mm
 from hilcell.journal.set_ups import world_key
+from hilcell.model.point import Point, PointId
 from hilcell.ports import Array
 
 ORIENTED = "oriented"  # kind of a grid's vertex in another orientation than the grid's

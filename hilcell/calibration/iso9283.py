@@ -29,7 +29,8 @@ from hilcell.cell.file import Cell
 from hilcell.compensation.kinematic import Kinematic
 from hilcell.geometry.frames import apply, inverse, motion_levers
 from hilcell.geometry.statistics import from_mean_mm, repeatability_mm, rms
-from hilcell.journal.log import Log, Point, variances_mm2
+from hilcell.journal.log import Log, variances_mm2
+from hilcell.model.point import Point
 from hilcell.ports import Array
 
 ISO = "iso9283"  # kind of the points, key of result and verdict

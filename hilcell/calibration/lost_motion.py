@@ -26,7 +26,7 @@ from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.statistics import bounds95_mm, lengths_mm, rectangular_variance
 from hilcell.journal.log import NO_READINGS, Log, commanded_rad, positions_mm
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from hilcell.ports import Array
 
 REVERSAL = "reversal"  # kind of the points that were approached from above

@@ -21,7 +21,8 @@ from hilcell.calibration.frame_covariance import FLOOR_NESTS, floor_points, worl
 from hilcell.calibration.influence import ASSUMED, MEASURED
 from hilcell.geometry.frames import apply, motion_levers
 from hilcell.geometry.statistics import lengths_mm, rectangular_variance, rms
-from hilcell.journal.log import NO_READINGS, Log, Point, positions_mm, variances_mm2
+from hilcell.journal.log import NO_READINGS, Log, positions_mm, variances_mm2
+from hilcell.model.point import Point
 from hilcell.ports import Array
 
 NOISE, WORLD = "Tracker, reading noise", "World frame"

@@ -37,8 +37,9 @@ from hilcell.geometry.statistics import (
     trace_freedom,
 )
 from hilcell.identification.readings import IdentificationError
-from hilcell.journal.log import Log, Point, covariances_mm2, positions_mm
+from hilcell.journal.log import Log, covariances_mm2, positions_mm
 from hilcell.journal.ways_sent import Sent
+from hilcell.model.point import Point
 from hilcell.ports import Array, HilcellError
 
 TURNS = slice(3, 6)  # of an influence's covariance

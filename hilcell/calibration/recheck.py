@@ -36,7 +36,8 @@ from hilcell.geometry.frames import cross_matrix, matrix, motion_levers
 from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.geometry.statistics import bounds95_mm
-from hilcell.journal.log import Log, Point, commanded_rad
+from hilcell.journal.log import Log, commanded_rad
+from hilcell.model.point import Point
 from hilcell.ports import Array, HilcellError
 
 KIND = "recheck"  # of the points, key of result and verdict

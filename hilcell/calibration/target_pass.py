@@ -21,8 +21,9 @@ from hilcell.compensation.remainder import Remainder
 from hilcell.geometry.frames import poses_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import figures_of, lengths_mm
-from hilcell.journal.log import Log, Point, commanded_rad
+from hilcell.journal.log import Log, commanded_rad
 from hilcell.model.events import TargetsListed
+from hilcell.model.point import Point
 from hilcell.ports import Array
 
 KIND = "targets"

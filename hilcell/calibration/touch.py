@@ -26,8 +26,8 @@ from hilcell.geometry.frame_update import FrameUpdate, updated_frame
 from hilcell.geometry.frames import apply, inverse, motion_levers
 from hilcell.geometry.inverse import Bools
 from hilcell.geometry.statistics import pooled_std_mm, rectangular_variance
-from hilcell.journal.log import Log, Point, commanded_rad, covariances_mm2, positions_mm
-from hilcell.journal.point_id import PointId
+from hilcell.journal.log import Log, commanded_rad, covariances_mm2, positions_mm
+from hilcell.model.point import Point, PointId
 from hilcell.ports import Array
 
 # A target recognition finds reflectors by direction. Where a nest stands behind or before the

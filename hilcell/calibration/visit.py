@@ -15,7 +15,8 @@ from hilcell.calibration.form import Calibration
 from hilcell.calibration.in_use import NoCalibration, calibration_in
 from hilcell.calibration.influence import NoBound
 from hilcell.geometry.frames import apply, inverse
-from hilcell.journal.log import Log, Point, covariances_mm2, positions_mm
+from hilcell.journal.log import Log, covariances_mm2, positions_mm
+from hilcell.model.point import Point
 from hilcell.ports import Array
 
 

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hilcell.geometry.beam_noise import BeamNoise
-from hilcell.journal.log import NO_READINGS, Log, Point, positions_mm, repeated_visits
+from hilcell.journal.log import NO_READINGS, Log, positions_mm, repeated_visits
 from hilcell.journal.reading_noise import noise_at, run_noise
+from hilcell.model.point import Point
 from hilcell.ports import Array
 
 STEPS, SETTLED = 200, 1e-15  # of the scatter's estimate; a share of it

@@ -64,7 +64,6 @@ from hilcell.journal.folder_order import ORDER, FolderOrder, clock_notes, next_o
 from hilcell.journal.index import read_index, row_of
 from hilcell.journal.journal import StorageError
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import CONTROL
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import (
     CALIBRATION,
@@ -77,6 +76,7 @@ from hilcell.journal.runs import (
 )
 from hilcell.journal.runs_folder import runs_option
 from hilcell.journal.times import offset_min
+from hilcell.model.point import CONTROL
 from hilcell.ports import Clock, HilcellError
 from hilcell.run.cell_lock import (
     CellLocked,

@@ -33,11 +33,10 @@ from hilcell.journal.calibration_facts import NOT_JUDGED, OUTCOMES, VALIDATION, 
 from hilcell.journal.journal import Record
 from hilcell.journal.key_words import verdict_words
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import CONTROL
 from hilcell.journal.point_words import OTHERS
 from hilcell.journal.states import WAITING
 from hilcell.model.events import Closed, CurveMeasured, FirstPassBegun, NoReadingOf, PromiseJudged
-from hilcell.model.point import Point
+from hilcell.model.point import CONTROL, Point
 from hilcell.model.records import StateChanged
 from hilcell.present.table import Column, Table
 from hilcell.report.verdicts import deciding_words

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 from hilcell.invariants.bodies import CellFacts, Inputs, Measured, Motion, Station
 from hilcell.journal.journal import Record
-from hilcell.journal.point_id import CHECKS, SEAT
 from hilcell.journal.set_ups import INTERRUPTED, PROOFS
 from hilcell.journal.states import OVER, WAITING
 from hilcell.model.events import (
@@ -22,6 +21,7 @@ from hilcell.model.events import (
     VisitedOnceMore,
     WorldFramedAgain,
 )
+from hilcell.model.point import CHECKS, SEAT
 from hilcell.model.records import StateChanged
 from hilcell.typed import typed
 

@@ -10,7 +10,6 @@ import re
 from typing import Any
 
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import SEAT, PointId
 from hilcell.journal.point_words import (
     HOLDS,
     KINDS,
@@ -19,6 +18,7 @@ from hilcell.journal.point_words import (
     point_words,
     target_words,
 )
+from hilcell.model.point import SEAT, PointId
 
 _KEY = re.compile(rf"(?<![\w/.])(?:{'|'.join(KINDS)})/[^\s,;:()]*[^\s,;:().]")
 _VERDICT = re.compile(r"(?<![\w/])verdict (?P<key>[^\s,;:]*[^\s,;:.])")

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from hilcell.journal.point_id import CONTROL, PointId
 from hilcell.journal.ways_sent import TEXTS, Sent
+from hilcell.model.point import CONTROL, PointId
 
 _PROCEDURES = {
     "calibrate": "Calibration",

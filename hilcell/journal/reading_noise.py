@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hilcell.geometry.beam_noise import BeamNoise, beam_noise
-from hilcell.journal.log import NO_READINGS, Log, Point, positions_mm
+from hilcell.journal.log import NO_READINGS, Log, positions_mm
+from hilcell.model.point import Point
 from hilcell.ports import Array
 
 

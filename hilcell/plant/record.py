@@ -20,10 +20,11 @@ import numpy as np
 from hilcell.alarms import alarms_of
 from hilcell.calibration.frames import grid_of, measured_grid
 from hilcell.errors import HilcellError
-from hilcell.journal.asset import Asset
 from hilcell.journal.index import RunRow, row_of_records
 from hilcell.journal.journal import Record, chain
-from hilcell.journal.log import Log, Point
+from hilcell.journal.log import Log
+from hilcell.model.events import Asset
+from hilcell.model.point import Point
 from hilcell.typed import typed
 
 ROBOT, TRACKER = "robot", "tracker"

@@ -10,9 +10,10 @@ import msgspec
 import numpy as np
 from sqlalchemy import Connection, and_, or_, select
 
-from hilcell.journal.asset import Asset, same
+from hilcell.journal.asset import same
 from hilcell.journal.index import RunRow
 from hilcell.journal.states import RunState
+from hilcell.model.events import Asset
 from hilcell.plant.cells import CELL, Name, chosen, newest
 from hilcell.plant.course import Course, course, hindrance, main_direction
 from hilcell.plant.tables import ALARM, DEVICE, FRAME, GRID, RUN, Found

@@ -12,7 +12,6 @@ from hilcell.journal.folder_order import ORDER
 from hilcell.journal.journal import Record
 from hilcell.journal.key_words import in_words, key_words
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import BACK, CONTROL
 from hilcell.journal.times import in_zone
 from hilcell.model.events import (
     ChangesAccepted,
@@ -25,7 +24,7 @@ from hilcell.model.events import (
     StreamRecorded,
     after,
 )
-from hilcell.model.point import Point
+from hilcell.model.point import BACK, CONTROL, Point
 from hilcell.model.records import Fact, StateChanged
 from hilcell.present.table import Column, Table
 from hilcell.report.facts import Facts

@@ -14,7 +14,8 @@ import numpy as np
 from hilcell.calibration.orientation import seats_of, turned_of
 from hilcell.geometry.frames import apply, zyx_from_pose
 from hilcell.journal.journal import Record
-from hilcell.journal.log import Log, Point
+from hilcell.journal.log import Log
+from hilcell.model.point import Point
 from hilcell.ports import Array
 from hilcell.present.renderers import csv_of, xlsx_of
 from hilcell.present.table import Column, Table, Value

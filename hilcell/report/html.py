@@ -19,9 +19,9 @@ from hilcell.cell.file import Cell, Station
 from hilcell.cell.unseen import unseen
 from hilcell.geometry.frames import apply
 from hilcell.journal.calibration_facts import run_outcome
-from hilcell.journal.curve_record import URAD, CurveMeasured
-from hilcell.journal.point_id import CONTROL
 from hilcell.journal.times import span_words
+from hilcell.model.events import URAD, CurveMeasured
+from hilcell.model.point import CONTROL
 from hilcell.ports import Array
 from hilcell.present.renderers import environment
 from hilcell.present.table import Column, Table

@@ -26,11 +26,17 @@ from hilcell.cell.file import Station
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.sequential import Outcome
 from hilcell.geometry.statistics import Figures
-from hilcell.journal.asset import Asset
-from hilcell.journal.log import Log, Point
+from hilcell.journal.log import Log
 from hilcell.journal.point_words import counted_words, point_words
 from hilcell.journal.ways_sent import BOTH, Sent
-from hilcell.model.events import Invalidating, OutlierMeasuredAgain, RetakeAsked, VisitedOnceMore
+from hilcell.model.events import (
+    Asset,
+    Invalidating,
+    OutlierMeasuredAgain,
+    RetakeAsked,
+    VisitedOnceMore,
+)
+from hilcell.model.point import Point
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table, Value
 from hilcell.report.budgets import TargetBudget

@@ -17,10 +17,9 @@ from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell, Nest, Station
 from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward
-from hilcell.journal.log import Point
-from hilcell.journal.point_id import PointId
 from hilcell.journal.run_journal import Records
 from hilcell.model.events import RetakeRefused, StreamRecorded
+from hilcell.model.point import Point, PointId
 from hilcell.ports import Array, Clock
 from hilcell.run.meter import Meter
 from hilcell.run.mover import Mover, Straight

@@ -12,8 +12,9 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.beam_noise import BeamNoise
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import coverage_factor, lengths_mm
-from hilcell.journal.log import Point, positions_mm
+from hilcell.journal.log import positions_mm
 from hilcell.journal.reading_noise import noise_at
+from hilcell.model.point import Point
 from hilcell.ports import Array, DeviceError
 
 SIGMAS = 4.0  # of the readings' noise, were it known, beyond the stated drift

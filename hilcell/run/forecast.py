@@ -14,10 +14,9 @@ from datetime import datetime
 from typing import Any, NamedTuple
 
 from hilcell.journal.journal import Record
-from hilcell.journal.point_id import CONTROL
 from hilcell.journal.states import WORKING, RunState
 from hilcell.model.events import StepBegun, StreamRecorded
-from hilcell.model.point import Point
+from hilcell.model.point import CONTROL, Point
 from hilcell.model.records import Ended, StateChanged
 from hilcell.typed import typed
 

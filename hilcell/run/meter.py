@@ -14,10 +14,8 @@ from hilcell.calibration.controller_pose import check_pose
 from hilcell.cell.devices import turning_over
 from hilcell.cell.file import Nest
 from hilcell.geometry.frames import inverse
-from hilcell.journal.log import Point
-from hilcell.journal.point_id import PointId
 from hilcell.model.events import NoReadingOf, ReadingTime, Seated
-from hilcell.model.point import Readings
+from hilcell.model.point import Point, PointId, Readings
 from hilcell.ports import (
     Array,
     DeviceError,

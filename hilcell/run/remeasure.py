@@ -6,7 +6,8 @@ waits stands in the journal: asked for by an event, done by the point's next rec
 
 from __future__ import annotations
 
-from hilcell.journal.log import Log, Point
+from hilcell.journal.log import Log
+from hilcell.model.point import Point
 from hilcell.run.states import CALIBRATION
 
 UNTIL_FITTED = ("grid", "repeatability")

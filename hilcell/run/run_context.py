@@ -8,10 +8,9 @@ from pathlib import Path
 from hilcell.calibration.frames import Frames
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
-from hilcell.journal.log import Point
-from hilcell.journal.point_id import PointId
 from hilcell.journal.run_journal import Records
 from hilcell.model.events import Event
+from hilcell.model.point import Point, PointId
 from hilcell.ports import Array, Clock, NoReading
 from hilcell.run.prompts import Look, Prompt
 from hilcell.run.states import CALIBRATION, StateMachine

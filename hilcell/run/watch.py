@@ -29,8 +29,7 @@ from hilcell.calibration.diagnosis import NOTICED_BY, reference_c
 from hilcell.calibration.frames import world_from_tracker
 from hilcell.cell.file import Cell, Nest, Station
 from hilcell.geometry.frames import apply
-from hilcell.journal.log import Log, Point, positions_mm
-from hilcell.journal.point_id import HELD, LENGTH, PointId
+from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.reading_noise import run_noise
 from hilcell.journal.set_ups import PROOFS, world_key
 from hilcell.model.events import (
@@ -41,6 +40,7 @@ from hilcell.model.events import (
     TrackerProven,
     WorldFramedAgain,
 )
+from hilcell.model.point import HELD, LENGTH, Point, PointId
 from hilcell.ports import Array, DeviceError, NoReading, TrackerReading
 from hilcell.run.floor_nests import (
     ALIKE,

@@ -15,8 +15,8 @@ from hilcell.geometry.kinematics import forward
 from hilcell.geometry.rotations import to_rotvec
 from hilcell.identification.design import Design
 from hilcell.identification.readings import IdentificationError
-from hilcell.journal.point_id import PointId
 from hilcell.model.events import Event
+from hilcell.model.point import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import clear_poses

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hilcell.cell.file import Cell, load_cell
-from hilcell.journal.log import Log, Point
-from hilcell.journal.point_id import PointId
+from hilcell.journal.log import Log
+from hilcell.model.point import Point, PointId
 from procedures.repeatability import floor, rp_mm, rp_robot_mm, visits_of
 
 PLACES = 3

@@ -7,7 +7,8 @@ import pytest
 from hilcell.calibration.diagnosis import CLOSING, REVISIT, overtaken, revisited, revisits
 from hilcell.calibration.lost_motion import REVERSAL
 from hilcell.journal.journal import Record
-from hilcell.journal.log import Log, Point
+from hilcell.journal.log import Log
+from hilcell.model.point import Point
 from tests.whole.golden import GoldenRuns
 from tests.whole.trace import record_of
 

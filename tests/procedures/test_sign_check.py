@@ -11,8 +11,8 @@ from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import forward
 from hilcell.journal.journal import Record
-from hilcell.journal.log import Log, Point
-from hilcell.journal.point_id import PointId
+from hilcell.journal.log import Log
+from hilcell.model.point import Point, PointId
 from hilcell.ports import Array
 from procedures.plan import joints_for
 from procedures.sign_check import IDS, SignCheck, worst_mm

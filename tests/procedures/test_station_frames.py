@@ -12,8 +12,7 @@ from drivers.leica.geocom import class_std_mm
 from hilcell.cell.file import Cell, Nest, Station, load_cell
 from hilcell.geometry.frames import apply, matrix
 from hilcell.geometry.rotations import from_rotvec
-from hilcell.journal.log import Point
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import Point, PointId
 from hilcell.ports import Array, DeviceError
 from procedures.station_frames import StationFrames, cube_uncertainty_mm, station_fit
 from tests.procedures.test_sign_check import FakeBench

@@ -17,8 +17,8 @@ from hilcell.compensation.choice import MODELS
 from hilcell.geometry.frames import apply, matrix
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.rotations import from_rotvec
-from hilcell.journal.log import Log, Point
-from hilcell.journal.point_id import PointId
+from hilcell.journal.log import Log
+from hilcell.model.point import Point, PointId
 from hilcell.ports import Array, DeviceError
 from procedures.touch import touch_once, touch_result, touch_spans
 from procedures.validate import Validate, target_poses, targets

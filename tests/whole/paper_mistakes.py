@@ -13,7 +13,8 @@ from hilcell.calibration.errors import errors_of
 from hilcell.calibration.frames import measured_grid
 from hilcell.compensation.interpolation import Idw
 from hilcell.geometry.frames import apply, inverse
-from hilcell.journal.log import Log, Point
+from hilcell.journal.log import Log
+from hilcell.model.point import Point
 from hilcell.ports import Array
 from hilcell.run.procedure import Procedure
 from procedures.paper import EXPERIMENTS, paper_table

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hilcell.journal.curve_record import CurveMeasured
+from hilcell.model.events import CurveMeasured
 from hilcell.report.drawings.drawing import (
     AFTER,
     ENDS,

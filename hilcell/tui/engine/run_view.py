@@ -13,10 +13,10 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from hilcell.journal.calibration_facts import REFUSED
-from hilcell.journal.log import Log, Point
-from hilcell.journal.point_id import CONTROL
+from hilcell.journal.log import Log
 from hilcell.journal.states import WAITING
 from hilcell.model.events import StepBegun
+from hilcell.model.point import CONTROL, Point
 from hilcell.run.protocol import PromptStatus, Status
 from hilcell.run.states import RUN
 

@@ -12,8 +12,9 @@ from hilcell.calibration.errors import counting, errors_of
 from hilcell.calibration.measurement_budget import budget_of
 from hilcell.geometry.sequential import Outcome
 from hilcell.geometry.statistics import rms
-from hilcell.journal.log import Log, Point
+from hilcell.journal.log import Log
 from hilcell.journal.ways_sent import Sent
+from hilcell.model.point import Point
 from hilcell.ports import Array, HilcellError
 
 BAD_STATES = ("out", "undecided", "noisy")

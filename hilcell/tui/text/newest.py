@@ -14,9 +14,10 @@ from textual.content import Content
 
 from hilcell.geometry.sequential import Outcome
 from hilcell.journal.calibration_facts import OUTCOMES
-from hilcell.journal.log import Log, Point
+from hilcell.journal.log import Log
 from hilcell.journal.point_words import point_words
 from hilcell.journal.ways_sent import TEXTS, Sent
+from hilcell.model.point import Point
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import (
     BLANK,

@@ -8,8 +8,9 @@ from collections.abc import Collection, Iterable, Sequence
 
 from hilcell.calibration.errors import counting, errors_of
 from hilcell.geometry.statistics import rms
-from hilcell.journal.log import Log, Point
+from hilcell.journal.log import Log
 from hilcell.journal.point_words import point_words, short_words
+from hilcell.model.point import Point
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import Lines, Stack, facts_grid
 from hilcell.tui.text.deviation import (

@@ -10,10 +10,10 @@ from textual.content import Content
 
 from hilcell.alarms.catalogue import SEVERITIES
 from hilcell.journal.calibration_facts import OUTCOMES, run_outcome
-from hilcell.journal.point_id import CONTROL
 from hilcell.journal.point_words import part_words, procedure_words, step_words
 from hilcell.journal.runs import short_run
 from hilcell.journal.times import local_words
+from hilcell.model.point import CONTROL
 from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.layout import BLANK, Bar, Cell, Col, Fitting, Grid, Lines, ends
 from hilcell.tui.terminal.capabilities import Glyphs

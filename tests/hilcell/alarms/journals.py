@@ -6,8 +6,9 @@ from typing import Any
 
 from hilcell.alarms import Alarm, alarms_of
 from hilcell.errors import HilcellError, facts_of
-from hilcell.journal.journal import Kind, Record
+from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
+from hilcell.model.records import Kind
 from hilcell.ports import NoReading
 from tests.hilcell.report.journals import plan_record
 

@@ -21,7 +21,7 @@ from hilcell.calibration.form import Calibration
 from hilcell.calibration.influence import ASSUMED, MEASURED, MODEL, Influence, motion
 from hilcell.geometry.frames import apply, pose_from_zyx
 from hilcell.geometry.statistics import bounds95_mm
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from tests.hilcell.calibration.calibrations import LOW_MM, REPEATABILITY_MM, T_W_B, calibration
 from tests.hilcell.report.journals import Writer
 

@@ -13,7 +13,7 @@ from hilcell.calibration.influence import ASSUMED, MEASURED, Influence
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import pose_from_zyx
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from tests.hilcell.report.journals import Writer, plan_record
 
 HERE = load_cell("paper").station_named("S1100")

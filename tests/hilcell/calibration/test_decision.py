@@ -20,7 +20,7 @@ from hilcell.calibration.decision import (
 from hilcell.calibration.measurement_budget import NOISE, budget_of
 from hilcell.cell.file import load_cell
 from hilcell.geometry.sequential import Outcome
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from hilcell.ports import HilcellError
 from procedures.validate import Validate
 from tests.hilcell.report.journals import Writer

@@ -17,8 +17,9 @@ from hilcell.geometry.frames import inverse
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.journal import Record, read_journal
-from hilcell.journal.log import FloorBefore, FrameBefore, Log, Point, commanded_rad
+from hilcell.journal.log import FloorBefore, FrameBefore, Log, commanded_rad
 from hilcell.journal.runs import JOURNAL
+from hilcell.model.point import Point
 from hilcell.ports import Array
 from tests.whole.golden import GoldenRuns
 

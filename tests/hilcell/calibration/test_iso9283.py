@@ -35,8 +35,8 @@ from hilcell.calibration.measurement_budget import NOISE, WORLD, budget_of
 from hilcell.cell.file import load_cell
 from hilcell.geometry.rotations import to_rotvec
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import PointId
 from hilcell.journal.runs import read_records
+from hilcell.model.point import PointId
 from hilcell.ports import Array
 from tests.hilcell.calibration.pose_tests import made_up
 from tests.hilcell.report.journals import Writer

@@ -13,7 +13,7 @@ from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import LENGTH, PointId
+from hilcell.model.point import LENGTH, PointId
 from tests.hilcell.report.journals import Writer, plan_record
 from tests.whole.bench import command, end_of, events, sets, simulation
 from tests.whole.trace import judge

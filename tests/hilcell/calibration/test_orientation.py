@@ -27,9 +27,10 @@ from hilcell.compensation.model import Prediction, Turn
 from hilcell.geometry.frames import pose_from_zyx, zyx_from_pose
 from hilcell.geometry.rotations import from_rotvec, from_zyx
 from hilcell.geometry.statistics import bounds95_mm
-from hilcell.journal.journal import Kind, Record
+from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
+from hilcell.model.records import Kind
 from hilcell.ports import Array, HilcellError
 from procedures.validate import Validate
 from tests.hilcell.calibration.calibrations import calibration

@@ -10,8 +10,8 @@ import pytest
 from hilcell.calibration.drift import tracker_drift
 from hilcell.cell.file import Cell, load_cell
 from hilcell.geometry.frames import apply, inverse
-from hilcell.journal.log import Log, Point
-from hilcell.journal.point_id import PointId
+from hilcell.journal.log import Log
+from hilcell.model.point import Point, PointId
 from hilcell.ports import Array
 
 CELL = load_cell("paper")

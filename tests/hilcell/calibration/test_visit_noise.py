@@ -19,8 +19,9 @@ from hilcell.calibration.visit_noise import (
 )
 from hilcell.geometry.beam_noise import BeamNoise
 from hilcell.journal.journal import read_journal
-from hilcell.journal.log import Log, Point, positions_mm
+from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.runs import JOURNAL
+from hilcell.model.point import Point
 from hilcell.ports import Array
 from tests.whole.golden import GoldenRuns
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from hilcell.journal.journal import Kind, Record
+from hilcell.journal.journal import Record
+from hilcell.model.records import Kind
 
 Row = tuple[str, Kind, str, dict[str, Any]]  # a name for the tests, then kind, key, body
 

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hilcell.journal.journal import Journal, Kind, NotFinite, StorageError, read_journal
+from hilcell.journal.journal import Journal, NotFinite, StorageError, read_journal
+from hilcell.model.records import Kind
 
 
 @pytest.fixture

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from hilcell.journal.journal import Kind, Record
+from hilcell.journal.journal import Record
 from hilcell.journal.log import NO_READINGS, Log
+from hilcell.model.records import Kind
 
 
 def test_a_result_is_computed_again_after_the_next_record() -> None:

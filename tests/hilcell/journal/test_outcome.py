@@ -8,8 +8,8 @@ import pytest
 
 from hilcell.journal.calibration_facts import run_outcome
 from hilcell.journal.index import row_of
-from hilcell.journal.point_id import PointId
 from hilcell.journal.runs import read_log
+from hilcell.model.point import PointId
 from tests.hilcell.report.journals import Writer
 
 

@@ -6,10 +6,9 @@ import msgspec
 import numpy as np
 
 from hilcell.journal.journal import Record
-from hilcell.journal.log import Driven, Log, Point
-from hilcell.journal.point_id import PointId
+from hilcell.journal.log import Driven, Log
 from hilcell.model.events import ReadingTime
-from hilcell.model.point import Readings
+from hilcell.model.point import Point, PointId, Readings
 
 NOW = ReadingTime(59597.515816423, 0.0012767939988407306, 59597.182127809)
 POINT = Point(

@@ -7,7 +7,7 @@ import pytest
 
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 
 # Key and group of one point of every kind.
 KEYS = [

@@ -9,7 +9,8 @@ import pytest
 
 from hilcell.journal import stream_file
 from hilcell.journal.journal import StorageError
-from hilcell.journal.stream_file import FOLDER, StreamFile, StreamRecorded, read_stream
+from hilcell.journal.stream_file import FOLDER, StreamFile, read_stream
+from hilcell.model.events import StreamRecorded
 from hilcell.ports import JointSample, NoReading, StreamBlock
 
 JOINTS_RAD = np.arange(6) / 7.0

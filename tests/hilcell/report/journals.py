@@ -11,8 +11,8 @@ import numpy as np
 
 from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Journal, read_journal
-from hilcell.journal.point_id import PointId
 from hilcell.journal.runs import JOURNAL
+from hilcell.model.point import PointId
 from hilcell.ports import Array
 from hilcell.report.facts import Facts, read_facts
 

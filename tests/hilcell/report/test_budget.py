@@ -11,7 +11,7 @@ from hilcell.calibration.contribution import Contribution
 from hilcell.calibration.influence import ASSUMED, MEASURED, Bounds, Part
 from hilcell.calibration.measurement_budget import Budget, budget_of
 from hilcell.cell.file import load_cell
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from hilcell.report.budgets import (
     ERROR_SUM,
     ROWS,

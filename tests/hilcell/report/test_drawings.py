@@ -9,7 +9,7 @@ import pytest
 from msgspec import structs
 
 from hilcell.cell.file import load_cell
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from hilcell.report.budgets import TargetBudget, target_budget
 from hilcell.report.drawings.drawing import (
     MUTED,

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from hilcell.commands.cli import main
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from hilcell.report.export import POINTS, csv_bytes, json_bytes, results_table, xlsx_bytes
 from tests.hilcell.report.journals import Writer, validated_run
 

@@ -17,7 +17,7 @@ from hilcell.calibration.influence import ASSUMED
 from hilcell.calibration.measurement_budget import STEEL_EXPANSION_PER_K, budget_of
 from hilcell.cell.file import load_cell
 from hilcell.identification.sweeps import SweptAxis
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from hilcell.report.drawings.plan_view import plan_view
 from hilcell.report.export import csv_bytes, json_bytes, xlsx_bytes
 from hilcell.report.facts import Facts, read_facts

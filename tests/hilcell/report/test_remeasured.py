@@ -11,8 +11,8 @@ from hilcell.calibration.errors import validation
 from hilcell.calibration.orientation import validated_turns
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.folder_order import ORDER
-from hilcell.journal.point_id import PointId
 from hilcell.journal.ways_sent import Sent
+from hilcell.model.point import PointId
 from hilcell.report.course import course
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.tables import accuracy, remeasured

@@ -12,7 +12,7 @@ from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
 from hilcell.geometry.kinematics import forward
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from hilcell.ports import (
     Air,
     Array,

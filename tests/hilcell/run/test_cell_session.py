@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hilcell.cell.file import load_cell
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from hilcell.ports import Array, DeviceError, RailReading, RobotReading, TrackerReading
 from hilcell.run.cell_session import CellSession
 from hilcell.run.mover import Straight

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hilcell.cell.file import load_cell
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from hilcell.run.cell_session import CellSession
 from tests.hilcell.run.bed import Bed, Live, until
 from tests.hilcell.run.rig import Points, procedure

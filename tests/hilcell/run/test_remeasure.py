@@ -9,7 +9,7 @@ import pytest
 from hilcell.cell.file import Cell
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
 from hilcell.run.remeasure import retake_refusal, still_refused

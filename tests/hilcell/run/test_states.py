@@ -6,9 +6,10 @@ from typing import Any
 
 import pytest
 
-from hilcell.journal.journal import Body, Kind, Record, StorageError
+from hilcell.journal.journal import Body, Record, StorageError
 from hilcell.journal.log import Log
 from hilcell.journal.run_journal import RunJournal
+from hilcell.model.records import Kind
 from hilcell.run.states import CALIBRATION, RUN, StateMachine, Table, TransitionRefused, mermaid
 
 TRIGGERS = {table.name: sorted({row[0] for row in table.rows}) for table in (RUN, CALIBRATION)}

@@ -11,7 +11,7 @@ import pytest
 from hilcell.calibration.diagnosis import warm
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from hilcell.ports import Air
 from hilcell.run.cell_session import CellSession
 from tests.hilcell.run.bed import CELL, PLAN, Bed, Live, until

@@ -12,7 +12,7 @@ import pytest
 
 from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.geometry.rotations import from_rotvec
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from hilcell.ports import Array, DeviceError, NoReading, TrackerReading
 from hilcell.run.cell_session import CellSession
 from hilcell.run.floor_nests import check_distances, check_places

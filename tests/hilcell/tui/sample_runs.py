@@ -11,8 +11,9 @@ import msgspec
 import numpy as np
 
 from hilcell.cell.file import load_cell
-from hilcell.journal.journal import Kind, Record
-from hilcell.journal.point_id import PointId
+from hilcell.journal.journal import Record
+from hilcell.model.point import PointId
+from hilcell.model.records import Kind
 from hilcell.run.prompts import seat_prompt
 from hilcell.run.protocol import DeviceStatus, Interlock, PromptStatus, Status
 from hilcell.tui.engine.feed import RunUpdate

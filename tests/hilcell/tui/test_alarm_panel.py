@@ -11,7 +11,7 @@ from textual.pilot import Pilot
 
 from hilcell.alarms import Alarm, Latch, Latched, alarms_of
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from hilcell.tui.terminal.capabilities import UNICODE
 from hilcell.tui.text.alarms import (
     AlarmContext,

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from hilcell.journal.journal import Record
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from hilcell.run.forecast import Ahead, Forecast
 from hilcell.run.protocol import Interlock
 from hilcell.tui.engine.run_view import EngineState, RunView

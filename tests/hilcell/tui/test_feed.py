@@ -13,8 +13,8 @@ import pytest
 
 from hilcell.errors import HilcellError
 from hilcell.journal.journal import Record, StorageError
-from hilcell.journal.point_id import PointId
 from hilcell.journal.runs import CALIBRATION
+from hilcell.model.point import PointId
 from hilcell.run.client import EngineLost, EngineSilent
 from hilcell.tui.engine import feed as feeds
 from hilcell.tui.engine.feed import Feed, Inbox, RunUpdate, utc_now

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.plots.draw import Look
 from hilcell.tui.text.points import PointRows

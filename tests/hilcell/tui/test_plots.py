@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.errors import errors_of
-from hilcell.journal.log import Log, Point
-from hilcell.journal.point_id import PointId
+from hilcell.journal.log import Log
 from hilcell.journal.ways_sent import Sent
+from hilcell.model.point import Point, PointId
 from hilcell.tui.plots.draw import Look
 from hilcell.tui.text.plot_page import BESIDE, FIGURES, Choice, plot_lines, tab_line
 from hilcell.tui.text.plots import (

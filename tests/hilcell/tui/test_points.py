@@ -13,9 +13,9 @@ import pytest
 from hilcell.calibration.decision import guard_of
 from hilcell.calibration.errors import errors_of
 from hilcell.geometry.frames import apply
-from hilcell.journal.log import Log, Point, positions_mm
-from hilcell.journal.point_id import PointId
+from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.runs import read_log
+from hilcell.model.point import Point, PointId
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.text.deviation import deviation_of, row_of, state_of
 from hilcell.tui.text.newest import chosen_shown

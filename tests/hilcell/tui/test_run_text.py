@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
-from hilcell.journal.point_id import PointId
+from hilcell.model.point import PointId
 from hilcell.model.records import Ended
 from hilcell.run.forecast import UnderWay
 from hilcell.run.protocol import DeviceStatus, Interlock

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from hilcell.journal.calibration_facts import CalibrationFacts
-from hilcell.journal.journal import Kind, Record
+from hilcell.journal.journal import Record
+from hilcell.model.records import Kind
 from hilcell.tui.screens.history import COLUMNS as COMPARED
 from hilcell.tui.screens.history import change_row
 from hilcell.tui.text.tables import (
