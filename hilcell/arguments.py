@@ -179,12 +179,12 @@ def stroke(text: str) -> float:
     return _length(text, "a length", MOST_STROKE_MM)
 
 
-def standoff(text: str) -> float:
+def standoff_of(text: str) -> float:
     """Return a stand-off, mm."""
     return _length(text, "a stand-off", MOST_STANDOFF_MM)
 
 
-def stroke_tolerance(text: str) -> float:
+def stroke_tolerance_of(text: str) -> float:
     """Return by how far strokes may miss, mm."""
     return _length(text, "a tolerance", MOST_STROKE_MISS_MM)
 
@@ -216,7 +216,7 @@ def assignment(text: str) -> tuple[str, str]:
     return key.strip(), value.strip()
 
 
-def workers(text: str) -> int:
+def workers_of(text: str) -> int:
     """Return a number of worker processes."""
     value = int(text) if text.isascii() and text.isdecimal() and len(text) < 5 else 0
     if not 1 <= value <= MOST_WORKERS:
@@ -226,7 +226,7 @@ def workers(text: str) -> int:
     return value
 
 
-def scheduler(text: str) -> str:
+def scheduler_of(text: str) -> str:
     """Return the address of a Dask scheduler."""
     if not re.fullmatch(r"(?:tcp|tls)://(?:[\w.-]+|\[[\da-fA-F:.]+\]):\d{1,5}", text):
         raise argparse.ArgumentTypeError(f"tcp://HOST:PORT is wanted, found {clean(text[:80])!r}")

@@ -132,8 +132,8 @@ class AxisSweeps:
             try:
                 session.sweep(order)
             except NoReading as error:
-                facts = {"reason": str(error), "error": error.of_point(order.key).facts()}
-                session.add(NoReadingOf(key=order.key, tries=tries, **facts))
+                key, said, facts = order.key, str(error), error.of_point(order.key).facts()
+                session.add(NoReadingOf(key=key, tries=tries, reason=said, error=facts))
                 if tries == TRIES:
                     raise
             else:

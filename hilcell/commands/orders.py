@@ -32,13 +32,13 @@ from hilcell.arguments import (
     name,
     ports_of,
     reason,
-    scheduler,
+    scheduler_of,
     seed_of,
     speed_of,
-    standoff,
+    standoff_of,
     stroke,
-    stroke_tolerance,
-    workers,
+    stroke_tolerance_of,
+    workers_of,
 )
 from hilcell.run.order import Attendance, Release
 
@@ -152,7 +152,7 @@ class Prepare(Signature):
             "along the outward normal, before and after each hole (default: the tool's of the "
             "cell file, at least its drill's length plus 20; 100 for the reflector)",
             "MM",
-            standoff,
+            standoff_of,
         ),
     ] = None
     calibration: CalibrationName
@@ -191,7 +191,7 @@ class Compensate(Signature):
             "by how far these may miss, across and along, on all of their way (default: the 95 % "
             "bound of their point)",
             "MM",
-            stroke_tolerance,
+            stroke_tolerance_of,
         ),
     ] = None
     station: Annotated[str, Argument("where they are reached", "S")]
@@ -380,11 +380,13 @@ class RunStudy(Signature):
     folder: Annotated[str, Argument("results to report", "DIR", word=True)] = ""
     workers: Annotated[
         int | None,
-        Argument("processes on this PC (default: one for each processor)", "N", workers),
+        Argument("processes on this PC (default: one for each processor)", "N", workers_of),
     ] = None
     scheduler: Annotated[
         str | None,
-        Argument("a Dask scheduler, tcp://HOST:PORT, whose workers measure", "ADDRESS", scheduler),
+        Argument(
+            "a Dask scheduler, tcp://HOST:PORT, whose workers measure", "ADDRESS", scheduler_of
+        ),
     ] = None
     output: Annotated[
         str,

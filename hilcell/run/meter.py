@@ -57,8 +57,8 @@ class Meter:
                 return self._reading(key, near_mm, samples, back=back)
             except NoReading as error:
                 failed, cause = error, error.of_point(key)
-                facts = {"reason": str(error), "error": cause.facts()}
-                self._run.add(NoReadingOf(key=key, tries=tries, **facts))
+                said, facts = str(error), cause.facts()
+                self._run.add(NoReadingOf(key=key, tries=tries, reason=said, error=facts))
         limit_mm = self._run.cell.tracker.find_radius_mm
         prompt = beam_prompt(self._run.cell, key, place, near_mm, limit_mm, failed)
         self._run.ask(prompt, lambda: self._look(key, near_mm), cause)

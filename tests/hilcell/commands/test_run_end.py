@@ -164,7 +164,9 @@ def test_the_bar_counts_each_point_once_and_never_beyond_its_total(
     with ProgressOutput("r", 2) as output:
         output.skip_measured(["base/1"])
         for key in ("grid/1", "grid/1", "grid/2"):
-            body = {"group": "grid", "station": "S1"}
+            at = {"xyz_mm": [0.0, 0.0, 0.0], "std_mm": [0.0, 0.0, 0.0], "samples": 1, "session": 1}
+            seen = {"id": {"kind": "grid"}, "reflector": "flange", "frame": "tracker"} | at
+            body = {"group": "grid", "station": "S1"} | seen
             output.take(Record(1, "2026-01-01T00:00:00+00:00", "point", key, body))
     assert "3/3" in capsys.readouterr().err
 
