@@ -139,7 +139,7 @@ def test_a_gap_is_survived(peer: EmsconPeer, tracker: Quick) -> None:
 def test_a_stream_without_a_sample_is_no_reading(
     peer: EmsconPeer, tracker: Quick, time: WireTime, collected: bool
 ) -> None:
-    peer.answers[START] = lambda _: time.behind([reply(START)], 0.1)
+    peer.answers[START] = lambda _: time.behind([reply(START)], 0.02)
     peer.answers[STOP] = lambda _: time.behind([reply(STOP)], 0.0)
     assert isinstance(refusal(lambda: fly(tracker, collected=collected)), NoReading)
 

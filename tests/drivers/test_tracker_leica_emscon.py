@@ -185,7 +185,7 @@ def test_no_result_is_no_reading_and_the_next_one_is_good(
     tracker: Quick, peer: EmsconPeer, time: WireTime
 ) -> None:
     good = peer.answers[49]
-    peer.answers[49] = lambda _: time.behind([reply(49)], 0.1)
+    peer.answers[49] = lambda _: time.behind([reply(49)], 0.02)
     peer.answers[52] = lambda _: time.behind([result(POINT + [2, 0, 0]), reply(52)], 0.0)
     assert measuring(tracker).code == "HC-T13"
     peer.answers[49] = good
