@@ -10,16 +10,6 @@ from hilcell.model.point import Readings
 Three = tuple[float, float, float]
 
 
-class Life(msgspec.Struct, frozen=True):
-    """A change of state; ``by`` says what made a waiting run go on."""
-
-    machine: str
-    before: str = msgspec.field(name="from")
-    to: str
-    reason: str = ""
-    by: str = ""
-
-
 class Seen(msgspec.Struct, frozen=True, kw_only=True):
     """The reading that admits a motion: of the robot for the slide's, of the rail for the robot's.
 
@@ -71,15 +61,6 @@ class Framed(msgspec.Struct, frozen=True):
     """A frame; ``points`` are the keys of those it was computed from, if of any."""
 
     points: list[str] | None = None
-
-
-class Ended(msgspec.Struct, frozen=True):
-    """The end of a session."""
-
-    state: str
-    exit: int
-    reason: str = ""
-    result: dict[str, object] = {}
 
 
 class Station(msgspec.Struct, frozen=True):
