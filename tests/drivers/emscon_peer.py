@@ -56,6 +56,7 @@ class EmsconPeer:
         self.commands: list[int] = []
         self.stopped = threading.Event()
         self.slice = 0
+        self.answered = 0
         self.answers: dict[int, Answer] = {
             1: self._status,
             7: self._initialize,
@@ -83,6 +84,7 @@ class EmsconPeer:
             step = self.slice or max(1, len(data))
             for at in range(0, len(data), step):
                 connection.sendall(data[at : at + step])
+            self.answered += 1
 
     def _set(self, command: int) -> Answer:
         """Keep a setting under the number of its reading command."""

@@ -36,6 +36,7 @@ class WireTime(DrivenClock):
         super().__init__()
         self.stop = threading.Event()
         self._a_look_s = self._wire_s = 0.0
+        self.busy: Callable[[], bool] = lambda: False  # while a peer is, looks take no time
 
     def silence(self, a_look_s: float = A_LOOK_S) -> None:
         """Let each look at a wire take a time from now on: a device answers no more."""
@@ -56,7 +57,7 @@ class WireTime(DrivenClock):
             raise Stopped("a stop was asked for")
 
     def monotonic(self) -> float:
-        self._wire_s += self._a_look_s
+        self._wire_s += 0.0 if self.busy() else self._a_look_s
         return self._wire_s
 
     def sleep(self, duration_s: float) -> None:

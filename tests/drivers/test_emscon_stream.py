@@ -12,7 +12,7 @@ from hilcell.ports import Array, DeviceError, NoReading, Stopped, Stream, Stream
 from tests.drivers.emscon_peer import NOT_READY, READY, EmsconPeer, failure, reply, result
 from tests.drivers.peers import WireTime
 from tests.drivers.rail_bed import refusal, soon
-from tests.drivers.test_tracker_leica_emscon import POINT, SMR, Quick, time, tracker_at
+from tests.drivers.test_tracker_leica_emscon import POINT, SMR, Quick, punctual, time, tracker_at
 
 __all__ = ["time"]
 
@@ -137,9 +137,14 @@ def test_a_gap_is_survived(peer: EmsconPeer, tracker: Quick) -> None:
 
 @pytest.mark.parametrize("collected", [True, False])
 def test_a_stream_without_a_sample_is_no_reading(
-    peer: EmsconPeer, tracker: Quick, time: WireTime, collected: bool
+    monkeypatch: pytest.MonkeyPatch,
+    peer: EmsconPeer,
+    tracker: Quick,
+    time: WireTime,
+    collected: bool,
 ) -> None:
-    peer.answers[START] = lambda _: time.behind([reply(START)], 0.02)
+    punctual(monkeypatch, tracker, peer, time)
+    peer.answers[START] = lambda _: time.behind([reply(START)], 0.1)
     peer.answers[STOP] = lambda _: time.behind([reply(STOP)], 0.0)
     assert isinstance(refusal(lambda: fly(tracker, collected=collected)), NoReading)
 

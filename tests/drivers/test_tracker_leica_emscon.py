@@ -60,6 +60,21 @@ def peer() -> Iterator[EmsconPeer]:
         yield peer
 
 
+def punctual(
+    monkeypatch: pytest.MonkeyPatch, tracker: Quick, peer: EmsconPeer, time: WireTime
+) -> None:
+    """Let no look take time while the peer has not answered yet, on however slow a PC."""
+    link, before, asked = tracker._wire(), peer.answered, list[str]()
+    send = link.send
+
+    def counted(data: bytes, operation: str) -> None:
+        asked.append(operation)
+        send(data, operation)
+
+    monkeypatch.setattr(link, "send", counted)
+    time.busy = lambda: peer.answered < before + len(asked)
+
+
 @pytest.fixture
 def tracker(peer: EmsconPeer, time: WireTime) -> Iterator[Quick]:
     tracker = tracker_at(peer.server.port, time)
@@ -182,10 +197,11 @@ def test_a_late_result_of_another_point_is_refused(tracker: Quick, peer: EmsconP
 
 
 def test_no_result_is_no_reading_and_the_next_one_is_good(
-    tracker: Quick, peer: EmsconPeer, time: WireTime
+    monkeypatch: pytest.MonkeyPatch, tracker: Quick, peer: EmsconPeer, time: WireTime
 ) -> None:
+    punctual(monkeypatch, tracker, peer, time)
     good = peer.answers[49]
-    peer.answers[49] = lambda _: time.behind([reply(49)], 0.02)
+    peer.answers[49] = lambda _: time.behind([reply(49)], 0.1)
     peer.answers[52] = lambda _: time.behind([result(POINT + [2, 0, 0]), reply(52)], 0.0)
     assert measuring(tracker).code == "HC-T13"
     peer.answers[49] = good
