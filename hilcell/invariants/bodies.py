@@ -4,25 +4,9 @@ from __future__ import annotations
 
 import msgspec
 
-from hilcell.model.events import ReadingTime
+from hilcell.model.events import ReadingTime, Three
 from hilcell.model.point import Readings
-
-Three = tuple[float, float, float]
-
-
-class Seen(msgspec.Struct, frozen=True, kw_only=True):
-    """The reading that admits a motion: of the robot for the slide's, of the rail for the robot's.
-
-    Times in s of the PC's monotonic clock; ``age_s`` is that when the motion was journalled.
-    """
-
-    taken_s: float
-    age_s: float
-    still: bool
-    ended_s: float | None = None
-    powered: bool | None = None
-    strip_mm: float | None = None
-    joints_deg: tuple[float, ...] = ()
+from hilcell.model.records import SeenBefore
 
 
 class Motion(msgspec.Struct, frozen=True, kw_only=True):
@@ -30,7 +14,7 @@ class Motion(msgspec.Struct, frozen=True, kw_only=True):
 
     action: str
     session: int
-    seen: Seen
+    seen: SeenBefore
 
 
 class Begun(msgspec.Struct, frozen=True):

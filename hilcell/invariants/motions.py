@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 
-from hilcell.invariants.bodies import Begun, Motion, Seen
+from hilcell.invariants.bodies import Begun, Motion
 from hilcell.invariants.scene import Scene, of_rail
 from hilcell.invariants.tally import Tally
 from hilcell.journal.journal import Record
+from hilcell.model.records import SeenBefore
 from hilcell.typed import typed
 
 SAFE_POSE_DEG = 0.1
@@ -71,7 +72,7 @@ class Motions:
         self._check("I14", record, young, what)
 
 
-def _not_parked(seen: Seen, scene: Scene) -> str:
+def _not_parked(seen: SeenBefore, scene: Scene) -> str:
     """Return why a reading does not say that the robot rests at its safe pose; "" where it does."""
     safe_deg = scene.cell.robot.safe_deg
     pairs = zip(seen.joints_deg, safe_deg, strict=False)
@@ -81,7 +82,7 @@ def _not_parked(seen: Seen, scene: Scene) -> str:
     return _before_end(seen) if seen.still else "the robot was moving"
 
 
-def _not_held(seen: Seen, wanted_mm: float | None, limit_mm: float) -> str:
+def _not_held(seen: SeenBefore, wanted_mm: float | None, limit_mm: float) -> str:
     """Return why a reading does not say that the slide rests and is held; "" where it does."""
     if not seen.still:
         return "the slide was moving"
@@ -93,7 +94,7 @@ def _not_held(seen: Seen, wanted_mm: float | None, limit_mm: float) -> str:
     return _before_end(seen)
 
 
-def _before_end(seen: Seen) -> str:
+def _before_end(seen: SeenBefore) -> str:
     """Return that a reading was taken before the motion had ended; "" where it was not."""
     late = seen.ended_s is None or seen.taken_s >= seen.ended_s
     return "" if late else "the reading was taken before the motion had ended"

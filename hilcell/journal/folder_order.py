@@ -17,9 +17,10 @@ from typing import Protocol, TypeVar
 import msgspec
 
 from hilcell.journal.journal import Record
+from hilcell.model.events import SessionOrdered
+from hilcell.model.records import StateChanged
 from hilcell.typed import typed
 
-ORDER = "order"  # the key of a plan, and the event of a session that goes on
 CLOCK_STEP = timedelta(minutes=1)  # that a clock is set back by the network says nothing
 
 
@@ -75,11 +76,12 @@ class SessionReader:
     def take(self, record: Record) -> None:
         """Add one record; raises `msgspec.ValidationError`."""
         if record.kind == "plan":
-            self.order = self._taken = typed(record.body.get(ORDER, {}), FolderOrder)
-        elif record.kind == "event" and record.body["what"] == ORDER:
-            self._taken = typed(record.body, FolderOrder)
-        elif record.kind == "state" and record.body["to"] == "checking":
-            self.order, self.began = self._taken, f"{record.t[:23]}Z"
+            self.order = self._taken = typed(record.body.get("order", {}), FolderOrder)
+        match record.fact if record.kind in ("event", "state") else None:
+            case SessionOrdered(folder=folder, number=number, after=after):
+                self._taken = FolderOrder(folder, number, after)
+            case StateChanged(to="checking"):
+                self.order, self.began = self._taken, f"{record.t[:23]}Z"
 
 
 def in_order(rows: Iterable[R]) -> list[R]:

@@ -24,6 +24,7 @@ Json: TypeAlias = dict[str, Any]  # a plain object: an error's facts, a calibrat
 HELD_BY_SDO = "the drive sent no PDO at the end, SDO confirmed that the slide is held"
 LOSSY = 0.005  # share of the frames on the rail's wire
 NOT_KNOWN = "devices were not all connected, and how they stand is not known"
+SUBJECTS = ("key", "station", "run")  # fields that say what an event is about
 ORDINALS = {1: "1st", 2: "2nd", 3: "3rd"}
 URAD = 1e6
 
@@ -41,12 +42,14 @@ class Event(msgspec.Struct, frozen=True, kw_only=True, tag_field="what"):
     @property
     def subject(self) -> str:
         """Return the point (by its key), station or run that it is about; "" for none."""
-        return ""
+        return next(
+            (getattr(self, name) for name in SUBJECTS if name in self.__struct_fields__), ""
+        )
 
     @property
     def why(self) -> str:
         """Return its reason; "" for none."""
-        return ""
+        return str(getattr(self, "reason", ""))
 
     @property
     def text(self) -> str:
@@ -64,7 +67,7 @@ class OtherEvent(msgspec.Struct, frozen=True):
     @property
     def text(self) -> str:
         """Return it in words."""
-        subject = next((self.fields[k] for k in ("key", "station", "run") if k in self.fields), "")
+        subject = next((self.fields[name] for name in SUBJECTS if name in self.fields), "")
         words = " ".join(filter(None, (self.what, str(subject))))
         return words + after(str(self.fields.get("reason") or ""))
 
@@ -79,21 +82,11 @@ class OfPoint(Event, frozen=True, kw_only=True):
 
     key: str
 
-    @property
-    def subject(self) -> str:
-        """Return the point's key."""
-        return self.key
-
 
 class Reasoned(Event, frozen=True, kw_only=True):
     """An event with a reason."""
 
     reason: str
-
-    @property
-    def why(self) -> str:
-        """Return the reason."""
-        return self.reason
 
 
 # -- devices ---------------------------------------------------------------------------------------
@@ -347,11 +340,6 @@ class EarlierRunUnreadable(Reasoned, frozen=True, kw_only=True, tag="earlier run
 
     run: str
 
-    @property
-    def subject(self) -> str:
-        """Return the run."""
-        return self.run
-
 
 # -- stations, tracker and room --------------------------------------------------------------------
 
@@ -390,11 +378,6 @@ class StationFoundHeld(Event, frozen=True, kw_only=True, tag="station found held
 
     title: ClassVar[str] = "rail found held at"
     station: str
-
-    @property
-    def subject(self) -> str:
-        """Return the station."""
-        return self.station
 
 
 class SlideProven(OfPoint, frozen=True, kw_only=True, tag="slide proven"):
@@ -472,11 +455,6 @@ class NoReadingOf(OfPoint, frozen=True, kw_only=True, tag="no reading"):
     reason: str = ""
     error: Json = field(default_factory=dict)
 
-    @property
-    def why(self) -> str:
-        """Return the reason."""
-        return self.reason
-
 
 class RetakeAsked(OfPoint, frozen=True, kw_only=True, tag="retake asked"):
     """Somebody asks for a point to be re-measured, or the room did."""
@@ -489,11 +467,6 @@ class RetakeRefused(OfPoint, frozen=True, kw_only=True, tag="retake refused"):
 
     title: ClassVar[str] = "not re-measured:"
     reason: str
-
-    @property
-    def why(self) -> str:
-        """Return the reason."""
-        return self.reason
 
 
 class OutlierMeasuredAgain(OfPoint, frozen=True, kw_only=True, tag="outlier measured again"):
@@ -626,11 +599,6 @@ class StationDecided(Event, frozen=True, kw_only=True, tag="station decided"):
     mean_U_mm: float
     max_U_mm: float
 
-    @property
-    def subject(self) -> str:
-        """Return the station."""
-        return self.station
-
 
 class TargetsListed(Event, frozen=True, kw_only=True, tag="targets listed"):
     """The content of a file of targets: names and x, y, z (mm), A, B, C (deg) in {W}."""
@@ -646,11 +614,6 @@ class CalibrationUsed(Event, frozen=True, kw_only=True, tag="calibration used"):
     run: str = ""
     file: str = ""
     content: Json = field(default_factory=dict)
-
-    @property
-    def subject(self) -> str:
-        """Return the run."""
-        return self.run
 
 
 class CalibrationRevoked(Reasoned, frozen=True, kw_only=True, tag="calibration revoked"):

@@ -8,20 +8,24 @@ from operator import attrgetter
 from typing import NamedTuple
 
 from hilcell.journal.event_words import happened_words
-from hilcell.journal.folder_order import ORDER
 from hilcell.journal.journal import Record
 from hilcell.journal.key_words import in_words, key_words
 from hilcell.journal.log import Log
 from hilcell.journal.times import in_zone
 from hilcell.model.events import (
     ChangesAccepted,
+    Closed,
+    Connected,
     CurveMeasured,
     Event,
+    LinkCounted,
     OtherEvent,
     PosesChosen,
     SessionOrdered,
+    SlideProven,
     StepBegun,
     StreamRecorded,
+    TrackerProven,
     after,
 )
 from hilcell.model.point import BACK, CONTROL, Point
@@ -31,7 +35,9 @@ from hilcell.report.facts import Facts
 from hilcell.report.method import chosen_poses_words
 
 # Routine, or in a table of its own: counted, not listed.
-ROUTINE = ("connected", "closed", "tracker proven", "slide proven", "stream", "link", ORDER)
+ROUTINE = (
+    Connected, Closed, TrackerProven, SlideProven, StreamRecorded, LinkCounted, SessionOrdered,
+)  # fmt: skip
 BEFORE_IT_GOES_ON = (SessionOrdered, ChangesAccepted)  # of the next session, and written before it
 OPTIONAL = {"two-face", "two-face-closing"}  # steps that a plan may leave out
 MOVING = {"home"}  # steps that move at every start
@@ -213,7 +219,7 @@ def _words(facts: Facts, log: Log, fact: Fact) -> list[str]:
             if to in STATES:
                 return [f"{STATES[to]}{reason}."]
             return [f"Goes on{reason}."] if log.state not in ("idle", *AT_WORK) else []
-        case Event() | OtherEvent() as event if event.what not in ROUTINE:
+        case Event() | OtherEvent() as event if not isinstance(event, ROUTINE):
             return [_happened(facts, event)]
     return []
 

@@ -11,6 +11,7 @@ from hilcell.cell.file import Cell
 from hilcell.journal.run_journal import Records
 from hilcell.model.events import Event
 from hilcell.model.point import Point, PointId
+from hilcell.model.records import EVENTS
 from hilcell.ports import Array, Clock, NoReading
 from hilcell.run.prompts import Look, Prompt
 from hilcell.run.states import CALIBRATION, StateMachine
@@ -57,7 +58,13 @@ class RunContext:
         self._journal.append("event", "", event)
 
     def event(self, what: str, **facts: object) -> None:
-        """Journal an event of a kind that `hilcell.model.events` does not declare."""
+        """Journal an event of a kind of its own.
+
+        Raises `ValueError` for one that `hilcell.model.events` declares: its fields are not checked
+        here, and a journal with a wrong one could not be read again.
+        """
+        if what in EVENTS:
+            raise ValueError(f"expected an event of another kind than {what!r}; add its type")
         self._journal.append("event", "", {"what": what} | facts)
 
     def intend(self, key: str, action: str, **facts: object) -> None:

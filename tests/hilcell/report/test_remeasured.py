@@ -10,7 +10,6 @@ import pytest
 from hilcell.calibration.errors import validation
 from hilcell.calibration.orientation import validated_turns
 from hilcell.geometry.rotations import from_rotvec
-from hilcell.journal.folder_order import ORDER
 from hilcell.journal.ways_sent import Sent
 from hilcell.model.point import PointId
 from hilcell.report.course import course
@@ -210,10 +209,10 @@ def test_a_crash_stands_at_its_time_and_before_what_came_after(tmp_path: Path) -
     """The order to go on is written before the next session begins."""
     writer = Writer(tmp_path / "r").began()
     writer.validated("S1100", "before", AFTER_MM)
-    writer.journal.append("event", "", {"what": ORDER, "number": 14, "known": []})
+    writer.journal.append("event", "", {"what": "order", "number": 14, "known": []})
     writer.state("run", "checking")
     facts = read_facts(writer.left())
-    (order,) = (each for each in facts.records if each.body.get("what") == ORDER)
+    (order,) = (each for each in facts.records if each.body.get("what") == "order")
     (before,) = (each for each in facts.records if each.seq == order.seq - 1)
     late = [
         msgspec.structs.replace(each, t="2030-01-01T00:00:00.000+00:00")
