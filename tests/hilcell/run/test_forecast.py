@@ -16,6 +16,7 @@ from msgspec.structs import replace
 
 from benchmarks.forecast import worst_after
 from hilcell.journal.journal import Record
+from hilcell.model.events import StreamRecorded
 from hilcell.run.forecast import CLOSING_S, Forecast
 
 BEGAN = datetime(2026, 1, 1, tzinfo=UTC)
@@ -132,6 +133,21 @@ def test_each_kind_learns_its_own_pace() -> None:
     for _ in range(49):
         tape.point(0.030)
     assert tape.remaining_s == pytest.approx(50 * 0.030 + 100 * 0.010 + CLOSING_S)
+
+
+def test_a_sweep_that_was_recorded_is_one_of_its_step() -> None:
+    stream = StreamRecorded(
+        key="sweep/axis1/up", file="1.npy", sha256="", samples=9, joint_samples=9,
+        first_device_s=0.0, last_device_s=1.0, longest_gap_s=0.1, form=1,
+    )  # fmt: skip
+    tape = Tape()
+    tape.plan([step("sweeps", 5, 50.0, span("sweep", 5, 50.0))], None)
+    tape.start()
+    tape.step(1)
+    for _ in range(3):
+        tape.pass_s(2.0)
+        tape.write("event", **msgspec.to_builtins(stream))
+    assert tape.remaining_s == pytest.approx(2 * 2.0 + CLOSING_S)
 
 
 def test_spans_tell_unlike_points_of_one_step_apart() -> None:
