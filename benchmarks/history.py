@@ -36,7 +36,9 @@ def write_journal(path: Path, operator: str, *, faulted: bool) -> None:
         "operator": operator,
         "job": "J-17",
         "seed": 1,
+        "machine_seed": 1,
         "simulated": True,
+        "replayed": False,
     }
     errors = {"mean": 1.2, "p95": 1.9, "max": 2.2}
     result = {"validation": {"S1100": {"before": errors, "chosen": errors}}}
@@ -77,6 +79,8 @@ def timed(what: str, runs: Path, words: str = "") -> float:
     began, cpu_began = time.perf_counter(), time.process_time()
     rows = read_index(runs)
     found = sum(matches(row, words) for row in rows)
+    if unreadable := sum(row.state == "unreadable" for row in rows):
+        sys.exit(f"{unreadable} of {len(rows)} runs are unreadable: this measures nothing")
     taken_ms = (time.perf_counter() - began) * 1e3
     cpu_ms = (time.process_time() - cpu_began) * 1e3
     print(f"{what:34} {taken_ms:7.0f} ms ({cpu_ms:.0f} of a core)   {found} of {len(rows)} runs")
