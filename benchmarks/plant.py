@@ -28,6 +28,7 @@ from sqlalchemy import Connection, select, text
 from benchmarks.__main__ import HILCELL, command
 from benchmarks.words import parser
 from hilcell.journal.calibration_facts import CalibrationFacts
+from hilcell.model.outcome import Outcome
 from hilcell.journal.index import RunRow
 from hilcell.plant.cells import cells
 from hilcell.plant.database import Database
@@ -89,7 +90,7 @@ def fill(connection: Connection, runs: int) -> None:
     common = RunRow(
         name="@name@", begun="@t@", ended="@t@", state="finished", exit=0, cell="c", serial="s"
     )
-    made = CalibrationFacts(kind="made", validated=True, judged=True, verdict="in tolerance")
+    made = CalibrationFacts(kind="made", validated=True, judged=True, outcome=Outcome.ACCEPTED)
     rows = {
         "made": msgspec.json.encode(msgspec.structs.replace(common, facts=made)).decode(),
         "other": msgspec.json.encode(common).decode(),

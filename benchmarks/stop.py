@@ -32,9 +32,10 @@ from drivers.leica import emscon
 from hilcell.cell.devices import build_devices, start_simulation
 from hilcell.cell.file import Cell, Nest, load_cell
 from hilcell.journal.engine_file import EngineFile
-from hilcell.journal.log import Log, PlanRecord
+from hilcell.journal.log import Log
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import JOURNAL
+from hilcell.model.plan import PlanRecord
 from hilcell.model.point import PointId
 from hilcell.ports import SimulatedCell
 from hilcell.present.table import Table

@@ -17,6 +17,7 @@ from hilcell.calibration.since import risen_nest, since_before
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.circles import base_frame_covariance
 from hilcell.journal.log import Log
+from hilcell.model.frame import MeasuredBase
 from hilcell.model.point import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
@@ -74,24 +75,28 @@ class BaseFrame:
         T_W_B, axis_1, axis_6 = frame_of_sweeps(session.cell, session.log, *swept)
         session.frame(
             "base",
-            T_W_B,
-            points=[*swept[0], *swept[1]],
-            covariance=base_frame_covariance(axis_1, axis_6, axis_6_height_mm(session.cell)),
-            circle_rms_mm=[axis_1.rms_mm, axis_6.rms_mm],
-            radius_mm=[axis_1.radius_mm, axis_6.radius_mm],
+            MeasuredBase(
+                matrix=T_W_B.tolist(),
+                points=[point.key for point in (*swept[0], *swept[1])],
+                covariance=base_frame_covariance(
+                    axis_1, axis_6, axis_6_height_mm(session.cell)
+                ).tolist(),
+                circle_rms_mm=[axis_1.rms_mm, axis_6.rms_mm],
+                radius_mm=[axis_1.radius_mm, axis_6.radius_mm],
+            ),
         )
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the base in {W}, its uncertainty, and that of shorter arcs."""
-        frame = log.frames["base"]
-        u = np.sqrt(np.diag(np.array(frame["covariance"])))
+        frame = log.frame(MeasuredBase, "base")
+        u = np.sqrt(np.diag(frame.C))
         return {
             "base": {
-                "T_W_B": frame["matrix"],
+                "T_W_B": frame.matrix,
                 "origin_u_mm": u[:3].tolist(),
                 "angle_u_mrad": (u[3:] * 1e3).tolist(),
-                "circle_rms_mm": frame["circle_rms_mm"],
-                "radius_mm": frame["radius_mm"],
+                "circle_rms_mm": frame.circle_rms_mm,
+                "radius_mm": frame.radius_mm,
                 "arcs": [
                     {"axis": axis} | each for axis in (1, 6) for each in shorter_arcs(log, axis)
                 ],

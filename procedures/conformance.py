@@ -23,6 +23,7 @@ from hilcell.conformance.trial import Trial
 from hilcell.conformance.verdicts import PORTS, NeedsPerson, Port
 from hilcell.journal.log import Log
 from hilcell.model.events import Announced, PromiseJudged
+from hilcell.model.verdicts import DriverConforms
 from hilcell.ports import Array, HilcellError, RailReading, RobotReading, Stream, TrackerReading
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
@@ -211,7 +212,7 @@ class Conformance:
         if (key := f"{NAME} {port}") not in session.log.verdicts:
             broken = [e["promise"] for e in _found(session.log, port) if e["verdict"] == "broken"]
             driver = getattr(session.cell, port).driver
-            session.verdict(key, holds=not broken, driver=driver, broken=broken)
+            session.judge(key, DriverConforms(holds=not broken, driver=driver, broken=broken))
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return what each promise has found, by port."""

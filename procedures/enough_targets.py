@@ -7,22 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.calibration.decision import (
-    NO_GUARD,
-    Guard,
-    gravest,
-    guard_of,
-    limits_of,
-    limits_within,
-    outcome_of,
-)
+from hilcell.calibration.decision import NO_GUARD, Guard, guard_of, limits_of, limits_within
 from hilcell.calibration.errors import validation
 from hilcell.cell.file import Cell
-from hilcell.geometry.sequential import Decision, Outcome, SequentialRule
-from hilcell.journal.calibration_facts import OUTCOMES
+from hilcell.geometry.sequential import Decision, SequentialRule
 from hilcell.journal.log import Log
 from hilcell.journal.ways_sent import Sent
 from hilcell.model.events import StationDecided
+from hilcell.model.outcome import Outcome, gravest, outcome_of
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
 
@@ -54,7 +46,7 @@ def least_targets(cell: Cell) -> int:
     has fewer.
     """
     decision = rule_of(cell).decide(np.zeros(cell.plan.most_targets))
-    if decision.outcome != "accepted":
+    if decision.outcome is not Outcome.ACCEPTED:
         raise HilcellError(
             f"plan.most_targets {cell.plan.most_targets}: not enough to accept a station at "
             f"accept_risk {cell.plan.accept_risk:g} and share_above_max "
@@ -109,7 +101,7 @@ def rounds(log: Log, station: str, how: str) -> Iterator[range]:
     """
     yield range(BLOCK)
     for end in range(2 * BLOCK, log.cell.plan.most_targets + 1, BLOCK):
-        if how != Sent.CHOSEN or decision_at(log, station).outcome != "undecided":
+        if how != Sent.CHOSEN or decision_at(log, station).outcome is not Outcome.UNDECIDED:
             return
         yield range(end - BLOCK, end)
 
@@ -125,19 +117,24 @@ def judgement(log: Log, stations: list[str]) -> dict[str, Any]:
     chosen, limits = validation(log, stations)[Sent.CHOSEN], limits_of(log.cell)
     guard, figures = guard_of(log, len(chosen)), chosen.figures
     by_station: list[Outcome] = [
-        "accepted" if each.outcome == "accepted" else "undecided" for each in decisions
+        Outcome.ACCEPTED if each.outcome is Outcome.ACCEPTED else Outcome.UNDECIDED
+        for each in decisions
     ]
     outcome = gravest([
         *by_station,
         outcome_of(figures.mean, limits.mean_mm, guard.mean_mm),
         outcome_of(figures.max, limits.max_mm, guard.max_mm),
     ])  # fmt: skip
-    enough = all(each.outcome == "rejected" for each in decisions if each.outcome != "accepted")
+    enough = all(
+        each.outcome is Outcome.REJECTED
+        for each in decisions
+        if each.outcome is not Outcome.ACCEPTED
+    )
     text = meaning(log.cell, outcome, guard, enough=enough)
     return {
         "outcome": outcome,
         "targets": counts,
-        "text": f"{OUTCOMES[outcome]} after {' + '.join(map(str, counts))} targets: {text}",
+        "text": f"{outcome.words} after {' + '.join(map(str, counts))} targets: {text}",
         "accept_risk": log.cell.plan.accept_risk,
         "reject_risk": log.cell.plan.reject_risk,
         "share_above_max": log.cell.plan.share_above_max,
@@ -151,13 +148,13 @@ def meaning(cell: Cell, outcome: Outcome, guard: Guard, *, enough: bool) -> str:
     """
     plan, limits = cell.plan, limits_of(cell)
     within = limits_within(limits, guard)
-    if outcome == "accepted":
+    if outcome is Outcome.ACCEPTED:
         return (
             f"it is shown, at a risk of {plan.accept_risk:.1%} each, that the mean is below "
             f"{within.mean_mm:.3f} mm, and that less than {plan.share_above_max:.1%} of the volume "
             f"is above {within.max_mm:.3f} mm (the tolerances less U)"
         )
-    if outcome == "rejected":
+    if outcome is Outcome.REJECTED:
         return "the mean or the largest error less its U is above its tolerance"
     if not enough:
         return (

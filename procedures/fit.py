@@ -12,6 +12,7 @@ from hilcell.compensation.choice import MODELS, chosen
 from hilcell.compensation.kinematic import curves_used
 from hilcell.compensation.measured import Measured
 from hilcell.journal.log import Log
+from hilcell.model.verdicts import Fitted
 from hilcell.ports import HilcellError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
@@ -41,30 +42,37 @@ class Fit:
     def perform(self, session: CellSession) -> None:
         """Journal the choice, on the points as they are wanted."""
         session.retake_waiting()
-        if "fit" not in session.log.verdicts:
-            figures = self.result(session.log)
-            session.verdict("fit", holds=True, method=figures["method"], **figures["fit"])
+        if session.log.verdict(Fitted) is None:
+            session.judge("fit", fitted(session.log))
         session.reach("fit")
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the method, its cross-validation and the reasons."""
-        measured = measured_of(log)
-        choice = chosen(measured, turned=log.cell.plan.turns)
-        fit = {
-            "loocv": {name: each._asdict() for name, each in choice.figures.items()},
-            "reason": choice.reason,
-            "refused": choice.refused,
-            "curves": msgspec.to_builtins(curves_used(measured)),
-            "outliers": outlying_vertices(log),
-        }
-        if log.cell.robot.more_smr_mm:
-            fit["orientation"] = _orientation(log.cell, choice.model, measured)
-        return {"method": choice.model, "fit": fit}
+        fit = msgspec.to_builtins(fitted(log))
+        del fit["holds"]
+        return {"method": fit.pop("method"), "fit": fit}
+
+
+def fitted(log: Log) -> Fitted:
+    """Return the choice of the error model, by what was measured."""
+    measured = measured_of(log)
+    choice = chosen(measured, turned=log.cell.plan.turns)
+    turned = log.cell.robot.more_smr_mm
+    return Fitted(
+        holds=True,
+        method=choice.model,
+        loocv={name: each._asdict() for name, each in choice.figures.items()},
+        reason=choice.reason,
+        refused=choice.refused,
+        curves=curves_used(measured),
+        outliers=outlying_vertices(log),
+        orientation=_orientation(log.cell, choice.model, measured) if turned else "",
+    )
 
 
 def orients(log: Log) -> bool:
     """Whether the chosen correction turns the tool as well."""
-    return _orients(log.cell, str(log.verdicts["fit"]["method"]), measured_of(log))
+    return _orients(log.cell, log.method, measured_of(log))
 
 
 def _orients(cell: Cell, name: str, measured: Measured) -> bool:

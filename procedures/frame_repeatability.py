@@ -17,6 +17,7 @@ from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import f_quantile, lengths_mm, rms
 from hilcell.journal.log import Log, positions_mm
+from hilcell.model.frame import Frame
 from hilcell.model.point import PointId
 from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
@@ -79,7 +80,8 @@ class FrameRepeatability:
         session.close_step()
         circles = [session.log.select("frames", station.name, axis=axis) for axis in (1, 6)]
         T_W_B = frame_of_sweeps(session.cell, session.log, *circles)[0]
-        session.frame(f"base.{station.name}", T_W_B, points=[*circles[0], *circles[1]])
+        keys = [point.key for point in (*circles[0], *circles[1])]
+        session.frame(f"base.{station.name}", Frame(matrix=T_W_B.tolist(), points=keys))
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the distances per station and point, and the ratio with its interval."""

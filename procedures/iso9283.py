@@ -16,8 +16,6 @@ import numpy as np
 from hilcell.calibration.in_use import calibration_in, calibration_named
 from hilcell.calibration.iso9283 import (
     CYCLE,
-    ISO,
-    RP_ANGLES,
     Pose,
     PoseTest,
     commanded_mm,
@@ -29,6 +27,7 @@ from hilcell.compensation.correction import corrected_poses
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
 from hilcell.model.point import PointId
+from hilcell.model.verdicts import ISO, RP_ANGLES
 from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
@@ -115,8 +114,8 @@ class PoseCycle:
                 seats=True, straight=straight,
             )  # fmt: skip
         session.close_step(carried=True)
-        if judged := evaluated(session.log).judgement():
-            session.verdict(ISO, **judged)
+        if (judged := evaluated(session.log).judgement()) is not None:
+            session.judge(ISO, judged)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the characteristics of every pose and of the distance."""

@@ -132,9 +132,7 @@ def transfer(log: Log, result: Result) -> tuple[float, float]:
     At the station where the 3-D difference is the largest for its u (1 sigma, root of the trace).
     """
     frames, centre_mm = Frames(log.cell, log), log.cell.grid.centre.matrix()[:3, 3]
-    reference_mm2 = _point_variance_mm2(
-        log.matrix("base"), np.array(log.frames["base"]["covariance"]), centre_mm
-    )
+    reference_mm2 = _point_variance_mm2(log.matrix("base"), log.frames["base"].C, centre_mm)
     found = []
     for station in other_stations(log.cell):
         by_bases, by_slide = log.matrix(f"base.{station.name}"), frames.base_in_world(station)

@@ -13,6 +13,7 @@ from hilcell.geometry.rotations import to_rotvec
 from hilcell.geometry.statistics import slope, variance_of_mean
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.point import PointId
+from hilcell.model.verdicts import Backlash
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
@@ -55,7 +56,7 @@ class RailSurvey:
         found = survey_figures(session.log)["backlash_mm"]
         found_mm, limit_mm = abs(found["value"]), session.cell.rail.max_backlash_mm
         holds = found_mm - COVERAGE * found["u"] <= limit_mm
-        session.verdict("backlash", holds=holds, found_mm=found_mm, limit_mm=limit_mm)
+        session.judge("backlash", Backlash(holds=holds, found_mm=found_mm, limit_mm=limit_mm))
 
     def _stop(self, session: CellSession, way: str, number: int, position_mm: float) -> None:
         names = (FLANGE, *(nest.name for nest in session.cell.layout.slide))

@@ -28,7 +28,9 @@ from hilcell.geometry.closed_form import ReachError
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
 from hilcell.model.events import CalibrationUsed, OutlierMeasuredAgain
+from hilcell.model.frame import Frame
 from hilcell.model.point import PointId
+from hilcell.model.verdicts import Rechecked
 from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
@@ -86,13 +88,15 @@ class Recheck:
             session.flange_point(ids[n], station, again[0], nominal_mm=again[1], retake=True)
         session.close_step(carried=True)
         result = recheck_result(session.log)
-        session.verdict(
+        session.judge(
             "recheck",
-            holds=result.verdict == "valid",
-            verdict=result.verdict,
-            drift_mm=result.drift_mm,
-            drift_u_mm=result.drift_u_mm,
-            doubt=result.doubt,
+            Rechecked(
+                holds=result.verdict == "valid",
+                verdict=result.verdict,
+                drift_mm=result.drift_mm,
+                drift_u_mm=result.drift_u_mm,
+                doubt=result.doubt,
+            ),
         )
 
     def result(self, log: Log) -> dict[str, Any]:
@@ -109,7 +113,8 @@ def use(session: CellSession, table: str) -> Calibration:
         session.add(CalibrationUsed(**record_of(calibration, path)))
     if "base" not in session.log.frames:
         entry = calibration.stations[session.cell.grid.station]
-        session.frame("base", np.array(entry.T_W_B), calibration=calibration.provenance.latest)
+        run = calibration.provenance.latest
+        session.frame("base", Frame(matrix=entry.T_W_B, calibration=run))
     return calibration
 
 

@@ -11,6 +11,7 @@ from hilcell.calibration.instrument import compared_reflectors
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
 from hilcell.model.point import REFLECTOR, PointId
+from hilcell.model.verdicts import ReflectorsCompared
 from hilcell.ports import HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
@@ -53,8 +54,8 @@ class Reflectors:
         if VERDICT not in session.log.verdicts:
             found = compared_reflectors(session.log)
             wrong = [each.text for each in found if not each.holds]
-            facts = {"reflectors": msgspec.to_builtins(found), "wrong": wrong}
-            session.verdict("reflectors", holds=not wrong, **facts)
+            judged = ReflectorsCompared(holds=not wrong, reflectors=found, wrong=wrong)
+            session.judge(VERDICT, judged)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return each reflector against the others."""

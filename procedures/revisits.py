@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from hilcell.calibration.causes import suspected_in
 from hilcell.calibration.diagnosis import (
     CLOSING,
     REVISIT,
@@ -24,12 +23,14 @@ from hilcell.calibration.diagnosis import (
     suspicions_of,
 )
 from hilcell.calibration.frames import grid_of, vertex_ids
-from hilcell.calibration.lost_motion import REVERSAL, Reversal, reversal
+from hilcell.calibration.lost_motion import REVERSAL, reversal
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
 from hilcell.model.events import VisitedOnceMore
 from hilcell.model.point import PointId
+from hilcell.model.suspicion import suspected_in
+from hilcell.model.verdicts import Revisited
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
@@ -98,21 +99,22 @@ class Revisits:
         turned = reversal(session.log) if self._kind == REVISIT else None
         found = revisits(session.log, self._kind)
         if turned is not None:
-            session.verdict("reversal", holds=turned.holds, **_figures(turned))
+            session.judge("reversal", turned.verdict)
         suspicion = established(session.log, self._kind) or found.suspicion
         holds = found.holds and suspicion is None
-        facts = {
-            "ratio": found.ratio,
-            "limit": found.limit,
-            "suspicion": None if suspicion is None else suspicion.facts,
-            "suspected": [] if suspicion is None else [suspicion.text],
-        }
+        session.judge(
+            self._verdict,
+            Revisited(
+                holds=holds,
+                ratio=found.ratio,
+                limit=found.limit,
+                suspicion=suspicion,
+                suspected=[] if suspicion is None else [suspicion.text],
+            ),
+        )
         if self._kind == CLOSING:
-            session.verdict("revisits.closing", holds=holds, **facts)
             judge_suspicions(session)
-            return
-        session.verdict("revisits", holds=holds, **facts)
-        if found.suspicion is not None:
+        elif found.suspicion is not None:
             session.pause(f"re-visited poses have moved: {found.suspicion.text}")
 
     def result(self, log: Log) -> dict[str, Any]:
@@ -120,7 +122,11 @@ class Revisits:
         if self._kind == CLOSING:
             return {"suspicions": [msgspec.to_builtins(each) for each in suspicions_of(log)]}
         turned = reversal(log)
-        return {} if turned is None else {"reversal": _figures(turned)}
+        if turned is None:
+            return {}
+        figures = msgspec.to_builtins(turned.verdict)
+        del figures["holds"]
+        return {"reversal": figures}
 
 
 def _waits(log: Log, id: PointId) -> bool:
@@ -163,17 +169,6 @@ def _on_circles(cell: Cell) -> list[Visit]:
     ends = [(1, 0)] if cell.plan.quick else [(1, 0), (1, last), (6, 0), (6, last)]
     sweeps = {axis: sweep(cell, axis) for axis, _ in ends}
     return [Visit(PointId(REVISIT, axis=axis, number=n), sweeps[axis][n]) for axis, n in ends]
-
-
-def _figures(found: Reversal) -> dict[str, Any]:
-    return {
-        "mean_mm": float(np.mean(found.off_mm)),
-        "max_mm": max(found.off_mm),
-        "points": len(found.off_mm),
-        "lost_urad": found.lost_urad,
-        "U_urad": found.U_urad,
-        "limit_urad": found.limit_urad,
-    }
 
 
 def suspicion_words(result: dict[str, Any]) -> str:

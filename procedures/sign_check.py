@@ -25,6 +25,7 @@ from hilcell.journal.log import Log
 from hilcell.journal.reading_noise import noise_at, run_noise
 from hilcell.journal.ways_sent import Sent
 from hilcell.model.point import PointId
+from hilcell.model.verdicts import SignChecked
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
@@ -71,11 +72,12 @@ class SignCheck:
         session.close_step()
         figures = self.result(session.log)["sign"]
         limit = clearly(session.log, figures["before_mm"])
-        session.verdict("sign", holds=figures["ratio"] < limit, limit=limit, **figures)
+        holds = figures["ratio"] < limit
+        session.judge("sign", SignChecked(holds=holds, limit=limit, **figures))
 
     def command(self, log: Log, target_mm: Array) -> Array:
         """Return the command (1, 3) in {B} for the target (1, 3), as `compensate` does."""
-        model = MODELS[str(log.verdicts["fit"]["method"])].learn(measured_of(log))
+        model = MODELS[log.method].learn(measured_of(log))
         return corrected(grid_of(log.cell), poses_at(log.cell, target_mm), model)
 
     def result(self, log: Log) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.statistics import from_mean_mm, repeatability_mm
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.point import PointId
+from hilcell.model.verdicts import StripRepeats
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
@@ -81,12 +82,10 @@ class StationRepeatability:
                     self._visit(session, how, way, number, side)
         session.close_step()
         result = self.result(session.log)["station_repeatability"]
-        session.verdict(
-            "station-repeatability",
-            holds=result["strip"]["range_mm"] <= STRIP_LIMIT_MM,
-            found_mm=result["strip"]["range_mm"],
-            limit_mm=STRIP_LIMIT_MM,
-        )
+        found_mm, limit_mm = result["strip"]["range_mm"], STRIP_LIMIT_MM
+        holds = found_mm <= limit_mm
+        judged = StripRepeats(holds=holds, found_mm=found_mm, limit_mm=limit_mm)
+        session.judge("station-repeatability", judged)
 
     def _visit(self, session: CellSession, how: str, way: str, number: int, side: int) -> None:
         id = PointId("repeat", how=how, way=way, number=number, side=side)

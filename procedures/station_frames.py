@@ -26,6 +26,7 @@ from hilcell.geometry.rigidity import SIGMAS, Moved, moved_points
 from hilcell.geometry.statistics import coverage_factor
 from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.reading_noise import noise_at, run_noise
+from hilcell.model.frame import Frame, MeasuredStation
 from hilcell.model.point import Point, PointId
 from hilcell.ports import Array, DeviceError
 from hilcell.run.cell_session import CellSession
@@ -83,10 +84,21 @@ class StationFrames:
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return frame, strip reading and predicted tool-point uncertainty per station."""
+        frames = {
+            station.name: log.frame(MeasuredStation, f"station.{station.name}")
+            for station in log.cell.station
+        }
         return {
             "stations": {
-                station.name: _figures(log.frames[f"station.{station.name}"])
-                for station in log.cell.station
+                name: {
+                    "strip_mm": frame.strip_mm,
+                    "T_W_S": frame.matrix,
+                    "rms_mm": frame.rms_mm,
+                    "tool_uncertainty_mm": frame.tool_uncertainty_mm,
+                    "cube_uncertainty_mm": frame.cube_uncertainty_mm,
+                    "left_out": frame.left_out,
+                }
+                for name, frame in frames.items()
             }
         }
 
@@ -123,55 +135,52 @@ def frame_station(session: CellSession, station: Station) -> None:
     session.close_step(carried=True)
     if three:
         three_mm = apply(session.log.matrix("world"), positions_mm(three))
-        session.frame(f"{THREE}.{station.name}", three_point_frame(*three_mm), points=three)
+        T, keys = three_point_frame(*three_mm), [point.key for point in three]
+        session.frame(f"{THREE}.{station.name}", Frame(matrix=T.tolist(), points=keys))
     moved = moved_nests(session.log, station, reference)
     left_out = check_nests(cell, station, moved)
     fit = station_fit(session.log, station, reference)
     cube_mm = check_accepted(cell, station, fit)
+    points = session.log.select("slide", station.name)
+    if (strip_mm := points[-1].strip_mm) is None:
+        raise LookupError(f"{points[-1].key} has no reading of the strip")
     session.frame(
         f"station.{station.name}",
-        fit.T,
-        points=session.log.select("slide", station.name),
-        covariance=fit.covariance,
-        rms_mm=fit.rms_mm,
-        strip_mm=session.log.select("slide", station.name)[-1].strip_mm,
-        tool_uncertainty_mm=tool_uncertainty_mm(cell, fit),
-        cube_uncertainty_mm=cube_mm,
-        left_out=left_out,
+        MeasuredStation(
+            matrix=fit.T.tolist(),
+            points=[point.key for point in points],
+            covariance=fit.covariance.tolist(),
+            rms_mm=fit.rms_mm,
+            strip_mm=strip_mm,
+            tool_uncertainty_mm=tool_uncertainty_mm(cell, fit),
+            cube_uncertainty_mm=cube_mm,
+            left_out=left_out,
+        ),
     )
 
 
 def _frame_fixed(session: CellSession, station: Station) -> None:
     """Journal {B} as {S}, by either way: on the floor no nest carries it anywhere."""
-    base = session.log.matrix("base")
-    points = [session.log.points[key] for key in session.log.frames["base"].get("points", [])]
-    session.frame(f"{THREE}.{station.name}", base, points=points)
+    base = session.log.frames["base"]
+    three = Frame(matrix=base.matrix, points=base.points)
+    session.frame(f"{THREE}.{station.name}", three)
     session.frame(
         f"station.{station.name}",
-        base,
-        points=points,
-        covariance=np.zeros((6, 6)),
-        rms_mm=0.0,
-        strip_mm=station.strip_mm,
-        tool_uncertainty_mm=0.0,
-        cube_uncertainty_mm=0.0,
+        MeasuredStation(
+            matrix=base.matrix,
+            points=base.points,
+            covariance=np.zeros((6, 6)).tolist(),
+            rms_mm=0.0,
+            strip_mm=station.strip_mm,
+            tool_uncertainty_mm=0.0,
+            cube_uncertainty_mm=0.0,
+        ),
     )
 
 
 def _three_points(session: CellSession, station: Station) -> list[Point]:
     """Measure the points of the paper's own frame."""
     return [three_point(session, station, nest) for nest in session.cell.layout.slide[:FEW]]
-
-
-def _figures(frame: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "strip_mm": frame["strip_mm"],
-        "T_W_S": frame["matrix"],
-        "rms_mm": frame["rms_mm"],
-        "tool_uncertainty_mm": frame["tool_uncertainty_mm"],
-        "cube_uncertainty_mm": frame["cube_uncertainty_mm"],
-        "left_out": frame.get("left_out", []),
-    }
 
 
 def three_point(session: CellSession, station: Station, nest: Nest) -> Point:

@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from hilcell.calibration.file import compensate_targets
 from hilcell.calibration.form import Calibration
@@ -78,9 +79,9 @@ class TargetPass:
             session.flange_point(id, station_of(cell), joints, nominal_mm=nominal_mm)
         self._measure_again(session, names, joints_rad, values)
         session.close_step(carried=True)
-        found = msgspec.to_builtins(judged_pass(session.log))
-        holds = found.pop("holds") and moved_together(session.log) is None
-        session.verdict("targets", holds=holds, **found)
+        found = judged_pass(session.log)
+        holds = found.holds and moved_together(session.log) is None
+        session.judge("targets", replace(found, holds=holds))
 
     def _measure_again(
         self, session: CellSession, names: list[str], joints_rad: Array, values: Array

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.calibration.causes import Suspicion
 from hilcell.calibration.frames import grid_of
 from hilcell.calibration.in_use import calibration_in
 from hilcell.calibration.touch import (
@@ -28,7 +27,9 @@ from hilcell.geometry.frame_update import FrameUpdate
 from hilcell.geometry.frames import apply, cross_matrix
 from hilcell.geometry.rotations import to_rotvec
 from hilcell.journal.log import Log
-from hilcell.ports import Array, DeviceError
+from hilcell.model.frame import TouchedBase
+from hilcell.model.suspicion import Suspicion
+from hilcell.ports import DeviceError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Span
 from procedures.durations import flange_points
@@ -79,18 +80,30 @@ def _touch(session: CellSession, station: Station, model: ErrorModel) -> None:
     check_agreement(
         station, found, most_pull, lambda: suspected(log, station, points, covariance_mm2)
     )
+    centre_mm = cell.grid.centre.matrix()[None, :3, 3]
+    shift_mm = (apply(found.T, centre_mm) - apply(T_W_B, centre_mm))[0]
+    J = np.hstack([np.eye(3), -cross_matrix(T_W_B[:3, :3] @ centre_mm[0])])
+    before = visit_covariance(log, station, points)[:6, :6]
+    u_mm = [float(np.sqrt(np.trace(J @ each @ J.T))) for each in (before, found.covariance)]
     session.frame(
         f"touch.{station.name}",
-        found.T,
-        points=points,
-        visit=visit,
-        covariance=found.covariance,
-        growth=found.growth,
-        poses=len(points),
-        left_out=[points[n].key for n in found.left_out],
-        pull=found.pull,
-        misfit=found.misfit,
-        **_found(cell, T_W_B, visit_covariance(log, station, points), found),
+        TouchedBase(
+            matrix=found.T.tolist(),
+            points=[point.key for point in points],
+            covariance=found.covariance.tolist(),
+            visit=visit,
+            growth=found.growth,
+            poses=len(points),
+            left_out=[points[n].key for n in found.left_out],
+            pull=found.pull,
+            misfit=found.misfit,
+            shift_mm=tuple(shift_mm.tolist()),
+            along_rail_mm=float(shift_mm @ cell.layout.rail_direction),
+            turn_urad=tuple((1e6 * to_rotvec(found.T[:3, :3] @ T_W_B[:3, :3].T)).tolist()),
+            growth_um_m=1e6 * found.growth,
+            u_before_mm=u_mm[0],
+            u_after_mm=u_mm[1],
+        ),
     )
 
 
@@ -121,25 +134,6 @@ def check_agreement(
     )
 
 
-def _found(cell: Cell, before: Array, covariance: Array, found: FrameUpdate) -> dict[str, Any]:
-    """Return how far the base was moved, at the cube's centre, and its uncertainty there."""
-    centre_mm = cell.grid.centre.matrix()[None, :3, 3]
-    shift_mm = (apply(found.T, centre_mm) - apply(before, centre_mm))[0]
-    turn_rad = to_rotvec(found.T[:3, :3] @ before[:3, :3].T)
-    J = np.hstack([np.eye(3), -cross_matrix(before[:3, :3] @ centre_mm[0])])
-    u_mm = [
-        float(np.sqrt(np.trace(J @ each @ J.T))) for each in (covariance[:6, :6], found.covariance)
-    ]
-    return {
-        "shift_mm": shift_mm,
-        "along_rail_mm": float(shift_mm @ cell.layout.rail_direction),
-        "turn_urad": 1e6 * turn_rad,
-        "growth_um_m": 1e6 * found.growth,
-        "u_before_mm": u_mm[0],
-        "u_after_mm": u_mm[1],
-    }
-
-
 def touch_result(log: Log) -> dict[str, Any]:
     """Return what the touch poses found at each station, where they were used."""
     keys = (
@@ -151,5 +145,5 @@ def touch_result(log: Log) -> dict[str, Any]:
         for station in log.cell.station
         if f"touch.{station.name}" in log.frames
     }
-    found = {name: {key: frame.get(key) for key in keys} for name, frame in frames.items()}
+    found = {name: {key: getattr(each, key) for key in keys} for name, each in frames.items()}
     return {"touch": found} if found else {}

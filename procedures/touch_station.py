@@ -17,6 +17,8 @@ from hilcell.calibration.in_use import NoCalibration, calibration_named
 from hilcell.calibration.visit import used
 from hilcell.cell.file import Cell, Station
 from hilcell.journal.log import Log
+from hilcell.model.frame import Frame
+from hilcell.model.verdicts import Touched
 from hilcell.ports import HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
@@ -59,12 +61,13 @@ class TouchStation:
         for each in (reference, station):
             key, entry = f"station.{each.name}", _entry(calibration, each)
             if key not in session.log.frames:
-                T_W_S, covariance = np.array(entry.T_W_S), np.array(entry.covariance)
-                session.frame(key, T_W_S, covariance=covariance)
+                run = calibration.provenance.latest
+                taken = Frame(matrix=entry.T_W_S, covariance=entry.covariance, calibration=run)
+                session.frame(key, taken)
         touch_once(session, station, calibration.error_model())
         session.close_step(carried=True)
         if "touch" not in session.log.verdicts:
-            session.verdict("touch", holds=True, station=station.name)
+            session.judge("touch", Touched(holds=True, station=station.name))
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return what the touch poses found, where, and with which calibration."""

@@ -12,6 +12,7 @@ from hilcell.cell.file import Cell
 from hilcell.cell.layout import Nest
 from hilcell.journal.log import Log
 from hilcell.model.point import BACK, PointId
+from hilcell.model.verdicts import FacesCompared
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Span, Step
 from procedures.durations import measure_s, step
@@ -52,11 +53,8 @@ class TwoFaces:
         if found is None:  # the tracker was moved meanwhile: no front of this set-up
             return
         wrong = [] if found.holds else [found.text]
-        facts = {"nests": msgspec.to_builtins(found.nests), "words": found.text, "wrong": wrong}
-        if self._number:
-            session.verdict("two-face.closing", holds=found.holds, **facts)
-        else:
-            session.verdict("two-face", holds=found.holds, **facts)
+        judged = FacesCompared(holds=found.holds, nests=found.nests, found=found.text, wrong=wrong)
+        session.judge(self._verdict, judged)
         if wrong:
             session.pause(f"the tracker's axes are off: {found.text}")
 

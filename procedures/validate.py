@@ -7,11 +7,9 @@ from dataclasses import replace
 from itertools import product
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from hilcell.calibration.bounds import coverages
-from hilcell.calibration.causes import Cause
 from hilcell.calibration.decision import check_limits, class_warning, guard_of, judged, limits_of
 from hilcell.calibration.diagnosis import suspicions_of
 from hilcell.calibration.errors import validation
@@ -36,7 +34,10 @@ from hilcell.compensation.model import ErrorModel
 from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.journal.log import Log
 from hilcell.journal.ways_sent import BOTH, Sent
+from hilcell.model.outcome import Outcome
 from hilcell.model.point import PointId
+from hilcell.model.suspicion import Cause
+from hilcell.model.verdicts import VALIDATION, ChangedSince, Oriented, Suspected
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Step
@@ -100,7 +101,7 @@ class Validate:
         """Validate at the grid's station, then at the others with transferred data."""
         measured = measured_of(session.log)
         paper = Idw.learn(measured)
-        chosen = MODELS[str(session.log.verdicts["fit"]["method"])].learn(measured)
+        chosen = MODELS[session.log.method].learn(measured)
         models = {Sent.IDW: paper, Sent.CHOSEN: chosen}
         for name, poses in target_poses(session.cell, session.seed).items():
             station = session.cell.station_named(name)
@@ -158,11 +159,10 @@ class Validate:
                 limits,
                 guard_of(session.log, figures["points"]),
                 turn=largest_turn(session.log, turned),
-                also=shown.get("outcome", "accepted"),
+                also=shown.get("outcome", Outcome.ACCEPTED),
                 words=shown.get("text", ""),
             )
-            facts = msgspec.to_builtins(found)
-            session.verdict(f"validation.{where}", holds=facts.pop("holds"), **facts)
+            session.judge(f"{VALIDATION}{where}", found)
         self._judge_orientation(session)
 
     def _judge_orientation(self, session: CellSession) -> None:
@@ -172,10 +172,11 @@ class Validate:
         if set(BOTH) <= turns.keys() and orients(session.log):
             before, chosen = (turns[how].figures["mean_deg"] for how in BOTH)
             moved_mm = moved_on_flange_mm(session.log)
-            session.verdict(
-                "orientation", holds=chosen < before and moved_mm <= MOVED_MM,
-                before_mean_deg=before, mean_deg=chosen, reflectors_moved_mm=moved_mm,
-            )  # fmt: skip
+            holds = chosen < before and moved_mm <= MOVED_MM
+            found = Oriented(
+                holds=holds, before_mean_deg=before, mean_deg=chosen, reflectors_moved_mm=moved_mm
+            )
+            session.judge("orientation", found)
 
     def result(self, log: Log) -> dict[str, Any]:
         """Return the errors at the grid's station and at the others together, and their bounds."""
@@ -208,18 +209,18 @@ def judge_suspicions(session: CellSession) -> None:
     """
     found, before = suspicions_of(session.log), session.log.inputs.floor_before
     suspected = [each.text for each in found if each.cause is not Cause.CHANGED_SINCE]
-    session.verdict("suspicions", holds=not suspected, suspected=suspected)
+    session.judge("suspicions", Suspected(holds=not suspected, suspected=suspected))
     risen = any(each.cause is Cause.NEST_MOVED for each in found)
     changes = compared(session.log, with_base=not risen)
     if before is not None and changes:
-        session.verdict(
-            "since",
+        changed = ChangedSince(
             holds=all(each.holds for each in changes),
             before=before.run,
             suspected=[each.text for each in found if each.cause is Cause.CHANGED_SINCE],
-            beyond=[msgspec.to_builtins(each) for each in changes if not each.holds],
+            beyond=[each for each in changes if not each.holds],
             compared=len(changes),
         )
+        session.judge("since", changed)
 
 
 def _places(cell: Cell) -> dict[str, list[str]]:

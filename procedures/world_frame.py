@@ -8,14 +8,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from hilcell.calibration.instrument import KNOWN_LENGTH, LengthFound, known_lengths
+from hilcell.calibration.instrument import known_lengths
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
 from hilcell.journal.set_ups import world_key
 from hilcell.model.point import LENGTH, PointId
+from hilcell.model.verdicts import LengthsChecked
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Span, Step
-from hilcell.typed import typed
 from procedures.durations import closing, floor_points, readings, step
 from procedures.plan import check_range
 
@@ -29,24 +29,24 @@ def length_spans(cell: Cell) -> list[Span]:
 def check_lengths(session: CellSession) -> None:
     """Measure and judge the certified lengths, once; a wrong one pauses an attended run."""
     layout = session.cell.layout
-    if not layout.length or KNOWN_LENGTH in session.log.verdicts:
+    if not layout.length or session.log.verdict(LengthsChecked) is not None:
         return
     for nest in layout.bar:
         session.floor_point(PointId(LENGTH, nest=nest.name), nest)
     found = known_lengths(session.cell, session.log)
     wrong = [each.text for each in found if not each.holds]
-    session.verdict(
-        "known-length", holds=not wrong, lengths=msgspec.to_builtins(found), wrong=wrong
-    )
+    session.judge("known-length", LengthsChecked(holds=not wrong, lengths=found, wrong=wrong))
     if wrong:
         session.pause(f"the tracker's scale is not the certificate's: {'; '.join(wrong)}")
 
 
 def length_result(log: Log) -> dict[str, Any]:
     """Return the certified lengths as found, where there are any."""
-    rows = log.verdicts.get(KNOWN_LENGTH, {}).get("lengths", [])
-    found = [(row, typed(row, LengthFound)) for row in rows]
-    lengths = [row | {"off_ppm": each.off_ppm, "holds": each.holds} for row, each in found]
+    checked = log.verdict(LengthsChecked)
+    lengths = [
+        msgspec.to_builtins(each) | {"off_ppm": each.off_ppm, "holds": each.holds}
+        for each in (() if checked is None else checked.lengths)
+    ]
     return {"known_lengths": lengths} if lengths else {}
 
 

@@ -313,22 +313,10 @@ def _temperature(log: Log) -> Iterator[_Moment]:
 
 def _verdicts(log: Log) -> Iterator[_Moment]:
     for key, record in log.judged.items():
-        if not record.body["holds"]:
-            code = code_of_verdict(key, str(record.body.get("outcome", "")))
-            finding = _cell(code, f"verdict {key}", _figures(record.body))
-            yield _Moment(finding, record.t, record.seq)
-
-
-def _figures(body: dict[str, Any]) -> str:
-    """Return what a verdict suspects, else its numbers: ``max_mm`` 0.4 as ``max 0.400 mm``."""
-    if suspected := body.get("suspected"):
-        return "; ".join(map(str, suspected))
-    figures = []
-    for name, value in body.items():
-        if isinstance(value, float):
-            unit = " mm" if name.endswith("_mm") else ""
-            figures.append(f"{name.removesuffix('_mm').replace('_', ' ')} {value:.3f}{unit}")
-    return ", ".join(figures)
+        verdict = log.verdicts[key]
+        if not verdict.holds:
+            code = code_of_verdict(key, verdict.outcome)
+            yield _Moment(_cell(code, f"verdict {key}", verdict.why), record.t, record.seq)
 
 
 def _end(log: Log, session: list[Record], *, live: bool) -> Iterator[_Moment]:

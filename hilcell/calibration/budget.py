@@ -44,7 +44,9 @@ from hilcell.journal.log import (
     positions_mm,
     variances_mm2,
 )
+from hilcell.model.frame import TouchedBase
 from hilcell.model.point import Point
+from hilcell.model.verdicts import Fitted
 from hilcell.ports import Array
 
 NO_VISITS = "the run visited no place again, so that the robot's repeatability is not known"
@@ -83,7 +85,8 @@ def _model_samples(log: Log) -> int | None:
     repeats: a grid of 64 poses may show no more than 16 different errors of axis 1.
     """
     points = log.select("grid")
-    if log.verdicts.get("fit", {}).get("curves", {}).get("used", False) or not points:
+    fitted = log.verdict(Fitted)
+    if not points or (fitted is not None and fitted.curves.used):
         return len(points) or None
     angles = np.round(np.degrees(commanded_rad(points))[:, LARGE_AXES] / SAME_DEG)
     return min(len(np.unique(each)) for each in angles.T)
@@ -179,7 +182,7 @@ def _drill(log: Log) -> Influence:
     """
     stated = log.cell.uncertainty
     x_mm, y_mm, z_mm = stated.drill_offset_mm
-    base_rad2 = np.array(log.frames["base"].get("covariance", np.zeros((6, 6))))[3:, 3:]
+    base_rad2 = log.frames["base"].C[3:, 3:]
     turn = (stated.orientation_urad * 1e-6) ** 2 + float(np.trace(base_rad2)) / 3
     how = (
         f"{math.hypot(x_mm, y_mm, z_mm):g} mm from the reflector, orientation "
@@ -240,11 +243,11 @@ def _placed(log: Log, station: Station) -> list[Influence]:
 def touched(log: Log, station: Station) -> Influence | None:
     """Return what placing the slide cost on the last visit, where touch poses measured it then."""
     frame = log.frames.get(f"touch.{station.name}")
-    if frame is None:
+    if not isinstance(frame, TouchedBase):
         return None
     x_mm, y_mm, z_mm = log.matrix(f"touch.{station.name}")[:3, 3].tolist()
-    covariance = moved_frame(np.array(frame["covariance"], dtype=float))
-    how = f"station frame, strip and {frame['poses']} touch poses of the visit"
+    covariance = moved_frame(frame.C)
+    how = f"station frame, strip and {frame.poses} touch poses of the visit"
     return Influence(
         "Touched base", MEASURED, how, "5.2.2", "world", covariance, (x_mm, y_mm, z_mm),
         counts="in validation",
@@ -301,13 +304,13 @@ def in_validation(log: Log, station: Station, points: Sequence[Point]) -> list[I
     )  # fmt: skip
     grown = growth_since(log, log.select("grid"), points, "the grid's mean")
     frame = log.frames.get(f"touch.{station.name}")
-    if frame is None or grown is None:
+    if not isinstance(frame, TouchedBase) or grown is None:
         return [readings] if grown is None else [readings, grown]
     x_mm, y_mm, z_mm = log.cell.grid.centre.matrix()[:3, 3].tolist()
     over_cube = msgspec.structs.replace(
         grown, name=f"{TEMPERATURE}, over the cube", origin_mm=(x_mm, y_mm, z_mm)
     )
-    touches = [p for p in log.select("touch", station.name) if p.id.visit == frame["visit"]]
+    touches = [p for p in log.select("touch", station.name) if p.id.visit == frame.visit]
     later = growth_since(log, touches, points, "the touch poses' mean")
     return [readings, over_cube] if later is None else [readings, over_cube, later]
 

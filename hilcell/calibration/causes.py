@@ -16,9 +16,8 @@ has the direction of a turn of axis 6 by itself is taken for its lost zero.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from enum import StrEnum
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -27,8 +26,8 @@ from hilcell.geometry.frames import motion_levers
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.statistics import f_quantile
+from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.ports import Array
-from hilcell.typed import typed
 
 LARGE_AXES = 5
 LEAST_LEVER_MM = 20.0  # of a reflector beside axis 6: below, no turn of it is seen
@@ -37,75 +36,6 @@ RISK = 0.001  # of each of two tests: that poses which have not changed are foun
 SPREAD = 1.5  # of the scatter's variance over a cube: a joint's own scatter acts by its reach
 PENALTY = 4.0  # of chi^2, that a parameter more must gain
 MOST_LEFT = 0.5  # of chi^2, by a cause that is named
-
-
-class Cause(StrEnum):
-    """A cause in words."""
-
-    TRACKER_MOVED = "tracker moved"
-    MOUNT_SLIPPED = "mount slipped"
-    ZERO_LOST = "zero lost"
-    MOUNT_OFFSET = "mount offset"
-    SCALE = "scale"
-    REVERSAL = "reversal"
-    TEMPERATURE = "temperature"
-    STRIP = "strip"
-    NEST_MOVED = "nest moved"
-    CHANGED_SINCE = "changed since"
-    REPEATABILITY = "repeatability"
-    DRIFT = "drift"
-    INSTRUMENT = "instrument"
-    REFLECTOR = "reflector"
-    BASE_MISPLACED = "base misplaced"
-    UNKNOWN = "unknown"
-
-    @property
-    def advice(self) -> str:
-        """Return what to do with a calibration whose run lets suspect the cause."""
-        if self is Cause.CHANGED_SINCE:
-            return "`hilcell revoke` the wrong one of both calibrations."
-        return "Do not use this calibration."
-
-
-class Suspicion(msgspec.Struct, frozen=True):
-    """A cause that fits, its size, and the comparison by which it was noticed."""
-
-    cause: Cause
-    size: float
-    unit: str
-    noticed_by: str
-
-    @property
-    def facts(self) -> dict[str, Any]:
-        """Return it as fields of an error that names it."""
-        found: dict[str, Any] = msgspec.to_builtins(self)
-        return found
-
-    @property
-    def words(self) -> str:
-        """Return cause and size."""
-        return f"{self.cause} ({self.size:.4g} {self.unit})"
-
-    @property
-    def text(self) -> str:
-        """Return it in words, with the comparison."""
-        return f"{self.words}, noticed by {self.noticed_by}"
-
-
-def blamed(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the result of a run that ended with an error of these facts: the cause, where its
-    fields are those of a `Suspicion`.
-    """
-    try:
-        found = typed(facts.get("fields", {}), Suspicion)
-    except msgspec.ValidationError:  # it names no cause, or a size that is no number
-        return {}
-    return {"suspicions": [found.facts]}
-
-
-def suspected_in(result: Mapping[str, Any]) -> list[Suspicion]:
-    """Return the suspicions of a run's result."""
-    return typed(result.get("suspicions", []), list[Suspicion])
 
 
 class Pattern(NamedTuple):

@@ -1,9 +1,7 @@
 """The decision rule for mean and largest error: accepted only where both surely keep their limits.
 
-A guard band as wide as the expanded uncertainty U (k = 2) is taken off each limit (ISO 14253-1;
-JCGM 106:2012, 8.3.2): conformity is shown where figure + U keeps the limit, the contrary where
-figure - U is above it, and in between neither is. Exit code, screen, report and `compensate` ask
-this one rule, the sequential one of a quick plan takes its limits from it.
+The rule is `hilcell.model.outcome`'s; exit code, screen, report and `compensate` ask it, the
+sequential rule of a quick plan takes its limits from it.
 
 U is that of the measurement (`measurement_budget`). |e| never changes by more than the
 position measured, so u of one coordinate, along e, bounds that of a single 3D error, and of the
@@ -14,35 +12,19 @@ judged by the same rule where the cell states a limit of it (deg).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
-import msgspec
+from msgspec.structs import replace
 
 from hilcell.calibration.contribution import expanded_mm
 from hilcell.calibration.measurement_budget import budget_of
 from hilcell.cell.devices import tracker_class
 from hilcell.cell.file import Cell
-from hilcell.geometry.sequential import Outcome
 from hilcell.geometry.statistics import figures_of, lengths_mm, rectangular_variance
 from hilcell.journal.log import Log
+from hilcell.model.outcome import Figure, Outcome, gravest
+from hilcell.model.verdicts import Judged, Limits, Turn
 from hilcell.ports import Array, HilcellError
-
-GRAVEST: tuple[Outcome, ...] = ("rejected", "undecided", "accepted")
-RULE = (
-    "guard band: accepted where the figure plus its expanded uncertainty U (k = 2) keeps the limit "
-    "(ISO 14253-1; JCGM 106, 8.3.2)"
-)
-
-
-class Limits(NamedTuple):
-    """Limits of mean and largest 3D error, mm, and of the largest error of orientation, deg; None
-    where that is not judged.
-    """
-
-    mean_mm: float
-    max_mm: float
-    max_deg: float | None = None
 
 
 class Guard(NamedTuple):
@@ -52,89 +34,8 @@ class Guard(NamedTuple):
     max_mm: float
 
 
-class Turn(NamedTuple):
-    """The largest error of orientation and its expanded uncertainty, deg."""
-
-    max_deg: float
-    U_deg: float
-
-
 UNKNOWN_TURN = Turn(math.nan, math.nan)  # accepts nothing
 NO_GUARD = Guard(0.0, 0.0)  # before anything is measured
-
-
-class Judged(msgspec.Struct, frozen=True, omit_defaults=True):
-    """Figures against their limits, as verdicts in journals and calibration files have them.
-
-    Orientation has figures where it was judged; null, a NaN in JSON, is None.
-    """
-
-    holds: bool
-    mean_mm: float
-    mean_tolerance_mm: float
-    max_mm: float
-    max_tolerance_mm: float
-    mean_U_mm: float
-    max_U_mm: float
-    outcome: Outcome
-    decision: str
-    max_deg: float | None = None
-    max_tolerance_deg: float | None = None
-    max_U_deg: float | None = None
-
-    @property
-    def limits(self) -> Limits:
-        """Return the limits that it was judged by."""
-        return Limits(self.mean_tolerance_mm, self.max_tolerance_mm, self.max_tolerance_deg)
-
-    @property
-    def turn(self) -> Turn | None:
-        """Return the orientation that was judged, None where it was not; a figure that is not
-        stated is NaN.
-        """
-        if self.max_tolerance_deg is None:
-            return None
-        stated = (math.nan if each is None else each for each in (self.max_deg, self.max_U_deg))
-        return Turn(*stated)
-
-    @property
-    def deciding(self) -> str:
-        """Return the figures that decided against it beside their limits, in words; where none of
-        them did, the words of the decision.
-        """
-        found = []
-        for name, value, limit, U, unit in (
-            ("mean", self.mean_mm, self.mean_tolerance_mm, self.mean_U_mm, "mm"),
-            ("largest error", self.max_mm, self.max_tolerance_mm, self.max_U_mm, "mm"),
-            ("largest error of orientation", *self._turned, "deg"),
-        ):
-            if limit is None:
-                continue
-            outcome = outcome_of(math.nan if value is None else value, limit, U or 0.0)
-            if outcome != "accepted" and outcome == self.outcome:
-                found.append(
-                    f"{name} {_with_u(value, U)} {unit} {DECIDED[outcome]} {limit:g} {unit}"
-                )
-        return "; ".join(found) or self.decision
-
-    @property
-    def _turned(self) -> tuple[float | None, float | None, float | None]:
-        return self.max_deg, self.max_tolerance_deg, self.max_U_deg
-
-    @property
-    def figures(self) -> str:
-        """Return the figures beside their limits."""
-        turned = ""
-        if self.turn is not None:
-            turned = (
-                f"; orientation {_with_u(*self.turn)} deg at most, wanted <= "
-                f"{self.max_tolerance_deg:g}"
-            )
-        return (
-            f"mean {_with_u(self.mean_mm, self.mean_U_mm)} mm, wanted <= "
-            f"{self.mean_tolerance_mm:g}; largest {_with_u(self.max_mm, self.max_U_mm)} mm, wanted "
-            f"<= {self.max_tolerance_mm:g}{turned}"
-        )
 
 
 def limits_of(cell: Cell) -> Limits:
@@ -217,7 +118,7 @@ def judged(
     guard: Guard,
     *,
     turn: Turn | None = None,
-    also: Outcome = "accepted",
+    also: Outcome = Outcome.ACCEPTED,
     words: str = "",
 ) -> Judged:
     """Return the decision on mean and largest error.
@@ -226,27 +127,28 @@ def judged(
     a limit of it. ``also`` is the outcome of another test that must accept as well, ``words`` what
     it says.
     """
-    outcomes = [
-        also,
-        outcome_of(mean_mm, limits.mean_mm, guard.mean_mm),
-        outcome_of(max_mm, limits.max_mm, guard.max_mm),
+    figures = [
+        Figure("mean", mean_mm, "mm", limits.mean_mm, guard.mean_mm),
+        Figure("largest", max_mm, "mm", limits.max_mm, guard.max_mm),
     ]
-    oriented: tuple[float | None, ...] = ()
     if turn is not None and limits.max_deg is not None:
-        outcomes.append(outcome_of(turn.max_deg, limits.max_deg, turn.U_deg))
-        oriented = (turn.max_deg, limits.max_deg, turn.U_deg)
-    outcome = gravest(outcomes)
-    return Judged(
-        outcome == "accepted",
-        mean_mm,
-        limits.mean_mm,
-        max_mm,
-        limits.max_mm,
-        guard.mean_mm,
-        guard.max_mm,
-        outcome,
-        words if words and outcome == also else WORDS[outcome],
-        *oriented,
+        figures.append(Figure("orientation", turn.max_deg, "deg", limits.max_deg, turn.U_deg))
+    outcome = gravest([also, *(each.outcome for each in figures)])
+    found = Judged(
+        holds=outcome is Outcome.ACCEPTED,
+        mean_mm=mean_mm,
+        mean_tolerance_mm=limits.mean_mm,
+        max_mm=max_mm,
+        max_tolerance_mm=limits.max_mm,
+        mean_U_mm=guard.mean_mm,
+        max_U_mm=guard.max_mm,
+        decided=outcome,
+        decision=words if words and outcome is also else outcome.decision,
+    )
+    if turn is None or limits.max_deg is None:
+        return found
+    return replace(
+        found, max_deg=turn.max_deg, max_tolerance_deg=limits.max_deg, max_U_deg=turn.U_deg
     )
 
 
@@ -260,33 +162,3 @@ def judged_errors(log: Log, errors_mm: Array) -> Judged:
     """Return the decision on 3D errors (N, 3) that a run measured, by its cell's limits."""
     found = figures_of(lengths_mm(errors_mm))
     return judged(found.mean, found.max, limits_of(log.cell), guard_of(log, len(errors_mm)))
-
-
-def outcome_of(value: float, limit: float, U: float) -> Outcome:
-    """Return the decision on one figure, all in one unit; NaN is rejected."""
-    if value <= limit - U:
-        return "accepted"
-    return "undecided" if value <= limit + U else "rejected"
-
-
-def gravest(outcomes: Sequence[Outcome]) -> Outcome:
-    """Return the gravest of outcomes."""
-    return min(outcomes, key=GRAVEST.index)
-
-
-WORDS: dict[Outcome, str] = {
-    "accepted": "in tolerance, the uncertainty added",
-    "undecided": "neither in nor out of tolerance for sure: within the uncertainty of the limit",
-    "rejected": "out of tolerance, the uncertainty taken off",
-}
-
-DECIDED: dict[Outcome, str] = {
-    "undecided": "is not shown to keep its limit of",
-    "rejected": "is above its limit of",
-}
-
-
-def _with_u(value: float | None, U: float | None) -> str:
-    if value is None:
-        return "not known"
-    return f"{value:.4f}" if U is None else f"{value:.4f} + U {U:.4f}"

@@ -20,17 +20,19 @@ from hilcell.calibration.recheck import Judgement, rechecked_run
 from hilcell.calibration.target_pass import folded, target_points
 from hilcell.calibration.visit import used
 from hilcell.journal.log import Log
+from hilcell.model.frame import TouchedBase
+from hilcell.model.verdicts import Fitted, Judged, Touched
 
 BASE_UPDATE = "Base frame, updated"
 
 
 def calibration_after(log: Log, run: str) -> Calibration:
     """Return the calibration of a log for which `Log.calibrates` holds."""
-    if "fit" in log.verdicts:
+    if log.verdict(Fitted) is not None:
         return calibration_of(log, run)
-    if "touch" in log.verdicts:
-        return _touched(used(log), log, run)
-    if "targets" in log.verdicts:
+    if (touched := log.verdict(Touched)) is not None:
+        return _touched(used(log), log, run, touched.station)
+    if log.verdict(Judged, "targets") is not None:
         after = folded(log, run)
         update = Update(run, "targets", written_now(), len(target_points(log)))
         return msgspec.structs.replace(after, provenance=_with(after, update))
@@ -61,12 +63,11 @@ def _rebased(calibration: Calibration, found: Judgement, run: str) -> Calibratio
     return msgspec.structs.replace(calibration, **changes)
 
 
-def _touched(calibration: Calibration, log: Log, run: str) -> Calibration:
-    """Return the calibration with the base of the station as touched on the run's visit."""
-    name = str(log.verdicts["touch"]["station"])
-    frame, entry = log.frames[f"touch.{name}"], calibration.stations[name]
-    entry = msgspec.structs.replace(entry, T_W_B=frame["matrix"])
-    update = Update(run, "touch", written_now(), int(frame["poses"]))
+def _touched(calibration: Calibration, log: Log, run: str, name: str) -> Calibration:
+    """Return the calibration with the base of a station as touched on the run's visit."""
+    frame, entry = log.frame(TouchedBase, f"touch.{name}"), calibration.stations[name]
+    entry = msgspec.structs.replace(entry, T_W_B=frame.matrix)
+    update = Update(run, "touch", written_now(), frame.poses)
     stations = calibration.stations | {name: entry}
     changes: dict[str, Any] = {"stations": stations, "provenance": _with(calibration, update)}
     stated, line = calibration.uncertainty, touched(log, log.cell.station_named(name))

@@ -11,21 +11,12 @@ from collections.abc import Callable, Iterable
 from itertools import chain
 
 import numpy as np
-from msgspec import convert
 from msgspec.structs import replace
 
 from hilcell.calibration.base_circles import axis_6_height_mm, circle_of
 from hilcell.calibration.bounds import validated, validation_points
 from hilcell.calibration.budget import growth_since
-from hilcell.calibration.causes import (
-    RISK,
-    Cause,
-    Change,
-    Differences,
-    Suspicion,
-    changed,
-    likeliest,
-)
+from hilcell.calibration.causes import RISK, Change, Differences, changed, likeliest
 from hilcell.calibration.contribution import systematic_mm2
 from hilcell.calibration.drift import robot_drift, tracker_drift
 from hilcell.calibration.errors import errors_of, visit_scatter
@@ -44,7 +35,10 @@ from hilcell.geometry.rotations import from_rotvec
 from hilcell.geometry.statistics import bounds95_mm, chance_of_at_most, rectangular_variance
 from hilcell.journal.log import NO_READINGS, Log, commanded_rad, covariances_mm2, positions_mm
 from hilcell.journal.set_ups import PROOFS
+from hilcell.model.frame import MeasuredBase
 from hilcell.model.point import CHECKS, CONTROL, Point
+from hilcell.model.suspicion import Cause, Suspicion
+from hilcell.model.verdicts import Fitted, Revisited
 from hilcell.ports import Array
 
 Found = Iterable[Suspicion | None]
@@ -123,7 +117,7 @@ SAME_MM = 3.0  # by which a base that is bolted as usual may be elsewhere
 def misplaced_base(log: Log) -> Suspicion | None:
     """Return a base that is not where the cell file says, with the cause that fits."""
     cell = log.cell
-    if "circle_rms_mm" not in log.frames.get("base", {}):
+    if not isinstance(log.frames.get("base"), MeasuredBase):
         return None
     station = cell.station_named(cell.grid.station)
     stated_mm = cell.layout.nominal_base(station.rail_mm)[:3, 3]
@@ -163,11 +157,11 @@ MOST_CONSTANT_MM = 3.0  # 3 sigma of the uncorrected error, that links and zeros
 
 def mount_offset(log: Log) -> Suspicion | None:
     """Return a reflector that is not where the cell file says, if it is clearly not."""
-    frame, arm = log.frames.get("base", {}), log.cell.robot.arm()
+    frame, arm = log.frames.get("base"), log.cell.robot.arm()
     of_base, radius_mm2 = np.zeros((6, 6)), 0.0
-    if "radius_mm" in frame:
+    if isinstance(frame, MeasuredBase):
         of_base, radius_mm2 = _by_circles(log)
-        off_mm = abs(frame["radius_mm"][1] - axis_6_radius_mm(arm))
+        off_mm = abs(frame.radius_mm[1] - axis_6_radius_mm(arm))
         if not off_mm <= np.hypot(MOST_RADIUS_MM, SIGMAS * np.sqrt(radius_mm2)):
             return Suspicion(Cause.MOUNT_OFFSET, off_mm, "mm", CIRCLE)
     points = log.select("grid")
@@ -232,8 +226,8 @@ def established(log: Log, kind: str) -> Suspicion | None:
 
     The points in between are those of a robot that had changed.
     """
-    kept = log.verdicts.get(VERDICTS[kind], {}).get("suspicion")
-    return None if kept is None else convert(kept, Suspicion)
+    kept = log.verdict(Revisited, VERDICTS[kind])
+    return None if kept is None else kept.suspicion
 
 
 def revisited(log: Log, kind: str) -> list[Point]:
@@ -331,7 +325,8 @@ def _of_targets(log: Log, fit: int) -> list[Suspicion]:
     calibration = learnt_so_far(log)
     if calibration is None:
         return []
-    curves = log.verdicts["fit"].get("curves", {}).get("used", False)
+    fitted = log.verdict(Fitted)
+    curves = fitted is not None and fitted.curves.used
     least = LEAST_INSIDE if curves else LEAST_WITHOUT_CURVES
     found = []
     for name in (station.name for station in log.cell.station):

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from hilcell.calibration.causes import PENALTY, RISK, SPREAD, Cause, Pattern, Suspicion, patterns
+from hilcell.calibration.causes import PENALTY, RISK, SPREAD, Pattern, patterns
 from hilcell.calibration.errors import visit_scatter
 from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.form import Calibration
@@ -39,6 +39,7 @@ from hilcell.journal.log import NO_READINGS, Log, commanded_rad, positions_mm
 from hilcell.journal.reading_noise import noise_at, run_noise
 from hilcell.journal.set_ups import PROOFS
 from hilcell.model.point import Point
+from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.ports import Array, HilcellError
 
 # -- the tracker -----------------------------------------------------------------------------------

@@ -40,8 +40,9 @@ from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected_poses
 from hilcell.geometry.frames import apply, inverse, poses_from_zyx, zyx_from_pose
 from hilcell.geometry.rotations import from_zyx
-from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.journal.log import NO_READINGS, Log
+from hilcell.model.frame import MeasuredStation
+from hilcell.model.verdicts import VALIDATION, Fitted, Judged, SignChecked
 from hilcell.ports import Array, HilcellError
 from hilcell.typed import decoded, typed
 from hilcell.writing import write_whole
@@ -55,8 +56,10 @@ NAMED = 5  # targets that one message names
 def calibration_of(log: Log, run: str) -> Calibration:
     """Compute the calibration from the log of a run that reached the fit."""
     cell, frames, measured = log.cell, Frames(log.cell, log), measured_of(log)
-    grid, fit = measured.grid.grid, log.verdicts["fit"]
-    method = str(fit["method"])
+    grid, sign, fit = measured.grid.grid, log.verdict(SignChecked), log.verdict(Fitted)
+    if fit is None:
+        raise LookupError("the run has not reached the fit")
+    method = fit.method
     points = log.select("grid")
     celsius = [point.temperature_c for point in points if point.temperature_c is not None]
     high_mm = grid.origin_mm + np.array(cell.grid.size_mm)
@@ -68,8 +71,8 @@ def calibration_of(log: Log, run: str) -> Calibration:
         "provenance": Provenance(
             run, cell.name, log.inputs.digest, log.inputs.simulated, log.inputs.operator,
             log.inputs.job, f"hilcell {__version__}", written_now(),
-            bool(log.verdicts.get("sign", {}).get("holds", False)),
-            log.inputs.versions, devices_of(log), [point.key for point in points], fit["loocv"],
+            sign is not None and sign.holds,
+            log.inputs.versions, devices_of(log), [point.key for point in points], fit.loocv,
             links="factory" if log.by_factory_links else "cell file",
         ),
         "validity": Validity(
@@ -94,31 +97,22 @@ def calibration_of(log: Log, run: str) -> Calibration:
     return typed(msgspec.to_builtins(values), Calibration)
 
 
-def verdicts_of(log: Log) -> dict[str, dict[str, Any]]:
+def verdicts_of(log: Log) -> dict[str, Judged]:
     """Return the verdicts of a run's validation by place; none where it was not made."""
     return {
         key.removeprefix(VALIDATION): verdict
         for key, verdict in log.verdicts.items()
-        if key.startswith(VALIDATION)
+        if isinstance(verdict, Judged) and key.startswith(VALIDATION)
     }
 
 
 def failed_of(log: Log) -> dict[str, str]:
     """Return the verdicts besides the validation's that do not hold, in words."""
     return {
-        key: "; ".join(body.get("suspected") or ())
-        or ", ".join(
-            f"{name} {_figure(value)}"
-            for name, value in body.items()
-            if name not in ("holds", "beyond", "suspected", "suspicion")
-        )
-        for key, body in log.verdicts.items()
-        if not body["holds"] and not key.startswith(VALIDATION)
+        key: verdict.why
+        for key, verdict in log.verdicts.items()
+        if not (verdict.holds or key.startswith(VALIDATION))
     }
-
-
-def _figure(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def orientation_tolerance_deg(cell: Cell, method: str) -> float:
@@ -157,13 +151,13 @@ def devices_of(log: Log) -> list[Device]:
 
 
 def _entry(log: Log, base: Array, station: str) -> StationEntry:
-    frame = log.frames[f"station.{station}"]
+    frame = log.frame(MeasuredStation, f"station.{station}")
     return StationEntry(
         base.tolist(),
-        frame["matrix"],
-        frame["covariance"],
-        frame["tool_uncertainty_mm"],
-        frame["strip_mm"],
+        frame.matrix,
+        frame.covariance,
+        frame.tool_uncertainty_mm,
+        frame.strip_mm,
     )
 
 

@@ -13,7 +13,6 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from hilcell.calibration.decision import Judged
 from hilcell.calibration.influence import Uncertainty
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.grid import Grid
@@ -22,6 +21,7 @@ from hilcell.compensation.remainder import Pass, Remainder, WithRemainder
 from hilcell.geometry.clearance import Bools
 from hilcell.geometry.frames import matrix, poses_from_zyx
 from hilcell.geometry.rotations import turned_deg
+from hilcell.model.verdicts import Judged
 from hilcell.ports import Array
 
 

@@ -78,7 +78,7 @@ def base_covariance(log: Log, station: Station) -> Array:
     lever_mm = Frames(log.cell, log).base_in_world(station)[:3, 3] - log.matrix(key)[:3, 3]
     shift = np.eye(6)
     shift[:3, 3:] = -cross_matrix(lever_mm)
-    covariance: Array = shift @ np.array(log.frames[key]["covariance"], dtype=float) @ shift.T
+    covariance: Array = shift @ log.frames[key].C @ shift.T
     return covariance
 
 

@@ -21,6 +21,7 @@ from hilcell.identification.readings import Readings
 from hilcell.journal.curve_record import curve_of
 from hilcell.journal.log import Log, commanded_rad, covariances_mm2, positions_mm
 from hilcell.journal.set_ups import world_key
+from hilcell.model.frame import TouchedBase
 from hilcell.model.point import Point, PointId
 from hilcell.ports import Array
 
@@ -73,7 +74,7 @@ class Frames:
     def touched(self, station: Station) -> bool:
         """Whether the base was touched at ``station`` since the slide last moved."""
         frame = self._log.frames.get(f"touch.{station.name}")
-        return frame is not None and frame["visit"] == self._log.visit
+        return isinstance(frame, TouchedBase) and frame.visit == self._log.visit
 
     def base_on_visit(self, station: Station) -> Array:
         """Return T_W_B (4, 4) as touched on this visit, else `base_in_world`.
@@ -94,7 +95,7 @@ class Frames:
         )
         if not self.touched(station):
             return at_mm
-        growth = float(self._log.frames[f"touch.{station.name}"].get("growth", 0.0))
+        growth = self._log.frame(TouchedBase, f"touch.{station.name}").growth
         centre_mm = self.cell.grid.centre.matrix()[:3, 3]
         return centre_mm + (at_mm - centre_mm) / (1.0 + growth)
 

@@ -29,6 +29,7 @@ from hilcell.journal.log import Log
 from hilcell.journal.runs import CALIBRATION, is_run, read_log
 from hilcell.journal.standing import Standing, standings
 from hilcell.model.events import CalibrationUsed
+from hilcell.model.verdicts import Rechecked
 from hilcell.ports import HilcellError
 from hilcell.typed import typed
 
@@ -140,16 +141,16 @@ def written_by(folder: Path) -> Path:
 
 def _instead(folder: Path) -> str:
     """Say which calibration to name for a run that wrote none."""
-    used, verdict = None, ""
+    used = recheck = None
     with suppress(HilcellError):  # of a journal that cannot be read only the hint is lost
         log = read_log(folder)
-        used, verdict = calibration_in(log), log.verdicts.get("recheck", {}).get("verdict", "")
+        used, recheck = calibration_in(log), log.verdict(Rechecked)
     if used is None:
         return "name a finished `hilcell run calibrate`"
     latest = used.provenance.latest
-    if verdict == "valid":
+    if recheck is not None and recheck.verdict == "valid":
         return f"it used that of {latest}, and a re-check that holds writes none: name {latest}"
-    if verdict == "redo":
+    if recheck is not None and recheck.verdict == "redo":
         return f"it found that the calibration of {latest} no longer holds: calibrate again"
     return f"it used that of {latest}"
 

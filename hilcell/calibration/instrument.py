@@ -22,7 +22,6 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from hilcell.calibration.causes import Cause, Suspicion
 from hilcell.calibration.contribution import systematic_mm2
 from hilcell.cell.file import Cell
 from hilcell.cell.layout import CERTIFIED_C, KnownLength
@@ -32,47 +31,21 @@ from hilcell.journal.log import Log, covariances_mm2, positions_mm
 from hilcell.journal.reading_noise import noise_at, run_noise
 from hilcell.journal.set_ups import PROOFS, world_key
 from hilcell.model.point import BACK, LENGTH, REFLECTOR, Point, PointId
+from hilcell.model.suspicion import Cause, Suspicion
+from hilcell.model.verdicts import (
+    Faces,
+    FacesCompared,
+    LengthFound,
+    LengthsChecked,
+    ReflectorSeen,
+)
 from hilcell.ports import Array
-from hilcell.typed import typed
 
 SIGMAS = 4.0  # of the readings' noise, beyond the stated limits of tracker and centring
 
 # -- scale: certified lengths ----------------------------------------------------------------------
 
-KNOWN_LENGTH = "known-length"  # key of its verdict
 COVERAGE = 2.0  # k: about 95 %
-
-
-class LengthFound(msgspec.Struct, frozen=True):
-    """A certified length at the air's temperature, as measured, and U (k = 2) of the difference."""
-
-    nests: tuple[str, str]
-    wanted_mm: float
-    found_mm: float
-    U_mm: float
-
-    @property
-    def off_ppm(self) -> float:
-        """Return how much longer it was measured."""
-        return 1e6 * (self.found_mm / self.wanted_mm - 1.0)
-
-    @property
-    def share(self) -> float:
-        """Return the difference as a share of U."""
-        return abs(self.found_mm - self.wanted_mm) / self.U_mm
-
-    @property
-    def holds(self) -> bool:
-        """Whether certificate and tracker explain the difference."""
-        return self.share <= 1.0
-
-    @property
-    def text(self) -> str:
-        """Return it in words."""
-        return (
-            f"{' to '.join(self.nests)} was measured {self.found_mm:.3f} mm, certified "
-            f"{self.wanted_mm:.3f} mm, U = {self.U_mm:.3f} mm (k = 2): {self.off_ppm:+z.0f} ppm"
-        )
 
 
 def known_lengths(cell: Cell, log: Log) -> list[LengthFound]:
@@ -108,9 +81,8 @@ def _found(cell: Cell, log: Log, known: KnownLength) -> LengthFound:
 
 def scale(log: Log) -> Suspicion | None:
     """Return a tracker's scale that a certified length has shown to be wrong."""
-    rows = log.verdicts.get(KNOWN_LENGTH, {}).get("lengths", [])
-    found = [typed(row, LengthFound) for row in rows]
-    wrong = [each for each in found if not each.holds]
+    checked = log.verdict(LengthsChecked)
+    wrong = [] if checked is None else [each for each in checked.lengths if not each.holds]
     if not wrong:
         return None
     worst = max(wrong, key=lambda each: each.share)
@@ -119,25 +91,11 @@ def scale(log: Log) -> Suspicion | None:
 
 # -- axes: nests seen in both faces ----------------------------------------------------------------
 
-TWO_FACES = ("two-face", "two-face.closing")  # at the start, and at the end
+TWO_FACES = FacesCompared.keys  # at the start, and at the end
 BOTH_FACES = "nests seen in both faces"
 URAD = 1e6
 AXES = ("urad of collimation", "urad of the transit axis' tilt", "urad of the vertical index")
 FRONTS = (*PROOFS, "length")  # kinds of points
-
-
-class Faces(msgspec.Struct, frozen=True):
-    """Half the difference of both faces at a nest, sideways and downwards, and its limit."""
-
-    nest: str
-    across_mm: float
-    down_mm: float
-    limit_mm: float
-
-    @property
-    def holds(self) -> bool:
-        """Whether tracker and noise explain the difference."""
-        return bool(np.hypot(self.across_mm, self.down_mm) <= self.limit_mm)
 
 
 class BothFaces(msgspec.Struct, frozen=True):
@@ -162,11 +120,10 @@ class BothFaces(msgspec.Struct, frozen=True):
     @property
     def text(self) -> str:
         """Return it in words."""
-        worst = max(self.nests, key=lambda each: np.hypot(each.across_mm, each.down_mm))
-        off_mm = float(np.hypot(worst.across_mm, worst.down_mm))
+        worst = max(self.nests, key=lambda each: each.off_mm)
         return (
-            f"half the difference of both faces is {off_mm:.3f} mm at most, at {worst.nest}, limit "
-            f"{worst.limit_mm:.3f} mm; as of {self.size_urad:+.0f} {self.unit}"
+            f"half the difference of both faces is {worst.off_mm:.3f} mm at most, at {worst.nest}, "
+            f"limit {worst.limit_mm:.3f} mm; as of {self.size_urad:+.0f} {self.unit}"
         )
 
 
@@ -248,31 +205,7 @@ def _own_mm(log: Log, points: Sequence[Point]) -> Array:
 FEWEST_REFLECTORS = 3  # of two nobody can say which is off
 
 
-class Compared(msgspec.Struct, frozen=True):
-    """The reflector of a place: how far from the median of the others, along the beam and across
-    it, and its limit.
-    """
-
-    place: str
-    along_mm: float
-    across_mm: float
-    limit_mm: float
-
-    @property
-    def holds(self) -> bool:
-        """Whether centring and noise explain it."""
-        return bool(np.hypot(self.along_mm, self.across_mm) <= self.limit_mm)
-
-    @property
-    def text(self) -> str:
-        """Return it in words."""
-        return (
-            f"the reflector of {self.place} is seen {self.along_mm:+.3f} mm along the beam and "
-            f"{self.across_mm:.3f} mm across it from the others, limit {self.limit_mm:.3f} mm"
-        )
-
-
-def compared_reflectors(log: Log) -> list[Compared]:
+def compared_reflectors(log: Log) -> list[ReflectorSeen]:
     """Return each reflector against the others; nothing where too few were measured."""
     points = list(log.measured(REFLECTOR))
     if len(points) < FEWEST_REFLECTORS:
@@ -286,7 +219,7 @@ def compared_reflectors(log: Log) -> list[Compared]:
     return compared_places([point.id.nest for point in points], positions_mm(points), limits_mm)
 
 
-def compared_places(names: list[str], at_mm: Array, limits_mm: Array) -> list[Compared]:
+def compared_places(names: list[str], at_mm: Array, limits_mm: Array) -> list[ReflectorSeen]:
     """Return places (N, 3), tracker's frame, each against the median of all others."""
     found = []
     for row, (name, limit_mm) in enumerate(zip(names, limits_mm.tolist(), strict=True)):
@@ -295,5 +228,5 @@ def compared_places(names: list[str], at_mm: Array, limits_mm: Array) -> list[Co
         off_mm = at_mm[row] - others_mm
         along_mm = float(off_mm @ beam)
         across_mm = float(np.linalg.norm(off_mm - along_mm * beam))
-        found.append(Compared(name, along_mm, across_mm, limit_mm))
+        found.append(ReflectorSeen(name, along_mm, across_mm, limit_mm))
     return found

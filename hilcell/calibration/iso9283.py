@@ -15,10 +15,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from hilcell.calibration.contribution import combined_mm, expanded_mm
 from hilcell.calibration.errors import Errors, errors_of
@@ -30,37 +31,27 @@ from hilcell.compensation.kinematic import Kinematic
 from hilcell.geometry.frames import apply, inverse, motion_levers
 from hilcell.geometry.statistics import from_mean_mm, repeatability_mm, rms
 from hilcell.journal.log import Log, variances_mm2
+from hilcell.model.outcome import Outcome
 from hilcell.model.point import Point
+from hilcell.model.verdicts import (
+    AD,
+    AP,
+    AP_ANGLES,
+    CHARACTERISTICS,
+    ISO,
+    RD,
+    RP,
+    RP_ANGLES,
+    Characteristic,
+    PoseTested,
+)
 from hilcell.ports import Array
 
-ISO = "iso9283"  # kind of the points, key of result and verdict
 STANDARD_CYCLES = 30
 RATED_PERCENT = 100.0
 PAUSED = ("paused", "suspended")  # states of a run
 
 
-class Characteristic(msgspec.Struct, frozen=True):
-    """A characteristic of the standard; ``key`` and ``unit`` are in the names of its limit."""
-
-    key: str
-    symbol: str
-    title: str
-    unit: str
-    clause: str
-
-    @property
-    def limit(self) -> str:
-        """Return its limit's name in the cell file, in results and in verdicts."""
-        return f"{self.key}_limit_{self.unit}"
-
-
-AP = Characteristic("ap", "AP_p", "pose accuracy", "mm", "7.2.1")
-RP = Characteristic("rp", "RP_l", "pose repeatability", "mm", "7.2.2")
-AD = Characteristic("ad", "|AD|", "distance accuracy", "mm", "7.3.2")
-RD = Characteristic("rd", "RD", "distance repeatability, ±", "mm", "7.3.3")
-AP_ANGLES = Characteristic("ap", "AP_abc", "orientation accuracy", "deg", "7.2.1")
-RP_ANGLES = Characteristic("rp", "RP_abc", "orientation repeatability, ±", "deg", "7.2.2")
-CHARACTERISTICS = (AP, RP, AD, RD, AP_ANGLES, RP_ANGLES)
 ANGLES = ("a", "b", "c")  # rotations about x, y, z of the base
 
 
@@ -200,22 +191,25 @@ class PoseTest(msgspec.Struct, frozen=True, kw_only=True):
             if of.limit in self.limits
         )
 
-    def judgement(self) -> dict[str, Any]:
-        """Return the verdict on the stated limits, {} without any. Nothing that was not measured
-        keeps its limit.
+    def judgement(self) -> PoseTested | None:
+        """Return the verdict on the limits that the cell has, None without any. A characteristic
+        that was not measured keeps no limit.
         """
+        if not self.limits:
+            return None
         measured = {each.of: each for each in self.figures()}
-        facts: dict[str, Any] = {}
-        for of in CHARACTERISTICS:
-            if (limit := self.limits.get(of.limit)) is not None:
-                at = measured.get(of, Worst(of, of.symbol, "", math.nan, math.nan, limit))
-                facts |= {
-                    f"{of.key}_{of.unit}": at.value,
-                    f"{of.key}_u95_{of.unit}": at.U,
-                    of.limit: limit,
-                    "holds": facts.get("holds", True) and at.holds,
-                }
-        return facts
+        facts = {
+            name: value
+            for of in CHARACTERISTICS
+            if of.limit in self.limits and (at := measured.get(of)) is not None
+            for name, value in (
+                (f"{of.key}_{of.unit}", at.value),
+                (f"{of.key}_u95_{of.unit}", at.U),
+            )
+        }
+        found = PoseTested(holds=True, **facts, **self.limits)
+        holds = all(each.outcome is Outcome.ACCEPTED for each in found.figures)
+        return replace(found, holds=holds)
 
 
 def worst_angle(
@@ -422,7 +416,7 @@ def _shared_mm2(log: Log, at_mm: Array, *, corrected: bool) -> Array:
     covariance: Array = _system_mm(log, framed=corrected) ** 2 * np.eye(3)
     if not corrected:
         T = log.matrix("base")
-        base = np.array(log.frames["base"]["covariance"], dtype=float)
+        base = log.frames["base"].C
         J = motion_levers((T[:3, :3] @ at_mm)[None])[0, :, :6]
         covariance += T[:3, :3].T @ (J @ base @ J.T) @ T[:3, :3]
     return covariance

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from hilcell.calibration.causes import ZEROS, Cause, Suspicion
+from hilcell.calibration.causes import ZEROS
 from hilcell.calibration.form import LostMotion
 from hilcell.calibration.visit_noise import of_differences, visit_noise
 from hilcell.geometry.frames import apply, inverse
@@ -27,6 +27,8 @@ from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.statistics import bounds95_mm, lengths_mm, rectangular_variance
 from hilcell.journal.log import NO_READINGS, Log, commanded_rad, positions_mm
 from hilcell.model.point import PointId
+from hilcell.model.suspicion import Cause, Suspicion
+from hilcell.model.verdicts import LostMotionJudged
 from hilcell.ports import Array
 
 REVERSAL = "reversal"  # kind of the points that were approached from above
@@ -55,6 +57,19 @@ class Reversal(msgspec.Struct, frozen=True):
     def holds(self) -> bool:
         """Whether every axis may lose no more than the limit."""
         return all(excess <= 0.0 for excess in self.excess_urad)
+
+    @property
+    def verdict(self) -> LostMotionJudged:
+        """Return it judged."""
+        return LostMotionJudged(
+            holds=self.holds,
+            mean_mm=float(np.mean(self.off_mm)),
+            max_mm=max(self.off_mm),
+            points=len(self.off_mm),
+            lost_urad=self.lost_urad,
+            U_urad=self.U_urad,
+            limit_urad=self.limit_urad,
+        )
 
     @property
     def suspicion(self) -> Suspicion | None:

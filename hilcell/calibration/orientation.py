@@ -19,7 +19,7 @@ import numpy as np
 
 from hilcell.calibration.bounds import driven_poses, lines_in_use, lines_in_validation
 from hilcell.calibration.contribution import expanded_mm
-from hilcell.calibration.decision import UNKNOWN_TURN, Turn, stated_mm2
+from hilcell.calibration.decision import UNKNOWN_TURN, stated_mm2
 from hilcell.calibration.form import Calibration
 from hilcell.calibration.frame_covariance import FLOOR_NESTS, floor_points, world_covariance
 from hilcell.calibration.frames import measured_of
@@ -40,6 +40,7 @@ from hilcell.identification.readings import IdentificationError
 from hilcell.journal.log import Log, covariances_mm2, positions_mm
 from hilcell.journal.ways_sent import Sent
 from hilcell.model.point import Point
+from hilcell.model.verdicts import Turn
 from hilcell.ports import Array, HilcellError
 
 TURNS = slice(3, 6)  # of an influence's covariance

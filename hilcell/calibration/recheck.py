@@ -21,14 +21,7 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.bounds import driven_poses
-from hilcell.calibration.causes import (
-    Cause,
-    Suspicion,
-    axis_6_pattern,
-    left_by,
-    patterns,
-    weights_of,
-)
+from hilcell.calibration.causes import axis_6_pattern, left_by, patterns, weights_of
 from hilcell.calibration.decision import judged_errors
 from hilcell.calibration.influence import no_less_than_nought
 from hilcell.calibration.visit import used, visited
@@ -38,6 +31,7 @@ from hilcell.geometry.rotations import from_rotvec
 from hilcell.geometry.statistics import bounds95_mm
 from hilcell.journal.log import Log, commanded_rad
 from hilcell.model.point import Point
+from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.ports import Array, HilcellError
 
 KIND = "recheck"  # of the points, key of result and verdict

@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.bounds import validated_bounds, validation_points
-from hilcell.calibration.causes import LARGE_AXES, RISK, SPREAD, ZEROS, Cause, Suspicion
+from hilcell.calibration.causes import LARGE_AXES, RISK, SPREAD, ZEROS
 from hilcell.calibration.errors import visit_scatter
 from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.influence import NoBound
@@ -32,6 +32,7 @@ from hilcell.geometry.statistics import (
     trace_freedom,
 )
 from hilcell.journal.log import NO_READINGS, Log, commanded_rad, repeated_visits, variances_mm2
+from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.ports import Array
 
 NOTICED_BY = "scatter of the corrected targets"

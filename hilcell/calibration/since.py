@@ -15,11 +15,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import msgspec
 import numpy as np
 
 from hilcell.calibration.base_circles import axis_6_height_mm
-from hilcell.calibration.causes import Cause, Suspicion
 from hilcell.calibration.contribution import systematic_mm2
 from hilcell.calibration.errors import pooled, visits_mm
 from hilcell.calibration.frame_covariance import (
@@ -38,7 +36,11 @@ from hilcell.geometry.statistics import (
     rectangular_variance,
     trace_freedom,
 )
-from hilcell.journal.log import FloorBefore, Log, positions_mm, variances_mm2
+from hilcell.journal.log import Log, positions_mm, variances_mm2
+from hilcell.model.frame import MeasuredBase
+from hilcell.model.plan import FloorBefore
+from hilcell.model.suspicion import Cause, Suspicion
+from hilcell.model.verdicts import Parameter
 from hilcell.ports import Array
 
 RISK = 0.001
@@ -46,31 +48,6 @@ BOUNDED = float(np.sqrt(3.0))  # of what is stated as a limit, which no change e
 SPREAD = 1.5  # of the circles' variance: scatter along them is not of each point by itself
 FITTED = 12  # parameters of the two circles: centre, axis and radius of each
 _AXES = tuple("xyz")
-
-
-class Parameter(msgspec.Struct, frozen=True):
-    """A coordinate in {W} as both calibrations have it. A turn is that of now against then, so it
-    was 0 then. ``limit`` is U of the difference.
-    """
-
-    name: str
-    unit: str
-    then: float
-    now: float
-    limit: float
-
-    @property
-    def holds(self) -> bool:
-        """Whether chance explains the difference; NaN is none."""
-        return abs(self.now - self.then) <= self.limit
-
-    @property
-    def words(self) -> str:
-        """Return both values and the limit."""
-        return (
-            f"{self.name} {self.now:.3f} {self.unit}, {self.then:.3f} then, "
-            f"limit of the difference {self.limit:.3f}"
-        )
 
 
 def since_before(log: Log, *, with_base: bool = True) -> Suspicion | None:
@@ -118,7 +95,7 @@ def compared(log: Log, *, with_base: bool = True) -> list[Parameter]:
     factor = float(np.sqrt(f_quantile(1.0 - risk, 1, freedom)))
     found = _repeatability(log, [np.array(cloud) for cloud in before.visits_mm], risk)
     for key, then in known:
-        both = np.array(log.frames[key]["covariance"]) + np.array(then.covariance)
+        both = log.frames[key].C + then.C
         noise = noise_covariance(log, key) + np.array(then.covariance)
         noise += (SPREAD - 1.0) * both if key == "base" else 0.0
         stated = limit_covariance(log, key) + _instrument(log, key) + _growth(log, key, before)
@@ -166,7 +143,7 @@ def noise_covariance(log: Log, key: str) -> Array:
     frame's own noise of then: both runs have that of the floor nests, and of the slide's nests
     where they say where {S} is; a station's own is from there.
     """
-    T, own = log.matrix(key), np.array(log.frames[key]["covariance"])
+    T, own = log.matrix(key), log.frames[key].C
     found: Array = own + 2.0 * world_covariance(log, T[:3, 3])
     nests = log.select("slide", log.cell.grid.station)
     if key != "base" and nests:
@@ -228,12 +205,12 @@ def risen_nest(log: Log) -> Suspicion | None:
     before = log.inputs.floor_before
     if before is None or before.base is None or not before.alike:
         return None
-    if "circle_rms_mm" not in log.frames.get("base", {}):
+    if not isinstance(log.frames.get("base"), MeasuredBase):
         return None
     now = log.matrix("base")
     covariance = noise_covariance(log, "base") + limit_covariance(log, "base")
-    covariance += np.array(before.base.covariance)
-    d = frame_change(np.array(before.base.matrix), now)
+    covariance += before.base.C
+    d = frame_change(before.base.T, now)
     up = log.matrix("world")[:3, :3].T[:, 2]  # of {W}, in the tracker's frame
     columns = [world_motion(log, now[:3, 3], nest, up) for nest in range(FLOOR_NESTS)]
     heights_mm, sigmas_mm = np.array([_fitted(d, covariance, each) for each in columns]).T

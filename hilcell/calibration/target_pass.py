@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.bounds import target_bounds
-from hilcell.calibration.decision import Judged, judged_errors
+from hilcell.calibration.decision import judged_errors
 from hilcell.calibration.form import Calibration, TargetPass, Targets
 from hilcell.calibration.recheck import FEWEST, Judgement, as_predicted, judged
 from hilcell.calibration.visit import Visited, used, visited
@@ -24,6 +24,7 @@ from hilcell.geometry.statistics import figures_of, lengths_mm
 from hilcell.journal.log import Log, commanded_rad
 from hilcell.model.events import TargetsListed
 from hilcell.model.point import Point
+from hilcell.model.verdicts import Judged
 from hilcell.ports import Array
 
 KIND = "targets"

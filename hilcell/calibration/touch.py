@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hilcell.calibration.causes import Differences, Suspicion, likeliest
+from hilcell.calibration.causes import Differences, likeliest
 from hilcell.calibration.errors import visits_mm
 from hilcell.calibration.frame_covariance import base_covariance, hold_covariance, world_covariance
 from hilcell.calibration.frames import Frames
@@ -28,6 +28,7 @@ from hilcell.geometry.inverse import Bools
 from hilcell.geometry.statistics import pooled_std_mm, rectangular_variance
 from hilcell.journal.log import Log, commanded_rad, covariances_mm2, positions_mm
 from hilcell.model.point import Point, PointId
+from hilcell.model.suspicion import Suspicion
 from hilcell.ports import Array
 
 # A target recognition finds reflectors by direction. Where a nest stands behind or before the

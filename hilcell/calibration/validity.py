@@ -12,12 +12,12 @@ from datetime import UTC, datetime, timedelta
 
 import msgspec
 
-from hilcell.calibration.decision import Limits, limits_of
+from hilcell.calibration.decision import limits_of
 from hilcell.calibration.form import Calibration
 from hilcell.cell.differences import differences
 from hilcell.cell.file import Cell
-from hilcell.journal.calibration_facts import SINCE
 from hilcell.journal.standing import Standing
+from hilcell.model.verdicts import ChangedSince, Limits
 from hilcell.ports import HilcellError
 
 TEMPERATURE_MARGIN_K = 2.0
@@ -58,7 +58,7 @@ def check_fitness(
         reasons.append(_other_cell(calibration, cell, calibrated))
     if temperature_c is not None:
         reasons.append(_temperature(calibration, temperature_c))
-    settled = (SINCE,) if standing is not None and standing.state == "current" else ()
+    settled = ChangedSince.keys if standing is not None and standing.state == "current" else ()
     limits = limits_of(cell) if cell is not None else limits
     intolerant = out_of_tolerance(calibration, limits, settled)
     if standing is not None and not accept_not_current:
@@ -95,7 +95,7 @@ def out_of_tolerance(
             if limits != each.limits
         ]
     failed = {key: words for key, words in calibration.failed.items() if key not in settled}
-    if SINCE in failed:
+    if ChangedSince.keys[0] in failed:
         reasons.append(
             "it differs from the calibration before it: `hilcell revoke RUN` the wrong one of both"
         )

@@ -170,7 +170,7 @@ def show(args: Show) -> int:
         "sessions": log.session,
         "link": log.link.counts if log.link is not None else None,
         "link_warning": (log.link.warning or None) if log.link is not None else None,
-        "verdicts": log.verdicts,
+        "verdicts": {key: record.body for key, record in log.judged.items()},
         "result": result,
     }
     if args.json:

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, Self
 import msgspec
 
 from hilcell.alarms.catalogue import code_of_verdict, entry_of
-from hilcell.calibration.causes import suspected_in
 from hilcell.cell.file import Cell
 from hilcell.clean import harmless, harmless_lines
 from hilcell.commands.output import (
@@ -29,7 +28,7 @@ from hilcell.commands.output import (
     stdout_checked,
 )
 from hilcell.errors import DeviceError, HilcellError, facts_of
-from hilcell.journal.calibration_facts import NOT_JUDGED, OUTCOMES, VALIDATION, run_outcome
+from hilcell.journal.calibration_facts import NOT_JUDGED, run_outcome
 from hilcell.journal.journal import Record
 from hilcell.journal.key_words import verdict_words
 from hilcell.journal.log import Log
@@ -38,8 +37,9 @@ from hilcell.journal.states import WAITING
 from hilcell.model.events import Closed, CurveMeasured, FirstPassBegun, NoReadingOf, PromiseJudged
 from hilcell.model.point import CONTROL, Point
 from hilcell.model.records import StateChanged
+from hilcell.model.suspicion import suspected_in
+from hilcell.model.verdicts import VALIDATION, Verdict
 from hilcell.present.table import Column, Table
-from hilcell.report.verdicts import deciding_words
 from hilcell.run.procedure import Plan, Procedure, Step
 from hilcell.run.stopping import not_at_rest
 from hilcell.writing import NotPrinted
@@ -243,9 +243,9 @@ def ended_words(log: Log) -> str:
     return log.state if outcome in NOT_JUDGED else f"{log.state}, {outcome}"
 
 
-def failed_verdicts(verdicts: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+def failed_verdicts(verdicts: Mapping[str, Verdict]) -> dict[str, Verdict]:
     """Return the verdicts that do not hold; of stations together only where none of them failed."""
-    failed = {key: verdict for key, verdict in verdicts.items() if not verdict["holds"]}
+    failed = {key: verdict for key, verdict in verdicts.items() if not verdict.holds}
     together = f"{VALIDATION}{OTHERS}"
     if any(key.startswith(VALIDATION) and key != together for key in failed):
         failed.pop(together, None)
@@ -306,11 +306,10 @@ def _waits_for(change: StateChanged) -> str:
     return f"{change.reason}; " if change.reason else ""
 
 
-def failed_words(key: str, verdict: dict[str, Any]) -> str:
+def failed_words(key: str, verdict: Verdict) -> str:
     """Return a verdict that does not hold in words: its outcome, its subject, what decided."""
-    outcome = OUTCOMES.get(verdict.get("outcome") or "", OUTCOMES["rejected"])
-    code = code_of_verdict(key, str(verdict.get("outcome") or ""))
-    words = f"{outcome}: {verdict_words(key)}: {deciding_words(key, verdict)}"
+    code = code_of_verdict(key, verdict.outcome)
+    words = f"{verdict.outcome.words}: {verdict_words(key)}: {verdict.why}"
     return f"{words} (hilcell explain {code})"
 
 

@@ -33,6 +33,7 @@ from hilcell.identification.kinematics import Kinematics, Placed, State
 from hilcell.identification.noise import Noise
 from hilcell.identification.readings import IdentificationError
 from hilcell.identification.system import observability
+from hilcell.model.verdicts import CurvesUsed
 from hilcell.typed import typed
 
 CONTRADICTED = 4.0  # times the square that chance gives a curve's change
@@ -67,15 +68,6 @@ class CurveEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     axis: int
     cycles: list[float]
-
-
-class CurvesUsed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Whether the sweeps' curves are used and why: mean misses (mm) of poses left out."""
-
-    used: bool
-    reason: str
-    with_mm: float | None = None
-    without_mm: float | None = None
 
 
 class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

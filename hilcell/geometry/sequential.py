@@ -19,15 +19,14 @@ A target above the maximum disproves the calibration: none may be. That none of 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hilcell.geometry.kinematics import Array
+from hilcell.model.outcome import Outcome
 
 Flags = NDArray[np.bool_]
-Outcome = Literal["accepted", "rejected", "undecided"]
 STAKES = np.linspace(0.05, 0.95, 10)  # the mean of fair bets is a fair bet
 
 
@@ -65,10 +64,10 @@ class SequentialRule:
         rejected = ~within | self._above(errors)
         for end in ends.tolist():
             if rejected[end - 1]:
-                return Decision("rejected", end)
+                return Decision(Outcome.REJECTED, end)
             if accepted[end - 1]:
-                return Decision("accepted", end)
-        return Decision("undecided", int(ends[-1]) if len(ends) else 0)
+                return Decision(Outcome.ACCEPTED, end)
+        return Decision(Outcome.UNDECIDED, int(ends[-1]) if len(ends) else 0)
 
     def _below(self, errors: Array) -> Flags:
         """Return after each error (N,) whether the mean is shown to be below its limit."""

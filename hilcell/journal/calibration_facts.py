@@ -3,30 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import msgspec
 
 from hilcell.journal.journal import Record
 from hilcell.model.events import CalibrationRevoked, CalibrationUsed
-from hilcell.typed import typed
+from hilcell.model.outcome import Outcome
+from hilcell.model.verdicts import (
+    VALIDATION,
+    ChangedSince,
+    Judged,
+    PoseTested,
+    Rechecked,
+    Verdict,
+)
 
 if TYPE_CHECKING:
     from hilcell.journal.log import Log
 
-VALIDATION = "validation."  # the key of a verdict is this and the place
-SINCE = "since"  # the key of the verdict on what has changed since the calibration before
-JUDGING = (VALIDATION, "iso9283", "targets")  # verdicts on the robot against stated limits
-OUTCOMES = {  # of a judged figure, a point or a station, in the words that runs have
-    "accepted": "in tolerance",
-    "undecided": "undecided",
-    "rejected": "out of tolerance",
-}
-VERDICTS = {"accepted": "pass", "undecided": "undecided", "rejected": "fail"}  # the same, short
-NOT_JUDGED = (
-    "measured",
-    "done",
-)  # runs that judged nothing, and those that measured nothing either
+NOT_JUDGED = ("measured", "done")  # runs without a verdict, and without a point either
 SUSPECTED = "suspected"  # of a run that suspects a cause, alone or behind its outcome
 REFUSED = 2  # the exit code of a run that nothing moved in
 RECHECKED = {"valid": "still valid", "update": "updated", "redo": "calibrate again"}
@@ -34,103 +30,107 @@ RECHECKED = {"valid": "still valid", "update": "updated", "redo": "calibrate aga
 Kind = Literal["", "made", "base", "targets", "touch"]
 
 
-class CalibrationFacts(msgspec.Struct, frozen=True):
+class CalibrationFacts(msgspec.Struct, frozen=True, kw_only=True):
     """``kind`` says how a run that finishes comes to a calibration: measured, or one of before with
     base, targets or a station's base changed; "" is none. ``used`` is the run whose calibration it
-    took, ``validated`` whether places were validated and all hold, ``undecided`` that some are
-    neither in nor out of tolerance and none is out, ``redo`` that a re-check found the used one to
-    hold no more, ``doubt`` what would explain an update of it as well. ``revoked`` is why somebody
-    has revoked its own. ``suspected`` says that the run suspects a cause that was not cleared,
-    ``judged`` that it held the robot against limits, ``verdict`` is that of all verdicts in words,
-    "" where nothing was judged and no check failed. ``changed_since`` is the run of a calibration
+    took, ``validated`` whether places were validated and all hold, ``recheck`` what a re-check says
+    of the used one, and ``doubt`` what would explain an update of it as well. ``revoked`` is why
+    somebody has revoked its own. ``suspected`` says that the run suspects a cause that was not
+    cleared, ``judged`` that it held the robot against limits, ``outcome`` is that of all verdicts,
+    None where nothing was judged and no check failed. ``changed_since`` is the run of a calibration
     that this one differs from, where nothing else is against it: a person says which is right.
     """
 
     kind: Kind = ""
     used: str = ""
     validated: bool = False
-    undecided: bool = False
-    redo: bool = False
+    recheck: Literal["", "valid", "update", "redo"] = ""
     doubt: str = ""
     revoked: str = ""
     suspected: bool = False
     judged: bool = False
-    verdict: str = ""
+    outcome: Outcome | None = None
     changed_since: str = ""
 
-
-class _Verdict(msgspec.Struct):
-    holds: bool
-    verdict: str = ""
-    outcome: str | None = None
-    doubt: str = ""
-    suspected: list[str] = []
-    before: str = ""
+    @property
+    def verdict(self) -> str:
+        """Return the outcome in words, and whether a cause is suspected."""
+        words = RECHECKED.get(self.recheck, "")
+        if not words and self.outcome is not None:
+            words = self.outcome.words
+        elif not words and self.kind == "made" and not self.validated:
+            words = "not validated"
+        return "; ".join(filter(None, (words, SUSPECTED if self.suspected else "")))
 
 
 class CalibrationReader:
     """Gathers the facts from the records of a journal, in their order."""
 
     def __init__(self) -> None:
-        self._verdicts: dict[str, _Verdict] = {}
+        self._verdicts: dict[str, Verdict] = {}
         self._used = self._revoked = ""
         self.moved = False  # the cell
 
     def take(self, record: Record) -> None:
         """Add one record; raises `msgspec.ValidationError`."""
         self.moved = self.moved or record.kind == "intent"
-        if record.kind == "verdict":
-            self.judge(record.key, record.body)
-            return
-        match record.fact if record.kind == "event" else None:
+        match record.fact if record.kind in ("event", "verdict") else None:
+            case Verdict() as verdict:
+                self._verdicts[record.key] = verdict
             case CalibrationUsed(run=run):
                 self._used = run
             case CalibrationRevoked(reason=reason):
                 self._revoked = reason
 
-    def judge(self, key: str, body: Mapping[str, Any]) -> None:
-        """Add a verdict; raises `msgspec.ValidationError`."""
-        self._verdicts[key] = typed(body, _Verdict)
-
     @property
     def facts(self) -> CalibrationFacts:
         """Return what the records have said."""
-        rechecked = self._verdicts.get("recheck", _Verdict(holds=True))
-        places = [v for key, v in self._verdicts.items() if key.startswith(VALIDATION)]
-        failed = [each.outcome for each in places if not each.holds]
-        undecided = bool(failed) and set(failed) == {"undecided"}
-        kind, validated = self._kind(rechecked.verdict), bool(places) and not failed
-        broken = [each for each in self._verdicts.values() if not each.holds]
-        since = self._verdicts.get(SINCE)
-        changed = since.before if since is not None and broken == [since] else ""
-        suspected = any(each.suspected for each in broken)
-        judged = any(key.startswith(JUDGING) for key in self._verdicts)
-        if rechecked.verdict in RECHECKED:
-            verdict = RECHECKED[rechecked.verdict]
-        elif undecided:
-            verdict = OUTCOMES["undecided"]
-        elif any(not each.suspected for each in broken):
-            verdict = OUTCOMES["rejected"]
-        elif kind == "made" and not validated:
-            verdict = "not validated"
-        else:
-            verdict = OUTCOMES["accepted"] if judged and not suspected else ""
-        return CalibrationFacts(
-            kind, self._used, validated, undecided, rechecked.verdict == "redo",
-            rechecked.doubt, self._revoked, suspected, judged,
-            "; ".join(filter(None, (verdict, SUSPECTED if suspected else ""))),
-            changed,
-        )  # fmt: skip
+        return facts_of(self._verdicts, self._used, self._revoked)
 
-    def _kind(self, recheck: str) -> Kind:
-        """Return the kind, as `Log.calibrates` and `calibration_after` tell them apart."""
-        if "fit" in self._verdicts:
-            return "made"
-        if "touch" in self._verdicts:
-            return "touch"
-        if "targets" in self._verdicts:
-            return "targets" if self._verdicts["targets"].holds else ""
-        return "base" if recheck == "update" else ""
+
+def facts_of(
+    verdicts: Mapping[str, Verdict], used: str = "", revoked: str = ""
+) -> CalibrationFacts:
+    """Return what verdicts say, by their keys."""
+    all_of = list(verdicts.values())
+    broken = [each for each in all_of if not each.holds]
+    places = [each for key, each in verdicts.items() if key.startswith(VALIDATION)]
+    missed = [each.outcome for each in places if not each.holds]
+    recheck = next((each for each in all_of if isinstance(each, Rechecked)), None)
+    since = next((each for each in broken if isinstance(each, ChangedSince)), None)
+    kind, validated = _kind(verdicts, recheck), bool(places) and not missed
+    suspected = any(each.suspects for each in broken)
+    judged = any(isinstance(each, Judged | PoseTested) for each in all_of)
+    found: Outcome | None = None
+    if missed and set(missed) == {Outcome.UNDECIDED}:
+        found = Outcome.UNDECIDED
+    elif any(not each.suspects for each in broken):
+        found = Outcome.REJECTED
+    elif judged and not suspected and (validated or kind != "made"):
+        found = Outcome.ACCEPTED
+    return CalibrationFacts(
+        kind=kind,
+        used=used,
+        validated=validated,
+        recheck="" if recheck is None else recheck.verdict,
+        doubt="" if recheck is None else recheck.doubt,
+        revoked=revoked,
+        suspected=suspected,
+        judged=judged,
+        outcome=None if recheck is not None else found,
+        changed_since=since.before if since is not None and broken == [since] else "",
+    )
+
+
+def _kind(verdicts: Mapping[str, Verdict], recheck: Rechecked | None) -> Kind:
+    """Return the kind, as `Log.calibrates` and `calibration_after` tell them apart."""
+    if "fit" in verdicts:
+        return "made"
+    if "touch" in verdicts:
+        return "touch"
+    if "targets" in verdicts:
+        return "targets" if verdicts["targets"].holds else ""
+    return "base" if recheck is not None and recheck.verdict == "update" else ""
 
 
 def outcome(facts: CalibrationFacts, state: str, code: int | None, points: int) -> str:
@@ -147,20 +147,20 @@ def outcome(facts: CalibrationFacts, state: str, code: int | None, points: int) 
         return "not begun"
     if state != "finished":
         return state
-    if code and facts.verdict in ("", OUTCOMES["accepted"]):
-        return OUTCOMES["rejected"]
+    if code and facts.verdict in ("", Outcome.ACCEPTED.words):
+        return Outcome.REJECTED.words
     return facts.verdict or NOT_JUDGED[0 if points else 1]
-
-
-def facts_of_verdicts(log: Log) -> CalibrationFacts:
-    """Return what the verdicts of a log say."""
-    reader = CalibrationReader()
-    for key, body in log.verdicts.items():
-        reader.judge(key, body)
-    return reader.facts
 
 
 def run_outcome(log: Log) -> str:
     """Return how the run of a log came out, in the word of `outcome`."""
     code = None if log.end is None else log.end.exit
-    return outcome(facts_of_verdicts(log), log.state, code, len(log.points))
+    return outcome(facts_of(log.verdicts), log.state, code, len(log.points))
+
+
+def run_judged(log: Log) -> Outcome | None:
+    """Return the outcome of a finished run; None where nothing was judged and no check failed."""
+    facts = facts_of(log.verdicts)
+    if log.end is not None and log.end.exit and facts.verdict in ("", Outcome.ACCEPTED.words):
+        return Outcome.REJECTED
+    return facts.outcome

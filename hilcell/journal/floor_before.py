@@ -10,9 +10,11 @@ import numpy as np
 
 from hilcell.cell.file import Cell
 from hilcell.journal.index import read_index
-from hilcell.journal.log import FloorBefore, FrameBefore, Log, repeated_visits
+from hilcell.journal.log import Log, repeated_visits
 from hilcell.journal.runs import CALIBRATION, read_log
 from hilcell.journal.standing import current_of, measured_by
+from hilcell.model.frame import Frame, MeasuredBase
+from hilcell.model.plan import FloorBefore
 from hilcell.ports import DeviceError
 from hilcell.typed import decoded
 
@@ -75,16 +77,16 @@ def _with_frames(found: FloorBefore, origin: FloorBefore, updated: Path, cell: C
     )
 
 
-def _moved_base(base: FrameBefore | None, after: _Calibration, station: str) -> FrameBefore | None:
+def _moved_base(base: Frame | None, after: _Calibration, station: str) -> Frame | None:
     """Return the base where updates have found it; their covariances have the axes of {B}."""
     if base is None:
         return None
     T = np.array(after.stations[station].T_W_B)
-    covariance, turn = np.array(base.covariance), np.kron(np.eye(2), T[:3, :3])
+    covariance, turn = base.C, np.kron(np.eye(2), T[:3, :3])
     for update in after.provenance.updates:
         if update.what == "base":
             covariance += turn @ np.array(update.covariance) @ turn.T
-    return FrameBefore(T.tolist(), covariance.tolist())
+    return Frame(matrix=T.tolist(), covariance=covariance.tolist())
 
 
 def measured_before(name: str, log: Log, cell: Cell) -> FloorBefore | None:
@@ -131,28 +133,28 @@ def _refuse_other_order(run: str, then: Cell, now: Cell) -> None:
     )
 
 
-def _base_before(log: Log, cell: Cell) -> FrameBefore | None:
+def _base_before(log: Log, cell: Cell) -> Frame | None:
     """Return the base as circles gave it; None where the grid has another station now."""
-    then, frame = log.cell, log.frames.get("base", {})
+    then, frame = log.cell, log.frames.get("base")
     station = then.station_named(then.grid.station)
-    if "circle_rms_mm" not in frame or station != cell.station_named(cell.grid.station):
+    if not isinstance(frame, MeasuredBase) or station != cell.station_named(cell.grid.station):
         return None
-    return FrameBefore(frame["matrix"], frame["covariance"])
+    return Frame(matrix=frame.matrix, covariance=frame.covariance)
 
 
-def _stations_before(log: Log, cell: Cell) -> dict[str, FrameBefore]:
+def _stations_before(log: Log, cell: Cell) -> dict[str, Frame]:
     """Return the slide at the stations, and with the nests, that the cell still has."""
     if log.cell.layout.slide != cell.layout.slide:
         return {}
     frames = {
-        station.name: log.frames.get(f"station.{station.name}", {})
+        station.name: log.frames.get(f"station.{station.name}")
         for station in cell.station
         if station in log.cell.station
     }
     return {
-        name: FrameBefore(frame["matrix"], frame["covariance"])
+        name: Frame(matrix=frame.matrix, covariance=frame.covariance)
         for name, frame in frames.items()
-        if "covariance" in frame
+        if frame is not None and frame.covariance
     }
 
 

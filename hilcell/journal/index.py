@@ -33,7 +33,7 @@ from hilcell.model.records import Ended, StateChanged
 from hilcell.typed import decoded, typed
 
 NAME = "index.sqlite"
-SCHEMA = 10  # to be raised whenever `RunRow` changes, or what its fields mean
+SCHEMA = 11  # to be raised whenever `RunRow` changes, or what its fields mean
 BUSY_S = 2.0  # another process writes; without its leave the journals are read instead
 SETTLED_S = 3.0  # file systems tell times in steps of up to 2 s: a younger file may still change
 _SCHEMA = str(SCHEMA).encode()

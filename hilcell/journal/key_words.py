@@ -19,29 +19,13 @@ from hilcell.journal.point_words import (
     target_words,
 )
 from hilcell.model.point import SEAT, PointId
+from hilcell.model.verdicts import VALIDATION, verdict_title
 
 _KEY = re.compile(rf"(?<![\w/.])(?:{'|'.join(KINDS)})/[^\s,;:()]*[^\s,;:().]")
 _VERDICT = re.compile(r"(?<![\w/])verdict (?P<key>[^\s,;:]*[^\s,;:.])")
 _NUMBERED = re.compile(
     rf"(?P<number>\d{{3}})(?P<side>[+-])?|(?P<place>\d)|axis(?P<axis>\d)|{SEAT}(?P<seat>\d{{1,3}})"
 )
-_AT = "validation."  # begins a verdict of one place
-_VERDICTS = {
-    "sign": "sign check",
-    "fit": "choice of the correction",
-    "suspicions": "suspected causes",
-    "since": "changes since the calibration before",
-    "iso9283": "ISO 9283 test",
-    "recheck": "re-check",
-    "reversal": "lost motion of axes 1 to 3",
-    "backlash": "backlash of the rail",
-    "station-repeatability": "repeatability of a held station",
-    "touch": "touch poses",
-    "revisits": "revisited poses",
-    "revisits.closing": "closing visits",
-    "two-face": "both faces of the tracker",
-    "two-face.closing": "both faces of the tracker, at the end",
-}
 
 
 def in_words(text: str, log: Log) -> str:
@@ -62,9 +46,9 @@ def key_words(key: str, log: Log) -> str:
 
 def verdict_words(key: str) -> str:
     """Return the subject of a verdict: *validation at S1100*."""
-    if key.startswith(_AT):
-        return f"validation {target_words(key.removeprefix(_AT))}"
-    return _VERDICTS.get(key, key.replace("-", " "))
+    if key.startswith(VALIDATION):
+        return f"validation {target_words(key.removeprefix(VALIDATION))}"
+    return verdict_title(key)
 
 
 def id_of(key: str, log: Log) -> PointId:

@@ -36,8 +36,11 @@ from hilcell.model.events import (
     StationHeld,
     StreamRecorded,
 )
+from hilcell.model.frame import Frame
+from hilcell.model.plan import PlanRecord
 from hilcell.model.point import CONTROL, Point, PointId
 from hilcell.model.records import Change, Ended, Intended, Kind, StateChanged
+from hilcell.model.verdicts import Fitted, Judged, Rechecked, Touched, Verdict
 from hilcell.ports import Array
 from hilcell.typed import typed
 
@@ -87,6 +90,8 @@ class Driven:
 
 T = TypeVar("T")
 E = TypeVar("E", bound=Event)
+F = TypeVar("F", bound=Frame)
+V = TypeVar("V", bound=Verdict)
 Args = TypeVarTuple("Args")
 
 NO_READINGS: tuple[Kind, ...] = ("intent", "state", "verdict")  # records: no point, no frame
@@ -94,58 +99,6 @@ NO_READINGS: tuple[Kind, ...] = ("intent", "state", "verdict")  # records: no po
 
 class _Row(Point, frozen=True, kw_only=True, array_like=True):
     """A point as the log packs it."""
-
-
-class FrameBefore(msgspec.Struct, frozen=True):
-    """A frame in {W} (4, 4) as an earlier run measured it, and its own covariance (6, 6)."""
-
-    matrix: list[list[float]]
-    covariance: list[list[float]]
-
-
-class FloorBefore(msgspec.Struct, frozen=True):
-    """Floor nests of an earlier run of the cell: places in the tracker's frame of then, mm. Its
-    base at the grid's station, None where that is another one, and its slide at stations.
-
-    ``alike``: the base was measured with the same robot on the same circles. ``frames_c`` is the
-    air's temperature of base and slide, where another run measured them than the nests.
-    ``visits_mm`` are clouds of places of the same grid that this robot visited repeatedly.
-    """
-
-    run: str
-    nests_mm: dict[str, tuple[float, float, float]]
-    temperature_c: float | None
-    base: FrameBefore | None = None
-    alike: bool = False
-    stations: dict[str, FrameBefore] = {}
-    frames_c: float | None = None
-    visits_mm: list[list[tuple[float, float, float]]] = []
-
-
-class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """The frozen inputs of a run."""
-
-    procedure: str
-    cell: dict[str, Any]
-    digest: str
-    seed: int
-    speed: float | None
-    unattended: bool
-    operator: str
-    job: str
-    simulated: bool
-    versions: dict[str, str]
-    settings: dict[str, str]
-    steps: list[dict[str, Any]]
-    points: int
-    duration_s: float
-    machine_seed: int | None  # of the simulated machine; None where this run did not start it
-    cell_file: str  # where the cell came from
-    driven_by: list[str] = []  # runs finished before, newest first: the poses they drove are known
-    accepted: list[str] = []  # why the calibration that it uses should not be used
-    floor_before: FloorBefore | None = None  # of the run that made the cell's current calibration
-    replayed: bool = False  # it only repeats a recorded run, and measures nothing
-    utc_offset_min: int = 0  # by which the clock on the wall was ahead of UTC when it began
 
 
 class Ordered(NamedTuple):
@@ -179,8 +132,8 @@ class Log:
         self._keys: dict[str, dict[str, int]] = {}  # of the points, by kind: numbers of records
         self.changed: dict[str, int] = {}  # by point: number of the record that made it as it is
         self.celsius: dict[str, float] = {}  # by point, where a weather station measured the air
-        self.frames: dict[str, dict[str, Any]] = {}
-        self.verdicts: dict[str, dict[str, Any]] = {}
+        self.frames: dict[str, Frame] = {}
+        self.verdicts: dict[str, Verdict] = {}
         self.judged: dict[str, Record] = {}  # the verdicts' records
         self.events: list[Record] = []
         self.state: RunState = "idle"
@@ -211,16 +164,23 @@ class Log:
 
     def take(self, record: Record) -> None:
         """Add one record."""
-        body, fact, before = record.body, record.fact, self._worked
+        fact, before = record.fact, self._worked
         self.newest = record
         self._newest[record.kind] = record.seq
         self._worked = before if record.kind == "end" else record
         match fact:
+            case PlanRecord():
+                self.plan, self._cell = fact, None
             case StateChanged():
                 self._take_state(record, fact, before)
             case Point():
                 self._take_point(self._carried(fact), record.seq)
                 self.order = None
+            case Frame():
+                self.frames[record.key] = fact
+                self._carry_nests(record.key, record.seq)
+            case Verdict():
+                self.verdicts[record.key], self.judged[record.key] = fact, record
             case Ended():
                 self.end = fact
             case Intended():
@@ -229,16 +189,6 @@ class Log:
             case Event() | OtherEvent():
                 self.events.append(record)
                 self._take_event(fact)
-        match record.kind:
-            case "plan":
-                self.plan = typed(body, PlanRecord)
-                self._cell = None
-            case "frame":
-                self.frames[record.key] = body
-                self._carry_nests(record.key, record.seq)
-            case "verdict":
-                self.verdicts[record.key] = body
-                self.judged[record.key] = record
         self.driven.take(record)
         for key in self.set_ups.take(record):
             self._drop(key)
@@ -342,6 +292,24 @@ class Log:
             known = self._computed[key] = (newest, compute(self, *args))
         return known[1]
 
+    def verdict(self, kind: type[V], key: str = "") -> V | None:
+        """Return the verdict of a type, by the first of its keys or ``key``; None before it."""
+        found = self.verdicts.get(key or kind.keys[0])
+        return found if isinstance(found, kind) else None
+
+    @property
+    def method(self) -> str:
+        """Return the error model that was chosen, "" before."""
+        fitted = self.verdict(Fitted)
+        return "" if fitted is None else fitted.method
+
+    def frame(self, kind: type[F], key: str) -> F:
+        """Return a frame of a type; raises `KeyError` before it."""
+        found = self.frames[key]
+        if not isinstance(found, kind):
+            raise KeyError(f"{key} is no {kind.__name__}")
+        return found
+
     def happened(self, kind: type[E]) -> list[E]:
         """Return the events of a type in their order."""
         return [record.fact for record in self.events if isinstance(record.fact, kind)]
@@ -369,10 +337,12 @@ class Log:
     @property
     def calibrates(self) -> bool:
         """Whether the run ended with a calibration, which has a file of its own."""
-        updated = self.verdicts.get("recheck", {}).get("verdict") == "update"
-        folded = self.verdicts.get("targets", {}).get("holds", False)
-        made = not {"fit", "touch"}.isdisjoint(self.verdicts)
-        return self.state == "finished" and (made or updated or folded)
+        recheck, folded = self.verdict(Rechecked), self.verdict(Judged, "targets")
+        made = self.verdict(Fitted) is not None or self.verdict(Touched) is not None
+        updated = recheck is not None and recheck.verdict == "update"
+        return self.state == "finished" and (
+            made or updated or (folded is not None and folded.holds)
+        )
 
     @property
     def cell(self) -> Cell:
@@ -456,7 +426,7 @@ class Log:
 
     def matrix(self, frame: str) -> Array:
         """Return a frame's homogeneous matrix (4, 4)."""
-        return np.array(self.frames[frame]["matrix"], dtype=float)
+        return self.frames[frame].T
 
 
 def positions_mm(points: Iterable[Point]) -> Array:

@@ -30,6 +30,7 @@ from msgspec.structs import replace as replace_struct
 from hilcell.journal.calibration_facts import CalibrationFacts
 from hilcell.journal.folder_order import in_order
 from hilcell.journal.index import UNREADABLE, RunRow
+from hilcell.model.outcome import Outcome
 
 State = Literal[
     "current", "superseded", "revoked", "in doubt", "out of date", "not validated", "undecided",
@@ -205,7 +206,7 @@ def _accepted(row: RunRow, revoked: Mapping[str, Standing]) -> bool:
 
 
 def _unproven(facts: CalibrationFacts) -> Standing:
-    if facts.undecided:
+    if facts.outcome is Outcome.UNDECIDED:
         return Standing("undecided")
     if not (facts.suspected and facts.validated):
         return Standing("not validated")
@@ -228,7 +229,7 @@ def _revoked(rows: list[RunRow]) -> dict[str, Standing]:
         elif row.calibrates and facts.used in found:
             why = f"it is based on one {found[facts.used].text}"
             found[row.name] = Standing("revoked", facts.used, why)
-        if facts.redo and row.finished and not facts.revoked:
+        if facts.recheck == "redo" and row.finished and not facts.revoked:
             found.setdefault(facts.used, Standing("revoked", row.name, "its re-check says redo"))
     return found
 

@@ -14,7 +14,10 @@ from msgspec import field
 
 from hilcell.model import events
 from hilcell.model.events import Event, Json, OtherEvent
+from hilcell.model.frame import Frame, frame_of
+from hilcell.model.plan import PlanRecord
 from hilcell.model.point import Point
+from hilcell.model.verdicts import Verdict, verdict_of
 from hilcell.typed import typed
 
 Kind: TypeAlias = Literal["plan", "state", "intent", "point", "frame", "verdict", "event", "end"]
@@ -104,7 +107,9 @@ EVENTS: dict[str, type[Event]] = {
 }
 
 
-Fact: TypeAlias = Event | OtherEvent | StateChanged | Intended | Point | Ended | Json
+Fact: TypeAlias = (
+    PlanRecord | Event | OtherEvent | StateChanged | Intended | Point | Frame | Verdict | Ended
+)
 
 
 def fact_of(kind: Kind, key: str, body: Json) -> Fact:
@@ -118,10 +123,14 @@ def fact_of(kind: Kind, key: str, body: Json) -> Fact:
             return typed(body, StateChanged)
         case "intent":
             return typed(body, Intended)
+        case "frame":
+            return frame_of(key, body)
+        case "verdict":
+            return verdict_of(key, body)
         case "end":
             return typed(body, Ended)
-        case _:
-            return body
+        case "plan":
+            return typed(body, PlanRecord)
 
 
 def event_of(body: Json) -> Event | OtherEvent:

@@ -13,8 +13,8 @@ import msgspec
 import numpy as np
 from sqlalchemy import Connection, func, select
 
-from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.journal.point_words import OTHERS
+from hilcell.model.verdicts import VALIDATION
 from hilcell.plant.cells import CELL, chosen, newest
 from hilcell.plant.course import CONFIDENCE, FEWEST, SIGNIFICANCE
 from hilcell.plant.record import TRACKER

@@ -24,7 +24,9 @@ from hilcell.journal.index import RunRow, row_of_records
 from hilcell.journal.journal import Record, chain
 from hilcell.journal.log import Log
 from hilcell.model.events import Asset
+from hilcell.model.outcome import Figure
 from hilcell.model.point import Point
+from hilcell.model.verdicts import LengthsChecked
 from hilcell.typed import typed
 
 ROBOT, TRACKER = "robot", "tracker"
@@ -174,8 +176,8 @@ def record_of(run: str, records: Sequence[Record], documents: Sequence[Document]
         versions=log.inputs.versions,
         devices=log.assets,
         frames=[
-            FrameEntry(key, body["matrix"], body.get("covariance"))
-            for key, body in log.frames.items()
+            FrameEntry(key, frame.matrix, frame.covariance or None)
+            for key, frame in log.frames.items()
         ],
         points=list(_points(log, records)),
         verdicts=list(_verdicts(log)),
@@ -210,16 +212,17 @@ def _points(log: Log, records: Sequence[Record]) -> Iterator[PointEntry]:
 
 
 def _verdicts(log: Log) -> Iterator[VerdictEntry]:
-    for key, body in log.verdicts.items():
-        figures = [body.get(name) for name in ("mean_mm", "mean_U_mm", "mean_tolerance_mm")]
-        known = [float(each) if isinstance(each, int | float) else None for each in figures]
-        yield VerdictEntry(key, bool(body["holds"]), body, *known)
+    for key, record in log.judged.items():
+        verdict = log.verdicts[key]
+        mean = next((each for each in verdict.figures if each.name == "mean"), Figure("", None))
+        entry = VerdictEntry(key, verdict.holds, record.body, mean.value, mean.U, mean.limit)
+        yield entry
 
 
 def _lengths(log: Log) -> Iterator[LengthEntry]:
-    for each in log.verdicts.get("known-length", {}).get("lengths", []):
-        nests = "-".join(map(str, each["nests"]))
-        yield LengthEntry(nests, each["wanted_mm"], each["found_mm"], each["U_mm"])
+    checked = log.verdict(LengthsChecked)
+    for each in () if checked is None else checked.lengths:
+        yield LengthEntry("-".join(each.nests), each.wanted_mm, each.found_mm, each.U_mm)
 
 
 def _grid(log: Log) -> GridErrors | None:

@@ -155,7 +155,7 @@ def _said(connection: Connection, cell: Name, first: Found, second: Found) -> li
     found = _exchanged(_devices(connection, first), _devices(connection, second))
     for row in connection.execute(select(RUN.c.row).where(then).order_by(RUN.c.ended)):
         run = typed(row.row, RunRow)
-        if run.facts.redo:
+        if run.facts.recheck == "redo":
             found.append(f"re-check: calibrate again ({run.name})")
     alarms = (
         select(ALARM.c.code, ALARM.c.title, RUN.c.name)

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hilcell.calibration.decision import RULE
+from hilcell.calibration.file import verdicts_of
 from hilcell.calibration.measurement_budget import Budget
 from hilcell.cell.file import Cell
-from hilcell.journal.calibration_facts import VALIDATION
 from hilcell.journal.times import in_zone
+from hilcell.model.outcome import RULE
+from hilcell.model.verdicts import Rechecked
 from hilcell.report import iso9283
 from hilcell.report.budgets import TargetBudget
 from hilcell.report.facts import Facts
@@ -178,9 +179,9 @@ def conformity_words(facts: Facts) -> str:
     if tests_poses(facts):
         return iso9283.conformity_words(facts)
     limits, plan = facts.cell.validation, facts.cell.plan
-    judged = [v for key, v in facts.log.verdicts.items() if key.startswith(VALIDATION)]
+    judged = verdicts_of(facts.log)
     rule = RULE
-    if "recheck" in facts.log.verdicts:
+    if facts.log.verdict(Rechecked) is not None:
         return "chi-square tests of the errors against those that the calibration predicts"
     if plan.quick and not facts.procedure.used_in(facts.cell):
         rule = (
@@ -191,6 +192,6 @@ def conformity_words(facts: Facts) -> str:
     if not judged:
         return rule
     stated = f"mean ≤ {limits.mean_tolerance_mm:g} mm and maximum ≤ {limits.max_tolerance_mm:g} mm"
-    turns_deg = {each["max_tolerance_deg"] for each in judged if each.get("max_tolerance_deg")}
+    turns_deg = {each.max_tolerance_deg for each in judged.values() if each.max_tolerance_deg}
     stated += "".join(f", error of orientation ≤ {limit_deg:g}°" for limit_deg in turns_deg)
     return f"{stated}; {rule}"

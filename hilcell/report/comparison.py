@@ -45,6 +45,7 @@ from hilcell.geometry.statistics import (
 from hilcell.journal.asset import differing
 from hilcell.journal.log import Log
 from hilcell.journal.ways_sent import Sent
+from hilcell.model.frame import TouchedBase
 from hilcell.ports import Array
 from hilcell.present.table import Column
 
@@ -109,11 +110,12 @@ def frame_changes(first: Side, second: Side) -> list[Change]:
     """Return how far the base and the station frames, as both runs have them, moved in {W}."""
     found: list[Change] = []
     for key, frame in first.log.frames.items():
-        if "visit" in frame:  # two stops are never the same
+        if isinstance(frame, TouchedBase):  # two stops are never the same
             continue
         if not all(has_own_place(side.log.cell, key) for side in (first, second)):
             continue
-        if "covariance" in frame and "covariance" in second.log.frames.get(key, {}):
+        other = second.log.frames.get(key)
+        if frame.covariance and other is not None and other.covariance:
             place = key.replace(".", " ")
             limits = _frame_limits(first, second, key)
             T_1, T_2 = first.log.matrix(key), second.log.matrix(key)
@@ -151,7 +153,7 @@ def _frame_covariance(side: Side, key: str) -> Array | None:
     log, u_mm = side.log, side.u_mm
     if u_mm is None or len(floor_points(log)) < FLOOR_NESTS:
         return None
-    covariance: Array = np.array(log.frames[key]["covariance"], dtype=float)
+    covariance: Array = log.frames[key].C
     covariance += world_covariance(log, log.matrix(key)[:3, 3])
     covariance[:3, :3] += hold_covariance(log.cell)
     if key == "base":
@@ -240,10 +242,10 @@ def _vertex_variance_mm2(side: Side) -> float | None:
 
 def base_variance_mm2(log: Log) -> float | None:
     """Return the variance of one coordinate of the grid's centre, as {B} carries it."""
-    frame = log.frames.get("base", {})
-    if "covariance" not in frame:
+    frame = log.frames.get("base")
+    if frame is None or not frame.covariance:
         return None
-    base = RigidFit(log.matrix("base"), np.array(frame["covariance"]), np.empty((0, 3)), 0.0)
+    base = RigidFit(log.matrix("base"), frame.C, np.empty((0, 3)), 0.0)
     centre_mm = log.cell.grid.centre.matrix()[:3, 3]
     return point_uncertainty(base, centre_mm) ** 2 / 3
 
@@ -423,7 +425,7 @@ def _notes(first: Log, second: Log, *, grids: bool) -> Iterator[str]:
         yield "only one of the runs measured the grid: it is not compared"
     elif not grids and all(measured):
         yield "the grids differ: their vertices are not compared"
-    methods = [str(log.verdicts.get("fit", {}).get("method", "")) for log in (first, second)]
+    methods = [log.method for log in (first, second)]
     if all(methods) and methods[0] != methods[1]:
         yield f"'chosen' is {methods[0]} in the first run, {methods[1]} in the second"
 

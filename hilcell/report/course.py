@@ -197,7 +197,7 @@ def _is_measured(record: Record) -> bool:
 def _is_computed(record: Record, log: Log) -> bool:
     """Whether a record is of a frame or a verdict that was not known as it is now."""
     known = {"frame": log.frames, "verdict": log.verdicts}.get(record.kind)
-    return known is not None and known.get(record.key) != record.body
+    return known is not None and known.get(record.key) != record.fact
 
 
 def _points(count: int) -> str:

@@ -17,8 +17,8 @@ import numpy as np
 from hilcell import __version__
 from hilcell.calibration.decision import guard_of
 from hilcell.clean import harmless
-from hilcell.journal.calibration_facts import VERDICTS
 from hilcell.journal.ways_sent import Sent
+from hilcell.model.outcome import Outcome
 from hilcell.report import tables
 from hilcell.report.budgets import TargetBudget, placed, target_budget
 from hilcell.report.certificate import (
@@ -140,8 +140,11 @@ def document(root: Element) -> bytes:
 UNKNOWN_COUNTRY = "ZZ"  # of ISO 3166-1's codes for the user's own use
 NOT_SHOWN = "noPass"
 CONFORMITY: dict[Judgement, str] = {
-    "accepted": "pass", "undecided": NOT_SHOWN, "suspected": NOT_SHOWN, "rejected": "fail",
-}  # fmt: skip
+    Outcome.ACCEPTED: "pass",
+    Outcome.UNDECIDED: NOT_SHOWN,
+    "suspected": NOT_SHOWN,
+    Outcome.REJECTED: "fail",
+}
 AIR = {
     "air temperature": ("basic_temperature", CELSIUS),
     "air pressure": ("basic_pressure", HECTOPASCAL),
@@ -244,7 +247,7 @@ def _statements(facts: Facts) -> Iterator[Element]:
     if valid:
         yield _statement(f"Valid for: {valid}.")
     judged = judgement(facts)
-    only_would_be = facts.inputs.simulated and judged in VERDICTS
+    only_would_be = facts.inputs.simulated and isinstance(judged, Outcome)
     yield _statement(f"Decision rule: {conformity_words(facts)}.", "ISO 14253-1",
                      conformity=None if only_would_be else CONFORMITY.get(judged))  # fmt: skip
     yield _statement(f"Before and after adjustment: {adjustment_words(facts)}.")
@@ -355,8 +358,8 @@ def _turns(facts: Facts) -> Iterator[Element]:
 def _verdict(facts: Facts, result: Result) -> Element:
     """Return a figure's limit, and whether it is kept; a simulated one only would be."""
     limit = quantity("limit", real(result.limit_mm, MM), ref="hilcell_limit")
-    outcome = result.outcome or "undecided"  # of a bound, which is not judged
-    words, conforms = f"limit {result.limit_mm:g} mm: {VERDICTS[outcome]}", CONFORMITY[outcome]
+    outcome = result.outcome or Outcome.UNDECIDED  # of a bound, which is not judged
+    words, conforms = f"limit {result.limit_mm:g} mm: {outcome.short}", CONFORMITY[outcome]
     real_one = not facts.inputs.simulated
     return dcc("measurementMetaData", dcc(
         "metaData", text("declaration", words if real_one else f"{words}, if it were real"),

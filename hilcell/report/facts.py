@@ -14,22 +14,23 @@ from datetime import tzinfo
 from pathlib import Path
 from typing import Any
 
-from hilcell.calibration.causes import suspected_in
 from hilcell.calibration.file import read_calibration
 from hilcell.calibration.in_use import standings_in
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, read_bytes
 from hilcell.clean import encodable
-from hilcell.geometry.sequential import Outcome
-from hilcell.journal.calibration_facts import VERDICTS, facts_of_verdicts
+from hilcell.journal.calibration_facts import facts_of
 from hilcell.journal.index import read_index
 from hilcell.journal.journal import Record, chain
-from hilcell.journal.log import Log, PlanRecord
+from hilcell.journal.log import Log
 from hilcell.journal.runs import CALIBRATION, read_records
 from hilcell.journal.standing import Standing
 from hilcell.journal.times import in_zone, zone_of
 from hilcell.model.events import CalibrationRevoked
+from hilcell.model.outcome import Outcome
+from hilcell.model.plan import PlanRecord
+from hilcell.model.suspicion import suspected_in
 from hilcell.ports import HilcellError
 from hilcell.run.procedure import Procedure
 
@@ -80,7 +81,7 @@ class Facts:
         """Return the causes that the run suspects, "" where there is none, or that is cleared."""
         if self.stands is not None and self.stands.state == "current":
             return ""
-        if not facts_of_verdicts(self.log).suspected:
+        if not facts_of(self.log.verdicts).suspected:
             return ""
         return "; ".join(each.text for each in suspected_in(self.result))
 
@@ -109,7 +110,7 @@ class Facts:
         """
         if outcome is None:
             return none
-        return f"({VERDICTS[outcome]})" if self.inputs.simulated else VERDICTS[outcome]
+        return f"({outcome.short})" if self.inputs.simulated else outcome.short
 
 
 def _revokes(record: Record) -> bool:

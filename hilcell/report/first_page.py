@@ -12,30 +12,27 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hilcell.calibration.decision import Judged, gravest, outcome_of
 from hilcell.calibration.errors import places, validation
 from hilcell.calibration.file import calibration_so_far
 from hilcell.calibration.measurement_budget import Budget
 from hilcell.calibration.validity import MAX_AGE_DAYS, TEMPERATURE_MARGIN_K
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import zyx_from_pose
-from hilcell.geometry.sequential import Outcome
 from hilcell.journal.calibration_facts import (
-    OUTCOMES,
     SUSPECTED,
-    VALIDATION,
-    VERDICTS,
-    facts_of_verdicts,
+    facts_of,
+    run_judged,
     run_outcome,
 )
 from hilcell.journal.ways_sent import Sent
+from hilcell.model.outcome import Outcome, gravest, outcome_of
+from hilcell.model.verdicts import VALIDATION, Judged
 from hilcell.present.table import Column, Table, Value
 from hilcell.report import iso9283
 from hilcell.report.budgets import K_3D, TargetBudget
 from hilcell.report.facts import Facts
 from hilcell.report.iso9283 import tests_poses
 from hilcell.report.verdicts import with_signs
-from hilcell.typed import typed
 
 BLANK = "…" * 12  # to fill in by hand
 NO_CERTIFICATE, NOT_APPLICABLE = "none, simulated", "–"
@@ -64,7 +61,7 @@ class Result:
     before_mm: float | None
     after_mm: float
     U_mm: float | None
-    also: Outcome = "accepted"
+    also: Outcome = Outcome.ACCEPTED
 
     @property
     def most_mm(self) -> float:
@@ -119,9 +116,10 @@ def results_sheet(facts: Facts, targets: TargetBudget) -> Table:
 def judged_places(facts: Facts) -> dict[str, Judged]:
     """Return the verdicts of single stations."""
     return {
-        place: typed(facts.log.verdicts[VALIDATION + place], Judged)
+        place: judged
         for place, stations in places(facts.cell).items()
-        if len(stations) == 1 and VALIDATION + place in facts.log.verdicts
+        if len(stations) == 1
+        and (judged := facts.log.verdict(Judged, VALIDATION + place)) is not None
     }
 
 
@@ -174,7 +172,8 @@ def results_at(facts: Facts, name: str) -> tuple[Result, Result]:
     before = series[Sent.BEFORE].figures if Sent.BEFORE in series else None
     sent = len(series[Sent.BEFORE]) if Sent.BEFORE in series else 0
     count = len(series[Sent.CHOSEN]) if Sent.CHOSEN in series else 0
-    also: Outcome = "accepted" if each.holds or each.deciding != each.decision else each.outcome
+    explained = each.holds or each.why != each.decision
+    also = Outcome.ACCEPTED if explained else each.outcome
     targets = f"{count} targets at {name}" + (
         f" (before: {sent})" if sent not in (0, count) else ""
     )
@@ -199,14 +198,12 @@ def judgement(facts: Facts) -> Judgement:
         return "revoked"
     if not facts.finished or facts.log.end is None:
         return "unfinished"
-    word = run_outcome(facts.log).partition(";")[0]  # a suspicion is stated beside it
-    if word == SUSPECTED:
+    found, said = run_judged(facts.log), facts_of(facts.log.verdicts)
+    if found is None and said.verdict == SUSPECTED:
         return "suspected"
-    if not facts_of_verdicts(facts.log).judged:
-        return "failed check" if word == OUTCOMES["rejected"] else "not judged"
-    if word == OUTCOMES["undecided"]:
-        return "undecided"
-    return "accepted" if word == OUTCOMES["accepted"] else "rejected"
+    if not said.judged:
+        return "failed check" if found is Outcome.REJECTED else "not judged"
+    return found or Outcome.REJECTED
 
 
 def verdict_word(facts: Facts) -> str:
@@ -222,10 +219,10 @@ def verdict_word(facts: Facts) -> str:
             return "NO VERDICT"
         case "suspected" | "failed check" | "not judged":
             return run_outcome(facts.log).partition(";")[0].upper()
-    word = VERDICTS[judged].upper()
+    word = judged.short.upper()
     if not facts.inputs.simulated:
         return word
-    return f"WOULD BE {word}" if judged == "undecided" else f"WOULD {word}"
+    return f"WOULD BE {word}" if judged is Outcome.UNDECIDED else f"WOULD {word}"
 
 
 def deciding(facts: Facts) -> str:
@@ -235,7 +232,7 @@ def deciding(facts: Facts) -> str:
     if not outcomes:
         return ""
     found = [
-        f"{place}, {with_signs(each.deciding)}"
+        f"{place}, {with_signs(each.why)}"
         for place, each in failed.items() if each.outcome == gravest(outcomes)
     ]  # fmt: skip
     more = f"; and at {len(found) - MOST_DECIDING} more stations" if found[MOST_DECIDING:] else ""

@@ -8,19 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hilcell.calibration.decision import RULE
 from hilcell.calibration.iso9283 import (
     ANGLES,
-    AP,
-    AP_ANGLES,
     CORNERS,
     CYCLE,
-    ISO,
     PLANE,
-    RP,
-    RP_ANGLES,
     Angles,
-    Characteristic,
     Cube,
     Distance,
     Pose,
@@ -29,6 +22,8 @@ from hilcell.calibration.iso9283 import (
     attained,
 )
 from hilcell.geometry.statistics import from_mean_mm
+from hilcell.model.outcome import RULE, Outcome
+from hilcell.model.verdicts import AP, AP_ANGLES, ISO, RP, RP_ANGLES, Characteristic
 from hilcell.present.table import Column, Table
 from hilcell.report.drawings.svg import INK, MUTED, axes_sheet
 from hilcell.report.facts import Facts
@@ -60,7 +55,7 @@ def _columns(
     def verdict(row: Worst) -> str:
         if row.limit is None:
             return "not judged"
-        return facts.outcome_words("accepted" if row.holds else "rejected")
+        return facts.outcome_words(Outcome.ACCEPTED if row.holds else Outcome.REJECTED)
 
     return (
         Column("characteristic", name),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from operator import itemgetter
-from typing import Any
 
 from hilcell.calibration.errors import places, validation
 from hilcell.calibration.frames import ORIENTED
@@ -13,6 +12,7 @@ from hilcell.compensation.kinematic import Kinematic
 from hilcell.geometry.statistics import Figures
 from hilcell.journal.ways_sent import BOTH, Sent
 from hilcell.model.events import PosesChosen
+from hilcell.model.verdicts import Fitted
 from hilcell.present.table import Column, Table
 from hilcell.report.facts import Facts
 
@@ -31,8 +31,9 @@ def method_words(facts: Facts) -> str:
         measured += f" and at {poses} poses chosen by the errors found there"
     found = [measured]
     if log.curves:
-        found.append(f"each gear's error by slow sweeps of {_axes(log.curves)}{_used(_fit(facts))}")
-    found.append(_corrected(str(_fit(facts).get("method", ""))))
+        used = _used(log.verdict(Fitted))
+        found.append(f"each gear's error by slow sweeps of {_axes(log.curves)}{used}")
+    found.append(_corrected(facts.log.method))
     if len(facts.cell.station) > 1:
         found.append("transferred to the other stations by station frames")
     if touched:
@@ -49,16 +50,12 @@ def _measured(facts: Facts) -> str:
     return f"Position and orientation errors of the tool, by {count} reflectors on the flange,"
 
 
-def _fit(facts: Facts) -> Mapping[str, Any]:
-    return facts.log.verdicts.get("fit", {})
-
-
 def _axes(curves: Mapping[int, object]) -> str:
     return ("axes " if len(curves) > 1 else "axis ") + ", ".join(map(str, sorted(curves)))
 
 
-def _used(fit: Mapping[str, Any]) -> str:
-    used = fit.get("curves", {}).get("used", True) and fit.get("method") == Kinematic.name
+def _used(fit: Fitted | None) -> str:
+    used = fit is not None and fit.curves.used and fit.method == Kinematic.name
     return "" if used else " (not used)"
 
 
@@ -101,18 +98,19 @@ MISSES: tuple[Column[Missed], ...] = (
 
 def models(facts: Facts) -> Table:
     """Return how far each model misses poses left out, which one was chosen, and why."""
-    fit = _fit(facts)
+    fit = facts.log.verdict(Fitted)
+    if fit is None:
+        return Table(MISSES, (), "Choice of the correction")
     rows = [
-        (f"{name}, chosen" if name == fit["method"] else name, figures)
-        for name, figures in fit.get("loocv", {}).items()
+        (f"{name}, chosen" if name == fit.method else name, figures)
+        for name, figures in fit.loocv.items()
     ]
-    reasons = [f"Chosen: {fit.get('reason', '')}." if fit.get("reason") else ""]
-    reasons += [f"No {name} model: {why}." for name, why in fit.get("refused", {}).items()]
-    curves = fit.get("curves", {}).get("reason", "")
-    reasons += [f"Curves of the axis sweeps: {curves}."] if curves else []
+    reasons = [f"Chosen: {fit.reason}."]
+    reasons += [f"No {name} model: {why}." for name, why in fit.refused.items()]
+    reasons += [f"Curves of the axis sweeps: {fit.curves.reason}."] if fit.curves.reason else []
     unswept = facts.result.get("sweeps", {}).get("left_out", "")
     reasons += [f"Axes not swept: {unswept}."] if unswept else []
-    return Table(MISSES, rows, "Choice of the correction", " ".join(filter(None, reasons)))
+    return Table(MISSES, rows, "Choice of the correction", " ".join(reasons))
 
 
 def chosen_poses_words(facts: Facts, chosen: PosesChosen) -> str:

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hilcell.calibration.decision import outcome_of
 from hilcell.calibration.errors import (
     OTHERS,
     Errors,
@@ -24,7 +23,6 @@ from hilcell.calibration.errors import (
 from hilcell.calibration.orientation import Turned, seats_of, turned_each_time, validated_turns
 from hilcell.cell.file import Station
 from hilcell.geometry.frames import zyx_from_pose
-from hilcell.geometry.sequential import Outcome
 from hilcell.geometry.statistics import Figures
 from hilcell.journal.log import Log
 from hilcell.journal.point_words import counted_words, point_words
@@ -36,7 +34,10 @@ from hilcell.model.events import (
     RetakeAsked,
     VisitedOnceMore,
 )
+from hilcell.model.frame import MeasuredBase, MeasuredStation, TouchedBase
+from hilcell.model.outcome import Outcome, outcome_of
 from hilcell.model.point import Point
+from hilcell.model.verdicts import Fitted
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table, Value
 from hilcell.report.budgets import TargetBudget
@@ -114,15 +115,15 @@ def accuracy(facts: Facts) -> Table:
 
 
 # A station, and its frame's record.
-STATIONS: tuple[Column[tuple[Station, Mapping[str, Any]]], ...] = (
+STATIONS: tuple[Column[tuple[Station, MeasuredStation]], ...] = (
     Column("station", lambda row: row[0].name),
     Column("rail", lambda row: row[0].rail_mm, "mm", ".3f"),
     Column("strip, wanted", lambda row: row[0].strip_mm, "mm", ".3f"),
-    Column("strip, found", lambda row: row[1]["strip_mm"], "mm", ".3f"),
-    Column("fit rms", lambda row: row[1]["rms_mm"], "mm", ".3f"),
-    Column("tool point u", lambda row: row[1]["tool_uncertainty_mm"], "mm", ".4f"),
-    Column("worst corner u", lambda row: row[1]["cube_uncertainty_mm"], "mm", ".4f"),
-    Column("nests left out", lambda row: ", ".join(row[1].get("left_out", [])) or "none"),
+    Column("strip, found", lambda row: row[1].strip_mm, "mm", ".3f"),
+    Column("fit rms", lambda row: row[1].rms_mm, "mm", ".3f"),
+    Column("tool point u", lambda row: row[1].tool_uncertainty_mm, "mm", ".4f"),
+    Column("worst corner u", lambda row: row[1].cube_uncertainty_mm, "mm", ".4f"),
+    Column("nests left out", lambda row: ", ".join(row[1].left_out) or "none"),
 )
 
 
@@ -131,7 +132,7 @@ def stations(facts: Facts) -> Table:
     if not facts.cell.has_rail:
         return Table((), ())
     found = ((each, facts.log.frames.get(f"station.{each.name}")) for each in facts.cell.station)
-    rows = ((station, frame) for station, frame in found if frame and "strip_mm" in frame)
+    rows = ((station, frame) for station, frame in found if isinstance(frame, MeasuredStation))
     note = (
         "Tool point: the grid's centre as the station frame carries it, 3D, 1 σ. Left out: nests "
     )
@@ -140,22 +141,22 @@ def stations(facts: Facts) -> Table:
 
 
 # A station, and the record of the last visit on which its base was touched.
-TOUCHES: tuple[Column[tuple[Station, Mapping[str, Any]]], ...] = (
+TOUCHES: tuple[Column[tuple[Station, TouchedBase]], ...] = (
     Column("station", lambda row: row[0].name),
-    Column("poses", lambda row: row[1]["poses"], form="d"),
-    Column("along the rail", lambda row: row[1]["along_rail_mm"], "mm", "+.4f"),
-    Column("shift", lambda row: float(np.linalg.norm(row[1]["shift_mm"])), "mm", ".4f"),
-    Column("turn", lambda row: float(np.linalg.norm(row[1]["turn_urad"])), "µrad", ".1f"),
-    Column("u before", lambda row: row[1]["u_before_mm"], "mm", ".4f"),
-    Column("u after", lambda row: row[1]["u_after_mm"], "mm", ".4f"),
-    Column("found / expected", lambda row: row[1]["pull"], form=".1f"),
+    Column("poses", lambda row: row[1].poses, form="d"),
+    Column("along the rail", lambda row: row[1].along_rail_mm, "mm", "+.4f"),
+    Column("shift", lambda row: float(np.linalg.norm(row[1].shift_mm)), "mm", ".4f"),
+    Column("turn", lambda row: float(np.linalg.norm(row[1].turn_urad)), "µrad", ".1f"),
+    Column("u before", lambda row: row[1].u_before_mm, "mm", ".4f"),
+    Column("u after", lambda row: row[1].u_after_mm, "mm", ".4f"),
+    Column("found / expected", lambda row: row[1].pull, form=".1f"),
 )
 
 
 def touches(facts: Facts) -> Table:
     """Return what the touch poses found at each station."""
     found = ((each, facts.log.frames.get(f"touch.{each.name}")) for each in facts.cell.station)
-    rows = ((station, frame) for station, frame in found if frame is not None)
+    rows = ((station, frame) for station, frame in found if isinstance(frame, TouchedBase))
     note = (
         "By how much the base was moved for the commands of that visit, at the grid's centre. "
         "u: tool point, 3D, 1 σ. Found / expected: the motion found, relative to what the "
@@ -206,10 +207,10 @@ CIRCLES: tuple[Column[tuple[str, float, float]], ...] = (
 
 def circles(facts: Facts) -> Table:
     """Return how round the circles of axes 1 and 6 were."""
-    base = facts.log.frames.get("base", {})
-    if "circle_rms_mm" not in base:
+    base = facts.log.frames.get("base")
+    if not isinstance(base, MeasuredBase):
         return Table((), ())
-    rows = zip(("axis 1", "axis 6"), base["radius_mm"], base["circle_rms_mm"], strict=True)
+    rows = zip(("axis 1", "axis 6"), base.radius_mm, base.circle_rms_mm, strict=True)
     return Table(CIRCLES, rows, "Base frame: circles")
 
 
@@ -630,8 +631,9 @@ def orientation(facts: Facts) -> Table:
     note += "of a target measured again the larger one counts. The angles are measured: they have "
     note += f"the readings' noise in, up to {noise_deg:.4f}° (root mean square). The 95 % bound of "
     note += "a target in use is of the true angle, without that noise."
-    becomes = facts.log.verdicts.get("fit", {}).get("orientation")
-    return Table(ORIENTATION, rows, "Orientation", f"{note} Orientation {becomes}.")
+    fit = facts.log.verdict(Fitted)
+    note += f" Orientation {fit.orientation}." if fit is not None else ""
+    return Table(ORIENTATION, rows, "Orientation", note)
 
 
 def orientation_words(facts: Facts) -> str:

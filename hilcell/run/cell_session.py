@@ -57,7 +57,7 @@ class CellSession:
         self.log, self.frames, self.folder = run.log, run.frames, run.folder
         self.checkpoint, self.pause = checkpoint, pause
         self.add, self.event = run.add, run.event
-        self.frame, self.verdict = run.frame, run.verdict
+        self.frame, self.verdict, self.judge = run.frame, run.verdict, run.judge
         self.reach, self.reached = run.reach, run.reached
         self.home_rail, self.rail_referenced = mover.home_rail, mover.rail_referenced
         self.rail_to, self.await_strip = mover.rail_to, mover.await_strip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 
 from hilcell.calibration.frames import Frames
@@ -10,9 +10,11 @@ from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
 from hilcell.journal.run_journal import Records
 from hilcell.model.events import Event
+from hilcell.model.frame import Frame, frame_type
 from hilcell.model.point import Point, PointId
 from hilcell.model.records import EVENTS
-from hilcell.ports import Array, Clock, NoReading
+from hilcell.model.verdicts import Verdict, verdict_type
+from hilcell.ports import Clock, NoReading
 from hilcell.run.prompts import Look, Prompt
 from hilcell.run.states import CALIBRATION, StateMachine
 
@@ -71,16 +73,26 @@ class RunContext:
         """Journal what is about to be done."""
         self._journal.append("intent", key, {"action": action, "session": self.log.session} | facts)
 
-    def frame(
-        self, key: str, matrix: Array, *, points: Iterable[Point] = (), **facts: object
-    ) -> None:
-        """Journal a frame as a homogeneous matrix (4, 4), and the points that it rests on."""
-        built = {"points": keys} if (keys := [point.key for point in points]) else {}
-        self._journal.append("frame", key, {"matrix": matrix} | built | facts)
+    def frame(self, key: str, frame: Frame) -> None:
+        """Journal a frame; raises `ValueError` for a key that is not of its type."""
+        if not frame.calibration and frame_type(key) is not type(frame):
+            raise ValueError(f"{key!r} is no key of {type(frame).__name__}")
+        self._journal.append("frame", key, frame)
 
     def verdict(self, key: str, *, holds: bool, **facts: object) -> None:
-        """Journal a judgement; a verdict that does not hold makes the run's exit code 1."""
+        """Journal a judgement of a kind of its own.
+
+        Raises `ValueError` for one that `hilcell.model.verdicts` declares.
+        """
+        if verdict_type(key) is not None:
+            raise ValueError(f"expected a verdict of another key than {key!r}; judge by its type")
         self._journal.append("verdict", key, {"holds": holds} | facts)
+
+    def judge(self, key: str, verdict: Verdict) -> None:
+        """Journal a judgement; raises `ValueError` for a key that is not of its type."""
+        if verdict_type(key) is not type(verdict):
+            raise ValueError(f"{key!r} is no key of {type(verdict).__name__}")
+        self._journal.append("verdict", key, verdict)
 
     @property
     def folder(self) -> Path:

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from hilcell.calibration.causes import blamed
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
 from hilcell.errors import DriverDefect, facts_of
@@ -36,6 +35,7 @@ from hilcell.model.events import (
     ScreenBack,
     ScreenLost,
 )
+from hilcell.model.suspicion import blamed
 from hilcell.ports import Clock, DeviceError, HilcellError, RecordingEnded, Stopped
 from hilcell.run.exits import (
     EXIT_FAULT,
@@ -429,7 +429,7 @@ def finish(procedure: Procedure, journal: RunJournal, result: dict[str, Any] | N
     ``result`` is what the procedure has computed of the journal already, if it has.
     """
     log = journal.log
-    in_tolerance = all(verdict["holds"] for verdict in log.verdicts.values())
+    in_tolerance = all(verdict.holds for verdict in log.verdicts.values())
     code = EXIT_OK if in_tolerance else EXIT_OUT_OF_TOLERANCE
     if log.end is None:
         found = procedure.result(log) if result is None else result

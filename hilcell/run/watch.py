@@ -24,7 +24,6 @@ from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
-from hilcell.calibration.causes import Cause, Suspicion
 from hilcell.calibration.diagnosis import NOTICED_BY, reference_c
 from hilcell.calibration.frames import world_from_tracker
 from hilcell.cell.file import Cell, Nest, Station
@@ -40,7 +39,9 @@ from hilcell.model.events import (
     TrackerProven,
     WorldFramedAgain,
 )
+from hilcell.model.frame import Frame
 from hilcell.model.point import HELD, LENGTH, Point, PointId
+from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.ports import Array, DeviceError, NoReading, TrackerReading
 from hilcell.run.floor_nests import (
     ALIKE,
@@ -134,7 +135,9 @@ class Watch:
             self._check_before(nests)
         elif any(self._changes(nests)):
             self._renew(nests, self._controls())
-        self._run.frame(world_key(number), world_from_tracker(cell, measured_mm), points=nests)
+        T = world_from_tracker(cell, measured_mm)
+        keys = [nest.key for nest in nests]
+        self._run.frame(world_key(number), Frame(matrix=T.tolist(), points=keys))
 
     def _discard_begun(self, number: int) -> None:
         """Discard nests that an engine before this one measured: the tracker may have moved."""

@@ -9,7 +9,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.causes import blamed, suspected_in
 from hilcell.calibration.frames import Frames, grid_of, measured_of
 from hilcell.calibration.touch import beside_nest, touch_targets_mm, visit_covariance
 from hilcell.cell.file import Cell, Station, load_cell
@@ -19,6 +18,7 @@ from hilcell.geometry.kinematics import forward
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.log import Log
 from hilcell.model.point import Point, PointId
+from hilcell.model.suspicion import blamed, suspected_in
 from hilcell.ports import Array, DeviceError
 from procedures.touch import touch_once, touch_result, touch_spans
 from procedures.validate import Validate, target_poses, targets

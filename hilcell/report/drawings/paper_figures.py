@@ -10,12 +10,12 @@ import numpy as np
 
 from hilcell.calibration.errors import OTHERS, Errors, places, validation
 from hilcell.calibration.frames import grid_pairs
-from hilcell.calibration.iso9283 import ISO
 from hilcell.clean import harmless
 from hilcell.compensation.similarity import binned
 from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.point_words import HOLDS, SIDES
 from hilcell.journal.ways_sent import Sent
+from hilcell.model.verdicts import ISO
 from hilcell.ports import Array
 from hilcell.report.drawings.svg import MUTED, axes_sheet, house_style, svg_of
 from hilcell.report.facts import Facts
@@ -102,7 +102,7 @@ def _of_paper(facts: Facts, words: str) -> str:
 
 def series_name(how: Sent, facts: Facts) -> str:
     """Return how a series of targets is called."""
-    method = harmless(str(facts.log.verdicts.get("fit", {}).get("method", "")))
+    method = harmless(facts.log.method)
     chosen = f"after, {method}" if method else "after, chosen"
     return {
         Sent.BEFORE: "before",

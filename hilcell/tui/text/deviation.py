@@ -7,18 +7,17 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
-from hilcell.calibration.decision import outcome_of
 from hilcell.calibration.errors import counting, errors_of
 from hilcell.calibration.measurement_budget import budget_of
-from hilcell.geometry.sequential import Outcome
 from hilcell.geometry.statistics import rms
 from hilcell.journal.log import Log
 from hilcell.journal.ways_sent import Sent
+from hilcell.model.outcome import Outcome, outcome_of
 from hilcell.model.point import Point
 from hilcell.ports import Array, HilcellError
 
 BAD_STATES = ("out", "undecided", "noisy")
-STATES: dict[Outcome, str] = {"rejected": "out", "undecided": "undecided"}
+STATES: dict[Outcome, str] = {Outcome.REJECTED: "out", Outcome.UNDECIDED: "undecided"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +42,7 @@ class Deviation:
     def outcome(self) -> Outcome:
         """Return the decision on |e|, by the rule that judges all results."""
         if self.limit_mm is None:
-            return "accepted"
+            return Outcome.ACCEPTED
         return outcome_of(self.norm_mm, self.limit_mm, self.U_mm)
 
 

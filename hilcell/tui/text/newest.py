@@ -12,11 +12,10 @@ from dataclasses import dataclass
 
 from textual.content import Content
 
-from hilcell.geometry.sequential import Outcome
-from hilcell.journal.calibration_facts import OUTCOMES
 from hilcell.journal.log import Log
 from hilcell.journal.point_words import point_words
 from hilcell.journal.ways_sent import TEXTS, Sent
+from hilcell.model.outcome import Outcome
 from hilcell.model.point import Point
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import (
@@ -46,14 +45,14 @@ RAW_SCALE_MM = 2.0
 TO_LIMIT = 0.8  # of the tolerance bar
 LEAST_LARGE = 41  # columns
 SAID: dict[Outcome, tuple[str, str, str]] = {  # role, shape's name, words
-    "accepted": ("passed", "fresh", OUTCOMES["accepted"]),
-    "undecided": ("ask", "warned", OUTCOMES["undecided"].upper()),
-    "rejected": ("fault", "warned", OUTCOMES["rejected"].upper()),
+    Outcome.ACCEPTED: ("passed", "fresh", Outcome.ACCEPTED.words),
+    Outcome.UNDECIDED: ("ask", "warned", Outcome.UNDECIDED.words.upper()),
+    Outcome.REJECTED: ("fault", "warned", Outcome.REJECTED.words.upper()),
 }
 WAS: dict[Outcome, str] = {
-    "accepted": "was in tol.",
-    "undecided": "was undecided",
-    "rejected": "was out of tol.",
+    Outcome.ACCEPTED: "was in tol.",
+    Outcome.UNDECIDED: "was undecided",
+    Outcome.REJECTED: "was out of tol.",
 }
 
 

@@ -12,10 +12,10 @@ from typing import Self
 import numpy as np
 from textual.content import Content
 
-from hilcell.calibration.iso9283 import AP, RP
 from hilcell.geometry.statistics import figures_of, repeatability_mm
 from hilcell.journal.log import Log
 from hilcell.journal.ways_sent import Sent
+from hilcell.model.verdicts import AP, RP
 from hilcell.ports import Array
 from hilcell.tui.layout import BLANK, Cell, Col, Fitting, Grid, Lines, Stack, Text, section
 from hilcell.tui.plots.draw import Look, Plot, Series, draw

@@ -14,13 +14,14 @@ import numpy as np
 from textual.content import Content
 
 from hilcell.calibration.errors import Errors, counting, errors_of
-from hilcell.calibration.iso9283 import ISO, attained
+from hilcell.calibration.iso9283 import attained
 from hilcell.calibration.recheck import KIND as RECHECK
 from hilcell.calibration.recheck import rechecked
 from hilcell.geometry.statistics import bounds95_mm, from_mean_mm, repeatability_mm
 from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.ways_sent import Sent
 from hilcell.model.point import Point, PointId
+from hilcell.model.verdicts import ISO
 from hilcell.ports import Array, HilcellError
 from hilcell.tui.plots.canvas import Ink
 from hilcell.tui.plots.draw import Look, Mark, Plot, Series

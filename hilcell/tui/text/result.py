@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeVar
 import msgspec
 from textual.content import Content
 
-from hilcell.calibration.iso9283 import AD, AP, AP_ANGLES, ISO, RD, RP, RP_ANGLES, Angles, PoseTest
+from hilcell.calibration.iso9283 import Angles, PoseTest
 from hilcell.calibration.recheck import KIND as RECHECK
 from hilcell.calibration.recheck import CheckedPose, RecheckResult
 from hilcell.cell.devices import load_entry
@@ -23,6 +23,7 @@ from hilcell.errors import HilcellError
 from hilcell.journal.key_words import id_of, in_words
 from hilcell.journal.log import Log
 from hilcell.journal.point_words import procedure_words, short_words
+from hilcell.model.verdicts import AD, AP, AP_ANGLES, ISO, RD, RP, RP_ANGLES
 from hilcell.present.table import Column, Named, Table
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import BLANK, Cell, Col, Drawing, Grid, Lines, Stack, Text, facts_grid

@@ -9,10 +9,11 @@ from typing import Any
 from textual.content import Content
 
 from hilcell.alarms.catalogue import SEVERITIES
-from hilcell.journal.calibration_facts import OUTCOMES, run_outcome
+from hilcell.journal.calibration_facts import run_judged, run_outcome
 from hilcell.journal.point_words import part_words, procedure_words, step_words
 from hilcell.journal.runs import short_run
 from hilcell.journal.times import local_words
+from hilcell.model.outcome import Outcome
 from hilcell.model.point import CONTROL
 from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.layout import BLANK, Bar, Cell, Col, Fitting, Grid, Lines, ends
@@ -70,8 +71,8 @@ def state_of(view: RunView) -> tuple[str, str]:
     """Return the state's word and role: of a run that ended with exit 1, its outcome."""
     if view.state != "intolerant":
         return STATES[view.state]
-    outcome = run_outcome(view.log).partition(";")[0]
-    return outcome.upper(), "ask" if outcome == OUTCOMES["undecided"] else "fault"
+    words = run_outcome(view.log).partition(";")[0]
+    return words.upper(), "ask" if run_judged(view.log) is Outcome.UNDECIDED else "fault"
 
 
 def role_of(view: RunView) -> str:

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from textual.content import Content
 
-from hilcell.calibration.iso9283 import ISO
 from hilcell.calibration.recheck import KIND as RECHECK
 from hilcell.journal.log import Log
 from hilcell.journal.ways_sent import BOTH, Sent
+from hilcell.model.verdicts import ISO
 from hilcell.ports import Array
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import Col, Grid, Text, section

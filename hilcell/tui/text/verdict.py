@@ -14,12 +14,12 @@ from textual.content import Content
 
 from hilcell.alarms import Alarm
 from hilcell.alarms.catalogue import SEVERITIES, entry_of
-from hilcell.calibration.decision import Judged, Turn
 from hilcell.clean import harmless
-from hilcell.geometry.sequential import Outcome
-from hilcell.journal.calibration_facts import OUTCOMES, VERDICTS, run_outcome
+from hilcell.journal.calibration_facts import run_judged
 from hilcell.journal.key_words import in_words
 from hilcell.model.events import TrackerProven
+from hilcell.model.outcome import Outcome
+from hilcell.model.verdicts import VALIDATION, Judged, Turn
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import Cell, Col, Drawing, Fitting, Grid, Lines, Stack, Text
 from hilcell.tui.terminal.capabilities import Glyphs
@@ -28,11 +28,10 @@ from hilcell.tui.text.head import NEXT, Figure, Head, gravest, head_lines, is_sm
 from hilcell.typed import typed
 
 TALL, MOST_OF_A_NAME = 40, 20  # rows that hold everything; columns
-VALIDATION = "validation"  # its verdicts are shown by station
 SHOWN: dict[Outcome, tuple[str, str]] = {  # the shape's name, the style
-    "accepted": ("fresh", "$passed"),
-    "undecided": ("warned", "$ask"),
-    "rejected": ("warned", "bold $fault"),
+    Outcome.ACCEPTED: ("fresh", "$passed"),
+    Outcome.UNDECIDED: ("warned", "$ask"),
+    Outcome.REJECTED: ("warned", "bold $fault"),
 }
 
 
@@ -82,7 +81,7 @@ class Verdict:
     """The errors of a finished validation, with their limits (mm), and the run's outcome."""
 
     passed: bool
-    outcome: str
+    outcome: Outcome
     stations: tuple[Station, ...]
     mean_limit_mm: float
     max_limit_mm: float
@@ -92,7 +91,7 @@ class Verdict:
     @property
     def undecided(self) -> bool:
         """Whether neither that the limits are kept is shown nor the contrary."""
-        return self.outcome == OUTCOMES["undecided"]
+        return self.outcome is Outcome.UNDECIDED
 
     @property
     def worst_mean(self) -> Station:
@@ -123,15 +122,15 @@ def verdict_of(view: RunView) -> Verdict | None:
     places = _places(view)
     order = [each.name for each in view.log.cell.station]
     names = [name for name in order if name in places] or list(places)
-    verdicts = {name: view.log.verdicts.get(f"{VALIDATION}.{name}") for name in names}
-    judged = {n: typed(body, Judged) for n, body in verdicts.items() if body}
+    found = {name: view.log.verdict(Judged, f"{VALIDATION}{name}") for name in names}
+    judged = {name: each for name, each in found.items() if each is not None}
     if not judged:
         return None
     limits = view.log.cell.validation
     floors = [place.floor.mean for place in places.values() if place.floor is not None]
     return Verdict(
         passed=view.state == "done",
-        outcome=run_outcome(view.log).partition(";")[0],
+        outcome=run_judged(view.log) or Outcome.REJECTED,
         stations=tuple(_station(name, places[name], found) for name, found in judged.items()),
         mean_limit_mm=limits.mean_tolerance_mm,
         max_limit_mm=limits.max_tolerance_mm,
@@ -180,11 +179,9 @@ def verdict_lines(view: RunView, found: Verdict, glyphs: Glyphs, standing: int =
 
 def words_of(found: Verdict) -> tuple[str, str]:
     """Return the verdict in one word, and what it states."""
-    if found.passed:
-        return VERDICTS["accepted"].upper(), OUTCOMES["accepted"]
-    if found.undecided:
-        return VERDICTS["undecided"].upper(), "neither pass nor fail"
-    return VERDICTS["rejected"].upper(), found.outcome
+    outcome = Outcome.ACCEPTED if found.passed else found.outcome
+    said = "neither pass nor fail" if outcome is Outcome.UNDECIDED else outcome.words
+    return outcome.short.upper(), said
 
 
 def _head(found: Verdict) -> Head:
@@ -218,8 +215,8 @@ def _table(found: Verdict, glyphs: Glyphs, room: int) -> Lines:
 
 def _row(each: Station, found: Verdict, glyphs: Glyphs) -> list[Cell]:
     shape, tone = SHOWN[each.outcome]
-    word = VERDICTS[each.outcome]
-    word = f"{getattr(glyphs, shape)} {word.upper() if each.outcome == 'rejected' else word}"
+    word = each.outcome.short
+    word = f"{getattr(glyphs, shape)} {word.upper() if each.outcome is Outcome.REJECTED else word}"
     mean_style = "bold" if each.mean_mm <= found.mean_limit_mm else "bold $fault"
     max_style = "" if each.max_mm <= found.max_limit_mm else "bold $fault"
     return [
@@ -276,7 +273,7 @@ def _advice(view: RunView, found: Verdict, alarm: Alarm, glyphs: Glyphs) -> list
     """Return why the run failed, with the stations concerned, and the steps, each whole."""
     where = f"{alarm.where}: " if alarm.where else ""
     words = in_words(f"{where}{alarm.found}", view.log)
-    if entry_of(alarm.code, "").verdict == VALIDATION:
+    if entry_of(alarm.code, "").verdict == VALIDATION.rstrip("."):
         words = reason_words(found) or words
     why = Content(harmless(f"{alarm.code} {words}")).stylize("bold $fault", 0, len(alarm.code))
     rows: list[list[Cell]] = [["", (glyphs.warned, "bold $fault"), why]]
@@ -289,9 +286,9 @@ def reason_words(found: Verdict) -> str:
 
     Of those that are only not shown to keep it the first says why: the table has their figures.
     """
-    failed = [each for each in found.stations if each.outcome != "accepted"]
+    failed = [each for each in found.stations if each.outcome is not Outcome.ACCEPTED]
     failed.sort(key=lambda each: -gravest(each.mean_mm))
-    open_ones = [each.name for each in failed if each.outcome == "undecided"]
+    open_ones = [each.name for each in failed if each.outcome is Outcome.UNDECIDED]
     whole = [each for each in failed if each.name not in open_ones[1:]]
     words = [f"{each.name}: {_reason(each, found)}" for each in whole]
     return "; ".join([*words, *([f"also {', '.join(open_ones[1:])}"] if open_ones[1:] else [])])

@@ -10,10 +10,11 @@ import math
 import numpy as np
 import pytest
 
-from hilcell.calibration.causes import Cause, Differences, Suspicion, blamed, changed, suspected_in
+from hilcell.calibration.causes import Differences, changed
 from hilcell.cell.file import load_cell
 from hilcell.errors import DeviceError
 from hilcell.geometry.kinematics import forward
+from hilcell.model.suspicion import Cause, Suspicion, blamed, suspected_in
 from hilcell.ports import Array
 from procedures.plan import poses_at
 from tests.whole.bench import sweep

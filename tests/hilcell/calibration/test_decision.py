@@ -8,9 +8,6 @@ import pytest
 
 from hilcell.calibration.decision import (
     Guard,
-    Judged,
-    Limits,
-    Turn,
     check_limits,
     guard_of,
     judged,
@@ -19,8 +16,9 @@ from hilcell.calibration.decision import (
 )
 from hilcell.calibration.measurement_budget import NOISE, budget_of
 from hilcell.cell.file import load_cell
-from hilcell.geometry.sequential import Outcome
+from hilcell.model.outcome import Outcome
 from hilcell.model.point import PointId
+from hilcell.model.verdicts import Judged, Limits, Turn
 from hilcell.ports import HilcellError
 from procedures.validate import Validate
 from tests.hilcell.report.journals import Writer

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.causes import ZEROS, Cause, patterns
+from hilcell.calibration.causes import ZEROS, patterns
 from hilcell.calibration.diagnosis import DETECTORS, findings, suspicions_of
 from hilcell.calibration.frame_covariance import world_motion
 from hilcell.calibration.lost_motion import REVERSAL
@@ -17,9 +17,12 @@ from hilcell.geometry.frames import inverse
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.journal import Record, read_journal
-from hilcell.journal.log import FloorBefore, FrameBefore, Log, commanded_rad
+from hilcell.journal.log import Log, commanded_rad
 from hilcell.journal.runs import JOURNAL
+from hilcell.model.frame import Frame
+from hilcell.model.plan import FloorBefore
 from hilcell.model.point import Point
+from hilcell.model.suspicion import Cause
 from hilcell.ports import Array
 from tests.whole.golden import GoldenRuns
 
@@ -89,7 +92,7 @@ def nest_rises(log: Log) -> None:
     moved = world_motion(log, then[:3, 3], 1, 2.0 * up)
     then[:3, 3] -= moved[:3]
     then[:3, :3] = from_rotvec(-moved[3:]) @ then[:3, :3]
-    base = FrameBefore(then.tolist(), log.frames["base"]["covariance"])
+    base = Frame(matrix=then.tolist(), covariance=log.frames["base"]["covariance"])
     before = FloorBefore("c1", {}, None, base, alike=True)
     log.plan = msgspec.structs.replace(log.inputs, floor_before=before)
 

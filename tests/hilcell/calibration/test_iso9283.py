@@ -18,7 +18,6 @@ from hilcell.calibration.contribution import combined_mm
 from hilcell.calibration.errors import Errors
 from hilcell.calibration.iso9283 import (
     CYCLE,
-    ISO,
     Angles,
     Distance,
     Pose,
@@ -37,6 +36,7 @@ from hilcell.geometry.rotations import to_rotvec
 from hilcell.journal.log import Log
 from hilcell.journal.runs import read_records
 from hilcell.model.point import PointId
+from hilcell.model.verdicts import ISO
 from hilcell.ports import Array
 from tests.hilcell.calibration.pose_tests import made_up
 from tests.hilcell.report.journals import Writer

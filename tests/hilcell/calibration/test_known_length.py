@@ -8,12 +8,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.instrument import KNOWN_LENGTH, LengthFound, known_lengths, scale
+from hilcell.calibration.instrument import KNOWN_LENGTH, known_lengths, scale
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.log import Log
 from hilcell.model.point import LENGTH, PointId
+from hilcell.model.verdicts import LengthFound
 from tests.hilcell.report.journals import Writer, plan_record
 from tests.whole.bench import command, end_of, events, sets, simulation
 from tests.whole.trace import judge

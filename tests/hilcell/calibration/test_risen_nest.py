@@ -12,8 +12,10 @@ from hilcell.calibration.since import risen_nest
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.floor_before import floor_before
 from hilcell.journal.journal import read_journal
-from hilcell.journal.log import FloorBefore, FrameBefore, Log
+from hilcell.journal.log import Log
 from hilcell.journal.runs import JOURNAL
+from hilcell.model.frame import Frame
+from hilcell.model.plan import FloorBefore
 from hilcell.ports import Array
 from tests.whole.golden import GoldenRuns
 
@@ -28,7 +30,7 @@ def since(log: Log, moved: Array) -> Log:
     frame, then = log.frames["base"], log.matrix("base")
     then[:3, 3] -= moved[:3]
     then[:3, :3] = from_rotvec(-moved[3:]) @ then[:3, :3]
-    base = FrameBefore(then.tolist(), frame["covariance"])
+    base = Frame(matrix=then.tolist(), covariance=frame["covariance"])
     log.plan = msgspec.structs.replace(
         log.inputs, floor_before=FloorBefore("c1", {}, None, base, alike=True)
     )
@@ -67,7 +69,9 @@ def test_without_a_base_measured_before_nothing_can_tell(log: Log) -> None:
 def test_the_base_before_is_that_of_the_current_calibration(golden: GoldenRuns, log: Log) -> None:
     found = floor_before(golden["small"].runs, log.cell, 1)
     assert found is not None
-    assert found.base == FrameBefore(log.frames["base"]["matrix"], log.frames["base"]["covariance"])
+    assert found.base == Frame(
+        matrix=log.frames["base"]["matrix"], covariance=log.frames["base"]["covariance"]
+    )
     joints = msgspec.structs.replace(log.cell.base_frame, axis_1_sweep_deg=(-40.0, 40.0))
     other = floor_before(
         golden["small"].runs, msgspec.structs.replace(log.cell, base_frame=joints), 1

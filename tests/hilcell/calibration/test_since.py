@@ -11,12 +11,15 @@ import pytest
 from hilcell.calibration.diagnosis import suspicions_of
 from hilcell.calibration.file import read_calibration, write_calibration
 from hilcell.calibration.form import Update
-from hilcell.calibration.since import Parameter, changed_since, compared
+from hilcell.calibration.since import changed_since, compared
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.floor_before import floor_before
 from hilcell.journal.journal import read_journal
-from hilcell.journal.log import FloorBefore, FrameBefore, Log
+from hilcell.journal.log import Log
 from hilcell.journal.runs import CALIBRATION, JOURNAL
+from hilcell.model.frame import Frame
+from hilcell.model.plan import FloorBefore
+from hilcell.model.verdicts import Parameter
 from tests.hilcell.report.journals import Writer
 from tests.whole.golden import GoldenRuns
 
@@ -38,13 +41,11 @@ def then(log: Log, before: FloorBefore) -> Log:
     return log
 
 
-def moved(
-    frame: FrameBefore, shift_mm: tuple[float, ...], turn_deg: tuple[float, ...]
-) -> FrameBefore:
+def moved(frame: Frame, shift_mm: tuple[float, ...], turn_deg: tuple[float, ...]) -> Frame:
     T = np.array(frame.matrix)
     T[:3, 3] -= shift_mm
     T[:3, :3] = from_rotvec(-np.radians(turn_deg)) @ T[:3, :3]
-    return FrameBefore(T.tolist(), frame.covariance)
+    return Frame(matrix=T.tolist(), covariance=frame.covariance)
 
 
 def test_the_same_base_and_stations_hold(log: Log, before: FloorBefore) -> None:

@@ -10,7 +10,6 @@ import msgspec
 import pytest
 
 from hilcell.alarms.alarm import alarms_of
-from hilcell.calibration.causes import Cause, Suspicion
 from hilcell.cell.devices import ConnectFailed, load_entry
 from hilcell.commands import live
 from hilcell.commands.cli import main
@@ -19,6 +18,7 @@ from hilcell.errors import DeviceError
 from hilcell.journal.journal import Record
 from hilcell.journal.runs import read_log
 from hilcell.model.events import LinkCounted
+from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.report.export import xlsx_bytes
 from hilcell.report.facts import read_facts
 from hilcell.report.html import report_html

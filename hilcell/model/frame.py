@@ -1,0 +1,83 @@
+"""A frame in {W}: its matrix, its covariance, the points that it rests on, its quality."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from hilcell.model.events import Json, Three
+from hilcell.ports import Array
+from hilcell.typed import typed
+
+Matrix = list[list[float]]
+
+
+class Frame(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A homogeneous matrix (4, 4) in {W}, and its own covariance (6, 6): shift (mm), turn (rad).
+
+    One that was taken over has no more than that, and the run of its ``calibration``.
+    """
+
+    matrix: Matrix
+    points: list[str] = []
+    covariance: Matrix = []
+    calibration: str = ""
+
+    @property
+    def T(self) -> Array:  # noqa: N802 - the paper's symbol
+        """Return the matrix (4, 4)."""
+        return np.array(self.matrix, dtype=float)
+
+    @property
+    def C(self) -> Array:  # noqa: N802 - the paper's symbol
+        """Return the covariance (6, 6), 0 where none is known."""
+        return np.array(self.covariance, dtype=float) if self.covariance else np.zeros((6, 6))
+
+
+class MeasuredBase(Frame, frozen=True, kw_only=True, omit_defaults=True):
+    """{B}, by the circles of axes 1 and 6."""
+
+    circle_rms_mm: list[float]
+    radius_mm: list[float]
+
+
+class MeasuredStation(Frame, frozen=True, kw_only=True, omit_defaults=True):
+    """{S} of a station, the strip's reading there, and U of a tool point and of the cube's."""
+
+    rms_mm: float
+    strip_mm: float
+    tool_uncertainty_mm: float
+    cube_uncertainty_mm: float
+    left_out: list[str] = []
+
+
+class TouchedBase(Frame, frozen=True, kw_only=True, omit_defaults=True):
+    """{B} as touched on one visit of a station, how far it was moved at the cube's centre, and its
+    uncertainty there. ``growth`` is the arm's since the grid; ``pull`` and ``misfit`` are in sigma.
+    """
+
+    visit: int
+    growth: float
+    poses: int
+    left_out: list[str]
+    pull: float
+    misfit: float
+    shift_mm: Three
+    along_rail_mm: float
+    turn_urad: Three
+    growth_um_m: float
+    u_before_mm: float
+    u_after_mm: float
+
+
+def frame_type(key: str) -> type[Frame]:
+    """Return the type of a key's frame that was measured."""
+    if key == "base":
+        return MeasuredBase
+    kinds = {"station": MeasuredStation, "touch": TouchedBase}
+    return kinds.get(key.partition(".")[0], Frame)
+
+
+def frame_of(key: str, body: Json) -> Frame:
+    """Return a frame of its plain body; raises `msgspec.ValidationError`."""
+    return typed(body, Frame if "calibration" in body else frame_type(key))

@@ -1,0 +1,108 @@
+"""Figures against their limits, and the outcomes of that: one rule and one enum for all rooms.
+
+A guard band as wide as the expanded uncertainty U (k = 2) is taken off each limit (ISO 14253-1;
+JCGM 106:2012, 8.3.2): conformity is shown where value + U keeps the limit, the contrary where
+value - U is above it, and in between neither is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from enum import StrEnum
+from typing import NamedTuple, Self
+
+RULE = (
+    "guard band: accepted where the figure plus its expanded uncertainty U (k = 2) keeps the limit "
+    "(ISO 14253-1; JCGM 106, 8.3.2)"
+)
+
+
+class Outcome(StrEnum):
+    """The outcome of a figure, a point, a station or a run, the gravest first.
+
+    ``words`` and ``short`` are those for people, ``decision`` names the uncertainty as well,
+    ``decided`` stands between a figure and its limit.
+    """
+
+    words: str
+    short: str
+    decision: str
+    decided: str
+
+    def __new__(cls, value: str, words: str, short: str, decision: str, decided: str = "") -> Self:
+        """Make a member of its value in JSON and its words."""
+        member = str.__new__(cls, value)
+        member._value_, member.words, member.short = value, words, short
+        member.decision, member.decided = decision, decided
+        return member
+
+    REJECTED = (
+        "rejected",
+        "out of tolerance",
+        "fail",
+        "out of tolerance, the uncertainty taken off",
+        "is above its limit of",
+    )
+    UNDECIDED = (
+        "undecided",
+        "undecided",
+        "undecided",
+        "neither in nor out of tolerance for sure: within the uncertainty of the limit",
+        "is not shown to keep its limit of",
+    )
+    ACCEPTED = "accepted", "in tolerance", "pass", "in tolerance, the uncertainty added"
+
+
+def gravest(outcomes: Iterable[Outcome]) -> Outcome:
+    """Return the gravest of outcomes, accepted where there is none."""
+    return min(outcomes, key=list(Outcome).index, default=Outcome.ACCEPTED)
+
+
+def outcome_of(value: float, limit: float, U: float) -> Outcome:
+    """Return the decision on one value, all in one unit; NaN is rejected."""
+    if value <= limit - U:
+        return Outcome.ACCEPTED
+    return Outcome.UNDECIDED if value <= limit + U else Outcome.REJECTED
+
+
+class Figure(NamedTuple):
+    """A value, its U (k = 2) and the limit that both together must keep, in ``unit``.
+
+    A value that is not known is None; it keeps no limit. ``form`` is that of value and U.
+    """
+
+    name: str
+    value: float | None
+    unit: str = "mm"
+    limit: float | None = None
+    U: float | None = None
+    form: str = ".4f"
+
+    @property
+    def outcome(self) -> Outcome:
+        """Return the decision; NaN is rejected, a value without a limit accepted."""
+        if self.limit is None:
+            return Outcome.ACCEPTED
+        value = math.nan if self.value is None else self.value
+        return outcome_of(value, self.limit, self.U or 0.0)
+
+    @property
+    def measured(self) -> str:
+        """Return name, value and U."""
+        if self.value is None:
+            return f"{self.name} not known"
+        U = "" if self.U is None else f" + U {self.U:{self.form}}"
+        return f"{self.name} {self.value:{self.form}}{U} {self.unit}".rstrip()
+
+    @property
+    def text(self) -> str:
+        """Return it beside its limit."""
+        if self.limit is None:
+            return self.measured
+        return f"{self.measured}, limit {self.limit:g} {self.unit}".rstrip()
+
+    @property
+    def why(self) -> str:
+        """Return why it does not keep its limit."""
+        return f"{self.measured} {self.outcome.decided} {self.limit:g} {self.unit}".rstrip()

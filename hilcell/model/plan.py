@@ -1,0 +1,53 @@
+"""The frozen inputs of a run: its first record."""
+
+from __future__ import annotations
+
+import msgspec
+
+from hilcell.model.events import Json, Three
+from hilcell.model.frame import Frame
+
+
+class FloorBefore(msgspec.Struct, frozen=True):
+    """Floor nests of an earlier run of the cell: places in the tracker's frame of then, mm. Its
+    base at the grid's station, None where that is another one, and its slide at stations.
+
+    ``alike``: the base was measured with the same robot on the same circles. ``frames_c`` is the
+    air's temperature of base and slide, where another run measured them than the nests.
+    ``visits_mm`` are clouds of places of the same grid that this robot visited repeatedly.
+    """
+
+    run: str
+    nests_mm: dict[str, Three]
+    temperature_c: float | None
+    base: Frame | None = None
+    alike: bool = False
+    stations: dict[str, Frame] = {}
+    frames_c: float | None = None
+    visits_mm: list[list[Three]] = []
+
+
+class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """The frozen inputs of a run."""
+
+    procedure: str
+    cell: Json
+    digest: str
+    seed: int
+    speed: float | None
+    unattended: bool
+    operator: str
+    job: str
+    simulated: bool
+    versions: dict[str, str]
+    settings: dict[str, str]
+    steps: list[Json]
+    points: int
+    duration_s: float
+    machine_seed: int | None  # of the simulated machine; None where this run did not start it
+    cell_file: str  # where the cell came from
+    driven_by: list[str] = []  # runs finished before, newest first: the poses they drove are known
+    accepted: list[str] = []  # why the calibration that it uses should not be used
+    floor_before: FloorBefore | None = None  # of the run that made the cell's current calibration
+    replayed: bool = False  # it only repeats a recorded run, and measures nothing
+    utc_offset_min: int = 0  # by which the clock on the wall was ahead of UTC when it began

@@ -1,0 +1,80 @@
+"""Causes of errors that nothing else explains, and a suspicion of one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+from typing import Any
+
+import msgspec
+
+from hilcell.typed import typed
+
+
+class Cause(StrEnum):
+    """A cause in words."""
+
+    TRACKER_MOVED = "tracker moved"
+    MOUNT_SLIPPED = "mount slipped"
+    ZERO_LOST = "zero lost"
+    MOUNT_OFFSET = "mount offset"
+    SCALE = "scale"
+    REVERSAL = "reversal"
+    TEMPERATURE = "temperature"
+    STRIP = "strip"
+    NEST_MOVED = "nest moved"
+    CHANGED_SINCE = "changed since"
+    REPEATABILITY = "repeatability"
+    DRIFT = "drift"
+    INSTRUMENT = "instrument"
+    REFLECTOR = "reflector"
+    BASE_MISPLACED = "base misplaced"
+    UNKNOWN = "unknown"
+
+    @property
+    def advice(self) -> str:
+        """Return what to do with a calibration whose run lets suspect the cause."""
+        if self is Cause.CHANGED_SINCE:
+            return "`hilcell revoke` the wrong one of both calibrations."
+        return "Do not use this calibration."
+
+
+class Suspicion(msgspec.Struct, frozen=True):
+    """A cause that fits, its size, and the comparison by which it was noticed."""
+
+    cause: Cause
+    size: float
+    unit: str
+    noticed_by: str
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Return it as fields of an error that names it."""
+        found: dict[str, Any] = msgspec.to_builtins(self)
+        return found
+
+    @property
+    def words(self) -> str:
+        """Return cause and size."""
+        return f"{self.cause} ({self.size:.4g} {self.unit})"
+
+    @property
+    def text(self) -> str:
+        """Return it in words, with the comparison."""
+        return f"{self.words}, noticed by {self.noticed_by}"
+
+
+def blamed(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the result of a run that ended with an error of these facts: the cause, where its
+    fields are those of a `Suspicion`.
+    """
+    try:
+        found = typed(facts.get("fields", {}), Suspicion)
+    except msgspec.ValidationError:  # it names no cause, or a size that is no number
+        return {}
+    return {"suspicions": [found.facts]}
+
+
+def suspected_in(result: Mapping[str, Any]) -> list[Suspicion]:
+    """Return the suspicions of a run's result."""
+    return typed(result.get("suspicions", []), list[Suspicion])

@@ -1,0 +1,661 @@
+"""The verdicts of a run: each subject once, with its figures, their limits and its words.
+
+The fields are the body of its record and of every JSON; screen, report, alarms and `hilcell run`
+take ``figures``, ``words`` and ``why`` and know no verdict by name. One without a type, as a
+plug-in has, is an `OtherVerdict`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import msgspec
+from msgspec import field
+
+from hilcell.model.events import Json
+from hilcell.model.outcome import Figure, Outcome
+from hilcell.model.point import PointId
+from hilcell.model.suspicion import Suspicion
+from hilcell.typed import typed
+
+VALIDATION = "validation."  # the key of a verdict on one place is this and the place
+RISK = 0.001  # that poses which have not changed are judged to have
+UNITS = {
+    "mm": " mm", "s": " s", "c": " °C", "k": " K", "deg": "°", "urad": " µrad", "percent": " %",
+}  # fmt: skip
+
+
+class Verdict(msgspec.Struct, frozen=True, kw_only=True):
+    """A judgement; one that does not hold makes the run's exit code 1.
+
+    ``keys`` are those of its records, one that ends with a dot or a blank begins them. ``title`` is
+    the subject where the key is no words for people.
+    """
+
+    keys: ClassVar[tuple[str, ...]] = ()
+    title: ClassVar[str] = ""
+    holds: bool
+
+    @property
+    def figures(self) -> Sequence[Figure]:
+        """Return the figures that it rests on."""
+        return ()
+
+    @property
+    def suspects(self) -> Sequence[str]:
+        """Return the causes that it suspects, in words."""
+        return getattr(self, "suspected", ())
+
+    @property
+    def outcome(self) -> Outcome:
+        """Return its outcome."""
+        return Outcome.ACCEPTED if self.holds else Outcome.REJECTED
+
+    @property
+    def words(self) -> str:
+        """Return its figures beside their limits."""
+        return "; ".join(each.text for each in self.figures)
+
+    @property
+    def why(self) -> str:
+        """Return what decided: causes, else figures that do not keep their limit, else all."""
+        failed = [each.why for each in self.figures if each.outcome is self.outcome]
+        return "; ".join(self.suspects or ([] if self.holds else failed)) or self.words
+
+
+class OtherVerdict(Verdict, frozen=True, kw_only=True):
+    """A verdict of a plug-in, with its facts as they are."""
+
+    facts: Json
+
+    @property
+    def suspects(self) -> Sequence[str]:
+        """Return its fact of that name."""
+        return [str(each) for each in self.facts.get("suspected", ())]
+
+    @property
+    def words(self) -> str:
+        """Return the plain facts: names without underscores, values with their unit."""
+        return ", ".join(
+            _plain(name, value)
+            for name, value in self.facts.items()
+            if not isinstance(value, (dict, list, type(None)))
+        )
+
+
+def _plain(name: str, value: object) -> str:
+    words, _, last = name.rpartition("_")
+    unit = UNITS.get(last, "") if words else ""
+    text = f"{value:.4f}" if isinstance(value, float) else str(value)
+    text = {True: "yes", False: "no"}[value] if isinstance(value, bool) else text
+    return f"{(words if unit else name).replace('_', ' ')} {text}{unit}"
+
+
+# -- the robot against stated limits ---------------------------------------------------------------
+
+
+class Limits(NamedTuple):
+    """Limits of mean and largest 3D error, mm, and of the largest error of orientation, deg; None
+    where that is not judged.
+    """
+
+    mean_mm: float
+    max_mm: float
+    max_deg: float | None = None
+
+
+class Turn(NamedTuple):
+    """The largest error of orientation and its expanded uncertainty, deg."""
+
+    max_deg: float
+    U_deg: float
+
+
+class Judged(Verdict, frozen=True, kw_only=True, omit_defaults=True):
+    """Mean and largest error of targets, as verdicts in journals and calibration files have them.
+
+    Orientation has figures where it was judged; null, a NaN in JSON, is None. ``decision`` is the
+    rule's, or that of another test that had to accept as well.
+    """
+
+    keys: ClassVar[tuple[str, ...]] = (VALIDATION, "targets")
+    mean_mm: float
+    mean_tolerance_mm: float
+    max_mm: float
+    max_tolerance_mm: float
+    mean_U_mm: float
+    max_U_mm: float
+    decided: Outcome = field(name="outcome")
+    decision: str
+    max_deg: float | None = None
+    max_tolerance_deg: float | None = None
+    max_U_deg: float | None = None
+
+    @property
+    def figures(self) -> Sequence[Figure]:
+        """Return mean and largest error, and that of orientation where it was judged."""
+        both = (
+            Figure("mean", self.mean_mm, "mm", self.mean_tolerance_mm, self.mean_U_mm),
+            Figure("largest error", self.max_mm, "mm", self.max_tolerance_mm, self.max_U_mm),
+        )
+        if self.max_tolerance_deg is None:
+            return both
+        name, limit = "largest error of orientation", self.max_tolerance_deg
+        return (*both, Figure(name, self.max_deg, "deg", limit, self.max_U_deg))
+
+    @property
+    def outcome(self) -> Outcome:
+        """Return the outcome that was decided."""
+        return self.decided
+
+    @property
+    def words(self) -> str:
+        """Return the figures and the decision."""
+        return f"{super().words}: {self.decision}"
+
+    @property
+    def why(self) -> str:
+        """Return the figures that decided against it; where none of them did, the decision."""
+        failed = [each.why for each in self.figures if each.outcome is self.outcome]
+        return ("" if self.holds else "; ".join(failed)) or self.decision
+
+    @property
+    def limits(self) -> Limits:
+        """Return the limits that it was judged by."""
+        return Limits(self.mean_tolerance_mm, self.max_tolerance_mm, self.max_tolerance_deg)
+
+    @property
+    def turn(self) -> Turn | None:
+        """Return the orientation that was judged, None where it was not; a figure that is not known
+        is NaN.
+        """
+        if self.max_tolerance_deg is None:
+            return None
+        return Turn(
+            *(math.nan if each is None else each for each in (self.max_deg, self.max_U_deg))
+        )
+
+
+class Characteristic(NamedTuple):
+    """A characteristic of ISO 9283; ``key`` and ``unit`` are in the names of its figures."""
+
+    key: str
+    symbol: str
+    title: str
+    unit: str
+    clause: str
+
+    @property
+    def limit(self) -> str:
+        """Return its limit's name in the cell file, in results and in verdicts."""
+        return f"{self.key}_limit_{self.unit}"
+
+
+AP = Characteristic("ap", "AP_p", "pose accuracy", "mm", "7.2.1")
+RP = Characteristic("rp", "RP_l", "pose repeatability", "mm", "7.2.2")
+AD = Characteristic("ad", "|AD|", "distance accuracy", "mm", "7.3.2")
+RD = Characteristic("rd", "RD", "distance repeatability, ±", "mm", "7.3.3")
+AP_ANGLES = Characteristic("ap", "AP_abc", "orientation accuracy", "deg", "7.2.1")
+RP_ANGLES = Characteristic("rp", "RP_abc", "orientation repeatability, ±", "deg", "7.2.2")
+CHARACTERISTICS = (AP, RP, AD, RD, AP_ANGLES, RP_ANGLES)
+ISO = "iso9283"  # kind of the points, key of result and verdict
+
+
+class PoseTested(Verdict, frozen=True, kw_only=True, omit_defaults=True):
+    """The characteristics of ISO 9283 that have a limit, each where it is worst, and U (k = 2).
+
+    One that was not measured is None: it keeps no limit.
+    """
+
+    keys: ClassVar[tuple[str, ...]] = (ISO,)
+    title: ClassVar[str] = "ISO 9283 test"
+    ap_mm: float | None = None
+    ap_u95_mm: float | None = None
+    ap_limit_mm: float | None = None
+    rp_mm: float | None = None
+    rp_u95_mm: float | None = None
+    rp_limit_mm: float | None = None
+    ad_mm: float | None = None
+    ad_u95_mm: float | None = None
+    ad_limit_mm: float | None = None
+    rd_mm: float | None = None
+    rd_u95_mm: float | None = None
+    rd_limit_mm: float | None = None
+    ap_deg: float | None = None
+    ap_u95_deg: float | None = None
+    ap_limit_deg: float | None = None
+    rp_deg: float | None = None
+    rp_u95_deg: float | None = None
+    rp_limit_deg: float | None = None
+
+    @property
+    def figures(self) -> Sequence[Figure]:
+        """Return those that have a limit."""
+        found = []
+        for of in CHARACTERISTICS:
+            value, U, limit = (
+                getattr(self, name)
+                for name in (f"{of.key}_{of.unit}", f"{of.key}_u95_{of.unit}", of.limit)
+            )
+            if limit is not None:
+                found.append(Figure(of.key.upper(), value, of.unit, limit, U, ".3f"))
+        return found
+
+
+class Oriented(Verdict, frozen=True, kw_only=True):
+    """Whether a corrected orientation is better than before, and the reflectors stayed."""
+
+    keys: ClassVar[tuple[str, ...]] = ("orientation",)
+    before_mean_deg: float
+    mean_deg: float
+    reflectors_moved_mm: float
+
+    @property
+    def words(self) -> str:
+        """Return the errors before and corrected."""
+        return (
+            f"mean error of orientation {self.before_mean_deg:.4f} deg before, "
+            f"{self.mean_deg:.4f} deg corrected; reflectors moved {self.reflectors_moved_mm:.3f} mm "
+            "on the flange"
+        )
+
+
+# -- the correction --------------------------------------------------------------------------------
+
+
+class CurvesUsed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Whether the sweeps' curves are used and why: mean misses (mm) of poses left out."""
+
+    used: bool
+    reason: str
+    with_mm: float | None = None
+    without_mm: float | None = None
+
+
+class Fitted(Verdict, frozen=True, kw_only=True, omit_defaults=True):
+    """The error model that was chosen, by cross-validation: mean, p95 and max (mm) of each.
+
+    ``orientation`` says what becomes of the tool's orientation, where that was measured.
+    """
+
+    keys: ClassVar[tuple[str, ...]] = ("fit",)
+    title: ClassVar[str] = "choice of the correction"
+    method: str
+    loocv: dict[str, dict[str, float]]
+    reason: str
+    refused: dict[str, str]
+    curves: CurvesUsed
+    outliers: list[PointId]
+    orientation: str = ""
+
+    @property
+    def words(self) -> str:
+        """Return the model and the reason."""
+        chosen = f"{self.method}, {self.reason}"
+        return "; orientation ".join(filter(None, (chosen, self.orientation)))
+
+
+class SignChecked(Verdict, frozen=True, kw_only=True):
+    """The error of one target as sent and corrected: a wrong sign would double it."""
+
+    keys: ClassVar[tuple[str, ...]] = ("sign",)
+    title: ClassVar[str] = "sign check"
+    limit: float
+    before_mm: float
+    corrected_mm: float
+    ratio: float
+
+    @property
+    def words(self) -> str:
+        """Return both errors and their ratio."""
+        return (
+            f"error of one target {self.before_mm:.3f} mm as sent, {self.corrected_mm:.3f} mm "
+            f"corrected: {100 * self.ratio:.0f} % of it, limit {100 * self.limit:.0f} %"
+        )
+
+
+class Rechecked(Verdict, frozen=True, kw_only=True, omit_defaults=True):
+    """Whether the calibration in use still holds, by a few poses; ``doubt`` explains them as well
+    as a moved base.
+    """
+
+    keys: ClassVar[tuple[str, ...]] = ("recheck",)
+    title: ClassVar[str] = "re-check"
+    verdict: Literal["valid", "update", "redo"]
+    drift_mm: float
+    drift_u_mm: float
+    doubt: str = ""
+
+    @property
+    def words(self) -> str:
+        """Return the verdict, the drift and the doubt."""
+        words = {"valid": "still valid", "update": "base moved, updated", "redo": "calibrate again"}
+        drift = f"drift {self.drift_mm:.3f} mm, u {self.drift_u_mm:.3f} mm"
+        return "; ".join(filter(None, (f"{words[self.verdict]}: {drift}", self.doubt)))
+
+
+class Touched(Verdict, frozen=True, kw_only=True):
+    """The base was touched at a station."""
+
+    keys: ClassVar[tuple[str, ...]] = ("touch",)
+    title: ClassVar[str] = "touch poses"
+    station: str
+
+    @property
+    def words(self) -> str:
+        """Return where."""
+        return f"touched at {self.station}"
+
+
+# -- what may have changed -------------------------------------------------------------------------
+
+
+class Revisited(Verdict, frozen=True, kw_only=True):
+    """Poses against their first visits: chi^2 per degree of freedom of the test nearest to its
+    limit, and the cause that fits.
+    """
+
+    keys: ClassVar[tuple[str, ...]] = ("revisits", "revisits.closing")
+    title: ClassVar[str] = "revisited poses"
+    ratio: float
+    limit: float
+    suspicion: Suspicion | None
+    suspected: list[str]
+
+    @property
+    def words(self) -> str:
+        """Return the ratio, its limit, and what is suspected."""
+        suspected = "".join(f"; suspected: {each}" for each in self.suspected)
+        return (
+            "differences from the first visits: of the tests of all poses together and of each "
+            "cause (chi² per degree of freedom, 1 on average by chance), the nearest to its limit "
+            f"has {self.ratio:.2f}; limit {self.limit:.2f}, which chance alone keeps in "
+            f"{100 * (1 - RISK):g} % of runs{suspected}"
+        )
+
+
+class LostMotionJudged(Verdict, frozen=True, kw_only=True):
+    """Vertices approached from both sides: what axes 1 to 3 lose, and U (k = 2) of it."""
+
+    keys: ClassVar[tuple[str, ...]] = ("reversal",)
+    title: ClassVar[str] = "lost motion of axes 1 to 3"
+    mean_mm: float
+    max_mm: float
+    points: int
+    lost_urad: list[float]
+    U_urad: list[float]
+    limit_urad: float
+
+    @property
+    def words(self) -> str:
+        """Return the distances of both sides and the lost motion of each axis."""
+        both = zip(self.lost_urad, self.U_urad, strict=True)
+        lost = ", ".join(f"A{axis} {lost:.0f} +- {U:.0f}" for axis, (lost, U) in enumerate(both, 1))
+        return (
+            f"{self.points} vertices from both sides, {self.mean_mm:.3f} mm apart on average, "
+            f"{self.max_mm:.3f} mm at most; lost motion {lost} urad (U, k = 2), limit "
+            f"{self.limit_urad:g} urad"
+        )
+
+
+class Suspected(Verdict, frozen=True, kw_only=True):
+    """The causes that a run suspects of all that it compared."""
+
+    keys: ClassVar[tuple[str, ...]] = ("suspicions",)
+    title: ClassVar[str] = "suspected causes"
+    suspected: list[str]
+
+    @property
+    def words(self) -> str:
+        """Return them."""
+        return "; ".join(self.suspected) or "nothing is suspected"
+
+
+class Parameter(msgspec.Struct, frozen=True):
+    """A coordinate in {W} as both calibrations have it. A turn is that of now against then, so it
+    was 0 then. ``limit`` is U of the difference.
+    """
+
+    name: str
+    unit: str
+    then: float
+    now: float
+    limit: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether chance explains the difference; NaN is none."""
+        return abs(self.now - self.then) <= self.limit
+
+    @property
+    def words(self) -> str:
+        """Return both values and the limit."""
+        return (
+            f"{self.name} {self.now:.3f} {self.unit}, {self.then:.3f} then, "
+            f"limit of the difference {self.limit:.3f}"
+        )
+
+
+class ChangedSince(Verdict, frozen=True, kw_only=True):
+    """The parameters that differ from the calibration of run ``before``, which is in use."""
+
+    keys: ClassVar[tuple[str, ...]] = ("since",)
+    title: ClassVar[str] = "changes since the calibration before"
+    before: str
+    suspected: list[str]
+    beyond: list[Parameter]
+    compared: int
+
+    @property
+    def words(self) -> str:
+        """Return the parameters beyond their limits."""
+        beyond = "; ".join(each.words for each in self.beyond)
+        kept = f"all {self.compared} parameters are within their limits"
+        return f"against the calibration of run {self.before}: {beyond or kept}"
+
+
+# -- the instrument --------------------------------------------------------------------------------
+
+
+class LengthFound(msgspec.Struct, frozen=True):
+    """A certified length at the air's temperature, as measured, and U (k = 2) of the difference."""
+
+    nests: tuple[str, str]
+    wanted_mm: float
+    found_mm: float
+    U_mm: float
+
+    @property
+    def off_ppm(self) -> float:
+        """Return how much longer it was measured."""
+        return 1e6 * (self.found_mm / self.wanted_mm - 1.0)
+
+    @property
+    def share(self) -> float:
+        """Return the difference as a share of U."""
+        return abs(self.found_mm - self.wanted_mm) / self.U_mm
+
+    @property
+    def holds(self) -> bool:
+        """Whether certificate and tracker explain the difference."""
+        return self.share <= 1.0
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        return (
+            f"{' to '.join(self.nests)} was measured {self.found_mm:.3f} mm, certified "
+            f"{self.wanted_mm:.3f} mm, U = {self.U_mm:.3f} mm (k = 2): {self.off_ppm:+z.0f} ppm"
+        )
+
+
+class LengthsChecked(Verdict, frozen=True, kw_only=True):
+    """Certified lengths against the tracker's scale; ``wrong`` are those that differ, in words."""
+
+    keys: ClassVar[tuple[str, ...]] = ("known-length",)
+    lengths: list[LengthFound]
+    wrong: list[str]
+
+    @property
+    def words(self) -> str:
+        """Return the lengths."""
+        return "; ".join(each.text for each in self.lengths)
+
+    @property
+    def why(self) -> str:
+        """Return those that differ."""
+        return "; ".join(self.wrong) or self.words
+
+
+class Faces(msgspec.Struct, frozen=True):
+    """Half the difference of both faces at a nest, sideways and downwards, and its limit."""
+
+    nest: str
+    across_mm: float
+    down_mm: float
+    limit_mm: float
+
+    @property
+    def off_mm(self) -> float:
+        """Return its length."""
+        return math.hypot(self.across_mm, self.down_mm)
+
+    @property
+    def holds(self) -> bool:
+        """Whether tracker and noise explain the difference."""
+        return self.off_mm <= self.limit_mm
+
+
+class FacesCompared(Verdict, frozen=True, kw_only=True):
+    """Nests seen in both faces of the tracker."""
+
+    keys: ClassVar[tuple[str, ...]] = ("two-face", "two-face.closing")
+    title: ClassVar[str] = "both faces of the tracker"
+    nests: list[Faces]
+    found: str = field(name="words")
+    wrong: list[str]
+
+    @property
+    def words(self) -> str:
+        """Return the nest that differs most, and the axis that explains all best."""
+        return self.found
+
+
+class ReflectorSeen(msgspec.Struct, frozen=True):
+    """The reflector of a place: how far from the median of the others, along the beam and across
+    it, and its limit.
+    """
+
+    place: str
+    along_mm: float
+    across_mm: float
+    limit_mm: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether centring and noise explain it."""
+        return math.hypot(self.along_mm, self.across_mm) <= self.limit_mm
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        return (
+            f"the reflector of {self.place} is seen {self.along_mm:+.3f} mm along the beam and "
+            f"{self.across_mm:.3f} mm across it from the others, limit {self.limit_mm:.3f} mm"
+        )
+
+
+class ReflectorsCompared(Verdict, frozen=True, kw_only=True):
+    """Each reflector in one nest against the others; ``wrong`` are those that differ, in words."""
+
+    keys: ClassVar[tuple[str, ...]] = ("reflectors",)
+    reflectors: list[ReflectorSeen]
+    wrong: list[str]
+
+    @property
+    def words(self) -> str:
+        """Return those that differ."""
+        return "; ".join(self.wrong) or "none differs from the others"
+
+
+# -- the rail and the drivers ----------------------------------------------------------------------
+
+
+class Within(Verdict, frozen=True, kw_only=True):
+    """A length within its limit."""
+
+    of: ClassVar[str]
+    found_mm: float
+    limit_mm: float
+
+    @property
+    def figures(self) -> Sequence[Figure]:
+        """Return the length."""
+        return [Figure(self.of, self.found_mm, "mm", self.limit_mm)]
+
+
+class Backlash(Within, frozen=True, kw_only=True):
+    """The rail's backlash, which has to be above its limit for certain to fail."""
+
+    keys: ClassVar[tuple[str, ...]] = ("backlash",)
+    title: ClassVar[str] = "backlash of the rail"
+    of: ClassVar[str] = "backlash"
+
+
+class StripRepeats(Within, frozen=True, kw_only=True):
+    """The range of positions at which the strip holds the slide."""
+
+    keys: ClassVar[tuple[str, ...]] = ("station-repeatability",)
+    title: ClassVar[str] = "repeatability of a held station"
+    of: ClassVar[str] = "largest range of positions held by the strip"
+
+
+class DriverConforms(Verdict, frozen=True, kw_only=True):
+    """A driver keeps what its port promises; ``broken`` are the promises that it does not."""
+
+    keys: ClassVar[tuple[str, ...]] = ("conformance ",)
+    driver: str
+    broken: list[str]
+
+    @property
+    def words(self) -> str:
+        """Return the driver and what it breaks."""
+        broken = f": breaks {', '.join(self.broken)}" if self.broken else ""
+        return f"driver {self.driver}{broken}"
+
+
+# -- by key ----------------------------------------------------------------------------------------
+
+
+def _types() -> dict[str, type[Verdict]]:
+    kinds = [*Verdict.__subclasses__(), *Within.__subclasses__()]
+    return {key: kind for kind in kinds for key in kind.keys}
+
+
+VERDICTS = _types()
+
+
+def verdict_type(key: str) -> type[Verdict] | None:
+    """Return the type of a key's verdict, None of a plug-in's."""
+    for each, kind in VERDICTS.items():
+        if key == each or (each[-1] in ". " and key.startswith(each)):
+            return kind
+    return None
+
+
+def verdict_of(key: str, body: Json) -> Verdict:
+    """Return a verdict of its plain body; raises `msgspec.ValidationError`."""
+    kind = verdict_type(key)
+    if kind is not None:
+        return typed(body, kind)
+    facts: dict[str, Any] = {name: value for name, value in body.items() if name != "holds"}
+    return OtherVerdict(holds=typed(body.get("holds"), bool), facts=facts)
+
+
+def verdict_title(key: str) -> str:
+    """Return the subject of a verdict: *re-check*."""
+    kind = verdict_type(key)
+    title = (kind.title if kind is not None else "") or key.replace("-", " ")
+    return f"{title} at the end" if key.endswith(".closing") else title
