@@ -14,7 +14,6 @@ import numpy as np
 from hilcell.geometry.beam_noise import beam_noise
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import coverage_factor
-from hilcell.invariants.bodies import Framed, Measured
 from hilcell.invariants.motions import FUTURE_S, Motions
 from hilcell.invariants.scene import Scene, is_proof, is_world, nest_of, pose_of, set_up_of
 from hilcell.invariants.tally import Tally, Verdict
@@ -34,9 +33,10 @@ from hilcell.model.events import (
     TrackerMoved,
     TrackerProven,
 )
-from hilcell.model.point import Readings
+from hilcell.model.frame import Frame
+from hilcell.model.point import Point, Readings
 from hilcell.model.records import Ended, StateChanged
-from hilcell.typed import typed
+from hilcell.model.verdicts import Verdict as Judgement
 
 SIGMAS = 4.0
 FRAMING = "world"  # kind of the points of which {W} is framed
@@ -50,17 +50,12 @@ class TrackerSetUps:
 
     def take(self, record: Record) -> None:
         """Judge a record."""
-        match record.kind:
-            case "point":
-                self._point(record, typed(record.body, Measured))
-            case "frame":
-                self._frame(record, typed(record.body, Framed))
-            case "state" | "event":
-                self._happened(record)
-
-    def _happened(self, record: Record) -> None:
         scene = self._scene
         match record.fact:
+            case Point() as point:
+                self._point(record, point)
+            case Frame() as frame:
+                self._frame(record, frame)
             case StateChanged(machine="run", to="finished"):
                 self._closed(record, "the run's end", list(scene.unproven))
             case StepBegun(name=name):
@@ -75,7 +70,7 @@ class TrackerSetUps:
                 what = f"kept {', '.join(kept)} of a tracker that had moved"
                 self._check("I10", record, not kept, what)
 
-    def _point(self, record: Record, point: Measured) -> None:
+    def _point(self, record: Record, point: Point) -> None:
         scene = self._scene
         what = f"{record.key} is of set-up {point.set_up}, the tracker at {scene.set_up}"
         self._check("I15", record, point.set_up == scene.set_up, what)
@@ -103,11 +98,11 @@ class TrackerSetUps:
         """Whether all nests have reflectors; one that is carried proves the tracker less often."""
         return self._scene.cell.layout.reflectors == "mounted"
 
-    def _frame(self, record: Record, frame: Framed) -> None:
+    def _frame(self, record: Record, frame: Frame) -> None:
         scene = self._scene
         if is_world(record.key):
             self._world(record)
-        if frame.points is None:
+        if not frame.points:
             return
         lost = [key for key in frame.points if key not in scene.points]
         what = f"{record.key} is built of {', '.join(lost[:3])}, not valid"
@@ -139,7 +134,7 @@ class TrackerSetUps:
             what = f"proven with {nest} {off_mm:.3f} mm off, at most {limit_mm:.3f} mm"
             self._check("I15", record, off_mm <= limit_mm, what)
 
-    def _nests(self, set_up: int) -> dict[str, Measured]:
+    def _nests(self, set_up: int) -> dict[str, Point]:
         """Return the points of which {W} was framed at a set-up, by nest."""
         points = self._scene.points.items()
         return {
@@ -149,7 +144,7 @@ class TrackerSetUps:
         }
 
     def _changes(
-        self, before: dict[str, Measured], now: dict[str, Measured]
+        self, before: dict[str, Point], now: dict[str, Point]
     ) -> Iterator[tuple[str, float, float]]:
         """Yield each two nests, by how much their distance has changed, and its limit."""
         for one, other in combinations(sorted(before.keys() & now.keys()), 2):
@@ -158,7 +153,7 @@ class TrackerSetUps:
             four = (before[one], before[other], now[one], now[other])
             yield f"{one} to {other}", off_mm, self._limit_mm(*four)
 
-    def _limit_mm(self, *points: Measured) -> float:
+    def _limit_mm(self, *points: Point) -> float:
         """Return by how much points may differ: stated drift, and the readings' noise.
 
         The noise is what all points so far have shown, at the places of these.
@@ -173,19 +168,19 @@ class TrackerSetUps:
         return drift_mm + coverage_factor(SIGMAS, noise.freedom) * math.sqrt(noise_mm2)
 
 
-def _stated(point: Measured) -> bool:
+def _stated(point: Point) -> bool:
     """Whether a point's place and scatter are numbers."""
     return all(map(math.isfinite, (*point.xyz_mm, *point.std_mm))) and point.samples >= 1
 
 
-def _columns(points: Sequence[Measured]) -> tuple[Array, Array, Array]:
+def _columns(points: Sequence[Point]) -> tuple[Array, Array, Array]:
     """Return positions (N, 3), standard deviations (N, 3) and numbers of samples (N,)."""
     rows = [(point.xyz_mm, point.std_mm, point.samples) for point in points]
     at_mm, std_mm, samples = zip(*rows, strict=True)
     return np.array(at_mm), np.array(std_mm), np.array(samples, dtype=float)
 
 
-def _apart_mm(one: Measured, other: Measured) -> float:
+def _apart_mm(one: Point, other: Point) -> float:
     return math.dist(one.xyz_mm, other.xyz_mm)
 
 
@@ -215,9 +210,9 @@ class LifeRules:
         gap = f"record {self._seq} came before"
         self._check("I8", record, record.seq == self._seq + 1, gap)
         self._seq = record.seq
-        if record.kind == "verdict":
-            (self._failed.discard if record.body["holds"] else self._failed.add)(record.key)
-        match record.fact if record.kind in ("state", "event", "end") else None:
+        match record.fact:
+            case Judgement(holds=holds):
+                (self._failed.discard if holds else self._failed.add)(record.key)
             case StateChanged(machine="run") as life:
                 self._life(record, life)
             case Ended() as end:
@@ -294,9 +289,6 @@ class LifeRules:
         self._check("I8", record, not wrong, f"the result counts {figures}")
 
 
-CARRIES = ("reflector", "temperature_c", "frame", "station")  # None where nothing measures it
-
-
 class Measurements:
     """Judges each point."""
 
@@ -305,9 +297,9 @@ class Measurements:
 
     def take(self, record: Record) -> None:
         """Judge a record."""
-        if record.kind != "point":
+        point, scene, key = record.fact, self._scene, record.key
+        if not isinstance(point, Point):
             return
-        point, scene, key = typed(record.body, Measured), self._scene, record.key
         allowed = not (scene.ended or scene.waits)
         self._check("I3", record, allowed, f"{key} measured while {scene.state}")
         once = key not in scene.points or point.retaken
@@ -317,13 +309,15 @@ class Measurements:
         self._carries(record, point)
         if point.station:
             self._at_station(record, point)
-        self._times(record, point.readings)
+        if point.readings is not None:
+            self._times(record, point.readings)
         if scene.session > 1 and scene.framed and not is_proof(key):
             what = f"{key} added before the tracker was verified"
             self._check("I9", record, scene.verified, what)
 
-    def _carries(self, record: Record, point: Measured) -> None:
-        missing = [name for name in CARRIES if name not in record.body]
+    def _carries(self, record: Record, point: Point) -> None:
+        missing = [] if "temperature_c" in record.body else ["temperature_c"]  # null: not measured
+        missing += ["readings"] if point.readings is None else []
         if point.station and point.commanded_deg and point.smr_mm is None:
             missing.append("smr_mm")
         self._check("I4", record, not missing, f"{record.key} lacks {', '.join(missing)}")
@@ -332,7 +326,7 @@ class Measurements:
             here = pose_of(last) == pose_of(record.key)
             self._check("I4", record, here, f"{record.key}: the last motion: {last}")
 
-    def _at_station(self, record: Record, point: Measured) -> None:
+    def _at_station(self, record: Record, point: Point) -> None:
         scene, name = self._scene, point.station
         resumed = scene.session > 1
         what = f"{record.key}: {name} was not found held since the run resumed"
@@ -340,8 +334,9 @@ class Measurements:
         station = scene.station(name)
         wanted_mm = math.nan if station is None else station.strip_mm
         limit_mm = 2 * scene.cell.rail.strip_tolerance_mm
-        held = abs(point.strip_mm - wanted_mm) <= limit_mm + 1e-9
-        self._check("I2", record, held, f"{record.key}: strip {point.strip_mm:.2f} mm at {name}")
+        strip_mm = math.nan if point.strip_mm is None else point.strip_mm
+        held = abs(strip_mm - wanted_mm) <= limit_mm + 1e-9
+        self._check("I2", record, held, f"{record.key}: strip {strip_mm:.2f} mm at {name}")
 
     def _times(self, record: Record, readings: Readings) -> None:
         scene, key = self._scene, record.key
@@ -360,7 +355,7 @@ class Measurements:
         self._check("I14", record, known, f"{key}: readings {ages} s old")
 
     def _rested(self, record: Record, name: str, rested_s: float, rest_s: float) -> None:
-        wanted_s = rest_s / self._scene.inputs.time_factor
+        wanted_s = rest_s / self._scene.time_factor
         what = f"{record.key}: {rested_s:.3f} s after the {name}'s motion, wanted {wanted_s:g} s"
         self._check("I3", record, rested_s >= wanted_s, what)
         self._check("I4", record, rested_s >= 0.0, f"{record.key}: older than the {name}'s motion")

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 
-from hilcell.invariants.bodies import Begun, Motion
 from hilcell.invariants.scene import Scene, of_rail
 from hilcell.invariants.tally import Tally
 from hilcell.journal.journal import Record
-from hilcell.model.records import SeenBefore
-from hilcell.typed import typed
+from hilcell.model.events import StationHeld
+from hilcell.model.point import Point, Readings
+from hilcell.model.records import Intended, SeenBefore
 
 SAFE_POSE_DEG = 0.1
 FUTURE_S = -0.001  # two readings of one clock
+NOT_SEEN = SeenBefore(taken_s=math.nan, age_s=math.nan, still=False)  # admits nothing
 
 
 class Motions:
@@ -23,12 +24,15 @@ class Motions:
 
     def take(self, record: Record) -> None:
         """Judge a record."""
-        if record.kind == "intent":
-            self._motion(record, typed(record.body, Motion))
-        elif record.kind in ("point", "event"):
-            self._began(record, typed(record.body, Begun))
+        match record.fact:
+            case Intended() as motion:
+                self._motion(record, motion)
+            case StationHeld(began=began) if began is not None:
+                self._young(record, "the motion before began", began.age_s)
+            case Point(readings=Readings(began=began)) if began is not None:
+                self._young(record, "the motion before began", began.age_s)
 
-    def _motion(self, record: Record, motion: Motion) -> None:
+    def _motion(self, record: Record, motion: Intended) -> None:
         scene = self._scene
         action = motion.action
         allowed = not (scene.ended or scene.waits)
@@ -40,30 +44,26 @@ class Motions:
         else:
             self._robot(record, motion)
 
-    def _rail(self, record: Record, motion: Motion) -> None:
+    def _rail(self, record: Record, motion: Intended) -> None:
         last = self._scene.last
         parked = last is None or of_rail(last) or last.action == "robot.park"
         self._check("I1", record, parked, f"{motion.action}: the robot was not parked before")
-        self._young(record, motion.action, motion.seen.age_s)
-        wrong = _not_parked(motion.seen, self._scene)
+        seen = motion.seen or NOT_SEEN
+        self._young(record, motion.action, seen.age_s)
+        wrong = _not_parked(seen, self._scene)
         self._check("I1", record, not wrong, f"{motion.action}: {wrong}")
 
-    def _robot(self, record: Record, motion: Motion) -> None:
+    def _robot(self, record: Record, motion: Intended) -> None:
         scene, key = self._scene, record.key
         if key and key in scene.points:
             asked = key in scene.again
             self._check("I9", record, asked, f"{key} is acknowledged, and is driven to again")
-        self._young(record, motion.action, motion.seen.age_s)
+        seen = motion.seen or NOT_SEEN
+        self._young(record, motion.action, seen.age_s)
         station = scene.station(scene.held)
         wanted_mm = None if station is None else station.strip_mm
-        wrong = _not_held(motion.seen, wanted_mm, 2 * scene.cell.rail.strip_tolerance_mm)
+        wrong = _not_held(seen, wanted_mm, 2 * scene.cell.rail.strip_tolerance_mm)
         self._check("I2", record, not wrong, f"{motion.action} {key}: {wrong}")
-
-    def _began(self, record: Record, reached: Begun) -> None:
-        """Judge the reading by which a motion began, once it was journalled."""
-        began = reached.began if reached.readings is None else reached.readings.began
-        if began is not None:
-            self._young(record, "the motion before began", began.age_s)
 
     def _young(self, record: Record, motion: str, age_s: float) -> None:
         limit_s = self._scene.cell.settle.reading_age_s

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
-from hilcell.invariants.bodies import CellFacts, Inputs, Measured, Motion, Station
+from hilcell.invariants.cell_facts import CellFacts, Station
 from hilcell.journal.journal import Record
 from hilcell.journal.set_ups import INTERRUPTED, PROOFS
 from hilcell.journal.states import OVER, WAITING
@@ -21,8 +22,10 @@ from hilcell.model.events import (
     VisitedOnceMore,
     WorldFramedAgain,
 )
-from hilcell.model.point import CHECKS, SEAT
-from hilcell.model.records import StateChanged
+from hilcell.model.frame import Frame
+from hilcell.model.plan import PlanRecord
+from hilcell.model.point import CHECKS, SEAT, Point
+from hilcell.model.records import Intended, StateChanged
 from hilcell.typed import typed
 
 
@@ -30,28 +33,24 @@ from hilcell.typed import typed
 class Scene:
     """``points`` are those that count, ``unproven`` those since the tracker's last proof."""
 
-    inputs: Inputs = field(default_factory=lambda: Inputs(CellFacts()))
+    cell: CellFacts = field(default_factory=CellFacts)  # as it was frozen
+    time_factor: float = 1.0  # by which the PC's time is shorter than the cell's
     state: str = "idle"
     session: int = 0
     held: str = ""  # the station at which the slide was reported held in this session
-    last: Motion | None = None  # motion of this session, and what it was for
+    last: Intended | None = None  # motion of this session, and what it was for
     last_key: str = ""
     rail_moved: bool = False  # in this session
     robot_moved: bool = False
-    points: dict[str, Measured] = field(default_factory=dict)
-    dropped: dict[str, Measured] = field(default_factory=dict)
+    points: dict[str, Point] = field(default_factory=dict)
+    dropped: dict[str, Point] = field(default_factory=dict)
     again: set[str] = field(default_factory=set)
     set_up: int = 0
     framed: set[int] = field(default_factory=set)  # set-ups with a {W}
-    control: dict[str, Measured] = field(default_factory=dict)  # by nest, since the last proof
+    control: dict[str, Point] = field(default_factory=dict)  # by nest, since the last proof
     unproven: dict[str, int] = field(default_factory=dict)  # the session that added each
     verified: bool = False  # the tracker was proven, or {W} framed, in this session
     interrupted: bool = False  # nobody may have seen the tracker since its last proof
-
-    @property
-    def cell(self) -> CellFacts:
-        """Return the cell as it was frozen."""
-        return self.inputs.cell
 
     @property
     def ended(self) -> bool:
@@ -69,20 +68,20 @@ class Scene:
 
     def take(self, record: Record) -> None:
         """Add a record."""
-        body = record.body
-        match record.fact if record.kind in ("state", "event") else None:
+        match record.fact:
             case StateChanged(machine="run") as life:
                 self._take_state(life)
             case Event() | OtherEvent() as event:
                 self._take_event(event)
-        match record.kind:
-            case "plan":
-                self.inputs = typed(body, Inputs)
-            case "intent":
-                self._take_motion(record.key, typed(body, Motion))
-            case "point":
-                self._take_point(record.key, typed(body, Measured))
-            case "frame" if is_world(record.key):
+            case PlanRecord(cell=cell, speed=speed):
+                self.cell = typed(cell, CellFacts)
+                if self.cell.simulation is not None:
+                    self.time_factor = math.inf if speed is None else speed
+            case Intended() as motion:
+                self._take_motion(record.key, motion)
+            case Point() as point:
+                self._take_point(record.key, point)
+            case Frame() if is_world(record.key):
                 self.framed.add(set_up_of(record.key))
                 self._prove()
 
@@ -94,14 +93,14 @@ class Scene:
             self.held, self.last, self.last_key = "", None, ""
             self.rail_moved = self.robot_moved = False
 
-    def _take_motion(self, key: str, motion: Motion) -> None:
+    def _take_motion(self, key: str, motion: Intended) -> None:
         self.last, self.last_key = motion, key
         if of_rail(motion):
             self.held, self.rail_moved = "", True
         else:
             self.robot_moved = True
 
-    def _take_point(self, key: str, point: Measured) -> None:
+    def _take_point(self, key: str, point: Point) -> None:
         self.points[key] = point
         self.again.discard(key)
         if is_control(key):
@@ -137,7 +136,7 @@ class Scene:
         self.interrupted, self.verified = False, True
 
 
-def of_rail(motion: Motion) -> bool:
+def of_rail(motion: Intended) -> bool:
     """Whether it is the slide that moves."""
     return motion.action.startswith("rail.")
 

@@ -257,8 +257,8 @@ class Oriented(Verdict, frozen=True, kw_only=True):
         """Return the errors before and corrected."""
         return (
             f"mean error of orientation {self.before_mean_deg:.4f} deg before, "
-            f"{self.mean_deg:.4f} deg corrected; reflectors moved {self.reflectors_moved_mm:.3f} mm "
-            "on the flange"
+            f"{self.mean_deg:.4f} deg corrected; reflectors moved "
+            f"{self.reflectors_moved_mm:.3f} mm on the flange"
         )
 
 

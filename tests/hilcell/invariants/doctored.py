@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from hilcell.journal.journal import Record
 from hilcell.model.records import Kind
 
@@ -25,8 +27,13 @@ PLAN = {
         "layout": {"reflectors": "mounted"},
         "uncertainty": {"drift_limit_mm": 0.02},
     },
-    "versions": {"hilcell": "0.1.0"},
-}
+    "procedure": "calibrate", "digest": "d", "seed": 1, "speed": None, "unattended": True,
+    "operator": "", "job": "", "simulated": False, "versions": {"hilcell": "0.1.0"},
+    "settings": {}, "steps": [], "points": 2, "duration_s": 1.0, "machine_seed": None,
+    "cell_file": "",
+}  # fmt: skip
+FRAME = {"matrix": np.eye(4).tolist()}
+BASE = FRAME | {"circle_rms_mm": [0.01, 0.01], "radius_mm": [1500.0, 200.0]}
 DEVICES = [
     {"device": "Robot", "kind": "robot", "model": "KR", "serial": "1"},
     {"device": "Tracker", "kind": "tracker", "model": "AT", "serial": "2"},
@@ -54,6 +61,7 @@ def robot(name: str, key: str, session: int) -> Row:
 
 def point(name: str, key: str, session: int, set_up: int = 0, **facts: Any) -> Row:
     body: dict[str, Any] = {
+        "id": {"kind": key.partition("/")[0]},
         "group": key.partition("/")[0],
         "session": session,
         "set_up": set_up,
@@ -96,7 +104,7 @@ def nests(name: str, head: str, session: int, set_up: int = 0) -> list[Row]:
 
 
 def world(name: str, key: str, head: str) -> Row:
-    return name, "frame", key, {"points": [f"{head}/{nest}" for nest in NESTS]}
+    return name, "frame", key, FRAME | {"points": [f"{head}/{nest}" for nest in NESTS]}
 
 
 def rows() -> list[Row]:
@@ -114,7 +122,7 @@ def rows() -> list[Row]:
         flange("point 1", "grid/1", 1),
         *nests("control", "control/1-1", 1),
         event("proven", "tracker proven"),
-        ("base", "frame", "base", {"points": ["grid/1"]}),
+        ("base", "frame", "base", BASE | {"points": ["grid/1"]}),
         event("lost", "screen lost"),
         event("read", "acknowledged", codes=["HC-C08"], until=3),
         state("pausing", "running", "pausing"),
@@ -148,7 +156,7 @@ def rows() -> list[Row]:
         flange("point 3", "grid/3", 2, 1),
         *nests("control 2", "control/2-6", 2, 1),
         event("proven 2", "tracker proven"),
-        ("verdict", "verdict", "fit", {"holds": True}),
+        ("verdict", "verdict", "own", {"holds": True}),
         event("closed again", "closed", problems={}, took_s=0.1),
         state("finish", "running", "finished"),
         ("end 2", "end", "", {"state": "finished", "exit": 0, "result": {"points": COUNTS}}),
