@@ -60,7 +60,7 @@ from hilcell.journal.disk_space import check_space
 from hilcell.journal.engine_file import live_engine
 from hilcell.journal.find_run import find_run
 from hilcell.journal.floor_before import floor_before
-from hilcell.journal.folder_order import FolderOrder, clock_notes, next_order
+from hilcell.journal.folder_order import clock_notes, next_order
 from hilcell.journal.index import read_index, row_of
 from hilcell.journal.journal import StorageError
 from hilcell.journal.log import Log
@@ -77,6 +77,7 @@ from hilcell.journal.runs import (
 from hilcell.journal.runs_folder import runs_option
 from hilcell.journal.times import offset_min
 from hilcell.model.events import SessionOrdered
+from hilcell.model.plan import FolderOrder
 from hilcell.model.point import CONTROL
 from hilcell.ports import Clock, HilcellError
 from hilcell.run.cell_lock import (

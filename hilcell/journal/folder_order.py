@@ -14,26 +14,12 @@ from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime, timedelta
 from typing import Protocol, TypeVar
 
-import msgspec
-
 from hilcell.journal.journal import Record
 from hilcell.model.events import SessionOrdered
+from hilcell.model.plan import FolderOrder, PlanRecord
 from hilcell.model.records import StateChanged
-from hilcell.typed import typed
 
 CLOCK_STEP = timedelta(minutes=1)  # that a clock is set back by the network says nothing
-
-
-class FolderOrder(msgspec.Struct, frozen=True):
-    """Which session of its folder of runs one is: ``number`` 1, 2, .. and the run before.
-
-    ``folder`` is drawn with the first number, and "" where none was ever taken. ``after`` is "" for
-    the first run.
-    """
-
-    folder: str = ""
-    number: int = 0
-    after: str = ""
 
 
 class Row(Protocol):
@@ -75,9 +61,9 @@ class SessionReader:
 
     def take(self, record: Record) -> None:
         """Add one record; raises `msgspec.ValidationError`."""
-        if record.kind == "plan":
-            self.order = self._taken = typed(record.body.get("order", {}), FolderOrder)
-        match record.fact if record.kind in ("event", "state") else None:
+        match record.fact if record.kind in ("plan", "event", "state") else None:
+            case PlanRecord(order=order):
+                self.order = self._taken = order
             case SessionOrdered(folder=folder, number=number, after=after):
                 self._taken = FolderOrder(folder, number, after)
             case StateChanged(to="checking"):

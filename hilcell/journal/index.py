@@ -24,11 +24,13 @@ import msgspec
 
 from hilcell.errors import one_line
 from hilcell.journal.calibration_facts import CalibrationFacts, CalibrationReader, outcome
-from hilcell.journal.folder_order import FolderOrder, SessionReader, in_order
+from hilcell.journal.folder_order import SessionReader, in_order
 from hilcell.journal.journal import ABSENT, NeverBegan, Record, StorageError
 from hilcell.journal.runs import JOURNAL, read_records, unusable
 from hilcell.journal.states import OVER, RunState
 from hilcell.model.events import Connected
+from hilcell.model.plan import FolderOrder, PlanRecord
+from hilcell.model.point import Point
 from hilcell.model.records import Ended, StateChanged
 from hilcell.typed import decoded, typed
 
@@ -202,27 +204,6 @@ _LOOKS: dict[str, Callable[[RunRow], str]] = {
 # -- a row from a journal --------------------------------------------------------------------------
 
 
-class _Grid(msgspec.Struct):
-    station: str
-
-
-class _Cell(msgspec.Struct):
-    name: str
-    serial: str
-    grid: _Grid
-
-
-class _Plan(msgspec.Struct):
-    procedure: str
-    cell: _Cell
-    operator: str
-    job: str
-    seed: int
-    simulated: bool
-    machine_seed: int | None
-    replayed: bool
-
-
 class _Errors(msgspec.Struct):
     mean: float
     max: float
@@ -255,7 +236,7 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
 
     `Log` says the same and more, but loads arrays and all points for it.
     """
-    plan: Record | None = None
+    plan: tuple[Record, PlanRecord] | None = None
     end: Record | None = None
     state: RunState = "idle"
     why = ""
@@ -265,24 +246,21 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
     for record in records:
         reader.take(record)
         sessions.take(record)
-        match record.kind:
-            case "plan":
-                plan = record
-            case "point":
+        match record.fact:
+            case PlanRecord() as inputs:
+                plan = record, inputs
+            case Point():
                 points.add(record.key)
-            case "end":
+            case Ended():
                 end = record
-            case "event":
-                devices = record.fact.devices if isinstance(record.fact, Connected) else []
+            case Connected(devices=devices):
                 simulated = simulated or any(each.simulated for each in devices)
-            case "state":
-                match record.fact:
-                    case StateChanged(machine="run", to=to, reason=why):
-                        state = typed(to, RunState)
-                        end = None if state == "checking" else end
+            case StateChanged(machine="run", to=to, reason=why):
+                state = typed(to, RunState)
+                end = None if state == "checking" else end
     if plan is None:
         raise NeverBegan("the journal holds no plan: the run died before its first record")
-    row = _row(name, plan, state, end, why, len(points))
+    row = _row(name, *plan, state, end, why, len(points))
     simulated = row.simulated or simulated
     return msgspec.structs.replace(
         row,
@@ -294,11 +272,18 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
     )
 
 
-def _row(name: str, plan: Record, state: str, end: Record | None, why: str, points: int) -> RunRow:
-    inputs = typed(plan.body, _Plan)
+def _row(
+    name: str,
+    plan: Record,
+    inputs: PlanRecord,
+    state: str,
+    end: Record | None,
+    why: str,
+    points: int,
+) -> RunRow:
     last = end.fact if end is not None and isinstance(end.fact, Ended) else None
     before_mean_mm, chosen_mean_mm, chosen_max_mm = (
-        _figures(last.result, inputs.cell.grid.station) if last is not None else (None, None, None)
+        _figures(last.result, inputs.grid_station) if last is not None else (None, None, None)
     )
     return RunRow(
         name=name,
@@ -308,8 +293,8 @@ def _row(name: str, plan: Record, state: str, end: Record | None, why: str, poin
         ended=_seconds(end.t) if end is not None else "",
         reason=why or (last.reason if last is not None else ""),
         procedure=inputs.procedure,
-        cell=inputs.cell.name,
-        serial=inputs.cell.serial,
+        cell=inputs.cell_name,
+        serial=inputs.serial,
         operator=inputs.operator,
         job=inputs.job,
         seed=inputs.seed,

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import msgspec
-import numpy as np
 
 from hilcell.model.events import Json, Three
-from hilcell.ports import Array
 from hilcell.typed import typed
+
+if TYPE_CHECKING:
+    from hilcell.ports import Array
 
 Matrix = list[list[float]]
 
@@ -26,11 +29,15 @@ class Frame(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     @property
     def T(self) -> Array:  # noqa: N802 - the paper's symbol
         """Return the matrix (4, 4)."""
+        import numpy as np  # most readers of a journal do without arrays
+
         return np.array(self.matrix, dtype=float)
 
     @property
     def C(self) -> Array:  # noqa: N802 - the paper's symbol
         """Return the covariance (6, 6), 0 where none is known."""
+        import numpy as np
+
         return np.array(self.covariance, dtype=float) if self.covariance else np.zeros((6, 6))
 
 

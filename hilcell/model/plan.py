@@ -27,6 +27,18 @@ class FloorBefore(msgspec.Struct, frozen=True):
     visits_mm: list[list[Three]] = []
 
 
+class FolderOrder(msgspec.Struct, frozen=True):
+    """Which session of its folder of runs one is: ``number`` 1, 2, .. and the run before.
+
+    ``folder`` is drawn with the first number, and "" where none was ever taken. ``after`` is "" for
+    the first run.
+    """
+
+    folder: str = ""
+    number: int = 0
+    after: str = ""
+
+
 class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
     """The frozen inputs of a run."""
 
@@ -48,6 +60,22 @@ class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
     cell_file: str  # where the cell came from
     driven_by: list[str] = []  # runs finished before, newest first: the poses they drove are known
     accepted: list[str] = []  # why the calibration that it uses should not be used
+    order: FolderOrder = FolderOrder()
     floor_before: FloorBefore | None = None  # of the run that made the cell's current calibration
     replayed: bool = False  # it only repeats a recorded run, and measures nothing
     utc_offset_min: int = 0  # by which the clock on the wall was ahead of UTC when it began
+
+    @property
+    def cell_name(self) -> str:
+        """Return the cell's name, without the cell."""
+        return str(self.cell["name"])
+
+    @property
+    def serial(self) -> str:
+        """Return the cell's serial number."""
+        return str(self.cell["serial"])
+
+    @property
+    def grid_station(self) -> str:
+        """Return the station of the grid."""
+        return str(self.cell["grid"]["station"])

@@ -8,11 +8,12 @@ import msgspec
 import pytest
 
 from hilcell.commands import run
-from hilcell.journal.folder_order import FolderOrder, clock_notes, in_order, next_order
+from hilcell.journal.folder_order import clock_notes, in_order, next_order
 from hilcell.journal.index import UNREADABLE, RunRow, row_of
 from hilcell.journal.journal import Journal
 from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.journal.standing import standings
+from hilcell.model.plan import FolderOrder
 from hilcell.model.records import Kind
 from tests.hilcell.commands.finished_runs import MADE, finished
 from tests.hilcell.journal.test_standing import made, row
