@@ -7,8 +7,8 @@ from operator import itemgetter, methodcaller
 from typing import Any
 
 from hilcell.geometry.statistics import Figures
-from hilcell.journal.ways_sent import BOTH, TEXTS, Sent
 from hilcell.model.outcome import Outcome
+from hilcell.model.point import BOTH, HOW, Sent
 from hilcell.present.table import Column, Named, Table
 from hilcell.run.procedure import Procedure
 from procedures.axis_sweeps import AxisSweeps, sweep_table, sweep_words
@@ -61,7 +61,7 @@ def validation_table(result: dict[str, Any]) -> Table:
 
 def _sent(row: Mapping[str, Any], method: str) -> Named:
     """Return how targets were sent, and the outcome of those that were corrected."""
-    name, words = row["way"], TEXTS.get(row["way"], row["way"])
+    name, words = row["way"], HOW.get(row["way"], row["way"])
     if name == Sent.CHOSEN:
         judged = f", {Outcome(row['outcome']).words}" if row["outcome"] else ""
         return Named(f"chosen: {method}{judged}", f"{words}{judged}")

@@ -12,9 +12,9 @@ from hilcell.calibration.errors import validation
 from hilcell.cell.file import Cell
 from hilcell.geometry.sequential import Decision, SequentialRule
 from hilcell.journal.log import Log
-from hilcell.journal.ways_sent import Sent
 from hilcell.model.events import StationDecided
 from hilcell.model.outcome import Outcome, gravest, outcome_of
+from hilcell.model.point import Sent
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
 

@@ -17,8 +17,7 @@ from hilcell.geometry.jacobian import PARAMETERS, moved, parameter_jacobian
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import lengths_mm, ranks, rms
 from hilcell.journal.log import Log, positions_mm
-from hilcell.journal.ways_sent import Sent
-from hilcell.model.point import Point, PointId
+from hilcell.model.point import Point, PointId, Sent
 from hilcell.ports import Array
 from procedures.plan import other_stations
 

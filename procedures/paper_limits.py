@@ -21,7 +21,7 @@ from hilcell.geometry.frames import apply, inverse, matrix, rigid_fit, three_poi
 from hilcell.geometry.inverse import reachable
 from hilcell.geometry.statistics import chi2_quantile, f_quantile, ranks, rms, variance_of_mean
 from hilcell.journal.log import Log
-from hilcell.journal.ways_sent import Sent
+from hilcell.model.point import Sent
 from hilcell.ports import Array
 from procedures.paper_figures import Result, transfer, validation
 from procedures.plan import other_stations

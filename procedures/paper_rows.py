@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hilcell.journal.log import Log
-from hilcell.journal.ways_sent import Sent
+from hilcell.model.point import Sent
 from procedures import paper_figures as figures
 from procedures import paper_limits as limits
 from procedures.paper_figures import Figure, Result, at, reduction, validation

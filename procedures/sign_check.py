@@ -23,8 +23,7 @@ from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.journal.log import Log
 from hilcell.journal.reading_noise import noise_at, run_noise
-from hilcell.journal.ways_sent import Sent
-from hilcell.model.point import PointId
+from hilcell.model.point import PointId, Sent
 from hilcell.model.verdicts import SignChecked
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table

@@ -33,9 +33,8 @@ from hilcell.compensation.interpolation import Idw
 from hilcell.compensation.model import ErrorModel
 from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.journal.log import Log
-from hilcell.journal.ways_sent import BOTH, Sent
 from hilcell.model.outcome import Outcome
-from hilcell.model.point import PointId
+from hilcell.model.point import BOTH, PointId, Sent
 from hilcell.model.suspicion import Cause
 from hilcell.model.verdicts import VALIDATION, ChangedSince, Oriented, Suspected
 from hilcell.ports import Array

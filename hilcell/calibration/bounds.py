@@ -19,8 +19,7 @@ from hilcell.calibration.influence import Bounds, Influence, NoBound, Uncertaint
 from hilcell.geometry.frames import inverse, matrix
 from hilcell.geometry.kinematics import forward
 from hilcell.journal.log import Log, commanded_rad
-from hilcell.journal.ways_sent import Sent
-from hilcell.model.point import Point
+from hilcell.model.point import Point, Sent
 from hilcell.ports import Array
 
 PLACES_PER_CELL = (0.25, 0.75)  # along each axis of a grid's cell

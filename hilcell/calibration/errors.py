@@ -14,8 +14,7 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import Figures, figures_of, lengths_mm
 from hilcell.journal.log import Log, positions_mm, repeated_visits
-from hilcell.journal.ways_sent import Sent
-from hilcell.model.point import Point
+from hilcell.model.point import Point, Sent
 from hilcell.ports import Array
 
 OTHERS = "others"

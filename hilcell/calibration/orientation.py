@@ -38,8 +38,7 @@ from hilcell.geometry.statistics import (
 )
 from hilcell.identification.readings import IdentificationError
 from hilcell.journal.log import Log, covariances_mm2, positions_mm
-from hilcell.journal.ways_sent import Sent
-from hilcell.model.point import Point
+from hilcell.model.point import Point, Sent
 from hilcell.model.verdicts import Turn
 from hilcell.ports import Array, HilcellError
 

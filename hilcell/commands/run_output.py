@@ -30,10 +30,9 @@ from hilcell.commands.output import (
 from hilcell.errors import DeviceError, HilcellError, facts_of
 from hilcell.journal.calibration_facts import NOT_JUDGED, run_outcome
 from hilcell.journal.journal import Record
-from hilcell.journal.key_words import verdict_words
 from hilcell.journal.log import Log
-from hilcell.journal.point_words import OTHERS
 from hilcell.journal.states import WAITING
+from hilcell.journal.words import OTHERS, verdict_words
 from hilcell.model.events import Closed, CurveMeasured, FirstPassBegun, NoReadingOf, PromiseJudged
 from hilcell.model.point import CONTROL, Point
 from hilcell.model.records import StateChanged

@@ -1,4 +1,4 @@
-"""The cell as the rules read it: what it is frozen with, checked by none of the engine's rules."""
+"""The cell as the rules read it: the few settings that they need, of the frozen cell."""
 
 from __future__ import annotations
 

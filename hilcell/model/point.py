@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from enum import StrEnum
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
@@ -16,12 +17,85 @@ BACK = "back"  # kind of a nest that was seen in the tracker's second face
 REFLECTOR = "reflector"  # kind of a reflector that was carried to the first floor nest
 CHECKS = (HELD, LENGTH, BACK, REFLECTOR)  # of which nothing is built
 SEAT = "seat"  # begins the last part of a key of another reflector than the tool point
-SIDES = {1: "+", -1: "-"}  # of an approach, in a key
+SIGNS = {1: "+", -1: "-"}  # of an approach's side, in a key
 CONTROL = "control"  # group of points that no plan counts
 _GROUPS = {  # not named by their fields
     "slide": "frames", "three": "three_points", "base": "base", HELD: CONTROL, LENGTH: CONTROL,
     BACK: CONTROL, REFLECTOR: CONTROL, "revisit": "revisit",
 }  # fmt: skip
+
+
+class Sent(StrEnum):
+    """How a target is sent, in the order of sending: as it is, corrected by the paper's method, by
+    the chosen model. The value is the key in `PointId.how` and in results.
+    """
+
+    BEFORE = "before"
+    IDW = "idw"
+    CHOSEN = "chosen"
+
+    @property
+    def text(self) -> str:
+        """Return the way in words."""
+        return HOW[self]
+
+    @property
+    def short(self) -> str:
+        """Return it in few letters."""
+        return "paper" if self is Sent.IDW else self.text
+
+
+BOTH = (Sent.BEFORE, Sent.CHOSEN)  # that are compared; the paper's method is measured beside them
+SIDES = {"one_side": "from one side", "random": "from random sides"}
+HOLDS = {"plain": "drive alone", "strip": "by the strip"}
+HOW: dict[str, str] = {  # `PointId.how` and `PointId.way` in words
+    Sent.BEFORE: "as sent",
+    Sent.IDW: "paper method",
+    Sent.CHOSEN: "corrected",
+    **SIDES,
+    **HOLDS,
+}
+
+
+class Kind(NamedTuple):
+    """A kind of points: one of them, one in few letters, and all of them, as they are counted."""
+
+    one: str
+    short: str
+    all: str
+
+
+KINDS = {
+    "world": Kind("floor nest", "nest", "floor nests"),
+    "control": Kind("check of floor nest", "check", "checks of the floor nests"),
+    "length": Kind("scale: nest", "scale", "nests of certified lengths"),
+    "back": Kind("second face: nest", "back", "nests in the second face"),
+    "reflector": Kind("compared: reflector of", "compare", "reflectors in the same nest"),
+    "held": Kind("proof of the hold: nest", "held", "proofs of the hold"),
+    "slide": Kind("slide nest", "nest", "slide nests"),
+    "three": Kind("slide nest", "nest", "slide nests, one reading"),
+    "six": Kind("slide nest, all once more", "nest", "slide nests, all once more"),
+    "survey": Kind("rail survey", "survey", "rail survey"),
+    "repeat": Kind("approach of the station", "approach", "approaches of the station"),
+    "touch": Kind("touched pose", "touch", "touched poses"),
+    "base": Kind("base circle", "base", "base circles"),
+    "frames": Kind("repeated base circle", "circle", "repeated base circles"),
+    "grid": Kind("grid point", "grid", "grid points"),
+    "oriented": Kind("turned grid point", "turned", "grid points, turned tool"),
+    "pose": Kind("chosen pose", "pose", "chosen poses"),
+    "repeatability": Kind("repeated pose", "repeat", "repeated poses"),
+    "revisit": Kind("revisited pose", "revisit", "revisited poses"),
+    "closing": Kind("closing pose", "closing", "closing poses"),
+    "reversal": Kind("reversed pose", "reverse", "reversed poses"),
+    "recheck": Kind("re-checked target", "target", "re-checked targets"),
+    "target": Kind("target", "target", "targets"),
+    "targets": Kind("target", "target", "targets"),
+    "sweep": Kind("sweep of", "sweep", "sweeps"),
+    "validate": Kind("target", "target", "targets"),
+    "sign": Kind("sign check", "sign", "sign check"),
+    "iso9283": Kind("ISO 9283 pose", "pose", "ISO 9283 poses"),
+    "campaign": Kind("recorded pose", "pose", "recorded poses"),
+}
 
 
 class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -63,7 +137,7 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
             self.how,
             self.way,
             self.axis is not None and self._axis,
-            self.number is not None and f"{self.number:03d}{SIDES.get(self.side, '')}",
+            self.number is not None and f"{self.number:03d}{SIGNS.get(self.side, '')}",
             self.nest,
             self.target,
             self.seat is not None and f"{SEAT}{self.seat}",
@@ -86,6 +160,83 @@ class PointId(msgspec.Struct, frozen=True, omit_defaults=True):
     @property
     def _axis(self) -> str:
         return "" if self.axis is None else f"axis{self.axis}"
+
+    def words(self, station: str = "") -> str:
+        """Return it in words: *corrected target 50 at S300*, targets count from 1.
+
+        ``station``: where it was measured, if the identity does not say it.
+        """
+        at = self.station or station
+        where = f" at {at}" if at else ""
+        how = HOW.get(self.how, self.how)
+        match self.kind, self.how:
+            case "validate", Sent.BEFORE:
+                return f"target {self._counted} {how}{where}"
+            case "validate", Sent.IDW:
+                return f"target {self._counted}{where}, {how}"
+            case "validate", _:
+                return f"{how} target {self._counted}{where}"
+            case "sign", _:
+                return f"sign check {how}{where}"
+        return f"{self._kind.one} {self._which}".rstrip() + where
+
+    @property
+    def short(self) -> str:
+        """Return it in few letters, without its station: *corrected 50*."""
+        how = Sent(self.how).short if self.how in list(Sent) else self.how
+        if self.kind == "validate":
+            return f"{how} {self._counted}"
+        return (
+            f"sign {how}" if self.kind == "sign" else f"{self._kind.short} {self._which}".rstrip()
+        )
+
+    @property
+    def counted_with(self) -> str:
+        """Return the points that are counted with this one: *targets, corrected*."""
+        parts = (
+            self._kind.all,
+            "" if self.place is None else f"place {self.place + 1}",
+            HOW.get(self.how, self.how),
+            HOW.get(self.way, self.way),
+            "" if self.axis is None else f"axis {self.axis}",
+            "" if self.seat is None else "other reflectors",
+        )
+        return ", ".join(filter(None, parts))
+
+    @property
+    def part(self) -> str:
+        """Return the part of a step that it is of: *corrected targets at S300*; "" for none."""
+        if self.group == CONTROL:
+            return "floor nests" if self.kind == CONTROL else "slide nests"
+        targets = f"{HOW.get(self.how, self.how)} targets " if self.kind == "validate" else ""
+        return f"{targets}at {self.station}" if self.station else targets.rstrip()
+
+    @property
+    def _kind(self) -> Kind:
+        """Return the kind's words; a plug-in may have one of its own."""
+        return KINDS.get(self.kind, Kind(self.kind, self.kind, self.kind))
+
+    @property
+    def _counted(self) -> str:
+        seat = "" if self.seat is None else f", seat {self.seat}"
+        side = SIGNS.get(self.side, "")
+        return ("" if self.number is None else f"{self.number + 1}{side}") + seat
+
+    @property
+    def _which(self) -> str:
+        """Return all of it that is not its kind or its station."""
+        parts = (
+            self.nest,
+            self.target,
+            self.pose,
+            "-".join(map(str, self.vertex)),
+            HOW.get(self.way, self.way),
+            HOW.get(self.how, self.how),
+            "" if self.axis is None else f"A{self.axis}",
+            "" if self.place is None else f"{self.place + 1}",
+            self._counted,
+        )
+        return " ".join(filter(None, parts))
 
 
 class Readings(msgspec.Struct, frozen=True, omit_defaults=True):

@@ -377,7 +377,7 @@ class Revisited(Verdict, frozen=True, kw_only=True):
 
 
 class LostMotionJudged(Verdict, frozen=True, kw_only=True):
-    """Vertices approached from both sides: what axes 1 to 3 lose, and U (k = 2) of it."""
+    """Vertices approached from both sides: the lost motion of axes 1 to 3, and its U (k = 2)."""
 
     keys: ClassVar[tuple[str, ...]] = ("reversal",)
     title: ClassVar[str] = "lost motion of axes 1 to 3"

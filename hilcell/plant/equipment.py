@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 from sqlalchemy import Connection, func, select
 
-from hilcell.journal.point_words import OTHERS
+from hilcell.journal.words import OTHERS
 from hilcell.model.verdicts import VALIDATION
 from hilcell.plant.cells import CELL, chosen, newest
 from hilcell.plant.course import CONFIDENCE, FEWEST, SIGNIFICANCE

@@ -44,8 +44,8 @@ from hilcell.geometry.statistics import (
 )
 from hilcell.journal.asset import differing
 from hilcell.journal.log import Log
-from hilcell.journal.ways_sent import Sent
 from hilcell.model.frame import TouchedBase
+from hilcell.model.point import Sent
 from hilcell.ports import Array
 from hilcell.present.table import Column
 

@@ -7,11 +7,10 @@ from collections.abc import Iterator
 from operator import attrgetter
 from typing import NamedTuple
 
-from hilcell.journal.event_words import happened_words
 from hilcell.journal.journal import Record
-from hilcell.journal.key_words import in_words, key_words
 from hilcell.journal.log import Log
 from hilcell.journal.times import in_zone
+from hilcell.journal.words import happened_words, in_words, key_words
 from hilcell.model.events import (
     ChangesAccepted,
     Closed,

@@ -17,8 +17,8 @@ import numpy as np
 from hilcell import __version__
 from hilcell.calibration.decision import guard_of
 from hilcell.clean import harmless
-from hilcell.journal.ways_sent import Sent
 from hilcell.model.outcome import Outcome
+from hilcell.model.point import Sent
 from hilcell.report import tables
 from hilcell.report.budgets import TargetBudget, placed, target_budget
 from hilcell.report.certificate import (

@@ -24,8 +24,8 @@ from hilcell.journal.calibration_facts import (
     run_judged,
     run_outcome,
 )
-from hilcell.journal.ways_sent import Sent
 from hilcell.model.outcome import Outcome, gravest, outcome_of
+from hilcell.model.point import Sent
 from hilcell.model.verdicts import VALIDATION, Judged
 from hilcell.present.table import Column, Table, Value
 from hilcell.report import iso9283

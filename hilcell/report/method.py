@@ -10,8 +10,8 @@ from hilcell.calibration.frames import ORIENTED
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.kinematic import Kinematic
 from hilcell.geometry.statistics import Figures
-from hilcell.journal.ways_sent import BOTH, Sent
 from hilcell.model.events import PosesChosen
+from hilcell.model.point import BOTH, Sent
 from hilcell.model.verdicts import Fitted
 from hilcell.present.table import Column, Table
 from hilcell.report.facts import Facts

@@ -25,8 +25,6 @@ from hilcell.cell.file import Station
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.statistics import Figures
 from hilcell.journal.log import Log
-from hilcell.journal.point_words import counted_words, point_words
-from hilcell.journal.ways_sent import BOTH, Sent
 from hilcell.model.events import (
     Asset,
     Invalidating,
@@ -36,7 +34,7 @@ from hilcell.model.events import (
 )
 from hilcell.model.frame import MeasuredBase, MeasuredStation, TouchedBase
 from hilcell.model.outcome import Outcome, outcome_of
-from hilcell.model.point import Point
+from hilcell.model.point import BOTH, Point, Sent
 from hilcell.model.verdicts import Fitted
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table, Value
@@ -283,7 +281,7 @@ def software(facts: Facts) -> Table:
 
 def groups(facts: Facts) -> Table:
     """Return how many points of each kind were measured, in the order of the run."""
-    counts = Counter(counted_words(point.id) for point in facts.log.points.values())
+    counts = Counter(point.id.counted_with for point in facts.log.points.values())
     return Table(GROUPS, counts.items(), "Points")
 
 
@@ -448,7 +446,7 @@ class Repeat:
 
 
 REPEATS: tuple[Column[Repeat], ...] = (
-    Column("point", lambda row: point_words(row.again.id, row.again.station)),
+    Column("point", lambda row: row.again.id.words(row.again.station)),
     Column("why", attrgetter("why")),
     Column("counts", attrgetter("counts")),
     Column("error first", attrgetter("first_mm"), "mm", ".4f"),

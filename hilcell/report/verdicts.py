@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from hilcell.journal.key_words import verdict_words
+from hilcell.journal.words import verdict_words
 from hilcell.model.verdicts import Verdict
 from hilcell.present.table import Column, Table
 from hilcell.report.facts import Facts

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from hilcell.journal.ways_sent import Sent
+from hilcell.model.point import Sent
 
 Result = Mapping[str, Any]
 

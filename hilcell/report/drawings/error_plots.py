@@ -8,7 +8,7 @@ import numpy as np
 
 from hilcell.calibration.decision import limits_of
 from hilcell.calibration.errors import validation
-from hilcell.journal.ways_sent import BOTH, Sent
+from hilcell.model.point import BOTH, Sent
 from hilcell.ports import Array
 from hilcell.report.budgets import TargetBudget
 from hilcell.report.drawings.drawing import (

@@ -13,8 +13,7 @@ from hilcell.calibration.frames import grid_pairs
 from hilcell.clean import harmless
 from hilcell.compensation.similarity import binned
 from hilcell.journal.log import Log, positions_mm
-from hilcell.journal.point_words import HOLDS, SIDES
-from hilcell.journal.ways_sent import Sent
+from hilcell.model.point import HOLDS, SIDES, Sent
 from hilcell.model.verdicts import ISO
 from hilcell.ports import Array
 from hilcell.report.drawings.svg import MUTED, axes_sheet, house_style, svg_of

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hilcell.calibration.errors import Errors, grid_errors, validation
-from hilcell.journal.ways_sent import Sent
+from hilcell.model.point import Sent
 from hilcell.ports import Array
 from hilcell.report.drawings.drawing import (
     AFTER,

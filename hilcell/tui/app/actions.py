@@ -81,7 +81,7 @@ class RunActions:
 
     def retake(self, key: str) -> None:
         """Re-measure a point: in the live run, or by opening a finished one again."""
-        from hilcell.journal.key_words import in_words, key_words
+        from hilcell.journal.words import in_words, key_words
         from hilcell.run.remeasure import retake_refusal
 
         session = self._application.session

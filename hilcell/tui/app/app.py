@@ -311,7 +311,7 @@ class HilcellApp(App[int]):
 
     def _show_error(self, error: HilcellError) -> None:
         """Show an error as a notice, with points in words."""
-        from hilcell.journal.key_words import in_words
+        from hilcell.journal.words import in_words
 
         self.show_notice(str(error) if self.view is None else in_words(str(error), self.view.log))
 

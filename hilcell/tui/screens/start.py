@@ -22,7 +22,7 @@ from textual.widgets import Input, Label
 
 from hilcell.cell.file import Cell, load_cell
 from hilcell.errors import HilcellError
-from hilcell.journal.point_words import procedure_words, step_words
+from hilcell.journal.words import procedure_words, step_words
 from hilcell.tui.engine import process
 from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.engine.run_view import RunView

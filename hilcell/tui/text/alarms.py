@@ -12,10 +12,9 @@ from textual.content import Content
 
 from hilcell.alarms import Alarm, Latch, Latched
 from hilcell.clean import harmless
-from hilcell.journal.key_words import in_words
 from hilcell.journal.log import Log
-from hilcell.journal.point_words import point_words
 from hilcell.journal.times import local_words
+from hilcell.journal.words import in_words
 from hilcell.model.events import NOT_KNOWN, Closing
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import Keymap, shown
@@ -282,6 +281,6 @@ def newest_line(view: RunView) -> Lines:
         return ends(("no point is measured yet", "$label"), "")
     found = deviation_of(view.log, point)
     error = "" if found is None else f"|e| {found.norm_mm:.3f} mm, "
-    name = point_words(point.id, point.station)
+    name = point.id.words(point.station)
     age = f"{error}{short_age(view.newest_age_s)} ago"
     return ends((f"newest good point: {name}", "$label"), (age, "$stale"))

@@ -13,11 +13,9 @@ from operator import attrgetter
 from textual.content import Content
 
 from hilcell.clean import harmless
-from hilcell.journal.event_words import happened_words
 from hilcell.journal.journal import Record
-from hilcell.journal.key_words import in_words, key_words, verdict_words
-from hilcell.journal.point_words import step_words
 from hilcell.journal.times import in_zone
+from hilcell.journal.words import happened_words, in_words, key_words, step_words, verdict_words
 from hilcell.model.events import Event, OtherEvent, after
 from hilcell.model.point import Point
 from hilcell.model.records import Ended, Intended, StateChanged

@@ -11,9 +11,8 @@ from hilcell.calibration.errors import counting, errors_of
 from hilcell.calibration.measurement_budget import budget_of
 from hilcell.geometry.statistics import rms
 from hilcell.journal.log import Log
-from hilcell.journal.ways_sent import Sent
 from hilcell.model.outcome import Outcome, outcome_of
-from hilcell.model.point import Point
+from hilcell.model.point import Point, Sent
 from hilcell.ports import Array, HilcellError
 
 BAD_STATES = ("out", "undecided", "noisy")

@@ -13,10 +13,8 @@ from dataclasses import dataclass
 from textual.content import Content
 
 from hilcell.journal.log import Log
-from hilcell.journal.point_words import point_words
-from hilcell.journal.ways_sent import TEXTS, Sent
 from hilcell.model.outcome import Outcome
-from hilcell.model.point import Point
+from hilcell.model.point import HOW, Point, Sent
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import (
     BLANK,
@@ -99,8 +97,8 @@ def _shown(
     view: RunView, point: Point, which: str, remark: str, deviation: DeviationOf, *, stale: bool
 ) -> Shown:
     found = deviation(view.log, point)
-    word = f"{TEXTS.get(point.id.how, Sent.BEFORE.text)}: no limit"
-    return Shown(f"{which}: {point_words(point.id, point.station)}", found, remark, stale, word)
+    word = f"{HOW.get(point.id.how, Sent.BEFORE.text)}: no limit"
+    return Shown(f"{which}: {point.id.words(point.station)}", found, remark, stale, word)
 
 
 def point_lines(shown: Shown, glyphs: Glyphs, rows: int = FULL_ROWS) -> Lines:

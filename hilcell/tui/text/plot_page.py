@@ -14,7 +14,7 @@ from textual.content import Content
 
 from hilcell.geometry.statistics import figures_of, repeatability_mm
 from hilcell.journal.log import Log
-from hilcell.journal.ways_sent import Sent
+from hilcell.model.point import Sent
 from hilcell.model.verdicts import AP, RP
 from hilcell.ports import Array
 from hilcell.tui.layout import BLANK, Cell, Col, Fitting, Grid, Lines, Stack, Text, section

@@ -19,8 +19,7 @@ from hilcell.calibration.recheck import KIND as RECHECK
 from hilcell.calibration.recheck import rechecked
 from hilcell.geometry.statistics import bounds95_mm, from_mean_mm, repeatability_mm
 from hilcell.journal.log import Log, positions_mm
-from hilcell.journal.ways_sent import Sent
-from hilcell.model.point import Point, PointId
+from hilcell.model.point import Point, PointId, Sent
 from hilcell.model.verdicts import ISO
 from hilcell.ports import Array, HilcellError
 from hilcell.tui.plots.canvas import Ink

@@ -9,7 +9,6 @@ from collections.abc import Collection, Iterable, Sequence
 from hilcell.calibration.errors import counting, errors_of
 from hilcell.geometry.statistics import rms
 from hilcell.journal.log import Log
-from hilcell.journal.point_words import point_words, short_words
 from hilcell.model.point import Point
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import Lines, Stack, facts_grid
@@ -164,7 +163,7 @@ def _pattern(word: str) -> re.Pattern[str]:
 def _searched(row: PointRow) -> str:
     """Return what a filter finds: the point's names in words, its station, its state."""
     id, said = row.point.id, _said(row.deviation, row.state)[0]
-    return f"{short_words(id)} {point_words(id)} {row.point.station} {row.state} {said}".lower()
+    return f"{id.short} {id.words()} {row.point.station} {row.state} {said}".lower()
 
 
 def _said(deviation: Deviation | None, state: str) -> tuple[str, str]:
@@ -184,7 +183,7 @@ def to_row(found: PointRow, waiting: Collection[str], width: int) -> Row:
     point, deviation = found.point, found.deviation
     state = "waits" if point.key in waiting else found.state
     said, tone = _said(deviation, state)
-    stations, name = width >= STATIONS_FROM, short_words(point.id)
+    stations, name = width >= STATIONS_FROM, point.id.short
     cells = [(name if stations else f"{name} {point.station}".rstrip(), "")]
     cells += [(point.station, "label")] if stations else []
     cells += _places(point, deviation) if width >= WIDE else []
@@ -226,7 +225,7 @@ def point_page(view: RunView, key: str) -> Lines:
     if point is None:
         return Stack(f"{key}: the journal holds no such point")
     row = row_of(view.log, point)
-    facts: list[tuple[str, str]] = [("point", point_words(point.id, point.station))]
+    facts: list[tuple[str, str]] = [("point", point.id.words(point.station))]
     facts += [("key", key), ("state", row.state)]
     facts += [("group", point.group), ("station", point.station or "-")]
     if row.deviation is not None:

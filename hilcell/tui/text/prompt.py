@@ -8,7 +8,7 @@ from textual.containers import Horizontal, Vertical
 from textual.content import Content
 
 from hilcell.clean import harmless
-from hilcell.journal.key_words import in_words
+from hilcell.journal.words import in_words
 from hilcell.run.protocol import PromptStatus
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import BLANK, Cell, Col, Drawing, Grid, Lines

@@ -20,9 +20,8 @@ from hilcell.calibration.recheck import CheckedPose, RecheckResult
 from hilcell.cell.devices import load_entry
 from hilcell.clean import harmless
 from hilcell.errors import HilcellError
-from hilcell.journal.key_words import id_of, in_words
 from hilcell.journal.log import Log
-from hilcell.journal.point_words import procedure_words, short_words
+from hilcell.journal.words import id_of, in_words, procedure_words
 from hilcell.model.verdicts import AD, AP, AP_ANGLES, ISO, RD, RP, RP_ANGLES
 from hilcell.present.table import Column, Named, Table
 from hilcell.tui.engine.run_view import RunView
@@ -181,13 +180,13 @@ def _limit(limit_mm: float | None) -> str:
 def _of_recheck(found: RecheckResult, log: Log) -> Result:
     worst = sorted(found.poses, key=lambda each: -gravest(each.error_mm))
     columns: list[Column[CheckedPose]] = [
-        Column("worst first", lambda each: short_words(id_of(each.pose, log))),
+        Column("worst first", lambda each: id_of(each.pose, log).short),
         Column("predicted below", lambda each: figure(each.bound_mm), "mm", "s"),
         Column("now", lambda each: figure(each.error_mm), "mm", "s"),
         Column("less the base's motion", lambda each: figure(each.left_mm), "mm", "s"),
     ]
     limits_mm = found.mean_tolerance_mm, found.max_tolerance_mm
-    at = short_words(id_of(worst[0].pose, log)) if worst else "its target"
+    at = id_of(worst[0].pose, log).short if worst else "its target"
     figures = (
         Figure("mean |e| now, mm", found.mean_mm, "all", limits_mm[0], found.mean_U_mm),
         Figure("largest |e| now, mm", found.max_mm, at, limits_mm[1], found.max_U_mm),

@@ -10,9 +10,9 @@ from textual.content import Content
 
 from hilcell.alarms.catalogue import SEVERITIES
 from hilcell.journal.calibration_facts import run_judged, run_outcome
-from hilcell.journal.point_words import part_words, procedure_words, step_words
 from hilcell.journal.runs import short_run
 from hilcell.journal.times import local_words
+from hilcell.journal.words import procedure_words, step_words
 from hilcell.model.outcome import Outcome
 from hilcell.model.point import CONTROL
 from hilcell.tui.engine.run_view import EngineState, RunView
@@ -176,7 +176,7 @@ def _part(view: RunView) -> str:
     if view.last is None or (view.newest_is_old and view.last is view.newest):
         return ""
     of_nests = view.span is not None and view.span.of_nests
-    return "" if view.last.id.group == CONTROL and not of_nests else part_words(view.last.id)
+    return "" if view.last.id.group == CONTROL and not of_nests else view.last.id.part
 
 
 def _planned(view: RunView) -> tuple[int, int]:

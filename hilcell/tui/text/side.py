@@ -18,7 +18,7 @@ from textual.content import Content
 
 from hilcell.calibration.recheck import KIND as RECHECK
 from hilcell.journal.log import Log
-from hilcell.journal.ways_sent import BOTH, Sent
+from hilcell.model.point import BOTH, Sent
 from hilcell.model.verdicts import ISO
 from hilcell.ports import Array
 from hilcell.tui.engine.run_view import RunView

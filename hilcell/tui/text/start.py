@@ -10,9 +10,8 @@ from textual.content import Content
 
 from hilcell.cell.file import Cell
 from hilcell.clean import harmless
-from hilcell.journal.key_words import in_words
 from hilcell.journal.log import Log
-from hilcell.journal.point_words import procedure_words, step_words
+from hilcell.journal.words import in_words, procedure_words, step_words
 from hilcell.tui.layout import BLANK, Col, Drawing, Fitting, Grid, Lines, Stack, Text, ends, section
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.run import badge, duration, simulation_block

@@ -16,7 +16,7 @@ from hilcell.alarms import Alarm
 from hilcell.alarms.catalogue import SEVERITIES, entry_of
 from hilcell.clean import harmless
 from hilcell.journal.calibration_facts import run_judged
-from hilcell.journal.key_words import in_words
+from hilcell.journal.words import in_words
 from hilcell.model.events import TrackerProven
 from hilcell.model.outcome import Outcome
 from hilcell.model.verdicts import VALIDATION, Judged, Turn

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hilcell.journal.key_words import in_words
+from hilcell.journal.words import in_words
 from hilcell.journal.log import Log
 from tests.hilcell.tui.sample_runs import measuring
 

@@ -1,4 +1,4 @@
-"""Texts of alarms and events with every key in them replaced by its words.
+"""The words of procedures, steps, events, and of texts with every key in them replaced by words.
 
 Errors name a point by its key: ``measure grid/1-0-0``. Raw keys are for the log and for the details
 of a point; everywhere else the screen says *grid point 1-0-0 at S1100*.
@@ -10,17 +10,30 @@ import re
 from typing import Any
 
 from hilcell.journal.log import Log
-from hilcell.journal.point_words import (
-    HOLDS,
-    KINDS,
-    NEST_KINDS,
-    SIDES,
-    point_words,
-    target_words,
-)
-from hilcell.model.point import SEAT, PointId
+from hilcell.model.events import Event, OtherEvent, StepBegun
+from hilcell.model.point import HOLDS, KINDS, SEAT, SIDES, PointId
 from hilcell.model.verdicts import VALIDATION, verdict_title
 
+_PROCEDURES = {
+    "calibrate": "Calibration",
+    "recheck": "Re-check",
+    "touch": "Touch station",
+    "iso9283": "ISO 9283 test",
+    "paper": "Paper's campaign",
+}
+_STEPS = {
+    "home": "Home the rail",
+    "validate": "Validation",
+    "paper-rows": "Paper's rows",
+    "closing": "Closing visits",
+    "two-face": "Tracker in both faces",
+    "reflectors": "Reflectors compared",
+    "two-face-closing": "Tracker in both faces, at the end",
+    "iso9283": "ISO 9283 test",
+}
+_WITHOUT_RAIL = {"home": "Park the robot"}
+OTHERS = "others"  # stations that are judged together
+NEST_KINDS = ("world", "control", "length", "back", "reflector", "held", "slide", "three")
 _KEY = re.compile(rf"(?<![\w/.])(?:{'|'.join(KINDS)})/[^\s,;:()]*[^\s,;:().]")
 _VERDICT = re.compile(r"(?<![\w/])verdict (?P<key>[^\s,;:]*[^\s,;:.])")
 _NUMBERED = re.compile(
@@ -38,16 +51,17 @@ def key_words(key: str, log: Log) -> str:
     """Return a key in words, with the station where that is known."""
     point = log.points.get(key)
     if point is not None:
-        return point_words(point.id, point.station)
+        return point.id.words(point.station)
     id = id_of(key, log)
     of_grid = id.kind == "grid" and log.plan is not None and not id.station
-    return point_words(id, log.cell.grid.station if of_grid else "")
+    return id.words(log.cell.grid.station if of_grid else "")
 
 
 def verdict_words(key: str) -> str:
     """Return the subject of a verdict: *validation at S1100*."""
     if key.startswith(VALIDATION):
-        return f"validation {target_words(key.removeprefix(VALIDATION))}"
+        place = key.removeprefix(VALIDATION)
+        return f"validation at {'the other stations' if place == OTHERS else place}"
     return verdict_title(key)
 
 
@@ -72,3 +86,22 @@ def id_of(key: str, log: Log) -> PointId:
     if kind in NEST_KINDS:  # before it stands how often the nest was measured
         rest = rest[-1:]
     return PointId(kind, target=" ".join(rest), **found)
+
+
+def procedure_words(name: str) -> str:
+    """Return a procedure's name in words."""
+    return _PROCEDURES.get(name, name.replace("-", " ").capitalize())
+
+
+def step_words(name: str, *, has_rail: bool) -> str:
+    """Return a step's name in words; without a rail the robot alone is homed."""
+    names = _STEPS if has_rail else _STEPS | _WITHOUT_RAIL
+    return names.get(name, name.replace("-", " ").capitalize())
+
+
+def happened_words(event: Event | OtherEvent, log: Log) -> str:
+    """Return an event in words, its points by name; "" where there is nothing to say."""
+    if isinstance(event, StepBegun):
+        name = step_words(event.name, has_rail=log.plan is None or log.cell.has_rail)
+        return f"step {event.number} of {event.of} begins: {name}"
+    return in_words(event.text, log)

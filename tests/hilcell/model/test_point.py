@@ -8,7 +8,7 @@ from pathlib import Path
 import hilcell
 import procedures
 from hilcell.calibration.diagnosis import VERDICTS
-from hilcell.journal.point_words import KINDS, counted_words
+from hilcell.model.point import KINDS
 from hilcell.report.facts import read_facts
 from tests.whole.golden import GoldenRuns
 
@@ -41,6 +41,6 @@ def test_every_kind_that_a_procedure_measures_has_words() -> None:
 def test_the_points_of_a_run_are_counted_in_words(golden: GoldenRuns) -> None:
     points = read_facts(golden["small"].folder).log.points.values()
     assert {point.id.kind for point in points} <= KINDS.keys()
-    counted = {counted_words(point.id) for point in points}
+    counted = {point.id.counted_with for point in points}
     assert {"targets, corrected", "sign check, as sent", "repeated poses, place 1"} <= counted
     assert not [words for words in counted if "_" in words]
