@@ -24,7 +24,7 @@ from hilcell.clean import clean
 from hilcell.errors import HilcellError
 from hilcell.plant.audit import FORM, MANIFEST, RECORD, SIGNATURE, FileEntry, Manifest
 from hilcell.plant.database import PlantError
-from hilcell.plant.rows import digest_of
+from hilcell.plant.record import digest_of
 from hilcell.plant.signing import fingerprint
 from hilcell.plant.tables import DOCUMENT, PARTS, POINT, RUN, Found
 from hilcell.writing import NotWritten, as_not_written

@@ -1,21 +1,27 @@
-"""A run as a plant keeps it: a plain record, computed from its journal.
+"""A run as a plant keeps it: its rows in the plant's tables, computed from its journal.
 
-Two readings of one journal give the same record; the documents of the run's folder are a part of
-it. ``run_key`` names the run by its first record, so runs of one name in two cells stay apart. A
+Two readings of one journal give the same rows; the documents of the run's folder are a part of
+them. ``run_key`` names the run by its first record, so runs of one name in two cells stay apart. A
 journal only grows, so the number of its last record is the revision of a run that was opened again,
 and ``head``, the hash of its chain, proves which journal that was.
+
+The digest follows from the rows alone: it is the same of those that are about to be written and of
+those that were read back, from either store. So it shows whether they are as they were shipped.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import date, datetime
 from statistics import fmean
-from typing import Any
+from typing import NamedTuple
 from uuid import UUID
 
 import msgspec
 import numpy as np
+from sqlalchemy import Double, Table
 
 from hilcell.alarms import alarms_of
 from hilcell.calibration.frames import grid_of, measured_grid
@@ -23,89 +29,35 @@ from hilcell.errors import HilcellError
 from hilcell.journal.index import RunRow, row_of_records
 from hilcell.journal.journal import Record, chain
 from hilcell.journal.log import Log
-from hilcell.model.events import Asset
 from hilcell.model.outcome import Figure
 from hilcell.model.point import Point
 from hilcell.model.verdicts import LengthsChecked
-from hilcell.typed import typed
+from hilcell.plant.tables import (
+    ALARM,
+    DEVICE,
+    DOCUMENT,
+    FRAME,
+    GRID,
+    LENGTH,
+    POINT,
+    RUN,
+    STREAM,
+    VERDICT,
+    Utc,
+)
 
 ROBOT, TRACKER = "robot", "tracker"
 MONTH = 7  # letters of 2026-11
+YEARS = (1980, 2200)  # a PC whose battery is empty begins with the first
+OWN = {"digest", "shipped"}  # columns that the digest is not of: itself, and the server's clock
+
+Values = Mapping[str, object]  # of a row, by column
 
 
 class NotOver(HilcellError):
     """The run has not come to an end of its own: it is shipped later."""
 
     code = "HC-J21"
-
-
-class GridErrors(msgspec.Struct, frozen=True):
-    """Errors (N, 3) of the robot at the vertices of its grid (N, 3), both mm in {B}."""
-
-    places_mm: list[list[float]]
-    errors_mm: list[list[float]]
-    temperature_c: float | None
-
-
-class FrameEntry(msgspec.Struct, frozen=True):
-    """A frame (4, 4) and its covariance (6, 6), where it has one."""
-
-    key: str
-    matrix: list[list[float]]
-    covariance: list[list[float]] | None
-
-
-class PointEntry(msgspec.Struct, frozen=True):
-    """A point with the number and the time of its record.
-
-    One that is ``superseded`` does not count: it was measured again, or its tracker had moved.
-    """
-
-    seq: int
-    t: str
-    point: Point
-    superseded: bool = False
-
-
-class VerdictEntry(msgspec.Struct, frozen=True):
-    """A verdict; the figures of those that judge a place by its mean error."""
-
-    key: str
-    holds: bool
-    body: dict[str, Any]
-    mean_mm: float | None = None
-    mean_U_mm: float | None = None
-    mean_tolerance_mm: float | None = None
-
-
-class AlarmEntry(msgspec.Struct, frozen=True):
-    """An alarm of the run's last session; one that no record dates has the time of its end."""
-
-    t: str
-    code: str
-    severity: str
-    title: str
-    place: str
-    found: str
-
-
-class LengthEntry(msgspec.Struct, frozen=True):
-    """A certified length as the tracker found it."""
-
-    nests: str
-    wanted_mm: float
-    found_mm: float
-    U_mm: float
-
-
-class StreamEntry(msgspec.Struct, frozen=True):
-    """A stream that counts. Its samples stay with the run; the digest proves which they were."""
-
-    key: str
-    file: str
-    sha256: str
-    samples: int
-    joint_samples: int
 
 
 class Document(msgspec.Struct, frozen=True):
@@ -116,28 +68,14 @@ class Document(msgspec.Struct, frozen=True):
     text: str
 
 
-class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """The whole record. ``month`` is that in which the run began: the key of the partition."""
+class RunRecord(NamedTuple):
+    """A run's rows by their table, each with their digest; the run's own is that of `RUN`."""
 
     run_key: UUID
     revision: int
     head: str
-    month: str
     row: RunRow
-    versions: dict[str, str]
-    devices: list[Asset]
-    frames: list[FrameEntry]
-    points: list[PointEntry]
-    verdicts: list[VerdictEntry]
-    alarms: list[AlarmEntry]
-    lengths: list[LengthEntry]
-    grid: GridErrors | None
-    streams: list[StreamEntry]
-    documents: list[Document]
-
-    def serial(self, kind: str) -> str:
-        """Return the serial number of the device of a kind; "" where none answered."""
-        return next((each.serial for each in self.devices if each.kind == kind), "")
+    rows: Mapping[Table, Sequence[Values]]
 
 
 def heads(records: Sequence[Record]) -> list[str]:
@@ -159,86 +97,209 @@ def key_of(run: str, records: Sequence[Record]) -> tuple[UUID, int]:
 def record_of(run: str, records: Sequence[Record], documents: Sequence[Document] = ()) -> RunRecord:
     """Return the record of a run that is over, with the documents of its folder.
 
-    Raises `NotOver`, and `msgspec.ValidationError`, `KeyError` where the journal is none of a run.
+    Raises `NotOver`, and `msgspec.ValidationError`, `KeyError`, `ValueError` where the journal is
+    none of a run.
     """
     row, log = row_of_records(run, records), Log(records)
     if not log.over or log.end is None:
         raise NotOver(f"run {run}: it is {row.condition}; `hilcell resume {run}` ends it")
-    chained = heads(records)
-    first, last = records[0], records[-1]
-    run_key, revision = key_of(run, records)
-    record = RunRecord(
-        run_key=run_key,
-        revision=revision,
-        head=chained[-1],
-        month=f"{first.t[:MONTH]}-01",
-        row=row,
-        versions=log.inputs.versions,
-        devices=log.assets,
-        frames=[
-            FrameEntry(key, frame.matrix, frame.covariance or None)
-            for key, frame in log.frames.items()
+    head, (run_key, revision) = heads(records)[-1], key_of(run, records)
+    month = date.fromisoformat(f"{records[0].t[:MONTH]}-01")
+    points = [{"month": month, **each} for each in _points(log, records)]
+    whole: dict[Table, Sequence[Values]] = {
+        FRAME: [
+            {"key": key, "matrix": each.matrix, "covariance": each.covariance or None}
+            for key, each in log.frames.items()
         ],
-        points=list(_points(log, records)),
-        verdicts=list(_verdicts(log)),
-        alarms=[
-            AlarmEntry(
-                each.t or last.t, each.code, each.severity, each.title, each.where, each.found
-            )
+        VERDICT: [_verdict(log, record) for record in log.judged.values()],
+        DEVICE: _numbered(
+            {name: getattr(each, name) for name in each.__struct_fields__ if name in DEVICE.c}
+            for each in log.assets
+        ),
+        ALARM: _numbered(
+            {
+                "t": _moment(each.t or records[-1].t),
+                "code": each.code,
+                "severity": each.severity,
+                "title": each.title,
+                "place": each.where,
+                "found": each.found,
+            }
             for each in alarms_of(log, run, live=False)
+        ),
+        LENGTH: _numbered(_lengths(log)),
+        GRID: list(_grid(log)),
+        STREAM: [
+            {name: getattr(each, name) for name in STREAM.c.keys() if name != "digest"}  # noqa: SIM118
+            for each in log.streams.values()
         ],
-        lengths=list(_lengths(log)),
-        grid=_grid(log),
-        streams=[
-            StreamEntry(key, each.file, each.sha256, each.samples, each.joint_samples)
-            for key, each in log.streams.items()
-        ],
-        documents=list(documents),
+        DOCUMENT: [msgspec.to_builtins(each) for each in documents],
+        POINT: points,
+    }
+    serials = {each.kind: each.serial for each in log.assets}
+    whole[RUN] = [
+        {
+            "run_key": run_key,
+            "revision": revision,
+            "head": head,
+            "month": month,
+            "cell_key": short(msgspec.json.encode((row.cell, row.serial, _machine(row)))),
+            "name": row.name,
+            "cell": row.cell,
+            "serial": row.serial,
+            "simulated": row.simulated,
+            "machine": _machine(row),
+            "procedure": row.procedure,
+            "state": row.state,
+            "exit": row.exit,
+            "begun": _moment(row.begun),
+            "ended": _moment(row.ended),
+            "points": sum(not each["superseded"] for each in points),
+            "proven": _proven(row),
+            "robot": serials.get(ROBOT, ""),
+            "tracker": serials.get(TRACKER, ""),
+            "version": log.inputs.versions.get("hilcell", ""),
+            "row": msgspec.to_builtins(row),
+        }
+    ]
+    whole = {
+        table: [{name: _without_nul(value) for name, value in each.items()} for each in rows]
+        for table, rows in whole.items()
+    }
+    own = {"digest": digest_of(whole)}
+    return RunRecord(
+        run_key,
+        revision,
+        head,
+        row,
+        {table: [own | dict(each) for each in rows] for table, rows in whole.items()},
     )
-    if b"\\u0000" not in msgspec.json.encode(record):
-        return record
-    return typed(_without_nul(msgspec.to_builtins(record)), RunRecord)
 
 
-def _points(log: Log, records: Sequence[Record]) -> Iterator[PointEntry]:
-    """Yield all points in the order of their records."""
+def digest_of(rows: Mapping[Table, Iterable[Values]]) -> UUID:
+    """Return the digest of a run's rows, in any order."""
+    lines = sorted(line for table, every in rows.items() for line in _lines(table, every))
+    return short("\n".join(lines).encode())
+
+
+def _lines(table: Table, rows: Iterable[Values]) -> Iterator[str]:
+    """Yield a line of each row: its values by column, floats to their last digit."""
+    numbers = {each.name for each in table.columns if isinstance(each.type, Double)}
+    moments = {each.name for each in table.columns if isinstance(each.type, Utc)}
+    encode = json.JSONEncoder(sort_keys=True, default=str).encode
+    for row in rows:
+        values = {name: value for name, value in row.items() if name not in OWN}
+        for name, value in values.items():
+            if name in numbers and isinstance(value, int | float):
+                values[name] = float(value) + 0.0  # SQLite keeps no -0.0
+            elif name in moments and isinstance(value, datetime):
+                values[name] = Utc.in_utc(value)
+        yield f"{table.name} {encode(values)}"
+
+
+def _machine(row: RunRow) -> str:
+    """Return which simulated machine it was: each is a cell of its own; "" for a real one."""
+    if not row.simulated:
+        return ""
+    return "simulated" if row.machine_seed is None else f"simulated {row.machine_seed}"
+
+
+def _proven(row: RunRow) -> bool:
+    """Whether the run made a calibration that supersedes those before it."""
+    made = row.facts.kind == "made" and row.calibrates
+    return made and row.facts.validated and row.exit == 0 and not row.facts.revoked
+
+
+def _numbered(rows: Iterable[Values]) -> list[Values]:
+    return [{"n": n, **each} for n, each in enumerate(rows)]
+
+
+def _points(log: Log, records: Sequence[Record]) -> Iterator[Values]:
+    """Yield all points in the order of their records.
+
+    One that is superseded does not count: it was measured again, or its tracker had moved.
+    """
     counting = {log.recorded(point): point for point in log.points.values()}
     for record in records:
         if record.kind == "point":
             superseded = record.seq not in counting
             point = log.read(record) if superseded else counting[record.seq]
-            plain = Point(**msgspec.structs.asdict(point))  # the log's own are packed
-            yield PointEntry(record.seq, record.t, plain, superseded)
+            yield _point(record, point) | {"superseded": superseded}
 
 
-def _verdicts(log: Log) -> Iterator[VerdictEntry]:
-    for key, record in log.judged.items():
-        verdict = log.verdicts[key]
-        mean = next((each for each in verdict.figures if each.name == "mean"), Figure("", None))
-        entry = VerdictEntry(key, verdict.holds, record.body, mean.value, mean.U, mean.limit)
-        yield entry
+def _point(record: Record, point: Point) -> dict[str, object]:
+    nominal_mm = point.nominal_mm or (None, None, None)
+    return {
+        "seq": record.seq,
+        "t": _moment(record.t),
+        "key": point.key,
+        "kind": point.group,
+        "station": point.station,
+        "frame": point.frame,
+        "reflector": point.reflector,
+        **dict(zip(("x_mm", "y_mm", "z_mm"), point.xyz_mm, strict=True)),
+        **dict(zip(("std_x_mm", "std_y_mm", "std_z_mm"), point.std_mm, strict=True)),
+        "samples": point.samples,
+        "session": point.session,
+        "set_up": point.set_up,
+        "retaken": point.retaken,
+        "temperature_c": point.temperature_c,
+        "pressure_mbar": point.pressure_mbar,
+        "humidity_percent": point.humidity_percent,
+        "strip_mm": point.strip_mm,
+        "rail_mm": point.rail_mm,
+        **dict(zip(("nominal_x_mm", "nominal_y_mm", "nominal_z_mm"), nominal_mm, strict=True)),
+        "commanded_deg": point.commanded_deg,
+        "joints_deg": point.joints_deg,
+    }
 
 
-def _lengths(log: Log) -> Iterator[LengthEntry]:
+def _verdict(log: Log, record: Record) -> Values:
+    """Return a verdict's row, with the mean error where it judges one."""
+    verdict = log.verdicts[record.key]
+    mean = next((each for each in verdict.figures if each.name == "mean"), Figure("", None))
+    return {
+        "key": record.key,
+        "holds": verdict.holds,
+        "body": record.body,
+        "mean_mm": mean.value,
+        "mean_U_mm": mean.U,
+        "mean_tolerance_mm": mean.limit,
+    }
+
+
+def _lengths(log: Log) -> Iterator[Values]:
     checked = log.verdict(LengthsChecked)
     for each in () if checked is None else checked.lengths:
-        yield LengthEntry("-".join(each.nests), each.wanted_mm, each.found_mm, each.U_mm)
+        yield msgspec.to_builtins(each) | {"nests": "-".join(each.nests)}
 
 
-def _grid(log: Log) -> GridErrors | None:
-    """Return the errors at the vertices of a grid that was measured whole."""
+def _grid(log: Log) -> Iterator[Values]:
+    """Yield the errors at the vertices of a grid that was measured whole."""
     points = log.select("grid")
     if not points or not {"world", "base"} <= log.frames.keys():
-        return None
+        return
     errors_mm = measured_grid(log).errors_mm.reshape(-1, 3)
     if not np.isfinite(errors_mm).all():
-        return None
+        return
     places_mm = grid_of(log.cell).vertices_mm().reshape(-1, 3)
     celsius = [point.temperature_c for point in points if point.temperature_c is not None]
-    return GridErrors(places_mm.tolist(), errors_mm.tolist(), fmean(celsius) if celsius else None)
+    yield {
+        "places_mm": places_mm.tolist(),
+        "errors_mm": errors_mm.tolist(),
+        "temperature_c": fmean(celsius) if celsius else None,
+    }
 
 
-def _without_nul(value: Any) -> Any:
+def _moment(t: str) -> datetime:
+    """Return a time; raises `ValueError` where no clock of a cell can have said it."""
+    found = datetime.fromisoformat(t)
+    if not YEARS[0] <= found.year < YEARS[1]:
+        raise ValueError(f"it says the time {t}, wanted are years of {YEARS[0]} to {YEARS[1]}")
+    return found
+
+
+def _without_nul(value: object) -> object:
     """Return plain values without the one character that no text of a database may hold."""
     if isinstance(value, str):
         return value.replace("\0", "\N{REPLACEMENT CHARACTER}")

@@ -14,7 +14,6 @@ import stat
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field
-from datetime import date
 from pathlib import Path
 from typing import NamedTuple
 from uuid import UUID
@@ -33,8 +32,7 @@ from hilcell.journal.runs import CALIBRATION, JOURNAL, is_run, read_records
 from hilcell.journal.states import OVER
 from hilcell.plant.database import POSTGRESQL, SEEN, Database, PlantAway, PlantError, RightMissing
 from hilcell.plant.record import Document, NotOver, RunRecord, heads, key_of, record_of
-from hilcell.plant.rows import rows_of
-from hilcell.plant.tables import RUN
+from hilcell.plant.tables import POINT, RUN
 
 BATCH = 500  # keys of one question
 
@@ -72,17 +70,16 @@ def write(connection: Connection, record: RunRecord, heads: Sequence[str], ended
     if not _continues(connection, record, heads):
         _check_name(connection, record, heads[ended:])
     on_postgresql = connection.dialect.name == POSTGRESQL
+    (run,) = record.rows[RUN]
     if on_postgresql:
-        connection.execute(select(func.plant_month(date.fromisoformat(record.month))))
+        connection.execute(select(func.plant_month(run["month"])))
     insert = postgresql.insert if on_postgresql else sqlite.insert
     added = insert(RUN).on_conflict_do_nothing().execution_options(preserve_rowcount=True)
-    rows = rows_of(record)
-    (run,) = rows.pop(RUN)
     done = connection.execute(added, run)
     if not done.rowcount:
         return False
-    for table, every in rows.items():
-        if every:
+    for table, every in record.rows.items():
+        if every and table is not RUN:
             connection.execute(table.insert(), every)
     return True
 
@@ -240,7 +237,7 @@ def ship(runs: Path, database: Database, tell: Callable[[str], None] = lambda _:
         seen.note(row, here[row.name])
         done.before += not new
         done.runs += new
-        done.points += len(record.points) if new else 0
+        done.points += len(record.rows[POINT]) if new else 0
         if new:
             tell(row.name)
     done.refused |= _without_journal(runs)

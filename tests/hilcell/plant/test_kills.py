@@ -20,7 +20,6 @@ from sqlalchemy import Engine, event, func, select
 from hilcell.journal.runs import read_records
 from hilcell.plant.database import Database
 from hilcell.plant.record import record_of
-from hilcell.plant.rows import rows_of
 from hilcell.plant.shipper import NAME, Shipped, ship
 from hilcell.plant.tables import PARTS, POINT, RUN
 from tests.hilcell.plant.conftest import NOW
@@ -56,15 +55,15 @@ def check(database: Database, runs: Path, revisions: Counter[str]) -> None:
         assert Counter(names) == revisions
         for folder in runs.glob("r*"):
             record = record_of(folder.name, read_records(folder))
-            (run,) = rows_of(record)[RUN]
+            (run,) = record.rows[RUN]
             counts = {
                 table.name: connection.execute(
                     select(func.count()).select_from(table).where(table.c.digest == run["digest"])
                 ).scalar_one()
                 for table in PARTS
             }
-            for name in ("points", "verdicts", "frames", "devices"):
-                assert counts[name[:-1]] == len(getattr(record, name))
+            assert counts == {table.name: len(record.rows[table]) for table in PARTS}
+            assert counts["point"]
         for table in PARTS:
             asked = select(func.count()).select_from(table)
             orphans = asked.where(table.c.digest.not_in(select(RUN.c.digest)))
@@ -114,7 +113,7 @@ def test_a_shipment_that_is_cut_off_before_each_order_of_a_run(
 ) -> None:
     """Also after the commit, before the shipper has noted it."""
     runs = tmp_path / "runs"
-    points = len(record_of("r0", read_records(_one(model, runs))).points)
+    points = len(record_of("r0", read_records(_one(model, runs))).rows[POINT])
     order, ended = 0, False
     while not ended:
         order += 1

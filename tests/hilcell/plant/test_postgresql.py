@@ -11,7 +11,6 @@ from math import nextafter
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import psycopg
 import pytest
 from alembic.autogenerate import compare_metadata
@@ -21,10 +20,9 @@ from sqlalchemy import Table, event, make_url, select, text
 
 from hilcell.journal.runs import read_records
 from hilcell.plant.database import CELL, ENGINEER, MIGRATIONS, Database
-from hilcell.plant.record import GridErrors, LengthEntry, heads, record_of
-from hilcell.plant.rows import digest_of
+from hilcell.plant.record import digest_of, heads, record_of
 from hilcell.plant.shipper import NAME, ship, write
-from hilcell.plant.tables import HEAD, PARTS, POINT, RUN, TABLES
+from hilcell.plant.tables import GRID, HEAD, LENGTH, PARTS, POINT, RUN, TABLES
 from tests.hilcell.plant.conftest import NOW
 from tests.hilcell.plant.server import Server
 from tests.hilcell.plant.test_export import private
@@ -69,20 +67,28 @@ def test_a_store_keeps_each_number_to_its_last_digit(
     records = read_records(model.write(tmp_path, Run("a", "north", "HC-1", NOW)))
     record = record_of("a", records)
     numbers = (0.1 + 0.2, 5e-324, -0.0, 1.7976931348623157e308, 1e22, -123456789.123456789, 1 / 3)
+    names = ("x_mm", "y_mm", "z_mm", "std_x_mm", "std_y_mm", "std_z_mm")
+    places = dict(zip(names, numbers[:6], strict=True))
     points = [
-        msgspec.structs.replace(
-            each,
-            point=msgspec.structs.replace(
-                each.point, xyz_mm=numbers[:3], std_mm=numbers[3:6], strip_mm=number,
-                reflector="K\u00f6ln\u2028\U0001f916 '\\\"",
-                joints_deg=numbers, nominal_mm=(0.0, number, -number),
-            ),
-        )
-        for each, number in zip(record.points, cycle(numbers), strict=False)
+        {
+            **each, **places,
+            "strip_mm": number, "reflector": "K\u00f6ln\u2028\U0001f916 '\\\"",
+            "joints_deg": numbers, "nominal_x_mm": 0.0, "nominal_y_mm": number,
+            "nominal_z_mm": -number,
+        }
+        for each, number in zip(record.rows[POINT], cycle(numbers), strict=False)
     ]  # fmt: skip
-    lengths = [LengthEntry("1-2", 1000, 1000.0, number) for number in numbers]
-    grid = GridErrors([list(numbers[:3])], [list(numbers[3:6])], 20)
-    record = msgspec.structs.replace(record, points=points, lengths=lengths, grid=grid)
+    lengths = [
+        {"n": n, "nests": "1-2", "wanted_mm": 1000, "found_mm": 1000.0, "U_mm": number}
+        for n, number in enumerate(numbers)
+    ]
+    grid = {
+        "places_mm": [list(numbers[:3])], "errors_mm": [list(numbers[3:6])], "temperature_c": 20,
+    }  # fmt: skip
+    rows = {**record.rows, POINT: points, LENGTH: lengths, GRID: [grid]}
+    own = {"digest": digest_of(rows)}
+    rows = {table: [{**each, **own} for each in every] for table, every in rows.items()}
+    record = record._replace(rows=rows)
     with database.transaction() as connection:
         assert write(connection, record, heads(records))
     with database.transaction() as connection:

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from datetime import date
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hilcell.journal.journal import Record
 from hilcell.journal.runs import read_records
-from hilcell.plant.record import NotOver, RunRecord, heads, record_of
-from hilcell.plant.rows import rows_of
+from hilcell.plant.record import NotOver, RunRecord, digest_of, heads, record_of
+from hilcell.plant.tables import DEVICE, FRAME, GRID, POINT, STREAM
 from hilcell.plant.tables import RUN as RUNS
 from tests.whole.golden import GoldenRuns
 
@@ -27,7 +29,7 @@ def records(golden: GoldenRuns) -> list[Record]:
 
 
 def digest(record: RunRecord) -> object:
-    return rows_of(record)[RUNS][0]["digest"]
+    return record.rows[RUNS][0]["digest"]
 
 
 def changed(
@@ -49,12 +51,13 @@ def test_the_same_journal_has_the_same_digest(golden: GoldenRuns, tmp_path: Path
 def test_a_record_holds_what_the_run_measured(records: list[Record]) -> None:
     record = record_of(RUN, records)
     points = {each.key for each in records if each.kind == "point"}
-    assert {each.point.key for each in record.points} == points
-    assert {each.key for each in record.frames} >= {"world", "base", "station.S300"}
-    assert {each.kind for each in record.devices} == {"drive", "strip", "robot", "tracker"}
-    assert record.grid is not None
-    assert len(record.grid.errors_mm) == 27
-    assert record.month == f"{records[0].t[:7]}-01"
+    assert {each["key"] for each in record.rows[POINT]} == points
+    assert {each["key"] for each in record.rows[FRAME]} >= {"world", "base", "station.S300"}
+    kinds = {each["kind"] for each in record.rows[DEVICE]}
+    assert kinds == {"drive", "strip", "robot", "tracker"}
+    (grid,) = record.rows[GRID]
+    assert np.array(grid["errors_mm"]).shape == (27, 3)
+    assert str(record.rows[RUNS][0]["month"]) == f"{records[0].t[:7]}-01"
     assert record.head == heads(records)[-1]
     assert record.row.exit == 0
 
@@ -98,11 +101,11 @@ def test_a_point_that_was_measured_again_is_kept_and_does_not_count(
     again = changed(records, at, lambda body: body.update(retaken=True))[at]
     both = numbered([*records[: at + 1], again, *records[at + 1 :]])
     record = record_of(RUN, both)
-    found = [each for each in record.points if each.point.key == again.key]
-    assert [(each.superseded, each.point.retaken) for each in found] == [
+    found = [each for each in record.rows[POINT] if each["key"] == again.key]
+    assert [(each["superseded"], each["retaken"]) for each in found] == [
         (True, False), (False, True),
     ]  # fmt: skip
-    assert sum(not each.superseded for each in record.points) == record.row.points
+    assert sum(not each["superseded"] for each in record.rows[POINT]) == record.row.points
     assert record_of(RUN, records).row.points == record.row.points
 
 
@@ -111,7 +114,7 @@ def test_points_of_a_tracker_that_had_moved_do_not_count(records: list[Record]) 
     body = {"what": "tracker moved", "set_up": 1, "invalid": [records[at].key]}
     moved = msgspec.structs.replace(records[at], kind="event", key="", body=body)
     record = record_of(RUN, numbered([*records[: at + 1], moved, *records[at + 1 :]]))
-    assert [each.point.key for each in record.points if each.superseded] == [records[at].key]
+    assert [each["key"] for each in record.rows[POINT] if each["superseded"]] == [records[at].key]
 
 
 def numbered(records: list[Record]) -> list[Record]:
@@ -129,14 +132,18 @@ def test_a_stream_is_kept_by_its_digest(records: list[Record]) -> None:
         records[at], kind="event", key="", body={"what": "stream"} | stream
     )
     record = record_of(RUN, numbered([*records[:at], event, *records[at:]]))
-    (found,) = record.streams
-    assert msgspec.to_builtins(found).items() <= stream.items()
+    (found,) = record.rows[STREAM]
+    assert {
+        name: each for name, each in found.items() if name != "digest"
+    }.items() <= stream.items()
 
 
 def test_a_run_of_another_name_or_another_plan_is_another_run(records: list[Record]) -> None:
     record = record_of(RUN, records)
-    month = msgspec.structs.replace(record, month="2001-01-01")  # the partition
-    assert digest(month) != digest(record)
+    (run,) = record.rows[RUNS]
+    month = {**record.rows, RUNS: [{**run, "month": date(2001, 1, 1)}]}  # the partition
+    assert digest_of(record.rows) == digest(record)
+    assert digest_of(month) != digest(record)
     assert record_of("other", records).run_key != record.run_key
     plan = changed(records, 0, lambda body: body.update(operator="Bob"))
     assert record_of(RUN, plan).run_key != record.run_key
@@ -160,4 +167,6 @@ def test_a_run_that_is_not_over_has_no_record(records: list[Record]) -> None:
 
 def test_a_text_holds_nothing_that_a_database_refuses(records: list[Record]) -> None:
     plan = changed(records, 0, lambda body: body.update(operator="A\0nn"))
-    assert record_of(RUN, plan).row.operator == "A\N{REPLACEMENT CHARACTER}nn"
+    (run,) = record_of(RUN, plan).rows[RUNS]
+    assert isinstance(run["row"], dict)
+    assert run["row"]["operator"] == "A\N{REPLACEMENT CHARACTER}nn"

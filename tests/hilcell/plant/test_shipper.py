@@ -262,7 +262,11 @@ def spoilt(model: Model, runs: Path, name: str, *more: tuple[Any, str, dict[str,
     write_journal(runs / name, [*rows[:-2], *((NOW, *each) for each in more), *rows[-2:]])
 
 
-BIG = {"holds": True, "mean_mm": 10**400}
+BIG = {
+    "holds": True, "mean_mm": 10**400, "mean_tolerance_mm": 0.1, "max_mm": 0.1,
+    "max_tolerance_mm": 0.2, "mean_U_mm": 0.0, "max_U_mm": 0.0, "outcome": "accepted",
+    "decision": "",
+}  # fmt: skip
 STREAM = {
     "what": "stream", "key": "../../x", "file": "../../../etc/passwd", "sha256": "0" * 900,
     "samples": 2**40, "joint_samples": 1, "first_device_s": 0.0, "last_device_s": 1.0,
@@ -276,7 +280,7 @@ def test_records_that_no_database_takes_are_named_and_stop_no_other(
 ) -> None:
     """A server's limits are no server that is away: the next shipment would meet them again."""
     key = "".join(random.Random(1).choices(string.ascii_letters, k=20_000))
-    spoilt(model, runs, "number", ("verdict", "big", BIG))
+    spoilt(model, runs, "number", ("verdict", "targets", BIG))
     spoilt(model, runs, "key", ("verdict", key, {"holds": True}))
     spoilt(model, runs, "stream", ("event", "", STREAM))
     spoilt(model, runs, "line", ("event", "", {"what": "note", "text": "x" * 20_000_000}))
