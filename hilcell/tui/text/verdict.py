@@ -14,12 +14,13 @@ from textual.content import Content
 
 from hilcell.alarms import Alarm
 from hilcell.alarms.catalogue import SEVERITIES, entry_of
+from hilcell.calibration.decision import limits_of
 from hilcell.clean import harmless
 from hilcell.journal.calibration_facts import run_judged
 from hilcell.journal.words import in_words
 from hilcell.model.events import TrackerProven
 from hilcell.model.outcome import Outcome
-from hilcell.model.verdicts import VALIDATION, Judged, Turn
+from hilcell.model.verdicts import VALIDATION, Judged, Limits
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import Cell, Col, Drawing, Fitting, Grid, Lines, Stack, Text
 from hilcell.tui.terminal.capabilities import Glyphs
@@ -54,39 +55,29 @@ class _Place(msgspec.Struct):
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """Errors (mm) of one station's targets, as they were judged.
-
-    ``turn`` is the error of orientation where that was judged.
-    """
+    """Errors (mm) of one station's targets: as sent, and as they were judged."""
 
     name: str
     targets: int
     before_mm: float
-    mean_mm: float
     p95_mm: float
-    max_mm: float
-    mean_U_mm: float
-    max_U_mm: float
-    outcome: Outcome
-    turn: Turn | None = None
+    judged: Judged
 
     @property
     def sure_mm(self) -> float:
         """Return the length below which the true mean is, 95 % sure."""
-        return self.mean_mm + self.mean_U_mm
+        return self.judged.mean_mm + self.judged.mean_U_mm
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
-    """The errors of a finished validation, with their limits (mm), and the run's outcome."""
+class Finished:
+    """A finished validation: its stations, its limits and the run's outcome."""
 
     passed: bool
     outcome: Outcome
     stations: tuple[Station, ...]
-    mean_limit_mm: float
-    max_limit_mm: float
+    limits: Limits
     floor_mm: float
-    max_limit_deg: float | None = None
 
     @property
     def undecided(self) -> bool:
@@ -96,23 +87,15 @@ class Verdict:
     @property
     def worst_mean(self) -> Station:
         """Return the station of the largest mean."""
-        return max(self.stations, key=lambda each: gravest(each.mean_mm))
+        return max(self.stations, key=lambda each: gravest(each.judged.mean_mm))
 
     @property
     def worst_single(self) -> Station:
         """Return the station of the largest single error."""
-        return max(self.stations, key=lambda each: gravest(each.max_mm))
-
-    def turn_is_kept(self, turn: Turn | None, *, sure: bool = False) -> bool:
-        """Whether an error of orientation, with its U if ``sure``, keeps its limit, or was not
-        judged.
-        """
-        if turn is None or self.max_limit_deg is None:
-            return True
-        return turn.max_deg + (turn.U_deg if sure else 0.0) <= self.max_limit_deg
+        return max(self.stations, key=lambda each: gravest(each.judged.max_mm))
 
 
-def verdict_of(view: RunView) -> Verdict | None:
+def verdict_of(view: RunView) -> Finished | None:
     """Return the verdict of a finished run with a validation; None for every other run.
 
     Stations that were also judged together are shown one by one.
@@ -126,16 +109,17 @@ def verdict_of(view: RunView) -> Verdict | None:
     judged = {name: each for name, each in found.items() if each is not None}
     if not judged:
         return None
-    limits = view.log.cell.validation
     floors = [place.floor.mean for place in places.values() if place.floor is not None]
-    return Verdict(
+    return Finished(
         passed=view.state == "done",
         outcome=run_judged(view.log) or Outcome.REJECTED,
-        stations=tuple(_station(name, places[name], found) for name, found in judged.items()),
-        mean_limit_mm=limits.mean_tolerance_mm,
-        max_limit_mm=limits.max_tolerance_mm,
+        stations=tuple(
+            Station(name, place.points, place.before.mean, place.chosen.p95, each)
+            for name, each in judged.items()
+            for place in (places[name],)
+        ),
+        limits=limits_of(view.log.cell),
         floor_mm=max(floors, default=math.nan),
-        max_limit_deg=limits.max_tolerance_deg,
     )
 
 
@@ -148,17 +132,10 @@ def _places(view: RunView) -> dict[str, _Place]:
         return {}
 
 
-def _station(name: str, place: _Place, judged: Judged) -> Station:
-    return Station(
-        name, place.points, place.before.mean, judged.mean_mm, place.chosen.p95, judged.max_mm,
-        judged.mean_U_mm, judged.max_U_mm, judged.outcome, judged.turn,
-    )  # fmt: skip
-
-
 # -- drawing ---------------------------------------------------------------------------------------
 
 
-def verdict_lines(view: RunView, found: Verdict, glyphs: Glyphs, standing: int = 0) -> Lines:
+def verdict_lines(view: RunView, found: Finished, glyphs: Glyphs, standing: int = 0) -> Lines:
     """Return the block, the two worst figures, the stations, and what is to be known or done.
 
     ``standing`` alarms are latched, also those that the journal raises no more.
@@ -177,34 +154,34 @@ def verdict_lines(view: RunView, found: Verdict, glyphs: Glyphs, standing: int =
     return Drawing((repr(found), glyphs.plain, facts.state), draw)
 
 
-def words_of(found: Verdict) -> tuple[str, str]:
+def words_of(found: Finished) -> tuple[str, str]:
     """Return the verdict in one word, and what it states."""
     outcome = Outcome.ACCEPTED if found.passed else found.outcome
     said = "neither pass nor fail" if outcome is Outcome.UNDECIDED else outcome.words
     return outcome.short.upper(), said
 
 
-def _head(found: Verdict) -> Head:
+def _head(found: Finished) -> Head:
     word, stated = words_of(found)
-    mean, single = found.worst_mean, found.worst_single
+    mean, single, limits = found.worst_mean, found.worst_single, found.limits
     figures = (
-        Figure("worst mean |e|, mm", mean.mean_mm, f"at {mean.name}", found.mean_limit_mm,
-               mean.mean_U_mm),
-        Figure("worst single |e|, mm", single.max_mm, f"at {single.name}", found.max_limit_mm,
-               single.max_U_mm),
+        Figure("worst mean |e|, mm", mean.judged.mean_mm, f"at {mean.name}", limits.mean_mm,
+               mean.judged.mean_U_mm),
+        Figure("worst single |e|, mm", single.judged.max_mm, f"at {single.name}", limits.max_mm,
+               single.judged.max_U_mm),
     )  # fmt: skip
     role = "passed" if found.passed else "ask" if found.undecided else "fault"
     return Head((word,), stated, role, figures)
 
 
-def _table(found: Verdict, glyphs: Glyphs, room: int) -> Lines:
+def _table(found: Finished, glyphs: Glyphs, room: int) -> Lines:
     """Return the stations in at most ``room`` rows with header and limit; the worst are first."""
-    order = sorted(found.stations, key=lambda each: -gravest(each.mean_mm))
+    order = sorted(found.stations, key=lambda each: -gravest(each.judged.mean_mm))
     kept = order[: room - 2]
     shown = [each for each in found.stations if each in kept]
     left = len(found.stations) - len(shown)
     titles = "station", "targets", "mean as sent", "mean", "95 % below", "max mm", " verdict"
-    limits = (f"{found.mean_limit_mm:.3f}", "-", f"{found.max_limit_mm:.3f}")
+    limits = (f"{found.limits.mean_mm:.3f}", "-", f"{found.limits.max_mm:.3f}")
     name = f"limit ({left} more in the report)" if left else "limit"
     rows: list[list[Cell]] = [["", *((title, "$label") for title in titles)]]
     rows += [_row(each, found, glyphs) for each in shown]
@@ -213,25 +190,25 @@ def _table(found: Verdict, glyphs: Glyphs, room: int) -> Lines:
     return Grid(rows, Col(), Col(13), *numbers, Col(9, grows=True), styles={0: "on $panel"})
 
 
-def _row(each: Station, found: Verdict, glyphs: Glyphs) -> list[Cell]:
-    shape, tone = SHOWN[each.outcome]
-    word = each.outcome.short
-    word = f"{getattr(glyphs, shape)} {word.upper() if each.outcome is Outcome.REJECTED else word}"
-    mean_style = "bold" if each.mean_mm <= found.mean_limit_mm else "bold $fault"
-    max_style = "" if each.max_mm <= found.max_limit_mm else "bold $fault"
+def _row(each: Station, found: Finished, glyphs: Glyphs) -> list[Cell]:
+    judged, outcome = each.judged, each.judged.outcome
+    shape, tone = SHOWN[outcome]
+    word = outcome.short.upper() if outcome is Outcome.REJECTED else outcome.short
+    mean_style = "bold" if judged.mean_mm <= found.limits.mean_mm else "bold $fault"
+    max_style = "" if judged.max_mm <= found.limits.max_mm else "bold $fault"
     return [
         "",
         Content(harmless(each.name)).truncate(13, ellipsis=True),
         (str(each.targets), "$label"),
         (f"{each.before_mm:.3f}", "$label"),
-        (figure(each.mean_mm), mean_style),
+        (figure(judged.mean_mm), mean_style),
         figure(each.p95_mm),
-        (figure(each.max_mm), max_style),
-        (word, tone),
+        (figure(judged.max_mm), max_style),
+        (f"{getattr(glyphs, shape)} {word}", tone),
     ]
 
 
-def _facts(view: RunView, found: Verdict, glyphs: Glyphs, standing: int) -> list[Lines | Text]:
+def _facts(view: RunView, found: Finished, glyphs: Glyphs, standing: int) -> list[Lines | Text]:
     """Return what is to be known of a run that passed; of one that failed, why and what to do."""
     if not found.passed and view.alarms:
         gravest_alarm = max(view.alarms, key=lambda alarm: SEVERITIES.index(alarm.severity))
@@ -248,13 +225,13 @@ def _facts(view: RunView, found: Verdict, glyphs: Glyphs, standing: int) -> list
     ]
 
 
-def _orientation(found: Verdict) -> list[Lines | Text]:
+def _orientation(found: Finished) -> list[Lines | Text]:
     """Return the largest error of orientation beside its limit, where one is stated."""
-    turns = {each.name: each.turn for each in found.stations if each.turn is not None}
+    turns = {each.name: each.judged.turn for each in found.stations if each.judged.turn is not None}
     if not turns:
         return []
     name, turn = max(turns.items(), key=lambda each: gravest(each[1].max_deg))
-    words = f"{turn.max_deg:.4f}° at {_short(name)}, limit {found.max_limit_deg:g}°"
+    words = f"{turn.max_deg:.4f}° at {_short(name)}, limit {found.limits.max_deg:g}°"
     return [Content.assemble((" orientation, worst: ", "$label"), words)]
 
 
@@ -269,7 +246,7 @@ def _whole(*phrases: Text) -> Lines:
     return Grid([[Fitting((*texts, texts[-1].truncate(1)))]], Col(grows=True))
 
 
-def _advice(view: RunView, found: Verdict, alarm: Alarm, glyphs: Glyphs) -> list[Lines | Text]:
+def _advice(view: RunView, found: Finished, alarm: Alarm, glyphs: Glyphs) -> list[Lines | Text]:
     """Return why the run failed, with the stations concerned, and the steps, each whole."""
     where = f"{alarm.where}: " if alarm.where else ""
     words = in_words(f"{where}{alarm.found}", view.log)
@@ -281,44 +258,36 @@ def _advice(view: RunView, found: Verdict, alarm: Alarm, glyphs: Glyphs) -> list
     return [Grid(rows, Col(), Col(), Col(grows=True, wraps=True))]
 
 
-def reason_words(found: Verdict) -> str:
+def reason_words(found: Finished) -> str:
     """Return which stations do not keep which limit, the worst first.
 
     Of those that are only not shown to keep it the first says why: the table has their figures.
     """
-    failed = [each for each in found.stations if each.outcome is not Outcome.ACCEPTED]
-    failed.sort(key=lambda each: -gravest(each.mean_mm))
-    open_ones = [each.name for each in failed if each.outcome is Outcome.UNDECIDED]
-    whole = [each for each in failed if each.name not in open_ones[1:]]
-    words = [f"{each.name}: {_reason(each, found)}" for each in whole]
-    return "; ".join([*words, *([f"also {', '.join(open_ones[1:])}"] if open_ones[1:] else [])])
+    failed = [each for each in found.stations if each.judged.outcome is not Outcome.ACCEPTED]
+    failed.sort(key=lambda each: -gravest(each.judged.mean_mm))
+    undecided = [each.name for each in failed if each.judged.outcome is Outcome.UNDECIDED]
+    whole = [each for each in failed if each.name not in undecided[1:]]
+    words = [f"{each.name}: {_reason(each.judged)}" for each in whole]
+    return "; ".join([*words, *([f"also {', '.join(undecided[1:])}"] if undecided[1:] else [])])
 
 
-def _reason(each: Station, found: Verdict) -> str:
-    limits_mm = found.mean_limit_mm, found.max_limit_mm
-    judged = zip(("mean", "single"), (each.mean_mm, each.max_mm), limits_mm, strict=True)
-    over = [
-        f"{n} {figure(value)} over {limit:.3f}" for n, value, limit in judged if not value <= limit
-    ]
-    if not found.turn_is_kept(each.turn) and each.turn is not None:
-        over.append(f"orientation {each.turn.max_deg:.4f}° over {found.max_limit_deg:g}°")
-    if over:
-        return ", ".join(over)
-    if not found.turn_is_kept(each.turn, sure=True) and each.turn is not None:
-        turned = f"orientation {each.turn.max_deg:.4f}°, U {each.turn.U_deg:.4f}°"
-        return f"{turned}: not shown below {found.max_limit_deg:g}°"
-    sides = zip(
-        ("mean", "single"), (each.mean_mm, each.max_mm), (each.mean_U_mm, each.max_U_mm), limits_mm,
-        strict=True,
-    )  # fmt: skip
-    unsure = [
-        f"{n} {figure(value)}, U {U:.3f}: not shown below {limit:.3f}"
-        for n, value, U, limit in sides if not value + U <= limit
-    ]  # fmt: skip
-    return ", ".join(unsure) or "too few targets to show it"
+def _reason(judged: Judged) -> str:
+    over, unsure = [], []
+    for name, each in zip(("mean", "single", "orientation"), judged.figures, strict=False):
+        value = math.nan if each.value is None else each.value
+        written, limit, U = (
+            (f"{value:.4f}°", f"{each.limit:g}°", f"{each.U or 0.0:.4f}°")
+            if each.unit == "deg"
+            else (figure(value), f"{each.limit:.3f}", f"{each.U or 0.0:.3f}")
+        )
+        if each.limit is not None and not value <= each.limit:
+            over.append(f"{name} {written} over {limit}")
+        elif each.outcome is not Outcome.ACCEPTED:
+            unsure.append(f"{name} {written}, U {U}: not shown below {limit}")
+    return ", ".join(over or unsure) or "too few targets to show it"
 
 
-def _written(view: RunView, found: Verdict, glyphs: Glyphs) -> Lines | Text:
+def _written(view: RunView, found: Finished, glyphs: Glyphs) -> Lines | Text:
     celsius = view.log.temperatures_c()
     unit = f"{glyphs.degree}C"
     air = f"; air was {min(celsius):.1f} to {max(celsius):.1f} {unit}" if celsius else ""
