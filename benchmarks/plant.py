@@ -28,8 +28,8 @@ from sqlalchemy import Connection, select, text
 from benchmarks.__main__ import HILCELL, command
 from benchmarks.words import parser
 from hilcell.journal.calibration_facts import CalibrationFacts
-from hilcell.model.outcome import Outcome
 from hilcell.journal.index import RunRow
+from hilcell.model.outcome import Outcome
 from hilcell.plant.cells import cells
 from hilcell.plant.database import Database
 from hilcell.plant.robots import robots

@@ -14,7 +14,7 @@ import unicodedata
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, Self, dataclass_transform
+from typing import Annotated, NamedTuple, Self, dataclass_transform
 
 from hilcell.clean import clean
 
@@ -39,7 +39,7 @@ class Signature:
 
     __hash__ = None  # type: ignore[assignment] # as of any class that is compared by values
 
-    def replace(self, **changes: Any) -> Self:
+    def replace(self, **changes: object) -> Self:
         """Return it with other values."""
         return type(self)(**(vars(self) | changes))
 

@@ -10,7 +10,8 @@ import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from traceback import extract_tb
-from typing import Any
+
+from hilcell.typed import Json
 
 MOST_LISTED = 10
 
@@ -46,7 +47,7 @@ class HilcellError(Exception):
         super().__init__(text)
         self.code = code or self.code
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> Json:
         """Return what the journal keeps of the error, plain enough for JSON."""
         return {"code": self.code, "found": str(self)}
 
@@ -105,7 +106,7 @@ class DeviceError(HilcellError):
         tree = "".join(f"\n  {name}\n    {error}" for name, error in self.causes.items())
         return self.summary + (f"; {self.act}" if self.act else "") + tree
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> Json:
         """Return what the journal keeps of the error, plain enough for JSON."""
         return {
             "code": self.code,
@@ -147,7 +148,7 @@ class StripLost(NoReading):
     """
 
 
-def facts_of(error: Exception) -> dict[str, Any]:
+def facts_of(error: Exception) -> Json:
     """Return an error's facts; one that hilcell did not expect is a defect."""
     if isinstance(error, HilcellError):
         return error.facts()

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import threading
 from functools import cache
-from typing import Any, TypeVar, cast, overload
+from typing import Any, TypeAlias, TypeVar, cast, overload
 
 import msgspec
 
 T = TypeVar("T")
+Json: TypeAlias = dict[str, Any]  # a plain object: an error's facts, a cell as it is written
 _LEARNING = threading.Lock()
 
 

@@ -7,9 +7,9 @@ cut off concern the whole run.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from hilcell.alarms.catalogue import By, Entry, Severity, code_of_verdict, entry_of
 from hilcell.clean import clean
@@ -21,7 +21,6 @@ from hilcell.model.events import (
     CurveMeasured,
     DeviceBack,
     DeviceLost,
-    Json,
     LinkCounted,
     NoReadingOf,
     OutlierMeasuredAgain,
@@ -33,6 +32,7 @@ from hilcell.model.events import (
     after,
 )
 from hilcell.model.records import Change, Ended, StateChanged
+from hilcell.typed import Json
 
 if TYPE_CHECKING:
     from hilcell.journal.journal import Record
@@ -79,7 +79,7 @@ def line(text: str) -> str:
     return clean("; ".join(" ".join(each.split()) for each in text.splitlines() if each.strip()))
 
 
-def findings_of(error: Mapping[str, Any]) -> list[Finding]:
+def findings_of(error: Json) -> list[Finding]:
     """Return the findings of an error's facts; devices that failed together have one each."""
     if causes := error.get("causes"):
         return [finding for cause in causes for finding in findings_of(cause)]

@@ -7,14 +7,12 @@ the same in {B} at every station.
 
 from __future__ import annotations
 
-from typing import Any
-
 import msgspec
 import numpy as np
 
 from hilcell.calibration.budget import touched
 from hilcell.calibration.file import calibration_of
-from hilcell.calibration.form import Calibration, Update, written_now
+from hilcell.calibration.form import Calibration, Provenance, Update, written_now
 from hilcell.calibration.influence import MEASURED, Influence, moved_frame
 from hilcell.calibration.recheck import Judgement, rechecked_run
 from hilcell.calibration.target_pass import folded, target_points
@@ -53,14 +51,18 @@ def _rebased(calibration: Calibration, found: Judgement, run: str) -> Calibratio
         found.motion.tolist(),
         found.covariance.tolist(),
     )
-    changes: dict[str, Any] = {"stations": stations, "provenance": _with(calibration, update)}
-    stated = calibration.uncertainty
-    if not stated.missing:
+    uncertainty = calibration.uncertainty
+    if not uncertainty.missing:
         how = f"{len(found.left_mm)} poses of the re-check, less what its frames are uncertain by"
         line = Influence(BASE_UPDATE, MEASURED, how, "4.2.2", "base", moved_frame(found.covariance))
-        lines = [each for each in stated.lines if each.name != BASE_UPDATE]
-        changes["uncertainty"] = msgspec.structs.replace(stated, lines=[*lines, line])
-    return msgspec.structs.replace(calibration, **changes)
+        lines = [each for each in uncertainty.lines if each.name != BASE_UPDATE]
+        uncertainty = msgspec.structs.replace(uncertainty, lines=[*lines, line])
+    return msgspec.structs.replace(
+        calibration,
+        stations=stations,
+        provenance=_with(calibration, update),
+        uncertainty=uncertainty,
+    )
 
 
 def _touched(calibration: Calibration, log: Log, run: str, name: str) -> Calibration:
@@ -69,15 +71,18 @@ def _touched(calibration: Calibration, log: Log, run: str, name: str) -> Calibra
     entry = msgspec.structs.replace(entry, T_W_B=frame.matrix)
     update = Update(run, "touch", written_now(), frame.poses)
     stations = calibration.stations | {name: entry}
-    changes: dict[str, Any] = {"stations": stations, "provenance": _with(calibration, update)}
-    stated, line = calibration.uncertainty, touched(log, log.cell.station_named(name))
-    if not stated.missing and line is not None:
-        line = msgspec.structs.replace(line, counts="always")
-        placed = stated.stations | {name: [line]}
-        changes["uncertainty"] = msgspec.structs.replace(stated, stations=placed)
-    return msgspec.structs.replace(calibration, **changes)
+    uncertainty, line = calibration.uncertainty, touched(log, log.cell.station_named(name))
+    if not uncertainty.missing and line is not None:
+        placed = uncertainty.stations | {name: [msgspec.structs.replace(line, counts="always")]}
+        uncertainty = msgspec.structs.replace(uncertainty, stations=placed)
+    return msgspec.structs.replace(
+        calibration,
+        stations=stations,
+        provenance=_with(calibration, update),
+        uncertainty=uncertainty,
+    )
 
 
-def _with(calibration: Calibration, update: Update) -> Any:
+def _with(calibration: Calibration, update: Update) -> Provenance:
     made = calibration.provenance
     return msgspec.structs.replace(made, written=update.written, updates=[*made.updates, update])

@@ -21,7 +21,6 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any
 
 import numpy as np
 
@@ -267,7 +266,7 @@ def _counts(point: Point) -> bool:
     return own and not point.id.axis and point.commanded_deg is not None
 
 
-def _place(point: Point) -> tuple[Any, ...]:
+def _place(point: Point) -> tuple[object, ...]:
     """Return what poses have in common that are sent to one place, where the model errs alike."""
     id = point.id
     return ("vertex", id.vertex) if id.vertex else (id.kind, id.station, id.number)
@@ -277,7 +276,7 @@ def _hold(
     log: Log,
     calibration: Calibration,
     points: list[Point],
-    repeats: Mapping[tuple[Any, ...], int],
+    repeats: Mapping[tuple[object, ...], int],
 ) -> tuple[Array, Array, Array]:
     """Return what the poses of a hold were off (N, 3) in {B}, the covariances (N, 3, 3), and the
     covariance (6, 6) of {B} there.

@@ -11,7 +11,6 @@ import hashlib
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -44,7 +43,7 @@ from hilcell.journal.log import NO_READINGS, Log
 from hilcell.model.frame import MeasuredStation
 from hilcell.model.verdicts import VALIDATION, Fitted, Judged, SignChecked
 from hilcell.ports import Array, HilcellError
-from hilcell.typed import decoded, typed
+from hilcell.typed import Json, decoded, typed
 from hilcell.writing import write_whole
 
 SCHEMA = 5  # to be raised whenever `Calibration` changes, or what its fields mean
@@ -189,7 +188,7 @@ def read_calibration(path: Path) -> Calibration:
     return calibration
 
 
-def _seal(content: dict[str, Any]) -> str:
+def _seal(content: Json) -> str:
     """Return SHA-256 over the canonical JSON of everything but the seal.
 
     It shows damage and edits by hand; it does not prove who wrote the file.
@@ -198,7 +197,7 @@ def _seal(content: dict[str, Any]) -> str:
     return hashlib.sha256(msgspec.json.encode(rest, order="sorted")).hexdigest()
 
 
-def seal_problems(content: dict[str, Any]) -> list[str]:
+def seal_problems(content: Json) -> list[str]:
     """Return what is wrong with the seal of a calibration file's content, if anything is."""
     if content.get(SEAL) == _seal(content):
         return []

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from datetime import UTC, datetime
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -23,6 +23,7 @@ from hilcell.geometry.frames import matrix, poses_from_zyx
 from hilcell.geometry.rotations import turned_deg
 from hilcell.model.verdicts import Judged
 from hilcell.ports import Array
+from hilcell.typed import Json
 
 
 class StationEntry(msgspec.Struct, frozen=True):
@@ -151,7 +152,7 @@ class ModelEntry(msgspec.Struct, frozen=True):
     """The model by its name, with its own parameters: typed by `LearntModel.restore`."""
 
     name: str
-    parameters: dict[str, Any]
+    parameters: Json
 
 
 class TargetPass(msgspec.Struct, frozen=True):

@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 
@@ -31,7 +31,7 @@ from hilcell.journal.standing import Standing, standings
 from hilcell.model.events import CalibrationUsed
 from hilcell.model.verdicts import Rechecked
 from hilcell.ports import HilcellError
-from hilcell.typed import typed
+from hilcell.typed import Json, typed
 
 
 class NoCalibration(HilcellError):
@@ -111,7 +111,7 @@ def calibrated_machine(cell: Cell, table: str) -> int | None:
     return read_log(folder).inputs.machine_seed
 
 
-def record_of(calibration: Calibration, path: str) -> dict[str, Any]:
+def record_of(calibration: Calibration, path: str) -> Json:
     """Return the event's facts that keep the calibration."""
     content = msgspec.to_builtins(calibration)
     return {"run": calibration.provenance.latest, "file": path, "content": content}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoints, entry_points
@@ -40,7 +40,7 @@ from hilcell.typed import learn
 BUILT_WITH = ("options", "clock")
 
 
-def misfits(kind: Any, port: type) -> list[str]:
+def misfits(kind: type, port: type) -> list[str]:
     """Return what keeps a driver's class from being one of a port, in words."""
     options = getattr(kind, "Options", None)
     typed = isinstance(options, type) and issubclass(options, msgspec.Struct)
@@ -54,7 +54,7 @@ def misfits(kind: Any, port: type) -> list[str]:
     return [each for each in (_of_options(options), built, *found) if each]
 
 
-def _of_options(options: Any) -> str:
+def _of_options(options: object) -> str:
     """Return why the options' types mean nothing; "" where they do."""
     try:
         learn(options)
@@ -63,7 +63,7 @@ def _of_options(options: Any) -> str:
     return ""
 
 
-def _misfit(name: str, call: Any, words: Any) -> str:
+def _misfit(name: str, call: Callable[..., object], words: Iterable[str]) -> str:
     """Return why a method does not take the values that it is called with; "" where it does."""
     try:
         signature = inspect.signature(call)

@@ -10,7 +10,7 @@ import hashlib
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 from msgspec import Meta, field
@@ -56,6 +56,7 @@ from hilcell.cell.tables import (
 )
 from hilcell.cell.tool import ToolTable, tool_problems
 from hilcell.cell.uncertainty import UncertaintyTable, with_certificates
+from hilcell.typed import Json
 
 # A cell file without ``[rail]`` is completed here alone: by a rail whose driver is `NO_RAIL`, a
 # slide that never moves and has no nests, and one station at 0. So base, journal, plans and
@@ -73,7 +74,7 @@ RAIL = {
 }
 
 
-def completed(values: Mapping[str, Any]) -> Mapping[str, Any]:
+def completed(values: Json) -> Json:
     """Return a cell file's tables, with those of a robot that stands where there is no rail."""
     if "rail" in values:
         return values
@@ -91,7 +92,7 @@ def completed(values: Mapping[str, Any]) -> Mapping[str, Any]:
     }
 
 
-def _with(defaults: Mapping[str, object], table: Any) -> Any:
+def _with(defaults: Mapping[str, object], table: object) -> object:
     """Return a table with defaults; a value that is no table stays, and the checks refuse it."""
     return {**defaults, **table} if isinstance(table, Mapping) else table
 
@@ -256,7 +257,7 @@ class RailTable(Frozen, frozen=True, kw_only=True):
     max_approaches: Annotated[int, Meta(ge=1, le=20)] = 8
     homing_mm_s: Speed = 100.0
     standstill_dwell_s: Dwell = 0.4
-    options: dict[str, Any] = field(default_factory=dict)
+    options: Json = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.driver != NO_RAIL:
@@ -284,7 +285,7 @@ class TrackerTable(Frozen, frozen=True, kw_only=True):
     samples: Count = 1
     pointing_s: Annotated[float, Meta(ge=0, le=60)] = 1.0
     reading_s: Annotated[float, Meta(ge=0.1, le=100)] = 0.5
-    options: dict[str, Any] = field(default_factory=dict)
+    options: Json = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         refuse_descending(self, "min_range_mm", "max_range_mm")
@@ -390,7 +391,7 @@ class SimulationTable(Frozen, frozen=True, kw_only=True):
     address: str = ""
     data: str = ""
     machine: Annotated[str, Meta(min_length=1)] = "paper"
-    sizes: dict[str, Any] = field(default_factory=dict)
+    sizes: Json = field(default_factory=dict)
 
 
 class Cell(Frozen, frozen=True, kw_only=True):

@@ -87,19 +87,19 @@ def _begins_at(lines: list[str], number: int, steps: list[str]) -> bool:
     )
 
 
-def _parsed_open(text: str) -> Any:
+def _parsed_open(text: str) -> object:
     """Return the values of a text that may end within arrays; None where it cannot be closed."""
     return next((found for end in CLOSED_BY if (found := _parsed(text + end)) is not None), None)
 
 
-def _parsed(text: str) -> Any:
+def _parsed(text: str) -> object:
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError):
         return None
 
 
-def _value(values: Any, steps: list[str]) -> Any:
+def _value(values: Any, steps: list[str]) -> object:
     for step in steps:
         index = int(step[1:-1]) if step.startswith("[") else step
         try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import cached_property
 from itertools import combinations
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from msgspec import Meta, field
@@ -26,6 +26,7 @@ from hilcell.cell.tables import (
 )
 from hilcell.geometry.inverse import NominalRobot
 from hilcell.geometry.kinematics import Arm, Array
+from hilcell.typed import Json
 
 REFLECTORS = range(3, 7)  # on the flange, where the tool's orientation is measured
 SEATS_APART_MM = 50.0  # closer ones are taken for one another, and tell little of an angle
@@ -73,7 +74,7 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
     first_pass_percent: Percent = 10.0
     first_pass_pause: bool | None = None
     envelope: EnvelopeTable | None = None
-    options: dict[str, Any] = field(default_factory=dict)
+    options: Json = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if len(self.joint) != 6:

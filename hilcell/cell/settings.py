@@ -24,7 +24,7 @@ import msgspec
 
 from hilcell.clean import clean
 from hilcell.errors import HilcellError, bounded
-from hilcell.typed import typed
+from hilcell.typed import Json, typed
 
 LONGEST_VALUE = 80
 _PATH = re.compile(r"(\w+)[\w.\[\]]*:")  # with which a table's own check names the field
@@ -243,7 +243,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return f'; did you mean "{near[0]}"?' if near else ""
 
 
-def _value(value: object, kind: Any, path: str, problems: list[str]) -> Any:
+def _value(value: object, kind: object, path: str, problems: list[str]) -> object:
     inner = _inner_struct(kind)
     if inner is not None and value is not None:
         return _struct(value, inner, f"{path}.", problems)
@@ -275,7 +275,7 @@ def _value(value: object, kind: Any, path: str, problems: list[str]) -> Any:
         return _UNREAD
 
 
-def range_text(kind: Any) -> str:
+def range_text(kind: object) -> str:
     """Return the bounds of a number, or of a tuple's members, or the words that are allowed.
 
     Empty without bounds.
@@ -292,20 +292,20 @@ def range_text(kind: Any) -> str:
     return ", ".join(bounds)
 
 
-def _stated(kind: Any) -> Any:
+def _stated(kind: object) -> object:
     """Return the kind of a value that may be left out, without None."""
     options = [each for each in typing.get_args(kind) if each is not types.NoneType]
     union = typing.get_origin(kind) in (typing.Union, types.UnionType)
     return options[0] if union and len(options) == 1 else kind
 
 
-def _words(kind: Any) -> str:
+def _words(kind: object) -> str:
     """Return a pattern in words, where the kind has one."""
     metas = getattr(kind, "__metadata__", ())
     return next((meta.description for meta in metas if meta.description), "")
 
 
-def _inner_struct(kind: Any) -> type[msgspec.Struct] | None:
+def _inner_struct(kind: object) -> type[msgspec.Struct] | None:
     options = typing.get_args(kind) if isinstance(kind, types.UnionType) else (kind,)
     for option in options:
         if isinstance(option, type) and issubclass(option, msgspec.Struct):
@@ -325,7 +325,7 @@ def _not_finite(value: object, path: str) -> Iterator[str]:
             yield from _not_finite(each, f"{path}.{key}")
 
 
-def override_all(values: dict[str, Any], changed: Mapping[str, str]) -> None:
+def override_all(values: Json, changed: Mapping[str, str]) -> None:
     """Set every key as `override`; options of a driver that is exchanged are not the new one's."""
     drivers = [key for key in changed if key.endswith(".driver")]
     for name in exchanged_drivers(values, changed):
@@ -334,9 +334,7 @@ def override_all(values: dict[str, Any], changed: Mapping[str, str]) -> None:
         override(values, key, changed[key])
 
 
-def exchanged_drivers(
-    values: Mapping[str, Any], changed: Mapping[str, str]
-) -> dict[str, tuple[str, str]]:
+def exchanged_drivers(values: Json, changed: Mapping[str, str]) -> dict[str, tuple[str, str]]:
     """Return the drivers of then and now of each table whose options are of another driver."""
     found = {}
     for key in changed:
@@ -349,7 +347,7 @@ def exchanged_drivers(
     return found
 
 
-def override(values: dict[str, Any], key: str, text: str) -> None:
+def override(values: Json, key: str, text: str) -> None:
     """Set ``a.b.c`` to a TOML value, or to the bare text where it is not one."""
     if "\n" in text:  # it could set other keys
         raise SettingsError("--set", [f"{key}: a value on one line is wanted, found {text!r}"])
@@ -360,7 +358,7 @@ def override(values: dict[str, Any], key: str, text: str) -> None:
     except ValueError:
         value = text
     *path, last = key.split(".")
-    table: Any = values
+    table: Json = values
     for part in path:
         table = table.setdefault(part, {})
         if not isinstance(table, dict):

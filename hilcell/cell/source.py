@@ -8,10 +8,10 @@ from copy import deepcopy
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
 from unicodedata import normalize
 
 from hilcell.cell.settings import SettingsError, did_you_mean, read_text, unreadable
+from hilcell.typed import Json
 
 _AT_LINE = re.compile(r"\(at line (\d+)")  # tomllib says it in words only
 
@@ -42,7 +42,7 @@ def folder_of(where: str) -> Path:
     return Path() if where in built_in_cells() else Path(where).parent
 
 
-def parsed(text: str, where: str) -> dict[str, Any]:
+def parsed(text: str, where: str) -> Json:
     """Return the tables of a cell file; raises `SettingsError`."""
     try:
         return deepcopy(_tables(text))
@@ -55,7 +55,7 @@ def parsed(text: str, where: str) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=8)
-def _tables(text: str) -> dict[str, Any]:
+def _tables(text: str) -> Json:
     """Return the tables of a text; a study reads one cell for each of its cases."""
     return tomllib.loads(text)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from hilcell.compensation.model import LearntModel, Prediction
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import Figures, figures_of, lengths_mm
 from hilcell.identification.readings import IdentificationError
+from hilcell.typed import Json
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +40,7 @@ class Nominal(LearntModel):
         return cls(errors_mm.T @ errors_mm / len(errors_mm))
 
     @classmethod
-    def restore(cls, grid: Grid, errors_mm: Array, parameters: Mapping[str, Any]) -> Self:
+    def restore(cls, grid: Grid, errors_mm: Array, parameters: Json) -> Self:
         """Return the model as `parameters` keeps it."""
         model = super().restore(grid, errors_mm, parameters)
         check_covariance("covariance_mm2", model.covariance_mm2, (3, 3))

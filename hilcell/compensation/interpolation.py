@@ -8,10 +8,9 @@ reproduce even a linear field (slope g on pitch h leaves 0.154 g h mean, 0.365 g
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, Self
+from typing import Self
 
 import msgspec
 import numpy as np
@@ -20,7 +19,7 @@ from hilcell.compensation.grid import Grid, GridError, Ints, MeasuredGrid
 from hilcell.compensation.measured import Measured
 from hilcell.compensation.model import LearntModel, ModelError, Prediction
 from hilcell.geometry.kinematics import Array
-from hilcell.typed import typed
+from hilcell.typed import Json, typed
 
 CORNERS: Ints = np.array(
     list(product((0, 1), repeat=3))
@@ -76,7 +75,7 @@ class Interpolation(LearntModel):
         return _missed_mm(cls, measured.grid)
 
     @classmethod
-    def restore(cls, grid: Grid, errors_mm: Array, parameters: Mapping[str, Any]) -> Self:
+    def restore(cls, grid: Grid, errors_mm: Array, parameters: Json) -> Self:
         """Return the model as `parameters` keeps it."""
         try:
             found = typed(parameters, Parameters)
@@ -91,7 +90,7 @@ class Interpolation(LearntModel):
             check_covariance(name, covariance, shape)
         return cls(MeasuredGrid(grid, errors_mm, vertices), residual)
 
-    def parameters(self) -> dict[str, Any]:
+    def parameters(self) -> Json:
         """Return both covariances."""
         return {
             "vertex_covariance_mm2": self.lattice.covariance_mm2.tolist(),

@@ -6,10 +6,9 @@ with a wrong abscissa they make a calibration worse than none.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Self
+from typing import Self
 
 import msgspec
 import numpy as np
@@ -34,7 +33,7 @@ from hilcell.identification.noise import Noise
 from hilcell.identification.readings import IdentificationError
 from hilcell.identification.system import observability
 from hilcell.model.verdicts import CurvesUsed
-from hilcell.typed import typed
+from hilcell.typed import Json, typed
 
 CONTRADICTED = 4.0  # times the square that chance gives a curve's change
 LEAST_SHARE = 1e-3  # of a prior's variance that poses explain at least
@@ -163,7 +162,7 @@ class Kinematic(LearntModel):
             turn = Turn(to_rotvec(R @ back), covariance_rad2)
         return Prediction(error_mm, covariance_mm2[:, 0], turn)
 
-    def parameters(self) -> dict[str, Any]:
+    def parameters(self) -> Json:
         """Return the identified robot."""
         arm, robot = self.robot.arm, self.robot
         placed = self.kinematics.placed
@@ -191,11 +190,11 @@ class Kinematic(LearntModel):
             self.state.smr_mm[1:].tolist(),
             self.noise.pose_mm,
         )  # fmt: skip
-        found: dict[str, Any] = msgspec.to_builtins(entry)
+        found: Json = msgspec.to_builtins(entry)
         return found
 
     @classmethod
-    def restore(cls, grid: Grid, errors_mm: Array, parameters: Mapping[str, Any]) -> Self:
+    def restore(cls, grid: Grid, errors_mm: Array, parameters: Json) -> Self:
         """Return the model as `parameters` keeps it; the grid's errors are not needed."""
         try:
             entry = typed(parameters, Parameters)
@@ -408,7 +407,7 @@ def _check_covariance(covariance: Array) -> None:
         raise ModelError("covariance: a variance below zero")
 
 
-def _numbers(name: str, found: Any, shape: tuple[int, ...], most: float) -> Array:
+def _numbers(name: str, found: object, shape: tuple[int, ...], most: float) -> Array:
     try:
         values = np.array(found, dtype=float)
     except (ValueError, TypeError) as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -75,7 +75,7 @@ class MeasuredArm:
         return hash(self._content)
 
     @cached_property
-    def _content(self) -> Any:
+    def _content(self) -> object:
         return _plain((self.robot, self.readings, self.seats_mm, self.curves))
 
 
@@ -97,7 +97,7 @@ class Measured:
         return self.lattice
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """Return a value's numbers as something that can be compared and hashed."""
     if isinstance(value, np.ndarray):
         return value.shape, value.tobytes()

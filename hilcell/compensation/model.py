@@ -7,9 +7,8 @@ both learn, judge and choose from those, and nothing else in the core names them
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, Protocol, Self
+from typing import ClassVar, Protocol, Self
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from hilcell.compensation.measured import Measured
 from hilcell.geometry.kinematics import Array
 from hilcell.identification.readings import IdentificationError
 from hilcell.ports import HilcellError
+from hilcell.typed import Json
 
 
 class ModelError(HilcellError):
@@ -98,7 +98,7 @@ class LearntModel(ABC):
         """Return the errors at nominal poses (N, 4, 4) in {B}; raises `HilcellError` outside."""
 
     @classmethod
-    def restore(cls, grid: Grid, errors_mm: Array, parameters: Mapping[str, Any]) -> Self:
+    def restore(cls, grid: Grid, errors_mm: Array, parameters: Json) -> Self:
         """Return the model of a calibration file; raises `ModelError` for bad parameters.
 
         The file has the grid's errors (nx, ny, nz, 3) beside the model's own parameters.
@@ -112,6 +112,6 @@ class LearntModel(ABC):
             raise ModelError(f"invalid parameters of model {cls.name}: expected finite numbers")
         return model
 
-    def parameters(self) -> dict[str, Any]:
+    def parameters(self) -> Json:
         """Return what `restore` needs besides the grid's errors, as plain JSON values."""
         return {field.name: getattr(self, field.name).tolist() for field in fields(self)}

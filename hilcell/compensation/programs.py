@@ -12,12 +12,13 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from hilcell.cell.devices import load_entry
 from hilcell.compensation.stamp import Stamp, refuse_corrected
 from hilcell.geometry.kinematics import Arm
 from hilcell.ports import Array
+from hilcell.typed import Json
 from hilcell.writing import NotWritten, is_stream, write_together
 
 
@@ -112,7 +113,7 @@ class SetsTool(Protocol):
     def tool(self) -> StatedTool | None:
         """Return the tool that the program sets; None where it sets none."""
 
-    def reflector_number(self, options: Mapping[str, Any]) -> int | None:
+    def reflector_number(self, options: Json) -> int | None:
         """Return the controller's number of the reflector's tool, by the options of the robot."""
 
 

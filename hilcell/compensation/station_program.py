@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from typing import Any
 
 from hilcell.cell.devices import load_entry
 from hilcell.compensation.stamp import Stamp
 from hilcell.geometry.closed_form import Ints
 from hilcell.ports import Array
+from hilcell.typed import Json
 
 GROUP = "program_writers"
 
@@ -56,7 +56,7 @@ class StationProgram:
     tool_number: int | None
     safe_deg: Sequence[float]
     speed_percent: float
-    options: Mapping[str, Any]
+    options: Json
     remarks: Sequence[str]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from hilcell.conformance.verdicts import Port
 from hilcell.geometry.frames import apply, inverse
 from hilcell.ports import Array, Rail, RailReading, Robot, RobotReading, Tracker, TrackerReading
 
+# A rail's, robot's or tracker's, and its reading: loaded by name, each port has acts of its own.
+Driver: TypeAlias = Any
+Reading: TypeAlias = Any
 SPEED_PERCENT = 10.0
 SLOW_PERCENT = 1.0  # a motion that is stopped takes seconds
 STEP_DEG, STEP_MM = 2.0, 20.0
@@ -30,31 +33,31 @@ class Acts(Protocol):
     lasting: str  # `travel` in words
     absent: str  # why there is no device; "" where there is one
 
-    def ready(self, device: Any) -> None:
+    def ready(self, device: Driver) -> None:
         """Make a connected device ready to visit places."""
 
-    def ask(self, device: Any) -> Any:
+    def ask(self, device: Driver) -> Reading:
         """Return a reading, by one question."""
 
-    def visit(self, device: Any, place: int) -> Any:
+    def visit(self, device: Driver, place: int) -> Reading:
         """Go to a place; return the reading there."""
 
-    def refused(self, device: Any, value: float) -> Any:
+    def refused(self, device: Driver, value: float) -> object:
         """Go to a place that is ``value``, which is no number."""
 
-    def travel(self, device: Any) -> Any:
+    def travel(self, device: Driver) -> object:
         """Do what takes seconds."""
 
-    def short(self, reading: Any) -> bool:
+    def short(self, reading: Reading) -> bool:
         """Whether a device stands before the end of `travel`."""
 
     def slowly(self) -> dict[str, object]:
         """Return the driver's options by which `travel` takes long, however fast the device is."""
 
-    def off(self, reading: Any, place: int) -> float:
+    def off(self, reading: Reading, place: int) -> float:
         """Return how far a reading is from a place."""
 
-    def apart(self, one: Any, other: Any) -> float:
+    def apart(self, one: Reading, other: Reading) -> float:
         """Return how far two readings are from each other, as a share of what one place allows."""
 
 

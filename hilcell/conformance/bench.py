@@ -7,13 +7,13 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, cast
+from typing import cast
 
 import msgspec
 
 from hilcell.cell.devices import TABLES, driver_options, load_entry, start_simulation
 from hilcell.cell.file import Cell
-from hilcell.conformance.acts import ACTS
+from hilcell.conformance.acts import ACTS, Driver
 from hilcell.conformance.riding import Riding
 from hilcell.conformance.verdicts import NotApplicable, Port
 from hilcell.conformance.wire import Wires
@@ -25,7 +25,7 @@ SIMULATED_ONLY = "it needs a fault, or may harm: only on simulated devices"
 PACE = 4.0  # of what moves in real time: quick, and slow enough to be stopped
 GROUPS = dict(TABLES)
 
-Settings = tuple[Callable[..., Any], msgspec.Struct]  # a driver's class and its options
+Settings = tuple[Callable[..., Driver], msgspec.Struct]  # a driver's class and its options
 
 
 def goes_on() -> None:
@@ -90,11 +90,11 @@ class Bench:
         """Return those of the robot whose external axis the rail is; None for any other driver."""
         raise NotApplicable(SIMULATED_ONLY)
 
-    def build(self, **changed: object) -> Any:
+    def build(self, **changed: object) -> Driver:
         """Return a driver that is not connected, with ``changed`` options."""
         raise NotApplicable(f"{SIMULATED_ONLY} ({', '.join(changed)})")
 
-    def connected(self) -> Any:
+    def connected(self) -> Driver:
         """Return a driver that is connected, and ready to be used."""
         raise NotApplicable(SIMULATED_ONLY)
 
@@ -129,7 +129,7 @@ class SimulatedBench(Bench):
         cell: Cell,
         port: Port,
         *,
-        kind: type[Any] | None = None,
+        kind: type[Driver] | None = None,
         paced: bool = False,
         outer: Callable[[], None] = goes_on,
     ) -> None:
@@ -142,7 +142,7 @@ class SimulatedBench(Bench):
         self._simulated: SimulatedCell | None = None
         self._wires: Wires | None = None
         self._addresses: dict[str, dict[str, object]] = {}
-        self._built: list[Any] = []
+        self._built: list[Driver] = []
 
     @property
     def wires(self) -> Wires:
@@ -162,7 +162,7 @@ class SimulatedBench(Bench):
         """Return those of the robot whose external axis the rail is; None for any other driver."""
         return self._settings("robot") if self._rides else None
 
-    def build(self, **changed: object) -> Any:
+    def build(self, **changed: object) -> Driver:
         """Return a driver that is not connected, with ``changed`` options."""
         kind, options = self.settings()
         built = kind(msgspec.structs.replace(options, **changed), self.clock)
@@ -172,7 +172,7 @@ class SimulatedBench(Bench):
         self._built.append(built)
         return built
 
-    def connected(self) -> Any:
+    def connected(self) -> Driver:
         """Return a driver that is connected, and ready to be used."""
         device = self.build()
         device.connect()

@@ -7,37 +7,37 @@ import select
 import subprocess
 import sys
 import threading
-from typing import IO, Any, cast
+from typing import IO, Any, Self, cast
 
 import msgspec
 
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
 from hilcell.clock import WallClock
-from hilcell.conformance.acts import ACTS
+from hilcell.conformance.acts import ACTS, Driver
 from hilcell.conformance.bench import LOOK_S, Bench, Settings
 from hilcell.conformance.riding import Riding
 from hilcell.conformance.verdicts import Broken, Port
-from hilcell.typed import decoded
+from hilcell.typed import Json, decoded
 
 END_S = 30.0
 
 
-class Driver(msgspec.Struct, frozen=True):
+class Made(msgspec.Struct, frozen=True):
     """A driver's class and its options."""
 
     module: str
     name: str
-    options: dict[str, Any]
+    options: Json
 
     @classmethod
-    def of(cls, settings: Settings, **changed: object) -> Driver:
+    def of(cls, settings: Settings, **changed: object) -> Self:
         """Return the order for one, with ``changed`` options."""
         kind, options = settings
         stated = msgspec.to_builtins(msgspec.structs.replace(options, **changed))
         return cls(kind.__module__, kind.__qualname__, stated)
 
-    def built(self, table: str) -> Any:
+    def built(self, table: str) -> Driver:
         """Return it, not connected."""
         kind: Any = importlib.import_module(self.module)
         for name in self.name.split("."):
@@ -49,10 +49,10 @@ class Driver(msgspec.Struct, frozen=True):
 class Order(msgspec.Struct, frozen=True, kw_only=True):
     """Which driver moves which device, and the robot on which it rides."""
 
-    cell: dict[str, Any]
+    cell: Json
     port: Port
-    driver: Driver
-    carrier: Driver | None
+    driver: Made
+    carrier: Made | None
     path: list[str]
 
 
@@ -65,8 +65,8 @@ class Child:
         order = Order(
             cell={k: v for k, v in msgspec.to_builtins(bench.cell).items() if v is not None},
             port=bench.port,
-            driver=Driver.of(bench.settings(), **bench.acts.slowly()),
-            carrier=None if carrier is None else Driver.of(carrier),
+            driver=Made.of(bench.settings(), **bench.acts.slowly()),
+            carrier=None if carrier is None else Made.of(carrier),
             path=sys.path,
         )
         self._process = subprocess.Popen(

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import msgspec
 
 from hilcell.clean import UNSAFE, clean
+from hilcell.conformance.acts import Reading
 from hilcell.conformance.bench import Bench
 from hilcell.conformance.promise import Promise
 from hilcell.conformance.verdicts import Broken, NotApplicable, fails, need
@@ -137,7 +137,7 @@ def stop_twice(bench: Bench) -> None:
     _near(bench, bench.acts.visit(driver, 0), 0)
 
 
-def _near(bench: Bench, reading: Any, place: int) -> None:
+def _near(bench: Bench, reading: Reading, place: int) -> None:
     off, limit = bench.acts.off(reading, place), bench.acts.tolerance
     if not off <= limit:
         unit = bench.acts.unit

@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any
 
 from hilcell.conformance.bench import Bench
 from hilcell.conformance.verdicts import PORTS, Broken, NeedsPerson, NotApplicable, Port, Verdict
 from hilcell.errors import Stopped, with_place
+from hilcell.typed import Json
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class Outcome:
     why: str = ""
     took_s: float = 0.0
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> Json:
         """Return it for the journal."""
         return asdict(self)
 

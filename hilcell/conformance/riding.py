@@ -6,19 +6,18 @@ the wire is said of the two of them.
 
 from __future__ import annotations
 
-from typing import Any
-
+from hilcell.conformance.acts import Driver
 from hilcell.ports import Identity
 
 
 class Riding:
     """The rail's driver, whose robot is connected and closed with it."""
 
-    def __init__(self, rail: Any, robot: Any) -> None:
+    def __init__(self, rail: Driver, robot: Driver) -> None:
         self._rail, self._robot = rail, robot
         rail.ride(robot)
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         return getattr(self._rail, name)
 
     def connect(self) -> list[Identity]:

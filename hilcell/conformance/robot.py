@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import Any
 
 import numpy as np
 
-from hilcell.conformance.acts import SPEED_PERCENT, worst_deg
+from hilcell.conformance.acts import SPEED_PERCENT, Driver, worst_deg
 from hilcell.conformance.bench import Bench
 from hilcell.conformance.promise import Promise
 from hilcell.conformance.verdicts import NotApplicable, fails, need
@@ -118,7 +117,7 @@ def moving(bench: Bench) -> None:
         sweeping.complete()
 
 
-def _sweeper(bench: Bench) -> Any:
+def _sweeper(bench: Bench) -> Driver:
     driver = bench.connected()
     if not isinstance(driver, Sweeps):
         raise NotApplicable("it does not sweep")

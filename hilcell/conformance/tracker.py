@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from hilcell.conformance.acts import TrackerActs
+from hilcell.conformance.acts import Driver, TrackerActs
 from hilcell.conformance.bench import Bench
 from hilcell.conformance.connecting import near
 from hilcell.conformance.promise import Promise
@@ -131,7 +129,7 @@ def stream_ends(bench: Bench) -> None:
         near(bench, acts.visit(driver, 1), 1)
 
 
-def _streamer(bench: Bench) -> Any:
+def _streamer(bench: Bench) -> Driver:
     driver = bench.connected()
     if not isinstance(driver, Streams):
         raise NotApplicable("it does not stream")

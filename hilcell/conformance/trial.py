@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
-from typing import Any
 
 from hilcell.cell.file import Cell
+from hilcell.conformance.acts import Driver
 from hilcell.conformance.bench import SimulatedBench, goes_on
 from hilcell.conformance.promise import Outcome, Promise, judge
 from hilcell.conformance.verdicts import Port
@@ -25,7 +25,7 @@ class Trial:
         cell: Cell,
         port: Port,
         *,
-        kind: type[Any] | None = None,
+        kind: type[Driver] | None = None,
         outer: Callable[[], None] = goes_on,
     ) -> None:
         self._bench = partial(SimulatedBench, cell, port, outer=outer)
@@ -63,7 +63,7 @@ class Trial:
             return self._judged.pop(promise.name).result()
         return judge(promise, self._in_turn[promise.paced])
 
-    def try_kind(self, kind: type[Any] | None) -> None:
+    def try_kind(self, kind: type[Driver] | None) -> None:
         """Try another class from now on."""
         self._kind = kind
         for each in self._in_turn.values():

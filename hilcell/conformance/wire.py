@@ -15,8 +15,10 @@ import tty
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 from urllib.parse import urlsplit
+
+from hilcell.typed import Json
 
 HOST = "127.0.0.1"
 PIECE = 65536
@@ -379,7 +381,7 @@ class Wires:
         of_parts = [each for part in self._parts.values() for each in part.all]
         return [*self._proxies.values(), *self._lines.values(), *of_parts]
 
-    def lead_to(self, address: Mapping[str, Any]) -> None:
+    def lead_to(self, address: Json) -> None:
         """Lead to where the device listens now."""
         for key, proxy in self._proxies.items():
             if place := _place(key, address[key], address):

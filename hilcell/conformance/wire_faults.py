@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from typing import Any
 
+from hilcell.conformance.acts import Driver
 from hilcell.conformance.bench import Bench
 from hilcell.conformance.child import Child
 from hilcell.conformance.connecting import near
@@ -254,12 +254,12 @@ def checked(bench: Bench) -> None:
     )
 
 
-def _visit_both(bench: Bench, driver: Any) -> None:
+def _visit_both(bench: Bench, driver: Driver) -> None:
     for place in (0, 1):
         near(bench, bench.acts.visit(driver, place), place)
 
 
-def _under_way(bench: Bench) -> tuple[Any, Task]:
+def _under_way(bench: Bench) -> tuple[Driver, Task]:
     """Begin what takes seconds."""
     bench.present()
     driver = bench.connected()

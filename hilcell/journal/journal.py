@@ -27,7 +27,7 @@ import msgspec
 from hilcell.errors import HilcellError
 from hilcell.journal.runs_folder import runs_option
 from hilcell.model.records import Fact, Kind, fact_of
-from hilcell.typed import typed
+from hilcell.typed import Json, typed
 
 # The writer goes on without any error in a file that was deleted, replaced or cut short.
 
@@ -69,7 +69,7 @@ class OpenFile:
         return found.st_dev, found.st_ino, found.st_size
 
 
-Body: TypeAlias = dict[str, Any] | msgspec.Struct  # of a record to be written
+Body: TypeAlias = Json | msgspec.Struct  # of a record to be written
 
 FORM = 2
 READ_BACK = 500  # records between two checks that the file holds what was acknowledged
@@ -127,7 +127,7 @@ class StorageError(HilcellError):
         super().__init__(text, code=code)
         self.record = record
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> Json:
         """Return what the journal keeps of the error, plain enough for JSON."""
         fields = {} if self.record is None else {"fields": {"record": self.record}}
         return super().facts() | fields
@@ -152,14 +152,14 @@ class Record(msgspec.Struct, frozen=True, dict=True):
     t: str
     kind: Kind
     key: str
-    body: dict[str, Any]
+    body: Json
 
     @cached_property
     def fact(self) -> Fact:
         """Return the body as its type; raises `msgspec.ValidationError`."""
         return fact_of(self.kind, self.key, self.body)
 
-    def event(self, run: str) -> dict[str, Any]:
+    def event(self, run: str) -> Json:
         """Return the record as the event that commands print."""
         head = {"run": run, "seq": self.seq, "t": self.t, "kind": self.kind}
         return head | ({"key": self.key} if self.key else {}) | self.body
@@ -328,9 +328,9 @@ class Journal:
             self._base.close()
 
 
-def plain_body(body: Body, what: str, then: str = "") -> tuple[dict[str, Any], bytes]:
+def plain_body(body: Body, what: str, then: str = "") -> tuple[Json, bytes]:
     """Return a record's body in plain types, and its JSON; raises `NotFinite` that names it."""
-    plain: dict[str, Any] = msgspec.to_builtins(body, enc_hook=lambda value: value.tolist())
+    plain: Json = msgspec.to_builtins(body, enc_hook=lambda value: value.tolist())
     text = msgspec.json.encode(plain)
     if NULL in text and (bad := _not_finite(plain)):
         raise NotFinite(
@@ -340,7 +340,7 @@ def plain_body(body: Body, what: str, then: str = "") -> tuple[dict[str, Any], b
     return plain, text
 
 
-def _not_finite(value: Any) -> str:
+def _not_finite(value: object) -> str:
     """Return the first number below ``value`` that is not finite, by its place; "" for none."""
     if isinstance(value, float):
         return "" if math.isfinite(value) else f" is {value}"

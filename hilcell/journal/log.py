@@ -27,7 +27,6 @@ from hilcell.model.events import (
     CurveMeasured,
     Event,
     FactoryLinks,
-    Json,
     LinkCounted,
     OtherEvent,
     RetakeAsked,
@@ -42,7 +41,7 @@ from hilcell.model.point import CONTROL, Point, PointId
 from hilcell.model.records import Change, Ended, Intended, Kind, StateChanged
 from hilcell.model.verdicts import Fitted, Judged, Rechecked, Touched, Verdict
 from hilcell.ports import Array
-from hilcell.typed import typed
+from hilcell.typed import Json, typed
 
 if TYPE_CHECKING:
     from hilcell.journal.journal import Record
@@ -158,7 +157,7 @@ class Log:
         self._worked: Record | None = None  # the newest that is no end: a refused resume has one
         self.order: Ordered | None = None  # the last motion that is not known to have ended
         self.cut_off: list[CutOff] = []  # earlier sessions that a crash has ended
-        self._computed: dict[Any, tuple[int, Any]] = {}
+        self._computed: dict[object, tuple[int, Any]] = {}
         for record in records:
             self.take(record)
 

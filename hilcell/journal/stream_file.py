@@ -21,7 +21,7 @@ import secrets
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,7 +183,7 @@ def read_stream(run_folder: Path, record: StreamRecorded) -> StreamData:
             "and its results cannot be trusted",
             code="HC-J02",
         )
-    found: dict[Any, list[Rows]] = {SAMPLES: [np.zeros(0, SAMPLES)], JOINTS: [np.zeros(0, JOINTS)]}
+    found: dict[object, list[Rows]] = {kind: [np.zeros(0, kind)] for kind in (SAMPLES, JOINTS)}
     source = io.BytesIO(data)
     while source.tell() < len(data):
         rows = np.lib.format.read_array(source, allow_pickle=False)

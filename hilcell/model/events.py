@@ -9,17 +9,18 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import asdict
 from math import nan, sqrt
-from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeAlias
+from typing import TYPE_CHECKING, ClassVar, Self, TypeAlias
 
 import msgspec
 from msgspec import field
+
+from hilcell.typed import Json
 
 if TYPE_CHECKING:
     from hilcell.ports import Identity
 
 Three: TypeAlias = tuple[float, float, float]
 Pair: TypeAlias = tuple[float, float]
-Json: TypeAlias = dict[str, Any]  # a plain object: an error's facts, a calibration's file
 
 HELD_BY_SDO = "the drive sent no PDO at the end, SDO confirmed that the slide is held"
 LOSSY = 0.005  # share of the frames on the rail's wire

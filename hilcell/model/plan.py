@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import msgspec
 
-from hilcell.model.events import Json, Three
+from hilcell.model.events import Three
 from hilcell.model.frame import Frame
+from hilcell.typed import Json
 
 
 class FloorBefore(msgspec.Struct, frozen=True):

@@ -13,12 +13,12 @@ import msgspec
 from msgspec import field
 
 from hilcell.model import events
-from hilcell.model.events import Event, Json, OtherEvent
+from hilcell.model.events import Event, OtherEvent
 from hilcell.model.frame import Frame, frame_of
 from hilcell.model.plan import PlanRecord
 from hilcell.model.point import Point
 from hilcell.model.verdicts import Verdict, verdict_of
-from hilcell.typed import typed
+from hilcell.typed import Json, typed
 
 Kind: TypeAlias = Literal["plan", "state", "intent", "point", "frame", "verdict", "event", "end"]
 

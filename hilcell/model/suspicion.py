@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from enum import StrEnum
-from typing import Any
 
 import msgspec
 
-from hilcell.typed import typed
+from hilcell.typed import Json, typed
 
 
 class Cause(StrEnum):
@@ -48,9 +46,9 @@ class Suspicion(msgspec.Struct, frozen=True):
     noticed_by: str
 
     @property
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> Json:
         """Return it as fields of an error that names it."""
-        found: dict[str, Any] = msgspec.to_builtins(self)
+        found: Json = msgspec.to_builtins(self)
         return found
 
     @property
@@ -64,7 +62,7 @@ class Suspicion(msgspec.Struct, frozen=True):
         return f"{self.words}, noticed by {self.noticed_by}"
 
 
-def blamed(facts: Mapping[str, Any]) -> dict[str, Any]:
+def blamed(facts: Json) -> Json:
     """Return the result of a run that ended with an error of these facts: the cause, where its
     fields are those of a `Suspicion`.
     """
@@ -75,6 +73,6 @@ def blamed(facts: Mapping[str, Any]) -> dict[str, Any]:
     return {"suspicions": [found.facts]}
 
 
-def suspected_in(result: Mapping[str, Any]) -> list[Suspicion]:
+def suspected_in(result: Json) -> list[Suspicion]:
     """Return the suspicions of a run's result."""
     return typed(result.get("suspicions", []), list[Suspicion])

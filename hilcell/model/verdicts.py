@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import msgspec
 from msgspec import field
 
-from hilcell.model.events import Json
 from hilcell.model.outcome import Figure, Outcome
 from hilcell.model.point import PointId
 from hilcell.model.suspicion import Suspicion
-from hilcell.typed import typed
+from hilcell.typed import Json, typed
 
 VALIDATION = "validation."  # the key of a verdict on one place is this and the place
 RISK = 0.001  # that poses which have not changed are judged to have
@@ -650,7 +649,7 @@ def verdict_of(key: str, body: Json) -> Verdict:
     kind = verdict_type(key)
     if kind is not None:
         return typed(body, kind)
-    facts: dict[str, Any] = {name: value for name, value in body.items() if name != "holds"}
+    facts: Json = {name: value for name, value in body.items() if name != "holds"}
     return OtherVerdict(holds=typed(body.get("holds"), bool), facts=facts)
 
 

@@ -7,7 +7,6 @@ from collections import defaultdict
 from collections.abc import Sequence
 from datetime import datetime
 from itertools import combinations
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -20,6 +19,7 @@ from hilcell.plant.course import CONFIDENCE, FEWEST, SIGNIFICANCE
 from hilcell.plant.record import TRACKER
 from hilcell.plant.robots import YEAR_S
 from hilcell.plant.tables import ALARM, DEVICE, LENGTH, RUN, VERDICT, Found
+from hilcell.typed import Json
 
 WITNESSES = 2  # trackers that agree with one another against a third
 
@@ -177,7 +177,7 @@ def _scales(connection: Connection) -> dict[str, tuple[float, float]]:
     }
 
 
-def _scale(serial: str, scales: dict[str, tuple[float, float]]) -> dict[str, Any]:
+def _scale(serial: str, scales: dict[str, tuple[float, float]]) -> Json:
     from scipy.stats import norm
 
     if serial not in scales:

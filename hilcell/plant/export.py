@@ -27,6 +27,7 @@ from hilcell.plant.database import PlantError
 from hilcell.plant.record import digest_of
 from hilcell.plant.signing import fingerprint
 from hilcell.plant.tables import DOCUMENT, PARTS, POINT, RUN, Found
+from hilcell.typed import Json
 from hilcell.writing import NotWritten, as_not_written
 
 ARCHIVE = ".zip"
@@ -149,7 +150,7 @@ def _document(run: Found, row: Found) -> bytes:
     return content
 
 
-def _part(row: Found) -> dict[str, Any]:
+def _part(row: Found) -> Json:
     return {name: value for name, value in row.items() if name not in ("digest", "month")}
 
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from operator import attrgetter, itemgetter
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -76,7 +75,7 @@ def _entry(row: int, column: int) -> Callable[[Posed], Value]:
     return lambda posed: float(posed.matrix[row, column])
 
 
-def _element(of: Callable[[Measured], Any], n: int) -> Callable[[Measured], Value]:
+def _element(of: Callable[[Measured], Sequence[float]], n: int) -> Callable[[Measured], Value]:
     def value(row: Measured) -> Value:
         values = of(row)
         return None if values is None else float(values[n])
@@ -175,9 +174,9 @@ def _named(name: str) -> tuple[Column[tuple[str, Value]], ...]:
     return Column(name, itemgetter(0)), Column("value", itemgetter(1))
 
 
-def _leaves(path: str, value: Any) -> Iterable[tuple[str, Value]]:
+def _leaves(path: str, value: object) -> Iterable[tuple[str, Value]]:
     if isinstance(value, dict):
-        pairs: Iterable[tuple[object, Any]] = value.items()
+        pairs: Iterable[tuple[object, object]] = value.items()
     elif isinstance(value, (list, tuple)):
         pairs = enumerate(value)
     else:

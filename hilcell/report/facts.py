@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import tzinfo
 from pathlib import Path
-from typing import Any
 
 from hilcell.calibration.file import read_calibration
 from hilcell.calibration.in_use import standings_in
@@ -33,6 +32,7 @@ from hilcell.model.plan import PlanRecord
 from hilcell.model.suspicion import suspected_in
 from hilcell.ports import HilcellError
 from hilcell.run.procedure import Procedure
+from hilcell.typed import Json
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class Facts:
     log: Log
     cell: Cell
     procedure: Procedure
-    result: dict[str, Any]
+    result: Json
     fingerprint: str
     file_digest: str = ""  # SHA-256 of its sound calibration file
     stands: Standing | None = None  # its calibration, among the runs of its folder
@@ -144,7 +144,7 @@ def file_digest_of(folder: Path, log: Log) -> str:
     return hashlib.sha256(content).hexdigest() if sound else ""
 
 
-def _result(run: str, procedure: Procedure, log: Log) -> dict[str, Any]:
+def _result(run: str, procedure: Procedure, log: Log) -> Json:
     if log.state != "finished":
         return {}
     try:

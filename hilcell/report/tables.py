@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from operator import attrgetter, itemgetter
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,6 +42,7 @@ from hilcell.report.budgets import TargetBudget
 from hilcell.report.drawings.paper_figures import series_name
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import judged_places
+from hilcell.typed import Json
 
 Pair = tuple[str, str]
 
@@ -285,7 +286,7 @@ def groups(facts: Facts) -> Table:
     return Table(GROUPS, counts.items(), "Points")
 
 
-PAPER: tuple[Column[Mapping[str, Any]], ...] = (
+PAPER: tuple[Column[Json], ...] = (
     Column("figure of the paper", itemgetter("row")),
     Column("fails when", itemgetter("fails")),
     Column("paper", itemgetter("paper"), form=".4g"),

@@ -15,7 +15,7 @@ from typing import TypedDict
 
 from hilcell.cell.devices import Devices
 from hilcell.errors import DeviceError, HilcellError, facts_of
-from hilcell.model.events import Json
+from hilcell.typed import Json
 
 STOP_S = 2.0  # each device may take this long to put its stop frame on the wire
 CLOSE_S = 12.0  # of a rail: twice the time that its drive may take

@@ -23,13 +23,13 @@ import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any, Literal, Self
+from typing import IO, Literal, Self
 
 import msgspec
 
 from hilcell.cell.settings import SettingsError
 from hilcell.ports import Clock, Stopped
-from hilcell.typed import decoded
+from hilcell.typed import Json, decoded
 
 FORM = 1  # of all recordings of a run; to be raised whenever one changes
 COPY_AGAIN = "copy it again from the PC that recorded it"
@@ -75,7 +75,7 @@ class Head(msgspec.Struct, frozen=True):
     procedure: str
     seed: int
     session: int
-    cell: dict[str, Any]
+    cell: Json
     form: int = FORM
 
 

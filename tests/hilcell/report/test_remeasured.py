@@ -10,8 +10,7 @@ import pytest
 from hilcell.calibration.errors import validation
 from hilcell.calibration.orientation import validated_turns
 from hilcell.geometry.rotations import from_rotvec
-from hilcell.model.point import Sent
-from hilcell.model.point import PointId
+from hilcell.model.point import PointId, Sent
 from hilcell.report.course import course
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.tables import accuracy, remeasured
