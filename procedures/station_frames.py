@@ -174,6 +174,7 @@ def _frame_fixed(session: CellSession, station: Station) -> None:
             strip_mm=station.strip_mm,
             tool_uncertainty_mm=0.0,
             cube_uncertainty_mm=0.0,
+            left_out=[],
         ),
     )
 

@@ -55,7 +55,7 @@ class MeasuredStation(Frame, frozen=True, kw_only=True, omit_defaults=True):
     strip_mm: float
     tool_uncertainty_mm: float
     cube_uncertainty_mm: float
-    left_out: list[str] = []
+    left_out: list[str]
 
 
 class TouchedBase(Frame, frozen=True, kw_only=True, omit_defaults=True):
@@ -81,7 +81,7 @@ def frame_type(key: str) -> type[Frame]:
     """Return the type of a key's frame that was measured."""
     if key == "base":
         return MeasuredBase
-    kinds = {"station": MeasuredStation, "touch": TouchedBase}
+    kinds: dict[str, type[Frame]] = {"station": MeasuredStation, "touch": TouchedBase}
     return kinds.get(key.partition(".")[0], Frame)
 
 

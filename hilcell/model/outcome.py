@@ -30,7 +30,9 @@ class Outcome(StrEnum):
     decision: str
     decided: str
 
-    def __new__(cls, value: str, words: str, short: str, decision: str, decided: str = "") -> Self:
+    def __new__(
+        cls, value: str, words: str = "", short: str = "", decision: str = "", decided: str = ""
+    ) -> Self:
         """Make a member of its value in JSON and its words."""
         member = str.__new__(cls, value)
         member._value_, member.words, member.short = value, words, short

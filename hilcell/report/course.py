@@ -27,8 +27,10 @@ from hilcell.model.events import (
     TrackerProven,
     after,
 )
+from hilcell.model.frame import Frame
 from hilcell.model.point import BACK, CONTROL, Point
 from hilcell.model.records import Fact, StateChanged
+from hilcell.model.verdicts import Verdict
 from hilcell.present.table import Column, Table
 from hilcell.report.facts import Facts
 from hilcell.report.method import chosen_poses_words
@@ -195,8 +197,12 @@ def _is_measured(record: Record) -> bool:
 
 def _is_computed(record: Record, log: Log) -> bool:
     """Whether a record is of a frame or a verdict that was not known as it is now."""
-    known = {"frame": log.frames, "verdict": log.verdicts}.get(record.kind)
-    return known is not None and known.get(record.key) != record.fact
+    match record.fact:
+        case Frame() as frame:
+            return log.frames.get(record.key) != frame
+        case Verdict() as verdict:
+            return log.verdicts.get(record.key) != verdict
+    return False
 
 
 def _points(count: int) -> str:

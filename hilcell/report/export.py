@@ -75,7 +75,9 @@ def _entry(row: int, column: int) -> Callable[[Posed], Value]:
     return lambda posed: float(posed.matrix[row, column])
 
 
-def _element(of: Callable[[Measured], Sequence[float]], n: int) -> Callable[[Measured], Value]:
+def _element(
+    of: Callable[[Measured], Sequence[float] | None], n: int
+) -> Callable[[Measured], Value]:
     def value(row: Measured) -> Value:
         values = of(row)
         return None if values is None else float(values[n])
