@@ -315,7 +315,7 @@ class SignChecked(Verdict, frozen=True, kw_only=True):
         )
 
 
-class Rechecked(Verdict, frozen=True, kw_only=True, omit_defaults=True):
+class Rechecked(Verdict, frozen=True, kw_only=True):
     """Whether the calibration in use still holds, by a few poses; ``doubt`` explains them as well
     as a moved base.
     """
@@ -325,7 +325,7 @@ class Rechecked(Verdict, frozen=True, kw_only=True, omit_defaults=True):
     verdict: Literal["valid", "update", "redo"]
     drift_mm: float
     drift_u_mm: float
-    doubt: str = ""
+    doubt: str
 
     @property
     def words(self) -> str:
