@@ -37,7 +37,6 @@ from hilcell.cell.file import Station
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import chi2_quantile, rectangular_variance, rms, trace_freedom
 from hilcell.journal.log import (
-    NO_READINGS,
     Log,
     commanded_rad,
     covariances_mm2,
@@ -64,7 +63,7 @@ def uncertainty_of(log: Log) -> Uncertainty:
     return Uncertainty(
         [
             _repeatability(log),
-            _approach(stated.reversal_limit_mm, log.once(reversal, besides=NO_READINGS)),
+            _approach(stated.reversal_limit_mm, log.once_measured(reversal)),
             _drift(log),
             _world(log),
             _tracker(log),

@@ -33,7 +33,7 @@ from hilcell.geometry.frames import apply, inverse, matrix, motion_levers
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.geometry.statistics import bounds95_mm, chance_of_at_most, rectangular_variance
-from hilcell.journal.log import NO_READINGS, Log, commanded_rad, covariances_mm2, positions_mm
+from hilcell.journal.log import Log, commanded_rad, covariances_mm2, positions_mm
 from hilcell.journal.set_ups import PROOFS
 from hilcell.model.frame import MeasuredBase
 from hilcell.model.point import CHECKS, CONTROL, Point
@@ -260,7 +260,7 @@ def _before(log: Log, point: Point) -> Point:
 
 def revisits(log: Log, kind: str) -> Change:
     """Return whether the poses that were visited again are where they were."""
-    return log.once(_revisits, kind, besides=NO_READINGS)
+    return log.once_measured(_revisits, kind)
 
 
 def _revisits(log: Log, kind: str) -> Change:
@@ -370,13 +370,13 @@ def _again(log: Log, kind: str) -> Found:
 
 
 def _lost_motion(log: Log) -> Found:
-    turned = log.once(reversal, besides=NO_READINGS)
+    turned = log.once_measured(reversal)
     return [] if turned is None else [turned.suspicion]
 
 
 def _targets(log: Log) -> Found:
     fit = log.judged.get("fit")
-    return [] if fit is None else log.once(_of_targets, fit.seq, besides=NO_READINGS)
+    return [] if fit is None else log.once_measured(_of_targets, fit.seq)
 
 
 def _where_none_is_named(
@@ -390,9 +390,7 @@ def _where_none_is_named(
 
 
 NEST = Detector((Cause.NEST_MOVED,), lambda log, _: [risen_nest(log)])
-MOUNT = Detector(
-    (Cause.MOUNT_OFFSET,), lambda log, _: [log.once(mount_offset, besides=NO_READINGS)]
-)
+MOUNT = Detector((Cause.MOUNT_OFFSET,), lambda log, _: [log.once_measured(mount_offset)])
 LOST_MOTION = Detector((Cause.REVERSAL,), lambda log, _: _lost_motion(log))
 AFTER_GRID = Detector(OF_POSES, lambda log, _: _again(log, REVISIT))
 AT_END = Detector(

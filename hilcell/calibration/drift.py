@@ -34,7 +34,7 @@ from hilcell.calibration.visit_noise import visit_noise
 from hilcell.geometry.frames import apply, inverse, motion_levers
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.statistics import f_quantile, lengths_mm, rectangular_variance, rms
-from hilcell.journal.log import NO_READINGS, Log, commanded_rad, positions_mm
+from hilcell.journal.log import Log, commanded_rad, positions_mm
 from hilcell.journal.reading_noise import noise_at, run_noise
 from hilcell.journal.set_ups import PROOFS
 from hilcell.model.point import Point
@@ -53,7 +53,7 @@ CAUSES = (("mm of the tracker over the run", slice(0, 3), 1.0),
 
 def tracker_drift(log: Log) -> Suspicion | None:
     """Return a slow motion of the tracker beyond the drift that the cell states, if there is."""
-    return log.once(_tracker_drift, besides=NO_READINGS)
+    return log.once_measured(_tracker_drift)
 
 
 def _tracker_drift(log: Log) -> Suspicion | None:
@@ -141,7 +141,7 @@ class Series:
 
 def robot_drift(log: Log) -> Suspicion | None:
     """Return the cause that changes the robot slowly, if one does."""
-    return log.once(_robot_drift, besides=NO_READINGS)
+    return log.once_measured(_robot_drift)
 
 
 def _robot_drift(log: Log) -> Suspicion | None:

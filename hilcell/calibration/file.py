@@ -39,7 +39,7 @@ from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected_poses
 from hilcell.geometry.frames import apply, inverse, poses_from_zyx, zyx_from_pose
 from hilcell.geometry.rotations import from_zyx
-from hilcell.journal.log import NO_READINGS, Log
+from hilcell.journal.log import Log
 from hilcell.model.frame import MeasuredStation
 from hilcell.model.verdicts import VALIDATION, Fitted, Judged, SignChecked
 from hilcell.ports import Array, HilcellError
@@ -129,7 +129,7 @@ def learnt_so_far(log: Log) -> Calibration | None:
     """Return the same for what it was learnt from; verdicts that came since may be missing."""
     if not _fitted(log):
         return None
-    return log.once(_learnt, log.judged["fit"].seq, besides=NO_READINGS)
+    return log.once_measured(_learnt, log.judged["fit"].seq)
 
 
 def _learnt(log: Log, fit: int) -> Calibration:

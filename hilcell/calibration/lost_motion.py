@@ -25,7 +25,7 @@ from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.jacobian import parameter_jacobian
 from hilcell.geometry.kinematics import Arm
 from hilcell.geometry.statistics import bounds95_mm, lengths_mm, rectangular_variance
-from hilcell.journal.log import NO_READINGS, Log, commanded_rad, positions_mm
+from hilcell.journal.log import Log, commanded_rad, positions_mm
 from hilcell.model.point import PointId
 from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.model.verdicts import LostMotionJudged
@@ -83,7 +83,7 @@ class Reversal(msgspec.Struct, frozen=True):
 
 def lost_motion(log: Log) -> LostMotion:
     """Return what the axes lose, as measured; else nothing, within the data sheet's limit."""
-    found = log.once(reversal, besides=NO_READINGS)
+    found = log.once_measured(reversal)
     wrist = [WRIST_RAD] * (AXES - LARGE)
     if found is None:
         limit_rad = log.cell.uncertainty.lost_motion_urad / URAD

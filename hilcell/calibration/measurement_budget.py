@@ -21,7 +21,7 @@ from hilcell.calibration.frame_covariance import FLOOR_NESTS, floor_points, worl
 from hilcell.calibration.influence import ASSUMED, MEASURED
 from hilcell.geometry.frames import apply, motion_levers
 from hilcell.geometry.statistics import lengths_mm, rectangular_variance, rms
-from hilcell.journal.log import NO_READINGS, Log, positions_mm, variances_mm2
+from hilcell.journal.log import Log, positions_mm, variances_mm2
 from hilcell.model.point import Point
 from hilcell.ports import Array
 
@@ -60,7 +60,7 @@ class Budget:
 
 def budget_of(log: Log) -> Budget | None:
     """Return the budget, or nothing where the run has framed no world and measured no points."""
-    return log.once(_budget_of, besides=NO_READINGS)
+    return log.once_measured(_budget_of)
 
 
 def _budget_of(log: Log) -> Budget | None:

@@ -31,7 +31,7 @@ from hilcell.geometry.statistics import (
     rms,
     trace_freedom,
 )
-from hilcell.journal.log import NO_READINGS, Log, commanded_rad, repeated_visits, variances_mm2
+from hilcell.journal.log import Log, commanded_rad, repeated_visits, variances_mm2
 from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.ports import Array
 
@@ -67,7 +67,7 @@ class Scatter(msgspec.Struct, frozen=True):
 
 def scattered(log: Log) -> Suspicion | None:
     """Return a repeatability worse than the run's own, where the corrected targets show it."""
-    found = log.once(_scatter, besides=NO_READINGS)
+    found = log.once_measured(_scatter)
     if found is None or found.holds:
         return None
     return Suspicion(Cause.REPEATABILITY, found.size, found.unit, NOTICED_BY)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hilcell.geometry.beam_noise import BeamNoise
-from hilcell.journal.log import NO_READINGS, Log, positions_mm, repeated_visits
+from hilcell.journal.log import Log, positions_mm, repeated_visits
 from hilcell.journal.reading_noise import noise_at, run_noise
 from hilcell.model.point import Point
 from hilcell.ports import Array
@@ -39,7 +39,7 @@ class VisitNoise:
 
 def visit_noise(log: Log) -> VisitNoise:
     """Return what a run's readings and its repeated visits show."""
-    return log.once(_visit_noise, besides=NO_READINGS)
+    return log.once_measured(_visit_noise)
 
 
 def _visit_noise(log: Log) -> VisitNoise:

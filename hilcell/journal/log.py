@@ -38,7 +38,7 @@ from hilcell.model.events import (
 from hilcell.model.frame import Frame
 from hilcell.model.plan import PlanRecord
 from hilcell.model.point import CONTROL, Point, PointId
-from hilcell.model.records import Change, Ended, Intended, Kind, StateChanged
+from hilcell.model.records import Change, Ended, Intended, StateChanged
 from hilcell.model.verdicts import Fitted, Judged, Rechecked, Touched, Verdict
 from hilcell.ports import Array
 from hilcell.typed import Json, typed
@@ -92,8 +92,6 @@ E = TypeVar("E", bound=Event)
 F = TypeVar("F", bound=Frame)
 V = TypeVar("V", bound=Verdict)
 Args = TypeVarTuple("Args")
-
-NO_READINGS: tuple[Kind, ...] = ("intent", "state", "verdict")  # records: no point, no frame
 
 
 class _Row(Point, frozen=True, kw_only=True, array_like=True):
@@ -153,7 +151,7 @@ class Log:
         self.curves: dict[int, CurveMeasured] = {}  # by axis, 1 to 6
         self.assets: list[Asset] = []  # that answered when they were last connected
         self.newest: Record | None = None
-        self._newest: dict[Kind, int] = {}  # numbers of records
+        self.version = self.measured_version = 0  # newest record; newest point, frame or event
         self._worked: Record | None = None  # the newest that is no end: a refused resume has one
         self.order: Ordered | None = None  # the last motion that is not known to have ended
         self.cut_off: list[CutOff] = []  # earlier sessions that a crash has ended
@@ -165,7 +163,9 @@ class Log:
         """Add one record."""
         fact, before = record.fact, self._worked
         self.newest = record
-        self._newest[record.kind] = record.seq
+        self.version = record.seq
+        unmeasured = record.kind in ("intent", "state", "verdict")
+        self.measured_version = self.measured_version if unmeasured else record.seq
         self._worked = before if record.kind == "end" else record
         match fact:
             case PlanRecord():
@@ -275,21 +275,22 @@ class Log:
         if self.state == "faulted" and not self.fault:
             self.fault = change.reason
 
-    def once(
-        self,
-        compute: Callable[[Log, *Args], T],
-        *args: *Args,
-        besides: Collection[Kind] = (),
-    ) -> T:
-        """Return ``compute(log, *args)``, which is computed once until the next record comes, but
-        for those of kinds ``besides``, which it does not read.
+    def once(self, compute: Callable[[Log, *Args], T], *args: *Args) -> T:
+        """Return ``compute(log, *args)``, which is computed once until the next record comes."""
+        return self._kept(self.version, compute, *args)
+
+    def once_measured(self, compute: Callable[[Log, *Args], T], *args: *Args) -> T:
+        """Return ``compute(log, *args)``, which is computed once until more is measured: it reads
+        points, frames and events, no motion, state or verdict.
         """
-        newest = max((n for kind, n in self._newest.items() if kind not in besides), default=0)
-        key = (compute, args)
-        known = self._computed.get(key)
-        if known is None or known[0] != newest:
-            known = self._computed[key] = (newest, compute(self, *args))
-        return known[1]
+        return self._kept(self.measured_version, compute, *args)
+
+    def _kept(self, version: int, compute: Callable[[Log, *Args], T], *args: *Args) -> T:
+        known = self._computed.get((compute, args))
+        if known is None or known[0] != version:
+            known = self._computed[compute, args] = (version, compute(self, *args))
+        found: T = known[1]
+        return found
 
     def verdict(self, kind: type[V], key: str = "") -> V | None:
         """Return the verdict of a type, by the first of its keys or ``key``; None before it."""

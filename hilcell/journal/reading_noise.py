@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hilcell.geometry.beam_noise import BeamNoise, beam_noise
-from hilcell.journal.log import NO_READINGS, Log, positions_mm
+from hilcell.journal.log import Log, positions_mm
 from hilcell.model.point import Point
 from hilcell.ports import Array
 
 
 def run_noise(log: Log) -> BeamNoise:
     """Return the noise that all points of a run show."""
-    return log.once(_run_noise, besides=NO_READINGS)
+    return log.once_measured(_run_noise)
 
 
 def _run_noise(log: Log) -> BeamNoise:

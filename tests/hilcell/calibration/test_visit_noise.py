@@ -77,7 +77,7 @@ def by_a_total_station(log: Log, seed: int) -> Log:
     return log
 
 
-def _computed(log: Log, compute: Callable[[Log], Any], *, besides: object) -> Any:
+def _computed(log: Log, compute: Callable[[Log], Any]) -> Any:
     return compute(log)
 
 
@@ -97,7 +97,7 @@ def test_two_visits_of_other_poses_differ_as_their_covariance_states() -> None:
             points=dict(enumerate([*again, *then, *now])),
             select=lambda _, again=again: again,
         )
-        log.once = partial(_computed, log)
+        log.once_measured = partial(_computed, log)
         d = (positions_mm(now) - positions_mm(then)).reshape(-1)
         noise = visit_noise(log)
         blocks = sum(noise.covariances(points, np.eye(3)) for points in (then, now))

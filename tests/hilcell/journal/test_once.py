@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from hilcell.journal.journal import Record
-from hilcell.journal.log import NO_READINGS, Log
+from hilcell.journal.log import Log
 from hilcell.model.records import Kind
+from hilcell.typed import Json
 
 
 def test_a_result_is_computed_again_after_the_next_record() -> None:
@@ -28,8 +29,11 @@ def test_a_record_that_is_not_read_leaves_a_result_as_it_is() -> None:
         asked.append(len(log.frames))
         return len(log.frames)
 
-    kinds: tuple[Kind, ...] = ("frame", "verdict", "intent", "frame")
-    for seq, kind in enumerate(kinds, start=1):
-        log.take(Record(seq, "2026-01-01T00:00:00.000Z", kind, "base", {"holds": True}))
-        assert log.once(frames, besides=NO_READINGS) == 1
+    verdict, frame = {"holds": True}, {"matrix": [[1.0]]}
+    rows: tuple[tuple[Kind, Json], ...] = (
+        ("frame", frame), ("verdict", verdict), ("intent", {}), ("frame", frame),
+    )  # fmt: skip
+    for seq, (kind, body) in enumerate(rows, start=1):
+        log.take(Record(seq, "2026-01-01T00:00:00.000Z", kind, "own", body))
+        assert log.once_measured(frames) == 1
     assert asked == [1, 1]
