@@ -8,7 +8,7 @@ from pathlib import Path
 from hilcell.clean import encodable, harmless
 from hilcell.commands.output import print_json, print_message, print_table
 from hilcell.invariants.judging import judge
-from hilcell.invariants.tally import INVARIANTS, Break, Verdict
+from hilcell.invariants.tally import INVARIANTS, Break, Proof
 from hilcell.journal.runs import read_records
 from hilcell.present.table import Column, Table
 
@@ -26,7 +26,7 @@ def check(folder: Path, *, as_json: bool) -> int:
     return 0 if all(verdict.holds for verdict in verdicts.values()) else 1
 
 
-def _facts(verdict: Verdict) -> dict[str, object]:
+def _facts(verdict: Proof) -> dict[str, object]:
     return {
         "holds": verdict.holds,
         "checked": verdict.checked,
@@ -39,8 +39,8 @@ def _place(found: Break) -> dict[str, object]:
     return {"record": found.seq, "what": encodable(found.what)}
 
 
-def _print(verdicts: dict[str, Verdict]) -> None:
-    columns: list[Column[tuple[str, Verdict]]] = [
+def _print(verdicts: dict[str, Proof]) -> None:
+    columns: list[Column[tuple[str, Proof]]] = [
         Column("", itemgetter(0)),
         Column("invariant", lambda row: INVARIANTS[row[0]]),
         Column("holds", lambda row: _word(row[1])),
@@ -55,7 +55,7 @@ def _print(verdicts: dict[str, Verdict]) -> None:
                 print_message(f"{name} {word} at {len(found) - FIRST} more records")
 
 
-def _word(verdict: Verdict) -> str:
+def _word(verdict: Proof) -> str:
     """Return the verdict in words; an invariant that was never judged is not claimed."""
     if not verdict.holds:
         return "BROKEN"

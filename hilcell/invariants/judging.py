@@ -16,7 +16,7 @@ from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import coverage_factor
 from hilcell.invariants.motions import FUTURE_S, Motions
 from hilcell.invariants.scene import Scene, is_proof, is_world, nest_of, pose_of, set_up_of
-from hilcell.invariants.tally import Tally, Verdict
+from hilcell.invariants.tally import Proof, Tally
 from hilcell.journal.asset import same
 from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.states import OVER, WAITING
@@ -36,7 +36,7 @@ from hilcell.model.events import (
 from hilcell.model.frame import Frame
 from hilcell.model.point import Point, Readings
 from hilcell.model.records import Ended, StateChanged
-from hilcell.model.verdicts import Verdict as Judgement
+from hilcell.model.verdicts import Verdict
 
 SIGMAS = 4.0
 FRAMING = "world"  # kind of the points of which {W} is framed
@@ -211,7 +211,7 @@ class LifeRules:
         self._check("I8", record, record.seq == self._seq + 1, gap)
         self._seq = record.seq
         match record.fact:
-            case Judgement(holds=holds):
+            case Verdict(holds=holds):
                 (self._failed.discard if holds else self._failed.add)(record.key)
             case StateChanged(machine="run") as life:
                 self._life(record, life)
@@ -401,7 +401,7 @@ class Rules(Protocol):
         """Judge a record."""
 
 
-def judge(records: Iterable[Record]) -> dict[str, Verdict]:
+def judge(records: Iterable[Record]) -> dict[str, Proof]:
     """Return the verdict of each invariant, I1 to I18; raises `StorageError`."""
     tally, scene = Tally(), Scene()
     rules: list[Rules] = [

@@ -37,7 +37,7 @@ class Break:
 
 
 @dataclass(slots=True)
-class Verdict:
+class Proof:
     """``unproven`` are places where the journal says that a device could not tell."""
 
     checked: int = 0
@@ -54,7 +54,7 @@ class Tally:
     """The verdicts of all invariants, by name."""
 
     def __init__(self) -> None:
-        self.verdicts = {name: Verdict() for name in INVARIANTS}
+        self.verdicts = {name: Proof() for name in INVARIANTS}
 
     def check(self, invariant: str, record: Record, holds: bool, what: str) -> None:
         """Count one check; ``what`` says what is wrong where it does not hold."""
