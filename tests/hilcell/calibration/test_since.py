@@ -10,13 +10,13 @@ import pytest
 
 from hilcell.calibration.diagnosis import suspicions_of
 from hilcell.calibration.file import read_calibration, write_calibration
-from hilcell.calibration.form import Update
 from hilcell.calibration.since import changed_since, compared
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.floor_before import floor_before
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log
 from hilcell.journal.runs import CALIBRATION, JOURNAL
+from hilcell.model.calibration import Update
 from hilcell.model.frame import Frame
 from hilcell.model.plan import FloorBefore
 from hilcell.model.verdicts import Parameter

@@ -8,11 +8,11 @@ import msgspec
 import pytest
 
 from hilcell.calibration.decision import Guard, judged
-from hilcell.calibration.form import Update
 from hilcell.cell.file import load_cell
 from hilcell.commands import run
 from hilcell.journal.index import RunRow
 from hilcell.journal.runs import CALIBRATION, read_log
+from hilcell.model.calibration import Update
 from tests.hilcell.calibration.calibrations import LIMITS, calibration
 from tests.hilcell.commands.finished_runs import MADE, finished
 from tests.hilcell.report.journals import Writer
