@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from hilcell.journal.journal import Record
 from hilcell.journal.log import NO_READINGS, Log
 from hilcell.model.records import Kind
+from tests.hilcell.verdicts import BASE, plain
 
 
 def test_a_result_is_computed_again_after_the_next_record() -> None:
@@ -28,8 +31,11 @@ def test_a_record_that_is_not_read_leaves_a_result_as_it_is() -> None:
         asked.append(len(log.frames))
         return len(log.frames)
 
-    kinds: tuple[Kind, ...] = ("frame", "verdict", "intent", "frame")
-    for seq, kind in enumerate(kinds, start=1):
-        log.take(Record(seq, "2026-01-01T00:00:00.000Z", kind, "base", {"holds": True}))
+    frame = plain(BASE)
+    kinds: tuple[tuple[Kind, dict[str, Any]], ...] = (
+        ("frame", frame), ("verdict", {"holds": True}), ("intent", {}), ("frame", frame),
+    )  # fmt: skip
+    for seq, (kind, body) in enumerate(kinds, start=1):
+        log.take(Record(seq, "2026-01-01T00:00:00.000Z", kind, "base", body))
         assert log.once(frames, besides=NO_READINGS) == 1
     assert asked == [1, 1]
