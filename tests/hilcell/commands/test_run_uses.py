@@ -14,8 +14,9 @@ from hilcell.journal.index import RunRow
 from hilcell.journal.runs import CALIBRATION, read_log
 from hilcell.model.calibration import Update
 from tests.hilcell.calibration.calibrations import LIMITS, calibration
-from tests.hilcell.commands.finished_runs import MADE, finished
+from tests.hilcell.commands.finished_runs import FIT, MADE, finished
 from tests.hilcell.report.journals import Writer
+from tests.hilcell.verdicts import REJECTED, TOUCHED
 from tests.whole.bench import command
 
 WRONG = judged(0.9, 2.0, LIMITS, Guard(0.04, 0.05))
@@ -81,12 +82,12 @@ def touched(runs: Path) -> None:
     """Finish a run that touched the base of the first on a visit."""
     touch = Update("3-touch", "touch", "2026-11-22T10:00:00Z", 8)
     made = calibration(run="1-made", simulated=True, updates=[touch]).provenance
-    finished(runs, "3-touch", {"touch": {"station": "S300"}}, used="1-made", provenance=made)
+    finished(runs, "3-touch", {"touch": TOUCHED}, used="1-made", provenance=made)
 
 
 def test_the_current_one_is_taken_and_named(runs: Path) -> None:
     """A later one that failed is not it, nor is a base that was touched on a visit."""
-    finished(runs, "2-made", {"fit": {}, "validation.S1100": {"holds": False}}, code=1)
+    finished(runs, "2-made", FIT | {"validation.S1100": REJECTED}, code=1)
     touched(runs)
     done = recheck(runs, "")
     assert done.returncode == 0
