@@ -77,7 +77,7 @@ FITTED = Fitted(
 )
 SIGN = SignChecked(holds=True, limit=0.5, before_mm=1.0, corrected_mm=0.1, ratio=0.1)
 DOUBLED = replace(SIGN, holds=False, corrected_mm=2.0, ratio=2.0)
-RECHECKED = Rechecked(holds=True, verdict="valid", drift_mm=0.02, drift_u_mm=0.01)
+RECHECKED = Rechecked(holds=True, verdict="valid", drift_mm=0.02, drift_u_mm=0.01, doubt="")
 UPDATED = replace(RECHECKED, verdict="update", drift_mm=0.3)
 REDO = replace(RECHECKED, holds=False, verdict="redo", drift_mm=0.9)
 TOUCHED = Touched(holds=True, station="S300")
@@ -158,6 +158,7 @@ STATION = MeasuredStation(
     strip_mm=300.0,
     tool_uncertainty_mm=0.02,
     cube_uncertainty_mm=0.03,
+    left_out=[],
 )
 TOUCHED_BASE = TouchedBase(
     matrix=UNIT,
