@@ -19,6 +19,7 @@ from hilcell.journal.words import happened_words, in_words, key_words, step_word
 from hilcell.model.events import Event, OtherEvent, after
 from hilcell.model.point import Point
 from hilcell.model.records import Ended, Intended, StateChanged
+from hilcell.model.verdicts import Verdict
 from hilcell.run.forecast import Ahead
 from hilcell.run.protocol import DeviceStatus
 from hilcell.tui.engine.run_view import RunView
@@ -58,7 +59,9 @@ def event_words(view: RunView, record: Record, errors_mm: Mapping[str, float]) -
             return f"the session has ended: {state}, exit {code}"
         case StateChanged(machine="run", to=to, reason=reason):
             return f"the run is {to}{after(in_words(reason.replace(chr(10), ' '), log))}"
-    return _judged(record) if record.kind == "verdict" else ""
+        case Verdict() as verdict:
+            return _judged(record.key, verdict)
+    return ""
 
 
 def _measured(view: RunView, point: Point, errors_mm: Mapping[str, float]) -> str:
@@ -82,12 +85,14 @@ def _sent(view: RunView, key: str, motion: Intended) -> str:
     return f"{action.replace('.', ' ')} {words}".strip()
 
 
-def _judged(record: Record) -> str:
-    """Return a verdict: its subject, whether it holds, and the mean error that it is about."""
-    body, words = record.body, verdict_words(record.key)
-    mean_mm, limit_mm = body.get("mean_mm"), body.get("mean_tolerance_mm")
-    figures = "" if limit_mm is None else f": mean {mean_mm:.3f} mm, limit {limit_mm:.3f} mm"
-    return f"{words} {'holds' if body.get('holds') else 'does not hold'}{figures}"
+def _judged(key: str, verdict: Verdict) -> str:
+    """Return a verdict: its subject, whether it holds, and the first of its figures."""
+    figures = "".join(
+        f": {each.name} {each.value:.3f} {each.unit}, limit {each.limit:.3f} {each.unit}"
+        for each in verdict.figures[:1]
+        if each.value is not None and each.limit is not None
+    )
+    return f"{verdict_words(key)} {'holds' if verdict.holds else 'does not hold'}{figures}"
 
 
 SCREEN = 24  # rows, which everything above takes
