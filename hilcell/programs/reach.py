@@ -19,8 +19,8 @@ from hilcell.errors import MOST_LISTED, bounded
 from hilcell.geometry.frames import inverse
 from hilcell.geometry.inverse import inverse_kinematics, nearest_turns, reach_excess_mm
 from hilcell.geometry.kinematics import Array
-from hilcell.planning.holes import Holes
 from hilcell.ports import HilcellError
+from hilcell.programs.holes import Holes
 
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int_]

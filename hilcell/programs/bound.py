@@ -5,7 +5,7 @@ that all its edges cost in addition: a tour has two edges at each hole, so it co
 more than its length; and the hub's two cheapest edges with the least spanning tree of the holes
 never cost more than a tour. Their cost less twice the prices is a bound for any prices. Prices may
 be tuned on few edges, but a bound counts only when evaluated on all; and the best prices still
-leave a gap, about 1 % for scattered holes, 12 % where single rows meet. `hilcell.planning.route`
+leave a gap, about 1 % for scattered holes, 12 % where single rows meet. `hilcell.programs.route`
 narrows that.
 """
 

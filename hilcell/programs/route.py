@@ -22,9 +22,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
 from hilcell.geometry.kinematics import Array
-from hilcell.planning.bound import ROUNDING, candidates, lower_bound
-from hilcell.planning.stars import VIOLATED, Bools, Cut, Ints, Stars, star
 from hilcell.ports import HilcellError
+from hilcell.programs.bound import ROUNDING, candidates, lower_bound
+from hilcell.programs.stars import VIOLATED, Bools, Cut, Ints, Stars, star
 
 # Single rows of holes that meet leave 1-trees up to 12 % below any tour. Here edges get shares
 # 0..1, two per hole, and cuts that every tour respects: subtours (2 edges leave any set of

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.kinematics import Array
-from hilcell.planning.holes import Holes
-from hilcell.planning.reach import Reach, Served, reach
-from hilcell.planning.route import route
 from hilcell.ports import HilcellError
+from hilcell.programs.holes import Holes
+from hilcell.programs.reach import Reach, Served, reach
+from hilcell.programs.route import route
 
 
 class CoverError(HilcellError):
@@ -108,12 +108,12 @@ def plan(
     *,
     free: bool = False,
     calibrated: Calibrated | None = None,
-    heard: Callable[[str], object] = lambda words: None,
+    say: Callable[[str], object] = lambda words: None,
 ) -> HolePlan:
     """Plan the holes at recorded stations; ``free`` adds a raster along the travel.
 
     With ``calibrated`` each hole is drilled at a station, and with a turn of the tool, where it is
-    corrected. ``heard`` is called with each step of a plan that takes long. Raises
+    corrected. ``say`` is called with each step of a plan that takes long. Raises
     `UnreachableHoles`.
     """
     candidates = _candidates(cell, free=free)
@@ -123,7 +123,7 @@ def plan(
             holes = holes.with_turn_near(calibrated.orientation(station.name))
     slow = len(holes.names) >= SLOW_HOLES
     if slow:
-        heard(f"planning {len(holes.names)} holes: where they are reached")
+        say(f"planning {len(holes.names)} holes: where they are reached")
     reached = reach(cell, holes, candidates, calibrated)
     off_mm = _off_mm(cell, holes, candidates)
     new = np.array([station not in cell.station for station in candidates])
@@ -135,7 +135,7 @@ def plan(
     for each in order:
         if slow:
             count = int((owner == each).sum())
-            heard(f"{candidates[each].name}: the order of {count} holes")
+            say(f"{candidates[each].name}: the order of {count} holes")
         stations.append(_at_station(holes, reached, candidates[each], each, owner))
     return HolePlan(stations)
 
