@@ -9,17 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hilcell.calibration.volume import Volume
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.kinematics import Array
 from hilcell.ports import HilcellError
 from hilcell.programs.holes import Holes
-from hilcell.programs.reach import Reach, Served, reach
+from hilcell.programs.reach import Reach, reach
 from hilcell.programs.route import route
 
 
@@ -86,17 +86,6 @@ class HolePlan:
         return sum(each.bound_mm for each in self.stations)
 
 
-class Calibrated(Served, Protocol):
-    """Where a calibration corrects."""
-
-    @property
-    def stations(self) -> list[str]:
-        """Return the names of the calibrated stations."""
-
-    def orientation(self, station: str) -> Array:
-        """Return the calibrated orientation (3, 3) in {W} at a station."""
-
-
 def ratio(travel_mm: float, bound_mm: float) -> float:
     """Return travel over bound, 1 where nothing is travelled."""
     return travel_mm / bound_mm if bound_mm > 0 else 1.0
@@ -107,7 +96,7 @@ def plan(
     holes: Holes,
     *,
     free: bool = False,
-    calibrated: Calibrated | None = None,
+    calibrated: Volume | None = None,
     say: Callable[[str], object] = lambda words: None,
 ) -> HolePlan:
     """Plan the holes at recorded stations; ``free`` adds a raster along the travel.

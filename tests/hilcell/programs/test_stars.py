@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from hilcell.programs.route import Separation, _Program
-from hilcell.programs.stars import Cut, _Growth, star
+from hilcell.programs.bound import Cut, Separation, _Growth, _Program, star
 from tests.hilcell.programs.test_route import raster
 
 
