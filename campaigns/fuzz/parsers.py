@@ -36,7 +36,7 @@ from hilcell.compensation.targets import read_targets
 from hilcell.errors import HilcellError
 from hilcell.journal.journal import Journal, StorageError, _record, read_journal
 from hilcell.journal.log import Log
-from hilcell.planning.holes import read_holes
+from hilcell.programs.holes import read_holes
 from hilcell.run.control import _Handler
 from hilcell.run.protocol import LONGEST_REQUEST, Status
 from hilcell.tui.engine.feed import RunUpdate

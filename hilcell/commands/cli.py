@@ -45,9 +45,9 @@ GROUPS: Mapping[str, Commands] = {
         "stop": (orders.Stop, "live:stop"),
         "watch": (orders.Watch, "live:watch"),
         "tui": (orders.Tui, "tui:tui"),
-        "plan": (orders.Plan, "plan:plan"),
+        "plan": (orders.Plan, "prepare:plan"),
         "prepare": (orders.Prepare, "prepare:prepare"),
-        "compensate": (orders.Compensate, "files:compensate"),
+        "compensate": (orders.Compensate, "targets:compensate"),
     },
     "look back": {
         "show": (orders.Show, "past:show"),
@@ -65,7 +65,7 @@ GROUPS: Mapping[str, Commands] = {
         "completion": (orders.Completion, "completion:completion"),
     },
     "for engineers": {
-        "fit": (orders.Fit, "fit:fit"),
+        "fit": (orders.Fit, "targets:fit"),
         "study": (orders.RunStudy, "study:study"),
         "plant": (orders.Plant, ""),
         "diagram": (orders.Diagram, "cell:diagram"),

@@ -18,11 +18,11 @@ from fakes.truth.plant import Plant
 from hilcell.calibration.file import read_calibration
 from hilcell.calibration.frames import Frames, world_from_tracker
 from hilcell.calibration.orientation import seats_of, turn_bounds_deg, turned_of
-from hilcell.commands.prepare import SHEET, TRUE_ANGLE
 from hilcell.geometry.frames import apply, inverse, matrix, orientations
 from hilcell.geometry.rotations import from_zyx, to_rotvec
 from hilcell.journal.log import commanded_rad
 from hilcell.journal.runs import read_log
+from hilcell.programs.station_jobs import SHEET, TRUE_ANGLE
 from procedures.validate import Validate
 from tests.whole.bench import SEATS, SMALL, command, cut, end_of, events, sets
 from tests.whole.golden import GoldenRuns

@@ -28,9 +28,9 @@ from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.rigidity import Moved
 from hilcell.geometry.statistics import figures_of
 from hilcell.journal.log import Log, positions_mm
-from hilcell.planning import plan as planning
-from hilcell.planning.plan import HolePlan
 from hilcell.ports import Array
+from hilcell.programs import plan as planning
+from hilcell.programs.plan import HolePlan
 from procedures import paper_figures, rail_survey, station_frames
 from procedures.paper import paper_table
 from procedures.paper_rows import ROWS, Row
