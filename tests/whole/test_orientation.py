@@ -22,6 +22,8 @@ from hilcell.geometry.frames import apply, inverse, matrix, orientations
 from hilcell.geometry.rotations import from_zyx, to_rotvec
 from hilcell.journal.log import commanded_rad
 from hilcell.journal.runs import read_log
+from hilcell.model.outcome import Outcome
+from hilcell.model.verdicts import Judged
 from hilcell.programs.station_jobs import SHEET, TRUE_ANGLE
 from procedures.validate import Validate
 from tests.whole.bench import SEATS, SMALL, command, cut, end_of, events, sets
@@ -58,14 +60,16 @@ def test_a_limit_of_orientation_is_judged_like_those_of_position(
 ) -> None:
     """The run's own targets, by the limit that they keep, and by one that U leaves nothing of."""
     run = golden["seats"]
-    stated = read_log(run.folder).verdicts["validation.BASE"]
-    assert (stated["holds"], stated["outcome"]) == (True, "accepted")
-    assert stated["max_tolerance_deg"] == 0.1
-    assert 0.002 < stated["max_U_deg"] < 0.03
+    stated = read_log(run.folder).verdict(Judged, "validation.BASE")
+    assert stated is not None
+    assert (stated.holds, stated.outcome) == (True, Outcome.ACCEPTED)
+    assert stated.max_tolerance_deg == 0.1
+    assert stated.max_U_deg is not None
+    assert 0.002 < stated.max_U_deg < 0.03
     chosen = run.result["validation"]["BASE"]["chosen"]
-    assert stated["max_deg"] == pytest.approx(chosen["orientation"]["max_deg"])
+    assert stated.max_deg == pytest.approx(chosen["orientation"]["max_deg"])
     assert read_calibration(run.folder / "calibration.json").verdicts is not None
-    limited = Limited(run.folder, stated["max_deg"])
+    limited = Limited(run.folder, stated.max_deg)
     Validate()._judge(cast("CellSession", limited))
     judged = limited.verdicts["validation.BASE"]
     assert (judged["holds"], judged["outcome"]) == (False, "undecided")
