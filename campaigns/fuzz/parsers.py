@@ -216,7 +216,7 @@ def journal_samples() -> Iterable[bytes]:
     path.unlink()
     journal = Journal(path, "r", create=True)
     journal.append("event", "", {"what": "text", "note": "a"})
-    journal.append("verdict", "fit", {"holds": True})
+    journal.append("verdict", "own", {"holds": True})
     journal.close()
     yield path.read_bytes()
 
