@@ -73,7 +73,9 @@ def test_a_re_check_with_redo_revokes_what_it_judged() -> None:
     found = standings([made("01"), made("02"), row("03", recheck="redo", used="02", code=1)])
     assert found["02"] == Standing("revoked", "03", "its re-check says redo")
     assert found["01"] == Standing("superseded", "02")  # the robot has changed since
-    assert states(row("02", state="aborted", recheck="redo", used="01"), made("01"))["01"] == "current"
+    assert (
+        states(row("02", state="aborted", recheck="redo", used="01"), made("01"))["01"] == "current"
+    )
 
 
 def test_what_is_based_on_a_revoked_one_is_revoked() -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from hilcell.journal.words import in_words
 from hilcell.journal.log import Log
+from hilcell.journal.words import in_words
 from tests.hilcell.tui.sample_runs import measuring
 
 

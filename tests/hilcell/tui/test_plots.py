@@ -13,8 +13,7 @@ import pytest
 
 from hilcell.calibration.errors import errors_of
 from hilcell.journal.log import Log
-from hilcell.model.point import Sent
-from hilcell.model.point import Point, PointId
+from hilcell.model.point import Point, PointId, Sent
 from hilcell.tui.plots.draw import Look
 from hilcell.tui.text.plot_page import BESIDE, FIGURES, Choice, plot_lines, tab_line
 from hilcell.tui.text.plots import (
