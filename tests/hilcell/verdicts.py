@@ -44,6 +44,7 @@ from hilcell.model.verdicts import (
     Touched,
     Verdict,
 )
+from hilcell.ports import Array
 
 JUDGED = Judged(
     holds=True,
@@ -194,3 +195,8 @@ def framed(key: str, **changes: Any) -> dict[str, Any]:
     """Return the body of a key's frame with other fields; one that was taken over has no more."""
     kind = Frame if "calibration" in changes else frame_type(key)
     return plain(next(each for each in FRAMES.values() if type(each) is kind)) | changes
+
+
+def base_at(matrix: Array) -> MeasuredBase:
+    """Return a measured base with the matrix (4, 4)."""
+    return replace(BASE, matrix=matrix.tolist())

@@ -37,7 +37,7 @@ SUSPECTED = {"suspicions": verdicts.SUSPECTED}
         ({"backlash": replace(verdicts.BACKLASH, holds=False)}, 1, "out of tolerance", ""),
         ({"backlash": verdicts.BACKLASH}, 0, "done", ""),  # a check that holds judges no robot
         ({"iso9283": verdicts.POSE_TESTED}, 0, "in tolerance", ""),
-        ({"iso9283": verdicts.POSE_TESTED}, 1, "out of tolerance", ""),  # by another check
+        ({"iso9283": verdicts.POSE_TESTED}, 1, "out of tolerance", ""),  # not by its limits
         ({"targets": verdicts.JUDGED}, 0, "in tolerance", "current"),
         ({"targets": verdicts.REJECTED}, 1, "out of tolerance", ""),  # nothing was folded in
         ({}, 0, "done", ""),
