@@ -440,7 +440,7 @@ def _verdicts(calibration: Calibration) -> Iterator[str]:
         elif not all(limit is None or limit > 0 for limit in each.limits):
             yield f"{at}: a tolerance that is not above 0"
         elif each.holds and not judged_again(each).holds:
-            yield f"{at}: is said to hold, but its figures do not: {each.figures}"
+            yield f"{at}: is said to hold, but its figures do not: {each.figure_words}"
 
 
 def _is_covariance(found: Array) -> bool:
