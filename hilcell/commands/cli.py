@@ -21,7 +21,7 @@ from hilcell.commands import orders
 from hilcell.commands.encoding import never_fail_to_encode
 from hilcell.commands.output import flush_data, print_error, print_json, print_message
 from hilcell.commands.parser import Parser, made
-from hilcell.run.order import Order
+from hilcell.run.order import Order, Resume
 from hilcell.writing import NotPrinted
 
 EPILOG = """\
@@ -40,7 +40,7 @@ Commands = Mapping[str, tuple[type[Signature], str]]  # what each takes, and mod
 GROUPS: Mapping[str, Commands] = {
     "every day": {
         "run": (Order, "run:run"),
-        "resume": (orders.Resume, "run:resume"),
+        "resume": (Resume, "run:resume"),
         "pause": (orders.Pause, "live:pause"),
         "stop": (orders.Stop, "live:stop"),
         "watch": (orders.Watch, "live:watch"),
