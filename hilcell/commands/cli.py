@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 from hilcell import __version__
@@ -24,11 +25,18 @@ from hilcell.commands.parser import Parser, made
 from hilcell.run.order import Order, Resume
 from hilcell.writing import NotPrinted
 
-EPILOG = """\
-exit codes: 0 in tolerance; 1 measured, out of tolerance; 2 refused before anything moved;
-3 device fault, safe-stopped; 4 aborted by the operator; 5 internal error; 6 cell locked by
-another run; 7 storage fault. After 3, 4 and 7, `hilcell resume RUN` continues.
-hilcell is not a safety function: keep the E-stop in reach."""
+EXITS = (  # by their number
+    "in tolerance",
+    "measured, out of tolerance",
+    "refused before anything moved",
+    "device fault, safe-stopped",
+    "aborted by the operator",
+    "internal error",
+    "cell locked by another run",
+    "storage fault",
+)
+AFTER = "After 3, 4 and 7, `hilcell resume RUN` continues."
+SAFETY = "hilcell is not a safety function: keep the E-stop in reach."
 FIRST = """\
 `hilcell run` calibrates a simulated cell in about a minute; nothing real moves
 `hilcell show last` shows its result; `hilcell report last -o report.html` prints it
@@ -83,10 +91,11 @@ PLANT: Commands = {
 @cache
 def whole_parser() -> Parser:
     """Return the parser of all commands."""
+    codes = "; ".join(f"{code} {words}" for code, words in enumerate(EXITS))
     parser = Parser(
         prog="hilcell",
         description="Calibrates a robot on a cheap rail with a laser tracker, unattended.",
-        epilog=EPILOG,
+        epilog=f"{fill(f'exit codes: {codes}. {AFTER}', 91)}\n{SAFETY}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"hilcell {__version__}")

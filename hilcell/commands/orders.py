@@ -308,7 +308,10 @@ class Sim(Signature):
     seed: Annotated[int, Argument("of the machine (default: 1)", "N", seed_of)] = 1
     machine_seed: MachineSeed = None
     truth: Annotated[bool, Argument("the control channel answers what is true; for tests")] = False
-    speed: Annotated[float, Argument("default: 1", "X|max", speed_of)] = 1.0
+    speed: Annotated[
+        float,
+        Argument("of its time: a factor, or as fast as it goes (default: 1)", "X|max", speed_of),
+    ] = 1.0
     faults: Annotated[
         str,
         Argument("faults to inject, TOML: docs/training.md has their names and their form", "FILE"),

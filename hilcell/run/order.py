@@ -48,7 +48,9 @@ class Attendance(Signature):
 class Order(Signature):
     """Perform a procedure on a cell."""
 
-    procedure: Annotated[str, Argument("default: calibrate", word=True)] = "calibrate"
+    procedure: Annotated[str, Argument("the procedure (default: calibrate)", word=True)] = (
+        "calibrate"
+    )
     cell: CellName = "paper"
     settings: Settings = ()
     seed: Annotated[
