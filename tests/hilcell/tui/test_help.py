@@ -60,7 +60,7 @@ def test_each_action_stands_there_with_the_word_of_its_footer() -> None:
         word = WORDS.get(action.label, action.label)
         keys = [shown(key) for key in DEFAULT_KEYS[action.name]]
         assert [*keys, *word.split()] in starts, action
-    assert {slot.name for slot in (*ACTS, *VIEWS)} <= {action.name for action in ACTIONS}
+    assert {*ACTS, *VIEWS} <= {action.name for action in ACTIONS}
 
 
 @pytest.mark.usefixtures("isolated")
