@@ -49,6 +49,24 @@ class Errors3D:
     by_how: dict[Sent, Array]
     grid: bool = False  # of the grid's points: no target was validated yet
 
+    @classmethod
+    def of(cls, points: Sequence[Point], norms_mm: Array, *, grid: bool) -> Errors3D:
+        """Return |e| (N,) of points by target, in the order in which each was first measured."""
+        order: dict[Target, int] = {}
+        where = np.array(
+            [
+                order.setdefault((point.station, n if grid else point.id.number or 0), len(order))
+                for n, point in enumerate(points)
+            ]
+        )
+        hows = np.array([point.id.how or Sent.BEFORE for point in points])
+        by_how: dict[Sent, Array] = {}
+        for how in Sent:
+            if (mine := hows == how).any():
+                by_how[how] = np.full(len(order), np.nan)
+                by_how[how][where[mine]] = norms_mm[mine]
+        return cls(tuple(order), by_how, grid)
+
     def at(self, station: str) -> Errors3D:
         """Return those of a station; without a name, all."""
         if not station:
@@ -75,19 +93,7 @@ def errors_by_target(log: Log) -> Errors3D:
     grid = not points
     points = [*log.measured("grid")] if grid else points
     points = [counting(log, point) for point in points if point.nominal_mm is not None]
-    norms_mm = errors_of(log, points).norms_mm
-    order: dict[Target, int] = {}
-    where = [
-        order.setdefault((point.station, n if grid else point.id.number or 0), len(order))
-        for n, point in enumerate(points)
-    ]
-    hows = np.array([point.id.how or Sent.BEFORE for point in points])
-    by_how: dict[Sent, Array] = {}
-    for how in Sent:
-        if (mine := hows == how).any():
-            by_how[how] = np.full(len(order), np.nan)
-            by_how[how][np.array(where)[mine]] = norms_mm[mine]
-    return Errors3D(tuple(order), by_how, grid)
+    return Errors3D.of(points, errors_of(log, points).norms_mm, grid=grid)
 
 
 class Measured:
