@@ -117,7 +117,7 @@ class Grid(Lines):
 
     def lines(self, width: int, height: int = 0) -> list[Content]:
         """Return the rows, each in as many lines as its longest cell needs."""
-        widths, found = self._widths(width), []
+        widths, found = self._widths(width) if self._rows else [], []
         for number, row in enumerate(self._rows):
             cells = [_cell_lines(*each) for each in zip(row, self._columns, widths, strict=False)]
             for n in range(max(map(len, cells))):
