@@ -38,7 +38,7 @@ class Part:
 
     @property
     def state(self) -> object:
-        """A value that is equal where two parts look the same."""
+        """Return a value that is equal where two parts look the same."""
         return look_of([*vars(self).values()])
 
 
@@ -176,7 +176,7 @@ class Drawing(Lines):
 
     @property
     def state(self) -> object:
-        """What the caller has given."""
+        """Return the state that was given."""
         return self._state
 
     def lines(self, width: int, height: int = 0) -> list[Content]:
