@@ -9,10 +9,10 @@ import pytest
 
 from hilcell.calibration.decision import Guard, judged
 from hilcell.cell.file import load_cell
-from hilcell.commands import run
 from hilcell.journal.index import RunRow
 from hilcell.journal.runs import CALIBRATION, read_log
 from hilcell.model.calibration import Update
+from hilcell.run import engine
 from tests.hilcell.calibration.calibrations import LIMITS, calibration
 from tests.hilcell.commands.finished_runs import FIT, MADE, finished
 from tests.hilcell.report.journals import Writer
@@ -25,7 +25,7 @@ WRONG = judged(0.9, 2.0, LIMITS, Guard(0.04, 0.05))
 @pytest.fixture
 def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a folder of runs in which a run ends as soon as its plan is journalled."""
-    monkeypatch.setattr(run, "_perform", lambda *given: 0)
+    monkeypatch.setattr(engine.Engine, "_perform", lambda *given: engine.Ending(0, None))
     finished(tmp_path, "1-made", MADE)
     return tmp_path
 
@@ -127,11 +127,11 @@ def test_poses_of_finished_runs_of_the_same_cell_are_known(monkeypatch: pytest.M
         *[{"state": "finished"}] * 9,
     ]
     rows = [msgspec.structs.replace(ROW, name=f"{n}", **changes) for n, changes in enumerate(kinds)]
-    monkeypatch.setattr(run, "read_index", lambda runs: rows)
-    assert run._finished_runs(Path(), CELL) == ["5", "6", "7", "8", "9"]
+    monkeypatch.setattr(engine, "read_index", lambda runs: rows)
+    assert engine.finished_runs(Path(), CELL) == ["5", "6", "7", "8", "9"]
     real = msgspec.structs.replace(CELL, simulation=None)
-    assert run._finished_runs(Path(), real) == ["4"]
+    assert engine.finished_runs(Path(), real) == ["4"]
     bare = msgspec.structs.replace(
         CELL, robot=msgspec.structs.replace(CELL.robot, envelope=None), keep_out=[]
     )
-    assert run._finished_runs(Path(), bare) == []
+    assert engine.finished_runs(Path(), bare) == []

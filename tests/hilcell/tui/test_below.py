@@ -174,3 +174,10 @@ def test_events_show_no_raw_keys() -> None:
 def test_a_verdict_has_the_name_of_its_subject(key: str, verdict: Verdict, words: str) -> None:
     record = SampleRun().add("verdict", key, **plain(verdict)).records[-1]
     assert event_words(view_of(measuring()), record, {}) == words
+
+
+def test_a_run_of_which_only_the_plan_is_known_has_no_events_yet() -> None:
+    story = measuring()
+    story.records = story.records[:1]
+    text = drawn(below_lines(view_of(story), {}, UNICODE, 17))
+    assert text.splitlines()[-1].startswith("─ newest events ─")
