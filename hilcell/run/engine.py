@@ -26,13 +26,14 @@ from hilcell.cell.file import Cell
 from hilcell.clean import encodable
 from hilcell.clock import WallClock
 from hilcell.journal.floor_before import floor_before
-from hilcell.journal.folder_order import FolderOrder, clock_notes, next_order
+from hilcell.journal.folder_order import clock_notes, next_order
 from hilcell.journal.index import read_index, row_of
 from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import CALIBRATION, JOURNAL, forget, is_run, make_folder
 from hilcell.journal.times import offset_min
 from hilcell.model.events import SessionOrdered
+from hilcell.model.plan import FolderOrder
 from hilcell.model.point import CONTROL
 from hilcell.ports import Clock, HilcellError
 from hilcell.run.cell_lock import (
