@@ -8,6 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from hilcell.calibration.file import compensate_targets, read_calibration, write_calibration
 from hilcell.cell.settings import SettingsError
@@ -21,6 +22,7 @@ from procedures.sign_check import SignCheck
 from tests.hilcell.calibration.calibrations import calibration
 from tests.hilcell.fit.test_fit import IRB120, SMR_MM
 from tests.hilcell.fit.test_fit import measured as measured_rows
+from tests.hilcell.verdicts import FITTED
 from tests.procedures.test_sign_check import FakeBench
 
 
@@ -59,9 +61,9 @@ def test_it_is_judged_chosen_and_applied_on_the_cell() -> None:
     found = Fit().result(bench.log)
     assert set(found["fit"]["loocv"]) >= {"nominal", "idw", "trilinear", "plane"}
     assert found["method"] in ("plane", "trilinear")  # the error is linear, up to rounding
-    bench.keep("verdict", "fit", {"holds": True, "method": "plane"})
+    bench.judge("fit", replace(FITTED, method="plane"))
     SignCheck().perform(bench)
-    assert bench.log.verdicts["sign"]["corrected_mm"] < 0.01
+    assert bench.log.verdicts["sign"].corrected_mm < 0.01
 
 
 def test_it_is_judged_on_a_robot_that_was_measured_elsewhere() -> None:

@@ -8,6 +8,7 @@ from zipfile import ZipFile
 
 import msgspec
 import pytest
+from msgspec.structs import replace
 
 from hilcell.alarms.alarm import alarms_of
 from hilcell.cell.devices import ConnectFailed, load_entry
@@ -19,11 +20,13 @@ from hilcell.journal.journal import Record
 from hilcell.journal.runs import read_log
 from hilcell.model.events import LinkCounted
 from hilcell.model.suspicion import Cause, Suspicion
+from hilcell.model.verdicts import Verdict
 from hilcell.report.export import xlsx_bytes
 from hilcell.report.facts import read_facts
 from hilcell.report.html import report_html
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.report.pages import Page
+from tests.hilcell.verdicts import BACKLASH, JUDGED, REJECTED, UNDECIDED
 
 LOST = DeviceError("HC-T02", "Tracker", "measure", "no answer")
 REFUSED = DeviceError("HC-R01", "Rail", "connect", "no gateway")
@@ -88,35 +91,21 @@ def test_an_error_that_nobody_expected_is_printed_with_its_trace(
     assert reason.startswith("ValueError: ")
 
 
-POSITION = {
-    "holds": False, "mean_mm": 0.0311, "mean_tolerance_mm": 0.12, "mean_U_mm": 0.04,
-    "max_mm": 0.1, "max_tolerance_mm": 0.3, "max_U_mm": 0.05,
-    "decision": "not in tolerance",
-}  # fmt: skip
+TURNED = replace(UNDECIDED, mean_mm=0.0311, max_deg=0.022, max_tolerance_deg=0.03, max_U_deg=0.015)
 
 
 @pytest.mark.parametrize(
-    ("key", "more", "words"),
+    ("key", "verdict", "words"),
     [
-        (
-            "validation.S1100",
-            POSITION
-            | {"outcome": "undecided", "max_deg": 0.022, "max_tolerance_deg": 0.03}
-            | {"max_U_deg": 0.015},
-            "undecided S1100 0.0220 0.0150 0.03",
-        ),
-        (
-            "validation.S1100",
-            POSITION | {"outcome": "rejected", "mean_mm": 0.2},
-            "tolerance S1100 0.2000 0.0400 0.12",
-        ),
-        ("backlash", {"holds": False, "found_mm": 0.5, "limit_mm": 0.4}, "backlash 0.5000 0.4"),
+        ("validation.S1100", TURNED, "undecided S1100 0.0220 0.0150 0.03"),
+        ("validation.S1100", REJECTED, "tolerance S1100 0.2000 0.0400 0.12"),
+        ("backlash", replace(BACKLASH, holds=False, found_mm=0.5), "backlash 0.5000 0.4"),
     ],
 )
 def test_a_verdict_that_does_not_hold_is_printed_with_its_figures(
-    key: str, more: dict[str, Any], words: str
+    key: str, verdict: Verdict, words: str
 ) -> None:
-    printed = failed_words(key, more)
+    printed = failed_words(key, verdict)
     assert [word for word in words.split() if word not in printed] == []
 
 
@@ -228,23 +217,20 @@ def test_how_the_slide_was_held_is_of_the_last_end() -> None:
     assert "100.00 %" in LinkCounted(frames=0, bad_lines=1, refused=0, malformed=0).warning
 
 
-VALIDATED = POSITION | {"outcome": "rejected", "mean_mm": 0.2}
-
-
 @pytest.mark.parametrize(
     ("verdicts", "code", "outcome", "said"),
     [
-        ({"validation.S1100": VALIDATED | {"holds": True}}, 0, "in tolerance", []),
-        ({"validation.S1100": VALIDATED}, 1, "out of tolerance", ["S1100"]),
+        ({"validation.S1100": JUDGED}, 0, "in tolerance", []),
+        ({"validation.S1100": REJECTED}, 1, "out of tolerance", ["S1100"]),
         (
-            {f"validation.{name}": VALIDATED for name in ("S1100", "others", "S300")},
+            {f"validation.{name}": REJECTED for name in ("S1100", "others", "S300")},
             1, "out of tolerance", ["S1100", "S300"],
         ),
-        ({"validation.others": VALIDATED}, 1, "out of tolerance", ["the other stations"]),
+        ({"validation.others": REJECTED}, 1, "out of tolerance", ["the other stations"]),
     ],
 )  # fmt: skip
 def test_a_run_that_finished_says_its_outcome_and_each_failure_once(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], verdicts: dict[str, Any], code: int,
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], verdicts: dict[str, Verdict], code: int,
     outcome: str, said: list[str],
 ) -> None:  # fmt: skip
     """Success was not said, a failure once for each station and once more for all others."""

@@ -182,7 +182,7 @@ def test_a_run_that_a_crash_left(tmp_path: Path, began: bool) -> None:
 def test_a_touch_run_adopts_station_frames(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "r1", procedure="touch").began()
     for key in ("base", "station.S1100", "station.S300"):
-        writer.frame(key)  # of the calibration: this run did not find it
+        writer.frame(key, calibration="made")  # this run did not find it
     writer.frame(
         "touch.S300", poses=8, shift_mm=[0.003, 0.0, 0.004], along_rail_mm=0.003,
         turn_urad=[1.0, 0.0, 0.0], u_before_mm=0.03, u_after_mm=0.01, pull=0.9, misfit=0.5,

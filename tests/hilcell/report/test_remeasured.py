@@ -163,7 +163,8 @@ def test_a_step_that_a_later_session_only_passes_is_not_in_the_course(tmp_path: 
                 writer.journal.append("event", "", {"what": "tracker proven", "off_mm": [0.01]})
                 writer.journal.append("frame", "world", {"matrix": np.eye(4).tolist()})
             if name == "fit":
-                writer.journal.append("verdict", "fit", FITTED)
+                fitted = msgspec.structs.replace(FITTED, reason=f"of {len(names)} steps")
+                writer.journal.append("verdict", "fit", fitted)
 
     steps("world-frame", "axis-sweeps", "fit")
     writer.validated("S1100", "before", AFTER_MM)

@@ -9,15 +9,19 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Record
+from hilcell.model.outcome import Outcome
 from hilcell.model.point import PointId
 from hilcell.model.records import Kind
+from hilcell.model.verdicts import Verdict
 from hilcell.run.prompts import seat_prompt
 from hilcell.run.protocol import DeviceStatus, Interlock, PromptStatus, Status
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import EngineState
+from tests.hilcell.verdicts import FITTED, JUDGED, plain
 
 BEGAN = datetime(2026, 3, 4, 8, 0, tzinfo=UTC)
 RUN = "20260304-080000-calibrate-ab12"
@@ -58,6 +62,10 @@ class SampleRun:
         moment = self.now.isoformat(timespec="milliseconds")
         self.records.append(Record(len(self.records) + 1, moment, kind, key, body))
         return self
+
+    def judge(self, key: str, verdict: Verdict) -> SampleRun:
+        """Write a verdict."""
+        return self.add("verdict", key, **plain(verdict))
 
     def state(self, to: str, **more: Any) -> SampleRun:
         """Take the run to a state."""
@@ -125,7 +133,7 @@ def measuring(points: int = 5) -> SampleRun:
 
 def validated(*, worst_mm: float = 0.1) -> SampleRun:
     """Return a run that has measured everything; the last point is the worst."""
-    story = measuring(8).step(6).add("verdict", "fit", holds=True, method="trilinear").step(7)
+    story = measuring(8).step(6).judge("fit", FITTED).step(7)
     for how, size in (("before", 1.2), ("idw", 0.2), ("chosen", 0.1)):
         for number in range(2):
             off = (size + number, 0.0, 0.0) if how == "idw" else (0.0, size, 0.01 * number)
@@ -137,10 +145,7 @@ def validated(*, worst_mm: float = 0.1) -> SampleRun:
 
 
 FIGURES = {"mean": 0.1, "p95": 0.1, "max": 0.1}
-JUDGED = {
-    "mean_mm": 0.1, "mean_tolerance_mm": 0.12, "mean_U_mm": 0.005,
-    "max_mm": 0.1, "max_tolerance_mm": 0.3, "max_U_mm": 0.0,
-}  # fmt: skip
+KEPT = replace(JUDGED, mean_mm=0.1, mean_U_mm=0.005, max_mm=0.1, max_U_mm=0.0)
 RESULT = {
     "method": "trilinear",
     "validation": {
@@ -163,13 +168,12 @@ STORIES: dict[str, Callable[[], SampleRun]] = {
     "paused": lambda: measuring().state("paused"),
     "suspended": lambda: measuring().state("suspended", reason=FAULT_TEXT, error=FAULT),
     "stopping": lambda: measuring().state("stopping"),
-    "done": lambda: validated().add(
-        "verdict", "validation.S1100", **JUDGED, holds=True, outcome="accepted", decision="",
-    ).state("finished").add(
+    "done": lambda: validated().judge("validation.S1100", KEPT).state("finished").add(
         "end", state="finished", exit=0, result=RESULT),
-    "intolerant": lambda: validated(worst_mm=1.2).add(
-        "verdict", "validation.S1100", **JUDGED | {"mean_mm": 0.3}, holds=False,
-        outcome="rejected", decision="",
+    "intolerant": lambda: validated(worst_mm=1.2).judge(
+        "validation.S1100",
+        replace(KEPT, holds=False, mean_mm=0.3, decided=Outcome.REJECTED,
+                decision=Outcome.REJECTED.decision),
     ).state("finished").add("end", state="finished", exit=1, result=RESULT),
     "aborted": lambda: measuring().state("stopping").state("aborted").add(
         "end", state="aborted", exit=4, result={}, reason="stopped by the operator"),

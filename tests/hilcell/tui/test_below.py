@@ -155,15 +155,15 @@ def test_events_show_no_raw_keys() -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "facts", "words"),
+    ("key", "words"),
     [
-        ("validation.S1100", {"mean_mm": 0.033, "mean_tolerance_mm": 0.12},
-         "validation at S1100 holds: mean 0.033 mm, limit 0.120 mm"),
-        ("validation.others", {}, "validation at the other stations holds"),
-        ("known-length", {}, "known length holds"),
-        ("revisits.closing", {"holds": False}, "closing visits does not hold"),
+        ("validation.S1100", "validation at S1100 holds: mean 0.050 mm, limit 0.120 mm"),
+        ("validation.others",
+         "validation at the other stations holds: mean 0.050 mm, limit 0.120 mm"),
+        ("known-length", "known length holds"),
+        ("revisits.closing", "revisited poses at the end does not hold"),
     ],
 )  # fmt: skip
-def test_a_verdict_has_the_name_of_its_subject(key: str, facts: dict[str, Any], words: str) -> None:
-    record = SampleRun().add("verdict", key, **({"holds": True} | facts)).records[-1]
+def test_a_verdict_has_the_name_of_its_subject(key: str, words: str) -> None:
+    record = SampleRun().judge(key, VERDICTS[key]).records[-1]
     assert event_words(view_of(measuring()), record, {}) == words
