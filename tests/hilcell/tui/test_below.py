@@ -20,6 +20,7 @@ from hilcell.tui.text.below import below_lines, event_words, interlock_lines, st
 from hilcell.tui.text.devices import interlock_page, locks
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, sample_run, status, validated
 from tests.hilcell.tui.views import drawn
+from tests.hilcell.verdicts import VERDICTS
 
 
 def view_of(story: SampleRun, state: str = "running") -> RunView:

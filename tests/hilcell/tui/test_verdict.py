@@ -217,8 +217,12 @@ def test_it_fits_where_there_is_little_room() -> None:
     ("max_deg", "U_deg", "outcome", "said"),
     [
         (0.08, 0.01, Outcome.REJECTED, "S300: orientation 0.0800° over 0.05°"),
-        (0.045, 0.01, Outcome.UNDECIDED,
-         "S300: orientation 0.0450°, U 0.0100°: not shown below 0.05°"),
+        (
+            0.045,
+            0.01,
+            Outcome.UNDECIDED,
+            "S300: orientation 0.0450°, U 0.0100°: not shown below 0.05°",
+        ),
     ],
 )
 def test_an_orientation_over_its_limit_is_the_reason(
