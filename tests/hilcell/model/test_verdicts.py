@@ -76,11 +76,13 @@ def made_of(hint: Any) -> st.SearchStrategy[Any]:
     origin = get_origin(hint)
     if origin is Literal:
         return st.sampled_from(get_args(hint))
-    kinds = [made_of(each) for each in get_args(hint)]
+    kinds = [made_of(each) for each in get_args(hint) if each is not ...]
     if origin is list:
         return st.lists(kinds[0], max_size=3)
     if origin is dict:
         return st.dictionaries(*kinds, max_size=3)
+    if origin is tuple and ... in get_args(hint):
+        return st.lists(kinds[0], max_size=3).map(tuple)
     if origin is tuple:
         return st.tuples(*kinds)
     return st.one_of(kinds) if origin in (Union, UnionType) else st.from_type(hint)
