@@ -27,7 +27,7 @@ from hilcell.tui.engine import process
 from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import BY_NAME, shown
-from hilcell.tui.layout import ends, section
+from hilcell.tui.layout import Text, ends, section
 from hilcell.tui.screens.base import BaseScreen, Dialog, answer_keys
 from hilcell.tui.text import start as text
 from hilcell.tui.text.footer import EVERY_ACTION, FULL_WIDTH, PALETTE_KEY, KeyOf, form_footer
@@ -308,7 +308,7 @@ class PlanSummary(Dialog[bool]):
 
     def on_mount(self) -> None:
         """Show the plan in short."""
-        simulated = [(" SIMULATION ", "bold $on-sim on $sim-fill"), " "]
+        simulated: list[Text] = [(" SIMULATION ", "bold $on-sim on $sim-fill"), " "]
         answers = Content.assemble(
             answer_keys("start", "back"),
             "\n",
