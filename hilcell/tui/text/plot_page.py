@@ -288,7 +288,6 @@ def _words(log: Log, found: Errors3D, floor: Mapping[str, float]) -> Parts:
 
 
 def _of_means(log: Log, found: Errors3D) -> str:
-    """Return how the worst station's mean is to its limit."""
     limit_mm = log.cell.validation.mean_tolerance_mm
     means_mm = {
         name: mean_of(found.at(name).by_how[Sent.CHOSEN])
