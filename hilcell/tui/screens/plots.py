@@ -20,7 +20,6 @@ from hilcell.tui.widgets import TextPanel
 
 REDRAW_S = 0.5
 TALL = 28  # rows, from which tabs and title stand apart
-EVEN_ONLY = "this plot has an even scale only: its values are not all above zero"
 
 
 def plot_look(screen: BaseScreen) -> Look:
@@ -112,7 +111,8 @@ class PlotPage(Page):
         elif tab.may_be_log:
             self._choice.turn_scale()
         else:
-            self.show_notice(EVEN_ONLY)
+            why = "its values are not all above zero"
+            self.show_notice(f"this plot has an even scale only: {why}")
         self.show_again()
 
     @property

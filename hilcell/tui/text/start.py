@@ -16,7 +16,6 @@ from hilcell.tui.layout import BLANK, Col, Drawing, Fitting, Grid, Lines, Stack,
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.run import badge, duration, simulation_block
 
-NOTHING_MOVES = "nothing moves before you start"
 REFUSED = " refused before anything moves"  # after the procedure, in a plan's refusal
 FEW = 4  # nests that are named one by one
 
@@ -47,7 +46,7 @@ def banner(checked: Checked, glyphs: Glyphs) -> Lines:
     """Return the first line: that nothing is opened, and whether the cell is simulated."""
     blocks = [badge(f"{glyphs.stale} NEW RUN"), badge("NOTHING OPENED")]
     left = Content(" ").join([*blocks, *([simulation_block()] if checked.simulated else [])])
-    nothing = Fitting((Content.styled(NOTHING_MOVES, "$label"),))
+    nothing = Fitting((Content.styled("nothing moves before you start", "$label"),))
     return Grid([(left, nothing)], Col(), Col(right=True, grows=True))
 
 
