@@ -631,7 +631,8 @@ def orientation(facts: Facts) -> Table:
     note += f"the readings' noise in, up to {noise_deg:.4f}° (root mean square). The 95 % bound of "
     note += "a target in use is of the true angle, without that noise."
     fit = facts.log.verdict(Fitted)
-    note += f" Orientation {fit.orientation}." if fit is not None else ""
+    if fit is not None and fit.orientation:
+        note += f" Orientation {fit.orientation}."
     return Table(ORIENTATION, rows, "Orientation", note)
 
 

@@ -13,7 +13,7 @@ from hilcell.geometry.rotations import from_rotvec
 from hilcell.model.point import PointId, Sent
 from hilcell.report.course import course
 from hilcell.report.facts import Facts, read_facts
-from hilcell.report.tables import accuracy, remeasured
+from hilcell.report.tables import accuracy, orientation, remeasured
 from tests.hilcell.report.journals import AFTER_MM, Writer, validated_run
 from tests.hilcell.verdicts import FITTED
 
@@ -141,6 +141,7 @@ def test_of_an_orientation_the_larger_value_counts_too(
                 TARGET.at_seat(seat), R @ at_mm, "S1100", nominal_deg=nominal_deg,
                 nominal_mm=tuple(at_mm) if seat == 1 else None,
             )  # fmt: skip
+    writer.journal.append("verdict", "fit", FITTED)  # of a correction that turns no tool
     facts = writer.facts()
     found = remeasured(facts)
     rows = [dict(zip(found.headers, row, strict=True)) for row in found.texts()]
@@ -149,6 +150,7 @@ def test_of_an_orientation_the_larger_value_counts_too(
     }
     turned = validated_turns(facts.log, ["S1100"])[Sent.CHOSEN]
     assert turned.figures["max_deg"] == pytest.approx(0.0573, abs=1e-4)
+    assert "Orientation ." not in orientation(facts).note
 
 
 def test_a_step_that_a_later_session_only_passes_is_not_in_the_course(tmp_path: Path) -> None:
