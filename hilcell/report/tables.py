@@ -139,19 +139,6 @@ def stations(facts: Facts) -> Table:
     return Table(STATIONS, rows, "Stations", note)
 
 
-# A station, and the record of the last visit on which its base was touched.
-TOUCHES: tuple[Column[tuple[Station, TouchedBase]], ...] = (
-    Column("station", lambda row: row[0].name),
-    Column("poses", lambda row: row[1].poses, form="d"),
-    Column("along the rail", lambda row: row[1].along_rail_mm, "mm", "+.4f"),
-    Column("shift", lambda row: float(np.linalg.norm(row[1].shift_mm)), "mm", ".4f"),
-    Column("turn", lambda row: float(np.linalg.norm(row[1].turn_urad)), "µrad", ".1f"),
-    Column("u before", lambda row: row[1].u_before_mm, "mm", ".4f"),
-    Column("u after", lambda row: row[1].u_after_mm, "mm", ".4f"),
-    Column("found / expected", lambda row: row[1].pull, form=".1f"),
-)
-
-
 def touches(facts: Facts) -> Table:
     """Return what the touch poses found at each station."""
     found = ((each, facts.log.frames.get(f"touch.{each.name}")) for each in facts.cell.station)
@@ -161,7 +148,18 @@ def touches(facts: Facts) -> Table:
         "u: tool point, 3D, 1 σ. Found / expected: the motion found, relative to what the "
         "uncertainty before lets expect. Targets stay where the station frame has them."
     )
-    return Table(TOUCHES, rows, "Touch poses", note)
+    # A station, and the record of the last visit on which its base was touched.
+    columns: tuple[Column[tuple[Station, TouchedBase]], ...] = (
+        Column("station", lambda row: row[0].name),
+        Column("poses", lambda row: row[1].poses, form="d"),
+        Column("along the rail", lambda row: row[1].along_rail_mm, "mm", "+.4f"),
+        Column("shift", lambda row: float(np.linalg.norm(row[1].shift_mm)), "mm", ".4f"),
+        Column("turn", lambda row: float(np.linalg.norm(row[1].turn_urad)), "µrad", ".1f"),
+        Column("u before", lambda row: row[1].u_before_mm, "mm", ".4f"),
+        Column("u after", lambda row: row[1].u_after_mm, "mm", ".4f"),
+        Column("found / expected", lambda row: row[1].pull, form=".1f"),
+    )
+    return Table(columns, rows, "Touch poses", note)
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,20 +195,18 @@ def frames(facts: Facts) -> Table:
     return Table((named, *FRAMES[1:]), posed(facts), "Frames", note)
 
 
-CIRCLES: tuple[Column[tuple[str, float, float]], ...] = (
-    Column("circle", itemgetter(0)),
-    Column("radius", itemgetter(1), "mm", ".4f"),
-    Column("residual rms", itemgetter(2), "mm", ".4f"),
-)
-
-
 def circles(facts: Facts) -> Table:
     """Return how round the circles of axes 1 and 6 were."""
     base = facts.log.frames.get("base")
     if not isinstance(base, MeasuredBase):
         return Table((), ())
     rows = zip(("axis 1", "axis 6"), base.radius_mm, base.circle_rms_mm, strict=True)
-    return Table(CIRCLES, rows, "Base frame: circles")
+    columns: tuple[Column[tuple[str, float, float]], ...] = (
+        Column("circle", itemgetter(0)),
+        Column("radius", itemgetter(1), "mm", ".4f"),
+        Column("residual rms", itemgetter(2), "mm", ".4f"),
+    )
+    return Table(columns, rows, "Base frame: circles")
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,14 +223,6 @@ class Condition:
         return f"{value:.{self.digits}f}"
 
 
-AIR: tuple[Column[Condition], ...] = (
-    Column("quantity", lambda row: f"{row.name} {row.unit}"),
-    Column("least", lambda row: row.shown(row.values.min()), form="s"),
-    Column("most", lambda row: row.shown(row.values.max()), form="s"),
-    Column("mean", lambda row: row.shown(row.values.mean()), form="s"),
-)
-
-
 def air(facts: Facts) -> list[Condition]:
     """Return the air at the tracker over all points; nothing where not measured."""
     measured = [point.air for point in facts.log.points.values() if point.air]
@@ -247,13 +235,13 @@ def air(facts: Facts) -> list[Condition]:
 
 def conditions(facts: Facts) -> Table:
     """Return the air at the tracker, smallest, largest and mean."""
-    return Table(AIR, air(facts), "Air at the tracker")
-
-
-DEVICES: tuple[Column[Asset], ...] = tuple(
-    Column(name, attrgetter(name))
-    for name in ("kind", "maker", "model", "serial", "firmware", "address")
-)
+    columns: tuple[Column[Condition], ...] = (
+        Column("quantity", lambda row: f"{row.name} {row.unit}"),
+        Column("least", lambda row: row.shown(row.values.min()), form="s"),
+        Column("most", lambda row: row.shown(row.values.max()), form="s"),
+        Column("mean", lambda row: row.shown(row.values.mean()), form="s"),
+    )
+    return Table(columns, air(facts), "Air at the tracker")
 
 
 def devices(facts: Facts) -> Table:
@@ -262,50 +250,50 @@ def devices(facts: Facts) -> Table:
     note = f"CAN link: {link.counts}." if link is not None else ""
     if link is not None and link.warning:
         note += f" Warning: {link.warning}."
-    return Table(DEVICES, facts.log.assets, "Devices", note)
-
-
-SOFTWARE: tuple[Column[Pair], ...] = (
-    Column("package", itemgetter(0)),
-    Column("version", itemgetter(1)),
-)
-GROUPS: tuple[Column[tuple[str, int]], ...] = (
-    Column("kind", itemgetter(0)),
-    Column("points", itemgetter(1), form="d"),
-)
+    columns: tuple[Column[Asset], ...] = tuple(
+        Column(name, attrgetter(name))
+        for name in ("kind", "maker", "model", "serial", "firmware", "address")
+    )
+    return Table(columns, facts.log.assets, "Devices", note)
 
 
 def software(facts: Facts) -> Table:
     """Return the versions that measured."""
-    return Table(SOFTWARE, facts.inputs.versions.items(), "Software that measured")
+    columns: tuple[Column[Pair], ...] = (
+        Column("package", itemgetter(0)),
+        Column("version", itemgetter(1)),
+    )
+    return Table(columns, facts.inputs.versions.items(), "Software that measured")
 
 
 def groups(facts: Facts) -> Table:
     """Return how many points of each kind were measured, in the order of the run."""
     counts = Counter(point.id.counted_with for point in facts.log.points.values())
-    return Table(GROUPS, counts.items(), "Points")
-
-
-PAPER: tuple[Column[Json], ...] = (
-    Column("figure of the paper", itemgetter("row")),
-    Column("fails when", itemgetter("fails")),
-    Column("paper", itemgetter("paper"), form=".4g"),
-    Column("here", itemgetter("here"), form=".4g"),
-    Column("chosen", lambda row: row.get("chosen"), form=".4g"),
-    Column("unit", itemgetter("unit")),
-    Column("holds if", itemgetter("criterion")),
-    Column(
-        "verdict",
-        lambda row: "set" if row["set"] else "holds" if row["holds"] else "does not hold",
-    ),
-)
+    columns: tuple[Column[tuple[str, int]], ...] = (
+        Column("kind", itemgetter(0)),
+        Column("points", itemgetter(1), form="d"),
+    )
+    return Table(columns, counts.items(), "Points")
 
 
 def paper_rows(facts: Facts) -> Table:
     """Return the paper's figures beside this run's, where the procedure compares them."""
     found = facts.result.get("rows")
     note = "Set: brought about by the cell file or the simulated machine, so that it cannot fail."
-    return Table(PAPER, found if isinstance(found, list) else [], "The paper, row by row", note)
+    columns: tuple[Column[Json], ...] = (
+        Column("figure of the paper", itemgetter("row")),
+        Column("fails when", itemgetter("fails")),
+        Column("paper", itemgetter("paper"), form=".4g"),
+        Column("here", itemgetter("here"), form=".4g"),
+        Column("chosen", lambda row: row.get("chosen"), form=".4g"),
+        Column("unit", itemgetter("unit")),
+        Column("holds if", itemgetter("criterion")),
+        Column(
+            "verdict",
+            lambda row: "set" if row["set"] else "holds" if row["holds"] else "does not hold",
+        ),
+    )
+    return Table(columns, found if isinstance(found, list) else [], "The paper, row by row", note)
 
 
 def own_table(facts: Facts) -> Table:
@@ -317,10 +305,6 @@ def own_table(facts: Facts) -> Table:
 
 
 # -- the ten worst corrected targets, of re-measured ones both values ------------------------------
-
-
-MOST = 10
-NO_BREAK = "\N{NO-BREAK SPACE}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -353,19 +337,6 @@ def _part(name: str, n: int) -> Callable[[Worst], Value]:
     return lambda row: float(getattr(row, name)[n])
 
 
-WORST: tuple[Column[Worst], ...] = (
-    Column("rank", lambda row: str(row.rank)),
-    Column("target", attrgetter("name")),
-    *(Column(axis, _part("nominal_mm", n), "mm", ".0f") for n, axis in enumerate("xyz")),
-    Column("before", attrgetter("before_mm"), "mm", ".3f"),
-    *(Column(f"e{axis}", _part("error_mm", n), "mm", "+.3f") for n, axis in enumerate("xyz")),
-    Column("3-D", attrgetter("norm_mm"), "mm", ".3f"),
-    Column("again", attrgetter("again_mm"), "mm", ".3f"),
-    Column("95 % bound", attrgetter("bound_mm"), "mm", ".3f"),
-    Column("after ÷ bound", attrgetter("share"), form=".2f"),
-)
-
-
 def worst(facts: Facts, budget: TargetBudget) -> Table:
     """Return the corrected targets with the largest errors."""
     log = facts.log
@@ -373,7 +344,8 @@ def worst(facts: Facts, budget: TargetBudget) -> Table:
         return Table((), ())
     found = [p for station in log.cell.station for p in targets(log, station.name, Sent.CHOSEN)]
     norms_mm = errors_of(log, found).norms_mm
-    order = np.argsort(-norms_mm, kind="stable")[:MOST]
+    most = 10
+    order = np.argsort(-norms_mm, kind="stable")[:most]
     before = {
         (p.station, p.id.number): p
         for station in log.cell.station
@@ -390,17 +362,29 @@ def worst(facts: Facts, budget: TargetBudget) -> Table:
     if rows:
         key = found[order[0]].key
         note += f" Key of the first: {key}; hilcell export RUN --csv lists every key."
-    title = "The ten worst targets" if len(rows) == MOST else "The worst targets"
-    return Table(WORST, rows, title, note)
+    title = "The ten worst targets" if len(rows) == most else "The worst targets"
+    columns: tuple[Column[Worst], ...] = (
+        Column("rank", lambda row: str(row.rank)),
+        Column("target", attrgetter("name")),
+        *(Column(axis, _part("nominal_mm", n), "mm", ".0f") for n, axis in enumerate("xyz")),
+        Column("before", attrgetter("before_mm"), "mm", ".3f"),
+        *(Column(f"e{axis}", _part("error_mm", n), "mm", "+.3f") for n, axis in enumerate("xyz")),
+        Column("3-D", attrgetter("norm_mm"), "mm", ".3f"),
+        Column("again", attrgetter("again_mm"), "mm", ".3f"),
+        Column("95 % bound", attrgetter("bound_mm"), "mm", ".3f"),
+        Column("after ÷ bound", attrgetter("share"), form=".2f"),
+    )
+    return Table(columns, rows, title, note)
 
 
 def _row(log: Log, rank: int, point: Point, before: Point | None, budget: TargetBudget) -> Worst:
     others = [p for p in (*log.repeated.get(point.key, ()), log.points[point.key])
               if p.xyz_mm != point.xyz_mm]  # fmt: skip
     found = errors_of(log, [point])
+    no_break = "\N{NO-BREAK SPACE}"
     return Worst(
         rank,
-        f"{(point.id.number or 0) + 1} at {point.station}".replace(" ", NO_BREAK),
+        f"{(point.id.number or 0) + 1} at {point.station}".replace(" ", no_break),
         found.nominal_mm[0],
         float(errors_of(log, [before]).norms_mm[0]) if before is not None else None,
         found.error_mm[0],
@@ -420,7 +404,6 @@ REASONS = {
     "outlier measured again": "its error stood out from the others",
     "visited once more": "visited once more",
 }
-INVALIDATED = "measured before the tracker was found moved"
 
 
 @dataclass(frozen=True, eq=False)
@@ -454,11 +437,6 @@ REPEATS: tuple[Column[Repeat], ...] = (
     Column("error again", attrgetter("again_mm"), "mm", ".4f"),
     Column("apart", attrgetter("apart_mm"), "mm", ".4f"),
 )
-TURNS: tuple[Column[Repeat], ...] = (
-    Column("turned first", attrgetter("first_deg"), "°", ".4f"),
-    Column("turned again", attrgetter("again_deg"), "°", ".4f"),
-)
-KEYS = Column[Repeat]("key", attrgetter("again.key"), small=True)
 
 
 def remeasured(facts: Facts) -> Table:
@@ -469,7 +447,12 @@ def remeasured(facts: Facts) -> Table:
     note = f"Every value stays in the journal. Of a target the larger {what}, whatever the reason; "
     note += "of other points the later value."
     note += " Once more: hilcell resume RUN --retake KEY; hilcell export RUN --csv lists every key."
-    columns = (*REPEATS, *TURNS, KEYS) if turned else (*REPEATS, KEYS)
+    turns: tuple[Column[Repeat], ...] = (
+        Column("turned first", attrgetter("first_deg"), "°", ".4f"),
+        Column("turned again", attrgetter("again_deg"), "°", ".4f"),
+    )
+    keys = Column[Repeat]("key", attrgetter("again.key"), small=True)
+    columns = (*REPEATS, *turns, keys) if turned else (*REPEATS, keys)
     return Table(columns, found, "Points measured more than once", note)
 
 
@@ -521,12 +504,13 @@ def _which(counted: Point | None, first: Point, again: Point) -> str:
 def _pairs(facts: Facts) -> Iterator[tuple[Point, Point, str]]:
     before: dict[str, Point] = {}
     reasons: dict[str, str] = {}
+    invalidated = "measured before the tracker was found moved"
     for record in facts.records:
         match record.fact:
             case RetakeAsked() | OutlierMeasuredAgain() | VisitedOnceMore() as event:
                 reasons[event.key] = REASONS[event.what]
             case Invalidating(invalid=invalid):
-                reasons |= dict.fromkeys(invalid, INVALIDATED)
+                reasons |= dict.fromkeys(invalid, invalidated)
         if record.kind == "point":
             point = facts.log.read(record)
             if point.key in before:
@@ -552,14 +536,6 @@ def _angle(figure: str) -> Callable[[Oriented], Value]:
     return lambda row: row[3][f"{figure}_deg"]
 
 
-ORIENTATION: tuple[Column[Oriented], ...] = (
-    Column("station", itemgetter(0)),
-    Column("error", itemgetter(1)),
-    Column("targets", itemgetter(2), form="d"),
-    *(Column(name, _angle(name), "°", ".4f") for name in Figures._fields),
-)
-
-
 class TurnResult(NamedTuple):
     """The largest error of orientation that was judged, deg; None where it is not known."""
 
@@ -575,23 +551,21 @@ class TurnResult(NamedTuple):
         return outcome_of(self.after_deg, self.limit_deg, self.U_deg)
 
 
-TURN_RESULTS: tuple[Column[TurnResult], ...] = (
-    Column("orientation of the tool", attrgetter("name")),
-    Column("limit", attrgetter("limit_deg"), "°", ".3f"),
-    Column("before", attrgetter("before_deg"), "°", ".4f"),
-    Column("after", attrgetter("after_deg"), "°", ".4f"),
-    Column("U", attrgetter("U_deg"), "°", ".4f"),
-    Column("after may be at most", lambda row: row.limit_deg - row.U_deg, "°", ".4f"),
-)
-
-
 def worst_turn(facts: Facts) -> Table:
     """Return the orientation nearest to its limit, where one is stated, for the first page."""
     verdict = Column[TurnResult](
         "verdict", lambda row: facts.outcome_words(row.outcome), form="s"
     )  # fmt: skip
+    columns: tuple[Column[TurnResult], ...] = (
+        Column("orientation of the tool", attrgetter("name")),
+        Column("limit", attrgetter("limit_deg"), "°", ".3f"),
+        Column("before", attrgetter("before_deg"), "°", ".4f"),
+        Column("after", attrgetter("after_deg"), "°", ".4f"),
+        Column("U", attrgetter("U_deg"), "°", ".4f"),
+        Column("after may be at most", lambda row: row.limit_deg - row.U_deg, "°", ".4f"),
+    )
     return Table(
-        (*TURN_RESULTS, verdict), _turn_results(facts), "Results, orientation at the worst station"
+        (*columns, verdict), _turn_results(facts), "Results, orientation at the worst station"
     )
 
 
@@ -633,7 +607,13 @@ def orientation(facts: Facts) -> Table:
     fit = facts.log.verdict(Fitted)
     if fit is not None and fit.orientation:
         note += f" Orientation {fit.orientation}."
-    return Table(ORIENTATION, rows, "Orientation", note)
+    columns: tuple[Column[Oriented], ...] = (
+        Column("station", itemgetter(0)),
+        Column("error", itemgetter(1)),
+        Column("targets", itemgetter(2), form="d"),
+        *(Column(name, _angle(name), "°", ".4f") for name in Figures._fields),
+    )
+    return Table(columns, rows, "Orientation", note)
 
 
 def orientation_words(facts: Facts) -> str:
