@@ -22,8 +22,6 @@ from hilcell.journal.log import Log, commanded_rad
 from hilcell.model.point import Point, Sent
 from hilcell.ports import Array
 
-PLACES_PER_CELL = (0.25, 0.75)  # along each axis of a grid's cell
-
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
@@ -80,7 +78,7 @@ def lines_in_use(calibration: Calibration, station: str) -> list[Influence]:
 def cube_bounds(calibration: Calibration, station: str) -> Bounds:
     """Return the bounds in use through the calibrated cube, in its orientation."""
     grid = calibration.grid()
-    shares = np.array(PLACES_PER_CELL)
+    shares = np.array([0.25, 0.75])  # along each axis of a grid's cell
     axes = [
         low_mm + grid.pitch_mm * np.add.outer(np.arange(count - 1), shares).ravel()
         for low_mm, count in zip(grid.origin_mm, grid.shape, strict=True)

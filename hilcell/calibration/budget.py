@@ -51,8 +51,6 @@ from hilcell.ports import Array
 NO_VISITS = "the run visited no place again, so that the robot's repeatability is not known"
 TEMPERATURE = "Temperature of the arm"
 DRILL = "Drill's offset"
-LARGE_AXES = [0, 1, 2]  # whose errors have levers of metres
-SAME_DEG = 0.1  # of a joint's angle: less than half the shortest wave of a gear
 
 
 def uncertainty_of(log: Log) -> Uncertainty:
@@ -87,7 +85,9 @@ def _model_samples(log: Log) -> int | None:
     fitted = log.verdict(Fitted)
     if not points or (fitted is not None and fitted.curves.used):
         return len(points) or None
-    angles = np.round(np.degrees(commanded_rad(points))[:, LARGE_AXES] / SAME_DEG)
+    large_axes = [0, 1, 2]  # whose errors have levers of metres
+    same_deg = 0.1  # of a joint's angle: less than half the shortest wave of a gear
+    angles = np.round(np.degrees(commanded_rad(points))[:, large_axes] / same_deg)
     return min(len(np.unique(each)) for each in angles.T)
 
 

@@ -30,12 +30,10 @@ from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.ports import Array
 
 LARGE_AXES = 5
-LEAST_LEVER_MM = 20.0  # of a reflector beside axis 6: below, no turn of it is seen
 ZEROS = slice(18, 24)  # of the links' parameters: the joints' offsets
 RISK = 0.001  # of each of two tests: that poses which have not changed are found to
 SPREAD = 1.5  # of the scatter's variance over a cube: a joint's own scatter acts by its reach
 PENALTY = 4.0  # of chi^2, that a parameter more must gain
-MOST_LEFT = 0.5  # of chi^2, by a cause that is named
 
 
 class Pattern(NamedTuple):
@@ -67,7 +65,8 @@ def axis_6_pattern(arm: Arm, joints_rad: Array) -> list[Pattern]:
     """
     J = parameter_jacobian(arm, joints_rad)[:, :3, ZEROS] * arm.sign
     lever_mm = float(np.sqrt(np.square(J[:, :, LARGE_AXES]).sum(axis=1).mean()))
-    return [_zero(J, LARGE_AXES)] if lever_mm >= LEAST_LEVER_MM else []
+    least_lever_mm = 20.0  # of a reflector beside axis 6: below, no turn of it is seen
+    return [_zero(J, LARGE_AXES)] if lever_mm >= least_lever_mm else []
 
 
 def _zero(J: Array, axis: int) -> Pattern:
@@ -171,7 +170,8 @@ def _named(found: Differences, arm: Arm, explained: list[_Explained], noticed_by
         turns = _by_patterns(found, axis_6_pattern(arm, found.joints_rad), noticed_by)
         best = min([best, *turns], key=_penalised)
     d = found.difference_mm.reshape(-1)
-    if best.left <= MOST_LEFT * float(d @ np.linalg.solve(found.covariance_mm2, d)):
+    most_left = 0.5  # of chi^2, by a cause that is named
+    if best.left <= most_left * float(d @ np.linalg.solve(found.covariance_mm2, d)):
         return best.suspicion
     rms_mm = float(np.sqrt(np.square(found.difference_mm).sum(axis=1).mean()))
     return Suspicion(Cause.UNKNOWN, rms_mm, "mm", noticed_by)

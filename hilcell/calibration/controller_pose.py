@@ -23,13 +23,8 @@ from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.rotations import to_rotvec
 from hilcell.ports import Array, DeviceError, HilcellError, RobotReading
 
-AXIS_RAD = np.radians(0.0005)  # joints and pose are some ms apart, and a robot at rest flickers
 ROUNDING_MM, ROUNDING_RAD = 0.005, np.radians(0.001)  # of the numbers that a controller states
 FACTORY_MM, FACTORY_RAD = 15.0, np.radians(1.0)  # what links measured in a factory may explain
-ZEROS = slice(18, 24)
-FITTED = (*range(24), *range(30, 33))  # of `PARAMETERS` those that a cell file has
-TRIES = 4
-LISTED = 3
 
 
 class Deviation(NamedTuple):
@@ -60,13 +55,15 @@ class Deviation(NamedTuple):
 def deviation(arm: Arm, joints_rad: Array, pose: Array) -> Deviation:
     """Return how far a pose (4, 4) is from that of joints (6,) by the cell file's arm."""
     nominal = forward(arm, joints_rad)
-    J = np.abs(np.linalg.norm(parameter_jacobian(arm, joints_rad)[:3, ZEROS], axis=0))
+    zeros = slice(18, 24)
+    J = np.abs(np.linalg.norm(parameter_jacobian(arm, joints_rad)[:3, zeros], axis=0))
     turn = to_rotvec(pose[:3, :3] @ nominal[:3, :3].T).reshape(3)
+    axis_rad = np.radians(0.0005)  # joints and pose are some ms apart, and a robot at rest flickers
     return Deviation(
         pose[:3, 3] - nominal[:3, 3],
         turn,
-        ROUNDING_MM + AXIS_RAD * float(J.sum()),
-        float(ROUNDING_RAD + 6.0 * AXIS_RAD),
+        ROUNDING_MM + axis_rad * float(J.sum()),
+        float(ROUNDING_RAD + 6.0 * axis_rad),
     )
 
 
@@ -84,6 +81,8 @@ def check_pose(robot: RobotTable, reading: RobotReading, operation: str) -> Devi
         return found
     off_deg, off_mm = float(np.degrees(np.linalg.norm(found.turn_rad))), found.off_mm
     fits = fitting(arm, reading.joints_rad, reading.pose)
+    where = " or ".join(f"{name} by {by:+.3f}" for name, by in fits.items())
+    first = f"this fits: {where} on the controller; " if fits else ""
     raise DeviceError(
         "HC-B36",
         "Robot",
@@ -91,7 +90,10 @@ def check_pose(robot: RobotTable, reading: RobotReading, operation: str) -> Devi
         f"the controller's pose is {off_mm:.3f} mm and {off_deg:.4f} deg from that of its joints "
         "by the cell file",
         wanted=f"<= {limit_mm:.3f} mm and {np.degrees(limit_rad):.4f} deg",
-        act=_act(fits),
+        act=(
+            f"{first}compare [[robot.joint]] and robot.smr_mm with the controller: its variant, a "
+            "typed length, a tool, base or root that is not null, an absolute-accuracy model"
+        ),
         fields={
             "off_mm": _finite(off_mm),
             "off_deg": _finite(off_deg),
@@ -106,15 +108,6 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None  # a journal keeps no other number
 
 
-def _act(fits: dict[str, float]) -> str:
-    where = " or ".join(f"{name} by {by:+.3f}" for name, by in fits.items())
-    first = f"this fits: {where} on the controller; " if fits else ""
-    return (
-        f"{first}compare [[robot.joint]] and robot.smr_mm with the controller: its variant, a "
-        "typed length, a tool, base or root that is not null, an absolute-accuracy model"
-    )
-
-
 def fitting(arm: Arm, joints_rad: Array, pose: Array) -> dict[str, float]:
     """Return which single links and tool coordinates of the controller explain its pose (4, 4), by
     their names in the cell file, and by how much they differ (mm and deg), best first.
@@ -122,19 +115,22 @@ def fitting(arm: Arm, joints_rad: Array, pose: Array) -> dict[str, float]:
     One pose cannot tell a parallel length from another; several that differ at once are none.
     """
     found = []
-    for column in FITTED:
+    fitted = (*range(24), *range(30, 33))  # of `PARAMETERS` those that a cell file has
+    for column in fitted:
         other, step = _fitted(arm, joints_rad, pose, column)
         left = deviation(other, joints_rad, pose)
         if left.holds:
             found.append((left.off_mm, *_named(column, step)))
-    return {name: by for _, name, by in sorted(found)[:LISTED]}
+    listed = 3
+    return {name: by for _, name, by in sorted(found)[:listed]}
 
 
 def _fitted(arm: Arm, joints_rad: Array, pose: Array, column: int) -> tuple[Arm, float]:
     """Return the arm with one parameter changed so that its pose fits best, and the change."""
     scale = np.array([1.0] * 3 + [1000.0] * 3)  # an angle acts over a metre
     other, step = arm, 0.0
-    for _ in range(TRIES):
+    tries = 4
+    for _ in range(tries):
         left = deviation(other, joints_rad, pose)
         J = scale * parameter_jacobian(other, joints_rad)[:, column]
         d = scale * np.concatenate([left.shift_mm, left.turn_rad])

@@ -23,7 +23,6 @@ from hilcell.ports import Array
 
 NAME = "corrected.csv"
 SAME_MM = 0.009  # numbers may have been rounded, to two decimals
-ROUNDED_MM = 0.09  # or to one: then most of a list stands at points of before
 FAR = 4.0  # times that a correction moves a point: one that hardly moved is its nominal target
 
 
@@ -85,10 +84,11 @@ def _same(known: Array, places_mm: Array) -> tuple[NDArray[np.bool_], NDArray[np
 
     found = KDTree(known[:, :3]).query(places_mm)
     same, nearest = np.asarray(found[0]) <= SAME_MM, np.asarray(found[1])
-    far = np.flatnonzero(known[:, 3] >= FAR * ROUNDED_MM)
+    rounded_mm = 0.09  # or to one: then most of a list stands at points of before
+    far = np.flatnonzero(known[:, 3] >= FAR * rounded_mm)
     if not same.any() and len(far):
         off_mm, nearest_far = KDTree(known[far, :3]).query(places_mm)
-        rounded = np.asarray(off_mm) <= ROUNDED_MM
+        rounded = np.asarray(off_mm) <= rounded_mm
         if rounded.mean() >= 0.5:
             return rounded, far[np.asarray(nearest_far)]
     return same, nearest

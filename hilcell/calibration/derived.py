@@ -22,8 +22,6 @@ from hilcell.model.calibration import Provenance, Update
 from hilcell.model.frame import TouchedBase
 from hilcell.model.verdicts import Fitted, Judged, Touched
 
-BASE_UPDATE = "Base frame, updated"
-
 
 def calibration_after(log: Log, run: str) -> Calibration:
     """Return the calibration of a log for which `Log.calibrates` holds."""
@@ -53,10 +51,11 @@ def _rebased(calibration: Calibration, found: Judgement, run: str) -> Calibratio
         found.covariance.tolist(),
     )
     uncertainty = calibration.uncertainty
+    base_update = "Base frame, updated"
     if not uncertainty.missing:
         how = f"{len(found.left_mm)} poses of the re-check, less what its frames are uncertain by"
-        line = Influence(BASE_UPDATE, MEASURED, how, "4.2.2", "base", moved_frame(found.covariance))
-        lines = [each for each in uncertainty.lines if each.name != BASE_UPDATE]
+        line = Influence(base_update, MEASURED, how, "4.2.2", "base", moved_frame(found.covariance))
+        lines = [each for each in uncertainty.lines if each.name != base_update]
         uncertainty = msgspec.structs.replace(uncertainty, lines=[*lines, line])
     return msgspec.structs.replace(
         calibration,

@@ -30,7 +30,7 @@ from hilcell.calibration.since import risen_nest, since_before
 from hilcell.calibration.visit_noise import of_differences, visit_noise
 from hilcell.geometry.circles import base_frame_covariance, reading_covariance
 from hilcell.geometry.frames import apply, inverse, matrix, motion_levers
-from hilcell.geometry.kinematics import Arm, forward
+from hilcell.geometry.kinematics import forward
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.geometry.statistics import bounds95_mm, chance_of_at_most, rectangular_variance
 from hilcell.journal.log import Log, commanded_rad, covariances_mm2, positions_mm
@@ -108,11 +108,6 @@ def warm(log: Log) -> Suspicion | None:
 # distances as they are, and lift {W} with all that is measured in it. The base stands where it
 # stood, so it comes out lower or higher by the difference of the radii.
 
-BASES_PLACE = "the base's place in the cell file"
-INCH_MM = 25.4
-BALLS_IN = (0.5, 0.875, 1.5)  # diameters of reflectors as sold
-SAME_MM = 3.0  # by which a base that is bolted as usual may be elsewhere
-
 
 def misplaced_base(log: Log) -> Suspicion | None:
     """Return a base that is not where the cell file says, with the cause that fits."""
@@ -125,19 +120,23 @@ def misplaced_base(log: Log) -> Suspicion | None:
     size_mm = float(np.linalg.norm(off_mm))
     if size_mm <= cell.layout.base_tolerance_mm:
         return None
+    bases_place = "the base's place in the cell file"
     if balls := _balls(off_mm):
         return Suspicion(
-            Cause.REFLECTOR, float(off_mm[2]), f"mm along z of {{W}}, as of {balls}", BASES_PLACE
+            Cause.REFLECTOR, float(off_mm[2]), f"mm along z of {{W}}, as of {balls}", bases_place
         )
-    return Suspicion(Cause.BASE_MISPLACED, size_mm, "mm", BASES_PLACE)
+    return Suspicion(Cause.BASE_MISPLACED, size_mm, "mm", bases_place)
 
 
 def _balls(off_mm: Array) -> str:
     """Return which reflectors in all floor nests leave a base (3,) off so; "" for none."""
-    for seated in BALLS_IN:
-        for expected in BALLS_IN:
-            higher_mm = (expected - seated) * INCH_MM / 2.0
-            fits = float(np.linalg.norm(off_mm - [0.0, 0.0, higher_mm])) <= SAME_MM
+    inch_mm = 25.4
+    balls_in = (0.5, 0.875, 1.5)  # diameters of reflectors as sold
+    same_mm = 3.0  # by which a base that is bolted as usual may be elsewhere
+    for seated in balls_in:
+        for expected in balls_in:
+            higher_mm = (expected - seated) * inch_mm / 2.0
+            fits = float(np.linalg.norm(off_mm - [0.0, 0.0, higher_mm])) <= same_mm
             if higher_mm and fits:
                 return f"{seated:g} in reflectors in floor nests for {expected:g} in"
     return ""
@@ -150,19 +149,20 @@ def _balls(off_mm: Array) -> str:
 # like a reflector that sits sideways.
 
 CIRCLE, CONSTANT = "circle of axis 6", "constant error in the tool's frame"
-SIGMAS = 3.0
-MOST_RADIUS_MM = 2.0  # 3 sigma: a mount to +-1 mm as measured by hand, an arm's links to 0.4 mm
-MOST_CONSTANT_MM = 3.0  # 3 sigma of the uncorrected error, that links and zeros explain
 
 
 def mount_offset(log: Log) -> Suspicion | None:
     """Return a reflector that is not where the cell file says, if it is clearly not."""
     frame, arm = log.frames.get("base"), log.cell.robot.arm()
     of_base, radius_mm2 = np.zeros((6, 6)), 0.0
+    sigmas = 3.0
+    most_radius_mm = 2.0  # 3 sigma: a mount to +-1 mm as measured by hand, an arm's links to 0.4 mm
     if isinstance(frame, MeasuredBase):
         of_base, radius_mm2 = _by_circles(log)
-        off_mm = abs(frame.radius_mm[1] - axis_6_radius_mm(arm))
-        if not off_mm <= np.hypot(MOST_RADIUS_MM, SIGMAS * np.sqrt(radius_mm2)):
+        turn = from_rotvec(np.array([arm.alpha_rad[5], 0.0, 0.0]))
+        last = matrix(turn, np.array([arm.a_mm[5], 0.0, 0.0])) @ arm.tool
+        off_mm = abs(frame.radius_mm[1] - float(np.hypot(last[0, 3], last[1, 3])))
+        if not off_mm <= np.hypot(most_radius_mm, sigmas * np.sqrt(radius_mm2)):
             return Suspicion(Cause.MOUNT_OFFSET, off_mm, "mm", CIRCLE)
     points = log.select("grid")
     if not points:
@@ -173,9 +173,10 @@ def mount_offset(log: Log) -> Suspicion | None:
     levers = motion_levers(errors.nominal_mm - log.matrix("base")[:3, 3])[:, :, :6]
     J = (np.swapaxes(R, 1, 2) @ levers).mean(axis=0)
     systematic = systematic_mm2(log.cell.uncertainty, positions_mm(points)).mean()
-    mount_mm2 = (MOST_CONSTANT_MM / SIGMAS) ** 2
+    most_constant_mm = 3.0  # 3 sigma of the uncorrected error, that links and zeros explain
+    mount_mm2 = (most_constant_mm / sigmas) ** 2
     covariance = (mount_mm2 + systematic) * np.eye(3) + J @ of_base @ J.T
-    if off @ np.linalg.solve(covariance, off) <= SIGMAS**2:
+    if off @ np.linalg.solve(covariance, off) <= sigmas**2:
         return None
     return Suspicion(Cause.MOUNT_OFFSET, float(np.linalg.norm(off)), "mm", CONSTANT)
 
@@ -189,25 +190,15 @@ def _by_circles(log: Log) -> tuple[Array, float]:
         points = log.select("base", axis=axis)
         circle = circle_of(log.cell, log, axis, points)
         at_mm = apply(log.matrix("world"), positions_mm(points))
-        covariances.append(reading_covariance(circle, at_mm, _covariances_mm2(log, points)))
+        limits = systematic_mm2(log.cell.uncertainty, positions_mm(points))
+        noise = covariances_mm2(points, log.matrix("world")[:3, :3])
+        covariances.append(
+            reading_covariance(circle, at_mm, (noise + limits[:, None, None] * np.eye(3)))
+        )
         circles.append(dataclasses.replace(circle, covariance=covariances[-1][:6, :6]))
     axis_1, axis_6 = circles
     of_base = base_frame_covariance(axis_1, axis_6, axis_6_height_mm(log.cell))
     return of_base, float(covariances[-1][6, 6])
-
-
-def _covariances_mm2(log: Log, points: list[Point]) -> Array:
-    """Return the covariances (N, 3, 3) in {W} of readings, with the tracker's stated limits."""
-    limits = systematic_mm2(log.cell.uncertainty, positions_mm(points))
-    noise = covariances_mm2(points, log.matrix("world")[:3, :3])
-    return noise + limits[:, None, None] * np.eye(3)
-
-
-def axis_6_radius_mm(arm: Arm) -> float:
-    """Return the nominal distance of the tool point from axis 6."""
-    turn = from_rotvec(np.array([arm.alpha_rad[5], 0.0, 0.0]))
-    last = matrix(turn, np.array([arm.a_mm[5], 0.0, 0.0])) @ arm.tool
-    return float(np.hypot(last[0, 3], last[1, 3]))
 
 
 # -- poses that were visited again, and corrected targets ------------------------------------------
@@ -215,10 +206,6 @@ def axis_6_radius_mm(arm: Arm) -> float:
 REVISIT, CLOSING = "revisit", "closing"  # kinds of points: after the grid, and in the end
 REVISITS = {REVISIT: "re-visited poses", CLOSING: "vertices re-visited at the end"}
 VERDICTS = {REVISIT: "revisits", CLOSING: "revisits.closing"}  # their keys in the journal
-VALIDATION = "validation"
-MOMENTS = 5  # of the grid at which a change may have come
-LEAST_INSIDE = 0.82  # of corrected targets, within bounds that 95 % should keep
-LEAST_WITHOUT_CURVES = 0.6  # where the gears' ripple is not known: 0.73 was seen
 
 
 def established(log: Log, kind: str) -> Suspicion | None:
@@ -306,7 +293,8 @@ def _moments(before: list[Point]) -> list[int]:
     of a false alarm, and finds hardly what its neighbours do not.
     """
     of_base = sum(point.id.kind == "base" for point in before)
-    return [*np.unique(np.linspace(max(of_base, 1), len(before), MOMENTS).astype(int)).tolist()]
+    moments = 5  # of the grid at which a change may have come
+    return [*np.unique(np.linspace(max(of_base, 1), len(before), moments).astype(int)).tolist()]
 
 
 def _framed_again(log: Log, R: Array) -> Array:
@@ -327,8 +315,11 @@ def _of_targets(log: Log, fit: int) -> list[Suspicion]:
         return []
     fitted = log.verdict(Fitted)
     curves = fitted is not None and fitted.curves.used
-    least = LEAST_INSIDE if curves else LEAST_WITHOUT_CURVES
+    least_inside = 0.82  # of corrected targets, within bounds that 95 % should keep
+    least_without_curves = 0.6  # where the gears' ripple is not known: 0.73 was seen
+    least = least_inside if curves else least_without_curves
     found = []
+    validation = "validation"
     for name in (station.name for station in log.cell.station):
         try:
             coverage = validated(calibration, log, name)
@@ -350,7 +341,7 @@ def _of_targets(log: Log, fit: int) -> list[Suspicion]:
             R.T @ np.array(log.cell.layout.rail_direction),
             [len(points)],
         )
-        place = f"{VALIDATION} at {name}: {coverage.share:.0%} within their bounds"
+        place = f"{validation} at {name}: {coverage.share:.0%} within their bounds"
         found.append(likeliest(differences, log.cell.robot.arm(), place))
     return found
 

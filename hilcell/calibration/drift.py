@@ -43,12 +43,7 @@ from hilcell.ports import Array, HilcellError
 
 # -- the tracker -----------------------------------------------------------------------------------
 
-NESTS_IN_ORDER = "floor nests, in the order of their readings"
-LEAST_READINGS = 4  # of each nest
-MOST_LEFT = 0.1  # of chi^2, by a slope that is not quite straight; a step leaves a quarter or more
 URAD = 1e6
-CAUSES = (("mm of the tracker over the run", slice(0, 3), 1.0),
-          ("urad of the tracker over the run", slice(3, 6), URAD))  # fmt: skip
 
 
 def tracker_drift(log: Log) -> Suspicion | None:
@@ -59,7 +54,8 @@ def tracker_drift(log: Log) -> Suspicion | None:
 def _tracker_drift(log: Log) -> Suspicion | None:
     nests = [nest.name for nest in log.cell.layout.floor]
     points = [p for kind in PROOFS for p in log.measured(kind) if p.id.nest in nests]
-    if len(points) < LEAST_READINGS * len(nests):
+    least_readings = 4  # of each nest
+    if len(points) < least_readings * len(nests):
         return None
     noise = run_noise(log)
     at_mm, share = positions_mm(points), _shares(log, points)
@@ -69,7 +65,9 @@ def _tracker_drift(log: Log) -> Suspicion | None:
     white = (whitening @ off_mm[:, :, None]).ravel()
     groups = len({(p.set_up, p.id.nest) for p in points})
     found = []
-    for unit, own, factor in CAUSES:
+    causes = (("mm of the tracker over the run", slice(0, 3), 1.0),
+              ("urad of the tracker over the run", slice(3, 6), URAD))  # fmt: skip
+    for unit, own, factor in causes:
         D = (whitening @ J[:, :, own]).reshape(-1, 3)
         motion = np.linalg.lstsq(D, white, rcond=None)[0]
         left = float(np.square(white - D @ motion).sum())
@@ -77,14 +75,17 @@ def _tracker_drift(log: Log) -> Suspicion | None:
         found.append((left, explained, motion, unit, own, factor))
     left, explained, motion, unit, own, factor = min(found, key=lambda each: each[0])
     freedom = 3 * (len(points) - groups) - 3
-    sure = explained > 3 * SPREAD * f_quantile(1.0 - RISK / len(CAUSES), 3, noise.freedom)
+    sure = explained > 3 * SPREAD * f_quantile(1.0 - RISK / len(causes), 3, noise.freedom)
     chance = freedom * SPREAD * f_quantile(1.0 - RISK, freedom, noise.freedom)
-    alone = left <= chance + MOST_LEFT * (explained + left)
+    # of chi^2, by a slope that is not quite straight; a step leaves a quarter or more
+    most_left = 0.1
+    alone = left <= chance + most_left * (explained + left)
     moved_mm = lengths_mm(motion_levers(at_mm)[:, :, own] @ motion).max()
     limit_mm = np.sqrt(3.0) * log.cell.uncertainty.drift_limit_mm
     if not (sure and alone and moved_mm > limit_mm):
         return None
-    return Suspicion(Cause.DRIFT, factor * float(np.linalg.norm(motion)), unit, NESTS_IN_ORDER)
+    nests_in_order = "floor nests, in the order of their readings"
+    return Suspicion(Cause.DRIFT, factor * float(np.linalg.norm(motion)), unit, nests_in_order)
 
 
 def _shares(log: Log, points: list[Point]) -> Array:
@@ -108,13 +109,6 @@ def _within(points: list[Point], at_mm: Array, share: Array) -> tuple[Array, Arr
 
 
 # -- the robot -------------------------------------------------------------------------------------
-
-# Kinds of points. Visits of three places alone are left out: the model's errors there are no noise.
-KINDS = ("grid", "revisit", "touch", "validate", "closing")
-POSES_IN_ORDER = "all poses of the run, in their order"
-LEAST_POSES = 30
-MODEL_MM = 0.05  # root mean square over the poses
-MOTION = 6  # of {B} at a hold: shift, rotation vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +173,8 @@ def slope_of(series: Series, arm: Arm) -> Suspicion | None:
 def _named(cause: Pattern, slopes: Array) -> Suspicion:
     size = float(slopes[0]) if len(slopes) == 1 else float(np.linalg.norm(slopes))
     unit = f"{cause.unit} over the run, as of {cause.cause}"
-    return Suspicion(Cause.DRIFT, cause.factor * size, unit, POSES_IN_ORDER)
+    poses_in_order = "all poses of the run, in their order"
+    return Suspicion(Cause.DRIFT, cause.factor * size, unit, poses_in_order)
 
 
 def _whitened(whitening: Array, columns: Array) -> Array:
@@ -191,13 +186,14 @@ def _nuisances(series: Series, arm: Arm) -> tuple[Array, Array]:
     """Return what else moves the poses, columns (N, 3, K), and its covariance (K, K)."""
     at_mm = forward(arm, series.joints_rad)[:, :3, 3]
     J, count = motion_levers(at_mm), len(series.holds)
-    columns = np.zeros((len(at_mm), 3, MOTION * count + 1))
+    motion = 6  # of {B} at a hold: shift, rotation vector
+    columns = np.zeros((len(at_mm), 3, motion * count + 1))
     prior = np.zeros((columns.shape[2], columns.shape[2]))
     for number, covariance in enumerate(series.holds):
-        own = slice(MOTION * number, MOTION * (number + 1))
-        columns[:, :, own] = J[:, :, :MOTION] * (series.hold == number)[:, None, None]
+        own = slice(motion * number, motion * (number + 1))
+        columns[:, :, own] = J[:, :, :motion] * (series.hold == number)[:, None, None]
         prior[own, own] = covariance
-    columns[:, :, -1] = J[:, :, MOTION] * series.warm_k[:, None]
+    columns[:, :, -1] = J[:, :, motion] * series.warm_k[:, None]
     prior[-1, -1] = rectangular_variance(series.growth_per_k)
     return columns, prior
 
@@ -212,7 +208,8 @@ def _of_model(at_mm: Array, causes: list[Pattern]) -> Array:
     along = (at_mm - at_mm.mean(axis=0))[:, None, [0, 2]] / np.ptp(at_mm, axis=0).max()
     found = np.dstack([alike, alike * along[:, :, :1], alike * along[:, :, 1:]])
     sizes = np.sqrt(np.square(found).sum(axis=1).mean(axis=0))
-    columns: Array = MODEL_MM * found / sizes
+    model_mm = 0.05  # root mean square over the poses
+    columns: Array = model_mm * found / sizes
     return columns
 
 
@@ -226,7 +223,8 @@ def series_of(log: Log) -> Series | None:
     holds = [[p for p in points if _counts(p)] for _, points in runs]
     holds = [points for points in holds if points]
     points = [point for hold in holds for point in hold]
-    if len(points) < LEAST_POSES:
+    least_poses = 30
+    if len(points) < least_poses:
         return None
     try:
         repeats = Counter(map(_place, points))
@@ -262,7 +260,9 @@ def _warmer_k(points: list[Point], unknown_k: Array) -> Array:
 
 def _counts(point: Point) -> bool:
     """Whether a point is the tool point's at a pose that came from below."""
-    own = point.id.kind in KINDS and point.id.seat is None and not point.id.side
+    # Visits of three places alone are left out: the model's errors there are no noise.
+    kinds = ("grid", "revisit", "touch", "validate", "closing")
+    own = point.id.kind in kinds and point.id.seat is None and not point.id.side
     return own and not point.id.axis and point.commanded_deg is not None
 
 

@@ -233,11 +233,7 @@ def compensate_targets(
     if not calibration.orients:
         return zyx_from_pose(poses)
     poses[:, :3, :3] = T_W_B[:3, :3] @ sent[:, :3, :3]
-    return _beside(targets, zyx_from_pose(poses))
-
-
-def _beside(targets: Array, commands: Array) -> Array:
-    """Return commands (N, 6) with angles within half a turn of the targets' (N, 6)."""
+    commands = zyx_from_pose(poses)
     beside = commands.copy()
     beside[:, 3:] += 360.0 * np.round((targets[:, 3:] - commands[:, 3:]) / 360.0)
     return beside
@@ -271,13 +267,8 @@ def _refuse_turned(calibration: Calibration, poses: Array, names: list[str]) -> 
 MOST_ERROR_MM = 100.0  # beyond is no robot's error
 MOST_MM = 1e6
 MOST_TURN_DEG = 180.0
-MOST_LOST_RAD = 0.1
-AXES = 6
 MOST_C = 100.0
 RIGID = 1e-6  # of a rotation matrix times its transpose, and of a whole number of pitches
-ROUNDING = 1e-6  # of a covariance, relative
-LEAST_VARIANCE = 1e-30  # mm2, rad2, or a ratio squared; below is nought
-MOST_VARIANCE = 1e12  # likewise
 
 
 def problems_of(calibration: Calibration) -> list[str]:
@@ -367,11 +358,13 @@ def _stations(stations: dict[str, StationEntry]) -> Iterator[str]:
 
 
 def _lost_motion(lost: LostMotion) -> Iterator[str]:
+    most_lost_rad = 0.1
+    axes = 6
     for name, values in (("lost_rad", lost.lost_rad), ("u_rad", lost.u_rad)):
-        if len(values) != AXES:
-            yield f"lost_motion.{name}: {len(values)} axes, expected {AXES}"
+        if len(values) != axes:
+            yield f"lost_motion.{name}: {len(values)} axes, expected {axes}"
         else:
-            yield from _within(f"lost_motion.{name}", values, MOST_LOST_RAD, "rad")
+            yield from _within(f"lost_motion.{name}", values, most_lost_rad, "rad")
     if not all(each >= 0.0 for each in lost.u_rad):
         yield "lost_motion.u_rad: a standard deviation below zero"
 
@@ -445,12 +438,15 @@ def _verdicts(calibration: Calibration) -> Iterator[str]:
 
 def _is_covariance(found: Array) -> bool:
     """Whether an array is a covariance (7, 7): of sane size, symmetric, no negative variance."""
-    if found.shape != (SIZE, SIZE) or not np.abs(found).max() <= MOST_VARIANCE:
+    most_variance = 1e12  # mm2, rad2, or a ratio squared
+    if found.shape != (SIZE, SIZE) or not np.abs(found).max() <= most_variance:
         return False
-    if not np.abs(found - found.T).max() <= ROUNDING * np.abs(found).max():
+    rounding = 1e-6  # of a covariance, relative
+    if not np.abs(found - found.T).max() <= rounding * np.abs(found).max():
         return False
-    scale = np.sqrt(np.maximum(np.diag(found), LEAST_VARIANCE))
-    return bool(np.linalg.eigvalsh(found / np.outer(scale, scale)).min() >= -ROUNDING)
+    least_variance = 1e-30  # likewise; below is nought
+    scale = np.sqrt(np.maximum(np.diag(found), least_variance))
+    return bool(np.linalg.eigvalsh(found / np.outer(scale, scale)).min() >= -rounding)
 
 
 def _frame(name: str, frame: Array) -> Iterator[str]:

@@ -45,8 +45,6 @@ SIGMAS = 4.0  # of the readings' noise, beyond the stated limits of tracker and 
 
 # -- scale: certified lengths ----------------------------------------------------------------------
 
-COVERAGE = 2.0  # k: about 95 %
-
 
 def known_lengths(cell: Cell, log: Log) -> list[LengthFound]:
     """Return the cell's certified lengths as a run has measured them."""
@@ -76,7 +74,8 @@ def _found(cell: Cell, log: Log, known: KnownLength) -> LengthFound:
     celsius = [point.temperature_c for point in ends if point.temperature_c is not None]
     warm_k = float(np.mean(celsius)) - CERTIFIED_C if celsius else 0.0
     wanted_mm = known.length_mm * (1.0 + known.expansion_um_m_k * 1e-6 * warm_k)
-    return LengthFound(known.nests, wanted_mm, found_mm, COVERAGE * math.sqrt(variance_mm2))
+    coverage = 2.0  # k: about 95 %
+    return LengthFound(known.nests, wanted_mm, found_mm, coverage * math.sqrt(variance_mm2))
 
 
 def scale(log: Log) -> Suspicion | None:
@@ -92,10 +91,8 @@ def scale(log: Log) -> Suspicion | None:
 # -- axes: nests seen in both faces ----------------------------------------------------------------
 
 TWO_FACES = FacesCompared.keys  # at the start, and at the end
-BOTH_FACES = "nests seen in both faces"
 URAD = 1e6
 AXES = ("urad of collimation", "urad of the transit axis' tilt", "urad of the vertical index")
-FRONTS = (*PROOFS, "length")  # kinds of points
 
 
 class BothFaces(msgspec.Struct, frozen=True):
@@ -104,6 +101,8 @@ class BothFaces(msgspec.Struct, frozen=True):
     nests: list[Faces]
     size_urad: float
     unit: str
+
+    BOTH_FACES = "nests seen in both faces"
 
     @property
     def holds(self) -> bool:
@@ -115,7 +114,7 @@ class BothFaces(msgspec.Struct, frozen=True):
         """Return the axis that is off, if a nest shows that one is."""
         if self.holds:
             return None
-        return Suspicion(Cause.INSTRUMENT, self.size_urad, self.unit, BOTH_FACES)
+        return Suspicion(Cause.INSTRUMENT, self.size_urad, self.unit, self.BOTH_FACES)
 
     @property
     def text(self) -> str:
@@ -137,9 +136,11 @@ def two_faces(log: Log, number: int) -> BothFaces | None:
     noise = run_noise(log)
     noise_mm2 = (noise_at(noise, fronts) + noise_at(noise, backs)) / 4.0
     sigmas = coverage_factor(SIGMAS, noise.freedom)
-    limits_mm = _limits_mm(log.cell, positions_mm(fronts)) + sigmas * np.sqrt(
-        np.trace(noise_mm2, axis1=1, axis2=2)
-    )
+    stated = log.cell.uncertainty
+    range_mm: Array = np.linalg.norm(positions_mm(fronts), axis=1)
+    limits_mm = (
+        stated.tracker_limit_mm + 1e-6 * stated.tracker_limit_um_m * range_mm
+    ) + sigmas * np.sqrt(np.trace(noise_mm2, axis1=1, axis2=2))
     return judged_faces(
         [point.id.nest for point in fronts], _own_mm(log, fronts), _own_mm(log, backs), limits_mm
     )
@@ -176,16 +177,10 @@ def axis_off(log: Log) -> Suspicion | None:
     return next((each for each in suspicions if each is not None), None)
 
 
-def _limits_mm(cell: Cell, at_mm: Array) -> Array:
-    """Return by how much (N,) the tracker's stated limits let places (N, 3) be off."""
-    stated = cell.uncertainty
-    range_mm: Array = np.linalg.norm(at_mm, axis=1)
-    return stated.tracker_limit_mm + 1e-6 * stated.tracker_limit_um_m * range_mm
-
-
 def _front(log: Log, back: Point) -> Point | None:
     """Return the newest reading of a nest in the first face before the one in the second."""
-    points = (p for kind in FRONTS for p in log.measured(kind) if p.id.nest == back.id.nest)
+    fronts = (*PROOFS, "length")  # kinds of points
+    points = (p for kind in fronts for p in log.measured(kind) if p.id.nest == back.id.nest)
     seen = log.recorded(back)
     before = [p for p in points if p.set_up == back.set_up and log.recorded(p) < seen]
     return max(before, key=log.recorded, default=None)
@@ -202,13 +197,12 @@ def _own_mm(log: Log, points: Sequence[Point]) -> Array:
 
 # -- reflectors: each in the same nest -------------------------------------------------------------
 
-FEWEST_REFLECTORS = 3  # of two nobody can say which is off
-
 
 def compared_reflectors(log: Log) -> list[ReflectorSeen]:
     """Return each reflector against the others; nothing where too few were measured."""
     points = list(log.measured(REFLECTOR))
-    if len(points) < FEWEST_REFLECTORS:
+    fewest_reflectors = 3  # of two nobody can say which is off
+    if len(points) < fewest_reflectors:
         return []
     noise = run_noise(log)
     noise_mm2 = noise_at(noise, points)

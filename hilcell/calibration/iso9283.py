@@ -47,11 +47,6 @@ from hilcell.model.verdicts import (
 )
 from hilcell.ports import Array
 
-STANDARD_CYCLES = 30
-RATED_PERCENT = 100.0
-PAUSED = ("paused", "suspended")  # states of a run
-
-
 ANGLES = ("a", "b", "c")  # rotations about x, y, z of the base
 
 
@@ -228,7 +223,6 @@ def worst_angle(
 
 # -- the poses (6.8) -------------------------------------------------------------------------------
 
-SHARE_OF_DIAGONAL = 0.1  # that test poses keep off the cube's corners: (10 +- 2) % (6.8.5)
 # Corners by the signs of x, y, z: C1 to C4 around the cube's top, C5 to C8 below them.
 CORNERS = {
     "C1": (-1, -1, 1), "C2": (-1, 1, 1), "C3": (1, 1, 1), "C4": (1, -1, 1),
@@ -248,7 +242,8 @@ def cube_of(cell: Cell) -> Cube:
 def commanded_mm(cell: Cell) -> dict[str, Array]:
     """Return P1, the cube's centre, and P2 to P5 on diagonals of the plane, (3,) in {B} (6.8.5)."""
     cube = cube_of(cell)
-    reach_mm = (1.0 - 2.0 * SHARE_OF_DIAGONAL) * cube.side_mm / 2.0
+    share_of_diagonal = 0.1  # that test poses keep off the cube's corners: (10 +- 2) % (6.8.5)
+    reach_mm = (1.0 - 2.0 * share_of_diagonal) * cube.side_mm / 2.0
     centre_mm = np.array(cube.centre_mm)
     corners = {f"P{n}": np.array(CORNERS[name]) for n, name in enumerate(PLANE, start=2)}
     return {"P1": centre_mm} | {
@@ -457,9 +452,10 @@ def _orientation(log: Log) -> dict[str, Angles]:
 def _deviations(cell: Cell, *, corrected: bool, orientation: Mapping[str, Angles]) -> Iterator[str]:
     """Yield in what the test departs from the standard's own conditions."""
     table, speed_percent = cell.iso9283, velocity_percent(cell)
-    if table.cycles != STANDARD_CYCLES:
-        yield f"{table.cycles} cycles, the standard has {STANDARD_CYCLES}"
-    if speed_percent != RATED_PERCENT:
+    standard_cycles = 30
+    if table.cycles != standard_cycles:
+        yield f"{table.cycles} cycles, the standard has {standard_cycles}"
+    if speed_percent != 100.0:
         yield f"{speed_percent:g} % of the rated velocity, the standard asks for 100 %"
     if table.load_kg is None or table.rated_load_kg is None:
         yield "the load is not stated (iso9283.load_kg, iso9283.rated_load_kg)"
@@ -484,8 +480,9 @@ def interruptions(log: Log) -> Iterator[str]:
         held = "; the slide was held again, its slip is in RP" if log.cell.has_rail else ""
         yield f"the cycles were interrupted {_times(sessions - 1)} and resumed{held}"
     places = [log.recorded(point) for point in visits]
+    paused = ("paused", "suspended")  # states of a run
     pauses = sum(
-        change.to in PAUSED and min(places) < change.seq < max(places) for change in log.life
+        change.to in paused and min(places) < change.seq < max(places) for change in log.life
     )
     if pauses:
         yield f"the cycles were paused {_times(pauses)}, the robot at rest meanwhile"

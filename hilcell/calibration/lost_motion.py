@@ -32,7 +32,6 @@ from hilcell.model.verdicts import LostMotionJudged
 from hilcell.ports import Array
 
 REVERSAL = "reversal"  # kind of the points that were approached from above
-NOTICED_BY = "vertices approached from above"
 LARGE, AXES = 3, 6  # the first ones, and all
 WRIST_RAD = 1e-4  # 1 sigma of what axes 4 to 6 may lose
 COVERAGE = 2.0  # k
@@ -46,6 +45,8 @@ class Reversal(msgspec.Struct, frozen=True):
     lost_urad: list[float]
     U_urad: list[float]
     limit_urad: float
+
+    NOTICED_BY = "vertices approached from above"
 
     @property
     def excess_urad(self) -> list[float]:
@@ -78,7 +79,7 @@ class Reversal(msgspec.Struct, frozen=True):
             return None
         axis = int(np.argmax(self.excess_urad))
         unit = f"urad of axis {axis + 1}"
-        return Suspicion(Cause.REVERSAL, self.lost_urad[axis], unit, NOTICED_BY)
+        return Suspicion(Cause.REVERSAL, self.lost_urad[axis], unit, self.NOTICED_BY)
 
 
 def lost_motion(log: Log) -> LostMotion:

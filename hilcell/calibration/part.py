@@ -26,11 +26,6 @@ from hilcell.geometry.kinematics import Arm, forward
 from hilcell.ports import Array
 
 REACH_MM = 300.0  # from a hole: farther away nothing is known of the part
-ON_BOX_MM = 5.0  # a hole this near to a box lies on it
-TO_WRIST = 4  # links; those after them work close to the part
-AT_HOLE_MM = 1.0  # of a hole: there the tip may touch what it drills
-LOOK_MM = 5.0  # between looks along a way
-LOOKS = 9  # by which a way's length is estimated
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +53,11 @@ class Part:
 class Clearance:
     """Clearance of an arm at a station; ``arm`` has the tool's tip as its tool point."""
 
+    TO_WRIST = 4  # links; those after them work close to the part
+    AT_HOLE_MM = 1.0  # of a hole: there the tip may touch what it drills
+    LOOK_MM = 5.0  # between looks along a way
+    LOOKS = 9  # by which a way's length is estimated
+
     def __init__(
         self, cell: Cell, station: Station, arm: Arm, T_W_B: Array, part: Part, least_mm: float
     ) -> None:
@@ -75,7 +75,7 @@ class Clearance:
                 self._around = Surroundings(shape, envelope, layout, others)
                 self._around_tool = Surroundings(shape, longer, layout, others)
             if carriers := [box.table for box in self._carriers]:
-                self._to_wrist = Surroundings(shape, envelope, layout, carriers, TO_WRIST)
+                self._to_wrist = Surroundings(shape, envelope, layout, carriers, self.TO_WRIST)
 
     def refusal(self, start_rad: Array, end_rad: Array) -> str:
         """Return why a motion of all joints in step between (6,) and (6,) is not clear, or ""."""
@@ -94,10 +94,10 @@ class Clearance:
     def straight_refusal(self, joints_rad: Array) -> str:
         """Return why a straight way by joints (K, 6) to a hole is not clear, or ""."""
         tip_mm = self._tip_mm(joints_rad)
-        before = np.linalg.norm(tip_mm - tip_mm[-1], axis=1) > AT_HOLE_MM
+        before = np.linalg.norm(tip_mm - tip_mm[-1], axis=1) > self.AT_HOLE_MM
         *_, end_mm = free_mm = self._part.free_mm(tip_mm)  # commands lie beside their holes
         deepest_mm = float(free_mm.min())
-        if not deepest_mm >= min(float(end_mm), 0.0) - AT_HOLE_MM:
+        if not deepest_mm >= min(float(end_mm), 0.0) - self.AT_HOLE_MM:
             return (
                 f"the tip is {-deepest_mm:.1f} mm inside the part on its straight way in: behind "
                 "the plane of another hole"
@@ -111,7 +111,7 @@ class Clearance:
     def _tool_passes_through(self, joints_rad: Array) -> str:
         """Return which box the line from flange to tip is in, of those that carry no hole."""
         x_mm = self._arm.tool[:3, 3]
-        shares = np.linspace(0.0, 1.0, 2 + int(np.linalg.norm(x_mm) / LOOK_MM))
+        shares = np.linspace(0.0, 1.0, 2 + int(np.linalg.norm(x_mm) / self.LOOK_MM))
         flanges = forward(self._arm, joints_rad) @ inverse(self._arm.tool)
         line_mm = np.concatenate([np.outer(shares, x_mm).T, np.ones((1, len(shares)))])
         places_mm = np.swapaxes((flanges @ line_mm)[:, :3], 1, 2).reshape(-1, 3)
@@ -150,9 +150,9 @@ class Clearance:
     def _looks_mm(self, start_rad: Array, end_rad: Array) -> Array:
         """Return places (K, 3) of the tip in {W} along a motion."""
         way_rad = end_rad - start_rad
-        rough_mm = self._tip_mm(start_rad + np.linspace(0.0, 1.0, LOOKS)[:, None] * way_rad)
+        rough_mm = self._tip_mm(start_rad + np.linspace(0.0, 1.0, self.LOOKS)[:, None] * way_rad)
         length_mm = sum(float(np.linalg.norm(b - a)) for a, b in pairwise(rough_mm))
-        shares = np.linspace(0.0, 1.0, 2 + int(np.ceil(length_mm / LOOK_MM)))
+        shares = np.linspace(0.0, 1.0, 2 + int(np.ceil(length_mm / self.LOOK_MM)))
         return self._tip_mm(start_rad + shares[:, None] * way_rad)
 
     def _tip_mm(self, joints_rad: Array) -> Array:
@@ -175,11 +175,13 @@ class _Box:
     station: Station
     table: KeepOut
 
+    ON_BOX_MM = 5.0  # a hole this near to a box lies on it
+
     def carries(self, part: Part, front_mm: float) -> bool:
         """Whether holes lie on it, and it does not stick out beside them: ``front_mm`` in front of
         them it is at least half as far away.
         """
-        on_it = self._outside_mm(part.points_mm) <= ON_BOX_MM
+        on_it = self._outside_mm(part.points_mm) <= self.ON_BOX_MM
         in_front_mm = part.points_mm[on_it] + front_mm * part.outward[on_it]
         return bool(on_it.any() and (self._outside_mm(in_front_mm) >= front_mm / 2).all())
 

@@ -21,9 +21,7 @@ from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import Array, HilcellError
 
-STEP_MM = 5.0  # between places of a straight way at which joints are computed
 NEAR_SHARE = 0.5  # of the stand-off, that ways between holes keep at least
-DRAWN_BACK_MM = (100.0, 200.0, 300.0, 450.0, 600.0)  # behind the stand-off, where ways need it
 
 
 class WayError(HilcellError):
@@ -41,6 +39,10 @@ class Drilling:
     tip: Tip
     standoff_mm: float
 
+    STEP_MM = 5.0  # between places of a straight way at which joints are computed
+
+    DRAWN_BACK_MM = (100.0, 200.0, 300.0, 450.0, 600.0)  # behind the stand-off, where ways need it
+
     @property
     def arm(self) -> Arm:
         """Return the arm with the tip as its tool point."""
@@ -51,7 +53,7 @@ class Drilling:
 
         Raises `WayError` naming the holes on whose ways the arm leaves its limits.
         """
-        count = 1 + int(np.ceil(self.standoff_mm / STEP_MM))
+        count = 1 + int(np.ceil(self.standoff_mm / self.STEP_MM))
         back_mm = np.linspace(self.standoff_mm, 0.0, count)
         poses = self._drawn_back(command, back_mm)
         robot = self.cell.robot
@@ -80,7 +82,7 @@ class Drilling:
         """Yield the joints (6,) behind the stand-off of a command (6,), nearest first, as far as
         the arm reaches.
         """
-        robot, back_mm = self.cell.robot, self.standoff_mm + np.array(DRAWN_BACK_MM)
+        robot, back_mm = self.cell.robot, self.standoff_mm + np.array(self.DRAWN_BACK_MM)
         known = (robot.status, robot.margin_limits_rad, np.radians(robot.home_deg))
         (poses,) = self._drawn_back(command[None], back_mm)
         yield from posture(self.arm, poses[reachable(self.arm, poses, *known)], *known)

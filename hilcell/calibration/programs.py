@@ -20,8 +20,6 @@ from hilcell.ports import Array, HilcellError
 
 STEP_MM = 1.0  # between places of a stroke where the model is asked
 POSTURE_BITS = 7  # of a status: behind axis 1, elbow, wrist; the others are no posture
-SLIDE_MM = 5.0  # a program's place is the drive's, and the strip's decides: no other station
-BASE_MM = 0.05  # at the targets: numbers of a program are rounded
 
 
 class StrokeError(HilcellError):
@@ -75,14 +73,15 @@ def check_base(
     places = targets[:, :3]
     off_mm = lengths_mm(apply(pose_from_zyx(*stated.values), places) - apply(wanted, places))
     worst = float(off_mm.max())
-    if not worst <= BASE_MM:
+    base_mm = 0.05  # at the targets: numbers of a program are rounded
+    if not worst <= base_mm:
         numbers = zyx_from_pose(wanted[None])[0]
         words = ",".join(
             f"{axis} {value:.4f}" for axis, value in zip("XYZABC", numbers, strict=True)
         )
         raise BaseError(
             f"{stated.where}: the base set there is not the world frame {{W}} of the targets at "
-            f"{station}: it puts them up to {worst:.3f} mm elsewhere, wanted <= {BASE_MM:g} mm; "
+            f"{station}: it puts them up to {worst:.3f} mm elsewhere, wanted <= {base_mm:g} mm; "
             f"set {{{words}}}, as calibrated, and take the targets in {{W}}"
         )
 
@@ -103,7 +102,8 @@ def check_posture(status: int, stated: Sequence[tuple[str, int]]) -> None:
 
 def check_slide(station: Station, stated: tuple[str, float] | None) -> None:
     """Raise `SlideError` where a program moves the slide elsewhere than to its station."""
-    if stated is not None and not abs(stated[1] - station.rail_mm) <= SLIDE_MM:
+    slide_mm = 5.0  # a program's place is the drive's, and the strip's decides: no other station
+    if stated is not None and not abs(stated[1] - station.rail_mm) <= slide_mm:
         place = "a place not known" if isnan(stated[1]) else f"{stated[1]:g} mm"
         raise SlideError(
             f"{stated[0]} moves the slide to {place}, expected {station.rail_mm:g} mm, as at "

@@ -36,10 +36,8 @@ from hilcell.ports import Array, HilcellError
 
 KIND = "recheck"  # of the points, key of result and verdict
 RISK = 0.01  # that a calibration which holds is not found to
-TESTS = 2  # the motion and the rest share it
 MOTION, SLIP = 6, 3  # degrees of freedom
 BUMPED_MM, BUMPED_RAD = 1.0, 1e-3  # 1 sigma of a base that was moved, before any pose says so
-NOTICED_BY = "re-check"
 FEWEST = 4  # poses: three leave the rest too few degrees of freedom to say anything
 
 Verdict = Literal["valid", "update", "redo"]
@@ -193,8 +191,9 @@ def suspicions(
     Each is taken off together with a motion of the base. Where the errors need no cause besides
     such a motion, only a mount is suspected whose slip explains them as well.
     """
+    noticed_by = "re-check"
     if judgement.may_be_slip:
-        return [Suspicion(Cause.MOUNT_SLIPPED, judgement.slip_mm, "mm", NOTICED_BY)]
+        return [Suspicion(Cause.MOUNT_SLIPPED, judgement.slip_mm, "mm", noticed_by)]
     if judgement.rest.holds:
         return []
     likely: list[tuple[float, Suspicion]] = []
@@ -204,7 +203,7 @@ def suspicions(
         chi2, size = left_by(found.errors_mm, weights, columns, besides=moved)
         freedom = judgement.rest.freedom - columns.shape[1]
         if _test(chi2, freedom).holds:
-            likely.append((chi2 / freedom, Suspicion(cause, factor * size, unit, NOTICED_BY)))
+            likely.append((chi2 / freedom, Suspicion(cause, factor * size, unit, noticed_by)))
     return [each for _, each in sorted(likely, key=lambda pair: pair[0])]
 
 
@@ -225,7 +224,8 @@ def _test(chi2: float, freedom: int) -> ChiSquare:
     """Return the test of a chi^2 at its share of the risk."""
     from scipy.special import chdtri
 
-    return ChiSquare(chi2, freedom, float(chdtri(freedom, RISK / TESTS)))
+    tests = 2  # the motion and the rest share it
+    return ChiSquare(chi2, freedom, float(chdtri(freedom, RISK / tests)))
 
 
 def _drift(found: Rechecked) -> tuple[float, float]:

@@ -35,10 +35,6 @@ from hilcell.journal.log import Log, commanded_rad, repeated_visits, variances_m
 from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.ports import Array
 
-NOTICED_BY = "scatter of the corrected targets"
-ISOTROPIC = 2.088  # RP = l + 3 S_l over rms distance, scatter alike in all directions; more else
-DIRECTIONS = 3  # of a covariance: one of them has a third of its degrees of freedom
-
 
 class Deviations(NamedTuple):
     """Deviations (N, 3) of targets from the mean of their station, in {W}, covariances (N, 3, 3),
@@ -70,7 +66,8 @@ def scattered(log: Log) -> Suspicion | None:
     found = log.once_measured(_scatter)
     if found is None or found.holds:
         return None
-    return Suspicion(Cause.REPEATABILITY, found.size, found.unit, NOTICED_BY)
+    noticed_by = "scatter of the corrected targets"
+    return Suspicion(Cause.REPEATABILITY, found.size, found.unit, noticed_by)
 
 
 def worse_than_stated(log: Log) -> Suspicion | None:
@@ -86,9 +83,11 @@ def worse_than_stated(log: Log) -> Suspicion | None:
     freedom = trace_freedom(covariance_mm2, count - places)
     most = SPREAD * chi2_quantile(1.0 - RISK, freedom) / freedom
     seen_mm2 = float(np.trace(covariance_mm2))
-    if seen_mm2 <= most * ((stated_mm / ISOTROPIC) ** 2 + noise_mm2):
+    # RP = l + 3 S_l over rms distance, scatter alike in all directions; more else
+    isotropic = 2.088
+    if seen_mm2 <= most * ((stated_mm / isotropic) ** 2 + noise_mm2):
         return None
-    size_mm = ISOTROPIC * float(np.sqrt(seen_mm2 - noise_mm2))
+    size_mm = isotropic * float(np.sqrt(seen_mm2 - noise_mm2))
     noticed_by = f"repeated visits, RP {stated_mm:g} mm stated"
     return Suspicion(Cause.REPEATABILITY, size_mm, "mm", noticed_by)
 
@@ -139,7 +138,8 @@ def worst_scatter(found: Deviations) -> Scatter:
     tests = [Scatter(ratio, limit, rms(np.linalg.norm(off_mm, axis=1)), "mm")]
     along = np.einsum("nik,ni->nk", columns, weighted[:, :, 0])
     information = np.einsum("nik,nik->nk", columns, weighted[:, :, 1:])
-    limit = SPREAD * f_quantile(1.0 - RISK / axes, count, found.freedom / DIRECTIONS)
+    directions = 3  # of a covariance: one of them has a third of its degrees of freedom
+    limit = SPREAD * f_quantile(1.0 - RISK / axes, count, found.freedom / directions)
     for axis in range(axes):
         known = information[:, axis] > 0.0
         ratio = float(np.mean(along[known, axis] ** 2 / information[known, axis]))

@@ -44,10 +44,8 @@ from hilcell.model.verdicts import Parameter
 from hilcell.ports import Array
 
 RISK = 0.001
-BOUNDED = float(np.sqrt(3.0))  # of what is stated as a limit, which no change exceeds
 SPREAD = 1.5  # of the circles' variance: scatter along them is not of each point by itself
 FITTED = 12  # parameters of the two circles: centre, axis and radius of each
-_AXES = tuple("xyz")
 
 
 def since_before(log: Log, *, with_base: bool = True) -> Suspicion | None:
@@ -94,12 +92,13 @@ def compared(log: Log, *, with_base: bool = True) -> list[Parameter]:
     risk = RISK / (6 * len(known) + 1)
     factor = float(np.sqrt(f_quantile(1.0 - risk, 1, freedom)))
     found = _repeatability(log, [np.array(cloud) for cloud in before.visits_mm], risk)
+    bounded = float(np.sqrt(3.0))  # of what is stated as a limit, which no change exceeds
     for key, then in known:
         both = log.frames[key].C + then.C
         noise = noise_covariance(log, key) + np.array(then.covariance)
         noise += (SPREAD - 1.0) * both if key == "base" else 0.0
         stated = limit_covariance(log, key) + _instrument(log, key) + _growth(log, key, before)
-        limits = np.hypot(*np.sqrt([factor**2 * np.diag(noise), BOUNDED**2 * np.diag(stated)]))
+        limits = np.hypot(*np.sqrt([factor**2 * np.diag(noise), bounded**2 * np.diag(stated)]))
         found += _coordinates(key, np.array(then.matrix), log.matrix(key), limits)
     return found
 
@@ -123,11 +122,11 @@ def _repeatability(log: Log, then_mm: list[Array], risk: float) -> list[Paramete
 def _coordinates(key: str, then: Array, now: Array, limits: Array) -> Iterator[Parameter]:
     """Yield the coordinates of a frame; ``limits`` (6,) in mm and rad."""
     name = key.removeprefix("station.")
-    for n, axis in enumerate(_AXES):
+    for n, axis in enumerate("xyz"):
         values_mm = float(then[n, 3]), float(now[n, 3])
         yield Parameter(f"{name} {axis}", "mm", *values_mm, float(limits[n]))
     turned = np.degrees(frame_change(then, now)[3:])
-    for n, axis in enumerate(_AXES):
+    for n, axis in enumerate("xyz"):
         limit_deg = float(np.degrees(limits[3 + n]))
         yield Parameter(f"{name} turned about {axis}", "deg", 0.0, float(turned[n]), limit_deg)
 

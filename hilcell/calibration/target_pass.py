@@ -28,8 +28,6 @@ from hilcell.model.verdicts import Judged
 from hilcell.ports import Array
 
 KIND = "targets"
-GROSS = 5.0
-APART = 10  # targets of which each stands for itself, as in a re-check
 
 
 def listed(log: Log) -> tuple[list[str], Array] | None:
@@ -52,7 +50,8 @@ def gross_targets(log: Log) -> list[str]:
     points, (this, poses) = target_points(log), _pass(log)
     remainder = Remainder.learn([this.measured()], _stated_mm2(used(log), poses))
     sigmas = remainder.sigmas()
-    return [p.id.target for p, size in zip(points, sigmas, strict=True) if not size <= GROSS]
+    gross = 5.0
+    return [p.id.target for p, size in zip(points, sigmas, strict=True) if not size <= gross]
 
 
 def folded(log: Log, run: str) -> Calibration:
@@ -170,7 +169,8 @@ def moved_together(log: Log) -> Judgement | None:
     if len(points) < FEWEST:
         return None
     found = as_predicted(log, points, points[0].station)
-    own_mm2 = found.own_mm2 * max(1.0, len(points) / APART)
+    apart = 10  # targets of which each stands for itself, as in a re-check
+    own_mm2 = found.own_mm2 * max(1.0, len(points) / apart)
     judgement = judged(replace(found, own_mm2=own_mm2))
     return None if judgement.moved.holds else judgement
 

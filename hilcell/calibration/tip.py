@@ -24,7 +24,6 @@ from hilcell.geometry.rotations import to_rotvec
 from hilcell.ports import Array
 
 SAME_MM, SAME_RAD = 0.01, 1e-4  # between a stated frame and a tool's: numbers are rounded
-REFLECTOR_STANDOFF_MM = 100.0  # where nothing is known of a drill
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +38,8 @@ class Tip:
     T_F_D: Array
     number: int | None = None
     table: ToolTable | None = None
+
+    REFLECTOR_STANDOFF_MM = 100.0  # where nothing is known of a drill
 
     @property
     def T_D_T(self) -> Array:  # noqa: N802 - the frame's symbol
@@ -59,7 +60,7 @@ class Tip:
     def standoff_mm(self) -> float:
         """Return how far it is kept from the part between holes, if nothing else is ordered."""
         if self.table is None:
-            return REFLECTOR_STANDOFF_MM
+            return self.REFLECTOR_STANDOFF_MM
         return self.table.standoff_mm or self.table.least_standoff_mm
 
     @property

@@ -56,24 +56,20 @@ def _directions(cell: Cell, world_mm: Array) -> Array:
     return directions
 
 
-MARGIN_SHARE = 0.05  # of the cube's edges, off each face
-# Roots of x^4 = x + 1: steps by them fill a cube evenly, however many are taken.
-STEPS = 1.2207440846057596 ** -np.arange(1.0, 4.0)
-SPARE = 4  # places for each touch pose, for those that are passed over
-SET_UPS = 2  # of the tracker: the calibration's and this run's
-HOLDS = 2  # the strip's slip is that of the visit less that of the stop when it was framed
-
-
 def touch_targets_mm(cell: Cell, station: Station) -> Array:
     """Return the touch poses' targets (N, 3) in {B}, spread through the cube.
 
     Places that the tracker could take for a nest are passed over as long as there are others.
     """
-    number = np.arange(SPARE * cell.touch.poses)[:, None]
-    share = (0.5 + number * STEPS) % 1.0
+    # Four places for each touch pose, for those that are passed over.
+    number = np.arange(4 * cell.touch.poses)[:, None]
+    # Roots of x^4 = x + 1: steps by them fill a cube evenly, however many are taken.
+    steps = 1.2207440846057596 ** -np.arange(1.0, 4.0)
+    share = (0.5 + number * steps) % 1.0
     size_mm = np.array(cell.grid.size_mm)
+    margin_share = 0.05  # of the cube's edges, off each face
     targets: Array = cell.grid.centre.matrix()[:3, 3] + size_mm * (
-        (1.0 - 2.0 * MARGIN_SHARE) * (share - 0.5)
+        (1.0 - 2.0 * margin_share) * (share - 0.5)
     )
     order = np.argsort(beside_nest(cell, station, targets), kind="stable")
     return targets[order[: cell.touch.poses]]
@@ -145,12 +141,14 @@ def visit_covariance(log: Log, station: Station, points: list[Point]) -> Array:
     """
     known = growth_covariance(log, station, points)
     known[:6, :6] += base_covariance(log, station)
-    known[:3, :3] += HOLDS * hold_covariance(log.cell)
+    holds = 2  # the strip's slip is that of the visit less that of the stop when it was framed
+    known[:3, :3] += holds * hold_covariance(log.cell)
     if calibration_in(log) is None:
         return known
     centring_mm2 = rectangular_variance(log.cell.uncertainty.smr_centring_limit_mm)
     at_mm = Frames(log.cell, log).base_in_world(station)[:3, 3]
-    known[:6, :6] += SET_UPS * world_covariance(log, at_mm, centring_mm2)
+    set_ups = 2  # of the tracker: the calibration's and this run's
+    known[:6, :6] += set_ups * world_covariance(log, at_mm, centring_mm2)
     return known
 
 

@@ -20,7 +20,6 @@ from hilcell.model.point import Point
 from hilcell.ports import Array
 
 STEPS, SETTLED = 200, 1e-15  # of the scatter's estimate; a share of it
-SMALLEST_MM2 = 1e-12  # far below any reading's variance: so that an inverse exists
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +56,8 @@ def scatter_besides(clouds_mm: Sequence[Array], noise_mm2: Array) -> Array:
     freedom = np.array([len(cloud) - 1 for cloud in clouds_mm])
     squares = (len(cloud) * np.cov(cloud, rowvar=False, bias=True) for cloud in clouds_mm)
     squares_mm2 = np.array([*squares])
-    noise_mm2 = noise_mm2 + SMALLEST_MM2 * np.eye(3)
+    smallest_mm2 = 1e-12  # far below any reading's variance: so that an inverse exists
+    noise_mm2 = noise_mm2 + smallest_mm2 * np.eye(3)
     found: Array = squares_mm2.sum(axis=0) / freedom.sum()
     for _ in range(STEPS):
         seen_mm2 = found + noise_mm2

@@ -17,11 +17,12 @@ from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import Array
 
 Bools = NDArray[np.bool_]
-ROUNDING_DEG = 1e-4  # of angles in a file: a planned target stays inside when it is read again
 
 
 class Volume:
     """The calibrated poses, at each station."""
+
+    ROUNDING_DEG = 1e-4  # of angles in a file: a planned target stays inside when it is read again
 
     def __init__(self, calibration: Calibration) -> None:
         self._grid = calibration.grid()
@@ -41,7 +42,7 @@ class Volume:
     def takes(self, station: str, poses: Array) -> Bools:
         """Return which poses (..., 4, 4) in {W} are corrected at a station."""
         outside_mm, turned_deg = self._beyond(station, poses.reshape(-1, 4, 4))
-        limit_deg = self._validity.orientation_tolerance_deg - ROUNDING_DEG
+        limit_deg = self._validity.orientation_tolerance_deg - self.ROUNDING_DEG
         taken: Bools = (outside_mm <= 0.0) & (turned_deg <= limit_deg)
         return taken.reshape(poses.shape[:-2])
 
@@ -59,13 +60,13 @@ class Volume:
         found = list[tuple[float, float, str]]()
         for name in known:
             outside_mm, turned_deg = self._beyond(name, poses)
-            turned_deg = np.maximum(turned_deg, limit_deg - ROUNDING_DEG)
+            turned_deg = np.maximum(turned_deg, limit_deg - self.ROUNDING_DEG)
             found += (
                 (*each, name) for each in zip(turned_deg.tolist(), outside_mm.tolist(), strict=True)
             )
         turned, off_mm, at = min(found, key=lambda each: (round(each[0]), each[1], each[0]))
         outside = f"outside the calibrated volume by {off_mm:.1f} mm at {at}"
-        if turned <= limit_deg - ROUNDING_DEG:
+        if turned <= limit_deg - self.ROUNDING_DEG:
             return outside
         return (
             f"the flange would be turned by {turned:.2f} deg from the calibrated orientation at "

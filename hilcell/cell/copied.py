@@ -10,8 +10,6 @@ from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.source import built_in_cells
 
-SIMULATED = "simulated"  # the certificate of each length in the built-in cells
-
 
 def check_copied(where: str, cell: Cell) -> str:
     """Return a warning for a simulated cell that has the name or serial of a built-in one, and for
@@ -27,14 +25,15 @@ def check_copied(where: str, cell: Cell) -> str:
         for key, found, taken in _kept(cell, load_cell(name))
         if found == taken
     ]
+    simulated = "simulated"  # the certificate of each length in the built-in cells
     if cell.simulation is None:
         if problems:
             raise SettingsError(where, problems)
         problems = [
-            f"layout.length {' to '.join(each.nests)}: the certificate is {SIMULATED!r}, expected "
+            f"layout.length {' to '.join(each.nests)}: the certificate is {simulated!r}, expected "
             "the number of the bar's own; state its length and u_mm, too"
             for each in cell.layout.length
-            if each.certificate == SIMULATED
+            if each.certificate == simulated
         ]
     return "\n".join(f"{where}: {problem}" for problem in problems)
 

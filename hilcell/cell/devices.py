@@ -37,8 +37,6 @@ from hilcell.ports import (
 )
 from hilcell.typed import learn
 
-BUILT_WITH = ("options", "clock")
-
 
 def misfits(kind: type, port: type) -> list[str]:
     """Return what keeps a driver's class from being one of a port, in words."""
@@ -50,7 +48,7 @@ def misfits(kind: type, port: type) -> list[str]:
         return [f"it has no {', '.join(missing)}"]
     asked = {name: [*inspect.signature(getattr(port, name)).parameters] for name in methods}
     found = [_misfit(name, getattr(kind, name), words) for name, words in asked.items()]
-    built = _misfit("__init__", kind, BUILT_WITH)
+    built = _misfit("__init__", kind, ("options", "clock"))
     return [each for each in (_of_options(options), built, *found) if each]
 
 

@@ -8,8 +8,6 @@ import msgspec
 
 from hilcell.cell.file import Cell
 
-NAMED = 3  # the others are counted
-
 
 def differences(before: Cell, now: Cell, *, without: str = "") -> str:
     """Return the keys that differ, each with both values; the table ``without`` is left out."""
@@ -17,8 +15,9 @@ def differences(before: Cell, now: Cell, *, without: str = "") -> str:
     for values in (frozen, given):
         values.pop(without, None)
     keys = list(_different(frozen, given))
-    more = f", and {len(keys) - NAMED} more" if len(keys) > NAMED else ""
-    return ", ".join(keys[:NAMED]) + more
+    named = 3  # the others are counted
+    more = f", and {len(keys) - named} more" if len(keys) > named else ""
+    return ", ".join(keys[:named]) + more
 
 
 def _different(before: object, now: object, key: str = "") -> Iterator[str]:

@@ -64,14 +64,6 @@ from hilcell.typed import Json
 
 NO_RAIL = "none"  # the driver of a rail that is not there
 STATION = "BASE"
-AT_0 = {"rail_mm": 0.0, "strip_mm": 0.0}
-RAIL = {
-    "driver": NO_RAIL,
-    "travel_min_mm": 0.0,
-    "travel_max_mm": 0.0,
-    "speed_mm_s": 1.0,
-    "acceleration_mm_s2": 1.0,
-}
 
 
 def completed(values: Json) -> Json:
@@ -79,12 +71,20 @@ def completed(values: Json) -> Json:
     if "rail" in values:
         return values
     stations = values.get("station", [{"name": STATION}])
+    at_0 = {"rail_mm": 0.0, "strip_mm": 0.0}
     if isinstance(stations, list):
-        stations = [_with(AT_0, station) for station in stations]
+        stations = [_with(at_0, station) for station in stations]
     name = stations[0].get("name", STATION) if _tables(stations) else STATION
+    rail = {
+        "driver": NO_RAIL,
+        "travel_min_mm": 0.0,
+        "travel_max_mm": 0.0,
+        "speed_mm_s": 1.0,
+        "acceleration_mm_s2": 1.0,
+    }
     return {
         **values,
-        "rail": RAIL,
+        "rail": rail,
         "station": stations,
         "grid": _with({"station": name}, values.get("grid", {})),
         "layout": _with({"rail_direction": [0.0, 0.0, 0.0], "slide": []}, values.get("layout", {})),
@@ -218,20 +218,12 @@ __all__ = [
 ]  # fmt: skip
 
 MOST_POINTS = 100_000  # of the grid, and of targets in it
-MOST_STEPS = 10_000
-MOST_STATIONS = 1000
 # How fast and how long: known to plans and drivers, and no part of what stands in the cell.
 PACE = {
     "rail": ("homing_mm_s", "standstill_dwell_s"),
     "robot": ("ramp_s", "first_pass_percent", "first_pass_pause"),
     "tracker": ("pointing_s", "reading_s"),
 }
-# Work that is done with the cell, and statements about it: none moves a measured point.
-NOT_THE_CELL = (
-    "simulation", "plan", "sweeps", "keep_out", "uncertainty", "touch", "recheck", "targets",
-    "certificate", "iso9283", "tool",
-)  # fmt: skip
-LEAST_ARC_DEG = 10.0
 
 
 class Station(Frozen, frozen=True, kw_only=True):
@@ -327,11 +319,12 @@ class BaseFrameTable(Frozen, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         sweeps = {"axis_1": self.axis_1_sweep_deg, "axis_6": self.axis_6_sweep_deg}
+        least_deg = 10.0
         refuse(
             [
-                f"{axis}_sweep_deg: {begin} .. {end} deg is no arc; sweep at least {LEAST_ARC_DEG}"
+                f"{axis}_sweep_deg: {begin} .. {end} deg is no arc; sweep at least {least_deg}"
                 for axis, (begin, end) in sweeps.items()
-                if not abs(end - begin) >= LEAST_ARC_DEG
+                if not abs(end - begin) >= least_deg
             ]
         )
 
@@ -350,8 +343,8 @@ class SurveyTable(Frozen, frozen=True, kw_only=True):
             raise ValueError(
                 f"{self.from_mm} .. {self.to_mm} mm is not three or more steps of {self.step_mm} mm"
             )
-        if not steps <= MOST_STEPS:
-            raise ValueError(f"{steps:.0f} steps, at most {MOST_STEPS} are driven")
+        if not steps <= 10_000:
+            raise ValueError(f"{steps:.0f} steps, at most 10000 are driven")
 
 
 class ValidationTable(Frozen, frozen=True, kw_only=True):
@@ -423,6 +416,12 @@ class Cell(Frozen, frozen=True, kw_only=True):
     targets: TargetsTable | None = None
     simulation: SimulationTable | None = None
 
+    # Work that is done with the cell, and statements about it: none moves a measured point.
+    NOT_THE_CELL = (
+        "simulation", "plan", "sweeps", "keep_out", "uncertainty", "touch", "recheck", "targets",
+        "certificate", "iso9283", "tool",
+    )  # fmt: skip
+
     def __post_init__(self) -> None:
         refuse(problem for check in self.checks() for problem in check())
 
@@ -444,8 +443,9 @@ class Cell(Frozen, frozen=True, kw_only=True):
         )
 
     def _bad_names(self) -> Iterator[str]:
-        if not 1 <= len(self.station) <= MOST_STATIONS:
-            yield f"station: 1 .. {MOST_STATIONS} stations are needed, found {len(self.station)}"
+        most = 1000
+        if not 1 <= len(self.station) <= most:
+            yield f"station: 1 .. {most} stations are needed, found {len(self.station)}"
         names = [station.name for station in self.station]
         if len(set(names)) != len(names):
             yield f"station: station names must differ, found {', '.join(names)}"
@@ -591,7 +591,7 @@ class Cell(Frozen, frozen=True, kw_only=True):
         robot's repeatability: they move no measured point.
         """
         values = msgspec.to_builtins(self)
-        for table in NOT_THE_CELL:
+        for table in self.NOT_THE_CELL:
             values.pop(table)
         values["robot"].pop("envelope")
         values["robot"].pop("rp_mm")

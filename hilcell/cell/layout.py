@@ -17,7 +17,6 @@ from hilcell.cell.settings import refuse
 from hilcell.cell.tables import Count, Frozen, Length, Name, Point, Pose, Rate, Size
 from hilcell.geometry.kinematics import Array
 
-MOST_NESTS = 100
 CERTIFIED_C = 20.0  # of lengths: ISO 1
 APART_MM = 20.0  # nests closer than this are one nest, or their reflectors touch
 
@@ -132,8 +131,9 @@ class Layout(Frozen, frozen=True, kw_only=True):
 
 def _bad_frame(table: str, nests: list[Nest]) -> Iterator[str]:
     """Yield what makes nests no frame: the first three are its axes."""
-    if not 3 <= len(nests) <= MOST_NESTS:
-        yield f"{table}: 3 .. {MOST_NESTS} nests are needed, found {len(nests)}"
+    most_nests = 100
+    if not 3 <= len(nests) <= most_nests:
+        yield f"{table}: 3 .. {most_nests} nests are needed, found {len(nests)}"
         return
     yield from _too_close(table, nests)
     yield from list(_collinear(table, nests[:3])) or _collinear(table, nests)

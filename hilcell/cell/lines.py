@@ -11,8 +11,6 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-CLOSED_BY = ("", "\n]", "\n]\n]")
-LONGEST = 5000  # lines: each that may be the one is parsed with all above it
 _ABSENT = object()
 
 
@@ -56,7 +54,8 @@ def by_line(problems: Iterable[str], where: str) -> list[str]:
 def line_of(text: str, path: str) -> int | None:
     """Return the line of ``a.b[2].c``, or of the nearest table around it; counted from 1."""
     lines = text.split("\n")
-    if len(lines) > LONGEST or re.fullmatch(r"[\w-]+(\[\d+\]|\.[\w-]+)*", path) is None:
+    longest = 5000  # lines: each that may be the one is parsed with all above it
+    if len(lines) > longest or re.fullmatch(r"[\w-]+(\[\d+\]|\.[\w-]+)*", path) is None:
         return None
     steps = re.findall(r"[\w-]+|\[\d+\]", path)
     whole = _parsed(text)
@@ -64,18 +63,14 @@ def line_of(text: str, path: str) -> int | None:
         steps.pop()
     if not steps:
         return None
-    candidates = _candidates(lines, steps)
-    proven = [n for n in candidates if _begins_at(lines, n, steps)]
-    return proven[0] if len(proven) == 1 else None
-
-
-def _candidates(lines: list[str], steps: list[str]) -> list[int]:
-    """Return the lines that may give the path: its last key with "=", or in a table's header."""
+    # Lines that may give the path: its last key with "=", or in a table's header.
     key = re.escape(next(step for step in reversed(steps) if not step.startswith("[")))
     begins = rf"(?<![\w-])[\"']?{key}[\"']?\s*=|^\s*\[.*(?<![\w-])[\"']?{key}[\"']?\s*\]"
     if steps[-1].startswith("["):
         begins += r"|\{"
-    return [n for n, line in enumerate(lines, 1) if re.search(begins, line)]
+    candidates = [n for n, line in enumerate(lines, 1) if re.search(begins, line)]
+    proven = [n for n in candidates if _begins_at(lines, n, steps)]
+    return proven[0] if len(proven) == 1 else None
 
 
 def _begins_at(lines: list[str], number: int, steps: list[str]) -> bool:
@@ -89,7 +84,8 @@ def _begins_at(lines: list[str], number: int, steps: list[str]) -> bool:
 
 def _parsed_open(text: str) -> object:
     """Return the values of a text that may end within arrays; None where it cannot be closed."""
-    return next((found for end in CLOSED_BY if (found := _parsed(text + end)) is not None), None)
+    closed_by = ("", "\n]", "\n]\n]")
+    return next((found for end in closed_by if (found := _parsed(text + end)) is not None), None)
 
 
 def _parsed(text: str) -> object:

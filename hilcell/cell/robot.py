@@ -28,10 +28,6 @@ from hilcell.geometry.inverse import NominalRobot
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.typed import Json
 
-REFLECTORS = range(3, 7)  # on the flange, where the tool's orientation is measured
-SEATS_APART_MM = 50.0  # closer ones are taken for one another, and tell little of an angle
-SEATS_ACROSS = 0.2  # of the spread along a line: less is no triangle
-
 
 class Joint(Frozen, frozen=True, kw_only=True):
     """One DH row, ``Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha)``, with its software limits."""
@@ -97,21 +93,23 @@ class RobotTable(Frozen, frozen=True, kw_only=True):
         if not self.more_smr_mm:
             return
         seats_mm = self.seats_mm
-        if len(seats_mm) not in REFLECTORS:
+        reflectors = range(3, 7)  # on the flange, where the tool's orientation is measured
+        if len(seats_mm) not in reflectors:
             yield (
-                f"more_smr_mm: {REFLECTORS[0] - 1} .. {REFLECTORS[-1] - 1} reflectors besides "
+                f"more_smr_mm: {reflectors[0] - 1} .. {reflectors[-1] - 1} reflectors besides "
                 f"smr_mm are wanted, found {len(self.more_smr_mm)}"
             )
             return
+        least_mm = 50.0  # closer ones are taken for one another, and tell little of an angle
         for one, other in combinations(range(len(seats_mm)), 2):
             apart_mm = float(np.linalg.norm(seats_mm[one] - seats_mm[other]))
-            if not apart_mm >= SEATS_APART_MM:
+            if not apart_mm >= least_mm:
                 yield (
                     f"more_smr_mm: reflectors {one + 1} and {other + 1} are {apart_mm:.1f} mm "
-                    f"apart, wanted at least {SEATS_APART_MM:g} mm"
+                    f"apart, wanted at least {least_mm:g} mm"
                 )
         spread = np.linalg.svd(seats_mm - seats_mm.mean(axis=0), compute_uv=False)
-        if not spread[1] > SEATS_ACROSS * spread[0]:
+        if not spread[1] > 0.2 * spread[0]:  # less is no triangle
             yield (
                 f"more_smr_mm: the reflectors lie nearly on one line (spread {spread[0]:.1f} mm "
                 f"along it, {spread[1]:.1f} mm across): an orientation needs a triangle"

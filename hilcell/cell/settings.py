@@ -42,20 +42,18 @@ MOST_BYTES = 16_000_000  # of a file that is read at once
 T = TypeVar("T", bound=msgspec.Struct)
 
 
-MOST_SHOWN = 40  # a cell file has fewer, a list of holes in wrong units a thousand
-
-
 class SettingsError(HilcellError):
     """Settings refused; ``problems`` lists every one of them, the message as many as are read."""
 
     code = "HC-C11"
+    MOST_SHOWN = 40  # a cell file has fewer, a list of holes in wrong units a thousand
 
     def __init__(self, source: str, problems: list[str]) -> None:
         self.source, self.problems = source, problems
         count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
         super().__init__(
             f"{source}: {count}\n"
-            + "\n".join(f"  {line}" for line in bounded(problems, most=MOST_SHOWN))
+            + "\n".join(f"  {line}" for line in bounded(problems, most=self.MOST_SHOWN))
         )
 
 

@@ -13,8 +13,6 @@ from unicodedata import normalize
 from hilcell.cell.settings import SettingsError, did_you_mean, read_text, unreadable
 from hilcell.typed import Json
 
-_AT_LINE = re.compile(r"\(at line (\d+)")  # tomllib says it in words only
-
 
 def read_source(where: str) -> str:
     """Return the text of a cell file; raises `SettingsError`."""
@@ -44,12 +42,13 @@ def folder_of(where: str) -> Path:
 
 def parsed(text: str, where: str) -> Json:
     """Return the tables of a cell file; raises `SettingsError`."""
+    at_line = re.compile(r"\(at line (\d+)")  # tomllib says it in words only
     try:
         return deepcopy(_tables(text))
     except RecursionError:
         raise SettingsError(where, ["nested too deeply"]) from None
     except ValueError as error:  # also an integer of more digits than Python reads
-        place = _AT_LINE.search(str(error))
+        place = at_line.search(str(error))
         line = f"{where}:{place[1]}: " if place else ""
         raise SettingsError(where, [f"{line}not valid TOML: {error}"]) from error
 

@@ -21,7 +21,6 @@ from hilcell.geometry.clearance import Boxes, Capsules, joint_lines
 from hilcell.geometry.kinematics import Arm, Array
 
 LINKS = 6
-MOST_VOLUMES = 100
 LEAST_MM = 5.0  # of a size or radius: less is hardly in millimetres
 
 
@@ -85,9 +84,20 @@ class Surroundings:
         riding = [volume for volume in keep_out if volume.frame == "slide"]
         self.wanted_mm = envelope.clearance_mm
         self._names = [volume.name for volume in (*standing, *riding)]
+        lines = [
+            (link, segment, radius_mm)
+            for link, radius_mm in enumerate(envelope.radius_mm[:to_link], start=1)
+            for segment in joint_lines(arm, link)
+        ]
+        parts = [
+            (part.link, np.array([part.from_mm, part.to_mm]), part.radius_mm)
+            for part in envelope.capsule
+            if part.link <= to_link
+        ]
+        links, ends_mm, radii_mm = zip(*lines, *parts, strict=True)
         self._body = Body(
             arm,
-            _capsules(arm, envelope, to_link),
+            Capsules(np.array(links), np.array(ends_mm), np.array(radii_mm)),
             layout.nominal_base(0.0),
             np.array(layout.rail_direction),
             _boxes(standing),
@@ -114,8 +124,9 @@ def keep_out_problems(keep_out: Sequence[KeepOut], envelope: EnvelopeTable | Non
     names = [volume.name for volume in keep_out]
     for name in sorted({name for name in names if names.count(name) > 1}):
         yield f"keep_out: names must differ, found {name} twice"
-    if not len(names) <= MOST_VOLUMES:
-        yield f"keep_out: {len(names)} volumes, at most {MOST_VOLUMES} are checked"
+    most_volumes = 100
+    if not len(names) <= most_volumes:
+        yield f"keep_out: {len(names)} volumes, at most {most_volumes} are checked"
     if names and envelope is None:
         yield "keep_out: the arm's shape is unknown; state robot.envelope.radius_mm"
     if envelope is not None and not names:
@@ -142,18 +153,3 @@ def _boxes(volumes: list[KeepOut]) -> Boxes:
     frames = [volume.centre.matrix() for volume in volumes]
     sizes_mm = [volume.size_mm for volume in volumes]
     return Boxes(np.reshape(frames, (-1, 4, 4)), np.reshape(sizes_mm, (-1, 3)) / 2)
-
-
-def _capsules(arm: Arm, envelope: EnvelopeTable, to_link: int) -> Capsules:
-    lines = [
-        (link, segment, radius_mm)
-        for link, radius_mm in enumerate(envelope.radius_mm[:to_link], start=1)
-        for segment in joint_lines(arm, link)
-    ]
-    parts = [
-        (part.link, np.array([part.from_mm, part.to_mm]), part.radius_mm)
-        for part in envelope.capsule
-        if part.link <= to_link
-    ]
-    links, ends_mm, radii_mm = zip(*lines, *parts, strict=True)
-    return Capsules(np.array(links), np.array(ends_mm), np.array(radii_mm))

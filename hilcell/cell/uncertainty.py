@@ -24,8 +24,6 @@ from hilcell.clean import clean
 # or fetched. DCC 2 and 3 are read, with the uncertainty of D-SI 1 and of D-SI 2.2.
 
 DCC, SI = "{https://ptb.de/dcc}", "{https://ptb.de/si}"
-LONGEST = 4_000_000  # characters
-MOST_MM = 10.0  # as a limit in the cell file
 MM = {"\\metre": 1e3, "\\milli\\metre": 1.0, "\\micro\\metre": 1e-3, "\\nano\\metre": 1e-6}
 EXPANDED = (  # U and its k: of single values and of lists, as D-SI 2.2 and earlier ones say it
     ("valueExpandedMU", "coverageFactor"),
@@ -47,6 +45,8 @@ class InstrumentDcc:
     words: str
     root: Element
 
+    MOST_MM = 10.0  # as a limit in the cell file
+
     def largest_error_mm(self, id: str) -> float:
         """Return the largest |error| + U (k = 2) of the quantity with this id.
 
@@ -63,9 +63,9 @@ class InstrumentDcc:
         largest_mm = MM[_unit(lengths[0])] * max(
             abs(value) + U for value, U in zip(values, expanded, strict=True)
         )
-        if not largest_mm <= MOST_MM:
+        if not largest_mm <= self.MOST_MM:
             raise NotRead(
-                f"quantity {id!r} has the error {largest_mm:g} mm, wanted at most {MOST_MM:g}"
+                f"quantity {id!r} has the error {largest_mm:g} mm, wanted at most {self.MOST_MM:g}"
             )
         return largest_mm
 
@@ -78,8 +78,9 @@ def read_dcc(path: Path) -> InstrumentDcc:
         raise NotRead("is no text in UTF-8") from None
     except OSError as error:
         raise NotRead(f"cannot be read: {error.strerror}") from error
-    if len(text) > LONGEST:
-        raise NotRead(f"has {len(text)} characters, wanted at most {LONGEST}")
+    longest = 4_000_000  # characters
+    if len(text) > longest:
+        raise NotRead(f"has {len(text)} characters, wanted at most {longest}")
     if "<!DOCTYPE" in text:
         raise NotRead("declares a document type; a DCC has none")
     try:
@@ -144,7 +145,6 @@ def _float(word: str) -> float:
 Limit = Annotated[float, Meta(ge=0, le=10)]
 Urad = Annotated[float, Meta(ge=0, le=100_000)]
 ID = "#"  # between a file and the id of a quantity in it
-DCC_LIMITS = {"tracker": "tracker_limit_mm", "smr": "smr_centring_limit_mm", "weather": ""}
 
 
 class UncertaintyTable(Frozen, frozen=True, kw_only=True):
@@ -193,7 +193,8 @@ def with_certificates(stated: UncertaintyTable, folder: Path) -> UncertaintyTabl
     """
     found: dict[str, str | float] = {}
     problems: list[str] = []
-    for name, limit in DCC_LIMITS.items():
+    dcc_limits = {"tracker": "tracker_limit_mm", "smr": "smr_centring_limit_mm", "weather": ""}
+    for name, limit in dcc_limits.items():
         place, _, id = getattr(stated, f"{name}_dcc").partition(ID)
         if not place:
             continue

@@ -9,8 +9,6 @@ from hilcell.geometry.frames import apply
 from hilcell.geometry.kinematics import Array
 
 SCALE_PPM = 100.0  # of a weather station that lies, by 10 K or 30 hPa about each
-TOLD_PPM = 30.0  # of a certified length that is of use
-ACROSS_DEG = 30.0  # between lengths of two directions
 SLIP_DEG = 0.003  # at random, 1 sigma, at each stop
 SEATING_MM, SEATED_MM = 0.03, 0.07  # dirt in each nest, and how far it moves targets
 
@@ -21,12 +19,13 @@ def unseen(cell: Cell, *, turns_over: bool) -> list[str]:
     ``turns_over``: the tracker sees nests in both of its faces.
     """
     found = []
+    told_ppm = 30.0  # of a certified length that is of use
     if not cell.layout.length:
         found.append(
             "no certified length (layout.length): a wrong scale of the tracker is not seen; "
             f"{SCALE_PPM:g} ppm move targets by {_scaled_mm(cell):.2f} mm"
         )
-    elif not (ppm := _told_ppm(cell)) <= TOLD_PPM:
+    elif not (ppm := _told_ppm(cell)) <= told_ppm:
         found.append(
             f"the certified lengths (layout.length) tell scales beyond {ppm:.0f} ppm alone, by "
             f"their U (2 u_mm); {SCALE_PPM:g} ppm move targets by {_scaled_mm(cell):.2f} mm: is "
@@ -97,4 +96,5 @@ def _two_directions(cell: Cell) -> bool:
     at_mm = {nest.name: nest.xyz_mm for nest in cell.layout.standing}
     ways = [at_mm[each.nests[1]] - at_mm[each.nests[0]] for each in cell.layout.length]
     units = np.array([way / np.linalg.norm(way) for way in ways])
-    return bool(np.abs(units @ units.T).min() <= np.cos(np.radians(ACROSS_DEG)))
+    across_deg = 30.0  # between lengths of two directions
+    return bool(np.abs(units @ units.T).min() <= np.cos(np.radians(across_deg)))

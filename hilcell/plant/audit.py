@@ -27,12 +27,9 @@ from hilcell.plant.signing import fingerprint
 from hilcell.typed import decoded
 
 CHUNK = 2**20
-MOST_BYTES = 2**28  # of a manifest: of a million files
-SIGNATURE_BYTES = 64
 _SPOILED = (
     zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError, UnicodeError
 )  # fmt: skip
-_PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)  # no error of their own
 DIFFERS, MISSING, EXTRA = "differs", "is missing", "is not in the manifest"
 
 
@@ -83,8 +80,8 @@ def verify(place: Path, key: Ed25519PublicKey) -> tuple[Manifest, list[Finding]]
 
 
 def _manifest(source: Source, key: Ed25519PublicKey) -> Manifest:
-    content = _read(source, MANIFEST, MOST_BYTES)
-    signature = _read(source, SIGNATURE, SIGNATURE_BYTES)
+    content = _read(source, MANIFEST, 2**28)  # bytes of a million files
+    signature = _read(source, SIGNATURE, 64)
     try:
         key.verify(signature, content)
     except InvalidSignature:
@@ -164,12 +161,14 @@ class _Folder:
 class _Archive:
     """The files of an archive; one that is in it twice, or packed by LZMA, is no plain file."""
 
+    _PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)  # no error of their own
+
     def __init__(self, archive: zipfile.ZipFile, name: str) -> None:
         self.name, self._archive = name, archive
         self.sizes: dict[str, int | None] = {}
         for each in archive.infolist():
             if not each.is_dir():
-                plain = each.filename not in self.sizes and each.compress_type in _PACKED
+                plain = each.filename not in self.sizes and each.compress_type in self._PACKED
                 self.sizes[each.filename] = each.file_size if plain else None
 
     def open(self, name: str) -> AbstractContextManager[IO[bytes]]:

@@ -16,9 +16,6 @@ from hilcell.plant.tables import RUN
 from hilcell.typed import decoded, typed
 
 CELL = (RUN.c.cell, RUN.c.serial, RUN.c.machine)
-LATEST = datetime(9000, 1, 1, tzinfo=UTC)  # a time after which is a date, too
-NONE = "no calibration that holds"
-BATCH = 200  # cells of one question
 Name = tuple[str, str, str]  # a cell: its name, its serial number, and which simulated machine
 
 
@@ -110,8 +107,9 @@ def _since(connection: Connection) -> defaultdict[Name, list[RunRow]]:
     begun = connection.execute(select(every.c.key, proven.label("ended"))).all()
     known = [and_(RUN.c.cell_key == key, RUN.c.ended >= ended) for key, ended in begun if ended]
     found: defaultdict[Name, list[RunRow]] = defaultdict(list)
-    for start in range(0, len(known), BATCH):
-        own = or_(*known[start : start + BATCH])
+    batch = 200  # cells of one question
+    for start in range(0, len(known), batch):
+        own = or_(*known[start : start + batch])
         asked = select(*CELL, cast(RUN.c.row, Text).label("row")).where(own, newest())
         for row in connection.execute(asked):
             found[row.cell, row.serial, row.machine].append(decoded(row.row, RunRow))
@@ -129,13 +127,15 @@ def _state(
         "last_state": state,
         "last_ended": ended,
     }
+    none = "no calibration that holds"
     if not current:
         ended_here = [row for row in in_order(since) if row.name in known]
         last = ended_here[-1] if ended_here else None
-        condition = known[last.name].text if last is not None else NONE
+        condition = known[last.name].text if last is not None else none
         return typed(common | {"condition": condition}, CellState)
     made = next(datetime.fromisoformat(row.ended) for row in since if row.name == current)
-    until = min(made, LATEST) + timedelta(days=max_age_days)
+    latest = datetime(9000, 1, 1, tzinfo=UTC)  # a time after which is a date, too
+    until = min(made, latest) + timedelta(days=max_age_days)
     condition = "valid" if now <= until else "too old"
     if made > now + CLOCK_ERROR:
         condition = "made in the future: check the clock of the cell's computer"

@@ -20,10 +20,6 @@ from hilcell.ports import Array
 SIGNIFICANCE = 0.01
 CONFIDENCE = 0.95
 FEWEST = 6  # runs
-LEAST_DEGREES = 3  # of freedom that remain for the noise
-LEAST_SPAN_K = 1.0  # less says nothing of how a quantity follows the temperature
-MOST_STEPS = 5
-LEAST_RANGE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +49,8 @@ def hindrance(years: Array, values: Array) -> str:
         return f"{len(values)} of the {FEWEST} calibrations that are needed"
     if not float(np.ptp(years)) > 0.0:
         return "all calibrations ended at the same time"
-    if not float(np.ptp(values)) > LEAST_RANGE:  # a test would judge their rounding
+    least_range = 1e-9
+    if not float(np.ptp(values)) > least_range:  # a test would judge their rounding
         return "all calibrations found the same"
     return ""
 
@@ -66,10 +63,12 @@ def course(years: Array, values: Array, temperatures_c: Array | None = None) -> 
         return None
     count = len(values)
     base = [np.ones(count), years - years.mean()]
-    if temperatures_c is not None and float(np.ptp(temperatures_c)) >= LEAST_SPAN_K:
+    least_span_k = 1.0  # less says nothing of how a quantity follows the temperature
+    if temperatures_c is not None and float(np.ptp(temperatures_c)) >= least_span_k:
         base.append(temperatures_c - temperatures_c.mean())
     steps: list[int] = []
-    while len(steps) < MOST_STEPS:
+    most_steps = 5
+    while len(steps) < most_steps:
         at = _next(base, steps, values)
         if at is None:
             break
@@ -131,7 +130,8 @@ def _next(base: list[Array], steps: list[int], values: Array) -> int | None:
     without = _fit(_design(base, steps), values)
     degrees = without.degrees - 1
     places = [at for at in range(1, len(values)) if at not in steps]
-    if degrees < LEAST_DEGREES or not places:
+    least_degrees = 3  # of freedom that remain for the noise
+    if degrees < least_degrees or not places:
         return None
     rests = [_fit(_design(base, [*steps, at]), values).rest for at in places]
     best = int(np.argmin(rests))

@@ -39,35 +39,22 @@ from hilcell.typed import Json
 
 MIGRATIONS = Path(__file__).with_name("migrations")
 POSTGRESQL, SQLITE = "postgresql", "sqlite"
-DRIVERS = {POSTGRESQL: "postgresql+psycopg", SQLITE: "sqlite"}
 BUSY_S = 30.0  # that another may write an office's file
-ALONE = "SELECT pg_advisory_xact_lock(hashtext('hilcell.plant_init'))"
 HIDDEN = "***"
-LIMITS = "54"  # class of SQLSTATE: a key that is too long for an index, and the like
 SEEN = "plant.sqlite"  # beside the journals, of those that were shipped
 CELL, ENGINEER = "hilcell_cell", "hilcell_engineer"  # the roles
-RIGHT = "42501"  # SQLSTATE: insufficient privilege
 # The server's other databases share the roles: another `init` may make them at this moment.
 MAKE_ROLE = """
 DO $$ BEGIN CREATE ROLE {} NOLOGIN;
 EXCEPTION WHEN duplicate_object OR unique_violation THEN NULL;
 END $$
 """
-GRANT = (
-    f"; a user ships in the role {CELL} and reads in the role {ENGINEER}; the owner of the "
-    "database makes both by `hilcell plant init`"
-)
 LOGIN = (
     "; check the URL's user and database, and the password in ~/.pgpass; the owner lets users in"
 )
 # A connection that fails has no SQLSTATE: the words of an English server say why, or a password
 # that was asked for.
 FATAL = "FATAL: "  # the server's answer to a connection
-UNKNOWN = re.compile(
-    r"authentication failed|no pg_hba\.conf entry|pg_hba\.conf rejects|not permitted to log in|"
-    r"(role|database) .* does not exist|permission denied for database"
-)
-FULL = "too many connections"
 SECRET = re.compile("passw|pwd", re.IGNORECASE)  # in the names of the URL's own options
 KNOWN = ("run_key", "revision", "head")  # columns of `run` that cells may read
 # By SQLite's own word for the error.
@@ -76,8 +63,6 @@ DAMAGED = {
     "SQLITE_CORRUPT": "; restore its backup, or make another by `hilcell plant init --to URL` and "
     "ship the runs again: each cell's journals keep them",
 }
-
-_UNHEARD = logging.NullHandler()
 
 
 class PlantError(HilcellError):
@@ -99,14 +84,25 @@ class PlantAway(StoreAway):
 class Database:
     """A plant's database by its URL; opens nothing yet. Raises `PlantError`."""
 
+    ALONE = "SELECT pg_advisory_xact_lock(hashtext('hilcell.plant_init'))"
+    RIGHT = "42501"  # SQLSTATE: insufficient privilege
+    GRANT = (
+        f"; a user ships in the role {CELL} and reads in the role {ENGINEER}; the owner of the "
+        "database makes both by `hilcell plant init`"
+    )
+    _UNHEARD = logging.NullHandler()
+
     def __init__(self, url: str) -> None:
         self._url = _parsed(url)
-        self.name = clean(_shown(self._url))
+        hidden = {name: HIDDEN for name in self._url.query if SECRET.search(name)}
+        plain = self._url.set(drivername=self._url.get_backend_name()).update_query_dict(hidden)
+        shown = plain.render_as_string(hide_password=True)
+        self.name = clean(shown.replace(quote(HIDDEN), HIDDEN))
         self._places = "the folder, its rights and the disk"
         self._remote = self._url.get_backend_name() == POSTGRESQL
         options: dict[str, float] = {} if self._remote else {"timeout": BUSY_S}
         # Its warnings repeat the error that is raised; without a handler they reach stderr.
-        logging.getLogger("psycopg").addHandler(_UNHEARD)
+        logging.getLogger("psycopg").addHandler(self._UNHEARD)
         self.engine: Engine = create_engine(self._url, connect_args=options, pool_pre_ping=False)
         if self._remote:
             self._places = "the server and the network"
@@ -150,7 +146,7 @@ class Database:
         self._check_place()
         with self.transaction(migrating=True) as connection:
             # One at a time; sqlite3 would also keep each table by itself.
-            connection.exec_driver_sql(ALONE if self._remote else "BEGIN IMMEDIATE")
+            connection.exec_driver_sql(self.ALONE if self._remote else "BEGIN IMMEDIATE")
             before = _version(connection)
             if before is None:
                 self._check_empty(connection)
@@ -230,8 +226,8 @@ class Database:
             )
         kind = "_".join(getattr(cause, "sqlite_errorname", "").split("_")[:2])
         refused = f"plant database {self.name}: refused: {words}{DAMAGED.get(kind, '')}"
-        if getattr(cause, "sqlstate", "") == RIGHT:
-            return RightMissing(f"{refused}{GRANT}")
+        if getattr(cause, "sqlstate", "") == self.RIGHT:
+            return RightMissing(f"{refused}{self.GRANT}")
         return PlantError(refused)
 
 
@@ -244,7 +240,8 @@ def _parsed(url: str) -> URL:
         backend = parsed.get_backend_name()
     except (ArgumentError, ValueError):  # both may repeat the URL, and so a password
         raise PlantError(f"plant database: its URL cannot be read; {forms}") from None
-    if backend not in DRIVERS:
+    drivers = {POSTGRESQL: "postgresql+psycopg", SQLITE: "sqlite"}
+    if backend not in drivers:
         raise PlantError(f"plant database: {clean(backend)} is not known; {forms}")
     if "@" in (parsed.host or ""):  # the rest of a password
         raise PlantError("plant database: its URL cannot be read: write an @ of a password as %40")
@@ -262,7 +259,7 @@ def _parsed(url: str) -> URL:
                 f"plant database: its URL has the option {clean(name)}, wanted are those of "
                 "PostgreSQL's own library, as ?sslmode=verify-full"
             )
-    return parsed.set(drivername=DRIVERS[backend])
+    return parsed.set(drivername=drivers[backend])
 
 
 def _options(backend: str) -> set[str]:
@@ -281,24 +278,22 @@ def _login_refused(cause: BaseException, words: str) -> bool:
         return False
     if FATAL not in words:
         return bool(asked.needs_password)  # and there was none
-    return bool(UNKNOWN.search(words) or (asked.used_password and FULL not in words))
+    unknown = re.compile(
+        r"authentication failed|no pg_hba\.conf entry|pg_hba\.conf rejects|not permitted to log in|"
+        r"(role|database) .* does not exist|permission denied for database"
+    )
+    full = "too many connections"
+    return bool(unknown.search(words) or (asked.used_password and full not in words))
 
 
 def _away(error: SQLAlchemyError, cause: BaseException) -> bool:
     """Whether the database is not to be used at all, rather than by this order."""
     if isinstance(error, DBAPIError) and error.connection_invalidated:
         return True
-    limited = str(getattr(cause, "sqlstate", "")).startswith(LIMITS)
+    limits = "54"  # class of SQLSTATE: a key that is too long for an index, and the like
+    limited = str(getattr(cause, "sqlstate", "")).startswith(limits)
     wrong = getattr(cause, "sqlite_errorname", "") == "SQLITE_ERROR"
     return isinstance(error, OperationalError) and not (limited or wrong)
-
-
-def _shown(url: URL) -> str:
-    """Return a URL without its passwords."""
-    hidden = {name: HIDDEN for name in url.query if SECRET.search(name)}
-    plain = url.set(drivername=url.get_backend_name()).update_query_dict(hidden)
-    shown = plain.render_as_string(hide_password=True)
-    return shown.replace(quote(HIDDEN), HIDDEN)
 
 
 def _secrets(url: URL) -> list[str]:

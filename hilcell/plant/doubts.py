@@ -94,8 +94,14 @@ def _at_once(connection: Connection) -> Iterator[Doubt]:
     A run that was opened again lasts from its begin to its last end, so that is no sign.
     """
     before = func.lag(RUN.c.ended).over(partition_by=CELL, order_by=RUN.c.begun)
+    other = RUN.alias("other")
     first = select(*CELL, RUN.c.begun, before.label("before")).where(
-        RUN.c.machine == "", RUN.c.revision == _first_revision()
+        RUN.c.machine == "",
+        RUN.c.revision
+        == select(func.min(other.c.revision))
+        .where(other.c.run_key == RUN.c.run_key)
+        .correlate(RUN)
+        .scalar_subquery(),
     )
     each = first.subquery("each")
     asked = (
@@ -109,16 +115,6 @@ def _at_once(connection: Connection) -> Iterator[Doubt]:
             f"cell {clean(row.cell)}, serial number {clean(row.serial)}: {row.times} runs began "
             "while another was at work: two computers ship as one cell, or their clocks disagree",
         )
-
-
-def _first_revision() -> object:
-    other = RUN.alias("other")
-    return (
-        select(func.min(other.c.revision))
-        .where(other.c.run_key == RUN.c.run_key)
-        .correlate(RUN)
-        .scalar_subquery()
-    )
 
 
 def _ahead(connection: Connection) -> Iterator[Doubt]:

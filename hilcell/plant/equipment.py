@@ -21,8 +21,6 @@ from hilcell.plant.robots import YEAR_S
 from hilcell.plant.tables import ALARM, DEVICE, LENGTH, RUN, VERDICT, Found
 from hilcell.typed import Json
 
-WITNESSES = 2  # trackers that agree with one another against a third
-
 
 class StationCourse(msgspec.Struct, frozen=True, kw_only=True):
     """A station whose mean error after correction grows: Kendall's test, Theil-Sen's slope.
@@ -190,8 +188,9 @@ def _scale(serial: str, scales: dict[str, tuple[float, float]]) -> Json:
         return abs(a_ppm - b_ppm) > k * math.hypot(u_a, u_b)
 
     against = [other for other in sorted(scales) if other != serial and differ(serial, other)]
+    witnesses = 2  # trackers that agree with one another against a third
     agree = {
-        name for pair in combinations(against, WITNESSES) if not differ(*pair) for name in pair
+        name for pair in combinations(against, witnesses) if not differ(*pair) for name in pair
     }
     scale_ppm, u_ppm = scales[serial]
     return {"scale_ppm": scale_ppm, "u_ppm": u_ppm, "disagrees_with": sorted(agree)}

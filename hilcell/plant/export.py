@@ -31,10 +31,8 @@ from hilcell.typed import Json
 from hilcell.writing import NotWritten, as_not_written
 
 ARCHIVE = ".zip"
-OTHERS = (".tar", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".rar")  # archives of other forms
 CHANGED = "the plant's database was changed or damaged; restore a backup, then ship again"
 NAMED = 3  # runs, in a message
-LONGEST = 60  # letters of a run's name in that of its folder
 Add = Callable[[str, bytes], object]
 
 
@@ -160,7 +158,8 @@ def _json(values: object) -> bytes:
 
 def _safe(name: str) -> str:
     """Return a name that is one of a file on any system: it comes from another computer."""
-    return re.sub(r"[^A-Za-z0-9._-]", "_", name)[:LONGEST].strip(".") or "_"
+    longest = 60  # letters of a run's name in that of its folder
+    return re.sub(r"[^A-Za-z0-9._-]", "_", name)[:longest].strip(".") or "_"
 
 
 @contextmanager
@@ -168,7 +167,8 @@ def _made(place: Path) -> Iterator[Add]:
     """Yield what adds a file; all of them appear together, or nothing is left of them."""
     if place.is_symlink() or place.exists():
         raise NotWritten(f"{clean(str(place))}: it is there already; name a new folder or file")
-    if place.suffix.lower() in OTHERS:
+    others = (".tar", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".rar")  # archives of other forms
+    if place.suffix.lower() in others:
         raise NotWritten(
             f"{clean(str(place))} is a {place.suffix} archive by its name; name a folder or a "
             f"{ARCHIVE} file"

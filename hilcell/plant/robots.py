@@ -12,7 +12,6 @@ from sqlalchemy import Connection, and_, or_, select
 
 from hilcell.journal.asset import same
 from hilcell.journal.index import RunRow
-from hilcell.journal.states import RunState
 from hilcell.model.events import Asset
 from hilcell.plant.cells import CELL, Name, chosen, newest
 from hilcell.plant.course import Course, course, hindrance, main_direction
@@ -21,10 +20,7 @@ from hilcell.ports import Array
 from hilcell.typed import typed
 
 YEAR_S = 365.25 * 86400.0
-ARM_MM = 1000.0  # two points of {B}, this far along its x and y, show how it turns
 ARM, BASE = "errors at the grid, in {B}", "base {B} in {W}"
-SEVERE = ("warning", "fault")
-FINISHED: RunState = "finished"
 
 
 class Change(msgspec.Struct, frozen=True, kw_only=True):
@@ -98,7 +94,11 @@ def _robot(connection: Connection, robot: str, cell: Name, rows: Sequence[Found]
     drift: list[Drift] = []
     not_judged: dict[str, str] = {}
     changes: list[Change] = []
-    for what, vectors in ((ARM, errors_mm), (BASE, _bases_mm(alike))):
+    frames: Array = np.array([row.matrix for row in alike], dtype=float)
+    origins_mm = frames[:, :3, 3]
+    arm_mm = 1000.0  # two points of {B}, this far along its x and y, show how it turns
+    points_mm = [origins_mm, *(origins_mm + arm_mm * frames[:, :3, axis] for axis in (0, 1))]
+    for what, vectors in ((ARM, errors_mm), (BASE, np.concatenate(points_mm, axis=1))):
         along_mm = main_direction(vectors) / np.sqrt(vectors.shape[1] / 3)  # rms of its points
         seen = course(years, along_mm, celsius)
         if seen is not None:
@@ -115,13 +115,6 @@ def _robot(connection: Connection, robot: str, cell: Name, rows: Sequence[Found]
         left_out=len(rows) - len(alike), drift=drift,
         not_judged=not_judged, changes=changes,
     )  # fmt: skip
-
-
-def _bases_mm(rows: Sequence[Found]) -> Array:
-    frames: Array = np.array([row.matrix for row in rows], dtype=float)
-    origins_mm = frames[:, :3, 3]
-    points_mm = [origins_mm, *(origins_mm + ARM_MM * frames[:, :3, axis] for axis in (0, 1))]
-    return np.concatenate(points_mm, axis=1)
 
 
 def _changes(
@@ -145,22 +138,31 @@ def _changes(
 
 def _said(connection: Connection, cell: Name, first: Found, second: Found) -> list[str]:
     """Return the devices that changed, the alarms and the re-checks that failed, run by run."""
-    broken_off = and_(RUN.c.digest == first.digest, RUN.c.state != FINISHED)  # after its grid
+    broken_off = and_(RUN.c.digest == first.digest, RUN.c.state != "finished")  # after its grid
     then = and_(
         *(column == name for column, name in zip(CELL, cell, strict=True)),
         or_(RUN.c.ended > first.ended, broken_off),
         RUN.c.ended <= second.ended,
         newest(),
     )
-    found = _exchanged(_devices(connection, first), _devices(connection, second))
+    before = _devices(connection, first)
+    now = _devices(connection, second)
+    kinds = sorted(before.keys() & now.keys())
+    pairs = ((kind, before[kind], now[kind]) for kind in kinds)
+    found = [
+        f"{kind} {one.serial} {one.firmware} -> {other.serial} {other.firmware}"
+        for kind, one, other in pairs
+        if not same(one, other)
+    ]
     for row in connection.execute(select(RUN.c.row).where(then).order_by(RUN.c.ended)):
         run = typed(row.row, RunRow)
         if run.facts.recheck == "redo":
             found.append(f"re-check: calibrate again ({run.name})")
+    severe = ("warning", "fault")
     alarms = (
         select(ALARM.c.code, ALARM.c.title, RUN.c.name)
         .join(RUN, RUN.c.digest == ALARM.c.digest)
-        .where(then, ALARM.c.severity.in_(SEVERE))
+        .where(then, ALARM.c.severity.in_(severe))
         .order_by(ALARM.c.t)
     )
     found += [f"{row.code} {row.title} ({row.name})" for row in connection.execute(alarms)]
@@ -174,13 +176,3 @@ def _devices(connection: Connection, run: Found) -> dict[str, Asset]:
         row["kind"]: Asset(**{name: row[name] for name in Asset.__struct_fields__ if name in row})
         for row in rows
     }
-
-
-def _exchanged(before: dict[str, Asset], now: dict[str, Asset]) -> list[str]:
-    kinds = sorted(before.keys() & now.keys())
-    pairs = ((kind, before[kind], now[kind]) for kind in kinds)
-    return [
-        f"{kind} {one.serial} {one.firmware} -> {other.serial} {other.firmware}"
-        for kind, one, other in pairs
-        if not same(one, other)
-    ]

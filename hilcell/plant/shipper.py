@@ -45,11 +45,6 @@ class Forked(PlantError):
     code = "HC-J22"
 
 
-def newest_there(connection: Connection, keys: Iterable[Key]) -> dict[UUID, int]:
-    """Return the newest revision that the database has of each of these runs."""
-    return dict(sorted(there(connection, keys)))  # the last one stays
-
-
 def there(connection: Connection, keys: Iterable[Key]) -> set[Key]:
     """Return which revisions of runs the database has."""
     runs = sorted({run for run, _ in keys})
@@ -265,7 +260,7 @@ def _waiting(runs: Path, rows: Sequence[RunRow]) -> dict[str, Key]:
 def _behind(database: Database, here: dict[str, Key]) -> dict[str, Behind]:
     """Return the runs of which the plant has later records than this folder."""
     with database.transaction() as connection:
-        newest = newest_there(connection, here.values())
+        newest = dict(sorted(there(connection, here.values())))  # the last revision stays
     return {
         name: Behind(revision, newest[run_key])
         for name, (run_key, revision) in here.items()

@@ -23,9 +23,6 @@ from hilcell.clean import clean
 from hilcell.errors import HilcellError
 
 MOST_BYTES = 65536
-OTHERS = stat.S_IRWXG | stat.S_IRWXO
-MAKE = "`openssl genpkey -algorithm ed25519 -out FILE` makes one"
-PUBLISH = "`openssl pkey -in KEYFILE -pubout -out FILE` makes it"
 _WRONG = (ValueError, UnsupportedAlgorithm)
 
 
@@ -40,10 +37,12 @@ def read_private_key(path: Path, ask: Callable[[], bytes | None]) -> Ed25519Priv
 
     ``ask`` returns the passphrase of an encrypted one, or None where nobody can be asked.
     """
-    content = _content(path, MAKE)
+    make = "`openssl genpkey -algorithm ed25519 -out FILE` makes one"
+    content = _content(path, make)
     if b"PUBLIC KEY" in content:
-        raise _bad(path, "it is a public key, wanted the private one", f"name that one; {MAKE}")
-    if os.name == "posix" and (mode := stat.S_IMODE(path.stat().st_mode)) & OTHERS:
+        raise _bad(path, "it is a public key, wanted the private one", f"name that one; {make}")
+    others = stat.S_IRWXG | stat.S_IRWXO
+    if os.name == "posix" and (mode := stat.S_IMODE(path.stat().st_mode)) & others:
         raise _bad(
             path, f"others than its owner may use it (mode {mode:04o})", "`chmod 600` that file"
         )
@@ -52,23 +51,24 @@ def read_private_key(path: Path, ask: Callable[[], bytes | None]) -> Ed25519Priv
     except TypeError:
         key = _decrypted(path, content, ask())
     except _WRONG:
-        raise _bad(path, "it is no private key in PEM", MAKE) from None
+        raise _bad(path, "it is no private key in PEM", make) from None
     if not isinstance(key, Ed25519PrivateKey):
-        raise _bad(path, "it is another kind of key, wanted Ed25519", MAKE)
+        raise _bad(path, "it is another kind of key, wanted Ed25519", make)
     return key
 
 
 def read_public_key(path: Path) -> Ed25519PublicKey:
     """Return the key of a file; raises `BadKey`."""
-    content = _content(path, PUBLISH)
+    publish = "`openssl pkey -in KEYFILE -pubout -out FILE` makes it"
+    content = _content(path, publish)
     if b"PRIVATE KEY" in content:
-        raise _bad(path, "it is a private key, wanted the public one", PUBLISH)
+        raise _bad(path, "it is a private key, wanted the public one", publish)
     try:
         key = load_pem_public_key(content)
     except _WRONG:
-        raise _bad(path, "it is no public key in PEM", PUBLISH) from None
+        raise _bad(path, "it is no public key in PEM", publish) from None
     if not isinstance(key, Ed25519PublicKey):
-        raise _bad(path, "it is another kind of key, wanted Ed25519", PUBLISH)
+        raise _bad(path, "it is another kind of key, wanted Ed25519", publish)
     return key
 
 

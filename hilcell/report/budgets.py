@@ -31,8 +31,6 @@ from hilcell.journal.log import Log
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table
 
-NO_FIT = "this run has fitted no correction"
-
 
 @dataclass(frozen=True, eq=False)
 class TargetBudget:
@@ -72,10 +70,11 @@ def target_budget(log: Log, run: str) -> TargetBudget:
 def _why_none(log: Log) -> str:
     """Return why a run's journal makes no calibration."""
     used = calibration_in(log)
+    no_fit = "this run has fitted no correction"
     if used is not None:
-        return f"{NO_FIT}; the report of run {used.provenance.run} states those of its calibration"
+        return f"{no_fit}; the report of run {used.provenance.run} states those of its calibration"
     if "fit" not in log.verdicts:
-        return NO_FIT
+        return no_fit
     stations = [each.name for each in log.cell.station if f"station.{each.name}" not in log.frames]
     return f"the run ended before it framed {' and '.join(stations)}"
 
@@ -107,18 +106,6 @@ class Placed:
         return None if self.coverage is None else of(self.coverage)
 
 
-PLACES: tuple[Column[Placed], ...] = (
-    Column("station", attrgetter("name")),
-    Column("bound in use, mean", lambda row: row.use(np.mean), "mm", ".3f"),
-    Column("bound in use, max", lambda row: row.use(np.max), "mm", ".3f"),
-    Column("targets", partial(Placed.validated, of=len), form=".0f"),
-    Column("inside", partial(Placed.validated, of=attrgetter("inside")), form=".0f"),
-    Column("share inside", lambda row: row.validated(lambda each: 100 * each.share), "%", ".1f"),
-    Column("validation bound, mean", lambda row: row.validated(_mean_mm), "mm", ".3f"),
-    Column("validation bound, max", lambda row: row.validated(_most_mm), "mm", ".3f"),
-)
-
-
 def _mean_mm(found: Coverage) -> float:
     return float(found.bounds_mm.mean())
 
@@ -147,7 +134,19 @@ def bounds_sheet(budget: TargetBudget) -> Table:
         "that the check of validity allows. In validation: without what stays the same from grid "
         "to validation, at the temperatures of the run, with the tracker's reading."
     )
-    return Table(PLACES, placed(budget), "95 % bounds of corrected targets", note)
+    columns: tuple[Column[Placed], ...] = (
+        Column("station", attrgetter("name")),
+        Column("bound in use, mean", lambda row: row.use(np.mean), "mm", ".3f"),
+        Column("bound in use, max", lambda row: row.use(np.max), "mm", ".3f"),
+        Column("targets", partial(Placed.validated, of=len), form=".0f"),
+        Column("inside", partial(Placed.validated, of=attrgetter("inside")), form=".0f"),
+        Column(
+            "share inside", lambda row: row.validated(lambda each: 100 * each.share), "%", ".1f"
+        ),
+        Column("validation bound, mean", lambda row: row.validated(_mean_mm), "mm", ".3f"),
+        Column("validation bound, max", lambda row: row.validated(_most_mm), "mm", ".3f"),
+    )
+    return Table(columns, placed(budget), "95 % bounds of corrected targets", note)
 
 
 # -- the uncertainty budget of one coordinate as one table: a measured error, a corrected target ---
@@ -155,15 +154,8 @@ def bounds_sheet(budget: TargetBudget) -> Table:
 # They are two measurands: each has its own lines and its own sum, and a share is one of its sum.
 
 K_3D = 2.80  # times u of one coordinate: 95 % of three equal normal ones (chi^2, 3 degrees)
-TITLE = "Uncertainty budget for one coordinate (GUM, JCGM 100:2008)"
 ERROR_SUM, TARGET_SUM = "A measured error", "A corrected target"
 RECTANGULAR = "4.3.7"  # clause of the GUM that evaluates a half-width
-NOTE = (
-    "Type A: from scatter that this run measured; B: from the certificate that is named, else an "
-    "assumption that the cell file states. Sensitivity 1: every source is a length at the tool "
-    "point. Sources are taken as independent."
-)
-NEGLIGIBLE = 1e-9  # share of the largest variance
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,17 +207,28 @@ def budget_sheet(budget: Budget | None, targets: TargetBudget, hidden: Sequence[
     line has in it, in words.
     """
     rows = [] if budget is None else [*error_rows(budget), _error_sum(budget)]
-    notes = [NOTE]
+    note = (
+        "Type A: from scatter that this run measured; B: from the certificate that is named, else "
+        "an assumption that the cell file states. Sensitivity 1: every source is a length at the "
+        "tool point. Sources are taken as independent."
+    )
+    notes = [note]
     if not targets.missing:
         bounds = targets.in_use[targets.worst]
-        rows += [*target_rows(bounds), _target_sum(bounds)]
+        radii_mm = bounds.radii_mm
+        words = f"3-D 95 % bound: mean {radii_mm.mean():.3f} mm, largest {radii_mm.max():.3f} mm"
+        rows += [
+            *target_rows(bounds),
+            Row(TARGET_SUM, words, "", _whole_mm(bounds), 100.0, is_sum=True),
+        ]
         notes.append(
             f"Corrected target: at {targets.worst}, where bounds are largest; root mean square "
             "over the volume, at any temperature that “Valid for” allows; an estimate of several "
             f"limits is the half-width that gives the same u. {_freedom(bounds)}"
         )
     notes += [f"In no line, because no run shows it: {each}." for each in hidden]
-    return Table(ROWS, rows, TITLE, " ".join(notes), lambda row: "sum" if row.is_sum else "")
+    title = "Uncertainty budget for one coordinate (GUM, JCGM 100:2008)"
+    return Table(ROWS, rows, title, " ".join(notes), lambda row: "sum" if row.is_sum else "")
 
 
 def error_rows(budget: Budget) -> list[Row]:
@@ -271,12 +274,6 @@ def _error_sum(budget: Budget) -> Row:
     return Row(ERROR_SUM, words, "", budget.u_mm, 100.0, is_sum=True)
 
 
-def _target_sum(bounds: Bounds) -> Row:
-    radii_mm = bounds.radii_mm
-    words = f"3-D 95 % bound: mean {radii_mm.mean():.3f} mm, largest {radii_mm.max():.3f} mm"
-    return Row(TARGET_SUM, words, "", _whole_mm(bounds), 100.0, is_sum=True)
-
-
 def _whole_mm(bounds: Bounds) -> float:
     return math.sqrt(sum(part.u_mm**2 for part in bounds.parts))
 
@@ -303,7 +300,8 @@ def _kind(each: Contribution | Part, rectangular: bool) -> str:
 def _one_direction(covariances_mm2: Array) -> bool:
     """Whether covariances (N, 3, 3) act along one direction at each target."""
     small, middle, large = np.linalg.eigvalsh(covariances_mm2).sum(axis=0)
-    return bool(large > 0.0 and small + middle <= NEGLIGIBLE * large)
+    negligible = 1e-9  # share of the largest variance
+    return bool(large > 0.0 and small + middle <= negligible * large)
 
 
 def _freedom(bounds: Bounds) -> str:

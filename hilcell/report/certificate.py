@@ -41,6 +41,8 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
     """Return the items in the standard's order."""
     inputs, cell = facts.inputs, facts.cell
     measured_air = bool(facts.log.temperatures_c())
+    kinds = ("tracker", "strip")
+    found = [f"{each.text} ({each.kind})" for each in facts.log.assets if each.kind in kinds]
     return [
         Item("7.8.2.1 a", "Title", title(facts)),
         Item("7.8.2.1 b, c", "Laboratory, place of the calibration", cell.certificate.laboratory),
@@ -61,7 +63,7 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
         Item("7.8.4.1 a", "Measurement uncertainty", _uncertainty(budget, targets),
              UNCERTAINTY),
         Item("7.8.4.1 b", "Conditions", conditions_words(facts)),
-        Item("7.8.4.1 c", "Measured with", _measured_with(facts)),
+        Item("7.8.4.1 c", "Measured with", "; ".join(found)),
         Item("7.8.4.1 c", "Traceability: certificates of tracker, reflector"
              + (", thermometer" if measured_air else "")),
         Item("7.8.4.1 d", "Before and after adjustment", adjustment_words(facts), STATIONS),
@@ -105,13 +107,6 @@ def procedure_words(facts: Facts) -> str:
 def _robot_serial(facts: Facts) -> str:
     found = [asset.serial for asset in facts.log.assets if asset.kind == "robot"]
     return f", serial {found[0]}" if found else ""
-
-
-def _measured_with(facts: Facts) -> str:
-    """Return the tracker and the strip that measured, by their serial numbers."""
-    kinds = ("tracker", "strip")
-    found = [f"{each.text} ({each.kind})" for each in facts.log.assets if each.kind in kinds]
-    return "; ".join(found)
 
 
 def _dates(facts: Facts) -> str:

@@ -119,19 +119,17 @@ def frame_changes(first: Side, second: Side) -> list[Change]:
             place = key.replace(".", " ")
             limits = _frame_limits(first, second, key)
             T_1, T_2 = first.log.matrix(key), second.log.matrix(key)
-            moved = (float(np.linalg.norm(T_2[:3, 3] - T_1[:3, 3])), _angle_deg(T_1, T_2))
+            R = T_1[:3, :3].T @ T_2[:3, :3]
+            sine = np.linalg.norm([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2
+            moved = (
+                float(np.linalg.norm(T_2[:3, 3] - T_1[:3, 3])),
+                math.degrees(math.atan2(float(sine), (float(np.trace(R)) - 1) / 2)),
+            )
             for what, unit, change, limit in zip(
                 ("moved", "turned"), ("mm", "deg"), moved, limits, strict=True
             ):
                 found.append(Change("frames", place, what, unit, None, None, change, limit))
     return found
-
-
-def _angle_deg(T_1: Array, T_2: Array) -> float:
-    """Return the angle between two frames; from the sine, which small angles keep exactly."""
-    R = T_1[:3, :3].T @ T_2[:3, :3]
-    sine = np.linalg.norm([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2
-    return math.degrees(math.atan2(float(sine), (float(np.trace(R)) - 1) / 2))
 
 
 def _frame_limits(first: Side, second: Side, key: str) -> tuple[float | None, float | None]:
@@ -181,7 +179,12 @@ def grid_drift(first: Side, second: Side) -> GridDrift | None:
         each[both] for each in (before_mm, after_mm, grid.serpentine_mm())
     )
     moved_mm = lengths_mm(after_mm - before_mm)
-    own_mm = lengths_mm(_less_rigid(places_mm, after_mm - before_mm))
+    levers = cross_matrix(places_mm - places_mm.mean(axis=0))
+    shifts = np.broadcast_to(np.eye(3), levers.shape)
+    A = np.concatenate([shifts, -levers], axis=2).reshape(-1, 6)
+    values = (after_mm - before_mm).reshape(-1)
+    rest: Array = values - A @ np.linalg.lstsq(A, values, rcond=None)[0]
+    own_mm = lengths_mm(rest.reshape(-1, 3))
     one_mm, other_mm = (float(lengths_mm(each).mean()) for each in (before_mm, after_mm))
     keys = [id.key for id, known in zip(vertex_ids(grid), both, strict=True) if known]
     worst = int(np.argmax(moved_mm))
@@ -207,16 +210,6 @@ def _same_grid(first: Log, second: Log) -> bool:
 def _move(where: str, what: str, change_mm: float, count: int, u_mm: float | None) -> Change:
     limit_mm = None if u_mm is None else length_factor(count) * u_mm
     return Change("grid", where, what, "mm", None, None, change_mm, limit_mm)
-
-
-def _less_rigid(places_mm: Array, moved_mm: Array) -> Array:
-    """Return moves (N, 3) at places (N, 3) less the small rigid motion that explains most."""
-    levers = cross_matrix(places_mm - places_mm.mean(axis=0))
-    shifts = np.broadcast_to(np.eye(3), levers.shape)
-    A = np.concatenate([shifts, -levers], axis=2).reshape(-1, 6)
-    values = moved_mm.reshape(-1)
-    rest: Array = values - A @ np.linalg.lstsq(A, values, rcond=None)[0]
-    return rest.reshape(-1, 3)
 
 
 def _vertex_u_mm(first: Side, second: Side, *, based: bool) -> float | None:
@@ -305,7 +298,15 @@ def compare_runs(
     Raises `HilcellError` for runs of different cells, for a simulated beside a real one, and for
     runs that have nothing in common.
     """
-    _refuse_others(first, second)
+    one, other = first.cell, second.cell
+    if (one.name, one.serial) != (other.name, other.serial):
+        raise HilcellError(
+            f"runs of different cells are not compared: the first is of {one.name} serial "
+            f"{one.serial}, the second of {other.name} serial {other.serial}"
+        )
+    if first.inputs.simulated != second.inputs.simulated:
+        which = "first" if first.inputs.simulated else "second"
+        raise HilcellError(f"the {which} run was simulated, the other was not: nothing to compare")
     sides = side_of(first), side_of(second)
     drift = grid_drift(*sides)
     changes = [
@@ -324,18 +325,6 @@ def compare_runs(
         drift.moved_mm if drift is not None else {},
         [*_unfinished(first, second, live), *_notes(first, second, grids=drift is not None)],
     )
-
-
-def _refuse_others(first: Log, second: Log) -> None:
-    one, other = first.cell, second.cell
-    if (one.name, one.serial) != (other.name, other.serial):
-        raise HilcellError(
-            f"runs of different cells are not compared: the first is of {one.name} serial "
-            f"{one.serial}, the second of {other.name} serial {other.serial}"
-        )
-    if first.inputs.simulated != second.inputs.simulated:
-        which = "first" if first.inputs.simulated else "second"
-        raise HilcellError(f"the {which} run was simulated, the other was not: nothing to compare")
 
 
 def _has(log: Log) -> str:
@@ -490,13 +479,11 @@ def figure_words(change: Change) -> str:
     return f"{Sent(how).short}: {'95 %' if figure == 'p95' else figure}"
 
 
-_DIGITS = {"mm": 4, "deg": 5}
-
-
 def _figure(name: str, change: Change) -> str | None:
     value: float | None = getattr(change, name)
     sign = "+" if name == "change" and change.first is not None else ""  # a length has none
-    return None if value is None else f"{value:{sign}.{_DIGITS.get(change.unit, 2)}f}"
+    digits = {"mm": 4, "deg": 5}
+    return None if value is None else f"{value:{sign}.{digits.get(change.unit, 2)}f}"
 
 
 CHANGES: tuple[Column[Change], ...] = (

@@ -35,11 +35,6 @@ from hilcell.present.table import Column, Table
 from hilcell.report.facts import Facts
 from hilcell.report.method import chosen_poses_words
 
-# Routine, or in a table of its own: counted, not listed.
-ROUTINE = (
-    Connected, Closed, TrackerProven, SlideProven, StreamRecorded, LinkCounted, SessionOrdered,
-)  # fmt: skip
-BEFORE_IT_GOES_ON = (SessionOrdered, ChangesAccepted)  # of the next session, and written before it
 OPTIONAL = {"two-face", "two-face-closing"}  # steps that a plan may leave out
 MOVING = {"home"}  # steps that move at every start
 STEPS = {
@@ -66,17 +61,6 @@ STEPS = {
     "iso9283": "Cycles of the pose test of ISO 9283",
     "paper-rows": "Figures of the paper compared",
 }
-WITHOUT_RAIL = {
-    "home": "Robot parked",
-    "hold-station": "No slide to hold: the robot stands on the floor",
-    "station-frames": "No other stations",
-}
-STATES = {
-    "paused": "Paused", "suspended": "Suspended", "stopping": "Stopping", "aborted": "Aborted",
-    "faulted": "Stopped by a fault", "finished": "Run finished",
-}  # fmt: skip
-AT_WORK = ("checking", "running")
-STOPS = ("paused", "suspended", "aborted", "faulted")  # states whose lines are bold
 
 
 class Line(NamedTuple):
@@ -161,6 +145,8 @@ def _lines(facts: Facts) -> Iterator[Line]:
     """Yield each line with its time in the journal; a step also says how many points it gave."""
     log, last, steps = Log(), "", _Steps()
     found: list[Line] = []
+    # of the next session, and written before it
+    before_it_goes_on = (SessionOrdered, ChangesAccepted)
     for record in facts.records:
         starts = _starts(record.fact)
         if starts and log.session and not log.over:
@@ -175,7 +161,7 @@ def _lines(facts: Facts) -> Iterator[Line]:
             found.append(Line(record.t, f"Measured again: {key_words(record.key, facts.log)}."))
         else:
             steps.take(record, log)
-        if not isinstance(record.fact, BEFORE_IT_GOES_ON):
+        if not isinstance(record.fact, before_it_goes_on):
             last = record.t
         log.take(record)
     shown = (line._replace(words=steps.words(n, line.words)) for n, line in enumerate(found))
@@ -184,7 +170,8 @@ def _lines(facts: Facts) -> Iterator[Line]:
 
 def _stops(record: Record) -> bool:
     change = record.fact
-    return isinstance(change, StateChanged) and change.machine == "run" and change.to in STOPS
+    stops = ("paused", "suspended", "aborted", "faulted")  # states whose lines are bold
+    return isinstance(change, StateChanged) and change.machine == "run" and change.to in stops
 
 
 def _is_measured(record: Record) -> bool:
@@ -218,13 +205,22 @@ def _words(facts: Facts, log: Log, fact: Fact) -> list[str]:
     """Return a record as sentences; the state of the calibration follows from the steps."""
     if _starts(fact):
         return [_start(facts, log)]
+    # Routine, or in a table of its own: counted, not listed.
+    routine = (
+        Connected, Closed, TrackerProven, SlideProven, StreamRecorded, LinkCounted, SessionOrdered,
+    )  # fmt: skip
+    states = {
+        "paused": "Paused", "suspended": "Suspended", "stopping": "Stopping", "aborted": "Aborted",
+        "faulted": "Stopped by a fault", "finished": "Run finished",
+    }  # fmt: skip
+    at_work = ("checking", "running")
     match fact:
         case StateChanged(machine="run", to=to, reason=why):
             reason = after(in_words(why, facts.log))
-            if to in STATES:
-                return [f"{STATES[to]}{reason}."]
-            return [f"Goes on{reason}."] if log.state not in ("idle", *AT_WORK) else []
-        case Event() | OtherEvent() as event if not isinstance(event, ROUTINE):
+            if to in states:
+                return [f"{states[to]}{reason}."]
+            return [f"Goes on{reason}."] if log.state not in ("idle", *at_work) else []
+        case Event() | OtherEvent() as event if not isinstance(event, routine):
             return [_happened(facts, event)]
     return []
 
@@ -250,9 +246,14 @@ def _cut_off(log: Log) -> str:
 
 def _happened(facts: Facts, event: Event | OtherEvent) -> str:
     """Return an event as a sentence: a step by what it does, others in the words of the screen."""
+    without_rail = {
+        "home": "Robot parked",
+        "hold-station": "No slide to hold: the robot stands on the floor",
+        "station-frames": "No other stations",
+    }
     match event:
         case StepBegun(name=name):
-            steps = STEPS if facts.cell.has_rail else STEPS | WITHOUT_RAIL
+            steps = STEPS if facts.cell.has_rail else STEPS | without_rail
             words = steps.get(name, name.replace("-", " "))
         case PosesChosen():
             words = f"poses chosen: {chosen_poses_words(facts, event)}"

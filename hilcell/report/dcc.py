@@ -49,13 +49,6 @@ from hilcell.writing import NotWritten
 # are in ``\milli\metre``: digit for digit those of the printed report.
 
 VERSION = "3.1.2"
-ROOT = {
-    "xmlns:dcc": "https://ptb.de/dcc",
-    "xmlns:si": "https://ptb.de/si",
-    "xmlns:xsi": "http://www.w3.org/2001/XMLSchema-instance",
-    "xsi:schemaLocation": f"https://ptb.de/dcc https://ptb.de/dcc/v{VERSION}/dcc.xsd",
-    "schemaVersion": VERSION,
-}
 LANGUAGE = "en"
 NOT_STATED = "not stated"
 MM, DEGREE, CELSIUS, HECTOPASCAL = (
@@ -66,7 +59,6 @@ MM, DEGREE, CELSIUS, HECTOPASCAL = (
 )
 PERCENT, ONE = "\\percent", "\\one"
 FORMS = {MM: ".4f", DEGREE: ".5f", CELSIUS: ".2f", HECTOPASCAL: ".1f", PERCENT: ".1f", ONE: ".0f"}
-COVERAGE = "0.95"
 
 Part = Element | str | None
 
@@ -101,9 +93,10 @@ def real(value: float, unit: str, U: float | None = None, k: float = 2.0) -> Ele
     form = FORMS[unit]
     if not math.isfinite(value):
         raise ValueError(f"a certificate states no {value} {unit}")
+    coverage = "0.95"
     expanded = None if U is None else si(
         "expandedUnc", si("uncertainty", format(U, form)), si("coverageFactor", f"{k:g}"),
-        si("coverageProbability", COVERAGE), si("distribution", "normal"),
+        si("coverageProbability", coverage), si("distribution", "normal"),
     )  # fmt: skip
     return si("real", si("value", format(value, form)), si("unit", unit), expanded)
 
@@ -145,11 +138,6 @@ CONFORMITY: dict[Judgement, str] = {
     "suspected": NOT_SHOWN,
     Outcome.REJECTED: "fail",
 }
-AIR = {
-    "air temperature": ("basic_temperature", CELSIUS),
-    "air pressure": ("basic_pressure", HECTOPASCAL),
-    "relative humidity": ("basic_humidityRelative", PERCENT),
-}
 _RELEASE = re.compile(r"\d{1,3}(\.\d{1,3}){0,3}")
 
 
@@ -161,8 +149,15 @@ def dcc_bytes(facts: Facts) -> bytes:
             f"{facts.log.calibration.replace('_', ' ')}; wanted one whose targets were measured "
             "and judged; `hilcell report` shows what there is"
         )
+    root = {
+        "xmlns:dcc": "https://ptb.de/dcc",
+        "xmlns:si": "https://ptb.de/si",
+        "xmlns:xsi": "http://www.w3.org/2001/XMLSchema-instance",
+        "xsi:schemaLocation": f"https://ptb.de/dcc https://ptb.de/dcc/v{VERSION}/dcc.xsd",
+        "schemaVersion": VERSION,
+    }
     return document(dcc("digitalCalibrationCertificate", _administrative(facts),
-                        _results(facts), **ROOT))  # fmt: skip
+                        _results(facts), **root))  # fmt: skip
 
 
 # -- administrative data ---------------------------------------------------------------------------
@@ -303,8 +298,13 @@ def _equipment(facts: Facts) -> Iterator[Element]:
 
 
 def _air(facts: Facts) -> Iterator[Element]:
+    air = {
+        "air temperature": ("basic_temperature", CELSIUS),
+        "air pressure": ("basic_pressure", HECTOPASCAL),
+        "relative humidity": ("basic_humidityRelative", PERCENT),
+    }
     for each in tables.air(facts):
-        ref, unit = AIR[each.name]
+        ref, unit = air[each.name]
         ends = (("Min", "smallest", each.values.min()), ("Max", "largest", each.values.max()))
         yield dcc("influenceCondition", text("name", each.name), dcc("data", *(
             quantity(f"{words} at the tracker", real(float(value), unit), ref=ref + end)

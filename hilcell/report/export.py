@@ -119,10 +119,6 @@ POINTS: tuple[Column[Measured], ...] = (
     Column("bound95", attrgetter("bound_mm"), "mm"),
     Column("inside", attrgetter("inside")),
 )
-FRAMES: tuple[Column[Posed], ...] = (
-    *tables.FRAMES,
-    *(Column(f"m{row}{column}", _entry(row, column)) for row in range(4) for column in range(4)),
-)
 
 
 def points(facts: Facts) -> list[Measured]:
@@ -231,7 +227,15 @@ def _yes(holds: bool) -> str:
 def xlsx_bytes(facts: Facts) -> bytes:
     """Return a workbook with the sheets run, points, frames, results and before and after."""
     compared = Table(tables.ACCURACY, tables.validated_rows(facts), "before and after")
-    frames = Table(FRAMES, tables.posed(facts), "frames")
+    columns: tuple[Column[Posed], ...] = (
+        *tables.FRAMES,
+        *(
+            Column(f"m{row}{column}", _entry(row, column))
+            for row in range(4)
+            for column in range(4)
+        ),
+    )
+    frames = Table(columns, tables.posed(facts), "frames")
     sheets = [run_table(facts), points_table(facts), frames, results_table(facts), compared]
     begun = datetime.fromisoformat(facts.records[0].t)
     return xlsx_of(sheets, begun, {compared.title: "before_after"})

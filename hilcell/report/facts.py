@@ -91,7 +91,9 @@ class Facts:
         states = [n for n, each in enumerate(self.records) if each.kind == "state"]
         after = self.records[states[-1] if states else 0 :]
         ended = (each for each in after if each.kind == "end")
-        return next(ended, None) or next(each for each in reversed(after) if not _revokes(each))
+        return next(ended, None) or next(
+            each for each in reversed(after) if not isinstance(each.fact, CalibrationRevoked)
+        )
 
     @property
     def zone(self) -> tzinfo:
@@ -113,11 +115,6 @@ class Facts:
         return f"({outcome.short})" if self.inputs.simulated else outcome.short
 
 
-def _revokes(record: Record) -> bool:
-    """Whether a record was added after the run, to revoke its calibration."""
-    return isinstance(record.fact, CalibrationRevoked)
-
-
 def read_facts(folder: Path) -> Facts:
     """Read a run's folder; raises `StorageError` where the journal is not sound."""
     records = read_records(folder)
@@ -126,7 +123,10 @@ def read_facts(folder: Path) -> Facts:
     result = _result(run, procedure, log)
     runs = folder.resolve().parent
     stands = standings_in(runs, read_index(runs)).get(folder.resolve().name)
-    return Facts(run, records, log, log.cell, procedure, result, fingerprint_of(records),
+    digest = b""
+    for record in records:
+        digest = chain(digest, record)
+    return Facts(run, records, log, log.cell, procedure, result, digest.hex(),
                  file_digest_of(folder, log), stands)  # fmt: skip
 
 
@@ -156,11 +156,3 @@ def _result(run: str, procedure: Procedure, log: Log) -> Json:
             f"{procedure.name} needs for its result; open it with the version that wrote it",
             code="HC-J03",
         ) from error
-
-
-def fingerprint_of(records: Sequence[Record]) -> str:
-    """Return the hash at the end of the journal's chain: it identifies every record before it."""
-    digest = b""
-    for record in records:
-        digest = chain(digest, record)
-    return digest.hex()

@@ -37,7 +37,6 @@ from hilcell.report.verdicts import with_signs
 BLANK = "…" * 12  # to fill in by hand
 NO_CERTIFICATE, NOT_APPLICABLE = "none, simulated", "–"
 MOST_PLACES, LONG_NAME = 4, 20  # whose results stand on the page; one of long names
-MOST_DECIDING = 2  # stations that the verdict's sentence names
 
 
 class Fact(NamedTuple):
@@ -86,31 +85,29 @@ class Result:
         return gravest([outcome_of(self.after_mm, self.limit_mm, self.U_mm), self.also])
 
 
-RESULTS: tuple[Column[Result], ...] = (
-    Column("3-D position error", attrgetter("name")),
-    Column("limit", attrgetter("limit_mm"), "mm", ".3f"),
-    Column(
-        "before", lambda row: NOT_APPLICABLE if row.U_mm is None else row.before_mm, "mm", ".3f"
-    ),
-    Column("after", attrgetter("after_mm"), "mm", ".3f"),
-    Column("U", attrgetter("U"), "mm", ".3f"),
-    Column("after may be at most", attrgetter("most_mm"), "mm", ".3f"),
-)
-
-
 def results_sheet(facts: Facts, targets: TargetBudget) -> Table:
     """Return the table of results, nothing where nothing was judged."""
     if tests_poses(facts):
         return iso9283.results_sheet(facts)
     left = len(judged_places(facts)) - len(_shown(facts))
     note = f"{left} stations further from their limits: see Verdicts." if left else ""
-    results = shown_results(facts)
+    results = [result for name in _shown(facts) for result in results_at(facts, name)]
     if results and (bound := bound_result(facts, targets)) is not None:
         results.append(bound)
     verdict = Column[Result](
         "verdict", lambda row: facts.outcome_words(row.outcome, NOT_APPLICABLE), form="s"
     )
-    return Table((*RESULTS, verdict), results, "Results", note)
+    columns: tuple[Column[Result], ...] = (
+        Column("3-D position error", attrgetter("name")),
+        Column("limit", attrgetter("limit_mm"), "mm", ".3f"),
+        Column(
+            "before", lambda row: NOT_APPLICABLE if row.U_mm is None else row.before_mm, "mm", ".3f"
+        ),
+        Column("after", attrgetter("after_mm"), "mm", ".3f"),
+        Column("U", attrgetter("U"), "mm", ".3f"),
+        Column("after may be at most", attrgetter("most_mm"), "mm", ".3f"),
+    )
+    return Table((*columns, verdict), results, "Results", note)
 
 
 def judged_places(facts: Facts) -> dict[str, Judged]:
@@ -135,11 +132,6 @@ def _shown(facts: Facts) -> list[str]:
     nearest = sorted(found, key=lambda name: found[name].max_mm / found[name].max_tolerance_mm)
     kept = set(nearest[-most_places(facts.cell) :])
     return [name for name in found if name in kept]
-
-
-def shown_results(facts: Facts) -> list[Result]:
-    """Return the results on the page."""
-    return [result for name in _shown(facts) for result in results_at(facts, name)]
 
 
 def nearest_results(facts: Facts, targets: TargetBudget) -> list[tuple[str, Result]]:
@@ -235,8 +227,9 @@ def deciding(facts: Facts) -> str:
         f"{place}, {with_signs(each.why)}"
         for place, each in failed.items() if each.outcome == gravest(outcomes)
     ]  # fmt: skip
-    more = f"; and at {len(found) - MOST_DECIDING} more stations" if found[MOST_DECIDING:] else ""
-    return f": at {'; at '.join(found[:MOST_DECIDING])}{more}"
+    most_deciding = 2  # stations that the verdict's sentence names
+    more = f"; and at {len(found) - most_deciding} more stations" if found[most_deciding:] else ""
+    return f": at {'; at '.join(found[:most_deciding])}{more}"
 
 
 def uncertainty_words(facts: Facts, budget: Budget | None) -> str:
@@ -298,6 +291,8 @@ def validity_facts(facts: Facts) -> list[Fact]:
     also = f" (as from {more} more)" if more else ""
     ranges = zip("xyz", validity.low_mm, validity.high_mm, strict=True)
     cube = ", ".join(f"{axis} {low:.0f} to {high:.0f}" for axis, low, high in ranges)
+    ended = datetime.fromisoformat(facts.last.t)
+    until = (ended + timedelta(days=MAX_AGE_DAYS)).date().isoformat()
     return [
         Fact("Volume", f"{cube} mm in the robot's base {{B}}, at each station"),
         Fact(
@@ -308,7 +303,7 @@ def validity_facts(facts: Facts) -> list[Fact]:
         Fact("Temperature", _temperature(validity.temperature_c)),
         Fact(
             "Age",
-            f"until {_expires(facts)} ({MAX_AGE_DAYS:g} days), earlier after a collision, a new "
+            f"until {until} ({MAX_AGE_DAYS:g} days), earlier after a collision, a new "
             "mastering, a changed motor or tool, or a failed re-check",
         ),
     ]
@@ -322,11 +317,6 @@ def _temperature(range_c: tuple[float, float] | None) -> str:
         f"{low_c:.1f} to {high_c:.1f} °C at the tracker (calibrated {range_c[0]:.1f} to "
         f"{range_c[1]:.1f} °C)"
     )
-
-
-def _expires(facts: Facts) -> str:
-    ended = datetime.fromisoformat(facts.last.t)
-    return (ended + timedelta(days=MAX_AGE_DAYS)).date().isoformat()
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,18 +351,16 @@ def instrument_rows(facts: Facts) -> list[Instrument]:
     return found
 
 
-INSTRUMENTS: tuple[Column[Instrument], ...] = (
-    Column("instrument", attrgetter("instrument")),
-    Column("model", attrgetter("model")),
-    Column("serial", lambda row: row.serial or BLANK),
-    Column("certificate", lambda row: row.certificate or BLANK),
-)
-
-
 def instruments(facts: Facts) -> Table:
     """Return the table of instruments."""
     rows = instrument_rows(facts)
-    return Table(INSTRUMENTS, rows, "Instruments and traceability", traceability(facts))
+    columns: tuple[Column[Instrument], ...] = (
+        Column("instrument", attrgetter("instrument")),
+        Column("model", attrgetter("model")),
+        Column("serial", lambda row: row.serial or BLANK),
+        Column("certificate", lambda row: row.certificate or BLANK),
+    )
+    return Table(columns, rows, "Instruments and traceability", traceability(facts))
 
 
 def traceability(facts: Facts) -> str:

@@ -61,9 +61,6 @@ from hilcell.report.method import models
 from hilcell.report.tables import remeasured, worst
 from hilcell.report.verdicts import verdicts
 
-MOST_STATIONS = 4  # one by one
-SAME_MM = 0.5
-
 
 @dataclass(frozen=True, slots=True)
 class Range:
@@ -72,13 +69,6 @@ class Range:
     name: str
     low_mm: float
     high_mm: float
-
-
-RANGES: tuple[Column[Range], ...] = (
-    Column("in {W}, mm", attrgetter("name")),
-    Column("from", attrgetter("low_mm"), form=".0f"),
-    Column("to", attrgetter("high_mm"), form=".0f"),
-)
 
 
 def corners_mm(cell: Cell, station: Station) -> Array:
@@ -94,43 +84,32 @@ def volume_sheet(cell: Cell, tracker_mm: Array) -> Table:
     every = np.concatenate(list(places.values()))
     far_m = np.linalg.norm(every - tracker_mm, axis=1) / 1000
     note = f"Tracker to corners: {far_m.min():.1f} to {far_m.max():.1f} m."
-    return Table(RANGES, _ranges(places), "Calibrated volume", note)
-
-
-def _ranges(places: dict[str, Array]) -> list[Range]:
+    columns: tuple[Column[Range], ...] = (
+        Column("in {W}, mm", attrgetter("name")),
+        Column("from", attrgetter("low_mm"), form=".0f"),
+        Column("to", attrgetter("high_mm"), form=".0f"),
+    )
     lows = np.array([corners.min(axis=0) for corners in places.values()])
     highs = np.array([corners.max(axis=0) for corners in places.values()])
     found = []
+    most_stations = 4  # one by one
+    same_mm = 0.5
     for n, axis in enumerate("xyz"):
         low, high = lows[:, n], highs[:, n]
-        if max(np.ptp(low), np.ptp(high)) <= SAME_MM:
+        if max(np.ptp(low), np.ptp(high)) <= same_mm:
             found.append(Range(axis, float(low.min()), float(high.max())))
-        elif len(places) > MOST_STATIONS:
+        elif len(places) > most_stations:
             words = f"{axis}, {len(places)} stations"
             found.append(Range(words, float(low.min()), float(high.max())))
         else:
             rows = zip(places, low.tolist(), high.tolist(), strict=True)
             found += [Range(f"{axis}, {name}", *ends) for name, *ends in rows]
-    return found
+    return Table(columns, found, "Calibrated volume", note)
 
 
 def _lines(record: CurveMeasured) -> str:
     pairs = zip(record.cycles, record.amplitudes_urad, strict=True)
     return ", ".join(f"{cycles:.1f}: {size:.1f}" for cycles, size in pairs) or "none"
-
-
-CURVES: tuple[Column[CurveMeasured], ...] = (
-    Column("axis", lambda row: f"A{row.axis}"),
-    Column("cycles: amplitude", _lines, "µrad"),
-    Column("used", lambda row: "yes" if row.holds else f"no: {row.reason}"),
-    Column("from", lambda row: float(np.degrees(row.low_rad)), "°", ".1f"),
-    Column("to", lambda row: float(np.degrees(row.high_rad)), "°", ".1f"),
-    Column("lag", lambda row: row.lag_s * 1e3, "ms", ".2f"),
-    Column("lag u", lambda row: row.lag_sigma_s * 1e3, "ms", ".2f"),
-    Column("noise", lambda row: row.noise_rad * URAD, "µrad", ".1f"),
-    Column("signal", lambda row: 100 * row.share, "%", ".0f"),
-    Column("samples lost", attrgetter("lost"), form="d"),
-)
 
 
 def curves(facts: Facts) -> Table:
@@ -140,7 +119,19 @@ def curves(facts: Facts) -> Table:
         "Lag: how much older the joints' readings are than the tracker's. Noise: of one sample. "
         "Signal: share of the short-wave variance that the lines explain."
     )
-    return Table(CURVES, facts.log.curves.values(), "Transmission errors", note)
+    columns: tuple[Column[CurveMeasured], ...] = (
+        Column("axis", lambda row: f"A{row.axis}"),
+        Column("cycles: amplitude", _lines, "µrad"),
+        Column("used", lambda row: "yes" if row.holds else f"no: {row.reason}"),
+        Column("from", lambda row: float(np.degrees(row.low_rad)), "°", ".1f"),
+        Column("to", lambda row: float(np.degrees(row.high_rad)), "°", ".1f"),
+        Column("lag", lambda row: row.lag_s * 1e3, "ms", ".2f"),
+        Column("lag u", lambda row: row.lag_sigma_s * 1e3, "ms", ".2f"),
+        Column("noise", lambda row: row.noise_rad * URAD, "µrad", ".1f"),
+        Column("signal", lambda row: 100 * row.share, "%", ".0f"),
+        Column("samples lost", attrgetter("lost"), form="d"),
+    )
+    return Table(columns, facts.log.curves.values(), "Transmission errors", note)
 
 
 WORDS = (
@@ -162,13 +153,13 @@ WORDS = (
     ("p95", r"\bp95\b", "95 % of the figures are below it"),
     ("IDW", r"\b(IDW|idw)\b", "error as the mean of the vertices' errors by inverse distance"),
 )  # fmt: skip
-WITHOUT_RAIL = {"Station": "place of the robot, on the floor"}
 
 
 def words_of(html: str, has_rail: bool = True) -> list[tuple[str, str]]:
     """Return the words that stand in a page, with their meaning in such a cell."""
     text = re.sub(r"<[^>]*>", " ", html)
-    own = {} if has_rail else WITHOUT_RAIL
+    without_rail = {"Station": "place of the robot, on the floor"}
+    own = {} if has_rail else without_rail
     return [
         (name, own.get(name, meaning))
         for name, pattern, meaning in WORDS
@@ -176,7 +167,6 @@ def words_of(html: str, has_rail: bool = True) -> list[tuple[str, str]]:
     ]
 
 
-POSITION_ERRORS = "position errors of the tool point"
 PARTS = {
     "certificate": "first page", "glance": "At a glance", "poses": "Poses",
     "stations": "Stations, worst targets, drift", "uncertainty": "Uncertainty and method",
@@ -317,10 +307,11 @@ def standing(facts: Facts) -> tuple[str, str]:
 
 def lead(facts: Facts) -> str:
     """Return what the report is about, in a line."""
+    position_errors = "position errors of the tool point"
     if facts.log.calibration == "validated" and not is_paper(facts):
         robot = "Robot on a rail" if facts.cell.has_rail else "Robot"
         turned = bool(facts.cell.robot.more_smr_mm)
-        errors = "position and orientation errors of the tool" if turned else POSITION_ERRORS
+        errors = "position and orientation errors of the tool" if turned else position_errors
         return f"{robot}: {errors} and their correction"
     return facts.procedure.summary[:1].upper() + facts.procedure.summary[1:]
 

@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
 FIGURES = ("pose-test", "attained")  # names of the figures below
 BLUE, ORANGE, PLANE_FILL = "#12507b", "#c26a2e", "#d3e0ec"
-AXONOMETRIC = np.array([[-0.45, 0.9, 0.0], [-0.4, -0.18, 0.9]])  # {B}'s x, y, z on paper
-EDGES = [(n, n % 4 + 1) for n in (1, 2, 3, 4)]  # of the top; others lie below and between
 
 
 def tests_poses(facts: Facts) -> bool:
@@ -128,11 +126,26 @@ def sheets(facts: Facts) -> list[Table]:
         return []
     found = tested(facts)
     turns = found.orientation.items()
+    columns: tuple[Column[tuple[str, str]], ...] = (
+        Column("condition", itemgetter(0)),
+        Column("in this test", itemgetter(1)),
+    )
+    distance: tuple[Column[Distance], ...] = (
+        Column("from", attrgetter("start")),
+        Column("to", attrgetter("to")),
+        Column("commanded", attrgetter("commanded_mm"), "mm", ".3f"),
+        Column("AD", attrgetter("ad_mm"), "mm", "+.4f"),
+        *(Column(f"AD_{axis}", attrgetter(f"ad_{axis}_mm"), "mm", "+.4f") for axis in "xyz"),
+        Column("U(AD)", attrgetter("ad_u95_mm"), "mm", ".4f"),
+        Column("RD ±", attrgetter("rd_mm"), "mm", ".4f"),
+        Column("U(RD)", attrgetter("rd_u95_mm"), "mm", ".4f"),
+    )
+    distance_note = "AD: mean of the measured distances less the commanded one; RD = ±3 S of them."
     return [
-        Table(CONDITIONS, _conditions(found), "Test conditions"),
+        Table(columns, _conditions(found), "Test conditions"),
         Table(POSES, found.poses.items(), "Pose accuracy and repeatability", POSES_NOTE),
         Table(TURNS, turns, "Accuracy and repeatability of angles", TURNS_NOTE),
-        Table(DISTANCE, [found.distance], "Distance accuracy and repeatability", DISTANCE_NOTE),
+        Table(distance, [found.distance], "Distance accuracy and repeatability", distance_note),
     ]
 
 
@@ -155,12 +168,6 @@ def stated_conditions(facts: Facts) -> list[tuple[str, str]]:
 
 def _velocity(found: PoseTest) -> str:
     return f"{found.velocity_percent:g} % of the rated velocity"
-
-
-CONDITIONS: tuple[Column[tuple[str, str]], ...] = (
-    Column("condition", itemgetter(0)),
-    Column("in this test", itemgetter(1)),
-)
 
 
 def _conditions(found: PoseTest) -> Iterator[tuple[str, str]]:
@@ -239,19 +246,6 @@ TURNS_NOTE = (
 )
 
 
-DISTANCE: tuple[Column[Distance], ...] = (
-    Column("from", attrgetter("start")),
-    Column("to", attrgetter("to")),
-    Column("commanded", attrgetter("commanded_mm"), "mm", ".3f"),
-    Column("AD", attrgetter("ad_mm"), "mm", "+.4f"),
-    *(Column(f"AD_{axis}", attrgetter(f"ad_{axis}_mm"), "mm", "+.4f") for axis in "xyz"),
-    Column("U(AD)", attrgetter("ad_u95_mm"), "mm", ".4f"),
-    Column("RD ±", attrgetter("rd_mm"), "mm", ".4f"),
-    Column("U(RD)", attrgetter("rd_u95_mm"), "mm", ".4f"),
-)
-DISTANCE_NOTE = "AD: mean of the measured distances less the commanded one; RD = ±3 S of them."
-
-
 # -- figures --------------------------------------------------------------------------------------
 
 
@@ -288,8 +282,10 @@ def fig_poses(facts: Facts) -> tuple[Figure, str] | None:
 
 def _cube(ax: Axes, cube: Cube, poses: dict[str, Pose]) -> None:
     half_mm, centre = cube.side_mm / 2, np.array(cube.centre_mm)
-    corners = {name: AXONOMETRIC @ (np.array(at) * half_mm) for name, at in CORNERS.items()}
-    for one, other in EDGES:
+    axonometric = np.array([[-0.45, 0.9, 0.0], [-0.4, -0.18, 0.9]])  # {B}'s x, y, z on paper
+    corners = {name: axonometric @ (np.array(at) * half_mm) for name, at in CORNERS.items()}
+    edges = [(n, n % 4 + 1) for n in (1, 2, 3, 4)]  # of the top; others lie below and between
+    for one, other in edges:
         for a, b in ((one, other), (one + 4, other + 4), (one, one + 4)):
             ends = np.array([corners[f"C{a}"], corners[f"C{b}"]])
             ax.plot(*ends.T, color=MUTED, linewidth=0.7)
@@ -299,7 +295,7 @@ def _cube(ax: Axes, cube: Cube, poses: dict[str, Pose]) -> None:
             at[0] * 1.14, at[1] * 1.14, name, ha="center", va="center", fontsize=6.5, color=MUTED
         )
     places = {
-        name: AXONOMETRIC @ (np.array(each.commanded_mm) - centre) for name, each in poses.items()
+        name: axonometric @ (np.array(each.commanded_mm) - centre) for name, each in poses.items()
     }
     for before, after in zip((CYCLE[-1], *CYCLE), CYCLE, strict=False):
         ax.annotate(

@@ -33,7 +33,8 @@ def method_words(facts: Facts) -> str:
     if log.curves:
         used = _used(log.verdict(Fitted))
         found.append(f"each gear's error by slow sweeps of {_axes(log.curves)}{used}")
-    found.append(_corrected(facts.log.method))
+    model = facts.log.method
+    found.append(MODELS[model].text if model in MODELS else "corrected")
     if len(facts.cell.station) > 1:
         found.append("transferred to the other stations by station frames")
     if touched:
@@ -57,10 +58,6 @@ def _axes(curves: Mapping[int, object]) -> str:
 def _used(fit: Fitted | None) -> str:
     used = fit is not None and fit.curves.used and fit.method == Kinematic.name
     return "" if used else " (not used)"
-
-
-def _corrected(model: str) -> str:
-    return MODELS[model].text if model in MODELS else "corrected"
 
 
 def adjustment_words(facts: Facts) -> str:
@@ -90,17 +87,15 @@ def _miss(figure: str) -> Callable[[Missed], float | None]:
     return lambda row: row[1].get(figure)
 
 
-MISSES: tuple[Column[Missed], ...] = (
-    Column("model", itemgetter(0)),
-    *(Column(name, _miss(name), "mm", ".3f") for name in Figures._fields),
-)
-
-
 def models(facts: Facts) -> Table:
     """Return how far each model misses poses left out, which one was chosen, and why."""
     fit = facts.log.verdict(Fitted)
+    columns: tuple[Column[Missed], ...] = (
+        Column("model", itemgetter(0)),
+        *(Column(name, _miss(name), "mm", ".3f") for name in Figures._fields),
+    )
     if fit is None:
-        return Table(MISSES, (), "Choice of the correction")
+        return Table(columns, (), "Choice of the correction")
     rows = [
         (f"{name}, chosen" if name == fit.method else name, figures)
         for name, figures in fit.loocv.items()
@@ -110,7 +105,7 @@ def models(facts: Facts) -> Table:
     reasons += [f"Curves of the axis sweeps: {fit.curves.reason}."] if fit.curves.reason else []
     unswept = facts.result.get("sweeps", {}).get("left_out", "")
     reasons += [f"Axes not swept: {unswept}."] if unswept else []
-    return Table(MISSES, rows, "Choice of the correction", " ".join(reasons))
+    return Table(columns, rows, "Choice of the correction", " ".join(reasons))
 
 
 def chosen_poses_words(facts: Facts, chosen: PosesChosen) -> str:

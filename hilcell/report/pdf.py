@@ -13,25 +13,18 @@ from tempfile import TemporaryDirectory
 
 from hilcell.writing import NotWritten
 
-BROWSERS = (
-    "chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "microsoft-edge",
-)  # fmt: skip
-QUIET = (
-    "--headless", "--disable-gpu", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage",
-    "--no-pdf-header-footer",
-)  # fmt: skip
-LIMIT_S = 60.0
-_PAGE = re.compile(rb"(\d+) 0 obj\s*<<\s*/Type\s*/Page\b")
 _TARGET = rb"/%s\s*\[\s*(\d+) 0 R"
 
 
 def find_browser() -> str:
     """Return the browser that prints; raises `NotWritten` where there is none."""
-    found = next((path for path in map(shutil.which, BROWSERS) if path), "")
+    browsers = (
+        "chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "microsoft-edge",
+    )  # fmt: skip
+    found = next((path for path in map(shutil.which, browsers) if path), "")
     if not found:
         raise NotWritten(
-            f"report: no browser to print a PDF with, wanted one of {', '.join(BROWSERS)}; install "
+            f"report: no browser to print a PDF with, wanted one of {', '.join(browsers)}; install "
             "chromium, or write FILE.html, open it in any browser and print it to a file"
         )
     return found
@@ -55,19 +48,25 @@ def pdf_of(html: str, browser: str) -> bytes:
 def _print(browser: str, page: Path, paper: Path, profile: Path) -> str:
     """Run the browser and end every process of it; return what it said."""
     sandbox = ("--no-sandbox",) if os.geteuid() == 0 else ()  # it refuses root without
+    quiet = (
+        "--headless", "--disable-gpu", "--no-first-run", "--disable-background-networking",
+        "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage",
+        "--no-pdf-header-footer",
+    )  # fmt: skip
     command = [
-        browser, *QUIET, *sandbox, f"--user-data-dir={profile}", f"--print-to-pdf={paper}",
+        browser, *quiet, *sandbox, f"--user-data-dir={profile}", f"--print-to-pdf={paper}",
         page.as_uri(),
     ]  # fmt: skip
     process = subprocess.Popen(  # noqa: S603 - a browser found by its name, no words of others
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
     )
+    limit_s = 60.0
     try:
-        said, _ = process.communicate(timeout=LIMIT_S)
+        said, _ = process.communicate(timeout=limit_s)
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
-        return f"not within {LIMIT_S:g} s"
+        return f"not within {limit_s:g} s"
     return said.decode(errors="replace")
 
 
@@ -76,7 +75,8 @@ def pages_of(pdf: bytes, names: Iterable[str]) -> dict[str, int]:
 
     The browser writes pages in their order, each as an object, and a table of linked ids.
     """
-    pages = _PAGE.findall(pdf)
+    page = re.compile(rb"(\d+) 0 obj\s*<<\s*/Type\s*/Page\b")
+    pages = page.findall(pdf)
     targets = {name: re.search(_TARGET % re.escape(name.encode()), pdf) for name in names}
     return {
         name: pages.index(target[1]) + 1

@@ -36,8 +36,6 @@ HOLES: tuple[Column[SheetHole], ...] = (
     Column("z", lambda hole: hole.place_mm[2], "mm", ".2f"),
     Column("corrected by", attrgetter("correction_mm"), "mm", ".3f"),
 )
-BOUND = Column[SheetHole]("95 % bound", attrgetter("bound95_mm"), "mm", ".3f")
-TURN = Column[SheetHole]("95 % bound", attrgetter("turn95_deg"), "°", ".4f")
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +82,10 @@ class Sheet:
     invalid: Sequence[str]
     footer: str = ""
 
+    BOUND = Column[SheetHole]("95 % bound", attrgetter("bound95_mm"), "mm", ".3f")
+
+    TURN = Column[SheetHole]("95 % bound", attrgetter("turn95_deg"), "°", ".4f")
+
     @property
     def has_turns(self) -> bool:
         """Return whether every hole has a bound of its orientation."""
@@ -93,8 +95,8 @@ class Sheet:
         """Return the table of a station, without bounds that nobody states."""
         columns = [
             *HOLES,
-            *([] if self.no_bounds else [BOUND]),
-            *([TURN] if self.has_turns else []),
+            *([] if self.no_bounds else [self.BOUND]),
+            *([self.TURN] if self.has_turns else []),
         ]
         return Table(columns, station.holes)
 

@@ -24,7 +24,6 @@ from hilcell.report.facts import Facts
 
 WIDTH_MM, ROW_MM, HIGH_MM, TOP_MM = 178.0, 44.0, 26.0, 8.0
 CURVE_MM, SPECTRUM_MM = (12.0, 108.0), (122.0, 176.0)
-TITLE = "Transmission error of a gear, and its spectrum"
 LABEL_MM = 17.0  # the widest
 
 
@@ -35,8 +34,9 @@ def curve_plots(facts: Facts) -> str:
         return ""
     most = max(float(np.array(record.spectrum)[:, 1].max()) for record in records)
     high_urad, simulated = round_up(most, ENDS), facts.inputs.simulated
+    title = "Transmission error of a gear, and its spectrum"
     return "".join(
-        svg(WIDTH_MM, ROW_MM, f"{TITLE}, axis {each.axis}", _row(each, high_urad), simulated)
+        svg(WIDTH_MM, ROW_MM, f"{title}, axis {each.axis}", _row(each, high_urad), simulated)
         for each in records
     )
 
@@ -65,10 +65,12 @@ def _row(record: CurveMeasured, most_urad: float) -> Iterator[str]:
     for at, amplitude in zip(record.cycles, record.amplitudes_urad, strict=True):
         x, y = across.x.one(at), across.y.one(float(amplitude))
         yield circle(x, y, 0.8, AFTER, AFTER)
-        yield text(label_mm(x), y - 1.4, f"{at:.1f}: {amplitude:.0f}", "middle", AFTER, bold=True)
-
-
-def label_mm(at_mm: float) -> float:
-    """Return the middle of a line's label, at the line unless an edge would cut the label."""
-    left_mm, right_mm = SPECTRUM_MM[0], WIDTH_MM
-    return min(max(at_mm, left_mm + LABEL_MM / 2), right_mm - LABEL_MM / 2)
+        left_mm, right_mm = SPECTRUM_MM[0], WIDTH_MM
+        yield text(
+            min(max(x, left_mm + LABEL_MM / 2), right_mm - LABEL_MM / 2),
+            y - 1.4,
+            f"{at:.1f}: {amplitude:.0f}",
+            "middle",
+            AFTER,
+            bold=True,
+        )

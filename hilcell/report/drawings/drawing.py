@@ -18,10 +18,7 @@ INK, MUTED, HAIR, HATCH = "#1b2430", "#4a5663", "#c9d0d8", "#9aa5b1"
 BEFORE, AFTER, BAND = "#b0561a", "#0b4a7d", "#d3e0ec"
 LABEL_MM = 2.9  # height of letters on paper, 8.2 pt
 NEAREST_MM = 3.4  # of two labels in a column
-LEAST = 1e-9  # range of a scale
 NARROW, MEDIUM, WIDE = 0.34, 0.61, 0.74  # of a letter, to its height
-NARROW_LETTERS = " .,:;-|ijlt()"
-WIDEST = 1.25  # letters of the widest font of `report.css` to those of Arial
 TICKS = (1.0, 2.0, 2.5, 5.0, 10.0)
 ENDS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)  # of a scale
 
@@ -48,7 +45,8 @@ def text(
     """Return words on a base line; a font in which they would be too wide is squeezed."""
     weight = ' font-weight="bold"' if bold else ""
     length = ""
-    if wide_mm(words) * WIDEST > most_mm:
+    widest = 1.25  # letters of the widest font of `report.css` to those of Arial
+    if wide_mm(words) * widest > most_mm:
         fixed_mm = min(wide_mm(words), most_mm)
         length = f' textLength="{fixed_mm:.2f}" lengthAdjust="spacingAndGlyphs"'
     return (
@@ -73,7 +71,8 @@ def _cut(words: str, kept: int) -> str:
 
 def wide_mm(words: str) -> float:
     """Return how wide bold words are on paper, at most as far as letters of Arial go."""
-    wide = (NARROW if each in NARROW_LETTERS else WIDE if each.isupper() else MEDIUM
+    narrow_letters = " .,:;-|ijlt()"
+    wide = (NARROW if each in narrow_letters else WIDE if each.isupper() else MEDIUM
             for each in words)  # fmt: skip
     return LABEL_MM * sum(wide)
 
@@ -142,7 +141,8 @@ def apart(
 
 def round_up(value: float, steps: Sequence[float] = TICKS) -> float:
     """Return the next of ``steps`` times a power of ten that is not below ``value``, nor nought."""
-    value = max(value, LEAST)
+    least = 1e-9  # range of a scale
+    value = max(value, least)
     power = 10.0 ** math.floor(math.log10(value))
     return next(each for step in steps if (each := step * power) >= value * (1 - 1e-9))
 

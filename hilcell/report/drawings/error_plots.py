@@ -35,11 +35,8 @@ from hilcell.report.facts import Facts
 
 WIDTH_MM, HEIGHT_MM, LEFT_MM, RIGHT_MM, TOP_MM, BOTTOM_MM = 88.0, 54.0, 10.0, 22.0, 6.0, 10.0
 DASHES = ("", "1.6 0.9", "0.4 0.8")  # of the stations
-MOST_LINES = len(DASHES)
-LEAST_MM = 0.005  # the logarithmic scale begins here
 BIN = 0.1  # of error over bound
 PERCENTS = [(each, f"{each:g}") for each in (0.0, 25.0, 50.0, 75.0, 100.0)]
-K_95 = 2.796  # bound over sigma: chi of three degrees of freedom
 
 
 def in_order(facts: Facts) -> str:
@@ -50,7 +47,8 @@ def in_order(facts: Facts) -> str:
         return ""
     limits = limits_of(facts.cell)
     largest = max(*(float(each.max()) for each in shown.values()), limits.max_mm)
-    frame = _frame(Scale(LEAST_MM, 1.5 * largest, HEIGHT_MM - BOTTOM_MM, TOP_MM, logarithmic=True))
+    least_mm = 0.005  # the logarithmic scale begins here
+    frame = _frame(Scale(least_mm, 1.5 * largest, HEIGHT_MM - BOTTOM_MM, TOP_MM, logarithmic=True))
     at = frame.y.one(limits.max_mm)
     parts = [hatched(frame.x.begin, TOP_MM, frame.x.end - frame.x.begin, at - TOP_MM),
              frame.drawn("share of targets, %", "3-D error, mm", PERCENTS)]  # fmt: skip
@@ -81,7 +79,8 @@ def enlarged(facts: Facts, budget: TargetBudget) -> str:
     }
     if not found:
         return ""
-    nearest = sorted(found, key=lambda name: -float(found[name].max()))[:MOST_LINES]
+    most_lines = len(DASHES)
+    nearest = sorted(found, key=lambda name: -float(found[name].max()))[:most_lines]
     bounds_mm = _bounds_mm(facts, budget)
     largest = max(*(float(found[name].max()) for name in nearest), *bounds_mm, 0.01)
     frame = _frame(Scale(0.0, round_up(1.05 * largest, ENDS), HEIGHT_MM - BOTTOM_MM, TOP_MM))
@@ -106,7 +105,9 @@ def enlarged(facts: Facts, budget: TargetBudget) -> str:
 
 def over_bound(facts: Facts, budget: TargetBudget) -> str:
     """Return how often the error was which share of its own bound; "" without bounds."""
-    ratios = _ratios(facts, budget)
+    names = [each.name for each in facts.cell.station]
+    found = [budget.coverage[name] for name in names if name in budget.coverage]
+    ratios = np.concatenate([each.errors_mm / each.bounds_mm for each in found] or [np.empty(0)])
     if not len(ratios):
         return ""
     most = max(1.8, BIN * np.ceil(ratios.max() / BIN))
@@ -155,12 +156,6 @@ def _floor(facts: Facts, frame: Frame) -> Iterator[str]:
     yield text(frame.x.end - 1.0, frame.y.begin - 1.5, words, "end", MUTED)
 
 
-def _ratios(facts: Facts, budget: TargetBudget) -> Array:
-    names = [each.name for each in facts.cell.station]
-    found = [budget.coverage[name] for name in names if name in budget.coverage]
-    return np.concatenate([each.errors_mm / each.bounds_mm for each in found] or [np.empty(0)])
-
-
 def _bounds_mm(facts: Facts, budget: TargetBudget) -> Array:
     names = [each.name for each in facts.cell.station]
     found = [budget.coverage[name].bounds_mm for name in names if name in budget.coverage]
@@ -169,6 +164,7 @@ def _bounds_mm(facts: Facts, budget: TargetBudget) -> Array:
 
 def _maxwell(ratios: Array) -> Array:
     """Return the density of |e| over its 95 % bound for three equal normal coordinates."""
-    u = K_95 * ratios
-    found: Array = K_95 * np.sqrt(2 / np.pi) * u**2 * np.exp(-(u**2) / 2)
+    k_95 = 2.796  # bound over sigma: chi of three degrees of freedom
+    u = k_95 * ratios
+    found: Array = k_95 * np.sqrt(2 / np.pi) * u**2 * np.exp(-(u**2) / 2)
     return found

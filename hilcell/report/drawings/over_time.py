@@ -12,7 +12,6 @@ from hilcell.calibration.measurement_budget import control_moves
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
 from hilcell.journal.reading_noise import run_noise
 from hilcell.model.records import StateChanged
-from hilcell.ports import Array
 from hilcell.report.drawings.drawing import (
     AFTER,
     INK,
@@ -29,9 +28,6 @@ from hilcell.report.facts import Facts
 from hilcell.run.floor_nests import limits_of
 
 WIDTH_MM, HEIGHT_MM, LEFT_MM, TOP_MM, BOTTOM_MM = 88.0, 46.0, 12.0, 6.5, 10.0
-TICKS = 4
-BEYOND = 1.25  # the limit
-SHORT_S = 600.0  # of a run so short seconds are shown
 
 
 def floor_moves(facts: Facts) -> str:
@@ -44,7 +40,8 @@ def floor_moves(facts: Facts) -> str:
     size_mm = np.array([float(np.linalg.norm(move)) for _, move in moves])
     points = [point for point, _ in moves]
     limit_mm = float(np.median(limits_of(facts.cell, run_noise(facts.log), points, points)))
-    most_mm = BEYOND * max(limit_mm, float(size_mm.max()))
+    beyond = 1.25  # the limit
+    most_mm = beyond * max(limit_mm, float(size_mm.max()))
     frame = _frame(facts, Scale(0.0, most_mm, HEIGHT_MM - BOTTOM_MM, TOP_MM))
     limit = frame.y.one(limit_mm)
     parts = [
@@ -83,7 +80,8 @@ def air(facts: Facts) -> str:
             named.append(text(frame.x.end - 1.0, y, f"{words} {value:.1f}", "end"))
     parts += _stops(facts, frame)
     parts.append(frame.drawn(time, "air at the tracker, °C", _ticks(facts)))
-    parts.append(path(_thinned(frame.at(at_s, celsius)), AFTER, 0.6))
+    places = frame.at(at_s, celsius)
+    parts.append(path(places[:: max(1, len(places) // 300)], AFTER, 0.6))
     parts += named
     words = f"{celsius.min():.1f} to {celsius.max():.1f} °C"
     parts.append(text(frame.x.begin + 2.0, TOP_MM + 7.0, words, colour=AFTER, bold=True))
@@ -96,11 +94,6 @@ def _valid(facts: Facts) -> tuple[float, float] | None:
     if range_c is None:
         return None
     return range_c[0] - TEMPERATURE_MARGIN_K, range_c[1] + TEMPERATURE_MARGIN_K
-
-
-def _thinned(places: Array) -> Array:
-    """Return a line through at most some 300 of the points: more are no wider on paper."""
-    return places[:: max(1, len(places) // 300)]
 
 
 def _seconds(time: str) -> float:
@@ -119,10 +112,12 @@ def _frame(facts: Facts, y: Scale) -> Frame:
 
 def _ticks(facts: Facts) -> list[tuple[float, str]]:
     begin, end = _seconds(facts.records[0].t), _seconds(facts.last.t)
-    form = "%H:%M:%S" if end - begin < SHORT_S else "%H:%M"
+    short_s = 600.0  # of a run so short seconds are shown
+    form = "%H:%M:%S" if end - begin < short_s else "%H:%M"
+    ticks = 4
     return [
         (float(each), datetime.fromtimestamp(each, tz=facts.zone).strftime(form))
-        for each in np.linspace(begin, max(end, begin + 1.0), TICKS)
+        for each in np.linspace(begin, max(end, begin + 1.0), ticks)
     ]
 
 

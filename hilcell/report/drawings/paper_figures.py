@@ -26,10 +26,6 @@ if TYPE_CHECKING:
 
 COLOURS = {Sent.BEFORE: "#c26a2e", Sent.IDW: "#8796a5", Sent.CHOSEN: "#12507b"}
 MARKERS = {Sent.BEFORE: "o", Sent.IDW: "^", Sent.CHOSEN: "o"}
-PAIRS_DRAWN = 500  # each dot is an element of the page: a picture of them its policy would block
-TURNS = (("roll", Sent.IDW), ("pitch", Sent.BEFORE), ("yaw", Sent.CHOSEN))
-RESULTS = {"rail_survey", "frame_repeatability", ISO}
-HELD = {"plain": Sent.BEFORE, "strip": Sent.CHOSEN}  # drawn in the colours of these
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +66,8 @@ def drawings(facts: Facts) -> list[Drawing]:
         ),
         ("strip", "Repeatability of a station" + _of_paper(facts, " (Fig 10)"), fig_10),
     ]
-    shown = is_paper(facts) or RESULTS & facts.result.keys() or facts.log.select("repeat")
+    results = {"rail_survey", "frame_repeatability", ISO}
+    shown = is_paper(facts) or results & facts.result.keys() or facts.log.select("repeat")
     if "world" not in facts.log.frames or not shown:
         return []  # and no library of figures is loaded
     drawn = []
@@ -219,7 +216,8 @@ def fig_slide(facts: Facts) -> Drawn | None:
     figure, axes = axes_sheet(2.2)
     ax: Axes = axes[0, 0]
     nominal_mm = [stop[0] for stop in survey["curve"]["forth"]]
-    for (name, how), style in zip(TURNS, ("-", "--", ":"), strict=True):
+    turns = (("roll", Sent.IDW), ("pitch", Sent.BEFORE), ("yaw", Sent.CHOSEN))
+    for (name, how), style in zip(turns, ("-", "--", ":"), strict=True):
         ax.plot(nominal_mm, survey["angles_mrad"][name], style, color=COLOURS[how], label=name)
     ax.set_xlabel("nominal position on the rail, mm")
     ax.set_ylabel("angle, mrad")
@@ -240,7 +238,9 @@ def fig_similarity(facts: Facts) -> Drawn | None:
         return None
     pairs = grid_pairs(facts.log)
     count = len(pairs.difference_mm)
-    every = max(1, count // PAIRS_DRAWN)
+    # each dot is an element of the page: a picture of them its policy would block
+    pairs_drawn = 500
+    every = max(1, count // pairs_drawn)
     figure, axes = axes_sheet(2.6, 1, 2, sharey=True)
     for ax, distance, name in (
         (axes[0, 0], np.degrees(pairs.joint_rad), "distance of joints, deg"),
@@ -293,13 +293,14 @@ def fig_8(facts: Facts) -> Drawn | None:
 
 def fig_10(facts: Facts) -> Drawn | None:
     """Draw where the slide stood after each approach, by drive alone and held by the strip."""
-    ways = [way for way in SIDES if any(len(along_rail_mm(facts.log, how, way)) for how in HELD)]
+    held = {"plain": Sent.BEFORE, "strip": Sent.CHOSEN}  # drawn in the colours of these
+    ways = [way for way in SIDES if any(len(along_rail_mm(facts.log, how, way)) for how in held)]
     if not ways:
         return None
     figure, axes = axes_sheet(2.6, 1, len(ways), sharey=True)
     ranges = []
     for ax, way in zip(axes[0], ways, strict=True):
-        for name, how in HELD.items():
+        for name, how in held.items():
             off_mm, label = along_rail_mm(facts.log, name, way), HOLDS[name]
             if len(off_mm):
                 off_mm = off_mm - off_mm.mean()

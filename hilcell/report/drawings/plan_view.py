@@ -16,7 +16,6 @@ from hilcell.report.drawings.drawing import AFTER, BAND, INK, MUTED, shortened, 
 
 WIDTH_MM, MARGIN_MM = 118.0, 6.0  # on paper
 MOST_HEIGHT_MM = 52.0
-RAIL_WIDE_MM = 500.0  # drawn
 LEAST_NAME_MM, TRACKER_MM = 11.0, 6.0  # a station's name, and half the word tracker
 
 
@@ -32,6 +31,8 @@ def along_of(cell: Cell) -> Array:
 
 
 class _Plan:
+    RAIL_WIDE_MM = 500.0  # drawn
+
     def __init__(self, cell: Cell, tracker_mm: Array) -> None:
         self._cell, self._tracker_mm = cell, np.asarray(tracker_mm)[:2]
         ends_mm = cell.rail.travel_min_mm, cell.rail.travel_max_mm
@@ -77,12 +78,12 @@ class _Plan:
     def _across(self) -> Array:
         """Return half the rail's width (2,) as drawn, square to its direction."""
         along = along_of(self._cell)[:2]
-        return np.array([-along[1], along[0]]) * RAIL_WIDE_MM / 2
+        return np.array([-along[1], along[0]]) * self.RAIL_WIDE_MM / 2
 
     def _rail_corners(self) -> Array:
         (begin, end), across = self._rail_mm, self._across()
         if not self._cell.has_rail:  # a pedestal
-            half = along_of(self._cell)[:2] * RAIL_WIDE_MM / 2
+            half = along_of(self._cell)[:2] * self.RAIL_WIDE_MM / 2
             begin, end = begin - half, end + half
         return np.array([begin + across, end + across, end - across, begin - across])
 

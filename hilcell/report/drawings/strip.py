@@ -21,8 +21,6 @@ from hilcell.report.drawings.drawing import (
 from hilcell.report.first_page import Result
 
 WIDTH_MM, ROW_MM, LEFT_MM, TOP_MM = 120.0, 8.6, 26.0, 4.2
-LABEL_MM = 18.6  # the widest: "before 1.20"
-LEAST_MM = 0.005  # the scale begins here
 
 
 def strip(results: list[tuple[str, Result]], simulated: bool) -> str:
@@ -30,7 +28,8 @@ def strip(results: list[tuple[str, Result]], simulated: bool) -> str:
     if not results:
         return ""
     largest = max(max(each.before_mm or 0.0, 1.6 * each.limit_mm) for _, each in results)
-    scale = Scale(LEAST_MM, 1.3 * largest, LEFT_MM, WIDTH_MM - 2.0, logarithmic=True)
+    least_mm = 0.005  # the scale begins here
+    scale = Scale(least_mm, 1.3 * largest, LEFT_MM, WIDTH_MM - 2.0, logarithmic=True)
     bottom = TOP_MM + ROW_MM * len(results)
     parts = [
         part
@@ -67,6 +66,7 @@ def _row(name: str, result: Result, scale: Scale, y: float) -> Iterator[str]:
         for end in ends:
             yield path([(end, y - 0.9), (end, y + 0.9)], AFTER, 0.4)
     yield circle(after, y, 1.2, AFTER, AFTER)
-    places = apart([at for at, _, _ in named], LABEL_MM, scale.end - LABEL_MM / 2)
+    label_mm = 18.6  # the widest: "before 1.20"
+    places = apart([at for at, _, _ in named], label_mm, scale.end - label_mm / 2)
     for at, (_, words, colour) in zip(places, named, strict=True):
         yield text(at, y - 1.9, words, "middle", colour, bold=True)

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-WIDTH_IN = 7.1  # the printable width of A4
 INK, MUTED, GRID = "#1d2733", "#5d6975", "#e4e8ec"
 _STYLE: dict[str, object] = {
     "svg.fonttype": "none",  # text stays text: readable by search and by screen readers
@@ -46,11 +45,8 @@ _STYLE: dict[str, object] = {
     "legend.fontsize": 7.5,
     "lines.linewidth": 1.2,
 }
-_DROPPED = re.compile(r"<metadata>.*?</metadata>|<!--.*?-->|\n\s*", re.DOTALL)
 _TAG = re.compile(r"<[^>]+>")
-_LONG_NUMBER = re.compile(r"-?\d+\.\d{3,}")
 _ID = re.compile(r' id="([^"]+)"')
-_LINK = re.compile(r'(url\(#|href="#)([^")]+)')
 
 
 @contextmanager
@@ -71,11 +67,12 @@ def axes_sheet(
     """Return a figure whose axes stand at the same places in every report."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(WIDTH_IN, height_in))
+    width_in = 7.1  # the printable width of A4
+    figure = Figure(figsize=(width_in, height_in))
     axes = figure.subplots(rows, columns, squeeze=False, **more)
     figure.subplots_adjust(
-        left=0.64 / WIDTH_IN,
-        right=1 - 0.42 / WIDTH_IN,
+        left=0.64 / width_in,
+        right=1 - 0.42 / width_in,
         bottom=0.42 / height_in,
         top=1 - 0.28 / height_in,
         wspace=0.34 if columns > 2 else 0.1,
@@ -94,16 +91,20 @@ def svg_of(figure: Figure, name: str) -> str:
 
 def compact(svg: str, name: str) -> str:
     """Return ``svg`` without parts that no page needs; 0.01 pt is finer than any printer."""
-    svg = _DROPPED.sub(" ", svg)
-    linked = {found[1] for found in _LINK.findall(svg)}
+    dropped = re.compile(r"<metadata>.*?</metadata>|<!--.*?-->|\n\s*", re.DOTALL)
+    svg = dropped.sub(" ", svg)
+    link = re.compile(r'(url\(#|href="#)([^")]+)')
+    linked = {found[1] for found in link.findall(svg)}
 
     def one_id(found: re.Match[str]) -> str:
         return f' id="{name}-{found[1]}"' if found[1] in linked else ""
 
+    long_number = re.compile(r"-?\d+\.\d{3,}")
+
     def one_tag(found: re.Match[str]) -> str:
         tag = _ID.sub(one_id, found[0])
-        tag = _LINK.sub(rf"\g<1>{name}-\g<2>", tag).replace("xlink:href", "href")
+        tag = link.sub(rf"\g<1>{name}-\g<2>", tag).replace("xlink:href", "href")
         tag = re.sub(r' xmlns(:xlink)?="[^"]*"', "", tag)
-        return _LONG_NUMBER.sub(lambda number: f"{float(number[0]):.2f}", tag)
+        return long_number.sub(lambda number: f"{float(number[0]):.2f}", tag)
 
     return _TAG.sub(one_tag, svg).strip()

@@ -6,10 +6,7 @@ from hilcell.report.budgets import Row, TargetBudget, target_rows
 from hilcell.report.drawings.drawing import HAIR, INK, MUTED, apart, path, rectangle, svg, text
 
 SHADES = ("#0b4a7d", "#3f76a6", "#7fa6c9", "#b4cbe0", "#d9e4ee", "#eef3f8")
-WHITE_ON = 2  # so many shades are dark
 WIDTH_MM, HEIGHT_MM, BAR_MM = 55.0, 90.0, 12.0
-LEAST_MM = 5.0  # of a part that has its share written in it
-PITCH = 2.1  # of two-line labels, in labels
 
 
 def variance_bar(budget: TargetBudget, simulated: bool) -> str:
@@ -21,16 +18,19 @@ def variance_bar(budget: TargetBudget, simulated: bool) -> str:
     shares = _shares(budget)
     tops: list[float] = []
     scale = (HEIGHT_MM - 2.0) / 100.0
+    white_on = 2  # so many shades are dark
+    least_mm = 5.0  # of a part that has its share written in it
     for shade, (_, percent, _) in zip(SHADES, shares, strict=False):
         high = percent * scale
         parts.append(rectangle(0.0, top, BAR_MM, high, shade, INK))
-        if high >= LEAST_MM:
-            colour = "#fff" if len(tops) < WHITE_ON else INK
+        if high >= least_mm:
+            colour = "#fff" if len(tops) < white_on else INK
             middle = top + high / 2 + 1.0
             parts.append(text(BAR_MM / 2, middle, f"{percent:.1f} %", "middle", colour, bold=True))
         tops.append(top + high / 2)
         top += high
-    places = [PITCH * each for each in apart([each / PITCH for each in tops])]
+    pitch = 2.1  # of two-line labels, in labels
+    places = [pitch * each for each in apart([each / pitch for each in tops])]
     below = min(0.0, HEIGHT_MM - 4.0 - places[-1])  # the last label ends inside
     for at, place, (name, percent, u_mm) in zip(tops, places, shares, strict=True):
         y = place + below

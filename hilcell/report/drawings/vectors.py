@@ -24,12 +24,8 @@ from hilcell.report.drawings.drawing import (
 )
 from hilcell.report.facts import Facts
 
-VIEWS = (("from above", 0, 1), ("from the side", 1, 2), ("from the front", 0, 2))
-AXES = "xyz"
 PANEL_MM, GAP_MM, LEFT_MM, TOP_MM, BOTTOM_MM = 31.0, 10.0, 9.0, 8.0, 8.0
 WIDTH_MM = LEFT_MM + 3 * PANEL_MM + 2 * GAP_MM + 1.0
-NAME_MM = 60.0  # of a station, at most
-SHARE = 0.1  # of the panel, that the largest error is drawn as, at most
 
 
 def vectors(facts: Facts) -> str:
@@ -48,7 +44,8 @@ def vectors(facts: Facts) -> str:
 def _rows(facts: Facts) -> list[tuple[str, Errors, str]]:
     station = facts.cell.grid.station
     series = validation(facts.log, [station])
-    shown = shortened(station, NAME_MM)
+    name_mm = 60.0  # of a station, at most
+    shown = shortened(station, name_mm)
     names = ((Sent.BEFORE, "before", BEFORE), (Sent.CHOSEN, "after", AFTER))
     rows = [
         (f"{shown}, {name}", series[how], colour) for how, name, colour in names if how in series
@@ -60,36 +57,35 @@ def _rows(facts: Facts) -> list[tuple[str, Errors, str]]:
 def _row(name: str, errors: Errors, colour: str, top: float) -> Iterator[str]:
     low, span = _cube(errors)
     scale = PANEL_MM / span
-    factor = round_down(SHARE * span / max(errors.figures.max, 1e-6))
+    share = 0.1  # of the panel, that the largest error is drawn as, at most
+    factor = round_down(share * span / max(errors.figures.max, 1e-6))
     title = f"{name}, {factor:g} times enlarged"
     yield text(0.0, top + 3.0, title, bold=True, most_mm=WIDTH_MM)
-    for n, (seen, across, up) in enumerate(VIEWS):
+    views = (("from above", 0, 1), ("from the side", 1, 2), ("from the front", 0, 2))
+    axes = "xyz"
+    for n, (seen, across, up) in enumerate(views):
         left = LEFT_MM + n * (PANEL_MM + GAP_MM)
         box = top + TOP_MM
         yield rectangle(left, box, PANEL_MM, PANEL_MM, "none", HAIR)
         yield text(left + PANEL_MM / 2, box - 1.0, seen, "middle", MUTED)
-        yield text(left - 1.0, box + PANEL_MM / 2, AXES[up], "end", MUTED)
+        yield text(left - 1.0, box + PANEL_MM / 2, axes[up], "end", MUTED)
         for value, y in ((low[up] + span, box + 3.0), (low[up], box + PANEL_MM)):
             yield text(left - 1.0, y, f"{value:.0f}", "end", MUTED)
         below = box + PANEL_MM + 3.4
         yield text(left, below, f"{low[across]:.0f}", "start", MUTED)
-        yield text(left + PANEL_MM / 2, below, AXES[across], "middle", MUTED)
+        yield text(left + PANEL_MM / 2, below, axes[across], "middle", MUTED)
         yield text(left + PANEL_MM, below, f"{low[across] + span:.0f}", "end", MUTED)
         corner = np.array([low[across], low[up]])
         nominal = (errors.nominal_mm[:, (across, up)] - corner) * scale
         foot = np.array([left, box + PANEL_MM]) + nominal * (1, -1)
         end = foot + errors.error_mm[:, (across, up)] * factor * scale * (1, -1)
-        yield _lines(foot, end, colour)
+        gap = np.full_like(foot, np.nan)
+        yield path(np.stack([foot, end, gap], axis=1).reshape(-1, 2), colour, 0.35)
         yield "".join(circle(x, y, 0.3, INK, "none") for x, y in foot)
     bar_mm = round_down(max(errors.figures.max, 1e-6))
     y, x = top + TOP_MM + PANEL_MM + 6.2, LEFT_MM
     yield path([(x, y), (x + bar_mm * factor * scale, y)], colour, 0.8)
     yield text(x + bar_mm * factor * scale + 1.0, y + 1.0, f"error {bar_mm:g} mm")
-
-
-def _lines(begin: Array, end: Array, colour: str) -> str:
-    gap = np.full_like(begin, np.nan)
-    return path(np.stack([begin, end, gap], axis=1).reshape(-1, 2), colour, 0.35)
 
 
 def _cube(errors: Errors) -> tuple[Array, float]:
