@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
 from hilcell.calibration.decision import NO_GUARD, Guard, guard_of, limits_of, limits_within
 from hilcell.calibration.errors import validation
+from hilcell.calibration.results import Decided
 from hilcell.cell.file import Cell
 from hilcell.geometry.sequential import Decision, SequentialRule
 from hilcell.journal.log import Log
@@ -106,7 +106,7 @@ def rounds(log: Log, station: str, how: str) -> Iterator[range]:
         yield range(end - BLOCK, end)
 
 
-def judgement(log: Log, stations: list[str]) -> dict[str, Any]:
+def judgement(log: Log, stations: list[str]) -> Decided:
     """Return the outcome at ``stations``, the targets of each, and what it means.
 
     More targets cannot accept what is shown to be above a tolerance less U. It is out of tolerance
@@ -131,14 +131,14 @@ def judgement(log: Log, stations: list[str]) -> dict[str, Any]:
         if each.outcome is not Outcome.ACCEPTED
     )
     text = meaning(log.cell, outcome, guard, enough=enough)
-    return {
-        "outcome": outcome,
-        "targets": counts,
-        "text": f"{outcome.words} after {' + '.join(map(str, counts))} targets: {text}",
-        "accept_risk": log.cell.plan.accept_risk,
-        "reject_risk": log.cell.plan.reject_risk,
-        "share_above_max": log.cell.plan.share_above_max,
-    }
+    return Decided(
+        outcome=outcome,
+        targets=counts,
+        text=f"{outcome.words} after {' + '.join(map(str, counts))} targets: {text}",
+        accept_risk=log.cell.plan.accept_risk,
+        reject_risk=log.cell.plan.reject_risk,
+        share_above_max=log.cell.plan.share_above_max,
+    )
 
 
 def meaning(cell: Cell, outcome: Outcome, guard: Guard, *, enough: bool) -> str:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import product
-from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from hilcell.calibration.bounds import coverages
 from hilcell.calibration.decision import check_limits, class_warning, guard_of, judged, limits_of
@@ -24,6 +24,15 @@ from hilcell.calibration.orientation import (
     turn_coverages,
     validated_turns,
 )
+from hilcell.calibration.results import (
+    Decided,
+    Floor,
+    Place,
+    SentErrors,
+    TargetBounds,
+    TurnBounds,
+    Turns,
+)
 from hilcell.calibration.since import compared
 from hilcell.calibration.touch import beside_nest
 from hilcell.cell.file import Cell, Station
@@ -39,7 +48,7 @@ from hilcell.model.suspicion import Cause
 from hilcell.model.verdicts import VALIDATION, ChangedSince, Oriented, Suspected
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Step
+from hilcell.run.procedure import Result, Step
 from procedures import enough_targets
 from procedures.durations import closing, flange_points, leg, step
 from procedures.fit import orients
@@ -94,7 +103,7 @@ class Validate:
                 points += count
             here = station
         found = step(self.name, points, spans)
-        return replace(found, warning=class_warning(cell, min(ranges_mm)))
+        return dataclasses.replace(found, warning=class_warning(cell, min(ranges_mm)))
 
     def perform(self, session: CellSession) -> None:
         """Validate at the grid's station, then at the others with transferred data."""
@@ -149,17 +158,16 @@ class Validate:
 
     def _judge(self, session: CellSession) -> None:
         limits, places = limits_of(session.cell), _places(session.cell)
-        for where, figures in self._figures(session.log).items():
-            chosen, shown = figures[Sent.CHOSEN], figures.get("decision", {})
+        for where, place in self._places(session.log).items():
             turned = validated_turns(session.log, places[where]).get(Sent.CHOSEN)
             found = judged(
-                chosen["mean"],
-                chosen["max"],
+                place.chosen.mean,
+                place.chosen.max,
                 limits,
-                guard_of(session.log, figures["points"]),
+                guard_of(session.log, place.points),
                 turn=largest_turn(session.log, turned),
-                also=shown.get("outcome", Outcome.ACCEPTED),
-                words=shown.get("text", ""),
+                also=Outcome.ACCEPTED if place.decision is None else place.decision.outcome,
+                words="" if place.decision is None else place.decision.text,
             )
             session.judge(f"{VALIDATION}{where}", found)
         self._judge_orientation(session)
@@ -177,27 +185,26 @@ class Validate:
             )
             session.judge("orientation", found)
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return the errors at the grid's station and at the others together, and their bounds."""
-        figures = self._figures(log)
-        for where, bounds in _coverage(log, _places(log.cell)).items():
-            figures[where]["bounds"] = bounds
-            figures[where][Sent.CHOSEN] |= {
-                "bound95_mean": bounds["mean_mm"],
-                "covered": bounds["coverage"],
-            }
-        return {"validation": figures} | touch_result(log)
+        places = self._places(log)
+        for where, bounds in _bounds(log, _places(log.cell)).items():
+            sent = places[where].chosen
+            chosen = replace(sent, bound95_mean=bounds.mean_mm, covered=bounds.coverage)
+            places[where] = replace(places[where], chosen=chosen, bounds=bounds)
+        return {"validation": places, **touch_result(log)}
 
-    def _figures(self, log: Log) -> dict[str, dict[str, Any]]:
-        places = _places(log.cell)
-        figures = {where: station_figures(log, names) for where, names in places.items()}
-        if log.cell.plan.quick:
-            for where, names in places.items():
-                figures[where]["decision"] = enough_targets.judgement(log, names)
-        for where in (log.cell.grid.station, "others"):
-            if where in figures:
-                figures[where]["floor"] = floor(log)
-        return figures
+    def _places(self, log: Log) -> dict[str, Place]:
+        together = (log.cell.grid.station, "others")
+        return {
+            where: place_of(
+                log,
+                names,
+                enough_targets.judgement(log, names) if log.cell.plan.quick else None,
+                floor(log) if where in together else None,
+            )
+            for where, names in _places(log.cell).items()
+        }
 
 
 def judge_suspicions(session: CellSession) -> None:
@@ -230,20 +237,23 @@ def _places(cell: Cell) -> dict[str, list[str]]:
     return {reference: [reference]} | together | {name: [name] for name in others}
 
 
-def _coverage(log: Log, places: dict[str, list[str]]) -> dict[str, dict[str, Any]]:
+def _bounds(log: Log, places: dict[str, list[str]]) -> dict[str, TargetBounds]:
     """Return the bounds of the corrected targets, where the run allows any."""
     calibration = learnt_so_far(log)
     if calibration is None:
         return {}
     try:
-        found: dict[str, dict[str, Any]] = {
-            place: {**each.figures} for place, each in coverages(calibration, log, places).items()
-        }
-        for place, bounds in turn_coverages(calibration, log, places).items():
-            found[place]["orientation"] = bounds
+        found = coverages(calibration, log, places)
+        turns = turn_coverages(calibration, log, places)
     except NoBound:  # the report says why
         return {}
-    return found
+    return {
+        place: TargetBounds(
+            **each.figures,
+            orientation=TurnBounds(**turns[place]) if place in turns else None,
+        )
+        for place, each in found.items()
+    }
 
 
 def command(
@@ -267,17 +277,30 @@ def command(
     return corrected_poses(grid_of(session.cell), at, model)
 
 
-def station_figures(log: Log, stations: list[str]) -> dict[str, Any]:
-    """Return mean, p95 and max of |e| before, by the paper's method and by the chosen one.
+def place_of(
+    log: Log, stations: list[str], decision: Decided | None = None, floor: Floor | None = None
+) -> Place:
+    """Return the errors before, by the paper's method and by the chosen one, without bounds.
 
-    With several reflectors on the flange, of the orientation's error as well.
+    With several reflectors on the flange, those of the orientation as well.
     """
-    series = validation(log, stations)
-    figures: dict[str, Any] = {how: errors.figures._asdict() for how, errors in series.items()}
-    for how, turns in validated_turns(log, stations).items():
-        figures[how]["orientation"] = turns.figures
-    counts = {how: len(errors) for how, errors in series.items()}
-    return {"points": counts[Sent.CHOSEN], "points_sent": counts, **figures}
+    series, turns = validation(log, stations), validated_turns(log, stations)
+    sent = {
+        how: SentErrors(
+            **errors.figures._asdict(),
+            orientation=Turns(**turns[how].figures) if how in turns else None,
+        )
+        for how, errors in series.items()
+    }
+    return Place(
+        points=len(series[Sent.CHOSEN]),
+        points_sent={how: len(errors) for how, errors in series.items()},
+        before=sent[Sent.BEFORE],
+        idw=sent.get(Sent.IDW),
+        chosen=sent[Sent.CHOSEN],
+        decision=decision,
+        floor=floor,
+    )
 
 
 def ways(cell: Cell) -> tuple[Sent, ...]:

@@ -14,7 +14,6 @@ import time
 import traceback
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
 
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
@@ -29,6 +28,7 @@ from hilcell.model.events import (
     Closing,
     CommandRefused,
     InternalError,
+    Json,
     LinkCounted,
     RetakeAsked,
     SafeStopSent,
@@ -423,7 +423,7 @@ class Runner:
             self._fault = self._fault or error
 
 
-def finish(procedure: Procedure, journal: RunJournal, result: dict[str, Any] | None = None) -> int:
+def finish(procedure: Procedure, journal: RunJournal, result: Json | None = None) -> int:
     """Write the end of a finished run, unless the journal holds it; return the exit code.
 
     ``result`` is what the procedure has computed of the journal already, if it has.

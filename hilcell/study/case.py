@@ -13,6 +13,7 @@ from typing import Any
 import msgspec
 
 from hilcell import __version__
+from hilcell.calibration.results import Calibrated
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert
@@ -20,6 +21,7 @@ from hilcell.errors import HilcellError
 from hilcell.run.direct_run import direct_run
 from hilcell.run.procedure import Procedure
 from hilcell.study.outcome import RESULTS
+from hilcell.typed import typed
 
 Row = dict[str, Any]
 STATES = DONE, CANNOT_BE, FAILED = "done", "cannot be", "failed"
@@ -56,7 +58,7 @@ def measured(cell: bytes, machine: int, seed: int, wanted: Mapping[str, str]) ->
             log = direct_run(
                 built, calibrate, seed=seed, machine_seed=machine, folder=Path(folder), plan=plan
             )
-            result = calibrate.result(log)
+            result = typed(calibrate.result(log), Calibrated)
             return row | {name: value(result) for name, (_, value) in RESULTS.items()}
         except SettingsError as error:  # a machine that cannot be
             return _without(CANNOT_BE, str(error))
