@@ -40,7 +40,7 @@ class Row:
 
     def judged(self, log: Log, result: Experiments) -> PaperRow:
         """Return the row as it is reported."""
-        here = self.here(log, result)
+        here = float(self.here(log, result))
         low, high = self.limits(log, result)
         is_set = self.set_by == "cell file" or (bool(self.set_by) and log.inputs.simulated)
         return PaperRow(
