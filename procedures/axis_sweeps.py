@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from hilcell.calibration.frames import grid_of
-from hilcell.calibration.results import ActResult
 from hilcell.cell.devices import abilities
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply, inverse
@@ -19,6 +18,7 @@ from hilcell.journal.curve_record import curve_measured
 from hilcell.journal.log import Log
 from hilcell.journal.stream_file import read_stream
 from hilcell.model.events import AxesNotSwept, CurveMeasured, NoReadingOf, Pair
+from hilcell.model.results import ActResult
 from hilcell.ports import Array, NoReading
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession

@@ -11,13 +11,13 @@ from hilcell.calibration.base_circles import (
     sweep_of,
 )
 from hilcell.calibration.diagnosis import misplaced_base
-from hilcell.calibration.results import ActResult
 from hilcell.calibration.since import risen_nest, since_before
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.circles import base_frame_covariance
 from hilcell.journal.log import Log
 from hilcell.model.frame import Matrix, MeasuredBase
 from hilcell.model.point import PointId
+from hilcell.model.results import ActResult
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses

@@ -6,14 +6,14 @@ from functools import partial
 from operator import itemgetter
 from typing import Literal, NamedTuple
 
-from hilcell.calibration.results import (
+from hilcell.geometry.statistics import Figures
+from hilcell.model.point import HOW, Sent
+from hilcell.model.results import (
     Floor,
     FramedStation,
     Place,
     SentErrors,
 )
-from hilcell.geometry.statistics import Figures
-from hilcell.model.point import HOW, Sent
 from hilcell.present.table import Column, Named, Table
 from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed

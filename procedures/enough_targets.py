@@ -8,13 +8,13 @@ import numpy as np
 
 from hilcell.calibration.decision import NO_GUARD, Guard, guard_of, limits_of, limits_within
 from hilcell.calibration.errors import validation
-from hilcell.calibration.results import Decided
 from hilcell.cell.file import Cell
 from hilcell.geometry.sequential import Decision, SequentialRule
 from hilcell.journal.log import Log
 from hilcell.model.events import StationDecided
 from hilcell.model.outcome import Outcome, gravest, outcome_of
 from hilcell.model.point import Sent
+from hilcell.model.results import Decided
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
 

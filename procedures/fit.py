@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from hilcell.calibration.frames import grid_of, measured_of, outlying_vertices
-from hilcell.calibration.results import ActResult
 from hilcell.cell.file import Cell
 from hilcell.compensation.choice import MODELS, chosen
 from hilcell.compensation.kinematic import curves_used
 from hilcell.compensation.measured import Measured
 from hilcell.journal.log import Log
 from hilcell.model.point import PointId
+from hilcell.model.results import ActResult
 from hilcell.model.verdicts import CurvesUsed, Fitted
 from hilcell.ports import HilcellError
 from hilcell.run.cell_session import CellSession

@@ -12,13 +12,13 @@ from operator import itemgetter
 import numpy as np
 
 from hilcell.calibration.base_circles import frame_of_sweeps
-from hilcell.calibration.results import FramesRepeated
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import f_quantile, lengths_mm, rms
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.frame import Frame
 from hilcell.model.point import PointId
+from hilcell.model.results import FramesRepeated
 from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from operator import attrgetter
 
-from hilcell.calibration.results import PaperRow
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
+from hilcell.model.results import PaperRow
 from hilcell.ports import HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession

@@ -10,12 +10,6 @@ import numpy as np
 from hilcell.calibration.base_circles import axis_6_height_mm, circle_of
 from hilcell.calibration.errors import reduction as share_removed
 from hilcell.calibration.frames import Frames, grid_errors_mm, grid_of, grid_pairs
-from hilcell.calibration.results import (
-    Calibrated,
-    FramesRepeated,
-    Place,
-    SurveyedRail,
-)
 from hilcell.compensation.grid import Grid
 from hilcell.geometry.circles import base_frame_covariance
 from hilcell.geometry.frames import apply, cross_matrix, inverse
@@ -24,6 +18,12 @@ from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import lengths_mm, ranks, rms
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.point import Point, PointId, Sent
+from hilcell.model.results import (
+    Calibrated,
+    FramesRepeated,
+    Place,
+    SurveyedRail,
+)
 from hilcell.ports import Array
 from procedures.base_frame import FramedBase
 from procedures.fit import Choice

@@ -12,9 +12,9 @@ from typing import Literal
 
 import numpy as np
 
-from hilcell.calibration.results import PaperRow
 from hilcell.journal.log import Log
 from hilcell.model.point import Sent
+from hilcell.model.results import PaperRow
 from procedures import paper_figures as figures
 from procedures import paper_limits as limits
 from procedures.paper_figures import Experiments, Figure, Where, mean, place, reduction

@@ -6,13 +6,13 @@ from operator import itemgetter
 
 import numpy as np
 
-from hilcell.calibration.results import SurveyedRail, WithU
 from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply, rigid_fit, unit
 from hilcell.geometry.rotations import to_rotvec
 from hilcell.geometry.statistics import slope, variance_of_mean
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.point import PointId
+from hilcell.model.results import SurveyedRail, WithU
 from hilcell.model.verdicts import Backlash
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table

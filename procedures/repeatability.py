@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from hilcell.calibration.results import Floor, Repeated
 from hilcell.cell.file import Cell
 from hilcell.geometry.statistics import (
     figures_of,
@@ -16,6 +15,7 @@ from hilcell.geometry.statistics import (
 )
 from hilcell.journal.log import Log, positions_mm, variances_mm2
 from hilcell.model.point import Point, PointId
+from hilcell.model.results import Floor, Repeated
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result, Step

@@ -14,7 +14,6 @@ import numpy as np
 
 from hilcell.calibration.errors import errors_of
 from hilcell.calibration.frames import grid_errors_mm, grid_of, measured_of
-from hilcell.calibration.results import ActResult
 from hilcell.cell.file import Cell
 from hilcell.compensation.choice import MODELS
 from hilcell.compensation.correction import corrected
@@ -24,6 +23,7 @@ from hilcell.geometry.statistics import lengths_mm
 from hilcell.journal.log import Log
 from hilcell.journal.reading_noise import noise_at, run_noise
 from hilcell.model.point import PointId, Sent
+from hilcell.model.results import ActResult
 from hilcell.model.verdicts import SignChecked
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table

@@ -6,11 +6,11 @@ from operator import itemgetter
 
 import numpy as np
 
-from hilcell.calibration.results import ActResult
 from hilcell.cell.file import Cell
 from hilcell.geometry.statistics import from_mean_mm, repeatability_mm
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.point import PointId
+from hilcell.model.results import ActResult
 from hilcell.model.verdicts import StripRepeats
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table

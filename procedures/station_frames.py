@@ -12,7 +12,6 @@ from itertools import product
 
 import numpy as np
 
-from hilcell.calibration.results import FramedStation
 from hilcell.cell.file import Cell, Nest, Station
 from hilcell.geometry.frames import (
     RigidFit,
@@ -28,6 +27,7 @@ from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.reading_noise import noise_at, run_noise
 from hilcell.model.frame import Frame, MeasuredStation
 from hilcell.model.point import Point, PointId
+from hilcell.model.results import FramedStation
 from hilcell.ports import Array, DeviceError
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result, Span, Step

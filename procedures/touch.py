@@ -12,7 +12,6 @@ import numpy as np
 
 from hilcell.calibration.frames import grid_of
 from hilcell.calibration.in_use import calibration_in
-from hilcell.calibration.results import ActResult
 from hilcell.calibration.touch import (
     suspected,
     touch_ids,
@@ -29,6 +28,7 @@ from hilcell.geometry.rotations import to_rotvec
 from hilcell.journal.log import Log
 from hilcell.model.events import Three
 from hilcell.model.frame import TouchedBase
+from hilcell.model.results import ActResult
 from hilcell.model.suspicion import Suspicion
 from hilcell.ports import DeviceError
 from hilcell.run.cell_session import CellSession

@@ -13,11 +13,11 @@ import numpy as np
 
 from hilcell.calibration.form import Calibration, StationEntry
 from hilcell.calibration.in_use import NoCalibration, calibration_named
-from hilcell.calibration.results import ActResult
 from hilcell.calibration.visit import used
 from hilcell.cell.file import Cell, Station
 from hilcell.journal.log import Log
 from hilcell.model.frame import Frame
+from hilcell.model.results import ActResult
 from hilcell.model.verdicts import Touched
 from hilcell.ports import HilcellError
 from hilcell.present.table import Column, Table

@@ -24,15 +24,6 @@ from hilcell.calibration.orientation import (
     turn_coverages,
     validated_turns,
 )
-from hilcell.calibration.results import (
-    Decided,
-    Floor,
-    Place,
-    SentErrors,
-    TargetBounds,
-    TurnBounds,
-    Turns,
-)
 from hilcell.calibration.since import compared
 from hilcell.calibration.touch import beside_nest
 from hilcell.cell.file import Cell, Station
@@ -44,6 +35,15 @@ from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.journal.log import Log
 from hilcell.model.outcome import Outcome
 from hilcell.model.point import BOTH, PointId, Sent
+from hilcell.model.results import (
+    Decided,
+    Floor,
+    Place,
+    SentErrors,
+    TargetBounds,
+    TurnBounds,
+    Turns,
+)
 from hilcell.model.suspicion import Cause
 from hilcell.model.verdicts import VALIDATION, ChangedSince, Oriented, Suspected
 from hilcell.ports import Array

@@ -8,12 +8,12 @@ import msgspec
 import numpy as np
 
 from hilcell.calibration.instrument import known_lengths
-from hilcell.calibration.results import ActResult
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
 from hilcell.journal.set_ups import world_key
 from hilcell.model.frame import Matrix
 from hilcell.model.point import LENGTH, PointId
+from hilcell.model.results import ActResult
 from hilcell.model.verdicts import LengthsChecked
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result, Span, Step

@@ -13,11 +13,11 @@ from typing import Any
 import msgspec
 
 from hilcell import __version__
-from hilcell.calibration.results import Calibrated
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert
 from hilcell.errors import HilcellError
+from hilcell.model.results import Calibrated
 from hilcell.run.direct_run import direct_run
 from hilcell.run.procedure import Procedure
 from hilcell.study.outcome import RESULTS

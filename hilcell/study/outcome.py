@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from hilcell.calibration.errors import OTHERS
-from hilcell.calibration.results import Calibrated, Place, TargetBounds
 from hilcell.model.point import Sent
+from hilcell.model.results import Calibrated, Place, TargetBounds
 
 
 def _places(result: Calibrated) -> list[Place]:

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import msgspec
 from msgspec import field
 
-from hilcell.journal.ways_sent import Sent
 from hilcell.model.events import Pair
 from hilcell.model.frame import Matrix
 from hilcell.model.outcome import Outcome
+from hilcell.model.point import Sent
 from hilcell.model.suspicion import Suspicion
 
 
