@@ -32,7 +32,7 @@ from hilcell.model.results import ActResult
 from hilcell.model.suspicion import Suspicion
 from hilcell.ports import DeviceError
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Result, Span
+from hilcell.run.procedure import Span
 from hilcell.typed import typed
 from procedures.durations import flange_points
 from procedures.plan import check_targets, joints_for, poses_at
@@ -151,11 +151,10 @@ def check_agreement(
     )
 
 
-def touch_result(log: Log) -> Result:
-    """Return what the touch poses found at each station, where they were used."""
-    found = {
+def touches(log: Log) -> dict[str, TouchFound]:
+    """Return what the touch poses found by station, as far as they were used."""
+    return {
         station.name: typed(log.frames[key], TouchFound, from_attributes=True)
         for station in log.cell.station
         if (key := f"touch.{station.name}") in log.frames
     }
-    return {"touch": found} if found else {}

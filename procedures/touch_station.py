@@ -27,7 +27,7 @@ from hilcell.typed import typed
 from procedures.durations import closing, first_hold, step
 from procedures.home import Home
 from procedures.recheck import use
-from procedures.touch import TouchFound, touch_once, touch_result, touch_spans
+from procedures.touch import TouchFound, touch_once, touch_spans, touches
 from procedures.world_frame import WorldFrame
 
 TABLE = "touch"
@@ -79,12 +79,12 @@ class TouchStation:
 
     def result(self, log: Log) -> Result:
         """Return what the touch poses found, where, and with which calibration."""
-        found = touch_result(log)
+        found = touches(log)
         if not found:
             return {}
         station = station_of(log.cell).name
         touched = Touching(station=station, calibration=used(log).provenance.latest)
-        return {**found, "touched": touched}
+        return {"touch": found, "touched": touched}
 
 
 def station_of(cell: Cell) -> Station:

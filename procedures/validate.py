@@ -62,7 +62,7 @@ from procedures.plan import (
 )
 from procedures.repeatability import floor
 from procedures.station_frames import frame_spans, frame_station, nest_points
-from procedures.touch import touch_once, touch_result, touch_spans
+from procedures.touch import touch_once, touch_spans, touches
 
 DRAWS = 8  # of a target's turn, and of its place
 MARGIN_MM = 5.0  # random targets keep off the cube's faces by this much
@@ -192,7 +192,8 @@ class Validate:
             sent = places[where].chosen
             chosen = replace(sent, bound95_mean=bounds.mean_mm, covered=bounds.coverage)
             places[where] = replace(places[where], chosen=chosen, bounds=bounds)
-        return {"validation": places, **touch_result(log)}
+        touched = touches(log)
+        return {"validation": places} | ({"touch": touched} if touched else {})
 
     def _places(self, log: Log) -> dict[str, Place]:
         together = (log.cell.grid.station, "others")

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from hilcell.cell.devices import load_entry
+from hilcell.model.results import Calibrated
 from hilcell.ports import NoReading
 from hilcell.run.direct_run import direct_run
 from hilcell.run.procedure import Procedure
@@ -15,6 +16,7 @@ from hilcell.study import case
 from hilcell.study.case import measured, packed, versions
 from hilcell.study.outcome import RESULTS
 from hilcell.study.study_file import Study, cell_of
+from hilcell.typed import typed
 from tests.hilcell.study.studies import study
 from tests.whole.golden import GoldenRuns
 
@@ -30,7 +32,7 @@ def test_its_figures_are_those_of_a_calibration(asked: Study, tmp_path: Path) ->
     cell = cell_of(asked, {"layout.nest_samples": 3})
     row = measured(packed(cell), 2, 1, versions())  # machine 2, targets 1
     log = direct_run(cell, CALIBRATE, seed=1, machine_seed=2, folder=tmp_path)
-    result = CALIBRATE.result(log)
+    result = typed(CALIBRATE.result(log), Calibrated)
     assert {name: row[name] for name in RESULTS} == {
         name: value(result) for name, (_, value) in RESULTS.items()
     }
@@ -43,7 +45,8 @@ def test_its_figures_are_those_of_a_calibration(asked: Study, tmp_path: Path) ->
 
 def test_figures_of_a_result(golden: GoldenRuns) -> None:
     result = golden["small"].result
-    found = {name: value(result) for name, (_, value) in RESULTS.items()}
+    calibrated = typed(result, Calibrated)
+    found = {name: value(calibrated) for name, (_, value) in RESULTS.items()}
     places = [result["validation"][name] for name in ("S1100", "others")]
     targets = [place["points"] for place in places]
     for name, what in (("before_mm", "before"), ("idw_mm", "idw"), ("mean_mm", "chosen")):
