@@ -18,12 +18,13 @@ from hilcell.journal.curve_record import curve_measured
 from hilcell.journal.log import Log
 from hilcell.journal.stream_file import read_stream
 from hilcell.model.events import AxesNotSwept, CurveMeasured, NoReadingOf, Pair
+from hilcell.model.plan import Span, Step
 from hilcell.model.results import ActResult
 from hilcell.ports import Array, NoReading
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_sweep
-from hilcell.run.procedure import Result, Span, Step
+from hilcell.run.procedure import Result
 from hilcell.run.sweeping import SweepOrder
 from hilcell.typed import typed
 from procedures.durations import closing, first_pass_percent, robot_moves_s, step

@@ -16,12 +16,13 @@ from hilcell.cell.file import Cell, Station
 from hilcell.geometry.circles import base_frame_covariance
 from hilcell.journal.log import Log
 from hilcell.model.frame import Matrix, MeasuredBase
+from hilcell.model.plan import Span, Step
 from hilcell.model.point import PointId
 from hilcell.model.results import ActResult
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
-from hilcell.run.procedure import Result, Span, Step
+from hilcell.run.procedure import Result
 from procedures.durations import closing, flange_points, step
 
 ARC_SHARES = (0.25, 0.5, 0.75, 1.0)

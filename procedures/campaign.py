@@ -15,12 +15,13 @@ from hilcell.cell.file import Cell
 from hilcell.fit.methods import FitResult, fit, methods_table
 from hilcell.fit.robot_file import Measurements, RobotModel, Row, read_measurements
 from hilcell.journal.log import Log, positions_mm
+from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.ports import HilcellError
 from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.interlocks import check_joint_limits
-from hilcell.run.procedure import Procedure, Result, Step
+from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
 from procedures.durations import flange_points, measure_s
 

@@ -17,10 +17,11 @@ from hilcell.identification.design import Design, Rows, design
 from hilcell.identification.readings import IdentificationError
 from hilcell.journal.log import Log
 from hilcell.model.events import NoPosesChosen, PosesChosen
+from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Result, Step
+from hilcell.run.procedure import Result
 from procedures.durations import closing, flange_count, flange_points, step
 from procedures.plan import drivable, joints_for, poses_at, turned
 

@@ -22,11 +22,12 @@ from hilcell.conformance.trial import Trial
 from hilcell.conformance.verdicts import PORTS, NeedsPerson, Port
 from hilcell.journal.log import Log
 from hilcell.model.events import Announced, PromiseJudged
+from hilcell.model.plan import Step
 from hilcell.model.verdicts import DriverConforms
 from hilcell.ports import Array, HilcellError, RailReading, RobotReading, Stream, TrackerReading
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Procedure, Result, Step
+from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
 from procedures.home import Home
 

@@ -8,12 +8,13 @@ from hilcell.compensation.choice import MODELS, chosen
 from hilcell.compensation.kinematic import curves_used
 from hilcell.compensation.measured import Measured
 from hilcell.journal.log import Log
+from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.model.results import ActResult
 from hilcell.model.verdicts import CurvesUsed, Fitted
 from hilcell.ports import HilcellError
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Result, Step
+from hilcell.run.procedure import Result
 from hilcell.typed import typed
 from procedures.plan import poses_at
 

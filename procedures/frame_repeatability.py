@@ -17,12 +17,13 @@ from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import f_quantile, lengths_mm, rms
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.frame import Frame
+from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.model.results import FramesRepeated
 from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Result, Step
+from hilcell.run.procedure import Result
 from hilcell.typed import typed
 from procedures.base_frame import (
     check_circles,

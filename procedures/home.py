@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
+from hilcell.model.plan import Step
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Result, Step
+from hilcell.run.procedure import Result
 from procedures.durations import homing_s, park_s
 
 

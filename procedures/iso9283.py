@@ -24,6 +24,7 @@ from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected_poses
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
+from hilcell.model.plan import Span, Step
 from hilcell.model.point import PointId
 from hilcell.model.verdicts import ISO, RP_ANGLES
 from hilcell.ports import Array, HilcellError
@@ -31,7 +32,7 @@ from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_path
 from hilcell.run.mover import Straight
-from hilcell.run.procedure import Procedure, Result, Span, Step
+from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
 from procedures.base_frame import BaseFrame
 from procedures.durations import closing, measure_s, robot_moves_s, step

@@ -6,11 +6,12 @@ from operator import attrgetter
 
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
+from hilcell.model.plan import Step
 from hilcell.model.results import PaperRow
 from hilcell.ports import HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Part, Procedure, Result, Step
+from hilcell.run.procedure import Part, Procedure, Result
 from hilcell.typed import typed
 from procedures.axis_sweeps import AxisSweeps
 from procedures.base_frame import BaseFrame

@@ -11,13 +11,14 @@ from hilcell.geometry.frames import apply, rigid_fit, unit
 from hilcell.geometry.rotations import to_rotvec
 from hilcell.geometry.statistics import slope, variance_of_mean
 from hilcell.journal.log import Log, positions_mm
+from hilcell.model.plan import Span, Step
 from hilcell.model.point import PointId
 from hilcell.model.results import SurveyedRail, WithU
 from hilcell.model.verdicts import Backlash
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Result, Span, Step
+from hilcell.run.procedure import Result
 from hilcell.run.prompts import FLANGE
 from hilcell.typed import typed
 from procedures.durations import closing, measure_s, rail_move_s, step

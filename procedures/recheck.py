@@ -26,13 +26,14 @@ from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
 from hilcell.model.events import CalibrationUsed, OutlierMeasuredAgain
 from hilcell.model.frame import Frame
+from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.model.verdicts import Rechecked
 from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
-from hilcell.run.procedure import Procedure, Result, Step
+from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
 from procedures.durations import closing, flange_points, step
 from procedures.home import Home

@@ -9,12 +9,13 @@ import msgspec
 from hilcell.calibration.instrument import compared_reflectors
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
+from hilcell.model.plan import Step
 from hilcell.model.point import REFLECTOR, PointId
 from hilcell.model.verdicts import ReflectorsCompared, ReflectorSeen
 from hilcell.ports import HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Procedure, Result, Step
+from hilcell.run.procedure import Procedure, Result
 from hilcell.run.prompts import FLANGE
 from hilcell.typed import typed
 from procedures.durations import closing, readings, step

@@ -14,11 +14,12 @@ from hilcell.geometry.statistics import (
     rms,
 )
 from hilcell.journal.log import Log, positions_mm, variances_mm2
+from hilcell.model.plan import Step
 from hilcell.model.point import Point, PointId
 from hilcell.model.results import Floor, Repeated
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Result, Step
+from hilcell.run.procedure import Result
 from procedures.durations import closing, flange_points, step
 from procedures.plan import check_targets, joints_for, poses_at
 

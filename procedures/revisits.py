@@ -28,12 +28,13 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
 from hilcell.model.events import VisitedOnceMore
+from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.model.suspicion import suspected_in
 from hilcell.model.verdicts import Revisited
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Result, Step
+from hilcell.run.procedure import Result
 from procedures.base_frame import points_on_arc, sweep
 from procedures.durations import closing, flange_points, leg, step
 from procedures.plan import joints_for, other_stations

@@ -13,10 +13,11 @@ from hilcell.geometry.frames import apply, matrix
 from hilcell.geometry.rotations import to_rotvec
 from hilcell.journal.log import Log
 from hilcell.model.events import OutlierMeasuredAgain
+from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Result, Step
+from hilcell.run.procedure import Result
 from procedures.durations import closing, flange_count, flange_points, step
 from procedures.plan import (
     angles_deg,

@@ -22,13 +22,14 @@ from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.journal.log import Log
 from hilcell.journal.reading_noise import noise_at, run_noise
+from hilcell.model.plan import Step
 from hilcell.model.point import PointId, Sent
 from hilcell.model.results import ActResult
 from hilcell.model.verdicts import SignChecked
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Result, Step
+from hilcell.run.procedure import Result
 from hilcell.typed import typed
 from procedures.durations import closing, flange_points, leg, step
 from procedures.plan import check_targets, joints_for, other_stations, poses_at

@@ -9,13 +9,14 @@ import numpy as np
 from hilcell.cell.file import Cell
 from hilcell.geometry.statistics import from_mean_mm, repeatability_mm
 from hilcell.journal.log import Log, positions_mm
+from hilcell.model.plan import Span, Step
 from hilcell.model.point import PointId
 from hilcell.model.results import ActResult
 from hilcell.model.verdicts import StripRepeats
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Result, Span, Step
+from hilcell.run.procedure import Result
 from hilcell.typed import typed
 from procedures.durations import approach_s, closing, first_hold, measure_s, rail_move_s, step
 

@@ -26,11 +26,12 @@ from hilcell.geometry.statistics import coverage_factor
 from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.reading_noise import noise_at, run_noise
 from hilcell.model.frame import Frame, MeasuredStation
+from hilcell.model.plan import Span, Step
 from hilcell.model.point import Point, PointId
 from hilcell.model.results import FramedStation
 from hilcell.ports import Array, DeviceError
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Result, Span, Step
+from hilcell.run.procedure import Result
 from hilcell.typed import typed
 from procedures.durations import closing, leg, park_s, readings, step
 from procedures.plan import check_range, other_stations

@@ -27,12 +27,13 @@ from hilcell.geometry.closed_form import ReachError
 from hilcell.geometry.frames import inverse, poses_from_zyx
 from hilcell.journal.log import Log
 from hilcell.model.events import OutlierMeasuredAgain, TargetsListed
+from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
-from hilcell.run.procedure import Procedure, Result, Step
+from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
 from procedures.durations import closing, first_hold, flange_points, step
 from procedures.home import Home

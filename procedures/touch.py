@@ -28,11 +28,11 @@ from hilcell.geometry.rotations import to_rotvec
 from hilcell.journal.log import Log
 from hilcell.model.events import Three
 from hilcell.model.frame import TouchedBase
+from hilcell.model.plan import Span
 from hilcell.model.results import ActResult
 from hilcell.model.suspicion import Suspicion
 from hilcell.ports import DeviceError
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Span
 from hilcell.typed import typed
 from procedures.durations import flange_points
 from procedures.plan import check_targets, joints_for, poses_at

@@ -17,12 +17,13 @@ from hilcell.calibration.visit import used
 from hilcell.cell.file import Cell, Station
 from hilcell.journal.log import Log
 from hilcell.model.frame import Frame
+from hilcell.model.plan import Step
 from hilcell.model.results import ActResult
 from hilcell.model.verdicts import Touched
 from hilcell.ports import HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Procedure, Result, Step
+from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
 from procedures.durations import closing, first_hold, step
 from procedures.home import Home

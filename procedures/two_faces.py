@@ -7,10 +7,11 @@ from hilcell.cell.devices import abilities
 from hilcell.cell.file import Cell
 from hilcell.cell.layout import Nest
 from hilcell.journal.log import Log
+from hilcell.model.plan import Span, Step
 from hilcell.model.point import BACK, PointId
 from hilcell.model.verdicts import FacesCompared
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Result, Span, Step
+from hilcell.run.procedure import Result
 from procedures.durations import measure_s, step
 
 FACE_S = 4.0  # until a tracker has turned over and looks where it looked before

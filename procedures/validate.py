@@ -34,6 +34,7 @@ from hilcell.compensation.model import ErrorModel
 from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.journal.log import Log
 from hilcell.model.outcome import Outcome
+from hilcell.model.plan import Step
 from hilcell.model.point import BOTH, PointId, Sent
 from hilcell.model.results import (
     Decided,
@@ -48,7 +49,7 @@ from hilcell.model.suspicion import Cause
 from hilcell.model.verdicts import VALIDATION, ChangedSince, Oriented, Suspected
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Result, Step
+from hilcell.run.procedure import Result
 from procedures import enough_targets
 from procedures.durations import closing, flange_points, leg, step
 from procedures.fit import orients

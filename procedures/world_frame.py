@@ -12,11 +12,12 @@ from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
 from hilcell.journal.set_ups import world_key
 from hilcell.model.frame import Matrix
+from hilcell.model.plan import Span, Step
 from hilcell.model.point import LENGTH, PointId
 from hilcell.model.results import ActResult
 from hilcell.model.verdicts import LengthsChecked
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Result, Span, Step
+from hilcell.run.procedure import Result
 from procedures.durations import closing, floor_points, readings, step
 from procedures.plan import check_range
 

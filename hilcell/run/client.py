@@ -11,7 +11,7 @@ import socket
 import threading
 from contextlib import closing, suppress
 from pathlib import Path
-from typing import Any, Self, Unpack
+from typing import Self, Unpack
 
 import msgspec
 
@@ -108,7 +108,7 @@ class EngineClient:
                 request = Request.within(self._patience_s, command, **subject)
                 self._asking.sendall(_line(request))
                 self._owed += 1
-                answer = msgspec.json.decode(self._answer(), type=dict[str, Any])
+                answer = msgspec.json.decode(self._answer(), type=dict[str, object])
             except TimeoutError as error:
                 raise EngineSilent(f"{command}: the engine does not answer") from error
             except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:

@@ -13,6 +13,7 @@ import msgspec
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
 from hilcell.model.events import Json, StepBegun
+from hilcell.model.plan import Step
 from hilcell.ports import HilcellError, StripLost
 from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
@@ -20,27 +21,6 @@ from hilcell.run.collision import check_rides
 from hilcell.run.watch import BlockLost
 
 Result: TypeAlias = Mapping[str, object]  # by their keys in JSON: Structs, or what they are made of
-
-
-@dataclass(frozen=True, slots=True)
-class Span:
-    """Measurements alike in a row, how many and how long in all; none: the way to the next."""
-
-    kind: str
-    measured: int  # with those of control points, which no plan counts as points
-    duration_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """One step of a plan: its act, how many points it yields, how long it takes."""
-
-    name: str
-    points: int
-    duration_s: float
-    spans: tuple[Span, ...] = ()  # in their order; for the forecast
-    note: str = ""  # why an act does nothing
-    warning: str = ""  # why its result is not what is wanted
 
 
 @dataclass(frozen=True, slots=True)
