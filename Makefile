@@ -11,7 +11,7 @@ COMPILE := uv pip compile pyproject.toml --universal --fork-strategy fewest --ge
 export PYTHONDONTWRITEBYTECODE =
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: run test together waiting processes alone recordings nightly mutants torture lint types gauges bench bundle lock clean
+.PHONY: run test together waiting processes alone recordings nightly mutants torture lint types docs gauges bench bundle lock clean
 
 run: $(VENV)/ready  ## calibrate the simulated paper cell and print the table
 	$(BIN)/hilcell run
@@ -55,6 +55,10 @@ lint: $(VENV)/more  ## style, types and the import contract
 
 types: $(VENV)/more  ## types once more, by mypy
 	$(BIN)/mypy
+
+docs: $(VENV)/ready  ## the manual's pages that are written from the code
+	$(BIN)/python -m hilcell.alarms.page > docs/alarms.md
+	$(BIN)/python -m hilcell.commands.page > docs/cli.md
 
 gauges:  ## modules, lines, names, Any, shapes of each noun, habits of speech; docs/architecture.md
 	@$(PYTHON) benchmarks/gauges.py

@@ -74,7 +74,7 @@ STROKE_MM, MOST_STROKE_MM = 20.0, 200.0
 MOST_STROKE_MISS_MM = 5.0
 MOST_STANDOFF_MM = 1000.0  # as in hilcell.cell.tool
 SIMULATED = ("rail", "robot", "tracker", "control")
-# For the help: headers of `hilcell.compensation.targets` and `hilcell.planning.holes`.
+# For the help: headers of `hilcell.compensation.targets` and `hilcell.programs.holes`.
 TARGETS = "name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg"
 HOLES = f"holes in {{W}}, header name,x_mm,y_mm,z_mm,nx,ny,nz; or targets, header {TARGETS}"
 

@@ -10,8 +10,11 @@ import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from traceback import extract_tb
+from typing import TYPE_CHECKING
 
-from hilcell.typed import Json
+if TYPE_CHECKING:
+    from hilcell.typed import Json
+
 
 MOST_LISTED = 10
 

@@ -2,7 +2,8 @@
 
 A rename replaces anything of that name, a device, a pipe or a link as well. So links are followed,
 and all but regular files are opened and written to. So is an open file of this process, such as
-/dev/stdout: it may be a regular file that others write as well.
+/dev/stdout: it may be a regular file that others write as well. A name that ends like that of
+another form is refused.
 """
 
 from __future__ import annotations
@@ -18,6 +19,13 @@ from pathlib import Path
 from hilcell.clean import clean
 from hilcell.errors import HilcellError
 
+CSV = (".csv", ".txt")
+KNOWN = (
+    ".csv", ".txt", ".xlsx", ".xls", ".ods", ".json", ".html", ".htm", ".pdf", ".src", ".dat",
+    ".urdf", ".toml", ".sqlite", ".zip", ".xml", ".dcc", ".doc", ".docx", ".odt", ".rtf", ".md",
+    ".xhtml", ".xlsm", ".xlsb", ".tsv", ".jsonl", ".png", ".jpg", ".jpeg", ".svg", ".db",
+    ".script",
+)  # fmt: skip
 STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # the disk's, not the name's
 
 
@@ -42,9 +50,21 @@ def write_whole(path: Path, content: bytes, *, inputs: Iterable[Path] = ()) -> N
     write_together({path: content}, inputs=inputs)
 
 
-def check_place(path: Path, *, inputs: Iterable[Path] = ()) -> None:
-    """Raise `NotWritten`, before there is anything to write, where it is clear already."""
+def check_output(
+    path: Path, suffixes: tuple[str, ...], what: str, *, inputs: Iterable[Path] = ()
+) -> None:
+    """Raise `NotWritten` where a file cannot be written, or is named like one of another form.
+
+    ``what`` is what is written, ``suffixes`` its own, the usual one first. Names without a suffix,
+    or with one that no form has, are taken as they are.
+    """
     _mode(path, list(inputs))
+    suffix = path.suffix.lower()
+    if suffix in KNOWN and suffix not in suffixes:
+        raise NotWritten(
+            f"{path} is a {suffix} file by its name, and {what} is written; name it "
+            f"{path.with_suffix(suffixes[0]).name}"
+        )
 
 
 def write_together(contents: Mapping[Path, bytes], *, inputs: Iterable[Path] = ()) -> None:

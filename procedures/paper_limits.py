@@ -35,14 +35,14 @@ from procedures.station_frames import (
 )
 
 if TYPE_CHECKING:
-    from hilcell.planning.holes import Holes
+    from hilcell.programs.holes import Holes
 
 HOLE_PITCH_MM = 100.0
 
 
 def stations_planned(cell: Cell) -> float:
     """Return how many stations the planner takes for the longest work piece."""
-    from hilcell.planning.plan import plan  # loads long, and few runs judge the paper
+    from hilcell.programs.plan import plan  # loads long, and few runs judge the paper
 
     return float(len(plan(cell, longest_work_piece(cell)).stations))
 
@@ -62,7 +62,7 @@ def longest_work_piece(cell: Cell) -> Holes:
 
     On the far face of the grid's cube, with the grid's orientation.
     """
-    from hilcell.planning.holes import Holes
+    from hilcell.programs.holes import Holes
 
     arm, rails_mm = cell.robot.arm(), [station.rail_mm for station in cell.station]
     span_mm = float(np.abs(arm.a_mm).sum() + np.abs(arm.d_mm).sum())

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from hilcell.arguments import HOLES, TARGETS
-from hilcell.commands.bounds import HEADER as BOUNDS
 from hilcell.compensation.stamp import COLUMN
 from hilcell.compensation.targets import HEADER
-from hilcell.planning.holes import NORMALS
+from hilcell.programs.corrected import BOUNDS
+from hilcell.programs.holes import NORMALS
 
 ROOT = Path(__file__).parents[1]
 NEIGHBOURS = ("drivers", "procedures", "fakes")

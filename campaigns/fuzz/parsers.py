@@ -36,7 +36,7 @@ from hilcell.compensation.targets import read_targets
 from hilcell.errors import HilcellError
 from hilcell.journal.journal import Journal, StorageError, _record, read_journal
 from hilcell.journal.log import Log
-from hilcell.planning.holes import read_holes
+from hilcell.programs.holes import read_holes
 from hilcell.run.control import _Handler
 from hilcell.run.protocol import LONGEST_REQUEST, Status
 from hilcell.tui.engine.feed import RunUpdate
@@ -216,7 +216,7 @@ def journal_samples() -> Iterable[bytes]:
     path.unlink()
     journal = Journal(path, "r", create=True)
     journal.append("event", "", {"what": "text", "note": "a"})
-    journal.append("verdict", "fit", {"holds": True})
+    journal.append("verdict", "own", {"holds": True})
     journal.close()
     yield path.read_bytes()
 

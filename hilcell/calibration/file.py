@@ -19,16 +19,7 @@ from numpy.typing import ArrayLike
 from hilcell import __version__
 from hilcell.calibration.budget import uncertainty_of
 from hilcell.calibration.decision import judged_again
-from hilcell.calibration.form import (
-    Calibration,
-    Device,
-    LostMotion,
-    ModelEntry,
-    Provenance,
-    StationEntry,
-    Validity,
-    written_now,
-)
+from hilcell.calibration.form import Calibration, LostMotion, ModelEntry, Validity, written_now
 from hilcell.calibration.frames import Frames, measured_of
 from hilcell.calibration.influence import SIZE
 from hilcell.calibration.lost_motion import lost_motion
@@ -40,6 +31,7 @@ from hilcell.compensation.correction import corrected_poses
 from hilcell.geometry.frames import apply, inverse, poses_from_zyx, zyx_from_pose
 from hilcell.geometry.rotations import from_zyx
 from hilcell.journal.log import Log
+from hilcell.model.calibration import Device, Provenance, StationEntry
 from hilcell.model.frame import MeasuredStation
 from hilcell.model.verdicts import VALIDATION, Fitted, Judged, SignChecked
 from hilcell.ports import Array, HilcellError
@@ -448,7 +440,7 @@ def _verdicts(calibration: Calibration) -> Iterator[str]:
         elif not all(limit is None or limit > 0 for limit in each.limits):
             yield f"{at}: a tolerance that is not above 0"
         elif each.holds and not judged_again(each).holds:
-            yield f"{at}: is said to hold, but its figures do not: {each.figures}"
+            yield f"{at}: is said to hold, but its figures do not: {each.figure_words}"
 
 
 def _is_covariance(found: Array) -> bool:

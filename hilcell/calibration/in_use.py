@@ -18,7 +18,7 @@ import msgspec
 
 from hilcell.calibration.decision import limits_of
 from hilcell.calibration.file import read_calibration
-from hilcell.calibration.form import Calibration, Provenance
+from hilcell.calibration.form import Calibration
 from hilcell.calibration.validity import Unfit, check_fitness
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
@@ -28,6 +28,7 @@ from hilcell.journal.index import RunRow, read_index, row_of
 from hilcell.journal.log import Log
 from hilcell.journal.runs import CALIBRATION, is_run, read_log
 from hilcell.journal.standing import Standing, standings
+from hilcell.model.calibration import Provenance
 from hilcell.model.events import CalibrationUsed
 from hilcell.model.verdicts import Rechecked
 from hilcell.ports import HilcellError

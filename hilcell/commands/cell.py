@@ -30,9 +30,9 @@ from hilcell.commands.output import (
     print_json,
     print_message,
 )
-from hilcell.commands.run import machine_seed
 from hilcell.ports import Exercise, HilcellError, Training
 from hilcell.run.procedure import Procedure
+from hilcell.run.run_plan import machine_seed
 from hilcell.run.states import CALIBRATION, RUN, mermaid
 
 LOOK_S = 0.1

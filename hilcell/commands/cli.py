@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 from hilcell import __version__
@@ -21,14 +22,21 @@ from hilcell.commands import orders
 from hilcell.commands.encoding import never_fail_to_encode
 from hilcell.commands.output import flush_data, print_error, print_json, print_message
 from hilcell.commands.parser import Parser, made
-from hilcell.run.order import Order
+from hilcell.run.order import Order, Resume
 from hilcell.writing import NotPrinted
 
-EPILOG = """\
-exit codes: 0 in tolerance; 1 measured, out of tolerance; 2 refused before anything moved;
-3 device fault, safe-stopped; 4 aborted by the operator; 5 internal error; 6 cell locked by
-another run; 7 storage fault. After 3, 4 and 7, `hilcell resume RUN` continues.
-hilcell is not a safety function: keep the E-stop in reach."""
+EXITS = (  # by their number
+    "in tolerance",
+    "measured, out of tolerance",
+    "refused before anything moved",
+    "device fault, safe-stopped",
+    "aborted by the operator",
+    "internal error",
+    "cell locked by another run",
+    "storage fault",
+)
+AFTER = "After 3, 4 and 7, `hilcell resume RUN` continues."
+SAFETY = "hilcell is not a safety function: keep the E-stop in reach."
 FIRST = """\
 `hilcell run` calibrates a simulated cell in about a minute; nothing real moves
 `hilcell show last` shows its result; `hilcell report last -o report.html` prints it
@@ -40,14 +48,14 @@ Commands = Mapping[str, tuple[type[Signature], str]]  # what each takes, and mod
 GROUPS: Mapping[str, Commands] = {
     "every day": {
         "run": (Order, "run:run"),
-        "resume": (orders.Resume, "run:resume"),
+        "resume": (Resume, "run:resume"),
         "pause": (orders.Pause, "live:pause"),
         "stop": (orders.Stop, "live:stop"),
         "watch": (orders.Watch, "live:watch"),
         "tui": (orders.Tui, "tui:tui"),
-        "plan": (orders.Plan, "plan:plan"),
+        "plan": (orders.Plan, "prepare:plan"),
         "prepare": (orders.Prepare, "prepare:prepare"),
-        "compensate": (orders.Compensate, "files:compensate"),
+        "compensate": (orders.Compensate, "targets:compensate"),
     },
     "look back": {
         "show": (orders.Show, "past:show"),
@@ -65,7 +73,7 @@ GROUPS: Mapping[str, Commands] = {
         "completion": (orders.Completion, "completion:completion"),
     },
     "for engineers": {
-        "fit": (orders.Fit, "fit:fit"),
+        "fit": (orders.Fit, "targets:fit"),
         "study": (orders.RunStudy, "study:study"),
         "plant": (orders.Plant, ""),
         "diagram": (orders.Diagram, "cell:diagram"),
@@ -83,10 +91,11 @@ PLANT: Commands = {
 @cache
 def whole_parser() -> Parser:
     """Return the parser of all commands."""
+    codes = "; ".join(f"{code} {words}" for code, words in enumerate(EXITS))
     parser = Parser(
         prog="hilcell",
         description="Calibrates a robot on a cheap rail with a laser tracker, unattended.",
-        epilog=EPILOG,
+        epilog=f"{fill(f'exit codes: {codes}. {AFTER}', 91)}\n{SAFETY}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"hilcell {__version__}")

@@ -40,29 +40,10 @@ from hilcell.arguments import (
     stroke_tolerance_of,
     workers_of,
 )
-from hilcell.run.order import Attendance, Release
+from hilcell.run.order import Release
 
 CalibrationName = Annotated[str, Argument("a run or calibration.json", "CALIBRATION")]
 HolesFile = Annotated[str, Argument(HOLES, "HOLES.csv", word=True)]
-
-
-class Resume(Signature):
-    """Continue a run, or a paused one."""
-
-    run: RunName
-    runs: Runs
-    attendance: Attendance = Attendance()
-    accept_changes: Annotated[
-        bool,
-        Argument(
-            "go on with another device, cell file or version of hilcell; the journal keeps it"
-        ),
-    ] = False
-    retake: Annotated[
-        tuple[str, ...],
-        Argument("re-measure this point; may be repeated; opens a finished run again", "KEY"),
-    ] = ()
-    json: JsonLines = False
 
 
 class Pause(Signature):
@@ -327,7 +308,10 @@ class Sim(Signature):
     seed: Annotated[int, Argument("of the machine (default: 1)", "N", seed_of)] = 1
     machine_seed: MachineSeed = None
     truth: Annotated[bool, Argument("the control channel answers what is true; for tests")] = False
-    speed: Annotated[float, Argument("default: 1", "X|max", speed_of)] = 1.0
+    speed: Annotated[
+        float,
+        Argument("of its time: a factor, or as fast as it goes (default: 1)", "X|max", speed_of),
+    ] = 1.0
     faults: Annotated[
         str,
         Argument("faults to inject, TOML: docs/training.md has their names and their form", "FILE"),

@@ -5,8 +5,17 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Literal, NoReturn, TypeVar, get_args, get_origin, get_type_hints
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import (
+    Any,
+    Literal,
+    NamedTuple,
+    NoReturn,
+    TypeVar,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from hilcell.arguments import Argument, Signature, Switches
 from hilcell.commands.output import print_message, stdout_checked
@@ -41,7 +50,8 @@ class Parser(argparse.ArgumentParser):
         """Return it with its arguments, which are added late: a process reads one command."""
         takes, self.takes = self.takes, None
         if takes is not None:
-            _add_arguments(self, takes)
+            for each in fields_of(takes):
+                _add_field(self, each)
         return self
 
     def format_help(self) -> str:
@@ -117,24 +127,44 @@ class Parser(argparse.ArgumentParser):
             sys.stdout.flush()
 
 
-def _add_arguments(parser: Parser, takes: type[Signature]) -> None:
-    """Add the arguments of a signature, and of the signatures that are its fields."""
+class Field(NamedTuple):
+    """A field of a signature: how it is given, its type, and its default, `MISSING` for none."""
+
+    name: str
+    kind: object
+    argument: Argument | Switches
+    default: object
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of an option, or of the switches of a choice."""
+        if isinstance(self.argument, Switches):
+            return tuple(f"--{word}" for word in self.argument.help)
+        return self.argument.names or (f"--{self.name.replace('_', '-')}",)
+
+    @property
+    def needed(self) -> bool:
+        """Whether it must be given."""
+        return getattr(self.argument, "required", True) and self.default is MISSING
+
+
+def fields_of(takes: type[Signature]) -> Iterator[Field]:
+    """Yield the fields of a signature, and of the signatures that are its fields."""
     for name, hint in get_type_hints(takes, include_extras=True).items():
         if _is_signature(hint):
-            _add_arguments(parser, hint)
-            continue
-        kind, argument = get_args(hint)
-        if isinstance(argument, Switches):
-            group = parser.add_mutually_exclusive_group(required=True)
-            for word, text in argument.help.items():
-                group.add_argument(
-                    f"--{word}", dest=name, action="store_const", const=word, help=text
-                )
+            yield from fields_of(hint)
         else:
-            _add(parser, name, kind, argument, getattr(takes, name, MISSING))
+            kind, argument = get_args(hint)
+            yield Field(name, kind, argument, getattr(takes, name, MISSING))
 
 
-def _add(parser: Parser, name: str, kind: object, argument: Argument, default: object) -> None:
+def _add_field(parser: Parser, field: Field) -> None:
+    name, kind, argument, default = field
+    if isinstance(argument, Switches):
+        group = parser.add_mutually_exclusive_group(required=True)
+        for word, text in argument.help.items():
+            group.add_argument(f"--{word}", dest=name, action="store_const", const=word, help=text)
+        return
     options: dict[str, Any] = {"help": argument.help.replace("%", "%%")}
     if default is not MISSING:
         options["default"] = default
@@ -146,12 +176,10 @@ def _add(parser: Parser, name: str, kind: object, argument: Argument, default: o
         options |= {"metavar": argument.metavar, "type": argument.read}
     if get_origin(kind) is tuple:
         options |= {"action": "append", "default": []}
-    needed = argument.required and default is MISSING
     if argument.word:
-        parser.add_argument(name, nargs=None if needed else "?", **options)
+        parser.add_argument(name, nargs=None if field.needed else "?", **options)
     else:
-        names = argument.names or (f"--{name.replace('_', '-')}",)
-        parser.add_argument(*names, dest=name, required=needed, **options)
+        parser.add_argument(*field.names, dest=name, required=field.needed, **options)
 
 
 def made(takes: type[Taken], values: Mapping[str, Any]) -> Taken:

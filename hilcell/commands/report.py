@@ -6,12 +6,11 @@ from pathlib import Path
 
 from hilcell.commands.orders import Export, Report
 from hilcell.commands.output import print_message
-from hilcell.commands.output_place import CSV, check_output
 from hilcell.journal.find_run import find_run
 from hilcell.journal.index import row_of
 from hilcell.journal.runs import CALIBRATION, JOURNAL
 from hilcell.report.facts import Facts, read_facts
-from hilcell.writing import write_whole
+from hilcell.writing import CSV, check_output, write_whole
 
 
 def report(args: Report) -> int:

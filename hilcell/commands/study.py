@@ -19,7 +19,6 @@ from hilcell.commands.output import (
     print_message,
     print_table,
 )
-from hilcell.commands.output_place import check_output
 from hilcell.errors import HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.exits import EXIT_ABORTED, EXIT_FAULT, EXIT_OK, EXIT_OUT_OF_TOLERANCE
@@ -27,7 +26,7 @@ from hilcell.run.signals import interrupted_once
 from hilcell.study.design import Case, cases
 from hilcell.study.errors import Cluster, missing
 from hilcell.study.study_file import Study, read_study
-from hilcell.writing import write_whole
+from hilcell.writing import check_output, write_whole
 
 if TYPE_CHECKING:
     from hilcell.study.cluster import Workers

@@ -7,7 +7,7 @@ for a pose, and the pose of joints, are the nominal arm's.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from hilcell.compensation import targets
-from hilcell.compensation.stamp import Stamp
-from hilcell.geometry.frames import inverse, poses_from_zyx, zyx_from_pose
+from hilcell.geometry.frames import inverse, poses_from_zyx
 from hilcell.geometry.inverse import Bools, refined
 from hilcell.geometry.kinematics import Arm, Array, forward
 from hilcell.ports import HilcellError
@@ -169,32 +168,10 @@ def read_robot_targets(path: Path, reach: Reach) -> tuple[RobotTargets, bool]:
     return RobotTargets(rows.names, reach.poses(joints), joints), True
 
 
-def write_poses(
-    path: Path,
-    names: list[str],
-    poses: Array,
-    *,
-    stamp: Stamp | None = None,
-    inputs: Iterable[Path],
-) -> None:
-    """Write poses (N, 4, 4), corrected ones with their stamp."""
-    targets.write_targets(path, names, zyx_from_pose(poses), stamp=stamp, inputs=inputs)
-
-
-def write_joints(
-    path: Path,
-    names: list[str],
-    joints_rad: Array,
-    *,
-    stamp: Stamp | None = None,
-    inputs: Iterable[Path],
-) -> None:
-    """Write joints (N, 6), corrected ones with their stamp."""
-    rows = (
-        [name, *(f"{each:.6f}" for each in row)]
-        for name, row in zip(names, np.degrees(joints_rad), strict=True)
-    )
-    targets.write_rows(path, JOINT_HEADER, rows, stamp=stamp, inputs=inputs)
+def joint_rows(names: Iterable[str], joints_rad: Array) -> Iterator[list[str]]:
+    """Yield the rows of joints (N, 6) under `JOINT_HEADER`."""
+    for name, row in zip(names, np.degrees(joints_rad), strict=True):
+        yield [name, *(f"{each:.6f}" for each in row)]
 
 
 def _turned(angles_rad: Array) -> Array:

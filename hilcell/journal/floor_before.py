@@ -13,6 +13,7 @@ from hilcell.journal.index import read_index
 from hilcell.journal.log import Log, repeated_visits
 from hilcell.journal.runs import CALIBRATION, read_log
 from hilcell.journal.standing import current_of, measured_by
+from hilcell.model.calibration import Provenance, StationEntry
 from hilcell.model.frame import Frame, MeasuredBase
 from hilcell.model.plan import FloorBefore
 from hilcell.ports import DeviceError
@@ -39,24 +40,11 @@ def floor_before(runs: Path, cell: Cell, machine_seed: int | None) -> FloorBefor
     return found if origin is None else _with_frames(found, origin, runs / name / CALIBRATION, cell)
 
 
-class _Update(msgspec.Struct):
-    what: str
-    covariance: list[list[float]] = []
-
-
-class _Provenance(msgspec.Struct):
-    updates: list[_Update] = []
-
-
-class _Station(msgspec.Struct):
-    T_W_B: list[list[float]]
-
-
 class _Calibration(msgspec.Struct):
     """The part of a calibration file that says where an update has found the base."""
 
-    provenance: _Provenance
-    stations: dict[str, _Station]
+    provenance: Provenance
+    stations: dict[str, StationEntry]
 
 
 def _with_frames(found: FloorBefore, origin: FloorBefore, updated: Path, cell: Cell) -> FloorBefore:

@@ -53,9 +53,14 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True):
         return Outcome.ACCEPTED if self.holds else Outcome.REJECTED
 
     @property
-    def words(self) -> str:
+    def figure_words(self) -> str:
         """Return its figures beside their limits."""
         return "; ".join(each.text for each in self.figures)
+
+    @property
+    def words(self) -> str:
+        """Return it in words: its figures, where a type says no more."""
+        return self.figure_words
 
     @property
     def why(self) -> str:
@@ -152,7 +157,7 @@ class Judged(Verdict, frozen=True, kw_only=True, omit_defaults=True):
     @property
     def words(self) -> str:
         """Return the figures and the decision."""
-        return f"{super().words}: {self.decision}"
+        return f"{self.figure_words}: {self.decision}"
 
     @property
     def why(self) -> str:

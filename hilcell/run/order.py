@@ -1,8 +1,10 @@
-"""Orders: of a run, of who attends it, and of the calibration that may be used."""
+"""Orders: of a new run, of one that goes on, of who attends it, of the calibration to be used."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 from hilcell.arguments import (
     Argument,
@@ -12,6 +14,7 @@ from hilcell.arguments import (
     NotCurrent,
     Noted,
     OutOfTolerance,
+    RunName,
     Runs,
     Settings,
     Signature,
@@ -22,6 +25,11 @@ from hilcell.arguments import (
     speed_of,
 )
 from hilcell.clean import clean
+
+if TYPE_CHECKING:
+    from hilcell.journal.log import Log
+    from hilcell.run.procedure import Procedure
+    from hilcell.run.run_plan import NewRun, ResumedRun
 
 
 class Attendance(Signature):
@@ -40,7 +48,9 @@ class Attendance(Signature):
 class Order(Signature):
     """Perform a procedure on a cell."""
 
-    procedure: Annotated[str, Argument("default: calibrate", word=True)] = "calibrate"
+    procedure: Annotated[str, Argument("the procedure (default: calibrate)", word=True)] = (
+        "calibrate"
+    )
     cell: CellName = "paper"
     settings: Settings = ()
     seed: Annotated[
@@ -74,6 +84,127 @@ class Order(Signature):
     accept_not_current: NotCurrent = False
     dry_run: Annotated[bool, Argument("check and show the plan; open nothing")] = False
     json: JsonLines = False
+
+    def check(self, say: Callable[[str], object]) -> NewRun:
+        """Return the run, planned; raises `HilcellError` where it must not begin.
+
+        Nothing is opened, nothing is written, nothing moves. ``say`` takes warnings.
+        """
+        # `--help` does without these.
+        from hilcell.calibration.in_use import Accepts, calibrated_machine, with_calibration
+        from hilcell.cell.copied import check_copied
+        from hilcell.cell.devices import check_options, check_repeated, load_entry
+        from hilcell.cell.file import load_cell, located
+        from hilcell.cell.settings import SettingsError
+        from hilcell.journal.disk_space import check_space
+        from hilcell.journal.runs import new_run
+        from hilcell.run import run_plan
+
+        cell = load_cell(self.cell, dict(self.settings))
+        run_plan.check_of_simulator(cell, "--speed", self.speed)
+        run_plan.check_of_simulator(cell, "--machine-seed", self.machine_seed)
+        run_plan.check_attended(cell, unattended=self.attendance.unattended)
+        if warning := check_copied(self.cell, cell):
+            say(warning)
+        procedure: Procedure = load_entry("procedures", self.procedure)
+        procedure.check(cell)
+        accepted, machine = list[str](), self.machine_seed
+        if uses := procedure.used_in(cell):
+            accepts = Accepts(self.accept_out_of_tolerance, self.accept_not_current)
+            cell, accepted, used = with_calibration(cell, uses, self.runs, accepts, machine)
+            say("\n".join([used, *(f"accepted although {reason}" for reason in accepted)]))
+            machine = run_plan.calibrated_or_asked(machine, calibrated_machine(cell, uses))
+        steps = procedure.plan(cell, self.seed)
+        try:
+            check_options(cell)
+        except SettingsError as error:
+            raise located(self.cell, error.problems, dict(self.settings)) from None
+        check_repeated(cell, self.procedure, self.seed)
+        if not self.dry_run:
+            check_space(self.runs, steps.points)
+        return run_plan.NewRun(
+            folder=self.runs / (self.name or new_run(procedure.name)),
+            cell=cell,
+            procedure=procedure,
+            points=steps.points,
+            steps=steps,
+            machine_seed=run_plan.machine_seed(cell, self.seed, machine),
+            accepted=accepted,
+        )
+
+
+class Resume(Signature):
+    """Continue a run, or a paused one."""
+
+    run: RunName
+    runs: Runs
+    attendance: Attendance = Attendance()
+    accept_changes: Annotated[
+        bool,
+        Argument(
+            "go on with another device, cell file or version of hilcell; the journal keeps it"
+        ),
+    ] = False
+    retake: Annotated[
+        tuple[str, ...],
+        Argument("re-measure this point; may be repeated; opens a finished run again", "KEY"),
+    ] = ()
+    json: JsonLines = False
+
+    def check(self, folder: Path, log: Log, *, somebody: bool) -> ResumedRun:
+        """Return the run that goes on; raises `HilcellError` where nothing is left to be done, or
+        where it must not go on. Nothing is opened, nothing moves.
+
+        ``somebody`` is there to be asked.
+        """
+        # `--help` does without these.
+        from hilcell.cell.devices import check_options, load_entry
+        from hilcell.cell.settings import SettingsError
+        from hilcell.errors import HilcellError
+        from hilcell.journal.runs import CALIBRATION
+        from hilcell.journal.runs_folder import runs_option
+        from hilcell.run.remeasure import retake_refusal
+        from hilcell.run.run_plan import ResumedRun, check_attended
+        from hilcell.run.same_cell import NONE, Changes, changed_inputs
+
+        retakes = [key for key in self.retake if key not in log.retakes]
+        if refusals := [why for key in retakes if (why := retake_refusal(log, key))]:
+            raise HilcellError("\n".join(refusals))
+        goes_on = bool(retakes or log.retakes) or log.state != "finished"
+        written = not log.calibrates or (folder / CALIBRATION).is_file()
+        if not goes_on and log.end is not None and written:
+            raise HilcellError(
+                f"run {folder.name} is finished; start a new one with `hilcell run`", code="HC-J09"
+            )
+        attendance = self.attendance
+        check_attended(log.cell, unattended=attendance.unattended)
+        procedure: Procedure = load_entry("procedures", log.inputs.procedure)
+        changes = NONE
+        if goes_on:
+            try:
+                check_options(log.cell)
+            except SettingsError as error:
+                again = f"hilcell resume {folder.name}{runs_option(folder.parent)}"
+                raise HilcellError(
+                    f"run {folder.name} cannot go on here; it is as it was. {error}\n"
+                    "  it keeps the cell that it began with: install here what is missing, then "
+                    f"`{again}`",
+                    code=error.code,
+                ) from error
+            found = changed_inputs(log, procedure.used_in(log.cell))
+            askable = somebody or (attendance.screen and not attendance.unattended)
+            changes = Changes(found, self.accept_changes, askable)
+            changes.check(found)
+        return ResumedRun(
+            folder=folder,
+            cell=log.cell,
+            procedure=procedure,
+            points=log.inputs.points,
+            changes=changes,
+            goes_on=goes_on,
+            retakes=retakes,
+            somebody=somebody,
+        )
 
 
 class Release(Signature):

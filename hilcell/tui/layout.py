@@ -10,33 +10,52 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import Protocol
 
 from textual.content import Content
 
 BLANK = Content("")
 
 
-class Lines(Protocol):
-    """A text that is laid out as it is painted."""
+def look_of(part: object) -> object:
+    """Return a value that is equal where two parts look the same.
+
+    Contents compare by their text alone, and NaN is not equal to itself.
+    """
+    match part:
+        case Content():
+            return part.plain, tuple(part.spans)
+        case Part():
+            return part.state
+        case list() | tuple():
+            return [look_of(each) for each in part]
+        case float():
+            return repr(part)
+    return part
+
+
+class Part:
+    """A part of the screen that is laid out as it is painted."""
 
     @property
     def state(self) -> object:
-        """Return a value that is equal where the lines look the same."""
+        """Return a value that is equal where two parts look the same."""
+        return look_of([*vars(self).values()])
+
+
+class Lines(Part):
+    """Rows of a panel."""
 
     def lines(self, width: int, height: int = 0) -> list[Content]:
         """Return lines of at most ``width`` columns; the panel cuts those after ``height``."""
+        raise NotImplementedError
 
 
-class Filler(Protocol):
+class Filler(Part):
     """A cell that is drawn for the width of its column."""
-
-    @property
-    def state(self) -> object:
-        """Return a value that is equal where it looks the same."""
 
     def drawn(self, width: int) -> Content:
         """Return a line of at most ``width`` columns."""
+        raise NotImplementedError
 
 
 Text = Content | str | tuple[str, str]  # the last: a text and its style
@@ -58,7 +77,7 @@ class Col:
     most: int = 0
 
 
-class Grid:
+class Grid(Lines):
     """Rows of cells in columns; ``styles`` are those of whole rows, by number.
 
     Where there is little room, columns are as wide as their cells, then the last ones are left out.
@@ -73,16 +92,6 @@ class Grid:
     ) -> None:
         self._rows = [[content_of(cell) for cell in row] for row in rows]
         self._columns, self._gap, self._styles = columns, gap, styles or {}
-
-    @property
-    def state(self) -> object:
-        """Return what the look depends on."""
-        cells = [
-            look_of(cell) if isinstance(cell, Content) else cell.state
-            for row in self._rows
-            for cell in row
-        ]
-        return cells, self._columns, self._gap, self._styles
 
     def _widths(self, width: int) -> list[int]:
         """Return the widths of the columns that there is room for."""
@@ -108,7 +117,7 @@ class Grid:
 
     def lines(self, width: int, height: int = 0) -> list[Content]:
         """Return the rows, each in as many lines as its longest cell needs."""
-        widths, found = self._widths(width), []
+        widths, found = self._widths(width) if self._rows else [], []
         for number, row in enumerate(self._rows):
             cells = [_cell_lines(*each) for each in zip(row, self._columns, widths, strict=False)]
             for n in range(max(map(len, cells))):
@@ -143,7 +152,7 @@ def facts_grid(facts: Iterable[tuple[str, Text]], width: int = 12) -> Grid:
     return Grid(rows, Col(width), Col(grows=True, wraps=True))
 
 
-class Stack:
+class Stack(Lines):
     """Parts one under the other; contents wrap."""
 
     def __init__(self, *parts: Lines | Text) -> None:
@@ -153,39 +162,34 @@ class Stack:
             for part in parts
         ]
 
-    @property
-    def state(self) -> object:
-        """Return what the look depends on."""
-        return [part.state for part in self._parts]
-
     def lines(self, width: int, height: int = 0) -> list[Content]:
         """Return the lines of all parts."""
         return [*chain.from_iterable(part.lines(width, height) for part in self._parts)]
 
 
-class Drawing:
+class Drawing(Lines):
     """Lines that are drawn for the size of their panel, by ``draw(width, height)``."""
 
     def __init__(self, state: object, draw: Callable[[int, int], list[Content]]) -> None:
         """``state`` is equal where the lines look the same."""
-        self.state, self._draw = state, draw
+        self._state, self._draw = state, draw
+
+    @property
+    def state(self) -> object:
+        """Return the state that was given."""
+        return self._state
 
     def lines(self, width: int, height: int = 0) -> list[Content]:
         """Return the lines."""
         return self._draw(width, height)
 
 
-@dataclass(frozen=True, slots=True)
-class Rule:
+@dataclass(frozen=True)
+class Rule(Lines):
     """A rule with a title on its left and a remark at its end."""
 
     title: Content
     remark: Content = BLANK
-
-    @property
-    def state(self) -> object:
-        """Return what the look depends on."""
-        return look_of(self.title), look_of(self.remark)
 
     def lines(self, width: int, height: int = 0) -> list[Content]:
         """Return one line."""
@@ -202,24 +206,19 @@ def section(title: str, remark: str = "") -> Rule:
     return Rule(Content.styled(title, "bold $label"), Content.styled(remark, "$label"))
 
 
-@dataclass(frozen=True, slots=True)
-class Fitting:
+@dataclass(frozen=True)
+class Fitting(Filler):
     """The first of some texts that fits; nothing where none does."""
 
     texts: tuple[Content, ...]
-
-    @property
-    def state(self) -> object:
-        """Return what the look depends on."""
-        return [look_of(each) for each in self.texts]
 
     def drawn(self, width: int) -> Content:
         """Return a text of at most ``width`` columns."""
         return next((each for each in self.texts if each.cell_length <= width), BLANK)
 
 
-@dataclass(frozen=True, slots=True)
-class Bar:
+@dataclass(frozen=True)
+class Bar(Filler):
     """A bar filled from 0 to ``share`` of its width, to half a column; NaN fills it.
 
     ``mark``: the share at which a limit is drawn; ``guard``: how wide the band is before and after
@@ -230,11 +229,6 @@ class Bar:
     style: str
     mark: float | None = None
     guard: float = 0.0
-
-    @property
-    def state(self) -> object:
-        """Return what the look depends on; not the numbers: NaN is not equal to itself."""
-        return repr(self)
 
     def drawn(self, width: int) -> Content:
         """Return the bar."""
@@ -260,17 +254,12 @@ class Bar:
         return line[:at].append(Content.styled("│", ground)).append(line[at + 1 :])
 
 
-@dataclass(frozen=True, slots=True)
-class SignedBar:
+@dataclass(frozen=True)
+class SignedBar(Filler):
     """A bar from a middle line, to the left where ``share`` is negative; NaN has none."""
 
     share: float
     style: str
-
-    @property
-    def state(self) -> object:
-        """Return what the look depends on."""
-        return repr(self)
 
     def drawn(self, width: int) -> Content:
         """Return the bar."""
@@ -282,16 +271,11 @@ class SignedBar:
         return Content("").join(parts).stylize_before("on $panel")
 
 
-@dataclass(frozen=True, slots=True)
-class Ticks:
+@dataclass(frozen=True)
+class Ticks(Filler):
     """Texts at their shares of the width, in rising order: the scale under a bar."""
 
     ticks: tuple[tuple[float, Content], ...]
-
-    @property
-    def state(self) -> object:
-        """Return what the look depends on."""
-        return [(share, look_of(text)) for share, text in self.ticks]
 
     def drawn(self, width: int) -> Content:
         """Return the line; a text that would touch the one before is left out."""
@@ -308,8 +292,3 @@ def content_of(cell: Cell) -> Content | Filler:
     if isinstance(cell, str):
         return Content(cell)
     return Content.styled(*cell) if isinstance(cell, tuple) else cell
-
-
-def look_of(content: Content) -> object:
-    """Return a value that is equal where contents look the same."""
-    return content.plain, tuple(content.spans)

@@ -16,7 +16,7 @@ import pytest
 from drivers.canopen import can_link
 from drivers.canopen.can_link import RECENT_S, CanLink, heartbeat_period_s, open_bus
 from drivers.canopen.node_watch import PC_HEARTBEAT_LIMIT_MS
-from hilcell.commands.run import SWITCH_S
+from hilcell.run.engine import SWITCH_S
 from tests.clocks import DrivenClock
 from tests.drivers.can_peer import CanPeer
 from tests.drivers.peers import in_thread, wall_clock

@@ -16,7 +16,7 @@ from hilcell.cell.settings import SettingsError, read_bytes
 from hilcell.compensation.targets import HEADER, read_targets
 from hilcell.fit.robot_file import read_measurements, read_robot
 from hilcell.fit.urdf_file import read_urdf
-from hilcell.planning.holes import read_holes
+from hilcell.programs.holes import read_holes
 
 READERS: list[Callable[[Path], object]] = [
     read_targets, read_holes, read_measurements, read_robot, read_urdf, read_calibration,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.writing import NotWritten, check_place, write_together, write_whole
+from hilcell.writing import CSV, NotWritten, check_output, write_together, write_whole
 
 
 def test_a_pipe_stays_a_pipe_and_is_written_to(tmp_path: Path) -> None:
@@ -81,7 +81,7 @@ def test_what_cannot_be_written_is_told_in_one_line(
     Path("file").write_bytes(b"old")
     Path("loop").symlink_to("loop")
     with pytest.raises(NotWritten):
-        check_place(Path(where))
+        check_output(Path(where), CSV, "a list")
     with pytest.raises(NotWritten) as told:
         write_whole(Path(where), b"new")
     assert "\n" not in str(told.value)
@@ -127,5 +127,5 @@ def test_a_dash_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.chdir(tmp_path)
     for name in ("-", "./-"):
         with pytest.raises(NotWritten, match="/dev/stdout"):
-            check_place(Path(name))
-    check_place(tmp_path / "-")
+            check_output(Path(name), CSV, "a list")
+    check_output(tmp_path / "-", CSV, "a list")

@@ -13,8 +13,8 @@ from hilcell.calibration.errors import Errors
 from hilcell.calibration.frames import grid_of
 from hilcell.cell.file import load_cell
 from hilcell.geometry.sequential import Decision
-from hilcell.journal.calibration_facts import OUTCOMES
 from hilcell.journal.log import Log
+from hilcell.model.outcome import Outcome
 from hilcell.ports import HilcellError
 from hilcell.run.cell_session import CellSession
 from procedures import enough_targets
@@ -55,7 +55,7 @@ def test_targets_are_sent_until_the_station_is_decided(
     sent: list[int] = []
 
     def decision_at(log: Log, station: str) -> Decision:
-        return Decision("accepted" if len(sent) >= decided else "undecided", len(sent))
+        return Decision(Outcome.ACCEPTED if len(sent) >= decided else Outcome.UNDECIDED, len(sent))
 
     monkeypatch.setattr(enough_targets, "decision_at", decision_at)
     log = cast("Log", SimpleNamespace(cell=QUICK))
@@ -103,7 +103,7 @@ def test_a_tolerance_that_u_has_nearly_used_up_ends_undecided_and_not_in_a_fault
     log = cast("Log", SimpleNamespace(cell=cell, happened=lambda kind: []))
     monkeypatch.setattr(enough_targets, "validation", lambda log, stations: {"chosen": found})
     monkeypatch.setattr(enough_targets, "guard_of", lambda log, count: Guard(0.0225, 0.0225))
-    assert enough_targets.decision_at(log, "S300") == Decision("undecided", 96)
+    assert enough_targets.decision_at(log, "S300") == Decision(Outcome.UNDECIDED, 96)
     assert "most_targets" in enough_targets.judgement(log, ["S300"]).text
 
 
@@ -138,4 +138,4 @@ def test_what_is_above_a_tolerance_less_u_is_out_of_tolerance_only_above_it_less
     verdict = judged(error_mm, error_mm, limits_of(cell), guard, also=judgement.outcome)
     assert verdict.outcome == outcome
     assert "most_targets" not in judgement.text
-    assert judgement.text.startswith(OUTCOMES[verdict.outcome])
+    assert judgement.text.startswith(verdict.outcome.words)

@@ -54,7 +54,7 @@ def test_the_one_that_differs_is_named(tmp_path: Path, different: str) -> None:
     rows = REFLECTORS.result(log)["reflectors"]
     wrong = [row for row in rows if not row["holds"]]
     assert [row["place"] for row in wrong] == [name for name in [different] if name]
-    assert log.verdicts["reflectors"]["holds"] is not bool(different)
+    assert log.verdicts["reflectors"].holds is not bool(different)
     for row in wrong:
         assert row["along_mm"] == pytest.approx(LONG_MM, abs=0.02)
 

@@ -5,6 +5,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from hilcell.calibration.frames import Frames, grid_of, vertex_ids
 from hilcell.cell.file import load_cell
@@ -13,9 +14,11 @@ from hilcell.geometry.kinematics import forward
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
 from hilcell.model.point import Point, PointId
+from hilcell.model.verdicts import SignChecked, Verdict
 from hilcell.ports import Array
 from procedures.plan import joints_for
 from procedures.sign_check import IDS, SignCheck, worst_mm
+from tests.hilcell.verdicts import FITTED, plain
 
 CELL = load_cell("paper", {"grid.pitch_mm": "450.0"})
 BASE = CELL.layout.nominal_base(CELL.station_named(CELL.grid.station).rail_mm)
@@ -39,7 +42,7 @@ class FakeBench:
         self._count = self.closings = 0
         self.std_mm, self.off_mm = 0.0, 0.0  # of a reading, and of the corrected one
         self.keep("frame", "world", {"matrix": WORLD.tolist()})
-        self.keep("frame", "base", {"matrix": BASE.tolist()})
+        self.keep("frame", "base", {"matrix": BASE.tolist(), "calibration": "1-made"})
         values = msgspec.to_builtins(CELL)
         self.keep("plan", "", {
             "procedure": "sign-check", "cell": values, "digest": "", "seed": 1,
@@ -52,7 +55,7 @@ class FakeBench:
         joints_rad = joints_for(CELL, vertices_mm)
         for id, at_mm, joints in zip(vertex_ids(grid), vertices_mm, joints_rad, strict=True):
             self.measured(id, joints, at_mm, apply(BASE, at_mm[None])[0])
-        self.keep("verdict", "fit", {"holds": True, "method": "trilinear"})
+        self.keep("verdict", "fit", plain(replace(FITTED, method="trilinear")))
         for nest in CELL.layout.floor:
             self._point(PointId("world", nest=nest.name), nest.xyz_mm)
 
@@ -98,8 +101,8 @@ class FakeBench:
             )
         self.closings += 1
 
-    def verdict(self, key: str, *, holds: bool, **facts: object) -> None:
-        self.keep("verdict", key, {"holds": holds} | facts)
+    def judge(self, key: str, verdict: Verdict) -> None:
+        self.keep("verdict", key, plain(verdict))
 
 
 class WrongSign(SignCheck):
@@ -120,12 +123,13 @@ def test_the_worst_cell_is_chosen(bench: Any) -> None:
 
 def test_the_right_sign_holds(bench: Any) -> None:
     SignCheck().perform(bench)
-    verdict = bench.log.verdicts["sign"]
-    assert verdict["holds"] is True
-    assert verdict["before_mm"] == pytest.approx(
+    verdict = bench.log.verdict(SignChecked)
+    assert verdict is not None
+    assert verdict.holds is True
+    assert verdict.before_mm == pytest.approx(
         float(np.linalg.norm(error_mm(worst_mm(bench.log)))), abs=1e-6
     )
-    assert verdict["corrected_mm"] < 0.01
+    assert verdict.corrected_mm < 0.01
     assert [bench.log.point(id).group for id in IDS.values()] == [
         "sign_before",
         "sign_corrected",
@@ -135,9 +139,10 @@ def test_the_right_sign_holds(bench: Any) -> None:
 
 def test_the_wrong_sign_doubles_the_error_and_fails(bench: Any) -> None:
     WrongSign().perform(bench)
-    verdict = bench.log.verdicts["sign"]
-    assert verdict["holds"] is False
-    assert verdict["ratio"] == pytest.approx(2.0, abs=0.02)
+    verdict = bench.log.verdict(SignChecked)
+    assert verdict is not None
+    assert verdict.holds is False
+    assert verdict.ratio == pytest.approx(2.0, abs=0.02)
 
 
 @pytest.mark.parametrize(("std_mm", "limit"), [(0.0, 0.5), (0.15, 0.782), (5.0, 1.0)])
@@ -150,10 +155,11 @@ def test_the_limit_is_wider_by_the_noise_of_the_readings(
         bench.log.points[key] = msgspec.structs.replace(each, std_mm=(std_mm,) * 3)
     bench.std_mm, bench.off_mm = std_mm, 0.6 * before_mm
     SignCheck().perform(bench)
-    verdict = bench.log.verdicts["sign"]
-    assert verdict["ratio"] == pytest.approx(0.6, abs=0.01)
-    assert verdict["limit"] == pytest.approx(limit, abs=0.03)
-    assert verdict["holds"] is (std_mm > 0.0)
+    verdict = bench.log.verdict(SignChecked)
+    assert verdict is not None
+    assert verdict.ratio == pytest.approx(0.6, abs=0.01)
+    assert verdict.limit == pytest.approx(limit, abs=0.03)
+    assert verdict.holds is (std_mm > 0.0)
 
 
 def test_a_resumed_run_does_not_judge_again(bench: Any) -> None:
@@ -161,7 +167,7 @@ def test_a_resumed_run_does_not_judge_again(bench: Any) -> None:
     count = len(bench.log.points)
     WrongSign().perform(bench)
     assert len(bench.log.points) == count
-    assert bench.log.verdicts["sign"]["holds"] is True
+    assert bench.log.verdicts["sign"].holds is True
 
 
 def test_the_plan_counts_its_points() -> None:

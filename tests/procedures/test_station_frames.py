@@ -12,9 +12,11 @@ from drivers.leica.geocom import class_std_mm
 from hilcell.cell.file import Cell, Nest, Station, load_cell
 from hilcell.geometry.frames import apply, matrix
 from hilcell.geometry.rotations import from_rotvec
+from hilcell.model.frame import Frame
 from hilcell.model.point import Point, PointId
 from hilcell.ports import Array, DeviceError
 from procedures.station_frames import StationFrames, cube_uncertainty_mm, station_fit
+from tests.hilcell.verdicts import plain
 from tests.procedures.results import result_of
 from tests.procedures.test_sign_check import FakeBench
 
@@ -53,9 +55,8 @@ class Slide(FakeBench):
         self._point(id, at_mm, station=station.name, samples=samples, strip_mm=station.strip_mm)
         return self.log.point(id)
 
-    def frame(self, key: str, at: Array, **facts: Any) -> None:
-        plain = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in facts.items()}
-        self.keep("frame", key, {"matrix": at.tolist()} | plain)
+    def frame(self, key: str, frame: Frame) -> None:
+        self.keep("frame", key, plain(frame))
 
     def hold_station(self, station: Station) -> None: ...
 

@@ -8,6 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from hilcell.calibration.file import compensate_targets, read_calibration, write_calibration
 from hilcell.cell.settings import SettingsError
@@ -15,12 +16,14 @@ from hilcell.compensation.choice import MODELS
 from hilcell.compensation.measured import Measured
 from hilcell.compensation.model import LearntModel, Prediction
 from hilcell.fit.methods import fit
+from hilcell.model.verdicts import SignChecked
 from hilcell.ports import Array
 from procedures.fit import Fit
 from procedures.sign_check import SignCheck
 from tests.hilcell.calibration.calibrations import calibration
 from tests.hilcell.fit.test_fit import IRB120, SMR_MM
 from tests.hilcell.fit.test_fit import measured as measured_rows
+from tests.hilcell.verdicts import FITTED, plain
 from tests.procedures.results import result_of
 from tests.procedures.test_sign_check import FakeBench
 
@@ -60,9 +63,11 @@ def test_it_is_judged_chosen_and_applied_on_the_cell() -> None:
     found = result_of(Fit(), bench.log)
     assert set(found["fit"]["loocv"]) >= {"nominal", "idw", "trilinear", "plane"}
     assert found["method"] in ("plane", "trilinear")  # the error is linear, up to rounding
-    bench.keep("verdict", "fit", {"holds": True, "method": "plane"})
+    bench.keep("verdict", "fit", plain(replace(FITTED, method="plane")))
     SignCheck().perform(bench)
-    assert bench.log.verdicts["sign"]["corrected_mm"] < 0.01
+    judged = bench.log.verdict(SignChecked)
+    assert judged is not None
+    assert judged.corrected_mm < 0.01
 
 
 def test_it_is_judged_on_a_robot_that_was_measured_elsewhere() -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from hilcell.calibration.frames import Frames, grid_of, measured_of
 from hilcell.calibration.touch import beside_nest, touch_targets_mm, visit_covariance
@@ -17,11 +18,13 @@ from hilcell.geometry.frames import apply, matrix
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.log import Log
+from hilcell.model.frame import Frame
 from hilcell.model.point import Point, PointId
 from hilcell.model.suspicion import blamed, suspected_in
 from hilcell.ports import Array, DeviceError
 from procedures.touch import touch_once, touch_spans, touches
 from procedures.validate import Validate, target_poses, targets
+from tests.hilcell.verdicts import FITTED, framed, plain
 from tests.procedures.results import result_of
 from tests.procedures.test_sign_check import BASE, FakeBench, error_mm
 
@@ -55,16 +58,14 @@ class Visits(FakeBench):
         for station in cell.station:
             shift = np.eye(4)
             shift[1, 3] = station.strip_mm
-            for kind in ("station", "three_points"):
-                facts = {"tool_uncertainty_mm": 0.02, "strip_mm": station.strip_mm}
-                self.frame(f"{kind}.{station.name}", shift, covariance=COVARIANCE, **facts)
-        self.keep("verdict", "fit", {"holds": True, "method": "trilinear", "loocv": {}})
+            known = {"matrix": shift.tolist(), "covariance": COVARIANCE.tolist()}
+            found = framed("station.S300", strip_mm=station.strip_mm) | known
+            self.keep("frame", f"station.{station.name}", found)
+            self.keep("frame", f"three_points.{station.name}", known)
+        self.keep("verdict", "fit", plain(replace(FITTED, method="trilinear")))
 
-    def frame(self, key: str, at: Array, **facts: Any) -> None:
-        self.keep("frame", key, msgspec.to_builtins({"matrix": at.tolist()} | {
-            name: value.tolist() if isinstance(value, np.ndarray) else value
-            for name, value in facts.items()
-        }))  # fmt: skip
+    def frame(self, key: str, frame: Frame) -> None:
+        self.keep("frame", key, plain(frame))
 
     def hold_station(self, station: Station) -> None:
         if self.held != station:
@@ -296,7 +297,7 @@ def test_the_covariance_of_the_base() -> None:
     lever_mm = bench.frames.base_in_world(FAR)[:3, 3] - [0.0, 300.0, 0.0]
     assert far[2, 2] == pytest.approx(1e-4 + 1e-10 * (lever_mm[0] ** 2 + lever_mm[1] ** 2))
     touch_base(bench, FAR, model_of(log))
-    after = np.array(log.frames["touch.S300"]["covariance"])
+    after = log.frames["touch.S300"].C
     assert np.trace(after[:3, :3]) < np.trace(far[:3, :3])
     np.testing.assert_array_equal(visit_covariance(log, FAR, []), far)
 

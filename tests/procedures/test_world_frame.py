@@ -16,6 +16,7 @@ from procedures.world_frame import WorldFrame
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.run.bed import CELL, PLAN, Bed
 from tests.hilcell.run.rig import Points, procedure
+from tests.hilcell.verdicts import base_at
 from tests.procedures.results import result_of
 
 
@@ -65,7 +66,7 @@ def test_control_points_come_after_the_slide_s_nests_at_every_station(
         session.reach("reference")
         WorldFrame().perform(session)
         reference = CELL.station_named(CELL.grid.station)
-        session.frame("base", CELL.layout.nominal_base(reference.rail_mm))
+        session.frame("base", base_at(CELL.layout.nominal_base(reference.rail_mm)))
         for trigger in ("hold_station", "frame_base", "measure_grid"):
             session.reach(trigger)
         StationFrames().perform(session)

@@ -47,7 +47,7 @@ def paper(request: pytest.FixtureRequest, golden: GoldenRuns) -> PaperRun:
 def own_cell(monkeypatch: pytest.MonkeyPatch) -> OwnCell:
     """Return the simulated cell of the run that is made next."""
     cell = OwnCell()
-    monkeypatch.setattr("hilcell.commands.run.start_simulation", cell.start)
+    monkeypatch.setattr("hilcell.run.engine.start_simulation", cell.start)
     return cell
 
 

@@ -56,7 +56,9 @@ def changed(log: Log, points: Iterable[Point]) -> Log:
 def framed(log: Log, frames: Mapping[str, dict[str, Any]]) -> Log:
     """Return the log with these facts of frames changed."""
     other = copy.copy(log)
-    other.frames = log.frames | {name: log.frames[name] | new for name, new in frames.items()}
+    other.frames = log.frames | {
+        name: msgspec.structs.replace(log.frames[name], **new) for name, new in frames.items()
+    }
     return other
 
 

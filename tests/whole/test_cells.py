@@ -10,7 +10,7 @@ import pytest
 from hilcell.calibration.file import read_calibration
 from hilcell.geometry.frames import pose_from_zyx
 from hilcell.geometry.rotations import to_rotvec
-from hilcell.planning.holes import NORMALS
+from hilcell.programs.holes import NORMALS
 from tests.whole.bench import command, end_of, sets
 
 QUICK = {

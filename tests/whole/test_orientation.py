@@ -6,7 +6,7 @@ import csv
 import html
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import pytest
@@ -18,11 +18,13 @@ from fakes.truth.plant import Plant
 from hilcell.calibration.file import read_calibration
 from hilcell.calibration.frames import Frames, world_from_tracker
 from hilcell.calibration.orientation import seats_of, turn_bounds_deg, turned_of
-from hilcell.commands.prepare import SHEET, TRUE_ANGLE
 from hilcell.geometry.frames import apply, inverse, matrix, orientations
 from hilcell.geometry.rotations import from_zyx, to_rotvec
 from hilcell.journal.log import commanded_rad
 from hilcell.journal.runs import read_log
+from hilcell.model.outcome import Outcome
+from hilcell.model.verdicts import Judged, Verdict
+from hilcell.programs.station_jobs import SHEET, TRUE_ANGLE
 from procedures.validate import Validate
 from tests.whole.bench import SEATS, SMALL, command, cut, end_of, events, sets
 from tests.whole.golden import GoldenRuns
@@ -58,17 +60,19 @@ def test_a_limit_of_orientation_is_judged_like_those_of_position(
 ) -> None:
     """The run's own targets, by the limit that they keep, and by one that U leaves nothing of."""
     run = golden["seats"]
-    stated = read_log(run.folder).verdicts["validation.BASE"]
-    assert (stated["holds"], stated["outcome"]) == (True, "accepted")
-    assert stated["max_tolerance_deg"] == 0.1
-    assert 0.002 < stated["max_U_deg"] < 0.03
+    stated = read_log(run.folder).verdict(Judged, "validation.BASE")
+    assert stated is not None
+    assert (stated.holds, stated.outcome) == (True, Outcome.ACCEPTED)
+    assert stated.max_tolerance_deg == 0.1
+    assert stated.max_U_deg is not None
+    assert 0.002 < stated.max_U_deg < 0.03
     chosen = run.result["validation"]["BASE"]["chosen"]
-    assert stated["max_deg"] == pytest.approx(chosen["orientation"]["max_deg"])
+    assert stated.max_deg == pytest.approx(chosen["orientation"]["max_deg"])
     assert read_calibration(run.folder / "calibration.json").verdicts is not None
-    limited = Limited(run.folder, stated["max_deg"])
+    limited = Limited(run.folder, chosen["orientation"]["max_deg"])
     Validate()._judge(cast("CellSession", limited))
     judged = limited.verdicts["validation.BASE"]
-    assert (judged["holds"], judged["outcome"]) == (False, "undecided")
+    assert (judged.holds, judged.outcome) == (False, Outcome.UNDECIDED)
     assert command("report", "seats", "--runs", run.runs, "-o", tmp_path / "r").returncode == 0
 
 
@@ -79,11 +83,11 @@ class Limited:
         self.log = read_log(folder)
         table = replace(self.log.cell.validation, max_tolerance_deg=limit_deg)
         self.cell = replace(self.log.cell, validation=table)
-        self.verdicts: dict[str, dict[str, Any]] = {}
+        self.verdicts: dict[str, Verdict] = {}
 
-    def verdict(self, key: str, **facts: Any) -> None:
+    def judge(self, key: str, verdict: Verdict) -> None:
         """Keep a verdict instead of journalling it."""
-        self.verdicts[key] = facts
+        self.verdicts[key] = verdict
 
 
 def test_each_reading_stands_by_itself_in_the_journal(golden: GoldenRuns, tmp_path: Path) -> None:

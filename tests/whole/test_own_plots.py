@@ -11,8 +11,8 @@ from hilcell.journal.runs import read_records
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.plots.draw import Look
 from hilcell.tui.text.deviation import row_of
-from hilcell.tui.text.plot_page import Choice, plot_lines
-from hilcell.tui.text.plots import Measured, tabs_of
+from hilcell.tui.text.plot_page import Choice, plot_lines, tabs_of
+from hilcell.tui.text.plots import Measured
 from hilcell.tui.text.points import point_page
 from hilcell.tui.text.side import side_lines
 from tests.whole.bench import SMALL, command, sets

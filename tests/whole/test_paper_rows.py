@@ -28,9 +28,10 @@ from hilcell.geometry.kinematics import Arm, forward
 from hilcell.geometry.rigidity import Moved
 from hilcell.geometry.statistics import figures_of
 from hilcell.journal.log import Log, positions_mm
-from hilcell.planning import plan as planning
-from hilcell.planning.plan import HolePlan
+from hilcell.model.frame import MeasuredBase
 from hilcell.ports import Array
+from hilcell.programs import plan as planning
+from hilcell.programs.plan import HolePlan
 from hilcell.typed import typed
 from procedures import paper_figures, rail_survey, station_frames
 from procedures.paper import paper_table
@@ -269,7 +270,7 @@ def test_a_point_of_a_sweep_measured_while_axis_2_moves(paper: PaperRun) -> None
     at_mm = positions_mm([early]) + step_mm @ turn.T
     other = changed(log, [placed(early, at_mm[0])])
     rms_mm = circle_of(log.cell, other, 1, other.select("base", axis=1)).rms_mm
-    frames = {"base": {"circle_rms_mm": [rms_mm, log.frames["base"]["circle_rms_mm"][1]]}}
+    frames = {"base": {"circle_rms_mm": [rms_mm, log.frame(MeasuredBase, "base").circle_rms_mm[1]]}}
     assert fails("fig6.circle.rms", framed(other, frames))
 
 

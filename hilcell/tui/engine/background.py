@@ -50,15 +50,20 @@ class GarbageCollector:
 
     def __init__(self, now_s: float) -> None:
         self._whole_s = now_s
+        self._rested = False  # at the tick before
         self._before = gc.get_threshold()
         gc.set_threshold(self._before[0], self._before[1], NEVER)
         gc.freeze()  # what was loaded stays
 
     def tick(self, *, at_rest: bool, now_s: float) -> None:
-        """Collect everything, where that may be done now and was not done lately."""
-        if at_rest and now_s - self._whole_s >= FULL_COLLECTION_S:
+        """Collect everything, where that may be done now and was not done lately.
+
+        Not at the first tick of a rest: why nothing moves, such as a run's end, is painted first.
+        """
+        if at_rest and self._rested and now_s - self._whole_s >= FULL_COLLECTION_S:
             self._whole_s = now_s
             gc.collect()
+        self._rested = at_rest
 
     def end(self) -> None:
         """Give the collection back."""

@@ -83,7 +83,7 @@ class WidePanels:
         return False
 
 
-SLOTS = ("stop", *(slot.name for slot in (*ACTS, *VIEWS)))
+SLOTS = ("stop", *ACTS, *VIEWS)
 LINES = ("identity", "step", "progress", "lamps", "interlock")
 HIDE_POINTS = ("verdict", "alarm")
 BOXES = ("deviation", "prompt", *HIDE_POINTS)  # of which one is shown

@@ -19,6 +19,7 @@ from hilcell.journal.words import happened_words, in_words, key_words, step_word
 from hilcell.model.events import Event, OtherEvent, after
 from hilcell.model.point import Point
 from hilcell.model.records import Ended, Intended, StateChanged
+from hilcell.model.verdicts import Verdict
 from hilcell.run.forecast import Ahead
 from hilcell.run.protocol import DeviceStatus
 from hilcell.tui.engine.run_view import RunView
@@ -49,7 +50,9 @@ def event_words(view: RunView, record: Record, errors_mm: Mapping[str, float]) -
     log = view.log
     match record.fact:
         case Point() as point:
-            return _measured(view, point, errors_mm)
+            error_mm = errors_mm.get(point.key)
+            size = "" if error_mm is None else f": |e| {error_mm:.3f} mm"
+            return f"measured {key_words(point.key, log)}{' again' * point.retaken}{size}"
         case Intended() as motion:
             return _sent(view, record.key, motion)
         case Event() | OtherEvent() as event:
@@ -58,14 +61,9 @@ def event_words(view: RunView, record: Record, errors_mm: Mapping[str, float]) -
             return f"the session has ended: {state}, exit {code}"
         case StateChanged(machine="run", to=to, reason=reason):
             return f"the run is {to}{after(in_words(reason.replace(chr(10), ' '), log))}"
-    return _judged(record) if record.kind == "verdict" else ""
-
-
-def _measured(view: RunView, point: Point, errors_mm: Mapping[str, float]) -> str:
-    error_mm = errors_mm.get(point.key)
-    size = "" if error_mm is None else f": |e| {error_mm:.3f} mm"
-    again = " again" if point.retaken else ""
-    return f"measured {key_words(point.key, view.log)}{again}{size}"
+        case Verdict() as verdict:
+            return _judged(record.key, verdict)
+    return ""
 
 
 def _sent(view: RunView, key: str, motion: Intended) -> str:
@@ -82,18 +80,17 @@ def _sent(view: RunView, key: str, motion: Intended) -> str:
     return f"{action.replace('.', ' ')} {words}".strip()
 
 
-def _judged(record: Record) -> str:
-    """Return a verdict: its subject, whether it holds, and the mean error that it is about."""
-    body, words = record.body, verdict_words(record.key)
-    mean_mm, limit_mm = body.get("mean_mm"), body.get("mean_tolerance_mm")
-    figures = "" if limit_mm is None else f": mean {mean_mm:.3f} mm, limit {limit_mm:.3f} mm"
-    return f"{words} {'holds' if body.get('holds') else 'does not hold'}{figures}"
+def _judged(key: str, verdict: Verdict) -> str:
+    """Return a verdict: its subject, whether it holds, and the first of its figures."""
+    figures = "".join(
+        f": {each.name} {each.value:.3f} {each.unit}, limit {each.limit:.3f} {each.unit}"
+        for each in verdict.figures[:1]
+        if each.value is not None and each.limit is not None
+    )
+    return f"{verdict_words(key)} {'holds' if verdict.holds else 'does not hold'}{figures}"
 
 
-SCREEN = 24  # rows, which everything above takes
-LEAST, MOST = 4, 17  # rows of the block
 MOST_STEPS, MOST_EVENTS = 5, 6
-TIMES = "starts in   takes"
 PARTS = {
     "flange": "{step}: {count} points",
     "sweep": "{step}: {count} sweeps",
@@ -103,8 +100,8 @@ PARTS = {
 
 def block_rows(height: int, *, live: bool) -> int:
     """Return how many rows the block has on a terminal of this height."""
-    spare = min(height - SCREEN, MOST if live else MOST_EVENTS + 1)
-    return spare if spare >= LEAST else 0
+    spare = min(height - 24, 17 if live else MOST_EVENTS + 1)  # 24: all above it
+    return spare if spare >= 4 else 0
 
 
 def below_lines(view: RunView, errors_mm: Mapping[str, float], glyphs: Glyphs, rows: int) -> Lines:
@@ -152,7 +149,7 @@ def _reading(name: str, devices: Mapping[str, DeviceStatus]) -> str:
 
 def step_lines(view: RunView, glyphs: Glyphs, rows: int) -> list[Lines | Text]:
     """Return the step under way and those after it, when each starts and how long it takes."""
-    heading, starts_s, steps = section("next steps", TIMES), 0.0, []
+    heading, starts_s, steps = section("next steps", "starts in   takes"), 0.0, []
     for n, (words, takes_s) in enumerate(_parts(view)[: min(rows - 1, MOST_STEPS)]):
         start = "now" if n == 0 else duration(starts_s)
         style = "$foreground" if n == 0 else "$label"
@@ -178,7 +175,16 @@ def _parts(view: RunView) -> list[tuple[str, float]]:
         if found:
             found.append((step, sum(part.takes_s for part in parts)))
         else:
-            found = [(_words(step, part), part.takes_s) for part in _merged([*parts])]
+            forms = (
+                (
+                    part,
+                    PARTS.get(part.kind, "{step}: {count} readings" if part.measured else "{step}"),
+                )
+                for part in _merged([*parts])
+            )
+            found = [
+                (form.format(step=step, count=part.measured), part.takes_s) for part, form in forms
+            ]
     return found
 
 
@@ -194,8 +200,3 @@ def _merged(parts: Sequence[Ahead]) -> list[Ahead]:
         else:
             found.append(part)
     return found
-
-
-def _words(step: str, part: Ahead) -> str:
-    form = PARTS.get(part.kind, "{step}: {count} readings" if part.measured else "{step}")
-    return form.format(step=step, count=part.measured)

@@ -6,40 +6,17 @@ changes only its word. STOP is first and alone in white.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from textual.content import Content
 
-
-@dataclass(frozen=True, slots=True)
-class Slot:
-    """One action in the footer: how wide its word may become, and the blanks before its key."""
-
-    name: str
-    word: int
-    gap: int = 1
-
-
-ACTS = (
-    Slot("pause", 6),
-    Slot("abort", 5),
-    Slot("retake", 10),
-    Slot("acknowledge", 11),
-    Slot("detach", 7),
-)
-VIEWS = (
-    Slot("sort", 5),
-    Slot("bad", 3),
-    Slot("find", 4),
-    Slot("plots", 5, 2),
-    Slot("interlocks", 5),
-    Slot("alarms", 6),
-    Slot("log", 3),
-    Slot("report", 6, 2),
-    Slot("history", 4),
-    Slot("help", 4),
-)
+# By name: how wide the word of a slot may become.
+ACTS = {"pause": 6, "abort": 5, "retake": 10, "acknowledge": 11, "detach": 7}
+VIEWS = {
+    "sort": 5, "bad": 3, "find": 5, "plots": 5, "interlocks": 5,
+    "alarms": 6, "log": 4, "report": 6, "history": 4, "help": 4,
+}  # fmt: skip
 WORDS = {  # by label: shorter here
     "worst first": "worst",
     "as measured": "order",
@@ -62,48 +39,32 @@ class KeyOf:
     word: str
     works: bool
 
+    def drawn(self, word: int = 0, pad: str = "") -> Content:
+        """Return key and word, the word in a room of so many columns."""
+        style = "bold $foreground on $badge" if self.works else "$stale"
+        key, shown = f"{pad}{self.key}{pad}", f" {self.word:<{word}}"
+        return Content.assemble((key, style), (shown, "" if self.works else "$stale"))
+
 
 def footer_lines(state: Callable[[str], KeyOf], width: int) -> Content:
     """Return both rows; ``state`` tells each action's key, word and whether it works."""
     stop = state("stop")
-    first = _stop(stop)
+    style = "bold $background on $foreground" if stop.works else "bold $stale"
+    first = Content.styled(f" {stop.key} {stop.word} ", style)
     if width < FULL_WIDTH:
-        return first.append(_row([Slot(name, 0) for name in NARROW], state)).truncate(width)
-    first = first.append(_row(ACTS, state, padded=True))
-    return Content("\n").join([first, Content(" ").append(_row(VIEWS, state))]).truncate(2 * width)
+        return first.append(_row(state, dict.fromkeys(NARROW, 0))).truncate(width)
+    rows = first.append(" ").append(_row(state, ACTS, " ")), Content(" ").append(_row(state, VIEWS))
+    return Content("\n").join(rows).truncate(2 * width)
+
+
+def _row(state: Callable[[str], KeyOf], slots: Mapping[str, int], pad: str = "") -> Content:
+    return Content(" ").join(state(name).drawn(word, pad) for name, word in slots.items())
 
 
 def form_footer(acts: Sequence[KeyOf], views: Sequence[KeyOf], width: int) -> Content:
     """Return the two rows of a form: its own keys, then the actions from there."""
-    rows = []
-    for keys, pad, gap in ((acts, " ", "  "), (views, "", " ")):
-        parts = [
-            Content.assemble(
-                (f"{pad}{each.key}{pad}", _key_style(works=each.works)),
-                (f" {each.word}{gap}", "" if each.works else "$stale"),
-            )
-            for each in keys
-        ]
-        rows.append(Content(" ").join([Content(""), Content("").join(parts)]).truncate(width))
-    return Content("\n").join(rows)
-
-
-def _stop(stop: KeyOf) -> Content:
-    style = "bold $background on $foreground" if stop.works else "bold $stale"
-    return Content.styled(f" {stop.key} {stop.word} ", style)
-
-
-def _row(slots: Sequence[Slot], state: Callable[[str], KeyOf], *, padded: bool = False) -> Content:
-    parts = [Content(" " * slots[0].gap) if padded else Content("")]
-    for number, slot in enumerate(slots):
-        found = state(slot.name)
-        pad = " " if padded else ""
-        key = Content.styled(f"{pad}{found.key}{pad}", _key_style(works=found.works))
-        word = Content.styled(f" {found.word:<{slot.word}}", "" if found.works else "$stale")
-        gap = Content(" " * slot.gap if number else "")
-        parts += [gap, key, word]
-    return Content("").join(parts)
-
-
-def _key_style(*, works: bool) -> str:
-    return "bold $foreground on $badge" if works else "$stale"
+    rows = (
+        Content("  ").join(each.drawn(pad=" ") for each in acts),
+        Content(" ").join(each.drawn() for each in views),
+    )
+    return Content("\n").join(Content(" ").append(row).truncate(width) for row in rows)

@@ -64,6 +64,30 @@ class Shown:
     stale: bool = False
     word: str = ""  # where there is no limit: why
 
+    @classmethod
+    def of(
+        cls,
+        log: Log,
+        point: Point,
+        which: str,
+        deviation: DeviationOf,
+        remark: str = "",
+        *,
+        stale: bool = False,
+    ) -> Shown:
+        """Return a point by its place in the run and its name."""
+        name = f"{which}: {point.id.words(point.station)}"
+        word = f"{HOW.get(point.id.how, Sent.BEFORE.text)}: no limit"
+        return cls(name, deviation(log, point), remark, stale, word)
+
+    @property
+    def tone(self) -> str:
+        """Return the style of |e|."""
+        if self.stale or self.deviation is None:
+            return "$stale"
+        judged = self.deviation.limit_mm is not None
+        return f"${SAID[self.deviation.outcome][0]}" if judged else "$foreground"
+
 
 def rows_for(height: int) -> int:
     """Return the rows of the newest point on a terminal of this height."""
@@ -79,7 +103,7 @@ def newest_shown(view: RunView, deviation: DeviationOf = deviation_of) -> Shown:
     age = f"{short_age(age_s)} ago" if age_s <= STALE_S else f"{short_age(age_s)} old"
     old = view.newest_is_old or not age_s <= STALE_S or view.stale
     which = "last point" if view.newest_is_old else "newest point"
-    return _shown(view, point, which, age, deviation, stale=old)
+    return Shown.of(view.log, point, which, deviation, age, stale=old)
 
 
 def chosen_shown(
@@ -90,15 +114,7 @@ def chosen_shown(
     if point is None:
         return Shown("no point measured yet", None, "")
     which = "chosen point" if chosen else "last point"
-    return _shown(view, point, which, "", deviation, stale=False)
-
-
-def _shown(
-    view: RunView, point: Point, which: str, remark: str, deviation: DeviationOf, *, stale: bool
-) -> Shown:
-    found = deviation(view.log, point)
-    word = f"{HOW.get(point.id.how, Sent.BEFORE.text)}: no limit"
-    return Shown(f"{which}: {point.id.words(point.station)}", found, remark, stale, word)
+    return Shown.of(view.log, point, which, deviation)
 
 
 def point_lines(shown: Shown, glyphs: Glyphs, rows: int = FULL_ROWS) -> Lines:
@@ -111,18 +127,13 @@ def point_lines(shown: Shown, glyphs: Glyphs, rows: int = FULL_ROWS) -> Lines:
         none = "no nominal place, so no deviation" if shown.remark else ""
         return Stack(head, (f" {none}", "$label"), *[BLANK] * (rows - 2))
     said = _tolerance(shown, found, glyphs)
-    small = Stack(head, ends(_one_line(shown, found), ""), Grid(said[:1], *SAID_COLUMNS))
+    columns = Col(), Col(17), Col(10, grows=True, most=55)
+    small = Stack(head, ends(_one_line(shown, found), ""), Grid(said[:1], *columns))
     if rows < FULL_ROWS - 1:
         return small
-    whole = Stack(head, _large(shown, found, glyphs), Grid(said[: rows - 4], *SAID_COLUMNS))
+    whole = Stack(head, _large(shown, found, glyphs), Grid(said[: rows - 4], *columns))
     state = whole.state, small.state
     return Drawing(state, lambda width, _: (small if width < LEAST_LARGE else whole).lines(width))
-
-
-def _style(shown: Shown, found: Deviation) -> str:
-    if shown.stale:
-        return "$stale"
-    return "$foreground" if found.limit_mm is None else f"${SAID[found.outcome][0]}"
 
 
 def _signed(value_mm: float) -> str:
@@ -130,14 +141,17 @@ def _signed(value_mm: float) -> str:
 
 
 def _large(shown: Shown, found: Deviation, glyphs: Glyphs) -> Lines:
-    scale_mm = _scale_mm(found)
+    # The full scale of the signed bars grows so that no bar is cut.
+    least_mm = RAW_SCALE_MM if found.limit_mm is None else found.limit_mm / 2
+    known_mm = (abs(each) for each in found.error_mm if math.isfinite(each))
+    scale_mm = step_at_least(max([least_mm, *known_mm]))
     text = "bold $stale" if shown.stale else "bold"
     fill = "$stale" if shown.stale else "$foreground"
     rows: list[list[Cell]] = []
     for name, value_mm, digits, unit, scale in zip(
         ("dx", "dy", "dz"),
         found.error_mm,
-        large(figure(found.norm_mm), _style(shown, found), glyphs),
+        large(figure(found.norm_mm), shown.tone, glyphs),
         ("|e|", "mm", ""),
         (f"±{scale_mm:g}", "mm", ""),
         strict=True,
@@ -151,23 +165,13 @@ def _large(shown: Shown, found: Deviation, glyphs: Glyphs) -> Lines:
     return Grid(rows, *columns)
 
 
-def _scale_mm(found: Deviation) -> float:
-    """Return the full scale of the signed bars; it grows so that no bar is cut."""
-    least_mm = RAW_SCALE_MM if found.limit_mm is None else found.limit_mm / 2
-    known = (abs(each) for each in found.error_mm if math.isfinite(each))
-    return step_at_least(max([least_mm, *known]))
-
-
 def _one_line(shown: Shown, found: Deviation) -> Content:
     dx, dy, dz = map(_signed, found.error_mm)
     return Content.assemble(
         " ",
-        (f"|e| {figure(found.norm_mm)} mm", f"bold {_style(shown, found)}"),
+        (f"|e| {figure(found.norm_mm)} mm", f"bold {shown.tone}"),
         (f"   dx {dx}  dy {dy}  dz {dz}", "$stale" if shown.stale else "$label"),
     )
-
-
-SAID_COLUMNS = Col(), Col(17), Col(10, grows=True, most=55)
 
 
 def _tolerance(shown: Shown, found: Deviation, glyphs: Glyphs) -> list[list[Cell]]:
@@ -180,7 +184,7 @@ def _tolerance(shown: Shown, found: Deviation, glyphs: Glyphs) -> list[list[Cell
     if shown.stale:
         said = (f"{glyphs.stale} {WAS[found.outcome]}", "$stale")
     share, guard = (TO_LIMIT * each / found.limit_mm for each in (found.norm_mm, found.U_mm))
-    bar = Bar(share, _style(shown, found), TO_LIMIT, guard)
+    bar = Bar(share, shown.tone, TO_LIMIT, guard)
     digits = 2 if math.isclose(100 * found.limit_mm / 4 % 1, 0, abs_tol=1e-9) else 3
     ticks = [(0.0, Content.styled("0", "$label"))]
     for quarter in (1, 2, 3):

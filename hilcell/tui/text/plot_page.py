@@ -5,42 +5,57 @@ The figures are a table of the plot's series, of stations and of the worst targe
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
 from textual.content import Content
 
+from hilcell.calibration.recheck import KIND as RECHECK
 from hilcell.geometry.statistics import figures_of, repeatability_mm
 from hilcell.journal.log import Log
 from hilcell.model.point import Sent
-from hilcell.model.verdicts import AP, RP
+from hilcell.model.verdicts import AP, ISO, RP
 from hilcell.ports import Array
 from hilcell.tui.layout import BLANK, Cell, Col, Fitting, Grid, Lines, Stack, Text, section
 from hilcell.tui.plots.draw import Look, Plot, Series, draw
-from hilcell.tui.plots.scale import Scale
+from hilcell.tui.plots.scale import Scale, even_scale, log_scale
 from hilcell.tui.text.plots import (
     PLACES,
     Errors3D,
     Measured,
-    Tab,
+    errors_plot,
     mark_of,
     mean_of,
-    scale_of,
-    tabs_of,
+    poses_plot,
+    recheck_plot,
+    repeat_plot,
+    sorted_plot,
+    strip_plot,
+    sweep_plot,
 )
 
 BESIDE = 100  # columns, from which the figures stand beside the plot
 UNDER = 34  # rows, from which they stand under it
 GAP = 3  # columns between both
 LEAST = 8  # rows of a plot
-ALL = "all stations"
 WIDTH = 31  # columns of the figures
 MOST_WORST = 5
 NEAR = 0.8  # of the limit
 HEADS = "mean", "95 %", "max"
-SHORT = {"paper method": "paper"}
+
+
+@dataclass(frozen=True, slots=True)
+class Tab:
+    """One plot of the page: its name, its drawing, its figures, what it can be turned to."""
+
+    name: str
+    make: Callable[[Measured, str], Plot]
+    figures: Callable[[Measured, str, Plot, Look], Lines]
+    picks: Callable[[Measured], Sequence[str]] = lambda of: ("",)
+    is_log: bool = False  # at first
+    may_be_log: bool = False
 
 
 @dataclass(slots=True)
@@ -100,8 +115,12 @@ class Shown:
         if 0 < choice.series <= len(whole.series):
             plot = replace(whole, series=(whole.series[choice.series - 1],))
         name = (tab.name, is_log, pick if tab.name == "sweeps" else "")
-        scale = scale_of(whole, height, choice.scales.get(name), is_log=is_log)
-        choice.scales[name] = scale
+        before, values, limits = choice.scales.get(name), whole.values, whole.limits
+        scale = choice.scales[name] = (
+            log_scale(values, limits, before)
+            if is_log
+            else even_scale(values, limits, height, before)
+        )
         return cls(tab, pick, whole, plot, scale)
 
 
@@ -118,7 +137,9 @@ def tab_line(of: Measured, choice: Choice, width: int, look: Look) -> Content:
     tab = tabs_of(of.log)[choice.tab]
     right = BLANK
     if len(tab.picks(of)) > 1:
-        right = Content.assemble((" S ", "bold on $badge"), f" {choice.pick(of, tab) or ALL}")
+        right = Content.assemble(
+            (" S ", "bold on $badge"), f" {choice.pick(of, tab) or 'all stations'}"
+        )
     tabs = Fitting((Content("  ").join(parts), Content("").join(parts), parts[choice.tab]))
     return Grid([(tabs, right)], Col(grows=True), Col()).lines(width)[0]
 
@@ -134,7 +155,7 @@ def plot_lines(of: Measured, choice: Choice, width: int, height: int, look: Look
     across = width - WIDTH - GAP if beside else width
     named = [replace(each, name=_short(each)) for each in shown.plot.series]
     drawn = draw(replace(shown.plot, series=tuple(named)), shown.scale, across, rows, look)
-    figures = FIGURES[shown.tab.name](of, shown.pick, shown.plot, look).lines(WIDTH)
+    figures = shown.tab.figures(of, shown.pick, shown.plot, look).lines(WIDTH)
     if beside:
         figures += [BLANK] * (len(drawn) - len(figures))
         both = Grid(zip(drawn, figures, strict=False), Col(across), Col(), gap=GAP)
@@ -161,7 +182,7 @@ Row = tuple[Text, Text, Numbers]  # a mark, a name and at most three numbers
 
 
 def _short(series: Series) -> str:
-    return SHORT.get(series.name, series.name)
+    return "paper" if series.name == Sent.IDW.text else series.name
 
 
 def _table(*rows: Row, heads: Sequence[str] = (), bold: str = "") -> Grid:
@@ -194,6 +215,10 @@ def _series(plot: Plot, look: Look, numbers: Iterable[Numbers]) -> list[Row]:
 def _three(values: Array) -> Numbers:
     known = values[np.isfinite(values)]
     return (*figures_of(known),) if len(known) else ()
+
+
+def _stations(of: Measured) -> tuple[str, ...]:
+    return "", *of.errors.stations
 
 
 def error_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
@@ -309,13 +334,10 @@ def pose_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
 def recheck_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
     """Return |e| now and its predicted bound, mean and largest, and the worst targets."""
     now_mm, bounds_mm = of.rechecked_mm
-    rows, heads = (
-        _series(plot, look, (_three(each.y) for each in plot.series)),
-        ("mean", "95 %", "max"),
-    )
+    rows = _series(plot, look, (_three(each.y) for each in plot.series))
     if not len(bounds_mm):
         words = "The calibration predicts no bound of these targets."
-        return _figures(words, *rows, heads=heads)
+        return _figures(words, *rows, heads=HEADS)
     worst: list[Row] = [
         ("", f"target {n + 1}", (float(bounds_mm[n]), None, float(now_mm[n])))
         for n in np.argsort(-now_mm, kind="stable")[:MOST_WORST].tolist()
@@ -323,7 +345,7 @@ def recheck_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
     over = int(np.sum(~(now_mm <= bounds_mm)))
     words = f"{over} of {len(now_mm)} targets over their bound; 95 % are expected below it."
     below = _figures(words, *worst, heads=("bound", "", "now"), title="worst targets")
-    return Stack(section("figures"), _table(*rows, heads=heads), BLANK, below)
+    return Stack(section("figures"), _table(*rows, heads=HEADS), BLANK, below)
 
 
 def strip_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
@@ -362,12 +384,23 @@ def sweep_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
     return Stack(section("gear lines"), Grid(rows, *columns), *remarks, BLANK, words)
 
 
-FIGURES = {
-    "each target": error_figures,
-    "sorted": error_figures,
-    "repeatability": repeat_figures,
-    "strip": strip_figures,
-    "pose accuracy": pose_figures,
-    "re-check": recheck_figures,
-    "sweeps": sweep_figures,
+REPEAT = Tab("repeatability", repeat_plot, repeat_figures, may_be_log=True)
+TABS = (
+    Tab("each target", errors_plot, error_figures, _stations, is_log=True, may_be_log=True),
+    Tab("sorted", sorted_plot, error_figures, _stations, is_log=True, may_be_log=True),
+    REPEAT,
+)
+STRIP = Tab("strip", strip_plot, strip_figures, lambda of: ("", *of.strip_mm))
+SWEEPS = Tab("sweeps", sweep_plot, sweep_figures, lambda of: of.swept)
+MOST_TABS = len((*TABS, STRIP, SWEEPS))
+OF_PROCEDURE = {
+    ISO: (Tab("pose accuracy", poses_plot, pose_figures, may_be_log=True), REPEAT),
+    RECHECK: (Tab("re-check", recheck_plot, recheck_figures, may_be_log=True),),
 }
+
+
+def tabs_of(log: Log) -> tuple[Tab, ...]:
+    """Return the plots of a run: of the strip where there is a rail, of sweeps that were made."""
+    own = OF_PROCEDURE.get(log.plan.procedure) if log.plan is not None else None
+    has_rail, swept = log.plan is None or log.cell.has_rail, own is None and log.curves
+    return (*(own or TABS), *[STRIP] * has_rail, *[SWEEPS] * bool(swept))

@@ -1,12 +1,12 @@
 """The plots of a run: points and curves of the journal as series of `hilcell.tui.plots`.
 
-A plot is chosen by its number, and turned by its pick: a station, or a swept axis.
+A plot is turned by its pick: a station, or a swept axis.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -24,7 +24,7 @@ from hilcell.model.verdicts import ISO
 from hilcell.ports import Array, HilcellError
 from hilcell.tui.plots.canvas import Ink
 from hilcell.tui.plots.draw import Look, Mark, Plot, Series
-from hilcell.tui.plots.scale import Scale, even_scale, log_scale, step_at_least
+from hilcell.tui.plots.scale import step_at_least
 
 AS_SENT = Ink("$label", "o", "$label")
 PAPER = Ink("$live 70%", "+", "$label")
@@ -32,11 +32,7 @@ LIVE = Ink("$live", "x", "$live")
 OTHER = Ink("$foreground", "*", "$foreground")
 INKS = {Sent.BEFORE: AS_SENT, Sent.IDW: PAPER, Sent.CHOSEN: LIVE}
 PLACES = (LIVE, AS_SENT, PAPER, OTHER)
-SHARES = (0, 25, 50, 75, 95)  # percent
 MOST_TICKS = 5
-MOST_PLACES = len(PLACES)
-VISITS = 0.3  # half the room of a pose's visits, in shares of that of the pose
-STROKE = 80  # marks of a line from the bottom of a spectrum
 
 Target = tuple[str, int]  # station and number
 
@@ -48,6 +44,24 @@ class Errors3D:
     targets: tuple[Target, ...]
     by_how: dict[Sent, Array]
     grid: bool = False  # of the grid's points: no target was validated yet
+
+    @classmethod
+    def of(cls, points: Sequence[Point], norms_mm: Array, *, grid: bool) -> Errors3D:
+        """Return |e| (N,) of points by target, in the order in which each was first measured."""
+        order: dict[Target, int] = {}
+        where = np.array(
+            [
+                order.setdefault((point.station, n if grid else point.id.number or 0), len(order))
+                for n, point in enumerate(points)
+            ]
+        )
+        hows = np.array([point.id.how or Sent.BEFORE for point in points])
+        by_how: dict[Sent, Array] = {}
+        for how in Sent:
+            if (mine := hows == how).any():
+                by_how[how] = np.full(len(order), np.nan)
+                by_how[how][where[mine]] = norms_mm[mine]
+        return cls(tuple(order), by_how, grid)
 
     def at(self, station: str) -> Errors3D:
         """Return those of a station; without a name, all."""
@@ -75,19 +89,7 @@ def errors_by_target(log: Log) -> Errors3D:
     grid = not points
     points = [*log.measured("grid")] if grid else points
     points = [counting(log, point) for point in points if point.nominal_mm is not None]
-    norms_mm = errors_of(log, points).norms_mm
-    order: dict[Target, int] = {}
-    where = [
-        order.setdefault((point.station, n if grid else point.id.number or 0), len(order))
-        for n, point in enumerate(points)
-    ]
-    hows = np.array([point.id.how or Sent.BEFORE for point in points])
-    by_how: dict[Sent, Array] = {}
-    for how in Sent:
-        if (mine := hows == how).any():
-            by_how[how] = np.full(len(order), np.nan)
-            by_how[how][np.array(where)[mine]] = norms_mm[mine]
-    return Errors3D(tuple(order), by_how, grid)
+    return Errors3D.of(points, errors_of(log, points).norms_mm, grid=grid)
 
 
 class Measured:
@@ -188,7 +190,7 @@ def sorted_plot(of: Measured, pick: str = "") -> Plot:
         x = np.arange(len(known)) / max(len(known), 1)
         series.append(Series(how.text, INKS[how], x, known, joined=True))
     what = "grid points" if found.grid else "targets"
-    ticks = tuple((share / 100, f"{share} %") for share in SHARES)
+    ticks = tuple((share / 100, f"{share} %") for share in (0, 25, 50, 75, 95))
     x_title = f"share of the {what} that have less than this error"
     return Plot("|e| in rising order, mm", x_title, ticks, tuple(series), *_limit(of.log, found))
 
@@ -201,18 +203,21 @@ def _limit(log: Log, found: Errors3D) -> tuple[tuple[float, ...], str]:
 
 def poses_plot(of: Measured, pick: str = "") -> Plot:
     """Return AP_p of the poses of a pose test so far, over |e| of each visit."""
-    poses = of.poses
-    at = {name: (n + 0.5) / max(len(poses), 1) for n, name in enumerate(poses)}
-    norms_mm = {name: np.linalg.norm(found.error_mm, axis=1) for name, found in poses.items()}
-    spread = {name: np.linspace(-VISITS, VISITS, len(each)) for name, each in norms_mm.items()}
-    x = [at[name] + spread[name] / max(len(poses), 1) for name in poses]
-    visits = Series("each visit", AS_SENT, _joined(x), _joined(norms_mm.values()))
+    poses, limit_mm = of.poses, of.log.cell.iso9283.ap_limit_mm
+    count = max(len(poses), 1)
+    middles: Array = (np.arange(len(poses)) + 0.5) / count
+    norms_mm = [np.linalg.norm(found.error_mm, axis=1) for found in poses.values()]
+    x = [
+        middle + np.linspace(-0.3, 0.3, len(each)) / count  # visits, around the middle
+        for middle, each in zip(middles, norms_mm, strict=True)
+    ]
     ap_mm = np.array([ap_mm for ap_mm, _ in of.figures_by_pose.values()])
-    series = (visits, Series("AP_p", LIVE, np.array([*at.values()]), ap_mm)) if poses else ()
-    limit_mm = of.log.cell.iso9283.ap_limit_mm
-    ticks = tuple((share, name) for name, share in at.items())
+    series = [Series("each visit", AS_SENT, np.concatenate(x), np.concatenate(norms_mm)),
+              Series("AP_p", LIVE, middles, ap_mm)] if poses else []  # fmt: skip
+    ticks = tuple(zip(middles.tolist(), poses, strict=True))
     limits = () if limit_mm is None else (limit_mm,)
-    return Plot("pose accuracy AP_p, mm", "pose", ticks, series, limits, "limit of AP_p")
+    title = "pose accuracy AP_p, mm"
+    return Plot(title, "pose", ticks, tuple(series), limits, "limit of AP_p")
 
 
 def recheck_plot(of: Measured, pick: str = "") -> Plot:
@@ -227,14 +232,10 @@ def recheck_plot(of: Measured, pick: str = "") -> Plot:
     return Plot(title, "re-checked target", _counted(count), tuple(series))
 
 
-def _joined(arrays: Iterable[Array]) -> Array:
-    return np.concatenate([np.zeros(0), *arrays])
-
-
 def repeat_plot(of: Measured, pick: str = "") -> Plot:
     """Return how far repeated readings of a place lie from their mean."""
     values = of.visits_mm
-    if len(values) > MOST_PLACES:
+    if len(values) > len(PLACES):
         values = {"all visits": np.concatenate([*values.values()])}
     count = max((len(each) for each in values.values()), default=1)
     series = [
@@ -272,8 +273,8 @@ def sweep_plot(of: Measured, pick: str = "") -> Plot:
     series = [Series("spectrum", AS_SENT, spectrum[:, 0] / most, spectrum[:, 1], joined=True)]
     lines = [*zip(record.cycles, record.amplitudes_urad, strict=True)]
     if lines:
-        x = np.repeat([cycles / most for cycles, _ in lines], STROKE)
-        y = np.concatenate([np.linspace(0.0, size, STROKE) for _, size in lines])
+        x = np.repeat([cycles / most for cycles, _ in lines], 80)  # marks from the bottom
+        y = np.concatenate([np.linspace(0.0, size, 80) for _, size in lines])
         series.append(Series("gear lines", LIVE, x, y))
     marks = tuple(Mark(f"{cycles:.1f}", cycles / most, size) for cycles, size in lines)
     used = "" if record.holds else f"; not used: {record.reason}"
@@ -286,55 +287,6 @@ def _counted(count: int) -> tuple[tuple[float, str], ...]:
     step = round(step_at_least(max(count / MOST_TICKS, 1.0)))
     numbers = [1, *range(step, count + 1, step)]
     return tuple(((n - 0.5) / max(count, 1), str(n)) for n in dict.fromkeys(numbers))
-
-
-# -- the tabs --------------------------------------------------------------------------------------
-
-
-def _stations(of: Measured) -> tuple[str, ...]:
-    return "", *of.errors.stations
-
-
-@dataclass(frozen=True, slots=True)
-class Tab:
-    """One plot of the page: its name, its drawing, what it can be turned to, its first scale."""
-
-    name: str
-    make: Callable[[Measured, str], Plot]
-    picks: Callable[[Measured], Sequence[str]] = lambda of: ("",)
-    is_log: bool = False
-    may_be_log: bool = False
-
-
-TABS = (
-    Tab("each target", errors_plot, _stations, is_log=True, may_be_log=True),
-    Tab("sorted", sorted_plot, _stations, is_log=True, may_be_log=True),
-    Tab("repeatability", repeat_plot, may_be_log=True),
-    Tab("strip", strip_plot, lambda of: ("", *of.strip_mm)),
-)
-OF_ROBOT = TABS[:-1]
-POSES = Tab("pose accuracy", poses_plot, may_be_log=True)
-RECHECKED = Tab("re-check", recheck_plot, may_be_log=True)
-OF_PROCEDURE = {ISO: (POSES, TABS[2]), RECHECK: (RECHECKED,)}  # before that of the strip
-SWEEPS = Tab("sweeps", sweep_plot, lambda of: of.swept)
-MOST_TABS = len(TABS) + 1
-
-
-def tabs_of(log: Log) -> tuple[Tab, ...]:
-    """Return the plots of a run: of the strip where there is a rail, of sweeps that were made."""
-    has_rail = log.plan is None or log.cell.has_rail
-    own = OF_PROCEDURE.get(log.plan.procedure) if log.plan is not None else None
-    if own is not None:
-        return (*own, TABS[-1]) if has_rail else own
-    tabs = TABS if has_rail else OF_ROBOT
-    return (*tabs, SWEEPS) if log.curves else tabs
-
-
-def scale_of(plot: Plot, height: int, before: Scale | None, *, is_log: bool) -> Scale:
-    """Return a plot's scale, which holds all that the scale before held."""
-    if is_log:
-        return log_scale(plot.values, plot.limits, before)
-    return even_scale(plot.values, plot.limits, height, before)
 
 
 def mark_of(look: Look, ink: Ink) -> Content:

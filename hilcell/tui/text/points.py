@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 from hilcell.calibration.errors import counting, errors_of
 from hilcell.geometry.statistics import rms
@@ -27,23 +29,7 @@ from hilcell.tui.text.digits import figure
 from hilcell.tui.widgets import Column, Row
 
 WIDE, WIDE_WITH_BARS = 119, 128  # from here on, nominal and measured places too
-_NAME = 14
-_STATION = Column("station", 7)
-_FIGURES = (
-    Column("dx", 6, right=True),
-    Column("dy", 7, right=True),
-    Column("dz", 7, right=True),
-)
-_NORM = Column("|e| mm", 6, right=True)
-_BAR = Column("", 8)
-_RMS = Column("rms", 6, right=True)
-_GAP, _STATE = Column("", 0), Column("state", 7)
-_PLACES = (
-    Column("nominal x y z mm", 22, right=True),
-    Column("measured x y z mm", 26, right=True),
-)
-BARS_FROM, RMS_FROM, STATIONS_FROM, FIGURES_FROM = 78, 69, 62, 54  # widths of the table
-_BESIDE_NAME, _BESIDE_NAME_ALONE = 40, 18  # where stations have no column
+STATIONS_FROM, FIGURES_FROM = 62, 54  # columns of the table
 _STATES = {  # by state: its word with its shape, and its tone
     "in": ("● in", "passed"),
     "out": ("▲ OUT", "*fault"),
@@ -55,29 +41,96 @@ _STATES = {  # by state: its word with its shape, and its tone
 }
 
 
+class _Field(NamedTuple):
+    """One column of the points, the widths of a table that has it, and its cell and tone."""
+
+    column: Column
+    is_in: Callable[[int], bool]
+    cell: Callable[[PointRow], tuple[str, str]]
+
+
+def _error(axis: int) -> Callable[[PointRow], tuple[str, str]]:
+    def cell(row: PointRow) -> tuple[str, str]:
+        known = row.deviation
+        return "" if known is None else f"{known.error_mm[axis]:+z.3f}".replace("-", "−"), ""
+
+    return cell
+
+
+def _nominal(row: PointRow) -> tuple[str, str]:
+    nominal_mm = row.point.nominal_mm
+    return "" if nominal_mm is None else _triple(nominal_mm, 1, 22), "label"
+
+
+def _actual(row: PointRow) -> tuple[str, str]:
+    """Return a place in {W}; the page of a point shows one that is known in {L} only."""
+    return "" if row.deviation is None else _triple(row.deviation.actual_mm, 3, 26), "label"
+
+
+def _triple(values: Sequence[float], digits: int, room: int) -> str:
+    """Return three lengths in mm; decimals that have no room go, no number is cut."""
+    texts = (" ".join(f"{value:.{n}f}" for value in values) for n in range(digits, -1, -1))
+    return next((text for text in texts if len(text) <= room), "see its page")
+
+
+def _norm(row: PointRow) -> tuple[str, str]:
+    return "" if row.deviation is None else figure(row.deviation.norm_mm), "*"
+
+
+def _bar(row: PointRow) -> tuple[str, str]:
+    """Return |e| as a bar; its whole width is the limit, nothing where there is none."""
+    known, tone = row.deviation, _said(row)[1].removeprefix("*")
+    if known is None or known.limit_mm is None:
+        return "", tone
+    share = known.norm_mm / known.limit_mm
+    return "▄" * max(round(8 * share) if share <= 1.0 else 8, 1), tone
+
+
+def _said(row: PointRow) -> tuple[str, str]:
+    """Return the word of a state and its tone."""
+    judged = row.deviation is not None and row.deviation.limit_mm is not None
+    return _STATES["in" if row.state == "ok" and judged else row.state]
+
+
+_FIELDS = (  # after the name
+    _Field(Column("station", 7), lambda width: width >= STATIONS_FROM,
+           lambda row: (row.point.station, "label")),
+    _Field(Column("nominal x y z mm", 22, right=True), lambda width: width >= WIDE, _nominal),
+    _Field(Column("measured x y z mm", 26, right=True), lambda width: width >= WIDE, _actual),
+    _Field(Column("dx", 6, right=True), lambda width: width >= FIGURES_FROM, _error(0)),
+    _Field(Column("dy", 7, right=True), lambda width: width >= FIGURES_FROM, _error(1)),
+    _Field(Column("dz", 7, right=True), lambda width: width >= FIGURES_FROM, _error(2)),
+    _Field(Column("|e| mm", 6, right=True), lambda width: True, _norm),
+    _Field(Column("", 8), lambda width: 78 <= width < WIDE or width >= WIDE_WITH_BARS, _bar),
+    _Field(Column("rms", 6, right=True), lambda width: width >= 69,
+           lambda row: (f"{rms(row.point.std_mm):.3f}", "label")),
+    _Field(Column("", 0), lambda width: True, lambda row: ("", "")),
+    _Field(Column("state", 7), lambda width: True, _said),
+)  # fmt: skip
+
+
 def columns_for(width: int, *, bad_only: bool = False, worst: bool = False) -> Sequence[Column]:
-    """Return the columns that a table of this width shows; the first title names the filter."""
+    """Return the columns that a table of this width shows; the first title names the filter.
+
+    Where the station has no column of its own, it stands beside the name.
+    """
     title = ("bad by |e|" if worst else "bad points") if bad_only else "worst first"
-    found = [Column(title if bad_only or worst else "point", _name_width(width))]
-    found += [_STATION] if width >= STATIONS_FROM else []
-    found += _PLACES if width >= WIDE else ()
-    found += [*(_FIGURES if width >= FIGURES_FROM else ()), _NORM]
-    found += [_BAR] if has_bars(width) else []
-    found += [_RMS] if width >= RMS_FROM else []
-    return (*found, _GAP, _STATE)
+    beside = 40 if width >= FIGURES_FROM else 18
+    name = 14 if width >= STATIONS_FROM else max(width - beside, 8)
+    shown = (field.column for field in _FIELDS if field.is_in(width))
+    return Column(title if bad_only or worst else "point", name), *shown
 
 
-def _name_width(width: int) -> int:
-    """Return the room of a name: with its station, where that has no column of its own."""
-    if width >= STATIONS_FROM:
-        return _NAME
-    beside = _BESIDE_NAME if width >= FIGURES_FROM else _BESIDE_NAME_ALONE
-    return max(width - beside, 8)
-
-
-def has_bars(width: int) -> bool:
-    """Whether a table of this width shows |e| as a bar, too."""
-    return BARS_FROM <= width < WIDE or width >= WIDE_WITH_BARS
+def to_row(found: PointRow, waiting: Collection[str], width: int) -> Row:
+    """Return the cells of one point; ``waiting`` names those that are to be re-measured."""
+    point = found.point
+    row = replace(found, state="waits") if point.key in waiting else found
+    name = point.id.short
+    if width < STATIONS_FROM:
+        name = f"{name} {point.station}".rstrip()
+    cells = (field.cell(row) for field in _FIELDS if field.is_in(width))
+    texts, tones = zip((name, ""), *cells, strict=True)
+    return Row(point.key, texts, tones=tones)
 
 
 MORE_POINTS = 1.1  # times as many points as before: U is taken again
@@ -142,7 +195,11 @@ def filtered(
     points: Iterable[PointRow], wanted: str, *, bad_only: bool, worst: bool
 ) -> list[PointRow]:
     """Return the points that match all words, only bad ones and worst first where asked."""
-    words = [_pattern(word) for word in wanted.lower().split()]
+    # Letters match anywhere, a number as a whole only.
+    words = [
+        re.compile(rf"(?<!\d){re.escape(word)}(?!\d)" if word[0].isdecimal() else re.escape(word))
+        for word in wanted.lower().split()
+    ]
     rows = [
         row
         for row in points
@@ -154,69 +211,16 @@ def filtered(
     return rows
 
 
-def _pattern(word: str) -> re.Pattern[str]:
-    """Return what a word of a filter matches: letters anywhere, a number as a whole only."""
-    found = re.escape(word)
-    return re.compile(rf"(?<!\d){found}(?!\d)" if word[0].isdecimal() else found)
-
-
 def _searched(row: PointRow) -> str:
     """Return what a filter finds: the point's names in words, its station, its state."""
-    id, said = row.point.id, _said(row.deviation, row.state)[0]
+    id, said = row.point.id, _said(row)[0]
     return f"{id.short} {id.words()} {row.point.station} {row.state} {said}".lower()
-
-
-def _said(deviation: Deviation | None, state: str) -> tuple[str, str]:
-    """Return the word of a state as its row shows it, and its tone."""
-    judged = deviation is not None and deviation.limit_mm is not None
-    return _STATES["in" if state == "ok" and judged else state]
 
 
 def _badness(row: PointRow) -> tuple[bool, float]:
     """Sort raw errors after those with a tolerance: they are expected to be large."""
     norm_mm = row.norm_mm if row.norm_mm < math.inf else math.inf  # NaN is the worst of all
     return row.deviation is not None and row.deviation.limit_mm is not None, norm_mm
-
-
-def to_row(found: PointRow, waiting: Collection[str], width: int) -> Row:
-    """Return the cells of one point; ``waiting`` names those that are to be re-measured."""
-    point, deviation = found.point, found.deviation
-    state = "waits" if point.key in waiting else found.state
-    said, tone = _said(deviation, state)
-    stations, name = width >= STATIONS_FROM, point.id.short
-    cells = [(name if stations else f"{name} {point.station}".rstrip(), "")]
-    cells += [(point.station, "label")] if stations else []
-    cells += _places(point, deviation) if width >= WIDE else []
-    error_mm = () if deviation is None else deviation.error_mm
-    errors = [f"{each:+z.3f}".replace("-", "−") for each in error_mm] or [""] * 3
-    cells += [(each, "") for each in errors] if width >= FIGURES_FROM else []
-    cells += [("" if deviation is None else figure(deviation.norm_mm), "*")]
-    cells += [(_length(deviation), tone.removeprefix("*"))] if has_bars(width) else []
-    cells += [(f"{rms(point.std_mm):.3f}", "label")] if width >= RMS_FROM else []
-    texts, tones = zip(*cells, ("", ""), (said, tone), strict=True)
-    return Row(point.key, texts, tones=tones)
-
-
-def _length(found: Deviation | None) -> str:
-    """Return |e| as a bar; its whole width is the limit, nothing where there is none."""
-    if found is None or found.limit_mm is None:
-        return ""
-    share = found.norm_mm / found.limit_mm
-    cells = round(_BAR.width * share) if share <= 1.0 else _BAR.width
-    return "▄" * max(cells, 1)
-
-
-def _places(point: Point, found: Deviation | None) -> list[tuple[str, str]]:
-    nominal = "" if point.nominal_mm is None else _triple(point.nominal_mm, 1, _PLACES[0].width)
-    if found is None:  # known in the tracker's frame only: its page shows it
-        return [(nominal, "label"), ("", "label")]
-    return [(nominal, "label"), (_triple(found.actual_mm, 3, _PLACES[1].width), "label")]
-
-
-def _triple(values: Sequence[float], digits: int, room: int) -> str:
-    """Return three lengths in mm; decimals that have no room go, no number is cut."""
-    texts = (" ".join(f"{value:.{n}f}" for value in values) for n in range(digits, -1, -1))
-    return next((text for text in texts if len(text) <= room), "see its page")
 
 
 def point_page(view: RunView, key: str) -> Lines:

@@ -18,10 +18,6 @@ from hilcell.tui.text.digits import large
 from hilcell.tui.text.sketch import site_of, sketch
 from hilcell.tui.widgets import TextPanel, Titled
 
-MOST_NAMES = 2  # that fit beside the plan
-CAPTION = "from above, to scale"
-AT_REST = "robot at safe pose, slide held: nothing moves"
-
 
 class PromptBox(Horizontal, Titled):
     """One prompt in a box: the plan or the words at the left, the task at the right."""
@@ -68,12 +64,16 @@ def _count(view: RunView) -> str:
 def prompt_picture(prompt: PromptStatus, view: RunView) -> Lines:
     """Return the plan, over it the words where they say more than the task."""
     site, seating = site_of(view, prompt), seats(view)
-    rest = AT_REST if view.has_rail else "robot at safe pose: nothing moves"
+    rest = f"robot at safe pose{', slide held' if view.has_rail else ''}: nothing moves"
 
     def draw(width: int, height: int) -> list[Content]:
         drawn = [] if site is None or not seating else sketch(site, width, height - 2)
         if drawn:
-            return [Content.styled(CAPTION, "$label"), *drawn, Content.styled(rest, "$label")]
+            return [
+                Content.styled("from above, to scale", "$label"),
+                *drawn,
+                Content.styled(rest, "$label"),
+            ]
         words = Content(prompt.text).wrap(width)
         drawn = [] if site is None else sketch(site, width, height - len(words) - 1)
         return [*words, *([BLANK] if drawn else []), *drawn]
@@ -118,7 +118,9 @@ def _off(prompt: PromptStatus, view: RunView, glyphs: Glyphs, *, low: bool) -> l
     """Return how far the reflector is off its place, large, and the limit."""
     known = prompt.seen_mm is not None and prompt.age_s is not None and not view.stale
     style = "$stale" if not known else "$passed" if is_ready(prompt, view) else "$ask"
-    text = _figure(prompt.seen_mm) if known and prompt.seen_mm is not None else "-.--"
+    text = "-.--"
+    if known and prompt.seen_mm is not None:
+        text = f"{prompt.seen_mm:.{2 if prompt.seen_mm < 100 else 0}f}"
     limit = "" if prompt.limit_mm is None else f"{prompt.limit_mm:.2f}"
     what = "off its place, mm" if prompt.expected_mm is not None else "strip off drive, mm"
     if low:
@@ -129,18 +131,15 @@ def _off(prompt: PromptStatus, view: RunView, glyphs: Glyphs, *, low: bool) -> l
     return [Content.styled(what, "$label"), *digits.lines(25)]
 
 
-def _figure(value_mm: float) -> str:
-    return f"{value_mm:.2f}" if value_mm < 100 else f"{value_mm:.0f}"
-
-
 def _seen(prompt: PromptStatus, view: RunView, glyphs: Glyphs) -> list[Content]:
     """Return who sees the reflector, and how old that is; devices that are lost come first."""
     lost = "" if view.stale else lost_devices(view)
+    age = "" if prompt.age_s is None else short_age(prompt.age_s + view.status_age_s)
     if lost:
-        return [Content.styled(f"{glyphs.lost} {lost}", "bold $fault"), *_last_look(prompt, view)]
-    if prompt.age_s is None:
+        look = [Content.styled(f"  last look {age} ago", "$label")] if age else []
+        return [Content.styled(f"{glyphs.lost} {lost}", "bold $fault"), *look]
+    if not age:
         return [Content.styled(f"{glyphs.stale} not looked yet", "$label")]
-    age = short_age(prompt.age_s + view.status_age_s)
     ago = Content.styled(f"  {age} ago", "$label")
     if view.stale:
         return [Content.styled(f"{glyphs.stale} last look {age} ago", "$stale")]
@@ -158,16 +157,8 @@ def lost_devices(view: RunView) -> str:
     """Return which devices are lost while the run waits; "" where none is."""
     devices = view.status.devices if view.status is not None else {}
     names = [name for name, device in devices.items() if device.state == "lost"]
-    few = " and ".join(names) if len(names) <= MOST_NAMES else f"{len(names)} devices"
+    few = " and ".join(names) if len(names) <= 2 else f"{len(names)} devices"
     return f"{few} lost" if names else ""
-
-
-def _last_look(prompt: PromptStatus, view: RunView) -> list[Content]:
-    """Return how old the last look is that was answered."""
-    if prompt.age_s is None:
-        return []
-    age = short_age(prompt.age_s + view.status_age_s)
-    return [Content.styled(f"  last look {age} ago", "$label")]
 
 
 def enter_line(prompt: PromptStatus, view: RunView) -> Content:

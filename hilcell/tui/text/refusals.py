@@ -24,8 +24,6 @@ OF_A_RUN = frozenset(
     + ("alarms", "plots", "interlocks", "log", "report")
 )
 ONE_AT_A_TIME = "a run is live: stop, abort or detach from it first"
-NO_POINTS = "no point is measured yet"
-NO_RUN = "there is no run here to act on"
 NOT_LIVE = "no run is live"
 NO_ANSWER_REASONS = {
     "looking": "the run is being read",
@@ -63,7 +61,7 @@ def refusal(name: str, view: RunView | None, *, background: bool, unacknowledged
     if name not in OF_A_RUN:
         return ""
     if view is None or view.log.plan is None:
-        return NO_RUN
+        return "there is no run here to act on"
     match name:
         case "retake":
             return _retake_refusal(view, background=background)
@@ -87,7 +85,7 @@ def _abort_refusal(view: RunView | None, *, background: bool) -> str:
 
 def _retake_refusal(view: RunView, *, background: bool) -> str:
     if not view.log.points:
-        return NO_POINTS
+        return "no point is measured yet"
     return no_answer_reason(view) if view.live else ONE_AT_A_TIME if background else ""
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,10 +37,8 @@ from hilcell.tui.text.plots import (
 )
 
 MAP_ROWS, LEAST_PLOT = 22, 9
-KINDS = ("grid", "validate", ISO, RECHECK)
-PLOTS = {ISO: poses_plot, RECHECK: recheck_plot}  # of procedures that have a plot of their own
-TITLES = {ISO: "|e| of the poses", RECHECK: "|e| re-checked"}
-NOTHING_YET = "the map and the errors appear with the first target"
+OWN = {ISO: ("|e| of the poses", poses_plot), RECHECK: ("|e| re-checked", recheck_plot)}
+KINDS = ("grid", "validate", *OWN)
 Rows = list[PointRow]
 Lines = list[Content]
 
@@ -56,11 +54,15 @@ def side_lines(
     """Return the lines, at most ``height``, and the plot's scale, for the next time."""
     targets = [row for row in rows if row.point.id.kind in KINDS and row.deviation is not None]
     if not targets:
-        return Content.styled(NOTHING_YET, "$label").wrap(width), before
+        nothing = "the map and the errors appear with the first target"
+        return Content.styled(nothing, "$label").wrap(width), before
     room = min(MAP_ROWS, height - LEAST_PLOT)
     above = map_lines(volume_of(view.log, targets), width, room, plain=look.plain)
-    below, scale = _plot(view.log, targets, width, height - len(above), look, before)
-    return [*above, *below], scale
+    plot = _plot(view.log, targets)
+    scale = log_scale(plot.values, plot.limits, before)
+    heading = section(plot.title).lines(width)
+    drawn = draw(plot, scale, width, max(height - len(above) - 2, 5), look, named=False)
+    return [*above, *heading, _means(plot, look, width), *drawn], scale
 
 
 def volume_of(log: Log, targets: Rows) -> Volume:
@@ -70,46 +72,40 @@ def volume_of(log: Log, targets: Rows) -> Volume:
     shown = after or raw or targets
     last = max(range(len(shown)), key=lambda n: log.recorded(shown[n].point))
     newest = max(targets, key=lambda row: log.recorded(row.point))
-    low_mm, high_mm, stations = _extent(log, targets)
+    title, _ = OWN.get(
+        newest.point.id.kind, ("|e| after correction" if after else "|e| as sent", 0)
+    )
+    rail = int(np.argmax(np.abs(log.cell.layout.rail_direction[:2]))) if log.cell.has_rail else 1
+    low_mm, high_mm, middles_mm = _extent(log, targets)
     return Volume(
         np.array([row.point.nominal_mm for row in shown], dtype=float),
         np.array([row.norm_mm for row in shown]),
         low_mm,
         high_mm,
         log.cell.validation.max_tolerance_mm if after else None,
-        _rail_axis(log),
+        rail,
         last if shown[last] is newest else NO_POINT,
         planned_targets(log) if after else 0,
-        TITLES.get(newest.point.id.kind, "|e| after correction" if after else "|e| as sent"),
-        stations,
+        title,
+        tuple((name, float(at[rail])) for name, at in middles_mm.items() if log.cell.has_rail),
         newest.point.station,
     )
 
 
-def _rail_axis(log: Log) -> int:
-    """Return the horizontal axis of {W} along which the rail runs; y where there is none."""
-    if not log.cell.has_rail:
-        return 1
-    return int(np.argmax(np.abs(log.cell.layout.rail_direction[:2])))
-
-
-def _extent(log: Log, targets: Rows) -> tuple[Array, Array, tuple[tuple[str, float], ...]]:
-    """Return the corners (3,) of what will be measured at all stations, and their middles.
+def _extent(log: Log, targets: Rows) -> tuple[Array, Array, dict[str, Array]]:
+    """Return the corners (3,) of what will be measured at all stations, and their middles (3,).
 
     The targets known so far, moved along the rail: the map does not grow while a run goes on.
     """
     direction = np.array(log.cell.layout.rail_direction)
-    strip_mm = {each.name: each.strip_mm for each in log.cell.station}
-    kept = [row.point for row in targets if row.point.station in strip_mm]
+    shift_mm = {each.name: each.strip_mm * direction for each in log.cell.station}
+    kept = [row.point for row in targets if row.point.station in shift_mm]
     at_zero = np.array([point.nominal_mm for point in kept], dtype=float).reshape(-1, 3)
-    at_zero -= np.outer([strip_mm[point.station] for point in kept], direction)
+    at_zero -= np.array([shift_mm[point.station] for point in kept]).reshape(-1, 3)
     low_mm, high_mm = at_zero.min(axis=0), at_zero.max(axis=0)
-    shifts_mm = np.outer(list(strip_mm.values()), direction)
-    middles_mm = ((low_mm + high_mm) / 2 + shifts_mm)[:, _rail_axis(log)]
-    corners = low_mm + shifts_mm, high_mm + shifts_mm
-    named = log.cell.has_rail
-    stations = tuple(zip(strip_mm, middles_mm.tolist(), strict=True)) if named else ()
-    return corners[0].min(axis=0), corners[1].max(axis=0), stations
+    middles_mm = {name: (low_mm + high_mm) / 2 + shift for name, shift in shift_mm.items()}
+    shifts_mm = np.array([*shift_mm.values()])
+    return (low_mm + shifts_mm).min(axis=0), (high_mm + shifts_mm).max(axis=0), middles_mm
 
 
 def planned_targets(log: Log) -> int:
@@ -122,29 +118,21 @@ def planned_targets(log: Log) -> int:
     return cell.validation.per_cell * math.prod(cell.grid.cells) + at_others
 
 
-def _plot(
-    log: Log, targets: Rows, width: int, height: int, look: Look, before: Scale | None
-) -> tuple[Lines, Scale]:
-    """Return |e| at the newest station, as sent and corrected, with its legend."""
+def _plot(log: Log, targets: Rows) -> Plot:
+    """Return |e| at the newest station, as sent and corrected, or the procedure's own plot."""
     newest = max(targets, key=lambda row: log.recorded(row.point)).point
-    if own := PLOTS.get(newest.id.kind):
-        return _drawn(own(Measured(log), ""), width, height, look, before)
-    station = newest.station
-    found = _errors(log, [row for row in targets if row.point.station == station])
-    limits = () if found.grid else (log.cell.validation.max_tolerance_mm,)
+    if newest.id.kind in OWN:
+        return OWN[newest.id.kind][1](Measured(log), "")
+    rows = [row for row in targets if row.point.station == newest.station]
+    grid = all(row.point.id.kind == "grid" for row in rows)
+    rows = [row for row in rows if grid or row.point.id.kind == "validate"]
+    norms_mm = np.array([row.norm_mm for row in rows])
+    found = Errors3D.of([row.point for row in rows], norms_mm, grid=grid)
+    found = replace(found, by_how={how: e for how, e in found.by_how.items() if how in BOTH})
+    limits = () if grid else (log.cell.validation.max_tolerance_mm,)
     plot = target_plot(found, limits, "limit")
-    what = "grid point" if found.grid else "target"
-    plot = replace(plot, title=f"|e| at {station}, {what} by {what}, mm")
-    return _drawn(plot, width, height, look, before)
-
-
-def _drawn(
-    plot: Plot, width: int, height: int, look: Look, before: Scale | None
-) -> tuple[Lines, Scale]:
-    scale = log_scale(plot.values, plot.limits, before)
-    head = section(plot.title).lines(width)[0]
-    drawn = draw(plot, scale, width, max(height - 2, 5), look, named=False)
-    return [head, _means(plot, look, width), *drawn], scale
+    what = plot.x_title
+    return replace(plot, title=f"|e| at {newest.station}, {what} by {what}, mm")
 
 
 def _means(plot: Plot, look: Look, width: int) -> Content:
@@ -165,37 +153,13 @@ def _means(plot: Plot, look: Look, width: int) -> Content:
     return Content("")
 
 
-def _errors(log: Log, rows: Rows) -> Errors3D:
-    """Return |e| of one station as sent and corrected, by target."""
-    grid = all(row.point.id.kind == "grid" for row in rows)
-    mine = [row for row in rows if grid or row.point.id.kind == "validate"]
-    order: dict[int, int] = {}
-    where = [
-        order.setdefault(n if grid else row.point.id.number or 0, len(order))
-        for n, row in enumerate(mine)
-    ]
-    by_how: dict[Sent, Array] = {}
-    for how in BOTH:
-        at = [n for n, row in enumerate(mine) if (row.point.id.how or Sent.BEFORE) == how]
-        if at:
-            by_how[how] = np.full(len(order), np.nan)
-            by_how[how][[where[n] for n in at]] = [mine[n].norm_mm for n in at]
-    targets = tuple((mine[0].point.station, number) for number in order)
-    return Errors3D(targets, by_how, grid)
-
-
 AXES, UP = "xyz", 2
 ACROSS, ALONG, ROWS = 38, 13, 8  # cells of a view: along the rail's axis, across it, and high
-LEAST_COLUMNS, LEAST_ROWS = 8, 2
-LEGEND = 15  # columns
-FRAME = 2
-GAP = 2
-RULED = 4  # columns of a heading's rule beside its words, twice with a remark
+LEGEND, GAP, FRAME = 15, 2, 2  # columns
 NO_POINT = -1
 CORRECTED, RAW = (0.05, 0.1, 0.2), (0.2, 0.5, 1.0, 2.0)  # mm, upper bounds of the grades
 SHAPES, LETTERS = "·•○●■", ".:o*#"
 STYLES = ("$live 70%", "$live", "$label", "bold $foreground", "bold $fault")
-NEWEST, NEWEST_LETTER = "◄", "<"
 Ints = NDArray[np.int64]
 
 
@@ -218,18 +182,15 @@ class Grades:
         found: Ints = np.sum(~(errors[:, None] <= np.array(self.bounds)), axis=1)
         return found
 
-    def shape(self, grade: int, *, plain: bool) -> str:
-        """Return the shape of a grade: the last two are those of the limit."""
-        return (LETTERS if plain else SHAPES)[self._at(grade)]
+    def drawn(self, grade: int, *, plain: bool) -> tuple[str, str]:
+        """Return the shape of a grade and its style.
 
-    def style(self, grade: int) -> str:
-        """Return its style; only what is over a limit has the colour of a fault."""
-        at = self._at(grade)
-        return STYLES[at - (at == len(STYLES) - 1 and not self.limited)]
-
-    def _at(self, grade: int) -> int:
-        return grade if grade < len(self.bounds) - 1 else grade + len(CORRECTED) + 1 - len(
-            self.bounds)  # fmt: skip
+        The last two shapes are those of the limit; only beyond a limit is the colour of a fault.
+        """
+        from_end = grade - len(self.bounds) - 1
+        at = grade if from_end < -2 else len(SHAPES) + from_end
+        style = STYLES[min(at, len(STYLES) - (1 if self.limited else 2))]
+        return (LETTERS if plain else SHAPES)[at], style
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -247,85 +208,36 @@ class Volume:
     title: str = "|e|"
     stations: tuple[tuple[str, float], ...] = ()  # their middle along the rail, mm
     station: str = ""  # the current one
-    counts: Ints = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Count the targets of each grade."""
-        grades = Grades.of(self.limit_mm)
-        found = np.bincount(grades.grade(self.errors_mm), minlength=len(grades.bounds) + 1)
-        object.__setattr__(self, "counts", found)
 
 
 def map_lines(of: Volume, width: int, height: int, *, plain: bool) -> Lines:
     """Return the map in at most so many rows; the views that have no room are left out."""
     beside = width >= ACROSS + FRAME + GAP + LEGEND
-    columns = ACROSS if beside else width - FRAME
-    legend = _legend(of, plain=plain)
+    views = Views(of, ACROSS if beside else width - FRAME, plain=plain)
+    legend = views.legend()
     lines = [_heading(of, width), *([] if beside else _flowing(legend, width))]
     room = height - len(lines)
     both = room >= 2 * (FRAME + 3) + 1
     rows = min(ROWS, (room - 1) // 2 - FRAME if both else room - FRAME - 1)
-    if columns >= LEAST_COLUMNS and rows >= LEAST_ROWS:
-        first = _above(of, columns, rows, plain=plain)
-        key: list[Text] = [
-            ("|e| in mm", "$label"),
-            *legend,
-            ("blank: not yet", "$label"),
-            *[""] * len(first),
-        ]
+    if views.columns >= 8 and rows >= 2:
+        first = views.above(rows)
+        key: list[Text] = [("|e| in mm", "$label"), *legend, ("blank: not yet", "$label")]
+        key += [""] * len(first)
         grid = Grid(zip(first, key, strict=False), Col(), Col(), gap=GAP)
         lines += grid.lines(width) if beside else first
-        lines.append(_stations(of, columns))
+        lines.append(views.stations())
         if both:
-            lines += _sides(of, columns, rows, plain=plain, along=beside)
+            sides = Grid(zip(*views.sides(rows, both=beside), strict=True), Col(), Col(), gap=GAP)
+            lines += sides.lines(width)
     return [line.truncate(width) for line in lines[: max(height, 1)]]
-
-
-def _above(of: Volume, columns: int, rows: int, *, plain: bool) -> Lines:
-    along, across = of.rail, 1 - of.rail
-    size_m = float(of.high_mm[along] - of.low_mm[along]) / 1000.0
-    cells = _view(of, (along, across), columns, rows, plain=plain)
-    return _framed(cells, f"from above: {AXES[across]} up", f"{size_m:.2f} m, {_rail(of)}")
-
-
-def _sides(of: Volume, columns: int, rows: int, *, plain: bool, along: bool) -> Lines:
-    """Return the view from the side, and beside it that along the rail."""
-    cells = _view(of, (of.rail, UP), columns, rows, plain=plain)
-    side = _framed(cells, "from the side: z up", _rail(of))
-    if not along:
-        return side
-    end = _view(of, (1 - of.rail, UP), ALONG, rows, plain=plain)
-    third = _framed(end, "z up", f"{AXES[1 - of.rail]} ►")
-    return Grid(zip(side, third, strict=True), Col(), Col(), gap=GAP).lines(
-        columns + FRAME + GAP + ALONG + FRAME
-    )
-
-
-def _rail(of: Volume) -> str:
-    return f"{'rail ' * bool(of.stations)}{AXES[of.rail]} ►"
 
 
 def _heading(of: Volume, width: int) -> Content:
     count = f"{len(of.errors_mm)} of {of.planned}" if of.planned else str(len(of.errors_mm))
     for title, remark in ((f"map: {of.title}", f"{count} targets"), (f"map: {count}", "")):
-        if len(title) + len(remark) + RULED * (1 + bool(remark)) <= width:
+        if len(title) + len(remark) + 4 * (1 + bool(remark)) <= width:  # rules beside the words
             return section(title, remark).lines(width)[0]
     return section("map").lines(width)[0]
-
-
-def _legend(of: Volume, *, plain: bool) -> Lines:
-    """Return a line for each grade with its count."""
-    grades = Grades.of(of.limit_mm)
-    lines = []
-    for grade, count in enumerate(of.counts.tolist()):
-        last = grade == len(grades.bounds)
-        bound = f"{'>' if last else '≤'} {grades.bounds[grade - last]:.2f}"
-        shape = grades.shape(grade, plain=plain)
-        lines.append(
-            Content.assemble((shape, grades.style(grade)), (f" {bound} ", "$label"), f"{count:>4}")
-        )
-    newest = NEWEST_LETTER if plain else NEWEST
-    return [*lines, Content.assemble((newest, "bold $live"), (" newest", "$label"))]
 
 
 def _flowing(legend: Lines, width: int) -> Lines:
@@ -339,61 +251,85 @@ def _flowing(legend: Lines, width: int) -> Lines:
     return rows
 
 
-def _view(of: Volume, axes: tuple[int, int], columns: int, rows: int, *, plain: bool) -> Lines:
-    """Return the cells of a view: ``axes`` are those to the right and up."""
-    right, up = axes
-    grades = Grades.of(of.limit_mm)
-    size_mm = np.maximum(of.high_mm - of.low_mm, 1e-9)
-    share = np.clip((of.targets_mm - of.low_mm) / size_mm, 0.0, 1.0 - 1e-9)
-    column = np.floor(share[:, right] * columns).astype(int)
-    row = np.floor((1.0 - 1e-9 - share[:, up]) * rows).astype(int)
-    cells = np.full((rows, columns), NO_POINT)
-    np.maximum.at(cells, (row, column), grades.grade(of.errors_mm))
-    at = (int(row[of.newest]), int(column[of.newest])) if of.newest != NO_POINT else None
-    return [
-        Content.assemble(
-            *(
-                (NEWEST_LETTER if plain else NEWEST, "bold $live")
-                if (n, m) == at
-                else (" ", "")
-                if grade == NO_POINT
-                else (grades.shape(grade, plain=plain), grades.style(grade))
-                for m, grade in enumerate(line)
-            )
-        )
-        for n, line in enumerate(cells.tolist())
-    ]
+class Views:
+    """The views of a volume, whose axes they share: the rail's axis has so many columns."""
+
+    def __init__(self, of: Volume, columns: int, *, plain: bool) -> None:
+        self.of, self.columns, self._plain = of, columns, plain
+        self._grades = Grades.of(of.limit_mm)
+        self._newest = "<" if plain else "◄", "bold $live"
+
+    def legend(self) -> Lines:
+        """Return a line for each grade with its count."""
+        bounds, lines = self._grades.bounds, []
+        grades = self._grades.grade(self.of.errors_mm)
+        for grade, count in enumerate(np.bincount(grades, minlength=len(bounds) + 1).tolist()):
+            last = grade == len(bounds)
+            words = f" {'>' if last else '≤'} {bounds[grade - last]:.2f} ", "$label"
+            shape = self._grades.drawn(grade, plain=self._plain)
+            lines.append(Content.assemble(shape, words, f"{count:>4}"))
+        return [*lines, Content.assemble(self._newest, (" newest", "$label"))]
+
+    def above(self, rows: int) -> Lines:
+        """Return the view from above."""
+        of, across = self.of, 1 - self.of.rail
+        size_m = float(of.high_mm[of.rail] - of.low_mm[of.rail]) / 1000.0
+        cells = self._view((of.rail, across), self.columns, rows)
+        return _framed(cells, f"from above: {AXES[across]} up", f"{size_m:.2f} m, {self._rail}")
+
+    def sides(self, rows: int, *, both: bool) -> tuple[Lines, Lines]:
+        """Return the view from the side, and that along the rail, empty where not ``both``."""
+        cells = self._view((self.of.rail, UP), self.columns, rows)
+        side = _framed(cells, "from the side: z up", self._rail)
+        if not both:
+            return side, [Content("")] * len(side)
+        across = 1 - self.of.rail
+        return side, _framed(self._view((across, UP), ALONG, rows), "z up", f"{AXES[across]} ►")
+
+    def stations(self) -> Content:
+        """Return the stations' names under their middle."""
+        of, width = self.of, self.columns + FRAME
+        low_mm, high_mm = float(of.low_mm[of.rail]), float(of.high_mm[of.rail])
+        line = Content("")
+        for name, at_mm in of.stations:
+            share = (at_mm - low_mm) / max(high_mm - low_mm, 1e-9)
+            text = f"─ {name} ─"
+            start = FRAME // 2 + round(share * self.columns) - len(text) // 2
+            start = max(min(start, width - len(text)), 0)
+            style = "bold $foreground" if name == of.station else "$label"
+            if line.cell_length <= start:
+                line = line.truncate(start, pad=True).append(Content.styled(text, style))
+        return line
+
+    @property
+    def _rail(self) -> str:
+        return f"{'rail ' * bool(self.of.stations)}{AXES[self.of.rail]} ►"
+
+    def _view(self, axes: tuple[int, int], columns: int, rows: int) -> Lines:
+        """Return the cells of a view: ``axes`` are those to the right and up."""
+        of, (right, up) = self.of, axes
+        size_mm = np.maximum(of.high_mm - of.low_mm, 1e-9)
+        share = np.clip((of.targets_mm - of.low_mm) / size_mm, 0.0, 1.0 - 1e-9)
+        column = np.floor(share[:, right] * columns).astype(int)
+        row = np.floor((1.0 - 1e-9 - share[:, up]) * rows).astype(int)
+        cells = np.full((rows, columns), NO_POINT)
+        np.maximum.at(cells, (row, column), self._grades.grade(of.errors_mm))
+        drawn = [[self._drawn(grade) for grade in line] for line in cells.tolist()]
+        if of.newest != NO_POINT:
+            drawn[row[of.newest]][column[of.newest]] = self._newest
+        return [Content.assemble(*line) for line in drawn]
+
+    def _drawn(self, grade: int) -> tuple[str, str]:
+        return (" ", "") if grade == NO_POINT else self._grades.drawn(grade, plain=self._plain)
 
 
 def _framed(cells: Lines, top: str, bottom: str) -> Lines:
+    """Return cells in a frame, in whose edges the words stand that have room there."""
     width = cells[0].cell_length
-    head = f"┌─ {top} "
-    foot = f" {bottom} ─┘"
-    lines = [_edge(f"{head}{'─' * (width + 1 - len(head))}┐", top, width + FRAME)]
-    lines += [Content.assemble(("│", "$stale"), each, ("│", "$stale")) for each in cells]
-    lines.append(_edge(f"└{'─' * (width + 1 - len(foot))}{foot}", bottom, width + FRAME))
-    return lines
-
-
-def _edge(text: str, words: str, width: int) -> Content:
-    """Return an edge of a frame with words in it; without them, where they do not fit."""
-    if len(text) > width:
-        inner = "─" * (width - FRAME)
-        return Content.styled(f"{text[0]}{inner}{text[-1]}", "$stale")
-    before, _, after = text.partition(words)
-    return Content.assemble((before, "$stale"), (words, "$label"), (after, "$stale"))
-
-
-def _stations(of: Volume, columns: int) -> Content:
-    """Return the stations' names under their middle."""
-    low_mm, high_mm = float(of.low_mm[of.rail]), float(of.high_mm[of.rail])
-    line = Content("")
-    for name, at_mm in of.stations:
-        share = (at_mm - low_mm) / max(high_mm - low_mm, 1e-9)
-        text = f"─ {name} ─"
-        start = FRAME // 2 + round(share * columns) - len(text) // 2
-        start = max(min(start, columns + FRAME - len(text)), 0)
-        style = "bold $foreground" if name == of.station else "$label"
-        if line.cell_length <= start:
-            line = line.truncate(start, pad=True).append(Content.styled(text, style))
-    return line
+    above, below = (f" {words} " if len(words) + 3 <= width else "" for words in (top, bottom))
+    line = "─" * (width - 1)
+    return [
+        Content.assemble(("┌─", "$stale"), (above, "$label"), (f"{line[len(above) :]}┐", "$stale")),
+        *(Content.assemble(("│", "$stale"), each, ("│", "$stale")) for each in cells),
+        Content.assemble((f"└{line[len(below) :]}", "$stale"), (below, "$label"), ("─┘", "$stale")),
+    ]

@@ -7,7 +7,7 @@ widest view in which every nest has its name is drawn: the whole cell, or the ne
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from operator import itemgetter
@@ -95,10 +95,8 @@ NAME = 7  # letters of a name that are shown
 MARGIN = 4  # columns at either side, for names
 ASIDE = (0, 1, -1, 2, -2, 3, -3)  # columns by which a nest may be moved
 ASIDE_MM = 150.0  # at most
-BAR = 10  # columns of the scale at most
 SLIDE_MM = (350.0, 450.0)  # half of it, as drawn
 RAIL_MM = 160.0  # half the distance of its rails, as drawn
-NEST, DONE, TRACKER, BEAM, CORE, PLATE = "○", "●", "▲", "·", "█", "▒"
 
 
 def sketch(site: Site, columns: int, rows: int) -> list[Content]:
@@ -112,37 +110,17 @@ def sketch(site: Site, columns: int, rows: int) -> list[Content]:
     return (found or _Drawing(site, nests, columns, rows)).lines()
 
 
-@dataclass(frozen=True, slots=True)
-class _Scale:
-    """How places become cells; ``mm`` is the width of a column."""
-
-    mm: float
-    left_mm: float
-    top_mm: float
-
-    def cell(self, place: Place) -> tuple[int, int]:
-        """Return the column and the row of a place."""
-        column = round((place[0] - self.left_mm) / self.mm)
-        return column, round((self.top_mm - place[1]) / (2 * self.mm))
-
-
-def _scale_of(places: Iterable[Place], columns: int, rows: int) -> _Scale:
-    """Return the scale at which all places are inside the margins, in the middle."""
-    xs, ys = zip(*places, strict=True)
-    wide_mm, high_mm = max(xs) - min(xs), max(ys) - min(ys)
-    room, height = columns - 1 - 2 * MARGIN, 2 * (rows - 1)
-    mm = max(wide_mm / room, high_mm / height, 1.0)
-    left_mm = (min(xs) + max(xs) - mm * (columns - 1)) / 2
-    top_mm = (min(ys) + max(ys) + mm * height) / 2
-    return _Scale(mm, left_mm, top_mm)
-
-
 class _Drawing:
     """One view; ``unnamed`` are the nests whose names found no room."""
 
     def __init__(self, site: Site, places: Sequence[Place], columns: int, rows: int) -> None:
         self._site, self._columns, self._rows = site, columns, rows - 1  # one for the scale
-        self._scale = _scale_of(places, columns, self._rows)
+        xs, ys = zip(*places, strict=True)
+        room, height = columns - 1 - 2 * MARGIN, 2 * (self._rows - 1)
+        # The width of a column at which all places are inside the margins, in the middle.
+        self._mm = mm = max((max(xs) - min(xs)) / room, (max(ys) - min(ys)) / height, 1.0)
+        self._left_mm = (min(xs) + max(xs) - mm * (columns - 1)) / 2
+        self._top_mm = (min(ys) + max(ys) + mm * height) / 2
         self._cells: dict[tuple[int, int], tuple[str, str]] = {}
         self._wanted()
         self.unnamed = self._nests()
@@ -155,6 +133,10 @@ class _Drawing:
     def lines(self) -> list[Content]:
         """Return the drawing, with its scale under it."""
         return [*map(self._line, range(self._rows)), self._bar()]
+
+    def _cell(self, place: Place) -> tuple[int, int]:
+        column = round((place[0] - self._left_mm) / self._mm)
+        return column, round((self._top_mm - place[1]) / (2 * self._mm))
 
     def _line(self, row: int) -> Content:
         """Return one row; letters of one style in a run are one part."""
@@ -186,7 +168,7 @@ class _Drawing:
         return any(self._put(*at, text, style) for at in around)
 
     def _wanted(self) -> None:
-        column, row = self._scale.cell(self._site.wanted_mm)
+        column, row = self._cell(self._site.wanted_mm)
         text = f" {_short(self._site.wanted)} "
         column = min(max(column - len(text) // 2, 0), self._columns - len(text))
         self._put(column, row, text, "bold $on-ask on $ask-fill")
@@ -194,79 +176,82 @@ class _Drawing:
     def _nests(self) -> list[str]:
         """Draw the other nests; return those without a name."""
         others = {
-            name: self._scale.cell(place)
+            name: self._cell(place)
             for name, place in sorted(self._site.nests.items(), key=itemgetter(1))
             if name != self._site.wanted
         }
         shown = {name: at for name, near in others.items() if (at := self._marked(name, near))}
-        named = {name for name, at in shown.items() if self._named(*at, name, self._ink(name))}
+        named = {
+            name
+            for name, at in shown.items()
+            if self._named(*at, name, "$label" if name in self._site.done else "$foreground")
+        }
         return [name for name in others if name not in named]
 
     def _marked(self, name: str, near: tuple[int, int]) -> tuple[int, int] | None:
         """Draw a nest, a little aside where something else is drawn; return where."""
-        mark = (DONE, "$passed") if name in self._site.done else (NEST, "$foreground")
+        mark = ("●", "$passed") if name in self._site.done else ("○", "$foreground")
         column, row = near
-        most = ASIDE_MM / self._scale.mm
+        most = ASIDE_MM / self._mm
         places = ((column + aside, row) for aside in ASIDE if abs(aside) <= most)
         return next((at for at in places if self._put(*at, *mark)), None)
 
-    def _ink(self, name: str) -> str:
-        return "$label" if name in self._site.done else "$foreground"
-
     def _tracker(self) -> None:
         """Draw the tracker, at the edge towards it where it is beyond."""
-        column, row = self._scale.cell(self._site.tracker_mm)
+        column, row = self._cell(self._site.tracker_mm)
         inside = 0 <= column < self._columns and 0 <= row < self._rows
         if not inside:
             column = min(max(column, 0), self._columns - 1)
             row = min(max(row, 0), self._rows - 1)
-        self._put(column, row, TRACKER, "bold $foreground")
+        self._put(column, row, "▲", "bold $foreground")
         under = column - len(" tracker ") // 2, row + 1
         if not self._put(*under, " tracker ", "$label"):
             self._named(column, row, "tracker", "$label")
 
     def _slide(self) -> None:
         """Draw the slide that carries the robot, to scale, at most five columns wide."""
-        column, row = self._scale.cell(self._site.robot_mm)
-        across = min(round(SLIDE_MM[0] / self._scale.mm), 2)
-        up = min(round(SLIDE_MM[1] / (2 * self._scale.mm)), 1)
+        column, row = self._cell(self._site.robot_mm)
+        across = min(round(SLIDE_MM[0] / self._mm), 2)
+        up = min(round(SLIDE_MM[1] / (2 * self._mm)), 1)
         for y in range(row - up, row + up + 1):
             for x in range(column - across, column + across + 1):
                 core = y == row and abs(x - column) <= max(across - 1, 0)
-                self._put(x, y, *((CORE, "$label") if core else (PLATE, "$stale")))
+                self._put(x, y, *(("█", "$label") if core else ("▒", "$stale")))
         self._named(column + across, row, "robot", "$foreground")
 
     def _rail(self) -> None:
         """Draw both rails through the whole view, and the stations beside them."""
         along, at = self._site.along, self._site.robot_mm
         steep = abs(along[1]) >= abs(along[0])
-        reach_mm = self._scale.mm * (self._columns + 2 * self._rows)
-        step_mm = self._scale.mm * (1.0 if steep else 0.5)
-        side = max(RAIL_MM, self._scale.mm * (1 if steep else 2))
+        reach_mm = self._mm * (self._columns + 2 * self._rows)
+        step_mm = self._mm * (1.0 if steep else 0.5)
+        side = max(RAIL_MM, self._mm * (1 if steep else 2))
         for name, place in self._site.stations.items():
             mark = (place[0] + side * -along[1], place[1] + side * along[0])
             other = (place[0] - side * -along[1], place[1] - side * along[0])
-            column, row = max(self._scale.cell(mark), self._scale.cell(other))
+            column, row = max(self._cell(mark), self._cell(other))
             tick = "─" if steep else ""
             self._put(column + 1, row, f"{tick} {_short(name)} ", "$label")
         for n in range(-int(reach_mm / step_mm), int(reach_mm / step_mm) + 1):
             for way in (-1.0, 1.0):
                 x = at[0] + n * step_mm * along[0] - way * side * along[1]
                 y = at[1] + n * step_mm * along[1] + way * side * along[0]
-                self._put(*self._scale.cell((x, y)), "│" if steep else "─", "$stale")
+                self._put(*self._cell((x, y)), "│" if steep else "─", "$stale")
 
     def _beam(self) -> None:
         """Draw the line from the wanted place to the tracker."""
         (x0, y0), (x1, y1) = self._site.wanted_mm, self._site.tracker_mm
-        steps = math.ceil(math.hypot(x1 - x0, (y1 - y0) / 2) / self._scale.mm)
+        steps = math.ceil(math.hypot(x1 - x0, (y1 - y0) / 2) / self._mm)
         for n in range(0, min(steps, 4 * self._columns), 2):
             at = (x0 + (x1 - x0) * n / steps, y0 + (y1 - y0) * n / steps)
-            self._put(*self._scale.cell(at), BEAM, "$ask")
+            self._put(*self._cell(at), "·", "$ask")
 
     def _bar(self) -> Content:
         """Return the scale: a round length, and the directions."""
-        length_mm = _round_below(BAR * self._scale.mm)
-        across = max(round(length_mm / self._scale.mm), 2)
+        most_mm = 10 * self._mm
+        power: float = 10.0 ** math.floor(math.log10(most_mm))
+        length_mm = max(step * power for step in (1, 2, 5) if step * power <= most_mm)
+        across = max(round(length_mm / self._mm), 2)
         unit = f"{length_mm / 1000:g} m" if length_mm >= 1000 else f"{length_mm:g} mm"
         text = f"├{'─' * (across - 1)}┤ {unit}   x ►  y up"
         return Content.styled(text.center(self._columns)[: self._columns], "$label")
@@ -275,9 +260,3 @@ class _Drawing:
 def _short(name: str) -> str:
     """Return the first letters of a name, each of one column."""
     return "".join(letter if cell_len(letter) == 1 else "?" for letter in name[:NAME])
-
-
-def _round_below(value: float) -> float:
-    """Return the largest 1, 2 or 5 times a power of ten that is not above ``value``."""
-    power: float = 10.0 ** math.floor(math.log10(value))
-    return max(step * power for step in (1, 2, 5) if step * power <= value)

@@ -9,8 +9,10 @@ from hilcell.errors import HilcellError, facts_of
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
 from hilcell.model.records import Kind
+from hilcell.model.verdicts import Verdict
 from hilcell.ports import NoReading
 from tests.hilcell.report.journals import plan_record
+from tests.hilcell.verdicts import plain
 
 Row = tuple[Kind, str, dict[str, Any]]
 RUN = "20261121-120000-home-abcd"
@@ -25,6 +27,10 @@ def state(to: str, **more: Any) -> Row:
 
 def event(what: str, **facts: Any) -> Row:
     return ("event", "", {"what": what} | facts)
+
+
+def verdict(key: str, judged: Verdict) -> Row:
+    return ("verdict", key, plain(judged))
 
 
 def faulted(error: Exception) -> Row:

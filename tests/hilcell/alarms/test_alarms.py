@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import msgspec
 import pytest
+from msgspec.structs import replace
 
 from hilcell.alarms import alarms_of
 from hilcell.cell.devices import ConnectFailed
@@ -12,6 +13,7 @@ from hilcell.errors import DeviceError, DeviceRefused, HilcellError, NoReading
 from hilcell.identification.sweeps import SweptAxis
 from hilcell.journal.curve_record import curve_measured
 from hilcell.journal.log import Log
+from hilcell.model.verdicts import Judged
 from hilcell.run.cell_lock import CellLocked
 from tests.hilcell.alarms.journals import (
     BEAM,
@@ -28,6 +30,17 @@ from tests.hilcell.alarms.journals import (
     point,
     problem,
     state,
+    verdict,
+)
+from tests.hilcell.verdicts import (
+    DOUBLED,
+    FITTED,
+    JUDGED,
+    REJECTED,
+    STRIP,
+    SUSPECTED,
+    SUSPICION,
+    UNDECIDED,
 )
 
 STALLED = DeviceError(
@@ -78,13 +91,13 @@ BY_EVENTS: dict[str, tuple[Row, ...]] = {
         event("station held", **HELD | {"rail_mm": 1101.5}),
         *DONE,
     ),
-    "HC-V01": (*OVER, ("verdict", "validation.others", {"holds": False, "max_mm": 0.5})),
-    "HC-V02": (*OVER, ("verdict", "sign", {"holds": False, "ratio": 2.0})),
-    "HC-V03": (*OVER, ("verdict", "station-repeatability", {"holds": False, "found_mm": 0.1})),
+    "HC-V01": (*OVER, verdict("validation.others", REJECTED)),
+    "HC-V02": (*OVER, verdict("sign", DOUBLED)),
+    "HC-V03": (*OVER, verdict("station-repeatability", replace(STRIP, holds=False, found_mm=0.1))),
     "HC-V04": (point("a"), point("b", 22.5), *OVER),
     "HC-V05": (*BEGUN, event("outlier measured again", key="grid/1-2-3"), *DONE),
     "HC-V06": (*BEGUN, event("curve", **REFUSED), *DONE),
-    "HC-V17": (*OVER, ("verdict", "validation.S1", {"holds": False, "outcome": "undecided"})),
+    "HC-V17": (*OVER, verdict("validation.S1", UNDECIDED)),
     "HC-V99": (*OVER, ("verdict", "beauty", {"holds": False})),
 }
 
@@ -109,7 +122,7 @@ def test_a_good_run_has_none() -> None:
         point("b", 21.9),
         event("safe stop", problems={}),
         event("link", frames=996, bad_lines=2, refused=1, malformed=1),
-        ("verdict", "validation.others", {"holds": True}),
+        verdict("validation.others", JUDGED),
     ]
     assert alarms(*good, *DONE) == []
     assert alarms(*good, live=True) == []
@@ -215,14 +228,18 @@ def test_temperature_is_judged_from_the_first_point_and_reported_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("outcome", "code"), [("rejected", "HC-V01"), ("undecided", "HC-V17"), ("other", "HC-V01")]
-)
-def test_only_what_was_rejected_is_called_out_of_tolerance(outcome: str, code: str) -> None:
-    body = {"holds": False, "outcome": outcome}
-    (alarm,) = alarms(*OVER, ("verdict", "validation.S1100", body))
-    assert alarm.code == code
-    (alarm,) = alarms(*OVER, ("verdict", "sign", body))
-    assert alarm.code == "HC-V02"
+    ("judged", "code", "why"),
+    [
+        (REJECTED, "HC-V01", "mean 0.2000 + U 0.0400 mm is above its limit of 0.12 mm"),
+        (UNDECIDED, "HC-V17",
+         "mean 0.1000 + U 0.0400 mm is not shown to keep its limit of 0.12 mm"),
+    ],
+)  # fmt: skip
+def test_only_what_was_rejected_is_called_out_of_tolerance(
+    judged: Judged, code: str, why: str
+) -> None:
+    (alarm,) = alarms(*OVER, verdict("validation.S1100", judged))
+    assert (alarm.code, alarm.found) == (code, why)
 
 
 def test_newest_is_last() -> None:
@@ -233,7 +250,7 @@ def test_newest_is_last() -> None:
         problem("safe stop", "Rail", LOST),
         CLOSED,
         faulted(STALLED),
-        ("verdict", "sign", {"holds": False}),
+        verdict("sign", DOUBLED),
     )
     assert [alarm.code for alarm in found] == ["HC-T10", "HC-C06", "HC-C02", "HC-R31", "HC-V02"]
     assert [alarm.seq for alarm in found] == sorted(alarm.seq for alarm in found)
@@ -264,11 +281,11 @@ def test_facts_that_hilcell_has_not_written_are_a_general_alarm(error: dict[str,
     assert alarm.code == "HC-C99"
 
 
-FITTED: Row = ("verdict", "fit", {"holds": True, "method": "idw"})
+FIT = verdict("fit", FITTED)
 
 
 def test_a_calibration_without_a_file_is_reported_with_its_remedy() -> None:
-    (alarm,) = alarms(*BEGUN, FITTED, *DONE, lost=True)
+    (alarm,) = alarms(*BEGUN, FIT, *DONE, lost=True)
     assert (alarm.code, alarm.severity) == (NO_FILE, "warning")
     assert RUN in alarm.do[-1]
 
@@ -276,9 +293,9 @@ def test_a_calibration_without_a_file_is_reported_with_its_remedy() -> None:
 @pytest.mark.parametrize(
     ("rows", "live"),
     [
-        ((*BEGUN, FITTED, *DONE), True),  # its engine is just writing it
+        ((*BEGUN, FIT, *DONE), True),  # its engine is just writing it
         ((*BEGUN, *DONE), False),  # a procedure that calibrates nothing
-        ((*BEGUN, FITTED, state("aborted")), False),
+        ((*BEGUN, FIT, state("aborted")), False),
     ],
 )
 def test_a_run_that_owes_no_file_has_lost_none(rows: tuple[Row, ...], live: bool) -> None:
@@ -287,10 +304,8 @@ def test_a_run_that_owes_no_file_has_lost_none(rows: tuple[Row, ...], live: bool
 
 def test_a_cause_that_the_run_suspects_stands_in_its_alarm_with_the_run_to_look_at() -> None:
     """Another run may be the newest by the time somebody reads the steps."""
-    text = "zero lost (0.0064 deg of axis 3), noticed by re-visited poses"
-    body = {"holds": False, "suspected": [text], "ratio": 3.0}
-    (alarm,) = alarms(*OVER, ("verdict", "suspicions", body))
-    assert alarm.found.endswith(text)
+    (alarm,) = alarms(*OVER, verdict("suspicions", SUSPECTED))
+    assert alarm.found.endswith(SUSPICION.text)
     shown = [step for step in alarm.do if "hilcell show" in step]
     assert shown
     assert not any("show last" in step for step in alarm.do)

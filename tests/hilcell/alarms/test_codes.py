@@ -10,6 +10,7 @@ from drivers.leica import emscon
 from fakes.exercises import EXERCISES
 from hilcell.alarms.catalogue import Entry, catalogue, entries_of, entry_of
 from hilcell.model.records import EVENTS
+from hilcell.model.verdicts import verdict_type
 from tests.hilcell.alarms.rooms import packages_of_hilcell
 
 ROOT = Path(__file__).parents[3]
@@ -59,11 +60,13 @@ def test_every_entry_is_raised_in_its_own_room() -> None:
 
 
 def test_every_verdict_of_an_entry_is_judged_somewhere() -> None:
-    texts = "".join(sources("procedures").values())
+    texts = "".join([*sources("procedures").values(), *sources("hilcell/calibration").values()])
     verdicts = [entry.verdict for entry in catalogue().values() if entry.verdict]
     assert verdicts
     for verdict in verdicts:
-        assert re.search(rf'verdict\(\s*f?"{verdict}["./]', texts), verdict
+        kind = verdict_type(verdict) or verdict_type(f"{verdict}.")
+        assert kind is not None, verdict
+        assert re.search(rf"\b{kind.__name__}\(", texts), verdict
 
 
 def test_every_error_of_a_device_names_its_code_first() -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from hilcell.calibration.budget import NO_VISITS, in_validation, touched, uncertainty_of
 from hilcell.calibration.influence import ASSUMED, MEASURED, Influence
@@ -14,7 +15,9 @@ from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import pose_from_zyx
 from hilcell.journal.log import Log
 from hilcell.model.point import PointId
+from hilcell.model.verdicts import CurvesUsed
 from tests.hilcell.report.journals import Writer, plan_record
+from tests.hilcell.verdicts import FITTED
 
 HERE = load_cell("paper").station_named("S1100")
 COVARIANCE = np.diag([1e-4, 4e-4, 9e-4, 1e-10, 4e-10, 9e-10])
@@ -216,5 +219,6 @@ def test_the_model_rests_on_poses_whose_angles_differ(tmp_path: Path) -> None:
         writer.point(id, (0, 0, 0), commanded_deg=axes_deg)
     log = writer.facts().log
     assert uncertainty_of(log).model_samples == 4  # of axis 1
-    log.verdicts["fit"] = {"curves": {"used": True}}  # what is left is no gear's
+    curves = CurvesUsed(used=True, reason="")
+    log.verdicts["fit"] = replace(FITTED, curves=curves)  # what is left is no gear's
     assert uncertainty_of(log).model_samples == 8

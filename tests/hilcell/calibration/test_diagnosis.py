@@ -19,7 +19,7 @@ from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.journal import Record, read_journal
 from hilcell.journal.log import Log, commanded_rad
 from hilcell.journal.runs import JOURNAL
-from hilcell.model.frame import Frame
+from hilcell.model.frame import Frame, MeasuredBase
 from hilcell.model.plan import FloorBefore
 from hilcell.model.point import Point
 from hilcell.model.suspicion import Cause
@@ -83,8 +83,9 @@ def axis_2_loses_motion(log: Log) -> None:
 
 
 def wider_circle(log: Log) -> None:
-    first, wide_mm = log.frames["base"]["radius_mm"]
-    log.frames["base"] = log.frames["base"] | {"radius_mm": [first, wide_mm + 4.0]}
+    base = log.frame(MeasuredBase, "base")
+    first, wide_mm = base.radius_mm
+    log.frames["base"] = msgspec.structs.replace(base, radius_mm=[first, wide_mm + 4.0])
 
 
 def nest_rises(log: Log) -> None:
@@ -92,7 +93,7 @@ def nest_rises(log: Log) -> None:
     moved = world_motion(log, then[:3, 3], 1, 2.0 * up)
     then[:3, 3] -= moved[:3]
     then[:3, :3] = from_rotvec(-moved[3:]) @ then[:3, :3]
-    base = Frame(matrix=then.tolist(), covariance=log.frames["base"]["covariance"])
+    base = Frame(matrix=then.tolist(), covariance=log.frames["base"].covariance)
     before = FloorBefore("c1", {}, None, base, alike=True)
     log.plan = msgspec.structs.replace(log.inputs, floor_before=before)
 

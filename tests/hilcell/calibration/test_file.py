@@ -3,8 +3,7 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -21,8 +20,10 @@ from hilcell.calibration.form import Calibration
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.interpolation import Trilinear
 from hilcell.journal.log import Log
+from hilcell.model.verdicts import OtherVerdict
 from tests.hilcell.calibration.calibrations import READINGS_MM2, calibration, measured
 from tests.hilcell.compensation.models import level
+from tests.hilcell.verdicts import FITTED, REJECTED, SUSPICION, VERDICTS
 
 
 @pytest.fixture
@@ -173,19 +174,17 @@ def test_verdicts_that_cannot_be(file: Path, change: Callable[[Any], Any]) -> No
 
 
 def test_a_run_s_verdicts_stand_in_its_file() -> None:
-    figures = {"mean_mm": 0.03, "mean_tolerance_mm": 0.2}
-    verdicts = {
-        "fit": {"holds": True, "method": "idw"},
-        "closing": {"holds": False, "shift_mm": 0.21234567, "cause": "mount slipped"},
-        "validation.S1100": {"holds": False} | figures,
+    log = Log()
+    facts = {"shift_mm": 0.21234567, "cause": "mount slipped"}
+    log.verdicts |= {
+        "fit": FITTED,
+        "closing": OtherVerdict(holds=False, facts=facts),
+        "validation.S1100": REJECTED,
     }
-    log = cast("Log", SimpleNamespace(verdicts=verdicts))
-    assert failed_of(log) == {"closing": "shift_mm 0.2123, cause mount slipped"}
-    text = "zero lost (0.006 deg of axis 3), noticed by re-visited poses"
-    suspicion = {"cause": "zero lost", "size": 0.006, "unit": "deg of axis 3"}
-    told = {"revisits": {"holds": False, "suspicion": suspicion, "suspected": [text]}}
-    assert failed_of(cast("Log", SimpleNamespace(verdicts=told))) == {"revisits": text}
-    assert verdicts_of(log) == {"S1100": {"holds": False} | figures}
+    assert failed_of(log) == {"closing": "shift 0.2123 mm, cause mount slipped"}
+    assert verdicts_of(log) == {"S1100": REJECTED}
+    log.verdicts = {"revisits.closing": VERDICTS["revisits.closing"]}
+    assert failed_of(log) == {"revisits.closing": SUSPICION.text}
 
 
 def test_the_model_comes_back_with_its_covariance(file: Path) -> None:

@@ -2,7 +2,6 @@
 
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -26,13 +25,16 @@ from hilcell.calibration.validity import Unfit
 from hilcell.cell.file import Cell, RecheckTable, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.journal.index import read_index
-from hilcell.journal.journal import Journal
+from hilcell.journal.journal import Journal, Record
+from hilcell.journal.log import Log
 from hilcell.journal.runs import CALIBRATION, JOURNAL
 from hilcell.model.events import CalibrationUsed
+from hilcell.model.verdicts import Rechecked
 from hilcell.ports import HilcellError
 from tests.hilcell.calibration.calibrations import calibration
-from tests.hilcell.commands.finished_runs import MADE, finished
+from tests.hilcell.commands.finished_runs import FIT, MADE, finished
 from tests.hilcell.report.journals import Writer
+from tests.hilcell.verdicts import RECHECKED, REDO
 
 CELL = load_cell("paper")
 
@@ -40,7 +42,7 @@ CELL = load_cell("paper")
 def made(runs: Path, name: str, **provenance: Any) -> Calibration:
     """Write a run with a calibration of the cell, simulated as it is, that was not validated."""
     folder = runs / name
-    finished(runs, name, {"fit": {}})
+    finished(runs, name, FIT)
     here: dict[str, Any] = {"cell": CELL.name, "digest": CELL.digest, "simulated": True}
     found = calibration(**(here | {"run": name} | provenance))
     write_calibration(found, folder / CALIBRATION)
@@ -149,13 +151,15 @@ def test_a_file_alone_must_be_of_the_same_cell_file(tmp_path: Path) -> None:
         with_calibration(using(str(alone)), "recheck", tmp_path)
 
 
-@pytest.mark.parametrize("verdict", [{"verdict": "valid"}, {"verdict": "redo"}, None])
+@pytest.mark.parametrize("verdict", [RECHECKED, REDO, None])
 def test_a_run_that_wrote_none_says_what_to_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verdict: dict[str, str] | None
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verdict: Rechecked | None
 ) -> None:
     used = CalibrationUsed(**record_of(made(tmp_path, "1-old"), ""))
-    event = SimpleNamespace(fact=used)
-    log = SimpleNamespace(events=[event], verdicts={} if verdict is None else {"recheck": verdict})
+    records = [Record(1, "2026-01-01T00:00:00.000Z", "event", "", msgspec.to_builtins(used))]
+    log = Log(records)
+    if verdict is not None:
+        log.verdicts["recheck"] = verdict
     monkeypatch.setattr(in_use, "read_log", lambda folder: log)
     with pytest.raises(NoCalibration, match=r"r1 .*1-old"):
         written_by(tmp_path / "r1")

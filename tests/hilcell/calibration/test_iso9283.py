@@ -40,6 +40,7 @@ from hilcell.model.verdicts import ISO
 from hilcell.ports import Array
 from tests.hilcell.calibration.pose_tests import made_up
 from tests.hilcell.report.journals import Writer
+from tests.hilcell.verdicts import plain
 
 RNG = np.random.default_rng(9283)
 NOTHING_MM2 = np.zeros((3, 3))
@@ -190,8 +191,9 @@ def result(ad_mm: float = -0.2, **limits: float) -> PoseTest:
 )
 def test_a_limit_is_kept_with_the_uncertainty(limits: dict[str, float], holds: bool) -> None:
     judged = result(**limits).judgement()
-    assert judged["holds"] is holds
-    assert limits.items() <= judged.items()
+    assert judged is not None
+    assert judged.holds is holds
+    assert limits.items() <= plain(judged).items()
 
 
 ANGLES = {
@@ -216,17 +218,22 @@ ANGLES = {
 )
 def test_the_worst_angle_keeps_its_limit_or_not(limits: dict[str, float], holds: bool) -> None:
     judged = msgspec.structs.replace(result(**limits), orientation=ANGLES).judgement()
-    assert judged["holds"] is holds
-    assert limits.items() <= judged.items()
-    assert result(**limits).judgement()["holds"] is False  # limited and not measured
+    assert judged is not None
+    assert judged.holds is holds
+    assert limits.items() <= plain(judged).items()
+    not_measured = result(**limits).judgement()
+    assert not_measured is not None
+    assert not_measured.holds is False
 
 
 def test_without_limits_there_is_no_verdict() -> None:
-    assert result().judgement() == {}
+    assert result().judgement() is None
 
 
 def test_a_figure_that_is_no_number_keeps_no_limit() -> None:
-    assert result(np.nan, ad_limit_mm=1.0).judgement()["holds"] is False
+    judged = result(np.nan, ad_limit_mm=1.0).judgement()
+    assert judged is not None
+    assert judged.holds is False
 
 
 def test_stops_and_pauses_between_visits_are_departures(tmp_path: Path) -> None:

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.instrument import KNOWN_LENGTH, known_lengths, scale
+from hilcell.calibration.instrument import known_lengths, scale
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.log import Log
 from hilcell.model.point import LENGTH, PointId
-from hilcell.model.verdicts import LengthFound
+from hilcell.model.verdicts import LengthFound, LengthsChecked
 from tests.hilcell.report.journals import Writer, plan_record
 from tests.whole.bench import command, end_of, events, sets, simulation
 from tests.whole.trace import judge
@@ -69,7 +68,8 @@ def test_certificate_and_temperature_count(tmp_path: Path) -> None:
 def test_the_suspicion_is_the_verdict_s(tmp_path: Path) -> None:
     log = measured(tmp_path / "run", 1.0001)
     assert scale(log) is None  # not judged yet
-    log.verdicts[KNOWN_LENGTH] = {"lengths": msgspec.to_builtins(known_lengths(log.cell, log))}
+    lengths = known_lengths(log.cell, log)
+    log.verdicts["known-length"] = LengthsChecked(holds=False, lengths=lengths, wrong=[])
     found = scale(log)
     assert found is not None
     assert (found.cause, found.unit, found.noticed_by) == ("scale", "ppm", "known length B1 to B2")

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from hilcell.calibration.diagnosis import misplaced_base
 from hilcell.cell.file import Cell, load_cell
 from hilcell.journal.log import Log
+from tests.hilcell.verdicts import BASE
 
 
 class Based(Log):
@@ -18,7 +20,7 @@ class Based(Log):
         self._cell = cell
         matrix = cell.layout.nominal_base(cell.station_named(cell.grid.station).rail_mm)
         matrix[:3, 3] += off_mm
-        self.frames["base"] = {"matrix": matrix.tolist(), "circle_rms_mm": [0.01, 0.01]}
+        self.frames["base"] = replace(BASE, matrix=matrix.tolist())
 
     @property
     def cell(self) -> Cell:

@@ -14,6 +14,7 @@ from hilcell.geometry.kinematics import forward
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log, commanded_rad
 from hilcell.journal.runs import JOURNAL
+from hilcell.model.frame import MeasuredBase
 from hilcell.ports import Array
 from tests.whole.golden import GoldenRuns
 
@@ -60,7 +61,7 @@ def off(log: Log, in_tool_mm: Array) -> Log:
 
 def wide(log: Log, by_mm: float) -> Log:
     """Let the circle of axis 6 be wider than that of the stated mount."""
-    log.frames["base"]["radius_mm"][1] = 98.0 + by_mm
+    log.frame(MeasuredBase, "base").radius_mm[1] = 98.0 + by_mm
     return log
 
 

@@ -30,7 +30,7 @@ def since(log: Log, moved: Array) -> Log:
     frame, then = log.frames["base"], log.matrix("base")
     then[:3, 3] -= moved[:3]
     then[:3, :3] = from_rotvec(-moved[3:]) @ then[:3, :3]
-    base = Frame(matrix=then.tolist(), covariance=frame["covariance"])
+    base = Frame(matrix=then.tolist(), covariance=frame.covariance)
     log.plan = msgspec.structs.replace(
         log.inputs, floor_before=FloorBefore("c1", {}, None, base, alike=True)
     )
@@ -69,9 +69,8 @@ def test_without_a_base_measured_before_nothing_can_tell(log: Log) -> None:
 def test_the_base_before_is_that_of_the_current_calibration(golden: GoldenRuns, log: Log) -> None:
     found = floor_before(golden["small"].runs, log.cell, 1)
     assert found is not None
-    assert found.base == Frame(
-        matrix=log.frames["base"]["matrix"], covariance=log.frames["base"]["covariance"]
-    )
+    base = log.frames["base"]
+    assert found.base == Frame(matrix=base.matrix, covariance=base.covariance)
     joints = msgspec.structs.replace(log.cell.base_frame, axis_1_sweep_deg=(-40.0, 40.0))
     other = floor_before(
         golden["small"].runs, msgspec.structs.replace(log.cell, base_frame=joints), 1

@@ -10,17 +10,18 @@ import pytest
 
 from hilcell.calibration.diagnosis import suspicions_of
 from hilcell.calibration.file import read_calibration, write_calibration
-from hilcell.calibration.form import Update
 from hilcell.calibration.since import changed_since, compared
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.journal.floor_before import floor_before
 from hilcell.journal.journal import read_journal
 from hilcell.journal.log import Log
 from hilcell.journal.runs import CALIBRATION, JOURNAL
+from hilcell.model.calibration import Update
 from hilcell.model.frame import Frame
 from hilcell.model.plan import FloorBefore
 from hilcell.model.verdicts import Parameter
 from tests.hilcell.report.journals import Writer
+from tests.hilcell.verdicts import UPDATED
 from tests.whole.golden import GoldenRuns
 
 
@@ -168,7 +169,7 @@ def test_a_calibration_that_a_re_check_has_changed_has_the_frames_of_its_first_r
     for point in log.select("world"):
         if point.id.number is None:
             writer.point(point.id, point.xyz_mm)
-    writer.journal.append("verdict", "recheck", {"holds": True, "verdict": "update"})
+    writer.journal.append("verdict", "recheck", UPDATED)
     folder = writer.ended()
     made = read_calibration(first / CALIBRATION)
     at, (x, y, z) = log.cell.grid.station, (2.0, 0.0, 0.0)
@@ -187,7 +188,7 @@ def test_a_calibration_that_a_re_check_has_changed_has_the_frames_of_its_first_r
     assert found.base is not None
     assert found.run == "recheck"
     assert found.base.matrix == T.tolist()
-    wider = np.diag(np.array(found.base.covariance) - np.array(log.frames["base"]["covariance"]))
+    wider = np.diag(np.array(found.base.covariance) - np.array(log.frames["base"].covariance))
     np.testing.assert_allclose(wider[:3], 0.01)
     assert len(found.stations) == len(log.cell.station)
     assert found.frames_c is not None

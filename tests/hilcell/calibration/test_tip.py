@@ -14,11 +14,12 @@ from hilcell.calibration.influence import Bounds
 from hilcell.calibration.tip import AT_REFLECTOR, tip_named, tip_of_program, tips_of
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
-from hilcell.commands.bounds import bounds_of_targets
 from hilcell.compensation.programs import StatedTool
 from hilcell.compensation.targets import write_targets
 from hilcell.geometry.frames import inverse, poses_from_zyx, zyx_from_pose
 from hilcell.journal.runs import CALIBRATION
+from hilcell.programs.corrected import Released
+from hilcell.run.order import Release
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
 from tests.hilcell.commands.finished_runs import MADE, finished
 from tests.hilcell.commands.test_prepare import INSIDE, holes, made, prepare
@@ -101,8 +102,9 @@ def test_bounds_hold_at_the_tip(cell: Cell) -> None:
     """Its place on the flange is in them."""
     tip, target = tip_named(cell, "drill"), np.array([[0.0, 0.0, 1200.0, 0.0, 75.0, 0.0]])
     at_tip = zyx_from_pose(poses_from_zyx(target) @ tip.T_T_D)
-    found = bounds_of_targets(calibration(), "S1100", at_tip, None, tip)
-    known = bounds_of_targets(calibration(), "S1100", target, None, AT_REFLECTOR)
+    used = Released(calibration(), Path("c.json"), Release(runs=Path()), None, [], None)
+    found = used.corrected("S1100", ["H1"], at_tip, tip, None).bounds
+    known = used.corrected("S1100", ["H1"], target, AT_REFLECTOR, None).bounds
     assert isinstance(known, Bounds)
     assert isinstance(found, Bounds) or "no line" in found.reason
 

@@ -11,6 +11,8 @@ import msgspec
 
 from hilcell.calibration.file import write_calibration
 from hilcell.journal.runs import CALIBRATION
+from hilcell.model.verdicts import Verdict
+from tests.hilcell import verdicts
 from tests.hilcell.calibration.calibrations import calibration
 from tests.hilcell.report.journals import Writer
 
@@ -18,7 +20,7 @@ from tests.hilcell.report.journals import Writer
 def finished(
     runs: Path,
     name: str,
-    verdicts: dict[str, Any],
+    judged: Mapping[str, Verdict],
     /,
     used: str = "",
     code: int = 0,
@@ -30,8 +32,8 @@ def finished(
     writer = Writer(runs / name, **plan).began()
     if used:
         writer.journal.append("event", "", {"what": "calibration used", "run": used})
-    for key, more in verdicts.items():
-        writer.journal.append("verdict", key, {"holds": True} | more)
+    for key, verdict in judged.items():
+        writer.journal.append("verdict", key, verdict)
     writer.state("run", "finished")
     writer.journal.append("end", "", {"state": "finished", "exit": code, "result": {}})
     writer.journal.close()
@@ -39,5 +41,6 @@ def finished(
     write_calibration(made, runs / name / CALIBRATION)
 
 
-MADE: dict[str, Any] = {"fit": {}, "validation.S1100": {}}
-REDO: dict[str, Any] = {"recheck": {"holds": False, "verdict": "redo"}}
+FIT: dict[str, Verdict] = {"fit": verdicts.FITTED}
+MADE = FIT | {"validation.S1100": verdicts.JUDGED}
+REDO: dict[str, Verdict] = {"recheck": verdicts.REDO}

@@ -18,11 +18,11 @@ from hilcell.calibration.file import write_calibration
 from hilcell.calibration.influence import ASSUMED, Influence, Uncertainty, motion
 from hilcell.cell.file import load_cell
 from hilcell.commands.cli import main
-from hilcell.commands.output_place import CSV, check_output
 from hilcell.compensation.stamp import COLUMN, Stamp
 from hilcell.compensation.targets import HEADER, write_targets
 from hilcell.geometry.frames import apply, inverse
-from hilcell.planning.holes import NORMALS
+from hilcell.programs.holes import NORMALS
+from hilcell.writing import CSV, check_output
 from tests.hilcell.calibration.calibrations import LIMITS, T_W_B, calibration
 from tests.hilcell.cell.packages import install
 from tests.hilcell.commands.finished_runs import MADE, finished

@@ -18,6 +18,7 @@ from hilcell.commands.run_output import print_unclosed
 from hilcell.journal.journal import StorageError, read_journal
 from hilcell.journal.runs import CALIBRATION
 from hilcell.ports import DeviceError
+from hilcell.run import engine
 from hilcell.run.runner import Runner
 from hilcell.run.stopping import not_at_rest
 
@@ -105,11 +106,11 @@ def test_signals_while_a_finished_run_closes_do_not_change_its_end(
         pressed()
         written.append(path)
 
-    monkeypatch.setattr(command, "calibration_after", pressed)
-    monkeypatch.setattr(command, "write_calibration", write)
+    monkeypatch.setattr(engine, "calibration_after", pressed)
+    monkeypatch.setattr(engine, "write_calibration", write)
     monkeypatch.setattr("hilcell.journal.log.Log.calibrates", True)
     monkeypatch.setattr(command, "print_unclosed", pressed)
-    monkeypatch.setattr(command, "lock_of_device", None)  # nobody else reaches a cell of our own
+    monkeypatch.setattr(engine, "lock_of_device", None)  # nobody else reaches a cell of our own
     code, kinds, words = end(tmp_path, capsys)
     assert code == 0
     assert kinds == ["state", "end"]
@@ -121,7 +122,7 @@ def test_signals_while_a_finished_run_closes_do_not_change_its_end(
 def test_a_signal_while_the_simulated_cell_starts_ends_the_run_before_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(command, "start_simulation", pressed)
+    monkeypatch.setattr(engine, "start_simulation", pressed)
     code, kinds, words = end(tmp_path, capsys)
     assert code == 4
     assert kinds == ["plan", "end"]

@@ -8,10 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilcell.compensation.targets import read_named_rows, read_targets
+from hilcell.compensation.targets import (
+    read_named_rows,
+    read_targets,
+    write_targets,
+)
+from hilcell.compensation.targets import write_rows as write_list
 from hilcell.fit.methods import FitResult, Fitted, fitted
 from hilcell.fit.robot_file import Measurements, read_measurements
-from hilcell.fit.robot_targets import write_joints, write_poses
+from hilcell.fit.robot_targets import JOINT_HEADER, joint_rows
 from hilcell.fit.urdf_file import Urdf, read_urdf
 from hilcell.geometry.frames import (
     apply,
@@ -83,7 +88,7 @@ def found(folder: Path, urdf: Urdf) -> Fitted:
 
 @pytest.fixture(autouse=True)
 def _fitted_once(monkeypatch: pytest.MonkeyPatch, found: Fitted) -> None:
-    monkeypatch.setattr("hilcell.commands.fit.fitted", lambda robot, train, test: found)
+    monkeypatch.setattr("hilcell.commands.targets.fitted", lambda robot, train, test: found)
 
 
 def fit(
@@ -117,7 +122,7 @@ def test_corrected_poses_bring_the_tool_to_its_targets(
     flange = inverse(chain_forward(urdf.chain, still)) @ forward(IRB120.arm(), still)
     about = matrix(np.eye(3), apply(flange, SMR_MM["SMR2"][None])[0])
     poses = chain_forward(urdf.chain, joints) @ about
-    write_poses(targets, NAMES, poses, inputs=[])
+    write_targets(targets, NAMES, zyx_from_pose(poses))
     done = fit(folder, "--correct", targets, "--tool", "SMR2", "-o", out, "--bounds", bounds)
     found = json.loads(done.stdout)["corrected"]
     assert (found["targets"], found["tool"]) == (12, "SMR2")
@@ -142,7 +147,7 @@ def test_corrected_joints_bring_the_tool_to_its_targets(
 ) -> None:
     targets, out = tmp_path / "t.csv", tmp_path / "c.csv"
     joints = drawn(2, len(NAMES))
-    write_joints(targets, NAMES, joints, inputs=[])
+    write_list(targets, JOINT_HEADER, joint_rows(NAMES, joints))
     done = fit(folder, "--correct", targets, "--tool", "SMR1", "-o", out)
     found = json.loads(done.stdout)["corrected"]
     poses = chain_forward(urdf.chain, joints) @ tool_of(found)
@@ -160,7 +165,7 @@ def test_corrected_joints_bring_the_tool_to_its_targets(
 def test_a_program_is_corrected_in_place(folder: Path, urdf: Urdf, tmp_path: Path) -> None:
     about = matrix(np.eye(3), np.array([0.0, 0.0, 120.0]))
     poses = chain_forward(urdf.chain, drawn(2, 2)) @ about
-    write_poses(tmp_path / "t.csv", ["a", "b"], poses, inputs=[])
+    write_targets(tmp_path / "t.csv", ["a", "b"], zyx_from_pose(poses))
     values = read_targets(tmp_path / "t.csv")[1]
     lines = [
         "LIN {" + ",".join(f"{n} {v:.4f}" for n, v in zip("XYZABC", row, strict=True)) + "}"
@@ -198,7 +203,7 @@ def test_nothing_is_corrected_where_no_method_helps(
 ) -> None:
     result: FitResult = {**found.result, "chosen": "nominal", "reason": "no method beats nominal"}
     monkeypatch.setattr(
-        "hilcell.commands.fit.fitted", lambda robot, train, test: replace(found, result=result)
+        "hilcell.commands.targets.fitted", lambda robot, train, test: replace(found, result=result)
     )
     words = ("--correct", folder / "train.csv", "--tool", "SMR1", "-o", folder / "c.csv")
     assert "no method beats nominal" in refused(folder, *words)
@@ -209,8 +214,8 @@ def test_undetermined_targets_are_named(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("hilcell.commands.fit.UNDETERMINED_MM", 1e-6)
-    write_joints(tmp_path / "t.csv", ["a", "b"], drawn(2, 2), inputs=[])
+    monkeypatch.setattr("hilcell.programs.arm_targets.UNDETERMINED_MM", 1e-6)
+    write_list(tmp_path / "t.csv", JOINT_HEADER, joint_rows(["a", "b"], drawn(2, 2)))
     words = ("--correct", tmp_path / "t.csv", "--tool", "SMR1", "-o", tmp_path / "c.csv")
     assert "1e-06 mm: a, b" in refused(folder, *words)
     assert not (tmp_path / "c.csv").exists()

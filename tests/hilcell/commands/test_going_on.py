@@ -1,6 +1,6 @@
 """A person agrees to the motion that was announced last, and to none that was agreed to."""
 
-from hilcell.commands.going_on import awaited_motion
+from hilcell.commands.run import awaited_motion
 from tests.hilcell.alarms.journals import event, log_of, state
 
 RUNNING = state("running")

@@ -20,6 +20,7 @@ from hilcell.journal.engine_file import EngineFile
 from hilcell.journal.journal import Journal, Record, read_journal
 from hilcell.journal.runs import JOURNAL
 from hilcell.run.cell_lock import lock_of_name, locked
+from hilcell.run.engine import Ending, Engine
 from hilcell.run.protocol import Status
 from hilcell.run.same_cell import Changes
 from tests.hilcell.report.journals import Writer
@@ -46,7 +47,7 @@ def test_a_run_that_another_engine_finishes_meanwhile_is_not_begun_again(
         with locked(path, what, run):
             yield
 
-    monkeypatch.setattr(command, "locked", last)
+    monkeypatch.setattr("hilcell.run.engine.locked", last)
     assert main(["resume", "r", "--unattended", "--runs", str(tmp_path)]) == 2
     assert read_journal(folder / JOURNAL)[-1].kind == "end"
 
@@ -79,11 +80,11 @@ def resumed(
     """Resume a run with somebody at a terminal; return the exit code, and what went on."""
     gone_on: list[Changes] = []
 
-    def perform(*given: Any) -> int:
-        gone_on.append(given[-1])
-        return 0
+    def perform(self: Engine, noted: object) -> Ending:
+        gone_on.append(self.plan.changes)
+        return Ending(0, None)
 
-    monkeypatch.setattr(command, "_perform", perform)
+    monkeypatch.setattr(Engine, "_perform", perform)
     if answer is not None:
         monkeypatch.setattr(sys, "stdin", Terminal(answer))
         monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)

@@ -21,8 +21,9 @@ from hilcell.journal.index import read_index, row_of
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import CALIBRATION, JOURNAL, read_log
 from hilcell.run.cell_lock import lock_of_name, locked
-from tests.hilcell.commands.finished_runs import MADE, REDO, finished
+from tests.hilcell.commands.finished_runs import FIT, MADE, REDO, finished
 from tests.hilcell.commands.workplace import read_corrected
+from tests.hilcell.verdicts import REJECTED, UNDECIDED
 from tests.whole.bench import command
 
 
@@ -127,10 +128,9 @@ def test_runs_and_show_say_how_it_stands(runs: Path) -> None:
 
 
 def test_one_that_is_undecided_is_listed_so(runs: Path) -> None:
-    undecided = {"holds": False, "outcome": "undecided"}
-    finished(runs, "2-made", {"fit": {}, "validation.S1100": undecided}, code=1)
-    rejected = {"validation.S300": {"holds": False, "outcome": "rejected"}}
-    finished(runs, "3-made", {"fit": {}, "validation.S1100": undecided} | rejected, code=1)
+    undecided = FIT | {"validation.S1100": UNDECIDED}
+    finished(runs, "2-made", undecided, code=1)
+    finished(runs, "3-made", undecided | {"validation.S300": REJECTED}, code=1)
     assert [each["state"] for each in listed(runs).values()] == [
         "current", "undecided", "not validated",
     ]  # fmt: skip

@@ -19,6 +19,7 @@ from hilcell.journal.journal import Record
 from hilcell.journal.runs import read_log
 from hilcell.model.events import LinkCounted
 from hilcell.model.suspicion import Cause, Suspicion
+from hilcell.model.verdicts import verdict_of
 from hilcell.report.export import xlsx_bytes
 from hilcell.report.facts import read_facts
 from hilcell.report.html import report_html
@@ -116,7 +117,7 @@ POSITION = {
 def test_a_verdict_that_does_not_hold_is_printed_with_its_figures(
     key: str, more: dict[str, Any], words: str
 ) -> None:
-    printed = failed_words(key, more)
+    printed = failed_words(key, verdict_of(key, more))
     assert [word for word in words.split() if word not in printed] == []
 
 

@@ -8,14 +8,15 @@ import msgspec
 import pytest
 
 from hilcell.calibration.decision import Guard, judged
-from hilcell.calibration.form import Update
 from hilcell.cell.file import load_cell
-from hilcell.commands import run
 from hilcell.journal.index import RunRow
 from hilcell.journal.runs import CALIBRATION, read_log
+from hilcell.model.calibration import Update
+from hilcell.run import engine
 from tests.hilcell.calibration.calibrations import LIMITS, calibration
-from tests.hilcell.commands.finished_runs import MADE, finished
+from tests.hilcell.commands.finished_runs import FIT, MADE, finished
 from tests.hilcell.report.journals import Writer
+from tests.hilcell.verdicts import REJECTED, TOUCHED
 from tests.whole.bench import command
 
 WRONG = judged(0.9, 2.0, LIMITS, Guard(0.04, 0.05))
@@ -24,7 +25,7 @@ WRONG = judged(0.9, 2.0, LIMITS, Guard(0.04, 0.05))
 @pytest.fixture
 def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a folder of runs in which a run ends as soon as its plan is journalled."""
-    monkeypatch.setattr(run, "_perform", lambda *given: 0)
+    monkeypatch.setattr(engine.Engine, "_perform", lambda *given: engine.Ending(0, None))
     finished(tmp_path, "1-made", MADE)
     return tmp_path
 
@@ -81,12 +82,12 @@ def touched(runs: Path) -> None:
     """Finish a run that touched the base of the first on a visit."""
     touch = Update("3-touch", "touch", "2026-11-22T10:00:00Z", 8)
     made = calibration(run="1-made", simulated=True, updates=[touch]).provenance
-    finished(runs, "3-touch", {"touch": {"station": "S300"}}, used="1-made", provenance=made)
+    finished(runs, "3-touch", {"touch": TOUCHED}, used="1-made", provenance=made)
 
 
 def test_the_current_one_is_taken_and_named(runs: Path) -> None:
     """A later one that failed is not it, nor is a base that was touched on a visit."""
-    finished(runs, "2-made", {"fit": {}, "validation.S1100": {"holds": False}}, code=1)
+    finished(runs, "2-made", FIT | {"validation.S1100": REJECTED}, code=1)
     touched(runs)
     done = recheck(runs, "")
     assert done.returncode == 0
@@ -126,11 +127,11 @@ def test_poses_of_finished_runs_of_the_same_cell_are_known(monkeypatch: pytest.M
         *[{"state": "finished"}] * 9,
     ]
     rows = [msgspec.structs.replace(ROW, name=f"{n}", **changes) for n, changes in enumerate(kinds)]
-    monkeypatch.setattr(run, "read_index", lambda runs: rows)
-    assert run._finished_runs(Path(), CELL) == ["5", "6", "7", "8", "9"]
+    monkeypatch.setattr(engine, "read_index", lambda runs: rows)
+    assert engine.finished_runs(Path(), CELL) == ["5", "6", "7", "8", "9"]
     real = msgspec.structs.replace(CELL, simulation=None)
-    assert run._finished_runs(Path(), real) == ["4"]
+    assert engine.finished_runs(Path(), real) == ["4"]
     bare = msgspec.structs.replace(
         CELL, robot=msgspec.structs.replace(CELL.robot, envelope=None), keep_out=[]
     )
-    assert run._finished_runs(Path(), bare) == []
+    assert engine.finished_runs(Path(), bare) == []

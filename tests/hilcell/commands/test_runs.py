@@ -5,47 +5,50 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from hilcell.commands import output, past
 from hilcell.journal.index import RunRow, row_of
 from hilcell.journal.standing import standings
-from tests.hilcell.commands.finished_runs import MADE, REDO, finished
+from hilcell.model.verdicts import Suspected, Verdict
+from tests.hilcell import verdicts
+from tests.hilcell.commands.finished_runs import FIT, MADE, REDO, finished
 from tests.whole.bench import command
 
-UNDECIDED = {"validation.S1100": {"holds": False, "outcome": "undecided"}}
-REJECTED = {"validation.S1100": {"holds": False, "outcome": "rejected"}}
-SUSPECTED = {"suspicions": {"holds": False, "suspected": ["tracker moved by 0.3 mm"]}}
+UNDECIDED = {"validation.S1100": verdicts.UNDECIDED}
+REJECTED = {"validation.S1100": verdicts.REJECTED}
+SUSPECTED = {"suspicions": verdicts.SUSPECTED}
 
 
 @pytest.mark.parametrize(
-    ("verdicts", "code", "said", "stands"),
+    ("judged", "code", "said", "stands"),
     [
         (MADE, 0, "in tolerance", "current"),
         (MADE | REJECTED, 1, "out of tolerance", "not validated"),
         (MADE | UNDECIDED, 1, "undecided", "undecided"),
-        (MADE | UNDECIDED | {"validation.S300": REJECTED["validation.S1100"]}, 1,
-         "out of tolerance", "not validated"),
+        (MADE | UNDECIDED | {"validation.S300": verdicts.REJECTED}, 1, "out of tolerance",
+         "not validated"),
         (MADE | SUSPECTED, 1, "suspected", "suspected"),
         (MADE | REJECTED | SUSPECTED, 1, "out of tolerance; suspected", "not validated"),
-        (MADE | {"suspicions": {"suspected": []}}, 0, "in tolerance", "current"),
-        ({"fit": {}}, 0, "not validated", "not validated"),
+        (MADE | {"suspicions": Suspected(holds=True, suspected=[])}, 0, "in tolerance", "current"),
+        (FIT, 0, "not validated", "not validated"),
         (REDO, 1, "calibrate again", ""),
-        ({"recheck": {"verdict": "valid"}}, 0, "still valid", ""),
-        ({"backlash": {"holds": False}}, 1, "out of tolerance", ""),
-        ({"backlash": {}}, 0, "done", ""),  # a check that holds judges no robot
-        ({"iso9283": {}}, 0, "in tolerance", ""),
-        ({"iso9283": {}}, 1, "out of tolerance", ""),  # by something else than its limits
-        ({"targets": {}}, 0, "in tolerance", "current"),
-        ({"targets": {"holds": False}}, 1, "out of tolerance", ""),  # nothing was folded in
+        ({"recheck": verdicts.RECHECKED}, 0, "still valid", ""),
+        ({"backlash": replace(verdicts.BACKLASH, holds=False)}, 1, "out of tolerance", ""),
+        ({"backlash": verdicts.BACKLASH}, 0, "done", ""),  # a check that holds judges no robot
+        ({"iso9283": verdicts.POSE_TESTED}, 0, "in tolerance", ""),
+        ({"iso9283": verdicts.POSE_TESTED}, 1, "out of tolerance", ""),  # not by its limits
+        ({"targets": verdicts.JUDGED}, 0, "in tolerance", "current"),
+        ({"targets": verdicts.REJECTED}, 1, "out of tolerance", ""),  # nothing was folded in
         ({}, 0, "done", ""),
         ({}, 1, "out of tolerance", ""),
     ],
 )  # fmt: skip
 def test_a_verdict_in_words(
-    tmp_path: Path, verdicts: dict[str, Any], code: int, said: str, stands: str
+    tmp_path: Path, judged: dict[str, Verdict], code: int, said: str, stands: str
 ) -> None:
     """A suspected calibration was validated: "not validated" would be wrong."""
-    finished(tmp_path, "r", verdicts, code=code)
+    finished(tmp_path, "r", judged, code=code)
     row = row_of(tmp_path / "r")
     found = standings([row]).get("r")
     assert (row.verdict, found.text if found else "") == (said, stands)

@@ -8,7 +8,7 @@ import pytest
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.targets import HEADER, read_targets
 from hilcell.fit import robot_file
-from hilcell.planning.holes import NORMALS, read_holes
+from hilcell.programs.holes import NORMALS, read_holes
 
 HEAD = ";".join(HEADER)
 VALUES = [[1250.5, -300.0, 0.5, 0.0, 75.25, -0.125], [1.234, 2.0, 3.0, 0.0, 0.0, 0.0]]

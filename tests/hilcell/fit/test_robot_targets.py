@@ -7,15 +7,16 @@ import numpy as np
 import pytest
 
 from hilcell.cell.settings import SettingsError
+from hilcell.compensation.targets import write_rows, write_targets
 from hilcell.fit.robot_targets import (
+    JOINT_HEADER,
     Reach,
     RobotTargets,
     TargetError,
+    joint_rows,
     read_robot_targets,
     targets_of,
     with_tool_point,
-    write_joints,
-    write_poses,
 )
 from hilcell.geometry.frames import pose_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward
@@ -101,7 +102,7 @@ def test_joints_in_a_singular_wrist_are_named() -> None:
 
 def test_poses_are_read_and_written(tmp_path: Path) -> None:
     poses = reach().poses(joints(3))
-    write_poses(tmp_path / "t.csv", list("abc"), poses, inputs=[])
+    write_targets(tmp_path / "t.csv", list("abc"), zyx_from_pose(poses))
     found, as_joints = read_robot_targets(tmp_path / "t.csv", reach())
     assert (found.names, as_joints) == (list("abc"), False)
     np.testing.assert_allclose(found.poses, poses, atol=1e-4)
@@ -111,7 +112,7 @@ def test_poses_are_read_and_written(tmp_path: Path) -> None:
 
 
 def test_joints_are_read_and_written(tmp_path: Path) -> None:
-    write_joints(tmp_path / "t.csv", list("abc"), joints(3), inputs=[])
+    write_rows(tmp_path / "t.csv", JOINT_HEADER, joint_rows(list("abc"), joints(3)))
     found, as_joints = read_robot_targets(tmp_path / "t.csv", reach())
     assert (found.names, as_joints) == (list("abc"), True)
     np.testing.assert_allclose(found.joints_rad, joints(3), atol=1e-8)

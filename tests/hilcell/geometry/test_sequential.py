@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hilcell.geometry.sequential import SequentialRule
+from hilcell.model.outcome import Outcome
 
 RULE = SequentialRule(
     mean_limit_mm=0.2, max_limit_mm=1.0, share=0.1, accept_risk=0.05, reject_risk=0.05, block=8
@@ -19,7 +20,7 @@ PARTS = np.array([0.2, 0.4, 0.7, 0.9, 1.1, 1.3, 1.6, 1.8])  # of the mean, by oc
 def shares(draw: np.ndarray) -> dict[str, float]:
     """Return how often each outcome is reached for errors (TRIALS, MOST)."""
     outcomes = [RULE.decide(errors).outcome for errors in draw]
-    return {name: outcomes.count(name) / len(draw) for name in ("accepted", "rejected")}
+    return {name: outcomes.count(name) / len(draw) for name in (Outcome.ACCEPTED, Outcome.REJECTED)}
 
 
 def spread(mean_mm: float, seed: int) -> np.ndarray:

@@ -7,7 +7,6 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from hilcell.commands import run
 from hilcell.journal.folder_order import clock_notes, in_order, next_order
 from hilcell.journal.index import UNREADABLE, RunRow, row_of
 from hilcell.journal.journal import Journal
@@ -15,6 +14,7 @@ from hilcell.journal.runs import JOURNAL, read_records
 from hilcell.journal.standing import standings
 from hilcell.model.plan import FolderOrder
 from hilcell.model.records import Kind
+from hilcell.run import engine
 from tests.hilcell.commands.finished_runs import MADE, finished
 from tests.hilcell.journal.test_standing import made, row
 from tests.hilcell.report.journals import Writer
@@ -91,10 +91,10 @@ def _append(folder: Path, body: dict[str, object], kind: Kind = "event") -> None
 def test_a_run_names_the_one_before_and_says_that_the_clock_ran_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(run, "_perform", lambda *given: 0)
+    monkeypatch.setattr(engine.Engine, "_perform", lambda *given: engine.Ending(0, None))
     place = {"folder": "f", "number": 7, "after": ""}
     Writer(tmp_path / "1-before", order=place).began().ended()
-    assert command("run", "home", "--runs", tmp_path, "--name", "2").stderr == ""
+    assert " began" not in command("run", "home", "--runs", tmp_path, "--name", "2").stderr
     (plan,) = read_records(tmp_path / "2")
     assert plan.body["order"] == {"folder": "f", "number": 8, "after": "1-before"}
 
@@ -103,7 +103,7 @@ def test_a_run_names_the_one_before_and_says_that_the_clock_ran_back(
         def now(cls, tz: object = None) -> datetime:  # type: ignore[override]  # one zone is asked
             return datetime(2020, 1, 1, tzinfo=UTC)
 
-    monkeypatch.setattr(run, "datetime", Behind)
+    monkeypatch.setattr(engine, "datetime", Behind)
     assert " began" in command("run", "home", "--runs", tmp_path, "--name", "3").stderr
 
 

@@ -7,10 +7,10 @@ import pytest
 
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
-from hilcell.commands import run
 from hilcell.commands.cli import main, whole_parser
 from hilcell.journal.runs import read_log
 from hilcell.ports import DeviceError
+from hilcell.run import run_plan
 
 
 @pytest.mark.parametrize(
@@ -23,7 +23,7 @@ from hilcell.ports import DeviceError
 )
 def test_the_machine_has_a_seed_of_its_own_or_the_runs(words: list[str], wanted: int) -> None:
     found = whole_parser().parse_args(words)
-    assert run.machine_seed(load_cell("paper"), found.seed, found.machine_seed) == wanted
+    assert run_plan.machine_seed(load_cell("paper"), found.seed, found.machine_seed) == wanted
 
 
 def test_a_resumed_run_has_the_machine_that_it_began_with(
@@ -35,7 +35,7 @@ def test_a_resumed_run_has_the_machine_that_it_began_with(
         started.append(seed)
         raise DeviceError("HC-C18", "Simulated cell", "start", "not here")
 
-    monkeypatch.setattr(run, "start_simulation", start)
+    monkeypatch.setattr("hilcell.run.engine.start_simulation", start)
     words = ["--machine-seed", "5", "--seed", "2", "--name", "R", "--runs", str(tmp_path)]
     assert main(["run", "home", *words]) == 3
     assert main(["resume", "R", "--runs", str(tmp_path)]) == 3
@@ -54,9 +54,9 @@ def test_a_machine_that_this_run_did_not_start_has_no_seed_in_the_record(
     def real(*_: object) -> Cell:
         return msgspec.structs.replace(load_cell("paper"), simulation=None, name="n", serial="s")
 
-    monkeypatch.setattr(run, "start_simulation", start)
+    monkeypatch.setattr("hilcell.run.engine.start_simulation", start)
     if not address:
-        monkeypatch.setattr(run, "load_cell", real)
+        monkeypatch.setattr("hilcell.cell.file.load_cell", real)
     words = ["--name", "R", "--runs", str(tmp_path), f"--set=simulation.address={address}"]
     assert main(["run", "home", *words]) == 3
     inputs = read_log(tmp_path / "R").inputs
@@ -88,6 +88,6 @@ def test_a_cell_slower_than_real_time_is_refused(
 def test_a_run_is_of_the_calibrated_machine(
     asked: int | None, calibrated: int | None, found: int | None
 ) -> None:
-    assert run._machine_of(asked, calibrated) == found
+    assert run_plan.calibrated_or_asked(asked, calibrated) == found
     with pytest.raises(SettingsError, match="simulated machine 8"):
-        run._machine_of(7, 8)
+        run_plan.calibrated_or_asked(7, 8)

@@ -70,10 +70,12 @@ def test_an_update_of_the_current_one_supersedes_it(kind: str) -> None:
 
 
 def test_a_re_check_with_redo_revokes_what_it_judged() -> None:
-    found = standings([made("01"), made("02"), row("03", redo=True, used="02", code=1)])
+    found = standings([made("01"), made("02"), row("03", recheck="redo", used="02", code=1)])
     assert found["02"] == Standing("revoked", "03", "its re-check says redo")
     assert found["01"] == Standing("superseded", "02")  # the robot has changed since
-    assert states(row("02", state="aborted", redo=True, used="01"), made("01"))["01"] == "current"
+    assert (
+        states(row("02", state="aborted", recheck="redo", used="01"), made("01"))["01"] == "current"
+    )
 
 
 def test_what_is_based_on_a_revoked_one_is_revoked() -> None:
@@ -86,7 +88,7 @@ def test_what_is_based_on_a_revoked_one_is_revoked() -> None:
 
 def test_a_redo_of_an_older_one_leaves_its_update() -> None:
     update = row("02", kind="base", used="01", code=1)
-    redo = row("03", redo=True, used="01", code=1)
+    redo = row("03", recheck="redo", used="01", code=1)
     late = row("04", kind="targets", used="01", code=1)
     found = states(made("01"), update, redo, late)
     assert found["01"].startswith("revoked by 03")
@@ -101,7 +103,7 @@ def test_one_that_was_revoked_supersedes_nothing() -> None:
 
 
 def test_a_revoked_re_check_revokes_nothing() -> None:
-    redo = row("02", redo=True, used="01", code=1, revoked="the tracker was cold")
+    redo = row("02", recheck="redo", used="01", code=1, revoked="the tracker was cold")
     assert states(made("01"), redo) == {"01": "current"}
 
 
@@ -128,7 +130,7 @@ def test_cells_and_machines_are_apart() -> None:
     [
         made("02"),
         row("02", kind="base", used="01", code=1),
-        row("02", redo=True, used="01", code=1),
+        row("02", recheck="redo", used="01", code=1),
         row("02", kind="touch", used="01"),
     ],
 )
@@ -149,7 +151,7 @@ def test_a_replay_changes_nothing(replay: RunRow) -> None:
 @pytest.mark.parametrize("real_first", [True, False])
 def test_a_simulated_run_never_supersedes_a_real_one(real_first: bool) -> None:
     first, second = ("01", "02") if real_first else ("02", "01")
-    rows = [made(first), simulated(made(second), 1), simulated(row("03", redo=True), None)]
+    rows = [made(first), simulated(made(second), 1), simulated(row("03", recheck="redo"), None)]
     found = standings(rows)
     assert (found[first].state, found[first].current) == ("current", first)
     assert current_of(rows, "paper", "P-1", False, None) == first
@@ -192,7 +194,7 @@ def test_one_that_differs_from_the_current_one_supersedes_it_only_when_that_is_r
 
 
 def test_a_redo_decides_as_a_person_does() -> None:
-    redo = row("03", redo=True, used="01", code=1)
+    redo = row("03", recheck="redo", used="01", code=1)
     assert states(made("01"), made("02", code=1, **DIFFERS), redo)["02"] == "current"
 
 

@@ -15,6 +15,7 @@ from hilcell.journal.runs import JOURNAL
 from hilcell.model.point import PointId
 from hilcell.ports import Array
 from hilcell.report.facts import Facts, read_facts
+from tests.hilcell.verdicts import framed
 
 DEVICES = [{"device": "Robot", "model": "KR 210", "serial": "860112", "address": "127.0.0.1:1"}]
 # Errors (mm) whose norms, means and ratios are plain to the eye.
@@ -47,7 +48,7 @@ class Writer:
         self.journal.append("state", "", {"machine": machine, "to": to} | more)
 
     def frame(self, key: str, **more: Any) -> None:
-        self.journal.append("frame", key, {"matrix": np.eye(4)} | more)
+        self.journal.append("frame", key, framed(key, **more))
 
     def point(self, id: PointId, xyz_mm: Any, station: str = "", **more: Any) -> None:
         body = {

@@ -9,10 +9,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from dsi_unit import DsiUnit
+from msgspec.structs import replace
 
 from hilcell.calibration.bounds import Coverage
 from hilcell.calibration.decision import guard_of
-from hilcell.journal.calibration_facts import VERDICTS
+from hilcell.model.outcome import Outcome
 from hilcell.report import dcc
 from hilcell.report.budgets import TargetBudget
 from hilcell.report.dcc import CELSIUS, DEGREE, FORMS, HECTOPASCAL, MM, PERCENT, dcc_bytes, real
@@ -21,11 +22,13 @@ from hilcell.report.first_page import results_at
 from hilcell.writing import NotWritten
 from tests.hilcell.report.dcc_structure import DCC, SI, faults
 from tests.hilcell.report.journals import DEVICES, plan_record, validated_run
+from tests.hilcell.verdicts import JUDGED
 
 TRACKER = {"kind": "tracker", "device": "Tracker", "model": "AT901", "serial": "402871"}
-PASSED = {"holds": True, "mean_mm": 0.2, "mean_tolerance_mm": 0.35, "max_mm": 0.3,
-          "max_tolerance_mm": 0.6, "mean_U_mm": 0.03, "max_U_mm": 0.04, "outcome": "accepted",
-          "decision": "in tolerance"}  # fmt: skip
+PASSED = replace(
+    JUDGED, mean_mm=0.2, mean_tolerance_mm=0.35, max_mm=0.3, max_tolerance_mm=0.6,
+    mean_U_mm=0.03, max_U_mm=0.04,
+)  # fmt: skip
 PARTIES = {
     "laboratory": "Muster GmbH", "laboratory_address": "Messweg 4", "country": "DE",
     "customer": "A & B <Aero>",
@@ -37,8 +40,8 @@ def run(folder: Path, simulated: bool = False, **stated: str) -> Facts:
     writer = validated_run(folder, simulated=simulated, cell=cell)
     writer.journal.append("event", "", {"what": "connected", "devices": [*DEVICES, TRACKER]})
     for name, mean_mm in (("S1100", 0.2), ("S300", 0.4)):
-        body = PASSED | {"holds": mean_mm < 0.3, "mean_mm": mean_mm, "max_mm": mean_mm + 0.1}
-        writer.journal.append("verdict", f"validation.{name}", body)
+        found = replace(PASSED, holds=mean_mm < 0.3, mean_mm=mean_mm, max_mm=mean_mm + 0.1)
+        writer.journal.append("verdict", f"validation.{name}", found)
     writer.state("calibration", "validated")
     return writer.facts()
 
@@ -87,7 +90,7 @@ def test_figures_are_those_of_the_report_with_u_and_k(tmp_path: Path) -> None:
     assert figures(root, "S1100, before", "hilcell_largest")[0][0] == f"{largest.before_mm:.4f}"
     assert figures(root, "S1100, before", "hilcell_targets")[0][:2] == ("4", "\\one")
     verdicts = [
-        VERDICTS[each.outcome or "rejected"]
+        (each.outcome or Outcome.REJECTED).short
         for name in ("S1100", "S300")
         for each in results_at(facts, name)
     ]
@@ -124,11 +127,13 @@ def test_each_series_says_whether_it_is_before_or_after_adjustment(tmp_path: Pat
 def test_a_figure_within_its_uncertainty_of_the_limit_does_not_conform(tmp_path: Path) -> None:
     """0.2 mm with U 0.03 keeps no limit of 0.21: neither pass nor fail in the report."""
     writer = validated_run(tmp_path / "r", simulated=False)
-    body = PASSED | {"holds": False, "outcome": "undecided", "mean_tolerance_mm": 0.21}
-    writer.journal.append("verdict", "validation.S1100", body)
+    found = replace(PASSED, holds=False, decided=Outcome.UNDECIDED, mean_tolerance_mm=0.21)
+    writer.journal.append("verdict", "validation.S1100", found)
     writer.state("calibration", "validated")
     facts = writer.facts()
-    assert [each.outcome for each in results_at(facts, "S1100")] == ["undecided", "accepted"]
+    assert [each.outcome for each in results_at(facts, "S1100")] == [
+        Outcome.UNDECIDED, Outcome.ACCEPTED,
+    ]  # fmt: skip
     conformity = ".//dcc:quantity/dcc:measurementMetaData//dcc:conformity"
     assert texts(parsed(facts), conformity) == ["noPass", "pass"]
 

@@ -11,11 +11,14 @@ from typing import Any, cast
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from hilcell.calibration.influence import Bounds
 from hilcell.cell.file import load_cell
 from hilcell.journal.index import row_of
 from hilcell.journal.standing import Standing
+from hilcell.model.outcome import Outcome
+from hilcell.model.verdicts import Oriented, OtherVerdict, PoseTested, Verdict
 from hilcell.report.budgets import TargetBudget
 from hilcell.report.certificate import certificate, title
 from hilcell.report.course import course
@@ -28,16 +31,13 @@ from hilcell.report.first_page import (
     verdict_word,
 )
 from hilcell.report.html import measured, report_html, sentence, standing
-from hilcell.report.verdicts import figures_words
+from hilcell.report.verdicts import with_signs
+from tests.hilcell import verdicts
 from tests.hilcell.commands.finished_runs import MADE, REDO, finished
 from tests.hilcell.report.journals import validated_run
 from tests.whole.golden import GoldenRuns
 
-JUDGED = {
-    "holds": True, "mean_mm": 0.05, "mean_tolerance_mm": 0.12, "mean_U_mm": 0.04,
-    "max_mm": 0.2, "max_tolerance_mm": 0.3, "max_U_mm": 0.05,
-    "outcome": "accepted", "decision": "in tolerance",
-}  # fmt: skip
+JUDGED = replace(verdicts.JUDGED, max_mm=0.2)
 TRACKER = {"device": "Tracker", "model": "AT960", "serial": "750123", "kind": "tracker"}
 
 
@@ -46,7 +46,7 @@ def judged(
 ) -> Facts:
     writer = validated_run(folder, **({"simulated": False} | (plan or {})))
     writer.journal.append("event", "", {"what": "connected", "devices": [TRACKER]})
-    writer.journal.append("verdict", "validation.S1100", JUDGED | more)
+    writer.journal.append("verdict", "validation.S1100", replace(JUDGED, **more))
     writer.state("calibration", "validated")
     return read_facts(writer.ended(code=code))
 
@@ -59,8 +59,13 @@ def judged(
         (1, {}, {}, "FAIL"),  # another verdict does not hold
         (0, {}, {"simulated": True}, "WOULD PASS"),
         (1, {"holds": False}, {"simulated": True}, "WOULD FAIL"),
-        (1, {"holds": False, "outcome": "undecided"}, {}, "UNDECIDED"),
-        (1, {"holds": False, "outcome": "undecided"}, {"simulated": True}, "WOULD BE UNDECIDED"),
+        (1, {"holds": False, "decided": Outcome.UNDECIDED}, {}, "UNDECIDED"),
+        (
+            1,
+            {"holds": False, "decided": Outcome.UNDECIDED},
+            {"simulated": True},
+            "WOULD BE UNDECIDED",
+        ),
     ],
 )
 def test_the_verdict_in_a_word(
@@ -70,7 +75,7 @@ def test_the_verdict_in_a_word(
 
 
 TURNED: dict[str, Any] = {
-    "holds": False, "outcome": "undecided", "max_deg": 0.022, "max_tolerance_deg": 0.03,
+    "holds": False, "decided": Outcome.UNDECIDED, "max_deg": 0.022, "max_tolerance_deg": 0.03,
     "max_U_deg": 0.015,
 }  # fmt: skip
 
@@ -79,7 +84,7 @@ def test_the_figure_that_decided_and_its_limit_stand_in_the_sentence(tmp_path: P
     undecided = sentence(judged(tmp_path / "r", code=1, **TURNED))
     assert "0.0220 + U 0.0150°" in undecided
     assert "0.03°" in undecided
-    both: dict[str, Any] = {"outcome": "rejected", "max_mm": 0.4, "mean_mm": 0.1}
+    both: dict[str, Any] = {"decided": Outcome.REJECTED, "max_mm": 0.4, "mean_mm": 0.1}
     rejected = sentence(judged(tmp_path / "s", code=1, **(TURNED | both)))
     assert "0.4000 + U 0.0500 mm" in rejected
     assert "0.3 mm" in rejected
@@ -87,20 +92,20 @@ def test_the_figure_that_decided_and_its_limit_stand_in_the_sentence(tmp_path: P
 
 
 @pytest.mark.parametrize(
-    ("key", "body", "code", "word"),
+    ("key", "verdict", "code", "word"),
     [
-        ("recheck", {"holds": True, "verdict": "valid"}, 0, "STILL VALID"),
-        ("recheck", {"holds": False, "verdict": "redo"}, 1, "CALIBRATE AGAIN"),
-        ("backlash", {"holds": True}, 0, "MEASURED"),
-        ("backlash", {"holds": False}, 1, "OUT OF TOLERANCE"),
-        ("fit", {"holds": True}, 0, "NOT VALIDATED"),
+        ("recheck", verdicts.RECHECKED, 0, "STILL VALID"),
+        ("recheck", verdicts.REDO, 1, "CALIBRATE AGAIN"),
+        ("backlash", verdicts.BACKLASH, 0, "MEASURED"),
+        ("backlash", replace(verdicts.BACKLASH, holds=False), 1, "OUT OF TOLERANCE"),
+        ("fit", verdicts.FITTED, 0, "NOT VALIDATED"),
     ],
 )
 def test_report_and_list_of_runs_have_one_word(
-    tmp_path: Path, key: str, body: dict[str, Any], code: int, word: str
+    tmp_path: Path, key: str, verdict: Verdict, code: int, word: str
 ) -> None:
     writer = validated_run(tmp_path / "r")
-    writer.journal.append("verdict", key, body)
+    writer.journal.append("verdict", key, verdict)
     folder = writer.ended(code=code)
     facts = read_facts(folder)
     assert verdict_word(facts) == word
@@ -183,62 +188,66 @@ def test_a_revoked_calibration_says_so_and_ended_when_it_did(tmp_path: Path) -> 
     assert words_of(facts, "Validity").startswith("REVOKED: wrong reflector; the results")
 
 
-VALIDATED = {
-    "holds": True, "mean_mm": 0.0771, "mean_tolerance_mm": 0.3, "max_mm": 0.14975,
-    "max_tolerance_mm": 1.0, "mean_U_mm": 0.0485, "max_U_mm": 0.0522, "outcome": "accepted",
-    "decision": "in tolerance",
-}  # fmt: skip
+VALIDATED = replace(
+    verdicts.JUDGED, mean_mm=0.0771, mean_tolerance_mm=0.3, max_mm=0.14975, max_tolerance_mm=1.0,
+    mean_U_mm=0.0485, max_U_mm=0.0522,
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("key", "body", "figures"),
+    ("verdict", "figures"),
     [
         (
-            "revisits",
-            {"ratio": 9.2467, "limit": 3.0812, "suspected": ["the base moved by 0.3 mm"]},
-            ["9.25", "3.08", "99.9 %", "the base moved by 0.3 mm"],
+            replace(verdicts.REVISITED, ratio=9.2467, limit=3.0812, suspected=["the base moved"]),
+            ["9.25", "3.08", "99.9 %", "the base moved"],
         ),
         (
-            "reversal",
-            {"mean_mm": 0.1235, "max_mm": 0.1557, "points": 4, "lost_urad": [40.2, 34.4, 36.7],
-             "U_urad": [26.5, 57.0, 29.8], "limit_urad": 100.0},
+            replace(
+                verdicts.LOST_MOTION, mean_mm=0.1235, max_mm=0.1557, points=4,
+                lost_urad=[40.2, 34.4, 36.7], U_urad=[26.5, 57.0, 29.8], limit_urad=100.0,
+            ),
             ["4 vertices", "0.123 mm", "0.156 mm", "A1 40 ± 26, A2 34 ± 57, A3 37 ± 30 µrad",
              "100 µrad"],
         ),
         (
-            "sign",
-            {"limit": 0.5, "before_mm": 1.2376, "corrected_mm": 0.1013, "ratio": 0.0818},
+            replace(verdicts.SIGN, limit=0.5, before_mm=1.2376, corrected_mm=0.1013, ratio=0.0818),
             ["1.238 mm", "0.101 mm", "8 %", "50 %"],
         ),
-        ("validation.S300", VALIDATED, ["0.0771 + U 0.0485 mm", "0.1497 + U 0.0522 mm"]),
         (
-            "targets",
-            VALIDATED | {"outcome": "undecided", "decision": "too few targets"},
+            VALIDATED,
+            ["0.0771 + U 0.0485 mm, limit 0.3 mm", "0.1497 + U 0.0522 mm, limit 1 mm"],
+        ),
+        (
+            replace(VALIDATED, decided=Outcome.UNDECIDED, decision="too few targets"),
             ["0.0771 + U 0.0485 mm", "too few targets"],
         ),
         (
-            "recheck",
-            {"verdict": "update", "drift_mm": 0.0123, "drift_u_mm": 0.004, "doubt": "or a slip"},
+            replace(verdicts.UPDATED, drift_mm=0.0123, drift_u_mm=0.004, doubt="or a slip"),
             ["0.012 mm", "u 0.004 mm", "or a slip"],
         ),
         (
-            "iso9283",
-            {"ap_mm": 0.5, "ap_u95_mm": 0.02, "ap_limit_mm": 0.6,
-             "rp_deg": None, "rp_u95_deg": None, "rp_limit_deg": 0.1},
-            ["AP 0.500 ± 0.020 mm", "0.6 mm", "RP not known", "0.1°"],
+            PoseTested(
+                holds=False, ap_mm=0.5, ap_u95_mm=0.02, ap_limit_mm=0.6, rp_limit_deg=0.1
+            ),
+            ["AP 0.500 + U 0.020 mm, limit 0.6 mm", "RP not known, limit 0.1°"],
         ),
         (
-            "orientation",
-            {"before_mean_deg": 0.1, "mean_deg": 0.02, "reflectors_moved_mm": 0.01},
+            Oriented(holds=True, before_mean_deg=0.1, mean_deg=0.02, reflectors_moved_mm=0.01),
             ["0.1000°", "0.0200°", "0.010 mm"],
         ),
-        ("backlash", {"found_mm": 0.19842, "limit_mm": 0.4}, ["0.1984 mm", "0.4 mm"]),
-        ("touch", {"station": "S300"}, ["S300"]),
-        ("own", {"worst_mm": 0.25, "count": 3}, ["worst 0.2500 mm", "count 3"]),
+        (
+            replace(verdicts.BACKLASH, found_mm=0.19842, limit_mm=0.4),
+            ["backlash 0.1984 mm, limit 0.4 mm"],
+        ),
+        (verdicts.TOUCHED, ["S300"]),
+        (
+            OtherVerdict(holds=True, facts={"worst_mm": 0.25, "count": 3}),
+            ["worst 0.2500 mm", "count 3"],
+        ),
     ],
 )  # fmt: skip
-def test_figures_have_units(key: str, body: dict[str, Any], figures: list[str]) -> None:
-    words = figures_words(key, body)
+def test_figures_have_units(verdict: Verdict, figures: list[str]) -> None:
+    words = with_signs(verdict.words)
     assert [each for each in figures if each not in words] == []
 
 
@@ -261,7 +270,9 @@ def test_the_95_percent_bound_stands_in_the_table_and_is_not_judged(tmp_path: Pa
 
 
 def test_too_few_targets_make_a_row_undecided_whose_figures_are_not(tmp_path: Path) -> None:
-    facts = judged(tmp_path / "r", outcome="undecided", holds=False, decision="too few targets")
+    facts = judged(
+        tmp_path / "r", decided=Outcome.UNDECIDED, holds=False, decision="too few targets"
+    )
     found = results_sheet(facts, TargetBudget("none"))
     assert [row[-1] for row in found.texts()] == ["undecided", "pass"]
 
@@ -286,7 +297,7 @@ def test_a_suspected_cause_is_the_verdict_where_no_limit_is_missed(tmp_path: Pat
     """The page said that limits are not kept, over a table that passes."""
     writer = validated_run(tmp_path / "r", simulated=False)
     writer.journal.append("verdict", "validation.S1100", JUDGED)
-    writer.journal.append("verdict", "suspicions", {"holds": False, "suspected": ["mount slipped"]})
+    writer.journal.append("verdict", "suspicions", verdicts.SUSPECTED)
     cause = {"cause": "mount slipped", "size": 0.24, "unit": "mm", "noticed_by": "re-visits"}
     read = read_facts(writer.ended(code=1))
     facts = dataclasses.replace(read, result=read.result | {"suspicions": [cause]})
@@ -311,10 +322,8 @@ def test_a_run_that_is_undecided_and_suspected_is_undecided_on_the_first_page(
 ) -> None:
     """The page said FAIL where the screen said UNDECIDED."""
     writer = validated_run(tmp_path / "r", simulated=False)
-    body = JUDGED | {"holds": False, "outcome": "undecided"}
-    writer.journal.append("verdict", "validation.S1100", body)
-    suspected = {"holds": False, "suspected": ["tracker moved"]}
-    writer.journal.append("verdict", "suspicions", suspected)
+    writer.journal.append("verdict", "validation.S1100", verdicts.UNDECIDED)
+    writer.journal.append("verdict", "suspicions", verdicts.SUSPECTED)
     assert verdict_word(read_facts(writer.ended(code=1))) == "UNDECIDED"
 
 

@@ -7,7 +7,6 @@ import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -18,6 +17,7 @@ from hilcell.calibration.measurement_budget import STEEL_EXPANSION_PER_K, budget
 from hilcell.cell.file import load_cell
 from hilcell.identification.sweeps import SweptAxis
 from hilcell.model.point import PointId
+from hilcell.model.verdicts import CurvesUsed
 from hilcell.report.drawings.plan_view import plan_view
 from hilcell.report.export import csv_bytes, json_bytes, xlsx_bytes
 from hilcell.report.facts import Facts, read_facts
@@ -26,6 +26,7 @@ from hilcell.report.sheet import Sheet, SheetHole, SheetStation, sheet_html
 from tests.hilcell.journal.test_curve_record import FOUND, body_of
 from tests.hilcell.report.journals import AFTER_MM, BEFORE_MM, Writer, validated_run
 from tests.hilcell.report.pages import Page
+from tests.hilcell.verdicts import FITTED, REDO
 
 HOSTILE = "<script>alert(1)</script>\x1b[2J\u202egnp.exe\u2066\"'&${x} {{ 7*7 }}\x00"
 
@@ -116,7 +117,7 @@ def test_hostile_strings_are_shown_harmless(tmp_path: Path) -> None:
     ).began(devices)
     writer.validated("S1100", "before", BEFORE_MM)
     writer.journal.append("event", "", {"what": HOSTILE, "reason": HOSTILE})
-    writer.journal.append("verdict", "fit", {"holds": True, "method": HOSTILE})
+    writer.journal.append("verdict", "fit", msgspec.structs.replace(FITTED, method=HOSTILE))
     writer.validated("S1100", "chosen", BEFORE_MM)
     writer.journal.append("verdict", HOSTILE, {"holds": False, "found": HOSTILE})
     folder = writer.ended("faulted", 3, HOSTILE)
@@ -181,7 +182,7 @@ def test_a_run_that_a_crash_left(tmp_path: Path, began: bool) -> None:
 def test_a_touch_run_adopts_station_frames(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "r1", procedure="touch").began()
     for key in ("base", "station.S1100", "station.S300"):
-        writer.frame(key)  # of the calibration: this run did not find it
+        writer.frame(key, calibration="1-made")  # this run did not measure it
     writer.frame(
         "touch.S300", poses=8, shift_mm=[0.003, 0.0, 0.004], along_rail_mm=0.003,
         turn_urad=[1.0, 0.0, 0.0], u_before_mm=0.03, u_after_mm=0.01, pull=0.9, misfit=0.5,
@@ -192,12 +193,15 @@ def test_a_touch_run_adopts_station_frames(tmp_path: Path) -> None:
     assert "Stations" not in page.of("h3")
 
 
-FIT: dict[str, Any] = {
-    "holds": True, "method": "kinematic", "reason": "least miss", "refused": {},
-    "loocv": {"idw": {"mean": 0.4, "p95": 0.6, "max": 0.9},
-              "kinematic": {"mean": 0.04, "p95": 0.08, "max": 0.12}},
-    "curves": {"used": False, "reason": "not used: axis sweeps were not made"},
-}  # fmt: skip
+FIT = msgspec.structs.replace(
+    FITTED,
+    method="kinematic",
+    loocv={
+        "idw": {"mean": 0.4, "p95": 0.6, "max": 0.9},
+        "kinematic": {"mean": 0.04, "p95": 0.08, "max": 0.12},
+    },
+    curves=CurvesUsed(used=False, reason="not used: axis sweeps were not made"),
+)
 
 
 def test_the_choice_and_its_reasons(tmp_path: Path) -> None:
@@ -208,7 +212,7 @@ def test_the_choice_and_its_reasons(tmp_path: Path) -> None:
     page = page_of(writer.facts())
     _, chosen, *_ = page.table("Choice of the correction")
     assert (chosen["model"], chosen["mean mm"]) == ("kinematic, chosen", "0.040")
-    for words in (FIT["reason"], FIT["curves"]["reason"], "identified", "at 1 poses"):
+    for words in (FIT.reason, FIT.curves.reason, "identified", "at 1 poses"):
         assert words in page.text
     for words in ("interpolation", "touch poses", "sweeps of"):
         assert words not in page.text
@@ -216,10 +220,10 @@ def test_the_choice_and_its_reasons(tmp_path: Path) -> None:
 
 def test_a_recheck_has_its_verdict_and_no_before_and_after(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "r1", procedure="recheck").began()
-    writer.journal.append("verdict", "recheck", {"holds": False, "verdict": "redo"})
+    writer.journal.append("verdict", "recheck", REDO)
     page = page_of(read_facts(writer.left()))
     (row,) = page.table("Verdicts")
-    assert row["by"] == "calibrate again"
+    assert row["by"] == "calibrate again: drift 0.900 mm, u 0.010 mm"
     assert "both are reported" not in page.text
 
 

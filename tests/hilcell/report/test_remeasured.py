@@ -15,6 +15,7 @@ from hilcell.report.course import course
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.tables import accuracy, remeasured
 from tests.hilcell.report.journals import AFTER_MM, Writer, validated_run
+from tests.hilcell.verdicts import FITTED
 
 TARGET = PointId("validate", station="S1100", how="chosen", number=2)  # off by 0.3 mm at first
 
@@ -162,8 +163,8 @@ def test_a_step_that_a_later_session_only_passes_is_not_in_the_course(tmp_path: 
                 writer.journal.append("event", "", {"what": "tracker proven", "off_mm": [0.01]})
                 writer.journal.append("frame", "world", {"matrix": np.eye(4).tolist()})
             if name == "fit":
-                body = {"holds": True, "method": "hybrid", "points": len(names)}
-                writer.journal.append("verdict", "fit", body)
+                fitted = msgspec.structs.replace(FITTED, reason=f"of {len(names)} steps")
+                writer.journal.append("verdict", "fit", fitted)
 
     steps("world-frame", "axis-sweeps", "fit")
     writer.validated("S1100", "before", AFTER_MM)

@@ -14,6 +14,7 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.mover import Straight
 from tests.hilcell.run.bed import CELL, Bed, broken_beam
 from tests.hilcell.run.rig import Points, procedure
+from tests.hilcell.verdicts import base_at
 
 HOME_RAD = np.radians(CELL.robot.home_deg)
 S300, S1100 = CELL.station_named("S300"), CELL.station_named("S1100")
@@ -25,7 +26,7 @@ def bed(tmp_path: Path) -> Bed:
 
 
 def flange(session: CellSession, number: int) -> None:
-    session.frame("base", session.cell.layout.nominal_base(S1100.rail_mm))
+    session.frame("base", base_at(session.cell.layout.nominal_base(S1100.rail_mm)))
     session.flange_point(PointId("flange", target=str(number)), S1100, HOME_RAD)
 
 
@@ -116,7 +117,7 @@ def test_every_axis_comes_from_below_or_where_asked_from_above(
     monkeypatch.setattr(bed.robot, "move_to", moved)
 
     def sided(session: CellSession, number: int) -> None:
-        session.frame("base", session.cell.layout.nominal_base(S1100.rail_mm))
+        session.frame("base", base_at(session.cell.layout.nominal_base(S1100.rail_mm)))
         session.flange_point(PointId("flange", target="1", side=side), S1100, HOME_RAD)
 
     assert fault_of(bed, sided) == ""
@@ -141,7 +142,7 @@ def test_a_pose_of_a_cycle_is_approached_directly_from_the_one_before_it(
     monkeypatch.setattr(bed.robot, "move_to", moved)
 
     def straight(session: CellSession, number: int) -> None:
-        session.frame("base", session.cell.layout.nominal_base(S1100.rail_mm))
+        session.frame("base", base_at(session.cell.layout.nominal_base(S1100.rail_mm)))
         session.hold_station(S1100)
         if there:
             session.robot_to(before_rad, "before")
@@ -287,7 +288,7 @@ TARGET_DEG = np.array([0.0, 75.0, 0.0])
 
 
 def flange_pose(session: CellSession, number: int) -> None:
-    session.frame("base", session.cell.layout.nominal_base(S1100.rail_mm))
+    session.frame("base", base_at(session.cell.layout.nominal_base(S1100.rail_mm)))
     session.flange_point(POSE, S1100, HOME_RAD, nominal_deg=TARGET_DEG, seats=True)
 
 

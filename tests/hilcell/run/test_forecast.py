@@ -18,6 +18,7 @@ from benchmarks.forecast import worst_after
 from hilcell.journal.journal import Record
 from hilcell.model.events import StreamRecorded
 from hilcell.run.forecast import CLOSING_S, Forecast
+from tests.hilcell.report.journals import plan_record
 
 BEGAN = datetime(2026, 1, 1, tzinfo=UTC)
 RECORDED = Path(__file__).with_name("forecast_run.jsonl")
@@ -33,6 +34,7 @@ MEASURED = {
     "frame": "tracker",
 }
 REST: dict[str, dict[str, Any]] = {  # of the records: all that a forecast does not read
+    "plan": plan_record(),
     "point": MEASURED,
     "end": {"state": "finished", "exit": 0},
     "event": {"devices": [], "problems": {}, "station": "S", "key": "k"},

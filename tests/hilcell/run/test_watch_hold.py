@@ -10,6 +10,7 @@ import pytest
 
 from hilcell.cell.file import Cell, load_cell
 from hilcell.geometry.frames import apply, inverse
+from hilcell.model.frame import Frame
 from hilcell.ports import Array, Stopped, TrackerReading
 from hilcell.run.cell_session import CellSession
 from tests.hilcell.run.bed import CELL, Bed, Live
@@ -166,7 +167,7 @@ def test_nothing_is_measured_where_nothing_can_be_proven(
 
     def act(session: CellSession, number: int) -> None:
         if framed:
-            session.frame("world", cell.tracker.pose.matrix())
+            session.frame("world", Frame(matrix=cell.tracker.pose.matrix().tolist()))
         session.hold_station(S1100)
         assert not session.log.points
         raise Stopped("that was all")

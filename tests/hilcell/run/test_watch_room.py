@@ -16,6 +16,7 @@ from hilcell.ports import Air
 from hilcell.run.cell_session import CellSession
 from tests.hilcell.run.bed import CELL, PLAN, Bed, Live, until
 from tests.hilcell.run.rig import Points, procedure
+from tests.hilcell.verdicts import base_at
 
 S1100 = CELL.station_named("S1100")
 HOME_RAD = np.radians(CELL.robot.home_deg)
@@ -26,7 +27,7 @@ START_C = 22.0
 def grid(session: CellSession, count: int, warmer_k: dict[int, float], bed: Bed) -> None:
     """Measure points of a grid at temperatures that are the start's where none is given."""
     session.reach("reference")
-    session.frame("base", session.cell.layout.nominal_base(S1100.rail_mm))
+    session.frame("base", base_at(session.cell.layout.nominal_base(S1100.rail_mm)))
     for n in range(count):
         bed.tracker.air = Air(START_C + warmer_k.get(n, 0.0), 1013.0, 45.0)
         session.flange_point(PointId("grid", vertex=(n, 0, 0)), S1100, HOME_RAD)

@@ -20,6 +20,7 @@ from hilcell.run.meter import MEASURE_TRIES
 from hilcell.run.watch import MOST_SET_UPS
 from tests.hilcell.run.bed import CELL, PLAN, Bed, Live, until
 from tests.hilcell.run.rig import Points, procedure
+from tests.hilcell.verdicts import BASE, base_at
 
 NESTS_MM = np.array([nest.xyz_mm for nest in CELL.layout.floor])
 SEEN_MM = apply(inverse(CELL.tracker.pose.matrix()), NESTS_MM)
@@ -241,7 +242,7 @@ def test_the_tracker_is_proven_after_a_question_before_the_point_that_asked(
     def act(session: CellSession, number: int) -> None:
         session.reach("reference")
         session.frame_world()
-        session.frame("base", session.cell.layout.nominal_base(S1100.rail_mm))
+        session.frame("base", base_at(session.cell.layout.nominal_base(S1100.rail_mm)))
         floor.missed = MEASURE_TRIES
         proofs.append(len(bed.events("tracker proven")))
         session.flange_point(PointId("grid", vertex=(0, 0, 0)), S1100, HOME_RAD)
@@ -348,7 +349,7 @@ def test_what_rests_on_unproven_points_is_not_mended(
 
     def act(session: CellSession, number: int) -> None:
         session.floor_point(PointId("base", axis=1, number=0), CELL.layout.floor[0])
-        session.frame("base", np.eye(4))
+        session.frame("base", BASE)
         floor.T = moved(1.0)
         session.close_step()
 

@@ -12,6 +12,7 @@ from textual.pilot import Pilot
 
 from hilcell.journal.calibration_facts import CalibrationFacts
 from hilcell.journal.index import RunRow
+from hilcell.model.outcome import Outcome
 from hilcell.tui import keys
 from hilcell.tui.engine import process
 from hilcell.tui.screens import start
@@ -42,7 +43,9 @@ RUNS = [
         name=RUN, begun="2026-03-04T08:00:00+00:00", state="finished", exit=0,
         procedure="calibrate", job="J-7", operator="Ann", cell="paper", simulated=True, points=21,
         before_mean_mm=1.2, chosen_mean_mm=0.11, chosen_max_mm=0.31,
-        facts=CalibrationFacts("made", validated=True, judged=True, verdict="in tolerance"),
+        facts=CalibrationFacts(
+            kind="made", validated=True, judged=True, outcome=Outcome.ACCEPTED
+        ),
     ),
     RunRow(
         name="20260303-070000-calibrate-cd34", begun="2026-03-03T07:00:00+00:00", state="finished",

@@ -18,6 +18,7 @@ from hilcell.run.prompts import seat_prompt
 from hilcell.run.protocol import DeviceStatus, Interlock, PromptStatus, Status
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import EngineState
+from tests.hilcell.verdicts import FITTED, plain
 
 BEGAN = datetime(2026, 3, 4, 8, 0, tzinfo=UTC)
 RUN = "20260304-080000-calibrate-ab12"
@@ -125,7 +126,8 @@ def measuring(points: int = 5) -> SampleRun:
 
 def validated(*, worst_mm: float = 0.1) -> SampleRun:
     """Return a run that has measured everything; the last point is the worst."""
-    story = measuring(8).step(6).add("verdict", "fit", holds=True, method="trilinear").step(7)
+    fitted = msgspec.structs.replace(FITTED, method="trilinear")
+    story = measuring(8).step(6).add("verdict", "fit", **plain(fitted)).step(7)
     for how, size in (("before", 1.2), ("idw", 0.2), ("chosen", 0.1)):
         for number in range(2):
             off = (size + number, 0.0, 0.0) if how == "idw" else (0.0, size, 0.01 * number)

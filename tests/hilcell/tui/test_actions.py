@@ -95,8 +95,8 @@ def the_footer_shows_what_is_allowed_and_nothing_else(app: RecordingApp, state: 
     assert isinstance(screen, RunScreen)
     assert {action.name for action in ACTIONS if app.allowed(action.name)} == wanted
     for slot in (*ACTS, *VIEWS):
-        name = "new" if slot.name == "detach" and "detach" not in wanted else slot.name
-        assert screen.key_of(slot.name).works == (name in wanted), slot
+        name = "new" if slot == "detach" and "detach" not in wanted else slot
+        assert screen.key_of(slot).works == (name in wanted), slot
     assert screen.key_of("stop").works == ("stop" in wanted)
     space = SPACE[state]
     assert space is None or screen.key_of("pause").word == space[2]

@@ -7,9 +7,11 @@ from typing import Any
 
 import msgspec
 import pytest
+from msgspec.structs import replace
 
 from hilcell.journal.journal import Record
 from hilcell.model.point import PointId
+from hilcell.model.verdicts import Verdict
 from hilcell.run.forecast import Ahead, Forecast
 from hilcell.run.protocol import Interlock
 from hilcell.tui.engine.run_view import EngineState, RunView
@@ -20,6 +22,7 @@ from hilcell.tui.text.below import below_lines, event_words, interlock_lines, st
 from hilcell.tui.text.devices import interlock_page, locks
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, sample_run, status, validated
 from tests.hilcell.tui.views import drawn
+from tests.hilcell.verdicts import BACKLASH, JUDGED, LENGTHS, REVISITED, plain
 
 
 def view_of(story: SampleRun, state: str = "running") -> RunView:
@@ -155,15 +158,26 @@ def test_events_show_no_raw_keys() -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "facts", "words"),
+    ("key", "verdict", "words"),
     [
-        ("validation.S1100", {"mean_mm": 0.033, "mean_tolerance_mm": 0.12},
+        ("validation.S1100", replace(JUDGED, mean_mm=0.033, mean_tolerance_mm=0.12),
          "validation at S1100 holds: mean 0.033 mm, limit 0.120 mm"),
-        ("validation.others", {}, "validation at the other stations holds"),
-        ("known-length", {}, "known length holds"),
-        ("revisits.closing", {"holds": False}, "closing visits does not hold"),
+        ("validation.others", replace(JUDGED, mean_mm=0.033, mean_tolerance_mm=0.12),
+         "validation at the other stations holds: mean 0.033 mm, limit 0.120 mm"),
+        ("known-length", LENGTHS, "known length holds"),
+        ("revisits.closing", replace(REVISITED, holds=False),
+         "revisited poses at the end does not hold"),
+        ("backlash", BACKLASH,
+         "backlash of the rail holds: backlash 0.200 mm, limit 0.400 mm"),
     ],
 )  # fmt: skip
-def test_a_verdict_has_the_name_of_its_subject(key: str, facts: dict[str, Any], words: str) -> None:
-    record = SampleRun().add("verdict", key, **({"holds": True} | facts)).records[-1]
+def test_a_verdict_has_the_name_of_its_subject(key: str, verdict: Verdict, words: str) -> None:
+    record = SampleRun().add("verdict", key, **plain(verdict)).records[-1]
     assert event_words(view_of(measuring()), record, {}) == words
+
+
+def test_a_run_of_which_only_the_plan_is_known_has_no_events_yet() -> None:
+    story = measuring()
+    story.records = story.records[:1]
+    text = drawn(below_lines(view_of(story), {}, UNICODE, 17))
+    assert text.splitlines()[-1].startswith("─ newest events ─")

@@ -49,20 +49,22 @@ def test_shapes_grow_with_the_error() -> None:
         0, 1, 2, 3, 4, 4,
     ]  # fmt: skip
     for plain, shapes in ((False, SHAPES), (True, LETTERS)):
-        assert "".join(grades.shape(n, plain=plain) for n in range(5)) == shapes
+        assert "".join(grades.drawn(n, plain=plain)[0] for n in range(5)) == shapes
 
 
 @pytest.mark.parametrize(("limit_mm", "shapes"), [(1.0, "·•○●■"), (0.15, "·•●■"), (0.05, "●■")])
 def test_no_grade_lies_beyond_the_limit(limit_mm: float, shapes: str) -> None:
     grades = Grades.of(limit_mm)
     assert grades.bounds[-1] == limit_mm
-    assert "".join(grades.shape(n, plain=False) for n in range(len(shapes))) == shapes
-    assert "$fault" in grades.style(len(shapes) - 1)
+    assert "".join(grades.drawn(n, plain=False)[0] for n in range(len(shapes))) == shapes
+    assert "$fault" in grades.drawn(len(shapes) - 1, plain=False)[1]
 
 
 def test_errors_without_a_limit_have_no_colour_of_a_fault() -> None:
     grades = Grades.of(None)
-    assert not any("$fault" in grades.style(n) for n in range(len(grades.bounds) + 1))
+    assert not any(
+        "$fault" in grades.drawn(n, plain=False)[1] for n in range(len(grades.bounds) + 1)
+    )
 
 
 def test_three_views_share_their_axes() -> None:

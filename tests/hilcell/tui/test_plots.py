@@ -15,17 +15,24 @@ from hilcell.calibration.errors import errors_of
 from hilcell.journal.log import Log
 from hilcell.model.point import Point, PointId, Sent
 from hilcell.tui.plots.draw import Look
-from hilcell.tui.text.plot_page import BESIDE, FIGURES, Choice, plot_lines, tab_line
-from hilcell.tui.text.plots import (
+from hilcell.tui.text.plot_page import (
+    BESIDE,
+    STRIP,
     TABS,
+    Choice,
+    Shown,
+    error_figures,
+    plot_lines,
+    tab_line,
+    tabs_of,
+)
+from hilcell.tui.text.plots import (
     Measured,
     errors_by_target,
     errors_plot,
     repeat_plot,
-    scale_of,
     sorted_plot,
     strip_plot,
-    tabs_of,
 )
 from tests.hilcell.report.journals import validated_run
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, validated
@@ -99,7 +106,7 @@ def test_words_beside_the_errors_speak_of_the_mean_too(tolerance_mm: float, said
     plan = of.log.inputs
     table = plan.cell["validation"] | {"mean_tolerance_mm": tolerance_mm}
     of.log.plan = msgspec.structs.replace(plan, cell=plan.cell | {"validation": table})
-    text = " ".join(drawn(FIGURES["each target"](of, "", errors_plot(of), LETTERS), 31).split())
+    text = " ".join(drawn(error_figures(of, "", errors_plot(of), LETTERS), 31).split())
     assert "No target near its limit." in text
     assert said in text
 
@@ -174,7 +181,7 @@ def test_figures_stand_beside_the_plot_or_under_it_or_are_away() -> None:
 def test_figures_say_mean_limit_and_the_worst() -> None:
     of = measured_of(validated(worst_mm=1.2))
     plot = errors_plot(of)
-    text = drawn(FIGURES["sorted"](of, "", plot, Look()), 31)
+    text = drawn(error_figures(of, "", plot, Look()), 31)
     limit_mm = of.log.cell.validation.max_tolerance_mm
     assert f"{limit_mm:.3f}" in text
     assert "target 2    S1100        1.200" in text
@@ -212,4 +219,4 @@ def test_series_are_shown_one_by_one_and_then_all() -> None:
 def test_a_robot_on_the_floor_has_no_strip(tmp_path: Path) -> None:
     log = validated_run(tmp_path / "run").facts().log
     assert strip_plot in [tab.make for tab in tabs_of(log)]
-    assert scale_of(strip_plot(Measured(log)), 20, None, is_log=False).step > 0
+    assert Shown.of(Measured(log), Choice(tab=tabs_of(log).index(STRIP)), 20).scale.step > 0

@@ -11,6 +11,7 @@ from msgspec.structs import replace
 
 from hilcell.journal.calibration_facts import CalibrationFacts
 from hilcell.journal.journal import Record
+from hilcell.model.outcome import Outcome
 from hilcell.model.records import Kind
 from hilcell.tui.screens.history import COLUMNS as COMPARED
 from hilcell.tui.screens.history import change_row
@@ -89,8 +90,8 @@ def test_what_is_marked_is_seen() -> None:
 
 
 def test_the_history_says_how_a_run_out_of_tolerance_came_out() -> None:
-    suspected = CalibrationFacts(verdict="suspected")
-    both = CalibrationFacts(verdict="out of tolerance; suspected")
+    suspected = CalibrationFacts(suspected=True)
+    both = CalibrationFacts(suspected=True, outcome=Outcome.REJECTED)
     runs = [replace(RUNS[1], facts=facts) for facts in (suspected, both)]
     assert [history_row(run, (), 200).cells[3] for run in runs] == ["suspected", "out of tolerance"]
 

@@ -10,7 +10,9 @@ import pytest
 
 from hilcell.alarms.alarm import Alarm, Cause, alarms_of
 from hilcell.journal.journal import Record
+from hilcell.model.outcome import Outcome
 from hilcell.model.records import Ended
+from hilcell.model.verdicts import Judged
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE
 from hilcell.tui.text.digits import large_rows
@@ -38,13 +40,19 @@ def finished(state: str, places: dict[str, dict[str, float]], U_mm: float = 0.00
     assert view.log.end is not None
     view.log.end = msgspec.structs.replace(view.log.end, result={"validation": validation})
     for name, each in places.items():
-        outcome = "accepted" if each["mean"] <= 0.12 else "rejected"
-        view.log.verdicts[f"validation.{name}"] = {
-            "holds": outcome == "accepted", "outcome": outcome, "decision": "",
-            "mean_mm": each["mean"], "mean_tolerance_mm": 0.12, "mean_U_mm": U_mm,
-            "max_mm": each["max"], "max_tolerance_mm": 0.3, "max_U_mm": 0.0,
-        }  # fmt: skip
+        holds = each["mean"] <= 0.12
+        view.log.verdicts[f"validation.{name}"] = Judged(
+            holds=holds, decided=Outcome.ACCEPTED if holds else Outcome.REJECTED, decision="",
+            mean_mm=each["mean"], mean_tolerance_mm=0.12, mean_U_mm=U_mm,
+            max_mm=each["max"], max_tolerance_mm=0.3, max_U_mm=0.0,
+        )  # fmt: skip
     return view
+
+
+def judge(view: RunView, name: str, **changed: Any) -> None:
+    """Change the verdict on a station."""
+    key = f"validation.{name}"
+    view.log.verdicts[key] = msgspec.structs.replace(view.log.verdicts[key], **changed)
 
 
 def test_the_worst_mean_and_the_worst_single_are_named_with_their_stations() -> None:
@@ -77,7 +85,7 @@ def test_a_failure_says_its_reason_and_steps() -> None:
 
 def test_a_station_shows_the_figures_it_was_judged_by() -> None:
     view = finished("done", PLACES)
-    view.log.verdicts["validation.S1100"] |= {"mean_mm": 0.1, "max_mm": 0.25}
+    judge(view, "S1100", mean_mm=0.1, max_mm=0.25)
     found = verdict_of(view)
     assert found is not None
     text = drawn(verdict_lines(view, found, UNICODE), 79, ROWS)
@@ -98,7 +106,7 @@ def test_no_reason_and_no_step_of_a_failure_is_cut() -> None:
 
 def test_a_station_that_is_not_shown_to_hold_names_its_uncertainty() -> None:
     view = finished("intolerant", PLACES, U_mm=0.01)
-    view.log.verdicts["validation.S300"] |= {"holds": False, "outcome": "undecided"}
+    judge(view, "S300", holds=False, decided=Outcome.UNDECIDED)
     found = verdict_of(view)
     assert found is not None
     assert reason_words(found) == "S300: mean 0.113, U 0.010: not shown below 0.120"
@@ -107,9 +115,7 @@ def test_a_station_that_is_not_shown_to_hold_names_its_uncertainty() -> None:
 
 def test_a_largest_error_that_is_not_shown_to_hold_is_no_plain_one() -> None:
     view = finished("intolerant", PLACES | {"S1100": {"mean": 0.05, "p95": 0.1, "max": 0.298}})
-    view.log.verdicts["validation.S1100"] |= {
-        "holds": False, "outcome": "undecided", "max_U_mm": 0.005,
-    }  # fmt: skip
+    judge(view, "S1100", holds=False, decided=Outcome.UNDECIDED, max_U_mm=0.005)
     found = verdict_of(view)
     assert found is not None
     assert "▲ at S1100, limit 0.300" in drawn(verdict_lines(view, found, UNICODE), 79, ROWS)
@@ -126,7 +132,7 @@ def test_a_nan_is_the_worst_and_fails() -> None:
 
 def test_an_undecided_run_is_not_called_out_of_tolerance() -> None:
     view = finished("intolerant", PLACES)
-    view.log.verdicts["validation.S300"] |= {"holds": False, "outcome": "undecided"}
+    judge(view, "S300", holds=False, decided=Outcome.UNDECIDED)
     found = verdict_of(view)
     assert found is not None
     assert words_of(found) == ("UNDECIDED", "neither pass nor fail")
@@ -214,7 +220,7 @@ def test_an_orientation_over_its_limit_is_the_reason(
     max_deg: float, U_deg: float, outcome: str, said: str
 ) -> None:
     view = finished("intolerant", PLACES | {"S1100": PLACES["S1900"]})
-    limited(view, max_deg=max_deg, max_U_deg=U_deg, outcome=outcome, holds=False)
+    limited(view, max_deg=max_deg, max_U_deg=U_deg, decided=Outcome(outcome), holds=False)
     found = verdict_of(view)
     assert found is not None
     assert reason_words(found) == said
@@ -238,7 +244,7 @@ def limited(view: RunView, **judged: object) -> None:
     cell["robot"] |= seats
     view.log.plan = msgspec.structs.replace(view.log.inputs, cell=cell)
     view.log._cell = None
-    view.log.verdicts["validation.S300"] |= {"max_tolerance_deg": 0.05} | judged
+    judge(view, "S300", max_tolerance_deg=0.05, **judged)
 
 
 LONG = "Heck-Spantaktstation-Nord-Linie-2-Bauabschnitt-4-Platz-11"
@@ -271,11 +277,11 @@ def test_a_phrase_without_room_is_left_out_whole() -> None:
 def test_what_to_do_about_a_u_that_is_too_large_is_seen_in_24_rows() -> None:
     view = finished("intolerant", PLACES, U_mm=0.03)
     for name in PLACES:
-        view.log.verdicts[f"validation.{name}"] |= {"holds": False, "outcome": "undecided"}
+        judge(view, name, holds=False, decided=Outcome.UNDECIDED)
     t = view.records[-1].t
     view.log.judged = {
-        key: Record(900, t, "verdict", key, body)
-        for key, body in view.log.verdicts.items()
+        key: Record(900, t, "verdict", key, msgspec.to_builtins(verdict))
+        for key, verdict in view.log.verdicts.items()
         if key.startswith("validation.")
     }
     view.alarms = alarms_of(view.log, "r", live=False)

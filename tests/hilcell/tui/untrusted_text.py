@@ -38,7 +38,7 @@ FORBIDDEN = (
     | {chr(code) for code in (0x61C, *range(0x2066, 0x206A), 0xFEFF)}
 )
 # What the screen itself understands stays as it is; every other word is poisoned.
-_KEPT = ("what", "machine", "to", "from", "group", "state", "trigger", "frame", "procedure_kind")
+_KEPT = ("what", "machine", "to", "from", "group", "state", "trigger", "frame", "outcome")
 
 
 def poisoned(name: str, text: str) -> RunUpdate:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hilcell.commands.cli import main
-from hilcell.planning.holes import NORMALS
+from hilcell.programs.holes import NORMALS
 
 
 def holes_file(folder: Path, *, half_width_mm: float = 2400.0, x_mm: float = 0.0) -> Path:

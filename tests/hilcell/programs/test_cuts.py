@@ -5,10 +5,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from hilcell.planning.bound import lower_bound
-from hilcell.planning.route import Separation, _Program, cut_bound, route
-from hilcell.planning.stars import Cut
-from tests.hilcell.planning.test_route import least, raster, scattered
+from hilcell.programs.bound import Cut, Separation, _Program, cut_bound, lower_bound
+from hilcell.programs.route import route
+from tests.hilcell.programs.test_route import least, raster, scattered
 
 seeds = st.integers(0, 2**32 - 1)
 

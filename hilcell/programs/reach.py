@@ -7,20 +7,20 @@ wherever the robot stands, so range depends on the hole alone.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hilcell.calibration.volume import Volume
 from hilcell.cell.file import Cell, Station
 from hilcell.compensation.grid import FAR_MM, UNITS
 from hilcell.errors import MOST_LISTED, bounded
 from hilcell.geometry.frames import inverse
 from hilcell.geometry.inverse import inverse_kinematics, nearest_turns, reach_excess_mm
 from hilcell.geometry.kinematics import Array
-from hilcell.planning.holes import Holes
 from hilcell.ports import HilcellError
+from hilcell.programs.holes import Holes
 
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int_]
@@ -40,23 +40,8 @@ class Reach:
     turn: Ints
 
 
-class Served(Protocol):
-    """Poses that are corrected at a station, where others are refused."""
-
-    def takes(self, station: str, poses: Array) -> Bools:
-        """Return which poses (..., 4, 4) in {W} are corrected at a station."""
-
-    def points_back(self, stations: Sequence[str], poses: Array) -> bool:
-        """Whether poses (K, 4, 4) in {W} of a hole have the tool point against the calibrated way
-        at one of the stations.
-        """
-
-    def refusal(self, stations: Sequence[str], poses: Array) -> str:
-        """Return why none of poses (K, 4, 4) in {W} is corrected at the stations."""
-
-
 def reach(
-    cell: Cell, holes: Holes, stations: Sequence[Station], served: Served | None = None
+    cell: Cell, holes: Holes, stations: Sequence[Station], served: Volume | None = None
 ) -> Reach:
     """Return which holes each station reaches, and corrects where ``served`` says so.
 
@@ -112,24 +97,26 @@ def _in_range(cell: Cell, holes: Holes) -> Bools:
 
 
 def _refuse_unreached(
-    cell: Cell, holes: Holes, stations: Sequence[Station], ok: Bools, served: Served | None
+    cell: Cell, holes: Holes, stations: Sequence[Station], ok: Bools, served: Volume | None
 ) -> None:
     bad = np.flatnonzero(~ok.any(axis=1))
     if len(bad):
         why = (
-            f"{holes.names[n]}: {_why_not(cell, _one(holes, n), stations, served)}"
+            f"{holes.names[n]}: {_why_not(cell, holes.one(n), stations, served)}"
             for n in bad[:MOST_LISTED].tolist()
         )
         named = "".join(f"\n  {line}" for line in bounded(why, len(bad)))
+        count = f"{len(ok)} hole{'s' * (len(ok) != 1)}"
+        places = stations[0].name if len(stations) == 1 else f"any of {len(stations)} stations"
         small = len(bad) == len(ok) and float(np.abs(holes.points_mm).max()) < FAR_MM
         raise UnreachableHoles(
-            f"{len(bad)} of {_counted(len(ok), 'hole')} cannot be drilled from "
-            f"{_places(stations)} in status {cell.robot.status}:{named}"
+            f"{len(bad)} of {count} cannot be drilled from {places} in status "
+            f"{cell.robot.status}:{named}"
             f"\n{_act(holes, bad, stations, served)}{UNITS if small else ''}"
         )
 
 
-def _act(holes: Holes, bad: Ints, stations: Sequence[Station], served: Served | None) -> str:
+def _act(holes: Holes, bad: Ints, stations: Sequence[Station], served: Volume | None) -> str:
     """Return what to do about holes (K,) that are drilled from no station."""
     if served is None:
         return "move the part or the tracker, or try --free stations"
@@ -139,15 +126,7 @@ def _act(holes: Holes, bad: Ints, stations: Sequence[Station], served: Served | 
     return "move or turn the part, move the tracker, or calibrate a larger volume"
 
 
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}{'s' * (count != 1)}"
-
-
-def _places(stations: Sequence[Station]) -> str:
-    return stations[0].name if len(stations) == 1 else f"any of {len(stations)} stations"
-
-
-def _why_not(cell: Cell, hole: Holes, stations: Sequence[Station], served: Served | None) -> str:
+def _why_not(cell: Cell, hole: Holes, stations: Sequence[Station], served: Volume | None) -> str:
     """Return why one hole is drilled from no station: out of reach, or reached and not served."""
     names = [each.name for each in stations]
     if served is not None and served.points_back(names, hole.reflector_poses()[0]):
@@ -159,16 +138,6 @@ def _why_not(cell: Cell, hole: Holes, stations: Sequence[Station], served: Serve
         if reached:
             return served.refusal(reached, poses)
     return _reason(cell, hole, stations)
-
-
-def _one(holes: Holes, number: int) -> Holes:
-    some = slice(number, number + 1)
-    return replace(
-        holes,
-        names=holes.names[some],
-        points_mm=holes.points_mm[some],
-        tools=holes.tools[some],
-    )
 
 
 def _reason(cell: Cell, hole: Holes, stations: Sequence[Station]) -> str:

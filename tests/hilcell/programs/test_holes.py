@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.targets import HEADER
 from hilcell.geometry.frames import pose_from_zyx
-from hilcell.planning import holes as module
-from hilcell.planning.holes import NORMALS, TURNS, Holes, read_holes, tools_against, twins
+from hilcell.programs import holes as module
+from hilcell.programs.holes import NORMALS, TURNS, Holes, read_holes, tools_against, twins
 
 
 def file_of(folder: Path, *lines: str) -> Path:

@@ -9,18 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hilcell.calibration.volume import Volume
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import zyx_from_pose
 from hilcell.geometry.kinematics import Array
-from hilcell.planning.holes import Holes
-from hilcell.planning.reach import Reach, Served, reach
-from hilcell.planning.route import route
 from hilcell.ports import HilcellError
+from hilcell.programs.holes import Holes
+from hilcell.programs.reach import Reach, reach
+from hilcell.programs.route import route
 
 
 class CoverError(HilcellError):
@@ -86,17 +86,6 @@ class HolePlan:
         return sum(each.bound_mm for each in self.stations)
 
 
-class Calibrated(Served, Protocol):
-    """Where a calibration corrects."""
-
-    @property
-    def stations(self) -> list[str]:
-        """Return the names of the calibrated stations."""
-
-    def orientation(self, station: str) -> Array:
-        """Return the calibrated orientation (3, 3) in {W} at a station."""
-
-
 def ratio(travel_mm: float, bound_mm: float) -> float:
     """Return travel over bound, 1 where nothing is travelled."""
     return travel_mm / bound_mm if bound_mm > 0 else 1.0
@@ -107,13 +96,13 @@ def plan(
     holes: Holes,
     *,
     free: bool = False,
-    calibrated: Calibrated | None = None,
-    heard: Callable[[str], object] = lambda words: None,
+    calibrated: Volume | None = None,
+    say: Callable[[str], object] = lambda words: None,
 ) -> HolePlan:
     """Plan the holes at recorded stations; ``free`` adds a raster along the travel.
 
     With ``calibrated`` each hole is drilled at a station, and with a turn of the tool, where it is
-    corrected. ``heard`` is called with each step of a plan that takes long. Raises
+    corrected. ``say`` is called with each step of a plan that takes long. Raises
     `UnreachableHoles`.
     """
     candidates = _candidates(cell, free=free)
@@ -123,7 +112,7 @@ def plan(
             holes = holes.with_turn_near(calibrated.orientation(station.name))
     slow = len(holes.names) >= SLOW_HOLES
     if slow:
-        heard(f"planning {len(holes.names)} holes: where they are reached")
+        say(f"planning {len(holes.names)} holes: where they are reached")
     reached = reach(cell, holes, candidates, calibrated)
     off_mm = _off_mm(cell, holes, candidates)
     new = np.array([station not in cell.station for station in candidates])
@@ -135,7 +124,7 @@ def plan(
     for each in order:
         if slow:
             count = int((owner == each).sum())
-            heard(f"{candidates[each].name}: the order of {count} holes")
+            say(f"{candidates[each].name}: the order of {count} holes")
         stations.append(_at_station(holes, reached, candidates[each], each, owner))
     return HolePlan(stations)
 

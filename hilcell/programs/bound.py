@@ -1,16 +1,29 @@
-"""Short routes through holes, and a proven bound below which no route can be.
+"""A proven lower bound on the length of open routes: 1-trees, and cuts that every tour respects.
 
-A route is open and its ends are free: a hub at distance 0 from every hole closes it to a tour.
-Nearest neighbours start it, 2-opt and Or-opt over near holes shorten it, and small kicks repeat
-that until it is near its bound. Where a few kicks do not get it there, the bound is sharpened
-first. A search that stops by the clock would answer differently on another machine; this one counts
-its kicks and draws them from a fixed seed.
+A hub at distance 0 from every hole closes a route with free ends to a tour. Give each hole a price
+that all its edges cost in addition: a tour has two edges at each hole, so it costs twice the prices
+more than its length; and the hub's two cheapest edges with the least spanning tree of the holes
+never cost more than a tour. Their cost less twice the prices is a bound for any prices (Held and
+Karp's 1-trees). Prices may be tuned on few edges, but a bound counts only when evaluated on all;
+and the best prices still leave a gap, about 1 % for scattered holes, 12 % where single rows meet.
+
+There edges get shares 0..1, two per hole, and cuts that every tour respects: subtours (2 edges
+leave any set of holes), blossoms and stars. The solver's value is no proof, for it saw few edges
+and rounds. Its prices are one: any prices of holes and cuts bound every tour, once the edges that
+they make cheap are counted over all pairs.
+
+A star is the cost for every tour of an odd number of row ends at one place. Where three rows meet,
+one has to be gone over twice or left by a jump. A blossom sees that at one step along the rows;
+shares avoid it by going over the row one and a third times. A star sees it at many steps: handles
+H, each within the next, and an odd number t of disjoint teeth that each have a node in the first
+handle, in every shell between two handles, and outside the last. Every tour leaves them all
+together H (t + 1) + 2 t times at least: each tooth that is one piece of the tour crosses all
+handles, each further piece spares one crossing and costs two ends, and a handle is left an even
+number of times. (Fleischmann 1988; one handle: a comb.)
 """
 
 from __future__ import annotations
 
-import random
-from array import array
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
@@ -18,21 +31,218 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial.distance import cdist
+from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
 from hilcell.geometry.kinematics import Array
-from hilcell.planning.bound import ROUNDING, candidates, lower_bound
-from hilcell.planning.stars import VIOLATED, Bools, Cut, Ints, Stars, star
 from hilcell.ports import HilcellError
 
-# Single rows of holes that meet leave 1-trees up to 12 % below any tour. Here edges get shares
-# 0..1, two per hole, and cuts that every tour respects: subtours (2 edges leave any set of
-# holes), blossoms and stars. The solver's value is no proof, for it saw few edges and rounds. Its
-# prices are one: any prices of holes and cuts bound every tour, once the edges that they make
-# cheap are counted over all pairs.
+CANDIDATES = 10  # near holes whose edges the prices are tuned on
+TUNING_STEPS = 400
+PATIENCE = 15  # steps without a better bound before the step is halved
+INERTIA = 0.3  # share of the step before in the next one
+TREES = 4  # of tuning, each on the edges that the full tree of the last one used as well
+ROUNDING = 1e-9  # share of the bound given away to rounding
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int_]
 
-# Found by looking where they lie as a rule, not by proof: among the parts into which edges of
+
+def lower_bound(distance: Array, order: Ints) -> float:
+    """Return a length that no open route through distances (N, N) is below.
+
+    ``order`` (N,) is any route: its edges make the tuning's graph connected, its length scales
+    the steps. The bound holds however well the prices were tuned.
+    """
+    if len(distance) < 3:
+        return float(distance[order[:-1], order[1:]].sum())
+    edges = candidates(distance, order)
+    target_mm = float(distance[order[:-1], order[1:]].sum())
+    price, best = np.zeros(len(distance)), 0.0
+    for _ in range(TREES):
+        price = _tuned(distance, edges, price, target_mm)
+        bound_mm, tree = _evaluated(distance, price)
+        best = max(best, bound_mm)
+        more = np.unique(np.vstack([edges, tree]), axis=0)
+        if len(more) == len(edges):
+            break
+        edges = more
+    return float(best * (1.0 - ROUNDING))
+
+
+def candidates(distance: Array, order: Ints) -> Ints:
+    """Return edges (E, 2), lower hole first: to near holes, and along the route."""
+    count = len(distance)
+    near = np.argsort(distance, axis=1, kind="stable")[:, : CANDIDATES + 1]
+    first = np.repeat(np.arange(count), near.shape[1])
+    pairs = np.vstack(
+        [np.column_stack([first, near.ravel()]), np.column_stack([order[:-1], order[1:]])]
+    )
+    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
+    return np.unique(np.sort(pairs, axis=1), axis=0)
+
+
+def _tuned(distance: Array, edges: Ints, price: Array, target_mm: float) -> Array:
+    """Return prices (N,) that raise the bound over ``edges``, by subgradient steps."""
+    count, (one, other) = len(price), edges.T
+    plain = distance[one, other]
+    starts = np.searchsorted(one, np.arange(count + 1))
+    best, best_price, direction = -np.inf, price, np.zeros(count)
+    scale, idle = 1.0, 0
+    for _ in range(TUNING_STEPS):
+        weight = plain + price[one] + price[other]
+        low = weight.min() - 1.0  # csgraph takes a weight of 0 for no edge
+        graph = csr_array((weight - low, other, starts), shape=(count, count))
+        tree = minimum_spanning_tree(graph).tocoo()
+        hub = np.argpartition(price, 1)[:2]
+        bound_mm = tree.data.sum() + low * (count - 1) + price[hub].sum() - 2 * price.sum()
+        if bound_mm > best:
+            best, best_price, idle = bound_mm, price, 0
+        elif (idle := idle + 1) >= PATIENCE:
+            scale, idle = scale / 2, 0
+        excess = np.bincount(np.concatenate([tree.row, tree.col, hub]), minlength=count) - 2.0
+        if not excess.any():
+            break  # the tree is a route: nothing is better
+        direction = excess + INERTIA * direction
+        step = scale * max(target_mm - bound_mm, 1e-3 * target_mm) / (excess @ excess)
+        price = price + step * direction
+    return best_price
+
+
+def _evaluated(distance: Array, price: Array) -> tuple[float, Ints]:
+    """Return the bound for these prices on all edges, and the tree (N - 1, 2), by Prim."""
+    count = len(price)
+    outside = np.ones(count, dtype=bool)
+    cheapest, parent = np.full(count, np.inf), np.zeros(count, dtype=int)
+    tree, total, newest = [], 0.0, 0
+    for _ in range(count - 1):
+        outside[newest] = False
+        weight = distance[newest] + price[newest] + price
+        nearer = outside & (weight < cheapest)
+        cheapest[nearer], parent[nearer] = weight[nearer], newest
+        newest = int(np.argmin(np.where(outside, cheapest, np.inf)))
+        total += cheapest[newest]
+        tree.append(sorted((int(parent[newest]), newest)))
+    return total + np.partition(price, 1)[:2].sum() - 2 * price.sum(), np.array(tree)
+
+
+VIOLATED = 1e-3  # less is not worth a cut
+CLOSE = 0.3  # a blossom that holds by less may grow into a star that does not
+MOST_SHELLS = 12  # in each direction
+HELD = 0.05  # share by which a node must hang on a tooth to join it
+MOST_STARS = 100  # of one round
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """Sets (K, M) of nodes that ``least`` edges leave in all, in every tour."""
+
+    sets: Bools
+    least: float
+
+    def row(self, edges: Ints) -> Array:
+        """Return how many of the sets each edge (E, 2) leaves, (E,)."""
+        leaves: Array = (self.sets[:, edges[:, 0]] != self.sets[:, edges[:, 1]]).sum(axis=0) * 1.0
+        return leaves
+
+    def missed(self, edges: Ints, share: Array) -> float:
+        """Return by how much the shares (E,) of edges (E, 2) break the cut, below 0 if not."""
+        return float(self.least - share @ self.row(edges))
+
+
+def star(handles: Bools, teeth: Bools) -> Cut:
+    """Return the star of handles (H, M), each within the next, and an odd number of teeth."""
+    least = len(handles) * (len(teeth) + 1.0) + 2.0 * len(teeth)
+    return Cut(np.vstack([handles, teeth]), least)
+
+
+class Stars:
+    """Grows stars from blossoms, and remembers the blossoms: later shares break other stars."""
+
+    def __init__(self) -> None:
+        self._seeds: dict[bytes, Cut] = {}
+
+    def remember(self, cuts: Iterable[Cut]) -> None:
+        """Keep those of the cuts that are blossoms: one handle and then teeth of two nodes."""
+        self._seeds.update((cut.sets.tobytes(), cut) for cut in cuts if len(cut.sets) > 1)
+
+    def broken(self, edges: Ints, share: Array) -> list[Cut]:
+        """Return the stars most broken by the shares (E,) of edges (E, 2)."""
+        if not self._seeds:
+            return []
+        size = next(iter(self._seeds.values())).sets.shape[1]
+        matrix = np.zeros((size, size))
+        matrix[edges[:, 0], edges[:, 1]] = share
+        matrix += matrix.T
+        found: dict[bytes, tuple[float, Cut]] = {}
+        for seed in self._seeds.values():
+            if seed.missed(edges, share) > -CLOSE:
+                grown = _Growth(matrix, seed).star()
+                missed = grown.missed(edges, share)
+                if missed > VIOLATED:
+                    found[grown.sets.tobytes()] = (missed, grown)
+        worst = sorted(found.values(), key=lambda each: -each[0])
+        return [cut for _, cut in worst[:MOST_STARS]]
+
+
+class _Growth:
+    """A blossom on its way to a star: shells of one node a tooth, put on outside, then inside."""
+
+    def __init__(self, matrix: Array, blossom: Cut) -> None:
+        self._matrix = matrix
+        self._handles, self._teeth = blossom.sets[:1], blossom.sets[1:]
+
+    def star(self) -> Cut:
+        """Return the star of as many shells as pay, those with none too."""
+        first = self._handles[0]
+        inner, outer = self._tips(first), self._tips(~first)
+        self._grow(first, outer)
+        self._grow(~first, inner)  # an edge that leaves a handle leaves its complement
+        return star(self._handles, self._teeth)
+
+    def _tips(self, side: Bools) -> Ints:
+        return np.array((self._teeth & side).argmax(axis=1))
+
+    def _grow(self, handle: Bools, tips: Ints) -> None:
+        """Take the handle's rim ``tips`` (T,) in, and new tips to the teeth, while that pays."""
+        matrix, each = self._matrix, np.arange(len(tips))
+        teeth = self._teeth.copy()
+        handles: list[Bools] = []
+        pull = np.array([matrix[tooth].sum(axis=0) for tooth in teeth])  # on each node
+        pull_in = matrix[handle].sum(axis=0)
+        leaving = 2.0 * handle.sum() - pull_in[handle].sum()
+        paid, best = 0.0, (0.0, 0, self._teeth)
+        while len(handles) < MOST_SHELLS:
+            within = matrix[np.ix_(tips, tips)].sum()
+            leaving += 2.0 * (len(tips) - pull_in[tips].sum()) - within
+            pull_in += matrix[tips].sum(axis=0)
+            handle = handle.copy()
+            handle[tips] = True
+            handles.append(handle)
+            next_tips = self._next(pull, teeth.any(axis=0) | handle)
+            if next_tips is None:
+                break
+            tips = next_tips
+            paid += leaving - (len(tips) + 1) + 2.0 * (len(tips) - pull[each, tips].sum())
+            teeth[each, tips] = True
+            pull += matrix[tips]
+            if paid < best[0] - VIOLATED:
+                best = paid, len(handles), teeth.copy()
+        self._teeth = best[2]
+        self._handles = np.vstack([self._handles, *handles[: best[1]]])
+
+    @staticmethod
+    def _next(pull: Array, taken: Bools) -> Ints | None:
+        """Return the free node that hangs most on each tooth, (T,), or None if some has none."""
+        free, tips = np.where(taken, 0.0, pull), []
+        for row in free:
+            tip = int(row.argmax())
+            if row[tip] < HELD:
+                return None
+            free[:, tip] = 0.0
+            tips.append(tip)
+        return np.array(tips)
+
+
+# Cuts are sought where they lie as a rule, not by proof: among the parts into which edges of
 # middling and of large shares fall, and among the stretches of a good tour. Where none is found,
 # one may be broken all the same.
 
@@ -262,211 +472,3 @@ class _Program:
         known[self.edges.min(axis=1), self.edges.max(axis=1)] = True
         missing = (cheap < -VIOLATED) & ~known[one, other]
         return float(bound_mm), np.column_stack([one, other])[missing]
-
-
-GOOD = 1.02  # a route this near to its bound is not worth more search
-FAR = 1.03  # over its bound: the bound is to blame, as a rule, and worth sharpening
-FIRST_KICKS_PER_HOLE = 2  # before the bound is sharpened
-KICKS_PER_HOLE = 4  # after that
-MOST_CUT = 1000  # holes up to which sharpening is quick
-SLACK = 0.3  # mean steps by which a kicked route may be worse than the best, at first
-KICK_SPAN = 50  # holes within which one kick swaps two stretches
-NEAR = 8  # holes that a new edge may lead to
-LONGEST_STRETCH = 3  # holes that Or-opt moves together
-NEGLIGIBLE_MM = 1e-7
-
-
-@dataclass(frozen=True, slots=True)
-class Route:
-    """Order of visit (N,), its length, and a length that no order is below."""
-
-    order: NDArray[np.int_]
-    travel_mm: float
-    bound_mm: float
-
-
-def route(points_mm: Array) -> Route:
-    """Return a short open route with free ends through points (N, 3), N >= 1."""
-    distance = cdist(points_mm, points_mm)
-    first = _nearest_neighbours(distance)
-    bound_mm = lower_bound(distance, first)
-    if len(first) < 4:
-        return _route(distance, first, bound_mm)
-    search = _Search(distance, first)
-    order = search.run(GOOD * bound_mm, FIRST_KICKS_PER_HOLE)
-    found = _route(distance, order, bound_mm)
-    if found.travel_mm > FAR * bound_mm and len(order) <= MOST_CUT:
-        bound_mm = max(bound_mm, cut_bound(distance, order, found.travel_mm / FAR))
-    order = search.run(GOOD * bound_mm, KICKS_PER_HOLE)
-    return _route(distance, order, bound_mm)
-
-
-def _route(distance: Array, order: NDArray[np.int_], bound_mm: float) -> Route:
-    """Return the route with its travel, which a bound may pass by rounding only."""
-    travel_mm = float(distance[order[:-1], order[1:]].sum())
-    return Route(order, travel_mm, min(bound_mm, travel_mm))
-
-
-def _nearest_neighbours(distance: Array) -> NDArray[np.int_]:
-    """Return the order (N,) that always goes to the nearest hole left, from the outermost."""
-    open_ = np.ones(len(distance), dtype=bool)
-    order = [int(distance.sum(axis=1).argmax())]
-    for _ in range(len(distance) - 1):
-        open_[order[-1]] = False
-        order.append(int(np.argmin(np.where(open_, distance[order[-1]], np.inf))))
-    return np.array(order)
-
-
-class _Search:
-    """A closed tour of holes and the hub (the last node), shortened in place."""
-
-    def __init__(self, distance: Array, order: NDArray[np.int_]) -> None:
-        self._hub = len(distance)
-        padded = np.pad(distance, (0, 1))
-        self._rows: list[array[float]] = [array("d", row.tobytes()) for row in padded]
-        near = np.argsort(distance, axis=1, kind="stable")[:, : NEAR + 1]
-        self._near: list[list[int]] = [
-            [self._hub, *(hole for hole in row if hole != number)]
-            for number, row in enumerate(near.tolist())
-        ]
-        self._near.append([])  # edges to the hub are found from the other end
-        self._tour: list[int] = [*order.tolist(), self._hub]
-        self._place = [0] * len(self._tour)
-        self._number(0, len(self._tour))
-        self._queue: dict[int, None] = {}  # nodes around which to look, the latest first
-        self._chance = random.Random(1)  # noqa: S311 - no secret
-
-    def run(self, good_mm: float, kicks_per_hole: int) -> NDArray[np.int_]:
-        """Shorten until ``good_mm`` or all kicks are spent; return the order.
-
-        Another run goes on from there.
-        """
-        self._look_at(self._tour)
-        length_mm = self._length() - self._shortened()
-        best_mm, best = length_mm, self._tour.copy()
-        kicks = kicks_per_hole * self._hub
-        for number in range(kicks):
-            if best_mm <= good_mm:
-                break
-            tour, place = self._tour.copy(), self._place.copy()
-            gain = self._kick() + self._shortened()
-            worse_mm = SLACK * best_mm / self._hub * (1.0 - number / kicks)
-            if length_mm - gain > best_mm + worse_mm:
-                self._tour, self._place = tour, place
-                continue
-            length_mm -= gain
-            if length_mm < best_mm - NEGLIGIBLE_MM:
-                best_mm, best = length_mm, self._tour.copy()
-        self._tour = best
-        self._number(0, len(best))
-        start = best.index(self._hub)
-        return np.array(best[start + 1 :] + best[:start])
-
-    def _length(self) -> float:
-        tour = self._tour
-        return sum(self._rows[a][b] for a, b in zip(tour, tour[1:] + tour[:1], strict=True))
-
-    def _shortened(self) -> float:
-        """Make moves around the queued nodes until none shortens; return the gain in mm."""
-        total = 0.0
-        while self._queue:
-            node, _ = self._queue.popitem()
-            while (gain := self._two_opt(node) or self._or_opt(node)) > 0:
-                total += gain
-        return total
-
-    def _two_opt(self, a: int) -> float:
-        """Replace edges a-b, c-d by a-c, b-d where that shortens; return the gain."""
-        rows, tour, place = self._rows, self._tour, self._place
-        size, row = len(tour), rows[a]
-        for way in (1, -1):
-            b = tour[(place[a] + way) % size]
-            for c in self._near[a]:
-                first = row[b] - row[c]
-                if first <= NEGLIGIBLE_MM:
-                    break
-                d = tour[(place[c] + way) % size]
-                gain = first + rows[c][d] - rows[b][d]
-                if gain > NEGLIGIBLE_MM:
-                    self._reverse(*((b, c) if way > 0 else (a, d)))
-                    self._look_at((a, b, c, d))
-                    return gain
-        return 0.0
-
-    def _or_opt(self, a: int) -> float:
-        """Move a stretch that ends in a between c and a neighbour of c; return the gain."""
-        for way in (1, -1):
-            stretch = [a]
-            for _ in range(LONGEST_STRETCH):
-                gain = self._moved(stretch, way)
-                if gain > 0:
-                    return gain
-                stretch.append(self._tour[(self._place[stretch[-1]] - way) % len(self._tour)])
-        return 0.0
-
-    def _moved(self, stretch: list[int], way: int) -> float:
-        """Put ``stretch`` with its first node beside c where that shortens; return the gain."""
-        rows, tour, place = self._rows, self._tour, self._place
-        size, a, e = len(tour), stretch[0], stretch[-1]
-        b, p = tour[(place[a] + way) % size], tour[(place[e] - way) % size]
-        if b in stretch or p in stretch or b == p:
-            return 0.0
-        out = rows[a][b] + rows[e][p] - rows[p][b]
-        for c in self._near[a]:
-            if rows[a][b] - rows[a][c] <= NEGLIGIBLE_MM:
-                break
-            if c in stretch:
-                continue
-            for side in (1, -1):
-                d = tour[(place[c] + side) % size]
-                gain = out - rows[a][c] - rows[e][d] + rows[c][d]
-                if gain > NEGLIGIBLE_MM and d not in stretch:
-                    self._insert(stretch, c, d)
-                    self._look_at((a, b, c, d, e, p))
-                    return gain
-        return 0.0
-
-    def _insert(self, stretch: list[int], c: int, d: int) -> None:
-        """Take ``stretch`` out and put it between neighbours c and d, its first node beside c."""
-        tour, place = self._tour, self._place
-        forward = tour[(place[c] + 1) % len(tour)] == d
-        at = min(place[node] for node in stretch)
-        if max(place[node] for node in stretch) - at >= len(stretch):  # round the list's end
-            self._tour = tour = tour[len(stretch) :] + tour[: len(stretch)]
-            self._number(0, len(tour))
-            at = min(place[node] for node in stretch)
-        del tour[at : at + len(stretch)]
-        beside = place[c] - (len(stretch) if place[c] > at else 0)
-        to = beside + 1 if forward else beside
-        tour[to:to] = stretch if forward else stretch[::-1]
-        self._number(min(at, to), max(at, to) + len(stretch))
-
-    def _reverse(self, first: int, last: int) -> None:
-        """Turn round the path from ``first`` forward to ``last``, or all the rest instead."""
-        low, high = self._place[first], self._place[last]
-        if low > high:
-            low, high = high + 1, low - 1
-        self._tour[low : high + 1] = self._tour[low : high + 1][::-1]
-        self._number(low, high + 1)
-
-    def _kick(self) -> float:
-        """Swap two neighbouring stretches somewhere; return the gain, as a rule negative."""
-        tour, rows = self._tour, self._rows
-        size = len(tour)
-        start = self._chance.randrange(size - 3)
-        span = min(KICK_SPAN, size - 1 - start)
-        i, j, k = sorted(self._chance.sample(range(start, start + span), 3))
-        ends = (tour[i], tour[i + 1], tour[j], tour[j + 1], tour[k], tour[(k + 1) % size])
-        a, b, c, d, e, f = ends
-        tour[i + 1 : k + 1] = tour[j + 1 : k + 1] + tour[i + 1 : j + 1]
-        self._number(i + 1, k + 1)
-        self._look_at(ends)
-        return rows[a][b] + rows[c][d] + rows[e][f] - rows[a][d] - rows[e][b] - rows[c][f]
-
-    def _look_at(self, nodes: Iterable[int]) -> None:
-        self._queue.update(dict.fromkeys(nodes))
-
-    def _number(self, low: int, high: int) -> None:
-        tour, place = self._tour, self._place
-        for at in range(low, min(high, len(tour))):
-            place[tour[at]] = at

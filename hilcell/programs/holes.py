@@ -47,6 +47,13 @@ class Holes:
         against: Array = -self.tools[:, 0, :, 2]
         return against
 
+    def one(self, number: int) -> Holes:
+        """Return one of the holes."""
+        some = slice(number, number + 1)
+        return replace(
+            self, names=self.names[some], points_mm=self.points_mm[some], tools=self.tools[some]
+        )
+
     def reflector_poses(self) -> Array:
         """Return all allowed poses (N, K, 4, 4) of {T} in {W}."""
         return self.poses() @ self.T_D_T

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from hilcell.cell.file import Station, load_cell
 from hilcell.geometry.frames import inverse, pose_from_zyx
 from hilcell.geometry.inverse import posture, reachable
-from hilcell.planning.holes import Holes, tools_against
-from hilcell.planning.plan import along_rail, plan, ratio
-from hilcell.planning.reach import UnreachableHoles, reach
+from hilcell.programs.holes import Holes, tools_against
+from hilcell.programs.plan import along_rail, plan, ratio
+from hilcell.programs.reach import UnreachableHoles, reach
 
 CELL = load_cell("paper")
 ARM = CELL.robot.arm()

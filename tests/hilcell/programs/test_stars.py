@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from hilcell.planning.route import Separation, _Program
-from hilcell.planning.stars import Cut, _Growth, star
-from tests.hilcell.planning.test_route import raster
+from hilcell.programs.bound import Cut, Separation, _Growth, _Program, star
+from tests.hilcell.programs.test_route import raster
 
 
 def nested(handles: int) -> Cut:

@@ -1,0 +1,187 @@
+"""``compensate`` and ``fit``: targets or programs in, corrected ones out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from hilcell.cell.file import load_cell
+from hilcell.cell.settings import SettingsError
+from hilcell.commands.orders import Compensate, Fit
+from hilcell.commands.output import print_data, print_json, print_message, print_table
+from hilcell.fit.fitted_arm import FittedArm
+from hilcell.fit.methods import FitResult, Fitted, fitted, in_mm, methods_table
+from hilcell.fit.robot_file import Measurements, Robot, read_measurements, read_robot
+from hilcell.fit.urdf_file import read_urdf
+from hilcell.programs.arm_targets import ArmTargets
+from hilcell.programs.target_jobs import StationTargets, Strokes
+from hilcell.writing import CSV, check_output
+
+DRILL_KEY = "uncertainty.drill_offset_mm"
+URDF = ".urdf"
+NAMED = 10  # rows that are left out
+
+
+def compensate(args: Compensate) -> int:
+    """Write corrected targets, or a corrected program, for one station."""
+    check_settings(args.cell, dict(args.settings))
+    job = StationTargets.plan(
+        load_cell(args.cell, dict(args.settings)) if args.cell else None,
+        args.calibration,
+        Path(args.targets),
+        args.release,
+        station=args.station,
+        tool=args.tool,
+        strokes=Strokes(args.allow_stroke, args.stroke_tolerance),
+        say=print_message,
+    )
+    bounds = Path(args.bounds) if args.bounds else None
+    said = job.write(Path(args.output), bounds, [Path(args.cell)] if args.cell else [])
+    if args.json:
+        print_json(job.summary)
+    print_message("\n".join(said))
+    return 0
+
+
+def check_settings(cell: str | None, settings: dict[str, str]) -> None:
+    """Refuse settings that would change nothing; raises `SettingsError`."""
+    if settings and not cell:
+        raise SettingsError("--set", ["it changes the cell of --cell CELL; none is given"])
+    unused = [key for key in settings if key.startswith("uncertainty.") and key != DRILL_KEY]
+    if unused:
+        raise SettingsError(
+            "--set",
+            [
+                f"{key}: the calibration states its own budget; only {DRILL_KEY} is the cell's"
+                for key in unused
+            ],
+        )
+
+
+def fit(args: Fit) -> int:
+    """Fit measured data, print how far each method's predictions are off, write what is asked."""
+    robot = _robot(Path(args.robot), args.tip)
+    train = _read(Path(args.train))
+    test = _read(Path(args.test)) if args.test else None
+    if test is not None:
+        _warn_of_shared(train, test)
+    inputs = [Path(each) for each in (args.robot, args.train, args.test) if each]
+    tool = _tool(args, train)
+    if args.correct:
+        inputs.append(Path(args.correct))
+    found = fitted(robot, train, test)
+    more: dict[str, object] = {}
+    if args.urdf_out or args.dh_out:
+        more["rigid"] = _write_arm(args, robot, found, inputs)
+    if args.correct:
+        job = ArmTargets.plan(robot, found, train, Path(args.correct), tool=tool, say=print_message)
+        bounds = Path(args.bounds) if args.bounds else None
+        print_message("\n".join(job.write(Path(args.output), bounds, inputs)))
+        more["corrected"] = job.summary
+    if args.json:
+        print_json({**found.result, **_covariance(found), **more})
+    else:
+        _print(found.result)
+    return 0
+
+
+def _tool(args: Fit, train: Measurements) -> str:
+    """Return the reflector that is the tool point of targets; raises `SettingsError`."""
+    if not args.correct:
+        if args.output or args.bounds:
+            raise SettingsError("fit", ["--output and --bounds want --correct TARGETS"])
+        return ""
+    if not args.output:
+        raise SettingsError("fit", ["--correct wants --output OUT"])
+    names = sorted(set(train.target))
+    if not args.tool and len(names) > 1:
+        raise SettingsError("fit", [f"--tool says which is the tool point: {', '.join(names)}"])
+    tool = args.tool or names[0]
+    if tool not in names:
+        raise SettingsError("fit", [f"--tool {tool}: measured were {', '.join(names)}"])
+    return tool
+
+
+def _covariance(fit: Fitted) -> dict[str, list[list[float]]]:
+    """Return the covariance of the parameters of ``model``, in the order of their names."""
+    arm = fit.methods[fit.result["model"]["method"]] if fit.result["model"] else None
+    if not isinstance(arm, FittedArm):
+        return {}
+    return {"covariance": arm.estimate.system.covariance.tolist()}
+
+
+def _write_arm(args: Fit, robot: Robot, fit: Fitted, inputs: list[Path]) -> dict[str, float]:
+    """Write the identified arm as URDF and DH table; return the figures of what it leaves."""
+    from hilcell.fit.rigid_arm import alone, rigid_arm, write_dh, write_urdf
+
+    if args.urdf_out:
+        check_output(Path(args.urdf_out), (URDF, ".xml"), "a URDF", inputs=inputs)
+    if args.dh_out:
+        check_output(Path(args.dh_out), (*CSV, ".json"), "a DH table", inputs=inputs)
+    found = rigid_arm(robot.arm(), fit)
+    if args.urdf_out:
+        remarks = [f"{fit.result['train']} rows of {Path(args.train).name}.", *alone(found.figures)]
+        write_urdf(Path(args.urdf_out), robot, found, remarks, inputs=inputs)
+        inputs = [*inputs, Path(args.urdf_out)]
+    if args.dh_out:
+        write_dh(Path(args.dh_out), robot, found, inputs=inputs)
+    written = " and ".join(filter(None, (args.urdf_out, args.dh_out)))
+    print_message("\n".join([f"the identified arm is in {written}", *alone(found.figures)]))
+    return in_mm(found.figures)
+
+
+def _print(result: FitResult) -> None:
+    print_table(methods_table(result["methods"]))
+    print_data(
+        f"chosen: {result['chosen']}; {result['train']} rows learnt from, {result['test']} judged"
+    )
+    print_data(result["reason"])
+    for reason in sorted(set(result["refused"].values())):
+        print_message(f"no robot is identified: {reason}")
+    for bad in result["outliers"][:NAMED]:
+        print_message(
+            f"pose {bad['pose']} target {bad['target']} contradicts the others by "
+            f"{bad['miss_mm']:.4g} mm and is left out"
+        )
+    if len(result["outliers"]) > NAMED:
+        print_message(f"and {len(result['outliers']) - NAMED} more")
+    inside = result["coverage"].get(result["chosen"])
+    if inside:
+        print_data(
+            f"{inside['share']:.1%} of them within 95 % bounds of {inside['bound_mm']:.3f} mm mean"
+        )
+
+
+def _read(path: Path) -> Measurements:
+    """Read measured rows; a copy of another row is no measurement, and counts once."""
+    rows = read_measurements(path)
+    once = rows.once()
+    if copies := len(rows) - len(once):
+        print_message(
+            f"warning: {copies} of {len(rows)} rows of {rows.source} repeat another exactly: its "
+            "target, joints and position; equal rows count once"
+        )
+    return once
+
+
+def _warn_of_shared(train: Measurements, test: Measurements) -> None:
+    """Warn of test rows that were learnt from: they judge nothing."""
+    learnt, judged = (
+        set(map(tuple, np.column_stack([each.xyz_mm, each.joints_rad]).tolist()))
+        for each in (train, test)
+    )
+    if shared := len(learnt & judged):
+        print_message(
+            f"warning: {shared} rows of {test.source} are training rows too; a test needs rows "
+            "that nothing was learnt from: leave them out, or leave --test away"
+        )
+
+
+def _robot(path: Path, tip: str) -> Robot:
+    """Read a robot by its file's suffix; raises `SettingsError`."""
+    if path.suffix.lower() == URDF:
+        return read_urdf(path, tip)
+    if tip:
+        raise SettingsError(str(path), [f"--tip {tip} names a link of a URDF; {URDF} is wanted"])
+    return read_robot(path)

@@ -1,0 +1,465 @@
+"""Holes, corrected: for each station a list and a program, and a drilling sheet for all of them."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from operator import itemgetter
+from pathlib import Path
+from typing import Self
+
+import msgspec
+import numpy as np
+
+from hilcell.arguments import STROKE_MM
+from hilcell.calibration.influence import NoBound
+from hilcell.calibration.lost_motion import straight_way
+from hilcell.calibration.part import REACH_MM, Part
+from hilcell.calibration.prepared import NEAR_SHARE, Drilling, station_program
+from hilcell.calibration.programs import StrokeError, StrokeLimits, check_strokes
+from hilcell.calibration.tip import Tip, tip_named
+from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
+from hilcell.calibration.volume import Volume
+from hilcell.cell.file import Cell
+from hilcell.cell.settings import SettingsError
+from hilcell.cell.tool import STANDOFF_MORE_MM
+from hilcell.compensation.programs import Stroke
+from hilcell.compensation.station_program import writer_of
+from hilcell.compensation.targets import HEADER, as_listed, target_rows
+from hilcell.errors import bounded
+from hilcell.geometry.frames import poses_from_zyx, zyx_from_pose
+from hilcell.geometry.statistics import lengths_mm
+from hilcell.ports import Array
+from hilcell.present.table import Column, Table
+from hilcell.programs.corrected import Corrected, Released, drill_mm_of
+from hilcell.programs.holes import read_holes, twins
+from hilcell.programs.plan import HolePlan, StationPlan
+from hilcell.programs.plan import plan as plan_holes
+from hilcell.report.sheet import Sheet, SheetHole, SheetStation, sheet_html
+from hilcell.run.order import Release
+from hilcell.writing import KNOWN, NotWritten, write_together
+
+SUMMARY, SHEET = "summary.json", "sheet.html"
+TRUE_ANGLE = "of the true angle; a measured one has the readings' noise, too"
+INVALID = (
+    "a collision, a new mastering, an exchanged motor, gear, drill spindle or reflector mount",
+    "the rail, the strip or its head was moved, or the slide does not come to its strip reading",
+    "the part or the floor was moved: {W} is no longer where it was",
+    "the calibration was revoked or superseded since: `hilcell runs` says so",
+    "a re-check (`hilcell run recheck`) that does not say valid",
+    "tool, base, approach or points of a program were changed by hand",
+)
+# Of each station: name, rail (mm), holes, the largest bound (mm), the list, the program's files.
+STATIONS: tuple[Column[tuple[str, float, int, float | None, str, str]], ...] = (
+    Column("station", itemgetter(0)),
+    Column("rail", itemgetter(1), "mm", ".2f"),
+    Column("holes", itemgetter(2), form="d"),
+    Column("bound95 max", itemgetter(3), "mm", ".3f"),
+    Column("file", itemgetter(4)),
+    Column("program", itemgetter(5)),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class StationJob:
+    """The holes of one station: its plan, and its corrected targets of the tool's tip.
+
+    ``program`` are its files by name, ``sent`` the points (N, 6) of each kind in it: at the holes,
+    at the stand-offs, on the way to these. ``stroke`` says in words what a drill stroke adds at
+    most; between holes the tip is ``standoff_mm`` in front of the part.
+    """
+
+    plan: StationPlan
+    targets: Corrected
+    stroke: str
+    standoff_mm: float
+    program: Mapping[str, bytes]
+    sent: Sequence[Array]
+
+    @property
+    def file(self) -> str:
+        """Return the name of its list."""
+        return f"{self.plan.station.name}.csv"
+
+    @property
+    def files(self) -> dict[str, bytes]:
+        """Return its list, in the order of visit, and its program."""
+        rows = list(target_rows(self.plan.holes, self.targets.command))
+        return {self.file: self.targets.listed(HEADER, rows), **self.program}
+
+    @property
+    def points(self) -> Iterator[tuple[Array, Array]]:
+        """Yield the nominal and the corrected points (N, 3) of its list and of its program."""
+        moved_mm = (self.targets.command - self.targets.nominal)[:, :3]
+        for each in (self.targets.command, *self.sent):
+            yield each[:, :3] - moved_mm, each[:, :3]
+
+    @property
+    def facts(self) -> dict[str, object]:
+        """Return its part of the summary; bounds are None where none can be stated."""
+        bounds_mm, turns_deg = self.targets.bounds95_mm, self.targets.turns_deg
+        turned = {} if turns_deg is None else {"bound95_max_deg": float(turns_deg.max())}
+        return {
+            "name": self.plan.station.name,
+            "rail_mm": self.plan.station.rail_mm,
+            "strip_mm": self.plan.station.strip_mm,
+            "file": self.file,
+            "program": list(self.program),
+            "stamp": self.targets.stamp.text,
+            "holes": self.plan.holes,
+            "bound95_mm": bounds_mm,
+            "travel_mm": self.plan.travel_mm,
+            "standoff_mm": self.standoff_mm,
+            "bound95_median_mm": None if bounds_mm is None else float(np.median(bounds_mm)),
+            "bound95_max_mm": None if bounds_mm is None else max(bounds_mm),
+            **turned,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class StationJobs:
+    """The stations of a part in order of visit, ``source`` the file of its holes.
+
+    The holes are places of the ``tip`` of one tool, which keeps ``standoff_mm`` from the part;
+    ``twins`` are the warnings of holes that are listed twice.
+    """
+
+    cell: Cell
+    released: Released
+    source: Path
+    tip: Tip
+    part: Part
+    standoff_mm: float
+    whole: HolePlan
+    twins: list[str]
+    stations: Sequence[StationJob] = ()
+
+    @classmethod
+    def plan(
+        cls,
+        cell: Cell,
+        calibration: str,
+        holes: Path,
+        release: Release,
+        *,
+        tool: str,
+        standoff_mm: float | None,
+        say: Callable[[str], object],
+    ) -> Self:
+        """Plan holes where the calibration corrects, and correct them; ``say`` takes warnings.
+
+        ``calibration`` names a run or a file, ``tool`` one of the cell's, "" its only one; None is
+        the tool's own stand-off. Raises `HilcellError` where a hole must not be drilled so.
+        """
+        released = Released.named(calibration, release, cell)
+        tip = tip_named(cell, tool, cell.robot.options.get("tool"))
+        if standoff_mm is None:
+            standoff_mm = tip.standoff_mm
+        elif not standoff_mm >= tip.least_standoff_mm:
+            problem = (
+                f"{standoff_mm:g} mm: expected at least {tip.least_standoff_mm:g} mm: the drill of "
+                f"{tip.name} and {STANDOFF_MORE_MM:g} mm"
+            )
+            raise SettingsError("--standoff", [problem])
+        found = read_holes(holes, tip.T_D_T)
+        released.refuse_corrected(holes, found.names, found.points_mm)
+        for warning in bounded(warnings := twins(found)):
+            say(warning)
+        whole = plan_holes(cell, found, calibrated=Volume(released.calibration), say=say)
+        part = Part(found.points_mm, found.outward)
+        jobs = cls(cell, released, holes, tip, part, standoff_mm, whole, warnings)
+        return replace(jobs, stations=[jobs._job(each) for each in whole.stations])
+
+    def _job(self, plan: StationPlan) -> StationJob:
+        """Return a station's holes, corrected; raises `HilcellError` where one must not be."""
+        cell, name, calibration = self.cell, plan.station.name, self.released.calibration
+        nominal = as_listed(plan.poses)  # as `plan` states them, and `compensate` reads them
+        exact = self.released.corrected(name, plan.holes, nominal, self.tip, cell)
+        targets = replace(exact, command=as_listed(exact.command))
+        stroke = self._stroke(targets)
+        writer = writer_of(cell.robot.driver)
+        if writer is None:
+            return StationJob(plan, targets, stroke, self.standoff_mm, {}, [])
+        T_W_B = np.array(calibration.stations[name].T_W_B)
+        drilling = Drilling(cell, T_W_B, self.tip, self.standoff_mm)
+        straight_rad = drilling.straight_rad(plan.holes, targets.command)
+        lost = straight_way(calibration.lost_motion, drilling.arm, T_W_B, straight_rad)
+        sent = as_listed(targets.command - np.pad(lost.shift_mm, ((0, 0), (0, 3))))
+        count = len(plan.holes)
+        place = f"{count} hole{'s' * (count != 1)} at station {name}"
+        if cell.has_rail:
+            place += f": the strip must read {plan.station.strip_mm:.2f} mm, the slide held"
+        remarks = [
+            place,
+            f"tool {self.tip.name}: points are where its tip is to be, z along the drill",
+            *self.standoff_remarks,
+            *self.unknown_drill,
+            lost.words,
+            stroke,
+            *["SIMULATED: not for a machine"] * targets.stamp.simulated,
+        ]
+        drilled = station_program(drilling, name, plan.holes, sent, self.part, remarks)
+        return StationJob(
+            plan,
+            targets,
+            "; ".join(filter(None, (stroke, lost.words))),
+            self.standoff_mm,
+            writer(drilled, targets.stamp),
+            [each.values for each in (drilled.command, drilled.standoff, drilled.approach)],
+        )
+
+    def _stroke(self, targets: Corrected) -> str:
+        """Return in words by how far a usual stroke along z of the tool would miss at most."""
+        shifts_mm = (STROKE_MM * poses_from_zyx(targets.nominal)[:, :3, 2]).tolist()
+        strokes = [Stroke(f"hole {n + 1}", n, tuple(each)) for n, each in enumerate(shifts_mm)]
+        words = f"a stroke of {STROKE_MM:g} mm along z of the tool"
+        try:
+            missed = check_strokes(
+                self.released.calibration, targets.stamp.station, targets.nominal, targets.command,
+                strokes, StrokeLimits(STROKE_MM, math.inf, ""), self.tip,
+            )  # fmt: skip
+        except StrokeError:
+            return f"{words} ends outside of the calibrated volume at some holes"
+        return (
+            f"{words} adds at most {missed.across_mm:.3f} mm across (position) and "
+            f"{missed.along_mm:.3f} mm along (depth)"
+        )
+
+    @property
+    def standoff_remarks(self) -> list[str]:
+        """Return in words how far off the tip is kept, on which side, and how deep points are."""
+        off = f"stand-off {self.standoff_mm:g} mm along the outward normal"
+        side = "assumed side: the part lies behind each hole, where z of the tool points"
+        return [
+            f"{off}, before and after each hole",
+            f"{side}, within {REACH_MM:g} mm of a hole; state a larger part as keep_out",
+            "depth 0: points are on the part's surface; the drill's feed is the spindle's own",
+        ]
+
+    @property
+    def unknown_drill(self) -> list[str]:
+        """Return a warning where holes are given for the reflector, so that no drill is known."""
+        if self.tip.table is not None:
+            return []
+        beyond = f"{NEAR_SHARE * self.standoff_mm:g} mm beyond the reflector"
+        return [f"no [[tool]], so no drill is known: between holes nothing may reach {beyond}"]
+
+    @property
+    def table(self) -> Table:
+        """Return a row a station."""
+        rows = [
+            (
+                each.plan.station.name,
+                each.plan.station.rail_mm,
+                len(each.plan.holes),
+                max(each.targets.bounds95_mm or [], default=None),
+                each.file,
+                " ".join(each.program),
+            )
+            for each in self.stations
+        ]
+        return Table(STATIONS, rows)
+
+    @property
+    def summary(self) -> dict[str, object]:
+        """Return the facts of all stations, for `SUMMARY`."""
+        made = self.released.calibration.provenance
+        return {
+            "calibration": made.latest,
+            "cell": made.cell,
+            "digest": made.digest,
+            "simulated": made.simulated,
+            "standing": self.released.stands,
+            "holes": self.source.name,
+            "tool": self.tip.name,
+            "notes": list(self.released.notes()),
+            "warnings": self.twins,
+            "sheet": SHEET,
+            "stations": [each.facts for each in self.stations],
+            "travel_mm": self.whole.travel_mm,
+            "bound_mm": self.whole.bound_mm,
+        }
+
+    def write(self, folder: Path, inputs: Iterable[Path]) -> list[str]:
+        """Write all files into a new or an empty folder, and keep the points, to be known again.
+
+        ``inputs`` are the files that were read besides holes and calibration. Returns in words
+        what was done. Raises `NotWritten`.
+        """
+        jobs, released = self.stations, self.released
+        files = [each for job in jobs for each in job.files.items()]
+        counts = Counter(name.lower() for name, _ in files)  # controllers and PCs may ignore case
+        if twice := [name for name, count in counts.items() if count > 1]:
+            raise NotWritten(
+                f"two stations would both write {', '.join(twice)}: name them apart, by letters, "
+                "digits and underscores in the first 24 characters"
+            )
+        summary = msgspec.json.format(msgspec.json.encode(self.summary), indent=1) + b"\n"
+        files += [(SUMMARY, summary), (SHEET, sheet_html(self.sheet()).encode())]
+        _make(folder)
+        write_together(
+            {folder / name: content for name, content in files},
+            inputs=[self.source, released.path, *inputs],
+        )
+        unknown = [
+            each for job in jobs for each in released.remember(job.targets.stamp, *job.points)
+        ]
+        stations = f"{len(jobs)} station{'s' * (len(jobs) != 1)}"
+        programs = f"no programs: no writer is installed for robots of {self.cell.robot.driver}"
+        if any(job.program for job in jobs):
+            programs = (
+                "one program a station, in the order of the sheet; each holds for its station"
+            )
+            programs += " only"
+        floor = f"shop floor in {folder}"
+        return [
+            *dict.fromkeys(unknown),
+            *(f"{job.plan.station.name}: {job.targets.summary}; {job.stroke}" for job in jobs),
+            f"files of corrected targets for {stations}, {SUMMARY} and {SHEET} for the {floor}",
+            programs,
+            *released.notes(),
+        ]
+
+    def sheet(self) -> Sheet:
+        """Return the sheet for the shop floor."""
+        made = self.released.calibration.provenance
+        count, places = sum(len(each.plan.holes) for each in self.stations), len(self.stations)
+        bounds = [each.targets.bounds for each in self.stations]
+        return Sheet(
+            title=f"Drilling sheet: {count} hole{'s' * (count != 1)} at {places} "
+            f"station{'s' * (places != 1)}",
+            simulated=made.simulated,
+            has_rail=self.cell.has_rail,
+            facts=self._facts(),
+            checks=self._checks(),
+            stations=[self._sheet_of(each) for each in self.stations],
+            no_bounds=next((each.reason for each in bounds if isinstance(each, NoBound)), ""),
+            warnings=[
+                *(note for note in self.released.notes() if "SIMULATED" not in note),
+                *self.unknown_drill,
+                *bounded(self.twins),
+            ],
+            invalid=[f"air outside of {self._air}", f"the time after {self._until}", *INVALID],
+            footer=f"calibration {made.latest}, holes {self.source.name}",
+        )
+
+    def _facts(self) -> list[tuple[str, str]]:
+        """Return the facts at the sheet's head, by name."""
+        cell, tip, released, release = self.cell, self.tip, self.released, self.released.release
+        made, validity = released.calibration.provenance, released.calibration.validity
+        stands = "not known to be current"
+        if released.standing is not None:
+            stands = released.standing.text
+        if released.accepted:
+            stands = f"{released.stands}; OUT OF TOLERANCE, accepted"
+        held_at = tip.words.removeprefix("they hold at ")
+        if tip.table is None and (drill_mm := drill_mm_of(cell)) is not None:
+            at_mm = " ".join(f"{each:g}" for each in drill_mm)
+            held_at = f"the drill, ({at_mm}) mm from the reflector"
+        number = "" if tip.number is None else f", number {tip.number}"
+        values = zyx_from_pose(tip.T_F_D[None])[0] + 0.0
+        frame = " ".join(f"{axis} {each:.3f}" for axis, each in zip("XYZABC", values, strict=True))
+        frame += " (mm, deg)"
+        standoff, side, depth = self.standoff_remarks
+        facts = [
+            ("Holes", self.source.name),
+            ("Cell", f"{cell.name}, serial {cell.serial}, robot {cell.robot.name}"),
+            ("Calibration", f"{made.named}, written {self._written:%Y-%m-%d %H:%M %Z}"),
+            ("Standing", stands),
+            ("Use until", f"{self._until}, {release.max_age:g} days after it was written"),
+            ("Air", self._air),
+            ("Orientation", f"as calibrated, within {validity.orientation_tolerance_deg:g}°"),
+            (
+                "Tool",
+                f"{tip.name}{number}; in the flange: {frame}; the controller's must be the same",
+            ),
+            ("Bounds hold at", held_at),
+            ("Stand-off", standoff),
+            ("Side and depth", f"{side}; {depth}"),
+            ("Prepared", f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}"),
+        ]
+        if any(each.targets.turns_deg is not None for each in self.stations):
+            facts.append(("Bounds in degrees", TRUE_ANGLE))
+        return facts
+
+    def _checks(self) -> list[str]:
+        """Return what is ticked before the first hole."""
+        checks = [
+            "The right cell, robot and part; the part clamped, its place in {W} as it was planned",
+            "Tool and drill as in the cell file; the drill is drawn back while the robot moves",
+            f"Air at the cell {self._air}",
+            "Programs copied to the controller as they are, all files of a station together",
+            "First hole of each station at reduced speed, a hand at the emergency stop",
+        ]
+        if self.cell.has_rail:
+            checks.insert(
+                3,
+                "At each station: robot at its safe pose, slide moved, held, strip within "
+                f"{self.cell.rail.strip_tolerance_mm:g} mm, then the station's own program",
+            )
+        return checks
+
+    @property
+    def _air(self) -> str:
+        """Return the temperatures at which the bounds hold."""
+        validity, now_c = self.released.calibration.validity, self.released.release.temperature
+        if validity.temperature_c is None:
+            return "not measured by the calibration"
+        low_c, high_c = validity.temperature_c
+        allowed = f"{low_c - TEMPERATURE_MARGIN_K:.1f} to {high_c + TEMPERATURE_MARGIN_K:.1f} °C"
+        return allowed if now_c is None else f"{allowed}, bounds for {now_c:.1f} °C"
+
+    @property
+    def _written(self) -> datetime:
+        """Return when the calibration was written, local."""
+        written = self.released.calibration.provenance.written
+        return datetime.strptime(written, "%Y-%m-%dT%H:%M:%SZ").replace(tzinfo=UTC).astimezone()
+
+    @property
+    def _until(self) -> str:
+        """Return the last day of use; days beyond any calendar are no limit."""
+        try:
+            last = self._written + timedelta(days=self.released.release.max_age)
+            return f"{last.astimezone():%Y-%m-%d}"
+        except OverflowError:
+            return "any day"
+
+    def _sheet_of(self, job: StationJob) -> SheetStation:
+        """Return the part of the sheet for one station."""
+        nominal, nothing = job.plan.poses[:, :3], [None] * len(job.plan.holes)
+        turns_deg = job.targets.turns_deg
+        columns = (
+            job.plan.holes,
+            nominal.tolist(),
+            lengths_mm(job.targets.command[:, :3] - nominal).tolist(),
+            job.targets.bounds95_mm or nothing,
+            nothing if turns_deg is None else turns_deg.tolist(),
+        )
+        holes = [
+            SheetHole(name, (x, y, z), moved_mm, bound_mm, turn_deg)
+            for name, (x, y, z), moved_mm, bound_mm, turn_deg in zip(*columns, strict=True)
+        ]
+        station = job.plan.station
+        return SheetStation(
+            station.name, station.rail_mm, station.strip_mm, self.cell.rail.strip_tolerance_mm,
+            next((Path(name).stem for name in job.program), job.file), [*job.program, job.file],
+            holes, job.stroke,
+        )  # fmt: skip
+
+
+def _make(folder: Path) -> None:
+    """Make a folder, or take an empty one: files of another job in it would be taken for these."""
+    if folder.suffix.lower() in KNOWN and not folder.exists():
+        raise NotWritten(f"{folder} is a file by its name; name a folder, as {folder.stem}")
+    if os.path.lexists(folder) and not os.path.isdir(folder):  # noqa: PTH112 - no name raises
+        raise NotWritten(f"{folder} is a file; name a folder")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()):
+            raise NotWritten(f"{folder} is not empty; name a new folder")
+    except OSError as error:
+        raise NotWritten(f"{folder}: cannot be used: {error.strerror or error}") from error

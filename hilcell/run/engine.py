@@ -1,0 +1,346 @@
+"""The engine: one run, with its cell locked and its journal open, from its order to its end."""
+
+from __future__ import annotations
+
+import gc
+import math
+import platform
+import signal
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack, closing
+from dataclasses import replace
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from types import MappingProxyType, TracebackType
+from typing import Any, NamedTuple, Protocol, Self
+
+import msgspec
+
+from hilcell import __version__
+from hilcell.calibration.derived import calibration_after
+from hilcell.calibration.file import write_calibration
+from hilcell.cell.devices import build_devices, device_places, is_replay, start_simulation
+from hilcell.cell.file import Cell
+from hilcell.clean import encodable
+from hilcell.clock import WallClock
+from hilcell.journal.floor_before import floor_before
+from hilcell.journal.folder_order import FolderOrder, clock_notes, next_order
+from hilcell.journal.index import read_index, row_of
+from hilcell.journal.journal import Record, StorageError
+from hilcell.journal.run_journal import RunJournal
+from hilcell.journal.runs import CALIBRATION, JOURNAL, forget, is_run, make_folder
+from hilcell.journal.times import offset_min
+from hilcell.model.events import SessionOrdered
+from hilcell.model.point import CONTROL
+from hilcell.ports import Clock, HilcellError
+from hilcell.run.cell_lock import (
+    CellLocked,
+    lock_of_device,
+    lock_of_name,
+    locked,
+    locks_folder,
+)
+from hilcell.run.control import Control
+from hilcell.run.exits import EXIT_STORAGE, exit_code
+from hilcell.run.order import Attendance, Order, Resume
+from hilcell.run.run_plan import NewRun, ResumedRun, RunPlan
+from hilcell.run.runner import Runner, finish
+from hilcell.run.same_cell import Changes, accepted, cell_file
+from hilcell.run.signals import note_signals, stopped_by_signals
+from hilcell.wire.record import Addresses, WireRecording
+from hilcell.wire.recording import Head, TimedStop
+from hilcell.writing import NotWritten
+
+RUNS_LOOKED_AT = 5  # for poses that were driven before
+SWITCH_S = 0.0005  # the heartbeat's thread must not wait behind busy ones (5 ms is the default)
+
+
+class Output(Protocol):
+    """Prints a run as it goes; it is entered while the run lives."""
+
+    def __enter__(self) -> object:
+        """Start printing."""
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        """Stop printing."""
+
+    def take(self, record: Record) -> None:
+        """Print one record of the journal."""
+
+    def skip_measured(self, keys: Iterable[str]) -> None:
+        """Count the points that a resumed run already has."""
+
+
+class Ending(NamedTuple):
+    """How a run ended; ``unclosed`` says, by device, why it could not be left at rest."""
+
+    code: int
+    fault: Exception | None
+    unclosed: Mapping[str, Exception] = MappingProxyType({})
+
+
+class Engine:
+    """Performs a run once: ``with NewEngine(order, plan, say) as engine: engine.run(output)``.
+
+    Entering locks the cell and opens the journal; it raises `HilcellError`. ``say`` takes warnings.
+    """
+
+    journal: RunJournal
+
+    def __init__(self, plan: RunPlan, attendance: Attendance, say: Callable[[str], object]) -> None:
+        self.plan, self._attendance, self._say = plan, attendance, say
+        self._opened = ExitStack()
+
+    def __enter__(self) -> Self:
+        folder, cell = self.plan.folder, self.plan.cell
+        runs = folder.resolve().parent  # by whatever path the run is named, it has one lock
+        with ExitStack() as stack:
+            lock = lock_of_name(runs, cell.name)
+            stack.enter_context(locked(lock, f"cell {cell.name}", folder.name))
+            self.journal = self._open(stack)
+            self._opened = stack.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._opened.__exit__(kind, error, trace)
+
+    def _open(self, stack: ExitStack) -> RunJournal:
+        """Return the journal, which ``stack`` closes."""
+        raise NotImplementedError
+
+    def _begin(self) -> None:
+        """Journal what is to be done."""
+        raise NotImplementedError
+
+    def _place(self) -> FolderOrder:
+        """Return the order of a session that begins now, and say where the clock ran back."""
+        rows = read_index(self.plan.folder.resolve().parent)
+        for note in clock_notes(rows, datetime.now(UTC)):
+            self._say(f"warning: {note}")
+        return next_order(rows)
+
+    def run(self, output: Output) -> Ending:
+        """Run to an end, and write the calibration."""
+        journal, log = self.journal, self.journal.log
+        journal.listen(output.take)
+        self._begin()
+        output.skip_measured(key for key, at in log.points.items() if at.id.group != CONTROL)
+        noted = note_signals()
+        with ExitStack() as stack:
+            stack.callback(journal.close)
+            stack.enter_context(output)
+            if log.state == "finished" and not log.retakes:
+                ending = Ending(finish(self.plan.procedure, journal), None)
+                return self._with_calibration(ending)
+            return self._perform(noted)
+
+    def _perform(self, noted: list[signal.Signals]) -> Ending:
+        """Bring up devices and perform; failures before the runner lives are journalled here."""
+        journal, log = self.journal, self.journal.log
+        sys.setswitchinterval(SWITCH_S)
+        try:
+            with ExitStack() as stack:
+                return self._live(noted, stack)
+        except HilcellError as error:
+            if isinstance(error, CellLocked) and not log.session:
+                raise  # there is nothing to keep
+            code = exit_code(error)
+            body: dict[str, Any] = {
+                "state": log.state,
+                "exit": code,
+                "result": {},
+                "reason": str(error),
+                "error": error.facts(),
+            }
+            try:
+                journal.append("end", "", body)
+            except StorageError as unwritten:  # a disk that takes no engine takes no end either
+                return Ending(EXIT_STORAGE, unwritten)
+            return Ending(code, error)
+
+    def _live(self, noted: list[signal.Signals], stack: ExitStack) -> Ending:
+        """Perform on devices that ``stack`` closes."""
+        cell, folder, journal, log = (
+            self.plan.cell, self.plan.folder, self.journal, self.journal.log,
+        )  # fmt: skip
+        inputs, stop = log.inputs, TimedStop()
+        with stopped_by_signals(noted):  # it waits for another process
+            simulated = start_simulation(
+                cell,
+                seed=inputs.machine_seed,
+                speed=inputs.speed or math.inf,
+                session=log.session + 1,
+            )
+            if simulated is not None:
+                stack.callback(simulated.close)
+        addresses: Addresses = simulated.options if simulated is not None else {}
+        if simulated is None or (cell.simulation and cell.simulation.address):
+            self._lock_devices(addresses, stack)  # nobody else has our own ones
+        clock: Clock = simulated.clock(stop) if simulated is not None else WallClock(stop)
+        if self._attendance.record_wire:
+            recording = self._recording(addresses)
+            stack.callback(lambda: recording.close(None if log.end is None else log.end.exit))
+            addresses, clock = recording.addresses, recording.clock(clock, stop)
+        runner = Runner(
+            cell,
+            self.plan.procedure,
+            journal,
+            devices=build_devices(cell, addresses, clock),
+            clock=clock,
+            stop=stop,
+            unattended=self._attendance.unattended,
+            ordered=self._attendance.screen,
+            changes=self.plan.changes,
+        )
+        try:
+            stack.callback(Control(folder, runner).close)
+        except StorageError:
+            runner.dismiss()
+            raise
+        gc.freeze()  # what was loaded stays: a collection, which holds up a stop, is short
+        # While its engine is there: afterwards a file that is missing is a lost one.
+        code = runner.run(noted)
+        return self._with_calibration(Ending(code, runner.fault, runner.unclosed))
+
+    def _lock_devices(self, addresses: Addresses, stack: ExitStack) -> None:
+        """Lock the places at which the devices are reached; raises `CellLocked`, `StorageError`."""
+        for place, tables in device_places(self.plan.cell, addresses).items():
+            what = f"device {' and '.join(tables)} at {place}"
+            stack.enter_context(locked(lock_of_device(place), what, self.journal.run))
+        if note := locks_folder()[1]:
+            self._say(f"warning: {note}")
+
+    def _recording(self, addresses: Addresses) -> WireRecording:
+        """Return the relays that record the devices' wires, and say which are left out."""
+        cell, folder, log = self.plan.cell, self.plan.folder, self.journal.log
+        inputs, stated = log.inputs, msgspec.to_builtins(cell)
+        head = Head(folder.name, inputs.procedure, inputs.seed, log.session + 1, stated)
+        recording = WireRecording(cell, addresses, folder, head)
+        for table, why in recording.left_out.items():
+            self._say(f"warning: the wire of the {table} is not recorded: {why}")
+        return recording
+
+    def _with_calibration(self, ending: Ending) -> Ending:
+        """Write the calibration that a run has ended with; report a file that is not written."""
+        log, path = self.journal.log, self.plan.folder / CALIBRATION
+        if log.calibrates:
+            try:
+                write_calibration(calibration_after(log, self.journal.run), path)
+            except NotWritten as error:
+                return Ending(EXIT_STORAGE, error, ending.unclosed)
+        return ending
+
+
+class NewEngine(Engine):
+    """Performs a run for the first time; where its cell is locked it leaves nothing behind."""
+
+    plan: NewRun
+
+    def __init__(self, order: Order, plan: NewRun, say: Callable[[str], object]) -> None:
+        super().__init__(plan, order.attendance, say)
+        self._order, self._first = order, FolderOrder()
+
+    def _open(self, stack: ExitStack) -> RunJournal:
+        """Make the run's folder and its journal."""
+        folder = self.plan.folder
+        if is_run(folder):
+            raise HilcellError(
+                f"run {folder.name} exists already in {folder.parent}; choose another --name",
+                code="HC-J09",
+            )
+        self._first = self._place()
+        make_folder(folder)
+
+        def forget_where_locked(kind: object, error: BaseException | None, trace: object) -> None:
+            if isinstance(error, CellLocked):
+                forget(folder)
+
+        stack.push(forget_where_locked)
+        return stack.enter_context(closing(RunJournal(folder / JOURNAL, folder.name, create=True)))
+
+    def _begin(self) -> None:
+        """Journal the plan."""
+        order, plan, cell = self._order, self.plan, self.plan.cell
+        runs, speed = plan.folder.parent, order.speed
+        packages = ("numpy", "scipy", "canopen", "python-can", "transitions", "msgspec")
+        own = {"hilcell": __version__, "python": platform.python_version()}
+        facts = {
+            "cell_file": cell_file(order.cell),
+            "seed": order.seed,
+            "machine_seed": plan.machine_seed,
+            "replayed": is_replay(cell),
+            "speed": None if speed is None or math.isinf(speed) else speed,
+            "unattended": order.attendance.unattended,
+            "operator": order.operator,
+            "job": order.job,
+            "versions": own | {package: version(package) for package in packages},
+            "settings": dict(order.settings),
+            "utc_offset_min": offset_min(),
+            "driven_by": finished_runs(runs, cell),
+            "accepted": list(plan.accepted),
+            "floor_before": msgspec.to_builtins(floor_before(runs, cell, plan.machine_seed)),
+            "order": msgspec.to_builtins(self._first),
+        }
+        self.journal.append("plan", "", plan.procedure.inputs(cell, plan.steps) | facts)
+
+
+class ResumedEngine(Engine):
+    """Lets a run go on that an engine has left; its plan is checked again behind the lock."""
+
+    plan: ResumedRun
+
+    def __init__(self, order: Resume, plan: ResumedRun, say: Callable[[str], object]) -> None:
+        super().__init__(plan, order.attendance, say)
+        self._order = order
+
+    def _open(self, stack: ExitStack) -> RunJournal:
+        """Open the journal, and say where another folder beside it holds this run as well."""
+        folder = self.plan.folder
+        journal = stack.enter_context(
+            closing(RunJournal(folder / JOURNAL, encodable(folder.name), create=False))
+        )
+        # Only now nobody else writes it: another engine may have gone on.
+        self.plan = self._order.check(folder, journal.log, somebody=self.plan.somebody)
+        runs, origin = folder.resolve().parent, row_of(folder).origin
+        same = sorted(row.name for row in read_index(runs) if row.origin == origin)
+        if self.plan.goes_on and len(same) > 1:
+            self._say(
+                f"warning: {' and '.join(map(encodable, same))} in {runs} are one run; "
+                f"only {encodable(folder.name)} goes on, and the other is then an older copy of "
+                "it: move it elsewhere"
+            )
+        return journal
+
+    def agree(self) -> None:
+        """Journal that the operator agrees to all changes."""
+        changes = self.plan.changes
+        accepted(self.journal, changes.inputs, "the operator")
+        self.plan = replace(self.plan, changes=Changes(accepted=changes.accepted))
+
+    def _begin(self) -> None:
+        """Journal the session's order, and what is to be measured again."""
+        if self.plan.goes_on:
+            place = msgspec.structs.asdict(self._place())
+            self.journal.append("event", "", SessionOrdered(**place))
+        for key in self.plan.retakes:
+            self.journal.append("event", "", {"what": "retake asked", "key": key})
+
+
+def finished_runs(runs: Path, cell: Cell) -> list[str]:
+    """Return the newest finished runs of a cell that states its volumes: poses known from them.
+
+    Where a simulated cell or a replay went, nothing is known of the real one.
+    """
+    if cell.surroundings is None:
+        return []
+    of_cell = cell.name, cell.serial, cell.simulation is not None
+    rows = [row for row in read_index(runs) if row.state == "finished" and not row.replayed]
+    same = [row.name for row in rows if (row.cell, row.serial, row.simulated) == of_cell]
+    return same[:RUNS_LOOKED_AT]

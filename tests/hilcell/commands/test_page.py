@@ -1,0 +1,92 @@
+"""The manual's page of commands: what the signatures say, and nothing else."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pytest
+
+from hilcell.arguments import Argument, Signature, Switches, seed_of
+from hilcell.commands import page as module
+from hilcell.commands.cli import EXITS, GROUPS, PLANT
+from hilcell.commands.page import page
+from hilcell.commands.parser import fields_of
+from hilcell.run import exits
+
+ROOT = Path(__file__).parents[3]
+
+
+def test_the_manual_s_page_is_written_from_the_signatures() -> None:
+    """Write it again with ``make docs``."""
+    assert (ROOT / "docs/cli.md").read_text("utf-8") == page()
+
+
+def test_every_command_and_option_stands_in_it() -> None:
+    text = page()
+    commands = [each for group in GROUPS.values() for each in group.items()]
+    for name, (takes, _) in [*commands, *((f"plant {name}", each) for name, each in PLANT.items())]:
+        section = text.partition(f"### hilcell {name}\n")[2].partition("\n### ")[0]
+        fields = [each for each in fields_of(takes) if not module._is_word(each)]
+        for option in (option for field in fields for option in field.names):
+            assert f"`{option}" in section or f", {option}" in section
+
+
+class Sample(Signature):
+    """Try."""
+
+    word: Annotated[str, Argument("a|b", "A|B", word=True)]
+    runs: Annotated[int, Argument("how often (default: by day (or night) 3)", "N", seed_of)] = 3
+    shape: Annotated[Literal["round", "flat"], Argument("its shape")] = "flat"
+    two: Annotated[str, Argument("one (default: x); other (default: y)")] = ""
+    form: Annotated[Literal["csv", "json"], Switches({"csv": "rows", "json": "all"})]
+    output: Annotated[str, Argument("where", "OUT", names=("-o", "--output"))]
+    quick: Annotated[bool, Argument("hurry")] = False
+
+
+def test_a_section_has_usage_and_defaults(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "GROUPS", {"some": {"try": (Sample, "x:y")}})
+    text = page()
+    assert "hilcell try A|B (--csv | --json) -o OUT [OPTIONS]\n" in text
+    rows = re.findall(r"^\| `(.*)` \| (.*) \| (.*) \|$", text, re.MULTILINE)
+    assert rows == [
+        ("A\\|B", "a\\|b", "must be given"),
+        ("--runs N", "how often", "by day (or night) 3"),
+        ("--shape {round,flat}", "its shape", "flat"),
+        ("--two TWO", "one (default: x); other (default: y)", ""),
+        ("--csv", "rows", "one of these"),
+        ("--json", "all", "one of these"),
+        ("-o, --output OUT", "where", "must be given"),
+        ("--quick", "hurry", ""),
+    ]
+
+
+def test_a_default_in_words_is_the_one_that_counts() -> None:
+    """``(default: 1)`` of a number is the field's own default."""
+    takes = [each for group in GROUPS.values() for each, _ in group.values()]
+    takes += [each for each, _ in PLANT.values()]
+    stated = {
+        (each.__name__, field.name): (float(words[1]), field.default)
+        for each in takes
+        for field in fields_of(each)
+        if isinstance(field.argument, Argument)
+        if (words := re.search(r"\(default: ([\d.]+)\)", field.argument.help))
+    }
+    assert len(stated) > 5
+    assert {key: pair for key, pair in stated.items() if pair[0] != pair[1]} == {}
+
+
+def test_exit_codes_are_those_of_runs() -> None:
+    words = {
+        exits.EXIT_OK: "in tolerance",
+        exits.EXIT_OUT_OF_TOLERANCE: "out of tolerance",
+        exits.EXIT_REFUSED: "refused",
+        exits.EXIT_FAULT: "fault",
+        exits.EXIT_ABORTED: "aborted",
+        exits.EXIT_INTERNAL: "internal",
+        exits.EXIT_LOCKED: "locked",
+        exits.EXIT_STORAGE: "storage",
+    }
+    assert len(words) == len(EXITS)
+    assert [code for code, word in words.items() if word not in EXITS[code]] == []
