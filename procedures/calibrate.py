@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from functools import partial
 from operator import itemgetter
-from typing import Literal, NamedTuple
+from typing import TypeAlias
 
 from hilcell.geometry.statistics import Figures
-from hilcell.model.point import HOW, Sent
+from hilcell.model.point import Sent
 from hilcell.model.results import (
     Floor,
     FramedStation,
@@ -34,24 +34,29 @@ from procedures.two_faces import TwoFaces
 from procedures.validate import Validate
 from procedures.world_frame import WorldFrame
 
+# A station, how many targets, how they were sent, their errors; or those that are left.
+_Row: TypeAlias = tuple[str, int | None, Named, SentErrors | Floor]
+
 
 def validation_table(result: Result) -> Table:
     """Return the errors before and after, station by station, as the paper states them."""
     places, method = typed(result["validation"], dict[str, Place]), str(result["method"])
-    rows = [
-        row
-        for where, place in places.items()
-        for row in (
-            *(_Sent(where, place, way, errors) for way, errors in place.sent.items()),
-            *([_Sent(where, place, "floor", place.floor)] if place.floor is not None else []),
-        )
-    ]
+    rows: list[_Row] = []
+    for where, place in places.items():
+        judged = "" if place.decision is None else f", {place.decision.outcome.words}"
+        named = {way: Named(way, way.text) for way in Sent}
+        named[Sent.CHOSEN] = Named(f"chosen: {method}{judged}", f"{Sent.CHOSEN.text}{judged}")
+        for way, errors in place.sent.items():
+            first = where if way is Sent.BEFORE else ""
+            rows.append((first, place.points_sent[way], named[way], errors))
+        if place.floor is not None:
+            rows.append(("", None, Named("floor", "floor"), place.floor))
     oriented = any(place.before.orientation is not None for place in places.values())
     return Table(
         [
-            Column("station", lambda row: row.where if row.way == Sent.BEFORE else ""),
-            Column("points", lambda row: row.place.points_sent.get(row.way), form="d"),
-            Column("error of", lambda row: row.said(method)),
+            Column("station", itemgetter(0)),
+            Column("points", itemgetter(1), form="d"),
+            Column("error of", itemgetter(2)),
             *(Column(name, partial(_error, name), "mm", ".4f") for name in Figures._fields),
             *(
                 Column(f"turn {name}", partial(_turn, f"{name}_deg"), "°", ".4f")
@@ -63,29 +68,12 @@ def validation_table(result: Result) -> Table:
     )
 
 
-class _Sent(NamedTuple):
-    """The errors at a place of targets that were sent in one way, or those that are left."""
-
-    where: str
-    place: Place
-    way: Sent | Literal["floor"]
-    errors: SentErrors | Floor
-
-    def said(self, method: str) -> Named:
-        """Return how targets were sent, and the outcome of those that were corrected."""
-        words, decision = HOW.get(self.way, self.way), self.place.decision
-        if self.way != Sent.CHOSEN:
-            return Named(self.way, words)
-        judged = "" if decision is None else f", {decision.outcome.words}"
-        return Named(f"chosen: {method}{judged}", f"{words}{judged}")
+def _error(name: str, row: _Row) -> float | None:
+    return getattr(row[3], name, None)
 
 
-def _error(name: str, row: _Sent) -> float | None:
-    return getattr(row.errors, name, None)
-
-
-def _turn(name: str, row: _Sent) -> float | None:
-    return getattr(getattr(row.errors, "orientation", None), name, None)
+def _turn(name: str, row: _Row) -> float | None:
+    return getattr(getattr(row[3], "orientation", None), name, None)
 
 
 def words(result: Result) -> str:

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from hilcell.calibration.bounds import coverages
 from hilcell.calibration.decision import check_limits, class_warning, guard_of, judged, limits_of
 from hilcell.calibration.diagnosis import suspicions_of
-from hilcell.calibration.errors import validation
+from hilcell.calibration.errors import OTHERS, validation
 from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.frames import grid_of, measured_of
 from hilcell.calibration.influence import NoBound
@@ -37,8 +37,6 @@ from hilcell.model.outcome import Outcome
 from hilcell.model.plan import Step
 from hilcell.model.point import BOTH, PointId, Sent
 from hilcell.model.results import (
-    Decided,
-    Floor,
     Place,
     SentErrors,
     TargetBounds,
@@ -158,9 +156,10 @@ class Validate:
             )  # fmt: skip
 
     def _judge(self, session: CellSession) -> None:
-        limits, places = limits_of(session.cell), _places(session.cell)
-        for where, place in self._places(session.log).items():
-            turned = validated_turns(session.log, places[where]).get(Sent.CHOSEN)
+        limits = limits_of(session.cell)
+        for where, stations in _places(session.cell).items():
+            place = place_of(session.log, where, stations)
+            turned = validated_turns(session.log, stations).get(Sent.CHOSEN)
             found = judged(
                 place.chosen.mean,
                 place.chosen.max,
@@ -188,25 +187,13 @@ class Validate:
 
     def result(self, log: Log) -> Result:
         """Return the errors at the grid's station and at the others together, and their bounds."""
-        places = self._places(log)
-        for where, bounds in _bounds(log, _places(log.cell)).items():
-            sent = places[where].chosen
-            chosen = replace(sent, bound95_mean=bounds.mean_mm, covered=bounds.coverage)
-            places[where] = replace(places[where], chosen=chosen, bounds=bounds)
-        touched = touches(log)
-        return {"validation": places} | ({"touch": touched} if touched else {})
-
-    def _places(self, log: Log) -> dict[str, Place]:
-        together = (log.cell.grid.station, "others")
-        return {
-            where: place_of(
-                log,
-                names,
-                enough_targets.judgement(log, names) if log.cell.plan.quick else None,
-                floor(log) if where in together else None,
-            )
-            for where, names in _places(log.cell).items()
-        }
+        places, touched = _places(log.cell), touches(log)
+        found = {where: place_of(log, where, stations) for where, stations in places.items()}
+        for where, bounds in _bounds(log, places).items():
+            place = found[where]
+            chosen = replace(place.chosen, bound95_mean=bounds.mean_mm, covered=bounds.coverage)
+            found[where] = replace(place, chosen=chosen, bounds=bounds)
+        return {"validation": found} | ({"touch": touched} if touched else {})
 
 
 def judge_suspicions(session: CellSession) -> None:
@@ -235,7 +222,7 @@ def _places(cell: Cell) -> dict[str, list[str]]:
     """Return the stations judged together by name: the grid's, all others, each other."""
     reference = cell.grid.station
     others = [station.name for station in cell.station if station.name != reference]
-    together = {"others": others} if others else {}
+    together = {OTHERS: others} if others else {}
     return {reference: [reference]} | together | {name: [name] for name in others}
 
 
@@ -279,13 +266,12 @@ def command(
     return corrected_poses(grid_of(session.cell), at, model)
 
 
-def place_of(
-    log: Log, stations: list[str], decision: Decided | None = None, floor: Floor | None = None
-) -> Place:
+def place_of(log: Log, where: str, stations: list[str]) -> Place:
     """Return the errors before, by the paper's method and by the chosen one, without bounds.
 
     With several reflectors on the flange, those of the orientation as well.
     """
+    together = where in (log.cell.grid.station, OTHERS)
     series, turns = validation(log, stations), validated_turns(log, stations)
     sent = {
         how: SentErrors(
@@ -300,8 +286,8 @@ def place_of(
         before=sent[Sent.BEFORE],
         idw=sent.get(Sent.IDW),
         chosen=sent[Sent.CHOSEN],
-        decision=decision,
-        floor=floor,
+        decision=enough_targets.judgement(log, stations) if log.cell.plan.quick else None,
+        floor=floor(log) if together else None,
     )
 
 
