@@ -47,8 +47,8 @@ def _sections(program: str, commands: Commands) -> Iterator[str]:
 def _usage(command: str, takes: type[Signature]) -> str:
     """Return the words that must be given, and those that may be."""
     fields = list(fields_of(takes))
-    words = [_given(each) for each in fields if _is_word(each) or each.needed]
-    optional = any(not (each.needed or _is_word(each)) for each in fields)
+    words = [_given(each) for each in fields if each.is_word or each.needed]
+    optional = any(not (each.needed or each.is_word) for each in fields)
     return " ".join([command, *words, *["[OPTIONS]"] * optional])
 
 
@@ -56,7 +56,7 @@ def _given(field: Field) -> str:
     """Return how an argument is given."""
     if isinstance(field.argument, Switches):
         return f"({' | '.join(field.names)})"
-    if field.argument.word:
+    if field.is_word:
         return _value(field) if field.needed else f"[{_value(field)}]"
     return f"{field.names[0]} {_value(field)}"
 
@@ -66,10 +66,6 @@ def _value(field: Field) -> str:
     if get_origin(field.kind) is Literal:
         return f"{{{','.join(get_args(field.kind))}}}"
     return (isinstance(field.argument, Argument) and field.argument.metavar) or field.name.upper()
-
-
-def _is_word(field: Field) -> bool:
-    return isinstance(field.argument, Argument) and field.argument.word
 
 
 def _rows(field: Field) -> Iterator[str]:

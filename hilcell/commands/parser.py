@@ -143,6 +143,11 @@ class Field(NamedTuple):
         return self.argument.names or (f"--{self.name.replace('_', '-')}",)
 
     @property
+    def is_word(self) -> bool:
+        """Whether it is given by its place, without a name."""
+        return isinstance(self.argument, Argument) and self.argument.word
+
+    @property
     def needed(self) -> bool:
         """Whether it must be given."""
         return getattr(self.argument, "required", True) and self.default is MISSING

@@ -11,7 +11,6 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote, unquote_to_bytes
 
 from sqlalchemy import (
@@ -36,6 +35,7 @@ from hilcell.clean import clean
 from hilcell.errors import HilcellError, StoreAway
 from hilcell.journal.index import NAME as INDEX
 from hilcell.plant.tables import HEAD, PARTS, RUN
+from hilcell.typed import Json
 
 MIGRATIONS = Path(__file__).with_name("migrations")
 POSTGRESQL, SQLITE = "postgresql", "sqlite"
@@ -308,7 +308,7 @@ def _secrets(url: URL) -> list[str]:
     return sorted({str(word) for each in words for word in each if word}, key=len, reverse=True)
 
 
-def _connected(dialect: object, record: object, words: list[str], options: dict[str, Any]) -> Any:
+def _connected(dialect: object, record: object, words: list[str], options: Json) -> object:
     """Open a connection as SQLAlchemy asks for it, with the deadlines of a server."""
     from hilcell.plant import deadlines  # loads psycopg
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from typing import Any
+from uuid import UUID
 
 from sqlalchemy import (
     JSON,
@@ -45,12 +46,11 @@ class Utc(TypeDecorator[datetime]):
         """Return what is stored."""
         return self.in_utc(value)
 
-    def process_result_value(self, value: Any, dialect: Dialect) -> datetime | None:
+    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:
         """Return what was stored, with its zone."""
         if value is None:
             return None
-        found: datetime = value
-        return found.astimezone(UTC) if found.tzinfo else found.replace(tzinfo=UTC)
+        return value.astimezone(UTC) if value.tzinfo else value.replace(tzinfo=UTC)
 
     @staticmethod
     def in_utc(value: datetime | None) -> datetime | None:
@@ -61,11 +61,11 @@ class Utc(TypeDecorator[datetime]):
 TABLES = MetaData()
 
 
-def _digest() -> Column[Any]:
+def _digest() -> Column[UUID]:
     return Column("digest", Uuid, ForeignKey("run.digest"), primary_key=True)
 
 
-def _number() -> Column[Any]:
+def _number() -> Column[int]:
     return Column("n", Integer, primary_key=True)
 
 

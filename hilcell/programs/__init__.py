@@ -1,1 +1,1 @@
-"""Plans of work: which stations for which holes, in which order."""
+"""From holes and targets to what a robot is sent: plans, corrected lists and programs, sheets."""

@@ -92,9 +92,10 @@ class ArmTargets(TargetFiles):
             "the training rows do not determine them; measure poses near them",
         )
         sent = zyx_from_pose(command)
-        header, rows = HEADER, target_rows(names, sent)
+        header, rows = HEADER, list(target_rows(names, sent))
         if as_joints:
-            header, rows = JOINT_HEADER, joint_rows(names, reach.near(command, joints_rad, names))
+            sent_rad = reach.near(command, joints_rad, names)
+            header, rows = JOINT_HEADER, list(joint_rows(names, sent_rad))
         if program is not None:
             _check_program(program, reach, joints_rad, sent, source, say)
         stamp = Stamp(f"fit of {Path(train.source).name}", written_now())

@@ -64,7 +64,7 @@ class TargetFiles:
     frame: str
     positions: Array
     header: list[str]
-    rows: Iterable[list[str]]
+    rows: list[list[str]]
 
     def write_files(
         self, out: Path, bounds: Path | None, inputs: Iterable[Path]
@@ -168,7 +168,7 @@ class StationTargets(TargetFiles):
             f"{{B}}, the robot's base, at {station}" if stands_in_root(program) else "{W}",
             stated if released.calibration.orients else stated[:, :3],
             HEADER,
-            target_rows(names, stated),
+            list(target_rows(names, stated)),
             released,
             tip.name,
             points,

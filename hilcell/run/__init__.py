@@ -1,1 +1,1 @@
-"""Runs: state machines, journal, interlocks, the worker and its control."""
+"""Runs: orders and their plans, the engine, state machines, interlocks, the worker, control."""

@@ -26,13 +26,14 @@ from hilcell.cell.file import Cell
 from hilcell.clean import encodable
 from hilcell.clock import WallClock
 from hilcell.journal.floor_before import floor_before
-from hilcell.journal.folder_order import FolderOrder, clock_notes, next_order
+from hilcell.journal.folder_order import clock_notes, next_order
 from hilcell.journal.index import read_index, row_of
 from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import CALIBRATION, JOURNAL, forget, is_run, make_folder
 from hilcell.journal.times import offset_min
 from hilcell.model.events import SessionOrdered
+from hilcell.model.plan import FolderOrder
 from hilcell.model.point import CONTROL
 from hilcell.ports import Clock, HilcellError
 from hilcell.run.cell_lock import (
@@ -245,17 +246,22 @@ class NewEngine(Engine):
 
     def __init__(self, order: Order, plan: NewRun, say: Callable[[str], object]) -> None:
         super().__init__(plan, order.attendance, say)
-        self._order, self._first = order, FolderOrder()
+        self._order = order
+        self._before: dict[str, Any] = {}  # facts of earlier runs
 
     def _open(self, stack: ExitStack) -> RunJournal:
         """Make the run's folder and its journal."""
-        folder = self.plan.folder
+        folder, cell, runs = self.plan.folder, self.plan.cell, self.plan.folder.parent
         if is_run(folder):
             raise HilcellError(
                 f"run {folder.name} exists already in {folder.parent}; choose another --name",
                 code="HC-J09",
             )
-        self._first = self._place()
+        self._before = {
+            "driven_by": finished_runs(runs, cell),
+            "floor_before": msgspec.to_builtins(floor_before(runs, cell, self.plan.machine_seed)),
+            "order": msgspec.to_builtins(self._place()),
+        }
         make_folder(folder)
 
         def forget_where_locked(kind: object, error: BaseException | None, trace: object) -> None:
@@ -268,7 +274,7 @@ class NewEngine(Engine):
     def _begin(self) -> None:
         """Journal the plan."""
         order, plan, cell = self._order, self.plan, self.plan.cell
-        runs, speed = plan.folder.parent, order.speed
+        speed = order.speed
         packages = ("numpy", "scipy", "canopen", "python-can", "transitions", "msgspec")
         own = {"hilcell": __version__, "python": platform.python_version()}
         facts = {
@@ -283,12 +289,10 @@ class NewEngine(Engine):
             "versions": own | {package: version(package) for package in packages},
             "settings": dict(order.settings),
             "utc_offset_min": offset_min(),
-            "driven_by": finished_runs(runs, cell),
             "accepted": list(plan.accepted),
-            "floor_before": msgspec.to_builtins(floor_before(runs, cell, plan.machine_seed)),
-            "order": msgspec.to_builtins(self._first),
         }
-        self.journal.append("plan", "", plan.procedure.inputs(cell, plan.steps) | facts)
+        inputs = plan.procedure.inputs(cell, plan.steps)
+        self.journal.append("plan", "", inputs | facts | self._before)
 
 
 class ResumedEngine(Engine):

@@ -131,14 +131,14 @@ def _table_of_keys(table: dict[str, object], problems: list[str]) -> dict[str, o
     keys = table.get("keys", {})
     if isinstance(keys, dict):
         return keys
-    problems.append(f"keys: a table is wanted, found {keys!r}")
+    problems.append(f"keys: expected a table, got {keys!r}")
     return {}
 
 
 def _keys_of(name: str, value: object, problems: list[str]) -> tuple[str, ...]:
     keys = [value] if isinstance(value, str) else value
     if not (isinstance(keys, list) and keys and all(isinstance(key, str) for key in keys)):
-        problems.append(f"keys.{name}: a key, or a list of keys, is wanted, found {value!r}")
+        problems.append(f"keys.{name}: expected a key or a list of keys, got {value!r}")
         return ()
     problems.extend(
         f"keys.{name}: {key!r} is no key; write a, A, é, ctrl+a, f5, space, slash"

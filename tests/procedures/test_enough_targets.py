@@ -79,11 +79,11 @@ def test_a_station_stays_decided_by_the_uncertainty_of_then(
     monkeypatch.setattr(enough_targets, "validation", lambda log, stations: {"chosen": found})
     now = Guard(0.03, 0.03)
     monkeypatch.setattr(enough_targets, "guard_of", lambda log, count: now)
-    assert enough_targets.decision_at(log, "S300").outcome == "accepted"
+    assert enough_targets.decision_at(log, "S300").outcome == Outcome.ACCEPTED
     enough_targets.keep_guard(session, "S300")
     now = Guard(0.065, 0.065)
-    assert enough_targets.decision_at(log, "S300").outcome == "accepted"
-    assert enough_targets.decision_at(log, "S1900").outcome == "undecided"
+    assert enough_targets.decision_at(log, "S300").outcome == Outcome.ACCEPTED
+    assert enough_targets.decision_at(log, "S1900").outcome == Outcome.UNDECIDED
     enough_targets.keep_guard(session, "S300")
     assert len(events) == 1
 
@@ -115,13 +115,13 @@ def test_the_paper_has_no_quick_plan() -> None:
 @pytest.mark.parametrize(
     ("error_mm", "outcome"),
     [
-        (0.02, "accepted"),
-        (0.07, "undecided"),  # shown to be above the tolerance less U: more do not help
-        (0.18, "rejected"),
+        (0.02, Outcome.ACCEPTED),
+        (0.07, Outcome.UNDECIDED),  # shown to be above the tolerance less U: more do not help
+        (0.18, Outcome.REJECTED),
     ],
 )
 def test_what_is_above_a_tolerance_less_u_is_out_of_tolerance_only_above_it_less_u_too(
-    error_mm: float, outcome: str, monkeypatch: pytest.MonkeyPatch
+    error_mm: float, outcome: Outcome, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The report said undecided of the very figures that the verdict called rejected."""
     cell = load_cell("paper", {"plan.quick": "true", "validation.mean_tolerance_mm": "0.1"})
@@ -132,7 +132,8 @@ def test_what_is_above_a_tolerance_less_u_is_out_of_tolerance_only_above_it_less
     )
     monkeypatch.setattr(enough_targets, "validation", lambda log, stations: {"chosen": found})
     monkeypatch.setattr(enough_targets, "guard_of", lambda log, count: guard)
-    assert enough_targets.decision_at(log, "S300").outcome != "undecided"  # more would not help
+    decided = enough_targets.decision_at(log, "S300")
+    assert decided.outcome is not Outcome.UNDECIDED  # more would not help
     judgement = enough_targets.judgement(log, ["S300"])
     assert judgement.outcome == outcome
     verdict = judged(error_mm, error_mm, limits_of(cell), guard, also=judgement.outcome)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 WIDTH_IN = 7.1  # the printable width of A4
 INK, MUTED, GRID = "#1d2733", "#5d6975", "#e4e8ec"
-_STYLE: dict[str, Any] = {
+_STYLE: dict[str, object] = {
     "svg.fonttype": "none",  # text stays text: readable by search and by screen readers
     "svg.hashsalt": "hilcell",
     "text.parse_math": False,  # a dollar sign is a dollar sign

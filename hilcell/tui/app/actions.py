@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from hilcell.tui.engine.session import Session
 
 
-NOT_SEEN = "the tracker sees the reflector in its place"
-
-
 class RunActions:
     """Turns keys into commands to the engine, or starts an engine."""
 
@@ -70,7 +67,9 @@ class RunActions:
             self._application.show_notice(refused)
         elif session.view.prompt.check and not session.view.prompt.ready:
             lost = lost_devices(session.view)
-            waits = f"no device is lost; now: {lost}" if lost else NOT_SEEN
+            waits = "the tracker sees the reflector in its place"
+            if lost:
+                waits = f"no device is lost; now: {lost}"
             self._application.show_notice(f"Enter works when {waits}", for_now=True)
         elif not self._application.key_is_deliberate:
             self._application.show_notice(

@@ -43,7 +43,6 @@ if TYPE_CHECKING:
 
 PERIOD_S, SLOW_PERIOD_S = 0.25, 1.0
 TICK_S = 1.0
-NO_ENGINE = "STOP: no engine is there to hear it"
 BURST_S = 0.1  # scanners of barcodes and keys held down are quicker, fingers slower
 ScrollBar.renderer = CellScrollBar  # Textual's way to choose: a class, for all of its bars
 
@@ -376,8 +375,9 @@ class HilcellApp(App[int]):
             self._close_questions()
             # The key's own thread has stopped already: its engine may be gone by now.
             heard = sent or self.open_runs.stop_heard
-            ended = "stopped: the engine has ended" if heard else NO_ENGINE
-            notice = "STOP sent" if sent else ended
+            notice = "STOP: no engine is there to hear it"
+            if heard:
+                notice = "STOP sent" if sent else "stopped: the engine has ended"
             if any(session.view.state == "silent" for session in live):
                 notice += ", but it does not answer: use the E-stop"
             self.show_notice(notice, for_now=heard)

@@ -95,9 +95,6 @@ def page_of(name: str, session: Session | None) -> BaseScreen:
     return found.get(name, HelpPage)()
 
 
-HINT = "what to do?   ^p or Backspace: back   Esc: STOP"
-
-
 class Palette(CommandPalette):
     """Textual's own, but its Enter acts at once: a second one in a burst finds it closed."""
 
@@ -109,7 +106,8 @@ class Palette(CommandPalette):
     ]
 
     def __init__(self) -> None:
-        super().__init__(placeholder=HINT, id="--command-palette")
+        hint = "what to do?   ^p or Backspace: back   Esc: STOP"
+        super().__init__(placeholder=hint, id="--command-palette")
 
     def run_worker(self, *args: Any, **options: Any) -> Worker[Any]:
         """Search; a search that finds the palette closed is no error of the screen."""

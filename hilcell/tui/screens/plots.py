@@ -20,10 +20,9 @@ from hilcell.tui.widgets import TextPanel
 
 REDRAW_S = 0.5
 TALL = 28  # rows, from which tabs and title stand apart
-EVEN_ONLY = "this plot has an even scale only: its values are not all above zero"
 
 
-def look_of(screen: BaseScreen) -> Look:
+def plot_look(screen: BaseScreen) -> Look:
     """Return what the terminal shows of a plot: letters where colours tell nothing."""
     plain = screen.application.glyphs.plain
     few = screen.app.theme == SIXTEEN or bool(screen.app.no_color)
@@ -83,7 +82,7 @@ class PlotPage(Page):
         self.panel("plot").show(self._lines(Measured(view.log), size.width, size.height))
 
     def _lines(self, of: Measured, width: int, height: int) -> Content:
-        look, gap = look_of(self), [Content("")] if height >= TALL else []
+        look, gap = plot_look(self), [Content("")] if height >= TALL else []
         tabs = [*gap, tab_line(of, self._choice, width, look), *gap]
         lines = plot_lines(of, self._choice, width, height - len(tabs) - len(gap), look)
         return Content("\n").join([*tabs, *lines])
@@ -112,7 +111,8 @@ class PlotPage(Page):
         elif tab.may_be_log:
             self._choice.turn_scale()
         else:
-            self.show_notice(EVEN_ONLY)
+            why = "its values are not all above zero"
+            self.show_notice(f"this plot has an even scale only: {why}")
         self.show_again()
 
     @property

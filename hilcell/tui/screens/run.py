@@ -21,7 +21,7 @@ from hilcell.tui.layout import Drawing, Lines, Stack, ends
 from hilcell.tui.plots.draw import Look
 from hilcell.tui.plots.scale import Scale
 from hilcell.tui.screens.pages import FilterScreen
-from hilcell.tui.screens.plots import look_of
+from hilcell.tui.screens.plots import plot_look
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
@@ -314,7 +314,7 @@ class RunScreen(FilterScreen):
         """Show the panels beside and under the points, where the terminal has room for them."""
         side, below = self.panel("side"), self.panel("below")
         if side.display:
-            self._wide.show_side(side, view, self._rows, look_of(self), self.app.theme)
+            self._wide.show_side(side, view, self._rows, plot_look(self), self.app.theme)
         height = self.app.size.height
         self._wide.show_below(below, view, self._rows, self.application.glyphs, height)
 

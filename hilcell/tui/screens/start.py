@@ -27,7 +27,7 @@ from hilcell.tui.engine import process
 from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import BY_NAME, shown
-from hilcell.tui.layout import ends, section
+from hilcell.tui.layout import Text, ends, section
 from hilcell.tui.screens.base import BaseScreen, Dialog, answer_keys
 from hilcell.tui.text import start as text
 from hilcell.tui.text.footer import EVERY_ACTION, FULL_WIDTH, PALETTE_KEY, KeyOf, form_footer
@@ -35,19 +35,16 @@ from hilcell.tui.text.footer import WORDS as FOOTER_WORDS
 from hilcell.tui.text.run import duration, moves
 from hilcell.tui.widgets import Choice, TextField, TextPanel
 
-BEFORE_PROCEDURE = (("cell", "paper", "a built-in cell, or a TOML file"),)
-AFTER_PROCEDURE = (
+FIELDS = (  # name, first entry, hint; the procedure stands after the cell
+    ("cell", "paper", "a built-in cell, or a TOML file"),
     ("operator", "", "kept in the journal"),
     ("job", "", "kept in the journal"),
     ("seed", "1", "of random targets"),
 )
-FIELDS = (*BEFORE_PROCEDURE, *AFTER_PROCEDURE)
 WATCHED = ("yes, I am here", "no, unattended")
 SPEEDS = ("max", "100", "10", "1")
 VIEWS = ("history", "theme", "help", "quit")  # in the footer's second row
-FIRST = "calibrate"
 QUIET_S = 0.4  # without a change, before the plan is computed
-BEFORE_FROM = 22  # rows
 
 
 class StartScreen(BaseScreen):
@@ -78,10 +75,10 @@ class StartScreen(BaseScreen):
         with Horizontal(id="form"):
             with Vertical(id="fields"):
                 yield TextPanel("who")
-                yield from self._fields(BEFORE_PROCEDURE)
+                yield from self._fields(FIELDS[:1])
                 names = self._names or ["none is installed"]
                 yield from _choice("procedure", names, [*map(procedure_words, names)])
-                yield from self._fields(AFTER_PROCEDURE)
+                yield from self._fields(FIELDS[1:])
                 yield from _choice("attended", WATCHED)
                 yield from _choice("speed", SPEEDS)
                 yield TextPanel("checks")
@@ -104,8 +101,8 @@ class StartScreen(BaseScreen):
         """Choose the calibration, and compute its plan."""
         self.panel("notice").display = False
         procedure = self.query_one("#procedure", Choice)
-        if FIRST in self._names:
-            procedure.choose(self._names.index(FIRST))
+        if "calibrate" in self._names:
+            procedure.choose(self._names.index("calibrate"))
         procedure.focus()
         super().on_mount()
         self.application.start_task(self._read_summaries())
@@ -138,7 +135,7 @@ class StartScreen(BaseScreen):
     @property
     def _is_roomy(self) -> bool:
         """Whether there is room for what to do before, a summary and a footer of two rows."""
-        return self.app.size.height >= BEFORE_FROM and self.line_width >= FULL_WIDTH
+        return self.app.size.height >= 22 and self.line_width >= FULL_WIDTH
 
     def _show_summary(self) -> None:
         """Show the procedure's summary, where no notice needs its row."""
@@ -311,7 +308,14 @@ class PlanSummary(Dialog[bool]):
 
     def on_mount(self) -> None:
         """Show the plan in short."""
-        self.show_texts(plan_summary(self._order, self._plan), warning(self._plan))
+        simulated: list[Text] = [(" SIMULATION ", "bold $on-sim on $sim-fill"), " "]
+        answers = Content.assemble(
+            answer_keys("start", "back"),
+            "\n",
+            *(simulated if self._plan.get("simulated") else []),
+            moves(has_rail=bool(self._plan.get("rail", True))),
+        )
+        self.show_texts(plan_summary(self._order, self._plan), answers)
 
     def action_reply(self, yes: bool) -> None:
         """Close with the answer."""
@@ -338,18 +342,6 @@ def plan_summary(request: process.RunRequest, plan: dict[str, Any]) -> Content:
         f"{duration(plan['duration_s'])} of the cell's time\n",
         *notes,
         f"{who}.\n",
-    )
-
-
-def warning(plan: dict[str, Any]) -> Content:
-    """Return what will happen, and the keys."""
-    simulated = bool(plan.get("simulated"))
-    return Content.assemble(
-        answer_keys("start", "back"),
-        "\n",
-        (" SIMULATION ", "bold $on-sim on $sim-fill") if simulated else "",
-        " " if simulated else "",
-        moves(has_rail=bool(plan.get("rail", True))),
     )
 
 

@@ -59,17 +59,8 @@ class Glyphs:
     locked: str
     gone: str
     warned: str
-    newest: str
     done: str
-    full: str
-    empty: str
-    mark: str
-    rule: str
-
     degree: str
-
-    delta: str
-    dot: str
     plain: bool
 
 
@@ -79,8 +70,8 @@ UNICODE = Glyphs(
         "paused": "▌▌", "suspended": "?", "stopping": "▼", "done": "●", "intolerant": "▲",
         "aborted": "□", "fault": "×", "refused": "×", "silent": "×", "unreadable": "×", "gone": "×",
     },
-    fresh="●", moving="►", stale="○", lost="×", locked="■", gone="□", warned="▲", newest="◄",
-    done="√", full="█", empty="░", mark="▼", rule="─", degree="°", delta="Δ", dot="·",
+    fresh="●", moving="►", stale="○", lost="×", locked="■", gone="□", warned="▲",
+    done="√", degree="°",
     plain=False,
 )  # fmt: skip
 
@@ -90,8 +81,8 @@ ASCII = Glyphs(
         "paused": "||", "suspended": "?", "stopping": "V", "done": "*", "intolerant": "!",
         "aborted": "#", "fault": "X", "refused": "X", "silent": "X", "unreadable": "X", "gone": "X",
     },
-    fresh="*", moving=">", stale="o", lost="X", locked="#", gone="=", warned="!", newest="<",
-    done="v", full="#", empty=".", mark="V", rule="-", degree="", delta="d", dot="|",
+    fresh="*", moving=">", stale="o", lost="X", locked="#", gone="=", warned="!",
+    done="v", degree="",
     plain=True,
 )  # fmt: skip
 

@@ -27,8 +27,7 @@ from hilcell.tui.widgets import TextPanel, Titled
 
 CRASH = "Cell: crash"  # where the engine was lost
 ORDERS = {"park": "its safe pose", "home": "its reference"}
-TONES = {"fault": "fault", "warning": "ask", "notice": "label"}
-STATES = ("fault", "refused", "gone")  # of a run whose alarm takes the points' place
+LOOKS = {"fault": ("lost", "fault"), "warning": ("warned", "ask"), "notice": ("stale", "label")}
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +46,8 @@ class AlarmContext:
 
 def panel_is_due(view: RunView, standing: list[Latched]) -> bool:
     """Whether the worst alarm has ended the run and takes the points' place."""
-    return view.state in STATES and bool(standing) and standing[0].severity == "fault"
+    ended = view.state in ("fault", "refused", "gone")
+    return ended and bool(standing) and standing[0].severity == "fault"
 
 
 class AlarmBox(Vertical, Titled):
@@ -89,16 +89,10 @@ def _whole(latched: Latched, context: AlarmContext) -> list[Lines | Text]:
 
 def alarm_title(latched: Latched, glyphs: Glyphs) -> Content:
     """Return an alarm's shape, code and title, inverse."""
-    alarm, tone = latched.alarm, TONES[latched.severity]
+    alarm, (shape, tone) = latched.alarm, LOOKS[latched.severity]
     times = f" ({latched.count} times)" if latched.count > 1 else ""
-    words = f" {shape(latched, glyphs)} {alarm.code}  {alarm.title}{times} "
+    words = f" {getattr(glyphs, shape)} {alarm.code}  {alarm.title}{times} "
     return Content.styled(words, f"bold $on-{tone} on ${tone}-fill")
-
-
-def shape(latched: Latched, glyphs: Glyphs) -> str:
-    """Return the shape of an alarm's severity."""
-    shapes = {"fault": glyphs.lost, "warning": glyphs.warned, "notice": glyphs.stale}
-    return shapes[latched.severity]
 
 
 def alarm_facts(latched: Latched, context: AlarmContext, kept: str = "") -> Lines:
@@ -106,13 +100,12 @@ def alarm_facts(latched: Latched, context: AlarmContext, kept: str = "") -> Line
     alarm = latched.alarm
     since = Content.styled("of the whole run", "$label")
     if alarm.t:
-        age = ""
+        ago = ""
         if context.now is not None:
             age_s = (context.now - datetime.fromisoformat(alarm.t)).total_seconds()
-            age = f" ({duration(age_s)} ago)"
-        since = Content.assemble(
-            ("since ", "$label"), (local_words(alarm.t), "bold"), (age, "$label")
-        )
+            ago = f" ({duration(age_s)} ago)"
+        at = (local_words(alarm.t), "bold")
+        since = Content.assemble(("since ", "$label"), at, (ago, "$label"))
     state = ("acknowledged", "$label") if latched.acknowledged else ("not acknowledged", "$ask")
     cause = cause_words(latched, context.glyphs)
     facts: list[tuple[Cell, Cell]] = [
@@ -188,23 +181,22 @@ def alarm_steps(
     alarm, present, glyphs = latched.alarm, present_step(latched), context.glyphs
     rows: list[Sequence[Cell]] = []
     for index, (step, by) in enumerate(zip(alarm.do, alarm.by, strict=True)):
-        mark = (glyphs.done, "bold $passed") if _step_done(latched, index) else (" ", "")
         words = Content.styled(step, "bold" if index == present else "$label")
         if alarm.goes_on and index == len(alarm.do) - 1:
             words = _go_on(alarm, context)
+        mark = (glyphs.done, "bold $passed") if _step_done(latched, index) else (" ", "")
         mark = (glyphs.moving, "bold $ask") if index == present else mark
         rows.append((mark, f"{index + 1} ", words, (by, "$label")))
     columns = Col(), Col(), Col(grows=True, wraps=True), Col(right=True)
     grid = Grid(rows, *columns, styles={present: "on $cursor-row"})
     if low:
         return Grid(rows[present : present + 1], *columns, styles={0: "on $cursor-row"})
-    count = Content.assemble(
-        ("What to do: ", "bold"), (f"step {present + 1} of {len(rows)}", "bold $ask")
+    count = f": step {present + 1} of {len(rows)}" if rows else ""
+    heading = Content.assemble(
+        ("What to do", "bold"), (count[:2], "bold"), (count[2:], "bold $ask")
     )
-    heading = ends(count if rows else ("What to do", "bold"), ("checked by", "$label"))
-    return Stack(
-        heading, grid, *([(f"     {_outlook(latched, context)}", "$label")] if in_box else [])
-    )
+    outlook = [(f"     {_outlook(latched, context)}", "$label")] if in_box else []
+    return Stack(ends(heading, ("checked by", "$label")), grid, *outlook)
 
 
 def _outlook(latched: Latched, context: AlarmContext) -> str:
@@ -242,8 +234,9 @@ def alarm_line(standing: list[Latched], context: AlarmContext, skip: int = 0) ->
     key = Content.assemble((shown(context.keymap["alarms"][0]), "bold"), f"  {count}")
     at = f", {local_words(latched.alarm.t)}" if latched.alarm.t else ""
     acknowledged = ", acknowledged" if latched.acknowledged else ""
+    shape, tone = LOOKS[latched.severity]
     left = Content.assemble(
-        (f"{shape(latched, glyphs)} {latched.alarm.code} ", f"bold ${TONES[latched.severity]}"),
+        (f"{getattr(glyphs, shape)} {latched.alarm.code} ", f"bold ${tone}"),
         latched.alarm.title,
         (f"  {latched.severity}{at}{acknowledged}", "$label"),
     )

@@ -175,16 +175,10 @@ def _parts(view: RunView) -> list[tuple[str, float]]:
         if found:
             found.append((step, sum(part.takes_s for part in parts)))
         else:
-            forms = (
-                (
-                    part,
-                    PARTS.get(part.kind, "{step}: {count} readings" if part.measured else "{step}"),
-                )
-                for part in _merged([*parts])
-            )
-            found = [
-                (form.format(step=step, count=part.measured), part.takes_s) for part, form in forms
-            ]
+            for part in _merged([*parts]):
+                other = "{step}: {count} readings" if part.measured else "{step}"
+                words = PARTS.get(part.kind, other).format(step=step, count=part.measured)
+                found.append((words, part.takes_s))
     return found
 
 

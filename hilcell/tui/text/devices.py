@@ -26,13 +26,7 @@ def end_remark(view: RunView) -> str:
     Nothing where the validation's verdict is shown, or the run has not ended.
     """
     if view.state in ("done", "intolerant"):
-        judged = "validation" in view.log.result
-        return "" if judged else run_outcome(view.log)
-    return _no_verdict(view)
-
-
-def _no_verdict(view: RunView) -> str:
-    """Return that a run has ended before its validation, and after how many of its points."""
+        return "" if "validation" in view.log.result else run_outcome(view.log)
     plan = view.log.plan
     if plan is None or view.live or view.state == "idle":
         return ""
@@ -42,10 +36,7 @@ def _no_verdict(view: RunView) -> str:
     return f"no verdict: {measured} of {plan.points} points"
 
 
-LAMPS = ("rail", "strip", "robot", "tracker")
-OF_RAIL = LAMPS[:2]
 STALE_AFTER_S = 5.0
-LONGEST_REASON = 26
 REASONS = {  # in short, by the code of the interlock; the whole one is on the interlocks' page
     "HC-B30": "no fresh robot reading",
     "HC-B31": "robot moves",
@@ -61,7 +52,7 @@ NAMES = {"rail move": "Rail", "robot move": "Robot", "measurement": "Tracker"}
 
 def lamps_of(view: RunView) -> tuple[str, ...]:
     """Return which lamps the run's cell has."""
-    return LAMPS if view.has_rail else LAMPS[len(OF_RAIL) :]
+    return (*(("rail", "strip") if view.has_rail else ()), "robot", "tracker")
 
 
 def lamps(view: RunView, glyphs: Glyphs) -> Lines:
@@ -181,23 +172,16 @@ def _lock(each: Interlock, view: RunView, glyphs: Glyphs) -> Lock:
     name, person = NAMES.get(each.name, each.name), _person_needed(view)
     if not each.blocked and not person:
         return Lock(name, "free", glyphs.moving, "$live")
-    short = person or REASONS.get(each.code) or _first_words(each.blocked)
-    whole = "; ".join(filter(None, (person, _signed(each.blocked))))
+    first = each.blocked.partition(",")[0]  # of an engine that states no code
+    first = first if len(first) <= 26 else "see the interlocks"
+    short = person or REASONS.get(each.code) or first
+    # The signs of figures as they are printed.
+    signed = re.sub(r"(?<![\w.])-(?=\d)", "−", each.blocked.replace("+-", "±"))
+    whole = "; ".join(filter(None, (person, signed)))
     if each.name == "measurement":
         why = short.removeprefix(WAITS), whole.removeprefix(WAITS)
         return Lock(name, WAITS.rstrip(), glyphs.stale, "$label", *why)
     return Lock(name, "locked", glyphs.locked, "$ask" if person else "$label", short, whole)
-
-
-def _signed(text: str) -> str:
-    """Return a text with the signs of its figures as they are printed."""
-    return re.sub(r"(?<![\w.])-(?=\d)", "−", text.replace("+-", "±"))
-
-
-def _first_words(blocked: str) -> str:
-    """Return the reason of an engine that states no code, where it is short."""
-    first = blocked.partition(",")[0]
-    return first if len(first) <= LONGEST_REASON else "see the interlocks"
 
 
 def _person_needed(view: RunView) -> str:

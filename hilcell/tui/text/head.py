@@ -48,6 +48,13 @@ class Head:
     role: str
     figures: tuple[Figure, ...]
 
+    @property
+    def style(self) -> str:
+        """Return the style of the words on their ground."""
+        if self.role == "label":
+            return "bold $foreground on $badge"
+        return f"bold $on-{self.role} on ${self.role}-fill"
+
 
 def gravest(value_mm: float) -> float:
     """Return a length to order by: NaN and infinity are the worst."""
@@ -73,23 +80,15 @@ def head_lines(view: RunView, head: Head, glyphs: Glyphs, width: int, rows: int)
     )
 
 
-def _style(role: str) -> tuple[str, str]:
-    """Return the style of the words, and their ground alone."""
-    if role == "label":
-        return "bold $foreground on $badge", "on $badge"
-    return f"bold $on-{role} on ${role}-fill", f"on ${role}-fill"
-
-
 def _block(head: Head, mark: Content, glyphs: Glyphs) -> list[Content]:
-    style, ground = _style(head.role)
     texts: list[str] = []
     for word in head.words:
         texts += ["", word, ""] if glyphs.plain or len(word) > MOST_LETTERS else large_rows(word)
     if len(head.words) == 1:
         texts = ["", *texts, "", head.stated]
     last = mark.pad_left((BLOCK - mark.cell_length) // 2).truncate(BLOCK, pad=True)
-    words = (Content.styled(f"{text:^{BLOCK}}", style) for text in texts)
-    return [*words, last.stylize_before(ground)]
+    words = (Content.styled(f"{text:^{BLOCK}}", head.style) for text in texts)
+    return [*words, last.stylize_before(head.style.removeprefix("bold "))]
 
 
 def _tone(each: Figure, glyphs: Glyphs) -> tuple[str, str]:
@@ -128,5 +127,5 @@ def _small(head: Head, mark: Content, glyphs: Glyphs) -> Lines:
         place = Fitting(tuple(Content.styled(text, "$label") for text in places))
         rows.append(["", (shape, tone), title, value, place])
     columns = Col(), Col(), Col(), Col(), Col(grows=True)
-    words = Content("").join([Content.styled(text, _style(head.role)[0]), mark])
+    words = Content("").join([Content.styled(text, head.style), mark])
     return Stack(words, Grid(rows, *columns))

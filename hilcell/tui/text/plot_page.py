@@ -37,7 +37,6 @@ from hilcell.tui.text.plots import (
 )
 
 BESIDE = 100  # columns, from which the figures stand beside the plot
-UNDER = 34  # rows, from which they stand under it
 GAP = 3  # columns between both
 LEAST = 8  # rows of a plot
 WIDTH = 31  # columns of the figures
@@ -147,7 +146,7 @@ def tab_line(of: Measured, choice: Choice, width: int, look: Look) -> Content:
 def plot_lines(of: Measured, choice: Choice, width: int, height: int, look: Look) -> list[Content]:
     """Return title, plot and figures in at most so many rows."""
     beside = width >= BESIDE
-    figures_rows = height // 3 if not beside and height >= UNDER else 0
+    figures_rows = height // 3 if not beside and height >= 34 else 0
     rows = max(height - 1 - (figures_rows and figures_rows + 1), LEAST)
     shown = Shown.of(of, choice, rows)
     if not len(shown.whole.values):
@@ -288,7 +287,6 @@ def _words(log: Log, found: Errors3D, floor: Mapping[str, float]) -> Parts:
 
 
 def _of_means(log: Log, found: Errors3D) -> str:
-    """Return how the worst station's mean is to its limit."""
     limit_mm = log.cell.validation.mean_tolerance_mm
     means_mm = {
         name: mean_of(found.at(name).by_how[Sent.CHOSEN])

@@ -133,9 +133,6 @@ def to_row(found: PointRow, waiting: Collection[str], width: int) -> Row:
     return Row(point.key, texts, tones=tones)
 
 
-MORE_POINTS = 1.1  # times as many points as before: U is taken again
-
-
 class PointRows:
     """Makes each row once: while points come, all but the newest stay as they were.
 
@@ -171,7 +168,7 @@ class PointRows:
     def _take_expanded(self, log: Log) -> None:
         """Take U as the log has it now, where that is due, and judge the known rows by it."""
         count, ended = len(log.points), log.end is not None
-        if count < MORE_POINTS * self._U_of[0] and ended == self._U_of[1]:
+        if count < 1.1 * self._U_of[0] and ended == self._U_of[1]:
             return
         self._U_mm, self._U_of = expanded_of(log), (count, ended)
         for key, (number, row) in self._found.items():

@@ -47,8 +47,6 @@ NO_PLAN_TEXTS = {  # where there is no plan in the journal
     EngineState.ANSWERING: "nothing to see yet",
     EngineState.SILENT: "nothing to see yet",
 }
-MOST_OF_A_RUN, MOST_OF_A_NAME = 14, 20  # columns
-BAR = 43  # columns at most
 
 
 def block(text: str, tone: str) -> Content:
@@ -98,9 +96,9 @@ def banner(view: RunView, glyphs: Glyphs, background: RunView | None = None) -> 
         parts.append(badge("LIVE" if view.live else "HISTORIC"))
     if is_simulated(view):
         parts.append(simulation_block())
-    notices, style = _stop_notices(view), "bold $fault" if view.state == "silent" else "$label"
-    if background is not None:
-        notices, style = _background_notices(background), "bold $ask"
+    notices, style = _notices(view, background), "$label"
+    if background is not None or view.state == "silent":
+        style = "bold $fault" if background is None else "bold $ask"
     notice = Fitting(tuple(Content.styled(f"{each} ", ground or style) for each in notices))
     left = Content(" ").join(parts)
     return Grid([(left, notice)], Col(), Col(right=True, grows=True), styles={0: ground})
@@ -111,18 +109,16 @@ def is_simulated(view: RunView) -> bool:
     return view.log.plan is not None and view.log.plan.simulated
 
 
-def _stop_notices(view: RunView) -> tuple[str, ...]:
+def _notices(view: RunView, background: RunView | None) -> tuple[str, ...]:
     """Return the notices beside the state, the longest first."""
+    if background is not None:
+        word = state_of(background)[0]
+        stop = "use the E-stop" if background.state == "silent" else "Esc stops"
+        return f"behind: {word}; q goes back, {stop}", f"behind: {word}; {stop}", "1 behind"
     if view.state == "silent":
         since = f" for {short_age(view.status_age_s)}" if view.status is not None else ""
         return f"silent{since}: use the E-stop", "use the E-stop"
     return (NOT_E_STOP if view.live or view.state == "looking" else "nothing is connected",)
-
-
-def _background_notices(background: RunView) -> tuple[str, ...]:
-    word = state_of(background)[0]
-    stop = "use the E-stop" if background.state == "silent" else "Esc stops"
-    return f"behind: {word}; q goes back, {stop}", f"behind: {word}; {stop}", "1 behind"
 
 
 def end_text(view: RunView) -> str:
@@ -140,19 +136,14 @@ def identity(view: RunView) -> Lines:
         return ends(f"run {view.run}: {view.trouble or begun}", "")
     names = {"cell": str(plan.cell.get("name", "?")), "job": plan.job, "operator": plan.operator}
     parts = [Content.styled(procedure_words(plan.procedure), "bold")]
-    parts += [_labelled(name, short(text)) for name, text in names.items() if text]
+    parts += [_labelled(name, text, 20) for name, text in names.items() if text]
     parts.append(Content.styled("unattended" if plan.unattended else "attended", "$label"))
-    run = _labelled("run", short(short_run(view.run), MOST_OF_A_RUN))
-    return ends(Content("   ").join(parts), run)
+    return ends(Content("   ").join(parts), _labelled("run", short_run(view.run), 14))
 
 
-def _labelled(name: str, value: str) -> Content:
-    return Content.assemble((f"{name} ", "$label"), value)
-
-
-def short(name: str, most: int = MOST_OF_A_NAME) -> str:
-    """Return a name that leaves room for others on its line."""
-    return Content(name).truncate(most, ellipsis=True).plain
+def _labelled(name: str, value: str, most: int) -> Content:
+    """Return a value of so many columns at most, which leaves room for others on its line."""
+    return Content.assemble((f"{name} ", "$label"), Content(value).truncate(most, ellipsis=True))
 
 
 def step(view: RunView) -> Lines:
@@ -164,7 +155,10 @@ def step(view: RunView) -> Lines:
     name = step_words(now.name, has_rail=view.has_rail)
     over = view.state in ("done", "intolerant")
     words = "finished" if over else _part(view)
-    taken, planned = _planned(view) if over else _of_step(view, number)
+    taken, planned = _of_step(view, number)
+    if over:
+        planned = plan.points
+        taken = min(sum(map(len, view.measured.values())), planned)
     head = Content.assemble(
         (f"Step {number} of {of}  ", "$label"), (name, "bold"), f": {words}" if words else ""
     )
@@ -177,11 +171,6 @@ def _part(view: RunView) -> str:
         return ""
     of_nests = view.span is not None and view.span.of_nests
     return "" if view.last.id.group == CONTROL and not of_nests else view.last.id.part
-
-
-def _planned(view: RunView) -> tuple[int, int]:
-    planned = view.log.plan.points if view.log.plan is not None else 0
-    return min(sum(map(len, view.measured.values())), planned), planned
 
 
 def _of_step(view: RunView, number: int) -> tuple[int, int]:
@@ -207,7 +196,7 @@ def progress(view: RunView) -> Lines:
     calm = not view.live and tone != "passed"
     done = Bar(share_done(view), "$label" if calm else f"${tone}-fill")
     row: list[Cell] = [done, f"{duration(view.elapsed_s)} worked", (_left(view), "bold")]
-    bar = Col(8, grows=True, most=BAR)
+    bar = Col(8, grows=True, most=43)
     return Grid([row], bar, Col(16, right=True), Col(1, right=True, grows=True))
 
 
@@ -260,7 +249,7 @@ def following(view: RunView) -> Content:
 
 
 def moves(*, has_rail: bool) -> str:
-    """Return what will move, as the beginning of a sentence."""
+    """Return the beginning of a sentence: robot and rail will move."""
     return "The robot and the rail will move" if has_rail else "The robot will move"
 
 

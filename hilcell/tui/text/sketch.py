@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby
 from operator import itemgetter
 
 import numpy as np
@@ -23,6 +22,7 @@ from hilcell.model.events import StationHeld
 from hilcell.ports import Array
 from hilcell.run.protocol import PromptStatus
 from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.plots.canvas import Canvas
 
 Place = tuple[float, float]  # x and y in {W}, mm
 
@@ -121,7 +121,8 @@ class _Drawing:
         self._mm = mm = max((max(xs) - min(xs)) / room, (max(ys) - min(ys)) / height, 1.0)
         self._left_mm = (min(xs) + max(xs) - mm * (columns - 1)) / 2
         self._top_mm = (min(ys) + max(ys) + mm * height) / 2
-        self._cells: dict[tuple[int, int], tuple[str, str]] = {}
+        self._canvas = Canvas(columns, self._rows)
+        self._taken: set[tuple[int, int]] = set()
         self._wanted()
         self.unnamed = self._nests()
         self._tracker()
@@ -132,29 +133,20 @@ class _Drawing:
 
     def lines(self) -> list[Content]:
         """Return the drawing, with its scale under it."""
-        return [*map(self._line, range(self._rows)), self._bar()]
+        return [*self._canvas.lines(), self._bar()]
 
     def _cell(self, place: Place) -> tuple[int, int]:
         column = round((place[0] - self._left_mm) / self._mm)
         return column, round((self._top_mm - place[1]) / (2 * self._mm))
 
-    def _line(self, row: int) -> Content:
-        """Return one row; letters of one style in a run are one part."""
-        cells = [self._cells.get((column, row), (" ", "")) for column in range(self._columns)]
-        runs = ((style, "".join(letter for letter, _ in run)) for style, run in
-                groupby(cells, key=itemgetter(1)))  # fmt: skip
-        return Content.assemble(*((text, style) for style, text in runs))
-
-    def _free(self, column: int, row: int, length: int) -> bool:
-        inside = column >= 0 and column + length <= self._columns and 0 <= row < self._rows
-        return inside and all((column + n, row) not in self._cells for n in range(length))
-
     def _put(self, column: int, row: int, text: str, style: str) -> bool:
         """Write where all of it is free; return whether it was."""
-        if not self._free(column, row, len(text)):
+        cells = {(column + n, row) for n in range(len(text))}
+        inside = column >= 0 and column + len(text) <= self._columns and 0 <= row < self._rows
+        if not inside or cells & self._taken:
             return False
-        for n, letter in enumerate(text):
-            self._cells[column + n, row] = letter, style
+        self._taken |= cells
+        self._canvas.text(row, column, text, style)
         return True
 
     def _named(self, column: int, row: int, name: str, style: str) -> bool:

@@ -16,7 +16,6 @@ from hilcell.tui.layout import BLANK, Col, Drawing, Fitting, Grid, Lines, Stack,
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.run import badge, duration, simulation_block
 
-NOTHING_MOVES = "nothing moves before you start"
 REFUSED = " refused before anything moves"  # after the procedure, in a plan's refusal
 FEW = 4  # nests that are named one by one
 
@@ -47,7 +46,7 @@ def banner(checked: Checked, glyphs: Glyphs) -> Lines:
     """Return the first line: that nothing is opened, and whether the cell is simulated."""
     blocks = [badge(f"{glyphs.stale} NEW RUN"), badge("NOTHING OPENED")]
     left = Content(" ").join([*blocks, *([simulation_block()] if checked.simulated else [])])
-    nothing = Fitting((Content.styled(NOTHING_MOVES, "$label"),))
+    nothing = Fitting((Content.styled("nothing moves before you start", "$label"),))
     return Grid([(left, nothing)], Col(), Col(right=True, grows=True))
 
 
@@ -122,39 +121,33 @@ def refused_words(checked: Checked) -> list[str]:
     name, refused, why = first.partition(REFUSED)
     if not refused:
         return [first, *rest]
-    begin = f"{procedure_words(name)}{refused}{why}"
-    return [begin, *(_in_words(line, checked) for line in rest)]
-
-
-def _in_words(line: str, checked: Checked) -> str:
-    step, colon, reason = line.partition(": ")
-    words = step_words(step, has_rail=checked.has_rail) if colon else step
-    return f"{words}{colon}{in_words(reason, Log())}"
+    lines = [f"{procedure_words(name)}{refused}{why}"]
+    for line in rest:
+        step, colon, reason = line.partition(": ")
+        words = step_words(step, has_rail=checked.has_rail) if colon else step
+        lines.append(f"{words}{colon}{in_words(reason, Log())}")
+    return lines
 
 
 def before_lines(checked: Checked, *, attended: bool) -> Lines:
     """Return what to see to before the start."""
     words = ["Nobody in the cell, guard closed, E-stop in reach."]
-    if checked.cell is not None:
-        words.append(_reflectors(checked.cell))
+    if checked.cell is not None and checked.cell.layout.by_hand:
+        words.append("One reflector, clean: you are asked when to carry it, and where.")
+    elif checked.cell is not None:
+        layout = checked.cell.layout
+        groups = ([nest.name for nest in each] for each in (layout.floor, layout.bar, layout.slide))
+        few = (
+            " ".join(each) if len(each) <= FEW else f"{each[0]} to {each[-1]}"
+            for each in groups
+            if each
+        )
+        words.append(f"Reflectors in {', '.join(few)}, clean; one on the tool.")
     words.append("Tracker on for two hours at least; doors closed.")
     if not attended:
         words.append("Unattended: nobody answers; a question waits, then ends the run.")
     rows = ((("•", "$label"), each) for each in words)
     return Stack(section("before you start"), Grid(rows, Col(), Col(grows=True)))
-
-
-def _reflectors(cell: Cell) -> str:
-    layout = cell.layout
-    if layout.by_hand:
-        return "One reflector, clean: you are asked when to carry it, and where."
-    groups = (layout.floor, layout.bar, layout.slide)
-    shown = ", ".join(_nests([nest.name for nest in group]) for group in groups if group)
-    return f"Reflectors in {shown}, clean; one on the tool."
-
-
-def _nests(names: list[str]) -> str:
-    return " ".join(names) if len(names) <= FEW else f"{names[0]} to {names[-1]}"
 
 
 def start_line(checked: Checked) -> Lines:

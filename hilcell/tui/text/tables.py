@@ -15,9 +15,7 @@ from hilcell.present.table import Column as Fact
 from hilcell.tui.widgets import Column, Row
 from hilcell.typed import typed
 
-_BEGUN, _DATE = Column("begun UTC", 16), Column("begun", 10)
 _ALWAYS = 63  # columns of date with time, procedure, verdict and operator, and of the edges
-_RUN_TONES = {"finished": "", "aborted": "label", "faulted": "fault"}
 
 
 class _Shown(NamedTuple):
@@ -39,12 +37,6 @@ def _outcome(run: RunRow) -> str:
     return run.verdict.partition(";")[0] or ("engine gone" if run.gone else run.condition)
 
 
-def _kind(run: RunRow) -> str:
-    if not run.readable:
-        return ""
-    return "SIM" if run.simulated else "real"
-
-
 def _local(run: RunRow) -> str:
     with suppress(ValueError):  # "", or what a journal of anybody's has in its place
         return f"{in_zone(run.begun):%H:%M %Z}"
@@ -55,7 +47,9 @@ _SHOWN: tuple[_Shown, ...] = (
     _Shown(13, Fact("procedure", lambda run: run.procedure or run.name[-13:])),
     _Shown(16, Fact("verdict or state", _outcome)),
     _Shown(10, Fact("operator", attrgetter("operator"))),
-    _Shown(4, Fact("kind", _kind), 1),
+    _Shown(
+        4, Fact("kind", lambda run: ("SIM" if run.simulated else "real") if run.readable else ""), 1
+    ),
     _Shown(10, Fact("cell", attrgetter("cell")), 2),
     _Shown(6, Fact("points", lambda run: run.points or None, form="d"), 6),
     _Shown(6, Fact("before", attrgetter("before_mean_mm"), form=".3f"), 4),
@@ -82,60 +76,42 @@ def _shown_in(width: int) -> list[_Shown]:
 
 def columns_for(width: int) -> tuple[Column, ...]:
     """Return the columns that fit; mean |e| before and after in mm."""
-    begun = _BEGUN if width >= _ALWAYS else _DATE
+    begun = Column("begun UTC", 16) if width >= _ALWAYS else Column("begun", 10)
     return Column("", 1), begun, *(each.column for each in _shown_in(width))
 
 
 def history_row(run: RunRow, marked: Collection[str], width: int) -> Row:
     """Return the cells of one run; ``marked`` are those to be compared."""
-    tone = (
-        "live" if run.live else "fault" if run.exit in (1, 3) else _RUN_TONES.get(run.state, "ask")
-    )
+    tones = {"finished": "", "aborted": "label", "faulted": "fault"}
+    tone = "live" if run.live else "fault" if run.exit in (1, 3) else tones.get(run.state, "ask")
     begun = run.begun.replace("T", " ")[: columns_for(width)[1].width]
     texts = (each.fact.text(each.fact.of(run)) for each in _shown_in(width))
     return Row(run.name, ("*" if run.name in marked else "", begun, *texts), tone)
 
 
-TIME = 19  # columns of two times
-
-
 def log_columns(t: str) -> tuple[Column, ...]:
     """Return the columns of the event log; ``t``, a time in it, says whether local time is UTC."""
     moment = in_zone(t)
-    time = Column(f"{moment:%Z} (UTC)", TIME) if moment.utcoffset() else Column("UTC", 12)
+    time = Column(f"{moment:%Z} (UTC)", 19) if moment.utcoffset() else Column("UTC", 12)
     what = Column("what", 20, grows=True)
     return Column("record", 6, right=True), time, Column("kind", 8), what
 
 
-_RECORD_TONES = {"faulted": "fault", "suspended": "ask", "aborted": "ask"}
-_LONG = (
-    "matrix",
-    "pose",
-    "xyz_mm",
-    "covariance",
-    "trace",
-    "result",
-    "cell",
-    "joints_deg",
-    "error",
-    "errors",
-)
+_LEFT_OUT = {  # long, or said already
+    "matrix", "pose", "xyz_mm", "covariance", "trace", "result", "cell", "joints_deg", "error",
+    "errors", "what", "action",
+}  # fmt: skip
 
 
 def record_row(record: Record) -> Row:
     """Return one row of the event log."""
     body = record.body
-    tone = _RECORD_TONES.get(str(body.get("to", "")), "") if record.kind == "state" else ""
+    tones = {"faulted": "fault", "suspended": "ask", "aborted": "ask"}
+    tone = tones.get(str(body.get("to", "")), "") if record.kind == "state" else ""
     moment = in_zone(record.t)
     time = f"{moment:%H:%M:%S} ({record.t[11:19]})" if moment.utcoffset() else record.t[11:23]
     cells = (str(record.seq), time, record.kind, record_words(record))
     return Row(str(record.seq), cells, tone)
-
-
-def _plan_words(body: dict[str, Any]) -> str:
-    seed, machine = body.get("seed"), body.get("machine_seed")
-    own = f", machine {machine}" if machine not in (None, seed) else ""
-    return f"{body.get('procedure')}, {body.get('points')} points, seed {seed}{own}"
 
 
 def record_words(record: Record) -> str:
@@ -143,7 +119,9 @@ def record_words(record: Record) -> str:
     body = record.body
     match record.kind:
         case "plan":
-            return _plan_words(body)
+            seed, machine = body.get("seed"), body.get("machine_seed")
+            own = f", machine {machine}" if machine not in (None, seed) else ""
+            return f"{body.get('procedure')}, {body.get('points')} points, seed {seed}{own}"
         case "state":
             reason = f": {body['reason']}" if body.get("reason") else ""
             return f"{body.get('machine')} is {body.get('to')}{reason}".replace("\n", " ")
@@ -163,10 +141,8 @@ def record_words(record: Record) -> str:
 
 
 def _facts(body: dict[str, Any]) -> str:
-    shown = {
-        k: v for k, v in body.items() if k not in (*_LONG, "what", "action") and v not in ({}, [])
-    }
-    return ", ".join(f"{name} {_value(value)}" for name, value in shown.items())
+    shown = ((k, v) for k, v in body.items() if k not in _LEFT_OUT and v not in ({}, []))
+    return ", ".join(f"{name} {_value(value)}" for name, value in shown)
 
 
 def _value(value: object) -> str:

@@ -28,7 +28,7 @@ def test_every_command_and_option_stands_in_it() -> None:
     commands = [each for group in GROUPS.values() for each in group.items()]
     for name, (takes, _) in [*commands, *((f"plant {name}", each) for name, each in PLANT.items())]:
         section = text.partition(f"### hilcell {name}\n")[2].partition("\n### ")[0]
-        fields = [each for each in fields_of(takes) if not module._is_word(each)]
+        fields = [each for each in fields_of(takes) if not each.is_word]
         for option in (option for field in fields for option in field.names):
             assert f"`{option}" in section or f", {option}" in section
 
