@@ -48,7 +48,7 @@ def validation_table(result: Result) -> Table:
         named[Sent.CHOSEN] = Named(f"chosen: {method}{judged}", f"{Sent.CHOSEN.text}{judged}")
         for way, errors in place.sent.items():
             first = where if way is Sent.BEFORE else ""
-            rows.append((first, place.points_sent[way], named[way], errors))
+            rows.append((first, place.points_sent.get(way), named[way], errors))
         if place.floor is not None:
             rows.append(("", None, Named("floor", "floor"), place.floor))
     oriented = any(place.before.orientation is not None for place in places.values())

@@ -40,8 +40,6 @@ from hilcell.model.results import (
     Place,
     SentErrors,
     TargetBounds,
-    TurnBounds,
-    Turns,
 )
 from hilcell.model.suspicion import Cause
 from hilcell.model.verdicts import VALIDATION, ChangedSince, Oriented, Suspected
@@ -177,7 +175,7 @@ class Validate:
         stations = [station.name for station in session.cell.station]
         turns = validated_turns(session.log, stations)
         if set(BOTH) <= turns.keys() and orients(session.log):
-            before, chosen = (turns[how].figures["mean_deg"] for how in BOTH)
+            before, chosen = (turns[how].figures.mean_deg for how in BOTH)
             moved_mm = moved_on_flange_mm(session.log)
             holds = chosen < before and moved_mm <= MOVED_MM
             found = Oriented(
@@ -237,11 +235,7 @@ def _bounds(log: Log, places: dict[str, list[str]]) -> dict[str, TargetBounds]:
     except NoBound:  # the report says why
         return {}
     return {
-        place: TargetBounds(
-            **each.figures,
-            orientation=TurnBounds(**turns[place]) if place in turns else None,
-        )
-        for place, each in found.items()
+        place: replace(each.figures, orientation=turns.get(place)) for place, each in found.items()
     }
 
 
@@ -276,7 +270,7 @@ def place_of(log: Log, where: str, stations: list[str]) -> Place:
     sent = {
         how: SentErrors(
             **errors.figures._asdict(),
-            orientation=Turns(**turns[how].figures) if how in turns else None,
+            orientation=turns[how].figures if how in turns else None,
         )
         for how, errors in series.items()
     }

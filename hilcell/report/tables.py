@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from operator import attrgetter, itemgetter
 from typing import NamedTuple
@@ -35,7 +35,7 @@ from hilcell.model.events import (
 from hilcell.model.frame import MeasuredBase, MeasuredStation, TouchedBase
 from hilcell.model.outcome import Outcome, outcome_of
 from hilcell.model.point import BOTH, Point, Sent
-from hilcell.model.results import PaperRow, Repeated
+from hilcell.model.results import PaperRow, Repeated, Turns
 from hilcell.model.verdicts import Fitted
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table, Value
@@ -543,11 +543,11 @@ def _error_mm(log: Log, point: Point) -> float | None:
 
 
 # A place, the way of sending, how many targets, their figures.
-Oriented = tuple[str, str, int, Mapping[str, float]]
+Oriented = tuple[str, str, int, Turns]
 
 
 def _angle(figure: str) -> Callable[[Oriented], Value]:
-    return lambda row: row[3][f"{figure}_deg"]
+    return lambda row: getattr(row[3], f"{figure}_deg")
 
 
 ORIENTATION: tuple[Column[Oriented], ...] = (
@@ -601,7 +601,7 @@ def _turn_results(facts: Facts) -> list[TurnResult]:
         return []
     place = max(known, key=lambda name: np.nan_to_num(known[name].max_deg, nan=np.inf))
     before = validated_turns(facts.log, [place]).get(Sent.BEFORE)
-    before_deg = None if before is None else before.figures["max_deg"]
+    before_deg = None if before is None else before.figures.max_deg
     return [TurnResult(f"Largest at {place}", limit_deg, before_deg, *known[place])]
 
 
@@ -641,8 +641,8 @@ def orientation_words(facts: Facts) -> str:
         return ""
     before, after = (turns[how].figures for how in BOTH)
     means, most = (
-        f"{before[name]:.4f}° before and {after[name]:.4f}° after"
-        for name in ("mean_deg", "max_deg")
+        f"{one:.4f}° before and {other:.4f}° after"
+        for one, other in ((before.mean_deg, after.mean_deg), (before.max_deg, after.max_deg))
     )
     count = len(turns[Sent.CHOSEN])
     return (
