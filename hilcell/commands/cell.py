@@ -7,7 +7,6 @@ import signal
 import sys
 import threading
 from queue import Empty, SimpleQueue
-from typing import Any
 
 from hilcell.alarms.catalogue import entry_of
 from hilcell.cell.copied import check_copied
@@ -34,6 +33,7 @@ from hilcell.ports import Exercise, HilcellError, Training
 from hilcell.run.procedure import Procedure
 from hilcell.run.run_plan import machine_seed
 from hilcell.run.states import CALIBRATION, RUN, mermaid
+from hilcell.typed import Json
 
 LOOK_S = 0.1
 HELP = (
@@ -138,7 +138,7 @@ def check(args: Check) -> int:
     hidden = unseen(cell, turns_over=turned)
     if cell.simulation is None and not cell.pauses_at_first_pass:
         notes.append("robot.first_pass_pause is false: no run pauses before the arm's first pass")
-    facts: dict[str, Any] = able | {
+    facts: Json = able | {
         "cell": cell.name,
         "digest": cell.digest,
         "stations": [station.name for station in cell.station],

@@ -14,7 +14,7 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from textwrap import fill
-from typing import Any
+from typing import TYPE_CHECKING
 
 from hilcell import __version__
 from hilcell.arguments import Signature
@@ -24,6 +24,9 @@ from hilcell.commands.output import flush_data, print_error, print_json, print_m
 from hilcell.commands.parser import Parser, made
 from hilcell.run.order import Order, Resume
 from hilcell.writing import NotPrinted
+
+if TYPE_CHECKING:
+    from hilcell.typed import Json
 
 EXITS = (  # by their number
     "in tolerance",
@@ -117,7 +120,7 @@ def _add(parser: Parser, commands: Commands) -> Mapping[str, Parser]:
     return added.choices
 
 
-def read(words: Sequence[str]) -> tuple[str, type[Signature], dict[str, Any]]:
+def read(words: Sequence[str]) -> tuple[str, type[Signature], Json]:
     """Return what performs a command, what it takes, and the values of this."""
     values = vars(whole_parser().parse_args(words))
     return values.pop("act"), values.pop("takes"), values

@@ -187,7 +187,7 @@ def _add_field(parser: Parser, field: Field) -> None:
         parser.add_argument(*field.names, dest=name, required=field.needed, **options)
 
 
-def made(takes: type[Taken], values: Mapping[str, Any]) -> Taken:
+def made(takes: type[Taken], values: Mapping[str, object]) -> Taken:
     """Return what a command takes, of the values that its parser has read."""
     found: dict[str, object] = {}
     for name, hint in get_type_hints(takes).items():

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime
 from operator import attrgetter, itemgetter
-from typing import Any
 
 from hilcell.calibration.in_use import standings_in
 from hilcell.cell.devices import load_entry
@@ -29,6 +28,7 @@ from hilcell.journal.standing import Standing
 from hilcell.present.renderers import width_of
 from hilcell.present.table import Column, Table
 from hilcell.run.procedure import Procedure
+from hilcell.typed import Json
 
 
 def runs(args: ListRuns) -> int:
@@ -114,7 +114,7 @@ def _print_list(rows: list[RunRow], known: Mapping[str, Standing]) -> None:
         print_message("a wider terminal, or --json, shows more of each run")
 
 
-def _summary(row: RunRow, standing: Standing | None) -> dict[str, Any]:
+def _summary(row: RunRow, standing: Standing | None) -> Json:
     name = encodable(row.name)
     if not row.readable:
         return {"run": name, "state": row.state, "reason": encodable(row.reason)}
@@ -137,7 +137,7 @@ def _summary(row: RunRow, standing: Standing | None) -> dict[str, Any]:
     }
 
 
-def _facts(standing: Standing) -> dict[str, Any]:
+def _facts(standing: Standing) -> Json:
     """Return how a run's calibration stands among those of its cell."""
     return {
         "state": standing.state,

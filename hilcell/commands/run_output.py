@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 import msgspec
 
@@ -42,6 +42,7 @@ from hilcell.model.verdicts import VALIDATION, Verdict
 from hilcell.present.table import Column, Table
 from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.stopping import not_at_rest
+from hilcell.typed import Json
 from hilcell.writing import NotPrinted
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ class JsonOutput(RunOutput):
     def close(self, code: int, log: Log, fault: Exception | None) -> None:
         """Print the end where the journal could not store it."""
         if log.end is None and not self._closed:
-            end: dict[str, Any] = {
+            end: Json = {
                 "run": self._run,
                 "kind": "end",
                 "state": log.state,
@@ -111,7 +112,7 @@ class JsonOutput(RunOutput):
             except NotPrinted as error:
                 self.lost = error
 
-    def _write(self, event: dict[str, Any]) -> None:
+    def _write(self, event: Json) -> None:
         with stdout_checked():
             sys.stdout.buffer.write(f"{json_line(event)}\n".encode("ascii"))
             sys.stdout.buffer.flush()
@@ -275,7 +276,7 @@ def left_moving(log: Log) -> str:
     return "" if error is None or error.summary in log.fault else str(error)
 
 
-def _print_result(procedure: Procedure, output: RunOutput, result: dict[str, Any]) -> None:
+def _print_result(procedure: Procedure, output: RunOutput, result: Json) -> None:
     try:
         print_table(procedure.table(result))
         flush_data()

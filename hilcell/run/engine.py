@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType, TracebackType
-from typing import Any, NamedTuple, Protocol, Self
+from typing import NamedTuple, Protocol, Self
 
 import msgspec
 
@@ -32,9 +32,10 @@ from hilcell.journal.journal import Record, StorageError
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import CALIBRATION, JOURNAL, forget, is_run, make_folder
 from hilcell.journal.times import offset_min
-from hilcell.model.events import SessionOrdered
+from hilcell.model.events import RetakeAsked, SessionOrdered
 from hilcell.model.plan import FolderOrder
 from hilcell.model.point import CONTROL
+from hilcell.model.records import Ended
 from hilcell.ports import Clock, HilcellError
 from hilcell.run.cell_lock import (
     CellLocked,
@@ -50,6 +51,7 @@ from hilcell.run.run_plan import NewRun, ResumedRun, RunPlan
 from hilcell.run.runner import Runner, finish
 from hilcell.run.same_cell import Changes, accepted, cell_file
 from hilcell.run.signals import note_signals, stopped_by_signals
+from hilcell.typed import Json
 from hilcell.wire.record import Addresses, WireRecording
 from hilcell.wire.recording import Head, TimedStop
 from hilcell.writing import NotWritten
@@ -153,15 +155,9 @@ class Engine:
             if isinstance(error, CellLocked) and not log.session:
                 raise  # there is nothing to keep
             code = exit_code(error)
-            body: dict[str, Any] = {
-                "state": log.state,
-                "exit": code,
-                "result": {},
-                "reason": str(error),
-                "error": error.facts(),
-            }
+            end = Ended(state=log.state, exit=code, reason=str(error), error=error.facts())
             try:
-                journal.append("end", "", body)
+                journal.append("end", "", end)
             except StorageError as unwritten:  # a disk that takes no engine takes no end either
                 return Ending(EXIT_STORAGE, unwritten)
             return Ending(code, error)
@@ -247,7 +243,7 @@ class NewEngine(Engine):
     def __init__(self, order: Order, plan: NewRun, say: Callable[[str], object]) -> None:
         super().__init__(plan, order.attendance, say)
         self._order = order
-        self._before: dict[str, Any] = {}  # facts of earlier runs
+        self._before: Json = {}  # facts of earlier runs
 
     def _open(self, stack: ExitStack) -> RunJournal:
         """Make the run's folder and its journal."""
@@ -334,7 +330,7 @@ class ResumedEngine(Engine):
             place = msgspec.structs.asdict(self._place())
             self.journal.append("event", "", SessionOrdered(**place))
         for key in self.plan.retakes:
-            self.journal.append("event", "", {"what": "retake asked", "key": key})
+            self.journal.append("event", "", RetakeAsked(key=key))
 
 
 def finished_runs(runs: Path, cell: Cell) -> list[str]:
