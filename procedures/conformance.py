@@ -175,7 +175,11 @@ def _agreed(session: CellSession, what: str) -> None:
     )
 
 
-_GUARDED = {"rail": GuardedRail, "robot": GuardedRobot, "tracker": GuardedTracker}
+_GUARDED: dict[Port, type[GuardedRail | GuardedRobot | GuardedTracker]] = {
+    "rail": GuardedRail,
+    "robot": GuardedRobot,
+    "tracker": GuardedTracker,
+}
 
 
 class Conformance:

@@ -11,11 +11,12 @@ from operator import itemgetter
 
 import numpy as np
 
-from hilcell.calibration.form import Calibration, StationEntry
+from hilcell.calibration.form import Calibration
 from hilcell.calibration.in_use import NoCalibration, calibration_named
 from hilcell.calibration.visit import used
 from hilcell.cell.file import Cell, Station
 from hilcell.journal.log import Log
+from hilcell.model.calibration import StationEntry
 from hilcell.model.frame import Frame
 from hilcell.model.plan import Step
 from hilcell.model.results import ActResult

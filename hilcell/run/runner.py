@@ -28,7 +28,6 @@ from hilcell.model.events import (
     Closing,
     CommandRefused,
     InternalError,
-    Json,
     LinkCounted,
     RetakeAsked,
     SafeStopSent,
@@ -54,6 +53,7 @@ from hilcell.run.signals import COMMANDS, signals_as_commands
 from hilcell.run.states import RUN, StateMachine
 from hilcell.run.stopping import SafeStop, close_all, facts_of_problems, not_at_rest
 from hilcell.run.worker import Asked, AtRest, Ended, Halted, Message, Proven, Started, Worker
+from hilcell.typed import Json
 
 SIGNAL_S = 0.05
 WORKER_S = 10.0  # the worker leaves a wire within this time after a stop
