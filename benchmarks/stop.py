@@ -35,13 +35,13 @@ from hilcell.journal.engine_file import EngineFile
 from hilcell.journal.log import Log
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import JOURNAL
-from hilcell.model.plan import PlanRecord
+from hilcell.model.plan import PlanRecord, Step
 from hilcell.model.point import PointId
 from hilcell.ports import SimulatedCell
 from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.control import Control
-from hilcell.run.procedure import Procedure, Step
+from hilcell.run.procedure import Procedure
 from hilcell.run.runner import Runner
 
 STOPS = 500
@@ -157,7 +157,7 @@ def plan_of(cell: Cell, phase: str) -> PlanRecord:
         simulated=True,
         versions={},
         settings={},
-        steps=[{"name": Phase.name, "points": 0, "duration_s": 0.0}],
+        steps=[Step(Phase.name, 0, 0.0)],
         points=0,
         duration_s=0.0,
     )

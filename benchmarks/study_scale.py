@@ -24,7 +24,7 @@ from hilcell.study.case import measured, packed, versions
 from hilcell.study.cluster import workers_of
 from hilcell.study.outcome import RESULTS
 from hilcell.study.performing import perform
-from hilcell.study.results import Results, plain_rows
+from hilcell.study.results import Results
 from hilcell.study.study_file import cell_of, read_study
 
 REAL = 60
@@ -119,7 +119,7 @@ def many_cases() -> None:
                     print(f"{each:10} {peak_mib(pid):5.0f} MiB at most, {ms:5.2f} ms a case")
                 assert peak_mib(two) < 2048.0
         began_s = time.process_time()
-        answers(study, plain_rows(results.table()))
+        answers(study, results.rows())
         print(f"answers    {peak_mib(os.getpid()):5.0f} MiB at most,", end=" ")
         print(f"{time.process_time() - began_s:.1f} s of processor")
 
@@ -133,7 +133,7 @@ def real_cases() -> None:
         cell = packed(cell_of(read_study(path), few))
     here, grown = versions(), []
     for number in range(1, REAL + 1):
-        assert measured(cell, number, 1, here)["state"] == "done"
+        assert measured(cell, number, 1, here).state == "done"
         if number in (REAL // 6, REAL):
             grown.append(peak_mib(os.getpid()))
     print(f"a worker's {REAL} real cases: {grown[0]:.0f} MiB after {REAL // 6}, ", end="")

@@ -30,10 +30,11 @@ from hilcell.geometry.frames import matrix
 from hilcell.journal.log import Log
 from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import JOURNAL
+from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Procedure, Step
+from hilcell.run.procedure import Procedure
 from hilcell.run.runner import Runner
 
 COUNT = 5000

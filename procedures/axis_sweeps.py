@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from operator import itemgetter
-from typing import Any, NamedTuple
+from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,13 +17,16 @@ from hilcell.identification.sweeps import SweptAxis, swept_axis
 from hilcell.journal.curve_record import curve_measured
 from hilcell.journal.log import Log
 from hilcell.journal.stream_file import read_stream
-from hilcell.model.events import AxesNotSwept, CurveMeasured, NoReadingOf
+from hilcell.model.events import AxesNotSwept, CurveMeasured, NoReadingOf, Pair
+from hilcell.model.plan import Span, Step
+from hilcell.model.results import ActResult
 from hilcell.ports import Array, NoReading
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_sweep
-from hilcell.run.procedure import Span, Step
+from hilcell.run.procedure import Result
 from hilcell.run.sweeping import SweepOrder
+from hilcell.typed import typed
 from procedures.durations import closing, first_pass_percent, robot_moves_s, step
 from procedures.plan import check_range, check_reach, poses_at
 
@@ -35,6 +37,39 @@ SEEN_AT = 20  # places of a sweep at which the reflector must be in the tracker'
 TRIES, ATTEMPTS = 3, 2  # of one sweep whose beam breaks, and of both sweeps of an axis
 STREAM_S = 1.5  # begin and end of a stream
 QUICK_AXES, QUICK_SHARE = (1, 2, 3), 0.5  # of a quick plan: the middle of each range
+
+
+class Swept(ActResult, frozen=True, kw_only=True):
+    """An axis's curve: how often a turn its lines repeat, how large they are, what is left of it
+    and by how much both sweeps differ.
+    """
+
+    axis: int
+    used: bool
+    reason: str
+    range_deg: Pair
+    cycles: list[float]
+    amplitude_urad: list[float]
+    lag_ms: float
+    lag_u_ms: float
+    noise_urad: float
+    signal_urad: float
+    share: float
+    differ_urad: float
+    lost: int
+
+    @property
+    def lines(self) -> str:
+        """Return the lines in words."""
+        pairs = zip(self.cycles, self.amplitude_urad, strict=True)
+        return ", ".join(f"{cycles:.1f}: {size:.1f}" for cycles, size in pairs) or "none"
+
+
+class Sweeps(ActResult, frozen=True, kw_only=True):
+    """The swept axes, or why there are none."""
+
+    left_out: str
+    axes: list[Swept]
 
 
 class AxisSweeps:
@@ -139,11 +174,11 @@ class AxisSweeps:
             else:
                 return
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return the figures of each axis, or why none was swept."""
         said = [each.reason for each in log.happened(AxesNotSwept)]
-        axes = [figures_of(record) for record in log.curves.values()]
-        return {"sweeps": {"left_out": said[-1] if said else "", "axes": axes}}
+        axes = [swept(record) for record in log.curves.values()]
+        return {"sweeps": Sweeps(left_out=said[-1] if said else "", axes=axes)}
 
 
 def left_out(cell: Cell) -> str:
@@ -201,46 +236,41 @@ def cube_joints(cell: Cell) -> CubeJoints:
     return CubeJoints(joints_rad.min(axis=0), joints_rad.max(axis=0), middle_rad)
 
 
-def figures_of(record: CurveMeasured) -> dict[str, Any]:
-    """Return an axis's figures for a program to read."""
-    return {
-        "axis": record.axis,
-        "used": record.holds,
-        "reason": record.reason,
-        "range_deg": np.degrees([record.low_rad, record.high_rad]).tolist(),
-        "cycles": record.cycles,
-        "amplitude_urad": record.amplitudes_urad,
-        "lag_ms": record.lag_s * 1e3,
-        "lag_u_ms": record.lag_sigma_s * 1e3,
-        "noise_urad": record.noise_rad * 1e6,
-        "signal_urad": record.signal_rad * 1e6,
-        "share": record.share,
-        "differ_urad": record.differ_rad * 1e6,
-        "lost": record.lost,
-    }
-
-
-def sweep_words(result: dict[str, Any]) -> str:
-    """Return why no axis was swept; "" where some were."""
-    reason = result["sweeps"]["left_out"]
-    return f"Axes not swept: {reason}." if reason else ""
-
-
-def sweep_table(result: dict[str, Any]) -> Table:
-    """Return the swept axes with their lines, for a person to read."""
-    return Table(
-        [
-            Column("axis", lambda row: f"A{row['axis']}"),
-            Column("used", lambda row: "yes" if row["used"] else row["reason"]),
-            Column("cycles: amplitude", _lines, "µrad"),
-            Column("lag", itemgetter("lag_ms"), "ms", ".2f"),
-            Column("noise", itemgetter("noise_urad"), "µrad", ".1f"),
-            Column("signal", lambda row: 100 * row["share"], "%", ".0f"),
-        ],
-        result["sweeps"]["axes"],
+def swept(record: CurveMeasured) -> Swept:
+    """Return an axis's figures."""
+    return Swept(
+        axis=record.axis,
+        used=record.holds,
+        reason=record.reason,
+        range_deg=np.degrees([record.low_rad, record.high_rad]).tolist(),
+        cycles=record.cycles,
+        amplitude_urad=record.amplitudes_urad,
+        lag_ms=record.lag_s * 1e3,
+        lag_u_ms=record.lag_sigma_s * 1e3,
+        noise_urad=record.noise_rad * 1e6,
+        signal_urad=record.signal_rad * 1e6,
+        share=record.share,
+        differ_urad=record.differ_rad * 1e6,
+        lost=record.lost,
     )
 
 
-def _lines(axis: Mapping[str, Any]) -> str:
-    pairs = zip(axis["cycles"], axis["amplitude_urad"], strict=True)
-    return ", ".join(f"{cycles:.1f}: {size:.1f}" for cycles, size in pairs) or "none"
+def sweep_words(result: Result) -> str:
+    """Return why no axis was swept; "" where some were."""
+    reason = typed(result["sweeps"], Sweeps).left_out
+    return f"Axes not swept: {reason}." if reason else ""
+
+
+def sweep_table(result: Result) -> Table:
+    """Return the swept axes with their lines, for a person to read."""
+    return Table(
+        [
+            Column("axis", lambda row: f"A{row.axis}"),
+            Column("used", lambda row: "yes" if row.used else row.reason),
+            Column("cycles: amplitude", attrgetter("lines"), "µrad"),
+            Column("lag", attrgetter("lag_ms"), "ms", ".2f"),
+            Column("noise", attrgetter("noise_urad"), "µrad", ".1f"),
+            Column("signal", lambda row: 100 * row.share, "%", ".0f"),
+        ],
+        typed(result["sweeps"], Sweeps).axes,
+    )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from hilcell.calibration.base_circles import (
@@ -17,12 +15,14 @@ from hilcell.calibration.since import risen_nest, since_before
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.circles import base_frame_covariance
 from hilcell.journal.log import Log
-from hilcell.model.frame import MeasuredBase
+from hilcell.model.frame import Matrix, MeasuredBase
+from hilcell.model.plan import Span, Step
 from hilcell.model.point import PointId
+from hilcell.model.results import ActResult
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
-from hilcell.run.procedure import Span, Step
+from hilcell.run.procedure import Result
 from procedures.durations import closing, flange_points, step
 
 ARC_SHARES = (0.25, 0.5, 0.75, 1.0)
@@ -33,6 +33,27 @@ ACT = (
     "that run's calibration"
 )
 WHICH = "which of both is right? Put what has changed right, or go on and then revoke the wrong one"
+
+
+class Arc(ActResult, frozen=True, kw_only=True):
+    """The uncertainties (k = 1) of an axis's circle by the middle of its sweep."""
+
+    axis: int
+    arc_deg: float
+    points: int
+    centre_u_mm: float
+    axis_u_mrad: float
+
+
+class FramedBase(ActResult, frozen=True, kw_only=True):
+    """The base in {W}, its uncertainties (k = 1), and those of shorter arcs."""
+
+    T_W_B: Matrix
+    origin_u_mm: list[float]
+    angle_u_mrad: list[float]
+    circle_rms_mm: list[float]
+    radius_mm: list[float]
+    arcs: list[Arc]
 
 
 class BaseFrame:
@@ -86,26 +107,23 @@ class BaseFrame:
             ),
         )
 
-    def result(self, log: Log) -> dict[str, Any]:
-        """Return the base in {W}, its uncertainty, and that of shorter arcs."""
+    def result(self, log: Log) -> Result:
+        """Return the base."""
         frame = log.frame(MeasuredBase, "base")
         u = np.sqrt(np.diag(frame.C))
-        return {
-            "base": {
-                "T_W_B": frame.matrix,
-                "origin_u_mm": u[:3].tolist(),
-                "angle_u_mrad": (u[3:] * 1e3).tolist(),
-                "circle_rms_mm": frame.circle_rms_mm,
-                "radius_mm": frame.radius_mm,
-                "arcs": [
-                    {"axis": axis} | each for axis in (1, 6) for each in shorter_arcs(log, axis)
-                ],
-            }
-        }
+        found = FramedBase(
+            T_W_B=frame.matrix,
+            origin_u_mm=u[:3].tolist(),
+            angle_u_mrad=(u[3:] * 1e3).tolist(),
+            circle_rms_mm=frame.circle_rms_mm,
+            radius_mm=frame.radius_mm,
+            arcs=[each for axis in (1, 6) for each in shorter_arcs(log, axis)],
+        )
+        return {"base": found}
 
 
-def shorter_arcs(log: Log, axis: int) -> list[dict[str, float]]:
-    """Return the circle's uncertainties (k = 1) from the middle of the sweep and wider."""
+def shorter_arcs(log: Log, axis: int) -> list[Arc]:
+    """Return the circle's uncertainties, the shortest arc first."""
     cell = log.cell
     points = log.select("base", axis=axis)
     begin_deg, end_deg = sweep_of(cell, axis)[1]
@@ -114,12 +132,13 @@ def shorter_arcs(log: Log, axis: int) -> list[dict[str, float]]:
         circle = circle_of(cell, log, axis, [points[n] for n in arc])
         u = np.sqrt(np.diag(circle.covariance))
         found.append(
-            {
-                "arc_deg": abs(end_deg - begin_deg) * (len(arc) - 1) / (len(points) - 1),
-                "points": len(arc),
-                "centre_u_mm": float(np.linalg.norm(u[:3])),
-                "axis_u_mrad": float(np.linalg.norm(u[3:]) * 1e3),
-            }
+            Arc(
+                axis=axis,
+                arc_deg=abs(end_deg - begin_deg) * (len(arc) - 1) / (len(points) - 1),
+                points=len(arc),
+                centre_u_mm=float(np.linalg.norm(u[:3])),
+                axis_u_mrad=float(np.linalg.norm(u[3:]) * 1e3),
+            )
         )
     return found
 

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from operator import itemgetter, methodcaller
-from typing import Any
+from functools import partial
+from operator import itemgetter
+from typing import TypeAlias
 
 from hilcell.geometry.statistics import Figures
-from hilcell.model.outcome import Outcome
-from hilcell.model.point import BOTH, HOW, Sent
+from hilcell.model.point import Sent
+from hilcell.model.results import (
+    Floor,
+    FramedStation,
+    Place,
+    SentErrors,
+)
 from hilcell.present.table import Column, Named, Table
-from hilcell.run.procedure import Procedure
+from hilcell.run.procedure import Procedure, Result
+from hilcell.typed import typed
 from procedures.axis_sweeps import AxisSweeps, sweep_table, sweep_words
 from procedures.base_frame import BaseFrame
 from procedures.chosen_poses import ChosenPoses
-from procedures.fit import Fit
+from procedures.fit import Choice, Fit
 from procedures.frame_repeatability import FrameRepeatability, frame_repeatability_table
 from procedures.home import Home
 from procedures.rail_survey import RailSurvey, survey_table
@@ -28,30 +34,33 @@ from procedures.two_faces import TwoFaces
 from procedures.validate import Validate
 from procedures.world_frame import WorldFrame
 
+# A station, how many targets, how they were sent, their errors; or those that are left.
+_Row: TypeAlias = tuple[str, int | None, Named, SentErrors | Floor]
 
-def validation_table(result: dict[str, Any]) -> Table:
+
+def validation_table(result: Result) -> Table:
     """Return the errors before and after, station by station, as the paper states them."""
-    rows = [
-        {"place": where, "way": way, "sent": sent.get(way), "outcome": outcome}
-        | figures[way]
-        | figures[way].get("orientation", {})
-        for where, figures in result["validation"].items()
-        for sent in (figures.get("points_sent", {Sent.BEFORE: figures["points"]}),)
-        for outcome in (figures.get("decision", {}).get("outcome"),)
-        for way in (*Sent, "floor")
-        if way in figures
-    ]
-    names = Figures._fields
-    oriented = any(row["way"] == Sent.BEFORE and "orientation" in row for row in rows)
+    places, method = typed(result["validation"], dict[str, Place]), str(result["method"])
+    rows: list[_Row] = []
+    for where, place in places.items():
+        judged = "" if place.decision is None else f", {place.decision.outcome.words}"
+        named = {way: Named(way, way.text) for way in Sent}
+        named[Sent.CHOSEN] = Named(f"chosen: {method}{judged}", f"{Sent.CHOSEN.text}{judged}")
+        for way, errors in place.sent.items():
+            first = where if way is Sent.BEFORE else ""
+            rows.append((first, place.points_sent.get(way), named[way], errors))
+        if place.floor is not None:
+            rows.append(("", None, Named("floor", "floor"), place.floor))
+    oriented = any(place.before.orientation is not None for place in places.values())
     return Table(
         [
-            Column("station", lambda row: row["place"] if row["way"] == Sent.BEFORE else ""),
-            Column("points", itemgetter("sent"), form="d"),
-            Column("error of", lambda row: _sent(row, result["method"])),
-            *(Column(name, methodcaller("get", name), "mm", ".4f") for name in names),
+            Column("station", itemgetter(0)),
+            Column("points", itemgetter(1), form="d"),
+            Column("error of", itemgetter(2)),
+            *(Column(name, partial(_error, name), "mm", ".4f") for name in Figures._fields),
             *(
-                Column(f"turn {name}", methodcaller("get", f"{name}_deg"), "°", ".4f")
-                for name in names
+                Column(f"turn {name}", partial(_turn, f"{name}_deg"), "°", ".4f")
+                for name in Figures._fields
                 if oriented
             ),
         ],
@@ -59,47 +68,48 @@ def validation_table(result: dict[str, Any]) -> Table:
     )
 
 
-def _sent(row: Mapping[str, Any], method: str) -> Named:
-    """Return how targets were sent, and the outcome of those that were corrected."""
-    name, words = row["way"], HOW.get(row["way"], row["way"])
-    if name == Sent.CHOSEN:
-        judged = f", {Outcome(row['outcome']).words}" if row["outcome"] else ""
-        return Named(f"chosen: {method}{judged}", f"{words}{judged}")
-    return Named(name, words)
+def _error(name: str, row: _Row) -> float | None:
+    return getattr(row[3], name, None)
 
 
-def words(result: dict[str, Any]) -> str:
+def _turn(name: str, row: _Row) -> float | None:
+    return getattr(getattr(row[3], "orientation", None), name, None)
+
+
+def words(result: Result) -> str:
     """Return in words what became of the tool's orientation, and what is suspected."""
     lines = []
-    for where, figures in list(result.get("validation", {}).items())[:1]:
-        if all("orientation" in figures.get(how, {}) for how in BOTH):
-            before, after = (figures[how]["orientation"] for how in BOTH)
+    for where, place in list(typed(result.get("validation", {}), dict[str, Place]).items())[:1]:
+        before, after = place.before.orientation, place.chosen.orientation
+        if before is not None and after is not None:
             lines.append(
-                f"Orientation of the tool at {where}: {before['mean_deg']:.4f} deg off before, "
-                f"{after['mean_deg']:.4f} deg after (means); {result['fit']['orientation']}."
+                f"Orientation of the tool at {where}: {before.mean_deg:.4f} deg off before, "
+                f"{after.mean_deg:.4f} deg after (means); "
+                f"{typed(result['fit'], Choice).orientation}."
             )
     return "\n".join(line for line in (*lines, suspicion_words(result)) if line)
 
 
-def station_table(result: dict[str, Any]) -> Table:
+def station_table(result: Result) -> Table:
     """Return the quality of each station's frame."""
     return Table(
         [
-            Column("station", itemgetter("station")),
-            Column("strip", itemgetter("strip_mm"), "mm", ".2f"),
-            Column("fit rms", itemgetter("rms_mm"), "mm", ".4f"),
-            Column("tool point u", itemgetter("tool_uncertainty_mm"), "mm", ".4f"),
-            Column("worst corner u", itemgetter("cube_uncertainty_mm"), "mm", ".4f"),
-            Column("left out", lambda row: ", ".join(row["left_out"]) or "none"),
+            Column("station", itemgetter(0)),
+            Column("strip", lambda row: row[1].strip_mm, "mm", ".2f"),
+            Column("fit rms", lambda row: row[1].rms_mm, "mm", ".4f"),
+            Column("tool point u", lambda row: row[1].tool_uncertainty_mm, "mm", ".4f"),
+            Column("worst corner u", lambda row: row[1].cube_uncertainty_mm, "mm", ".4f"),
+            Column("left out", lambda row: ", ".join(row[1].left_out) or "none"),
         ],
-        [each | {"station": name} for name, each in result["stations"].items()],
+        typed(result["stations"], dict[str, FramedStation]).items(),
     )
 
 
-def point_table(result: dict[str, Any]) -> Table:
+def point_table(result: Result) -> Table:
     """Return how many points of each group were measured."""
     points = Column("points", itemgetter(1), form="d")
-    return Table([Column("group", itemgetter(0)), points], result["points"].items())
+    counts = typed(result["points"], dict[str, int])
+    return Table([Column("group", itemgetter(0)), points], counts.items())
 
 
 TO_STATION = (Home(), WorldFrame(), HoldStation())

@@ -8,20 +8,21 @@ from __future__ import annotations
 
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hilcell.cell.file import Cell
-from hilcell.fit.methods import fit, methods_table
+from hilcell.fit.methods import FitResult, fit, methods_table
 from hilcell.fit.robot_file import Measurements, RobotModel, Row, read_measurements
 from hilcell.journal.log import Log, positions_mm
+from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.ports import HilcellError
 from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.interlocks import check_joint_limits
-from hilcell.run.procedure import Procedure, Step
+from hilcell.run.procedure import Procedure, Result
+from hilcell.typed import typed
 from procedures.durations import flange_points, measure_s
 
 
@@ -61,7 +62,7 @@ class Campaign:
             targets = list(zip(ids, rows.xyz_mm[at], strict=True))
             session.pose_points(rows.joints_rad[at[0]], targets)
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return the cross-validated fit of the measured points."""
         return {"campaign": fit(robot_of(log.cell), measured(log), None)}
 
@@ -109,9 +110,9 @@ def measured(log: Log) -> Measurements:
     )
 
 
-def campaign_table(result: dict[str, Any]) -> Table:
+def campaign_table(result: Result) -> Table:
     """Return what each method leaves of the measured targets, cross-validated."""
-    return methods_table(result["campaign"]["methods"])
+    return methods_table(typed(result["campaign"], FitResult)["methods"])
 
 
 CAMPAIGN = Procedure(

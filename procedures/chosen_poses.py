@@ -6,8 +6,6 @@ positions and the tool's turn are free. It ends when the predicted bound is low 
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from hilcell.calibration.frames import grid_of, measured_of
@@ -19,10 +17,11 @@ from hilcell.identification.design import Design, Rows, design
 from hilcell.identification.readings import IdentificationError
 from hilcell.journal.log import Log
 from hilcell.model.events import NoPosesChosen, PosesChosen
+from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Step
+from hilcell.run.procedure import Result
 from procedures.durations import closing, flange_count, flange_points, step
 from procedures.plan import drivable, joints_for, poses_at, turned
 
@@ -74,7 +73,7 @@ class ChosenPoses:
         session.add(chosen)
         return chosen
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return the mean 95 % bound over the cube as predicted before and after each pose."""
         if not any(log.cell.plan.pose_counts):
             return {}

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from operator import itemgetter
-from typing import Any
 
 import numpy as np
 
@@ -23,11 +22,13 @@ from hilcell.conformance.trial import Trial
 from hilcell.conformance.verdicts import PORTS, NeedsPerson, Port
 from hilcell.journal.log import Log
 from hilcell.model.events import Announced, PromiseJudged
+from hilcell.model.plan import Step
 from hilcell.model.verdicts import DriverConforms
 from hilcell.ports import Array, HilcellError, RailReading, RobotReading, Stream, TrackerReading
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Procedure, Step
+from hilcell.run.procedure import Procedure, Result
+from hilcell.typed import typed
 from procedures.home import Home
 
 STANDS_DEG = 0.05  # an axis that turns by less is not announced
@@ -48,7 +49,7 @@ class GuardedBench(Bench):
         super().__init__(session.cell, port, BenchClock(session.clock.check, session.clock))
         self._session = session
 
-    def connected(self) -> Any:
+    def connected(self) -> GuardedRail | GuardedRobot | GuardedTracker:
         """Return the device, connected as it is."""
         if self.port == "tracker" and abilities(self.cell)["tracker_streams"]:
             return GuardedStreams(self._session)
@@ -174,7 +175,11 @@ def _agreed(session: CellSession, what: str) -> None:
     )
 
 
-_GUARDED = {"rail": GuardedRail, "robot": GuardedRobot, "tracker": GuardedTracker}
+_GUARDED: dict[Port, type[GuardedRail | GuardedRobot | GuardedTracker]] = {
+    "rail": GuardedRail,
+    "robot": GuardedRobot,
+    "tracker": GuardedTracker,
+}
 
 
 class Conformance:
@@ -210,11 +215,11 @@ class Conformance:
             session.checkpoint()
             session.add(PromiseJudged(port=port, **judged(promise).facts()))
         if (key := f"{NAME} {port}") not in session.log.verdicts:
-            broken = [e["promise"] for e in _found(session.log, port) if e["verdict"] == "broken"]
+            broken = [e.promise for e in _found(session.log, port) if e.verdict == "broken"]
             driver = getattr(session.cell, port).driver
             session.judge(key, DriverConforms(holds=not broken, driver=driver, broken=broken))
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return what each promise has found, by port."""
         return {NAME: {port: _found(log, port) for port in _ports(log.cell)}}
 
@@ -234,15 +239,14 @@ def _ports(cell: Cell) -> list[Port]:
 
 def _waiting(log: Log, port: Port) -> list[Promise]:
     """Return the promises of a port of which the journal holds no outcome."""
-    known = {each["promise"] for each in _found(log, port)}
+    known = {each.promise for each in _found(log, port)}
     return [promise for promise in promises_of(port) if promise.name not in known]
 
 
-def _found(log: Log, port: str) -> list[dict[str, Any]]:
+def _found(log: Log, port: str) -> list[Outcome]:
     """Return the outcomes of a port that the journal holds."""
-    keys = ("promise", "verdict", "why", "took_s")
-    events = log.happened(PromiseJudged)
-    return [{key: getattr(e, key) for key in keys} for e in events if e.port == port]
+    judged = [each for each in log.happened(PromiseJudged) if each.port == port]
+    return [typed(each, Outcome, from_attributes=True) for each in judged]
 
 
 def _check_slow(cell: Cell) -> None:
@@ -257,11 +261,15 @@ def _check_slow(cell: Cell) -> None:
         )
 
 
-def conformance_table(result: dict[str, Any]) -> Table:
+def conformance_table(result: Result) -> Table:
     """Return one line a promise."""
-    rows = [each | {"port": port} for port, outcomes in result[NAME].items() for each in outcomes]
+    rows = [
+        (port, each.promise, each.verdict, each.why)
+        for port, outcomes in typed(result[NAME], dict[str, list[Outcome]]).items()
+        for each in outcomes
+    ]
     names = ("port", "promise", "verdict", "why")
-    return Table([Column(name, itemgetter(name)) for name in names], rows)
+    return Table([Column(name, itemgetter(n)) for n, name in enumerate(names)], rows)
 
 
 CONFORMANCE = Procedure(

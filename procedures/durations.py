@@ -12,9 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from hilcell.cell.file import Cell, Station
+from hilcell.model.plan import Span, Step
 from hilcell.ports import Array
 from hilcell.run.collision import leaves_cube
-from hilcell.run.procedure import Span, Step
 
 SEEN_S = 0.06  # until a driver has looked often enough to see that a motion has ended
 APPROACHES = 2  # first by the drive, then by the strip's reading

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from hilcell.journal.log import Log
 from hilcell.model.events import StationDecided
 from hilcell.model.outcome import Outcome, gravest, outcome_of
 from hilcell.model.point import Sent
+from hilcell.model.results import Decided
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
 
@@ -106,7 +106,7 @@ def rounds(log: Log, station: str, how: str) -> Iterator[range]:
         yield range(end - BLOCK, end)
 
 
-def judgement(log: Log, stations: list[str]) -> dict[str, Any]:
+def judgement(log: Log, stations: list[str]) -> Decided:
     """Return the outcome at ``stations``, the targets of each, and what it means.
 
     More targets cannot accept what is shown to be above a tolerance less U. It is out of tolerance
@@ -131,14 +131,14 @@ def judgement(log: Log, stations: list[str]) -> dict[str, Any]:
         if each.outcome is not Outcome.ACCEPTED
     )
     text = meaning(log.cell, outcome, guard, enough=enough)
-    return {
-        "outcome": outcome,
-        "targets": counts,
-        "text": f"{outcome.words} after {' + '.join(map(str, counts))} targets: {text}",
-        "accept_risk": log.cell.plan.accept_risk,
-        "reject_risk": log.cell.plan.reject_risk,
-        "share_above_max": log.cell.plan.share_above_max,
-    }
+    return Decided(
+        outcome=outcome,
+        targets=counts,
+        text=f"{outcome.words} after {' + '.join(map(str, counts))} targets: {text}",
+        accept_risk=log.cell.plan.accept_risk,
+        reject_risk=log.cell.plan.reject_risk,
+        share_above_max=log.cell.plan.share_above_max,
+    )
 
 
 def meaning(cell: Cell, outcome: Outcome, guard: Guard, *, enough: bool) -> str:

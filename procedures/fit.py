@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import msgspec
-
 from hilcell.calibration.frames import grid_of, measured_of, outlying_vertices
 from hilcell.cell.file import Cell
 from hilcell.compensation.choice import MODELS, chosen
 from hilcell.compensation.kinematic import curves_used
 from hilcell.compensation.measured import Measured
 from hilcell.journal.log import Log
-from hilcell.model.verdicts import Fitted
+from hilcell.model.plan import Step
+from hilcell.model.point import PointId
+from hilcell.model.results import ActResult
+from hilcell.model.verdicts import CurvesUsed, Fitted
 from hilcell.ports import HilcellError
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Step
+from hilcell.run.procedure import Result
+from hilcell.typed import typed
 from procedures.plan import poses_at
+
+
+class Choice(ActResult, frozen=True, kw_only=True):
+    """The choice of the error model, as in `Fitted`."""
+
+    loocv: dict[str, dict[str, float]]
+    reason: str
+    refused: dict[str, str]
+    curves: CurvesUsed
+    outliers: list[PointId]
+    orientation: str = ""
 
 
 class Fit:
@@ -46,11 +57,10 @@ class Fit:
             session.judge("fit", fitted(session.log))
         session.reach("fit")
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return the method, its cross-validation and the reasons."""
-        fit = msgspec.to_builtins(fitted(log))
-        del fit["holds"]
-        return {"method": fit.pop("method"), "fit": fit}
+        found = fitted(log)
+        return {"method": found.method, "fit": typed(found, Choice, from_attributes=True)}
 
 
 def fitted(log: Log) -> Fitted:

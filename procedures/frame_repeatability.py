@@ -8,7 +8,6 @@ them where they were at the reference.
 from __future__ import annotations
 
 from operator import itemgetter
-from typing import Any
 
 import numpy as np
 
@@ -18,11 +17,14 @@ from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import f_quantile, lengths_mm, rms
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.frame import Frame
+from hilcell.model.plan import Step
 from hilcell.model.point import PointId
+from hilcell.model.results import FramesRepeated
 from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Step
+from hilcell.run.procedure import Result
+from hilcell.typed import typed
 from procedures.base_frame import (
     check_circles,
     points_on_arc,
@@ -83,34 +85,34 @@ class FrameRepeatability:
         keys = [point.key for point in (*circles[0], *circles[1])]
         session.frame(f"base.{station.name}", Frame(matrix=T_W_B.tolist(), points=keys))
 
-    def result(self, log: Log) -> dict[str, Any]:
-        """Return the distances per station and point, and the ratio with its interval."""
-        return {"frame_repeatability": repeatability_figures(log)}
+    def result(self, log: Log) -> Result:
+        """Return the distances in both frames, and the ratio of their root mean squares.
+
+        Its interval is that of an F distribution with six degrees of freedom for every station
+        compared.
+        """
+        base, station = moved_mm(log, "base"), moved_mm(log, "station")
+        rms_mm = {"base": rms([*base.values()]), "station": rms([*station.values()])}
+        ratio, freedoms = rms_mm["base"] / rms_mm["station"], FREEDOMS * len(base)
+        spread = float(np.sqrt(f_quantile(0.5 + CONFIDENCE / 2, freedoms, freedoms)))
+        found = FramesRepeated(
+            base=base,
+            station=station,
+            rms_mm=rms_mm,
+            ratio=ratio,
+            ratio_interval=(ratio / spread, ratio * spread),
+        )
+        return {"frame_repeatability": found}
 
 
-def repeatability_figures(log: Log) -> dict[str, Any]:
-    """Return how far the six points are from their places at the reference, in both frames.
-
-    The ratio of the root mean squares; its interval is that of an F distribution with six degrees
-    of freedom for every station compared.
+def moved_mm(log: Log, kind: str) -> dict[str, list[float]]:
+    """Return by station how far the six points are from their places at the reference (mm), seen
+    in its ``kind`` of frame: "base" or "station".
     """
-    cell = log.cell
-    others = [station for station in cell.station if station.name != cell.grid.station]
-    figures: dict[str, Any] = {}
-    for kind in ("base", "station"):
-        reference_mm = seen_from(log, kind, cell.station_named(cell.grid.station))
-        figures[kind] = {
-            station.name: lengths_mm(seen_from(log, kind, station) - reference_mm).tolist()
-            for station in others
-        }
-    rms_mm = {kind: rms(list(figures[kind].values())) for kind in ("base", "station")}
-    ratio = rms_mm["base"] / rms_mm["station"]
-    freedoms = FREEDOMS * len(others)
-    spread = float(np.sqrt(f_quantile(0.5 + CONFIDENCE / 2, freedoms, freedoms)))
-    return figures | {
-        "rms_mm": rms_mm,
-        "ratio": ratio,
-        "ratio_interval": [ratio / spread, ratio * spread],
+    reference_mm = seen_from(log, kind, log.cell.station_named(log.cell.grid.station))
+    return {
+        station.name: lengths_mm(seen_from(log, kind, station) - reference_mm).tolist()
+        for station in other_stations(log.cell)
     }
 
 
@@ -120,19 +122,19 @@ def seen_from(log: Log, kind: str, station: Station) -> Array:
     return apply(inverse(log.matrix(f"{kind}.{station.name}")), world_mm)
 
 
-def frame_repeatability_table(result: dict[str, Any]) -> Table:
+def frame_repeatability_table(result: Result) -> Table:
     """Return the distances in both frames, point by point, and the ratio."""
-    figures = result["frame_repeatability"]
+    found = typed(result["frame_repeatability"], FramesRepeated)
     rows: list[tuple[str, float | None, float | None]] = [
         (f"{station}, point {n + 1}", base_mm, station_mm)
-        for station in figures["base"]
+        for station, in_base_mm in found.base.items()
         for n, (base_mm, station_mm) in enumerate(
-            zip(figures["base"][station], figures["station"][station], strict=True)
+            zip(in_base_mm, found.station[station], strict=True)
         )
     ]
-    low, high = figures["ratio_interval"]
-    rows.append(("rms", figures["rms_mm"]["base"], figures["rms_mm"]["station"]))
-    rows.append((f"ratio {figures['ratio']:.1f} (95 %: {low:.1f} .. {high:.1f})", None, None))
+    low, high = found.ratio_interval
+    rows.append(("rms", found.rms_mm["base"], found.rms_mm["station"]))
+    rows.append((f"ratio {found.ratio:.1f} (95 %: {low:.1f} .. {high:.1f})", None, None))
     return Table(
         [
             Column("moved against the reference", itemgetter(0)),

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
+from hilcell.model.plan import Step
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Step
+from hilcell.run.procedure import Result
 from procedures.durations import homing_s, park_s
 
 
@@ -35,6 +34,6 @@ class Home:
         """Bring the robot to its safe pose and the slide to its reference."""
         session.home_rail()
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return nothing: homing has no figure."""
         return {}

@@ -8,9 +8,7 @@ visit that is missing after a stop is approached in the same way.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
-import msgspec
 import numpy as np
 
 from hilcell.calibration.in_use import calibration_in, calibration_named
@@ -26,6 +24,7 @@ from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected_poses
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
+from hilcell.model.plan import Span, Step
 from hilcell.model.point import PointId
 from hilcell.model.verdicts import ISO, RP_ANGLES
 from hilcell.ports import Array, HilcellError
@@ -33,7 +32,7 @@ from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_path
 from hilcell.run.mover import Straight
-from hilcell.run.procedure import Procedure, Span, Step
+from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
 from procedures.base_frame import BaseFrame
 from procedures.durations import closing, measure_s, robot_moves_s, step
@@ -68,7 +67,7 @@ class BaseOfTest:
         else:
             BaseFrame().perform(session)
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return the base where it was measured."""
         return {} if log.cell.iso9283.calibration else BaseFrame().result(log)
 
@@ -117,9 +116,9 @@ class PoseCycle:
         if (judged := evaluated(session.log).judgement()) is not None:
             session.judge(ISO, judged)
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return the characteristics of every pose and of the distance."""
-        return {ISO: msgspec.to_builtins(evaluated(log))}
+        return {ISO: evaluated(log)}
 
 
 def _check_load(cell: Cell) -> None:
@@ -168,12 +167,12 @@ COLUMNS: tuple[Column[tuple[str, Pose]], ...] = (
 )
 
 
-def pose_table(result: dict[str, Any]) -> Table:
+def pose_table(result: Result) -> Table:
     """Return the characteristics pose by pose."""
     return Table(COLUMNS, typed(result[ISO], PoseTest).poses.items())
 
 
-def pose_words(result: dict[str, Any]) -> str:
+def pose_words(result: Result) -> str:
     """Return the worst poses, the distance, and the departures from the standard."""
     found = typed(result[ISO], PoseTest)
     worst, way = found.worst, found.distance

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from operator import itemgetter
-from typing import Any
+from operator import attrgetter
 
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
+from hilcell.model.plan import Step
+from hilcell.model.results import PaperRow
 from hilcell.ports import HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Part, Procedure, Step
+from hilcell.run.procedure import Part, Procedure, Result
+from hilcell.typed import typed
 from procedures.axis_sweeps import AxisSweeps
 from procedures.base_frame import BaseFrame
 from procedures.fit import Fit
 from procedures.frame_repeatability import FrameRepeatability
 from procedures.home import Home
-from procedures.paper_rows import ROWS, Row, verdict
+from procedures.paper_figures import Experiments
+from procedures.paper_rows import ROWS, Row
 from procedures.rail_survey import RailSurvey
 from procedures.repeatability import Repeatability
 from procedures.robot_grid import RobotGrid
@@ -65,10 +68,15 @@ class PaperRows:
     def perform(self, session: CellSession) -> None:
         """Do nothing: the rows are computed from the journal."""
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return the rows."""
-        found = Procedure("experiments", "", EXPERIMENTS, paper_table).result(log)
+        found = experiments(log)
         return {"rows": [row.judged(log, found) for row in rows_for(log)]}
+
+
+def experiments(log: Log) -> Experiments:
+    """Return the results of all experiments."""
+    return typed(Procedure("experiments", "", EXPERIMENTS, paper_table).result(log), Experiments)
 
 
 def rows_for(log: Log) -> list[Row]:
@@ -76,19 +84,19 @@ def rows_for(log: Log) -> list[Row]:
     return [row for row in ROWS if row.unit != "C" or log.temperatures_c()]
 
 
-def paper_table(result: dict[str, Any]) -> Table:
+def paper_table(result: Result) -> Table:
     """Return the rows for a person to read."""
     return Table(
         [
-            Column("row", itemgetter("row")),
-            Column("paper", itemgetter("paper"), form="g"),
-            Column("here", itemgetter("here"), form=".4g"),
-            Column("chosen", itemgetter("chosen"), form=".4g"),
-            Column("unit", itemgetter("unit")),
-            Column("criterion", itemgetter("criterion")),
-            Column("", verdict),
+            Column("row", attrgetter("row")),
+            Column("paper", attrgetter("paper"), form="g"),
+            Column("here", attrgetter("here"), form=".4g"),
+            Column("chosen", attrgetter("chosen"), form=".4g"),
+            Column("unit", attrgetter("unit")),
+            Column("criterion", attrgetter("criterion")),
+            Column("", attrgetter("verdict")),
         ],
-        result["rows"],
+        typed(result["rows"], list[PaperRow]),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Literal
 
 import numpy as np
 
@@ -18,57 +18,67 @@ from hilcell.geometry.kinematics import forward
 from hilcell.geometry.statistics import lengths_mm, ranks, rms
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.point import Point, PointId, Sent
+from hilcell.model.results import (
+    Calibrated,
+    FramesRepeated,
+    Place,
+    SurveyedRail,
+)
 from hilcell.ports import Array
+from procedures.base_frame import FramedBase
+from procedures.fit import Choice
 from procedures.plan import other_stations
-
-Result = dict[str, Any]
-Figure = Callable[[Log, Result], float]
-
-
-def at(*keys: str) -> Figure:
-    """Return where a figure stands in the result."""
-
-    def here(log: Log, result: Result) -> float:
-        found: Any = result
-        for key in keys:
-            found = found[key]
-        return float(found)
-
-    return here
+from procedures.sign_check import SignErrors
+from procedures.station import StationRepeated
 
 
-def validation(where: str, *keys: str) -> Figure:
-    """Return where a figure of the validation stands; ``where`` is "reference" or "others"."""
+class Experiments(Calibrated, frozen=True, kw_only=True):
+    """The results of all experiments."""
 
-    def here(log: Log, result: Result) -> float:
-        place = log.cell.grid.station if where == "reference" else where
-        return at("validation", place, *keys)(log, result)
+    base: FramedBase
+    rail_survey: SurveyedRail
+    station_repeatability: StationRepeated
+    frame_repeatability: FramesRepeated
+    fit: Choice
+    sign: SignErrors
 
-    return here
+
+Figure = Callable[[Log, Experiments], float]
+Where = Literal["reference", "others"]
 
 
-def reduction(where: str, how: str = Sent.IDW) -> Figure:
+def place(log: Log, result: Experiments, where: Where) -> Place:
+    """Return the validation at the grid's station, or that of all others together."""
+    return result.validation[log.cell.grid.station if where == "reference" else where]
+
+
+def mean(where: Where, how: Sent) -> Figure:
+    """Return the mean error of targets that were sent in one way."""
+    return lambda log, result: place(log, result, where).sent[how].mean
+
+
+def reduction(where: Where, how: Sent = Sent.IDW) -> Figure:
     """Return by which share a correction, the paper's or another, lowers the mean error."""
-    before, after = validation(where, Sent.BEFORE, "mean"), validation(where, how, "mean")
+    before, after = mean(where, Sent.BEFORE), mean(where, how)
     return lambda log, result: share_removed(before(log, result), after(log, result))
 
 
-def cells(log: Log, result: Result) -> float:
+def cells(log: Log, result: Experiments) -> float:
     """Return how many cells the grid has."""
     return float(np.prod(np.array(grid_of(log.cell).shape) - 1))
 
 
-def lowest_temperature(log: Log, result: Result) -> float:
+def lowest_temperature(log: Log, result: Experiments) -> float:
     """Return the lowest temperature of all points."""
     return min(log.temperatures_c())
 
 
-def highest_temperature(log: Log, result: Result) -> float:
+def highest_temperature(log: Log, result: Experiments) -> float:
     """Return the highest temperature of all points."""
     return max(log.temperatures_c())
 
 
-def jacobian_error(log: Log, result: Result) -> float:
+def jacobian_error(log: Log, result: Experiments) -> float:
     """Return how far eqs 1-7 are from central differences at the grid's vertices, relative."""
     arm = log.cell.robot.arm()
     joints_rad = commanded_rad(log.select("grid"))
@@ -91,13 +101,13 @@ def commanded_rad(points: list[Point]) -> Array:
     return np.radians(joints_deg)
 
 
-def similarity_rank(log: Log, result: Result) -> float:
+def similarity_rank(log: Log, result: Experiments) -> float:
     """Return the rank correlation of joint distance and error difference over the vertices."""
     pairs = grid_pairs(log)
     return float(np.corrcoef(ranks(pairs.joint_rad), ranks(pairs.difference_mm))[0, 1])
 
 
-def interpolation_off_mm(log: Log, result: Result) -> float:
+def interpolation_off_mm(log: Log, result: Experiments) -> float:
     """Return how far the commands sent are from eqs 9-10 as they stand in the paper (mm).
 
     P_cmd = P - e(P_cmd) in two steps, where e is worked out here from the 8 vertices within a
@@ -125,7 +135,7 @@ def by_eqs_9_10(grid: Grid, errors_mm: Array, points_mm: Array) -> Array:
     return np.array(found)
 
 
-def transfer(log: Log, result: Result) -> tuple[float, float]:
+def transfer(log: Log, result: Experiments) -> tuple[float, float]:
     """Return eq 13 by base frames against eq 17 by station frames, and its u, at the cube (mm).
 
     At the station where the 3-D difference is the largest for its u (1 sigma, root of the trace).
@@ -144,7 +154,7 @@ def transfer(log: Log, result: Result) -> tuple[float, float]:
         u_mm = np.sqrt(
             reference_mm2
             + _point_variance_mm2(by_bases, covariance, centre_mm)
-            + result["stations"][station.name]["tool_uncertainty_mm"] ** 2
+            + result.stations[station.name].tool_uncertainty_mm ** 2
         )
         found.append((float(np.linalg.norm(off_mm)), float(u_mm)))
     return max(found, key=lambda each: each[0] / each[1])
@@ -156,7 +166,7 @@ def _point_variance_mm2(T: Array, covariance: Array, point_mm: Array) -> float:
     return float(np.trace(J @ covariance @ J.T))
 
 
-def nests_moved_mm(log: Log, result: Result) -> float:
+def nests_moved_mm(log: Log, result: Experiments) -> float:
     """Return how far fixed floor nests were found from their first places: 3-D, rms."""
     again = log.select("control")
     first = [log.point(PointId("world", nest=point.id.nest)) for point in again]

@@ -23,10 +23,10 @@ from hilcell.geometry.statistics import chi2_quantile, f_quantile, ranks, rms, v
 from hilcell.journal.log import Log
 from hilcell.model.point import Sent
 from hilcell.ports import Array
-from procedures.paper_figures import Result, transfer, validation
+from procedures.paper_figures import Experiments, Where, mean, place, transfer
 from procedures.plan import other_stations
 from procedures.rail_survey import BACK, FORTH
-from procedures.repeatability import VISITS, distances_mm, places_mm
+from procedures.repeatability import VISITS, distances_mm, floor, places_mm
 from procedures.station_frames import (
     slide_in_world_mm,
     slide_noise_mm2,
@@ -101,7 +101,7 @@ def _reached(cell: Cell, points_mm: Array) -> NDArray[np.bool_]:
 
 
 Limits = tuple[float, float]
-Limit = Callable[[Log, Result], Limits]
+Limit = Callable[[Log, Experiments], Limits]
 INFINITE = float("inf")
 K = 2.0  # coverage factor, about 95 % (GUM 6.3.3)
 SURE = 0.999  # a correct run crosses a statistical limit once in a thousand
@@ -121,13 +121,13 @@ def between(low: float, high: float) -> Limit:
     return lambda log, result: (low, high)
 
 
-def by_every_set(log: Log, result: Result) -> Limits:
+def by_every_set(log: Log, result: Experiments) -> Limits:
     """Return the fewest stations, found by trying every set of them."""
     fewest = stations_needed(log.cell)
     return fewest, fewest
 
 
-def beyond_chance(log: Log, result: Result) -> Limits:
+def beyond_chance(log: Log, result: Experiments) -> Limits:
     """Return the rank correlation of which errors dealt to other vertices stay below.
 
     Mantel's test: pairs of vertices are not independent, so whole vertices are exchanged.
@@ -144,35 +144,34 @@ def beyond_chance(log: Log, result: Result) -> Limits:
     return float(np.quantile(by_chance, SURE)), INFINITE
 
 
-def plain_range(log: Log, result: Result) -> Limits:
+def plain_range(log: Log, result: Experiments) -> Limits:
     """Return the range of approaches from both sides: the survey's backlash and two landings.
 
     The backlash at the station may differ from the survey's mean as that does from stop to stop.
     """
-    backlash = result["rail_survey"]["backlash_mm"]
-    curve = result["rail_survey"]["curve"]
+    backlash, curve = result.rail_survey.backlash_mm, result.rail_survey.curve
     lost_mm = np.array(curve[BACK])[1:-1, 1] - np.array(curve[FORTH])[1:-1, 1]
     varies_mm = 3 * float(lost_mm.std(ddof=1))
-    landing_mm = result["station_repeatability"]["one_side"]["plain"]["range_mm"]
-    return backlash["value"] - varies_mm, backlash["value"] + varies_mm + 2 * landing_mm
+    landing_mm = result.station_repeatability.one_side.plain.range_mm
+    return backlash.value - varies_mm, backlash.value + varies_mm + 2 * landing_mm
 
 
-def sign_residual(log: Log, result: Result) -> Limits:
+def sign_residual(log: Log, result: Experiments) -> Limits:
     """Return the worst error after a right correction, over the error before.
 
     The largest residual of cross-validation, and the robot's repeatability (95 %).
     """
-    left_mm = result["fit"]["loocv"][result["method"]]["max"]
-    visit_mm = validation("reference", "floor", "p95")(log, result)
-    return -INFINITE, (left_mm + visit_mm) / result["sign"]["before_mm"]
+    left_mm = result.fit.loocv[result.method]["max"]
+    visit_mm = floor(log).p95
+    return -INFINITE, (left_mm + visit_mm) / result.sign.before_mm
 
 
-def transfer_expanded(log: Log, result: Result) -> Limits:
+def transfer_expanded(log: Log, result: Experiments) -> Limits:
     """Return the expanded uncertainty of the difference of eqs 13 and 17."""
     return -INFINITE, K * transfer(log, result)[1]
 
 
-def circle_residual(log: Log, result: Result) -> Limits:
+def circle_residual(log: Log, result: Experiments) -> Limits:
     """Return the rms residual of a circle that the robot's repeatability explains.
 
     Repeatability is that of the visits to the cube; a circle's residual has two coordinates.
@@ -184,7 +183,7 @@ def circle_residual(log: Log, result: Result) -> Limits:
     return -INFINITE, float(np.sqrt(2 * variance_mm2 * spread))
 
 
-def rigid_slide(log: Log, result: Result) -> Limits:
+def rigid_slide(log: Log, result: Experiments) -> Limits:
     """Return the tool point's uncertainty if the slide is rigid and its nests stay in place.
 
     That of the readings' noise alone, widened by the effect of chance on the fit's residuals.
@@ -203,67 +202,65 @@ def rigid_slide(log: Log, result: Result) -> Limits:
     return -INFINITE, widened * max(by_noise_mm)
 
 
-def better_at_all(log: Log, result: Result) -> Limits:
+def better_at_all(log: Log, result: Experiments) -> Limits:
     """Return the ratio from which its 95 % interval lies above 1.
 
     The paper's 4 is one draw of the same wide distribution: it compares few frames.
     """
-    figures = result["frame_repeatability"]
-    return figures["ratio"] / figures["ratio_interval"][0], INFINITE
+    found = result.frame_repeatability
+    return found.ratio / found.ratio_interval[0], INFINITE
 
 
-def as_cross_validated(log: Log, result: Result) -> Limits:
+def as_cross_validated(log: Log, result: Experiments) -> Limits:
     """Return the mean that cross-validation says, with three standard errors of both means.
 
     It is taken at twice the pitch, so the grid itself leaves less.
     """
     norms_mm = errors_of(log, targets(log, log.cell.grid.station, Sent.IDW)).norms_mm
     share = 3 * np.sqrt(2 * variance_of_mean(norms_mm)) / norms_mm.mean()
-    return -INFINITE, (1 + share) * result["fit"]["loocv"][Idw.name]["mean"]
+    return -INFINITE, (1 + share) * result.fit.loocv[Idw.name]["mean"]
 
 
-def transferred(log: Log, result: Result) -> Limits:
+def transferred(log: Log, result: Experiments) -> Limits:
     """Return the mean at the grid's station and, in squares, the paper's cost of the transfer."""
-    here_mm = validation("reference", Sent.IDW, "mean")(log, result)
+    here_mm = mean("reference", Sent.IDW)(log, result)
     return -INFINITE, float(np.sqrt(here_mm**2 + PAPER_OTHERS_MM**2 - PAPER_REFERENCE_MM**2))
 
 
-def same_robot(log: Log, result: Result) -> Limits:
+def same_robot(log: Log, result: Experiments) -> Limits:
     """Return the mean at the grid's station +- three standard errors of the difference.
 
     It is the same robot: nominal targets carried by the stations' frames see the same errors.
     """
     reference = log.cell.grid.station
     others = [station.name for station in other_stations(log.cell)]
-    tools_mm = [result["stations"][name]["tool_uncertainty_mm"] for name in others]
+    tools_mm = [result.stations[name].tool_uncertainty_mm for name in others]
     variance_mm2 = max(tools_mm) ** 2
     for names in ([reference], others):
         points = [p for name in names for p in targets(log, name, Sent.BEFORE)]
         variance_mm2 += variance_of_mean(errors_of(log, points).norms_mm)
-    mean_mm = validation("reference", Sent.BEFORE, "mean")(log, result)
+    mean_mm = mean("reference", Sent.BEFORE)(log, result)
     return mean_mm - 3 * np.sqrt(variance_mm2), mean_mm + 3 * np.sqrt(variance_mm2)
 
 
-def largest_of_many(log: Log, result: Result) -> Limits:
+def largest_of_many(log: Log, result: Experiments) -> Limits:
     """Return the paper's 0.3, or the size that the largest of so many errors has by chance.
 
     For normal errors in 3-D their norms follow Maxwell's law: the largest of 135 stays below 3.3
     times their mean in all runs but one in a thousand, and below 2.2 times in every second run.
     """
-    count = validation("reference", "points")(log, result)
-    mean_mm = validation("reference", Sent.IDW, "mean")(log, result)
-    mean = np.sqrt(8.0 / np.pi)  # of Maxwell's law with unit standard deviation
-    largest = float(np.sqrt(chi2_quantile(SURE ** (1 / count), 3)) / mean)
+    count = place(log, result, "reference").points
+    mean_mm = mean("reference", Sent.IDW)(log, result)
+    of_all = np.sqrt(8.0 / np.pi)  # mean of Maxwell's law with unit standard deviation
+    largest = float(np.sqrt(chi2_quantile(SURE ** (1 / count), 3)) / of_all)
     return -INFINITE, max(PAPER_LARGEST_MM, largest * mean_mm)
 
 
-def reduced(where: str) -> Limit:
+def reduced(where: Where) -> Limit:
     """Return the paper's "about 85 %", up to the share that the robot's repeatability allows."""
 
-    def limits(log: Log, result: Result) -> Limits:
-        floor_mm = validation(where, "floor", "mean")(log, result)
-        return 0.85, 1.0 - FLOOR_SHARE * floor_mm / validation(where, Sent.BEFORE, "mean")(
-            log, result
-        )
+    def limits(log: Log, result: Experiments) -> Limits:
+        before_mm = mean(where, Sent.BEFORE)(log, result)
+        return 0.85, 1.0 - FLOOR_SHARE * floor(log).mean / before_mm
 
     return limits

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from operator import itemgetter
-from typing import Any
 
 import numpy as np
 
@@ -12,13 +11,16 @@ from hilcell.geometry.frames import apply, rigid_fit, unit
 from hilcell.geometry.rotations import to_rotvec
 from hilcell.geometry.statistics import slope, variance_of_mean
 from hilcell.journal.log import Log, positions_mm
+from hilcell.model.plan import Span, Step
 from hilcell.model.point import PointId
+from hilcell.model.results import SurveyedRail, WithU
 from hilcell.model.verdicts import Backlash
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Span, Step
+from hilcell.run.procedure import Result
 from hilcell.run.prompts import FLANGE
+from hilcell.typed import typed
 from procedures.durations import closing, measure_s, rail_move_s, step
 
 FORTH, BACK = "forth", "back"
@@ -53,9 +55,9 @@ class RailSurvey:
         session.close_step()
         if "backlash" in session.log.verdicts:
             return
-        found = survey_figures(session.log)["backlash_mm"]
-        found_mm, limit_mm = abs(found["value"]), session.cell.rail.max_backlash_mm
-        holds = found_mm - COVERAGE * found["u"] <= limit_mm
+        found = surveyed(session.log).backlash_mm
+        found_mm, limit_mm = abs(found.value), session.cell.rail.max_backlash_mm
+        holds = found_mm - COVERAGE * found.u <= limit_mm
         session.judge("backlash", Backlash(holds=holds, found_mm=found_mm, limit_mm=limit_mm))
 
     def _stop(self, session: CellSession, way: str, number: int, position_mm: float) -> None:
@@ -67,9 +69,9 @@ class RailSurvey:
         for id in ids:
             session.slide_now(id, id.nest)
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return the survey's figures."""
-        return {"rail_survey": survey_figures(log)}
+        return {"rail_survey": surveyed(log)}
 
 
 def steps_mm(cell: Cell) -> Array:
@@ -79,7 +81,7 @@ def steps_mm(cell: Cell) -> Array:
     return np.linspace(table.from_mm, table.to_mm, count)
 
 
-def survey_figures(log: Log) -> dict[str, Any]:
+def surveyed(log: Log) -> SurveyedRail:
     """Return error curves, backlash, scale, straightness and angles, with uncertainties k = 1."""
     nominal_mm = steps_mm(log.cell)
     forth_mm = path_mm(log, FORTH, FLANGE)
@@ -91,20 +93,17 @@ def survey_figures(log: Log) -> dict[str, Any]:
     # At both ends the slide was not reached from its way's side.
     lost_mm = (error_back - error_forth)[1:-1]
     scale, u_scale = slope(nominal_mm, error_forth)
-    return {
-        "curve": {
+    return SurveyedRail(
+        curve={
             FORTH: np.column_stack([nominal_mm, error_forth]).tolist(),
             BACK: np.column_stack([nominal_mm, error_back]).tolist(),
         },
-        "max_error_mm": float(np.abs([error_forth, error_back]).max()),
-        "backlash_mm": {
-            "value": float(lost_mm.mean()),
-            "u": float(np.sqrt(variance_of_mean(lost_mm))),
-        },
-        "scale_ppm": {"value": scale * 1e6, "u": u_scale * 1e6},
-        "straightness_mm": straightness_mm(forth_mm, along),
-        "angles_mrad": angles_mrad(log, along),
-    }
+        max_error_mm=float(np.abs([error_forth, error_back]).max()),
+        backlash_mm=WithU(value=float(lost_mm.mean()), u=float(np.sqrt(variance_of_mean(lost_mm)))),
+        scale_ppm=WithU(value=scale * 1e6, u=u_scale * 1e6),
+        straightness_mm=straightness_mm(forth_mm, along),
+        angles_mrad=angles_mrad(log, along),
+    )
 
 
 def path_mm(log: Log, way: str, name: str) -> Array:
@@ -151,18 +150,18 @@ def turn_rad(before_mm: Array, after_mm: Array) -> Array:
     return to_rotvec(rigid_fit(before_mm, after_mm).T[:3, :3])
 
 
-def survey_table(result: dict[str, Any]) -> Table:
+def survey_table(result: Result) -> Table:
     """Return the survey's figures for a person to read."""
-    survey = result["rail_survey"]
-    backlash, scale = survey["backlash_mm"], survey["scale_ppm"]
+    survey = typed(result["rail_survey"], SurveyedRail)
+    backlash, scale = survey.backlash_mm, survey.scale_ppm
     rows: list[tuple[str, float, float | None, str]] = [
-        ("largest error", survey["max_error_mm"], None, "mm"),
-        ("backlash", backlash["value"], backlash["u"], "mm"),
-        ("scale", scale["value"], scale["u"], "ppm"),
+        ("largest error", survey.max_error_mm, None, "mm"),
+        ("backlash", backlash.value, backlash.u, "mm"),
+        ("scale", scale.value, scale.u, "ppm"),
     ]
-    for name, value in survey["straightness_mm"].items():
+    for name, value in survey.straightness_mm.items():
         rows.append((f"straightness, {name}", value, None, "mm"))
-    for name, turns in survey["angles_mrad"].items():
+    for name, turns in survey.angles_mrad.items():
         rows.append((f"{name}, peak to peak", float(np.ptp(turns)), None, "mrad"))
     return Table(
         [

@@ -7,9 +7,6 @@ correction at its own station.
 
 from __future__ import annotations
 
-from typing import Any
-
-import msgspec
 import numpy as np
 
 from hilcell.calibration.file import ORIENTATION_TOLERANCE_DEG
@@ -29,13 +26,14 @@ from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
 from hilcell.model.events import CalibrationUsed, OutlierMeasuredAgain
 from hilcell.model.frame import Frame
+from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.model.verdicts import Rechecked
 from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
-from hilcell.run.procedure import Procedure, Step
+from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
 from procedures.durations import closing, flange_points, step
 from procedures.home import Home
@@ -99,9 +97,9 @@ class Recheck:
             ),
         )
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return the judgement and its figures."""
-        return {KIND: msgspec.to_builtins(recheck_result(log))}
+        return {KIND: recheck_result(log)}
 
 
 def use(session: CellSession, table: str) -> Calibration:
@@ -171,12 +169,12 @@ COLUMNS: tuple[Column[CheckedPose], ...] = (
 )
 
 
-def recheck_table(result: dict[str, Any]) -> Table:
+def recheck_table(result: Result) -> Table:
     """Return every pose's error beside the predicted one, and the verdict."""
     return Table(COLUMNS, typed(result[KIND], RecheckResult).poses)
 
 
-def recheck_words(result: dict[str, Any]) -> str:
+def recheck_words(result: Result) -> str:
     """Return the verdict in words."""
     return typed(result[KIND], RecheckResult).text
 

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from operator import itemgetter
-from typing import Any
+from operator import attrgetter
 
 import msgspec
 
 from hilcell.calibration.instrument import compared_reflectors
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
+from hilcell.model.plan import Step
 from hilcell.model.point import REFLECTOR, PointId
-from hilcell.model.verdicts import ReflectorsCompared
+from hilcell.model.verdicts import ReflectorsCompared, ReflectorSeen
 from hilcell.ports import HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Procedure, Step
+from hilcell.run.procedure import Procedure, Result
 from hilcell.run.prompts import FLANGE
+from hilcell.typed import typed
 from procedures.durations import closing, readings, step
 from procedures.home import Home
 from procedures.world_frame import WorldFrame
@@ -57,7 +58,7 @@ class Reflectors:
             judged = ReflectorsCompared(holds=not wrong, reflectors=found, wrong=wrong)
             session.judge(VERDICT, judged)
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return each reflector against the others."""
         rows = [
             msgspec.to_builtins(each) | {"holds": each.holds} for each in compared_reflectors(log)
@@ -71,17 +72,17 @@ def places_of(cell: Cell) -> list[str]:
     return [*(nest.name for nest in cell.layout.standing), FLANGE, *seats]
 
 
-def reflector_table(result: dict[str, Any]) -> Table:
+def reflector_table(result: Result) -> Table:
     """Return the reflectors for a person to read."""
     return Table(
         [
-            Column("reflector of", itemgetter("place")),
-            Column("along the beam", itemgetter("along_mm"), "mm", "+.4f"),
-            Column("across", itemgetter("across_mm"), "mm", ".4f"),
-            Column("limit", itemgetter("limit_mm"), "mm", ".4f"),
-            Column("", lambda row: "" if row["holds"] else "differs"),
+            Column("reflector of", attrgetter("place")),
+            Column("along the beam", attrgetter("along_mm"), "mm", "+.4f"),
+            Column("across", attrgetter("across_mm"), "mm", ".4f"),
+            Column("limit", attrgetter("limit_mm"), "mm", ".4f"),
+            Column("", lambda row: "" if row.holds else "differs"),
         ],
-        result["reflectors"],
+        typed(result["reflectors"], list[ReflectorSeen]),
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -15,10 +14,12 @@ from hilcell.geometry.statistics import (
     rms,
 )
 from hilcell.journal.log import Log, positions_mm, variances_mm2
+from hilcell.model.plan import Step
 from hilcell.model.point import Point, PointId
+from hilcell.model.results import Floor, Repeated
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Step
+from hilcell.run.procedure import Result
 from procedures.durations import closing, flange_points, step
 from procedures.plan import check_targets, joints_for, poses_at
 
@@ -53,15 +54,10 @@ class Repeatability:
                 session.flange_point(id, station, target)
         session.close_step()
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return RP of ISO 9283 as measured and of the robot alone, and the floor."""
-        return {
-            "repeatability": {
-                "rp_mm": rp_mm(log),
-                "rp_robot_mm": rp_robot_mm(log),
-                "floor_mm": floor(log)["mean"],
-            }
-        }
+        found = Repeated(rp_mm=rp_mm(log), rp_robot_mm=rp_robot_mm(log), floor_mm=floor(log).mean)
+        return {"repeatability": found}
 
 
 def visits_of(cell: Cell) -> int:
@@ -112,7 +108,7 @@ def rp_robot_mm(log: Log) -> float:
     return rp_mm(log) * math.sqrt(max(0.0, share))
 
 
-def floor(log: Log) -> dict[str, float]:
+def floor(log: Log) -> Floor:
     """Return mean and p95 of a perfect map's errors: one visit's distance from the mean."""
     figures = figures_of(distances_mm(log))
-    return {"mean": figures.mean, "p95": figures.p95}
+    return Floor(mean=figures.mean, p95=figures.p95)

@@ -8,7 +8,7 @@ above as well, which shows the joints' lost motion.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -28,12 +28,13 @@ from hilcell.cell.file import Cell
 from hilcell.geometry.frames import apply
 from hilcell.journal.log import Log
 from hilcell.model.events import VisitedOnceMore
+from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.model.suspicion import suspected_in
 from hilcell.model.verdicts import Revisited
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Step
+from hilcell.run.procedure import Result
 from procedures.base_frame import points_on_arc, sweep
 from procedures.durations import closing, flange_points, leg, step
 from procedures.plan import joints_for, other_stations
@@ -117,14 +118,14 @@ class Revisits:
         elif found.suspicion is not None:
             session.pause(f"re-visited poses have moved: {found.suspicion.text}")
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return the lost motion, after the grid; at the end all that is suspected in the run."""
         if self._kind == CLOSING:
-            return {"suspicions": [msgspec.to_builtins(each) for each in suspicions_of(log)]}
+            return {"suspicions": suspicions_of(log)}
         turned = reversal(log)
         if turned is None:
             return {}
-        figures = msgspec.to_builtins(turned.verdict)
+        figures: dict[str, object] = msgspec.to_builtins(turned.verdict)
         del figures["holds"]
         return {"reversal": figures}
 
@@ -171,7 +172,7 @@ def _on_circles(cell: Cell) -> list[Visit]:
     return [Visit(PointId(REVISIT, axis=axis, number=n), sweeps[axis][n]) for axis, n in ends]
 
 
-def suspicion_words(result: dict[str, Any]) -> str:
+def suspicion_words(result: Result) -> str:
     """Return what is suspected, in words."""
     found = suspected_in(result)
     return "\n".join(f"Suspected: {each.text}. {each.cause.advice}" for each in found)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -14,10 +13,11 @@ from hilcell.geometry.frames import apply, matrix
 from hilcell.geometry.rotations import to_rotvec
 from hilcell.journal.log import Log
 from hilcell.model.events import OutlierMeasuredAgain
+from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.ports import Array, HilcellError
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Step
+from hilcell.run.procedure import Result
 from procedures.durations import closing, flange_count, flange_points, step
 from procedures.plan import (
     angles_deg,
@@ -101,7 +101,7 @@ class RobotGrid:
                 session.add(OutlierMeasuredAgain(key=id.at_seat(seat).key))
         return doubtful
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return nothing of its own: the errors are judged by fit and validation."""
         return {}
 

@@ -8,8 +8,7 @@ target comes closer.
 from __future__ import annotations
 
 from itertools import product
-from operator import itemgetter
-from typing import Any
+from operator import attrgetter
 
 import numpy as np
 
@@ -23,18 +22,29 @@ from hilcell.geometry.frames import apply
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.journal.log import Log
 from hilcell.journal.reading_noise import noise_at, run_noise
+from hilcell.model.plan import Step
 from hilcell.model.point import PointId, Sent
+from hilcell.model.results import ActResult
 from hilcell.model.verdicts import SignChecked
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Step
+from hilcell.run.procedure import Result
+from hilcell.typed import typed
 from procedures.durations import closing, flange_points, leg, step
 from procedures.plan import check_targets, joints_for, other_stations, poses_at
 
 CLEARLY = 0.5  # the corrected error over the one before; the wrong sign gives about 2
 SIGMAS, MOST = 2.0, 1.0  # of the readings' noise beyond that; no further than the middle of 0 and 2
 IDS = {how: PointId("sign", how=how) for how in (Sent.BEFORE, "corrected")}
+
+
+class SignErrors(ActResult, frozen=True, kw_only=True):
+    """The errors of the target before and corrected, and their ratio."""
+
+    before_mm: float
+    corrected_mm: float
+    ratio: float
 
 
 class SignCheck:
@@ -69,22 +79,33 @@ class SignCheck:
             joints = joints_for(session.cell, command)[0]
             session.flange_point(IDS[how], station, joints, nominal_mm=nominal_mm)
         session.close_step()
-        figures = self.result(session.log)["sign"]
-        limit = clearly(session.log, figures["before_mm"])
-        holds = figures["ratio"] < limit
-        session.judge("sign", SignChecked(holds=holds, limit=limit, **figures))
+        found = sign_errors(session.log)
+        limit = clearly(session.log, found.before_mm)
+        judged = SignChecked(
+            holds=found.ratio < limit,
+            limit=limit,
+            before_mm=found.before_mm,
+            corrected_mm=found.corrected_mm,
+            ratio=found.ratio,
+        )
+        session.judge("sign", judged)
 
     def command(self, log: Log, target_mm: Array) -> Array:
         """Return the command (1, 3) in {B} for the target (1, 3), as `compensate` does."""
         model = MODELS[log.method].learn(measured_of(log))
         return corrected(grid_of(log.cell), poses_at(log.cell, target_mm), model)
 
-    def result(self, log: Log) -> dict[str, Any]:
-        """Return the errors of the target before and corrected, and their ratio."""
-        points = [log.point(id) for id in IDS.values()]
-        before_mm, corrected_mm = errors_of(log, points).norms_mm.tolist()
-        ratio = corrected_mm / before_mm
-        return {"sign": {"before_mm": before_mm, "corrected_mm": corrected_mm, "ratio": ratio}}
+    def result(self, log: Log) -> Result:
+        """Return both errors of the target."""
+        return {"sign": sign_errors(log)}
+
+
+def sign_errors(log: Log) -> SignErrors:
+    """Return the errors of the target as sent and corrected."""
+    points = [log.point(id) for id in IDS.values()]
+    before_mm, corrected_mm = errors_of(log, points).norms_mm.tolist()
+    ratio = corrected_mm / before_mm
+    return SignErrors(before_mm=before_mm, corrected_mm=corrected_mm, ratio=ratio)
 
 
 def clearly(log: Log, before_mm: float) -> float:
@@ -109,13 +130,13 @@ def middle_mm(grid: Grid, cells: Array) -> Array:
     return grid.origin_mm + grid.pitch_mm * (cells + 0.5)
 
 
-def sign_table(result: dict[str, Any]) -> Table:
+def sign_table(result: Result) -> Table:
     """Return the target's error before and corrected."""
     return Table(
         [
-            Column("before", itemgetter("before_mm"), "mm", ".4f"),
-            Column("corrected", itemgetter("corrected_mm"), "mm", ".4f"),
-            Column("ratio", itemgetter("ratio"), form=".4f"),
+            Column("before", attrgetter("before_mm"), "mm", ".4f"),
+            Column("corrected", attrgetter("corrected_mm"), "mm", ".4f"),
+            Column("ratio", attrgetter("ratio"), form=".4f"),
         ],
-        [result["sign"]],
+        [typed(result["sign"], SignErrors)],
     )

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from operator import itemgetter
-from typing import Any
 
 import numpy as np
 
 from hilcell.cell.file import Cell
 from hilcell.geometry.statistics import from_mean_mm, repeatability_mm
 from hilcell.journal.log import Log, positions_mm
+from hilcell.model.plan import Span, Step
 from hilcell.model.point import PointId
+from hilcell.model.results import ActResult
 from hilcell.model.verdicts import StripRepeats
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Span, Step
+from hilcell.run.procedure import Result
+from hilcell.typed import typed
 from procedures.durations import approach_s, closing, first_hold, measure_s, rail_move_s, step
 
 APPROACH_MM = 150.0
@@ -43,9 +45,33 @@ class HoldStation:
             session.hold_station(session.cell.station_named(session.cell.grid.station))
             session.reach("hold_station")
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return nothing: the station's figures come with its frame."""
         return {}
+
+
+class Approaches(ActResult, frozen=True, kw_only=True):
+    """Range along the rail, RP of ISO 9283, and the mean from above less that from below, mm."""
+
+    range_mm: float
+    rp_mm: float
+    backlash_mm: float | None = None
+
+
+class OneSide(ActResult, frozen=True, kw_only=True):
+    """Approaches from below, by the drive alone and by the strip."""
+
+    plain: Approaches
+    strip: Approaches
+
+
+class StationRepeated(ActResult, frozen=True, kw_only=True):
+    """Approaches from random sides, ``repeats`` of each kind, and from one side."""
+
+    repeats: int
+    plain: Approaches
+    strip: Approaches
+    one_side: OneSide
 
 
 class StationRepeatability:
@@ -81,8 +107,8 @@ class StationRepeatability:
                 for number, side in enumerate(sides):
                     self._visit(session, how, way, number, side)
         session.close_step()
-        result = self.result(session.log)["station_repeatability"]
-        found_mm, limit_mm = result["strip"]["range_mm"], STRIP_LIMIT_MM
+        found_mm = approaches(session.log, "strip", "random").range_mm
+        limit_mm = STRIP_LIMIT_MM
         holds = found_mm <= limit_mm
         judged = StripRepeats(holds=holds, found_mm=found_mm, limit_mm=limit_mm)
         session.judge("station-repeatability", judged)
@@ -99,15 +125,18 @@ class StationRepeatability:
             session.rail_to(station.rail_mm)
         session.slide_now(id, session.cell.layout.slide[0].name)
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return range, ISO 9283 RP and the effect of the side, along the rail."""
-        return {
-            "station_repeatability": {
-                "repeats": log.cell.survey.repeats,
-                **{how: approach_figures(log, how, "random") for how in HOWS},
-                "one_side": {how: approach_figures(log, how, "one_side") for how in HOWS},
-            }
-        }
+        found = StationRepeated(
+            repeats=log.cell.survey.repeats,
+            plain=approaches(log, "plain", "random"),
+            strip=approaches(log, "strip", "random"),
+            one_side=OneSide(
+                plain=approaches(log, "plain", "one_side"),
+                strip=approaches(log, "strip", "one_side"),
+            ),
+        )
+        return {"station_repeatability": found}
 
 
 def random_sides(seed: int, repeats: int) -> list[int]:
@@ -116,19 +145,18 @@ def random_sides(seed: int, repeats: int) -> list[int]:
     return [int(side) for side in np.random.default_rng([seed, 9283]).permutation(sides)]
 
 
-def approach_figures(log: Log, how: str, way: str) -> dict[str, float]:
-    """Return range along the rail, RP of ISO 9283, and the mean from above less that from below."""
+def approaches(log: Log, how: str, way: str) -> Approaches:
+    """Return the figures of one kind of approach."""
     points = log.select("repeat", how=how, way=way)
     points_mm = positions_mm(points)
     along_mm = along_rail(log, points_mm)
-    figures = {
-        "range_mm": float(np.ptp(along_mm)),
-        "rp_mm": repeatability_mm(from_mean_mm(points_mm)),
-    }
     above = np.array([point.id.side > 0 for point in points])
-    if above.any():
-        figures["backlash_mm"] = float(along_mm[above].mean() - along_mm[~above].mean())
-    return figures
+    lost_mm = float(along_mm[above].mean() - along_mm[~above].mean()) if above.any() else None
+    return Approaches(
+        range_mm=float(np.ptp(along_mm)),
+        rp_mm=repeatability_mm(from_mean_mm(points_mm)),
+        backlash_mm=lost_mm,
+    )
 
 
 def along_rail(log: Log, points_mm: Array) -> Array:
@@ -138,20 +166,22 @@ def along_rail(log: Log, points_mm: Array) -> Array:
     return along
 
 
-def approach_table(result: dict[str, Any]) -> Table:
+def approach_table(result: Result) -> Table:
     """Return range, RP and backlash of the slide without and with the strip."""
-    figures = result["station_repeatability"]
+    found = typed(result["station_repeatability"], StationRepeated)
+    below, random = "from below", "from random sides"
     rows = [
-        (f"{how}, {'from below' if way == 'one_side' else 'from random sides'}", each)
-        for how in HOWS
-        for way, each in (("one_side", figures["one_side"][how]), ("random", figures[how]))
+        (f"plain, {below}", found.one_side.plain),
+        (f"plain, {random}", found.plain),
+        (f"strip, {below}", found.one_side.strip),
+        (f"strip, {random}", found.strip),
     ]
     return Table(
         [
             Column("approach", itemgetter(0)),
-            Column("range", lambda row: row[1].get("range_mm"), "mm", ".4f"),
-            Column("RP", lambda row: row[1].get("rp_mm"), "mm", ".4f"),
-            Column("backlash", lambda row: row[1].get("backlash_mm"), "mm", ".4f"),
+            Column("range", lambda row: row[1].range_mm, "mm", ".4f"),
+            Column("RP", lambda row: row[1].rp_mm, "mm", ".4f"),
+            Column("backlash", lambda row: row[1].backlash_mm, "mm", ".4f"),
         ],
         rows,
     )

@@ -9,7 +9,6 @@ noise that all readings of the run show: the spread of a few readings says littl
 from __future__ import annotations
 
 from itertools import product
-from typing import Any
 
 import numpy as np
 
@@ -27,10 +26,13 @@ from hilcell.geometry.statistics import coverage_factor
 from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.reading_noise import noise_at, run_noise
 from hilcell.model.frame import Frame, MeasuredStation
+from hilcell.model.plan import Span, Step
 from hilcell.model.point import Point, PointId
+from hilcell.model.results import FramedStation
 from hilcell.ports import Array, DeviceError
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Span, Step
+from hilcell.run.procedure import Result
+from hilcell.typed import typed
 from procedures.durations import closing, leg, park_s, readings, step
 from procedures.plan import check_range, other_stations
 
@@ -82,22 +84,13 @@ class StationFrames:
         later = self._validated and cell.plan.quick
         return [reference] if later else [reference, *other_stations(cell)]
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return frame, strip reading and predicted tool-point uncertainty per station."""
-        frames = {
-            station.name: log.frame(MeasuredStation, f"station.{station.name}")
-            for station in log.cell.station
-        }
+        names = [station.name for station in log.cell.station]
+        frames = {name: log.frame(MeasuredStation, f"station.{name}") for name in names}
         return {
             "stations": {
-                name: {
-                    "strip_mm": frame.strip_mm,
-                    "T_W_S": frame.matrix,
-                    "rms_mm": frame.rms_mm,
-                    "tool_uncertainty_mm": frame.tool_uncertainty_mm,
-                    "cube_uncertainty_mm": frame.cube_uncertainty_mm,
-                    "left_out": frame.left_out,
-                }
+                name: typed(frame, FramedStation, from_attributes=True)
                 for name, frame in frames.items()
             }
         }

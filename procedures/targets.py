@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -28,12 +27,13 @@ from hilcell.geometry.closed_form import ReachError
 from hilcell.geometry.frames import inverse, poses_from_zyx
 from hilcell.journal.log import Log
 from hilcell.model.events import OutlierMeasuredAgain, TargetsListed
+from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.ports import Array, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
-from hilcell.run.procedure import Procedure, Step
+from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
 from procedures.durations import closing, first_hold, flange_points, step
 from procedures.home import Home
@@ -95,7 +95,7 @@ class TargetPass:
                     nominal_mm=values[n, :3], retake=True,
                 )  # fmt: skip
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return errors as found, and how far they are folded in."""
         found = targets_result(log)
         return {KIND: msgspec.to_builtins(found) | {"text": found.text}}
@@ -143,13 +143,13 @@ COLUMNS: tuple[Column[TargetError], ...] = (
 )
 
 
-def targets_table(result: dict[str, Any]) -> Table:
+def targets_table(result: Result) -> Table:
     """Return the worst targets' errors as found."""
     found = typed(result[KIND], TargetsResult).targets
     return Table(COLUMNS, sorted(found, key=lambda each: -each.error_mm)[:ROWS])
 
 
-def targets_words(result: dict[str, Any]) -> str:
+def targets_words(result: Result) -> str:
     """Return the result in words."""
     return typed(result[KIND], TargetsResult).text
 

@@ -7,7 +7,6 @@ the base that they find; the targets' places in {W} stay where they were defined
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -27,16 +26,34 @@ from hilcell.geometry.frame_update import FrameUpdate
 from hilcell.geometry.frames import apply, cross_matrix
 from hilcell.geometry.rotations import to_rotvec
 from hilcell.journal.log import Log
+from hilcell.model.events import Three
 from hilcell.model.frame import TouchedBase
+from hilcell.model.plan import Span
+from hilcell.model.results import ActResult
 from hilcell.model.suspicion import Suspicion
 from hilcell.ports import DeviceError
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Span
+from hilcell.typed import typed
 from procedures.durations import flange_points
 from procedures.plan import check_targets, joints_for, poses_at
 
 MOST_PULL, MOST_MISFIT = 6.0, 5.0  # sigmas: beyond, no chance explains it
 MOST_LATER = 3.5  # in a later run, which no re-visits close; 80 undisturbed ones pull <= 2.3
+
+
+class TouchFound(ActResult, frozen=True, kw_only=True):
+    """The touch poses of a station's last visit, as in `TouchedBase`."""
+
+    poses: int
+    shift_mm: Three
+    along_rail_mm: float
+    turn_urad: Three
+    growth_um_m: float
+    u_before_mm: float
+    u_after_mm: float
+    pull: float
+    misfit: float
+    left_out: list[str]
 
 
 def touch_spans(cell: Cell, station: Station) -> list[Span]:
@@ -134,16 +151,10 @@ def check_agreement(
     )
 
 
-def touch_result(log: Log) -> dict[str, Any]:
-    """Return what the touch poses found at each station, where they were used."""
-    keys = (
-        "poses", "shift_mm", "along_rail_mm", "turn_urad", "growth_um_m", "u_before_mm",
-        "u_after_mm", "pull", "misfit", "left_out",
-    )  # fmt: skip
-    frames = {
-        station.name: log.frames[f"touch.{station.name}"]
+def touches(log: Log) -> dict[str, TouchFound]:
+    """Return what the touch poses found by station, as far as they were used."""
+    return {
+        station.name: typed(log.frames[key], TouchFound, from_attributes=True)
         for station in log.cell.station
-        if f"touch.{station.name}" in log.frames
+        if (key := f"touch.{station.name}") in log.frames
     }
-    found = {name: {key: getattr(each, key) for key in keys} for name, each in frames.items()}
-    return {"touch": found} if found else {}

@@ -8,7 +8,6 @@ calibration was made. The calibration is written again with the touched base of 
 from __future__ import annotations
 
 from operator import itemgetter
-from typing import Any
 
 import numpy as np
 
@@ -17,19 +16,30 @@ from hilcell.calibration.in_use import NoCalibration, calibration_named
 from hilcell.calibration.visit import used
 from hilcell.cell.file import Cell, Station
 from hilcell.journal.log import Log
+from hilcell.model.calibration import StationEntry
 from hilcell.model.frame import Frame
+from hilcell.model.plan import Step
+from hilcell.model.results import ActResult
 from hilcell.model.verdicts import Touched
 from hilcell.ports import HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Procedure, Step
+from hilcell.run.procedure import Procedure, Result
+from hilcell.typed import typed
 from procedures.durations import closing, first_hold, step
 from procedures.home import Home
 from procedures.recheck import use
-from procedures.touch import touch_once, touch_result, touch_spans
+from procedures.touch import TouchFound, touch_once, touch_spans, touches
 from procedures.world_frame import WorldFrame
 
 TABLE = "touch"
+
+
+class Touching(ActResult, frozen=True, kw_only=True):
+    """The station that was touched, and the run of the calibration that was used."""
+
+    station: str
+    calibration: str
 
 
 class TouchStation:
@@ -69,13 +79,14 @@ class TouchStation:
         if "touch" not in session.log.verdicts:
             session.judge("touch", Touched(holds=True, station=station.name))
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return what the touch poses found, where, and with which calibration."""
-        found = touch_result(log)
+        found = touches(log)
         if not found:
             return {}
         station = station_of(log.cell).name
-        return found | {"touched": {"station": station, "calibration": used(log).provenance.latest}}
+        touched = Touching(station=station, calibration=used(log).provenance.latest)
+        return {"touch": found, "touched": touched}
 
 
 def station_of(cell: Cell) -> Station:
@@ -83,7 +94,7 @@ def station_of(cell: Cell) -> Station:
     return cell.station_named(cell.touch.station or cell.grid.station)
 
 
-def _entry(calibration: Calibration, station: Station) -> Any:
+def _entry(calibration: Calibration, station: Station) -> StationEntry:
     if station.name not in calibration.stations:
         known = ", ".join(calibration.stations)
         raise NoCalibration(
@@ -93,31 +104,31 @@ def _entry(calibration: Calibration, station: Station) -> Any:
     return calibration.stations[station.name]
 
 
-def touch_table(result: dict[str, Any]) -> Table:
+def touch_table(result: Result) -> Table:
     """Return by how much the base was moved, and its uncertainty before and after."""
-    touched = [each | {"station": name} for name, each in result.get("touch", {}).items()]
     return Table(
         [
-            Column("station", itemgetter("station")),
-            Column("poses", itemgetter("poses"), form="d"),
-            Column("along rail", itemgetter("along_rail_mm"), "mm", "+z.4f"),
-            Column("shift", lambda row: float(np.linalg.norm(row["shift_mm"])), "mm", ".4f"),
-            Column("turn", lambda row: float(np.linalg.norm(row["turn_urad"])), "µrad", ".1f"),
-            Column("u before", itemgetter("u_before_mm"), "mm", ".4f"),
-            Column("u", itemgetter("u_after_mm"), "mm", ".4f"),
+            Column("station", itemgetter(0)),
+            Column("poses", lambda row: row[1].poses, form="d"),
+            Column("along rail", lambda row: row[1].along_rail_mm, "mm", "+z.4f"),
+            Column("shift", lambda row: float(np.linalg.norm(row[1].shift_mm)), "mm", ".4f"),
+            Column("turn", lambda row: float(np.linalg.norm(row[1].turn_urad)), "µrad", ".1f"),
+            Column("u before", lambda row: row[1].u_before_mm, "mm", ".4f"),
+            Column("u", lambda row: row[1].u_after_mm, "mm", ".4f"),
         ],
-        touched,
+        typed(result.get("touch", {}), dict[str, TouchFound]).items(),
     )
 
 
-def touch_words(result: dict[str, Any]) -> str:
+def touch_words(result: Result) -> str:
     """Return what the run's calibration is good for, and until when."""
     if "touched" not in result:
         return ""
-    station, calibration = result["touched"]["station"], result["touched"]["calibration"]
+    found = typed(result["touched"], Touching)
     return (
-        f"Calibration {calibration} was used; this run's own has the base of {station} on this "
-        f"visit: `hilcell compensate` with this run's name and --station {station} holds until "
+        f"Calibration {found.calibration} was used; this run's own has the base of {found.station} "
+        "on this visit: `hilcell compensate` with this run's name and --station "
+        f"{found.station} holds until "
         "the slide moves."
     )
 

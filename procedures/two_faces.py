@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import msgspec
-
 from hilcell.calibration.instrument import TWO_FACES, two_faces
 from hilcell.cell.devices import abilities
 from hilcell.cell.file import Cell
 from hilcell.cell.layout import Nest
 from hilcell.journal.log import Log
+from hilcell.model.plan import Span, Step
 from hilcell.model.point import BACK, PointId
 from hilcell.model.verdicts import FacesCompared
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Span, Step
+from hilcell.run.procedure import Result
 from procedures.durations import measure_s, step
 
 FACE_S = 4.0  # until a tracker has turned over and looks where it looked before
@@ -61,12 +58,11 @@ class TwoFaces:
     def _nests(self, cell: Cell) -> list[Nest]:
         return cell.layout.floor if self._number else cell.layout.standing
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return both faces as found, where there are any."""
         found = two_faces(log, self._number)
-        if found is None:
-            return {}
-        return {self._verdict.replace("-", "_").replace(".", "_"): msgspec.to_builtins(found)}
+        key = self._verdict.replace("-", "_").replace(".", "_")
+        return {} if found is None else {key: found}
 
 
 def left_out(cell: Cell) -> str:

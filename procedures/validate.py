@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import product
-from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from hilcell.calibration.bounds import coverages
 from hilcell.calibration.decision import check_limits, class_warning, guard_of, judged, limits_of
 from hilcell.calibration.diagnosis import suspicions_of
-from hilcell.calibration.errors import validation
+from hilcell.calibration.errors import OTHERS, validation
 from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.frames import grid_of, measured_of
 from hilcell.calibration.influence import NoBound
@@ -34,12 +34,18 @@ from hilcell.compensation.model import ErrorModel
 from hilcell.geometry.frames import apply, inverse, matrix
 from hilcell.journal.log import Log
 from hilcell.model.outcome import Outcome
+from hilcell.model.plan import Step
 from hilcell.model.point import BOTH, PointId, Sent
+from hilcell.model.results import (
+    Place,
+    SentErrors,
+    TargetBounds,
+)
 from hilcell.model.suspicion import Cause
 from hilcell.model.verdicts import VALIDATION, ChangedSince, Oriented, Suspected
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Step
+from hilcell.run.procedure import Result
 from procedures import enough_targets
 from procedures.durations import closing, flange_points, leg, step
 from procedures.fit import orients
@@ -53,7 +59,7 @@ from procedures.plan import (
 )
 from procedures.repeatability import floor
 from procedures.station_frames import frame_spans, frame_station, nest_points
-from procedures.touch import touch_once, touch_result, touch_spans
+from procedures.touch import touch_once, touch_spans, touches
 
 DRAWS = 8  # of a target's turn, and of its place
 MARGIN_MM = 5.0  # random targets keep off the cube's faces by this much
@@ -94,7 +100,7 @@ class Validate:
                 points += count
             here = station
         found = step(self.name, points, spans)
-        return replace(found, warning=class_warning(cell, min(ranges_mm)))
+        return dataclasses.replace(found, warning=class_warning(cell, min(ranges_mm)))
 
     def perform(self, session: CellSession) -> None:
         """Validate at the grid's station, then at the others with transferred data."""
@@ -148,18 +154,18 @@ class Validate:
             )  # fmt: skip
 
     def _judge(self, session: CellSession) -> None:
-        limits, places = limits_of(session.cell), _places(session.cell)
-        for where, figures in self._figures(session.log).items():
-            chosen, shown = figures[Sent.CHOSEN], figures.get("decision", {})
-            turned = validated_turns(session.log, places[where]).get(Sent.CHOSEN)
+        limits = limits_of(session.cell)
+        for where, stations in _places(session.cell).items():
+            place = place_of(session.log, where, stations)
+            turned = validated_turns(session.log, stations).get(Sent.CHOSEN)
             found = judged(
-                chosen["mean"],
-                chosen["max"],
+                place.chosen.mean,
+                place.chosen.max,
                 limits,
-                guard_of(session.log, figures["points"]),
+                guard_of(session.log, place.points),
                 turn=largest_turn(session.log, turned),
-                also=shown.get("outcome", Outcome.ACCEPTED),
-                words=shown.get("text", ""),
+                also=Outcome.ACCEPTED if place.decision is None else place.decision.outcome,
+                words="" if place.decision is None else place.decision.text,
             )
             session.judge(f"{VALIDATION}{where}", found)
         self._judge_orientation(session)
@@ -169,7 +175,7 @@ class Validate:
         stations = [station.name for station in session.cell.station]
         turns = validated_turns(session.log, stations)
         if set(BOTH) <= turns.keys() and orients(session.log):
-            before, chosen = (turns[how].figures["mean_deg"] for how in BOTH)
+            before, chosen = (turns[how].figures.mean_deg for how in BOTH)
             moved_mm = moved_on_flange_mm(session.log)
             holds = chosen < before and moved_mm <= MOVED_MM
             found = Oriented(
@@ -177,27 +183,15 @@ class Validate:
             )
             session.judge("orientation", found)
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Return the errors at the grid's station and at the others together, and their bounds."""
-        figures = self._figures(log)
-        for where, bounds in _coverage(log, _places(log.cell)).items():
-            figures[where]["bounds"] = bounds
-            figures[where][Sent.CHOSEN] |= {
-                "bound95_mean": bounds["mean_mm"],
-                "covered": bounds["coverage"],
-            }
-        return {"validation": figures} | touch_result(log)
-
-    def _figures(self, log: Log) -> dict[str, dict[str, Any]]:
-        places = _places(log.cell)
-        figures = {where: station_figures(log, names) for where, names in places.items()}
-        if log.cell.plan.quick:
-            for where, names in places.items():
-                figures[where]["decision"] = enough_targets.judgement(log, names)
-        for where in (log.cell.grid.station, "others"):
-            if where in figures:
-                figures[where]["floor"] = floor(log)
-        return figures
+        places, touched = _places(log.cell), touches(log)
+        found = {where: place_of(log, where, stations) for where, stations in places.items()}
+        for where, bounds in _bounds(log, places).items():
+            place = found[where]
+            chosen = replace(place.chosen, bound95_mean=bounds.mean_mm, covered=bounds.coverage)
+            found[where] = replace(place, chosen=chosen, bounds=bounds)
+        return {"validation": found} | ({"touch": touched} if touched else {})
 
 
 def judge_suspicions(session: CellSession) -> None:
@@ -226,24 +220,23 @@ def _places(cell: Cell) -> dict[str, list[str]]:
     """Return the stations judged together by name: the grid's, all others, each other."""
     reference = cell.grid.station
     others = [station.name for station in cell.station if station.name != reference]
-    together = {"others": others} if others else {}
+    together = {OTHERS: others} if others else {}
     return {reference: [reference]} | together | {name: [name] for name in others}
 
 
-def _coverage(log: Log, places: dict[str, list[str]]) -> dict[str, dict[str, Any]]:
+def _bounds(log: Log, places: dict[str, list[str]]) -> dict[str, TargetBounds]:
     """Return the bounds of the corrected targets, where the run allows any."""
     calibration = learnt_so_far(log)
     if calibration is None:
         return {}
     try:
-        found: dict[str, dict[str, Any]] = {
-            place: {**each.figures} for place, each in coverages(calibration, log, places).items()
-        }
-        for place, bounds in turn_coverages(calibration, log, places).items():
-            found[place]["orientation"] = bounds
+        found = coverages(calibration, log, places)
+        turns = turn_coverages(calibration, log, places)
     except NoBound:  # the report says why
         return {}
-    return found
+    return {
+        place: replace(each.figures, orientation=turns.get(place)) for place, each in found.items()
+    }
 
 
 def command(
@@ -267,17 +260,29 @@ def command(
     return corrected_poses(grid_of(session.cell), at, model)
 
 
-def station_figures(log: Log, stations: list[str]) -> dict[str, Any]:
-    """Return mean, p95 and max of |e| before, by the paper's method and by the chosen one.
+def place_of(log: Log, where: str, stations: list[str]) -> Place:
+    """Return the errors before, by the paper's method and by the chosen one, without bounds.
 
-    With several reflectors on the flange, of the orientation's error as well.
+    With several reflectors on the flange, those of the orientation as well.
     """
-    series = validation(log, stations)
-    figures: dict[str, Any] = {how: errors.figures._asdict() for how, errors in series.items()}
-    for how, turns in validated_turns(log, stations).items():
-        figures[how]["orientation"] = turns.figures
-    counts = {how: len(errors) for how, errors in series.items()}
-    return {"points": counts[Sent.CHOSEN], "points_sent": counts, **figures}
+    together = where in (log.cell.grid.station, OTHERS)
+    series, turns = validation(log, stations), validated_turns(log, stations)
+    sent = {
+        how: SentErrors(
+            **errors.figures._asdict(),
+            orientation=turns[how].figures if how in turns else None,
+        )
+        for how, errors in series.items()
+    }
+    return Place(
+        points=len(series[Sent.CHOSEN]),
+        points_sent={how: len(errors) for how, errors in series.items()},
+        before=sent[Sent.BEFORE],
+        idw=sent.get(Sent.IDW),
+        chosen=sent[Sent.CHOSEN],
+        decision=enough_targets.judgement(log, stations) if log.cell.plan.quick else None,
+        floor=floor(log) if together else None,
+    )
 
 
 def ways(cell: Cell) -> tuple[Sent, ...]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -12,10 +11,13 @@ from hilcell.calibration.instrument import known_lengths
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
 from hilcell.journal.set_ups import world_key
+from hilcell.model.frame import Matrix
+from hilcell.model.plan import Span, Step
 from hilcell.model.point import LENGTH, PointId
+from hilcell.model.results import ActResult
 from hilcell.model.verdicts import LengthsChecked
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Span, Step
+from hilcell.run.procedure import Result
 from procedures.durations import closing, floor_points, readings, step
 from procedures.plan import check_range
 
@@ -40,14 +42,12 @@ def check_lengths(session: CellSession) -> None:
         session.pause(f"the tracker's scale is not the certificate's: {'; '.join(wrong)}")
 
 
-def length_result(log: Log) -> dict[str, Any]:
-    """Return the certified lengths as found, where there are any."""
-    checked = log.verdict(LengthsChecked)
-    lengths = [
-        msgspec.to_builtins(each) | {"off_ppm": each.off_ppm, "holds": each.holds}
-        for each in (() if checked is None else checked.lengths)
-    ]
-    return {"known_lengths": lengths} if lengths else {}
+class SetUps(ActResult, frozen=True, kw_only=True):
+    """The tracker in {W} at its last set-up and at all of them; how often it moved."""
+
+    T_W_L: Matrix
+    moved: int
+    set_ups: list[Matrix]
 
 
 @dataclass(frozen=True)
@@ -80,9 +80,13 @@ class WorldFrame:
             session.frame_world()
         session.reach("frame_world")
 
-    def result(self, log: Log) -> dict[str, Any]:
-        """Return the tracker in {W} at its last set-up and at all of them; how often it moved."""
-        moved = log.set_ups.number
+    def result(self, log: Log) -> Result:
+        """Return the tracker's set-ups, and the certified lengths as found, if there are any."""
+        moved, checked = log.set_ups.number, log.verdict(LengthsChecked)
         set_ups = [log.matrix(world_key(number)).tolist() for number in range(moved + 1)]
-        tracker = {"T_W_L": set_ups[-1], "moved": moved, "set_ups": set_ups}
-        return {"tracker": tracker} | length_result(log)
+        tracker = SetUps(T_W_L=set_ups[-1], moved=moved, set_ups=set_ups)
+        lengths = [
+            msgspec.to_builtins(each) | {"off_ppm": each.off_ppm, "holds": each.holds}
+            for each in (() if checked is None else checked.lengths)
+        ]
+        return {"tracker": tracker} | ({"known_lengths": lengths} if lengths else {})

@@ -78,7 +78,7 @@ def test_the_procedure_plans_measures_and_states_its_result(tmp_path: Path) -> N
     bed = Bed(tmp_path)
     assert bed.run(procedure) == 0
     result = procedure.result(bed.log())
-    assert result["floor_noise_mm"] == pytest.approx(0.01)
+    assert result["floor_noise"]["largest_mm"] == pytest.approx(0.01)
     table = procedure.table(result)
     assert (table.headers, table.texts()) == (["floor noise mm"], [["0.0100"]])
 

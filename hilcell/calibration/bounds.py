@@ -20,6 +20,7 @@ from hilcell.geometry.frames import inverse, matrix
 from hilcell.geometry.kinematics import forward
 from hilcell.journal.log import Log, commanded_rad
 from hilcell.model.point import Point, Sent
+from hilcell.model.results import TargetBounds
 from hilcell.ports import Array
 
 
@@ -44,13 +45,10 @@ class Coverage:
         return self.inside / len(self)
 
     @property
-    def figures(self) -> dict[str, float]:
+    def figures(self) -> TargetBounds:
         """Return the share inside, mean and largest bound."""
-        return {
-            "coverage": self.share,
-            "mean_mm": float(self.bounds_mm.mean()),
-            "max_mm": float(self.bounds_mm.max()),
-        }
+        mean_mm, max_mm = float(self.bounds_mm.mean()), float(self.bounds_mm.max())
+        return TargetBounds(coverage=self.share, mean_mm=mean_mm, max_mm=max_mm)
 
 
 def target_bounds(

@@ -39,6 +39,7 @@ from hilcell.geometry.statistics import (
 from hilcell.identification.readings import IdentificationError
 from hilcell.journal.log import Log, covariances_mm2, positions_mm
 from hilcell.model.point import Point, Sent
+from hilcell.model.results import TurnBounds, Turns
 from hilcell.model.verdicts import Turn
 from hilcell.ports import Array, HilcellError
 
@@ -72,10 +73,10 @@ class Turned:
         return math.degrees(math.sqrt(np.trace(self.reading_rad2, axis1=1, axis2=2).mean()))
 
     @property
-    def figures(self) -> dict[str, float]:
-        """Return mean, p95 and maximum (deg)."""
-        found = figures_of(self.angles_deg)._asdict()
-        return {f"{name}_deg": value for name, value in found.items()}
+    def figures(self) -> Turns:
+        """Return mean, p95 and maximum."""
+        found = figures_of(self.angles_deg)
+        return Turns(mean_deg=found.mean, p95_deg=found.p95, max_deg=found.max)
 
 
 def seats_of(log: Log) -> Array | None:
@@ -264,9 +265,10 @@ def turn_bounds_deg(calibration: Calibration, station: str, poses: Array) -> Arr
 
 def turn_coverages(
     calibration: Calibration, log: Log, places: Mapping[str, Sequence[str]]
-) -> dict[str, dict[str, float]]:
-    """Return by place the share of corrected targets whose orientation keeps its bound, and mean
-    and largest bound; nothing where no orientation is corrected. Raises `NoBound`.
+) -> dict[str, TurnBounds]:
+    """Return by place the bounds of corrected orientations; nothing where none is corrected.
+
+    Raises `NoBound`.
     """
     seats = seats_of(log) if calibration.orients else None
     if seats is None:
@@ -279,11 +281,11 @@ def turn_coverages(
             np.concatenate([single[name][n] for name in stations]) for n in (0, 1)
         )
         if len(angles_deg):
-            found[place] = {
-                "coverage": float(np.mean(angles_deg <= bounds_deg)),
-                "mean_deg": float(bounds_deg.mean()),
-                "max_deg": float(bounds_deg.max()),
-            }
+            found[place] = TurnBounds(
+                coverage=float(np.mean(angles_deg <= bounds_deg)),
+                mean_deg=float(bounds_deg.mean()),
+                max_deg=float(bounds_deg.max()),
+            )
     return found
 
 

@@ -34,12 +34,13 @@ from hilcell.journal.log import Log
 from hilcell.journal.states import WAITING
 from hilcell.journal.words import OTHERS, verdict_words
 from hilcell.model.events import Closed, CurveMeasured, FirstPassBegun, NoReadingOf, PromiseJudged
+from hilcell.model.plan import Step
 from hilcell.model.point import CONTROL, Point
 from hilcell.model.records import StateChanged
 from hilcell.model.suspicion import suspected_in
 from hilcell.model.verdicts import VALIDATION, Verdict
 from hilcell.present.table import Column, Table
-from hilcell.run.procedure import Plan, Procedure, Step
+from hilcell.run.procedure import Plan, Procedure
 from hilcell.run.stopping import not_at_rest
 from hilcell.typed import Json
 from hilcell.writing import NotPrinted

@@ -175,7 +175,7 @@ def _ended(counts: Counter[str]) -> str:
 
 def _report(args: RunStudy) -> int:
     from hilcell.study.page import page
-    from hilcell.study.results import open_results, plain_rows
+    from hilcell.study.results import open_results
 
     folder = Path(args.folder)
     results = open_results(folder)
@@ -183,7 +183,7 @@ def _report(args: RunStudy) -> int:
     check_output(place, (".html", ".htm"), "a report", inputs=results.files())
     from hilcell.study.analysis import answers
 
-    rows = plain_rows(results.table())
+    rows = results.rows()
     planned = results.study.most_cases
     html = page(results.study, answers(results.study, rows), rows, planned)
     write_whole(place, html.encode(), inputs=results.files())
@@ -196,10 +196,9 @@ def _answer(results: Results, planned: int, *, as_json: bool) -> int:
     """Print the answers; return whether every case was done, or cannot be."""
     from hilcell.study.analysis import answers
     from hilcell.study.case import DONE, FAILED
-    from hilcell.study.results import plain_rows
     from hilcell.study.tables import count_words, facts, sheets
 
-    rows = plain_rows(results.table())
+    rows = results.rows()
     found = answers(results.study, rows)
     if as_json:
         print_json(facts(results.study, found, planned))

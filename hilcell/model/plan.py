@@ -2,11 +2,39 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import msgspec
 
 from hilcell.model.events import Three
 from hilcell.model.frame import Frame
 from hilcell.typed import Json
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Measurements alike in a row, how many and how long in all; none: the way to the next."""
+
+    kind: str
+    measured: int  # with those of control points, which no plan counts as points
+    duration_s: float
+
+    @property
+    def each_s(self) -> float:
+        """Return how long one measurement takes, or the way."""
+        return self.duration_s / max(1, self.measured)
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One step of a plan: its act, how many points it yields, how long it takes."""
+
+    name: str
+    points: int
+    duration_s: float
+    spans: tuple[Span, ...] = ()  # in their order; for the forecast
+    note: str = ""  # why an act does nothing
+    warning: str = ""  # why its result is not what is wanted
 
 
 class FloorBefore(msgspec.Struct, frozen=True):
@@ -54,7 +82,7 @@ class PlanRecord(msgspec.Struct, frozen=True, kw_only=True):
     simulated: bool
     versions: dict[str, str]
     settings: dict[str, str]
-    steps: list[Json]
+    steps: list[Step]
     points: int
     duration_s: float
     machine_seed: int | None  # of the simulated machine; None where this run did not start it

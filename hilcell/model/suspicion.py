@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
 
 import msgspec
@@ -73,6 +74,6 @@ def blamed(facts: Json) -> Json:
     return {"suspicions": [found.facts]}
 
 
-def suspected_in(result: Json) -> list[Suspicion]:
+def suspected_in(result: Mapping[str, object]) -> list[Suspicion]:
     """Return the suspicions of a run's result."""
     return typed(result.get("suspicions", []), list[Suspicion])

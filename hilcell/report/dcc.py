@@ -343,14 +343,18 @@ def _figures(
 
 def _turns(facts: Facts) -> Iterator[Element]:
     """Yield the angle from the nominal orientation by series, where it was measured."""
-    names = (("mean", "mean", "mean"), ("95 % below", "p95", "p95"), ("largest", "max", "largest"))
     for place, way, turned in oriented(facts):
-        words = series_name(way, facts)
+        words, found = series_name(way, facts), turned.figures
+        names = (
+            ("mean", found.mean_deg, "mean"),
+            ("95 % below", found.p95_deg, "p95"),
+            ("largest", found.max_deg, "largest"),
+        )
         yield dcc(
             "list", text("name", f"{place}, {words}"),
             quantity("targets", real(len(turned), ONE), ref="hilcell_targets"),
-            *(quantity(name, real(turned.figures[f"{key}_deg"], DEGREE), ref=f"hilcell_{ref}")
-              for name, key, ref in names),
+            *(quantity(name, real(value, DEGREE), ref=f"hilcell_{ref}")
+              for name, value, ref in names),
             dcc("influenceConditions", _adjustment(way, words)), refType=f"hilcell_{way}",
         )  # fmt: skip
 

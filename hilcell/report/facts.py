@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import tzinfo
 from pathlib import Path
+from typing import TypeVar
 
 from hilcell.calibration.file import read_calibration
 from hilcell.calibration.in_use import standings_in
@@ -32,7 +33,9 @@ from hilcell.model.plan import PlanRecord
 from hilcell.model.suspicion import suspected_in
 from hilcell.ports import HilcellError
 from hilcell.run.procedure import Procedure
-from hilcell.typed import Json
+from hilcell.typed import Json, typed
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +51,10 @@ class Facts:
     fingerprint: str
     file_digest: str = ""  # SHA-256 of its sound calibration file
     stands: Standing | None = None  # its calibration, among the runs of its folder
+
+    def part(self, key: str, kind: type[T]) -> T | None:
+        """Return a part of the result as its type; None where the run has none."""
+        return typed(self.result[key], kind) if key in self.result else None
 
     @property
     def inputs(self) -> PlanRecord:

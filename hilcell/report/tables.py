@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from operator import attrgetter, itemgetter
 from typing import NamedTuple
@@ -35,6 +35,7 @@ from hilcell.model.events import (
 from hilcell.model.frame import MeasuredBase, MeasuredStation, TouchedBase
 from hilcell.model.outcome import Outcome, outcome_of
 from hilcell.model.point import BOTH, Point, Sent
+from hilcell.model.results import PaperRow, Repeated, Turns
 from hilcell.model.verdicts import Fitted
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table, Value
@@ -42,7 +43,6 @@ from hilcell.report.budgets import TargetBudget
 from hilcell.report.drawings.paper_figures import series_name
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import judged_places
-from hilcell.typed import Json
 
 Pair = tuple[str, str]
 
@@ -103,13 +103,14 @@ def accuracy(facts: Facts) -> Table:
     for row in validated_rows(facts):
         rows.append(replace(row, place="") if row.place == last else row)
         last = row.place
-    floor = facts.result.get("repeatability", {}).get("floor_mm")
-    rp_robot = facts.result.get("repeatability", {}).get("rp_robot_mm")
+    repeated = facts.part("repeatability", Repeated)
     note = "Removed: 1 − after / before. Every figure is of targets really sent and measured."
-    if floor is not None:
-        note += f" Repeatability and tracker noise alone would leave {floor:.3f} mm (mean)."
-    if rp_robot is not None:
-        note += f" RP of the robot (ISO 9283), tracker noise taken off: {rp_robot:.3f} mm."
+    if repeated is not None:
+        note += (
+            " Repeatability and tracker noise alone would leave "
+            f"{repeated.floor_mm:.3f} mm (mean). RP of the robot (ISO 9283), tracker noise taken "
+            f"off: {repeated.rp_robot_mm:.3f} mm."
+        )
     return Table(ACCURACY, rows, "Before and after", note)
 
 
@@ -278,22 +279,19 @@ def groups(facts: Facts) -> Table:
 
 def paper_rows(facts: Facts) -> Table:
     """Return the paper's figures beside this run's, where the procedure compares them."""
-    found = facts.result.get("rows")
+    found = facts.part("rows", list[PaperRow]) or []
     note = "Set: brought about by the cell file or the simulated machine, so that it cannot fail."
-    columns: tuple[Column[Json], ...] = (
-        Column("figure of the paper", itemgetter("row")),
-        Column("fails when", itemgetter("fails")),
-        Column("paper", itemgetter("paper"), form=".4g"),
-        Column("here", itemgetter("here"), form=".4g"),
-        Column("chosen", lambda row: row.get("chosen"), form=".4g"),
-        Column("unit", itemgetter("unit")),
-        Column("holds if", itemgetter("criterion")),
-        Column(
-            "verdict",
-            lambda row: "set" if row["set"] else "holds" if row["holds"] else "does not hold",
-        ),
+    columns: tuple[Column[PaperRow], ...] = (
+        Column("figure of the paper", attrgetter("row")),
+        Column("fails when", attrgetter("fails")),
+        Column("paper", attrgetter("paper"), form=".4g"),
+        Column("here", attrgetter("here"), form=".4g"),
+        Column("chosen", attrgetter("chosen"), form=".4g"),
+        Column("unit", attrgetter("unit")),
+        Column("holds if", attrgetter("criterion")),
+        Column("verdict", attrgetter("verdict")),
     )
-    return Table(columns, found if isinstance(found, list) else [], "The paper, row by row", note)
+    return Table(columns, found, "The paper, row by row", note)
 
 
 def own_table(facts: Facts) -> Table:
@@ -529,11 +527,11 @@ def _error_mm(log: Log, point: Point) -> float | None:
 
 
 # A place, the way of sending, how many targets, their figures.
-Oriented = tuple[str, str, int, Mapping[str, float]]
+Oriented = tuple[str, str, int, Turns]
 
 
 def _angle(figure: str) -> Callable[[Oriented], Value]:
-    return lambda row: row[3][f"{figure}_deg"]
+    return lambda row: getattr(row[3], f"{figure}_deg")
 
 
 class TurnResult(NamedTuple):
@@ -577,7 +575,7 @@ def _turn_results(facts: Facts) -> list[TurnResult]:
         return []
     place = max(known, key=lambda name: np.nan_to_num(known[name].max_deg, nan=np.inf))
     before = validated_turns(facts.log, [place]).get(Sent.BEFORE)
-    before_deg = None if before is None else before.figures["max_deg"]
+    before_deg = None if before is None else before.figures.max_deg
     return [TurnResult(f"Largest at {place}", limit_deg, before_deg, *known[place])]
 
 
@@ -624,8 +622,8 @@ def orientation_words(facts: Facts) -> str:
         return ""
     before, after = (turns[how].figures for how in BOTH)
     means, most = (
-        f"{before[name]:.4f}° before and {after[name]:.4f}° after"
-        for name in ("mean_deg", "max_deg")
+        f"{one:.4f}° before and {other:.4f}° after"
+        for one, other in ((before.mean_deg, after.mean_deg), (before.max_deg, after.max_deg))
     )
     count = len(turns[Sent.CHOSEN])
     return (

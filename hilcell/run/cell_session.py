@@ -9,7 +9,6 @@ run resumable.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -135,7 +134,7 @@ class CellSession:
             if refused := still_refused(self.log, point.key):
                 self._run.add(RetakeRefused(key=point.key, reason=refused))
                 continue
-            facts: dict[str, Any] = {"nominal_mm": point.nominal_mm}
+            facts: dict[str, object] = {"nominal_mm": point.nominal_mm}
             if point.nominal_deg is not None:
                 facts["nominal_deg"] = point.nominal_deg
             self._flange_points(
@@ -159,7 +158,7 @@ class CellSession:
         ids: Sequence[PointId],
         station: Station,
         joints_rad: Array,
-        facts: Mapping[str, Any],
+        facts: Mapping[str, object],
         *,
         retake: bool,
         straight: Straight | None = None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,20 @@ from hilcell.ports import Array, DeviceError
 SIGMAS = 4.0  # of the readings' noise, were it known, beyond the stated drift
 ALIKE = 0.5  # of the farthest motion: less moves no nest of a tracker that was bumped
 FLOOR_UM_M_K, UNKNOWN_K = 12.0, 10.0  # concrete's and steel's growth; air that nobody measured
+
+
+class WrongDistance(NamedTuple):
+    """Two nests whose distance is not the one that is wanted."""
+
+    nests: list[str]
+    distance_mm: float
+    wanted_mm: float
+    limit_mm: float
+
+    @property
+    def names(self) -> str:
+        """Return the nests in words."""
+        return " to ".join(self.nests)
 
 
 def limits_of(cell: Cell, noise: BeamNoise, before: Sequence[Point], now: Sequence[Point]) -> Array:
@@ -119,21 +133,21 @@ def check_distances(cell: Cell, measured_mm: Array) -> None:
     """Refuse nests whose distances are not those of the cell file: swapped, lifted, wrong unit."""
     nominal_mm = np.array([nest.xyz_mm for nest in cell.layout.floor])
     limit_mm = 2 * cell.layout.nest_tolerance_mm
-    for fields in wrong_distances(cell, nominal_mm, measured_mm, limit_mm):
+    for wrong in wrong_distances(cell, nominal_mm, measured_mm, limit_mm):
         raise DeviceError(
             "HC-T32",
             "Tracker",
             "world frame",
-            f"{' to '.join(fields['nests'])} is {fields['distance_mm']:.2f} mm",
-            wanted=f"{fields['wanted_mm']:.2f} +-{limit_mm:.1f} mm",
+            f"{wrong.names} is {wrong.distance_mm:.2f} mm",
+            wanted=f"{wrong.wanted_mm:.2f} +-{limit_mm:.1f} mm",
             act="nests swapped, a reflector not seated, or wrong units; check, then resume",
-            fields=fields,
+            fields=wrong._asdict(),
         )
 
 
 def wrong_distances(
     cell: Cell, wanted_mm: Array, found_mm: Array, limits_mm: Array | float
-) -> Iterator[dict[str, Any]]:
+) -> Iterator[WrongDistance]:
     """Yield the pairs of floor nests whose distance is not that of ``wanted_mm`` (N, 3).
 
     ``limits_mm`` is one for all, or (N, N).
@@ -147,9 +161,4 @@ def wrong_distances(
         )
         limit_mm = float(each_mm[pair])
         if not abs(now - then) <= limit_mm:
-            yield {
-                "nests": [names[n] for n in pair],
-                "distance_mm": now,
-                "wanted_mm": then,
-                "limit_mm": limit_mm,
-            }
+            yield WrongDistance([names[n] for n in pair], now, then, limit_mm)

@@ -11,30 +11,18 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from hilcell.journal.journal import Record
 from hilcell.journal.states import WORKING, RunState
 from hilcell.model.events import StepBegun, StreamRecorded
+from hilcell.model.plan import PlanRecord, Span, Step
 from hilcell.model.point import CONTROL, Point
 from hilcell.model.records import Ended, StateChanged
 from hilcell.typed import typed
 
 FLANGE, READINGS = "flange", " readings"  # kinds of spans: at the robot's flange, of nests
 CLOSING_S = 0.35  # real seconds: the devices are released, the result is computed
-
-
-@dataclass(frozen=True, slots=True)
-class _Span:
-    """Measurements alike in a row, as planned; none: the way to the next span."""
-
-    kind: str
-    measured: int
-    duration_s: float
-
-    @property
-    def each_s(self) -> float:
-        return self.duration_s / max(1, self.measured)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +46,9 @@ class UnderWay(NamedTuple):
 class _Step:
     """One step of the plan and how far it got."""
 
-    def __init__(self, plan: dict[str, Any]) -> None:
-        whole = {"kind": plan["name"], "measured": plan["points"], "duration_s": plan["duration_s"]}
-        self.spans = [_Span(**span) for span in plan.get("spans") or [whole]]
-        self.counts_control = bool(plan.get("spans"))
+    def __init__(self, plan: Step) -> None:
+        self.spans = plan.spans or (Span(plan.name, plan.points, plan.duration_s),)
+        self.counts_control = bool(plan.spans)
         self.at = 0  # the span under way
         self.taken = [0] * len(self.spans)  # of the measurements of each
         self.since_s = 0.0  # worked since the last measurement, or since the step began
@@ -72,7 +59,7 @@ class _Step:
         """Begin, or go on in a later session."""
         self.since_s, self.alike = 0.0, False
 
-    def measure(self, *, again: bool, unlike: str = "") -> tuple[_Span, float] | None:
+    def measure(self, *, again: bool, unlike: str = "") -> tuple[Span, float] | None:
         """Take one measurement; return its span and interval where that is like the others.
 
         ``unlike`` ends the kind of spans to which it cannot belong. A proof of nests within many
@@ -103,7 +90,7 @@ class _Step:
                 return number
         return None
 
-    def left(self) -> list[tuple[_Span, int]]:
+    def left(self) -> list[tuple[Span, int]]:
         """Return the spans to come, each with the number of its measurements that are left."""
         ahead = [*zip(self.spans, self.taken, strict=True)][self.at :]
         return [(span, span.measured - taken) for span, taken in ahead]
@@ -123,7 +110,7 @@ class _Pace:
         """Whether a forecast is possible yet."""
         return self.share > 0 or self._all_planned_s > 0
 
-    def learn(self, span: _Span, real_s: float) -> None:
+    def learn(self, span: Span, real_s: float) -> None:
         """Take how long one measurement of a span really took."""
         extra_s = real_s - self.share * span.each_s
         self._counts[span.kind] += 1
@@ -131,7 +118,7 @@ class _Pace:
         self._all_planned_s += span.each_s
         self._all_extra_s += extra_s
 
-    def each_s(self, span: _Span) -> float:
+    def each_s(self, span: Span) -> float:
         """Return the real seconds of one measurement of a span, or of a lead."""
         count = self._counts.get(span.kind, 0) if span.measured else 0
         if count:
@@ -165,9 +152,9 @@ class Forecast:
         if not begins and record.kind != "end":  # a session may end that never began
             self._pass(moment)
         self._latest = moment
-        if record.kind == "plan":
-            self._plan(record.body)
         match fact:
+            case PlanRecord():
+                self._plan(fact)
             case StateChanged(machine="run", to=to):
                 self._enter(typed(to, RunState))
             case StepBegun(number=number):
@@ -224,10 +211,10 @@ class Forecast:
     def _step(self) -> _Step | None:
         return self._steps[self._number - 1] if 0 < self._number <= len(self._steps) else None
 
-    def _plan(self, body: dict[str, Any]) -> None:
-        self._steps = [_Step(step) for step in body["steps"]]
-        if body["simulated"]:
-            self._pace = _Pace(1.0 / body["speed"] if body["speed"] else 0.0)
+    def _plan(self, plan: PlanRecord) -> None:
+        self._steps = [_Step(step) for step in plan.steps]
+        if plan.simulated:
+            self._pace = _Pace(1.0 / plan.speed if plan.speed else 0.0)
 
     def _enter(self, state: RunState) -> None:
         self._working = state in WORKING

@@ -6,7 +6,6 @@ A reflector that is carried by hand is asked for; the tracker proves where it si
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -111,7 +110,7 @@ class Meter:
         station: str,
         reading: TrackerReading,
         robot: RobotReading | None = None,
-        **facts: Any,
+        **facts: object,
     ) -> Point:
         """Journal a reading with those of rail and robot; raises `DeviceError` for a slide that
         left its station meanwhile, and for a pose that is not that of its joints.

@@ -3,42 +3,25 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from typing import Protocol, TypeAlias
 
 import msgspec
 
 from hilcell.cell.file import Cell
 from hilcell.journal.log import Log
 from hilcell.model.events import StepBegun
+from hilcell.model.plan import Step
 from hilcell.ports import HilcellError, StripLost
 from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_rides
 from hilcell.run.watch import BlockLost
+from hilcell.typed import Json
 
-
-@dataclass(frozen=True, slots=True)
-class Span:
-    """Measurements alike in a row, how many and how long in all; none: the way to the next."""
-
-    kind: str
-    measured: int  # with those of control points, which no plan counts as points
-    duration_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """One step of a plan: its act, how many points it yields, how long it takes."""
-
-    name: str
-    points: int
-    duration_s: float
-    spans: tuple[Span, ...] = ()  # in their order; for the forecast
-    note: str = ""  # why an act does nothing
-    warning: str = ""  # why its result is not what is wanted
+Result: TypeAlias = Mapping[str, object]  # by their keys in JSON: Structs, or what they are made of
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +66,7 @@ class Part(Protocol):
     def perform(self, session: CellSession) -> None:
         """Do it. Called again on resume: the session skips what the journal already holds."""
 
-    def result(self, log: Log) -> dict[str, Any]:
+    def result(self, log: Log) -> Result:
         """Compute this act's share of the result from the log alone."""
 
 
@@ -103,17 +86,17 @@ def _performed(act: Callable[[], object], session: CellSession) -> bool:
 class Procedure:
     """Acts in their order, found by name through the entry points ``hilcell.procedures``.
 
-    ``words`` say the result in a sentence, if one can. ``uses`` is the cell's table that names the
-    calibration which the procedure starts from, if it does; ``may_use`` the one that names it if
-    the operator wants one. ``of_rail``: it measures a rail, or
-    what only a rail makes necessary.
+    ``table`` shows the result and ``words`` say it in a sentence, if one can; both decode what they
+    need of it, which may be plain JSON. ``uses`` is the cell's table that names the calibration
+    which the procedure starts from, if it does; ``may_use`` the one that names it if the operator
+    wants one. ``of_rail``: it measures a rail, or what only a rail makes necessary.
     """
 
     name: str
     summary: str
     parts: tuple[Part, ...]
-    table: Callable[[dict[str, Any]], Table]
-    words: Callable[[dict[str, Any]], str] = lambda result: ""
+    table: Callable[[Result], Table]
+    words: Callable[[Result], str] = lambda result: ""
     uses: str = ""
     may_use: str = ""
     of_rail: bool = False
@@ -153,7 +136,7 @@ class Procedure:
             )
         return Plan(steps)
 
-    def inputs(self, cell: Cell, plan: Plan) -> dict[str, Any]:
+    def inputs(self, cell: Cell, plan: Plan) -> dict[str, object]:
         """Return what every run of a plan freezes; its command adds who ordered it, and how."""
         return {
             "procedure": self.name,
@@ -181,11 +164,12 @@ class Procedure:
             while not _performed(partial(part.perform, session), session):
                 pass
 
-    def result(self, log: Log) -> dict[str, Any]:
-        """Compute the result from the log alone."""
+    def result(self, log: Log) -> Json:
+        """Compute the result from the log alone; return it as plain JSON."""
         counts = Counter(point.group for point in log.points.values())
-        result: dict[str, Any] = {"points": dict(sorted(counts.items()))}
-        result["simulated"] = log.inputs.simulated
+        found: dict[str, object] = {"points": dict(sorted(counts.items()))}
+        found["simulated"] = log.inputs.simulated
         for part in self.parts:
-            result |= part.result(log)
-        return result
+            found |= part.result(log)
+        plain: Json = msgspec.to_builtins(found, enc_hook=lambda value: value.tolist())
+        return plain

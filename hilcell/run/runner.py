@@ -14,7 +14,6 @@ import time
 import traceback
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
 
 from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
@@ -54,6 +53,7 @@ from hilcell.run.signals import COMMANDS, signals_as_commands
 from hilcell.run.states import RUN, StateMachine
 from hilcell.run.stopping import SafeStop, close_all, facts_of_problems, not_at_rest
 from hilcell.run.worker import Asked, AtRest, Ended, Halted, Message, Proven, Started, Worker
+from hilcell.typed import Json
 
 SIGNAL_S = 0.05
 WORKER_S = 10.0  # the worker leaves a wire within this time after a stop
@@ -423,7 +423,7 @@ class Runner:
             self._fault = self._fault or error
 
 
-def finish(procedure: Procedure, journal: RunJournal, result: dict[str, Any] | None = None) -> int:
+def finish(procedure: Procedure, journal: RunJournal, result: Json | None = None) -> int:
     """Write the end of a finished run, unless the journal holds it; return the exit code.
 
     ``result`` is what the procedure has computed of the journal already, if it has.

@@ -9,7 +9,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from types import FrameType
 
 from hilcell.ports import Stopped
 
@@ -96,7 +96,9 @@ def postponed(*numbers: signal.Signals) -> Iterator[None]:
 
 
 @contextmanager
-def _handled(handlers: Mapping[signal.Signals, Callable[[int, Any], None]]) -> Iterator[None]:
+def _handled(
+    handlers: Mapping[signal.Signals, Callable[[int, FrameType | None], None]],
+) -> Iterator[None]:
     """Install signal handlers for a while, where this is the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -19,8 +19,8 @@ While the run is suspended the tracker looks at a floor nest for its weather sta
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple, NoReturn
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
@@ -45,6 +45,7 @@ from hilcell.model.suspicion import Cause, Suspicion
 from hilcell.ports import Array, DeviceError, NoReading, TrackerReading
 from hilcell.run.floor_nests import (
     ALIKE,
+    WrongDistance,
     check_distances,
     check_places,
     distance_limits,
@@ -198,23 +199,20 @@ class Watch:
 
     def _renew(self, before: list[Point], now: list[Point]) -> NoReturn:
         """Frame {W} at a new set-up, of a tracker that stands elsewhere than it did ``before``."""
-        for fields in self._changes(now):
-            then_mm, at_mm = fields["wanted_mm"], fields["distance_mm"]
+        for wrong in self._changes(now):
             raise _moved(
-                f"{' to '.join(fields['nests'])} was {then_mm:.3f} mm, is {at_mm:.3f} mm",
-                f"{then_mm:.3f} +-{fields['limit_mm']:.3f} mm",
+                f"{wrong.names} was {wrong.wanted_mm:.3f} mm, is {wrong.distance_mm:.3f} mm",
+                f"{wrong.wanted_mm:.3f} +-{wrong.limit_mm:.3f} mm",
                 "a floor nest or its reflector has moved; fix it, then start a new run",
-                fields,
+                wrong._asdict(),
             )
         set_ups = self._run.log.set_ups
         limits_mm = limits_of(self._run.cell, run_noise(self._run.log), before, now)
-        facts = {
-            "moved_mm": float(motions_mm(before, now).max()),
-            "limit_mm": float(limits_mm.min()),
-        }
-        self._check_renewable(facts)
+        moved_mm, limit_mm = float(motions_mm(before, now).max()), float(limits_mm.min())
+        self._check_renewable(moved_mm, limit_mm)
         number, invalid = set_ups.number + 1, list(set_ups.unproven)
-        self._run.add(TrackerMoved(set_up=number, invalid=invalid, **facts))
+        moved = TrackerMoved(set_up=number, invalid=invalid, moved_mm=moved_mm, limit_mm=limit_mm)
+        self._run.add(moved)
         self.frame_world()
         raise BlockLost
 
@@ -223,7 +221,7 @@ class Watch:
         limits_mm = limits_of(self._run.cell, run_noise(self._run.log), before, now)
         return bool(np.all(motions_mm(before, now) <= limits_mm))
 
-    def _changes(self, now: list[Point]) -> Iterator[dict[str, Any]]:
+    def _changes(self, now: list[Point]) -> Iterator[WrongDistance]:
         """Yield the pairs of nests whose distance is not the one that {W} was first framed by."""
         cell, log = self._run.cell, self._run.log
         first = [log.point(id) for id in _nest_ids(cell, 0)]
@@ -240,16 +238,16 @@ class Watch:
             return
         then_mm = np.array([before.nests_mm[nest.name] for nest in cell.layout.floor])
         limit_mm = limit_since(cell, run_noise(self._run.log), nests, before.temperature_c)
-        for fields in wrong_distances(cell, then_mm, positions_mm(nests), limit_mm):
+        for wrong in wrong_distances(cell, then_mm, positions_mm(nests), limit_mm):
             raise DeviceError(
                 "HC-T32",
                 "Tracker",
                 "world frame",
-                f"{' to '.join(fields['nests'])} is {fields['distance_mm']:.3f} mm",
-                wanted=f"{fields['wanted_mm']:.3f} +-{limit_mm:.3f} mm, as in run {before.run}",
+                f"{wrong.names} is {wrong.distance_mm:.3f} mm",
+                wanted=f"{wrong.wanted_mm:.3f} +-{limit_mm:.3f} mm, as in run {before.run}",
                 act="a floor nest has moved since that run, or a reflector is not seated; put it "
                 "right and resume, or revoke that run's calibration and start a new run",
-                fields=fields | {"run": before.run},
+                fields=wrong._asdict() | {"run": before.run},
             )
 
     def _blame(self, off_mm: Array) -> NoReturn:
@@ -268,7 +266,7 @@ class Watch:
             {"nests": moving, "moved_mm": float(off_mm.max()), "standing": standing},
         )
 
-    def _check_renewable(self, facts: dict[str, Any]) -> None:
+    def _check_renewable(self, moved_mm: float, limit_mm: float) -> None:
         """Refuse to go on where frames rest on invalid points, or after too many set-ups."""
         log = self._run.log
         invalid = [log.points[key] for key in log.set_ups.unproven if key in log.points]
@@ -278,12 +276,12 @@ class Watch:
         act = "fix its stand, then start a new run"
         if built:
             act = f"{built} rests on points measured since it was proven; start a new run"
-        suspicion = Suspicion(Cause.TRACKER_MOVED, facts["moved_mm"], "mm", "control points")
+        suspicion = Suspicion(Cause.TRACKER_MOVED, moved_mm, "mm", "control points")
         raise _moved(
-            f"moved by {facts['moved_mm']:.3f} mm",
-            f"<= {facts['limit_mm']:.3f} mm",
+            f"moved by {moved_mm:.3f} mm",
+            f"<= {limit_mm:.3f} mm",
             f"the tracker was bumped: {act}",
-            facts | suspicion.facts,
+            {"moved_mm": moved_mm, "limit_mm": limit_mm} | suspicion.facts,
         )
 
     # -- the slide's hold -------------------------------------------------------------------------
@@ -453,7 +451,7 @@ def _rests_on(log: Log, point: Point) -> str:
     return built if built in log.frames or built in log.verdicts else ""
 
 
-def _moved(found: str, wanted: str, act: str, fields: dict[str, Any]) -> DeviceError:
+def _moved(found: str, wanted: str, act: str, fields: Mapping[str, object]) -> DeviceError:
     return DeviceError(
         "HC-T33", "Tracker", "control points", found, wanted=wanted, act=act, fields=fields
     )

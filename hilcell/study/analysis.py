@@ -11,13 +11,12 @@ import math
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from hilcell.ports import Array
 from hilcell.study.additive import Additive
-from hilcell.study.case import CANNOT_BE, DONE, FAILED
+from hilcell.study.case import CANNOT_BE, DONE, FAILED, Row
 from hilcell.study.design import Point, chosen
 from hilcell.study.factor import Factor
 from hilcell.study.intervals import Interval, Share, interval, share
@@ -120,7 +119,7 @@ def _listed(words: Collection[str], last: str) -> str:
 
 
 TOO_LONG = 1e6  # of a design with too many minutes, which are added
-Rows = Sequence[Mapping[str, Any]]
+Rows = Sequence[Row]
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,8 +191,8 @@ def answers(study: Study, rows: Rows) -> Answers:
     """Compute the answers of all rows that are there."""
     counts: dict[str, int] = defaultdict(int)
     for row in rows:
-        counts[row["state"]] += 1
-    done = [row for row in rows if row["state"] == DONE]
+        counts[row.state] += 1
+    done = [row for row in rows if row.state == DONE]
     found = designs(study, done)
     within = covered(done) if done else None
     if study.optimise is not None:  # its points are crowded round the best: no design for effects
@@ -237,34 +236,45 @@ def value(wanted: Optimum, design: Design) -> float:
 
 def over_machines(rows: Rows, key: str) -> Interval:
     """Return the mean over machines of each machine's own mean."""
-    return interval(np.mean([row[key] for row in own]) for own in _by(rows, "machine").values())
+    return interval(_mean(own, key) for own in _by_machine(rows))
 
 
 def covered(rows: Rows) -> Share:
     """Return the share of targets within their own bound, each machine counted alike."""
-    shares = [np.mean([row["covered"] for row in own]) for own in _by(rows, "machine").values()]
-    return share(map(float, shares), sum(row["targets"] for row in rows))
+    shares = [_mean(own, "covered") for own in _by_machine(rows)]
+    return share(shares, sum(row.figure("targets") for row in rows))
 
 
 def points_of(study: Study, rows: Rows) -> dict[int, Point]:
     """Return the points of rows by number, in that order."""
-    return {number: chosen(study, own[0]) for number, own in _by(rows, "point").items()}
+    return {number: chosen(study, own[0]) for number, own in _by_point(rows).items()}
 
 
-def _by(rows: Rows, key: str) -> dict[int, list[Mapping[str, Any]]]:
-    found: dict[int, list[Mapping[str, Any]]] = defaultdict(list)
+def _mean(rows: Rows, figure: str) -> float:
+    return float(np.mean([row.figure(figure) for row in rows]))
+
+
+def _by_point(rows: Rows) -> dict[int, list[Row]]:
+    found: dict[int, list[Row]] = defaultdict(list)
     for row in rows:
-        found[row[key]].append(row)
+        found[row.point].append(row)
     return dict(sorted(found.items()))
+
+
+def _by_machine(rows: Rows) -> list[list[Row]]:
+    found: dict[int, list[Row]] = defaultdict(list)
+    for row in rows:
+        found[row.machine].append(row)
+    return [own for _, own in sorted(found.items())]
 
 
 def designs(study: Study, done: Rows) -> list[Design]:
     """Return the designs of rows that were done."""
-    by_point, all_points = _by(done, "point"), points_of(study, done)
+    by_point, all_points = _by_point(done), points_of(study, done)
     places: Array = np.array([
         [
             over_machines(own, study.accuracy).mean,
-            float(np.mean([row["minutes"] for row in own])),
+            _mean(own, "minutes"),
             all_points[number].cost,
         ]
         for number, own in by_point.items()
@@ -275,7 +285,7 @@ def designs(study: Study, done: Rows) -> list[Design]:
             over_machines(own, study.accuracy),
             float(place[1]),
             covered(own),
-            len(_by(own, "machine")),
+            len(_by_machine(own)),
             len(own),
             on_front(place, places),
         )
@@ -292,13 +302,13 @@ def on_front(place: Array, places: Array) -> bool:
 def _effects(study: Study, model: Additive, done: Rows) -> list[Effect]:
     """Return the effects of an additive model, fitted on each machine by itself."""
     all_points = points_of(study, done)
-    by_machine = _by(done, "machine").values()
+    by_machine = _by_machine(done)
     targets = _targets(study, all_points, done)
     keys = (study.accuracy, "minutes", "covered")
     fits = [
         (
-            Additive(study.factor, [all_points[row["point"]] for row in own]),
-            np.array([[row[key] for key in keys] for row in own], dtype=float),
+            Additive(study.factor, [all_points[row.point] for row in own]),
+            np.array([[row.figure(key) for key in keys] for row in own], dtype=float),
         )
         for own in by_machine
     ]
@@ -332,11 +342,11 @@ def _targets(study: Study, all_points: Mapping[int, Point], done: Rows) -> list[
     """Return, by factor, the targets at each level; half of all at either end of a range."""
     found = [[0.0] * len(factor.ends) for factor in study.factor]
     for row in done:
-        for counts, each in zip(found, all_points[row["point"]].choices, strict=True):
+        for counts, each in zip(found, all_points[row.point].choices, strict=True):
             if each.factor.is_range:
-                counts[:] = [count + 0.5 * row["targets"] for count in counts]
+                counts[:] = [count + 0.5 * row.figure("targets") for count in counts]
             else:
-                counts[int(each.share)] += row["targets"]
+                counts[int(each.share)] += row.figure("targets")
     return found
 
 
@@ -346,5 +356,4 @@ def _known(values: Iterable[float]) -> Interval:
 
 def _means(study: Study, done: Rows) -> Array:
     """Return the accuracy of each point that was done, in the order of their numbers."""
-    by_point = _by(done, "point").values()
-    return np.array([np.mean([row[study.accuracy] for row in own]) for own in by_point])
+    return np.array([_mean(own, study.accuracy) for own in _by_point(done).values()])

@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TypeAlias
 
 import msgspec
 
@@ -17,12 +17,51 @@ from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert
 from hilcell.errors import HilcellError
+from hilcell.model.results import Calibrated
 from hilcell.run.direct_run import direct_run
 from hilcell.run.procedure import Procedure
 from hilcell.study.outcome import RESULTS
+from hilcell.typed import decoded, typed
 
-Row = dict[str, Any]
+Level: TypeAlias = float | str | None  # of a factor, as a table keeps it
 STATES = DONE, CANNOT_BE, FAILED = "done", "cannot be", "failed"
+
+
+class Found(msgspec.Struct, frozen=True):
+    """The findings of a worker in a case; ``versions`` are its own where they are not the study's, and
+    then it measured nothing. ``minutes`` are the robot's.
+    """
+
+    state: str
+    reason: str = ""
+    minutes: float | None = None
+    figures: Mapping[str, float] = {}
+    versions: Mapping[str, str] = {}
+
+
+class Row(msgspec.Struct, frozen=True, kw_only=True):
+    """A case as a study keeps it: levels by the names of factors, figures by those of `RESULTS`.
+
+    ``minutes`` are those of robot and people; a case without a result has none, and no figures.
+    """
+
+    case: int
+    point: int
+    machine: int
+    seed: int
+    levels: dict[str, Level]
+    state: str
+    reason: str
+    minutes: float | None
+    cost: float
+    figures: dict[str, float | None]
+
+    def figure(self, name: str) -> float:
+        """Return a figure, or the minutes; raises `LookupError` for a case without it."""
+        found = self.minutes if name == "minutes" else self.figures[name]
+        if found is None:
+            raise LookupError(f"case {self.case} has no {name}")
+        return found
 
 
 def packed(cell: Cell) -> bytes:
@@ -32,38 +71,38 @@ def packed(cell: Cell) -> bytes:
 
 def unpacked(content: bytes) -> Cell:
     """Return the cell of such bytes."""
-    return convert(_stated(msgspec.json.decode(content)), Cell, "cell")
+    return convert(_stated(decoded(content, dict[str, object])), Cell, "cell")
 
 
-def measured(cell: bytes, machine: int, seed: int, wanted: Mapping[str, str]) -> Row:
-    """Calibrate a cell without wires; return its state, reason, minutes and figures.
+def measured(cell: bytes, machine: int, seed: int, wanted: Mapping[str, str]) -> Found:
+    """Calibrate a cell without wires; return what was found.
 
-    ``wanted`` are the versions of the study; on another worker the row says `other versions`.
-    A case that cannot be planned, or whose run ends early, is a row with its reason.
+    ``wanted`` are the versions of the study. A case that cannot be planned, or whose run ends
+    early, has its reason.
     """
     here = versions()
     if here != dict(wanted):
-        return {"other versions": here}
+        return Found(FAILED, versions=here)
     built = unpacked(cell)
     calibrate: Procedure = load_entry("procedures", "calibrate")
     try:
         plan = calibrate.plan(built, seed)
     except HilcellError as error:
-        return _without(CANNOT_BE, str(error))
-    row: Row = {"state": DONE, "reason": "", "minutes": plan.duration_s / 60.0}
+        return Found(CANNOT_BE, str(error))
     with tempfile.TemporaryDirectory(prefix="hilcell-study-") as folder:
         try:
             log = direct_run(
                 built, calibrate, seed=seed, machine_seed=machine, folder=Path(folder), plan=plan
             )
-            result = calibrate.result(log)
-            return row | {name: value(result) for name, (_, value) in RESULTS.items()}
+            result = typed(calibrate.result(log), Calibrated)
+            figures = {name: value(result) for name, (_, value) in RESULTS.items()}
+            return Found(DONE, "", plan.duration_s / 60.0, figures)
         except SettingsError as error:  # a machine that cannot be
-            return _without(CANNOT_BE, str(error))
+            return Found(CANNOT_BE, str(error))
         except HilcellError as error:
-            return _without(FAILED, str(error))
+            return Found(FAILED, str(error))
         except Exception as error:  # noqa: BLE001 - a defect spoils its own case only
-            return _without(FAILED, f"a defect, please report it: {type(error).__name__}: {error}")
+            return Found(FAILED, f"a defect, please report it: {type(error).__name__}: {error}")
 
 
 def versions() -> dict[str, str]:
@@ -77,12 +116,12 @@ def versions() -> dict[str, str]:
     }
 
 
-def _without(state: str, reason: str) -> Row:
-    return {"state": state, "reason": reason, "minutes": None} | dict.fromkeys(RESULTS)
+def _stated(table: Mapping[str, object]) -> dict[str, object]:
+    """Return a table without what is not stated: null in JSON, a missing key in a cell."""
+    return {key: _stated_in(value) for key, value in table.items() if value is not None}
 
 
-def _stated(values: Any) -> Any:
-    """Return tables without what is not stated: null in JSON, a missing key in a cell."""
-    if isinstance(values, dict):
-        return {key: _stated(value) for key, value in values.items() if value is not None}
-    return [_stated(value) for value in values] if isinstance(values, list) else values
+def _stated_in(value: object) -> object:
+    if isinstance(value, dict):
+        return _stated(value)
+    return [_stated_in(each) for each in value] if isinstance(value, list) else value

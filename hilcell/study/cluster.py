@@ -13,18 +13,19 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
-from typing import Any
 
 import dask
+import msgspec
 from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
 from distributed.client import FutureCancelledError
 from distributed.comm.core import CommClosedError, connect
 from distributed.security import Security
 
 from hilcell.run.signals import postponed
-from hilcell.study.case import FAILED, Row, measured, versions
+from hilcell.study.case import FAILED, Found, measured, versions
 from hilcell.study.design import Case
 from hilcell.study.errors import Cluster
+from hilcell.typed import typed
 
 CONNECT_S = 5.0
 ANSWER_S = 15.0  # of a scheduler to its first question
@@ -73,7 +74,7 @@ class Workers:
         self._looked_s = self._seen_s = time.monotonic()  # since when there may be no worker
         self._heartbeats: dict[str, Heartbeat] = {}
 
-    def measure(self, cases: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Row]]:
+    def measure(self, cases: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Found]]:
         """Yield cases as they are measured; they come with their cells, a little ahead of workers.
 
         A case whose worker died each time may have been beside the one that killed it: in the end
@@ -92,9 +93,9 @@ class Workers:
 
     def _measured(
         self, cases: Iterable[tuple[Case, bytes]], ahead: int, how: str
-    ) -> Iterator[tuple[Case, bytes, Row | KilledWorker]]:
+    ) -> Iterator[tuple[Case, bytes, Found | KilledWorker]]:
         waiting, running = iter(cases), as_completed(loop=self._client.loop)
-        asked: dict[Any, tuple[Case, bytes]] = {}
+        asked: dict[str, tuple[Case, bytes]] = {}
         with self._lost_is_an_error():
             while True:
                 for case, cell in itertools.islice(waiting, ahead - len(asked)):
@@ -107,7 +108,7 @@ class Workers:
                 yield *asked.pop(future.key), self._found(future)
                 future.release()
 
-    def _submit(self, case: Case, cell: bytes, how: str) -> Future[Row]:
+    def _submit(self, case: Case, cell: bytes, how: str) -> Future[Found]:
         return self._client.submit(
             measured,
             cell,
@@ -118,13 +119,13 @@ class Workers:
             priority=-case.number,
         )
 
-    def _next(self, running: as_completed) -> Future[Row]:
+    def _next(self, running: as_completed) -> Future[Found]:
         """Return a case that is done; raises `Cluster` where nobody is left to measure any."""
         self._look()
         while not running.has_ready():
             time.sleep(WAIT_S)
             self._look()
-        found: Future[Row] = next(running)
+        found: Future[Found] = next(running)
         return found
 
     def _look(self) -> None:
@@ -154,9 +155,9 @@ class Workers:
         with self._lost_is_an_error():
             return _last_heartbeats(self._client)
 
-    def _found(self, future: Future[Row]) -> Row | KilledWorker:
+    def _found(self, future: Future[Found]) -> Found | KilledWorker:
         try:
-            row = self._row(future)
+            found = self._result(future)
         except KilledWorker as error:
             return error
         except LOST:
@@ -165,17 +166,17 @@ class Workers:
             raise Cluster(
                 f"{self._name}: a worker cannot measure: {type(error).__name__}: {error}"
             ) from error
-        if other := row.get("other versions"):
+        if found.versions:
             _check_versions(self._client, self._name)
-            raise Cluster(f"{self._name}: a worker had {_differences(other)}")
-        return row
+            raise Cluster(f"{self._name}: a worker had {_differences(found.versions)}")
+        return found
 
-    def _row(self, future: Future[Row]) -> Row:
+    def _result(self, future: Future[Found]) -> Found:
         """Return what a worker found; it may have frozen before it sent that."""
         while True:
             with suppress(TimeoutError):
-                row: Row = future.result(timeout=LOOK_S)
-                return row
+                found: Found = future.result(timeout=LOOK_S)
+                return found
             self._look()
 
     @contextmanager
@@ -249,25 +250,28 @@ async def _asked(scheduler: str) -> None:
         found.abort()
 
 
-def _killed(error: KilledWorker) -> Row:
+def _killed(error: KilledWorker) -> Found:
     last = error.last_worker.address
-    return {
-        "state": FAILED,
-        "reason": f"its worker was killed each time, alone at last; the last one was {last}",
-        "minutes": None,
-    }
+    return Found(FAILED, f"its worker was killed each time, alone at last; the last one was {last}")
+
+
+class _Worker(msgspec.Struct):
+    last_seen: float  # by the scheduler's clock
 
 
 def _last_heartbeats(client: Client) -> Mapping[str, float]:
-    scheduler: Any = client.scheduler  # `Client.nthreads` would wait for ever
-    found: dict[str, Any] = client.sync(scheduler.identity, callback_timeout=SCHEDULER_S)
-    return {address: worker["last_seen"] for address, worker in found["workers"].items()}
+    # `Client.nthreads` would wait for ever.
+    found = client.sync(client.scheduler.identity, callback_timeout=SCHEDULER_S)
+    workers = typed(found["workers"], dict[str, _Worker])
+    return {address: worker.last_seen for address, worker in workers.items()}
 
 
 def _check_versions(client: Client, name: str) -> None:
     before = _last_heartbeats(client)
     try:
-        found: dict[str, Any] = client.run(versions, on_error="return", callback_timeout=VERSIONS_S)
+        found: dict[str, dict[str, str] | Exception] = client.run(
+            versions, on_error="return", callback_timeout=VERSIONS_S
+        )
     except TimeoutError as error:
         after = _last_heartbeats(client)
         silent = [address for address, seen_s in before.items() if after.get(address) == seen_s]

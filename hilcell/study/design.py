@@ -5,10 +5,11 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
+from hilcell.study.case import Level, Row
 from hilcell.study.factor import Factor
 from hilcell.study.study_file import Optimum, Study
+from hilcell.typed import typed
 
 LEAST_GENERATION, PER_FACTOR = 8, 4
 
@@ -36,9 +37,11 @@ class Choice:
         return self._of(self.factor.minutes)
 
     @property
-    def shown(self) -> object:
+    def shown(self) -> Level:
         """Return what a table keeps: a number, or the name of a level."""
-        return self.value if self.factor.is_number else self.word
+        if self.factor.is_number and isinstance(self.value, int | float):
+            return self.value
+        return self.word
 
     def _of(self, each: Sequence[float] | None) -> float:
         if each is None:
@@ -126,25 +129,25 @@ def cases_at(study: Study, point: Point) -> list[Case]:
     return [Case(first + n, point, *run) for n, run in enumerate(runs)]
 
 
-def chosen(study: Study, row: Mapping[str, Any]) -> Point:
-    """Return the point of a row of results: its factors are columns."""
-    return Point(row["point"], tuple(_found(each, row[each.name]) for each in study.factor))
+def chosen(study: Study, row: Row) -> Point:
+    """Return the point of a row of results; raises `ValueError` for a level that is none."""
+    return Point(row.point, tuple(_found(each, row.levels[each.name]) for each in study.factor))
 
 
 def choice(factor: Factor, value: float) -> Choice:
     """Return a choice by the number of its level, or the value in its range."""
     if factor.is_range:
-        low, high = factor.ends
+        low, high = factor.span
         value = round(value) if factor.is_whole else float(value)
         return Choice(factor, value, f"{value:.6g}", (value - low) / (high - low))
     level = round(value)
     return Choice(factor, factor.ends[level], factor.names[level], float(level))
 
 
-def _found(factor: Factor, shown: Any) -> Choice:
+def _found(factor: Factor, shown: Level) -> Choice:
     if factor.is_range:
-        return choice(factor, shown)
-    known = list(factor.ends) if factor.is_number else factor.names
+        return choice(factor, typed(shown, float))
+    known: Sequence[object] = factor.ends if factor.is_number else factor.names
     return choice(factor, known.index(shown))
 
 
@@ -155,7 +158,7 @@ def _factorial(study: Study) -> Iterator[tuple[Choice, ...]]:
 
 def _all_of(factor: Factor) -> Sequence[float]:
     """Return the levels by number, or the ends of a range."""
-    return factor.ends if factor.is_range else range(len(factor.ends))
+    return factor.span if factor.is_range else range(len(factor.ends))
 
 
 def _drawn(study: Study, count: int) -> Iterator[tuple[Choice, ...]]:

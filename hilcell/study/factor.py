@@ -7,12 +7,13 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated
 
 from msgspec import Meta
 
 from hilcell.cell.settings import did_you_mean, refuse
 from hilcell.cell.tables import Frozen, Name
+from hilcell.typed import typed
 
 KINDS: Mapping[str, tuple[str, ...]] = {
     "normal": ("mean", "sd"),
@@ -125,7 +126,7 @@ class Factor(Frozen, frozen=True, kw_only=True):
 
     name: Name
     setting: str = ""
-    levels: list[Any] | None = None
+    levels: list[object] | None = None
     labels: list[str] | None = None
     weights: list[Weight] | None = None
     low: int | float | None = None
@@ -168,9 +169,15 @@ class Factor(Frozen, frozen=True, kw_only=True):
         )
 
     @property
-    def ends(self) -> Sequence[Any]:
+    def ends(self) -> Sequence[object]:
         """Return its levels, or low and high."""
         return [self.low, self.high] if self.levels is None else self.levels
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Return low and high of a range."""
+        assert self.low is not None and self.high is not None  # noqa: S101, PT018 - checked
+        return self.low, self.high
 
     @property
     def names(self) -> list[str]:
@@ -192,16 +199,13 @@ class Factor(Frozen, frozen=True, kw_only=True):
         tables = [each for each in self.levels or () if isinstance(each, Mapping)]
         return list(dict.fromkeys(key for each in tables for key in each))
 
-    def settings(self, value: Any) -> Mapping[str, object]:
+    def settings(self, value: object) -> Mapping[str, object]:
         """Return the settings of one of its values."""
-        if self.setting:
-            return {self.setting: value}
-        several: Mapping[str, object] = value
-        return several
+        return {self.setting: value} if self.setting else typed(value, dict[str, object])
 
     def drawn(self, share: float) -> float:
         """Return the value of a range below which a share (0 to 1) of all lies."""
-        low, high = self.ends
+        low, high = self.span
         if self.distribution is None:
             value = low + share * (high - low)
         else:
@@ -239,7 +243,7 @@ class Factor(Frozen, frozen=True, kw_only=True):
     def _range_ascends(self) -> Iterator[str]:
         if not self._has_range:
             return
-        low, high = self.ends
+        low, high = self.span
         if not low < high:
             yield f"low {low:g} must be below high {high:g}"
         elif isinstance(self.distribution, Distribution):  # one that could be read

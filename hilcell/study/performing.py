@@ -13,9 +13,9 @@ import numpy as np
 from hilcell.cell.settings import SettingsError
 from hilcell.ports import Array
 from hilcell.study.analysis import designs, value
-from hilcell.study.case import CANNOT_BE, DONE, Row, packed
+from hilcell.study.case import CANNOT_BE, DONE, Found, Row, packed
 from hilcell.study.design import Case, Point, cases, cases_at, generation, placed, places, shares_of
-from hilcell.study.results import Results, plain_rows, row_of
+from hilcell.study.results import Results, row_of
 from hilcell.study.study_file import Optimum, Study, cell_of
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def search(study: Study, wanted: Optimum, measure: Measure) -> None:
         return np.array([known[shares_of(placed(study, place))] for place in found.T])
 
     ends = [
-        factor.ends if factor.is_range else (0, len(factor.ends) - 1) for factor in study.factor
+        factor.span if factor.is_range else (0, len(factor.ends) - 1) for factor in study.factor
     ]
     of_generation: Callable[..., Any] = values  # scipy's types know no vectorized function
     try:
@@ -112,10 +112,10 @@ def perform(results: Results, workers: Workers, heard: Callable[[Row], object]) 
         def measure(asked: Iterable[Case]) -> Iterator[Row]:
             """Yield the rows of cases that are not kept."""
 
-            def keep(case: Case, found: Row) -> Row:
+            def keep(case: Case, found: Found) -> Row:
                 row = row_of(case, found, study)
                 batch.add(row)
-                counts[row["state"]] += 1
+                counts[row.state] += 1
                 heard(row)
                 return row
 
@@ -141,28 +141,28 @@ def _values(
     """Return how an optimiser gets the values of points: of rows that are kept, or measured."""
     study = results.study
     kept: dict[int, list[Row]] = defaultdict(list)
-    for row in plain_rows(results.table()):
-        kept[row["point"]].append(dict(row))
+    for row in results.rows():
+        kept[row.point].append(row)
 
     def values(asked: Sequence[Point]) -> dict[int, float]:
         rows = {point.number: kept[point.number] for point in asked}
         for row in measure(case for point in asked for case in cases_at(study, point)):
-            rows[row["point"]].append(row)
+            rows[row.point].append(row)
         return {number: _value(study, wanted, own) for number, own in rows.items()}
 
     return values
 
 
 def _value(study: Study, wanted: Optimum, rows: Sequence[Row]) -> float:
-    if not all(row["state"] == DONE for row in rows):
+    if not all(row.state == DONE for row in rows):
         return NEVER
-    in_order = sorted(rows, key=lambda row: int(row["case"]))  # digits of a mean depend on it
+    in_order = sorted(rows, key=lambda row: row.case)  # digits of a mean depend on it
     (design,) = designs(study, in_order)
     return value(wanted, design)
 
 
 def _able(
-    study: Study, waiting: Iterable[Case], keep: Callable[[Case, Row], None]
+    study: Study, waiting: Iterable[Case], keep: Callable[[Case, Found], None]
 ) -> Iterator[tuple[Case, bytes]]:
     """Yield cases with their cells as they are asked for; keep those whose cell cannot be."""
     cells: dict[int, bytes] = {}  # of the last points: machines share them
@@ -171,7 +171,7 @@ def _able(
         try:
             cell = cells.get(number) or packed(cell_of(study, case.point.values))
         except SettingsError as error:
-            keep(case, {"state": CANNOT_BE, "reason": str(error), "minutes": None})
+            keep(case, Found(CANNOT_BE, str(error)))
         else:
             cells[number] = cell
             if len(cells) > MOST_CELLS:

@@ -13,7 +13,6 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import pyarrow as pa
@@ -23,11 +22,11 @@ from hilcell.cell.settings import convert, read_text
 from hilcell.cell.source import read_source
 from hilcell.journal.journal import StorageError
 from hilcell.run.cell_lock import CellLocked, locked
-from hilcell.study.case import DONE, STATES, Row, versions
+from hilcell.study.case import DONE, STATES, Found, Row, versions
 from hilcell.study.design import Case, chosen
 from hilcell.study.errors import OtherStudy
 from hilcell.study.study_file import Study
-from hilcell.typed import decoded
+from hilcell.typed import decoded, typed
 from hilcell.writing import STORAGE, DiskFailed, NotWritten, write_whole
 
 ASKED = "study.json"
@@ -39,7 +38,7 @@ OF_STUDY = b"hilcell.study"  # a file's metadata: the digest of the question tha
 class Asked(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The question whose answers a folder holds."""
 
-    study: dict[str, Any]
+    study: dict[str, object]
     cell_sha256: str
     versions: dict[str, str]
 
@@ -112,8 +111,9 @@ class Results:
         if rows:
             if not self._asked.exists():
                 write_whole(self._asked, msgspec.json.format(msgspec.json.encode(self._question)))
-            first = min(row["case"] for row in rows)
-            self._write(pa.Table.from_pylist(rows, self._schema), f"part-{first:07d}.parquet")
+            first = min(row.case for row in rows)
+            flat = [_flat(row) for row in rows]
+            self._write(pa.Table.from_pylist(flat, self._schema), f"part-{first:07d}.parquet")
 
     def table(self) -> pa.Table:
         """Return all rows in the order of their cases; raises `OtherStudy` for a damaged file."""
@@ -123,6 +123,10 @@ class Results:
         for row, case in enumerate(whole["case"].to_pylist()):
             kept.setdefault(case, row)
         return whole.take(pa.array([kept[case] for case in sorted(kept)], pa.int64()))
+
+    def rows(self) -> list[Row]:
+        """Return them as types."""
+        return [_row(self.study, each) for each in self.table().to_pylist()]
 
     def finished(self) -> set[int]:
         """Return the numbers of the cases that are kept."""
@@ -205,21 +209,35 @@ def figures_of(study: Study) -> list[str]:
     return list(dict.fromkeys([*study.results, study.accuracy, "covered", "targets"]))
 
 
-def row_of(case: Case, found: Row, study: Study) -> Row:
+def row_of(case: Case, found: Found, study: Study) -> Row:
     """Return the row of a case, of what a worker measured."""
-    point, minutes = case.point, found["minutes"]
-    return {
-        "case": case.number,
-        "point": point.number,
-        "machine": case.machine,
-        "seed": case.seed,
-        **{each.factor.name: each.shown for each in point.choices},
-        "state": found["state"],
-        "reason": found["reason"],
-        "minutes": None if minutes is None else minutes + point.minutes,
-        "cost": point.cost,
-        **{name: found.get(name) for name in figures_of(study)},
-    }
+    point, minutes = case.point, found.minutes
+    return Row(
+        case=case.number,
+        point=point.number,
+        machine=case.machine,
+        seed=case.seed,
+        levels={each.factor.name: each.shown for each in point.choices},
+        state=found.state,
+        reason=found.reason,
+        minutes=None if minutes is None else minutes + point.minutes,
+        cost=point.cost,
+        figures={name: found.figures.get(name) for name in figures_of(study)},
+    )
+
+
+def _flat(row: Row) -> dict[str, object]:
+    """Return a row with a column for each level and figure."""
+    plain = msgspec.structs.asdict(row)
+    del plain["levels"], plain["figures"]
+    return {**plain, **row.levels, **row.figures}
+
+
+def _row(study: Study, flat: Mapping[str, object]) -> Row:
+    """Return the row of such columns; raises `msgspec.ValidationError` where one is no row."""
+    levels = {factor.name: flat[factor.name] for factor in study.factor}
+    figures = {name: flat[name] for name in figures_of(study)}
+    return typed({**flat, "levels": levels, "figures": figures}, Row)
 
 
 def _asked_in(folder: Path) -> Asked:
@@ -244,13 +262,16 @@ def _read(path: Path, study: Study, wanted: pa.Schema) -> pa.Table:
         if found.schema != wanted:
             raise pa.ArrowInvalid("its columns are not the study's")
         for row in found.to_pylist():
-            _check_row(study, row)
+            _check_row(study, _row(study, row))
+    except msgspec.ValidationError as error:
+        raise _damaged(path, f"a row is no case of the study: {error}") from error
     except (pa.ArrowException, OSError) as error:
-        raise OtherStudy(
-            f"{path} is damaged: {str(error).splitlines()[0]}; delete it, its cases are measured "
-            "again"
-        ) from error
+        raise _damaged(path, str(error).splitlines()[0]) from error
     return found
+
+
+def _damaged(path: Path, reason: str) -> OtherStudy:
+    return OtherStudy(f"{path} is damaged: {reason}; delete it, its cases are measured again")
 
 
 def _check_study(path: Path, found: Mapping[bytes, bytes], wanted: Mapping[bytes, bytes]) -> None:
@@ -263,15 +284,15 @@ def _check_study(path: Path, found: Mapping[bytes, bytes], wanted: Mapping[bytes
 
 def _check_row(study: Study, row: Row) -> None:
     """Raise `ArrowInvalid` for a row that no study has written."""
-    number, done = row["case"], row["state"] == DONE
-    used = [row[name] for name in ("minutes", study.accuracy, "covered", "targets")]
-    if not (number and 1 <= number <= study.most_cases and row["state"] in STATES):
-        raise pa.ArrowInvalid(f"a row is no case of the study: {number}, {row['state']!r}")
-    if done and not all(each is not None and math.isfinite(each) for each in used):
+    number, figures = row.case, row.figures
+    used = [row.minutes, *(figures[name] for name in (study.accuracy, "covered", "targets"))]
+    if not (1 <= number <= study.most_cases and row.state in STATES):
+        raise pa.ArrowInvalid(f"a row is no case of the study: {number}, {row.state!r}")
+    if row.state == DONE and not all(each is not None and math.isfinite(each) for each in used):
         raise pa.ArrowInvalid(f"case {number} was done, and has no figures")
     try:
         chosen(study, row)
-    except (TypeError, ValueError):
+    except ValueError:
         raise pa.ArrowInvalid(f"case {number} has a level that is not the study's") from None
 
 
@@ -314,9 +335,3 @@ def _remove_empty(made: Sequence[Path]) -> None:
     for each in reversed(made):
         with suppress(OSError):
             each.rmdir()
-
-
-def plain_rows(table: pa.Table) -> list[Mapping[str, Any]]:
-    """Return the rows as plain values."""
-    rows: list[Mapping[str, Any]] = table.to_pylist()
-    return rows

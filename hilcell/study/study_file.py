@@ -5,10 +5,10 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import date, time
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta, field
@@ -27,6 +27,7 @@ from hilcell.cell.source import built_in_cells, parsed
 from hilcell.cell.tables import Frozen, Name
 from hilcell.study.factor import UNREAD, Factor
 from hilcell.study.outcome import RESULTS
+from hilcell.typed import typed
 
 
 def toml_value(value: object) -> str:
@@ -77,7 +78,7 @@ class Study(Frozen, frozen=True, kw_only=True):
 
     name: Name
     cell: str = "paper"
-    settings: dict[str, Any] = field(default_factory=dict)
+    settings: dict[str, object] = field(default_factory=dict)
     design: Literal["factorial", "sobol", "optimise"] = "factorial"
     samples: Samples | None = None
     optimise: Optimum | None = None
@@ -91,7 +92,7 @@ class Study(Frozen, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         refuse(line for check in self.checks() for line in check() or ())
 
-    def checks(self) -> Sequence[Any]:
+    def checks(self) -> Sequence[Callable[[], Iterable[str] | None]]:
         """Return checks of the whole, each of which needs a few fields only."""
         return [
             self._results_known,
@@ -214,7 +215,7 @@ def _cell(where: str, settings: Mapping[str, object]) -> Cell:
     return load_cell(where, {key: toml_value(value) for key, value in settings.items()})
 
 
-def _unlike_the_cell(study: Study, where: str, stated: Mapping[str, Any]) -> Iterator[str]:
+def _unlike_the_cell(study: Study, where: str, stated: Mapping[str, object]) -> Iterator[str]:
     """Yield what is wrong with the base cell, and values that a factor's setting can never take.
 
     A value that only goes ill with the others' is not refused: its cases cannot be, which is a
@@ -227,11 +228,12 @@ def _unlike_the_cell(study: Study, where: str, stated: Mapping[str, Any]) -> Ite
             del sound[key]
     yield from (f"cell {where}: {line}" for line in base)
     known = {_without_line(line) for line in base}
+    tables = typed(stated.get("factor", []), list[dict[str, object]])
     for n, factor in enumerate(getattr(study, "factor", ())):
         place = "setting" if getattr(factor, "setting", "") else "levels"
         if not hasattr(factor, "setting"):
             continue
-        values = factor.ends if hasattr(factor, "ends") else _finite_levels(stated["factor"][n])
+        values = factor.ends if hasattr(factor, "ends") else _finite_levels(tables[n])
         for line in dict.fromkeys(_never(where, sound, factor, values)):
             if line not in known:
                 yield f"factor[{n}].{place}: {line}"
@@ -249,7 +251,7 @@ def _wrong_base(where: str, settings: Mapping[str, object]) -> Iterator[str]:
         yield from _no_machine(cell)
 
 
-def _finite_levels(stated: Mapping[str, Any]) -> Sequence[Any]:
+def _finite_levels(stated: Mapping[str, object]) -> Sequence[object]:
     """Return the levels of a factor whose others are not finite."""
     levels = stated.get("levels")
     some = levels if isinstance(levels, list) else []
@@ -257,7 +259,7 @@ def _finite_levels(stated: Mapping[str, Any]) -> Sequence[Any]:
 
 
 def _never(
-    where: str, sound: Mapping[str, object], factor: Factor, some: Sequence[Any]
+    where: str, sound: Mapping[str, object], factor: Factor, some: Sequence[object]
 ) -> Iterator[str]:
     """Yield why values of a factor, as far as they could be read, can never be."""
     values = [value for value in some if value is not None]

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Mapping
 from functools import partial
 from operator import attrgetter, itemgetter
-from typing import Any, Protocol
+from typing import Protocol
 
 from hilcell.present.table import Column, Table
 from hilcell.study.analysis import Answers, Design, Effect, Rows, whole
@@ -150,7 +150,7 @@ def _explained(found: Answers) -> str:
 
 def reasons_sheet(rows: Rows) -> Table:
     """Return why cases were not done, the most frequent reason first."""
-    bad = [(row["state"], brief(row["reason"])) for row in rows if row["state"] != DONE]
+    bad = [(row.state, brief(row.reason)) for row in rows if row.state != DONE]
     counts = Counter((state, _kind(reason)) for state, reason in bad)
     first = {(state, _kind(reason)): reason for state, reason in reversed(bad)}
     more = len(counts) - MOST_REASONS
@@ -186,7 +186,7 @@ def _none_found(study: Study, found: Answers, wanted: Optimum) -> str:
     return f"; no design of at most {wanted.most_minutes:g} minutes, the shortest took {shortest:g}"
 
 
-def facts(study: Study, found: Answers, planned: int) -> dict[str, Any]:
+def facts(study: Study, found: Answers, planned: int) -> dict[str, object]:
     """Return the answers as plain values; null where there is no interval."""
     return {
         "study": study.name,
@@ -252,7 +252,7 @@ def _one_machine(study: Study, found: Answers) -> str:
     return f" Without intervals: {WITHOUT if study.machines == 1 else WAITING}."
 
 
-def _design(each: Design) -> dict[str, Any]:
+def _design(each: Design) -> dict[str, object]:
     return {
         "point": each.point.number,
         "factors": {choice.factor.name: choice.shown for choice in each.point.choices},
@@ -264,7 +264,7 @@ def _design(each: Design) -> dict[str, Any]:
     }
 
 
-def _effect(each: Effect) -> dict[str, Any]:
+def _effect(each: Effect) -> dict[str, object]:
     return {
         "factor": each.factor.name,
         "level": each.word,

@@ -31,6 +31,7 @@ from procedures.axis_sweeps import (
 from tests.hilcell.identification.axis_streams import Axis, periodic
 from tests.hilcell.run.bed import CELL, Bed
 from tests.hilcell.run.rig import DeskRail, DeskRobot, DeskTracker, procedure
+from tests.procedures.results import result_of
 
 SWEPT = load_cell("paper", {"settle.robot_s": "0.0", "settle.rail_s": "0.0", "sweeps.axes": "[1]"})
 AXIS = Axis(0, periodic(np.random.default_rng(5), 45e-6))
@@ -145,10 +146,10 @@ def test_a_curve_is_journalled_as_data_and_never_swept_for_again(bed: Bed) -> No
     curve = curve_of(log.curves[1])
     q = np.linspace(curve.low_rad, curve.high_rad, 400)
     assert np.std(curve.evaluate(q) - AXIS.ripple(q)) < 2e-6
-    (figures,) = AxisSweeps().result(log)["sweeps"]["axes"]
+    (figures,) = result_of(AxisSweeps(), log)["sweeps"]["axes"]
     assert figures["used"]
     assert figures["axis"] == 1
-    assert sweep_table(AxisSweeps().result(log)).rows[0][:2] == ["A1", "yes"]
+    assert sweep_table(result_of(AxisSweeps(), log)).rows[0][:2] == ["A1", "yes"]
     assert bed.run(ACT) == 0
     assert parts(bed)[1].streams == 2
 
@@ -187,7 +188,7 @@ def test_a_stream_that_cannot_be_used_is_an_alarm_and_no_curve(bed: Bed) -> None
     assert len(log.streams) == 4  # both sweeps were made again
     assert not log.curves[1].holds
     assert log.curves[1].reason
-    assert not AxisSweeps().result(log)["sweeps"]["axes"][0]["used"]
+    assert not result_of(AxisSweeps(), log)["sweeps"]["axes"][0]["used"]
 
 
 def test_an_axis_is_swept_again_where_the_first_sweeps_cannot_be_used(bed: Bed) -> None:

@@ -22,6 +22,7 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import clear_poses
 from procedures import chosen_poses
 from procedures.chosen_poses import CANDIDATES, ChosenPoses, candidates_rad
+from tests.procedures.results import result_of
 
 QUICK = load_cell("paper", {"plan.quick": "true"})
 STATION = QUICK.station_named(QUICK.grid.station)
@@ -81,7 +82,7 @@ def test_poses_are_chosen_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(chosen_poses, "choice", lambda log, rad: Design([7], [0.1, 0.1]))
     ChosenPoses().perform(session)  # resumed, with more known by now
     assert journal.sent == first + first
-    assert ChosenPoses().result(session.log)["chosen_poses"]["bounds_mm"] == [0.3, 0.2, 0.1]
+    assert result_of(ChosenPoses(), session.log)["chosen_poses"]["bounds_mm"] == [0.3, 0.2, 0.1]
 
 
 def test_a_robot_that_is_not_identified_gets_no_poses(monkeypatch: pytest.MonkeyPatch) -> None:

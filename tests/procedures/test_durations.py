@@ -14,7 +14,7 @@ from fakes.time import PlantTime
 from fakes.truth.motion import Path
 from fakes.truth.robot_motion import RobotMotion
 from hilcell.cell.file import Station, load_cell
-from hilcell.run.procedure import Step
+from hilcell.model.plan import Step
 from procedures import durations
 from procedures.durations import first_pass_percent, flange_points
 from procedures.paper import EXPERIMENTS

@@ -104,7 +104,7 @@ def test_a_tolerance_that_u_has_nearly_used_up_ends_undecided_and_not_in_a_fault
     monkeypatch.setattr(enough_targets, "validation", lambda log, stations: {"chosen": found})
     monkeypatch.setattr(enough_targets, "guard_of", lambda log, count: Guard(0.0225, 0.0225))
     assert enough_targets.decision_at(log, "S300") == Decision(Outcome.UNDECIDED, 96)
-    assert "most_targets" in enough_targets.judgement(log, ["S300"])["text"]
+    assert "most_targets" in enough_targets.judgement(log, ["S300"]).text
 
 
 def test_the_paper_has_no_quick_plan() -> None:
@@ -135,8 +135,8 @@ def test_what_is_above_a_tolerance_less_u_is_out_of_tolerance_only_above_it_less
     decided = enough_targets.decision_at(log, "S300")
     assert decided.outcome is not Outcome.UNDECIDED  # more would not help
     judgement = enough_targets.judgement(log, ["S300"])
-    assert judgement["outcome"] == outcome
-    verdict = judged(error_mm, error_mm, limits_of(cell), guard, also=judgement["outcome"])
+    assert judgement.outcome == outcome
+    verdict = judged(error_mm, error_mm, limits_of(cell), guard, also=judgement.outcome)
     assert verdict.outcome == outcome
-    assert "most_targets" not in judgement["text"]
-    assert judgement["text"].startswith(verdict.outcome.words)
+    assert "most_targets" not in judgement.text
+    assert judgement.text.startswith(verdict.outcome.words)

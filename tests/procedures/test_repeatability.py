@@ -60,7 +60,7 @@ def test_the_robots_rp_has_the_trackers_noise_taken_off(logs: list[Visits]) -> N
 def test_the_floor_does_not_depend_on_few_visits(logs: list[Visits]) -> None:
     sigma_mm = np.sqrt((0.0166**2 * 3 + np.square(TRACKER_MM).sum()) / 3)
     mean_mm = 2 * sigma_mm * np.sqrt(2 / np.pi)  # of a Maxwell distribution
-    assert np.mean([floor(log)["mean"] for log in logs]) == pytest.approx(mean_mm, rel=0.02)
+    assert np.mean([floor(log).mean for log in logs]) == pytest.approx(mean_mm, rel=0.02)
 
 
 def test_a_robot_that_is_better_than_the_tracker_has_no_rp_of_its_own() -> None:

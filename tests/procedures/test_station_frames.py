@@ -17,6 +17,7 @@ from hilcell.model.point import Point, PointId
 from hilcell.ports import Array, DeviceError
 from procedures.station_frames import StationFrames, cube_uncertainty_mm, station_fit
 from tests.hilcell.verdicts import plain
+from tests.procedures.results import result_of
 from tests.procedures.test_sign_check import FakeBench
 
 CELL = load_cell("paper")
@@ -94,7 +95,7 @@ def by_total_station(seed: int) -> Any:
 
 def left_out(bench: Any) -> set[str]:
     StationFrames().perform(bench)
-    found = StationFrames().result(bench.log)["stations"]
+    found = result_of(StationFrames(), bench.log)["stations"]
     return {nest for each in found.values() for nest in each["left_out"]}
 
 
@@ -110,7 +111,7 @@ def test_a_frame_of_a_total_station_is_as_good_as_it_states() -> None:
     for seed in range(8):
         bench = by_total_station(seed)
         StationFrames().perform(bench)
-        found = StationFrames().result(bench.log)["stations"]
+        found = result_of(StationFrames(), bench.log)["stations"]
         off += [off_mm(bench, name) / found[name]["tool_uncertainty_mm"] for name in FAR]
     assert 0.6 < float(np.sqrt(np.mean(np.square(off)))) < 1.4
 
@@ -143,7 +144,7 @@ def off_mm(bench: Any, name: str) -> float:
 def test_every_station_is_framed_with_all_nests() -> None:
     bench: Any = Slide()
     StationFrames().perform(bench)
-    for name, figures in StationFrames().result(bench.log)["stations"].items():
+    for name, figures in result_of(StationFrames(), bench.log)["stations"].items():
         assert figures["left_out"] == []
         assert 0.01 < figures["tool_uncertainty_mm"] < figures["cube_uncertainty_mm"] < 0.05
         assert off_mm(bench, name) < 3 * figures["tool_uncertainty_mm"]
@@ -155,7 +156,7 @@ def test_a_nest_that_moved_is_left_out_and_named(nest: str) -> None:
     bench: Any = Slide()
     bench.moved_mm["S300", nest] = np.array([0.15, -0.2, 0.1])
     StationFrames().perform(bench)
-    found = StationFrames().result(bench.log)["stations"]
+    found = result_of(StationFrames(), bench.log)["stations"]
     assert {name: each["left_out"] for name, each in found.items()} == {
         "S300": [nest], "S1100": [], "S1900": [],
     }  # fmt: skip

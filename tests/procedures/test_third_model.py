@@ -24,6 +24,7 @@ from tests.hilcell.calibration.calibrations import calibration
 from tests.hilcell.fit.test_fit import IRB120, SMR_MM
 from tests.hilcell.fit.test_fit import measured as measured_rows
 from tests.hilcell.verdicts import FITTED, plain
+from tests.procedures.results import result_of
 from tests.procedures.test_sign_check import FakeBench
 
 
@@ -59,7 +60,7 @@ def registered(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_it_is_judged_chosen_and_applied_on_the_cell() -> None:
     bench: Any = FakeBench()
-    found = Fit().result(bench.log)
+    found = result_of(Fit(), bench.log)
     assert set(found["fit"]["loocv"]) >= {"nominal", "idw", "trilinear", "plane"}
     assert found["method"] in ("plane", "trilinear")  # the error is linear, up to rounding
     bench.keep("verdict", "fit", plain(replace(FITTED, method="plane")))

@@ -22,9 +22,10 @@ from hilcell.model.frame import Frame
 from hilcell.model.point import Point, PointId
 from hilcell.model.suspicion import blamed, suspected_in
 from hilcell.ports import Array, DeviceError
-from procedures.touch import touch_once, touch_result, touch_spans
+from procedures.touch import touch_once, touch_spans, touches
 from procedures.validate import Validate, target_poses, targets
 from tests.hilcell.verdicts import FITTED, framed, plain
+from tests.procedures.results import result_of
 from tests.procedures.test_sign_check import BASE, FakeBench, error_mm
 
 SETTINGS = {"grid.pitch_mm": "450.0", "validation.per_cell": "1", "validation.others": "8"}
@@ -112,7 +113,7 @@ class Visits(FakeBench):
 def chosen_mm(bench: Any) -> dict[str, float]:
     """Return the mean error by station after `Validate`, the chosen way."""
     Validate().perform(bench)
-    found = Validate().result(bench.log)["validation"]
+    found = result_of(Validate(), bench.log)["validation"]
     return {name: found[name]["chosen"]["mean"] for name in ("S1100", "S300", "S1900")}
 
 
@@ -178,9 +179,9 @@ def test_touch_poses_absorb_the_slip() -> None:
     bench = bench_of()
     for name, mean_mm in chosen_mm(bench).items():
         assert mean_mm < 0.35 * SLIP_MM, name
-    found = touch_result(bench.log)["touch"]
-    assert found["S300"]["along_rail_mm"] == pytest.approx(SLIP_MM, abs=0.35 * SLIP_MM)
-    assert found["S300"]["u_after_mm"] < 0.7 * found["S300"]["u_before_mm"]
+    found = touches(bench.log)
+    assert found["S300"].along_rail_mm == pytest.approx(SLIP_MM, abs=0.35 * SLIP_MM)
+    assert found["S300"].u_after_mm < 0.7 * found["S300"].u_before_mm
 
 
 def test_the_base_that_is_found_does_not_judge_itself() -> None:
@@ -311,7 +312,7 @@ def test_an_arm_that_has_grown_with_the_room_is_sent_less_far(
     for name, mean_mm in chosen_mm(bench).items():
         assert least_mm <= mean_mm < most_mm, name
     if poses != "0":
-        grown = touch_result(bench.log)["touch"]["S1100"]["growth_um_m"]
+        grown = touches(bench.log)["S1100"].growth_um_m
         assert grown == pytest.approx(30.0, abs=8.0)
 
 

@@ -17,6 +17,7 @@ from tests.hilcell.report.journals import Writer
 from tests.hilcell.run.bed import CELL, PLAN, Bed
 from tests.hilcell.run.rig import Points, procedure
 from tests.hilcell.verdicts import base_at
+from tests.procedures.results import result_of
 
 
 def test_no_world_is_framed_by_nests_that_stand_otherwise(
@@ -44,13 +45,13 @@ def test_no_world_is_framed_by_nests_that_stand_otherwise(
 def test_the_tracker_in_the_result_is_that_of_the_last_set_up(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "r").began()
     first, last = np.eye(4), matrix(np.eye(3), np.array([4.0, 0.0, 0.0]))
-    assert WorldFrame().result(read_log(tmp_path / "r"))["tracker"] == {
+    assert result_of(WorldFrame(), read_log(tmp_path / "r"))["tracker"] == {
         "T_W_L": first.tolist(), "moved": 0, "set_ups": [first.tolist()],
     }  # fmt: skip
     event = {"what": "tracker moved", "set_up": 1, "invalid": []}
     writer.journal.append("event", "", event)
     writer.frame("world.1", matrix=last)
-    assert WorldFrame().result(read_log(writer.left()))["tracker"] == {
+    assert result_of(WorldFrame(), read_log(writer.left()))["tracker"] == {
         "T_W_L": last.tolist(), "moved": 1, "set_ups": [first.tolist(), last.tolist()],
     }  # fmt: skip
 

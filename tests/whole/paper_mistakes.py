@@ -15,31 +15,32 @@ from hilcell.compensation.interpolation import Idw
 from hilcell.geometry.frames import apply, inverse
 from hilcell.journal.log import Log
 from hilcell.model.point import Point
+from hilcell.model.results import PaperRow
 from hilcell.ports import Array
-from hilcell.run.procedure import Procedure
-from procedures.paper import EXPERIMENTS, paper_table
+from hilcell.typed import typed
+from procedures.paper import experiments
+from procedures.paper_figures import Experiments
 from procedures.paper_rows import ROWS, Row
 from procedures.plan import poses_at
 from tests.whole.conftest import PaperRun
 
-EXPERIMENT = Procedure("experiments", "", EXPERIMENTS, paper_table)
 BY_NAME: Mapping[str, Row] = {row.name: row for row in ROWS}
 REFERENCE, OTHERS = "S1100", ("S300", "S1900")
 
 
-def rows_of(log: Log) -> dict[str, dict[str, Any]]:
+def rows_of(log: Log) -> dict[str, PaperRow]:
     """Return all rows, judged on this log alone."""
-    found = EXPERIMENT.result(log)
+    found = experiments(log)
     return {row.name: row.judged(log, found) for row in ROWS}
 
 
 def failing(log: Log) -> set[str]:
-    return {name for name, row in rows_of(log).items() if not row["holds"]}
+    return {name for name, row in rows_of(log).items() if not row.holds}
 
 
 def fails(name: str, log: Log) -> bool:
     """Whether one row fails, judged on this log alone."""
-    return not BY_NAME[name].judged(log, EXPERIMENT.result(log))["holds"]
+    return not BY_NAME[name].judged(log, experiments(log)).holds
 
 
 def changed(log: Log, points: Iterable[Point]) -> Log:
@@ -95,6 +96,6 @@ def by_idw(log: Log) -> Callable[[Array], Array]:
     return lambda at_mm: model.predict(poses_at(log.cell, at_mm)).error_mm
 
 
-def judged(name: str, paper: PaperRun) -> dict[str, Any]:
+def judged(name: str, paper: PaperRun) -> PaperRow:
     """Return one row, judged as if the run's result were unchanged."""
-    return BY_NAME[name].judged(paper.log, paper.result)
+    return BY_NAME[name].judged(paper.log, typed(paper.result, Experiments))

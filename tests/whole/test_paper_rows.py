@@ -32,8 +32,10 @@ from hilcell.model.frame import MeasuredBase
 from hilcell.ports import Array
 from hilcell.programs import plan as planning
 from hilcell.programs.plan import HolePlan
+from hilcell.typed import typed
 from procedures import paper_figures, rail_survey, station_frames
 from procedures.paper import paper_table
+from procedures.paper_figures import Experiments
 from procedures.paper_rows import ROWS, Row
 from procedures.plan import joints_for, poses_at
 from procedures.station_frames import station_fit, tool_uncertainty_mm
@@ -75,7 +77,7 @@ def test_every_row_of_the_paper_holds(paper: PaperRun) -> None:
 
 
 def test_the_journal_gives_the_rows_again(paper: PaperRun) -> None:
-    assert list(rows_of(paper.log).values()) == paper.result["rows"]
+    assert msgspec.to_builtins([*rows_of(paper.log).values()]) == paper.result["rows"]
 
 
 def test_rows_that_cannot_fail_say_so_and_all_others_say_when_they_fail(paper: PaperRun) -> None:
@@ -94,15 +96,15 @@ def test_a_real_machine_sets_nothing(paper: PaperRun) -> None:
     real.plan = msgspec.structs.replace(real.plan, simulated=False)
     cold = [msgspec.structs.replace(real.select("grid")[0], temperature_c=19.0)]
     rows = rows_of(changed(real, cold))
-    assert rows["sec5.1.temperature.min"]["set"] is False
-    assert rows["sec5.1.temperature.min"]["holds"] is False
-    assert rows["fig12.before.mean"]["holds"] is True
-    assert rows["fig11.cells"]["set"] is True
+    assert rows["sec5.1.temperature.min"].set is False
+    assert rows["sec5.1.temperature.min"].holds is False
+    assert rows["fig12.before.mean"].holds is True
+    assert rows["fig11.cells"].set is True
 
 
 def test_a_figure_that_is_no_number_does_not_hold(paper: PaperRun) -> None:
     nothing = Row("x", None, "", lambda log, result: np.nan, BY_NAME["fig1.backlash"].limits)
-    assert nothing.judged(paper.log, paper.result)["holds"] is False
+    assert nothing.judged(paper.log, typed(paper.result, Experiments)).holds is False
 
 
 def test_a_way_back_in_the_order_of_the_way_there(
@@ -138,9 +140,9 @@ def test_the_closest_station_of_every_hole_is_more_than_the_fewest(
         taken = np.unique(np.abs(along_mm[:, None] - rails_mm).argmin(axis=1))
         return HolePlan([None] * len(taken))  # type: ignore[list-item]  # only counted
 
-    assert judged("fig2.stations", paper)["holds"] is True
+    assert judged("fig2.stations", paper).holds is True
     monkeypatch.setattr(planning, "plan", closest)
-    assert judged("fig2.stations", paper)["holds"] is False
+    assert judged("fig2.stations", paper).holds is False
 
 
 def test_a_links_error_left_in_the_tools_frame(
@@ -154,7 +156,7 @@ def test_a_links_error_left_in_the_tools_frame(
         return J
 
     monkeypatch.setattr(paper_figures, "parameter_jacobian", in_tool)
-    assert judged("eq1-7.jacobian", paper)["holds"] is False
+    assert judged("eq1-7.jacobian", paper).holds is False
 
 
 def test_errors_of_other_vertices_are_not_similar(paper: PaperRun) -> None:
@@ -215,8 +217,8 @@ def test_commands_by_another_equation(
         msgspec.structs.replace(point, commanded_deg=tuple(joints.tolist()))
         for point, joints in zip(points, commands_deg, strict=True)
     ]
-    row = BY_NAME["eq9.weights"].judged(changed(log, sent), paper.result)
-    assert row["holds"] is False
+    row = BY_NAME["eq9.weights"].judged(changed(log, sent), typed(paper.result, Experiments))
+    assert row.holds is False
     right_mm = corrected(
         grid_of(log.cell), poses_at(log.cell, wanted_mm), Idw.of_grid(measured_grid(log))
     )
@@ -254,7 +256,7 @@ def test_the_factors_of_eq_17_exchanged(paper: PaperRun, monkeypatch: pytest.Mon
         return inverse(T_W_S1) @ T_W_Si @ T_W_B1
 
     monkeypatch.setattr(calibration, "base_at", exchanged)
-    assert judged("eq13-17.transfer", paper)["holds"] is False
+    assert judged("eq13-17.transfer", paper).holds is False
 
 
 def test_a_point_of_a_sweep_measured_while_axis_2_moves(paper: PaperRun) -> None:
@@ -335,8 +337,8 @@ def test_a_correction_is_modelled_as_it_acts(paper: PaperRun) -> None:
     modelled = rows_of(as_if_sent(log, by_idw(log), (REFERENCE, *OTHERS)))
     found = rows_of(log)
     for name in ("fig12.after.mean", "fig13.after.mean"):
-        assert modelled[name]["here"] == pytest.approx(found[name]["here"], rel=0.15)
-        assert modelled[name]["holds"] is True
+        assert modelled[name].here == pytest.approx(found[name].here, rel=0.15)
+        assert modelled[name].holds is True
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ import pytest
 import hilcell.__main__
 from hilcell.commands.cli import main
 from hilcell.study import cluster
-from hilcell.study.case import Row, measured, packed, versions
+from hilcell.study.case import Found, measured, packed, versions
 from hilcell.study.design import Case, cases
 from hilcell.study.errors import Cluster
 from hilcell.study.performing import perform
@@ -42,7 +42,7 @@ def measured_here(path: Path, folder: Path) -> pa.Table:
     """Return the rows of a study that this process measures by itself."""
 
     class Here:
-        def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Row]]:
+        def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Found]]:
             for case, cell in waiting:
                 yield case, measured(cell, case.machine, case.seed, versions())
 
@@ -125,7 +125,7 @@ def test_a_study_that_ends_early_says_whether_cases_are_kept(
     """As a restart of the PC while workers start: cases of an earlier session are kept."""
 
     class Ends:
-        def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Row]]:
+        def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Found]]:
             if not lost:
                 signal.raise_signal(signal.SIGTERM)
             yield from [(case, found) for case, _ in list(waiting)[:kept]]
@@ -133,8 +133,7 @@ def test_a_study_that_ends_early_says_whether_cases_are_kept(
 
     path = written(tmp_path, READINGS)
     asked = read_study(path)
-    found: Row = {"state": "done", "reason": "", "minutes": 9.0}
-    found |= {"mean_mm": 0.1, "covered": 1.0, "targets": 8.0}
+    found = Found("done", "", 9.0, {"mean_mm": 0.1, "covered": 1.0, "targets": 8.0})
     results = Results(tmp_path / "r", asked)
     with results.held():
         results.add([row_of(case, found, asked) for case in list(cases(asked))[:kept]])
@@ -195,10 +194,10 @@ def test_workers_and_schedulers_that_froze_or_are_gone_are_named(
             asked.process.send_signal(signal.SIGCONT)
 
 
-def _begun(workers: cluster.Workers, folder: Path) -> Iterator[tuple[Case, Row]]:
+def _begun(workers: cluster.Workers, folder: Path) -> Iterator[tuple[Case, Found]]:
     """Begin a long study; return its rows after the first."""
     rows = workers.measure(_many(folder))
-    assert next(rows)[1]["state"] == "done"
+    assert next(rows)[1].state == "done"
     return rows
 
 
@@ -229,7 +228,7 @@ def test_a_worker_of_this_pc_that_froze_is_restarted(
         os.kill(process.pid, signal.SIGSTOP)
         found += rows
     assert sorted(case.number for case, _ in found) == [1, 2, 3, 4]
-    assert {row["state"] for _, row in found} == {"done"}
+    assert {row.state for _, row in found} == {"done"}
     assert said
 
 
@@ -238,7 +237,7 @@ def test_a_worker_of_this_pc_that_froze_is_restarted(
 def test_a_killed_worker_loses_no_case(tmp_path: Path) -> None:
     """Its case is measured by the other worker, with the same digits."""
     asked = study(tmp_path, READINGS, "machines = 3")
-    found: dict[int, Row] = {}
+    found: dict[int, Found] = {}
     with (
         scheduler() as (address, _),
         worker(address),
@@ -250,7 +249,7 @@ def test_a_killed_worker_loses_no_case(tmp_path: Path) -> None:
             found[case.number] = row
             doomed.kill()
     wanted = measured_here(tmp_path / "study.toml", tmp_path / "r").to_pylist()
-    assert [row["mean_mm"] for row in wanted] == [found[n]["mean_mm"] for n in range(1, 7)]
+    assert [row["mean_mm"] for row in wanted] == [found[n].figures["mean_mm"] for n in range(1, 7)]
 
 
 OLDER = 'import hilcell\nhilcell.__version__ = "0.0.9"\n'
@@ -266,11 +265,11 @@ def test_a_worker_that_differs_measures_nothing(tmp_path: Path) -> None:
         address = stack.enter_context(scheduler_here())
         with cluster.workers_of(address, print) as workers:
             ((_, first),) = workers.measure(itertools.islice(waiting, 1))
-            assert first["state"] == "done"
+            assert first.state == "done"
             site = str(tmp_path / "site")
             stack.enter_context(worker(address, "--nthreads", "2", PYTHONPATH=site))
             with pytest.raises(Cluster, match=r"0\.0\.9"):
-                assert {row["state"] for _, row in workers.measure(waiting)} == {"done"}
+                assert {row.state for _, row in workers.measure(waiting)} == {"done"}
         done = command(
             "study", tmp_path / "study.toml", "-o", tmp_path / "r", "--scheduler", address
         )

@@ -9,6 +9,7 @@ import numpy as np
 from hilcell.calibration.decision import limits_of
 from hilcell.calibration.errors import validation
 from hilcell.model.point import BOTH, Sent
+from hilcell.model.results import Repeated
 from hilcell.ports import Array
 from hilcell.report.budgets import TargetBudget
 from hilcell.report.drawings.drawing import (
@@ -144,15 +145,15 @@ def _curve(frame: Frame, norms_mm: Array, colour: str, dash: str) -> str:
 
 def _floor(facts: Facts, frame: Frame) -> Iterator[str]:
     """Yield the errors that repeatability and tracker noise alone would leave (Maxwell's law)."""
-    floor_mm = facts.result.get("repeatability", {}).get("floor_mm")
-    if floor_mm is None:
+    repeated = facts.part("repeatability", Repeated)
+    if repeated is None:
         return
     from scipy.special import chdtri
 
     shares = np.linspace(0.5, 99.5, 100)
-    norms_mm = floor_mm / np.sqrt(8 / np.pi) * np.sqrt(chdtri(3, 1 - shares / 100))
+    norms_mm = repeated.floor_mm / np.sqrt(8 / np.pi) * np.sqrt(chdtri(3, 1 - shares / 100))
     yield path(frame.at(shares, norms_mm), MUTED, 0.4, "0.3 0.8")
-    words = f"dotted: floor by repeatability, {floor_mm:.3f}"
+    words = f"dotted: floor by repeatability, {repeated.floor_mm:.3f}"
     yield text(frame.x.end - 1.0, frame.y.begin - 1.5, words, "end", MUTED)
 
 

@@ -14,6 +14,7 @@ from hilcell.clean import harmless
 from hilcell.compensation.similarity import binned
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.point import HOLDS, SIDES, Sent
+from hilcell.model.results import FramesRepeated, SurveyedRail, WithU
 from hilcell.model.verdicts import ISO
 from hilcell.ports import Array
 from hilcell.report.drawings.svg import MUTED, axes_sheet, house_style, svg_of
@@ -178,13 +179,13 @@ def _legend_above(ax: Axes) -> None:
 
 def fig_1(facts: Facts) -> Drawn | None:
     """Draw the rail's position error, forth and back."""
-    survey = facts.result.get("rail_survey")
+    survey = facts.part("rail_survey", SurveyedRail)
     if survey is None:
         return None
     figure, axes = axes_sheet(2.6)
     ax: Axes = axes[0, 0]
     for way, how in (("forth", Sent.CHOSEN), ("back", Sent.BEFORE)):
-        nominal_mm, error_mm = np.array(survey["curve"][way], dtype=float).reshape(-1, 2).T
+        nominal_mm, error_mm = np.array(survey.curve[way], dtype=float).reshape(-1, 2).T
         ax.plot(
             nominal_mm,
             error_mm,
@@ -198,31 +199,31 @@ def fig_1(facts: Facts) -> Drawn | None:
     ax.set_ylabel("position error, mm")
     _legend_above(ax)
     return figure, (
-        f"Backlash {_with_u(survey['backlash_mm'], 'mm')}; "
-        f"scale {_with_u(survey['scale_ppm'], 'ppm')}. "
+        f"Backlash {_with_u(survey.backlash_mm, 'mm')}; "
+        f"scale {_with_u(survey.scale_ppm, 'ppm')}. "
         + _of_paper(facts, "The paper: error up to 0.5 mm, backlash about 0.2 mm.")
     )
 
 
-def _with_u(figure: Mapping[str, float], unit: str) -> str:
-    return f"{figure['value']:.4g} {unit} (u = {figure['u']:.2g} {unit})"
+def _with_u(figure: WithU, unit: str) -> str:
+    return f"{figure.value:.4g} {unit} (u = {figure.u:.2g} {unit})"
 
 
 def fig_slide(facts: Facts) -> Drawn | None:
     """Draw how the slide turns along the rail."""
-    survey = facts.result.get("rail_survey")
+    survey = facts.part("rail_survey", SurveyedRail)
     if survey is None:
         return None
     figure, axes = axes_sheet(2.2)
     ax: Axes = axes[0, 0]
-    nominal_mm = [stop[0] for stop in survey["curve"]["forth"]]
+    nominal_mm = [stop[0] for stop in survey.curve["forth"]]
     turns = (("roll", Sent.IDW), ("pitch", Sent.BEFORE), ("yaw", Sent.CHOSEN))
     for (name, how), style in zip(turns, ("-", "--", ":"), strict=True):
-        ax.plot(nominal_mm, survey["angles_mrad"][name], style, color=COLOURS[how], label=name)
+        ax.plot(nominal_mm, survey.angles_mrad[name], style, color=COLOURS[how], label=name)
     ax.set_xlabel("nominal position on the rail, mm")
     ax.set_ylabel("angle, mrad")
     _legend_above(ax)
-    off_mm = survey["straightness_mm"]
+    off_mm = survey.straightness_mm
     return figure, (
         "Forth, against the first stop, from the slide's nests. Straightness of the path, peak to "
         f"peak: {off_mm['horizontal']:.3f} mm horizontal, {off_mm['vertical']:.3f} mm vertical."
@@ -262,14 +263,16 @@ def fig_similarity(facts: Facts) -> Drawn | None:
 
 def fig_8(facts: Facts) -> Drawn | None:
     """Draw how far slide points came out from where the reference's frames have them."""
-    found = facts.result.get("frame_repeatability")
+    found = facts.part("frame_repeatability", FramesRepeated)
     if found is None:
         return None
-    stations = list(found["base"])
+    stations = list(found.base)
     figure, axes = axes_sheet(2.5, 1, len(stations), sharey=True)
     for ax, station in zip(axes[0], stations, strict=True):
-        for kind, how, shift in (("base", Sent.BEFORE, -0.2), ("station", Sent.CHOSEN, 0.2)):
-            off_mm = found[kind][station]
+        for kind, off_mm, how, shift in (
+            ("base", found.base[station], Sent.BEFORE, -0.2),
+            ("station", found.station[station], Sent.CHOSEN, 0.2),
+        ):
             ax.bar(
                 np.arange(1, len(off_mm) + 1) + shift,
                 off_mm,
@@ -279,14 +282,14 @@ def fig_8(facts: Facts) -> Drawn | None:
             )
         ax.set_title(f"station {station}")
         ax.set_xlabel("slide point")
-        ax.set_xticks(np.arange(1, len(found["base"][station]) + 1))
+        ax.set_xticks(np.arange(1, len(found.base[station]) + 1))
         ax.grid(visible=False, axis="x")
     axes[0, 0].set_ylabel("deviation, mm")
     _legend_above(axes[0, -1])
-    low, high = found["ratio_interval"]
+    low, high = found.ratio_interval
     return figure, (
         f"Against station {facts.cell.grid.station}. The station frame repeats "
-        f"{found['ratio']:.1f} times better, interval {low:.1f} to {high:.1f}. "
+        f"{found.ratio:.1f} times better, interval {low:.1f} to {high:.1f}. "
         + _of_paper(facts, "The paper: about 4 times.")
     )
 

@@ -171,7 +171,7 @@ def _parts(view: RunView) -> list[tuple[str, float]]:
         return []
     found: list[tuple[str, float]] = []
     for number, parts in groupby(view.ahead, key=attrgetter("step")):
-        step = step_words(str(plan.steps[number - 1]["name"]), has_rail=view.has_rail)
+        step = step_words(plan.steps[number - 1].name, has_rail=view.has_rail)
         if found:
             found.append((step, sum(part.takes_s for part in parts)))
         else:

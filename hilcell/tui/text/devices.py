@@ -30,7 +30,7 @@ def end_remark(view: RunView) -> str:
     plan = view.log.plan
     if plan is None or view.live or view.state == "idle":
         return ""
-    if all(step["name"] != "validate" for step in plan.steps):
+    if all(step.name != "validate" for step in plan.steps):
         return ""
     measured = min(sum(map(len, view.measured.values())), plan.points)
     return f"no verdict: {measured} of {plan.points} points"

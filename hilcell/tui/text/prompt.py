@@ -56,7 +56,7 @@ def _count(view: RunView) -> str:
     if plan is None or not view.step or not seats(view):
         return ""
     number = view.step.number
-    planned = plan.steps[number - 1]["points"] if number <= len(plan.steps) else 0
+    planned = plan.steps[number - 1].points if number <= len(plan.steps) else 0
     done = len(view.measured.get(number, ()))
     return f"{done + 1} of {planned}" if done < planned else ""
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from textual.content import Content
 
@@ -14,6 +13,7 @@ from hilcell.journal.runs import short_run
 from hilcell.journal.times import local_words
 from hilcell.journal.words import procedure_words, step_words
 from hilcell.model.outcome import Outcome
+from hilcell.model.plan import Step
 from hilcell.model.point import CONTROL
 from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.layout import BLANK, Bar, Cell, Col, Fitting, Grid, Lines, ends
@@ -178,16 +178,16 @@ def _of_step(view: RunView, number: int) -> tuple[int, int]:
     if view.span is not None:
         return view.span.taken, view.span.planned
     steps = view.log.plan.steps if view.log.plan is not None else []
-    planned = steps[number - 1]["points"] if number <= len(steps) else 0
+    planned = steps[number - 1].points if number <= len(steps) else 0
     if not planned and (sweeps := sweeps_of(steps[number - 1 : number])):
         return min(len(view.log.streams), sweeps), sweeps
     return min(len(view.measured.get(number, ())), planned), planned
 
 
-def sweeps_of(steps: Sequence[Mapping[str, Any]]) -> int:
+def sweeps_of(steps: Sequence[Step]) -> int:
     """Return how many axis sweeps the plan has for these steps."""
-    spans = [span for step in steps for span in step.get("spans", ())]
-    return sum(span["measured"] for span in spans if span["kind"] == "sweep")
+    spans = [span for step in steps for span in step.spans]
+    return sum(span.measured for span in spans if span.kind == "sweep")
 
 
 def progress(view: RunView) -> Lines:
@@ -241,7 +241,7 @@ def following(view: RunView) -> Content:
     number = now.number
     words = "the end"
     if number < len(plan.steps):
-        words = step_words(plan.steps[number]["name"], has_rail=view.has_rail)
+        words = step_words(plan.steps[number].name, has_rail=view.has_rail)
     known = bool(view.ahead) and view.state == "running" and not view.stale
     left_s = sum(part.takes_s for part in view.ahead if part.step == number)
     when = f", in {duration(left_s)}" if known else ""

@@ -111,7 +111,7 @@ def _extent(log: Log, targets: Rows) -> tuple[Array, Array, dict[str, Array]]:
 def planned_targets(log: Log) -> int:
     """Return how many corrected targets a whole validation has; 0 where that is not stated."""
     cell, steps = log.cell, log.inputs.steps
-    if cell.plan.quick or not any(step.get("name") == "validate" for step in steps):
+    if cell.plan.quick or not any(step.name == "validate" for step in steps):
         return 0
     others = len(cell.station) - 1
     at_others = cell.validation.others // others * others if others else 0

@@ -85,7 +85,7 @@ def test_errors_are_rotation_vectors_in_world_from_nominal_to_actual() -> None:
     log = logged([(ids("validate", 1)[0], actual)], {"validate": SEATS_MM})
     turned = turned_of(log, log.select("validate"), SEATS_MM)
     np.testing.assert_allclose(turned.error_rad, [wanted_rad], atol=1e-9)
-    assert turned.figures["mean_deg"] == pytest.approx(np.degrees(np.linalg.norm(wanted_rad)))
+    assert turned.figures.mean_deg == pytest.approx(np.degrees(np.linalg.norm(wanted_rad)))
     sigma_rad = np.sqrt(np.diagonal(turned.reading_rad2, axis1=1, axis2=2))
     assert (sigma_rad > 0.01 / 250.0).all()
     assert (sigma_rad < 0.01 / 80.0).all()
@@ -120,7 +120,7 @@ def test_the_uncertainty_of_an_orientation_covers_reflectors_that_are_seen_elsew
         turns_deg.append(np.degrees(turned_of(log, log.select("validate"), SEATS_MM).error_rad[0]))
     sigma_deg = np.sqrt(np.linalg.eigvalsh(np.cov(np.array(turns_deg).T))[-1])
     assert pytest.approx(2.0 * sigma_deg, rel=0.2) == U_deg
-    assert largest_turn(exact, turned) == (turned.figures["max_deg"], U_deg)
+    assert largest_turn(exact, turned) == (turned.figures.max_deg, U_deg)
 
 
 def test_an_orientation_that_was_not_measured_is_no_number() -> None:
@@ -199,8 +199,8 @@ def test_a_bound_in_the_validation_has_the_readings_in_it(monkeypatch: pytest.Mo
     poses = [(id, from_rotvec(turn) @ ORIENTED) for id, turn in zip(targets, turns, strict=True)]
     log = logged(poses, {"validate": SEATS_MM})
     found = turn_coverages(calibration(), log, {"S1100": ["S1100"]})["S1100"]
-    assert found["coverage"] == 0.5
-    assert found["mean_deg"] == pytest.approx(np.degrees(wanted_rad.mean()), rel=1e-3)
+    assert found.coverage == 0.5
+    assert found.mean_deg == pytest.approx(np.degrees(wanted_rad.mean()), rel=1e-3)
 
 
 @pytest.mark.parametrize(("shift_mm", "moved"), [(0.0, False), (0.02, False), (0.05, True)])

@@ -14,6 +14,7 @@ from msgspec.structs import replace
 from hilcell.calibration.bounds import Coverage
 from hilcell.calibration.decision import guard_of
 from hilcell.model.outcome import Outcome
+from hilcell.model.results import Turns
 from hilcell.report import dcc
 from hilcell.report.budgets import TargetBudget
 from hilcell.report.dcc import CELSIUS, DEGREE, FORMS, HECTOPASCAL, MM, PERCENT, dcc_bytes, real
@@ -213,7 +214,7 @@ def test_orientations_where_they_were_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Turned:
-        figures: ClassVar = {"mean_deg": 0.0123, "p95_deg": 0.02, "max_deg": 0.03}
+        figures: ClassVar = Turns(mean_deg=0.0123, p95_deg=0.02, max_deg=0.03)
 
         def __len__(self) -> int:
             return 4

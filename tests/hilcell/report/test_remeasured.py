@@ -149,7 +149,7 @@ def test_of_an_orientation_the_larger_value_counts_too(
         ("0.0573", "0.0115")
     }
     turned = validated_turns(facts.log, ["S1100"])[Sent.CHOSEN]
-    assert turned.figures["max_deg"] == pytest.approx(0.0573, abs=1e-4)
+    assert turned.figures.max_deg == pytest.approx(0.0573, abs=1e-4)
     assert "Orientation ." not in orientation(facts).note
 
 

@@ -12,6 +12,7 @@ from hilcell.cell.devices import Devices
 from hilcell.cell.file import Cell
 from hilcell.geometry.kinematics import forward
 from hilcell.journal.log import Log
+from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.ports import (
     Air,
@@ -26,7 +27,7 @@ from hilcell.ports import (
 )
 from hilcell.present.table import Table
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Procedure, Step
+from hilcell.run.procedure import Procedure
 from tests.clocks import DrivenClock
 
 

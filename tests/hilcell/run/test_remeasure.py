@@ -9,9 +9,9 @@ import pytest
 from hilcell.cell.file import Cell
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
+from hilcell.model.plan import Step
 from hilcell.model.point import PointId
 from hilcell.run.cell_session import CellSession
-from hilcell.run.procedure import Step
 from hilcell.run.remeasure import retake_refusal, still_refused
 from hilcell.run.states import CALIBRATION
 from tests.hilcell.run.bed import Bed, Live, until

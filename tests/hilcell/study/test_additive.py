@@ -13,17 +13,16 @@ import pytest
 from hilcell.ports import Array
 from hilcell.study.additive import Additive
 from hilcell.study.analysis import Answers, answers
+from hilcell.study.case import Row
 from hilcell.study.design import Case, Point, placed, points
 from hilcell.study.page import page
 from hilcell.study.study_file import Study
 from hilcell.study.tables import effects_sheet, facts
+from hilcell.typed import Json, typed
 from tests.hilcell.study.studies import study
-from tests.hilcell.study.test_analysis import FOUR, Row, rows, shares
+from tests.hilcell.study.test_analysis import FOUR, ended, rows, shares
 from tests.hilcell.study.test_study_file import factor
 
-NONE: Row = {"state": "cannot be", "reason": "grid: out of reach"} | dict.fromkeys(
-    ("minutes", "mean_mm", "covered", "targets")
-)
 READINGS = factor(name="readings", setting="layout.nest_samples", levels=[2, 5, 9])
 PITCH = factor(name="pitch", setting="grid.pitch_mm", levels=[450.0, 300.0, 225.0])
 RANGE = factor(name="x", setting="grid.centre.x_mm", low=1800.0, high=1900.0)
@@ -34,7 +33,10 @@ EIGHT = 'design = "sobol"\nsamples = 8\nmachines = 4'
 def judged(
     asked: Study, error_mm: Callable[[Case], float], works: Callable[[Row], bool]
 ) -> tuple[Answers, list[Row]]:
-    measured = [row if works(row) else row | NONE for row in rows(asked, error_mm)]
+    measured = [
+        row if works(row) else ended(row, "cannot be", "grid: out of reach")
+        for row in rows(asked, error_mm)
+    ]
     return answers(asked, measured), measured
 
 
@@ -51,7 +53,7 @@ def errors(case: Case) -> float:
 def test_a_range_of_which_one_end_gave_no_result(tmp_path: Path) -> None:
     """No effect of it; the other factor's is what it is, and so are the errors at its levels."""
     asked = study(tmp_path, RANGE + READINGS, FOUR)
-    found, measured = judged(asked, errors, lambda row: row["x"] == 1900.0)
+    found, measured = judged(asked, errors, lambda row: typed(row.levels["x"], float) == 1900.0)
     assert changes_of(found) == pytest.approx({("readings", "5"): 0.02, ("readings", "9"): 0.04})
     means = {each.word: each.mean.mean for each in found.effects}
     assert means["2"] == pytest.approx(0.1 + 0.025 + 0.01)
@@ -59,7 +61,7 @@ def test_a_range_of_which_one_end_gave_no_result(tmp_path: Path) -> None:
     assert math.isnan(means["1800"])
     assert len(found.not_estimable) == 2
     assert "1900" in found.not_estimable[0]
-    said = facts(asked, found, 24)
+    said: Json = facts(asked, found, 24)
     none = {"mean": None, "half95": None}
     low, high = said["effects"][:2]
     assert (low["accuracy_mm"], low["change_mm"], low["minutes"]) == (none, none, None)
@@ -78,24 +80,25 @@ def test_a_first_level_without_a_result(tmp_path: Path) -> None:
     """Changes, minutes and money are counted from the first that has one."""
     costly = PITCH + "\ncosts = [10, 30, 70]\n"
     asked = study(tmp_path, costly + READINGS, FOUR)
-    found, _ = judged(asked, errors, lambda row: row["pitch"] != 450.0)
+    found, _ = judged(asked, errors, lambda row: row.levels["pitch"] != 450.0)
     assert changes_of(found)["pitch", "225"] == pytest.approx(0.01)
     step = next(each for each in found.purchases if each.word == "225")
     assert (step.start, step.cost) == ("300", 40.0)
     assert step.minutes == pytest.approx(3.0)
-    assert facts(asked, found, 36)["effects"][0]["from"] == "300"
+    said: Json = facts(asked, found, 36)
+    assert said["effects"][0]["from"] == "300"
 
 
 def test_what_only_machines_together_would_tell(tmp_path: Path) -> None:
     asked = study(tmp_path, READINGS + PITCH, FOUR)
-    found, _ = judged(asked, errors, lambda row: (row["readings"] == 2) is (row["machine"] > 2))
+    found, _ = judged(asked, errors, lambda row: (row.levels["readings"] == 2) is (row.machine > 2))
     assert {each.factor.name for each in found.purchases} == {"pitch"}
     assert len(found.not_estimable) == 1
 
 
 def test_a_range_beyond_its_results(tmp_path: Path) -> None:
     asked = study(tmp_path, RANGE + READINGS, EIGHT.replace("8", "16"))
-    found, _ = judged(asked, errors, lambda row: row["x"] < 1860.0)
+    found, _ = judged(asked, errors, lambda row: typed(row.levels["x"], float) < 1860.0)
     assert changes_of(found)["x", "1900"] == pytest.approx(0.01)
     assert ["1856.25" in each for each in found.not_estimable] == [True]
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from scipy.stats import t as student
 
 from hilcell.study.analysis import answers, on_front
+from hilcell.study.case import Found, Row
 from hilcell.study.design import Case, cases
 from hilcell.study.intervals import interval, share
 from hilcell.study.page import page
@@ -24,11 +25,11 @@ from hilcell.study.tables import (
     purchases_sheet,
     sheets,
 )
+from hilcell.typed import Json
 from tests.hilcell.study.studies import study
 from tests.hilcell.study.test_design import RANGES, SOBOL
 
 FOUR = "machines = 4"
-Row = dict[str, Any]
 
 
 def rows(asked: Study, error_mm: Callable[[Case], float]) -> list[Row]:
@@ -36,12 +37,22 @@ def rows(asked: Study, error_mm: Callable[[Case], float]) -> list[Row]:
     return [
         row_of(
             case,
-            {"state": "done", "reason": "", "minutes": 20.0 + case.point.number,
-             "mean_mm": error_mm(case), "covered": 0.95, "targets": 100.0},
+            Found(
+                "done",
+                "",
+                20.0 + case.point.number,
+                {"mean_mm": error_mm(case), "covered": 0.95, "targets": 100.0},
+            ),
             asked,
         )
         for case in cases(asked)
-    ]  # fmt: skip
+    ]
+
+
+def ended(row: Row, state: str, reason: str) -> Row:
+    """Return a row of a case that has no result."""
+    none = dict.fromkeys(row.figures)
+    return replace(row, state=state, reason=reason, minutes=None, figures=none)
 
 
 def shares(case: Case) -> tuple[float, ...]:
@@ -94,7 +105,8 @@ def test_one_machine_gives_no_interval(tmp_path: Path) -> None:
     assert all(math.isnan(each.change.half) for each in found.effects)
     sheet = purchases_sheet(asked, found)
     assert [row[4] for row in sheet.texts()] == ["no", "no"]
-    assert facts(asked, found, 4)["effects"][0]["accuracy_mm"]["half95"] is None
+    said: Json = facts(asked, found, 4)
+    assert said["effects"][0]["accuracy_mm"]["half95"] is None
     assert "<svg" in page(asked, found, measured, 4)
 
 
@@ -124,9 +136,10 @@ def test_the_shown_gain_comes_first(tmp_path: Path) -> None:
 def test_cases_that_cannot_be_are_no_zeros(tmp_path: Path) -> None:
     asked = study(tmp_path, head=FOUR)
     measured = rows(asked, additive)
-    none: Row = {"state": "cannot be", "reason": "refused\ngrid: out of reach: pose 1 by 3 mm"}
-    none |= dict.fromkeys(("minutes", "mean_mm", "covered"))
-    measured = [row | none if row["place"] == "far" else row for row in measured]
+    reason = "refused\ngrid: out of reach: pose 1 by 3 mm"
+    measured = [
+        ended(row, "cannot be", reason) if row.levels["place"] == "far" else row for row in measured
+    ]
     found = answers(asked, measured)
     known = {each.word: math.isfinite(each.mean.mean) for each in found.effects}
     assert known == {"2": True, "5": True, "near": True, "far": False}
@@ -163,11 +176,11 @@ def test_a_machine_without_a_level_does_not_spoil_the_others(tmp_path: Path) -> 
     """Machine 4 did no case at the far place: its effect of readings counts, undistorted."""
     asked = study(tmp_path, head=FOUR)
     measured = rows(asked, additive)
-    failed: Row = {"state": "failed", "reason": "the beam broke"} | dict.fromkeys(
-        ("minutes", "mean_mm", "covered", "targets")
-    )
     measured = [
-        row | failed if (row["machine"], row["place"]) == (4, "far") else row for row in measured
+        ended(row, "failed", "the beam broke")
+        if (row.machine, row.levels["place"]) == (4, "far")
+        else row
+        for row in measured
     ]
     found = {(each.factor.name, each.word): each for each in answers(asked, measured).effects}
     assert found["readings", "5"].change.mean == pytest.approx(-0.03)
@@ -180,9 +193,8 @@ def test_a_machine_without_a_level_does_not_spoil_the_others(tmp_path: Path) -> 
 
 def test_reasons_that_differ_in_figures_are_one_kind(tmp_path: Path) -> None:
     asked = study(tmp_path, head=FOUR)
-    failed: Row = dict.fromkeys(("minutes", "mean_mm", "covered", "targets"))
     measured = [
-        row | failed | {"state": "failed", "reason": f"slide {-n / 2:+.2f} mm off; put it right"}
+        ended(row, "failed", f"slide {-n / 2:+.2f} mm off; put it right")
         for n, row in enumerate(rows(asked, additive), start=-3)
     ]
     (reasons,) = sheets(asked, answers(asked, measured), measured)

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from hilcell.cell.devices import load_entry
+from hilcell.model.results import Calibrated
 from hilcell.ports import NoReading
 from hilcell.run.direct_run import direct_run
 from hilcell.run.procedure import Procedure
@@ -15,6 +16,7 @@ from hilcell.study import case
 from hilcell.study.case import measured, packed, versions
 from hilcell.study.outcome import RESULTS
 from hilcell.study.study_file import Study, cell_of
+from hilcell.typed import typed
 from tests.hilcell.study.studies import study
 from tests.whole.golden import GoldenRuns
 
@@ -30,20 +32,28 @@ def test_its_figures_are_those_of_a_calibration(asked: Study, tmp_path: Path) ->
     cell = cell_of(asked, {"layout.nest_samples": 3})
     row = measured(packed(cell), 2, 1, versions())  # machine 2, targets 1
     log = direct_run(cell, CALIBRATE, seed=1, machine_seed=2, folder=tmp_path)
-    result = CALIBRATE.result(log)
-    assert {name: row[name] for name in RESULTS} == {
-        name: value(result) for name, (_, value) in RESULTS.items()
-    }
-    assert (row["state"], row["reason"]) == ("done", "")
-    assert all(math.isfinite(row[name]) for name in RESULTS)
-    assert 0.02 < row["floor_mm"] < row["mean_mm"] < row["p95_mm"] <= row["max_mm"] < 0.4
-    assert row["mean_mm"] == pytest.approx((row["grid_mm"] + row["others_mm"]) / 2.0)  # 8 and 8
-    assert 10.0 < row["minutes"] < 20.0
+    result = typed(CALIBRATE.result(log), Calibrated)
+    assert row.figures == {name: value(result) for name, (_, value) in RESULTS.items()}
+    assert (row.state, row.reason) == ("done", "")
+    assert all(math.isfinite(row.figures[name]) for name in RESULTS)
+    assert (
+        0.02
+        < row.figures["floor_mm"]
+        < row.figures["mean_mm"]
+        < row.figures["p95_mm"]
+        <= row.figures["max_mm"]
+        < 0.4
+    )
+    assert row.figures["mean_mm"] == pytest.approx(
+        (row.figures["grid_mm"] + row.figures["others_mm"]) / 2.0
+    )  # 8 and 8
+    assert 10.0 < (row.minutes or 0.0) < 20.0
 
 
 def test_figures_of_a_result(golden: GoldenRuns) -> None:
     result = golden["small"].result
-    found = {name: value(result) for name, (_, value) in RESULTS.items()}
+    calibrated = typed(result, Calibrated)
+    found = {name: value(calibrated) for name, (_, value) in RESULTS.items()}
     places = [result["validation"][name] for name in ("S1100", "others")]
     targets = [place["points"] for place in places]
     for name, what in (("before_mm", "before"), ("idw_mm", "idw"), ("mean_mm", "chosen")):
@@ -56,10 +66,10 @@ def test_figures_of_a_result(golden: GoldenRuns) -> None:
 
 def test_a_cell_that_cannot_be_planned(asked: Study) -> None:
     row = measured(packed(cell_of(asked, {"grid.centre.x_mm": 3850.0})), 1, 1, versions())
-    assert (row["state"], row["mean_mm"]) == ("cannot be", None)
+    assert (row.state, row.figures) == ("cannot be", {})
     row = measured(packed(cell_of(asked, {"simulation.machine": "papr"})), 1, 1, versions())
-    assert row["state"] == "cannot be"
-    assert "papr" in row["reason"]
+    assert row.state == "cannot be"
+    assert "papr" in row.reason
 
 
 @pytest.mark.parametrize(
@@ -77,11 +87,11 @@ def test_a_run_that_ends_early(
 
     monkeypatch.setattr(case, "direct_run", broken)
     row = measured(packed(cell_of(asked, {})), 1, 1, versions())
-    assert row["state"] == "failed"
-    assert words in row["reason"]
-    assert row["mean_mm"] is None
+    assert row.state == "failed"
+    assert words in row.reason
+    assert not row.figures
 
 
 def test_another_version_measures_nothing(asked: Study) -> None:
     row = measured(packed(cell_of(asked, {})), 1, 1, versions() | {"numpy": "1.0"})
-    assert row == {"other versions": versions()}
+    assert (row.versions, row.figures) == (versions(), {})

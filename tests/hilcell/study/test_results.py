@@ -15,11 +15,11 @@ import pytest
 
 from hilcell.errors import HilcellError
 from hilcell.run.cell_lock import CellLocked
-from hilcell.study.case import Row, unpacked
+from hilcell.study.case import Found, unpacked
 from hilcell.study.design import Case, cases
 from hilcell.study.errors import Cluster, OtherStudy
 from hilcell.study.performing import perform
-from hilcell.study.results import Results, open_results, plain_rows, row_of
+from hilcell.study.results import Results, open_results, row_of
 from tests.hilcell.commands.full_disk import files_limited_to
 from tests.hilcell.study.studies import TWO_FACTORS, study
 from tests.whole.bench import command
@@ -33,7 +33,7 @@ class Bench:
     def __init__(self, most: int = 10**9) -> None:
         self.most, self.measured = most, list[int]()
 
-    def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Row]]:
+    def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Found]]:
         for case, cell in waiting:
             if len(self.measured) == self.most:
                 raise Cluster("scheduler tcp://nowhere is gone")
@@ -42,9 +42,9 @@ class Bench:
             yield case, found(case)
 
 
-def found(case: Case) -> Row:
+def found(case: Case) -> Found:
     figures = {"mean_mm": case.number / 1000.0, "covered": 0.95, "targets": 50.0}
-    return {"state": "done", "reason": "", "minutes": 10.0} | figures
+    return Found("done", "", 10.0, figures)
 
 
 def performed(results: Results, bench: Any) -> dict[str, int]:
@@ -73,7 +73,7 @@ from hilcell.study.results import open_results
 results = open_results(Path(sys.argv[1]))
 before = set(os.listdir("/proc/self/task"))
 with results.held():
-    results.add(results.table().to_pylist())
+    results.add(results.rows())
     results.merge()
 print(results.table().num_rows, *set(os.listdir("/proc/self/task")) - before)
 """
@@ -130,10 +130,10 @@ def test_a_row_in_two_files_counts_once(tmp_path: Path) -> None:
 def test_a_cell_that_cannot_be_is_a_row(tmp_path: Path) -> None:
     results = Results(tmp_path / "r", study(tmp_path, NO_PITCH.replace("1850.0", "450.0")))
     assert performed(results, Bench()) == {"done": 4, "cannot be": 4}
-    rows = [row for row in plain_rows(results.table()) if row["state"] == "cannot be"]
-    assert {row["place"] for row in rows} == {"far"}
-    assert "400.0 mm" in rows[0]["reason"]
-    assert rows[0]["mean_mm"] is None
+    rows = [row for row in results.rows() if row.state == "cannot be"]
+    assert {row.levels["place"] for row in rows} == {"far"}
+    assert "400.0 mm" in rows[0].reason
+    assert rows[0].figures["mean_mm"] is None
 
 
 def test_results_of_another_study_are_refused(

@@ -8,15 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from hilcell.cell.file import Cell
 from hilcell.study.analysis import answers
-from hilcell.study.case import Row, unpacked
+from hilcell.study.case import Found, unpacked
 from hilcell.study.design import Case, cases
 from hilcell.study.errors import Cluster
 from hilcell.study.page import page
 from hilcell.study.performing import perform
-from hilcell.study.results import Results, open_results, plain_rows
+from hilcell.study.results import Results, open_results
 from hilcell.study.study_file import Study
 from hilcell.study.tables import count_words, sheets
 from tests.hilcell.study.studies import study
@@ -40,7 +41,7 @@ class Bench:
     def __init__(self, most: int = 10**9, *, backwards: bool = False) -> None:
         self.most, self.backwards, self.measured = most, backwards, list[int]()
 
-    def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Row]]:
+    def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Found]]:
         batch = list(waiting)
         for case, cell in reversed(batch) if self.backwards else batch:
             if len(self.measured) == self.most:
@@ -49,13 +50,13 @@ class Bench:
             yield case, truth(case, cell_in(cell))
 
 
-def truth(case: Case, cell: Cell) -> Row:
+def truth(case: Case, cell: Cell) -> Found:
     readings, x_mm = cell.layout.nest_samples, cell.grid.centre.x_mm
     error_mm = 0.1 + ((x_mm - 1870.0) / 100.0) ** 2 + 0.04 / readings + 0.01 * case.machine
     error_mm -= 0.05 * cell.sweeps.enabled
     minutes = 10.0 + 4.0 * readings
     figures = {"mean_mm": error_mm, "covered": 0.95, "targets": 50.0}
-    return {"state": "done", "reason": "", "minutes": minutes} | figures
+    return Found("done", "", minutes, figures)
 
 
 def performed(results: Results, bench: Any) -> dict[str, int]:
@@ -64,7 +65,7 @@ def performed(results: Results, bench: Any) -> dict[str, int]:
 
 
 def best(asked: Study, results: Results) -> dict[str, object]:
-    found = answers(asked, plain_rows(results.table())).best
+    found = answers(asked, results.rows()).best
     assert found is not None
     return {each.factor.name: each.value for each in found.point.choices}
 
@@ -94,7 +95,7 @@ def test_a_limit_on_minutes_is_kept(tmp_path: Path) -> None:
     results = Results(tmp_path / "r", asked)
     performed(results, Bench())
     assert best(asked, results)["readings"] == 3
-    found = answers(asked, plain_rows(results.table()))
+    found = answers(asked, results.rows())
     assert count_words(asked, found, 120).endswith(" done")
 
 
@@ -102,7 +103,7 @@ def test_no_design_within_the_limit(tmp_path: Path) -> None:
     asked = study(tmp_path, FACTORS, LIMITED.replace("25.0", "5.0"))
     results = Results(tmp_path / "r", asked)
     performed(results, Bench())
-    rows = plain_rows(results.table())
+    rows = results.rows()
     found = answers(asked, rows)
     assert found.best is None
     assert [each.title for each in sheets(asked, found, rows)] == ["Pareto front"]
@@ -116,15 +117,15 @@ def test_a_limit_that_none_of_the_first_points_keeps(tmp_path: Path) -> None:
     """All of them are too long, which is no agreement: the search goes on to shorter ones."""
 
     class Slow(Bench):
-        def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Row]]:
+        def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Found]]:
             for case, cell in waiting:
                 minutes = 10.0 + abs(cell_in(cell).grid.centre.x_mm - 1859.3)
-                yield case, truth(case, cell_in(cell)) | {"minutes": minutes}
+                yield case, replace(truth(case, cell_in(cell)), minutes=minutes)
 
     asked = study(tmp_path, FACTORS, LIMITED.replace("25.0", "12.0"))
     results = Results(tmp_path / "r", asked)
     performed(results, Slow())
-    first = [row["minutes"] for row in plain_rows(results.table())[: 2 * 12]]
+    first = [row.figure("minutes") for row in results.rows()[: 2 * 12]]
     assert min(first) > 12.0
     assert best(asked, results)["x"] == pytest.approx(1859.3, abs=2.0)
 
@@ -137,15 +138,15 @@ def test_the_cases_that_are_listed_are_those_that_it_begins_with(tmp_path: Path)
     assert len(listed) == 4 * 2
     results = Results(tmp_path / "r", asked)
     performed(results, Bench())
-    rows = plain_rows(results.table())
+    rows = results.rows()
     wanted = [(case.number, *(each.shown for each in case.point.choices)) for case in listed]
-    assert [(row["case"], row["f"], row["g"]) for row in rows] == wanted
+    assert [(row.case, row.levels["f"], row.levels["g"]) for row in rows] == wanted
 
 
 def test_all_points_have_the_same_machines(whole: Results) -> None:
     by_point: dict[int, list[int]] = {}
-    for row in plain_rows(whole.table()):
-        by_point.setdefault(row["point"], []).append(row["machine"])
+    for row in whole.rows():
+        by_point.setdefault(row.point, []).append(row.machine)
     assert all(machines == [1, 2] for machines in by_point.values())
     assert list(by_point) == list(range(1, len(by_point) + 1))
 
@@ -172,11 +173,11 @@ def test_it_goes_on_where_it_was_stopped(tmp_path: Path, whole: Results) -> None
 
 def test_a_point_that_cannot_be_is_not_the_best(tmp_path: Path) -> None:
     class Picky(Bench):
-        def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Row]]:
+        def measure(self, waiting: Iterable[tuple[Case, bytes]]) -> Iterator[tuple[Case, Found]]:
             for case, content in waiting:
                 cell = cell_in(content)
                 good = cell.grid.centre.x_mm < 1850.0 or case.machine == 1
-                failed = {"state": "failed", "reason": "the beam broke", "minutes": None}
+                failed = Found("failed", "the beam broke")
                 yield case, truth(case, cell) if good else failed
 
     asked = study(tmp_path, FACTORS, HEAD)

@@ -97,7 +97,10 @@ SHOWN: dict[str, Any] = {
     "result": {
         "method": "kinematic",
         "validation": {
-            "S1100": {"points": 2, "before": FIGURES, "idw": FIGURES, "chosen": FIGURES},
+            "S1100": {
+                "points": 2, "points_sent": {"before": 2},
+                "before": FIGURES, "idw": FIGURES, "chosen": FIGURES,
+            },
         },
     },
 }  # fmt: skip

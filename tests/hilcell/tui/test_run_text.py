@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from hilcell.cell.file import load_cell
 from hilcell.journal.journal import Record
 from hilcell.journal.log import Log
+from hilcell.model.plan import Span, Step
 from hilcell.model.point import PointId
 from hilcell.model.records import Ended
 from hilcell.run.forecast import UnderWay
@@ -60,15 +61,15 @@ def test_ages(seconds: float, wanted: str) -> None:
 
 
 def test_the_step_of_axis_sweeps_counts_its_sweeps() -> None:
-    spans = [{"kind": "sweep", "measured": 8, "duration_s": 540.0}]
-    assert run_text.sweeps_of([{"name": "axis-sweeps", "spans": spans}]) == 8
-    assert run_text.sweeps_of([{"name": "home"}]) == 0
+    spans = (Span("sweep", 8, 540.0),)
+    assert run_text.sweeps_of([Step("axis-sweeps", 0, 540.0, spans)]) == 8
+    assert run_text.sweeps_of([Step("home", 0, 0.0)]) == 0
     view = view_of("running")
     assert view.log.plan is not None
     assert view.step is not None
     number = view.step.number - 1
-    steps = [dict(each) for each in view.log.plan.steps]
-    steps[number] |= {"points": 0, "spans": spans}
+    steps = [*view.log.plan.steps]
+    steps[number] = replace(steps[number], points=0, spans=spans)
     view.log.plan = msgspec.structs.replace(view.log.plan, steps=steps)
     assert drawn(run_text.step(view), 79).endswith(" 0 of 8")
 

@@ -1,0 +1,184 @@
+"""The results of acts that several rooms read, each with its names in JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import msgspec
+from msgspec import field
+
+from hilcell.model.events import Pair
+from hilcell.model.frame import Matrix
+from hilcell.model.outcome import Outcome
+from hilcell.model.point import Sent
+from hilcell.model.suspicion import Suspicion
+
+
+class ActResult(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Figures of an act; those that the run does not have are None, and no keys in JSON."""
+
+
+# -- validation ------------------------------------------------------------------------------------
+
+
+class Turns(ActResult, frozen=True, kw_only=True):
+    """Errors of orientation, deg."""
+
+    mean_deg: float
+    p95_deg: float
+    max_deg: float
+
+
+class SentErrors(ActResult, frozen=True, kw_only=True):
+    """3D errors (mm) of targets that were sent in one way; their mean 95 % bound, and the share of
+    them that keeps its own.
+    """
+
+    mean: float
+    p95: float
+    max: float
+    orientation: Turns | None = None
+    bound95_mean: float | None = None
+    covered: float | None = None
+
+
+class Floor(ActResult, frozen=True, kw_only=True):
+    """The errors (mm) that a perfect correction leaves."""
+
+    mean: float
+    p95: float
+
+
+class TurnBounds(ActResult, frozen=True, kw_only=True):
+    """95 % bounds of corrected orientations, deg, and the share of targets that keeps them."""
+
+    coverage: float
+    mean_deg: float
+    max_deg: float
+
+
+class TargetBounds(ActResult, frozen=True, kw_only=True):
+    """95 % bounds of corrected targets, mm, and the share of targets that keeps them."""
+
+    coverage: float
+    mean_mm: float
+    max_mm: float
+    orientation: TurnBounds | None = None
+
+
+class Decided(ActResult, frozen=True, kw_only=True):
+    """The decision of a quick plan, after how many targets at each station, and its risks."""
+
+    outcome: Outcome
+    targets: list[int]
+    text: str
+    accept_risk: float
+    reject_risk: float
+    share_above_max: float
+
+
+class Place(ActResult, frozen=True, kw_only=True):
+    """The targets of one station, or of several together: corrected ones, and all by their way of
+    sending. A quick plan sends none by the paper's method.
+    """
+
+    points: int
+    points_sent: dict[Sent, int]
+    before: SentErrors
+    idw: SentErrors | None = None
+    chosen: SentErrors
+    decision: Decided | None = None
+    floor: Floor | None = None
+    bounds: TargetBounds | None = None
+
+    @property
+    def sent(self) -> Mapping[Sent, SentErrors]:
+        """Return the errors by the way of sending, in the order of sending."""
+        ways = {Sent.BEFORE: self.before, Sent.IDW: self.idw, Sent.CHOSEN: self.chosen}
+        return {way: errors for way, errors in ways.items() if errors is not None}
+
+
+class Repeated(ActResult, frozen=True, kw_only=True):
+    """RP of ISO 9283 as measured and of the robot alone, and the mean that both leave, mm."""
+
+    rp_mm: float
+    rp_robot_mm: float
+    floor_mm: float
+
+
+class FramedStation(ActResult, frozen=True, kw_only=True):
+    """{S} of a station as in `MeasuredStation`."""
+
+    strip_mm: float
+    matrix: Matrix = field(name="T_W_S")
+    rms_mm: float
+    tool_uncertainty_mm: float
+    cube_uncertainty_mm: float
+    left_out: list[str]
+
+
+class Calibrated(ActResult, frozen=True, kw_only=True):
+    """The result of a calibration, as far as others read it."""
+
+    points: dict[str, int]
+    repeatability: Repeated
+    stations: dict[str, FramedStation]
+    method: str
+    validation: dict[str, Place]
+    suspicions: list[Suspicion] = []
+
+
+# -- the rail --------------------------------------------------------------------------------------
+
+
+class WithU(ActResult, frozen=True, kw_only=True):
+    """A value and its standard uncertainty (k = 1), in one unit."""
+
+    value: float
+    u: float
+
+
+class SurveyedRail(ActResult, frozen=True, kw_only=True):
+    """The rail's error (mm) over its nominal position (mm), ``forth`` and ``back``, and what makes
+    it up; straightness is peak to peak, angles (mrad) are those of each stop against the first.
+    """
+
+    curve: dict[str, list[Pair]]
+    max_error_mm: float
+    backlash_mm: WithU
+    scale_ppm: WithU
+    straightness_mm: dict[str, float]
+    angles_mrad: dict[str, list[float]]
+
+
+class FramesRepeated(ActResult, frozen=True, kw_only=True):
+    """How far slide points are from their places at the reference, by station, seen in the base
+    frame and in the station frame; the ratio of both root mean squares, and its 95 % interval.
+    """
+
+    base: dict[str, list[float]]
+    station: dict[str, list[float]]
+    rms_mm: dict[str, float]
+    ratio: float
+    ratio_interval: Pair
+
+
+class PaperRow(ActResult, frozen=True, kw_only=True):
+    """A figure of the paper beside the run's own. ``fails`` is the mistake that fails it; one that
+    the cell file or the simulated machine brings about is ``set``, and cannot fail.
+    """
+
+    row: str
+    paper: float | None
+    here: float
+    chosen: float | None
+    unit: str
+    holds: bool
+    set: bool
+    criterion: str
+    fails: str
+
+    @property
+    def verdict(self) -> str:
+        """Return the verdict in words."""
+        return "set" if self.set else "holds" if self.holds else "does not hold"

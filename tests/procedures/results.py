@@ -1,0 +1,12 @@
+"""The results of single acts, as their JSON."""
+
+import msgspec
+
+from hilcell.journal.log import Log
+from hilcell.run.procedure import Part
+from hilcell.typed import Json
+
+
+def result_of(act: Part, log: Log) -> Json:
+    found: Json = msgspec.to_builtins(act.result(log))
+    return found
