@@ -23,9 +23,6 @@ class FaultExercise(Exercise):
     count: int = 1
 
 
-ON_THE_BUS = ("rail.limit_switch", "rail.fault", "rail.node_reset", "rail.eof")
-
-
 def _lasting(title: str, alarm: str, fault: str, value: Value = True) -> FaultExercise:
     return FaultExercise(title, alarm, fault, value, UNTIL_CLEARED)
 
@@ -55,6 +52,7 @@ EXERCISES: Sequence[FaultExercise] = (
 def exercises_of(cell: Cell) -> Sequence[FaultExercise]:
     """Return the faults to practise on in a cell: none of a rail, or a bus, that it lacks."""
     lacks: tuple[str, ...] = () if cell.has_rail else ("rail.",)
+    on_the_bus = ("rail.limit_switch", "rail.fault", "rail.node_reset", "rail.eof")
     if cell.rail.driver == RAIL_DRIVER:
-        lacks = ON_THE_BUS
+        lacks = on_the_bus
     return [each for each in EXERCISES if not each.fault.startswith(lacks)]

@@ -145,9 +145,6 @@ def truth_of(plant: Plant, order: Answer) -> Answer:
     return answer
 
 
-DUTIES = ("address", "start", "restore", "close")
-
-
 class Ports(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The TCP ports to listen on; 0 is one that the system chooses."""
 
@@ -225,9 +222,10 @@ class Host:
 
 def _served(table: str, serve: Callable[[], SimulatedDevice]) -> SimulatedDevice:
     """Return a simulated device; raises `HilcellError` where a package's one is broken."""
+    duties = ("address", "start", "restore", "close")
     try:
         device = serve()
-        lacking = [name for name in DUTIES if not hasattr(device, name)]
+        lacking = [name for name in duties if not hasattr(device, name)]
     except HilcellError:
         raise
     except Exception as error:

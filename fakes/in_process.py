@@ -41,7 +41,6 @@ from hilcell.ports import (
 
 COUNTS_PER_MM, STRIP_COUNTS_PER_MM = 1000.0, 100.0
 MEASURE_S = 2.5
-HOMING_MM_S = 100.0
 ADDRESS = "in process"
 
 
@@ -96,7 +95,8 @@ class DirectRail:
     def home(self) -> None:
         """Find the drive's reference."""
         self._power(on=True)
-        self._truth.home(HOMING_MM_S)
+        homing_mm_s = 100.0
+        self._truth.home(homing_mm_s)
         self._rest()
 
     def move_to(self, position_mm: float) -> None:
@@ -254,7 +254,11 @@ class DirectTracker:
             self._plant.time.advance(MEASURE_S)
         xyz_mm, std_mm = found.xyz_mm[0], found.std_mm[0]
         if samples > 1:
-            xyz_mm, std_mm = _mean_and_scatter(found.xyz_mm)
+            points_mm = found.xyz_mm
+            # mean and sample deviation (3,) of readings (N, 3); numpy's take twice as long
+            mean_mm = points_mm.sum(axis=0) / len(points_mm)
+            off_mm = points_mm - mean_mm
+            xyz_mm, std_mm = mean_mm, np.sqrt((off_mm * off_mm).sum(axis=0) / (len(points_mm) - 1))
         air = self._plant.tracker.air()
         return TrackerReading(
             xyz_mm,
@@ -321,13 +325,6 @@ class DirectStream:
             )
             if last > first
         ]
-
-
-def _mean_and_scatter(points_mm: Array) -> tuple[Array, Array]:
-    """Return mean and sample deviation (3,) of readings (N, 3); numpy's take twice as long."""
-    mean_mm = points_mm.sum(axis=0) / len(points_mm)
-    off_mm = points_mm - mean_mm
-    return mean_mm, np.sqrt((off_mm * off_mm).sum(axis=0) / (len(points_mm) - 1))
 
 
 def _counted(value_mm: float, counts_per_mm: float) -> float:

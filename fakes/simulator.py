@@ -33,7 +33,6 @@ from hilcell.ports import DeviceError, Exercise, HilcellError, Stopped
 ANSWER_S = 60.0  # a simulated cell waits for its PC, and the PC for the cell
 END_S = 5.0
 LONGEST_WORDS = 2000
-LAST_PORT = 65535
 DEVICES = ("rail", "robot", "tracker")
 NO_PORTS: Mapping[str, int] = MappingProxyType({})
 
@@ -220,7 +219,8 @@ class Control:
 
 def _host_and_port(address: str) -> tuple[str, int]:
     host, _, port = address.rpartition(":")
-    known = ":" not in host and port.isdecimal() and len(port) <= 5 and int(port) <= LAST_PORT
+    last_port = 65535
+    known = ":" not in host and port.isdecimal() and len(port) <= 5 and int(port) <= last_port
     if not (host and known):
         raise SettingsError("simulation.address", [f"HOST:PORT is wanted, found {address[:80]!r}"])
     return host, int(port)

@@ -15,13 +15,11 @@ Value = int | str
 # SDO abort codes, CiA 301 table 22.
 TOGGLE_NOT_ALTERNATED = 0x05030000
 UNKNOWN_COMMAND = 0x05040001
-WRITE_ONLY = 0x06010001
 READ_ONLY = 0x06010002
 NO_SUCH_OBJECT = 0x06020000
 NOT_MAPPABLE = 0x06040041
 PDO_TOO_LONG = 0x06040042
 WRONG_LENGTH = 0x06070010
-NO_SUCH_SUBINDEX = 0x06090011
 VALUE_RANGE = 0x06090030
 DEVICE_STATE = 0x08000022
 
@@ -97,8 +95,9 @@ class ObjectDictionary:
         """Return an object; raises `SdoAbortError`."""
         if index not in self._indices:
             raise SdoAbortError(NO_SUCH_OBJECT)
+        no_such_subindex = 0x06090011
         if (index, sub) not in self._entries:
-            raise SdoAbortError(NO_SUCH_SUBINDEX)
+            raise SdoAbortError(no_such_subindex)
         return self._entries[index, sub]
 
     def number(self, index: int, sub: int = 0) -> int:
@@ -115,8 +114,9 @@ class ObjectDictionary:
     def upload(self, index: int, sub: int) -> bytes:
         """Read an object over the wire; raises `SdoAbortError`."""
         entry = self.entry(index, sub)
+        write_only = 0x06010001
         if entry.access == "wo":
-            raise SdoAbortError(WRITE_ONLY)
+            raise SdoAbortError(write_only)
         return entry.encode()
 
     def check_writable(self, index: int, sub: int) -> Entry:

@@ -26,7 +26,6 @@ NEGATIVE_LIMIT_SWITCH = 17  # homing method
 FOLLOWING_ERROR, LIMIT_SWITCH_HIT = 0x8611, 0x8612
 INT32 = range(-(1 << 31), 1 << 31)
 ABOVE_ZERO = range(1, 1 << 32)
-ROLLING_MM_S2 = 30.0  # of a slide without power or brake
 DITHER_COUNTS, DITHER_HZ = 2, 50.0
 
 
@@ -209,9 +208,10 @@ class RailDrive(CanopenSlave):
         self._cancel()
         self.state = State.FAULT_REACTION_ACTIVE
         option = self.dictionary.number(0x605E)
+        rolling_mm_s2 = 30.0  # of a slide without power or brake
         if option == 0:
             self.state = State.FAULT  # without power the slide rolls on
-            self._rail.quick_stop(ROLLING_MM_S2)
+            self._rail.quick_stop(rolling_mm_s2)
         else:
             self._brake_down(self.dictionary.number(0x6084 if option == 1 else 0x6085))
 

@@ -27,10 +27,7 @@ from fakes.truth.rail_truth import RailTruth
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 
-LOOK_PERIOD_S = 0.01
 IDLE_S = 0.5
-SDO_REQUESTS = (0x600 + rail_drive.NODE, 0x600 + rail_strip.NODE)
-SDO_READ = b"\x40"
 HEARTBEATS = range(0x700, 0x780)
 # Values of the faults whose own value only says that they strike.
 DEFAULT_FAULT, DEFAULT_EMERGENCY, DEFAULT_ABORT = 0x8611, 0x7305, 0x08000022
@@ -97,7 +94,8 @@ class RailServer:
     def _wait_s(self) -> float:
         due_s = min(node.next_s() for node in self._nodes.values())
         due_s = min([due_s, *(late[0] for late in self._late)])
-        longest_s = LOOK_PERIOD_S if self._watches() else IDLE_S
+        look_period_s = 0.01
+        longest_s = look_period_s if self._watches() else IDLE_S
         return min(max(0.0, due_s - self._bus.now_s()), longest_s)
 
     def _watches(self) -> bool:
@@ -137,14 +135,16 @@ class RailServer:
     def _receive(self, cob_id: int, data: bytes) -> None:
         now_s = self._bus.now_s()
         self._delay_s = 0.0
+        sdo_requests = (0x600 + rail_drive.NODE, 0x600 + rail_strip.NODE)
+        sdo_read = b"\x40"
         if cob_id == SYNC_COB_ID:
             self._delay_s = self._faults.number("rail.late_tpdo") or 0.0
             if self._strip is not None:
                 self._strip.strike()
             self._drive.dither()
             self._look(now_s)
-        elif cob_id in SDO_REQUESTS:
-            if data[:1] == SDO_READ:
+        elif cob_id in sdo_requests:
+            if data[:1] == sdo_read:
                 self._look(now_s)
             if self._spoilt(cob_id, data):
                 return

@@ -17,11 +17,9 @@ from fakes.truth.rail_truth import RailState
 
 NODE = 6
 IDENTITY = NodeIdentity(0x00080196, "hilcell strip sensor (simulated)", 0x484, 0x406, 1, 2014002)
-STEP_NM = 10_000  # 6005:01 and 6501, in 0.001 um
 SPEED_STEP = 10  # 6005:02, in 0.01 mm/s
 INT16 = range(-(1 << 15), 1 << 15)
 POSITION_ERROR = 1 << 0
-ENCODER_FAULT = 0x7305
 
 
 class RailStrip(CanopenSlave):
@@ -44,19 +42,21 @@ class RailStrip(CanopenSlave):
         """Let the faults of a SYNC come and go."""
         self._sensor.strike()
         alarms = POSITION_ERROR if self._sensor.missing else 0
+        encoder_fault = 0x7305
         if alarms != self._alarms:
-            self.emergency(ENCODER_FAULT if alarms else 0, DEVICE_PROFILE)
+            self.emergency(encoder_fault if alarms else 0, DEVICE_PROFILE)
         self._alarms = alarms
 
     def _add_objects(self) -> None:
         add, record = self.dictionary.add, self.dictionary.add_array
         add(0x6000, 0, Entry("H", 0, allowed=(0,)))
         add(0x6004, 0, Entry("i", 0, "ro", mappable=True, read=lambda: self._sensor.position))
-        record(0x6005, Entry("I", STEP_NM, "ro"), Entry("I", SPEED_STEP, "ro"))
+        step_nm = 10_000  # 6005:01 and 6501, in 0.001 um
+        record(0x6005, Entry("I", step_nm, "ro"), Entry("I", SPEED_STEP, "ro"))
         record(0x6030, Entry("h", 0, "ro", mappable=True, read=self._speed))
         add(0x6200, 0, Entry("H", 0, write=self._change_cycle))
         add(0x6500, 0, Entry("H", 0, "ro", mappable=True))
-        add(0x6501, 0, Entry("H", STEP_NM, "ro"))  # shorter than the profile's U32, as sold
+        add(0x6501, 0, Entry("H", step_nm, "ro"))  # shorter than the profile's U32, as sold
         add(0x6503, 0, Entry("H", 0, "ro", mappable=True, read=lambda: self._alarms))
         add(0x6504, 0, Entry("H", POSITION_ERROR, "ro"))
         add(0x6505, 0, Entry("H", 0, "ro", mappable=True))

@@ -31,6 +31,11 @@ class _Transfer:
     announced: int | None = None
     toggle: int = 0
 
+    def check_toggle(self, command: int) -> None:
+        if command & TOGGLE != self.toggle:
+            raise SdoAbortError(TOGGLE_NOT_ALTERNATED)
+        self.toggle ^= TOGGLE
+
 
 def abort_reply(index: int, sub: int, code: int) -> bytes:
     """Return the 8 bytes that refuse an access."""
@@ -88,7 +93,7 @@ class SdoServer:
         return HEADER.pack(0x41, index, sub) + struct.pack("<I", len(data))
 
     def _upload_segment(self, transfer: _Transfer, command: int) -> bytes:
-        _check_toggle(transfer, command)
+        transfer.check_toggle(command)
         segment, transfer.data = transfer.data[:7], transfer.data[7:]
         reply = (command & TOGGLE) | (7 - len(segment)) << 1 | (0 if transfer.data else 1)
         if not transfer.data:
@@ -108,7 +113,7 @@ class SdoServer:
         return HEADER.pack(0x60, index, sub) + bytes(4)
 
     def _download_segment(self, transfer: _Transfer, command: int, request: bytes) -> bytes:
-        _check_toggle(transfer, command)
+        transfer.check_toggle(command)
         transfer.data += request[1 : 8 - (command >> 1 & 7)]
         if len(transfer.data) > LONGEST:
             raise SdoAbortError(WRONG_LENGTH)
@@ -122,9 +127,3 @@ class SdoServer:
     def _natural_length(self, index: int, sub: int) -> int:
         entry = self._dictionary.entry(index, sub)
         return 4 if entry.kind == "s" else entry.size
-
-
-def _check_toggle(transfer: _Transfer, command: int) -> None:
-    if command & TOGGLE != transfer.toggle:
-        raise SdoAbortError(TOGGLE_NOT_ALTERNATED)
-    transfer.toggle ^= TOGGLE

@@ -27,7 +27,6 @@ PDO_TOO_SHORT = 0x8210
 GENERIC, COMMUNICATION, DEVICE_PROFILE = 0x01, 0x10, 0x20
 COMMUNICATION_AREA, WHOLE_DICTIONARY = range(0x1000, 0x2000), range(0x10000)
 KEPT_ERRORS = 4
-LATEST_HEARTBEAT = 0.3  # of its period
 
 Send = Callable[[int, bytes], None]
 
@@ -233,7 +232,8 @@ class CanopenSlave:
 
     def _schedule_heartbeat(self, now_s: float) -> None:
         period_s = self.dictionary.number(0x1017) / 1000.0
-        period_s *= 1.0 + self._habits.uniform(0.0, LATEST_HEARTBEAT)
+        latest_heartbeat = 0.3  # of its period
+        period_s *= 1.0 + self._habits.uniform(0.0, latest_heartbeat)
         self._next_heartbeat_s = now_s + period_s if period_s else math.inf
 
     def _heard(self, node: int, now_s: float) -> None:

@@ -19,7 +19,6 @@ from fakes.faults import Faults
 from fakes.wires.listener import HOST, listen
 from fakes.wires.serial_end import SerialEnd
 
-SLCAN = "slcan"
 OK, REFUSED = b"\r", b"\a"
 LONGEST_LINE = 64
 SEND_DEADLINE_S = 0.2
@@ -79,8 +78,9 @@ class SlcanGateway:
         """
         channel = f"socket://{HOST}:{self.port}" if self._line is None else self._line.path
         found: dict[str, object] = {"channel": channel}
-        if stated.get("interface", SLCAN) != SLCAN:
-            found["interface"] = SLCAN
+        slcan = "slcan"
+        if stated.get("interface", slcan) != slcan:
+            found["interface"] = slcan
         return found
 
     def serve(self, timeout_s: float, wake: socket.socket) -> None:

@@ -24,7 +24,6 @@ from fakes.wires.segments import RECEIVE, Answers, Segments
 
 READ, WRITE = 0, 1
 IDLE_S = 30.0
-MAX_CLIENTS = 10
 HEAD = struct.Struct("!HH")
 SUCCESS = b"\x00\x01\x01"
 FAILURES = {0: b"\x00\x00\x00", 1: b"\x00\x01\x00"}  # C3 Bridge's, KUKAVARPROXY's
@@ -45,7 +44,8 @@ class C3Server:
         self._controller, self._faults, self._catch_up = controller, faults, catch_up
         self._closing = threading.Event()
         self._answers = Answers(faults, self._closing)
-        self._listener = Listener("c3", self._serve, limit=MAX_CLIENTS, port=port)
+        max_clients = 10
+        self._listener = Listener("c3", self._serve, limit=max_clients, port=port)
         self.port = self._listener.port
 
     @property

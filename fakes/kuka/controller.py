@@ -44,7 +44,6 @@ EXTERNAL = members({f"E{n}": 0.0 for n in range(1, 7)})
 FRAME = ("X", "Y", "Z", "A", "B", "C")
 TOOL, BASE = 1, 0
 CYCLE_S = 0.012  # of the interpolation: measured axes are as old as its last tick
-FLICKER_DEG = 1e-4  # of each axis at rest
 FLICKER_POSE = np.array([1e-3] * 3 + [1e-4] * 3)  # mm and deg
 
 
@@ -216,8 +215,9 @@ class KrlController:
             self._looks += 1
             landed = state.joints_rad.tobytes() + state.landing_rad.tobytes()
             off = flicker(landed, self._looks, 6)
+        flicker_deg = 1e-4  # of each axis at rest
         if which != "$POS_ACT":
-            axes_deg = np.degrees(joints_rad) + FLICKER_DEG * off
+            axes_deg = np.degrees(joints_rad) + flicker_deg * off
             axes = dict(zip(AXES, axes_deg.tolist(), strict=True))
             return aggregate("E6AXIS", axes, self._external())
         if state.joints_rad is not self._pose_of:  # at rest it is the same array each time

@@ -17,7 +17,6 @@ from fakes.kuka.krl import KrlError, aggregate, raw_members
 from fakes.time import PlantTime
 
 QUEUE = 16  # values; one more closes the connection
-DOCUMENT_S = 0.016  # to make and send a state, after its variables were read
 VERSION = 1
 AXES = tuple(f"A{n}" for n in range(1, 7))
 RECEIVED = (
@@ -116,7 +115,8 @@ class EkiProgram:
             acts[values["Type"]](values)
         wrong = int(self._faults.take("robot.tag_mismatch") is not None)
         state = self._state(int(values["Id"]) + wrong)
-        self._time.spend(DOCUMENT_S)
+        document_s = 0.016  # to make and send a state, after its variables were read
+        self._time.spend(document_s)
         return state
 
     def stop(self, values: dict[str, str]) -> bytes:

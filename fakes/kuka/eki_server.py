@@ -23,7 +23,6 @@ from fakes.wires.listener import HOST, Listener
 from fakes.wires.segments import RECEIVE, Answers, Segments
 
 CYCLE_S = 0.06  # of the submit interpreter, with a state in it
-TWICE_EVERY = 53
 ENDLESS = b'<RobotState><Pos A1="' + b"0" * 20_000
 BOMB = (
     b'<!DOCTYPE RobotState [<!ENTITY a "1"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]>'
@@ -130,7 +129,8 @@ class EkiServer:
         if self._faults.take("robot.no_end") is not None:
             return ENDLESS
         again = self._faults.take("robot.glued_reply") is not None
-        return former + state if again or segments.sent % TWICE_EVERY == TWICE_EVERY - 1 else state
+        twice_every = 53
+        return former + state if again or segments.sent % twice_every == twice_every - 1 else state
 
 
 def _look(client: socket.socket, queues: Queues, pending: bytes, end: bytes) -> tuple[bytes, bool]:

@@ -7,7 +7,6 @@ from fakes.site import Site
 from fakes.truth.dither import Dither
 from fakes.truth.rail_truth import RailState, RailTruth
 
-FULL_MM_S = 1890.0  # at 100 %
 STOP_MM_S2 = 800.0  # on a stop
 RAIL_DRIVER = "kuka-e1"
 LIMIT_MM = 0.5  # the software limits lie so far outside the travel
@@ -41,7 +40,8 @@ class ExternalAxis:
         """Start for a target."""
         factor = self._faults.number("robot.slide_fast") or 1.0
         self._rail.brake(closed=False)
-        self._target_mm, self._speed_mm_s = target_mm, FULL_MM_S * percent / 100.0 * factor
+        full_mm_s = 1890.0  # at 100 %
+        self._target_mm, self._speed_mm_s = target_mm, full_mm_s * percent / 100.0 * factor
         self.moving = True
         self.override(override)
 

@@ -38,11 +38,8 @@ from hilcell.cell.file import Cell
 METRE, MILLIMETRE = 0, 1
 MM_PER_UNIT = {METRE: 1000.0, MILLIMETRE: 1.0}
 RAD_PER_UNIT = {0: 1.0, 1: math.pi / 180, 2: math.pi / 200}
-KNOWN_UNITS = (MM_PER_UNIT, RAD_PER_UNIT, {0}, {0, 1}, {0})  # C; mbar or hPa; relative humidity
 AXES = {0: (1, 1, 1), 1: (-1, 1, 1), 2: (1, -1, 1), 3: (1, 1, -1)}  # RHR, LHRX, LHRY, LHRZ
 STATIONARY, CONTINUOUS_TIME = 0, 1
-MEASURING_MS = (100, 100_000)
-SEPARATION_MS = (1, 100_000)
 INITIALISE_S, POINT_S, FACE_S = 30.0, 0.6, 4.0
 STILL_MM = 0.02  # a target that moves farther meanwhile gives no stationary result
 FIRST_FACE, SECOND_FACE = 1, 2
@@ -131,15 +128,17 @@ class EmsconDevice:
 
     def _settings_handlers(self) -> dict[Command, _Handler]:
         keep = self._keep
+        measuring_ms = (100, 100_000)
+        separation_ms = (1, 100_000)
         return {
             Command.SET_UNITS: keep("units", Change.UNITS, _units_are_known),
             Command.SET_COORDINATE_SYSTEM: keep("axes", Change.COORDINATE_SYSTEM, _axes_are_known),
             Command.SET_MEASUREMENT_MODE: keep("mode", Change.MEASUREMENT_MODE, self._has_mode),
             Command.SET_CONTINUOUS_TIME: keep(
-                "continuous", Change.CONTINUOUS_TIME, _between(*SEPARATION_MS)
+                "continuous", Change.CONTINUOUS_TIME, _between(*separation_ms)
             ),
             Command.SET_STATIONARY_MODE: keep(
-                "stationary", Change.STATIONARY_MODE, _between(*MEASURING_MS)
+                "stationary", Change.STATIONARY_MODE, _between(*measuring_ms)
             ),
             Command.SET_ENVIRONMENT: keep("environment", Change.ENVIRONMENT, _weather_is_earthly),
             Command.SET_REFRACTION: keep("refraction", Change.REFRACTION),
@@ -467,7 +466,8 @@ _Check = Callable[[tuple[float, ...]], Status]
 
 
 def _units_are_known(units: tuple[float, ...]) -> Status:
-    known = all(unit in allowed for unit, allowed in zip(units, KNOWN_UNITS, strict=True))
+    known_units = (MM_PER_UNIT, RAD_PER_UNIT, {0}, {0, 1}, {0})  # C; mbar or hPa; relative humidity
+    known = all(unit in allowed for unit, allowed in zip(units, known_units, strict=True))
     return Status.OK if known else Status.WRONG_PARAMETER_1
 
 

@@ -24,8 +24,6 @@ from fakes.wires.segments import Segments
 LONGEST = 4096
 RECEIVE = 4096
 LATE_EVERY, LATE_S = 5, 0.001  # results that come well after their acknowledgement
-WEATHER_EVERY = 7  # results with news of the air glued to them
-STREAM_LOOK_S = 0.05  # plant time between two looks for samples that are due
 
 
 class EmsconServer:
@@ -96,7 +94,8 @@ class EmsconServer:
                 except OSError:
                     stream.close()
 
-        look_s = None if self._time.stepped else STREAM_LOOK_S / self._time.speed
+        stream_look_s = 0.05  # plant time between two looks for samples that are due
+        look_s = None if self._time.stepped else stream_look_s / self._time.speed
         self._time.follow(send)
         try:
             with lock:
@@ -149,7 +148,8 @@ class EmsconServer:
         session.results += 1
         if session.results % LATE_EVERY == 0:
             self._closing.wait(LATE_S)
-        if session.results % WEATHER_EVERY == 0:
+        weather_every = 7  # results with news of the air glued to them
+        if session.results % weather_every == 0:
             data = status_change(Change.ENVIRONMENT) + data
         if take("tracker.length_zero") is not None:
             data = struct.pack("<iI", 0, 2)

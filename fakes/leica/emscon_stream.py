@@ -17,7 +17,6 @@ from fakes.time import PlantTime
 from fakes.truth.stream_truth import Followed, StreamTruth
 from fakes.truth.transforms import Array
 
-PACKET_SAMPLES = (8, 3, 12, 5, 9)  # in turn
 LATE_EVERY, CUT_EVERY = 5, 3  # packets that wait for the next, and whose second half does
 
 Pack = Callable[[Array, Array], bytes]  # device times (N,), positions (N, 3) mm -> packet
@@ -54,7 +53,8 @@ class SampleStream:
             return b""
         broken = self._take()
         sent = b""
-        while len(self._times_s) >= (size := PACKET_SAMPLES[self._packets % len(PACKET_SAMPLES)]):
+        packet_samples = (8, 3, 12, 5, 9)  # in turn
+        while len(self._times_s) >= (size := packet_samples[self._packets % len(packet_samples)]):
             sent += self._packet(size)
         if broken or self._taken == self._points != 0:
             sent += self._end()

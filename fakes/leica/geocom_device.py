@@ -20,8 +20,6 @@ from fakes.truth.transforms import Array
 NAME, SERIAL, FIRMWARE = "TS60 (simulated)", 884321, (8, 50, 0)
 MM = 1000.0
 TURN_S, AIM_S, DISTANCE_S, ANGLE_S = 0.6, 0.4, 1.5, 0.1
-SIGHT_RAD = 1e-3  # beside which the distance meter still hits a prism
-APART_RAD = 1e-3  # two targets closer than this are several to the target recognition
 
 OK, INVALID, NOT_IMPLEMENTED, ABORTED, BUSY = 0, 2, 5, 8, 13
 TILTED, INACCURATE, ANGLES_ONLY, DISTANCE_ERROR = 22, 1284, 1285, 1292
@@ -152,8 +150,10 @@ class GeocomDevice:
         state.pointing = (hz % math.tau, v) if not state.face else _other_face(hz, v)
         state.target = None
 
+        sight_rad = 1e-3  # beside which the distance meter still hits a prism
+
         def finish() -> Answer:
-            return self._aim(2 * SIGHT_RAD, 2 * SIGHT_RAD) if aim else Answer()
+            return self._aim(2 * sight_rad, 2 * sight_rad) if aim else Answer()
 
         return Answer(after_s=TURN_S, finish=finish)
 
@@ -180,7 +180,8 @@ class GeocomDevice:
         take = self._faults.take
         if not inside or take("tracker.no_reflector") is not None:
             return Answer(NO_TARGET)
-        if len(inside) > 1 and _apart(inside[0][1], inside[1][1]) < APART_RAD:
+        apart_rad = 1e-3  # two targets closer than this are several to the target recognition
+        if len(inside) > 1 and _apart(inside[0][1], inside[1][1]) < apart_rad:
             return Answer(SEVERAL)
         name = self._instrument.find(inside[0][1], 1e-3)
         if name is None:

@@ -24,7 +24,6 @@ NUMBERS = {55: 3, 63: 1, 135: 3}  # doubles behind these commands of an emScon t
 _LINE_END = re.compile(rb"(?<=\n)|(?<=\r)(?!\n)")
 _GEOCOM = re.compile(rb"(%R1[QP],\d+,)(\d+)(:)")
 _HEARTBEAT = re.compile(rb"t7[0-7][0-9A-F]")
-_BOOT_UP = b"100"  # behind a node's identifier: it has begun, once
 _STRIP = re.compile(rb"[Aa][0-9]|[^Aa]")
 _WRITE, _LIFE, _WRITTEN = b"\1", b"$TIMER[10]", b"\0\1\1"  # C3 Bridge
 GROUP = "wire_dialects"
@@ -112,7 +111,8 @@ class Slcan(Dialect):
     def beat(self, answer: bytes) -> bytes:
         """Return the node whose heartbeat it is."""
         found = _HEARTBEAT.match(answer)
-        return b"" if found is None or answer.strip()[4:] == _BOOT_UP else found[0]
+        boot_up = b"100"  # behind a node's identifier: it has begun, once
+        return b"" if found is None or answer.strip()[4:] == boot_up else found[0]
 
 
 class GeoCom(Dialect):

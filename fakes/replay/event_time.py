@@ -17,7 +17,6 @@ import time
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Sequence
 
-SILENCE_S = 1.5  # of waiting, after the end of a recording
 LOOK_S = 0.1  # at most between two looks of one wait
 
 
@@ -77,9 +76,10 @@ class EventTime:
             if between_s < LOOK_S:  # else nobody was waiting
                 self._idle_s += between_s
         silent_s = max(0.0, self._end_s - self.now_s)
-        over = self._end if self.next_asked_s() == float("inf") and silent_s < SILENCE_S else ""
+        silence_s = 1.5  # of waiting, after the end of a recording
+        over = self._end if self.next_asked_s() == float("inf") and silent_s < silence_s else ""
         over = next((place for time_s, place in self._cuts if self.now_s >= time_s), over)
-        if over and self._idle_s > SILENCE_S:
+        if over and self._idle_s > silence_s:
             self.leave(f"the recording ends at {over}, and this run goes on")
 
     def went_on(self) -> None:

@@ -26,7 +26,6 @@ NEAR = 1e-4  # deg, mm or rad
 STUCK = 200  # times that a part's last answer is repeated
 APART_S = 1e-9  # of messages in one piece, so that what parts the recording has a before
 NOWHERE: Mapping[bytes, Exchange] = MappingProxyType({})
-ALIVE_S = 0.5  # after the last sign of life that was recorded
 
 
 @dataclass(slots=True)
@@ -352,10 +351,11 @@ class Pulse:
         ends_s = max((each.came_s[-1] for each in recorded if each.came_s), default=0.0)
         self._last: dict[bytes, bytes] = {}
         self._ends_s: dict[bytes, float] = {}
+        alive_s = 0.5  # after the last sign of life that was recorded
         for each in recorded:
             for answer, came_s in zip(each.answers, each.came_s, strict=True):
-                gives = cut and ends_s - came_s < ALIVE_S
-                self._ends_s[dialect.beat(answer)] = float("inf") if gives else came_s + ALIVE_S
+                gives = cut and ends_s - came_s < alive_s
+                self._ends_s[dialect.beat(answer)] = float("inf") if gives else came_s + alive_s
 
     def take(self, answers: Sequence[bytes]) -> None:
         """Take note of signs of life among answers."""

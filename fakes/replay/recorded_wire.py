@@ -29,8 +29,6 @@ from hilcell.wire.recording import Piece
 RECEIVE = 65536
 LONGEST, SHOWN = 60, 24  # bytes of a question in a message, as text and in hex
 _WORDS = re.compile(rb"[ -~]{3,}")
-FLOW_S = 0.001  # between two messages that come by themselves
-BEAT_S = 0.2  # between two signs of life
 
 
 def shown(asked: bytes) -> str:
@@ -130,11 +128,12 @@ class RecordedWire:
 
         send(script.greeting)
         self._time.follow(send_due)
+        beat_s = 0.2  # between two signs of life
         try:
             rest, due_s = b"", 0.0
             while True:
                 if (now_s := time.monotonic()) >= due_s:
-                    due_s = now_s + BEAT_S
+                    due_s = now_s + beat_s
                     send([pulse.due()])
                 if not select.select([client], [], [], due_s - now_s)[0]:
                     continue
@@ -152,8 +151,9 @@ class RecordedWire:
     def _serve_flow(self, client: socket.socket) -> None:
         flow = Flow(self._recorded_for(client)[0], self._dialect, self._time)
         rest = b""
+        flow_s = 0.001  # between two messages that come by themselves
         while True:
-            if select.select([client], [], [], FLOW_S)[0]:
+            if select.select([client], [], [], flow_s)[0]:
                 if not (data := client.recv(RECEIVE)):
                     return
                 messages, rest = self._dialect.split_questions(rest + data)

@@ -38,7 +38,6 @@ WORDS = {
     NOT_SIMULATING: "Failed to set simulation mode.",
     NOT_READY: "Instrument is not ready.",
 }
-PROFILES = ("Single Pt. To SA", "Standard Pt. To SA")
 SETTINGS = ("!SET_STATION_LOCK", "SET_NUM_SAMPLES", "SET_NUM_ITERATIONS", "SET_RANDOMIZE_POINTS")
 
 
@@ -117,7 +116,8 @@ class T2saDevice:
         return Answer("ACK-300 Set 0")
 
     def _choose_profile(self, name: str) -> Answer:
-        if name not in PROFILES:
+        profiles = ("Single Pt. To SA", "Standard Pt. To SA")
+        if name not in profiles:
             return refusal(NO_PROFILE)
         return Answer(f"ACK-300 Single Point Measurement Profile set to {name}")
 

@@ -30,10 +30,6 @@ from hilcell.cell.settings import SettingsError
 # A person would import a list into the job, and name it in the cell file. In a simulated cell
 # whose file names none, a fan towards all that the arm and the nests can reach is both.
 
-PITCH_RAD = 0.01
-RANGE_MM = 4000.0
-SAMPLE_MM = 400.0
-WIDER_RAD = 0.1
 STOPS = 6
 
 
@@ -54,8 +50,10 @@ def fan(cell: Cell) -> dict[str, Array]:
     ways = _ways_mm(cell)
     directions = _directions()
     tree = KDTree(ways / np.linalg.norm(ways, axis=1)[:, None])
-    beside, _ = tree.query(directions, distance_upper_bound=WIDER_RAD)
-    kept = RANGE_MM * directions[np.isfinite(beside)]
+    wider_rad = 0.1
+    beside, _ = tree.query(directions, distance_upper_bound=wider_rad)
+    range_mm = 4000.0
+    kept = range_mm * directions[np.isfinite(beside)]
     return {f"H{n:06d}": at_mm.round(3) for n, at_mm in enumerate(kept, start=1)}
 
 
@@ -71,7 +69,8 @@ def _ways_mm(cell: Cell) -> Array:
     nests_mm = np.array([nest.xyz_mm for nest in layout.standing])
     reach_mm = sum(math.hypot(joint.a_mm, joint.d_mm) for joint in cell.robot.joint)
     reach_mm += float(np.linalg.norm(cell.robot.smr_mm))
-    axis_mm = np.arange(-reach_mm, reach_mm, SAMPLE_MM)
+    sample_mm = 400.0
+    axis_mm = np.arange(-reach_mm, reach_mm, sample_mm)
     ball_mm = np.stack(np.meshgrid(axis_mm, axis_mm, axis_mm), -1).reshape(-1, 3)
     ball_mm = ball_mm[np.linalg.norm(ball_mm, axis=1) <= reach_mm]
     ball_mm += [layout.base.x_mm, layout.base.y_mm, layout.base.z_mm]
@@ -87,7 +86,8 @@ def _ways_mm(cell: Cell) -> Array:
 
 def _directions() -> Array:
     """Return unit vectors (N, 3), evenly spread by the golden angle."""
-    count = math.ceil(4.0 * math.pi / PITCH_RAD**2)
+    pitch_rad = 0.01
+    count = math.ceil(4.0 * math.pi / pitch_rad**2)
     n = np.arange(count)
     z = 1.0 - (2.0 * n + 1.0) / count
     turn = n * math.pi * (3.0 - math.sqrt(5.0))

@@ -23,7 +23,6 @@ from fakes.wires.segments import Segments
 # A head without its magnet goes on with its last position; only its alarm shows it.
 
 COUNTS_PER_MM = 100.0
-FLICKER = 6
 
 
 class StripSensor:
@@ -36,7 +35,8 @@ class StripSensor:
         self.missing = False  # the magnet
         self._frozen = False
         self._jump_mm = 0.0
-        self._flicker = Dither(1, FLICKER)
+        flicker = 6
+        self._flicker = Dither(1, flicker)
         self._jitter = 0
 
     def observe(self, slide: RailState) -> None:

@@ -15,7 +15,6 @@ from hilcell.cell.settings import SettingsError
 # Faults of a gateway are those of the drive's bus; here the sensor's strike, and its silence.
 
 IDLE_S = 0.5
-OF_NODE = (SYNC_COB_ID, 0x600 + NODE)
 
 
 class StripBus:
@@ -56,7 +55,8 @@ class StripBus:
             self._strip.boot(self._bus.now_s())
 
     def _hear(self, cob_id: int, data: bytes) -> None:
-        if cob_id in OF_NODE and self._faults.take("rail.strip_silent") is not None:
+        of_node = (SYNC_COB_ID, 0x600 + NODE)
+        if cob_id in of_node and self._faults.take("rail.strip_silent") is not None:
             return
         if cob_id == SYNC_COB_ID:
             self._strip.strike()

@@ -65,11 +65,6 @@ class Design:
         self.axis_6_mm = axis_6(self.chain, self.axis_6_rad)[1]
 
 
-def design_of(machine: Machine, smr_mm: Point) -> Design:
-    """Return a machine's design; raises `HilcellError` where a reference pose is out of reach."""
-    return _known(msgspec.json.encode(machine), smr_mm)
-
-
 @lru_cache(KNOWN)
 def _known(machine: bytes, smr_mm: Point) -> Design:
     return Design(decoded(machine, Machine), smr_mm)
@@ -97,8 +92,6 @@ def axis_6(chain: Chain, joints_rad: Array) -> tuple[Array, Array]:
 
 
 DRAWS = 100
-SOLVED_MM = 1e-10
-GAP_SPREAD = 0.2  # of the half-gaps, over and under the machine's
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,13 +123,14 @@ class ArmTruth:
 
     def __init__(self, machine: Machine, smr_mm: Point, rng: np.random.Generator) -> None:
         self._machine, self._smr_mm = machine, smr_mm
-        self._design = design_of(machine, smr_mm)
+        self._design = _known(msgspec.json.encode(machine), smr_mm)
         self.design = self._design.chain
         sizes = machine.transmission
         self.ripple = Ripple(sizes, rng)
         self._lost_rad = np.zeros(6)
+        gap_spread = 0.2  # of the half-gaps, over and under the machine's
         self._half_gap_rad = (
-            sizes.half_gap_urad * URAD * rng.uniform(1.0 - GAP_SPREAD, 1.0 + GAP_SPREAD, 6)
+            sizes.half_gap_urad * URAD * rng.uniform(1.0 - gap_spread, 1.0 + gap_spread, 6)
         )
         self.targets_mm, self.commands_rad = self._design.targets_mm, self._design.commands_rad
         self.joint_sigma_rad = sizes.rp_mm / self._design.unit_rp_mm
@@ -188,7 +182,17 @@ class ArmTruth:
     def _settle(self, sizes: Errors, rng: np.random.Generator) -> None:
         """Draw until one draw, brought to its size, has no error that is too large."""
         for _ in range(DRAWS):
-            drawn = _draw_errors(sizes, self.design, rng)
+            normal = rng.standard_normal
+            axes = self.design.axes[1:]
+            tilt_rad = sizes.twist_urad * URAD * normal((5, 3))
+            along = (tilt_rad * axes).sum(axis=1, keepdims=True)  # that is the joint's zero
+            drawn = _Errors(
+                shift_mm=sizes.length_mm * normal((5, 3)),
+                tilt_rad=tilt_rad - along * axes,
+                zero_rad=sizes.zero_urad * URAD * normal(6),
+                tool_mm=sizes.tool_mm * normal(3),
+                deflection=Deflection.drawn(sizes, rng),
+            )
             self._scale(sizes, drawn)
             errors_mm = self.errors_mm(self.commands_rad, self.targets_mm)
             if np.linalg.norm(errors_mm, axis=1).max() <= sizes.largest_mm:
@@ -202,8 +206,9 @@ class ArmTruth:
         """Take the draw at the factor that gives the wanted size, by the secant method."""
         factor, before = 1.0, 0.5
         value, value_before = self._size_mm(drawn, factor), self._size_mm(drawn, before)
+        solved_mm = 1e-10
         for _ in range(50):
-            if abs(value - sizes.size_mm) < SOLVED_MM:
+            if abs(value - sizes.size_mm) < solved_mm:
                 return
             if value == value_before:  # no factor changes it: nothing but ripple is drawn
                 break
@@ -225,7 +230,19 @@ class ArmTruth:
 
     def _take(self, errors: _Errors) -> None:
         self._errors = errors
-        self._chain = _displaced(self.design, errors, self._machine, self._smr_mm)
+        design = self.design
+        # the design with each axis from the second on displaced, and all behind it with it
+        axes, points_mm = design.axes.copy(), design.points_mm.copy()
+        moved = np.eye(4)
+        displacements = zip(errors.shift_mm, errors.tilt_rad, strict=True)
+        for joint, (shift_mm, tilt_rad) in enumerate(displacements, 1):
+            R, at_mm = rotation(tilt_rad), design.points_mm[joint]
+            moved = moved @ rigid(R, at_mm - R @ at_mm + shift_mm)
+            axes[joint] = moved[:3, :3] @ design.axes[joint]
+            points_mm[joint] = carried(moved, at_mm)
+        tool_mm = np.array(self._smr_mm) + errors.tool_mm
+        last = mounted(frame(self._machine.flange), (tool_mm[0], tool_mm[1], tool_mm[2]))
+        self._chain = replace(design, axes=axes, points_mm=points_mm, last=moved @ last)
         self.ideal_base = self._base_from_axes(self._design.axis_6_rad)
 
     def _by_angles(self, joints_rad: Array) -> Array:
@@ -260,32 +277,3 @@ def varying_rms_mm(targets_mm: Array, errors_mm: Array) -> float:
     motion = np.column_stack([*shifts, *turns])
     left = errors_mm.ravel() - motion @ np.linalg.lstsq(motion, errors_mm.ravel(), rcond=None)[0]
     return float(np.sqrt((left**2).sum() / len(errors_mm)))
-
-
-def _displaced(design: Chain, errors: _Errors, machine: Machine, smr_mm: Point) -> Chain:
-    """Return the design with each axis from the second on displaced, and all behind it with it."""
-    axes, points_mm = design.axes.copy(), design.points_mm.copy()
-    moved = np.eye(4)
-    displacements = zip(errors.shift_mm, errors.tilt_rad, strict=True)
-    for joint, (shift_mm, tilt_rad) in enumerate(displacements, 1):
-        R, at_mm = rotation(tilt_rad), design.points_mm[joint]
-        moved = moved @ rigid(R, at_mm - R @ at_mm + shift_mm)
-        axes[joint] = moved[:3, :3] @ design.axes[joint]
-        points_mm[joint] = carried(moved, at_mm)
-    tool_mm = np.array(smr_mm) + errors.tool_mm
-    last = mounted(frame(machine.flange), (tool_mm[0], tool_mm[1], tool_mm[2]))
-    return replace(design, axes=axes, points_mm=points_mm, last=moved @ last)
-
-
-def _draw_errors(sizes: Errors, design: Chain, rng: np.random.Generator) -> _Errors:
-    normal = rng.standard_normal
-    axes = design.axes[1:]
-    tilt_rad = sizes.twist_urad * URAD * normal((5, 3))
-    along = (tilt_rad * axes).sum(axis=1, keepdims=True)  # that is the joint's zero
-    return _Errors(
-        shift_mm=sizes.length_mm * normal((5, 3)),
-        tilt_rad=tilt_rad - along * axes,
-        zero_rad=sizes.zero_urad * URAD * normal(6),
-        tool_mm=sizes.tool_mm * normal(3),
-        deflection=Deflection.drawn(sizes, rng),
-    )

@@ -17,7 +17,6 @@ from hilcell.cell.file import Cell
 
 BEHIND, BEYOND, FLIPPED = 1, 2, 4
 UP = np.array([0.0, 0.0, 1.0])
-REPLAYED_SERIAL = 860112  # the data name none
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +56,9 @@ def controller_arm(cell: Cell) -> ControllerArm:
 
     A replayed cell has no machine: there the cell file's rows are the robot's.
     """
+    replayed_serial = 860112  # the data name none
     if cell.simulation is not None and cell.simulation.data:
         name = cell.robot.name.replace(" ", "").replace("-", "_")
-        return ControllerArm(chain_of_cell(cell), f"#{name} C4 FLR", REPLAYED_SERIAL)
+        return ControllerArm(chain_of_cell(cell), f"#{name} C4 FLR", replayed_serial)
     machine = machine_of(cell)
     return ControllerArm(machine.chain(cell.robot.smr_mm), machine.model, machine.serial)

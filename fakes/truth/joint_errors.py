@@ -15,8 +15,6 @@ from fakes.truth.screws import Chain
 from fakes.truth.transforms import Array
 
 URAD = 1e-6
-MOST_HARMONICS = 3
-UNLISTED_CYCLES = (52.0, 149.0)  # between pins and ratios, never a whole number
 
 LEAST_MM = 1.0  # a lever that changes by less counts as one that does not change
 UP = np.array([0.0, 0.0, 1.0])
@@ -49,17 +47,19 @@ class Ripple:
     """Gear ripple of six joints: one to three harmonics each, whose size may follow the load."""
 
     def __init__(self, sizes: Transmission, rng: np.random.Generator) -> None:
-        amplitude, cycles = np.zeros((6, MOST_HARMONICS + 1)), np.ones((6, MOST_HARMONICS + 1))
+        most_harmonics = 3
+        amplitude, cycles = np.zeros((6, most_harmonics + 1)), np.ones((6, most_harmonics + 1))
         for joint in range(6):
             pins = rng.integers(*sizes.pins, endpoint=True)
             ratio = rng.integers(*sizes.ratios, endpoint=True)
-            count = int(rng.integers(1, MOST_HARMONICS + 1))
+            count = int(rng.integers(1, most_harmonics + 1))
             listed = rng.permutation([pins, 2 * pins, ratio, 2 * ratio])[:count]
             share = rng.uniform(0.3, 1.0, count)
             cycles[joint, :count] = listed
             amplitude[joint, :count] = sizes.ripple_urad * URAD * share / np.linalg.norm(share)
         amplitude[:, -1] = sizes.unlisted_urad * URAD
-        cycles[:, -1] = rng.uniform(*UNLISTED_CYCLES, 6)
+        unlisted_cycles = (52.0, 149.0)  # between pins and ratios, never a whole number
+        cycles[:, -1] = rng.uniform(*unlisted_cycles, 6)
         self.amplitude_rad, self.cycles = amplitude, cycles
         self.phase_rad = rng.uniform(0.0, 2 * np.pi, amplitude.shape)
 

@@ -29,7 +29,6 @@ from hilcell.cell.layout import Layout
 from hilcell.cell.settings import SettingsError
 from hilcell.ports import HilcellError
 
-FARTHEST_SIGMA = 2.0
 FLANGE = "flange"
 
 
@@ -196,7 +195,8 @@ def _bars(layout: Layout, sigma_mm: float, rng: np.random.Generator) -> dict[str
 
 
 def _limited(rng: np.random.Generator, size: int) -> Array:
-    return rng.standard_normal(size).clip(-FARTHEST_SIGMA, FARTHEST_SIGMA)
+    farthest_sigma = 2.0
+    return rng.standard_normal(size).clip(-farthest_sigma, farthest_sigma)
 
 
 def _arm(cell: Cell, machine: Machine, rng: np.random.Generator) -> ArmTruth:

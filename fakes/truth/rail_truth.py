@@ -46,15 +46,8 @@ class SmoothCurve:
         return total
 
 
-LONG_MOVE_MM = 100.0  # from which on the landing noise is that of a long move
-POLE_PITCH_MM = 5.0
-BACKLASH_SPREAD = 0.02
 SWITCH_MM = 1.0  # limit switches lie this far outside the travel
 STOP_MM = 0.5  # and the slide stops this far behind them
-POWER_ON_MM = 640.0
-HOMING_MM_S2, BACK_OFF_MM_S = 200.0, 10.0
-MOST_SHARE = 1.5  # of the stated curve
-BRAKE_MM_S2 = 5000.0  # the closing brake
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,10 +91,11 @@ class RailTruth:
         self._slip_mm = 0.0
         self._braked = True
         self._homing = False
-        self._zero_mm = POWER_ON_MM  # of the motor: its encoder reads 0 at power-on
-        self._play_mm = POWER_ON_MM  # slide behind the backlash, in the motor's coordinate
+        power_on_mm = 640.0
+        self._zero_mm = power_on_mm  # of the motor: its encoder reads 0 at power-on
+        self._play_mm = power_on_mm  # slide behind the backlash, in the motor's coordinate
         self._landing_mm = (0.0, 0.0)  # at the start and at the end of the motion
-        self._path = Path(time.now_s(), POWER_ON_MM)
+        self._path = Path(time.now_s(), power_on_mm)
         self._stands: tuple[Path, float] | None = None  # where the slide is after a path
         self._rested: _Rest | None = None
         self._seen_s = time.now_s()
@@ -134,12 +128,13 @@ class RailTruth:
 
     def home(self, speed_mm_s: float) -> None:
         """Run to the negative limit switch, back off it, stand; there the encoder reads 0."""
+        homing_mm_s2, back_off_mm_s = 200.0, 10.0
         with self._lock:
             if self._braked:
                 return
-            a = HOMING_MM_S2
+            a = homing_mm_s2
             path = self._fresh_path().brake(a).travel(self._low_mm - STOP_MM, speed_mm_s, a)
-            path.travel(self._low_mm + SWITCH_MM, BACK_OFF_MM_S, a)
+            path.travel(self._low_mm + SWITCH_MM, back_off_mm_s, a)
             self._start(path, "home", SWITCH_MM)
             self._homing = True
 
@@ -150,10 +145,11 @@ class RailTruth:
 
     def brake(self, closed: bool) -> None:
         """Close or open the holding brake; closed in motion, it stops the slide hard."""
+        brake_mm_s2 = 5000.0  # the closing brake
         with self._lock:
             self._braked = closed
             if closed:
-                self.quick_stop(BRAKE_MM_S2)
+                self.quick_stop(brake_mm_s2)
 
     def poll(self) -> RailState:
         """Return the state now; in stepped time a moving slide gets a third further."""
@@ -221,7 +217,8 @@ class RailTruth:
     def _start(self, path: Path, key: str, distance_mm: float) -> None:
         self._backlash_mm += self._faults.number("rail.backlash") or 0.0
         self._slip_mm += self._faults.number("rail.slip") or 0.0
-        share = min(1.0, distance_mm / LONG_MOVE_MM)
+        long_move_mm = 100.0  # from which on the landing noise is that of a long move
+        share = min(1.0, distance_mm / long_move_mm)
         long_mm, short_mm = self._sizes.landing_mm, self._sizes.short_landing_mm
         sigma_mm = short_mm + share * (long_mm - short_mm)
         lands_mm = sigma_mm * float(self._noise.normal(key, 1)[0])
@@ -281,7 +278,8 @@ class _Shape:
 
     def __init__(self, cell: Cell, machine: Machine, rng: np.random.Generator) -> None:
         sizes = self._sizes = machine.rail
-        spread = 1.0 + BACKLASH_SPREAD * float(rng.standard_normal())
+        backlash_spread = 0.02
+        spread = 1.0 + backlash_spread * float(rng.standard_normal())
         self.backlash_mm = sizes.backlash_mm * spread
         self._curve = SmoothCurve(rng, 1.0, 2 * sizes.curve_span_mm, 3)
         self._ways = SmoothCurve(rng, sizes.ways_mm, 1500.0, 2)
@@ -310,7 +308,8 @@ class _Shape:
         own_mm = largest_mm * np.array([self._curve(s) for s in positions_mm])
         leans_rad = np.array([self._lean_rad(s) for s in positions_mm])
         seen_mm = own_mm + np.vecdot(np.cross(leans_rad, lever_mm), self._along)
-        return min(MOST_SHARE, largest_mm / float(np.abs(seen_mm).max()))
+        most_share = 1.5  # of the stated curve
+        return min(most_share, largest_mm / float(np.abs(seen_mm).max()))
 
     def _lean_rad(self, slide_mm: float) -> Array:
         return self._share * np.array([curve(slide_mm) for curve in self._lean])
@@ -322,7 +321,8 @@ class _Shape:
 
     def strip_mm(self, slide_mm: float) -> float:
         """Return the strip's reading, unquantised."""
-        pole = math.sin(2 * math.pi * slide_mm / POLE_PITCH_MM + self._pole_phase)
+        pole_pitch_mm = 5.0
+        pole = math.sin(2 * math.pi * slide_mm / pole_pitch_mm + self._pole_phase)
         return slide_mm + self._strip_long(slide_mm) + self._sizes.strip_pole_mm * pole
 
     def pose(self, slide_mm: float) -> Array:

@@ -20,8 +20,6 @@ from fakes.truth.transforms import Array
 from hilcell.cell.file import Cell
 from hilcell.fit.robot_file import read_measurements
 
-SAME_POSE_RAD = 2e-5  # joints travel as decimals
-STD_MM = 0.005  # the data say nothing of each reading's spread
 AIR = Air(temperature_c=20.0, pressure_mbar=1013.25, humidity_percent=50.0)
 
 
@@ -68,7 +66,8 @@ class ReplayTracker:
         if state.moving:
             return {}
         off_rad = np.abs(self._rows.joints_rad - state.joints_rad).max(axis=1)
-        here = np.flatnonzero(off_rad <= SAME_POSE_RAD)
+        same_pose_rad = 2e-5  # joints travel as decimals
+        here = np.flatnonzero(off_rad <= same_pose_rad)
         return {self._rows.target[row]: self._rows.xyz_mm[row] for row in here}
 
     def reflector(self, name: str) -> Array | None:
@@ -87,7 +86,8 @@ class ReplayTracker:
     def measure(self, name: str, *, back: bool = False) -> Measurement | None:
         """Return the recorded measurement, whose face the data do not tell."""
         at_mm = self.reflector(name)
-        return None if at_mm is None else Measurement(at_mm, np.full(3, STD_MM))
+        std_mm = 0.005  # the data say nothing of each reading's spread
+        return None if at_mm is None else Measurement(at_mm, np.full(3, std_mm))
 
     def air(self) -> Air:
         """Return the air, which the data do not tell."""

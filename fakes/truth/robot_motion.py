@@ -21,7 +21,6 @@ from hilcell.cell.file import Cell
 
 RAMP_S = 0.4  # from standstill to full speed
 BRAKE_S = 0.15  # and from full speed to standstill on a stop
-NOT_MOVED_RAD = 1e-9
 
 Draw = Callable[[], Array]
 Landings = Callable[[str], Draw]  # event -> what draws the repeatability error (6,) in rad
@@ -85,12 +84,13 @@ class RobotMotion:
 
     def move(self, target_rad: Array, speed_share: float) -> None:
         """Start for joints (6,) at a share 0..1 of full speed; a motion under way ends here."""
+        not_moved_rad = 1e-9
         with self._lock:
             self._from = self._joints(self._time.now_s())
             self._to = np.array(target_rad, dtype=float)
             distance = self._to - self._from
             way_rad = np.abs(distance)
-            moved = way_rad > NOT_MOVED_RAD
+            moved = way_rad > not_moved_rad
             self._side = np.where(moved, np.sign(distance), self._side)
             key = ",".join(f"{joint:.6f}" for joint in self._to.tolist())
             self._landing = _landed(moved, self._landings(key), self._landing)

@@ -17,7 +17,6 @@ from hilcell.ports import HilcellError
 SCALE_MM = 1000.0  # a radian counts as much as this
 STEPS = 60
 ARRIVED = 1e-10  # of SCALE_MM
-LONGEST_STEP_RAD = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +75,7 @@ class Chain:
         The posture is the start's. Raises `HilcellError` where it does not arrive.
         """
         joints = np.tile(start_rad, (len(poses), 1))
+        longest_step_rad = 0.3
         for _ in range(STEPS):
             error = _apart(self.pose(joints), poses)
             if np.abs(error).max() < ARRIVED:
@@ -85,7 +85,7 @@ class Chain:
             damping = (0.1 * np.sum(error**2, axis=-1))[:, None, None] * np.eye(6)
             transposed = np.swapaxes(J, -1, -2)
             step = np.linalg.solve(transposed @ J + damping, transposed @ error[..., None])[..., 0]
-            joints = joints + step.clip(-LONGEST_STEP_RAD, LONGEST_STEP_RAD)
+            joints = joints + step.clip(-longest_step_rad, longest_step_rad)
         raise HilcellError("simulated robot: a reference pose of the machine is out of reach")
 
     def _moved(self, joints_rad: Array) -> list[Array]:

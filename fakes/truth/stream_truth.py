@@ -14,9 +14,6 @@ from fakes.truth.robot_motion import RobotMotion
 from fakes.truth.tracker_truth import TrackerTruth
 from fakes.truth.transforms import Array
 
-POWER_ON_S = (2_000.0, 400_000.0)  # how long the tracker may have been on
-DRIFT_PPM = 30.0
-
 PathInWorld = Callable[[str, Array], Array]  # name, times (N,) -> (N, 3) in {W}
 
 
@@ -36,8 +33,10 @@ class StreamTruth:
         self._robot, self._tracker, self._path = robot, tracker, path_in_world
         self._noise = KeyedNoise(seed, "stream")
         clock = KeyedNoise(seed).generator("tracker clock")
-        self.offset_s = float(clock.uniform(*POWER_ON_S))
-        self.drift = DRIFT_PPM * 1e-6 * float(clock.uniform(-1.0, 1.0))
+        power_on_s = (2_000.0, 400_000.0)  # how long the tracker may have been on
+        self.offset_s = float(clock.uniform(*power_on_s))
+        drift_ppm = 30.0
+        self.drift = drift_ppm * 1e-6 * float(clock.uniform(-1.0, 1.0))
 
     def device_s(self, time_s: float) -> float:
         """Return the tracker's own time at a plant time."""

@@ -20,8 +20,6 @@ from fakes.truth.noise import KeyedNoise
 from fakes.truth.transforms import Array, carried, frame, inverse, rigid, rotation
 from hilcell.cell.file import Cell
 
-DRIFT_PERIOD_S = 4 * 3600.0
-AIR_PERIOD_S = 3 * 3600.0
 MEASUREMENT_S = 5.0
 URAD = 1e-6
 AXES = ("tracker.collimation", "tracker.transit", "tracker.index")  # faults of the axes, in urad
@@ -219,7 +217,8 @@ class TrackerTruth:
         return self._sizes.room_c + swing_k + self._warmer_k
 
     def _air_wave(self, number: int) -> float:
-        age = self._measured * MEASUREMENT_S / AIR_PERIOD_S
+        air_period_s = 3 * 3600.0
+        age = self._measured * MEASUREMENT_S / air_period_s
         return math.sin(2 * math.pi * age + self._air_phases[number])
 
     def _strike(self, name: str) -> _Struck:
@@ -263,7 +262,8 @@ class TrackerTruth:
         return self._range_mm[0] <= math.sqrt(at_mm.dot(at_mm)) <= self._range_mm[1]
 
     def _slow_drift_mm(self) -> Array:
-        angle = 2 * math.pi * self._measured * MEASUREMENT_S / DRIFT_PERIOD_S
+        drift_period_s = 4 * 3600.0
+        angle = 2 * math.pi * self._measured * MEASUREMENT_S / drift_period_s
         there, back = self._drift
         drift: Array = there * math.sin(angle) + back * (1 - math.cos(angle))
         return drift

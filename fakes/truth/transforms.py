@@ -17,7 +17,6 @@ from hilcell.cell.tables import Pose
 
 Array = NDArray[np.float64]
 UNTURNED = np.eye(3)
-GIMBAL = 1e-9  # cosine of B below which A and C turn about one line
 
 
 def turned(axes: Array, angles_rad: Array) -> Array:
@@ -93,7 +92,8 @@ def components(T: Array) -> Array:
     R = T[:3, :3]
     cos_b = float(np.hypot(R[0, 0], R[1, 0]))
     b = np.arctan2(-R[2, 0], cos_b)
-    if cos_b > GIMBAL:
+    gimbal = 1e-9  # cosine of B below which A and C turn about one line
+    if cos_b > gimbal:
         a, c = np.arctan2(R[1, 0], R[0, 0]), np.arctan2(R[2, 1], R[2, 2])
     else:
         a, c = 0.0, np.arctan2(-R[1, 2], R[1, 1])

@@ -29,7 +29,6 @@ NORMAL, PROTECTIVE_STOP, EMERGENCY_STOP = 1, 3, 7  # safety status
 STOPPED, PLAYING, PAUSED = 1, 2, 4  # runtime states
 OK, UNKNOWN_COMMAND, OUT_OF_LIMITS, LOST, BRAKED = 0, 1, 2, 8, 9
 MOVE_JOINTS = 1
-DITHER_RAD, DITHER_RAD_S = 5e-6, 4e-4  # of a joint that holds
 STEP_S = 0.002  # of the controller
 LIFE_MS = 1500
 LIFE = "input_int_register_26"  # the PC's sign
@@ -161,13 +160,14 @@ class UrController:
         now_s = self._time.now_s()
         state = self._motion.state(now_s)  # as of the package's own time, however busy this PC is
         joints_rad, speeds = state.joints_rad, np.zeros(6)
+        dither_rad, dither_rad_s = 5e-6, 4e-4  # of a joint that holds
         if state.moving:
             before_rad, now_rad = self._motion.past(np.array([now_s - STEP_S, now_s]))[0]
             speeds = (now_rad - before_rad) / STEP_S
         else:
             landed = state.joints_rad.tobytes() + state.landing_rad.tobytes()
             off = flicker(landed, round(now_s / STEP_S), 12)
-            joints_rad, speeds = joints_rad + DITHER_RAD * off[:6], DITHER_RAD_S * off[6:]
+            joints_rad, speeds = joints_rad + dither_rad * off[:6], dither_rad_s * off[6:]
         T = self._arm.chain.pose(joints_rad)
         pose = np.concatenate([T[:3, 3] / 1000.0, rotation_vector(T[:3, :3])])
         if self._faults.take("robot.wrong_tool") is not None:

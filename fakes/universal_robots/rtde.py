@@ -25,8 +25,6 @@ VERSION, CONTROLLER, OUTPUTS, INPUTS, START, PAUSE, DATA = 86, 118, 79, 73, 83, 
 HEAD = struct.Struct("!HB")
 SOFTWARE = (5, 12, 0, 1101319)
 FASTEST_HZ = 500.0
-STEPPED_S = 0.002  # between two states, in stepped time
-GLUED_EVERY = 29
 RECEIVE = 4096
 SIX = {"actual_q", "target_q", "actual_qd", "actual_TCP_pose"}
 WHOLE = {"robot_mode", "safety_status", "safety_mode"}
@@ -93,7 +91,8 @@ class UrRtdeServer:
 
     def period_s(self, rate_hz: float) -> float:
         """Return the real time between two states."""
-        return STEPPED_S if self._time.stepped else 1.0 / min(rate_hz, FASTEST_HZ)
+        stepped_s = 0.002  # between two states, in stepped time
+        return stepped_s if self._time.stepped else 1.0 / min(rate_hz, FASTEST_HZ)
 
     @property
     def faults(self) -> Faults:
@@ -204,12 +203,13 @@ class _Session:
         payload = self._layout.pack(number, *numbers)
         package = self._glued + HEAD.pack(HEAD.size + len(payload), DATA) + payload
         self._sent += 1
+        glued_every = 29
         if faults.take("robot.split_reply") is not None:
             self._client.sendall(package[: len(package) // 2])
             time.sleep(0.02)  # so that both halves are segments of their own
             self._client.sendall(package[len(package) // 2 :])
             self._glued = b""
-        elif self._sent % GLUED_EVERY == 0 and not self._glued:
+        elif self._sent % glued_every == 0 and not self._glued:
             self._glued = package
         else:
             self._segments.send(package)

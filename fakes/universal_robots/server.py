@@ -15,7 +15,6 @@ from fakes.wires.listener import HOST, Listener
 GREETING = b"Connected: Universal Robots Dashboard Server\n"
 RECEIVE = 4096
 LONGEST = 200_000
-STATE_S = 0.1  # the script port sends a state so often, read or not
 STATE = bytes([0, 0, 0, 5, 16])  # an empty message of robot states
 
 
@@ -55,8 +54,9 @@ class UrServer:
     def _serve_scripts(self, client: socket.socket) -> None:
         """Play what a client sends, when its ``def`` has reached its ``end``."""
         text = ""
+        state_s = 0.1  # the script port sends a state so often, read or not
         while True:
-            ready, _, _ = select.select([client], [], [], STATE_S)
+            ready, _, _ = select.select([client], [], [], state_s)
             if not ready:
                 with contextlib.suppress(BlockingIOError):
                     client.send(STATE, socket.MSG_DONTWAIT)

@@ -63,7 +63,8 @@ class Listener:
         with self._lock:
             clients = list(self._clients)
         for client in clients:
-            _shut(client)
+            with contextlib.suppress(OSError):
+                client.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
         """Close every socket and wait for every thread."""
@@ -99,8 +100,3 @@ class Listener:
             self._serve(client)
         with self._lock:
             del self._clients[client]
-
-
-def _shut(client: socket.socket) -> None:
-    with contextlib.suppress(OSError):
-        client.shutdown(socket.SHUT_RDWR)

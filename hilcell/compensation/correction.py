@@ -20,7 +20,6 @@ from hilcell.geometry.rotations import from_rotvec
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import HilcellError
 
-CONTRACTION = 0.5  # step n + 1 may move the command by this share to the n-th of the first
 NEGLIGIBLE_MM = 1e-3
 
 
@@ -97,13 +96,14 @@ def _settled(
 def _check_contraction(
     moved_mm: Array, first_mm: Array, step: int, names: Sequence[str] | None
 ) -> None:
-    bad = np.flatnonzero(~(moved_mm <= CONTRACTION**step * first_mm + NEGLIGIBLE_MM))
+    contraction = 0.5  # step n + 1 may move the command by this share to the n-th of the first
+    bad = np.flatnonzero(~(moved_mm <= contraction**step * first_mm + NEGLIGIBLE_MM))
     if len(bad):
         n = bad[0]
         raise CorrectionError(
             f"correction: {len(bad)} of {len(moved_mm)} targets do not settle: "
             f"{names[n] if names else f'target {n + 1}'} moves by {moved_mm[n]:.3f} mm in step "
             f"{step + 1} after {first_mm[n]:.3f} mm in the first, wanted below "
-            f"{CONTRACTION**step:.0%}; the error map jumps there: look for outliers on the "
+            f"{contraction**step:.0%}; the error map jumps there: look for outliers on the "
             "vertices around it"
         )

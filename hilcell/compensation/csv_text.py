@@ -20,12 +20,10 @@ from pathlib import Path
 from hilcell.cell.settings import SettingsError, read_bytes, unreadable
 
 POINT, COMMA = ".", ","
-OTHER_CODING = "cp1252"
 GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}(?:\1\d{3})*", re.ASCII)  # may be thousands
 FIGURES = re.compile(r"[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?", re.ASCII)  # by whatever sign
 LONGEST = 40  # characters of a number that is looked at
 STATED = re.compile(r'"?sep=([;,])"?', re.IGNORECASE)
-UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,15 +89,17 @@ def _text(path: Path) -> str:
         content = read_bytes(path)
     except OSError as error:
         raise unreadable(str(path), error) from error
-    if content.startswith(UTF_16):
+    utf_16 = (b"\xff\xfe", b"\xfe\xff")
+    if content.startswith(utf_16):
         raise SettingsError(str(path), ["is UTF-16; save it as CSV in UTF-8"])
+    other_coding = "cp1252"
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         # All our headers are ASCII: a file whose first line is not is no list in any coding.
         if content.partition(b"\n")[0].isascii():
             with suppress(UnicodeDecodeError):
-                return content.decode(OTHER_CODING)
+                return content.decode(other_coding)
         raise unreadable(str(path), error) from error
 
 

@@ -25,7 +25,6 @@ CORNERS: Ints = np.array(
     list(product((0, 1), repeat=3))
 )  # (8, 3) steps from a cell's lowest vertex
 SYMMETRIC = 1e-9  # of a covariance, relative to its largest element
-MOST_MM2 = 1e4  # beyond is no uncertainty of a robot's error
 
 
 class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -280,8 +279,9 @@ def check_covariance(name: str, found: Array, shape: tuple[int, ...]) -> None:
         counts = " x ".join(map(str, shape))
         raise ModelError(f"{name}: wanted {counts} finite numbers")
     largest = float(np.abs(found).max())
-    if not largest <= MOST_MM2:
-        raise ModelError(f"{name}: {largest:g} mm2, wanted within +-{MOST_MM2:g} mm2")
+    most_mm2 = 1e4  # beyond is no uncertainty of a robot's error
+    if not largest <= most_mm2:
+        raise ModelError(f"{name}: {largest:g} mm2, wanted within +-{most_mm2:g} mm2")
     slack = SYMMETRIC * max(largest, np.finfo(float).tiny)
     if not np.abs(found - found.swapaxes(-1, -2)).max() <= slack:
         raise ModelError(f"{name}: not symmetric")

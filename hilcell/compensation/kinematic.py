@@ -42,7 +42,6 @@ LARGE_AXES = 3  # whose errors have levers of metres
 SAME_RAD = np.radians(0.1)  # less than half the shortest wave of a gear
 FOLDS = 5  # each fifth pose is predicted by the others
 MOST_MM, MOST_RAD = 1e5, 1e3  # beyond is no robot's length or angle
-MOST_CYCLES = 1e4
 ASSUMED = Placed(2.0, 2e-3, 2.0)  # {B} from circles, the reflector as it is mounted
 # Several: so little is assumed that a turn of all is theirs and not the last link's.
 ASSUMED_SEVERAL = Placed(2.0, 2e-3, 50.0)
@@ -367,7 +366,8 @@ def _curve(entry: CurveEntry) -> TransmissionCurve:
     if entry.axis not in range(6):
         raise ModelError(f"curves: axis {entry.axis}, wanted 0 .. 5")
     count = len(entry.cycles)
-    cycles = _numbers("curves.cycles", entry.cycles, (count,), MOST_CYCLES)
+    most_cycles = 1e4
+    cycles = _numbers("curves.cycles", entry.cycles, (count,), most_cycles)
     zeros = np.zeros((2 * count, 2 * count))
     return TransmissionCurve(
         entry.axis, cycles, np.zeros((count, 2)), zeros, 0.0, 0.0, -np.pi, np.pi, 0.0
@@ -387,12 +387,12 @@ def _seats_mm(places: list[list[float]]) -> Array:
     """Return reflectors (K, 3): one, or three and more that span a triangle."""
     seats_mm = _numbers("reflector_mm", places, (len(places), 3), MOST_MM)
     across_mm = np.linalg.svd(seats_mm - seats_mm.mean(axis=0), compute_uv=False)
-    if len(seats_mm) > 1 and not across_mm[1] > LEAST_ACROSS_MM:
+    least_across_mm = 1.0
+    if len(seats_mm) > 1 and not across_mm[1] > least_across_mm:
         raise ModelError("more_reflectors_mm: an orientation needs a triangle of reflectors")
     return seats_mm
 
 
-LEAST_ACROSS_MM = 1.0
 RIGID = 1e-6  # of a rotation matrix times its transpose
 SYMMETRIC = 1e-9  # of the parameters' correlations
 

@@ -24,9 +24,7 @@ from hilcell.compensation.model import ErrorModel, ModelError, Prediction
 from hilcell.geometry.frames import motion_levers
 from hilcell.geometry.kinematics import Array
 
-CLOSE_MM = 5.0  # within it the model's error is the same; a command is far closer to its target
 NEAR_MM = 20.0  # beyond, nothing is known
-LEVER_MM = 200.0  # at which rotations count as lengths
 FACTORS = 2.0 ** np.arange(-10.0, 6.0, 0.5)  # of the variance that the model states
 SPREAD = 1.5  # standard deviation of their logarithm, before any target says so
 ENOUGH = 200  # targets from which the variance is found
@@ -241,14 +239,16 @@ def _members(places: Array) -> list[Ints]:
 
 def _places(poses: Array) -> Array:
     """Return features (N, 12) whose distance is that of places, and of rotations by the lever."""
-    turned = poses[:, :3, :3].reshape(-1, 9) * (LEVER_MM / np.sqrt(2.0))
+    lever_mm = 200.0  # at which rotations count as lengths
+    turned = poses[:, :3, :3].reshape(-1, 9) * (lever_mm / np.sqrt(2.0))
     return np.concatenate([poses[:, :3, 3], turned], axis=1)
 
 
 def _alike(first: Array, second: Array) -> Array:
     """Return the correlations (3N, 3M) of the model's errors at places (N, 12), (M, 12)."""
     squares = np.square(first[:, None] - second).sum(axis=-1)
-    return np.asarray(np.kron(np.exp(-squares / (2 * CLOSE_MM**2)), np.eye(3)))
+    close_mm = 5.0  # within it the model's error is the same; a command is far closer to its target
+    return np.asarray(np.kron(np.exp(-squares / (2 * close_mm**2)), np.eye(3)))
 
 
 def _most_probable(passes: Sequence[Pass], stated_mm2: float) -> float:

@@ -28,9 +28,7 @@ from hilcell.writing import write_whole
 MOST, MOST_DEG = 1e6, 1e4  # mm and whatever else, deg; beyond is a slip, and overflows
 JOINERS = re.compile("[\u200c\u200d]")
 BRACKETS = re.compile(r"\s*[\[(]\s*(\w+)\s*[\])]$")  # a unit, as spreadsheets state it
-COMPUTED = "=+-@"  # at a field's begin, for spreadsheets
 SHOWN = 40  # characters of a bad field
-HEADER_SHOWN = 200
 BOUND = "bound95_mm"
 MM_DECIMALS, DEG_DECIMALS = 4, 6
 HEADER = ["name", "x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg"]
@@ -90,18 +88,21 @@ def column_of(cell: str, columns: Iterable[str]) -> str:
     The field itself where it means none, or states another unit.
     """
     word = BRACKETS.sub(r"_\1", cell.strip().casefold().replace("\u00b0", "deg"))
-    return next((each for each in columns if word and word in (each, _bare(each))), cell.strip())
-
-
-def _bare(column: str) -> str:
-    """Return a column's name without its unit."""
-    return column.removesuffix("_mm").removesuffix("_deg")
+    return next(
+        (
+            each
+            for each in columns
+            if word and word in (each, each.removesuffix("_mm").removesuffix("_deg"))
+        ),
+        cell.strip(),
+    )
 
 
 def _header_shown(text: CsvText) -> str:
     """Return a header for messages: not too long, and with tabs that are seen."""
     found = text.separator.join(text.header).replace("\t", "\\t")
-    return found if len(found) <= HEADER_SHOWN else f"{found[:HEADER_SHOWN]}..."
+    header_shown = 200
+    return found if len(found) <= header_shown else f"{found[:header_shown]}..."
 
 
 def _differs(header: list[str], headers: Sequence[list[str]]) -> str:
@@ -157,7 +158,8 @@ def _name_fault(name: str) -> str:
     found = UNSAFE.search(name[0] + JOINERS.sub("", name[1:-1]) + name[1:][-1:])
     if found:
         return f"name {_shown(name)} has a control character, U+{ord(found[0]):04X}"
-    if name[0] in COMPUTED:
+    computed = "=+-@"  # at a field's begin, for spreadsheets
+    if name[0] in computed:
         return f"name {_shown(name)} begins with {name[0]}: a spreadsheet would compute it"
     return ""
 

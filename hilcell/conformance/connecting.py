@@ -14,9 +14,6 @@ from hilcell.conformance.verdicts import Broken, NotApplicable, fails, need
 from hilcell.errors import DeviceError
 from hilcell.ports import Identity
 
-LEAST_WORD = 4
-OTHER_NUMBER, OTHER_TEXT = 16_777_213, "no such serial"
-
 
 def same_identity(bench: Bench) -> None:
     """Connect twice, and compare."""
@@ -44,7 +41,8 @@ def clean_identity(bench: Bench) -> None:
     driver = bench.build()
     texts = [text for each in _assets(driver.connect()) for text in each]
     driver.close()
-    words = [word for text in texts for word in text.split() if len(word) >= LEAST_WORD]
+    least_word = 4
+    words = [word for text in texts for word in text.split() if len(word) >= least_word]
     for word in words:
         for encoding in ("ascii", "utf-16-le"):
             spoiled = f"{word[:-1]}\x1b"
@@ -74,13 +72,14 @@ def wrong_serial(bench: Bench) -> None:
 
 def _other_serials(options: msgspec.Struct) -> Iterator[tuple[str, dict[str, object]]]:
     """Yield changes of one serial number each, in words and as options; of parts as well."""
+    other_number, other_text = 16_777_213, "no such serial"
     for key in options.__struct_fields__:
         value = getattr(options, key)
         if isinstance(value, msgspec.Struct):
             for what, changed in _other_serials(value):
                 yield f"{key}.{what}", {key: msgspec.structs.replace(value, **changed)}
         elif key.endswith("serial"):
-            other = OTHER_TEXT if isinstance(value, str) else OTHER_NUMBER
+            other = other_text if isinstance(value, str) else other_number
             yield f"{key} {other!r}", {key: other}
 
 

@@ -10,8 +10,6 @@ from hilcell.conformance.connecting import near
 from hilcell.conformance.promise import Promise
 from hilcell.conformance.verdicts import fails, need
 
-READS = 5
-
 
 def taken(bench: Bench) -> None:
     """Compare a reading's time with those of the question and the answer."""
@@ -42,11 +40,12 @@ def at_rest(bench: Bench) -> None:
     """Read a device that stands, while its axes dither."""
     driver = bench.connected()
     first = bench.acts.visit(driver, 1)
-    for n in range(1, READS + 1):
+    reads = 5
+    for n in range(1, reads + 1):
         reading = bench.acts.ask(driver)
-        need(reading.still, f"reading {n} of {READS} at rest says that it moves")
+        need(reading.still, f"reading {n} of {reads} at rest says that it moves")
         apart = bench.acts.apart(first, reading)
-        need(apart <= 1.0, f"reading {n} of {READS} at rest: {apart:.1f} of what a rest allows")
+        need(apart <= 1.0, f"reading {n} of {reads} at rest: {apart:.1f} of what a rest allows")
 
 
 def ended(bench: Bench) -> None:

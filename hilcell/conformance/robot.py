@@ -18,7 +18,6 @@ STEP_DEG = 5.0
 NEAR_MM, NEAR_SHARE = 1.0, 0.02  # a controller's model is the nominal one, rounded
 SWEEP_DEG, SWEEP_RAD_S = 4.0, 0.05
 OTHERS_DEG = 0.01
-FASTER = 1.02
 
 
 def _steps(bench: Bench) -> list[tuple[int, Array, Array]]:
@@ -84,9 +83,10 @@ def sweep(bench: Bench) -> None:
     driver = _sweeper(bench)
     start = driver.move_to(np.radians(bench.cell.robot.safe_deg), SPEED_PERCENT)
     end_rad = start.joints_rad[0] + np.radians(SWEEP_DEG)
+    faster = 1.02
     with driver.sweep(0, end_rad, SWEEP_RAD_S) as sweeping:
         need(
-            0 < sweeping.speed_rad_s <= SWEEP_RAD_S * FASTER,
+            0 < sweeping.speed_rad_s <= SWEEP_RAD_S * faster,
             f"set to {sweeping.speed_rad_s:.4f} rad/s, wanted <= {SWEEP_RAD_S:g} rad/s",
         )
         sweeping.kickoff()

@@ -24,7 +24,6 @@ HOST = "127.0.0.1"
 PIECE = 65536
 NOISE = b"t" * 4096  # a line that never ends, a length that no packet has
 RESET = struct.pack("ii", 1, 0)  # SO_LINGER: close by RST
-GLUE_S = 0.004  # replies that come within this time leave as one
 APART_S = 0.0005  # the system would hand pieces on together
 LOOK_S = 0.05
 LEAVES_S = 1.0  # a device that has something under way may hold its end open
@@ -198,8 +197,9 @@ class Wire:
 
     def _received(self, end: End) -> bytes:
         """Return what has come and may pass; raises OSError at the end."""
+        glue_s = 0.004  # replies that come within this time leave as one
         if self.mode == "glue":
-            time.sleep(GLUE_S)
+            time.sleep(glue_s)
         data = end.receive()
         if not data:
             raise OSError("the other end has closed it")

@@ -17,13 +17,10 @@ from hilcell.conformance.verdicts import Broken, Port, fails, need
 from hilcell.errors import DeviceError, Stopped
 
 STOP_S = 0.02
-WAKES_S = 0.005  # the system wakes a thread
-PAUSES_S = (0.05, 0.057, 0.064)  # before a stop: waits may be in step with it
 TRIES = 3  # a busy PC may delay one of them
 UNDER_WAY_S = 0.7
 END_S = 10.0
 LONGEST_S = 60.0
-SLOW_S = 0.05
 TRAVELLED_S = 30.0  # of the cell: a motion from place to place has ended
 # Requests of a motion, or a measurement, after which answers are kept back; a tracker's first one
 # is kept back by itself.
@@ -138,7 +135,8 @@ def _late_on_the_way(bench: Bench, requests: int) -> None:
 def slow(bench: Bench) -> None:
     """Delay every answer."""
     driver = bench.connected()
-    bench.wires.set("slow", SLOW_S)
+    slow_s = 0.05
+    bench.wires.set("slow", slow_s)
     _visit_both(bench, driver)
     bench.acts.ask(driver)
 
@@ -234,7 +232,9 @@ def stop_holds(bench: Bench) -> None:
 def checked(bench: Bench) -> None:
     """Set the run's stop while no answer comes."""
     took_s = []
-    for pause_s in PAUSES_S:
+    wakes_s = 0.005  # the system wakes a thread
+    pauses_s = (0.05, 0.057, 0.064)  # before a stop: waits may be in step with it
+    for pause_s in pauses_s:
         driver = bench.connected()
         bench.wires.set("mute")
         task = Task(partial(bench.acts.ask, driver))
@@ -245,11 +245,11 @@ def checked(bench: Bench) -> None:
         need(isinstance(task.error, Stopped), f"it ended with {task.error!r}, wanted Stopped")
         took_s.append(task.ended_s - began_s)
         bench.tidy()
-        if took_s[-1] <= STOP_S + WAKES_S:
+        if took_s[-1] <= STOP_S + wakes_s:
             return
     best_ms = 1000 * min(took_s)
     need(
-        min(took_s) <= STOP_S + WAKES_S,
+        min(took_s) <= STOP_S + wakes_s,
         f"left after {best_ms:.0f} ms, wanted <= {1000 * STOP_S:.0f} ms",
     )
 

@@ -24,8 +24,6 @@ TERMS: Mapping[str, tuple[bool, bool]] = {  # elastic joints, a tool's weight
     "tool": (True, True),
 }
 
-LEAST_FREEDOM = 3.0  # one pose more than the parameters need
-
 
 @dataclass(frozen=True, eq=False)
 class Poses:
@@ -104,7 +102,8 @@ class FittedArm:
     def freedom(self) -> float:
         """Return the degrees of freedom of the noise: reflectors of one pose err alike."""
         spent = observability(self.estimate.system).effective
-        return max(3.0 * len(self.poses.readings) - spent, LEAST_FREEDOM)
+        least_freedom = 3.0  # one pose more than the parameters need
+        return max(3.0 * len(self.poses.readings) - spent, least_freedom)
 
     @property
     def outliers(self) -> Bools:

@@ -43,10 +43,8 @@ from hilcell.present.table import Column, Table
 NAMED = 5  # rows that one message names
 UNDETERMINED_MM = 5.0  # a bound beyond this says that the training rows do not determine a row
 WEIGHTS = {"mean": 2.0, "p95": 1.0}  # the largest miss changes with the folds more than methods do
-MOST_STRUCK = 0.1  # share of training rows left out; beyond, they are no single slips
 LEAST_INSIDE = 0.5  # share of test rows within 95 % bounds; below, they are not of this robot
 RESIDUAL = "gp"
-RICHEST = "tool"  # of the methods that identify the robot; it finds the rows that contradict others
 
 
 class Outlier(TypedDict):
@@ -306,8 +304,10 @@ def _contradicting(placement: Placement, rows: Measurements) -> tuple[Bools, dic
 
     Raises `FitError` where they are too many, or miss absurdly.
     """
+    # of the methods that identify the robot; it finds the rows that contradict others
+    richest = "tool"
     try:
-        found = FittedArm.searched(placement, rows, RICHEST)
+        found = FittedArm.searched(placement, rows, richest)
     except IdentificationError as error:
         _refuse_absurd(placement.arm, rows, placement.miss_mm(rows))
         if isinstance(error, ManyContradict):
@@ -334,7 +334,8 @@ def _refuse_absurd(arm: Arm, rows: Measurements, miss_mm: Array) -> None:
 def _refuse_many(rows: Measurements, bad: Bools, miss_mm: Array) -> None:
     """Refuse more rows that contradict the others than slips explain."""
     struck = np.flatnonzero(bad)
-    if len(struck) <= MOST_STRUCK * len(rows):
+    most_struck = 0.1  # share of training rows left out; beyond, they are no single slips
+    if len(struck) <= most_struck * len(rows):
         return
     look = "the robot's and the tracker's state during the measurement"
     target, own = Counter(rows.target[n] for n in struck).most_common(1)[0]
@@ -342,7 +343,7 @@ def _refuse_many(rows: Measurements, bad: Bools, miss_mm: Array) -> None:
         look = f"reflector {target}, {own} of them: it may have moved on the flange"
     raise FitError(
         f"{len(struck)} of {len(rows)} training rows contradict the others, expected at most "
-        f"{MOST_STRUCK:.0%}: {_named(rows, struck, miss_mm)}; look at {look}, and measure again"
+        f"{most_struck:.0%}: {_named(rows, struck, miss_mm)}; look at {look}, and measure again"
     )
 
 

@@ -20,15 +20,11 @@ from hilcell.geometry.kinematics import Arm, Array, forward
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.ports import HilcellError
 
-BAD_ROW_MM = 1.0  # rows that miss by more count less (soft L1), so one bad row moves nothing
 ABSURD_MM = 20.0  # a miss beyond this is no robot's error
 ITERATIONS = 100
 CONVERGED = 1e-9
 EXPLAINED = 0.1  # of the median miss: a supposition that leaves less explains the rows
-ONE_LINE = 0.02  # across over along: below, positions lie on one line
 MM_PER_M, MM_PER_INCH = 1000.0, 25.4
-MOST_REFLECTORS = 4  # of which all permutations are tried
-MOST_TRIED = 500  # rows by which a supposition is judged
 
 
 class FitError(HilcellError):
@@ -67,6 +63,20 @@ class Placement:
             raise FitError(f"no training row measures target {', '.join(unknown)}")
         return np.array([self.smr_mm[target] for target in rows.target])
 
+    def relabelled(self, rows: Measurements, half_mm: float) -> Iterator[str]:
+        """Yield which reflectors must be swapped for rows to fit a placement that is known."""
+        names = sorted(self.smr_mm)
+        most_reflectors = 4  # of which all permutations are tried
+        if not 1 < len(names) <= most_reflectors:
+            return
+        for others in permutations(names):
+            other = dict(zip(names, others, strict=True))
+            changed = replace(rows, target=[other[target] for target in rows.target])
+            left_mm = float(np.median(self.miss_mm(changed)))
+            if left_mm <= min(EXPLAINED * half_mm, ABSURD_MM):
+                swapped = ", ".join(f"{a} is {b}" for a, b in other.items() if a != b)
+                yield f"the reflectors are swapped: {swapped}"
+
 
 def place(arm: Arm, rows: Measurements) -> Placement:
     """Find base and reflectors by Gauss-Newton on soft-L1 weighted rows.
@@ -94,7 +104,7 @@ def refuse_another_robot(placement: Placement, rows: Measurements, which: str) -
     """Refuse rows half of which miss absurdly: their robot, joint signs or units are others."""
     half_mm = float(np.median(placement.miss_mm(rows)))
     if not half_mm <= ABSURD_MM:
-        found = [*_relabelled(placement, rows, half_mm), *_supposed(placement.arm, rows, half_mm)]
+        found = [*placement.relabelled(rows, half_mm), *_supposed(placement.arm, rows, half_mm)]
         check = f"they fit if {found[0]}; check" if found else "check"
         raise FitError(
             f"{which}: nominal kinematics miss half of the measured targets by {half_mm:.4g} mm "
@@ -118,8 +128,9 @@ def supposition(arm: Arm, rows: Measurements, worst_mm: float, bad: Iterable[int
     "" where nothing does.
     """
     limit_mm = min(EXPLAINED * worst_mm, ABSURD_MM)
-    some = range(0, len(rows), len(rows) // MOST_TRIED + 1)
-    for says, changed in _suppositions(rows.at(sorted({*some, *islice(bad, MOST_TRIED)}))):
+    most_tried = 500  # rows by which a supposition is judged
+    some = range(0, len(rows), len(rows) // most_tried + 1)
+    for says, changed in _suppositions(rows.at(sorted({*some, *islice(bad, most_tried)}))):
         with suppress(HilcellError):
             if float(np.max(_placed(arm, changed)[0].miss_mm(changed))) <= limit_mm:
                 return says
@@ -147,20 +158,6 @@ def _suppositions(rows: Measurements) -> Iterator[tuple[str, Measurements]]:
         ("the poses' joints are in reverse order", first[::-1]),
     ):
         yield says, replace(rows, joints_rad=shifted[number])
-
-
-def _relabelled(placement: Placement, rows: Measurements, half_mm: float) -> Iterator[str]:
-    """Yield which reflectors must be swapped for rows to fit a placement that is known."""
-    names = sorted(placement.smr_mm)
-    if not 1 < len(names) <= MOST_REFLECTORS:
-        return
-    for others in permutations(names):
-        other = dict(zip(names, others, strict=True))
-        changed = replace(rows, target=[other[target] for target in rows.target])
-        left_mm = float(np.median(placement.miss_mm(changed)))
-        if left_mm <= min(EXPLAINED * half_mm, ABSURD_MM):
-            swapped = ", ".join(f"{a} is {b}" for a, b in other.items() if a != b)
-            yield f"the reflectors are swapped: {swapped}"
 
 
 def _placed(arm: Arm, rows: Measurements) -> tuple[Placement, float]:
@@ -198,7 +195,8 @@ def _first(flange_mm: Array, xyz_mm: Array) -> Array:
 
 def _on_one_line(centred: Array) -> bool:
     sizes = np.linalg.svd(centred, compute_uv=False)
-    return bool(sizes[0] > 0.0 and sizes[1] <= ONE_LINE * sizes[0])
+    one_line = 0.02  # across over along: below, positions lie on one line
+    return bool(sizes[0] > 0.0 and sizes[1] <= one_line * sizes[0])
 
 
 def _improved(
@@ -208,7 +206,8 @@ def _improved(
     found = apply(T, apply_each(flange, smr[which]))
     middle = found.mean(axis=0)
     left = measured - found
-    weight = (1.0 + np.sum((left / BAD_ROW_MM) ** 2, axis=1)) ** -0.25  # squared in the sum
+    bad_row_mm = 1.0  # rows that miss by more count less (soft L1), so one bad row moves nothing
+    weight = (1.0 + np.sum((left / bad_row_mm) ** 2, axis=1)) ** -0.25  # squared in the sum
     J = np.zeros((len(found), 3, 6 + smr.size))
     J[:, :, :3], J[:, :, 3:6] = np.eye(3), -cross_matrix(found - middle)
     turned = T[:3, :3] @ flange[:, :3, :3]

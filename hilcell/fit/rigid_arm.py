@@ -35,7 +35,6 @@ from hilcell.writing import write_whole
 RIGID = "mdh"  # of the methods
 UNITS = {"mm": ("mm", 1.0), "rad": ("deg", float(np.degrees(1.0)))}
 DH_HEADER = ["parameter", "unit", "nominal", "identified", "u", "prior_u", "determined"]
-CONVENTION = "Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha) Ry(beta)"
 JSON = ".json"
 
 
@@ -70,6 +69,18 @@ class RigidArm:
     parameters: list[Parameter]
     covariance: Array
     figures: Figures
+
+    def dh_rows(self) -> Iterable[list[str]]:
+        """Yield the rows of `DH_HEADER`."""
+        for each in self.parameters:
+            values = (each.nominal, each.identified, each.u, each.prior_u)
+            determined = "yes" if each.determined else "no"
+            yield [
+                each.name,
+                each.unit,
+                *(f"{round(value, 6) + 0.0:.6f}" for value in values),
+                determined,
+            ]
 
 
 def rigid_arm(nominal: Arm, fitted: Fitted) -> RigidArm:
@@ -113,11 +124,12 @@ def write_dh(path: Path, robot: Robot, found: RigidArm, *, inputs: Iterable[Path
     Raises `NotWritten` as `write_whole` does.
     """
     if path.suffix.lower() != JSON:
-        write_rows(path, DH_HEADER, _dh_rows(found), inputs=inputs)
+        write_rows(path, DH_HEADER, found.dh_rows(), inputs=inputs)
         return
+    convention = "Rz(sign q + offset) Tz(d) Tx(a) Rx(alpha) Ry(beta)"
     table = {
         "robot": robot.name,
-        "convention": CONVENTION,
+        "convention": convention,
         "sign": found.arm.sign.tolist(),
         "base": robot.base.tolist(),
         "tool": robot.tool.tolist(),
@@ -127,18 +139,6 @@ def write_dh(path: Path, robot: Robot, found: RigidArm, *, inputs: Iterable[Path
         "reflectors_mm": {name: point.tolist() for name, point in found.smr_mm.items()},
     }
     write_whole(path, msgspec.json.format(msgspec.json.encode(table), indent=1), inputs=inputs)
-
-
-def _dh_rows(found: RigidArm) -> Iterable[list[str]]:
-    for each in found.parameters:
-        values = (each.nominal, each.identified, each.u, each.prior_u)
-        determined = "yes" if each.determined else "no"
-        yield [
-            each.name,
-            each.unit,
-            *(f"{round(value, 6) + 0.0:.6f}" for value in values),
-            determined,
-        ]
 
 
 def write_urdf(

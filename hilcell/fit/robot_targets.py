@@ -21,11 +21,9 @@ from hilcell.geometry.kinematics import Arm, Array, forward
 from hilcell.ports import HilcellError
 
 JOINT_HEADER = ["name", *(f"j{n}_deg" for n in range(1, 7))]
-TURN_MM = 300.0  # what a radian counts in the search of the nearest measured pose
 AT_ONCE = 512  # poses of one search
 MOST_KNOWN = 500  # measured poses that are searched from
 STARTS = 8  # measured poses from which one is searched
-SAME_POSTURE_RAD = np.pi / 2  # of a joint: another posture turns one further
 OTHER_RAD = 0.01  # of a joint: two postures, not two roundings of one
 MOST_TURN_RAD = np.radians(5.0)  # of a joint by a correction: beyond, the wrist is singular there
 NAMED = 5
@@ -113,10 +111,11 @@ class Reach:
         wanted = inverse(self.base) @ poses
         joints, count = np.zeros((len(poses), 6)), np.zeros(len(poses), dtype=int)
         several = np.zeros(len(poses), dtype=bool)
+        same_posture_rad = np.pi / 2  # of a joint: another posture turns one further
         for start in np.swapaxes(self._nearest(poses), 0, 1):
             left = np.flatnonzero(count < enough)
             found, arrived = refined(self.arm, wanted[left], start[left])
-            good = arrived & (np.abs(found - start[left]).max(axis=1) <= SAME_POSTURE_RAD)
+            good = arrived & (np.abs(found - start[left]).max(axis=1) <= same_posture_rad)
             at, found = left[good], found[good]
             other = np.abs(_turned(found - joints[at])).max(axis=1) > OTHER_RAD
             several[at] |= other & (count[at] > 0)
@@ -129,7 +128,8 @@ class Reach:
         known = self.poses(self.known_rad)
         shift = poses[:, None, :3, 3] - known[:, :3, 3]
         # |A - B| of rotations is 2 sqrt 2 times the sine of half the angle between them.
-        turn = (poses[:, None, :3, :3] - known[:, :3, :3]) * TURN_MM / np.sqrt(2.0)
+        turn_mm = 300.0  # what a radian counts in the search of the nearest measured pose
+        turn = (poses[:, None, :3, :3] - known[:, :3, :3]) * turn_mm / np.sqrt(2.0)
         distance = np.sum(shift**2, axis=-1) + np.sum(turn**2, axis=(-2, -1))
         return self.known_rad[np.argsort(distance, axis=1)[:, :STARTS]]
 

@@ -48,6 +48,13 @@ class JointText:
     parts: dict[str, Mapping[str, str]] = field(default_factory=dict)
     origin: tuple[int, int] | None = None
 
+    def end(self, part: str) -> str:
+        """Return its link of that part, "parent" or "child"; raises `NotUrdf`."""
+        link = self.parts.get(part, {}).get("link", "")
+        if not link:
+            raise NotUrdf(f"joint {self.name or '(without a name)'} states no {part} link")
+        return link
+
 
 @dataclass(slots=True)
 class UrdfText:
@@ -165,10 +172,7 @@ def _comment(lines: Sequence[str]) -> bytes:
 MM = 1000.0  # in a metre
 LEAST_REACH_M, MOST_REACH_M = 0.05, 50.0  # of all links in a row; beyond, lengths are not metres
 MOST_TURN_RAD = 2.0 * np.pi + 0.01  # of one roll, pitch or yaw; beyond, angles are degrees
-LEAST_AXIS = 1e-6
 TURNS = ("revolute", "continuous")
-MOST_NAMED = 8  # links that one message names
-MOST_JOINTS = 1000  # of one file
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,7 +272,9 @@ def read_urdf(path: Path, tip: str = "") -> Urdf:
         )
         raise SettingsError(str(path), [problem])
     limits = np.array([numbered[n][2] for n in turning]).T
-    return Urdf(path, _parent(joints[0]), _child(joints[-1]), chain, limits, text, joints, steps)
+    return Urdf(
+        path, joints[0].end("parent"), joints[-1].end("child"), chain, limits, text, joints, steps
+    )
 
 
 def _chain(steps: Array, turning: list[int], axes: Array) -> Chain:
@@ -285,7 +291,7 @@ def _chain(steps: Array, turning: list[int], axes: Array) -> Chain:
 def _only_chain(text: UrdfText) -> list[JointText]:
     """Return the joints to the only tip that six revolute joints lead to."""
     above = _above(text)
-    tips = sorted(set(above) - {_parent(joint) for joint in text.joints})
+    tips = sorted(set(above) - {joint.end("parent") for joint in text.joints})
     if not tips:
         raise NotUrdf(
             "has no joint" if not text.joints else "its links form a loop: no link is a tip"
@@ -304,7 +310,7 @@ def _only_chain(text: UrdfText) -> list[JointText]:
 
 
 def _chain_to(tip: str, text: UrdfText) -> list[JointText]:
-    links = {link for joint in text.joints for link in (_parent(joint), _child(joint))}
+    links = {link for joint in text.joints for link in (joint.end("parent"), joint.end("child"))}
     if tip not in links:
         raise NotUrdf(f"no joint leads to link {tip}; links: {_list(sorted(links))}")
     way = _way_to(tip, _above(text))
@@ -316,11 +322,12 @@ def _chain_to(tip: str, text: UrdfText) -> list[JointText]:
 
 def _above(text: UrdfText) -> dict[str, JointText]:
     """Return the joint that carries each link."""
-    if len(text.joints) > MOST_JOINTS:
-        raise NotUrdf(f"has {len(text.joints)} joints, wanted at most {MOST_JOINTS}")
+    most_joints = 1000  # of one file
+    if len(text.joints) > most_joints:
+        raise NotUrdf(f"has {len(text.joints)} joints, wanted at most {most_joints}")
     above: dict[str, JointText] = {}
     for joint in text.joints:
-        child = _child(joint)
+        child = joint.end("child")
         if child in above:
             raise NotUrdf(f"link {child} has two parents: joints {above[child].name}, {joint.name}")
         above[child] = joint
@@ -335,7 +342,7 @@ def _way_to(tip: str, above: Mapping[str, JointText]) -> list[JointText]:
         if len(way) > len(above):
             raise NotUrdf(f"its links form a loop through {link}")
         way.append(above[link])
-        link = _parent(above[link])
+        link = above[link].end("parent")
     return way[::-1]
 
 
@@ -355,33 +362,20 @@ def _unfit(way: list[JointText]) -> str:
 
 
 def _list(names: Sequence[str]) -> str:
-    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    return ", ".join(names[:MOST_NAMED]) + more
-
-
-def _parent(joint: JointText) -> str:
-    return _end_of(joint, "parent")
-
-
-def _child(joint: JointText) -> str:
-    return _end_of(joint, "child")
-
-
-def _end_of(joint: JointText, part: str) -> str:
-    link = joint.parts.get(part, {}).get("link", "")
-    if not link:
-        raise NotUrdf(f"joint {joint.name or '(without a name)'} states no {part} link")
-    return link
+    most_named = 8  # links that one message names
+    more = f" and {len(names) - most_named} more" if len(names) > most_named else ""
+    return ", ".join(names[:most_named]) + more
 
 
 def _numbered(joint: JointText, problems: list[str]) -> tuple[Array, Array, tuple[float, float]]:
     """Return a joint's origin (4, 4) in mm, unit axis (3,) and limits in rad."""
+    least_axis = 1e-6
     try:
         step = _step(joint.parts.get("origin", {}))
         if joint.kind not in TURNS:
             return step, np.zeros(3), (-np.inf, np.inf)
         axis = _vector(joint.parts.get("axis", {}), "axis", "xyz", (1.0, 0.0, 0.0))
-        if not np.linalg.norm(axis) > LEAST_AXIS:
+        if not np.linalg.norm(axis) > least_axis:
             raise ValueError("axis has no direction")
         return step, axis / np.linalg.norm(axis), _limits(joint)
     except ValueError as error:

@@ -17,8 +17,6 @@ from hilcell.geometry.statistics import lengths_mm, rms
 
 ITERATIONS = 50
 CONVERGED = 1e-12
-CENTRE_STEP_MM, AXIS_STEP = 1e-3, 1e-6  # of the numeric propagation of uncertainty
-LEAST_ANGLE = 0.1  # sine between axes 1 and 6 below which x is not defined
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +38,43 @@ class Circle:
         """Return the root mean square distance of the points from the circle."""
         return rms(lengths_mm(self.residuals_mm))
 
+    def linearised(self, points: Array) -> tuple[Array, Array, Array]:
+        """Return residuals (2N,), their derivatives (2N, 6) and the axis's two tangents (3, 2)."""
+        lever = points - self.centre_mm
+        along = lever @ self.axis
+        inside = lever - along[:, None] * self.axis
+        radius = np.linalg.norm(inside, axis=1)
+        outward = inside / radius[:, None]
+        tangents = np.linalg.svd(self.axis[None])[2][1:].T
+        zeros, ones = np.zeros((len(points), 1)), np.ones((len(points), 1))
+        of_along = np.hstack([np.tile(-self.axis, (len(points), 1)), lever @ tangents, zeros])
+        of_radius = np.hstack([-outward, -along[:, None] * (outward @ tangents), -ones])
+        return (
+            np.concatenate([along, radius - self.radius_mm]),
+            np.vstack([of_along, of_radius]),
+            tangents,
+        )
+
+    def directed(self, points: Array, turn: float) -> Circle:
+        """Return the circle with its axis in the sense of the points' order."""
+        lever = points - self.centre_mm
+        swept = np.cross(lever[:-1], lever[1:]).sum(axis=0) @ self.axis
+        if not abs(turn * swept) > 0:
+            raise FrameError(
+                f"circle fit: no sense of rotation (turn {turn}, points' order {swept})"
+            )
+        return self if swept * turn > 0 else replace(self, axis=-self.axis)
+
+    def with_covariance(self, points: Array) -> Circle:
+        """Return the circle with its residuals, and the covariance that they show."""
+        r, J, tangents = self.linearised(points)
+        left = 2 * len(points) - 6
+        variance = r @ r / left if left else np.nan
+        parameters = _parameters(tangents)[:6, :5]
+        covariance = parameters @ np.linalg.inv(J.T @ J)[:5, :5] @ parameters.T * variance
+        residuals = r.reshape(2, -1).T
+        return replace(self, residuals_mm=residuals, covariance=covariance)
+
 
 def fit_circle(points_mm: ArrayLike, turn: float = 1.0) -> Circle:
     """Fit a circle to N >= 3 points (N, 3) by least squares of their distances from it.
@@ -49,9 +84,17 @@ def fit_circle(points_mm: ArrayLike, turn: float = 1.0) -> Circle:
     points and where the fit does not settle.
     """
     points = checked_points(np.asarray(points_mm, dtype=float), "the circle's points")
-    circle = _first_guess(points)
+    # plane and algebraic circle of the points
+    middle = points.mean(axis=0)
+    e1, e2, axis = np.linalg.svd(points - middle)[2]
+    u, v = (points - middle) @ e1, (points - middle) @ e2
+    rows = np.column_stack([2 * u, 2 * v, np.ones(len(points))])
+    cu, cv, c = np.linalg.lstsq(rows, u**2 + v**2, rcond=None)[0]
+    radius = float(np.sqrt(c + cu**2 + cv**2))
+    nothing = np.empty((0, 0))
+    circle = Circle(middle + cu * e1 + cv * e2, axis, radius, nothing, nothing)
     for _ in range(ITERATIONS):
-        r, J, tangents = _linearised(circle, points)
+        r, J, tangents = circle.linearised(points)
         step = np.linalg.lstsq(J, -r, rcond=None)[0]
         circle = replace(
             circle,
@@ -66,7 +109,7 @@ def fit_circle(points_mm: ArrayLike, turn: float = 1.0) -> Circle:
             f"circle fit of {len(points)} points does not settle (radius {circle.radius_mm:.3f} "
             "mm): sweep a longer arc"
         )
-    return _with_covariance(_directed(circle, points, turn), points)
+    return circle.directed(points, turn).with_covariance(points)
 
 
 def reading_covariance(circle: Circle, points_mm: Array, covariances_mm2: Array) -> Array:
@@ -74,7 +117,7 @@ def reading_covariance(circle: Circle, points_mm: Array, covariances_mm2: Array)
 
     Unlike that of the residuals it knows a direction in which the points scatter more.
     """
-    _, J, tangents = _linearised(circle, points_mm)
+    _, J, tangents = circle.linearised(points_mm)
     lever = points_mm - circle.centre_mm
     inside = lever - (lever @ circle.axis)[:, None] * circle.axis
     outward = inside / lengths_mm(inside)[:, None]
@@ -95,7 +138,8 @@ def base_frame(axis_1: Circle, axis_6: Circle, height_mm: float) -> Array:
     """
     z = axis_1.axis
     across = axis_6.axis - (axis_6.axis @ z) * z
-    if not np.linalg.norm(across) > LEAST_ANGLE:
+    least_angle = 0.1  # sine between axes 1 and 6 below which x is not defined
+    if not np.linalg.norm(across) > least_angle:
         raise FrameError(
             f"base frame: axes 1 and 6 are {np.degrees(np.arcsin(np.linalg.norm(across))):.1f} deg "
             "apart, wanted near 90: sweep axis 6 with its axis level"
@@ -113,9 +157,10 @@ def base_frame_covariance(axis_1: Circle, axis_6: Circle, height_mm: float) -> A
     """
     T = base_frame(axis_1, axis_6, height_mm)
     covariance = np.zeros((6, 6))
+    centre_step_mm, axis_step = 1e-3, 1e-6  # of the numeric propagation of uncertainty
     for which, circle in enumerate((axis_1, axis_6)):
         columns = []
-        for step in np.diag([CENTRE_STEP_MM] * 3 + [AXIS_STEP] * 3):
+        for step in np.diag([centre_step_mm] * 3 + [axis_step] * 3):
             pair = [axis_1, axis_6]
             pair[which] = replace(
                 circle, centre_mm=circle.centre_mm + step[:3], axis=unit(circle.axis + step[3:])
@@ -126,55 +171,6 @@ def base_frame_covariance(axis_1: Circle, axis_6: Circle, height_mm: float) -> A
         J = np.column_stack(columns)
         covariance += J @ circle.covariance @ J.T
     return covariance
-
-
-def _first_guess(points: Array) -> Circle:
-    """Return plane and algebraic circle of the points."""
-    middle = points.mean(axis=0)
-    e1, e2, axis = np.linalg.svd(points - middle)[2]
-    u, v = (points - middle) @ e1, (points - middle) @ e2
-    rows = np.column_stack([2 * u, 2 * v, np.ones(len(points))])
-    cu, cv, c = np.linalg.lstsq(rows, u**2 + v**2, rcond=None)[0]
-    radius = float(np.sqrt(c + cu**2 + cv**2))
-    nothing = np.empty((0, 0))
-    return Circle(middle + cu * e1 + cv * e2, axis, radius, nothing, nothing)
-
-
-def _linearised(circle: Circle, points: Array) -> tuple[Array, Array, Array]:
-    """Return residuals (2N,), their derivatives (2N, 6) and the axis's two tangents (3, 2)."""
-    lever = points - circle.centre_mm
-    along = lever @ circle.axis
-    inside = lever - along[:, None] * circle.axis
-    radius = np.linalg.norm(inside, axis=1)
-    outward = inside / radius[:, None]
-    tangents = np.linalg.svd(circle.axis[None])[2][1:].T
-    zeros, ones = np.zeros((len(points), 1)), np.ones((len(points), 1))
-    of_along = np.hstack([np.tile(-circle.axis, (len(points), 1)), lever @ tangents, zeros])
-    of_radius = np.hstack([-outward, -along[:, None] * (outward @ tangents), -ones])
-    return (
-        np.concatenate([along, radius - circle.radius_mm]),
-        np.vstack([of_along, of_radius]),
-        tangents,
-    )
-
-
-def _directed(circle: Circle, points: Array, turn: float) -> Circle:
-    """Return the circle with its axis in the sense of the points' order."""
-    lever = points - circle.centre_mm
-    swept = np.cross(lever[:-1], lever[1:]).sum(axis=0) @ circle.axis
-    if not abs(turn * swept) > 0:
-        raise FrameError(f"circle fit: no sense of rotation (turn {turn}, points' order {swept})")
-    return circle if swept * turn > 0 else replace(circle, axis=-circle.axis)
-
-
-def _with_covariance(circle: Circle, points: Array) -> Circle:
-    r, J, tangents = _linearised(circle, points)
-    left = 2 * len(points) - 6
-    variance = r @ r / left if left else np.nan
-    parameters = _parameters(tangents)[:6, :5]
-    covariance = parameters @ np.linalg.inv(J.T @ J)[:5, :5] @ parameters.T * variance
-    residuals = r.reshape(2, -1).T
-    return replace(circle, residuals_mm=residuals, covariance=covariance)
 
 
 def _parameters(tangents: Array) -> Array:

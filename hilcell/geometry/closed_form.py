@@ -24,7 +24,6 @@ SPHERICAL_ALPHA_RAD = np.radians([-90.0, 0.0, -90.0, 90.0, -90.0, 0.0])
 PARALLEL_ALPHA_RAD = np.radians([90.0, 0.0, 0.0, 90.0, -90.0, 0.0])
 BEHIND, BEYOND, FLIPPED = 1, 2, 4  # status bits
 ROUNDING = 1e-12  # of parameters in mm and rad
-SINGULAR = 1e-12  # sine of A5 below which A4 and A6 turn about one line
 
 
 class ReachError(HilcellError):
@@ -153,7 +152,8 @@ def _turns(arm: Arm, front: Array, flange: Array, status: int, singular_rad: flo
     """
     R = np.swapaxes(front, -1, -2) @ flange[..., :3, :3]
     side = arm.sign[4] * (1.0 if status & FLIPPED else -1.0)
-    straight = np.hypot(R[..., 0, 2], R[..., 1, 2]) < SINGULAR
+    singular = 1e-12  # sine of A5 below which A4 and A6 turn about one line
+    straight = np.hypot(R[..., 0, 2], R[..., 1, 2]) < singular
     q = np.arctan2(side * R[..., 1, 2], side * R[..., 0, 2])
     q = np.where(straight, singular_rad, q)
     M = np.swapaxes(_rz(q), -1, -2) @ R

@@ -18,10 +18,7 @@ from hilcell.geometry.rotations import from_rotvec
 
 SIZE = 7  # shift, rotation, growth
 LEAST_MM = 1e-4  # no reading is better
-OUTLYING = 25.0  # squared, in sigmas of the typical point
 TYPICAL = 2.366  # median of chi2 of three coordinates
-BELIEF = 6.0  # coordinates: so much counts the stated size of the covariances
-LEAVE_AT_MOST = 4  # one of so many points may be left out
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,19 +72,22 @@ def updated_frame(
         axis=-1,
     )
     kept = list(range(len(off_mm)))
+    outlying = 25.0  # squared, in sigmas of the typical point
+    leave_at_most = 4  # one of so many points may be left out
     while True:
         solved = _solved(prior, J[kept], off_mm[kept], R[kept])
         left_mm = off_mm[kept] - J[kept] @ solved.x
         squares = np.einsum("ni,nij,nj->n", left_mm, np.linalg.inv(R[kept]), left_mm)  # in sigmas
         worst = int(np.argmax(squares))
         typical = max(1.0, float(np.median(squares)) / TYPICAL)
-        enough = len(off_mm) - len(kept) >= len(off_mm) // LEAVE_AT_MOST
-        if enough or squares[worst] <= OUTLYING * typical:
+        enough = len(off_mm) - len(kept) >= len(off_mm) // leave_at_most
+        if enough or squares[worst] <= outlying * typical:
             break
         kept.pop(worst)
     pull = math.sqrt(max(0.0, solved.chi2 - float(squares.sum())))  # of the covariances as stated
     freedom, chi2 = 3 * len(kept) - solved.spent, float(squares.sum())
-    size = (BELIEF + chi2) / (BELIEF + freedom)
+    belief = 6.0  # coordinates: so much counts the stated size of the covariances
+    size = (belief + chi2) / (belief + freedom)
     solved = _solved(prior, J[kept], off_mm[kept], size * R[kept])
     return FrameUpdate(
         matrix(from_rotvec(solved.x[3:6]) @ T[:3, :3], T[:3, 3] + solved.x[:3]),

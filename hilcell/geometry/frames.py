@@ -18,8 +18,6 @@ from hilcell.geometry.kinematics import Array
 from hilcell.geometry.rotations import from_rotvec, from_zyx
 from hilcell.geometry.statistics import lengths_mm, rms
 
-LEAST_SPREAD = 0.02  # across over along: below this the points count as one line
-LEAST_DEPTH = 1e-3  # out of plane over along: below this handedness is undefined
 ITERATIONS = 20
 CONVERGED = 1e-13
 
@@ -205,10 +203,11 @@ def checked_points(points: Array, what: str) -> Array:
     if len(bad):
         raise FrameError(f"{what}: point {bad[0] + 1} is not finite: {points[bad[0]]} mm")
     along, across, _ = _spread(points)
-    if not across > LEAST_SPREAD * along:
+    least_spread = 0.02  # across over along: below this the points count as one line
+    if not across > least_spread * along:
         raise FrameError(
             f"{what}: the points lie on one line (spread {along:.3f} mm along it, {across:.3f} mm "
-            f"across, wanted over {LEAST_SPREAD:.0%}); move one of them aside"
+            f"across, wanted over {least_spread:.0%}); move one of them aside"
         )
     return points
 
@@ -246,7 +245,8 @@ def _procrustes(a: Array, b: Array, weights: Array) -> Array:
     ca, cb = share @ a, share @ b
     U, _, Vt = np.linalg.svd((a - ca).T @ ((b - cb) * share[:, None]))
     sign = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
-    deep = all(depth > LEAST_DEPTH * along for along, _, depth in (_spread(a), _spread(b)))
+    least_depth = 1e-3  # out of plane over along: below this handedness is undefined
+    deep = all(depth > least_depth * along for along, _, depth in (_spread(a), _spread(b)))
     if sign < 0 and deep:
         raise FrameError(
             "rigid fit: only a mirror image fits: one set is left-handed or its points are "

@@ -20,8 +20,6 @@ from hilcell.geometry.rotations import to_rotvec
 Bools = NDArray[np.bool_]
 
 ROUNDING_MM = 1e-6
-REFINE_STEPS = 100
-REFINED_MM, REFINED_RAD = 1e-7, 1e-10
 NAMED = 3  # poses that one message names
 
 
@@ -44,7 +42,18 @@ def posture(
     Raises `ReachError` also where a joint leaves ``limits_rad`` (2, 6).
     """
     joints = nearest_turns(inverse_kinematics(arm, poses, status), limits_rad, reference_rad)
-    _refuse_beyond_limits(joints, limits_rad)
+    degrees, limits = np.degrees(joints.reshape(-1, 6)), np.degrees(limits_rad)
+    bad = np.argwhere(~((joints >= limits_rad[0]) & (joints <= limits_rad[1])).reshape(-1, 6))
+    if len(bad):
+        named = ", ".join(
+            f"pose {n + 1} A{j + 1} {degrees[n, j]:.2f} deg "
+            f"(limits {limits[0, j]:.2f} .. {limits[1, j]:.2f})"
+            for n, j in bad[:NAMED]
+        )
+        raise ReachError(
+            f"{len(set(bad[:, 0]))} of {len(degrees)} poses are beyond joint limits: {named}"
+            f"{', ...' if len(bad) > NAMED else ''}; choose another status, target or station"
+        )
     return joints
 
 
@@ -127,10 +136,12 @@ def refined(arm: Arm, poses: Array, start_rad: Array) -> tuple[Array, Bools]:
     joints, arrived = start_rad.copy(), np.zeros(len(poses), dtype=bool)
     length_mm = max(float(np.abs(arm.a_mm).max()), 1.0)
     scale = np.array([1.0, 1.0, 1.0, *[length_mm] * 3]) / length_mm
-    for _ in range(REFINE_STEPS + 1):
+    refine_steps = 100
+    refined_mm, refined_rad = 1e-7, 1e-10
+    for _ in range(refine_steps + 1):
         error = _pose_error(poses[~arrived], forward(arm, joints[~arrived]))
         shift, turn = (np.linalg.norm(each, axis=-1) for each in (error[:, :3], error[:, 3:]))
-        there = (shift <= REFINED_MM) & (turn <= REFINED_RAD)
+        there = (shift <= refined_mm) & (turn <= refined_rad)
         arrived[~arrived] = there
         if arrived.all():
             break
@@ -159,21 +170,4 @@ def _refuse_unreachable(excess_mm: Array) -> None:
         raise ReachError(
             f"{len(bad)} of {excess.size} poses are out of reach: {named}"
             f"{', ...' if len(bad) > NAMED else ''}; move the target or choose another station"
-        )
-
-
-def _refuse_beyond_limits(joints_rad: Array, limits_rad: Array) -> None:
-    degrees, limits = np.degrees(joints_rad.reshape(-1, 6)), np.degrees(limits_rad)
-    bad = np.argwhere(
-        ~((joints_rad >= limits_rad[0]) & (joints_rad <= limits_rad[1])).reshape(-1, 6)
-    )
-    if len(bad):
-        named = ", ".join(
-            f"pose {n + 1} A{j + 1} {degrees[n, j]:.2f} deg "
-            f"(limits {limits[0, j]:.2f} .. {limits[1, j]:.2f})"
-            for n, j in bad[:NAMED]
-        )
-        raise ReachError(
-            f"{len(set(bad[:, 0]))} of {len(degrees)} poses are beyond joint limits: {named}"
-            f"{', ...' if len(bad) > NAMED else ''}; choose another status, target or station"
         )

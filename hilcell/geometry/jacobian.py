@@ -41,7 +41,12 @@ def link_errors(arm: Arm) -> Array:
     errors[:, 1, d], errors[:, 2, d] = sa, ca
     errors[:, 1, offset], errors[:, 2, offset] = arm.a_mm * ca, -arm.a_mm * sa
     errors[:, 4, offset], errors[:, 5, offset] = sa, ca
-    R = _turned_about_y(-arm.beta_rad)
+    angle_rad = -arm.beta_rad
+    R = np.zeros((*angle_rad.shape, 3, 3))
+    R[..., 0, 0] = R[..., 2, 2] = np.cos(angle_rad)
+    R[..., 0, 2] = np.sin(angle_rad)
+    R[..., 2, 0] = -R[..., 0, 2]
+    R[..., 1, 1] = 1.0
     errors[:, :3], errors[:, 3:] = R @ errors[:, :3], R @ errors[:, 3:]
     errors[:, 4, beta] = 1.0
     return errors
@@ -95,13 +100,3 @@ def _carrier(U: Array) -> Array:
     carrier[..., :3, :3] = carrier[..., 3:, 3:] = back
     carrier[..., :3, 3:] = -back @ cross_matrix(U[..., :3, 3])  # delta x p
     return carrier
-
-
-def _turned_about_y(angle_rad: Array) -> Array:
-    """Return Rot(y, angle) (..., 3, 3)."""
-    R = np.zeros((*angle_rad.shape, 3, 3))
-    R[..., 0, 0] = R[..., 2, 2] = np.cos(angle_rad)
-    R[..., 0, 2] = np.sin(angle_rad)
-    R[..., 2, 0] = -R[..., 0, 2]
-    R[..., 1, 1] = 1.0
-    return R

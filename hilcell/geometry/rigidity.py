@@ -13,7 +13,6 @@ import numpy as np
 from hilcell.geometry.kinematics import Array
 
 SIGMAS = 4.0  # known ones. 28 pairs of 8 nests at 3 stations: by chance one in a hundred runs
-BY_SEATING_MM = 0.005  # by which each pair may differ besides: a reflector taken out and put back
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +33,9 @@ def moved_points(a_mm: Array, b_mm: Array, covariances_mm2: Array, sigmas: float
     most excess in its distances to the others is taken away until all distances agree.
     """
     change_mm = _distances(b_mm) - _distances(a_mm)
-    limit_mm = sigmas * np.sqrt(_variances(b_mm, covariances_mm2) + BY_SEATING_MM**2)
+    # by which each pair may differ besides: a reflector taken out and put back
+    by_seating_mm = 0.005
+    limit_mm = sigmas * np.sqrt(_variances(b_mm, covariances_mm2) + by_seating_mm**2)
     ratio = np.abs(change_mm) / limit_mm
     np.fill_diagonal(ratio, 0.0)
     ratio[~np.isfinite(ratio)] = np.inf  # not a number agrees with nothing

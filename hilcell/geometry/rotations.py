@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike
 
 from hilcell.geometry.kinematics import Array
 
-SMALL_RAD = 1e-4  # below, series in the angle: their next term is beyond a double
-
 
 def from_zyx(angles_deg: ArrayLike) -> Array:
     """Return Rz(A) Ry(B) Rx(C) (..., 3, 3) of angles A, B, C (..., 3)."""
@@ -39,9 +37,10 @@ def from_rotvec(vectors_rad: ArrayLike) -> Array:
     v = np.asarray(vectors_rad, dtype=float)
     angle = np.linalg.norm(v, axis=-1)[..., None, None]
     K = np.cross(np.eye(3), v[..., None, :])
-    safe = np.where(angle < SMALL_RAD, 1.0, angle)
-    first = np.where(angle < SMALL_RAD, 1.0 - angle**2 / 6.0, np.sin(angle) / safe)
-    half = np.where(angle < SMALL_RAD, 0.5 - angle**2 / 48.0, np.sin(0.5 * angle) / safe)
+    small_rad = 1e-4  # below, series in the angle: their next term is beyond a double
+    safe = np.where(angle < small_rad, 1.0, angle)
+    first = np.where(angle < small_rad, 1.0 - angle**2 / 6.0, np.sin(angle) / safe)
+    half = np.where(angle < small_rad, 0.5 - angle**2 / 48.0, np.sin(0.5 * angle) / safe)
     rotation: Array = np.eye(3) + first * K + 2.0 * half**2 * (K @ K)
     return rotation
 

@@ -32,6 +32,19 @@ class Rows:
         J = self.by_parameter
         return J @ covariance @ np.swapaxes(J, 1, 2) + self.noise_mm2
 
+    def gains_mm2(self, covariance: Array, weight: Array) -> Array:
+        """Return by how much each candidate (M,) would lower the mean variance over the volume."""
+        J = self.by_parameter
+        carried = J @ covariance
+        spread_mm2 = carried @ np.swapaxes(J, 1, 2) + self.noise_mm2
+        lowered = carried @ weight @ np.swapaxes(carried, 1, 2)
+        gains: Array = np.trace(np.linalg.solve(spread_mm2, lowered), axis1=1, axis2=2)
+        return gains
+
+    def mean_bound_mm(self, covariance: Array) -> float:
+        """Return the mean 95 % bound of the positions."""
+        return float(bounds95_mm(self.covariance_mm2(covariance)).mean())
+
 
 @dataclass(frozen=True, eq=False)
 class Design:
@@ -56,37 +69,19 @@ def design(
     count = len(volume.by_parameter)
     rows = volume.by_parameter.reshape(-1, volume.by_parameter.shape[-1])
     weight = rows.T @ rows / count
-    enough_mm = max(bound_mm, REST * _mean_bound_mm(volume, np.zeros_like(covariance)))
+    enough_mm = max(bound_mm, REST * volume.mean_bound_mm(np.zeros_like(covariance)))
     chosen: list[int] = []
-    bounds_mm = [_mean_bound_mm(volume, covariance)]
+    bounds_mm = [volume.mean_bound_mm(covariance)]
     least, most = (min(each, len(candidates.by_parameter)) for each in counts)
     while len(chosen) < least or (bounds_mm[-1] > enough_mm and len(chosen) < most):
-        gains_mm2 = _gains_mm2(candidates, covariance, weight)
+        gains_mm2 = candidates.gains_mm2(covariance, weight)
         gains_mm2[chosen] = -1.0  # a second visit says less about what no parameter describes
         best = int(np.argmax(gains_mm2))
         J, noise_mm2 = candidates.by_parameter[best], candidates.noise_mm2[best]
-        covariance = _updated(covariance, J, noise_mm2)
+        carried = J @ covariance
+        spread_mm2 = carried @ J.T + noise_mm2
+        updated: Array = covariance - carried.T @ np.linalg.solve(spread_mm2, carried)
+        covariance = 0.5 * (updated + updated.T)
         chosen.append(best)
-        bounds_mm.append(_mean_bound_mm(volume, covariance))
+        bounds_mm.append(volume.mean_bound_mm(covariance))
     return Design(chosen, bounds_mm)
-
-
-def _gains_mm2(candidates: Rows, covariance: Array, weight: Array) -> Array:
-    """Return by how much each candidate (M,) would lower the mean variance over the volume."""
-    J = candidates.by_parameter
-    carried = J @ covariance
-    spread_mm2 = carried @ np.swapaxes(J, 1, 2) + candidates.noise_mm2
-    lowered = carried @ weight @ np.swapaxes(carried, 1, 2)
-    gains: Array = np.trace(np.linalg.solve(spread_mm2, lowered), axis1=1, axis2=2)
-    return gains
-
-
-def _updated(covariance: Array, J: Array, noise_mm2: Array) -> Array:
-    carried = J @ covariance
-    spread_mm2 = carried @ J.T + noise_mm2
-    updated: Array = covariance - carried.T @ np.linalg.solve(spread_mm2, carried)
-    return 0.5 * (updated + updated.T)
-
-
-def _mean_bound_mm(volume: Rows, covariance: Array) -> float:
-    return float(bounds95_mm(volume.covariance_mm2(covariance)).mean())

@@ -78,15 +78,8 @@ LEAST_POSES = 20
 ITERATIONS = 100
 SETTLED, CREEPING = 1e-6, 1.0  # gains of chi^2: nothing is left to gain; nothing that matters
 FIRST_DAMPING, HELD, EASED = 1e-3, 10.0, 5.0
-ROBUST_STEPS = 12
-CAUCHY = 2.5  # scales from which on a reading's pull fades
-MEDIAN_LENGTH = 1.5382  # of a 3-D normal vector of unit variance
-FIRST_SCALE_MM, LEAST_SCALE_MM = 0.5, 0.005
 GROSS = 8.0  # scales, and standard deviations of its prediction, that no good reading misses by
-POSE_GROSS = 4.0  # the same for all of a pose, by the root of its coordinates' mean square
 ROUNDS = 4  # of noise and outliers
-NOISE_STEPS, NOISE_SETTLED = 40, 0.01
-MOST_OUTLIERS = 0.2  # share beyond which the good readings are not known
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,23 +168,28 @@ def solve(
 def estimate_noise(kinematics: Kinematics, readings: Readings, state: State, noise: Noise) -> Noise:
     """Return the noise of greatest marginal likelihood, linearised at a state."""
     found = kinematics.linearised(state, readings.joints_rad)
-    for _ in range(NOISE_STEPS):
+    noise_steps, noise_settled = 40, 0.01
+    for _ in range(noise_steps):
         system = System.of(kinematics, state, readings, noise, found)
         before = noise
         noise = noise.improved(system.weighted, system.precision, found.by_joint, system.known)
-        if noise.changed(before) <= NOISE_SETTLED:
+        if noise.changed(before) <= noise_settled:
             break
     return noise
 
 
 def _robust(kinematics: Kinematics, readings: Readings, state: State) -> tuple[State, Bools]:
     """Return a state that gross readings did not move, and these readings (M, K)."""
-    scale_mm = FIRST_SCALE_MM
+    first_scale_mm, least_scale_mm = 0.5, 0.005
+    scale_mm = first_scale_mm
     known = readings.known
     lengths_mm = np.zeros(known.shape)
     found = kinematics.linearised(state, readings.joints_rad)
-    for _ in range(ROBUST_STEPS):
-        excess = scale_mm**2 * (lengths_mm / (CAUCHY * scale_mm)) ** 2
+    robust_steps = 12
+    cauchy = 2.5  # scales from which on a reading's pull fades
+    median_length = 1.5382  # of a 3-D normal vector of unit variance
+    for _ in range(robust_steps):
+        excess = scale_mm**2 * (lengths_mm / (cauchy * scale_mm)) ** 2
         weighted = replace(
             readings,
             covariance_mm2=readings.covariance_mm2 + excess[..., None, None] * np.eye(3),
@@ -205,7 +203,7 @@ def _robust(kinematics: Kinematics, readings: Readings, state: State) -> tuple[S
         rows = 3 * np.count_nonzero(known)
         share = max(1.0 - spent / rows, 0.1)
         middle_mm = float(np.median(lengths_mm[known]))
-        scale_mm = max(middle_mm / MEDIAN_LENGTH / share**0.5, LEAST_SCALE_MM)
+        scale_mm = max(middle_mm / median_length / share**0.5, least_scale_mm)
     return state, lengths_mm > GROSS * scale_mm
 
 
@@ -216,7 +214,8 @@ def _gross(system: System) -> Bools:
     if single.any():
         return single
     coordinates = 3 * system.known.sum(axis=1)
-    whole = poses > (GROSS**2 + POSE_GROSS**2 * np.maximum(coordinates - 3, 0))
+    pose_gross = 4.0  # the same for all of a pose, by the root of its coordinates' mean square
+    whole = poses > (GROSS**2 + pose_gross**2 * np.maximum(coordinates - 3, 0))
     bad: Bools = system.known & whole[:, None]
     return bad
 
@@ -231,8 +230,9 @@ def _refuse_too_few(readings: Readings) -> None:
 
 def _refuse_too_many(outliers: Bools, readings: Readings) -> None:
     bad, all_ = int(np.count_nonzero(outliers)), int(np.count_nonzero(readings.known))
-    if not bad <= MOST_OUTLIERS * all_:
+    most_outliers = 0.2  # share beyond which the good readings are not known
+    if not bad <= most_outliers * all_:
         raise ManyContradict(
             f"kinematics: {bad} of {all_} readings contradict the others, expected at most "
-            f"{MOST_OUTLIERS:.0%}; check that poses and readings belong together"
+            f"{most_outliers:.0%}; check that poses and readings belong together"
         )

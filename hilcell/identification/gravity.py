@@ -13,7 +13,6 @@ import numpy as np
 
 from hilcell.geometry.kinematics import Arm, Array, link_transforms
 
-LEAST_REACH_MM = 1.0
 AXES = (1, 1, 1, 1, 2, 2)
 NAMES = (
     "axis 2: cos upper arm",
@@ -59,8 +58,9 @@ def tool_basis(arm: Arm, joints_rad: Array) -> Array:
         frames.append(frames[-1] @ links[..., row, :, :])
     lengths_mm = np.abs(arm.a_mm) + np.abs(arm.d_mm)
     flange, columns = frames[6], []
+    least_reach_mm = 1.0
     for row in range(6):
-        reach_mm = max(float(lengths_mm[row:].sum()), LEAST_REACH_MM)
+        reach_mm = max(float(lengths_mm[row:].sum()), least_reach_mm)
         axis = frames[row][..., :3, 2]
         columns.append(_lever(axis, (flange[..., :3, 3] - frames[row][..., :3, 3]) / reach_mm))
         columns += [_lever(axis, flange[..., :3, n]) for n in range(3)]

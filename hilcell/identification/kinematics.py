@@ -23,13 +23,8 @@ from hilcell.identification import gravity
 from hilcell.identification.curve import TransmissionCurve
 
 LENGTH_MM, ANGLE_RAD = 1.0, 2e-3  # prior sigmas of link parameters
-GRAVITY_RAD = 0.5e-3  # of the deflection at full load
-WAVE_RAD = 50e-6  # of the amplitudes of one and two waves a revolution
-JITTER = 1e-9  # of a prior's correlation, so that a singular one has a root
-SHIFT_PER_CYCLE = 1e-12  # a shift known exactly is known to this
 BASE, LINKS = 6, 30
 ORDERS = (1, 2)
-LINK_KINDS = ("a", "alpha", "d", "offset", "beta")
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +88,8 @@ class Kinematics:
         """Return the parameters' names, with units."""
         names = [f"base {axis} mm" for axis in "xyz"] + [f"base r{axis} rad" for axis in "xyz"]
         names += [f"reflector {k + 1} {axis} mm" for k in range(self.reflectors) for axis in "xyz"]
-        for kind, field in zip(LINK_KINDS, KINDS, strict=True):
+        link_kinds = ("a", "alpha", "d", "offset", "beta")
+        for kind, field in zip(link_kinds, KINDS, strict=True):
             unit = "mm" if field.endswith("mm") else "rad"
             names += [f"{kind}{row + 1} {unit}" for row in range(6)]
         if self.gravity:
@@ -125,29 +121,33 @@ class Kinematics:
         """Return W (P, P) with W'W the inverse of the prior's covariance."""
         covariance = self._prior[1]
         sigma = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
-        correlation = covariance / np.outer(sigma, sigma) + JITTER * np.eye(len(sigma))
+        jitter = 1e-9  # of a prior's correlation, so that a singular one has a root
+        correlation = covariance / np.outer(sigma, sigma) + jitter * np.eye(len(sigma))
         return np.linalg.inv(np.linalg.cholesky(correlation)) / sigma
 
     @cached_property
     def _prior(self) -> tuple[Array, Array]:
         links = [LENGTH_MM if kind.endswith("mm") else ANGLE_RAD for kind in KINDS]
         assumed = self.assumed
+        gravity_rad = 0.5e-3  # of the deflection at full load
+        wave_rad = 50e-6  # of the amplitudes of one and two waves a revolution
         sigmas = [
             *[assumed.base_mm] * 3, *[assumed.base_rad] * 3,
             *[assumed.reflector_mm] * (3 * self.reflectors),
-            *np.repeat(links, 6), *[GRAVITY_RAD] * (len(gravity.AXES) if self.gravity else 0),
-            *[WAVE_RAD] * (12 * len(ORDERS) if self.waves else 0),
-            *[GRAVITY_RAD] * (len(gravity.TOOL_AXES) if self.tool else 0),
+            *np.repeat(links, 6), *[gravity_rad] * (len(gravity.AXES) if self.gravity else 0),
+            *[wave_rad] * (12 * len(ORDERS) if self.waves else 0),
+            *[gravity_rad] * (len(gravity.TOOL_AXES) if self.tool else 0),
         ]  # fmt: skip
         size = len(sigmas) + sum(2 * len(curve.cycles) + 1 for curve in self.curves)
         mean, covariance = np.zeros(size), np.zeros((size, size))
         at = len(sigmas)
         covariance[:at, :at] = np.diag(np.square(sigmas))
+        shift_per_cycle = 1e-12  # a shift known exactly is known to this
         for curve in self.curves:
             end = at + 2 * len(curve.cycles)
             mean[at:end], mean[end] = curve.amplitude_rad.ravel(), curve.shift_rad
             covariance[at:end, at:end] = curve.covariance_rad2
-            covariance[end, end] = max(curve.shift_sigma_rad, SHIFT_PER_CYCLE) ** 2
+            covariance[end, end] = max(curve.shift_sigma_rad, shift_per_cycle) ** 2
             at = end + 1
         return mean, covariance
 

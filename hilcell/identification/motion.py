@@ -18,18 +18,9 @@ from hilcell.geometry.kinematics import Arm, Array, forward, link_transforms
 from hilcell.ports import HilcellError
 
 LEAST_SAMPLES, LEAST_READINGS = 100, 12
-LEAST_TURN_RAD = 0.15
-WINDOW_S = 0.5  # over which a speed is judged
-SPEED_SHARE = 0.1  # by which it may miss the sweep's: ripple of 100 urad reaches 6 %
-RAMP_RAD = float(np.radians(0.5))  # at each end, taken off with the ramps
-UNLIKE = 0.5  # share by which a step in time differs from the others
 JUMP_RAD = 5e-4  # of the axis over a gap, against its speed: more than ripple turns it
-UNEVEN_RAD = 3e-3  # of a joint's reading from the line in time
-OTHERS_RAD = 1e-3  # by which the other axes may seem to move
 RADIUS_MM = 20.0  # by which the reflector's circle may miss the nominal one
 SCALE = 0.01  # by which both speeds may differ
-SPIKE_SIGMA, SPIKES_SHARE, LEAST_SPIKE_RAD = 8.0, 0.02, 2e-5
-LOST_SHARE = 0.25
 
 
 class BadStream(HilcellError):
@@ -48,6 +39,63 @@ class SweepStream:
     joints_rad: Array  # (M, 6)
     asked_s: Array  # (M, 2) the cell's clock before and after each exchange
     stamped_s: Array  # (M,) the controller's own clock; NaN where it does not say
+
+    def check_numbers(self) -> None:
+        """Refuse streams that are too short, not finite, or whose times run back."""
+        for name, values in (
+            ("times of the tracker", self.device_s),
+            ("positions", self.xyz_mm),
+            ("arrival windows", self.window_s),
+            ("joints", self.joints_rad),
+            ("times of the joints", self.asked_s),
+        ):
+            if not bool(np.all(np.isfinite(values))):
+                raise BadStream(f"{name}: {np.sum(~np.isfinite(values))} values are not finite")
+        if not (len(self.device_s) >= LEAST_SAMPLES and len(self.joints_rad) >= LEAST_READINGS):
+            raise BadStream(
+                f"{len(self.device_s)} samples and {len(self.joints_rad)} joint readings, wanted "
+                f">= {LEAST_SAMPLES} and {LEAST_READINGS}: sweep further or sample faster"
+            )
+        if not bool(np.all(np.diff(self.device_s) > 0)):
+            raise BadStream("the samples' times run back: the tracker's clock was set; sweep again")
+        if not bool(np.all(np.isnan(self.stamped_s)) or np.all(np.diff(self.stamped_s) > 0)):
+            raise BadStream(
+                "the controller's times of the joints run back, or some are missing; sweep again"
+            )
+
+    def joint_line(self, axis: int, angle_rad: Array) -> _Line:
+        """Return the line through the axis's readings at the constant speed that was seen."""
+        others = np.delete(self.joints_rad, axis, axis=1)
+        moved_rad = np.ptp(others, axis=0).max()
+        others_rad = 1e-3  # by which the other axes may seem to move
+        if not moved_rad <= others_rad:
+            raise BadStream(
+                f"another axis turned by {np.degrees(moved_rad):.3f} deg during the sweep, wanted "
+                f"<= {np.degrees(others_rad):.3f} deg"
+            )
+        read_rad = self.joints_rad[:, axis]
+        read_s, prompt, clock_s = _read_times(self)
+        low, high = sorted((angle_rad[0], angle_rad[-1]))
+        edge = 0.02 * (high - low)
+        used = (read_rad > low + edge) & (read_rad < high - edge)
+        used &= prompt
+        if not np.count_nonzero(used) >= LEAST_READINGS:
+            raise BadStream(
+                f"{np.count_nonzero(used)} joint readings at constant speed, wanted >= "
+                f"{LEAST_READINGS}: the joints are another sweep's, or were asked for too rarely"
+            )
+        read_rad, read_s = read_rad[used], read_s[used]
+        centre_s = float(read_s.mean())
+        slope, middle = np.polyfit(read_s - centre_s, read_rad, 1)
+        off_rad = np.abs(read_rad - middle - slope * (read_s - centre_s))
+        uneven_rad = 3e-3  # of a joint's reading from the line in time
+        if not off_rad.max() <= uneven_rad:
+            raise BadStream(
+                f"a joint reading is {np.degrees(off_rad.max()):.3f} deg off the constant speed, "
+                f"wanted <= {np.degrees(uneven_rad):.3f} deg: the axis paused or a clock jumped; "
+                "sweep again"
+            )
+        return _Line(centre_s, float(middle), float(slope), clock_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +116,7 @@ class Motion:
 
 def motion_of(stream: SweepStream, arm: Arm, axis: int) -> Motion:
     """Return the motion of ``axis`` (0 to 5); raises `BadStream`."""
-    _check_numbers(stream)
+    stream.check_numbers()
     angle_rad = turned_rad(stream, arm, axis)
     inner = _between_ends(angle_rad)
     time_s, angle_rad = (stream.device_s - stream.device_s[0])[inner], angle_rad[inner]
@@ -76,7 +124,7 @@ def motion_of(stream: SweepStream, arm: Arm, axis: int) -> Motion:
     time_s, angle_rad = time_s[kept], angle_rad[kept]
     window_s = stream.window_s[inner][kept]
     _check_even(time_s, angle_rad)
-    line = _joint_line(stream, axis, angle_rad)
+    line = stream.joint_line(axis, angle_rad)
     seen_rad_s = float(np.polyfit(time_s, angle_rad, 1)[0])
     if not abs(seen_rad_s / line.speed_rad_s - 1.0) <= SCALE:
         raise BadStream(
@@ -89,9 +137,10 @@ def motion_of(stream: SweepStream, arm: Arm, axis: int) -> Motion:
     separation_s = float(np.median(np.diff(time_s)))
     wanted = round((time_s[-1] - time_s[0]) / separation_s) + 1
     lost = wanted - len(time_s)
-    if not lost <= LOST_SHARE * wanted:
+    lost_share = 0.25
+    if not lost <= lost_share * wanted:
         raise BadStream(
-            f"{lost} of {wanted} samples never came, wanted <= {100 * LOST_SHARE:g} %: see the "
+            f"{lost} of {wanted} samples never came, wanted <= {100 * lost_share:g} %: see the "
             "beam's way and the tracker's link"
         )
     clock_s = float(np.hypot(clock_s, line.clock_s))
@@ -134,38 +183,17 @@ class _Line:
         return self.middle_rad + self.speed_rad_s * (cell_s - self.middle_s)
 
 
-def _check_numbers(stream: SweepStream) -> None:
-    for name, values in (
-        ("times of the tracker", stream.device_s),
-        ("positions", stream.xyz_mm),
-        ("arrival windows", stream.window_s),
-        ("joints", stream.joints_rad),
-        ("times of the joints", stream.asked_s),
-    ):
-        if not bool(np.all(np.isfinite(values))):
-            raise BadStream(f"{name}: {np.sum(~np.isfinite(values))} values are not finite")
-    if not (len(stream.device_s) >= LEAST_SAMPLES and len(stream.joints_rad) >= LEAST_READINGS):
-        raise BadStream(
-            f"{len(stream.device_s)} samples and {len(stream.joints_rad)} joint readings, wanted "
-            f">= {LEAST_SAMPLES} and {LEAST_READINGS}: sweep further or sample faster"
-        )
-    if not bool(np.all(np.diff(stream.device_s) > 0)):
-        raise BadStream("the samples' times run back: the tracker's clock was set; sweep again")
-    if not bool(np.all(np.isnan(stream.stamped_s)) or np.all(np.diff(stream.stamped_s) > 0)):
-        raise BadStream(
-            "the controller's times of the joints run back, or some are missing; sweep again"
-        )
-
-
 def _between_ends(angle_rad: Array) -> slice:
     """Return the samples between the ramps."""
     ends = np.array([np.median(angle_rad[:5]), np.median(angle_rad[-5:])])
-    if not abs(ends[1] - ends[0]) >= LEAST_TURN_RAD:
+    least_turn_rad = 0.15
+    if not abs(ends[1] - ends[0]) >= least_turn_rad:
         raise BadStream(
             f"the axis turned by {np.degrees(ends[1] - ends[0]):.2f} deg, wanted >= "
-            f"{np.degrees(LEAST_TURN_RAD):.1f} deg: sweep further"
+            f"{np.degrees(least_turn_rad):.1f} deg: sweep further"
         )
-    inner = np.flatnonzero(np.abs(angle_rad[:, None] - ends).min(axis=1) > RAMP_RAD)
+    ramp_rad = float(np.radians(0.5))  # at each end, taken off with the ramps
+    inner = np.flatnonzero(np.abs(angle_rad[:, None] - ends).min(axis=1) > ramp_rad)
     return slice(int(inner[0]), int(inner[-1]) + 1)
 
 
@@ -174,11 +202,12 @@ def _without_spikes(angle_rad: Array) -> NDArray[np.bool_]:
     near = np.lib.stride_tricks.sliding_window_view(angle_rad, 5)
     off_rad = np.zeros(len(angle_rad))
     off_rad[2:-2] = np.abs(near[:, 2] - np.median(near[:, [0, 1, 3, 4]], axis=1))
-    kept: NDArray[np.bool_] = off_rad <= SPIKE_SIGMA * 1.48 * np.median(off_rad) + LEAST_SPIKE_RAD
-    if not np.mean(~kept) <= SPIKES_SHARE:
+    spike_sigma, spikes_share, least_spike_rad = 8.0, 0.02, 2e-5
+    kept: NDArray[np.bool_] = off_rad <= spike_sigma * 1.48 * np.median(off_rad) + least_spike_rad
+    if not np.mean(~kept) <= spikes_share:
         raise BadStream(
             f"{np.sum(~kept)} of {len(kept)} samples stand out from their neighbours, wanted <= "
-            f"{100 * SPIKES_SHARE:g} %: the beam or the reflector is not steady"
+            f"{100 * spikes_share:g} %: the beam or the reflector is not steady"
         )
     return kept
 
@@ -187,7 +216,8 @@ def _check_even(time_s: Array, angle_rad: Array) -> None:
     """Refuse an axis that was slowed, and a time that steps while the axis turns on."""
     steps_s = np.diff(time_s)
     speed_rad_s = float(np.median(np.diff(angle_rad) / steps_s))
-    for n in np.flatnonzero(np.abs(steps_s / np.median(steps_s) - 1.0) > UNLIKE):
+    unlike = 0.5  # share by which a step in time differs from the others
+    for n in np.flatnonzero(np.abs(steps_s / np.median(steps_s) - 1.0) > unlike):
         turned_s = (angle_rad[n + 1] - angle_rad[n]) / speed_rad_s
         if not abs(turned_s - steps_s[n]) * abs(speed_rad_s) <= JUMP_RAD:
             raise BadStream(
@@ -195,50 +225,19 @@ def _check_even(time_s: Array, angle_rad: Array) -> None:
                 f"axis turns for {turned_s:.3f} s: its clock jumped, or the axis paused; sweep "
                 "again"
             )
-    ahead = np.searchsorted(time_s, time_s + WINDOW_S)
+    window_s = 0.5  # over which a speed is judged
+    ahead = np.searchsorted(time_s, time_s + window_s)
     first = np.flatnonzero(ahead < len(time_s))
     last = ahead[first]
     speeds = (angle_rad[last] - angle_rad[first]) / (time_s[last] - time_s[first])
     worst = int(np.argmax(np.abs(speeds / speed_rad_s - 1.0)))
-    if not abs(speeds[worst] / speed_rad_s - 1.0) <= SPEED_SHARE:
+    speed_share = 0.1  # by which it may miss the sweep's: ripple of 100 urad reaches 6 %
+    if not abs(speeds[worst] / speed_rad_s - 1.0) <= speed_share:
         raise BadStream(
             f"the axis turned at {np.degrees(speeds[worst]):.3f} deg/s near "
             f"{np.degrees(angle_rad[first[worst]]):.2f} deg, at {np.degrees(speed_rad_s):.3f} "
             "deg/s elsewhere: it was slowed, or the tracker's clock jumped; sweep again"
         )
-
-
-def _joint_line(stream: SweepStream, axis: int, angle_rad: Array) -> _Line:
-    """Return the line through the axis's readings where the tracker saw it at constant speed."""
-    others = np.delete(stream.joints_rad, axis, axis=1)
-    moved_rad = np.ptp(others, axis=0).max()
-    if not moved_rad <= OTHERS_RAD:
-        raise BadStream(
-            f"another axis turned by {np.degrees(moved_rad):.3f} deg during the sweep, wanted <= "
-            f"{np.degrees(OTHERS_RAD):.3f} deg"
-        )
-    read_rad = stream.joints_rad[:, axis]
-    read_s, prompt, clock_s = _read_times(stream)
-    low, high = sorted((angle_rad[0], angle_rad[-1]))
-    edge = 0.02 * (high - low)
-    used = (read_rad > low + edge) & (read_rad < high - edge)
-    used &= prompt
-    if not np.count_nonzero(used) >= LEAST_READINGS:
-        raise BadStream(
-            f"{np.count_nonzero(used)} joint readings at constant speed, wanted >= "
-            f"{LEAST_READINGS}: the joints are another sweep's, or were asked for too rarely"
-        )
-    read_rad, read_s = read_rad[used], read_s[used]
-    centre_s = float(read_s.mean())
-    slope, middle = np.polyfit(read_s - centre_s, read_rad, 1)
-    off_rad = np.abs(read_rad - middle - slope * (read_s - centre_s))
-    if not off_rad.max() <= UNEVEN_RAD:
-        raise BadStream(
-            f"a joint reading is {np.degrees(off_rad.max()):.3f} deg off the constant speed, "
-            f"wanted <= {np.degrees(UNEVEN_RAD):.3f} deg: the axis paused or a clock jumped; "
-            "sweep again"
-        )
-    return _Line(centre_s, float(middle), float(slope), clock_s)
 
 
 def _read_times(stream: SweepStream) -> tuple[Array, NDArray[np.bool_], float]:

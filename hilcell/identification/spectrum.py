@@ -19,22 +19,16 @@ from hilcell.geometry.statistics import rms
 Complex = NDArray[np.complex128]
 
 LOWEST, HIGHEST = 18.0, 560.0  # cycles per joint revolution
-LEAST_PERIODS = 1.9  # of a line in the range
 CHANCE = 1e-3  # that any line at all is found where there is none
 MOST_LINES = 16
-OVERSAMPLED = 4  # trial frequencies in one width of a line
 APART = 0.45  # widths of a line, between two of them
 SMOOTH_RAD = {1: 1e-3, 2: 5e-4, 3: 2e-4, 4: 5e-5, 5: 2e-5} | dict.fromkeys(range(6, 18, 3), 1e-5)
 # 1 sigma of the joint's harmonics below the lowest line
 FREE_RAD = 0.1  # 1 sigma of constant and slope: nothing is known of them
-GROWN = 1.6  # rms of all lines over that of what smooth errors leave: more is trade with those
 LINE_RAD = 1e-4  # 1 sigma of a line's cosine and sine
-STANDS_OUT = 4.0  # times the mean power: single powers beyond it are no noise
 STEPS = 12
-LEAST_STEP = 1e-14  # of a variance's logarithm
 BLOCK = 16  # frequencies, of which one cosine and sine each is computed
 SETTLED, LONGEST_STEP = 1e-4, 0.2  # of a line's width
-FREED = 1.5  # variance of a line with its frequency free over that with a known one, in the mean
 
 
 @dataclass(frozen=True)
@@ -63,7 +57,8 @@ class Records:
     @property
     def lowest(self) -> float:
         """Return the cycles per revolution below which an error counts as smooth."""
-        return max(LOWEST, LEAST_PERIODS * self.width)
+        least_periods = 1.9  # of a line in the range
+        return max(LOWEST, least_periods * self.width)
 
     def angle_rad(self, shift_rad: float) -> Array:
         """Return the joint (N,) from its middle, each direction shifted."""
@@ -113,6 +108,11 @@ class Records:
         highest = min(HIGHEST, 0.8 * np.pi / float(np.median(steps_rad)))
         count = int((highest - self.lowest) / self.width * oversampled)
         return np.linspace(self.lowest, highest, max(count, 4))
+
+    def rms_rad(self, lines: Lines) -> float:
+        """Return the root mean square of lines over the samples."""
+        waves = _waves(self.angle_rad(lines.shift.rad), lines.cycles)
+        return rms(waves @ lines.amplitude_rad.ravel())
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,8 +184,9 @@ class Trial:
     """
 
     def __init__(self, records: Records) -> None:
-        self.cycles = records.frequencies(OVERSAMPLED)
-        self.apart = slice(None, None, OVERSAMPLED)  # of them, as good as independent
+        oversampled = 4  # trial frequencies in one width of a line
+        self.cycles = records.frequencies(oversampled)
+        self.apart = slice(None, None, oversampled)  # of them, as good as independent
         self._ways, angle_rad = records.ways, records.angle_rad(0.0)
         half = records.smooth.shape[1] // 2
         self._waves, self._squares, self._smooth = list[Complex](), list[Complex](), list[Complex]()
@@ -237,6 +238,7 @@ def search(records: Records, shift: Shift) -> Found:
     """
     trial, lines = Trial(records), without_lines(records, shift)
     smooth_left_rad, refused = rms(lines.left_rad), list[float]()
+    grown = 1.6  # rms of all lines over that of what smooth errors leave: more is trade with those
     while True:
         known = Known(records, lines)
         same, opposite = trial.explained(known, shift)
@@ -259,7 +261,7 @@ def search(records: Records, shift: Shift) -> Found:
         more = refined(records, more, shift)
         better = bool(np.all(np.diff(np.sort(more.cycles)) >= APART * records.width))
         better &= rms(more.left_rad) < rms(lines.left_rad)
-        if better and _rms_rad(records, more) <= GROWN * smooth_left_rad:
+        if better and records.rms_rad(more) <= grown * smooth_left_rad:
             lines = more
         else:
             refused.append(float(trial.cycles[best]))
@@ -333,11 +335,13 @@ def noise_of(powers_rad2: Array, cycles: Array) -> Noise:
     found: Array = np.array([np.log(mean.mean()), 0.0, 0.0])
     prior = np.diag([0.0, 0.5, 0.5])  # few frequencies tell no colour
     covariance = np.array(np.linalg.inv(X.T @ X + prior), dtype=float)
+    stands_out = 4.0  # times the mean power: single powers beyond it are no noise
+    least_step = 1e-14  # of a variance's logarithm
     for _ in range(50):
-        ratio = np.minimum(mean * np.exp(-X @ found), STANDS_OUT) / (1.0 - np.exp(-STANDS_OUT))
+        ratio = np.minimum(mean * np.exp(-X @ found), stands_out) / (1.0 - np.exp(-stands_out))
         step = covariance @ (X.T @ (ratio - 1.0) - prior @ found)
         found = found + np.clip(step, -1.0, 1.0)
-        if np.abs(step).max() < LEAST_STEP:
+        if np.abs(step).max() < least_step:
             break
     return Noise(found, covariance)
 
@@ -403,11 +407,6 @@ def _symmetric(first: Array, across: Array, last: Array) -> Array:
     return np.stack([first, across, across, last], axis=-1).reshape(-1, 2, 2)
 
 
-def _rms_rad(records: Records, lines: Lines) -> float:
-    waves = _waves(records.angle_rad(lines.shift.rad), lines.cycles)
-    return rms(waves @ lines.amplitude_rad.ravel())
-
-
 def _difference(trial: Trial, opposite: Explained) -> tuple[Noise, float]:
     """Return the noise by what the directions differ, and the largest line in the difference."""
     noise = noise_of(opposite.powers_rad2[trial.apart], trial.cycles[trial.apart])
@@ -429,4 +428,6 @@ def _covariance(known: Known, lines: Lines, noises: tuple[Noise, ...]) -> Array:
     block = (known.root.T @ known.root)[first:, first:] * LINE_RAD**2
     variance_rad2 = np.max([noise.variance_rad2(lines.cycles) for noise in noises], axis=0)
     sigma = np.repeat(np.sqrt(variance_rad2), 2)
-    return FREED * block * np.outer(sigma, sigma)
+    # variance of a line with its frequency free over that with a known one, in the mean
+    freed = 1.5
+    return freed * block * np.outer(sigma, sigma)

@@ -25,13 +25,8 @@ from hilcell.identification.spectrum import (
     without_lines,
 )
 
-HALF_GAP_RAD = 1e-4  # 1 sigma of the lost motion that is taken for lag
-LONGEST_LAG_S = 0.25
-LEAST_OVERLAP = 0.8  # of the joint's range, swept in both directions
 DIFFERS = 0.5  # of the largest line: by how much the directions may differ
-SHIFT_SIGMA_RAD = 1e-5  # of the abscissa, besides the clocks': landing, reading cycle
 SPACING_RAD = float(np.radians(0.04))  # denser samples are averaged
-SHOWN_RAD = float(np.radians(0.1))  # one point of a picture
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,14 +67,16 @@ def swept_axis(up: SweepStream, down: SweepStream, arm: Arm, axis: int) -> Swept
     except BadStream as error:
         return SweptAxis(axis, str(error))
     shift_rad = _offset(records)
-    if not abs(shift_rad) <= LONGEST_LAG_S * speed_rad_s:
+    longest_lag_s = 0.25
+    if not abs(shift_rad) <= longest_lag_s * speed_rad_s:
         return SweptAxis(
             axis,
             f"tracker and joints are {shift_rad / speed_rad_s:.3f} s apart, wanted <= "
-            f"{LONGEST_LAG_S:g} s: see the controller's and the tracker's load",
+            f"{longest_lag_s:g} s: see the controller's and the tracker's load",
             lag_s=shift_rad / speed_rad_s,
         )
-    found = search(records, Shift(shift_rad, HALF_GAP_RAD))
+    half_gap_rad = 1e-4  # 1 sigma of the lost motion that is taken for lag
+    found = search(records, Shift(shift_rad, half_gap_rad))
     return _judged(axis, records, found, rising, falling)
 
 
@@ -89,10 +86,11 @@ def records_of(rising: Motion, falling: Motion) -> Records:
     low = max(float(motion.joint_rad.min()) for motion in both)
     high = min(float(motion.joint_rad.max()) for motion in both)
     widest = max(float(np.ptp(motion.joint_rad)) for motion in both)
-    if not high - low >= LEAST_OVERLAP * widest:
+    least_overlap = 0.8  # of the joint's range, swept in both directions
+    if not high - low >= least_overlap * widest:
         raise BadStream(
             f"both directions share {np.degrees(high - low):.1f} deg of "
-            f"{np.degrees(widest):.1f} deg, wanted >= {100 * LEAST_OVERLAP:g} %: sweep one range"
+            f"{np.degrees(widest):.1f} deg, wanted >= {100 * least_overlap:g} %: sweep one range"
         )
     joint, error, side = [], [], []
     for motion, sign in ((rising, 1.0), (falling, -1.0)):
@@ -177,13 +175,14 @@ def _curve(axis: int, records: Records, found: Found, clocks_rad: float) -> Tran
     rows = (2 * order[:, None] + np.arange(2)).ravel()
     covariance = found.covariance_rad2[np.ix_(rows, rows)]
     amplitude = turn @ found.lines.amplitude_rad[order].ravel()
+    shift_sigma_rad = 1e-5  # of the abscissa, besides the clocks': landing, reading cycle
     return TransmissionCurve(
         axis,
         cycles,
         amplitude.reshape(-1, 2),
         turn @ covariance @ turn.T,
         shift_rad=0.0,
-        shift_sigma_rad=float(np.hypot(SHIFT_SIGMA_RAD, clocks_rad)),
+        shift_sigma_rad=float(np.hypot(shift_sigma_rad, clocks_rad)),
         low_rad=float(records.joint_rad.min()),
         high_rad=float(records.joint_rad.max()),
         noise_rad=rms(found.lines.left_rad),
@@ -194,7 +193,8 @@ def _shown(records: Records, found: Found, curve: TransmissionCurve) -> Array:
     """Return joint, short-wave error and curve (B, 3), means of both directions."""
     joint_rad = records.joint_rad + found.lines.shift.rad * records.side
     by_curve = curve.evaluate(joint_rad)
-    number = ((joint_rad - joint_rad.min()) / SHOWN_RAD).astype(int)
+    shown_rad = float(np.radians(0.1))  # one point of a picture
+    number = ((joint_rad - joint_rad.min()) / shown_rad).astype(int)
     count = np.bincount(number)
     rows = [joint_rad, found.lines.left_rad + by_curve, by_curve]
     sums = np.stack([np.bincount(number, weights=row) for row in rows], axis=1)

@@ -22,9 +22,6 @@ from hilcell.identification.readings import Bools, Ints, Readings
 DETERMINED = 0.5  # of the prior's standard deviation: below, the data say more than the prior
 
 
-LEAST_PIVOT = 1e-4  # of columns of unit length: their squares keep 8 digits
-
-
 @dataclass(frozen=True, eq=False)
 class System:
     """Rows of M poses with N = 3 K readings each; rows of unknown readings are zero.
@@ -240,6 +237,7 @@ def triangle(*blocks: Array) -> Array:
         R: Array = np.linalg.cholesky(squares / np.outer(scale, scale)).T
     except np.linalg.LinAlgError:
         return np.asarray(np.linalg.qr(np.concatenate(blocks), mode="r"))
-    if not np.diag(R).min() >= LEAST_PIVOT:
+    least_pivot = 1e-4  # of columns of unit length: their squares keep 8 digits
+    if not np.diag(R).min() >= least_pivot:
         return np.asarray(np.linalg.qr(np.concatenate(blocks), mode="r"))
     return R * scale

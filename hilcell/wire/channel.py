@@ -10,7 +10,6 @@ from urllib.parse import urlsplit
 from msgspec import Meta
 
 BAUD = 115_200
-SLOWEST_BAUD, FASTEST_BAUD = 50, 4_000_000
 _HOST = r"^([^\s/@:?#]+|[0-9A-Fa-f.]*:[0-9A-Fa-f.]*:[0-9A-Fa-f:.]*(%\w+)?)$"
 
 Host = Annotated[
@@ -42,10 +41,11 @@ def parse_channel(channel: str) -> Socket | SerialLine:
     path, at, baud = channel.partition("@")
     if not path.strip() or (at and not (baud.isascii() and baud.isdecimal() and len(baud) < 9)):
         raise ValueError(f"channel: socket://HOST:PORT or PATH[@BAUD] is wanted, found {channel!r}")
-    if at and not SLOWEST_BAUD <= int(baud) <= FASTEST_BAUD:
+    slowest_baud, fastest_baud = 50, 4_000_000
+    if at and not slowest_baud <= int(baud) <= fastest_baud:
         raise ValueError(
             f"channel: a baud rate is wanted behind @, found {channel!r}; "
-            f"allowed: {SLOWEST_BAUD} to {FASTEST_BAUD}, without @ it is {BAUD}"
+            f"allowed: {slowest_baud} to {fastest_baud}, without @ it is {BAUD}"
         )
     return SerialLine(path, int(baud) if at else BAUD)
 

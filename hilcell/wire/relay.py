@@ -24,7 +24,6 @@ import serial
 from hilcell.wire.channel import SerialLine, Socket
 from hilcell.wire.recording import Recorder
 
-LOOPBACK = "127.0.0.1"
 READ = 65536
 CONNECT_S = 3.0
 
@@ -60,8 +59,9 @@ class SocketRelay:
         self._place, self._recorder = place, recorder
         self._count = 0
         self._open: set[int] = set()
-        self._listening = socket.create_server((LOOPBACK, 0))
-        self.channel = f"socket://{LOOPBACK}:{self._listening.getsockname()[1]}"
+        loopback = "127.0.0.1"
+        self._listening = socket.create_server((loopback, 0))
+        self.channel = f"socket://{loopback}:{self._listening.getsockname()[1]}"
         threading.Thread(target=self._accept, daemon=True).start()
 
     def close(self) -> None:
