@@ -9,19 +9,25 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import IntEnum
 
 Value = int | str
 
 # SDO abort codes, CiA 301 table 22.
-TOGGLE_NOT_ALTERNATED = 0x05030000
-UNKNOWN_COMMAND = 0x05040001
-READ_ONLY = 0x06010002
-NO_SUCH_OBJECT = 0x06020000
-NOT_MAPPABLE = 0x06040041
-PDO_TOO_LONG = 0x06040042
-WRONG_LENGTH = 0x06070010
-VALUE_RANGE = 0x06090030
-DEVICE_STATE = 0x08000022
+
+
+class Abort(IntEnum):
+    """SDO abort codes, CiA 301 table 22."""
+
+    TOGGLE_NOT_ALTERNATED = 0x05030000
+    UNKNOWN_COMMAND = 0x05040001
+    READ_ONLY = 0x06010002
+    NO_SUCH_OBJECT = 0x06020000
+    NOT_MAPPABLE = 0x06040041
+    PDO_TOO_LONG = 0x06040042
+    WRONG_LENGTH = 0x06070010
+    VALUE_RANGE = 0x06090030
+    DEVICE_STATE = 0x08000022
 
 
 class SdoAbortError(Exception):
@@ -65,7 +71,7 @@ class Entry:
         if self.kind == "s":
             return data.decode("ascii", errors="replace")
         if len(data) != self.size:
-            raise SdoAbortError(WRONG_LENGTH)
+            raise SdoAbortError(Abort.WRONG_LENGTH)
         value: int = struct.unpack("<" + self.kind, data)[0]
         return value
 
@@ -94,7 +100,7 @@ class ObjectDictionary:
     def entry(self, index: int, sub: int) -> Entry:
         """Return an object; raises `SdoAbortError`."""
         if index not in self._indices:
-            raise SdoAbortError(NO_SUCH_OBJECT)
+            raise SdoAbortError(Abort.NO_SUCH_OBJECT)
         no_such_subindex = 0x06090011
         if (index, sub) not in self._entries:
             raise SdoAbortError(no_such_subindex)
@@ -123,7 +129,7 @@ class ObjectDictionary:
         """Return an object that may be written over the wire; raises `SdoAbortError`."""
         entry = self.entry(index, sub)
         if entry.access == "ro":
-            raise SdoAbortError(READ_ONLY)
+            raise SdoAbortError(Abort.READ_ONLY)
         return entry
 
     def download(self, index: int, sub: int, data: bytes) -> None:
@@ -132,7 +138,7 @@ class ObjectDictionary:
         value = entry.decode(data)
         if isinstance(value, int):
             if entry.allowed is not None and value not in entry.allowed:
-                raise SdoAbortError(VALUE_RANGE)
+                raise SdoAbortError(Abort.VALUE_RANGE)
             if entry.write is not None:
                 entry.write(value)
         entry.value = value

@@ -9,16 +9,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from fakes.canopen.dictionary import (
-    DEVICE_STATE,
-    NO_SUCH_OBJECT,
-    NOT_MAPPABLE,
-    PDO_TOO_LONG,
-    VALUE_RANGE,
-    Entry,
-    ObjectDictionary,
-    SdoAbortError,
-)
+from fakes.canopen.dictionary import Abort, Entry, ObjectDictionary, SdoAbortError
 
 INVALID, NO_RTR = 1 << 31, 1 << 30
 SYNC_TYPES = range(241)
@@ -102,36 +93,36 @@ class Pdo:
     def _change_cob_id(self, value: int) -> None:
         old = self._dictionary.number(self._communication, 1)
         if self.valid and (value ^ old) & 0x3FFFFFFF:
-            raise SdoAbortError(DEVICE_STATE)
+            raise SdoAbortError(Abort.DEVICE_STATE)
         if not value & NO_RTR or not 0x180 < value & 0x3FFFFFFF < 0x580:
-            raise SdoAbortError(VALUE_RANGE)
+            raise SdoAbortError(Abort.VALUE_RANGE)
 
     def _while_invalid(self, _value: int) -> None:
         if self.valid:
-            raise SdoAbortError(DEVICE_STATE)
+            raise SdoAbortError(Abort.DEVICE_STATE)
 
     def _change_mapping(self, _value: int) -> None:
         if self.valid or self._dictionary.number(self._mapping, 0):
-            raise SdoAbortError(DEVICE_STATE)
+            raise SdoAbortError(Abort.DEVICE_STATE)
 
     def _change_count(self, count: int) -> None:
         self._while_invalid(count)
         if count > 8:
-            raise SdoAbortError(VALUE_RANGE)
+            raise SdoAbortError(Abort.VALUE_RANGE)
         bits = 0
         for sub in range(1, count + 1):
             bits += self._checked_bits(self._dictionary.number(self._mapping, sub))
         if bits > 64:
-            raise SdoAbortError(PDO_TOO_LONG)
+            raise SdoAbortError(Abort.PDO_TOO_LONG)
 
     def _checked_bits(self, value: int) -> int:
         try:
             entry = self._dictionary.entry(value >> 16, value >> 8 & 0xFF)
         except SdoAbortError:
-            raise SdoAbortError(NO_SUCH_OBJECT) from None
+            raise SdoAbortError(Abort.NO_SUCH_OBJECT) from None
         bits = value & 0xFF
         if not entry.mappable or bits != 8 * entry.size:
-            raise SdoAbortError(NOT_MAPPABLE)
+            raise SdoAbortError(Abort.NOT_MAPPABLE)
         return bits
 
 

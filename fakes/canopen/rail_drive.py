@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from enum import Enum, IntEnum
 
-from fakes.canopen.dictionary import DEVICE_STATE, Entry, SdoAbortError
+from fakes.canopen.dictionary import Abort, Entry, SdoAbortError
 from fakes.canopen.pdo import INVALID, Mapping, ReceivePdo, TransmitPdo
-from fakes.canopen.slave import DEVICE_PROFILE, CanopenSlave, NodeIdentity
+from fakes.canopen.slave import CanopenSlave, ErrorKind, NodeIdentity
 from fakes.faults import Faults
 from fakes.truth.dither import Dither
 from fakes.truth.rail_truth import RailState, RailTruth
@@ -83,10 +83,30 @@ TRANSITIONS = (
 )
 
 # Controlword bits.
-NEW_SET_POINT, AT_ONCE, RELATIVE, FAULT_RESET, HALT = 0x10, 0x20, 0x40, 0x80, 0x100
+
+
+class Control(IntEnum):
+    """Bits of the controlword."""
+
+    NEW_SET_POINT = 0x10
+    AT_ONCE = 0x20
+    RELATIVE = 0x40
+    FAULT_RESET = 0x80
+    HALT = 0x100
+
+
 # Statusword bits.
-VOLTAGE, REMOTE, TARGET_REACHED, INTERNAL_LIMIT = 1 << 4, 1 << 9, 1 << 10, 1 << 11
-MODE_DONE, MODE_ERROR = 1 << 12, 1 << 13
+
+
+class Status(IntEnum):
+    """Bits of the statusword."""
+
+    VOLTAGE = 1 << 4
+    REMOTE = 1 << 9
+    TARGET_REACHED = 1 << 10
+    INTERNAL_LIMIT = 1 << 11
+    MODE_DONE = 1 << 12
+    MODE_ERROR = 1 << 13
 
 
 def command_of(word: int) -> Command:
@@ -201,7 +221,7 @@ class RailDrive(CanopenSlave):
         if self.state in {State.FAULT_REACTION_ACTIVE, State.FAULT}:
             return
         self._following_error = code == FOLLOWING_ERROR
-        self.emergency(code, DEVICE_PROFILE)
+        self.emergency(code, ErrorKind.DEVICE_PROFILE)
         self._react_to_fault()
 
     def _react_to_fault(self) -> None:
@@ -269,13 +289,13 @@ class RailDrive(CanopenSlave):
         self._commanded = False
         before, self._word = self._word, self.dictionary.number(0x6040)
         rising = self._word & ~before
-        if rising & FAULT_RESET:
+        if rising & Control.FAULT_RESET:
             self._clear_fault()
         if self.state is not State.FAULT:
             self._walk(command_of(self._word))
-        elif rising & FAULT_RESET:
+        elif rising & Control.FAULT_RESET:
             self._walk(Command.FAULT_RESET)
-        if not self._word & NEW_SET_POINT:
+        if not self._word & Control.NEW_SET_POINT:
             self._acknowledged = False
         if self.state is State.OPERATION_ENABLED:
             self._operate(rising, before & ~self._word)
@@ -324,35 +344,35 @@ class RailDrive(CanopenSlave):
             return
         self._following_error = self._limited = False
         self._open_switch = 0
-        self.emergency(0, DEVICE_PROFILE)
+        self.emergency(0, ErrorKind.DEVICE_PROFILE)
 
     # -- operation ----------------------------------------------------------------------------
 
     def _operate(self, rising: int, falling: int) -> None:
-        if rising & HALT and self._busy:
+        if rising & Control.HALT and self._busy:
             self._halted = True
             self._rail.quick_stop(self.dictionary.number(0x6084) / COUNTS_PER_MM)
         if self._mode is Mode.PROFILE_POSITION:
-            if falling & HALT and self._halted:
+            if falling & Control.HALT and self._halted:
                 self._halted = False
                 self._start(self._target)
-            if rising & NEW_SET_POINT and not self._word & HALT:
+            if rising & Control.NEW_SET_POINT and not self._word & Control.HALT:
                 self._take_set_point()
-        elif self._mode is Mode.HOMING and rising & NEW_SET_POINT:
+        elif self._mode is Mode.HOMING and rising & Control.NEW_SET_POINT:
             self._start_homing()
 
     def _take_set_point(self) -> None:
         if self._faults.take("rail.no_acknowledge") is not None:
             return
         wanted = self.dictionary.number(0x607A)
-        wanted += self._target if self._word & RELATIVE else 0
+        wanted += self._target if self._word & Control.RELATIVE else 0
         low, high = (self.dictionary.number(0x607D, sub) for sub in (1, 2))
         target = min(max(wanted, low), high) if self._homed else wanted
         self._limited = target != wanted
         self._acknowledged = True
         self._early = self._faults.take("rail.early_target_reached") is not None
         self._hurry = self._faults.number("rail.overspeed") or 1.0
-        if self._busy and not self._word & AT_ONCE:
+        if self._busy and not self._word & Control.AT_ONCE:
             self._pending = target
         else:
             self._start(target)
@@ -400,19 +420,19 @@ class RailDrive(CanopenSlave):
         return int(negative) | int(positive) << 1
 
     def _statusword(self) -> int:
-        word = self.state.value | VOLTAGE | REMOTE
-        word |= TARGET_REACHED if self._reached or self._early else 0
-        word |= INTERNAL_LIMIT if self._limited else 0
+        word = self.state.value | Status.VOLTAGE | Status.REMOTE
+        word |= Status.TARGET_REACHED if self._reached or self._early else 0
+        word |= Status.INTERNAL_LIMIT if self._limited else 0
         if self._mode is Mode.HOMING:
             done, error = self._homed, self._homing_error
         else:
             done = self._acknowledged or self._pending is not None
             error = self._following_error
-        return word | (MODE_DONE if done else 0) | (MODE_ERROR if error else 0)
+        return word | (Status.MODE_DONE if done else 0) | (Status.MODE_ERROR if error else 0)
 
     def _change_mode(self, mode: int) -> None:
         if self._busy:
-            raise SdoAbortError(DEVICE_STATE)
+            raise SdoAbortError(Abort.DEVICE_STATE)
         self._mode = Mode(mode)
 
     def _shown_mode(self) -> int:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from fakes.canopen.dictionary import Entry
 from fakes.canopen.pdo import INVALID, Mapping, TransmitPdo
-from fakes.canopen.slave import DEVICE_PROFILE, CanopenSlave, NodeIdentity
+from fakes.canopen.slave import CanopenSlave, ErrorKind, NodeIdentity
 from fakes.faults import Faults
 from fakes.strips.line import StripSensor
 from fakes.truth.rail_truth import RailState
@@ -44,7 +44,7 @@ class RailStrip(CanopenSlave):
         alarms = POSITION_ERROR if self._sensor.missing else 0
         encoder_fault = 0x7305
         if alarms != self._alarms:
-            self.emergency(encoder_fault if alarms else 0, DEVICE_PROFILE)
+            self.emergency(encoder_fault if alarms else 0, ErrorKind.DEVICE_PROFILE)
         self._alarms = alarms
 
     def _add_objects(self) -> None:

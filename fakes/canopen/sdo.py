@@ -9,13 +9,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from fakes.canopen.dictionary import (
-    TOGGLE_NOT_ALTERNATED,
-    UNKNOWN_COMMAND,
-    WRONG_LENGTH,
-    ObjectDictionary,
-    SdoAbortError,
-)
+from fakes.canopen.dictionary import Abort, ObjectDictionary, SdoAbortError
 
 HEADER = struct.Struct("<BHB")
 ABORT = 0x80
@@ -33,7 +27,7 @@ class _Transfer:
 
     def check_toggle(self, command: int) -> None:
         if command & TOGGLE != self.toggle:
-            raise SdoAbortError(TOGGLE_NOT_ALTERNATED)
+            raise SdoAbortError(Abort.TOGGLE_NOT_ALTERNATED)
         self.toggle ^= TOGGLE
 
 
@@ -81,7 +75,7 @@ class SdoServer:
             return self._upload_segment(self._upload, command)
         if specifier == 0 and self._download is not None:
             return self._download_segment(self._download, command, request)
-        raise SdoAbortError(UNKNOWN_COMMAND)
+        raise SdoAbortError(Abort.UNKNOWN_COMMAND)
 
     def _initiate_upload(self, index: int, sub: int) -> bytes:
         self.reset()
@@ -116,10 +110,10 @@ class SdoServer:
         transfer.check_toggle(command)
         transfer.data += request[1 : 8 - (command >> 1 & 7)]
         if len(transfer.data) > LONGEST:
-            raise SdoAbortError(WRONG_LENGTH)
+            raise SdoAbortError(Abort.WRONG_LENGTH)
         if command & 1:
             if transfer.announced not in {None, len(transfer.data)}:
-                raise SdoAbortError(WRONG_LENGTH)
+                raise SdoAbortError(Abort.WRONG_LENGTH)
             self._dictionary.download(transfer.index, transfer.sub, transfer.data)
             self._download = None
         return bytes([0x20 | command & TOGGLE]) + bytes(7)

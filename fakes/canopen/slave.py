@@ -24,7 +24,16 @@ from fakes.canopen.sdo import SdoServer
 NMT_COB_ID, SYNC_COB_ID = 0x000, 0x080
 HEARTBEAT_LOST = 0x8130
 PDO_TOO_SHORT = 0x8210
-GENERIC, COMMUNICATION, DEVICE_PROFILE = 0x01, 0x10, 0x20
+
+
+class ErrorKind(IntEnum):
+    """Bits of the error register, 1001h."""
+
+    GENERIC = 0x01
+    COMMUNICATION = 0x10
+    DEVICE_PROFILE = 0x20
+
+
 COMMUNICATION_AREA, WHOLE_DICTIONARY = range(0x1000, 0x2000), range(0x10000)
 KEPT_ERRORS = 4
 
@@ -142,7 +151,9 @@ class CanopenSlave:
         """Send EMCY ``code`` and keep it in 1001h and 1003h; code 0 clears ``register``."""
         dictionary = self.dictionary
         old = dictionary.number(0x1001)
-        dictionary.set(0x1001, 0, old | register | GENERIC if code else self._cleared(register))
+        dictionary.set(
+            0x1001, 0, old | register | ErrorKind.GENERIC if code else self._cleared(register)
+        )
         if code:
             self._keep_error(code)
         if self.nmt is not Nmt.STOPPED:
@@ -150,8 +161,8 @@ class CanopenSlave:
             self._send(dictionary.number(0x1014) & 0x7FF, frame)
 
     def _cleared(self, register: int) -> int:
-        left = self.dictionary.number(0x1001) & ~(register | GENERIC)
-        return left | GENERIC if left else 0
+        left = self.dictionary.number(0x1001) & ~(register | ErrorKind.GENERIC)
+        return left | ErrorKind.GENERIC if left else 0
 
     def _keep_error(self, code: int) -> None:
         kept = [self.dictionary.number(0x1003, sub) for sub in range(1, KEPT_ERRORS + 1)]
@@ -167,7 +178,7 @@ class CanopenSlave:
         match data[0]:
             case 1 if self._heartbeat_lost:
                 self.nmt = Nmt.PRE_OPERATIONAL
-                self.emergency(HEARTBEAT_LOST, COMMUNICATION)
+                self.emergency(HEARTBEAT_LOST, ErrorKind.COMMUNICATION)
             case 1:
                 self.nmt = Nmt.OPERATIONAL
                 for pdo in self.transmit_pdos:
@@ -198,7 +209,7 @@ class CanopenSlave:
             return
         for receive in self.receive_pdos:
             if receive.valid and not receive.at_sync():
-                self.emergency(PDO_TOO_SHORT, COMMUNICATION)
+                self.emergency(PDO_TOO_SHORT, ErrorKind.COMMUNICATION)
         self.written()
         for transmit in self.transmit_pdos:
             data = transmit.at_sync()
@@ -217,7 +228,7 @@ class CanopenSlave:
         for pdo in self.receive_pdos:
             if pdo.valid and pdo.cob_id == cob_id:
                 if not pdo.take(data):
-                    self.emergency(PDO_TOO_SHORT, COMMUNICATION)
+                    self.emergency(PDO_TOO_SHORT, ErrorKind.COMMUNICATION)
                 self.written()
 
     def _send_events(self, now_s: float) -> None:
@@ -243,11 +254,11 @@ class CanopenSlave:
         self._heard_by_s = now_s + (watched & 0xFFFF) / 1000.0
         if self._heartbeat_lost:
             self._heartbeat_lost = False
-            self.emergency(0, COMMUNICATION)
+            self.emergency(0, ErrorKind.COMMUNICATION)
 
     def _lose_heartbeat(self) -> None:
         self._heartbeat_lost = True
-        self.emergency(HEARTBEAT_LOST, COMMUNICATION)
+        self.emergency(HEARTBEAT_LOST, ErrorKind.COMMUNICATION)
         self.connection_lost()
         if self.nmt is Nmt.OPERATIONAL and self.dictionary.number(0x1029, 1) == 0:
             self.nmt = Nmt.PRE_OPERATIONAL

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
+from enum import IntEnum
 from functools import partial
 
 import numpy as np
@@ -34,9 +35,27 @@ from fakes.truth.robot_motion import RobotMotion, RobotState
 from fakes.truth.transforms import Array
 from hilcell.cell.file import Cell
 
-MOVE_PTP, MOVE_SLIDE = 1, 2
-OK, UNKNOWN_COMMAND, OUT_OF_LIMITS, LOST, STOPPED = 0, 1, 2, 8, 9
-SLIDE_AWAY, SLIDE_HELD, SLIDE_FREE = 3, 4, 5
+
+class Motion(IntEnum):
+    """Values of HC_CMD."""
+
+    PTP = 1
+    SLIDE = 2
+
+
+class Error(IntEnum):
+    """Values of HC_ERR."""
+
+    OK = 0
+    UNKNOWN_COMMAND = 1
+    OUT_OF_LIMITS = 2
+    SLIDE_AWAY = 3
+    SLIDE_HELD = 4
+    SLIDE_FREE = 5
+    LOST = 8
+    STOPPED = 9
+
+
 SLIDE_MM = 0.05  # it may read so far from where it is held
 LIFE_MS = 1500
 AXES = tuple(f"A{n}" for n in range(1, 7))
@@ -91,7 +110,7 @@ class KrlController:
             self._hold_slide()
             self._timer.stop()
             self._keeps_acknowledge = self._frozen = False
-            self._acknowledged, self._error = self._integers["HC_SEQ"], OK
+            self._acknowledged, self._error = self._integers["HC_SEQ"], Error.OK
             self._set_override(100)
 
     def read(self, name: str) -> str:
@@ -255,29 +274,29 @@ class KrlController:
 
     def _start_slide(self) -> int:
         if self._slide is None:
-            return UNKNOWN_COMMAND
+            return Error.UNKNOWN_COMMAND
         if self._slide.held:
-            return SLIDE_HELD
+            return Error.SLIDE_HELD
         target_mm = self._target_deg["E1"]
         softlimit = self._faults.take("robot.softlimit") is not None
         if softlimit or not self._slide.inside(target_mm):
-            return OUT_OF_LIMITS
+            return Error.OUT_OF_LIMITS
         self._keeps_acknowledge = self._faults.take("robot.ack_previous") is not None
         self._frozen = self._faults.take("robot.frozen") is not None
         if not self._frozen:
             self._slide.move(target_mm, min(max(self._integers["HC_VEL"], 1), 100), self._share)
         self._slide_mm = target_mm
         self._timer.start(-self._integers["HC_LIFE"])
-        return OK
+        return Error.OK
 
     def _slide_forbids(self) -> int:
         """Return why the arm must not move, else `OK`."""
         if self._slide is None:
-            return OK
+            return Error.OK
         if not self._slide.held:
-            return SLIDE_FREE
+            return Error.SLIDE_FREE
         away_mm = abs(self._slide.poll(self._share).encoder_mm - self._slide_mm)
-        return OK if away_mm <= SLIDE_MM else SLIDE_AWAY
+        return Error.OK if away_mm <= SLIDE_MM else Error.SLIDE_AWAY
 
     @property
     def _share(self) -> float:
@@ -302,28 +321,28 @@ class KrlController:
         elif ready and self._integers["HC_SEQ"] != self._acknowledged:
             self._running = self._integers["HC_SEQ"]
             self._error = self._start()
-            if self._error != OK:
+            if self._error != Error.OK:
                 self._acknowledge()
 
     def _start(self) -> int:
         self._looks = 0
-        if self._integers["HC_CMD"] == MOVE_SLIDE:
+        if self._integers["HC_CMD"] == Motion.SLIDE:
             return self._start_slide()
-        if self._integers["HC_CMD"] != MOVE_PTP:
-            return UNKNOWN_COMMAND
-        if (forbidden := self._slide_forbids()) != OK:
+        if self._integers["HC_CMD"] != Motion.PTP:
+            return Error.UNKNOWN_COMMAND
+        if (forbidden := self._slide_forbids()) != Error.OK:
             return forbidden
         target_deg = np.array([self._target_deg[axis] for axis in AXES])
         inside = (target_deg >= self._low_deg) & (target_deg <= self._high_deg)
         if not inside.all() or self._faults.take("robot.softlimit") is not None:
-            return OUT_OF_LIMITS
+            return Error.OUT_OF_LIMITS
         struck = strike(self._faults, self._harms, target_deg)
         self._keeps_acknowledge, self._frozen = struck.keeps_acknowledge, struck.frozen
         if not self._frozen:
             speed = min(max(self._integers["HC_VEL"], 1), 100) / 100.0
             self._motion.move(np.radians(struck.target_deg), speed)
         self._timer.start(-self._integers["HC_LIFE"])
-        return OK
+        return Error.OK
 
     def _acknowledge(self) -> None:
         if self._running is not None and not self._keeps_acknowledge:
@@ -332,7 +351,7 @@ class KrlController:
 
     def _stop(self, wanted: bool) -> None:
         if wanted and not self._in_stop:
-            self._brake(STOPPED)
+            self._brake(Error.STOPPED)
         elif not wanted and self._in_stop and not self._slides_on:
             self._in_stop = self._keeps_acknowledge = self._frozen = False
             self._hold_slide()
@@ -355,7 +374,7 @@ class KrlController:
         with self._lock:
             self._run_program()  # a motion that has ended meanwhile needs no sign any more
             if self._timer.ran_out and self._running is not None and not self._in_stop:
-                self._brake(LOST)
+                self._brake(Error.LOST)
 
     def _set_override(self, percent: int) -> None:
         if not 0 <= percent <= 100:

@@ -12,6 +12,7 @@ import struct
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import IntEnum
 
 import numpy as np
 
@@ -35,14 +36,30 @@ from fakes.truth.tracker_truth import Instrument, Measurement
 from fakes.truth.transforms import Array
 from hilcell.cell.file import Cell
 
-METRE, MILLIMETRE = 0, 1
-MM_PER_UNIT = {METRE: 1000.0, MILLIMETRE: 1.0}
+METRE = 0
+MM_PER_UNIT = {METRE: 1000.0, 1: 1.0}  # m, mm
 RAD_PER_UNIT = {0: 1.0, 1: math.pi / 180, 2: math.pi / 200}
 AXES = {0: (1, 1, 1), 1: (-1, 1, 1), 2: (1, -1, 1), 3: (1, 1, -1)}  # RHR, LHRX, LHRY, LHRZ
-STATIONARY, CONTINUOUS_TIME = 0, 1
+
+
+class Mode(IntEnum):
+    """Modes of measurement."""
+
+    STATIONARY = 0
+    CONTINUOUS_TIME = 1
+
+
 INITIALISE_S, POINT_S, FACE_S = 30.0, 0.6, 4.0
 STILL_MM = 0.02  # a target that moves farther meanwhile gives no stationary result
-FIRST_FACE, SECOND_FACE = 1, 2
+
+
+class Face(IntEnum):
+    """Faces of the tracker."""
+
+    FIRST = 1
+    SECOND = 2
+
+
 SERIAL, VERSION, SENSOR_AT401 = 402871, (3, 8, 0), 70
 OFFSETS_MM = {"SMR 1.5in": 19.05, "SMR 0.875in": 11.1125, "SMR 0.5in": 6.35}
 BALL = 1  # target type: corner cube
@@ -70,7 +87,7 @@ class Answer:
 class _Settings:
     units: tuple[int, ...] = (METRE, 0, 0, 0, 0)
     axes: int = 0
-    mode: int = STATIONARY
+    mode: int = Mode.STATIONARY
     stationary: tuple[int, int] = (1000, 1)
     continuous: tuple[int, int, int, int] = (500, 0, 0, 0)  # separation ms, points, region
     search: tuple[float, int] = (12.0, 30_000)  # mm, ms
@@ -103,7 +120,7 @@ class EmsconDevice:
         self._initialised = False
         self._pointing_mm = np.array([1000.0, 0.0, 0.0])
         self._target: str | None = None
-        self._face = FIRST_FACE
+        self._face = Face.FIRST
         self._late: list[bytes] = []
         self._handlers = self._settings_handlers() | self._query_handlers() | self._work_handlers()
 
@@ -171,8 +188,8 @@ class EmsconDevice:
         return Status.OK if arguments[0] in self._reflectors else Status.WRONG_PARAMETER_1
 
     def _has_mode(self, mode: tuple[float, ...]) -> Status:
-        streams = mode[0] == CONTINUOUS_TIME and self._streams is not None
-        return Status.OK if mode[0] == STATIONARY or streams else Status.NOT_IMPLEMENTED
+        streams = mode[0] == Mode.CONTINUOUS_TIME and self._streams is not None
+        return Status.OK if mode[0] == Mode.STATIONARY or streams else Status.NOT_IMPLEMENTED
 
     # -- queries --------------------------------------------------------------------------------
 
@@ -229,7 +246,7 @@ class EmsconDevice:
     def _measurement_status(self) -> bytes:
         found, compensated, distance, distance_compensated, face_1 = 1, 2, 4, 8, 4096
         bits = found | compensated | distance | distance_compensated
-        bits |= face_1 if self._face == FIRST_FACE else 0
+        bits |= face_1 if self._face == Face.FIRST else 0
         bits |= 2048 if self._target is not None else 0
         bits |= 65536 if self._initialised else 0
         return struct.pack("<Ii", Status.OK, bits)
@@ -268,7 +285,7 @@ class EmsconDevice:
 
     def _initialise(self, command: Command, arguments: tuple[float, ...]) -> Answer:
         def finish() -> Answer:
-            self._initialised, self._target, self._face = True, None, FIRST_FACE
+            self._initialised, self._target, self._face = True, None, Face.FIRST
             return Answer([reply(command), status_change(Change.INITIALIZATION)])
 
         return Answer(later=Later(INITIALISE_S, finish))
@@ -283,7 +300,7 @@ class EmsconDevice:
             return Answer([reply(command, Status.NOT_INITIALIZED)])
 
         def finish() -> Answer:
-            self._face = FIRST_FACE + SECOND_FACE - self._face
+            self._face = Face.SECOND if self._face is Face.FIRST else Face.FIRST
             seen = Change.READY if self._lock_on() else Change.NOT_READY
             return Answer([reply(command), status_change(seen)])
 
@@ -344,7 +361,7 @@ class EmsconDevice:
         began_mm = self._instrument.reflector(target)
         if began_mm is None:  # carried away
             return self._broken(command)
-        if self._settings.mode == CONTINUOUS_TIME:
+        if self._settings.mode == Mode.CONTINUOUS_TIME:
             measuring = status_change(Change.MEASURING)
             return Answer([reply(command), measuring], stream=self._stream_of(target))
         later = Later(
@@ -409,7 +426,7 @@ class EmsconDevice:
             return Answer([*[status_change(Change.REFRACTION)] * storm, *packets, ready])
 
     def _measured(self, target: str) -> Measurement | None:
-        return self._instrument.measure(target, back=self._face == SECOND_FACE)
+        return self._instrument.measure(target, back=self._face == Face.SECOND)
 
     def _broken(self, command: Command) -> Answer:
         """The beam has lost its reflector."""

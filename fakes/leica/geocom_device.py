@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import IntEnum
 
 import numpy as np
 
@@ -21,17 +22,29 @@ NAME, SERIAL, FIRMWARE = "TS60 (simulated)", 884321, (8, 50, 0)
 MM = 1000.0
 TURN_S, AIM_S, DISTANCE_S, ANGLE_S = 0.6, 0.4, 1.5, 0.1
 
-OK, INVALID, NOT_IMPLEMENTED, ABORTED, BUSY = 0, 2, 5, 8, 13
-TILTED, INACCURATE, ANGLES_ONLY, DISTANCE_ERROR = 22, 1284, 1285, 1292
-NO_TARGET, SEVERAL, ATR_OFF = 8710, 8711, 8714
-STOP, DISTANCE, CLEAR = 0, 1, 3
+
+class Code(IntEnum):
+    """Return codes."""
+
+    OK = 0
+    INVALID = 2
+    NOT_IMPLEMENTED = 5
+    ABORTED = 8
+    BUSY = 13
+    TILTED = 22
+    INACCURATE = 1284
+    ANGLES_ONLY = 1285
+    DISTANCE_ERROR = 1292
+    NO_TARGET = 8710
+    SEVERAL = 8711
+    ATR_OFF = 8714
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
     """A return code with its values, perhaps after plant time has passed."""
 
-    code: int = OK
+    code: int = Code.OK
     values: tuple[str, ...] = ()
     after_s: float = 0.0
     finish: Callable[[], Answer] | None = None
@@ -100,10 +113,10 @@ class GeocomDevice:
     def handle(self, rpc: int, parameters: list[float]) -> Answer:
         """Return the answer to a request."""
         if not self.knows(rpc):
-            return Answer(NOT_IMPLEMENTED)
+            return Answer(Code.NOT_IMPLEMENTED)
         count, handler = self._handlers[rpc]
         if len(parameters) != count or not all(map(math.isfinite, parameters)):
-            return Answer(INVALID)
+            return Answer(Code.INVALID)
         return handler(*parameters)
 
     def abort(self) -> None:
@@ -115,7 +128,7 @@ class GeocomDevice:
     def _keep(self, name: str, allowed: Callable[[float], bool]) -> Callable[[float], Answer]:
         def handler(value: float) -> Answer:
             if value != int(value) or not allowed(value):
-                return Answer(INVALID)
+                return Answer(Code.INVALID)
             setattr(self._state, name, int(value))
             return Answer()
 
@@ -127,13 +140,13 @@ class GeocomDevice:
 
     def _set_corrections(self, *on: float) -> Answer:
         if not set(on) <= {0, 1}:
-            return Answer(INVALID)
+            return Answer(Code.INVALID)
         self._state.corrections = on
         return Answer()
 
     def _set_atmosphere(self, *values: float) -> Answer:
         if not 500 <= values[1] <= 1200:
-            return Answer(INVALID)
+            return Answer(Code.INVALID)
         self._state.atmosphere = values
         return Answer()
 
@@ -144,7 +157,7 @@ class GeocomDevice:
 
     def _turn(self, hz: float, v: float, aim: float) -> Answer:
         if not 0 <= v <= math.tau:
-            return Answer(INVALID)
+            return Answer(Code.INVALID)
         state = self._state
         state.face = int(v > math.pi)
         state.pointing = (hz % math.tau, v) if not state.face else _other_face(hz, v)
@@ -163,7 +176,7 @@ class GeocomDevice:
 
     def _aim(self, width: float, height: float) -> Answer:
         if not self._state.atr:
-            return Answer(ATR_OFF)
+            return Answer(Code.ATR_OFF)
         return Answer(after_s=AIM_S, finish=lambda: self._lock_on(width, height))
 
     def _lock_on(self, width: float, height: float) -> Answer:
@@ -179,13 +192,13 @@ class GeocomDevice:
         inside.sort(key=lambda each: each[0])
         take = self._faults.take
         if not inside or take("tracker.no_reflector") is not None:
-            return Answer(NO_TARGET)
+            return Answer(Code.NO_TARGET)
         apart_rad = 1e-3  # two targets closer than this are several to the target recognition
         if len(inside) > 1 and _apart(inside[0][1], inside[1][1]) < apart_rad:
-            return Answer(SEVERAL)
+            return Answer(Code.SEVERAL)
         name = self._instrument.find(inside[0][1], 1e-3)
         if name is None:
-            return Answer(NO_TARGET)
+            return Answer(Code.NO_TARGET)
         self._state.target = name
         self._state.pointing = _direction(self._instrument.reflectors()[name])
         return Answer()
@@ -193,19 +206,20 @@ class GeocomDevice:
     # -- measuring ------------------------------------------------------------------------------
 
     def _start(self, command: float, mode: float) -> Answer:
+        stop, distance, clear = 0, 1, 3
         state = self._state
-        if command == CLEAR:
+        if command == clear:
             state.measured, state.started = None, False
             return Answer()
-        if command == STOP:
+        if command == stop:
             state.started = False
             return Answer()
-        if command != DISTANCE:
-            return Answer(NOT_IMPLEMENTED)
+        if command != distance:
+            return Answer(Code.NOT_IMPLEMENTED)
         if self._faults.take("tracker.vanish") is not None:
             raise Vanished
         if self._faults.take("tracker.busy") is not None:
-            return Answer(BUSY)
+            return Answer(Code.BUSY)
         state.started = True
         return Answer()
 
@@ -229,9 +243,9 @@ class GeocomDevice:
         if take("tracker.no_distance") is not None:
             return form(*state.pointing, 0.0)
         if take("tracker.beam_break_before") is not None:
-            return Answer(DISTANCE_ERROR)
+            return Answer(Code.DISTANCE_ERROR)
         if take("tracker.beam_break_after") is not None:
-            return Answer(DISTANCE_ERROR)
+            return Answer(Code.DISTANCE_ERROR)
         found = None if state.target is None else self._instrument.measure(state.target)
         if found is None:
             return form(*state.pointing, 0.0)
@@ -246,7 +260,7 @@ class GeocomDevice:
         answer = form(*state.measured)
         if code is None:
             return answer
-        return Answer(int(code), answer.values if code in (1283, INACCURATE) else ())
+        return Answer(int(code), answer.values if code in (1283, Code.INACCURATE) else ())
 
     def _polar(self, hz: float, v: float, distance_m: float) -> Answer:
         if self._state.face:
@@ -255,14 +269,14 @@ class GeocomDevice:
         bad = self._faults.take("tracker.bad_number")
         if bad is not None:
             values = (str(bad), *values[1:])
-        return Answer(OK if distance_m else ANGLES_ONLY, values)
+        return Answer(Code.OK if distance_m else Code.ANGLES_ONLY, values)
 
     def _coordinates(self, hz: float, v: float, distance_m: float) -> Answer:
         """East, north and height, and their time, twice: of the last and of the running reading."""
         across_m = distance_m * math.sin(v)
         east, north = across_m * math.sin(hz), across_m * math.cos(hz)
         each = (*self._reals(east, north, distance_m * math.cos(v)).values, str(self._time_ms()))
-        return Answer(OK if distance_m else ANGLES_ONLY, (*each, *each))
+        return Answer(Code.OK if distance_m else Code.ANGLES_ONLY, (*each, *each))
 
     def _angles(self) -> Answer:
         hz, v = self._state.pointing

@@ -18,7 +18,7 @@ import time as real_time
 import tty
 
 from fakes.faults import Faults, Vanished
-from fakes.leica.geocom_device import ABORTED, INVALID, Answer, GeocomDevice
+from fakes.leica.geocom_device import Answer, Code, GeocomDevice
 from fakes.site import Site
 from fakes.time import PlantTime
 from fakes.wires.line_session import RECEIVE, Connection, LineSession, Wire
@@ -111,11 +111,11 @@ class GeocomServer:
         try:
             parameters = [float(each) for each in text.split(b",")] if text else []
         except ValueError:
-            return Answer(INVALID)
+            return Answer(Code.INVALID)
         answer = self._device.handle(rpc, parameters)
         while answer.finish is not None:
             if not self._let_pass(session, answer.after_s):
-                return Answer(ABORTED)
+                return Answer(Code.ABORTED)
             answer = answer.finish()
         return answer
 

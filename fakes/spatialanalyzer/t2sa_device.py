@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from enum import IntEnum
 
 import numpy as np
 
@@ -25,18 +26,31 @@ SEARCH_MM, BEAM_MM = 150.0, 8.0  # beside the aim: with the camera's help, and w
 MM_PER_INCH = 25.4
 DAWN = datetime(2026, 1, 5, 8, 0, tzinfo=UTC)
 
-REJECTED, BUSY, NOT_MEASURED, NO_POINT = 200, 201, 305, 306
-NO_PROFILE, NO_FRAME, HALTED, NOT_SIMULATING, NOT_READY = 307, 314, 330, 337, 338
-WORDS = {
-    REJECTED: "Command rejected.",
-    BUSY: "Command rejected. SA is busy.",
-    NOT_MEASURED: "Measurement of point failed.",
-    NO_POINT: "Did not find or set point group and target name.",
-    NO_PROFILE: "Requested measurement profile does not exist.",
-    NO_FRAME: "Working frame not set, not found.",
-    HALTED: "Measurement halted.",
-    NOT_SIMULATING: "Failed to set simulation mode.",
-    NOT_READY: "Instrument is not ready.",
+
+class Refusal(IntEnum):
+    """Codes of refused requests."""
+
+    REJECTED = 200
+    BUSY = 201
+    NOT_MEASURED = 305
+    NO_POINT = 306
+    NO_PROFILE = 307
+    NO_FRAME = 314
+    HALTED = 330
+    NOT_SIMULATING = 337
+    NOT_READY = 338
+
+
+WORDS: dict[int, str] = {
+    Refusal.REJECTED: "Command rejected.",
+    Refusal.BUSY: "Command rejected. SA is busy.",
+    Refusal.NOT_MEASURED: "Measurement of point failed.",
+    Refusal.NO_POINT: "Did not find or set point group and target name.",
+    Refusal.NO_PROFILE: "Requested measurement profile does not exist.",
+    Refusal.NO_FRAME: "Working frame not set, not found.",
+    Refusal.HALTED: "Measurement halted.",
+    Refusal.NOT_SIMULATING: "Failed to set simulation mode.",
+    Refusal.NOT_READY: "Instrument is not ready.",
 }
 SETTINGS = ("!SET_STATION_LOCK", "SET_NUM_SAMPLES", "SET_NUM_ITERATIONS", "SET_RANDOMIZE_POINTS")
 
@@ -77,7 +91,9 @@ class T2saDevice:
             "!LST": self._switch,
             "!MEAS_SINGLE_POINT": self._measure,
             "!SET_SIM": self._simulate,
-            "!SET_WORKING_FRAME": lambda name: refusal(NO_FRAME) if name else refusal(REJECTED),
+            "!SET_WORKING_FRAME": lambda name: (
+                refusal(Refusal.NO_FRAME) if name else refusal(Refusal.REJECTED)
+            ),
             "!SINGLE_POINT_MEAS_PROFILE": self._choose_profile,
             "?LSTA": lambda _: Answer(f"ACK-300 {self._laser()}"),
             "?POINT_POS": self._position,
@@ -90,13 +106,13 @@ class T2saDevice:
         """Return the answer to a request."""
         name, _, values = line.partition(":")
         handler = self._handlers.get(name)
-        return refusal(REJECTED) if handler is None else handler(values)
+        return refusal(Refusal.REJECTED) if handler is None else handler(values)
 
     # -- settings -------------------------------------------------------------------------------
 
     def _switch(self, value: str) -> Answer:
         if value not in ("0", "1"):
-            return refusal(REJECTED)
+            return refusal(Refusal.REJECTED)
         on = value == "1"
         if not on:
             self._warm_s = None
@@ -112,18 +128,18 @@ class T2saDevice:
 
     def _simulate(self, value: str) -> Answer:
         if value != "0" or self._faults.take("tracker.t2sa_simulation") is not None:
-            return refusal(NOT_SIMULATING)
+            return refusal(Refusal.NOT_SIMULATING)
         return Answer("ACK-300 Set 0")
 
     def _choose_profile(self, name: str) -> Answer:
         profiles = ("Single Pt. To SA", "Standard Pt. To SA")
         if name not in profiles:
-            return refusal(NO_PROFILE)
+            return refusal(Refusal.NO_PROFILE)
         return Answer(f"ACK-300 Single Point Measurement Profile set to {name}")
 
     def _set_power_lock(self, value: str) -> Answer:
         if value not in ("0", "1"):
-            return refusal(REJECTED)
+            return refusal(Refusal.REJECTED)
         self._window_mm = SEARCH_MM if value == "1" else BEAM_MM
         return Answer()
 
@@ -138,7 +154,7 @@ class T2saDevice:
     def _position(self, path: str) -> Answer:
         at_mm = self._named(path)
         if at_mm is None:
-            return refusal(NO_POINT)
+            return refusal(Refusal.NO_POINT)
         return Answer(self._result(path, self._in_units(at_mm)))
 
     def _measure(self, path: str) -> Answer:
@@ -146,15 +162,15 @@ class T2saDevice:
         if take("tracker.vanish") is not None:
             raise Vanished
         if take("tracker.busy") is not None:
-            return refusal(BUSY)
+            return refusal(Refusal.BUSY)
         code = self._faults.number("tracker.t2sa_code")
         if code is not None:
             return refusal(int(code))
         if self._laser() != "LON" or take("tracker.not_warmed_up") is not None:
-            return refusal(NOT_READY)
+            return refusal(Refusal.NOT_READY)
         aim_mm = self._named(path)
         if aim_mm is None:
-            return refusal(NO_POINT)
+            return refusal(Refusal.NO_POINT)
         off_mm, name = self._seen(aim_mm)
         search_s = SEARCH_S * min(off_mm, self._window_mm) / SEARCH_MM
 
@@ -181,10 +197,10 @@ class T2saDevice:
         take = self._faults.take
         lost = ("tracker.no_reflector", "tracker.beam_break_before", "tracker.beam_break_after")
         if any(take(fault) is not None for fault in lost):
-            return refusal(NOT_MEASURED)
+            return refusal(Refusal.NOT_MEASURED)
         found = None if name is None else self._instrument.measure(name)
         if found is None:
-            return refusal(NOT_MEASURED)
+            return refusal(Refusal.NOT_MEASURED)
         xyz_mm = found.xyz_mm
         if self._former_mm is not None and take("tracker.t2sa_old_result") is not None:
             xyz_mm = self._former_mm

@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 
 from fakes.faults import Faults, Vanished
 from fakes.site import Site
-from fakes.spatialanalyzer.t2sa_device import BUSY, HALTED, Answer, T2saDevice, refusal
+from fakes.spatialanalyzer.t2sa_device import Answer, Refusal, T2saDevice, refusal
 from fakes.time import PlantTime
 from fakes.truth.transforms import Array, frame, inverse
 from fakes.wires.line_session import Connection, LineSession
@@ -168,7 +168,7 @@ class T2saServer:
         """Return the first answer to a line; a measurement reserves the bridge."""
         with self._turn:
             if self._measuring.locked():
-                return refusal(BUSY)
+                return refusal(Refusal.BUSY)
             answer = self._device.handle(line.decode("ascii", "replace"))
             if answer.finish is not None:
                 self._measuring.acquire()
@@ -180,7 +180,7 @@ class T2saServer:
         while answer.finish is not None:
             by_this = self._let_pass(session, answer.after_s)
             if self._halted.is_set():
-                self._reply(session, refusal(HALTED))
+                self._reply(session, refusal(Refusal.HALTED))
                 return by_this
             answer = answer.finish()
         self._reply(session, answer)
@@ -198,7 +198,7 @@ class T2saServer:
                 self._halted.set()
                 return True
             if line is not None:
-                self._reply(session, refusal(BUSY))
+                self._reply(session, refusal(Refusal.BUSY))
         return False
 
     def _reply(self, session: LineSession, answer: Answer) -> None:

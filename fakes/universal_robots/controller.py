@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 import threading
+from enum import IntEnum
 from functools import partial
 
 import numpy as np
@@ -24,10 +25,46 @@ from fakes.truth.robot_motion import RobotMotion
 from fakes.truth.transforms import Array, rotation_vector
 from hilcell.cell.file import Cell
 
-RUNNING, POWER_OFF, BOOTING = 7, 3, 2  # robot modes
-NORMAL, PROTECTIVE_STOP, EMERGENCY_STOP = 1, 3, 7  # safety status
-STOPPED, PLAYING, PAUSED = 1, 2, 4  # runtime states
-OK, UNKNOWN_COMMAND, OUT_OF_LIMITS, LOST, BRAKED = 0, 1, 2, 8, 9
+
+class Mode(IntEnum):
+    """Robot modes."""
+
+    BOOTING = 2
+    POWER_OFF = 3
+    RUNNING = 7
+
+
+class Safety(IntEnum):
+    """States of the safety system."""
+
+    NORMAL = 1
+    REDUCED = 2
+    PROTECTIVE_STOP = 3
+    SAFEGUARD_STOP = 5
+    SYSTEM_EMERGENCY_STOP = 6
+    ROBOT_EMERGENCY_STOP = 7
+    VIOLATION = 8
+    FAULT = 9
+
+
+class Runtime(IntEnum):
+    """States of the program."""
+
+    STOPPED = 1
+    PLAYING = 2
+    PAUSED = 4
+
+
+class Error(IntEnum):
+    """How the program acknowledges."""
+
+    OK = 0
+    UNKNOWN_COMMAND = 1
+    OUT_OF_LIMITS = 2
+    LOST = 8
+    BRAKED = 9
+
+
 MOVE_JOINTS = 1
 STEP_S = 0.002  # of the controller
 LIFE_MS = 1500
@@ -35,9 +72,6 @@ LIFE = "input_int_register_26"  # the PC's sign
 INTEGERS, FLOATS = range(24, 29), range(24, 31)  # that a client may write
 NAME = re.compile(r"^\s*def\s+(\w+)\s*\(", re.ASCII)
 SESSION = re.compile(r"write_output_integer_register\(26, (\d+)\)", re.ASCII)
-SAFETY_NAMES = {1: "NORMAL", 2: "REDUCED", 3: "PROTECTIVE_STOP", 5: "SAFEGUARD_STOP"}
-SAFETY_NAMES |= {6: "SYSTEM_EMERGENCY_STOP", 7: "ROBOT_EMERGENCY_STOP", 8: "VIOLATION", 9: "FAULT"}
-MODE_NAMES = {2: "BOOTING", 3: "POWER_OFF", 7: "RUNNING"}
 
 Values = dict[str, float | int | Array]
 
@@ -72,7 +106,9 @@ class UrController:
     def restore(self) -> None:
         """The operator puts everything right; no program plays."""
         with self._lock:
-            self.remote, self._mode, self.safety, self._runtime = True, RUNNING, NORMAL, STOPPED
+            self.remote, self._mode = True, Mode.RUNNING
+            self.safety: int = Safety.NORMAL
+            self._runtime: int = Runtime.STOPPED
             self._fraction, self._wrong_tool = 1.0, False
             self._end_program()
             self._motion.override(1.0)
@@ -108,7 +144,7 @@ class UrController:
             if LIFE in changed:
                 self._timer.set_ms(-LIFE_MS)
             self._run()
-            if self._session and self._runtime == STOPPED:
+            if self._session and self._runtime == Runtime.STOPPED:
                 self._time.advance(STEP_S)  # a PC that looks at the end of its session waits
             # An exchange takes its time, and nothing else lets it pass; a sign of life takes none,
             # for the slower the PC, the more of them it gives.
@@ -120,14 +156,16 @@ class UrController:
         with self._lock:
             self._strike_on_request()
             name = NAME.match(script)
-            if not self.remote or self._mode != RUNNING or self.safety not in (1, 2) or not name:
+            ready = self._mode == Mode.RUNNING and self.safety in (Safety.NORMAL, Safety.REDUCED)
+            if not self.remote or not ready or not name:
                 return
             self._end_program()
-            self._program, self._runtime = name[1], PLAYING
+            self._program, self._runtime = name[1], Runtime.PLAYING
             session = SESSION.search(script)
             if self._program == "hilcell" and session:
                 self._session = int(session[1])
-                self._acknowledged, self._error = int(self._inputs["input_int_register_24"]), OK
+                self._acknowledged = int(self._inputs["input_int_register_24"])
+                self._error = Error.OK
 
     def ask(self, command: str) -> str:
         """Return the dashboard's answer."""
@@ -138,12 +176,14 @@ class UrController:
                     return "Failed to execute: stop"
                 self._end_program()
                 return "Stopped"
+            known = self.safety in Safety.__members__.values()
+            safety = Safety(self.safety).name if known else "UNDEFINED"
             answers = {
-                "robotmode": f"Robotmode: {MODE_NAMES[self._mode]}",
-                "safetystatus": f"Safetystatus: {SAFETY_NAMES.get(self.safety, 'UNDEFINED')}",
+                "robotmode": f"Robotmode: {self._mode.name}",
+                "safetystatus": f"Safetystatus: {safety}",
                 "is in remote control": str(self.remote).lower(),
-                "running": f"Program running: {str(self._runtime == PLAYING).lower()}",
-                "programState": f"{self._state_name()} {self._program or 'null'}",
+                "running": f"Program running: {str(self._runtime == Runtime.PLAYING).lower()}",
+                "programState": f"{Runtime(self._runtime).name} {self._program or 'null'}",
                 "get serial number": str(self._arm.serial),
                 "PolyscopeVersion": "URSoftware 5.12.0.1101319 (Mar 22 2022)",
             }
@@ -198,7 +238,7 @@ class UrController:
 
     @property
     def _ours(self) -> bool:
-        return self._program == "hilcell" and self._runtime == PLAYING
+        return self._program == "hilcell" and self._runtime == Runtime.PLAYING
 
     def _run(self) -> None:
         """Let the program hilcell go through its loop once."""
@@ -208,12 +248,12 @@ class UrController:
         stop = self._inputs["input_int_register_27"] != 0
         if self._moves:
             if stop:
-                self._brake(BRAKED)
+                self._brake(Error.BRAKED)
             elif not self._motion.moving and not self._frozen:
-                self._acknowledge(OK)
+                self._acknowledge(Error.OK)
         elif self._inputs["input_int_register_24"] != self._acknowledged:
-            error = BRAKED if stop else self._start()
-            if error != OK:
+            error = Error.BRAKED if stop else self._start()
+            if error != Error.OK:
                 self._acknowledge(error)
         if self._inputs["input_int_register_27"] == self._session:
             self._end_program()
@@ -221,12 +261,12 @@ class UrController:
     def _start(self) -> int:
         speed_rad_s = self._inputs["input_double_register_30"]
         if self._inputs["input_int_register_25"] != MOVE_JOINTS or not speed_rad_s > 0.0:
-            return UNKNOWN_COMMAND
+            return Error.UNKNOWN_COMMAND
         target = [self._inputs[f"input_double_register_{n}"] for n in range(24, 30)]
         target_deg = np.degrees(target)
         inside = (target_deg >= self._low_deg) & (target_deg <= self._high_deg)
         if not inside.all() or self._faults.take("robot.softlimit") is not None:
-            return OUT_OF_LIMITS
+            return Error.OUT_OF_LIMITS
         struck = strike(self._faults, self._harms, target_deg)
         self._keeps_acknowledge, self._frozen = struck.keeps_acknowledge, struck.frozen
         self._moves = True
@@ -237,7 +277,7 @@ class UrController:
             wanted_s = float(np.max(way_rad)) / speed_rad_s
             self._motion.move(to_rad, min(1.0, slowest_s / wanted_s) if wanted_s > 0 else 1.0)
         self._timer.start(-LIFE_MS)
-        return OK
+        return Error.OK
 
     def _acknowledge(self, error: int) -> None:
         if not self._keeps_acknowledge:
@@ -255,7 +295,7 @@ class UrController:
         self._timer.stop()
         if self._motion.moving:
             self._motion.brake()
-        self._program, self._runtime = "", STOPPED
+        self._program, self._runtime = "", Runtime.STOPPED
         self._moves = self._keeps_acknowledge = self._frozen = False
 
     def _life_ran_out(self) -> None:
@@ -263,10 +303,7 @@ class UrController:
         with self._lock:
             self._run()  # a motion that has ended meanwhile needs no sign any more
             if self._timer.ran_out and self._moves:
-                self._brake(LOST)
-
-    def _state_name(self) -> str:
-        return {STOPPED: "STOPPED", PLAYING: "PLAYING", PAUSED: "PAUSED"}[self._runtime]
+                self._brake(Error.LOST)
 
     # -- faults -------------------------------------------------------------------------------
 
@@ -278,7 +315,7 @@ class UrController:
             self._end_program()
         if self._faults.take("robot.restarted") is not None:
             self._end_program()
-            self._mode, self._session = BOOTING, 0
+            self._mode, self._session = Mode.BOOTING, 0
 
     def _strike_by_motion(self) -> None:
         """Let a moving robot get further, and the faults of one happen."""
@@ -287,11 +324,11 @@ class UrController:
             raise Vanished
         if take("robot.e_stop") is not None:
             self._end_program()
-            self._mode, self.safety = POWER_OFF, EMERGENCY_STOP
+            self._mode, self.safety = Mode.POWER_OFF, Safety.ROBOT_EMERGENCY_STOP
         if take("robot.stopmess") is not None:
             self._motion.brake()
             self._timer.stop()
-            self.safety, self._runtime = PROTECTIVE_STOP, PAUSED
+            self.safety, self._runtime = Safety.PROTECTIVE_STOP, Runtime.PAUSED
         if take("robot.override_zero") is not None:
             self.slide(0.0)
         if not self._time.followed:

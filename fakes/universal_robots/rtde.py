@@ -12,6 +12,7 @@ import socket
 import struct
 import threading
 import time
+from enum import IntEnum
 
 import numpy as np
 
@@ -21,7 +22,19 @@ from fakes.universal_robots.controller import UrController, Values
 from fakes.wires.listener import Listener
 from fakes.wires.segments import Segments
 
-VERSION, CONTROLLER, OUTPUTS, INPUTS, START, PAUSE, DATA = 86, 118, 79, 73, 83, 80, 85
+
+class Package(IntEnum):
+    """Types of packages."""
+
+    VERSION = 86
+    CONTROLLER = 118
+    OUTPUTS = 79
+    INPUTS = 73
+    START = 83
+    PAUSE = 80
+    DATA = 85
+
+
 HEAD = struct.Struct("!HB")
 SOFTWARE = (5, 12, 0, 1101319)
 FASTEST_HZ = 500.0
@@ -137,24 +150,24 @@ class _Session:
         return True
 
     def _answer(self, kind: int, payload: bytes) -> bool:
-        if kind == DATA:
+        if kind == Package.DATA:
             return self._write(payload)
-        if kind == VERSION:
+        if kind == Package.VERSION:
             answer = b"\x01" if payload in (b"\x00\x01", b"\x00\x02") else b"\x00"
-        elif kind == CONTROLLER:
+        elif kind == Package.CONTROLLER:
             answer = struct.pack("!4I", *SOFTWARE)
-        elif kind == OUTPUTS:
+        elif kind == Package.OUTPUTS:
             (self._rate_hz,) = struct.unpack_from("!d", payload)
             known = self._server.inputs()
             self._outputs = [(name, _kind(name, known)) for name in _names(payload[8:])]
             layout = "".join(LAYOUTS.get(kind, "") for _, kind in self._outputs)
             self._layout = struct.Struct(f"!B{layout}")
             answer = b"\x01" + ",".join(kind for _, kind in self._outputs).encode()
-        elif kind == INPUTS:
+        elif kind == Package.INPUTS:
             number, types = self._claimed(_names(payload))
             answer = bytes([number]) + ",".join(types).encode()
-        elif kind in (START, PAUSE):
-            self._started, answer = kind == START, b"\x01"
+        elif kind in (Package.START, Package.PAUSE):
+            self._started, answer = kind == Package.START, b"\x01"
         else:
             return True
         self._client.sendall(HEAD.pack(HEAD.size + len(answer), kind) + answer)
@@ -201,7 +214,7 @@ class _Session:
             value = values[name]
             numbers += value.tolist() if isinstance(value, np.ndarray) else [value]
         payload = self._layout.pack(number, *numbers)
-        package = self._glued + HEAD.pack(HEAD.size + len(payload), DATA) + payload
+        package = self._glued + HEAD.pack(HEAD.size + len(payload), Package.DATA) + payload
         self._sent += 1
         glued_every = 29
         if faults.take("robot.split_reply") is not None:
