@@ -22,11 +22,7 @@ from hilcell.cell.file import RailTable
 NODE = 5
 IDENTITY = NodeIdentity(0x00020192, "hilcell rail drive (simulated)", 0x484, 0x402, 1, 2014001)
 COUNTS_PER_MM = 1000.0
-NEGATIVE_LIMIT_SWITCH = 17  # homing method
-FOLLOWING_ERROR, LIMIT_SWITCH_HIT = 0x8611, 0x8612
 INT32 = range(-(1 << 31), 1 << 31)
-ABOVE_ZERO = range(1, 1 << 32)
-DITHER_COUNTS, DITHER_HZ = 2, 50.0
 
 
 class Mode(IntEnum):
@@ -82,8 +78,6 @@ TRANSITIONS = (
     (16, State.QUICK_STOP_ACTIVE, Command.ENABLE_OPERATION, State.OPERATION_ENABLED),
 )
 
-# Controlword bits.
-
 
 class Control(IntEnum):
     """Bits of the controlword."""
@@ -93,9 +87,6 @@ class Control(IntEnum):
     RELATIVE = 0x40
     FAULT_RESET = 0x80
     HALT = 0x100
-
-
-# Statusword bits.
 
 
 class Status(IntEnum):
@@ -123,6 +114,11 @@ def command_of(word: int) -> Command:
 class RailDrive(CanopenSlave):
     """Node 5: moves the rail of the plant as its objects say."""
 
+    NEGATIVE_LIMIT_SWITCH = 17  # homing method
+    FOLLOWING_ERROR, LIMIT_SWITCH_HIT = 0x8611, 0x8612
+    ABOVE_ZERO = range(1, 1 << 32)
+    DITHER_COUNTS, DITHER_HZ = 2, 50.0
+
     def __init__(
         self,
         rail: RailTruth,
@@ -133,7 +129,7 @@ class RailDrive(CanopenSlave):
         super().__init__(NODE, IDENTITY, send)
         self._rail, self._faults = rail, faults
         self._slide = rail.poll()
-        self._dither = Dither(DITHER_COUNTS, NODE)
+        self._dither = Dither(self.DITHER_COUNTS, NODE)
         self._forget()
         self._add_objects(table)
         self._add_pdos()
@@ -220,7 +216,7 @@ class RailDrive(CanopenSlave):
         """
         if self.state in {State.FAULT_REACTION_ACTIVE, State.FAULT}:
             return
-        self._following_error = code == FOLLOWING_ERROR
+        self._following_error = code == self.FOLLOWING_ERROR
         self.emergency(code, ErrorKind.DEVICE_PROFILE)
         self._react_to_fault()
 
@@ -239,7 +235,7 @@ class RailDrive(CanopenSlave):
         """Stop on a limit switch; ``switch`` -1 or 1 holds it open until the fault is reset."""
         self._open_switch = switch
         self._limited = True
-        self.fail(LIMIT_SWITCH_HIT)
+        self.fail(self.LIMIT_SWITCH_HIT)
 
     def _brake_down(self, deceleration: int) -> None:
         if self._busy:
@@ -390,7 +386,7 @@ class RailDrive(CanopenSlave):
 
     def _start_homing(self) -> None:
         self._reached = self._homed = False
-        self._homing_error = self.dictionary.number(0x6098) != NEGATIVE_LIMIT_SWITCH
+        self._homing_error = self.dictionary.number(0x6098) != self.NEGATIVE_LIMIT_SWITCH
         if self._homing_error:
             return
         self._homing = self._busy = True
@@ -411,7 +407,7 @@ class RailDrive(CanopenSlave):
         return self._position() + (self._dither.counts if self._dithers() else 0)
 
     def _velocity(self) -> int:
-        hunting = DITHER_HZ * self._dither.change if self._dithers() else 0.0
+        hunting = self.DITHER_HZ * self._dither.change if self._dithers() else 0.0
         return round(self._slide.velocity_mm_s * COUNTS_PER_MM + hunting)
 
     def _inputs(self) -> int:
@@ -476,11 +472,11 @@ class RailDrive(CanopenSlave):
             0x6084: acceleration,
             0x6085: 2 * acceleration,
         }.items():
-            add(index, 0, Entry("I", value, mappable=True, allowed=ABOVE_ZERO))
-        add(0x6098, 0, Entry("b", 0, allowed=(0, NEGATIVE_LIMIT_SWITCH)))
+            add(index, 0, Entry("I", value, mappable=True, allowed=self.ABOVE_ZERO))
+        add(0x6098, 0, Entry("b", 0, allowed=(0, self.NEGATIVE_LIMIT_SWITCH)))
         speeds = (speed // 5, speed // 50)
-        record(0x6099, *(Entry("I", value, allowed=ABOVE_ZERO) for value in speeds))
-        add(0x609A, 0, Entry("I", acceleration, allowed=ABOVE_ZERO))
+        record(0x6099, *(Entry("I", value, allowed=self.ABOVE_ZERO) for value in speeds))
+        add(0x609A, 0, Entry("I", acceleration, allowed=self.ABOVE_ZERO))
         add(0x60FD, 0, Entry("I", 0, "ro", mappable=True, read=self._inputs))
         add(0x6502, 0, Entry("I", 1 << 0 | 1 << 5, "ro"))
 

@@ -17,13 +17,14 @@ from fakes.truth.rail_truth import RailState
 
 NODE = 6
 IDENTITY = NodeIdentity(0x00080196, "hilcell strip sensor (simulated)", 0x484, 0x406, 1, 2014002)
-SPEED_STEP = 10  # 6005:02, in 0.01 mm/s
-INT16 = range(-(1 << 15), 1 << 15)
 POSITION_ERROR = 1 << 0
 
 
 class RailStrip(CanopenSlave):
     """Node 6: says where the strip sees the slide."""
+
+    SPEED_STEP = 10  # 6005:02, in 0.01 mm/s
+    INT16 = range(-(1 << 15), 1 << 15)
 
     def __init__(
         self, slide: RailState, faults: Faults, send: Callable[[int, bytes], None]
@@ -52,7 +53,7 @@ class RailStrip(CanopenSlave):
         add(0x6000, 0, Entry("H", 0, allowed=(0,)))
         add(0x6004, 0, Entry("i", 0, "ro", mappable=True, read=lambda: self._sensor.position))
         step_nm = 10_000  # 6005:01 and 6501, in 0.001 um
-        record(0x6005, Entry("I", step_nm, "ro"), Entry("I", SPEED_STEP, "ro"))
+        record(0x6005, Entry("I", step_nm, "ro"), Entry("I", self.SPEED_STEP, "ro"))
         record(0x6030, Entry("h", 0, "ro", mappable=True, read=self._speed))
         add(0x6200, 0, Entry("H", 0, write=self._change_cycle))
         add(0x6500, 0, Entry("H", 0, "ro", mappable=True))
@@ -64,8 +65,8 @@ class RailStrip(CanopenSlave):
         add(0x650B, 0, Entry("I", IDENTITY.serial, "ro"))
 
     def _speed(self) -> int:
-        speed = round(self._sensor.velocity_mm_s * 100.0 / SPEED_STEP)
-        return min(max(speed, INT16[0]), INT16[-1])
+        speed = round(self._sensor.velocity_mm_s * 100.0 / self.SPEED_STEP)
+        return min(max(speed, self.INT16[0]), self.INT16[-1])
 
     def _change_cycle(self, period_ms: int) -> None:
         # 6200h is the profile's name for the event timer of the first TPDO.

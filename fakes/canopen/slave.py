@@ -23,7 +23,6 @@ from fakes.canopen.sdo import SdoServer
 
 NMT_COB_ID, SYNC_COB_ID = 0x000, 0x080
 HEARTBEAT_LOST = 0x8130
-PDO_TOO_SHORT = 0x8210
 
 
 class ErrorKind(IntEnum):
@@ -33,9 +32,6 @@ class ErrorKind(IntEnum):
     COMMUNICATION = 0x10
     DEVICE_PROFILE = 0x20
 
-
-COMMUNICATION_AREA, WHOLE_DICTIONARY = range(0x1000, 0x2000), range(0x10000)
-KEPT_ERRORS = 4
 
 Send = Callable[[int, bytes], None]
 
@@ -63,6 +59,10 @@ class NodeIdentity:
 
 class CanopenSlave:
     """One node on the bus; ``send(cob_id, data)`` puts its frames there."""
+
+    PDO_TOO_SHORT = 0x8210
+    COMMUNICATION_AREA, WHOLE_DICTIONARY = range(0x1000, 0x2000), range(0x10000)
+    KEPT_ERRORS = 4
 
     def __init__(self, node: int, identity: NodeIdentity, send: Send) -> None:
         self.node = node
@@ -143,7 +143,7 @@ class CanopenSlave:
     def reset(self, now_s: float) -> None:
         """Reset the whole node, as NMT command 129 or a short loss of power does."""
         self.switched_off()
-        self._restart(WHOLE_DICTIONARY, now_s)
+        self._restart(self.WHOLE_DICTIONARY, now_s)
 
     # -- emergencies --------------------------------------------------------------------------
 
@@ -165,10 +165,10 @@ class CanopenSlave:
         return left | ErrorKind.GENERIC if left else 0
 
     def _keep_error(self, code: int) -> None:
-        kept = [self.dictionary.number(0x1003, sub) for sub in range(1, KEPT_ERRORS + 1)]
+        kept = [self.dictionary.number(0x1003, sub) for sub in range(1, self.KEPT_ERRORS + 1)]
         for sub, value in enumerate([code, *kept[:-1]], start=1):
             self.dictionary.set(0x1003, sub, value)
-        self.dictionary.set(0x1003, 0, min(KEPT_ERRORS, self.dictionary.number(0x1003) + 1))
+        self.dictionary.set(0x1003, 0, min(self.KEPT_ERRORS, self.dictionary.number(0x1003) + 1))
 
     # -- services -----------------------------------------------------------------------------
 
@@ -192,7 +192,7 @@ class CanopenSlave:
                 self.reset(now_s)
             case 130:
                 self.connection_lost()
-                self._restart(COMMUNICATION_AREA, now_s)
+                self._restart(self.COMMUNICATION_AREA, now_s)
             case _:
                 pass
 
@@ -200,7 +200,7 @@ class CanopenSlave:
         self.dictionary.restore(area)
         self._sdo.reset()
         self._heard_by_s, self._heartbeat_lost = math.inf, False
-        if area == WHOLE_DICTIONARY:
+        if area == self.WHOLE_DICTIONARY:
             self.restarted()
         self.boot(now_s)
 
@@ -209,7 +209,7 @@ class CanopenSlave:
             return
         for receive in self.receive_pdos:
             if receive.valid and not receive.at_sync():
-                self.emergency(PDO_TOO_SHORT, ErrorKind.COMMUNICATION)
+                self.emergency(self.PDO_TOO_SHORT, ErrorKind.COMMUNICATION)
         self.written()
         for transmit in self.transmit_pdos:
             data = transmit.at_sync()
@@ -228,7 +228,7 @@ class CanopenSlave:
         for pdo in self.receive_pdos:
             if pdo.valid and pdo.cob_id == cob_id:
                 if not pdo.take(data):
-                    self.emergency(PDO_TOO_SHORT, ErrorKind.COMMUNICATION)
+                    self.emergency(self.PDO_TOO_SHORT, ErrorKind.COMMUNICATION)
                 self.written()
 
     def _send_events(self, now_s: float) -> None:
@@ -272,7 +272,7 @@ class CanopenSlave:
             self._heartbeat_lost = False
 
     def _clear_errors(self, _count: int) -> None:
-        for sub in range(1, KEPT_ERRORS + 1):
+        for sub in range(1, self.KEPT_ERRORS + 1):
             self.dictionary.set(0x1003, sub, 0)
 
     def _add_communication_objects(self, identity: NodeIdentity) -> None:
@@ -280,7 +280,7 @@ class CanopenSlave:
         add(0x1000, 0, Entry("I", identity.device_type, "ro"))
         add(0x1001, 0, Entry("B", 0, "ro", mappable=True))
         add(0x1003, 0, Entry("B", 0, allowed=(0,), write=self._clear_errors))
-        for sub in range(1, KEPT_ERRORS + 1):
+        for sub in range(1, self.KEPT_ERRORS + 1):
             add(0x1003, sub, Entry("I", 0, "ro"))
         add(0x1005, 0, Entry("I", SYNC_COB_ID, "ro"))
         add(0x1008, 0, Entry("s", identity.name, "ro"))

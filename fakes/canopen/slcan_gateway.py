@@ -21,7 +21,6 @@ from fakes.wires.serial_end import SerialEnd
 
 OK, REFUSED = b"\r", b"\a"
 LONGEST_LINE = 64
-SEND_DEADLINE_S = 0.2
 LATE_SHARE, LATE_S = 0.1, 0.001  # so many sendings wait for up to so long, whole or cut in two
 
 
@@ -50,6 +49,8 @@ class SlcanGateway:
     ``on_open()`` and ``on_frame(cob_id, data)`` go to the bus.
     """
 
+    SEND_DEADLINE_S = 0.2
+
     def __init__(
         self,
         faults: Faults,
@@ -61,7 +62,7 @@ class SlcanGateway:
     ) -> None:
         self._faults = faults
         self._on_open, self._on_frame = on_open, on_frame
-        self._line = SerialEnd(SEND_DEADLINE_S) if serial else None
+        self._line = SerialEnd(self.SEND_DEADLINE_S) if serial else None
         self._listener: socket.socket | None = None if serial else listen(port)
         self.port = 0 if self._listener is None else int(self._listener.getsockname()[1])
         self._client: socket.socket | SerialEnd | None = self._line
@@ -141,7 +142,7 @@ class SlcanGateway:
     def _accept(self) -> None:
         if self._listener is not None:
             client, _ = self._listener.accept()
-            client.settimeout(SEND_DEADLINE_S)
+            client.settimeout(self.SEND_DEADLINE_S)
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._client = client
 

@@ -63,11 +63,12 @@ EXTERNAL = members({f"E{n}": 0.0 for n in range(1, 7)})
 FRAME = ("X", "Y", "Z", "A", "B", "C")
 TOOL, BASE = 1, 0
 CYCLE_S = 0.012  # of the interpolation: measured axes are as old as its last tick
-FLICKER_POSE = np.array([1e-3] * 3 + [1e-4] * 3)  # mm and deg
 
 
 class KrlController:
     """One robot's controller; ``read`` and ``write`` may come from several threads."""
+
+    FLICKER_POSE = np.array([1e-3] * 3 + [1e-4] * 3)  # mm and deg
 
     def __init__(
         self,
@@ -243,7 +244,7 @@ class KrlController:
             self._pose_of, arm = state.joints_rad, self._arm
             self._pose = arm.components(state.joints_rad)
             self._turns = {"S": arm.status(state.joints_rad), "T": arm.turn(state.joints_rad)}
-        pose = (self._pose + FLICKER_POSE * off).tolist()
+        pose = (self._pose + self.FLICKER_POSE * off).tolist()
         return aggregate(
             "E6POS", dict(zip(FRAME, pose, strict=True)) | self._turns, self._external()
         )

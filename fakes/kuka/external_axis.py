@@ -7,14 +7,15 @@ from fakes.site import Site
 from fakes.truth.dither import Dither
 from fakes.truth.rail_truth import RailState, RailTruth
 
-STOP_MM_S2 = 800.0  # on a stop
 RAIL_DRIVER = "kuka-e1"
 LIMIT_MM = 0.5  # the software limits lie so far outside the travel
-DITHER_MM, DITHER_SCOPE = 0.001, 7
 
 
 class ExternalAxis:
     """Moves one slide; its controller's lock guards it."""
+
+    STOP_MM_S2 = 800.0  # on a stop
+    DITHER_MM, DITHER_SCOPE = 0.001, 7
 
     def __init__(
         self,
@@ -29,7 +30,7 @@ class ExternalAxis:
         self.held = True
         self.moving = False
         self._target_mm, self._speed_mm_s = 0.0, 0.0
-        self._dither = Dither(1, DITHER_SCOPE)
+        self._dither = Dither(1, self.DITHER_SCOPE)
         rail.master()
 
     def inside(self, target_mm: float) -> bool:
@@ -52,13 +53,13 @@ class ExternalAxis:
         if share > 0:
             self._rail.move(self._target_mm, self._speed_mm_s * share, self._ramp_mm_s2)
         else:
-            self._rail.quick_stop(STOP_MM_S2)
+            self._rail.quick_stop(self.STOP_MM_S2)
 
     def stop(self) -> None:
         """Brake, and forget the target; the slide is held from now on."""
         self.held = True
         if self.moving:
-            self._rail.quick_stop(STOP_MM_S2)
+            self._rail.quick_stop(self.STOP_MM_S2)
             self.moving = False
 
     def poll(self, share: float) -> RailState:
@@ -78,7 +79,7 @@ class ExternalAxis:
         """Return the reading; at rest it dithers, by a step each time E1 is asked for ``alone``."""
         if alone:
             self._dither.step()
-        return state.encoder_mm + (0.0 if state.moving else DITHER_MM * self._dither.counts)
+        return state.encoder_mm + (0.0 if state.moving else self.DITHER_MM * self._dither.counts)
 
 
 def external_axis(site: Site) -> ExternalAxis | None:

@@ -62,7 +62,6 @@ class Face(IntEnum):
 
 SERIAL, VERSION, SENSOR_AT401 = 402871, (3, 8, 0), 70
 OFFSETS_MM = {"SMR 1.5in": 19.05, "SMR 0.875in": 11.1125, "SMR 0.5in": 6.35}
-BALL = 1  # target type: corner cube
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +99,8 @@ class _Settings:
 
 class EmsconDevice:
     """One tracker; ``handle`` may come from several threads."""
+
+    BALL = 1  # target type: corner cube
 
     def __init__(
         self,
@@ -233,7 +234,7 @@ class EmsconDevice:
         packets = []
         for number, name in self._reflectors.items():
             offset = OFFSETS_MM.get(name, 0.0) / self._mm_per_unit()
-            head = struct.pack("<iiId", len(self._reflectors), number, BALL, offset)
+            head = struct.pack("<iiId", len(self._reflectors), number, self.BALL, offset)
             packets.append(reply(command, Status.OK, head + wide(name)))
         return Answer(packets)
 

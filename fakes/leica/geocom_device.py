@@ -20,7 +20,6 @@ from fakes.truth.transforms import Array
 
 NAME, SERIAL, FIRMWARE = "TS60 (simulated)", 884321, (8, 50, 0)
 MM = 1000.0
-TURN_S, AIM_S, DISTANCE_S, ANGLE_S = 0.6, 0.4, 1.5, 0.1
 
 
 class Code(IntEnum):
@@ -69,6 +68,8 @@ class _State:
 
 class GeocomDevice:
     """One instrument; ``handle`` takes one request after another."""
+
+    TURN_S, AIM_S, DISTANCE_S, ANGLE_S = 0.6, 0.4, 1.5, 0.1
 
     def __init__(self, instrument: Instrument, faults: Faults, prism_m: float = 0.0) -> None:
         """``prism_m`` is the true constant of the prism that is mounted everywhere."""
@@ -168,16 +169,16 @@ class GeocomDevice:
         def finish() -> Answer:
             return self._aim(2 * sight_rad, 2 * sight_rad) if aim else Answer()
 
-        return Answer(after_s=TURN_S, finish=finish)
+        return Answer(after_s=self.TURN_S, finish=finish)
 
     def _change_face(self) -> Answer:
         self._state.face = 1 - self._state.face
-        return Answer(after_s=2 * TURN_S, finish=Answer)
+        return Answer(after_s=2 * self.TURN_S, finish=Answer)
 
     def _aim(self, width: float, height: float) -> Answer:
         if not self._state.atr:
             return Answer(Code.ATR_OFF)
-        return Answer(after_s=AIM_S, finish=lambda: self._lock_on(width, height))
+        return Answer(after_s=self.AIM_S, finish=lambda: self._lock_on(width, height))
 
     def _lock_on(self, width: float, height: float) -> Answer:
         """Aim at the reflector closest to the line of sight, within a window."""
@@ -233,9 +234,9 @@ class GeocomDevice:
             if state.measured is None:
                 return Answer(after_s=wait_ms / 1000, finish=lambda: form(*state.pointing, 0.0))
             return form(*state.measured)
-        if wait_ms / 1000 < DISTANCE_S:
+        if wait_ms / 1000 < self.DISTANCE_S:
             return Answer(after_s=wait_ms / 1000, finish=lambda: form(*state.pointing, 0.0))
-        return Answer(after_s=DISTANCE_S, finish=lambda: self._measured(form))
+        return Answer(after_s=self.DISTANCE_S, finish=lambda: self._measured(form))
 
     def _measured(self, form: Callable[..., Answer]) -> Answer:
         state, take = self._state, self._faults.take
@@ -285,7 +286,7 @@ class GeocomDevice:
         time = str(self._time_ms())
         tilt = self._reals(0.0, 0.0, 0.0).values
         values = (*self._reals(hz, v, 0.0).values, time, *tilt, time, str(self._state.face))
-        return Answer(values=values, after_s=ANGLE_S, finish=lambda: Answer(values=values))
+        return Answer(values=values, after_s=self.ANGLE_S, finish=lambda: Answer(values=values))
 
     def _time_ms(self) -> int:
         self._state.time_ms += 100

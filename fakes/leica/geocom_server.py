@@ -25,14 +25,15 @@ from fakes.wires.line_session import RECEIVE, Connection, LineSession, Wire
 from fakes.wires.listener import HOST, Listener
 
 LOOK_S = 0.05
-NOT_DECODED, UNAVAILABLE = 3080, 3081  # communication codes: no request, no such procedure
 RESULTS = (2082, 2108)
 NOISE = b"\xfe\x80\xf8\x06"
-_REQUEST = re.compile(rb"%R1Q,(\d{1,6})(?:,(\d{1,9}))?:(.*)")
 
 
 class GeocomServer:
     """Serves one instrument on a port (0: a free one), or on a serial line."""
+
+    NOT_DECODED, UNAVAILABLE = 3080, 3081  # communication codes: no request, no such procedure
+    REQUEST = re.compile(rb"%R1Q,(\d{1,6})(?:,(\d{1,9}))?:(.*)")
 
     def __init__(
         self,
@@ -98,9 +99,9 @@ class GeocomServer:
             if line == b"c":
                 self._abort(session)
                 continue
-            found = _REQUEST.fullmatch(line)
+            found = self.REQUEST.fullmatch(line)
             if found is None:
-                session.send(NOT_DECODED, 0, Answer())
+                session.send(self.NOT_DECODED, 0, Answer())
                 continue
             rpc, transaction = int(found[1]), int(found[2] or 0)
             with self._requests:
@@ -139,7 +140,7 @@ class GeocomServer:
         """Send a reply as the faults want it on the wire."""
         if rpc not in RESULTS:
             known = self._device.knows(rpc)
-            session.send(0 if known else UNAVAILABLE, transaction, answer)
+            session.send(0 if known else self.UNAVAILABLE, transaction, answer)
             return
         take = self._faults.take
         if take("tracker.eof") is not None:

@@ -22,9 +22,6 @@ from hilcell.cell.devices import load_entry
 
 NUMBERS = {55: 3, 63: 1, 135: 3}  # doubles behind these commands of an emScon tracker
 _LINE_END = re.compile(rb"(?<=\n)|(?<=\r)(?!\n)")
-_GEOCOM = re.compile(rb"(%R1[QP],\d+,)(\d+)(:)")
-_HEARTBEAT = re.compile(rb"t7[0-7][0-9A-F]")
-_STRIP = re.compile(rb"[Aa][0-9]|[^Aa]")
 _WRITE, _LIFE, _WRITTEN = b"\1", b"$TIMER[10]", b"\0\1\1"  # C3 Bridge
 GROUP = "wire_dialects"
 Options = Mapping[str, Any]
@@ -100,9 +97,11 @@ class Dialect:
 class Slcan(Dialect):
     """CAN frames as lines; a heartbeat asks nothing."""
 
+    HEARTBEAT = re.compile(rb"t7[0-7][0-9A-F]")
+
     def unheard(self, message: bytes) -> bool:
         """Whether it is a heartbeat."""
-        return _HEARTBEAT.match(message) is not None or super().unheard(message)
+        return self.HEARTBEAT.match(message) is not None or super().unheard(message)
 
     def is_command(self, message: bytes) -> bool:
         """Whether it carries what a node is to do (an RPDO)."""
@@ -110,7 +109,7 @@ class Slcan(Dialect):
 
     def beat(self, answer: bytes) -> bytes:
         """Return the node whose heartbeat it is."""
-        found = _HEARTBEAT.match(answer)
+        found = self.HEARTBEAT.match(answer)
         boot_up = b"100"  # behind a node's identifier: it has begun, once
         return b"" if found is None or answer.strip()[4:] == boot_up else found[0]
 
@@ -118,22 +117,26 @@ class Slcan(Dialect):
 class GeoCom(Dialect):
     """Lines with the number of a transaction."""
 
+    GEOCOM = re.compile(rb"(%R1[QP],\d+,)(\d+)(:)")
+
     def name(self, message: bytes) -> bytes:
         """Return the line without its number."""
-        return _GEOCOM.sub(rb"\1\3", message.strip())
+        return self.GEOCOM.sub(rb"\1\3", message.strip())
 
     def answer(self, asked: bytes, recorded: bytes, answer: bytes) -> bytes:
         """Return the answer with the number of this question."""
-        number = _GEOCOM.search(asked)
-        return answer if number is None else _GEOCOM.sub(rb"\g<1>" + number[2] + rb"\3", answer)
+        number = self.GEOCOM.search(asked)
+        return answer if number is None else self.GEOCOM.sub(rb"\g<1>" + number[2] + rb"\3", answer)
 
 
 class StripLine(Dialect):
     """Commands of one letter, with a figure after A, and without an end; answers are lines."""
 
+    STRIP = re.compile(rb"[Aa][0-9]|[^Aa]")
+
     def split_questions(self, data: bytes) -> tuple[list[bytes], bytes]:
         """Return the whole commands, and the rest."""
-        commands = _STRIP.findall(data)
+        commands = self.STRIP.findall(data)
         return commands, data[sum(map(len, commands)) :]
 
 

@@ -24,7 +24,6 @@ WARM_UP_S = 20.0
 POINT_S, SEARCH_S, READ_S = 0.3, 0.8, 0.5
 SEARCH_MM, BEAM_MM = 150.0, 8.0  # beside the aim: with the camera's help, and without
 MM_PER_INCH = 25.4
-DAWN = datetime(2026, 1, 5, 8, 0, tzinfo=UTC)
 
 
 class Refusal(IntEnum):
@@ -72,6 +71,8 @@ def refusal(code: int) -> Answer:
 
 class T2saDevice:
     """One bridge with one instrument; ``handle`` takes one request after another."""
+
+    DAWN = datetime(2026, 1, 5, 8, 0, tzinfo=UTC)
 
     def __init__(
         self,
@@ -219,6 +220,6 @@ class T2saDevice:
         """Return the line of a position; its date is in the PC's own format."""
         values = [f"{each:.6f}" for each in xyz]
         values[0] = x or values[0]
-        when = DAWN + timedelta(seconds=self._time.now_s())
+        when = self.DAWN + timedelta(seconds=self._time.now_s())
         date = when.strftime("%m/%d/%Y %I:%M:%S %p")
         return f"ACK-300 Single Point Measurement {path} result {','.join(values)} {date}"

@@ -46,10 +46,6 @@ class SmoothCurve:
         return total
 
 
-SWITCH_MM = 1.0  # limit switches lie this far outside the travel
-STOP_MM = 0.5  # and the slide stops this far behind them
-
-
 @dataclass(frozen=True, slots=True)
 class RailState:
     """The rail at one poll: encoder, strip and switches; unquantised."""
@@ -77,6 +73,9 @@ class RailTruth:
     ``rail.reference_lost`` itself; all others are the servers'.
     """
 
+    SWITCH_MM = 1.0  # limit switches lie this far outside the travel
+    STOP_MM = 0.5  # and the slide stops this far behind them
+
     def __init__(self, cell: Cell, seed: int, time: PlantTime, faults: Faults) -> None:
         self._lock = threading.RLock()
         self._time, self._faults = time, faults
@@ -84,8 +83,8 @@ class RailTruth:
         machine = machine_of(cell)
         self._sizes = machine.rail
         self._shape = _Shape(cell, machine, KeyedNoise(seed).generator("rail"))
-        self._low_mm = cell.rail.travel_min_mm - SWITCH_MM
-        self._high_mm = cell.rail.travel_max_mm + SWITCH_MM
+        self._low_mm = cell.rail.travel_min_mm - self.SWITCH_MM
+        self._high_mm = cell.rail.travel_max_mm + self.SWITCH_MM
 
         self._backlash_mm = self._shape.backlash_mm
         self._slip_mm = 0.0
@@ -112,7 +111,9 @@ class RailTruth:
                 return
             self._homing = False
             wanted_mm = target_mm + self._zero_mm
-            limited_mm = min(max(wanted_mm, self._low_mm - STOP_MM), self._high_mm + STOP_MM)
+            limited_mm = min(
+                max(wanted_mm, self._low_mm - self.STOP_MM), self._high_mm + self.STOP_MM
+            )
             path = self._fresh_path().brake(acceleration_mm_s2)
             distance_mm = abs(limited_mm - path.end)
             path.travel(limited_mm, speed_mm_s, acceleration_mm_s2)
@@ -133,9 +134,9 @@ class RailTruth:
             if self._braked:
                 return
             a = homing_mm_s2
-            path = self._fresh_path().brake(a).travel(self._low_mm - STOP_MM, speed_mm_s, a)
-            path.travel(self._low_mm + SWITCH_MM, back_off_mm_s, a)
-            self._start(path, "home", SWITCH_MM)
+            path = self._fresh_path().brake(a).travel(self._low_mm - self.STOP_MM, speed_mm_s, a)
+            path.travel(self._low_mm + self.SWITCH_MM, back_off_mm_s, a)
+            self._start(path, "home", self.SWITCH_MM)
             self._homing = True
 
     def master(self) -> None:

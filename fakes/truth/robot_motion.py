@@ -20,7 +20,6 @@ from fakes.truth.transforms import Array
 from hilcell.cell.file import Cell
 
 RAMP_S = 0.4  # from standstill to full speed
-BRAKE_S = 0.15  # and from full speed to standstill on a stop
 
 Draw = Callable[[], Array]
 Landings = Callable[[str], Draw]  # event -> what draws the repeatability error (6,) in rad
@@ -66,6 +65,8 @@ class _Leg(NamedTuple):
 class RobotMotion:
     """The motion of one robot; safe to use from several threads."""
 
+    BRAKE_S = 0.15  # from full speed to standstill on a stop
+
     def __init__(self, cell: Cell, time: PlantTime, landings: Landings) -> None:
         self._lock = threading.RLock()
         self._time, self._landings = time, landings
@@ -106,14 +107,14 @@ class RobotMotion:
         with self._lock:
             self._override = share
             if self.moving:
-                self._path = self._fresh_path().brake(self._rate / BRAKE_S)
+                self._path = self._fresh_path().brake(self._rate / self.BRAKE_S)
                 self._go_on()
                 self._keep_leg()
 
     def brake(self) -> None:
         """Stop on the path and forget the target."""
         with self._lock:
-            self._path = self._fresh_path().brake(self._rate / BRAKE_S)
+            self._path = self._fresh_path().brake(self._rate / self.BRAKE_S)
             self._share = 0.0
             self._keep_leg()
 

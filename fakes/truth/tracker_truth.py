@@ -20,7 +20,6 @@ from fakes.truth.noise import KeyedNoise
 from fakes.truth.transforms import Array, carried, frame, inverse, rigid, rotation
 from hilcell.cell.file import Cell
 
-MEASUREMENT_S = 5.0
 URAD = 1e-6
 AXES = ("tracker.collimation", "tracker.transit", "tracker.index")  # faults of the axes, in urad
 
@@ -81,6 +80,8 @@ class TrackerTruth:
     ``tracker.wrong_target``, ``tracker.collimation``, ``tracker.transit``, ``tracker.index`` and
     ``tracker.turning`` itself; all others are the server's.
     """
+
+    MEASUREMENT_S = 5.0
 
     def __init__(
         self,
@@ -218,7 +219,7 @@ class TrackerTruth:
 
     def _air_wave(self, number: int) -> float:
         air_period_s = 3 * 3600.0
-        age = self._measured * MEASUREMENT_S / air_period_s
+        age = self._measured * self.MEASUREMENT_S / air_period_s
         return math.sin(2 * math.pi * age + self._air_phases[number])
 
     def _strike(self, name: str) -> _Struck:
@@ -263,7 +264,7 @@ class TrackerTruth:
 
     def _slow_drift_mm(self) -> Array:
         drift_period_s = 4 * 3600.0
-        angle = 2 * math.pi * self._measured * MEASUREMENT_S / drift_period_s
+        angle = 2 * math.pi * self._measured * self.MEASUREMENT_S / drift_period_s
         there, back = self._drift
         drift: Array = there * math.sin(angle) + back * (1 - math.cos(angle))
         return drift

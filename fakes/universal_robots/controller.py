@@ -66,7 +66,6 @@ class Error(IntEnum):
 
 
 MOVE_JOINTS = 1
-STEP_S = 0.002  # of the controller
 LIFE_MS = 1500
 LIFE = "input_int_register_26"  # the PC's sign
 INTEGERS, FLOATS = range(24, 29), range(24, 31)  # that a client may write
@@ -78,6 +77,8 @@ Values = dict[str, float | int | Array]
 
 class UrController:
     """One robot's controller; its methods may come from several threads."""
+
+    STEP_S = 0.002  # of the controller
 
     def __init__(
         self, cell: Cell, motion: RobotMotion, faults: Faults, time: PlantTime, harms: Harms
@@ -145,7 +146,7 @@ class UrController:
                 self._timer.set_ms(-LIFE_MS)
             self._run()
             if self._session and self._runtime == Runtime.STOPPED:
-                self._time.advance(STEP_S)  # a PC that looks at the end of its session waits
+                self._time.advance(self.STEP_S)  # a PC that looks at the end of its session waits
             # An exchange takes its time, and nothing else lets it pass; a sign of life takes none,
             # for the slower the PC, the more of them it gives.
             if self._time.followed and changed != {LIFE}:
@@ -202,11 +203,11 @@ class UrController:
         joints_rad, speeds = state.joints_rad, np.zeros(6)
         dither_rad, dither_rad_s = 5e-6, 4e-4  # of a joint that holds
         if state.moving:
-            before_rad, now_rad = self._motion.past(np.array([now_s - STEP_S, now_s]))[0]
-            speeds = (now_rad - before_rad) / STEP_S
+            before_rad, now_rad = self._motion.past(np.array([now_s - self.STEP_S, now_s]))[0]
+            speeds = (now_rad - before_rad) / self.STEP_S
         else:
             landed = state.joints_rad.tobytes() + state.landing_rad.tobytes()
-            off = flicker(landed, round(now_s / STEP_S), 12)
+            off = flicker(landed, round(now_s / self.STEP_S), 12)
             joints_rad, speeds = joints_rad + dither_rad * off[:6], dither_rad_s * off[6:]
         T = self._arm.chain.pose(joints_rad)
         pose = np.concatenate([T[:3, 3] / 1000.0, rotation_vector(T[:3, :3])])

@@ -30,7 +30,6 @@ from hilcell.geometry.statistics import lengths_mm
 # inertias, comments and layout.
 
 PARTS = ("origin", "parent", "child", "axis", "limit", "mimic")
-TAG = re.compile(rb"""<[^"'>]*(?:"[^"]*"[^"'>]*|'[^']*'[^"'>]*)*>""")
 SPACE = re.compile(rb"\s*")
 
 
@@ -117,6 +116,8 @@ def _refuse_doctype(name: str, *rest: object) -> None:
 class _Reader:
     """Takes elements one by one; joints are those directly in the robot."""
 
+    TAG = re.compile(rb"""<[^"'>]*(?:"[^"]*"[^"'>]*|'[^']*'[^"'>]*)*>""")
+
     def __init__(self, content: bytes) -> None:
         self.found = UrdfText(content)
         self._depth = 0
@@ -154,7 +155,7 @@ class _Reader:
             joint.origin = (at, self._end(at))
 
     def _end(self, at: int) -> int:
-        return _matched(TAG, self.found.content, at)
+        return _matched(self.TAG, self.found.content, at)
 
 
 def _matched(pattern: re.Pattern[bytes], content: bytes, at: int) -> int:
