@@ -19,8 +19,9 @@ import canopen
 import msgspec
 
 from campaigns.fuzz.wire_parsers import WIRE_PARSERS
-from drivers.canopen import nmt, sdo
+from drivers.canopen import sdo
 from drivers.canopen.can_link import CanLink
+from drivers.canopen.cia301 import NodeState
 from drivers.canopen.node_watch import NodeWatch
 from drivers.canopen.sdo import SdoChannel
 from drivers.canopen.slcan_bus import SlcanBus
@@ -190,7 +191,7 @@ def can_frames(data: bytes) -> None:
     link.time = cast("Any", _Time())
     link._beat_s, link._pause_s, link._paused_s = None, 0.0, 0.0
     watch = NodeWatch("Rail", link, DRIVE)
-    watch.state = nmt.OPERATIONAL
+    watch.state = NodeState.OPERATIONAL
     watch.arm()
     bus._bytes = data
     while (found := bus._line()) is not None:

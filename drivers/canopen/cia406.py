@@ -6,21 +6,28 @@ of 0.001 um).
 
 from __future__ import annotations
 
+from enum import IntEnum
+
 DEVICE_PROFILE = 0x0196  # low word of 1000h: 406 decimal
-POSITION = 0x6004
-MEASURING_STEP = 0x6005
-POSITION_STEP = 0x6501
-ALARMS, SUPPORTED_ALARMS = 0x6503, 0x6504
 SENSOR_ERRORS = 0x73  # family of the EMCY that announces an alarm
 POSITION_ERROR = 1 << 0  # of 6503h
 
-_ALARMS = {0: "position error: missing magnet, or the head too far from the strip"}
+
+class Object(IntEnum):
+    """Objects of an encoder (CiA 406)."""
+
+    POSITION = 0x6004
+    MEASURING_STEP = 0x6005
+    POSITION_STEP = 0x6501
+    ALARMS = 0x6503
+    SUPPORTED_ALARMS = 0x6504
 
 
 def alarm_text(alarms: int) -> str:
     """Return the alarm bits of 6503h in words."""
-    bits = [bit for bit in range(16) if alarms >> bit & 1]
-    return "; ".join(_ALARMS.get(bit, f"alarm bit {bit} (see the sensor's manual)") for bit in bits)
+    texts = [f"alarm bit {bit} (see the sensor's manual)" for bit in range(16)]
+    texts[0] = "position error: missing magnet, or the head too far from the strip"
+    return "; ".join(text for bit, text in enumerate(texts) if alarms >> bit & 1)
 
 
 def step_nm(counts_per_mm: float) -> int:

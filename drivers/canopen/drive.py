@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.canopen import cia402, cia406, emcy
-from drivers.canopen.cia402 import State
+from drivers.canopen.cia402 import Bit, Control, Mode, Object, Option, State
 from drivers.canopen.limits import Limits
 from drivers.canopen.motion_guard import MotionGuard
 from drivers.canopen.pdo import SYNCS
@@ -78,14 +78,14 @@ class Drive:
         self._supervision.look()
         look()
         if now.state in (State.FAULT, State.FAULT_REACTION, State.UNKNOWN):
-            self._image.control(cia402.QUICK_STOP)  # before the drive is asked why
+            self._image.control(Control.QUICK_STOP)  # before the drive is asked why
             raise self._fault(operation, f"drive in {now.state.value}", now.state)
         return now
 
     def _mode_by_sdo(self) -> int:
         """Return 6061h; as with a PDO, only several lost answers in a row end a motion."""
         try:
-            self._mode, self._unanswered = self._sdo.read(cia402.MODE_DISPLAY, tries=1), 0
+            self._mode, self._unanswered = self._sdo.read(Object.MODE_DISPLAY, tries=1), 0
         except Aborted:
             raise
         except DeviceError:
@@ -97,7 +97,7 @@ class Drive:
     def _fault(self, operation: str, found: str, state: State) -> DeviceError:
         """Return what a drive in fault says; one that names no error is in fault all the same."""
         try:
-            code = self._sdo.read(cia402.ERROR_CODE, tries=1)
+            code = self._sdo.read(Object.ERROR_CODE, tries=1)
         except DeviceError as silent:
             code, said = 0, f"its error (603Fh) is unknown: {silent.found}"
         else:
@@ -116,15 +116,15 @@ class Drive:
         operation = "reset fault"
         if self._image.refresh(self._clock.check).state is not State.FAULT:
             return
-        self._image.control(cia402.DISABLE_VOLTAGE)
-        self._image.control(cia402.FAULT_RESET)  # the rising edge resets
+        self._image.control(Control.DISABLE_VOLTAGE)
+        self._image.control(Control.FAULT_RESET)  # the rising edge resets
         patience, over = Patience(STALL_S), False
         while self._image.refresh(self._clock.check).state is State.FAULT:
             if over:
                 raise self._fault(operation, "drive stays in fault", State.FAULT)
             over = patience.over()
             self._clock.wait(POLL_S)
-        self._image.control(cia402.DISABLE_VOLTAGE)
+        self._image.control(Control.DISABLE_VOLTAGE)
 
     def disable(self, operation: str = "hold") -> None:
         """Take the power away; the brake closes. A moving slide is stopped on its ramp first."""
@@ -132,25 +132,25 @@ class Drive:
             return
         now = self.standing.confirm(operation)
         if now.powered and self.standing.rest is None:
-            self._image.control(cia402.QUICK_STOP)  # a stop would be for good
+            self._image.control(Control.QUICK_STOP)  # a stop would be for good
             ramp_s = self._limits.ramp_s
             now = self._until(operation, "standstill", lambda _: True, ramp_s, at_rest=True)
         if not now.powered:
             return
         quick = now.state is State.QUICK_STOP_ACTIVE
-        self._image.control(cia402.DISABLE_VOLTAGE if quick else cia402.SHUTDOWN)
+        self._image.control(Control.DISABLE_VOLTAGE if quick else Control.SHUTDOWN)
         self._until(operation, "drive without power", lambda s: not s.powered)
 
     def home(self, tolerance: int) -> None:
         """Home by the method set in 6098h; raises `DeviceError`."""
         operation = "home"
-        before = self._prepare(operation, cia402.HOMING)
-        self._old_error = before.has(cia402.MODE_ERROR)
+        before = self._prepare(operation, Mode.HOMING)
+        self._old_error = before.has(Bit.MODE_ERROR)
         self.standing.standstill.forget()
         with self._supervision.motion():
-            self._image.control(cia402.START)
+            self._image.control(Control.START)
             self._moving(operation, "homing started", lambda now: self._homes(before, now))
-            attained = cia402.ACKNOWLEDGED | cia402.TARGET_REACHED
+            attained = Bit.ACKNOWLEDGED | Bit.TARGET_REACHED
             now = self._moving(
                 operation,
                 "homing attained at standstill",
@@ -158,7 +158,7 @@ class Drive:
                 self._limits.homing_s,
                 at_rest=True,
             )
-        self._image.control(cia402.ENABLE_OPERATION)
+        self._image.control(Control.ENABLE_OPERATION)
         if not abs(now.position) <= tolerance:
             raise DeviceError(
                 "HC-R35",
@@ -176,15 +176,15 @@ class Drive:
     def move(self, target: int) -> None:
         """Go to ``target`` counts in profile position; return at standstill, still enabled."""
         operation = f"move to {self._limits.mm(target)}"
-        before = self._prepare(operation, cia402.PROFILE_POSITION)
+        before = self._prepare(operation, Mode.PROFILE_POSITION)
         self._check_limit(operation, before, target)
-        self._image.control(cia402.ENABLE_OPERATION, target)
-        self._moving(operation, "last set-point released", lambda s: not s.has(cia402.ACKNOWLEDGED))
+        self._image.control(Control.ENABLE_OPERATION, target)
+        self._moving(operation, "last set-point released", lambda s: not s.has(Bit.ACKNOWLEDGED))
         self.standing.standstill.forget()
         with self._supervision.motion():
-            self._image.control(cia402.START, target)
-            self._moving(operation, "set-point acknowledged", lambda s: s.has(cia402.ACKNOWLEDGED))
-            self._image.control(cia402.ENABLE_OPERATION, target)
+            self._image.control(Control.START, target)
+            self._moving(operation, "set-point acknowledged", lambda s: s.has(Bit.ACKNOWLEDGED))
+            self._image.control(Control.ENABLE_OPERATION, target)
             wanted = f"target reached at {self._limits.mm(target)}, at standstill"
             planned_s = self._limits.travel_s(target - before.position)
             self._moving(
@@ -197,17 +197,17 @@ class Drive:
         The bit that says "attained" may still be set from an earlier homing. Then it must be seen
         to go, or the position to change.
         """
-        stale = before.has(cia402.ACKNOWLEDGED) and now.has(cia402.ACKNOWLEDGED)
+        stale = before.has(Bit.ACKNOWLEDGED) and now.has(Bit.ACKNOWLEDGED)
         return not stale or abs(now.position - before.position) > self._limits.window
 
     def _arrived(self, now: Snapshot, target: int) -> bool:
         """Whether the slide is there; the drive's bit alone may be the last motion's, or a lie."""
-        reached = now.has(cia402.TARGET_REACHED) and not now.has(cia402.ACKNOWLEDGED)
+        reached = now.has(Bit.TARGET_REACHED) and not now.has(Bit.ACKNOWLEDGED)
         return reached and abs(now.position - target) <= self._limits.window
 
     # -- steps --------------------------------------------------------------------------------
 
-    def _prepare(self, operation: str, mode: int) -> Snapshot:
+    def _prepare(self, operation: str, mode: Mode) -> Snapshot:
         """Set the mode and go up to OPERATION ENABLED, one acknowledged transition at a time."""
         self._image.check_not_stopped()
         now = self.standing.poll(operation)
@@ -223,12 +223,12 @@ class Drive:
         self._left_limit = None
         return now
 
-    def _set_mode(self, mode: int) -> None:
+    def _set_mode(self, mode: Mode) -> None:
         """Ask for a mode; 6061h shows whether the drive has it, for 6060h may be write only."""
         try:
-            self._sdo.command(cia402.MODES_OF_OPERATION, 0, mode)
+            self._sdo.command(Object.MODES_OF_OPERATION, 0, mode)
         except Aborted as refusal:
-            name = cia402.MODES[mode]
+            name = mode.name.lower().replace("_", " ")
             raise Unsupported(refusal, f"6060h = {mode} ({name})") from refusal
 
     def _moving(
@@ -323,20 +323,20 @@ class Drive:
     def _check_motion(self, operation: str, now: Snapshot) -> None:
         limits, code, found = self._limits, "", ""
         self._guards.take(now, self.standing.now_s)
-        self._old_error = self._old_error and now.has(cia402.MODE_ERROR)
+        self._old_error = self._old_error and now.has(Bit.MODE_ERROR)
         where = limits.mm(now.position)
         if now.state is not State.ENABLED:
             code, found = "HC-R30", f"drive left operation enabled: {now.state.value}"
-        elif now.mode == cia402.HOMING and now.has(cia402.MODE_ERROR) and not self._old_error:
-            code, found = "HC-R35", f"homing error of method {cia402.HOME_NEGATIVE_LIMIT} (6098h)"
-        elif now.mode != cia402.HOMING and now.has(cia402.MODE_ERROR):
+        elif now.mode == Mode.HOMING and now.has(Bit.MODE_ERROR) and not self._old_error:
+            code, found = "HC-R35", f"homing error of method {Option.HOME_NEGATIVE_LIMIT} (6098h)"
+        elif now.mode != Mode.HOMING and now.has(Bit.MODE_ERROR):
             code, found = "HC-R26", f"following error at {where}"
-        elif now.mode != cia402.HOMING and self._at_switch(now):
+        elif now.mode != Mode.HOMING and self._at_switch(now):
             code, found = "HC-R32", f"limit active at {where}"
         elif not abs(now.velocity) <= OVERSPEED * limits.speed:
             allowed = limits.mm(OVERSPEED * limits.speed)
             code, found = "HC-R33", f"speed {limits.mm(now.velocity)}/s, allowed {allowed}/s"
-        elif now.mode != cia402.HOMING and not limits.lowest <= now.position <= limits.highest:
+        elif now.mode != Mode.HOMING and not limits.lowest <= now.position <= limits.highest:
             beyond = f"{limits.mm(limits.lowest)} .. {limits.mm(limits.highest)}"
             code, found = "HC-R34", f"{where} is beyond {beyond}"
         if code in ("", "HC-R33"):
@@ -358,7 +358,7 @@ class Drive:
         Homing to a switch ends on it. Status bit 11 does not say which switch is active: 60FDh
         does, and without it the end of the travel at which the slide stands.
         """
-        if not before.has(cia402.INTERNAL_LIMIT):
+        if not before.has(Bit.INTERNAL_LIMIT):
             return
         gap = target - before.position
         if abs(gap) > self._limits.window and not gap * self._side(before) < 0:
@@ -375,7 +375,7 @@ class Drive:
 
     def _side(self, now: Snapshot) -> int:
         """Return on which limit switch the slide stands: -1, 1, or 0 where nothing says it."""
-        inputs = self._sdo.read_if_present(cia402.DIGITAL_INPUTS) or 0
+        inputs = self._sdo.read_if_present(Object.DIGITAL_INPUTS) or 0
         side = {1: -1, 2: 1}.get(inputs & cia402.LIMIT_SWITCHES, 0)
         near, limits = AT_SWITCH_MM * self._limits.counts_per_mm, self._limits
         if now.position <= limits.lowest + near:
@@ -387,12 +387,12 @@ class Drive:
 
         Status bit 11 is also that of a limit of current or speed: 60FDh tells it from a switch.
         """
-        if not now.has(cia402.INTERNAL_LIMIT):
+        if not now.has(Bit.INTERNAL_LIMIT):
             return False
         left = self._left_limit
         if left is not None and abs(now.position - left) <= LEAVE_MM * self._limits.counts_per_mm:
             return False
-        inputs = self._sdo.read_if_present(cia402.DIGITAL_INPUTS, tries=1)
+        inputs = self._sdo.read_if_present(Object.DIGITAL_INPUTS, tries=1)
         return inputs is None or inputs & cia402.LIMIT_SWITCHES != 0
 
     def _fields(self, now: Snapshot) -> dict[str, object]:
@@ -418,12 +418,12 @@ def _why_not(now: Snapshot, *, moving: bool) -> tuple[str, str]:
     """Return why a drive does not go on, as its status word tells it, and what to do."""
     if moving:
         return "", "check the slide for an obstacle and the drive, then resume"
-    if not now.has(cia402.VOLTAGE_ENABLED):
+    if not now.has(Bit.VOLTAGE_ENABLED):
         return (
             "; its power stage has no voltage (status bit 4)",
             "switch the mains on, release the safe torque off, then resume",
         )
-    if not now.has(cia402.REMOTE):
+    if not now.has(Bit.REMOTE):
         return (
             "; it does not obey the bus (status bit 9)",
             "end the drive's local mode, at its panel or in its own program, then resume",

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import struct
 
-from drivers.canopen import emcy, nmt
+from drivers.canopen import emcy
 from drivers.canopen.can_link import CanLink
+from drivers.canopen.cia301 import NodeState, state_text
 from hilcell.ports import DeviceError
 
 PC_HEARTBEAT_LIMIT_MS = 1000
@@ -80,14 +81,14 @@ class NodeWatch:
         age_s = self._link.time.listened_s - self._heard_s
         if not age_s <= HEARTBEAT_AGE_S:
             self._fail("HC-R02", f"node {self.node}: no heartbeat for {age_s:.1f} s")
-        elif self.state != nmt.OPERATIONAL:
-            state = nmt.state_text(self.state)
+        elif self.state != NodeState.OPERATIONAL:
+            state = state_text(self.state)
             self._fail("HC-R03", f"node {self.node}: NMT state {state}, not operational")
 
     def _on_heartbeat(self, _cob_id: int, data: bytearray, _at_s: float) -> None:
         self.state = data[0] & 0x7F
         self._heard_s = self._link.time.listened_s
-        if self._set_up and self.state == nmt.BOOT_UP:
+        if self._set_up and self.state == NodeState.BOOT_UP:
             self._fail("HC-R03", f"node {self.node}: unexpected boot-up: the node was reset")
 
     def _on_emergency(self, _cob_id: int, data: bytearray, _at_s: float) -> None:

@@ -16,7 +16,7 @@ from operator import or_
 
 from drivers.canopen import cia402, cia406
 from drivers.canopen.can_link import CanLink
-from drivers.canopen.cia402 import State
+from drivers.canopen.cia402 import Control, Object, State
 from drivers.canopen.node_watch import NodeWatch
 from drivers.canopen.pdo import EVERY_SYNC, ON_EVENT, Inbox, Mapping
 from hilcell.ports import DeviceError
@@ -78,7 +78,7 @@ class ProcessImage:
             0x1A00,
             0x180 + drive_node,
             EVERY_SYNC,
-            ((cia402.STATUSWORD, 16), (cia402.POSITION_ACTUAL, 32)),
+            ((Object.STATUSWORD, 16), (Object.POSITION_ACTUAL, 32)),
             struct.Struct("<Hi"),
         )
         self.motion = Mapping(
@@ -86,7 +86,7 @@ class ProcessImage:
             0x1A01,
             0x280 + drive_node,
             EVERY_SYNC,
-            ((cia402.VELOCITY_ACTUAL, 32), (cia402.MODE_DISPLAY, 8)),
+            ((Object.VELOCITY_ACTUAL, 32), (Object.MODE_DISPLAY, 8)),
             struct.Struct("<ib"),
         )
         self.command = Mapping(
@@ -94,7 +94,7 @@ class ProcessImage:
             0x1600,
             0x200 + drive_node,
             ON_EVENT,
-            ((cia402.CONTROLWORD, 16), (cia402.TARGET_POSITION, 32)),
+            ((Object.CONTROLWORD, 16), (Object.TARGET_POSITION, 32)),
             struct.Struct("<Hi"),
         )
         self.strip = strip_mapping(strip_node)
@@ -160,11 +160,11 @@ class ProcessImage:
         self._stopped = True
         if self._lock.acquire(timeout=0.1):
             try:
-                self._send(cia402.QUICK_STOP)
+                self._send(Control.QUICK_STOP)
             finally:
                 self._lock.release()
         else:  # another frame hangs in the gateway; this one goes out all the same
-            self._send(cia402.QUICK_STOP)
+            self._send(Control.QUICK_STOP)
 
     @property
     def stopped(self) -> bool:
@@ -182,7 +182,7 @@ def strip_mapping(node: int) -> Mapping:
         0x1A00,
         0x180 + node,
         EVERY_SYNC,
-        ((cia406.POSITION, 32), (cia406.ALARMS, 16)),
+        ((cia406.Object.POSITION, 32), (cia406.Object.ALARMS, 16)),
         struct.Struct("<iH"),
     )
 

@@ -14,8 +14,9 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from drivers.canopen import cia406, nmt, rail_setup
+from drivers.canopen import cia406, rail_setup
 from drivers.canopen.can_link import CanLink, heartbeat_period_s, open_bus
+from drivers.canopen.cia301 import NMT, NodeCommand, NodeObject
 from drivers.canopen.drive import Drive
 from drivers.canopen.limits import Limits
 from drivers.canopen.node_watch import NodeWatch
@@ -207,7 +208,7 @@ class CanopenRail:
         """Set both nodes up and start them; raises `DeviceError`."""
         options = self._options
         for watch in self._watches:
-            link.send(nmt.COMMAND, bytes((nmt.ENTER_PRE_OPERATIONAL, watch.node)))
+            link.send(NMT, bytes((NodeCommand.ENTER_PRE_OPERATIONAL, watch.node)))
         period_s = heartbeat_period_s(options.bitrate)
         link.start_heartbeat(options.heartbeat_node, supervision.attended, period_s)
         rail_setup.set_heartbeat(drive_sdo, options.bitrate)
@@ -320,7 +321,7 @@ class CanopenRail:
         self._held_by_sdo = int(release.by_sdo)
         # From here on nobody produces the heartbeat; without this the drive would go to fault.
         if not image.stopped:
-            sdo.write(rail_setup.CONSUMER_HEARTBEAT, 1, 0)
+            sdo.write(NodeObject.CONSUMER_HEARTBEAT, 1, 0)
 
     def _close_link(self) -> None:
         link, self._link = self._link, None

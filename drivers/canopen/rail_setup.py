@@ -10,8 +10,10 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from drivers.canopen import cia402, cia406, nmt
+from drivers.canopen import cia406
 from drivers.canopen.can_link import CanLink, LinkLost, heartbeat_period_s
+from drivers.canopen.cia301 import NMT, NodeCommand, NodeObject, NodeState, state_text
+from drivers.canopen.cia402 import Object, Option
 from drivers.canopen.node_watch import PC_HEARTBEAT_LIMIT_MS, NodeWatch, doubts_sensor
 from drivers.canopen.pdo import Mapping as Pdo
 from drivers.canopen.pdo import configure_either
@@ -20,12 +22,6 @@ from drivers.canopen.slcan_bus import has_long_stamp
 from hilcell.clean import clean
 from hilcell.ports import DeviceError, DeviceRefused, Identity, says_simulated
 
-DEVICE_TYPE = 0x1000
-ERROR_REGISTER = 0x1001
-DEVICE_NAME = 0x1008
-CONSUMER_HEARTBEAT = 0x1016
-PRODUCER_HEARTBEAT = 0x1017
-IDENTITY = 0x1018
 FIND_S = 5.0
 OPERATIONAL_S = 3.0  # wire deadline
 START_PERIOD_S = 0.5
@@ -35,35 +31,35 @@ LARGEST_U16 = 0xFFFF
 SLOWER_BEATS_MS = (100, 200)  # several within the limit of a node's silence
 
 # Why a node has the settings that it is given here.
-PURPOSES = {
-    CONSUMER_HEARTBEAT: "the drive notices that the PC has died",
-    PRODUCER_HEARTBEAT: "the PC notices that the node has died",
-    cia402.ABORT_CONNECTION_OPTION: "the drive stops by itself when the PC has died",
-    cia402.QUICK_STOP_OPTION: "a quick stop ends on the brake",
-    cia402.QUICK_STOP_DECELERATION: "a quick stop takes no longer than a motion's own ramp",
-    cia402.PROFILE_VELOCITY: "speed of motions",
-    cia402.PROFILE_ACCELERATION: "ramp of motions",
-    cia402.PROFILE_DECELERATION: "ramp of motions",
-    cia402.HOMING_METHOD: "homing to the negative limit switch",
-    cia402.HOME_OFFSET: "the drive reads 0 where it has homed",
-    cia402.HOMING_SPEEDS: "speeds of homing",
-    cia402.HOMING_ACCELERATION: "ramp of homing",
-    cia402.POSITION_WINDOW: "window of a target that is reached",
-    cia402.POSITION_WINDOW_TIME: "window of a target that is reached",
-    cia402.VELOCITY_THRESHOLD: "threshold of standstill",
-    cia402.VELOCITY_THRESHOLD_TIME: "threshold of standstill",
+PURPOSES: dict[int, str] = {
+    NodeObject.CONSUMER_HEARTBEAT: "the drive notices that the PC has died",
+    NodeObject.PRODUCER_HEARTBEAT: "the PC notices that the node has died",
+    Object.ABORT_CONNECTION_OPTION: "the drive stops by itself when the PC has died",
+    Object.QUICK_STOP_OPTION: "a quick stop ends on the brake",
+    Object.QUICK_STOP_DECELERATION: "a quick stop takes no longer than a motion's own ramp",
+    Object.PROFILE_VELOCITY: "speed of motions",
+    Object.PROFILE_ACCELERATION: "ramp of motions",
+    Object.PROFILE_DECELERATION: "ramp of motions",
+    Object.HOMING_METHOD: "homing to the negative limit switch",
+    Object.HOME_OFFSET: "the drive reads 0 where it has homed",
+    Object.HOMING_SPEEDS: "speeds of homing",
+    Object.HOMING_ACCELERATION: "ramp of homing",
+    Object.POSITION_WINDOW: "window of a target that is reached",
+    Object.POSITION_WINDOW_TIME: "window of a target that is reached",
+    Object.VELOCITY_THRESHOLD: "threshold of standstill",
+    Object.VELOCITY_THRESHOLD_TIME: "threshold of standstill",
 }
 # Without 6084h the ramp up is that down (CiA 402-2), without 607Ch the offset is 0; the others only
 # help the drive: hilcell judges arrival and standstill itself, and guards each speed.
-OPTIONAL = frozenset(
+OPTIONAL = frozenset[int](
     {
-        cia402.PROFILE_DECELERATION,
-        cia402.HOME_OFFSET,
-        cia402.HOMING_ACCELERATION,
-        cia402.POSITION_WINDOW,
-        cia402.POSITION_WINDOW_TIME,
-        cia402.VELOCITY_THRESHOLD,
-        cia402.VELOCITY_THRESHOLD_TIME,
+        Object.PROFILE_DECELERATION,
+        Object.HOME_OFFSET,
+        Object.HOMING_ACCELERATION,
+        Object.POSITION_WINDOW,
+        Object.POSITION_WINDOW_TIME,
+        Object.VELOCITY_THRESHOLD,
+        Object.VELOCITY_THRESHOLD_TIME,
     }
 )
 
@@ -88,7 +84,7 @@ def find_node(link: CanLink, sdo: SdoChannel, expected: Expected, check: Callabl
     deadline_s = link.time.listened_s + FIND_S
     while True:
         try:
-            return sdo.read(DEVICE_TYPE)
+            return sdo.read(NodeObject.DEVICE_TYPE)
         except (Aborted, LinkLost):
             raise
         except DeviceError as error:
@@ -128,9 +124,13 @@ def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str
     """Compare 1000h and 1018h with the cell file; raises `DeviceRefused`."""
     checks = (
         ("device profile (1000h)", device_type & 0xFFFF, expected.profile),
-        ("vendor (1018h:01)", sdo.read(IDENTITY, 1), expected.vendor),
-        ("product (1018h:02)", sdo.read_if_present(IDENTITY, 2) or 0, expected.product),
-        ("serial (1018h:04)", sdo.read_if_present(IDENTITY, 4) or 0, expected.serial),
+        ("vendor (1018h:01)", sdo.read(NodeObject.IDENTITY, 1), expected.vendor),
+        (
+            "product (1018h:02)",
+            sdo.read_if_present(NodeObject.IDENTITY, 2) or 0,
+            expected.product,
+        ),
+        ("serial (1018h:04)", sdo.read_if_present(NodeObject.IDENTITY, 4) or 0, expected.serial),
     )
     for what, found, wanted in checks:
         if wanted and found != wanted:
@@ -169,14 +169,14 @@ def _revision(sdo: SdoChannel) -> str:
 
     CiA 301, 7.5.2.19.
     """
-    found = sdo.read_if_present(IDENTITY, 3)
+    found = sdo.read_if_present(NodeObject.IDENTITY, 3)
     return "" if found is None else f"revision {found >> 16}.{found & 0xFFFF}"
 
 
 def _device_name(sdo: SdoChannel) -> str:
     """Return 1008h, which a device may leave out."""
     try:
-        return sdo.read_bytes(DEVICE_NAME).decode("ascii", errors="replace")
+        return sdo.read_bytes(NodeObject.DEVICE_NAME).decode("ascii", errors="replace")
     except Aborted:
         return ""
 
@@ -186,7 +186,7 @@ def check_strip_step(sdo: SdoChannel, counts_per_mm: float) -> None:
     wanted_nm = cia406.step_nm(counts_per_mm)
     for found_nm, where in (
         (_step(sdo), "6005h"),
-        (sdo.read_if_present(cia406.POSITION_STEP), "6501h"),
+        (sdo.read_if_present(cia406.Object.POSITION_STEP), "6501h"),
     ):
         if found_nm is not None and found_nm != wanted_nm:
             raise DeviceRefused(
@@ -202,11 +202,11 @@ def check_strip_step(sdo: SdoChannel, counts_per_mm: float) -> None:
 
 def _step(sdo: SdoChannel) -> int | None:
     """Return 6005h: sub-index 1 of an array, or the plain value."""
-    step = sdo.read_if_present(cia406.MEASURING_STEP, 1)
+    step = sdo.read_if_present(cia406.Object.MEASURING_STEP, 1)
     if step is not None:
         return step
     try:
-        return int.from_bytes(sdo.read_bytes(cia406.MEASURING_STEP, 0), "little")
+        return int.from_bytes(sdo.read_bytes(cia406.Object.MEASURING_STEP, 0), "little")
     except Aborted as error:
         if error.abort_code not in ABSENT:
             raise
@@ -227,16 +227,16 @@ def drive_settings(
     homing = round(min(speed_mm_s, homing_mm_s) * counts_per_mm)
     homing_slow = round(min(speed_mm_s, HOMING_SLOW_MM_S) * counts_per_mm)
     return {
-        (CONSUMER_HEARTBEAT, 1): pc_node << 16 | PC_HEARTBEAT_LIMIT_MS,
-        (cia402.ABORT_CONNECTION_OPTION, 0): cia402.QUICK_STOP_ON_LOST_CONNECTION,
-        (cia402.PROFILE_VELOCITY, 0): speed,
-        (cia402.PROFILE_ACCELERATION, 0): acceleration,
-        (cia402.PROFILE_DECELERATION, 0): acceleration,
-        (cia402.HOMING_METHOD, 0): cia402.HOME_NEGATIVE_LIMIT,
-        (cia402.HOME_OFFSET, 0): 0,
-        (cia402.HOMING_SPEEDS, 1): homing,
-        (cia402.HOMING_SPEEDS, 2): homing_slow,
-        (cia402.HOMING_ACCELERATION, 0): acceleration,
+        (NodeObject.CONSUMER_HEARTBEAT, 1): pc_node << 16 | PC_HEARTBEAT_LIMIT_MS,
+        (Object.ABORT_CONNECTION_OPTION, 0): Option.QUICK_STOP_ON_LOST_CONNECTION,
+        (Object.PROFILE_VELOCITY, 0): speed,
+        (Object.PROFILE_ACCELERATION, 0): acceleration,
+        (Object.PROFILE_DECELERATION, 0): acceleration,
+        (Object.HOMING_METHOD, 0): Option.HOME_NEGATIVE_LIMIT,
+        (Object.HOME_OFFSET, 0): 0,
+        (Object.HOMING_SPEEDS, 1): homing,
+        (Object.HOMING_SPEEDS, 2): homing_slow,
+        (Object.HOMING_ACCELERATION, 0): acceleration,
     }
 
 
@@ -247,25 +247,27 @@ def set_quick_stop(sdo: SdoChannel, acceleration: int) -> None:
     its motions, where it can be asked to. One that will not brake in a fault is seen when it does
     not come to rest.
     """
-    held, ramp = sdo.read_if_present(cia402.QUICK_STOP_DECELERATION), cia402.QUICK_STOP_RAMP
-    if held is None and sdo.offer(cia402.QUICK_STOP_OPTION, 0, cia402.SLOW_DOWN_RAMP) is None:
-        ramp = cia402.SLOW_DOWN_RAMP
+    held, ramp = sdo.read_if_present(Object.QUICK_STOP_DECELERATION), Option.QUICK_STOP_RAMP
+    if held is None and sdo.offer(Object.QUICK_STOP_OPTION, 0, Option.SLOW_DOWN_RAMP) is None:
+        ramp = Option.SLOW_DOWN_RAMP
     else:
-        apply(sdo, {(cia402.QUICK_STOP_OPTION, 0): ramp})
+        apply(sdo, {(Object.QUICK_STOP_OPTION, 0): ramp})
     if held is not None and held < acceleration:
-        apply(sdo, {(cia402.QUICK_STOP_DECELERATION, 0): acceleration})
-    sdo.offer(cia402.FAULT_REACTION_OPTION, 0, ramp)
+        apply(sdo, {(Object.QUICK_STOP_DECELERATION, 0): acceleration})
+    sdo.offer(Object.FAULT_REACTION_OPTION, 0, ramp)
 
 
 def set_heartbeat(sdo: SdoChannel, bitrate: int) -> None:
     """Let a node send its heartbeat as often as the PC does, or as it can; raises `Unsupported`."""
     wanted_ms = round(1000 * heartbeat_period_s(bitrate))
-    if (refusal := sdo.offer(PRODUCER_HEARTBEAT, 0, wanted_ms)) is None:
+    if (refusal := sdo.offer(NodeObject.PRODUCER_HEARTBEAT, 0, wanted_ms)) is None:
         return
     for slower_ms in SLOWER_BEATS_MS:
-        if sdo.offer(PRODUCER_HEARTBEAT, 0, slower_ms) is None:
+        if sdo.offer(NodeObject.PRODUCER_HEARTBEAT, 0, slower_ms) is None:
             return
-    raise Unsupported(refusal, f"1017h:00 = {wanted_ms} ({PURPOSES[PRODUCER_HEARTBEAT]})")
+    raise Unsupported(
+        refusal, f"1017h:00 = {wanted_ms} ({PURPOSES[NodeObject.PRODUCER_HEARTBEAT]})"
+    )
 
 
 def homing_s(*, travel_mm: float, speed_mm_s: float) -> float:
@@ -278,10 +280,10 @@ def window_settings(*, arrived: int, speed: float, dwell_s: float) -> Mapping[tu
     """Return the drive's own windows of arrival (counts) and standstill (counts/s)."""
     dwell_ms = min(LARGEST_U16, round(dwell_s * 1000))
     return {
-        (cia402.POSITION_WINDOW, 0): arrived,
-        (cia402.POSITION_WINDOW_TIME, 0): dwell_ms,
-        (cia402.VELOCITY_THRESHOLD, 0): min(LARGEST_U16, round(speed)),
-        (cia402.VELOCITY_THRESHOLD_TIME, 0): dwell_ms,
+        (Object.POSITION_WINDOW, 0): arrived,
+        (Object.POSITION_WINDOW_TIME, 0): dwell_ms,
+        (Object.VELOCITY_THRESHOLD, 0): min(LARGEST_U16, round(speed)),
+        (Object.VELOCITY_THRESHOLD_TIME, 0): dwell_ms,
     }
 
 
@@ -304,10 +306,12 @@ def map_strip(sdo: SdoChannel, pdo: Pdo, watch: NodeWatch) -> Pdo:
     was sent before is still in the error register.
     """
     mapped = configure_either(sdo, pdo, pdo.shorter())
-    supported = sdo.read_if_present(cia406.SUPPORTED_ALARMS)
+    supported = sdo.read_if_present(cia406.Object.SUPPORTED_ALARMS)
     silent = supported is not None and not supported & cia406.POSITION_ERROR
     watch.speaks_for_sensor = silent or mapped is not pdo
-    watch.sensor_fails = watch.speaks_for_sensor and doubts_sensor(sdo.read(ERROR_REGISTER))
+    watch.sensor_fails = watch.speaks_for_sensor and doubts_sensor(
+        sdo.read(NodeObject.ERROR_REGISTER)
+    )
     return mapped
 
 
@@ -321,23 +325,23 @@ def start_nodes(link: CanLink, watches: Sequence[NodeWatch], check: Callable[[],
     deadline_s = next_s + OPERATIONAL_S
     for watch in watches:
         watch.forget_state()
-    while waiting := [watch for watch in watches if watch.state != nmt.OPERATIONAL]:
+    while waiting := [watch for watch in watches if watch.state != NodeState.OPERATIONAL]:
         link.check()
         now_s = link.time.listened_s
         if now_s > deadline_s:
-            states = ", ".join(f"node {w.node} is {nmt.state_text(w.state)}" for w in waiting)
+            states = ", ".join(f"node {w.node} is {state_text(w.state)}" for w in waiting)
             raise DeviceError(
                 "HC-R10",
                 "Rail",
                 "connect",
                 f"nodes do not start: {states}",
-                wanted=f"{nmt.state_text(nmt.OPERATIONAL)} within {OPERATIONAL_S:.0f} s",
+                wanted=f"{state_text(NodeState.OPERATIONAL)} within {OPERATIONAL_S:.0f} s",
                 act="switch the nodes off and on, then resume",
                 fields={"nodes": [w.node for w in waiting], "waited_s": OPERATIONAL_S},
             )
         if now_s >= next_s:
             next_s = now_s + START_PERIOD_S
             for watch in waiting:
-                link.send(nmt.COMMAND, bytes((nmt.START, watch.node)))
+                link.send(NMT, bytes((NodeCommand.START, watch.node)))
         check()
         time.sleep(POLL_S)  # heartbeats come in real time, whatever the cell's clock does

@@ -13,9 +13,10 @@ from __future__ import annotations
 
 import time
 
-from drivers.canopen import cia402, nmt
+from drivers.canopen import cia402
 from drivers.canopen.can_link import CanLink
-from drivers.canopen.cia402 import State
+from drivers.canopen.cia301 import NMT, NodeCommand, NodeState
+from drivers.canopen.cia402 import Control, Object, State
 from drivers.canopen.node_watch import NodeWatch
 from drivers.canopen.process_image import DEVICE, ProcessImage, Snapshot
 from drivers.canopen.sdo import SdoChannel
@@ -48,7 +49,7 @@ class Release:
         self._windows, self._watch, self._rest = windows, watch, rest
         self._standstill = Standstill(windows)
         self._unheard = 0  # looks at a drive that goes on, though it was asked to stop
-        self.by_sdo = watch.state != nmt.OPERATIONAL  # no PDO comes, SDO is asked
+        self.by_sdo = watch.state != NodeState.OPERATIONAL  # no PDO comes, SDO is asked
         self._began_s, self._looks = time.monotonic(), 0  # of asking this way
 
     def leave_held(self) -> None:
@@ -92,24 +93,24 @@ class Release:
         # These looks fit into the deadline, however slow: a slide that creeps is always braked.
         restless = passed_s > 2 * windows.dwell_s and self._looks >= READINGS
         if self._standstill.rest is not None:
-            self._control(cia402.DISABLE_VOLTAGE)
+            self._control(Control.DISABLE_VOLTAGE)
         elif now.state in cia402.BRAKING:
             self._unheard = 0
         elif not abs(now.velocity) <= windows.speed or restless:
             self._unheard += 1
             last = self._unheard > 2 * HEARD
-            self._control(cia402.DISABLE_VOLTAGE if last else cia402.QUICK_STOP)
+            self._control(Control.DISABLE_VOLTAGE if last else Control.QUICK_STOP)
             if self._unheard > HEARD:
                 self._stop_by_all_ways()
 
     def _control(self, controlword: int) -> None:
         if self.by_sdo:
             try:
-                self._sdo.command(cia402.CONTROLWORD, 0, controlword)
+                self._sdo.command(Object.CONTROLWORD, 0, controlword)
             except DeviceError:
                 self._link.check()
                 return  # the next poll shows that the drive has kept its power
-        elif controlword == cia402.QUICK_STOP:
+        elif controlword == Control.QUICK_STOP:
             self._image.quick_stop()
         else:
             self._image.control(controlword)
@@ -117,9 +118,9 @@ class Release:
     def _stop_by_all_ways(self) -> None:
         """Stop a drive that does not answer, or does not obey."""
         self._link.end_heartbeat()
-        if self._watch.state == nmt.STOPPED:  # it serves no SDO there
-            self._link.send(nmt.COMMAND, bytes((nmt.ENTER_PRE_OPERATIONAL, self._watch.node)))
-        self._sdo.post(cia402.CONTROLWORD, 0, cia402.QUICK_STOP)
+        if self._watch.state == NodeState.STOPPED:  # it serves no SDO there
+            self._link.send(NMT, bytes((NodeCommand.ENTER_PRE_OPERATIONAL, self._watch.node)))
+        self._sdo.post(Object.CONTROLWORD, 0, Control.QUICK_STOP)
 
     def _answer(self, patience: Patience) -> Snapshot:
         """Return the next poll that is answered; one that is not proves nothing before the end."""
@@ -159,6 +160,6 @@ class Release:
     def _read_by_sdo(self) -> Snapshot:
         statusword, velocity, position = (
             self._sdo.read(index, tries=1)
-            for index in (cia402.STATUSWORD, cia402.VELOCITY_ACTUAL, cia402.POSITION_ACTUAL)
+            for index in (Object.STATUSWORD, Object.VELOCITY_ACTUAL, Object.POSITION_ACTUAL)
         )
         return Snapshot(statusword, position, velocity, 0, 0, NO_STRIP, self._link.clock.pc_s())

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.canopen import cia406, nmt, rail_setup
+from drivers.canopen import cia406, rail_setup
 from drivers.canopen.can_link import CanLink, open_bus
+from drivers.canopen.cia301 import NMT, NodeCommand
 from drivers.canopen.node_watch import NodeWatch
 from drivers.canopen.pdo import Inbox
 from drivers.canopen.process_image import strip_mapping, strip_values
@@ -89,7 +90,7 @@ class CanopenStrip:
         identity = rail_setup.identify(sdo, expected, device_type, options.channel)
         rail_setup.check_strip_step(sdo, options.counts_per_mm)
         watch.begin_set_up()
-        link.send(nmt.COMMAND, bytes((nmt.ENTER_PRE_OPERATIONAL, options.node)))
+        link.send(NMT, bytes((NodeCommand.ENTER_PRE_OPERATIONAL, options.node)))
         rail_setup.set_heartbeat(sdo, options.bitrate)
         inbox.expect(rail_setup.map_strip(sdo, self._pdo, watch))
         rail_setup.start_nodes(link, (watch,), check)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canopen import nmt
+from drivers.canopen.cia301 import NodeState
 from drivers.canopen.rail import CanopenRail
 from hilcell.run.stopping import close_all
 from tests.drivers.rail_bed import soon
@@ -36,8 +36,8 @@ def test_a_drive_that_missed_the_heartbeat_of_a_busy_pc_is_confirmed_held(
         busy.set()
         send = link._send_beat
         monkeypatch.setattr(link, "_send_beat", lambda at: None if busy.is_set() else send(at))
-        assert soon(lambda: drive.state == nmt.PRE_OPERATIONAL)
-        assert strip.state == nmt.OPERATIONAL
+        assert soon(lambda: drive.state == NodeState.PRE_OPERATIONAL)
+        assert strip.state == NodeState.OPERATIONAL
         if beats_again:
             busy.clear()
         assert close_all(engine.devices) == {}
