@@ -95,9 +95,9 @@ def tracker(data: bytes) -> None:
     for packet in emscon.PacketReader().feed(data):
         if isinstance(packet, emscon.Reply):
             for decode in (
-                emscon.decode_system_status,
+                emscon.SystemStatus.decode,
                 emscon.decode_tracker_name,
-                emscon.decode_reflector,
+                emscon.Reflector.decode,
             ):
                 with suppress(emscon.EmsconError):
                     decode(packet.body)

@@ -10,46 +10,49 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from struct import Struct
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-SMALLEST, LARGEST = 12, 65536
-_HEADER = struct.Struct("<II")
-_COMMAND = struct.Struct("<III")
-_RESULT = struct.Struct("<Iii17d")
-_SYSTEM_STATUS = struct.Struct("<IIII iii Iii")
-_TRACKER_INFO = struct.Struct("<I64s")
-_REFLECTOR = struct.Struct("<iiId64s")
-UNITS = struct.Struct("<5I")
-ENVIRONMENT = struct.Struct("<3d")
-NUMBER = struct.Struct("<i")
-STATIONARY = struct.Struct("<ii")
-SEARCH = struct.Struct("<di")
-DISTANCE = struct.Struct("<d")
-POSITION = struct.Struct("<3di")
-CONTINUOUS = struct.Struct("<4i")  # separation ms, number of points, use region, region type
-SYSTEM_SETTINGS = struct.Struct("<3i")  # weather monitor, transformation, orientation in use, ...
-ORIENTATION = struct.Struct("<6d")  # of the station: three lengths, three angles
-TRANSFORMATION = struct.Struct("<7d")  # three lengths, three angles, scale
-_MULTI = struct.Struct("<IiII3d")
-_SAMPLE = np.dtype([("status", "<i4"), ("s", "<i4"), ("us", "<i4"), ("xyz", "<f8", (3,))])
+from drivers.tracker_readings import DEVICE
+from hilcell.ports import DeviceError, NoReading
 
-MILLIMETRE_UNITS = (1, 0, 0, 0, 0)  # mm, rad, Celsius, mbar, % relative humidity
+LARGEST = 65536  # bytes of a packet
 OTHER_UNITS_MM = {
     "metres": 1000.0, "micrometres": 0.001, "feet": 304.8, "yards": 914.4, "inches": 25.4,
 }  # fmt: skip
 FARTHEST = 1e9  # in every unit beyond the reach of any tracker; figures above are no positions
-RIGHT_HANDED = 0
-STATIONARY_MODE, CONTINUOUS_TIME_MODE = 0, 1
-UNTIL_STOPPED = 0
-INITIALIZED = 5
-AIR_MEASURED = 2  # the weather monitor reads, and corrects the distances by it
-FIRST_FACE, SECOND_FACE = 1, 2  # ES_TrackerFace
-TEMPERATURE_C = (-20.0, 60.0)
-PRESSURE_MBAR = (500.0, 1200.0)
-HUMIDITY_PERCENT = (0.0, 100.0)
+
+
+class Layout:
+    """Numbers and names in the bodies of commands and replies."""
+
+    UNITS = Struct("<5I")
+    ENVIRONMENT = Struct("<3d")
+    NUMBER = Struct("<i")
+    STATIONARY = Struct("<ii")
+    SEARCH = Struct("<di")
+    DISTANCE = Struct("<d")
+    POSITION = Struct("<3di")
+    CONTINUOUS = Struct("<4i")  # separation ms, number of points, use region, region type
+    SYSTEM_SETTINGS = Struct("<3i")  # weather monitor, transformation, orientation in use, ...
+    ORIENTATION = Struct("<6d")  # of the station: three lengths, three angles
+    TRANSFORMATION = Struct("<7d")  # three lengths, three angles, scale
+    SYSTEM_STATUS = Struct("<IIII iii Iii")
+    TRACKER_INFO = Struct("<I64s")
+    REFLECTOR = Struct("<iiId64s")
+
+
+class Value:
+    """Values of settings, as they are written and read."""
+
+    MILLIMETRES = (1, 0, 0, 0, 0)  # mm, rad, Celsius, mbar, % relative humidity
+    RIGHT_HANDED = 0
+    STATIONARY, CONTINUOUS_TIME = 0, 1
+    UNTIL_STOPPED = 0
+    FIRST_FACE, SECOND_FACE = 1, 2  # ES_TrackerFace
 
 
 class EmsconError(ValueError):
@@ -99,6 +102,21 @@ class Command(IntEnum):
     GET_FACE = 98
     GET_TRACKER_INFO = 132
 
+    @property
+    def spoken(self) -> str:
+        """The command in words."""
+        return self.name.lower().replace("_", " ")
+
+    def failed(self, status: int) -> DeviceError:
+        """Return the error of a refusal of this command."""
+        known = STATUS.get(status, UNKNOWN)
+        kind = NoReading if known.recoverable else DeviceError
+        act = "look at the tracker, then resume"
+        if known.alarm == "HC-T11":
+            act = "clear the beam or seat the reflector, then resume"
+        fields = {"status": status}
+        return kind(known.alarm, DEVICE, self.spoken, status_text(status), act=act, fields=fields)
+
 
 class Change(IntEnum):
     """Status changes that matter here (ES_SystemStatusChange)."""
@@ -123,52 +141,41 @@ class Change(IntEnum):
     SERVER_STARTED = 999
 
 
-NOT_IMPLEMENTED = 2
+class Status(NamedTuple):
+    """A status in words, its alarm, and whether one measurement failed and the device is well."""
+
+    text: str
+    alarm: str
+    recoverable: bool = False
+
+
+BUSY, NOT_IMPLEMENTED, NOT_READY = 1, 2, 10004
 STATUS = {
-    1: "server busy",
-    NOT_IMPLEMENTED: "command not implemented",
-    **{code: f"wrong parameter {code - 3 or ''}".rstrip() for code in range(3, 11)},
-    **{code: f"parameter {(code - 9) // 2} out of range" for code in range(11, 23)},
-    23: "wrong reflector",
-    26: "no tracker processor found",
-    28: "no last measured point",
-    37: "no distance set",
-    38: "no tracker connected",
-    39: "tracker not initialised",
-    57: "weather data out of range",
-    94: "no temperature from the weather station",
-    95: "no pressure from the weather station",
-    96: "no humidity from the weather station",
-    98: "invalid input data",
-    10004: "not ready: no reflector is locked",
-    10005: "distance meter still starting",
-    10009: "no stationary result",
-    10010: "sensor not levelled",
-    10012: "not warmed up",
-    10013: "sensor not stable",
-    10014: "system not ready for a measurement",
-    10015: "the sensor does not answer",
+    BUSY: Status("server busy", "HC-T21", recoverable=True),
+    NOT_IMPLEMENTED: Status("command not implemented", "HC-T23"),
+    **{n: Status(f"wrong parameter {n - 3 or ''}".rstrip(), "HC-T23") for n in range(3, 11)},
+    **{n: Status(f"parameter {(n - 9) // 2} out of range", "HC-T23") for n in range(11, 23)},
+    23: Status("wrong reflector", "HC-T12", recoverable=True),
+    26: Status("no tracker processor found", "HC-T22"),
+    28: Status("no last measured point", "HC-T11", recoverable=True),
+    37: Status("no distance set", "HC-T11", recoverable=True),
+    38: Status("no tracker connected", "HC-T22"),
+    39: Status("tracker not initialised", "HC-T04"),
+    57: Status("weather data out of range", "HC-T05", recoverable=True),
+    94: Status("no temperature from the weather station", "HC-T05", recoverable=True),
+    95: Status("no pressure from the weather station", "HC-T05", recoverable=True),
+    96: Status("no humidity from the weather station", "HC-T05", recoverable=True),
+    98: Status("invalid input data", "HC-T23", recoverable=True),
+    NOT_READY: Status("not ready: no reflector is locked", "HC-T11", recoverable=True),
+    10005: Status("distance meter still starting", "HC-T19", recoverable=True),
+    10009: Status("no stationary result", "HC-T15", recoverable=True),
+    10010: Status("sensor not levelled", "HC-T20"),
+    10012: Status("not warmed up", "HC-T19"),
+    10013: Status("sensor not stable", "HC-T15", recoverable=True),
+    10014: Status("system not ready for a measurement", "HC-T13", recoverable=True),
+    10015: Status("the sensor does not answer", "HC-T22"),
 }
-BUSY, NOT_READY = 1, 10004
-# Which alarm a status raises; all others are not known to the interface.
-ALARMS = {
-    BUSY: "HC-T21",
-    **dict.fromkeys((*range(2, 23), 98), "HC-T23"),
-    23: "HC-T12",
-    **dict.fromkeys((26, 38, 10015), "HC-T22"),
-    **dict.fromkeys((28, 37, NOT_READY), "HC-T11"),
-    39: "HC-T04",
-    **dict.fromkeys((57, 94, 95, 96), "HC-T05"),
-    **dict.fromkeys((10005, 10012), "HC-T19"),
-    **dict.fromkeys((10009, 10013), "HC-T15"),
-    10010: "HC-T20",
-    10014: "HC-T13",
-}
-UNKNOWN = "HC-T24"
-# With these one measurement failed and the device is well; all others are the device's failure.
-RECOVERABLE = frozenset(
-    {BUSY, 23, 28, 37, 57, 94, 95, 96, 98, NOT_READY, 10005, 10009, 10013, 10014}
-)
+UNKNOWN = Status("unknown", "HC-T24")
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,6 +215,13 @@ class Single:
     pressure: float
     humidity: float
 
+    @classmethod
+    def decode(cls, body: bytes) -> Self:
+        """Return the result in a packet's body; raises `struct.error`."""
+        status, mode, _try_mode, *values = struct.unpack_from("<Iii17d", body)
+        x, y, z, std_1, std_2, std_3, std_total = values[:7]
+        return cls(status, mode, (x, y, z), (std_1, std_2, std_3), std_total, *values[14:])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Multi:
@@ -216,6 +230,19 @@ class Multi:
     status: int
     device_s: NDArray[np.float64]
     xyz: NDArray[np.float64]
+
+    @classmethod
+    def decode(cls, body: bytes) -> Self:
+        """Return the samples in a packet's body; raises `EmsconError` or `struct.error`."""
+        header = Struct("<IiII3d")
+        status, count, _mode, _try_mode, *_air = header.unpack_from(body)
+        layout = np.dtype([("status", "<i4"), ("s", "<i4"), ("us", "<i4"), ("xyz", "<f8", (3,))])
+        if count != (len(body) - header.size) / layout.itemsize:
+            raise EmsconError(f"{count} samples are announced in {len(body)} bytes")
+        samples = np.frombuffer(body, layout, offset=header.size)
+        bad = samples["status"][samples["status"] != 0]
+        device_s = samples["s"] + samples["us"] * 1e-6
+        return cls(status or int(bad[0] if len(bad) else 0), device_s, samples["xyz"].copy())
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,10 +259,20 @@ Packet = Reply | Failure | StatusChange | Single | Multi | Other
 class SystemStatus:
     """Processor state, version, weather monitor and serial number, as the tracker reports them."""
 
+    INITIALIZED: ClassVar[int] = 5  # of the processor
+    AIR_MEASURED: ClassVar[int] = 2  # the weather monitor reads, and corrects the distances by it
+
     processor: int
     version: str
     weather_monitor: int
     serial: int
+
+    @classmethod
+    def decode(cls, body: bytes) -> Self:
+        """Return the body of the reply to GetSystemStatus; raises `EmsconError`."""
+        values = unpack(Layout.SYSTEM_STATUS, body)
+        major, minor, build, weather, _flags, serial = values[4:]
+        return cls(values[1], f"{major}.{minor}.{build}", weather, serial)
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,20 +284,21 @@ class Reflector:
     offset_mm: float
     name: str
 
+    @classmethod
+    def decode(cls, body: bytes) -> Self:
+        """Return the body of one reply to GetReflectors; raises `EmsconError`."""
+        total, number, _kind, offset_mm, name = unpack(Layout.REFLECTOR, body)
+        return cls(total, number, offset_mm, _text(name))
+
 
 def encode(command: Command, body: bytes = b"") -> bytes:
     """Return a command packet."""
-    return _COMMAND.pack(_COMMAND.size + len(body), Type.COMMAND, command) + body
-
-
-def alarm(status: int) -> str:
-    """Return the code of the alarm that a status raises."""
-    return ALARMS.get(status, UNKNOWN)
+    return struct.pack("<III", 12 + len(body), Type.COMMAND, command) + body
 
 
 def status_text(status: int) -> str:
     """Return a status code with its meaning."""
-    return f"status {status} ({STATUS.get(status, 'unknown')})"
+    return f"status {status} ({STATUS.get(status, UNKNOWN).text})"
 
 
 def air_problem(temperature_c: float, pressure_mbar: float, humidity_percent: float) -> str:
@@ -268,9 +306,9 @@ def air_problem(temperature_c: float, pressure_mbar: float, humidity_percent: fl
     if temperature_c == humidity_percent == 0.0:
         return "temperature 0 C and humidity 0 %: the probe does not measure"
     limits = (
-        ("temperature", temperature_c, "C", TEMPERATURE_C),
-        ("pressure", pressure_mbar, "mbar", PRESSURE_MBAR),
-        ("humidity", humidity_percent, "%", HUMIDITY_PERCENT),
+        ("temperature", temperature_c, "C", (-20.0, 60.0)),
+        ("pressure", pressure_mbar, "mbar", (500.0, 1200.0)),
+        ("humidity", humidity_percent, "%", (0.0, 100.0)),
     )
     for name, value, unit, (low, high) in limits:
         if not low <= value <= high:
@@ -293,13 +331,14 @@ class PacketReader:
         """Return the packets that are complete now; after an `EmsconError` the stream is lost."""
         self._buffer += data
         packets = []
-        while len(self._buffer) >= _HEADER.size:
-            size, kind = _HEADER.unpack_from(self._buffer)
-            if not SMALLEST <= size <= LARGEST:
+        header = Struct("<II")
+        while len(self._buffer) >= header.size:
+            size, kind = header.unpack_from(self._buffer)
+            if not 12 <= size <= LARGEST:
                 raise EmsconError(f"a packet of {size} bytes is announced")
             if len(self._buffer) < size:
                 break
-            packets.append(decode(kind, bytes(self._buffer[_HEADER.size : size])))
+            packets.append(decode(kind, bytes(self._buffer[header.size : size])))
             del self._buffer[:size]
         return packets
 
@@ -315,54 +354,22 @@ def decode(kind: int, body: bytes) -> Packet:
         if kind == Type.STATUS_CHANGE:
             return StatusChange(*struct.unpack_from("<I", body))
         if kind == Type.SINGLE_RESULT:
-            return _single(*_RESULT.unpack_from(body))
+            return Single.decode(body)
         if kind == Type.MULTI_RESULT:
-            return _multi(body)
+            return Multi.decode(body)
     except struct.error as error:
         raise EmsconError(f"a packet of type {kind} with only {len(body)} bytes") from error
     return Other(kind)
 
 
-def _single(status: int, mode: int, _try_mode: int, *values: float) -> Single:
-    x, y, z, std_1, std_2, std_3, std_total = values[:7]
-    return Single(status, mode, (x, y, z), (std_1, std_2, std_3), std_total, *values[14:])
-
-
-def _multi(body: bytes) -> Multi:
-    status, count, _mode, _try_mode, *_air = _MULTI.unpack_from(body)
-    if count != (len(body) - _MULTI.size) / _SAMPLE.itemsize:
-        raise EmsconError(f"{count} samples are announced in {len(body)} bytes")
-    samples = np.frombuffer(body, _SAMPLE, offset=_MULTI.size)
-    bad = samples["status"][samples["status"] != 0]
-    device_s = samples["s"] + samples["us"] * 1e-6
-    return Multi(status or int(bad[0] if len(bad) else 0), device_s, samples["xyz"].copy())
-
-
-def decode_system_status(body: bytes) -> SystemStatus:
-    """Return the body of the reply to GetSystemStatus."""
-    values = _unpack(_SYSTEM_STATUS, body)
-    major, minor, build, weather, _flags, serial = values[4:]
-    return SystemStatus(values[1], f"{major}.{minor}.{build}", weather, serial)
-
-
 def decode_tracker_name(body: bytes) -> str:
     """Return the name in the body of the reply to GetTrackerInfo."""
-    _kind, name = _unpack(_TRACKER_INFO, body)
+    _kind, name = unpack(Layout.TRACKER_INFO, body)
     return _text(name)
 
 
-def decode_reflector(body: bytes) -> Reflector:
-    """Return the body of one reply to GetReflectors."""
-    total, number, _kind, offset_mm, name = _unpack(_REFLECTOR, body)
-    return Reflector(total, number, offset_mm, _text(name))
-
-
-def unpack(layout: struct.Struct, body: bytes) -> tuple[float, ...]:
-    """Return the numbers of a reply's body; raises `EmsconError`."""
-    return tuple(_unpack(layout, body))
-
-
-def _unpack(layout: struct.Struct, body: bytes) -> tuple[Any, ...]:
+def unpack(layout: Struct, body: bytes) -> tuple[Any, ...]:
+    """Return the values of a reply's body; raises `EmsconError`."""
     try:
         return layout.unpack_from(body)
     except struct.error as error:

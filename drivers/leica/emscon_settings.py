@@ -13,7 +13,7 @@ from struct import Struct
 import numpy as np
 
 from drivers.leica import emscon
-from drivers.leica.emscon import Change, Command
+from drivers.leica.emscon import Change, Command, Layout
 from drivers.tracker_readings import DEVICE, refused
 from hilcell.ports import DeviceError
 
@@ -29,7 +29,7 @@ class Setting:
     name: str
     read: Command
     layout: Struct
-    changes: frozenset[Change]
+    changes: tuple[Change, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,68 +39,64 @@ class Writable(Setting):
     write: Command
 
 
-def _setting(name: str, write: Command, read: Command, layout: Struct, change: Change) -> Writable:
-    return Writable(name, read, layout, frozenset({change}), write)
-
-
-UNITS = _setting("units", Command.SET_UNITS, Command.GET_UNITS, emscon.UNITS, Change.UNITS)
-AXES = _setting(
-    "coordinate system",
-    Command.SET_COORDINATE_SYSTEM,
-    Command.GET_COORDINATE_SYSTEM,
-    emscon.NUMBER,
-    Change.COORDINATE_SYSTEM,
-)
-MODE = _setting(
-    "measurement mode",
-    Command.SET_MEASUREMENT_MODE,
-    Command.GET_MEASUREMENT_MODE,
-    emscon.NUMBER,
-    Change.MEASUREMENT_MODE,
-)
-STATIONARY = _setting(
-    "stationary parameters",
-    Command.SET_STATIONARY,
-    Command.GET_STATIONARY,
-    emscon.STATIONARY,
-    Change.STATIONARY,
-)
-CONTINUOUS = _setting(
-    "continuous time parameters",
-    Command.SET_CONTINUOUS_TIME,
-    Command.GET_CONTINUOUS_TIME,
-    emscon.CONTINUOUS,
-    Change.CONTINUOUS_TIME,
-)
-SEARCH = _setting("search", Command.SET_SEARCH, Command.GET_SEARCH, emscon.SEARCH, Change.SEARCH)
-REFLECTOR = _setting(
-    "reflector", Command.SET_REFLECTOR, Command.GET_REFLECTOR, emscon.NUMBER, Change.REFLECTOR
-)
-FACE = Setting(
-    "face", Command.GET_FACE, emscon.NUMBER, frozenset({Change.FIRST_FACE, Change.SECOND_FACE})
-)
-SYSTEM = Setting(
-    "weather monitor, transformation and orientation in use",
-    Command.GET_SYSTEM_SETTINGS,
-    emscon.SYSTEM_SETTINGS,
-    frozenset({Change.SYSTEM_SETTINGS}),
-)
-ORIENTATION = Setting(
-    "station orientation",
-    Command.GET_ORIENTATION,
-    emscon.ORIENTATION,
-    frozenset({Change.ORIENTATION}),
-)
-TRANSFORMATION = Setting(
-    "transformation",
-    Command.GET_TRANSFORMATION,
-    emscon.TRANSFORMATION,
-    frozenset({Change.TRANSFORMATION}),
-)
-
-
 class EmsconSettings:
     """The values that the tracker is set to, and the news of those that somebody changed."""
+
+    UNITS = Writable("units", Command.GET_UNITS, Layout.UNITS, (Change.UNITS,), Command.SET_UNITS)
+    AXES = Writable(
+        "coordinate system",
+        Command.GET_COORDINATE_SYSTEM,
+        Layout.NUMBER,
+        (Change.COORDINATE_SYSTEM,),
+        Command.SET_COORDINATE_SYSTEM,
+    )
+    MODE = Writable(
+        "measurement mode",
+        Command.GET_MEASUREMENT_MODE,
+        Layout.NUMBER,
+        (Change.MEASUREMENT_MODE,),
+        Command.SET_MEASUREMENT_MODE,
+    )
+    STATIONARY = Writable(
+        "stationary parameters",
+        Command.GET_STATIONARY,
+        Layout.STATIONARY,
+        (Change.STATIONARY,),
+        Command.SET_STATIONARY,
+    )
+    CONTINUOUS = Writable(
+        "continuous time parameters",
+        Command.GET_CONTINUOUS_TIME,
+        Layout.CONTINUOUS,
+        (Change.CONTINUOUS_TIME,),
+        Command.SET_CONTINUOUS_TIME,
+    )
+    SEARCH = Writable(
+        "search", Command.GET_SEARCH, Layout.SEARCH, (Change.SEARCH,), Command.SET_SEARCH
+    )
+    REFLECTOR = Writable(
+        "reflector",
+        Command.GET_REFLECTOR,
+        Layout.NUMBER,
+        (Change.REFLECTOR,),
+        Command.SET_REFLECTOR,
+    )
+    FACE = Setting("face", Command.GET_FACE, Layout.NUMBER, (Change.FIRST_FACE, Change.SECOND_FACE))
+    SYSTEM = Setting(
+        "weather monitor, transformation and orientation in use",
+        Command.GET_SYSTEM_SETTINGS,
+        Layout.SYSTEM_SETTINGS,
+        (Change.SYSTEM_SETTINGS,),
+    )
+    ORIENTATION = Setting(
+        "station orientation", Command.GET_ORIENTATION, Layout.ORIENTATION, (Change.ORIENTATION,)
+    )
+    TRANSFORMATION = Setting(
+        "transformation",
+        Command.GET_TRANSFORMATION,
+        Layout.TRANSFORMATION,
+        (Change.TRANSFORMATION,),
+    )
 
     def __init__(
         self,
@@ -122,7 +118,7 @@ class EmsconSettings:
         Lengths are converted from and to the tracker's own unit, so their last digits may differ.
         """
         found = self._numbers_of(setting.read, setting.layout)
-        self._news -= setting.changes  # our own; the reading is younger
+        self._news.difference_update(setting.changes)  # our own; the reading is younger
         if not _same(found, values):
             raise refused(
                 "HC-T06",
@@ -146,11 +142,16 @@ class EmsconSettings:
 
         A controller that does not tell its system settings is older, and tells none of these.
         """
-        if not self._tells(SYSTEM):
+        try:
+            if not self._ask(self.SYSTEM.read, b""):
+                return
+        except DeviceError as refusal:
+            if refusal.fields.get("status") != emscon.NOT_IMPLEMENTED:
+                raise
             return
-        _weather, transforms, _orients = self.keep(SYSTEM)
-        self.keep(ORIENTATION)
-        scale = self.keep(TRANSFORMATION)[-1]
+        _weather, transforms, _orients = self.keep(self.SYSTEM)
+        self.keep(self.ORIENTATION)
+        scale = self.keep(self.TRANSFORMATION)[-1]
         if transforms and not abs(scale - 1.0) <= SCALE_SHARE:
             raise refused(
                 "HC-T06",
@@ -158,17 +159,9 @@ class EmsconSettings:
                 f"a transformation of scale {scale:.9g} is in use",
                 wanted="1",
                 act="switch it off or set its scale to 1 in the tracker's software, then resume",
-                setting=TRANSFORMATION.name,
+                setting=self.TRANSFORMATION.name,
                 scale=scale,
             )
-
-    def _tells(self, setting: Setting) -> bool:
-        try:
-            return bool(self._ask(setting.read, b""))
-        except DeviceError as refusal:
-            if refusal.fields.get("status") != emscon.NOT_IMPLEMENTED:
-                raise
-            return False
 
     def hear(self, change: int) -> None:
         """Take the news of a change; nothing is asked yet."""

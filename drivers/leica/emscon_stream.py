@@ -11,9 +11,8 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from drivers.leica import emscon, emscon_settings
-from drivers.leica.emscon import Change, Command, Failure, Multi, Packet, Reply, StatusChange
-from drivers.leica.emscon_errors import failed
+from drivers.leica import emscon
+from drivers.leica.emscon import Change, Command, Failure, Multi, Packet, Reply, StatusChange, Value
 from drivers.leica.emscon_settings import EmsconSettings
 from drivers.supervision import Patience
 from drivers.tracker_readings import DEVICE
@@ -91,9 +90,9 @@ class EmsconStream:
         self._tracker.point_at(self._near_mm, self._reflector)
         try:
             settings = self._tracker.settings
-            settings.write(emscon_settings.MODE, emscon.CONTINUOUS_TIME_MODE)
-            parameters = (self._separation_ms, emscon.UNTIL_STOPPED, 0, 0)
-            settings.write(emscon_settings.CONTINUOUS, *parameters)
+            settings.write(EmsconSettings.MODE, Value.CONTINUOUS_TIME)
+            parameters = (self._separation_ms, Value.UNTIL_STOPPED, 0, 0)
+            settings.write(EmsconSettings.CONTINUOUS, *parameters)
         except BaseException as error:
             self._restore(error)
             raise
@@ -149,7 +148,7 @@ class EmsconStream:
             if isinstance(packet, Reply | Failure) and packet.command == Command.STOP_MEASUREMENT:
                 self._running = False
                 if packet.status != 0:
-                    raise failed(Command.STOP_MEASUREMENT, packet.status)
+                    raise Command.STOP_MEASUREMENT.failed(packet.status)
                 return packets
             packets.append(packet)
         raise DeviceError(
@@ -164,7 +163,7 @@ class EmsconStream:
     def _samples(self, packet: Packet) -> list[Multi]:
         """Return the packet's samples; raises the error of any other packet."""
         if isinstance(packet, Failure):
-            raise failed(Command.START_MEASUREMENT, packet.status)
+            raise Command.START_MEASUREMENT.failed(packet.status)
         if packet == StatusChange(Change.NOT_READY):
             raise NoReading(
                 "HC-T10", DEVICE, "stream", "the beam broke", act="clear the line of sight"
@@ -172,7 +171,7 @@ class EmsconStream:
         if not isinstance(packet, Multi) or not len(packet.device_s):
             return []
         if packet.status != 0:
-            raise failed(Command.START_MEASUREMENT, packet.status)
+            raise Command.START_MEASUREMENT.failed(packet.status)
         self._check(packet)
         return [packet]
 
@@ -234,7 +233,7 @@ class EmsconStream:
                 return
             if self._running:
                 self._stop()
-            self._tracker.settings.write(emscon_settings.MODE, emscon.STATIONARY_MODE)
+            self._tracker.settings.write(EmsconSettings.MODE, Value.STATIONARY)
         except HilcellError as failure:  # a stop, too, would hide the error
             if error is None:
                 raise

@@ -17,9 +17,20 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from drivers.leica import emscon, emscon_settings
-from drivers.leica.emscon import Change, Command, Failure, Packet, Reply, Single, StatusChange
-from drivers.leica.emscon_errors import failed, spoken
+from drivers.leica import emscon
+from drivers.leica.emscon import (
+    Change,
+    Command,
+    Failure,
+    Layout,
+    Packet,
+    Reflector,
+    Reply,
+    Single,
+    StatusChange,
+    SystemStatus,
+    Value,
+)
 from drivers.leica.emscon_settings import EmsconSettings
 from drivers.leica.emscon_stream import EmsconStream
 from drivers.on_failure import on_failure
@@ -115,14 +126,14 @@ class LeicaEmsconTracker:
         """Measure as `measure` in the second face, and turn back."""
         near_mm = checked_order(near_mm, samples)
         self.point_at(near_mm, reflector)
-        self._turn_to(emscon.SECOND_FACE)
+        self._turn_to(Value.SECOND_FACE)
         try:
             results = [self._single(near_mm) for _ in range(samples)]
         except NoReading:
-            self._turn_to(emscon.FIRST_FACE)
+            self._turn_to(Value.FIRST_FACE)
             raise
         reading = self._reading(results, reflector)
-        self._turn_to(emscon.FIRST_FACE)
+        self._turn_to(Value.FIRST_FACE)
         return reading
 
     def stream(self, near_mm: Array, reflector: str, rate_hz: float) -> EmsconStream:
@@ -153,7 +164,7 @@ class LeicaEmsconTracker:
     def leave_stream(self) -> None:
         """Stop and put the mode back, without waiting for answers; then connect again."""
         self.stop()
-        mode = emscon.NUMBER.pack(emscon.STATIONARY_MODE)
+        mode = Layout.NUMBER.pack(Value.STATIONARY)
         self._wire().send(emscon.encode(Command.SET_MEASUREMENT_MODE, mode), "stop")
 
     # -- connecting ---------------------------------------------------------------------------
@@ -163,19 +174,19 @@ class LeicaEmsconTracker:
         serial, wanted = str(status.serial), self._options.serial
         if wanted not in ("", serial):
             raise another_tracker(serial, wanted)
-        if status.processor != emscon.INITIALIZED:
+        if status.processor != SystemStatus.INITIALIZED:
             self._ask(Command.INITIALIZE, limit_s=self.INITIALIZE_S)
             status = self._system_status()
-        if status.processor != emscon.INITIALIZED:
+        if status.processor != SystemStatus.INITIALIZED:
             raise refused(
                 "HC-T04",
                 "initialise",
                 f"processor status {status.processor}",
-                wanted=f"{emscon.INITIALIZED} (initialised)",
+                wanted=f"{SystemStatus.INITIALIZED} (initialised)",
                 act="look at the tracker, resume",
                 processor=status.processor,
             )
-        self._air_measured = status.weather_monitor == emscon.AIR_MEASURED
+        self._air_measured = status.weather_monitor == SystemStatus.AIR_MEASURED
         address = f"{self._options.host}:{self._options.port}"
         answer = self._request(Command.GET_TRACKER_INFO).body  # nothing by older controllers
         name = clean(self._decoded(emscon.decode_tracker_name, answer)) if answer else ""
@@ -183,23 +194,23 @@ class LeicaEmsconTracker:
         simulated, firmware = says_simulated(name), f"emScon {status.version}"
         return Identity(DEVICE, model, serial, address, simulated, "tracker", "Leica", firmware)
 
-    def _system_status(self) -> emscon.SystemStatus:
+    def _system_status(self) -> SystemStatus:
         body = self._ask(Command.GET_SYSTEM_STATUS)
-        return self._decoded(emscon.decode_system_status, body)
+        return self._decoded(SystemStatus.decode, body)
 
     def _set_up(self) -> None:
         options = self._options
         # A new start: news of before, of our own initialisation also, is of no settings of ours.
         settings = self.settings = EmsconSettings(self._ask, self._numbers_of)
-        settings.write(emscon_settings.UNITS, *emscon.MILLIMETRE_UNITS)
-        settings.write(emscon_settings.AXES, emscon.RIGHT_HANDED)
-        if settings.keep(emscon_settings.MODE) != (emscon.STATIONARY_MODE,):
+        settings.write(EmsconSettings.UNITS, *Value.MILLIMETRES)
+        settings.write(EmsconSettings.AXES, Value.RIGHT_HANDED)
+        if settings.keep(EmsconSettings.MODE) != (Value.STATIONARY,):
             self._request(Command.STOP_MEASUREMENT)  # a stream that was left behind
-        settings.write(emscon_settings.MODE, emscon.STATIONARY_MODE)
-        settings.write(emscon_settings.STATIONARY, round(1000 * options.reading_s), 1)
-        settings.write(emscon_settings.SEARCH, options.find_radius_mm, SEARCH_MS)
+        settings.write(EmsconSettings.MODE, Value.STATIONARY)
+        settings.write(EmsconSettings.STATIONARY, round(1000 * options.reading_s), 1)
+        settings.write(EmsconSettings.SEARCH, options.find_radius_mm, SEARCH_MS)
         settings.keep_frame()
-        air = self._numbers_of(Command.GET_ENVIRONMENT, emscon.ENVIRONMENT)
+        air = self._numbers_of(Command.GET_ENVIRONMENT, Layout.ENVIRONMENT)
         if problem := emscon.air_problem(*air):
             raise refused(
                 "HC-T05",
@@ -211,7 +222,7 @@ class LeicaEmsconTracker:
     def _turn_to(self, face: int) -> None:
         """Turn over, and believe it only when the face reads back."""
         self._ask(Command.CHANGE_FACE, limit_s=self.MOVE_S)
-        self.settings.expect(emscon_settings.FACE, face)
+        self.settings.expect(EmsconSettings.FACE, face)
 
     def _first_face(self) -> None:
         """Turn back a tracker that an engine before this one left in its second face.
@@ -221,20 +232,20 @@ class LeicaEmsconTracker:
         answer = self._request(Command.GET_FACE)
         if answer.status or not answer.body:
             return
-        (face,) = self._decoded(lambda reply: emscon.unpack(emscon.NUMBER, reply), answer.body)
-        if face == emscon.SECOND_FACE:
-            self._turn_to(emscon.FIRST_FACE)
-        elif face == emscon.FIRST_FACE:
-            self.settings.keep(emscon_settings.FACE)
+        (face,) = self._decoded(lambda reply: emscon.unpack(Layout.NUMBER, reply), answer.body)
+        if face == Value.SECOND_FACE:
+            self._turn_to(Value.FIRST_FACE)
+        elif face == Value.FIRST_FACE:
+            self.settings.keep(EmsconSettings.FACE)
 
     def _read_reflectors(self) -> dict[str, int]:
         """Return the tracker's reflectors: name to number. One reply comes for each of them."""
-        first = self._decoded(emscon.decode_reflector, self._ask(Command.GET_REFLECTORS))
+        first = self._decoded(Reflector.decode, self._ask(Command.GET_REFLECTORS))
         found = {clean(first.name): first.number}
         patience = Patience(self.REPLY_S)
         for _ in range(first.total - 1):
             body = self._status(Command.GET_REFLECTORS, patience).body
-            reflector = self._decoded(emscon.decode_reflector, body)
+            reflector = self._decoded(Reflector.decode, body)
             found[clean(reflector.name)] = reflector.number
         return found
 
@@ -252,14 +263,14 @@ class LeicaEmsconTracker:
                 reflector=reflector,
                 known=list(self._numbers),
             )
-        self.settings.write(emscon_settings.REFLECTOR, self._numbers[reflector])
+        self.settings.write(EmsconSettings.REFLECTOR, self._numbers[reflector])
         self._reflector = reflector
 
     # -- measuring ----------------------------------------------------------------------------
 
     def _aim(self, near_mm: Array) -> None:
         """Point the beam at ``near_mm``; search around where nothing is caught there."""
-        body = emscon.POSITION.pack(*near_mm, 1)
+        body = Layout.POSITION.pack(*near_mm, 1)
         try:
             self._ask(Command.GO_POSITION, body, limit_s=self.MOVE_S)
         except NoReading as first:
@@ -275,7 +286,7 @@ class LeicaEmsconTracker:
             ) from second
 
     def _find(self, near_mm: Array) -> None:
-        body = emscon.DISTANCE.pack(float(np.linalg.norm(near_mm)))
+        body = Layout.DISTANCE.pack(float(np.linalg.norm(near_mm)))
         self._ask(Command.FIND_REFLECTOR, body, limit_s=self.MOVE_S)
 
     def _single(self, near_mm: Array) -> Single:
@@ -308,7 +319,7 @@ class LeicaEmsconTracker:
             self._find(near_mm)
             reply = self._request(Command.START_MEASUREMENT)
         if reply.status != 0:
-            raise failed(Command.START_MEASUREMENT, reply.status)
+            raise Command.START_MEASUREMENT.failed(reply.status)
         self._results = 0
 
     def _check_alone(self) -> None:
@@ -317,7 +328,7 @@ class LeicaEmsconTracker:
         A measurement that still goes on makes the tracker busy, so its result comes before the
         reply.
         """
-        self.settings.read_again(emscon_settings.REFLECTOR)
+        self.settings.read_again(EmsconSettings.REFLECTOR)
         self.settings.prove()
         if self._results != 1:
             raise no_reading(
@@ -334,10 +345,10 @@ class LeicaEmsconTracker:
         while (packet := self.next_packet(patience)) is not None:
             if isinstance(packet, Single):
                 if packet.status != 0:
-                    raise failed(Command.START_MEASUREMENT, packet.status)
+                    raise Command.START_MEASUREMENT.failed(packet.status)
                 return packet
             if isinstance(packet, Failure):
-                raise failed(Command.START_MEASUREMENT, packet.status)
+                raise Command.START_MEASUREMENT.failed(packet.status)
             if packet == StatusChange(Change.NOT_READY):
                 raise no_reading("HC-T10", "the beam broke", act="clear the line of sight")
         raise no_reading(
@@ -401,7 +412,7 @@ class LeicaEmsconTracker:
         """Send a command and return its reply's body; raises the error of a refusal."""
         reply = self._request(command, body, limit_s)
         if reply.status != 0:
-            raise failed(command, reply.status)
+            raise command.failed(reply.status)
         return reply.body
 
     def _request(self, command: Command, body: bytes = b"", limit_s: float = 0.0) -> Reply:
@@ -409,7 +420,7 @@ class LeicaEmsconTracker:
         limit_s = limit_s or self.REPLY_S
         patience = Patience(limit_s, limit_s)
         while True:
-            self._wire().send(emscon.encode(command, body), spoken(command))
+            self._wire().send(emscon.encode(command, body), command.spoken)
             reply = self._status(command, Patience(limit_s))
             if reply.status != emscon.BUSY or patience.over():
                 return reply
@@ -421,8 +432,8 @@ class LeicaEmsconTracker:
             if isinstance(packet, Reply | Failure) and packet.command == command:
                 return Reply(command, packet.status, getattr(packet, "body", b""))
             if isinstance(packet, Reply) and packet.command != Command.STOP_MEASUREMENT:
-                raise self._lost(f"a reply to command {packet.command} came", spoken(command))
-        raise self._lost("no answer in time", spoken(command))
+                raise self._lost(f"a reply to command {packet.command} came", command.spoken)
+        raise self._lost("no answer in time", command.spoken)
 
     def _numbers_of(self, command: Command, layout: Struct) -> tuple[float, ...]:
         body = self._ask(command)

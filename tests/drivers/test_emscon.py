@@ -12,13 +12,17 @@ from drivers.leica.emscon import (
     Command,
     EmsconError,
     Failure,
+    Layout,
     Multi,
     Other,
     Packet,
     PacketReader,
+    Reflector,
     Reply,
     Single,
     StatusChange,
+    SystemStatus,
+    Value,
 )
 
 XYZ, STD, AIR = (1100.25, -2.5, 0.125), (0.004, 0.005, 0.006), (22.5, 1013.25, 45.0)
@@ -33,12 +37,12 @@ RESULT = bytes.fromhex("9c0000000200000000000000") + struct.pack(
         (Command.INITIALIZE, b"", "0c0000000000000007000000"),
         (
             Command.FIND_REFLECTOR,
-            emscon.DISTANCE.pack(3000.0),
+            Layout.DISTANCE.pack(3000.0),
             "14000000000000003f000000000000000070a740",
         ),
         (
             Command.SET_CONTINUOUS_TIME,
-            emscon.CONTINUOUS.pack(10, emscon.UNTIL_STOPPED, 0, 0),
+            Layout.CONTINUOUS.pack(10, Value.UNTIL_STOPPED, 0, 0),
             "1c000000000000001e0000000a000000000000000000000000000000",
         ),
     ],
@@ -101,16 +105,16 @@ def test_the_status_of_any_sample_is_that_of_all(at: int) -> None:
 
 def test_an_independent_peer_reads_our_settings() -> None:
     units = cesapi.SetUnitsCT()
-    units.unpack(emscon.encode(Command.SET_UNITS, emscon.UNITS.pack(*emscon.MILLIMETRE_UNITS)))
+    units.unpack(emscon.encode(Command.SET_UNITS, Layout.UNITS.pack(*Value.MILLIMETRES)))
     assert units.unitsSettings.lenUnitType == cesapi.ES_LU_Millimeter
     assert units.unitsSettings.angUnitType == cesapi.ES_AU_Radian
     assert units.unitsSettings.pressUnitType == cesapi.ES_PU_Mbar
     stationary = cesapi.SetStationaryModeParamsCT()
-    stationary.unpack(emscon.encode(Command.SET_STATIONARY, emscon.STATIONARY.pack(500, 1)))
+    stationary.unpack(emscon.encode(Command.SET_STATIONARY, Layout.STATIONARY.pack(500, 1)))
     assert stationary.stationaryModeData.lMeasTime == 500
     assert stationary.stationaryModeData.bUseADM == 1
     go = cesapi.GoPositionCT()
-    go.unpack(emscon.encode(Command.GO_POSITION, emscon.POSITION.pack(1.5, -2.5, 3.5, 1)))
+    go.unpack(emscon.encode(Command.GO_POSITION, Layout.POSITION.pack(1.5, -2.5, 3.5, 1)))
     assert (go.dVal1, go.dVal2, go.dVal3, go.bUseADM) == (1.5, -2.5, 3.5, 1)
     size = go._GoPositionCT__packet_size  # pyrefly: ignore[missing-attribute] # its name is mangled
     assert go.packetInfo.packetHeader.lPacketSize == size == 40
@@ -123,14 +127,14 @@ def test_an_independent_peers_replies_are_read() -> None:
     status.weatherMonitorStatus = 1
     (reply,) = PacketReader().feed(status.pack())
     assert isinstance(reply, Reply)
-    assert emscon.decode_system_status(reply.body) == emscon.SystemStatus(5, "3.0.900", 1, 390793)
+    assert SystemStatus.decode(reply.body) == SystemStatus(5, "3.0.900", 1, 390793)
     reflector = cesapi.GetReflectorsRT()
     reflector.iTotalReflectors, reflector.iInternalReflectorId = 2, 7
     reflector.dSurfaceOffset = 19.05
     reflector.cReflectorName = "SMR 1.5in".encode("utf-16-le").ljust(64, b"\0")
     (reply,) = PacketReader().feed(reflector.pack())
     assert isinstance(reply, Reply)
-    assert emscon.decode_reflector(reply.body) == emscon.Reflector(2, 7, 19.05, "SMR 1.5in")
+    assert Reflector.decode(reply.body) == Reflector(2, 7, 19.05, "SMR 1.5in")
 
 
 @pytest.mark.parametrize("size", [0, 4, 11, 65537, 2**31, 2**32 - 1])
@@ -147,7 +151,7 @@ def test_packets_too_short_for_their_type_are_refused(kind: int, size: int) -> N
 
 def test_short_bodies_are_refused() -> None:
     with pytest.raises(EmsconError):
-        emscon.unpack(emscon.UNITS, bytes(8))
+        emscon.unpack(Layout.UNITS, bytes(8))
 
 
 @settings(max_examples=40)

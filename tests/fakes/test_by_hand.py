@@ -9,7 +9,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from drivers.leica.emscon import MILLIMETRE_UNITS, POSITION, UNITS, Command, encode
+from drivers.leica.emscon import Command, Layout, Value, encode
 from fakes.faults import Faults
 from fakes.host import truth_of
 from fakes.leica.emscon_device import EmsconDevice
@@ -69,8 +69,8 @@ def test_carried_away_the_beam_breaks(plant: Plant, when: str) -> None:
     at = plant.tracker.reflectors()["F1"]
     for packet in (
         encode(Command.INITIALIZE),
-        encode(Command.SET_UNITS, UNITS.pack(*MILLIMETRE_UNITS)),
-        encode(Command.GO_POSITION, POSITION.pack(*at, 1)),
+        encode(Command.SET_UNITS, Layout.UNITS.pack(*Value.MILLIMETRES)),
+        encode(Command.GO_POSITION, Layout.POSITION.pack(*at, 1)),
     ):
         answer = device.handle(packet)
         if answer.later is not None:

@@ -97,9 +97,9 @@ def test_an_error_code_raises_the_alarm_of_its_family() -> None:
 
 
 def test_every_status_of_the_tracker_has_an_alarm() -> None:
-    for status in (*emscon.STATUS, 777):
-        assert entry_of(emscon.alarm(status)).specific
-        assert (emscon.alarm(status) == emscon.UNKNOWN) == (status not in emscon.STATUS)
+    for status in (*emscon.STATUS.values(), emscon.UNKNOWN):
+        assert entry_of(status.alarm).specific
+        assert (status.alarm == emscon.UNKNOWN.alarm) == (status is emscon.UNKNOWN)
 
 
 def test_a_code_that_no_catalogue_has_is_the_device_s_general_alarm() -> None:
