@@ -14,8 +14,9 @@ from enum import IntEnum
 
 import numpy as np
 
+from drivers.tracker_readings import DEVICE
 from hilcell.clean import clean
-from hilcell.ports import Array
+from hilcell.ports import Array, DeviceError, NoReading
 
 TRANSACTIONS = 2**15
 ABORT = "c"  # ends a motion or measurement; answered by "?"
@@ -23,21 +24,32 @@ RAD_PER_ARCSEC = math.pi / 648_000
 MM_PER_M = 1000.0
 PLACES = 15  # decimal places that the instrument is to send
 FARTHEST = 1e5  # m or rad; figures above are no reading
-CLEAR, DISTANCE, AUTOMATIC_TILT = 3, 1, 1  # of DO_MEASURE; tilt as for GET_MEASUREMENT
-
-OK, NOT_IMPLEMENTED, BUSY = 0, 5, frozenset({13, 786, 1293})
-UNCORRECTED, INACCURATE = 1283, 1284  # both with values
+AUTOMATIC_TILT = 1  # of DO_MEASURE and GET_MEASUREMENT
+BUSY = frozenset({13, 786, 1293})
 # Communication codes of an instrument that is in step: unknown procedure, asleep, off.
 REFUSED_UNREAD = (3080, 3081, 3108, 3109)
-_REPLY = re.compile(r"%R1P,(\d{1,9}),(\d{1,9})(?:,\d{1,9})?:(\d{1,9})(?:,(.*))?")
 # A name may have the mark of an arcsecond in it, escaped or not: a quote that ends no value.
 _VALUE = re.compile(r'"((?:[^"\\]|\\.|"(?!,|$))*)"(?=,|$)|((?!")[^,]*)')
-_WHOLE = re.compile(rf"-?\d+\.\d{{{PLACES}}}")
-_ESCAPED = re.compile(r'\\(["\\])')
 
 
 class GeocomError(Exception):
     """Text that is no reply, or no value of the expected kind."""
+
+
+class Code(IntEnum):
+    """Return codes that are looked at."""
+
+    OK = 0
+    NOT_IMPLEMENTED = 5
+    UNCORRECTED = 1283  # with values
+    INACCURATE = 1284  # with values
+
+
+class Program(IntEnum):
+    """Programs of DO_MEASURE."""
+
+    DISTANCE = 1
+    CLEAR = 3
 
 
 class Rpc(IntEnum):
@@ -65,6 +77,23 @@ class Rpc(IntEnum):
     FINE_ADJUST = 9037
     SET_ATR = 18005
     GET_ATR = 18006
+
+    @property
+    def spoken(self) -> str:
+        """The procedure in words."""
+        return self.name.lower().replace("_", " ")
+
+    @property
+    def measures(self) -> bool:
+        """Whether its failure is one of a measurement, which may be tried again."""
+        return self in (Rpc.TURN_TO, Rpc.FINE_ADJUST, Rpc.DO_MEASURE, Rpc.GET_MEASUREMENT)
+
+    def failed(self, code: int) -> DeviceError:
+        """Return the error of a refused request."""
+        kind = NoReading if self.measures and code not in FAULTS else DeviceError
+        alarm = ALARMS.get(code, "HC-T24")
+        act, fields = ACTS.get(alarm, ACT), {"status": code}
+        return kind(alarm, DEVICE, self.spoken, status_text(code), act=act, fields=fields)
 
 
 STATUS = {
@@ -117,7 +146,6 @@ STATUS = {
     3109: "instrument off",
     8716: "position outside of the tolerance",
 }
-UNKNOWN = "HC-T24"
 ALARMS = {
     **dict.fromkeys(BUSY, "HC-T21"),
     **dict.fromkeys((2, 3, 5, 27, 3080, 3081, 8714), "HC-T23"),
@@ -125,8 +153,8 @@ ALARMS = {
     22: "HC-T20",
     **dict.fromkeys(range(769, 786), "HC-T53"),
     **dict.fromkeys(range(787, 836), "HC-T53"),
-    UNCORRECTED: "HC-T50",
-    INACCURATE: "HC-T51",
+    Code.UNCORRECTED: "HC-T50",
+    Code.INACCURATE: "HC-T51",
     **dict.fromkeys((1285, 1288, 1289, 1292, 1294), "HC-T52"),
     1291: "HC-T06",
     **dict.fromkeys((1290, *range(8704, 8710), 8716), "HC-T54"),
@@ -134,6 +162,13 @@ ALARMS = {
     8711: "HC-T56",
 }
 FAULTS = frozenset({2, 3, 5, 12, 18, 22, 25, 27, 778, 779, 790, 1291, *REFUSED_UNREAD, 8707, 8714})
+ACT = "look at the instrument, then resume"
+ACTS = {
+    "HC-T11": "clear the view or seat the reflector, then resume",
+    "HC-T50": "level the instrument and switch its compensator on",
+    "HC-T51": "level and check the instrument, or state tracker.options.accept_uncorrected = true",
+    "HC-T56": "take other reflectors out of the view",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +179,19 @@ class Reply:
     transaction: int
     code: int
     values: tuple[str, ...] = ()
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether a reply of success has no values, where a whole one would have some."""
+        return not any(value.strip() for value in self.values)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether each value has all its places: the line has no check sum and loses characters.
+
+        Some instruments leave zeros at the end out, so a value that is not whole may be a good one.
+        """
+        return all(re.fullmatch(rf"-?\d+\.\d{{{PLACES}}}", value) for value in self.values)
 
 
 def request(rpc: int, transaction: int, *parameters: float) -> str:
@@ -160,37 +208,18 @@ def _number(value: float) -> str:
 
 def parse(line: str) -> Reply:
     """Return the reply in a line; raises `GeocomError`."""
-    found = _REPLY.fullmatch(line)
+    found = re.fullmatch(r"%R1P,(\d{1,9}),(\d{1,9})(?:,\d{1,9})?:(\d{1,9})(?:,(.*))?", line)
     if found is None:
         raise GeocomError(f"no reply: {clean(line[:80])!r}")
-    communication, transaction, code, rest = found.groups()
-    values = () if rest is None else _values(rest)
-    return Reply(int(communication), int(transaction), int(code), values)
-
-
-def _values(text: str) -> tuple[str, ...]:
-    values, at = [], 0
-    while True:
-        found = _VALUE.match(text, at)
-        if found is None or text[found.end() : found.end() + 1] not in ("", ","):
+    communication, transaction, code, text = found.groups()
+    values, at = list[str](), 0
+    while text is not None and at <= len(text):
+        value = _VALUE.match(text, at)
+        if value is None or text[value.end() : value.end() + 1] not in ("", ","):
             raise GeocomError(f"no values: {clean(text[:80])!r}")
-        values.append(found[2] if found[1] is None else _ESCAPED.sub(r"\1", found[1]))
-        if found.end() == len(text):
-            return tuple(values)
-        at = found.end() + 1
-
-
-def empty(reply: Reply) -> bool:
-    """Whether a reply of success has no values, where a whole one would have some."""
-    return not any(value.strip() for value in reply.values)
-
-
-def is_whole(reply: Reply) -> bool:
-    """Whether each value has all its places: the line has no check sum and loses characters.
-
-    Some instruments leave zeros at the end out, so a value that is not whole may be a good one.
-    """
-    return all(map(_WHOLE.fullmatch, reply.values))
+        values.append(value[2] if value[1] is None else re.sub(r'\\(["\\])', r"\1", value[1]))
+        at = value.end() + 1
+    return Reply(int(communication), int(transaction), int(code), tuple(values))
 
 
 def numbers(values: tuple[str, ...], count: int) -> tuple[float, ...]:
@@ -212,11 +241,6 @@ def possible(values: tuple[float, ...]) -> bool:
 def status_text(code: int) -> str:
     """Return a return code with its meaning."""
     return f"code {code} ({STATUS.get(code, 'unknown')})"
-
-
-def alarm(code: int) -> str:
-    """Return the code of the alarm that a return code raises."""
-    return ALARMS.get(code, UNKNOWN)
 
 
 def angles_to(xyz_mm: Array) -> tuple[float, float]:

@@ -18,7 +18,7 @@ import numpy as np
 from msgspec import Meta
 
 from drivers.leica import geocom
-from drivers.leica.geocom import Reply, Rpc
+from drivers.leica.geocom import Code, Program, Reply, Rpc
 from drivers.on_failure import on_failure
 from drivers.supervision import Patience
 from drivers.tracker_readings import (
@@ -41,7 +41,6 @@ from hilcell.ports import (
     Clock,
     DeviceError,
     Identity,
-    NoReading,
     TrackerReading,
     says_simulated,
 )
@@ -53,14 +52,6 @@ SETTING_SHARE = 1e-6
 NOWHERE_MM = np.full(3, np.nan)
 TRIES = 5  # distances until one comes with all its places; zeros at the end take one in four
 CORRECTED = (1, 1, 1, 1)  # for tilt, tilt of the standing axis, collimation, tilting axis
-MEASURING = {Rpc.TURN_TO, Rpc.FINE_ADJUST, Rpc.DO_MEASURE, Rpc.GET_MEASUREMENT}
-ACT = "look at the instrument, then resume"
-ACTS = {
-    "HC-T11": "clear the view or seat the reflector, then resume",
-    "HC-T50": "level the instrument and switch its compensator on",
-    "HC-T51": "level and check the instrument, or state tracker.options.accept_uncorrected = true",
-    "HC-T56": "take other reflectors out of the view",
-}
 
 Positive = Annotated[float, Meta(gt=0)]
 
@@ -207,11 +198,11 @@ class LeicaGeocomTracker:
         set_to("prism constant", Rpc.SET_PRISM_CONSTANT, Rpc.GET_PRISM_CONSTANT, prism_m)
         set_to("distance mode", Rpc.SET_EDM_MODE, Rpc.GET_EDM_MODE, options.edm_mode)
         read = Rpc.GET_ANGLE_CORRECTIONS
-        if self._exchange(read, (), self.REPLY_S).code != geocom.NOT_IMPLEMENTED:
+        if self._exchange(read, (), self.REPLY_S).code != Code.NOT_IMPLEMENTED:
             set_to("angle corrections", Rpc.SET_ANGLE_CORRECTIONS, read, *CORRECTED)
         set_to("compensator", Rpc.SET_TILT_SWITCH, Rpc.GET_TILT_SWITCH, 1)
         set_to("target recognition", Rpc.SET_ATR, Rpc.GET_ATR, 1)
-        self._ask(Rpc.DO_MEASURE, geocom.CLEAR, geocom.AUTOMATIC_TILT)
+        self._ask(Rpc.DO_MEASURE, Program.CLEAR, geocom.AUTOMATIC_TILT)
 
     def _set_checked(self, what: str, write: Rpc, read: Rpc, *wanted: float) -> None:
         """Write a setting where it reads differently, and believe it only when it reads back.
@@ -245,7 +236,7 @@ class LeicaGeocomTracker:
         """Read all settings again: somebody may have changed one at the keyboard."""
         for what, (read, kept) in self._kept.items():
             reply = self._ask(read)
-            if not geocom.empty(reply) and _same(self._decoded(reply, len(kept)), kept):
+            if not reply.is_empty and _same(self._decoded(reply, len(kept)), kept):
                 continue
             found = self._numbers(read, len(kept))  # a character may have been lost
             if not _same(found, kept):
@@ -270,7 +261,7 @@ class LeicaGeocomTracker:
         for _ in range(TRIES):
             reply = self._measured()
             values = self._decoded(reply, 3)
-            if geocom.is_whole(reply):
+            if reply.is_whole:
                 break
             at_mm = geocom.position_mm(*values) if geocom.possible(values) else NOWHERE_MM
             if float(np.linalg.norm(at_mm - before_mm)) <= options.max_std_mm:
@@ -291,7 +282,7 @@ class LeicaGeocomTracker:
     def _measured(self) -> Reply:
         """Return angles and a new distance, which reading it makes an old one."""
         options = self._options
-        for program in (geocom.CLEAR, geocom.DISTANCE):
+        for program in (Program.CLEAR, Program.DISTANCE):
             self._ask(Rpc.DO_MEASURE, program, geocom.AUTOMATIC_TILT)
         wait_ms = DISTANCE_MS + round(1000 * options.reading_s)
         reply = self._ask(
@@ -301,8 +292,8 @@ class LeicaGeocomTracker:
             limit_s=wait_ms / 1000.0 + self.REPLY_S,
             accepted=options.accept_uncorrected,
         )
-        if geocom.empty(reply):
-            raise no_reading("HC-T13", "the answer has no values", act=ACT)
+        if reply.is_empty:
+            raise no_reading("HC-T13", "the answer has no values", act=geocom.ACT)
         return reply
 
     # -- lines --------------------------------------------------------------------------------
@@ -315,9 +306,9 @@ class LeicaGeocomTracker:
         """Ask for values until two answers in a row are the same; the line has no check sum."""
         patience = Patience(self.REPLY_S, self.REPLY_S)
         before = self._ask(rpc)
-        while geocom.empty(reply := self._ask(rpc)) or reply.values != before.values:
+        while (reply := self._ask(rpc)).is_empty or reply.values != before.values:
             if patience.over():
-                raise self._lost("answers without values, or each another one", _spoken(rpc))
+                raise self._lost("answers without values, or each another one", rpc.spoken)
             before = reply
             self._clock.wait(BUSY_PAUSE_S)
         return reply
@@ -335,9 +326,9 @@ class LeicaGeocomTracker:
             if patience.over():
                 break
             self._clock.wait(BUSY_PAUSE_S)
-        uncorrected = reply.code in (geocom.UNCORRECTED, geocom.INACCURATE)
-        if reply.communication or (reply.code != geocom.OK and not (accepted and uncorrected)):
-            raise _failed(rpc, reply.communication or reply.code)
+        uncorrected = reply.code in (Code.UNCORRECTED, Code.INACCURATE)
+        if reply.communication or (reply.code != Code.OK and not (accepted and uncorrected)):
+            raise rpc.failed(reply.communication or reply.code)
         return reply
 
     def _exchange(self, rpc: Rpc, parameters: tuple[float, ...], limit_s: float) -> Reply:
@@ -349,17 +340,17 @@ class LeicaGeocomTracker:
                 return reply
             if reply.transaction not in self._given_up:
                 found = f"an answer to request {reply.transaction} came, not to {transaction}"
-                raise self._lost(f"{found}; does another program use this line?", _spoken(rpc))
+                raise self._lost(f"{found}; does another program use this line?", rpc.spoken)
         self._given_up.add(transaction)
-        if rpc not in MEASURING:
-            raise self._lost("no answer in time", _spoken(rpc))
+        if not rpc.measures:
+            raise self._lost("no answer in time", rpc.spoken)
         self._exchange(Rpc.NULL, (), self.REPLY_S)  # it lives, or the line is lost
-        raise no_reading("HC-T13", f"no answer to {_spoken(rpc)} in {limit_s:.1f} s", act=ACT)
+        raise no_reading("HC-T13", f"no answer to {rpc.spoken} in {limit_s:.1f} s", act=geocom.ACT)
 
     def _send(self, rpc: Rpc, *parameters: float) -> int:
         transaction = 1 + next(self._transactions) % (geocom.TRANSACTIONS - 1)
         self._given_up.discard(transaction)
-        self._wire().send(geocom.request(rpc, transaction, *parameters), _spoken(rpc))
+        self._wire().send(geocom.request(rpc, transaction, *parameters), rpc.spoken)
         return transaction
 
     def _line(self, patience: Patience) -> str | None:
@@ -405,15 +396,3 @@ class LeicaGeocomTracker:
 def _same(found: tuple[float, ...], wanted: tuple[float, ...]) -> bool:
     close = np.isclose(found, wanted, rtol=SETTING_SHARE, atol=SETTING_SHARE)
     return bool(np.all(close & np.isfinite(found)))
-
-
-def _failed(rpc: Rpc, code: int) -> DeviceError:
-    """Return the error of a refused request."""
-    kind = NoReading if rpc in MEASURING and code not in geocom.FAULTS else DeviceError
-    alarm = geocom.alarm(code)
-    found, act = geocom.status_text(code), ACTS.get(alarm, ACT)
-    return kind(alarm, DEVICE, _spoken(rpc), found, act=act, fields={"status": code})
-
-
-def _spoken(rpc: Rpc) -> str:
-    return rpc.name.lower().replace("_", " ")
