@@ -23,6 +23,17 @@ from hilcell.journal.runs import JOURNAL
 RUNS = 10_000
 TARGET_MS = 300.0
 POINTS = 20
+POINT = {
+    "id": {"kind": "grid"},
+    "group": "grid",
+    "station": "S1100",
+    "reflector": "SMR",
+    "xyz_mm": [1.0, 2.0, 3.0],
+    "std_mm": [0.01, 0.01, 0.01],
+    "samples": 4,
+    "session": 1,
+    "frame": "tracker",
+}
 OPERATORS = ("Ann", "Bob", "Chi", "Dee", "Eve")
 WORDS = f"paper state:faulted {datetime.now(UTC):%Y}- -operator:eve"
 
@@ -39,15 +50,25 @@ def write_journal(path: Path, operator: str, *, faulted: bool) -> None:
         "machine_seed": 1,
         "simulated": True,
         "replayed": False,
+        "digest": "",
+        "speed": None,
+        "unattended": True,
+        "versions": {},
+        "settings": {},
+        "steps": [],
+        "points": POINTS,
+        "duration_s": 60.0,
+        "cell_file": "",
     }
     errors = {"mean": 1.2, "p95": 1.9, "max": 2.2}
-    result = {"validation": {"S1100": {"before": errors, "chosen": errors}}}
+    sent = {"points": POINTS, "points_sent": {"before": POINTS, "chosen": POINTS}}
+    result = {"validation": {"S1100": sent | {"before": errors, "chosen": errors}}}
     journal = Journal(path, path.parent.name, create=True)
     journal.append("plan", "", plan)
     for state in ("checking", "running"):
         journal.append("state", "", {"machine": "run", "to": state})
     for number in range(POINTS):
-        journal.append("point", f"grid/{number}", {"group": "grid", "xyz_mm": [1.0, 2.0, 3.0]})
+        journal.append("point", f"grid/{number}", POINT)
     state = "faulted" if faulted else "finished"
     reason = "Tracker: measure: beam broken" if faulted else ""
     journal.append("state", "", {"machine": "run", "to": state, "reason": reason})

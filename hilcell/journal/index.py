@@ -32,6 +32,7 @@ from hilcell.model.events import Connected
 from hilcell.model.plan import FolderOrder, PlanRecord
 from hilcell.model.point import Point
 from hilcell.model.records import Ended, StateChanged
+from hilcell.model.results import Place
 from hilcell.typed import decoded, typed
 
 NAME = "index.sqlite"
@@ -204,16 +205,6 @@ _LOOKS: dict[str, Callable[[RunRow], str]] = {
 # -- a row from a journal --------------------------------------------------------------------------
 
 
-class _Errors(msgspec.Struct):
-    mean: float
-    max: float
-
-
-class _Place(msgspec.Struct):
-    before: _Errors
-    chosen: _Errors
-
-
 class _Method(msgspec.Struct):
     mean_mm: float
     max_mm: float
@@ -225,7 +216,7 @@ class _Fit(msgspec.Struct):
 
 
 class _Result(msgspec.Struct):
-    validation: dict[str, _Place] = {}
+    validation: dict[str, Place] = {}
     campaign: _Fit = msgspec.field(default_factory=_Fit)
 
 

@@ -28,8 +28,8 @@ STATES = DONE, CANNOT_BE, FAILED = "done", "cannot be", "failed"
 
 
 class Found(msgspec.Struct, frozen=True):
-    """The findings of a worker in a case; ``versions`` are its own where they are not the study's, and
-    then it measured nothing. ``minutes`` are the robot's.
+    """The findings of a worker in a case; ``versions`` are its own where they are not the
+    study's, and then it measured nothing. ``minutes`` are the robot's.
     """
 
     state: str

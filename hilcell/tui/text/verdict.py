@@ -20,6 +20,7 @@ from hilcell.journal.calibration_facts import run_judged
 from hilcell.journal.words import in_words
 from hilcell.model.events import TrackerProven
 from hilcell.model.outcome import Outcome
+from hilcell.model.results import Place
 from hilcell.model.verdicts import VALIDATION, Judged, Limits
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import Cell, Col, Drawing, Fitting, Grid, Lines, Stack, Text
@@ -34,23 +35,6 @@ SHOWN: dict[Outcome, tuple[str, str]] = {  # the shape's name, the style
     Outcome.UNDECIDED: ("warned", "$ask"),
     Outcome.REJECTED: ("warned", "bold $fault"),
 }
-
-
-class _Figures(msgspec.Struct):
-    mean: float
-    p95: float = math.nan
-    max: float = math.nan
-
-
-class _Floor(msgspec.Struct):
-    mean: float
-
-
-class _Place(msgspec.Struct):
-    points: int
-    before: _Figures
-    chosen: _Figures
-    floor: _Floor | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,11 +107,11 @@ def verdict_of(view: RunView) -> Finished | None:
     )
 
 
-def _places(view: RunView) -> dict[str, _Place]:
+def _places(view: RunView) -> dict[str, Place]:
     """Return the places of a finished validation; nothing of another procedure's result."""
     found = view.log.result.get("validation", {})
     try:
-        return typed(found, dict[str, _Place])
+        return typed(found, dict[str, Place])
     except msgspec.ValidationError:
         return {}
 

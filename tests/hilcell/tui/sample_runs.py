@@ -148,6 +148,7 @@ RESULT = {
     "validation": {
         "S1100": {
             "points": 2,
+            "points_sent": {"before": 2, "idw": 2, "chosen": 2},
             "before": FIGURES | {"mean": 1.2},
             "idw": FIGURES,
             "chosen": FIGURES,

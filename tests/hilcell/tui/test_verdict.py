@@ -33,7 +33,12 @@ def finished(state: str, places: dict[str, dict[str, float]], U_mm: float = 0.00
     """Return a run that has ended with these errors."""
     view = view_of(state)
     validation: dict[str, Any] = {
-        name: {"points": 75, "before": each | {"mean": 1.2}, "chosen": each}
+        name: {
+            "points": 75,
+            "points_sent": {"before": 75},
+            "before": each | {"mean": 1.2},
+            "chosen": each,
+        }
         for name, each in places.items()
     }
     validation["others"] = validation[next(iter(places))]
@@ -264,7 +269,7 @@ def test_a_long_name_of_a_station_hides_no_limit_and_no_figure() -> None:
 def test_a_phrase_without_room_is_left_out_whole() -> None:
     view = finished("done", PLACES)
     assert view.log.end is not None
-    view.log.end.result["validation"]["S300"]["floor"] = {"mean": 0.031}
+    view.log.end.result["validation"]["S300"]["floor"] = {"mean": 0.031, "p95": 0.05}
     found = verdict_of(view)
     assert found is not None
     wide = drawn(verdict_lines(view, found, UNICODE), 79, 9)
