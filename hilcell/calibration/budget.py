@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import msgspec
 import numpy as np
@@ -58,50 +59,152 @@ def uncertainty_of(log: Log) -> Uncertainty:
     if not visits_mm(log):
         return Uncertainty(missing=NO_VISITS)
     stated = log.cell.uncertainty
+    lines = _Lines(log)
     return Uncertainty(
         [
-            _repeatability(log),
+            lines.repeatability(),
             _approach(stated.reversal_limit_mm, log.once_measured(reversal)),
-            _drift(log),
-            _world(log),
-            _tracker(log),
+            lines.drift(),
+            lines.world(),
+            lines.tracker(),
             _centring(stated.smr_centring_limit_mm, stated.smr_source or ASSUMED),
-            _drill(log),
+            lines.drill(),
         ],
-        {station.name: _placed(log, station) for station in log.cell.station},
+        {station.name: lines.placed(station) for station in log.cell.station},
         stated.arm_growth_um_m_k * 1e-6,
         stated.air_range_k,
-        _model_samples(log),
+        lines.model_samples(),
     )
 
 
-def _model_samples(log: Log) -> int | None:
-    """Return from how many different poses the model's residual was estimated, if any.
+@dataclass(frozen=True, eq=False)
+class _Lines:
+    """Influences on a corrected target, as one run shows them."""
 
-    Without the curves of axis sweeps it is mostly the gears', and repeats where a joint's angle
-    repeats: a grid of 64 poses may show no more than 16 different errors of axis 1.
-    """
-    points = log.select("grid")
-    fitted = log.verdict(Fitted)
-    if not points or (fitted is not None and fitted.curves.used):
-        return len(points) or None
-    large_axes = [0, 1, 2]  # whose errors have levers of metres
-    same_deg = 0.1  # of a joint's angle: less than half the shortest wave of a gear
-    angles = np.round(np.degrees(commanded_rad(points))[:, large_axes] / same_deg)
-    return min(len(np.unique(each)) for each in angles.T)
+    log: Log
 
+    def model_samples(self) -> int | None:
+        """Return from how many different poses the model's residual was estimated, if any.
 
-def _repeatability(log: Log) -> Influence:
-    """Return the scatter of visits in {B}, less the readings'."""
-    R = (inverse(log.matrix("base")) @ log.matrix("world"))[:3, :3]
-    scatter_mm2, visits, places = visit_scatter(log, R)
-    robot_mm2 = no_less_than_nought(scatter_mm2 - _mean_reading_mm2(log.select("repeatability"), R))
-    return Influence(
-        "Robot repeatability", MEASURED,
-        f"{visits} visits of {places} places, less the readings' noise", "4.2.4", "base",
-        motion(robot_mm2), freedom=_finite(trace_freedom(scatter_mm2, visits - places)),
-        within_model=True, alone=True,
-    )  # fmt: skip
+        Without the curves of axis sweeps it is mostly the gears', and repeats where a joint's angle
+        repeats: a grid of 64 poses may show no more than 16 different errors of axis 1.
+        """
+        points = self.log.select("grid")
+        fitted = self.log.verdict(Fitted)
+        if not points or (fitted is not None and fitted.curves.used):
+            return len(points) or None
+        large_axes = [0, 1, 2]  # whose errors have levers of metres
+        same_deg = 0.1  # of a joint's angle: less than half the shortest wave of a gear
+        angles = np.round(np.degrees(commanded_rad(points))[:, large_axes] / same_deg)
+        return min(len(np.unique(each)) for each in angles.T)
+
+    def repeatability(self) -> Influence:
+        """Return the scatter of visits in {B}, less the readings'."""
+        R = (inverse(self.log.matrix("base")) @ self.log.matrix("world"))[:3, :3]
+        scatter_mm2, visits, places = visit_scatter(self.log, R)
+        robot_mm2 = no_less_than_nought(
+            scatter_mm2 - _mean_reading_mm2(self.log.select("repeatability"), R)
+        )
+        return Influence(
+            "Robot repeatability", MEASURED,
+            f"{visits} visits of {places} places, less the readings' noise", "4.2.4", "base",
+            motion(robot_mm2), freedom=_finite(trace_freedom(scatter_mm2, visits - places)),
+            within_model=True, alone=True,
+        )  # fmt: skip
+
+    def drift(self) -> Influence:
+        """Return how far the floor nests moved in the run, less the readings' noise."""
+        firsts = {point.id.nest: point for point in self.log.select("world")}
+        pairs = [
+            (now, firsts[now.id.nest])
+            for now in self.log.select("control")
+            if now.id.nest in firsts
+        ]
+        if not pairs:
+            limit_mm = self.log.cell.uncertainty.drift_limit_mm
+            how = f"limit ±{limit_mm:g} mm, the floor nests were measured once only"
+            return Influence(
+                "Drift", ASSUMED, how, "4.3.7", "world", motion(rectangular_variance(limit_mm))
+            )
+        both = [[pair[n] for pair in pairs] for n in (0, 1)]
+        noise_mm2 = sum(float(variances_mm2(points).mean()) for points in both)
+        moved_mm = rms(positions_mm(both[0]) - positions_mm(both[1]))
+        how = f"{len(pairs)} measurements of the floor nests against the first, less the readings'"
+        variance_mm2 = max(0.0, moved_mm**2 - noise_mm2)
+        return Influence("Drift", MEASURED, how, "4.2.2", "world", motion(variance_mm2))
+
+    def world(self) -> Influence:
+        """Return {W} as the floor nests define it: their noise and the reflector's centring."""
+        centring_mm2 = rectangular_variance(self.log.cell.uncertainty.smr_centring_limit_mm)
+        known = len(floor_points(self.log)) == FLOOR_NESTS
+        covariance = (
+            world_covariance(self.log, np.zeros(3), centring_mm2) if known else np.zeros((6, 6))
+        )
+        return Influence(
+            "World frame", f"{MEASURED}, and {ASSUMED}",
+            "noise of the three floor nests and the reflector's centring in each, carried to the "
+            "target", "5.1.2", "world", moved_frame(covariance), counts="in use",
+        )  # fmt: skip
+
+    def tracker(self) -> Influence:
+        """Return the tracker's limits, along and across the beam."""
+        stated = self.log.cell.uncertainty
+        x_mm, y_mm, z_mm = self.log.matrix("world")[:3, 3].tolist()
+        turn = rectangular_variance(stated.tracker_limit_um_m * 1e-6)
+        how = f"limit ±{stated.tracker_limit_mm:g} mm"
+        if turn:
+            how += f", across the beam ±{stated.tracker_limit_um_m:g} µm/m besides"
+        return Influence(
+            "Tracker, systematic", stated.tracker_source or ASSUMED, how, "4.3.7", "world",
+            motion(rectangular_variance(stated.tracker_limit_mm), turn), (x_mm, y_mm, z_mm),
+            counts="in use",
+        )  # fmt: skip
+
+    def drill(self) -> Influence:
+        """Return the drill's offset from the reflector times the tool's orientation error.
+
+        The orientation is the nominal robot's in the measured {B}, so both errors count.
+        """
+        stated = self.log.cell.uncertainty
+        x_mm, y_mm, z_mm = stated.drill_offset_mm
+        base_rad2 = self.log.frames["base"].C[3:, 3:]
+        turn = (stated.orientation_urad * 1e-6) ** 2 + float(np.trace(base_rad2)) / 3
+        how = (
+            f"{math.hypot(x_mm, y_mm, z_mm):g} mm from the reflector, orientation "
+            f"{stated.orientation_urad:g} µrad and the base frame's own"
+        )
+        return Influence(
+            DRILL, ASSUMED, how, "5.1.2", "tool", motion(0.0, turn), (-x_mm, -y_mm, -z_mm),
+            counts="in use",
+        )  # fmt: skip
+
+    def placed(self, station: Station) -> list[Influence]:
+        """Return what placing the slide at a station costs: its frame, and the strip's hold."""
+        x_mm, y_mm, z_mm = Frames(self.log.cell, self.log).base_in_world(station)[:3, 3].tolist()
+        carried = station.name != self.log.cell.grid.station
+        how = "noise of the slide nests, carried to the target"
+        frame = Influence(
+            "Station frame", MEASURED, how if carried else "the grid was measured here", "5.2.2",
+            "world", moved_frame(base_covariance(self.log, station)), (x_mm, y_mm, z_mm),
+        )  # fmt: skip
+        return [frame, self._strip()] if self.log.cell.has_rail else [frame]
+
+    def _strip(self) -> Influence:
+        """Return the strip's two holds, of the calibration and of the visit, along the rail."""
+        along = np.array(self.log.cell.layout.rail_direction)
+        again = self.log.select("repeat", how="strip", way="random")
+        if len(again) > 1:
+            at_mm = apply(self.log.matrix("world"), positions_mm(again)) @ along
+            held_mm2, freedom = float(at_mm.var(ddof=1)) * np.outer(along, along), len(again) - 1
+            how, clause = f"two holds, each of the scatter of {len(again)} approaches", "4.2.2"
+        else:
+            held_mm2, freedom = hold_covariance(self.log.cell), None
+            how = f"two holds, each proven within ±{self.log.cell.rail.held_within_mm:g} mm"
+            clause = "4.3.7"
+        return Influence(
+            "Strip", MEASURED, f"{how}, along the rail", clause, "world",
+            motion(2 * held_mm2), freedom=freedom,
+        )  # fmt: skip
 
 
 def _approach(limit_mm: float, found: Reversal | None) -> Influence:
@@ -118,51 +221,6 @@ def _approach(limit_mm: float, found: Reversal | None) -> Influence:
     return _limit("Approach direction", how, limit_mm)
 
 
-def _drift(log: Log) -> Influence:
-    """Return how far the floor nests moved in the run, less the readings' noise."""
-    firsts = {point.id.nest: point for point in log.select("world")}
-    pairs = [(now, firsts[now.id.nest]) for now in log.select("control") if now.id.nest in firsts]
-    if not pairs:
-        limit_mm = log.cell.uncertainty.drift_limit_mm
-        how = f"limit ±{limit_mm:g} mm, the floor nests were measured once only"
-        return Influence(
-            "Drift", ASSUMED, how, "4.3.7", "world", motion(rectangular_variance(limit_mm))
-        )
-    both = [[pair[n] for pair in pairs] for n in (0, 1)]
-    noise_mm2 = sum(float(variances_mm2(points).mean()) for points in both)
-    moved_mm = rms(positions_mm(both[0]) - positions_mm(both[1]))
-    how = f"{len(pairs)} measurements of the floor nests against the first, less the readings'"
-    variance_mm2 = max(0.0, moved_mm**2 - noise_mm2)
-    return Influence("Drift", MEASURED, how, "4.2.2", "world", motion(variance_mm2))
-
-
-def _world(log: Log) -> Influence:
-    """Return {W} as the floor nests define it: their noise and the reflector's centring."""
-    centring_mm2 = rectangular_variance(log.cell.uncertainty.smr_centring_limit_mm)
-    known = len(floor_points(log)) == FLOOR_NESTS
-    covariance = world_covariance(log, np.zeros(3), centring_mm2) if known else np.zeros((6, 6))
-    return Influence(
-        "World frame", f"{MEASURED}, and {ASSUMED}",
-        "noise of the three floor nests and the reflector's centring in each, carried to the "
-        "target", "5.1.2", "world", moved_frame(covariance), counts="in use",
-    )  # fmt: skip
-
-
-def _tracker(log: Log) -> Influence:
-    """Return the tracker's limits, along and across the beam."""
-    stated = log.cell.uncertainty
-    x_mm, y_mm, z_mm = log.matrix("world")[:3, 3].tolist()
-    turn = rectangular_variance(stated.tracker_limit_um_m * 1e-6)
-    how = f"limit ±{stated.tracker_limit_mm:g} mm"
-    if turn:
-        how += f", across the beam ±{stated.tracker_limit_um_m:g} µm/m besides"
-    return Influence(
-        "Tracker, systematic", stated.tracker_source or ASSUMED, how, "4.3.7", "world",
-        motion(rectangular_variance(stated.tracker_limit_mm), turn), (x_mm, y_mm, z_mm),
-        counts="in use",
-    )  # fmt: skip
-
-
 def _centring(limit_mm: float, source: str) -> Influence:
     how = f"limit ±{limit_mm:g} mm of the optics against the sphere, on the flange"
     return _limit("SMR centring", how, limit_mm, source)
@@ -172,25 +230,6 @@ def _limit(name: str, how: str, limit_mm: float, source: str = ASSUMED) -> Influ
     """Return a limit of error in {B} that grid and validation share."""
     shift = motion(rectangular_variance(limit_mm))
     return Influence(name, source, how, "4.3.7", "base", shift, counts="in use")
-
-
-def _drill(log: Log) -> Influence:
-    """Return the drill's offset from the reflector times the tool's orientation error.
-
-    The orientation is the nominal robot's in the measured {B}, so both errors count.
-    """
-    stated = log.cell.uncertainty
-    x_mm, y_mm, z_mm = stated.drill_offset_mm
-    base_rad2 = log.frames["base"].C[3:, 3:]
-    turn = (stated.orientation_urad * 1e-6) ** 2 + float(np.trace(base_rad2)) / 3
-    how = (
-        f"{math.hypot(x_mm, y_mm, z_mm):g} mm from the reflector, orientation "
-        f"{stated.orientation_urad:g} µrad and the base frame's own"
-    )
-    return Influence(
-        DRILL, ASSUMED, how, "5.1.2", "tool", motion(0.0, turn), (-x_mm, -y_mm, -z_mm),
-        counts="in use",
-    )  # fmt: skip
 
 
 def with_drill(
@@ -227,18 +266,6 @@ def with_drill(
     return msgspec.structs.replace(stated, lines=lines)
 
 
-def _placed(log: Log, station: Station) -> list[Influence]:
-    """Return what placing the slide at a station costs: its frame, and the hold by the strip."""
-    x_mm, y_mm, z_mm = Frames(log.cell, log).base_in_world(station)[:3, 3].tolist()
-    carried = station.name != log.cell.grid.station
-    how = "noise of the slide nests, carried to the target"
-    frame = Influence(
-        "Station frame", MEASURED, how if carried else "the grid was measured here", "5.2.2",
-        "world", moved_frame(base_covariance(log, station)), (x_mm, y_mm, z_mm),
-    )  # fmt: skip
-    return [frame, _strip(log)] if log.cell.has_rail else [frame]
-
-
 def touched(log: Log, station: Station) -> Influence | None:
     """Return what placing the slide cost on the last visit, where touch poses measured it then."""
     frame = log.frames.get(f"touch.{station.name}")
@@ -250,24 +277,6 @@ def touched(log: Log, station: Station) -> Influence | None:
     return Influence(
         "Touched base", MEASURED, how, "5.2.2", "world", covariance, (x_mm, y_mm, z_mm),
         counts="in validation",
-    )  # fmt: skip
-
-
-def _strip(log: Log) -> Influence:
-    """Return the strip's two holds, of the calibration and of the visit, along the rail."""
-    along = np.array(log.cell.layout.rail_direction)
-    again = log.select("repeat", how="strip", way="random")
-    if len(again) > 1:
-        at_mm = apply(log.matrix("world"), positions_mm(again)) @ along
-        held_mm2, freedom = float(at_mm.var(ddof=1)) * np.outer(along, along), len(again) - 1
-        how, clause = f"two holds, each of the scatter of {len(again)} approaches", "4.2.2"
-    else:
-        held_mm2, freedom = hold_covariance(log.cell), None
-        how = f"two holds, each proven within ±{log.cell.rail.held_within_mm:g} mm"
-        clause = "4.3.7"
-    return Influence(
-        "Strip", MEASURED, f"{how}, along the rail", clause, "world",
-        motion(2 * held_mm2), freedom=freedom,
     )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -273,32 +274,125 @@ RIGID = 1e-6  # of a rotation matrix times its transpose, and of a whole number 
 
 def problems_of(calibration: Calibration) -> list[str]:
     """Return in words everything that is wrong, each with the name of its field."""
+    checks = _Checks(calibration)
     found = [
-        *_name(calibration),
+        *checks.name(),
         *_validity(calibration.validity),
-        *_grid(calibration),
+        *checks.grid(),
         *_stations(calibration.stations),
-        *_uncertainty(calibration),
+        *checks.uncertainty(),
         *_lost_motion(calibration.lost_motion),
-        *_updates(calibration),
-        *_targets(calibration),
-        *_verdicts(calibration),
+        *checks.updates(),
+        *checks.targets(),
+        *checks.verdicts(),
     ]
-    return found or list(_model(calibration))
+    return found or list(checks.model())
 
 
-def _name(calibration: Calibration) -> Iterator[str]:
-    name = calibration.model.name
-    if name not in MODELS:
-        yield f"model.name: {name[:40]!r} is unknown; known here: {', '.join(MODELS)}"
+@dataclass(frozen=True, eq=False)
+class _Checks:
+    """Checks of a calibration, each of which yields its problems."""
 
+    calibration: Calibration
 
-def _model(calibration: Calibration) -> Iterator[str]:
-    """Yield why no model can be made of a file that is sound otherwise."""
-    try:
-        calibration.error_model()
-    except HilcellError as error:
-        yield f"model.parameters: {error}"
+    def name(self) -> Iterator[str]:
+        name = self.calibration.model.name
+        if name not in MODELS:
+            yield f"model.name: {name[:40]!r} is unknown; known here: {', '.join(MODELS)}"
+
+    def model(self) -> Iterator[str]:
+        """Yield why no model can be made of a file that is sound otherwise."""
+        try:
+            self.calibration.error_model()
+        except HilcellError as error:
+            yield f"model.parameters: {error}"
+
+    def grid(self) -> Iterator[str]:
+        errors = _array(self.calibration.grid_errors_mm)
+        if errors.ndim != 4 or min(errors.shape[:3]) < 2:
+            yield "grid_errors_mm: ragged, or less than 2 vertices along an axis"
+            return
+        yield from _within("grid_errors_mm", errors, MOST_ERROR_MM, "mm")
+        pitch_mm = self.calibration.pitch_mm
+        size_mm = np.subtract(self.calibration.validity.high_mm, self.calibration.validity.low_mm)
+        wanted_mm = pitch_mm * (np.array(errors.shape[:3]) - 1)
+        if not (pitch_mm > 0 and np.abs(size_mm - wanted_mm).max() <= RIGID * pitch_mm):
+            counts = " x ".join(map(str, errors.shape[:3]))
+            sides = " x ".join(f"{side:g}" for side in size_mm)
+            yield (
+                f"pitch_mm: {counts} vertices {pitch_mm:g} mm apart do not fill the validity's "
+                f"{sides} mm"
+            )
+
+    def uncertainty(self) -> Iterator[str]:
+        stated = self.calibration.uncertainty
+        if stated.missing:
+            return
+        if stated.stations.keys() != self.calibration.stations.keys():
+            found = ", ".join(stated.stations) or "none"
+            yield f"uncertainty.stations: of {found[:40]}, wanted the same as in stations"
+        if stated.model_samples is not None and not stated.model_samples > 0:
+            yield f"uncertainty.model_samples: {stated.model_samples}, wanted above 0"
+        for name, value in (
+            ("growth_per_k", stated.growth_per_k),
+            ("air_range_k", stated.air_range_k),
+        ):
+            if not 0 <= value <= MOST_C:
+                yield f"uncertainty.{name}: {value:g}, wanted 0 .. {MOST_C:g}"
+        for each in (
+            *stated.lines,
+            *(line for lines in stated.stations.values() for line in lines),
+        ):
+            at = f"uncertainty, {each.name[:40]}"
+            yield from _within(f"{at}: origin_mm", each.origin_mm, MOST_MM, "mm")
+            if not _is_covariance(_array(each.covariance)):
+                yield f"{at}: wanted a covariance of {SIZE} x {SIZE} numbers"
+            if each.freedom is not None and not each.freedom > 0:
+                yield f"{at}: freedom {each.freedom:g}, wanted above 0"
+
+    def updates(self) -> Iterator[str]:
+        for update in self.calibration.provenance.updates:
+            at = f"provenance.updates of run {update.run[:40]}"
+            wanted = (6,) if update.what == "base" else (0,)
+            if _array(update.motion).shape != wanted:
+                yield f"{at}: motion of {len(update.motion)} numbers, wanted {wanted[0]}"
+            elif update.motion:
+                yield from _within(f"{at}: motion", update.motion, MOST_ERROR_MM, "mm")
+
+    def targets(self) -> Iterator[str]:
+        if self.calibration.targets is None:
+            return
+        variance_mm2 = self.calibration.targets.variance_mm2
+        if not 0 < variance_mm2 <= MOST_ERROR_MM**2:
+            yield f"targets.variance_mm2: {variance_mm2:g}, wanted above 0"
+        for each in self.calibration.targets.passes:
+            at, count = f"targets of run {each.run[:40]}", len(each.names)
+            for name, values, shape, most in (
+                ("poses", each.poses, (count, 6), MOST_MM),
+                ("remainders_mm", each.remainders_mm, (count, 3), MOST_ERROR_MM),
+                ("own_mm2", each.own_mm2, (count, 3, 3), MOST_ERROR_MM**2),
+            ):
+                found = _array(values)
+                if found.shape != shape or not np.abs(found).max() <= most:
+                    yield f"{at}: {name}: wanted {count} rows of finite numbers within +-{most:g}"
+                elif name == "own_mm2" and not np.linalg.eigvalsh(found).min() > 0:
+                    yield f"{at}: own_mm2: a variance that is not above 0"
+            if not _is_covariance(_array(each.common)):
+                yield f"{at}: common: wanted a covariance of {SIZE} x {SIZE} finite numbers"
+
+    def verdicts(self) -> Iterator[str]:
+        for place, each in self.calibration.verdicts.items():
+            at = f"verdicts.{place[:40]}"
+            figures = (each.mean_mm, each.max_mm, each.mean_U_mm, each.max_U_mm)
+            if not all(0 <= figure <= MOST_MM for figure in figures):
+                shown = ", ".join(f"{each:g}" for each in figures)
+                yield f"{at}: {shown}, wanted 0 .. {MOST_MM:g} mm"
+            elif each.turn is not None and not all(0 <= deg <= MOST_TURN_DEG for deg in each.turn):
+                yield f"{at}: orientation {each.turn}, wanted 0 .. {MOST_TURN_DEG:g} deg"
+            elif not all(limit is None or limit > 0 for limit in each.limits):
+                yield f"{at}: a tolerance that is not above 0"
+            elif each.holds and not judged_again(each).holds:
+                yield f"{at}: is said to hold, but its figures do not: {each.figure_words}"
 
 
 def _validity(validity: Validity) -> Iterator[str]:
@@ -319,24 +413,6 @@ def _validity(validity: Validity) -> Iterator[str]:
     low_c, high_c = validity.temperature_c
     if not low_c <= high_c:
         yield f"validity.temperature_c: {low_c:g} .. {high_c:g}, wanted the lower first"
-
-
-def _grid(calibration: Calibration) -> Iterator[str]:
-    errors = _array(calibration.grid_errors_mm)
-    if errors.ndim != 4 or min(errors.shape[:3]) < 2:
-        yield "grid_errors_mm: ragged, or less than 2 vertices along an axis"
-        return
-    yield from _within("grid_errors_mm", errors, MOST_ERROR_MM, "mm")
-    pitch_mm = calibration.pitch_mm
-    size_mm = np.subtract(calibration.validity.high_mm, calibration.validity.low_mm)
-    wanted_mm = pitch_mm * (np.array(errors.shape[:3]) - 1)
-    if not (pitch_mm > 0 and np.abs(size_mm - wanted_mm).max() <= RIGID * pitch_mm):
-        counts = " x ".join(map(str, errors.shape[:3]))
-        sides = " x ".join(f"{side:g}" for side in size_mm)
-        yield (
-            f"pitch_mm: {counts} vertices {pitch_mm:g} mm apart do not fill the validity's "
-            f"{sides} mm"
-        )
 
 
 def _stations(stations: dict[str, StationEntry]) -> Iterator[str]:
@@ -367,73 +443,6 @@ def _lost_motion(lost: LostMotion) -> Iterator[str]:
             yield from _within(f"lost_motion.{name}", values, most_lost_rad, "rad")
     if not all(each >= 0.0 for each in lost.u_rad):
         yield "lost_motion.u_rad: a standard deviation below zero"
-
-
-def _uncertainty(calibration: Calibration) -> Iterator[str]:
-    stated = calibration.uncertainty
-    if stated.missing:
-        return
-    if stated.stations.keys() != calibration.stations.keys():
-        found = ", ".join(stated.stations) or "none"
-        yield f"uncertainty.stations: of {found[:40]}, wanted the same as in stations"
-    if stated.model_samples is not None and not stated.model_samples > 0:
-        yield f"uncertainty.model_samples: {stated.model_samples}, wanted above 0"
-    for name, value in (("growth_per_k", stated.growth_per_k), ("air_range_k", stated.air_range_k)):
-        if not 0 <= value <= MOST_C:
-            yield f"uncertainty.{name}: {value:g}, wanted 0 .. {MOST_C:g}"
-    for each in (*stated.lines, *(line for lines in stated.stations.values() for line in lines)):
-        at = f"uncertainty, {each.name[:40]}"
-        yield from _within(f"{at}: origin_mm", each.origin_mm, MOST_MM, "mm")
-        if not _is_covariance(_array(each.covariance)):
-            yield f"{at}: wanted a covariance of {SIZE} x {SIZE} numbers"
-        if each.freedom is not None and not each.freedom > 0:
-            yield f"{at}: freedom {each.freedom:g}, wanted above 0"
-
-
-def _updates(calibration: Calibration) -> Iterator[str]:
-    for update in calibration.provenance.updates:
-        at = f"provenance.updates of run {update.run[:40]}"
-        wanted = (6,) if update.what == "base" else (0,)
-        if _array(update.motion).shape != wanted:
-            yield f"{at}: motion of {len(update.motion)} numbers, wanted {wanted[0]}"
-        elif update.motion:
-            yield from _within(f"{at}: motion", update.motion, MOST_ERROR_MM, "mm")
-
-
-def _targets(calibration: Calibration) -> Iterator[str]:
-    if calibration.targets is None:
-        return
-    variance_mm2 = calibration.targets.variance_mm2
-    if not 0 < variance_mm2 <= MOST_ERROR_MM**2:
-        yield f"targets.variance_mm2: {variance_mm2:g}, wanted above 0"
-    for each in calibration.targets.passes:
-        at, count = f"targets of run {each.run[:40]}", len(each.names)
-        for name, values, shape, most in (
-            ("poses", each.poses, (count, 6), MOST_MM),
-            ("remainders_mm", each.remainders_mm, (count, 3), MOST_ERROR_MM),
-            ("own_mm2", each.own_mm2, (count, 3, 3), MOST_ERROR_MM**2),
-        ):
-            found = _array(values)
-            if found.shape != shape or not np.abs(found).max() <= most:
-                yield f"{at}: {name}: wanted {count} rows of finite numbers within +-{most:g}"
-            elif name == "own_mm2" and not np.linalg.eigvalsh(found).min() > 0:
-                yield f"{at}: own_mm2: a variance that is not above 0"
-        if not _is_covariance(_array(each.common)):
-            yield f"{at}: common: wanted a covariance of {SIZE} x {SIZE} finite numbers"
-
-
-def _verdicts(calibration: Calibration) -> Iterator[str]:
-    for place, each in calibration.verdicts.items():
-        at = f"verdicts.{place[:40]}"
-        figures = (each.mean_mm, each.max_mm, each.mean_U_mm, each.max_U_mm)
-        if not all(0 <= figure <= MOST_MM for figure in figures):
-            yield f"{at}: {', '.join(f'{each:g}' for each in figures)}, wanted 0 .. {MOST_MM:g} mm"
-        elif each.turn is not None and not all(0 <= deg <= MOST_TURN_DEG for deg in each.turn):
-            yield f"{at}: orientation {each.turn}, wanted 0 .. {MOST_TURN_DEG:g} deg"
-        elif not all(limit is None or limit > 0 for limit in each.limits):
-            yield f"{at}: a tolerance that is not above 0"
-        elif each.holds and not judged_again(each).holds:
-            yield f"{at}: is said to hold, but its figures do not: {each.figure_words}"
 
 
 def _is_covariance(found: Array) -> bool:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import msgspec
@@ -344,36 +345,90 @@ def _by_angle(values_rad: Array, *, expanded: bool = False) -> dict[str, float]:
 def attained(log: Log) -> dict[str, Errors]:
     """Return what was attained at each pose, in {B} and in order of the cycles, so far."""
     T_B_W = inverse(log.matrix("base"))
-    found = {name: errors_of(log, points) for name, points in _visits(log).items() if points}
+    found = {
+        name: errors_of(log, points) for name, points in _Evaluation(log).visits().items() if points
+    }
     return {
         name: Errors(apply(T_B_W, each.nominal_mm), each.error_mm @ T_B_W[:3, :3].T)
         for name, each in found.items()
     }
 
 
-def _visits(log: Log) -> dict[str, list[Point]]:
-    visits: dict[str, list[Point]] = {name: [] for name in sorted(CYCLE)}
-    for point in log.select(ISO):
-        visits[point.id.pose].append(point)
-    return visits
+@dataclass(frozen=True, eq=False)
+class _Evaluation:
+    """The test of one run."""
+
+    log: Log
+
+    def visits(self) -> dict[str, list[Point]]:
+        visits: dict[str, list[Point]] = {name: [] for name in sorted(CYCLE)}
+        for point in self.log.select(ISO):
+            visits[point.id.pose].append(point)
+        return visits
+
+    def shared_mm2(self, at_mm: Array, *, corrected: bool) -> Array:
+        """Return the covariance (3, 3) in {B}, at ``at_mm`` (3,), that all attainments share."""
+        covariance: Array = self.system_mm(framed=corrected) ** 2 * np.eye(3)
+        if not corrected:
+            T = self.log.matrix("base")
+            base = self.log.frames["base"].C
+            J = motion_levers((T[:3, :3] @ at_mm)[None])[0, :, :6]
+            covariance += T[:3, :3].T @ (J @ base @ J.T) @ T[:3, :3]
+        return covariance
+
+    def system_mm(self, *, framed: bool) -> float:
+        """Return u of one coordinate but for the readings' noise, which the scatter has.
+
+        It has that of {W} where results are ``framed`` by it.
+        """
+        budget = budget_of(self.log)
+        without = (NOISE,) if framed else (NOISE, WORLD)
+        lines = (
+            [] if budget is None else [each for each in budget.lines if each.name not in without]
+        )
+        return combined_mm(lines)
+
+    def orientation(self) -> dict[str, Angles]:
+        """Return AP and RP of the angles by pose, axes of {B}; nothing with one reflector.
+
+        AP where the calibration that is tested says where the reflectors are on the flange:
+        elsewhere than stated they turn every attainment alike, which cancels in RP.
+        """
+        if not self.log.cell.robot.more_smr_mm:
+            return {}
+        used, seats = calibration_in(self.log), self.log.cell.robot.seats_mm
+        model = None if used is None else used.learnt_model()
+        known = isinstance(model, Kinematic) and len(model.state.smr_mm) == len(seats)
+        if isinstance(model, Kinematic) and known:
+            seats = model.state.smr_mm
+        found, R = {}, self.log.matrix("base")[:3, :3]
+        for name, points in self.visits().items():
+            turned = turned_of(self.log, points, seats)
+            if len(turned) > 1:
+                rad2 = turned_rad2(self.log, turned, readings=False).mean(axis=0) if known else None
+                found[name] = angles_of(
+                    turned.error_rad @ R, None if rad2 is None else R.T @ rad2 @ R
+                )
+        return found
 
 
 def evaluated(log: Log) -> PoseTest:
     """Return the test's conditions and results."""
     cell, clouds, used, celsius = log.cell, attained(log), calibration_in(log), log.temperatures_c()
     table, corrected_by = cell.iso9283, "" if used is None else used.provenance.latest
+    own = _Evaluation(log)
     poses = {
         name: pose_of(
             at,
             commanded_mm(cell)[name],
-            _shared_mm2(log, commanded_mm(cell)[name], corrected=bool(corrected_by)),
-            float(variances_mm2(_visits(log)[name]).sum(axis=1).mean()),
+            own.shared_mm2(commanded_mm(cell)[name], corrected=bool(corrected_by)),
+            float(variances_mm2(own.visits()[name]).sum(axis=1).mean()),
         )
         for name, at in clouds.items()
     }
     at_ap = max(poses, key=lambda name: poses[name].ap_mm)
     at_rp = max(poses, key=lambda name: poses[name].rp_mm)
-    ap, rp, orientation = poses[at_ap], poses[at_rp], _orientation(log)
+    ap, rp, orientation = poses[at_ap], poses[at_rp], own.orientation()
     limits = {of.limit: getattr(table, of.limit) for of in CHARACTERISTICS}
     return PoseTest(
         cycles=table.cycles,
@@ -388,7 +443,8 @@ def evaluated(log: Log) -> PoseTest:
         cube=cube_of(cell),
         poses=poses,
         distance=distance_of(
-            (clouds[ENDS[0]], clouds[ENDS[1]]), math.sqrt(2.0) * _system_mm(log, framed=False)
+            (clouds[ENDS[0]], clouds[ENDS[1]]),
+            math.sqrt(2.0) * own.system_mm(framed=False),
         ),
         worst=WorstPoses(ap.ap_mm, ap.ap_u95_mm, at_ap, rp.rp_mm, rp.rp_u95_mm, at_rp),
         orientation=orientation,
@@ -404,49 +460,6 @@ def evaluated(log: Log) -> PoseTest:
         ],
         limits={name: limit for name, limit in limits.items() if limit is not None},
     )
-
-
-def _shared_mm2(log: Log, at_mm: Array, *, corrected: bool) -> Array:
-    """Return the covariance (3, 3) in {B}, at ``at_mm`` (3,), that all attainments share."""
-    covariance: Array = _system_mm(log, framed=corrected) ** 2 * np.eye(3)
-    if not corrected:
-        T = log.matrix("base")
-        base = log.frames["base"].C
-        J = motion_levers((T[:3, :3] @ at_mm)[None])[0, :, :6]
-        covariance += T[:3, :3].T @ (J @ base @ J.T) @ T[:3, :3]
-    return covariance
-
-
-def _system_mm(log: Log, *, framed: bool) -> float:
-    """Return u of one coordinate but for the readings' noise, which the scatter has; with that of
-    {W} where results are ``framed`` by it.
-    """
-    budget = budget_of(log)
-    without = (NOISE,) if framed else (NOISE, WORLD)
-    lines = [] if budget is None else [each for each in budget.lines if each.name not in without]
-    return combined_mm(lines)
-
-
-def _orientation(log: Log) -> dict[str, Angles]:
-    """Return AP and RP of the angles by pose, axes of {B}; nothing with one reflector.
-
-    AP where the calibration that is tested says where the reflectors are on the flange: elsewhere
-    than stated they turn every attainment alike, which cancels in RP.
-    """
-    if not log.cell.robot.more_smr_mm:
-        return {}
-    used, seats = calibration_in(log), log.cell.robot.seats_mm
-    model = None if used is None else used.learnt_model()
-    known = isinstance(model, Kinematic) and len(model.state.smr_mm) == len(seats)
-    if isinstance(model, Kinematic) and known:
-        seats = model.state.smr_mm
-    found, R = {}, log.matrix("base")[:3, :3]
-    for name, points in _visits(log).items():
-        turned = turned_of(log, points, seats)
-        if len(turned) > 1:
-            rad2 = turned_rad2(log, turned, readings=False).mean(axis=0) if known else None
-            found[name] = angles_of(turned.error_rad @ R, None if rad2 is None else R.T @ rad2 @ R)
-    return found
 
 
 def _deviations(cell: Cell, *, corrected: bool, orientation: Mapping[str, Angles]) -> Iterator[str]:

@@ -67,52 +67,75 @@ def _budget_of(log: Log) -> Budget | None:
     if "world" not in log.frames or not log.points:
         return None
     stated = log.cell.uncertainty
+    contributions = _Contributions(log)
     return Budget([
-        _reading_noise(log),
+        contributions.reading_noise(),
         Contribution("Tracker, systematic", stated.tracker_limit_mm, "rectangular",
                      stated.tracker_source or ASSUMED, "limit of error", "4.3.7"),
         Contribution("SMR centring", stated.smr_centring_limit_mm, "rectangular",
                      stated.smr_source or ASSUMED, "centre of the optics against the sphere",
                      "4.3.7"),
-        *_world(log),
-        _drift(log),
-        _thermal(log),
+        *contributions.world(),
+        contributions.drift(),
+        contributions.thermal(),
     ])  # fmt: skip
 
 
-def _judged(log: Log) -> list[Point]:
-    """Return the points of the flange's reflector; all, where there are none."""
-    return [p for p in log.points.values() if p.smr_mm is not None] or list(log.points.values())
+@dataclass(frozen=True, eq=False)
+class _Contributions:
+    """Contributions to the uncertainty of one run's measurements."""
 
+    log: Log
 
-def _world(log: Log) -> list[Contribution]:
-    """Return what {W} is uncertain by at the points, where the run measured its three nests."""
-    if len(floor_points(log)) != FLOOR_NESTS:
-        return []
-    centring_mm2 = rectangular_variance(log.cell.uncertainty.smr_centring_limit_mm)
-    covariance = world_covariance(log, np.zeros(3), centring_mm2)
-    at_mm = apply(log.matrix("world"), positions_mm(_judged(log)))
-    J = motion_levers(at_mm)[:, :, :6]
-    variances_mm2 = np.einsum("nij,jk,nik->n", J, covariance, J) / 3
-    u_mm = math.sqrt(float(variances_mm2.mean()))
-    how = "noise and centring of the three floor nests, carried to the points"
-    return [Contribution(WORLD, u_mm, "normal", f"{MEASURED}, and {ASSUMED}", how, "5.1.2")]
+    def _judged(self) -> list[Point]:
+        """Return the points of the flange's reflector; all, where there are none."""
+        return [p for p in self.log.points.values() if p.smr_mm is not None] or list(
+            self.log.points.values()
+        )
 
+    def world(self) -> list[Contribution]:
+        """Return what {W} is uncertain by at the points, where the run measured its three nests."""
+        if len(floor_points(self.log)) != FLOOR_NESTS:
+            return []
+        centring_mm2 = rectangular_variance(self.log.cell.uncertainty.smr_centring_limit_mm)
+        covariance = world_covariance(self.log, np.zeros(3), centring_mm2)
+        at_mm = apply(self.log.matrix("world"), positions_mm(self._judged()))
+        J = motion_levers(at_mm)[:, :, :6]
+        variances_mm2 = np.einsum("nij,jk,nik->n", J, covariance, J) / 3
+        u_mm = math.sqrt(float(variances_mm2.mean()))
+        how = "noise and centring of the three floor nests, carried to the points"
+        return [Contribution(WORLD, u_mm, "normal", f"{MEASURED}, and {ASSUMED}", how, "5.1.2")]
 
-def _reading_noise(log: Log) -> Contribution:
-    points = _judged(log)
-    noise_mm = math.sqrt(variances_mm2(points).mean())
-    how = f"scatter of the readings of {len(points)} points"
-    return Contribution(NOISE, noise_mm, "normal", MEASURED, how, "4.2.3")
+    def reading_noise(self) -> Contribution:
+        points = self._judged()
+        noise_mm = math.sqrt(variances_mm2(points).mean())
+        how = f"scatter of the readings of {len(points)} points"
+        return Contribution(NOISE, noise_mm, "normal", MEASURED, how, "4.2.3")
 
+    def drift(self) -> Contribution:
+        moved_mm = np.array([move for _, move in control_moves(self.log)])
+        if not len(moved_mm):
+            how, limit_mm = (
+                "floor nests were measured once only",
+                self.log.cell.uncertainty.drift_limit_mm,
+            )
+            return Contribution("Drift", limit_mm, "rectangular", ASSUMED, how, "4.3.7")
+        how = f"{len(moved_mm)} measurements of the floor nests against the first"
+        return Contribution("Drift", rms(moved_mm), "normal", MEASURED, how, "4.2.2")
 
-def _drift(log: Log) -> Contribution:
-    moved_mm = np.array([move for _, move in control_moves(log)])
-    if not len(moved_mm):
-        how, limit_mm = "floor nests were measured once only", log.cell.uncertainty.drift_limit_mm
-        return Contribution("Drift", limit_mm, "rectangular", ASSUMED, how, "4.3.7")
-    how = f"{len(moved_mm)} measurements of the floor nests against the first"
-    return Contribution("Drift", rms(moved_mm), "normal", MEASURED, how, "4.2.2")
+    def thermal(self) -> Contribution:
+        celsius = self.log.temperatures_c()
+        range_k = max(celsius) - min(celsius) if celsius else self.log.cell.uncertainty.air_range_k
+        known = "measured" if celsius else "assumed: no weather station"
+        world_mm = apply(self.log.matrix("world"), positions_mm(self.log.points.values()))
+        length_mm = float(lengths_mm(world_mm).max())
+        how = (
+            f"steel, {STEEL_EXPANSION_PER_K * 1e6:.1f} µm/(m·K) assumed, {length_mm / 1000:.2f} m "
+            f"from {{W}}, range {range_k:.2f} K {known}"
+        )
+        limit_mm = thermal_limit_mm(length_mm, STEEL_EXPANSION_PER_K, range_k)
+        source = f"{MEASURED}, and {ASSUMED}" if celsius else ASSUMED
+        return Contribution("Thermal expansion", limit_mm, "rectangular", source, how, "4.3.7")
 
 
 def control_moves(log: Log) -> list[tuple[Point, Array]]:
@@ -130,18 +153,3 @@ def control_moves(log: Log) -> list[tuple[Point, Array]]:
     return [
         (now, np.subtract(now.xyz_mm, first.xyz_mm)) for now, first in pairs if first is not None
     ]
-
-
-def _thermal(log: Log) -> Contribution:
-    celsius = log.temperatures_c()
-    range_k = max(celsius) - min(celsius) if celsius else log.cell.uncertainty.air_range_k
-    known = "measured" if celsius else "assumed: no weather station"
-    world_mm = apply(log.matrix("world"), positions_mm(log.points.values()))
-    length_mm = float(lengths_mm(world_mm).max())
-    how = (
-        f"steel, {STEEL_EXPANSION_PER_K * 1e6:.1f} µm/(m·K) assumed, {length_mm / 1000:.2f} m "
-        f"from {{W}}, range {range_k:.2f} K {known}"
-    )
-    limit_mm = thermal_limit_mm(length_mm, STEEL_EXPANSION_PER_K, range_k)
-    source = f"{MEASURED}, and {ASSUMED}" if celsius else ASSUMED
-    return Contribution("Thermal expansion", limit_mm, "rectangular", source, how, "4.3.7")

@@ -79,6 +79,27 @@ class Rechecked:
         blocks = self.covariance_mm2.reshape(count, 3, count, 3)
         return np.moveaxis(np.diagonal(blocks, axis1=0, axis2=2), -1, 0)
 
+    def check(self) -> None:
+        """Raise `NotJudged` where the poses are too few or their errors no numbers."""
+        count = len(self.errors_mm)
+        if not count >= FEWEST:
+            raise NotJudged(f"re-check: {count} poses, wanted at least {FEWEST}")
+        if not np.isfinite(self.errors_mm).all():
+            raise NotJudged("re-check: an error is not finite; measure again")
+
+    def drift(self) -> tuple[float, float]:
+        """Return the root of the errors' mean square beyond the predicted one, and its u.
+
+        The mean square is a quadratic form of normal variables, of variance ``2 tr C^2 + 4 e' C e``
+        over N^2. u is half the width of its image under the root, which stays finite at 0.
+        """
+        count, C, e = len(self.errors_mm), self.covariance_mm2, self.errors_mm.reshape(-1)
+        excess_mm2 = max(0.0, float(e @ e - np.trace(C)) / count)
+        shown = e * math.sqrt(count * excess_mm2 / float(e @ e)) if excess_mm2 else 0.0 * e
+        spread_mm2 = math.sqrt(2 * float(np.square(C).sum()) + 4 * float(shown @ C @ shown)) / count
+        drift_mm = math.sqrt(excess_mm2)
+        return drift_mm, math.sqrt(excess_mm2 + spread_mm2) - drift_mm
+
 
 class ChiSquare(msgspec.Struct, frozen=True):
     """A value, its degrees of freedom, and its limit at its share of the risk."""
@@ -150,7 +171,7 @@ class Judgement:
 
 def judged(found: Rechecked) -> Judgement:
     """Judge the errors; raises `NotJudged`."""
-    _check(found)
+    found.check()
     count = len(found.errors_mm)
     J = motion_columns(found.targets_mm)
     C, e = found.covariance_mm2, found.errors_mm.reshape(-1)
@@ -163,7 +184,7 @@ def judged(found: Rechecked) -> Judgement:
     motion = covariance @ pull
     left_mm = found.errors_mm - (J @ motion).reshape(-1, 3)
     at_middle = np.hstack([np.eye(3), -cross_matrix(found.targets_mm.mean(axis=0))])
-    drift_mm, drift_u_mm = _drift(found)
+    drift_mm, drift_u_mm = found.drift()
     slipped, slip_mm = left_by(found.errors_mm, weights_of(C), found.orientations.reshape(-1, SLIP))
     return Judgement(
         _test(explained, MOTION),
@@ -207,14 +228,6 @@ def suspicions(
     return [each for _, each in sorted(likely, key=lambda pair: pair[0])]
 
 
-def _check(found: Rechecked) -> None:
-    count = len(found.errors_mm)
-    if not count >= FEWEST:
-        raise NotJudged(f"re-check: {count} poses, wanted at least {FEWEST}")
-    if not np.isfinite(found.errors_mm).all():
-        raise NotJudged("re-check: an error is not finite; measure again")
-
-
 def motion_columns(targets_mm: Array) -> Array:
     """Return d(errors) / d(motion of the base), (3N, 6), at targets (N, 3) in {B}."""
     return motion_levers(targets_mm)[:, :, :MOTION].reshape(-1, MOTION)
@@ -226,20 +239,6 @@ def _test(chi2: float, freedom: int) -> ChiSquare:
 
     tests = 2  # the motion and the rest share it
     return ChiSquare(chi2, freedom, float(chdtri(freedom, RISK / tests)))
-
-
-def _drift(found: Rechecked) -> tuple[float, float]:
-    """Return the root of the errors' mean square beyond the predicted one, and its u.
-
-    The mean square is a quadratic form of normal variables, of variance ``2 tr C^2 + 4 e' C e``
-    over N^2. u is half the width of its image under the root, which stays finite at 0.
-    """
-    count, C, e = len(found.errors_mm), found.covariance_mm2, found.errors_mm.reshape(-1)
-    excess_mm2 = max(0.0, float(e @ e - np.trace(C)) / count)
-    shown = e * math.sqrt(count * excess_mm2 / float(e @ e)) if excess_mm2 else 0.0 * e
-    spread_mm2 = math.sqrt(2 * float(np.square(C).sum()) + 4 * float(shown @ C @ shown)) / count
-    drift_mm = math.sqrt(excess_mm2)
-    return drift_mm, math.sqrt(excess_mm2 + spread_mm2) - drift_mm
 
 
 # -- of a run --------------------------------------------------------------------------------------
@@ -338,6 +337,44 @@ class RecheckResult(msgspec.Struct, frozen=True, kw_only=True):
             "it as well; see that it sits; if it had slipped, seat it, revoke this run and re-check"
         )
 
+    def words_of_worst(self, worst: int) -> str:
+        """Return the verdict as a technician reads it."""
+        spread = 2.0 * self.u_mm
+        match self.verdict:
+            case "valid":
+                begin = (
+                    f"Still valid: the errors are as calibration {self.calibration} predicts; "
+                    f"drift {self.drift_mm:.3f} mm, uncertainty {self.drift_u_mm:.3f} mm."
+                )
+            case "update":
+                begin = (
+                    f"Update: the robot's base has moved by {self.shift_mm:.3f} mm ± "
+                    f"{spread:.3f} mm (k = 2) at the volume's middle and turned by "
+                    f"{self.turn_urad:.0f} µrad, {_instead(self.suspicions)} This run's "
+                    "calibration has the base where it seems to stand now: take its base frames "
+                    "over on the controller and compensate the programs again."
+                )
+            case _:
+                begin = self._redo(worst)
+        kept = "within" if self.in_tolerance else "out of"
+        return (
+            f"{begin} As found, {self.points} corrected poses are {self.mean_mm:.3f} mm off "
+            f"in the mean and {self.max_mm:.3f} mm at most, {kept} tolerance "
+            f"({self.mean_tolerance_mm:g} and {self.max_tolerance_mm:g} mm; U "
+            f"{self.mean_U_mm:.3f} and {self.max_U_mm:.3f} mm added)."
+        )
+
+    def _redo(self, worst: int) -> str:
+        if self.tests.rest.holds:
+            return "Calibrate again: the errors are as predicted, but out of tolerance."
+        pose = self.poses[worst]
+        at = ", ".join(f"{value:.0f}" for value in pose.at_mm)
+        return (
+            f"Calibrate again: no motion of the base explains the errors; worst is {pose.pose} at "
+            f"({at}) mm: {pose.error_mm:.3f} mm, predicted {pose.bound_mm:.3f} mm (95 %), and "
+            f"{pose.left_mm:.3f} mm after the best motion. {_hint(self.suspicions)}"
+        )
+
 
 def recheck_result(log: Log) -> RecheckResult:
     """Return the result of a run that has measured its poses; raises `HilcellError`."""
@@ -380,35 +417,7 @@ def recheck_result(log: Log) -> RecheckResult:
         ],
         suspicions=suspicions(found, judgement, log.cell.robot.arm(), commanded_rad(points)),
     )
-    return msgspec.structs.replace(result, text=_words(result, judgement.worst))
-
-
-def _words(result: RecheckResult, worst: int) -> str:
-    """Return the verdict as a technician reads it."""
-    spread = 2.0 * result.u_mm
-    match result.verdict:
-        case "valid":
-            begin = (
-                f"Still valid: the errors are as calibration {result.calibration} predicts; "
-                f"drift {result.drift_mm:.3f} mm, uncertainty {result.drift_u_mm:.3f} mm."
-            )
-        case "update":
-            begin = (
-                f"Update: the robot's base has moved by {result.shift_mm:.3f} mm ± "
-                f"{spread:.3f} mm (k = 2) at the volume's middle and turned by "
-                f"{result.turn_urad:.0f} µrad, {_instead(result.suspicions)} This run's "
-                "calibration has the base where it seems to stand now: take its base frames over "
-                "on the controller and compensate the programs again."
-            )
-        case _:
-            begin = _redo(result, worst)
-    kept = "within" if result.in_tolerance else "out of"
-    return (
-        f"{begin} As found, {result.points} corrected poses are {result.mean_mm:.3f} mm off "
-        f"in the mean and {result.max_mm:.3f} mm at most, {kept} tolerance "
-        f"({result.mean_tolerance_mm:g} and {result.max_tolerance_mm:g} mm; U "
-        f"{result.mean_U_mm:.3f} and {result.max_U_mm:.3f} mm added)."
-    )
+    return msgspec.structs.replace(result, text=result.words_of_worst(judgement.worst))
 
 
 def _instead(causes: list[Suspicion]) -> str:
@@ -422,18 +431,6 @@ def _instead(causes: list[Suspicion]) -> str:
     return (
         "or an axis's zero is lost; a reflector that slipped on its mount does not explain it. See "
         "first that the mastering is right."
-    )
-
-
-def _redo(result: RecheckResult, worst: int) -> str:
-    if result.tests.rest.holds:
-        return "Calibrate again: the errors are as predicted, but out of tolerance."
-    pose = result.poses[worst]
-    at = ", ".join(f"{value:.0f}" for value in pose.at_mm)
-    return (
-        f"Calibrate again: no motion of the base explains the errors; worst is {pose.pose} at "
-        f"({at}) mm: {pose.error_mm:.3f} mm, predicted {pose.bound_mm:.3f} mm (95 %), and "
-        f"{pose.left_mm:.3f} mm after the best motion. {_hint(result.suspicions)}"
     )
 
 

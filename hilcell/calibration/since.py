@@ -14,6 +14,7 @@ limits (drift, tracker, seating, hold, growth) are taken as such, and both are a
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -91,32 +92,67 @@ def compared(log: Log, *, with_base: bool = True) -> list[Parameter]:
         return []
     risk = RISK / (6 * len(known) + 1)
     factor = float(np.sqrt(f_quantile(1.0 - risk, 1, freedom)))
-    found = _repeatability(log, [np.array(cloud) for cloud in before.visits_mm], risk)
+    limits_of = _Limits(log)
+    found = limits_of.repeatability([np.array(cloud) for cloud in before.visits_mm], risk)
     bounded = float(np.sqrt(3.0))  # of what is stated as a limit, which no change exceeds
     for key, then in known:
         both = log.frames[key].C + then.C
         noise = noise_covariance(log, key) + np.array(then.covariance)
         noise += (SPREAD - 1.0) * both if key == "base" else 0.0
-        stated = limit_covariance(log, key) + _instrument(log, key) + _growth(log, key, before)
+        stated = (
+            limit_covariance(log, key) + limits_of.instrument(key) + limits_of.growth(key, before)
+        )
         limits = np.hypot(*np.sqrt([factor**2 * np.diag(noise), bounded**2 * np.diag(stated)]))
         found += _coordinates(key, np.array(then.matrix), log.matrix(key), limits)
     return found
 
 
-def _repeatability(log: Log, then_mm: list[Array], risk: float) -> list[Parameter]:
-    """Return what one visit of a place scatters by, from clouds (N, 3) of both runs, if any.
+@dataclass(frozen=True, eq=False)
+class _Limits:
+    """Within which limits frames of a run agree with those of before."""
 
-    Nothing says how much of then's scatter was the readings' noise: all of now's may be more.
-    """
-    now_mm = visits_mm(log)
-    if not (now_mm and then_mm):
-        return []
-    estimates = [pooled(clouds, np.eye(3)) for clouds in (then_mm, now_mm)]
-    then, now = (float(np.sqrt(np.trace(covariance_mm2))) for covariance_mm2, _, _ in estimates)
-    of_then, of_now = (trace_freedom(C, visits - places) for C, visits, places in estimates)
-    noise_mm2 = variances_mm2(log.select("repeatability")).sum(axis=1).mean()
-    most_mm2 = SPREAD * f_quantile(1.0 - risk, of_now, of_then) * then**2 + noise_mm2
-    return [Parameter("repeatability", "mm", then, now, float(np.sqrt(most_mm2)) - then)]
+    log: Log
+
+    def repeatability(self, then_mm: list[Array], risk: float) -> list[Parameter]:
+        """Return what one visit of a place scatters by, from clouds (N, 3) of both runs, if any.
+
+        Nothing says how much of then's scatter was the readings' noise: all of now's may be more.
+        """
+        now_mm = visits_mm(self.log)
+        if not (now_mm and then_mm):
+            return []
+        estimates = [pooled(clouds, np.eye(3)) for clouds in (then_mm, now_mm)]
+        then, now = (float(np.sqrt(np.trace(covariance_mm2))) for covariance_mm2, _, _ in estimates)
+        of_then, of_now = (trace_freedom(C, visits - places) for C, visits, places in estimates)
+        noise_mm2 = variances_mm2(self.log.select("repeatability")).sum(axis=1).mean()
+        most_mm2 = SPREAD * f_quantile(1.0 - risk, of_now, of_then) * then**2 + noise_mm2
+        return [Parameter("repeatability", "mm", then, now, float(np.sqrt(most_mm2)) - then)]
+
+    def instrument(self, key: str) -> Array:
+        """Return what the limits of tracker and seating give a frame's change, in both runs."""
+        stated = self.log.cell.uncertainty
+        points = self.log.select("base") if key == "base" else floor_points(self.log)
+        limit_mm2 = float(systematic_mm2(stated, positions_mm(points)).mean())
+        limit_mm2 += rectangular_variance(stated.smr_centring_limit_mm)
+        if key != "base":
+            return 2.0 * slide_covariance(self.log.cell, self.log.matrix(key), limit_mm2)
+        found = np.zeros((6, 6))
+        found[:3, :3] = 2.0 * limit_mm2 * np.eye(3)
+        return found
+
+    def growth(self, key: str, before: FloorBefore) -> Array:
+        """Return what the room's change of temperature gives the change of a frame."""
+        found, now_c = np.zeros((6, 6)), self.log.temperatures_c()
+        then_c = before.temperature_c if before.frames_c is None else before.frames_c
+        if then_c is None or not now_c:
+            return found
+        at_mm = float(np.linalg.norm(self.log.matrix(key)[:3, 3]))
+        if key == "base":
+            at_mm += axis_6_height_mm(self.log.cell)  # from which its height is known
+        change_k = float(np.mean(now_c)) - then_c
+        rate = rectangular_variance(self.log.cell.uncertainty.arm_growth_um_m_k * 1e-6)
+        found[:3, :3] = rate * (change_k * at_mm) ** 2 * np.eye(3)
+        return found
 
 
 def _coordinates(key: str, then: Array, now: Array, limits: Array) -> Iterator[Parameter]:
@@ -162,34 +198,6 @@ def limit_covariance(log: Log, key: str) -> Array:
     found: Array = world_covariance(log, at_mm, centring_mm2) - world_covariance(log, at_mm)
     found[:3, :3] += hold_covariance(log.cell)
     return 2.0 * found
-
-
-def _instrument(log: Log, key: str) -> Array:
-    """Return what the limits of tracker and seating give the change of a frame, in both runs."""
-    stated = log.cell.uncertainty
-    points = log.select("base") if key == "base" else floor_points(log)
-    limit_mm2 = float(systematic_mm2(stated, positions_mm(points)).mean())
-    limit_mm2 += rectangular_variance(stated.smr_centring_limit_mm)
-    if key != "base":
-        return 2.0 * slide_covariance(log.cell, log.matrix(key), limit_mm2)
-    found = np.zeros((6, 6))
-    found[:3, :3] = 2.0 * limit_mm2 * np.eye(3)
-    return found
-
-
-def _growth(log: Log, key: str, before: FloorBefore) -> Array:
-    """Return what the room's change of temperature gives the change of a frame."""
-    found, now_c = np.zeros((6, 6)), log.temperatures_c()
-    then_c = before.temperature_c if before.frames_c is None else before.frames_c
-    if then_c is None or not now_c:
-        return found
-    at_mm = float(np.linalg.norm(log.matrix(key)[:3, 3]))
-    if key == "base":
-        at_mm += axis_6_height_mm(log.cell)  # from which its height is known
-    change_k = float(np.mean(now_c)) - then_c
-    rate = rectangular_variance(log.cell.uncertainty.arm_growth_um_m_k * 1e-6)
-    found[:3, :3] = rate * (change_k * at_mm) ** 2 * np.eye(3)
-    return found
 
 
 # Distances of three nests hardly change where one rises straight out of their plane, but {W} tilts

@@ -8,6 +8,7 @@ refused; so is one whose validation failed or was not made, unless somebody acce
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 import msgspec
@@ -53,11 +54,12 @@ def check_fitness(
     the cell's calibrations; None leaves each unchecked. Returns why it is out of tolerance,
     where that was accepted.
     """
-    reasons = [_unproven(calibration), _age(calibration, now, max_age_days)]
+    use = _Use(calibration)
+    reasons = [use.unproven(), use.age(now, max_age_days)]
     if cell is not None:
-        reasons.append(_other_cell(calibration, cell, calibrated))
+        reasons.append(use.other_cell(cell, calibrated))
     if temperature_c is not None:
-        reasons.append(_temperature(calibration, temperature_c))
+        reasons.append(use.temperature(temperature_c))
     settled = ChangedSince.keys if standing is not None and standing.state == "current" else ()
     limits = limits_of(cell) if cell is not None else limits
     intolerant = out_of_tolerance(calibration, limits, settled)
@@ -117,48 +119,69 @@ def _not_current(standing: Standing) -> Iterator[str]:
     yield "--accept-not-current uses it all the same, and says so"
 
 
-def _unproven(calibration: Calibration) -> str:
-    if calibration.provenance.sign_checked:
-        return ""
-    return (
-        "its sign check did not hold, or was not made: corrected targets could be off by twice "
-        "the error; see `hilcell show`, then calibrate again"
-    )
+@dataclass(frozen=True, eq=False)
+class _Use:
+    """A calibration that is to be used."""
 
+    calibration: Calibration
 
-def _age(calibration: Calibration, now: datetime, max_age_days: float) -> str:
-    written = calibration.provenance.written
-    try:
-        age = now - datetime.strptime(written, "%Y-%m-%dT%H:%M:%SZ").replace(tzinfo=UTC)
-    except ValueError:
-        return f"it says {written!r} for when it was written, which is no UTC time"
-    days = age / timedelta(days=1)
-    if age < -CLOCK_ERROR:
-        return f"it was written {written}, {-days:.1f} days from now; check the computer's clock"
-    if not days <= max_age_days:
+    def unproven(self) -> str:
+        if self.calibration.provenance.sign_checked:
+            return ""
         return (
-            f"it was written {written}, {days:.1f} days ago, wanted <= {max_age_days:g} days; "
-            "calibrate again, or say --max-age DAYS"
+            "its sign check did not hold, or was not made: corrected targets could be off by twice "
+            "the error; see `hilcell show`, then calibrate again"
         )
-    return ""
 
-
-def _other_cell(calibration: Calibration, cell: Cell, calibrated: Cell | None) -> str:
-    """Say that the cell differs; in its tolerance alone is no other cell, and judged apart."""
-    found = calibration.provenance.digest
-    limits = {each.limits for each in calibration.verdicts.values()}
-    possible = [each for each in limits if each.max_deg is None or cell.orients]
-    if found in {cell.digest, *(_judged_by(cell, each) for each in possible)}:
+    def age(self, now: datetime, max_age_days: float) -> str:
+        written = self.calibration.provenance.written
+        try:
+            age = now - datetime.strptime(written, "%Y-%m-%dT%H:%M:%SZ").replace(tzinfo=UTC)
+        except ValueError:
+            return f"it says {written!r} for when it was written, which is no UTC time"
+        days = age / timedelta(days=1)
+        if age < -CLOCK_ERROR:
+            return (
+                f"it was written {written}, {-days:.1f} days from now; check the computer's clock"
+            )
+        if not days <= max_age_days:
+            return (
+                f"it was written {written}, {days:.1f} days ago, wanted <= {max_age_days:g} days; "
+                "calibrate again, or say --max-age DAYS"
+            )
         return ""
-    name = calibration.provenance.cell
-    if name != cell.name:
-        return f"it is of cell {name}, not {cell.name}"
-    changed = differences(calibrated, cell) if calibrated is not None else ""
-    return (
-        f"it is of cell {name} with digest {found[:12]}, the cell given has "
-        f"{cell.digest[:12]}: another cell, one whose file was changed since, or other "
-        "--set than its run's" + (f"; its run's and the one given: {changed}" if changed else "")
-    )
+
+    def other_cell(self, cell: Cell, calibrated: Cell | None) -> str:
+        """Say that the cell differs; in its tolerance alone is no other cell, and judged apart."""
+        found = self.calibration.provenance.digest
+        limits = {each.limits for each in self.calibration.verdicts.values()}
+        possible = [each for each in limits if each.max_deg is None or cell.orients]
+        if found in {cell.digest, *(_judged_by(cell, each) for each in possible)}:
+            return ""
+        name = self.calibration.provenance.cell
+        if name != cell.name:
+            return f"it is of cell {name}, not {cell.name}"
+        changed = differences(calibrated, cell) if calibrated is not None else ""
+        return (
+            f"it is of cell {name} with digest {found[:12]}, the cell given has "
+            f"{cell.digest[:12]}: another cell, one whose file was changed since, or other "
+            "--set than its run's"
+            + (f"; its run's and the one given: {changed}" if changed else "")
+        )
+
+    def temperature(self, temperature_c: float) -> str:
+        if self.calibration.validity.temperature_c is None:
+            return (
+                f"{temperature_c:.1f} C cannot be compared: the calibration's tracker had no "
+                "weather station; leave --temperature out"
+            )
+        low_c, high_c = self.calibration.validity.temperature_c
+        if low_c - TEMPERATURE_MARGIN_K <= temperature_c <= high_c + TEMPERATURE_MARGIN_K:
+            return ""
+        return (
+            f"{temperature_c:.1f} C is not within {TEMPERATURE_MARGIN_K:g} K of the calibrated "
+            f"{low_c:.1f} .. {high_c:.1f} C; bring the cell to temperature, or calibrate again"
+        )
 
 
 def _judged_by(cell: Cell, limits: Limits) -> str:
@@ -170,18 +193,3 @@ def _judged_by(cell: Cell, limits: Limits) -> str:
         max_tolerance_deg=limits.max_deg,
     )
     return msgspec.structs.replace(cell, validation=table).digest
-
-
-def _temperature(calibration: Calibration, temperature_c: float) -> str:
-    if calibration.validity.temperature_c is None:
-        return (
-            f"{temperature_c:.1f} C cannot be compared: the calibration's tracker had no weather "
-            "station; leave --temperature out"
-        )
-    low_c, high_c = calibration.validity.temperature_c
-    if low_c - TEMPERATURE_MARGIN_K <= temperature_c <= high_c + TEMPERATURE_MARGIN_K:
-        return ""
-    return (
-        f"{temperature_c:.1f} C is not within {TEMPERATURE_MARGIN_K:g} K of the calibrated "
-        f"{low_c:.1f} .. {high_c:.1f} C; bring the cell to temperature, or calibrate again"
-    )

@@ -9,6 +9,7 @@ import shutil
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -44,7 +45,8 @@ def export(
     ``serial`` is wanted where cells of several serial numbers have that name. Raises `NotWritten`,
     `PlantError`, and `HilcellError` for a cell that has shipped nothing.
     """
-    serials = _serials(connection, cell, serial)
+    source = _Source(connection)
+    serials = source.serials(cell, serial)
     files: dict[str, FileEntry] = {}
     runs = simulated = 0
     changed: list[str] = []
@@ -55,9 +57,9 @@ def export(
             put(name, content)
 
         asked = select(RUN).where(RUN.c.cell == cell, RUN.c.serial.in_(serials))
-        for run in _read(connection, asked.order_by(RUN.c.ended, RUN.c.revision), cell):
+        for run in source.read(asked.order_by(RUN.c.ended, RUN.c.revision), cell):
             folder = f"runs/{_safe(run['name'])}-{run['revision']}-{run['digest'].hex[:12]}"
-            rows = _add_run(connection, run, folder, add)
+            rows = source.add_run(run, folder, add)
             if digest_of(rows) != run["digest"]:
                 changed.append(run["name"])
             runs, simulated = runs + 1, simulated + run["simulated"]
@@ -74,53 +76,59 @@ def export(
     return manifest
 
 
-def _serials(connection: Connection, cell: str, serial: str | None) -> list[str]:
-    asked = select(RUN.c.cell, RUN.c.serial).distinct().order_by(RUN.c.cell, RUN.c.serial)
-    known = connection.execute(asked).all()
-    found = [row.serial for row in known if row.cell == cell and serial in (None, row.serial)]
-    if len(found) == 1:
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """The database that is exported."""
+
+    connection: Connection
+
+    def serials(self, cell: str, serial: str | None) -> list[str]:
+        asked = select(RUN.c.cell, RUN.c.serial).distinct().order_by(RUN.c.cell, RUN.c.serial)
+        known = self.connection.execute(asked).all()
+        found = [row.serial for row in known if row.cell == cell and serial in (None, row.serial)]
+        if len(found) == 1:
+            return found
+        if found:
+            raise HilcellError(
+                f"cells of {len(found)} serial numbers have the name {clean(cell)}: "
+                f"{', '.join(map(clean, found))}; say which with --serial"
+            )
+        names = sorted({row.cell for row in known})
+        if cell in names:
+            serials = ", ".join(clean(row.serial) for row in known if row.cell == cell)
+            raise HilcellError(
+                f"cell {clean(cell)} of serial number {clean(serial or '')} has shipped no run; "
+                f"there are {serials}"
+            )
+        raise HilcellError(f"cell {cell[:80]!r} has shipped no run{did_you_mean(cell, names)}")
+
+    def add_run(self, run: Found, folder: str, add: Add) -> dict[Table, list[Found]]:
+        """Add the files of one revision of a run; return its rows as they were read."""
+        found = {RUN: [run]}
+        add(f"{folder}/{RECORD}", _json(dict(run)))
+        for table in PARTS:
+            own = [table.c.digest == run["digest"]]
+            if table is POINT:
+                own.append(table.c.month == run["month"])  # the partition
+            asked = select(table).where(*own).order_by(*table.primary_key)
+            rows = found[table] = self.read(asked, f"run {clean(run['name'])}")
+            if table is DOCUMENT:
+                for row in rows:
+                    add(f"{folder}/documents/{_safe(row['name'])}", _document(run, row))
+            elif rows:
+                add(f"{folder}/{table.name}s.json", _json([_part(row) for row in rows]))
+            if table is POINT:
+                _check_points(run, sum(not row["superseded"] for row in rows))
         return found
-    if found:
-        raise HilcellError(
-            f"cells of {len(found)} serial numbers have the name {clean(cell)}: "
-            f"{', '.join(map(clean, found))}; say which with --serial"
-        )
-    names = sorted({row.cell for row in known})
-    if cell in names:
-        serials = ", ".join(clean(row.serial) for row in known if row.cell == cell)
-        raise HilcellError(
-            f"cell {clean(cell)} of serial number {clean(serial or '')} has shipped no run; "
-            f"there are {serials}"
-        )
-    raise HilcellError(f"cell {cell[:80]!r} has shipped no run{did_you_mean(cell, names)}")
 
-
-def _add_run(connection: Connection, run: Found, folder: str, add: Add) -> dict[Table, list[Found]]:
-    """Add the files of one revision of a run; return its rows as they were read."""
-    found = {RUN: [run]}
-    add(f"{folder}/{RECORD}", _json(dict(run)))
-    for table in PARTS:
-        own = [table.c.digest == run["digest"]]
-        if table is POINT:
-            own.append(table.c.month == run["month"])  # the partition
-        asked = select(table).where(*own).order_by(*table.primary_key)
-        rows = found[table] = _read(connection, asked, f"run {clean(run['name'])}")
-        if table is DOCUMENT:
-            for row in rows:
-                add(f"{folder}/documents/{_safe(row['name'])}", _document(run, row))
-        elif rows:
-            add(f"{folder}/{table.name}s.json", _json([_part(row) for row in rows]))
-        if table is POINT:
-            _check_points(run, sum(not row["superseded"] for row in rows))
-    return found
-
-
-def _read(connection: Connection, asked: Select[Any], what: str) -> list[Found]:
-    """Return rows; one that holds no value of its column's type was not written by a shipper."""
-    try:
-        return list(connection.execute(asked).mappings())
-    except (ValueError, TypeError, AttributeError):
-        raise PlantError(f"{what}: the plant has values that cannot be read: {CHANGED}") from None
+    def read(self, asked: Select[Any], what: str) -> list[Found]:
+        """Return rows; one with a value not of its column's type was not written by a shipper."""
+        try:
+            return list(self.connection.execute(asked).mappings())
+        except (ValueError, TypeError, AttributeError):
+            raise PlantError(
+                f"{what}: the plant has values that cannot be read: {CHANGED}"
+            ) from None
 
 
 def _changed_words(names: list[str]) -> str:

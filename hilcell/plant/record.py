@@ -14,6 +14,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import date, datetime
 from statistics import fmean
 from typing import NamedTuple
@@ -103,13 +104,14 @@ def record_of(run: str, records: Sequence[Record], documents: Sequence[Document]
         raise NotOver(f"run {run}: it is {row.condition}; `hilcell resume {run}` ends it")
     head, (run_key, revision) = heads(records)[-1], key_of(run, records)
     month = date.fromisoformat(f"{records[0].t[:MONTH]}-01")
-    points = [{"month": month, **each} for each in _points(log, records)]
+    made = _Rows(log)
+    points = [{"month": month, **each} for each in made.points(records)]
     whole: dict[Table, Sequence[Values]] = {
         FRAME: [
             {"key": key, "matrix": each.matrix, "covariance": each.covariance or None}
             for key, each in log.frames.items()
         ],
-        VERDICT: [_verdict(log, record) for record in log.judged.values()],
+        VERDICT: [made.verdict(record) for record in log.judged.values()],
         DEVICE: _numbered(
             {name: getattr(each, name) for name in each.__struct_fields__ if name in DEVICE.c}
             for each in log.assets
@@ -125,8 +127,8 @@ def record_of(run: str, records: Sequence[Record], documents: Sequence[Document]
             }
             for each in alarms_of(log, run, live=False)
         ),
-        LENGTH: _numbered(_lengths(log)),
-        GRID: list(_grid(log)),
+        LENGTH: _numbered(made.lengths()),
+        GRID: list(made.grid()),
         STREAM: [
             {name: getattr(each, name) for name in STREAM.c.keys() if name != "digest"}  # noqa: SIM118
             for each in log.streams.values()
@@ -213,17 +215,57 @@ def _numbered(rows: Iterable[Values]) -> list[Values]:
     return [{"n": n, **each} for n, each in enumerate(rows)]
 
 
-def _points(log: Log, records: Sequence[Record]) -> Iterator[Values]:
-    """Yield all points in the order of their records.
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """The rows of one run."""
 
-    One that is superseded does not count: it was measured again, or its tracker had moved.
-    """
-    counting = {log.recorded(point): point for point in log.points.values()}
-    for record in records:
-        if record.kind == "point":
-            superseded = record.seq not in counting
-            point = log.read(record) if superseded else counting[record.seq]
-            yield _point(record, point) | {"superseded": superseded}
+    log: Log
+
+    def points(self, records: Sequence[Record]) -> Iterator[Values]:
+        """Yield all points in the order of their records.
+
+        One that is superseded does not count: it was measured again, or its tracker had moved.
+        """
+        counting = {self.log.recorded(point): point for point in self.log.points.values()}
+        for record in records:
+            if record.kind == "point":
+                superseded = record.seq not in counting
+                point = self.log.read(record) if superseded else counting[record.seq]
+                yield _point(record, point) | {"superseded": superseded}
+
+    def verdict(self, record: Record) -> Values:
+        """Return a verdict's row, with the mean error where it judges one."""
+        verdict = self.log.verdicts[record.key]
+        mean = next((each for each in verdict.figures if each.name == "mean"), Figure("", None))
+        return {
+            "key": record.key,
+            "holds": verdict.holds,
+            "body": record.body,
+            "mean_mm": mean.value,
+            "mean_U_mm": mean.U,
+            "mean_tolerance_mm": mean.limit,
+        }
+
+    def lengths(self) -> Iterator[Values]:
+        checked = self.log.verdict(LengthsChecked)
+        for each in () if checked is None else checked.lengths:
+            yield msgspec.to_builtins(each) | {"nests": "-".join(each.nests)}
+
+    def grid(self) -> Iterator[Values]:
+        """Yield the errors at the vertices of a grid that was measured whole."""
+        points = self.log.select("grid")
+        if not points or not {"world", "base"} <= self.log.frames.keys():
+            return
+        errors_mm = measured_grid(self.log).errors_mm.reshape(-1, 3)
+        if not np.isfinite(errors_mm).all():
+            return
+        places_mm = grid_of(self.log.cell).vertices_mm().reshape(-1, 3)
+        celsius = [point.temperature_c for point in points if point.temperature_c is not None]
+        yield {
+            "places_mm": places_mm.tolist(),
+            "errors_mm": errors_mm.tolist(),
+            "temperature_c": fmean(celsius) if celsius else None,
+        }
 
 
 def _point(record: Record, point: Point) -> dict[str, object]:
@@ -250,43 +292,6 @@ def _point(record: Record, point: Point) -> dict[str, object]:
         **dict(zip(("nominal_x_mm", "nominal_y_mm", "nominal_z_mm"), nominal_mm, strict=True)),
         "commanded_deg": point.commanded_deg,
         "joints_deg": point.joints_deg,
-    }
-
-
-def _verdict(log: Log, record: Record) -> Values:
-    """Return a verdict's row, with the mean error where it judges one."""
-    verdict = log.verdicts[record.key]
-    mean = next((each for each in verdict.figures if each.name == "mean"), Figure("", None))
-    return {
-        "key": record.key,
-        "holds": verdict.holds,
-        "body": record.body,
-        "mean_mm": mean.value,
-        "mean_U_mm": mean.U,
-        "mean_tolerance_mm": mean.limit,
-    }
-
-
-def _lengths(log: Log) -> Iterator[Values]:
-    checked = log.verdict(LengthsChecked)
-    for each in () if checked is None else checked.lengths:
-        yield msgspec.to_builtins(each) | {"nests": "-".join(each.nests)}
-
-
-def _grid(log: Log) -> Iterator[Values]:
-    """Yield the errors at the vertices of a grid that was measured whole."""
-    points = log.select("grid")
-    if not points or not {"world", "base"} <= log.frames.keys():
-        return
-    errors_mm = measured_grid(log).errors_mm.reshape(-1, 3)
-    if not np.isfinite(errors_mm).all():
-        return
-    places_mm = grid_of(log.cell).vertices_mm().reshape(-1, 3)
-    celsius = [point.temperature_c for point in points if point.temperature_c is not None]
-    yield {
-        "places_mm": places_mm.tolist(),
-        "errors_mm": errors_mm.tolist(),
-        "temperature_c": fmean(celsius) if celsius else None,
     }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import datetime
 
 import msgspec
@@ -82,97 +83,100 @@ def robots(connection: Connection, robot: str = "", cell: str = "") -> list[Robo
     found: defaultdict[tuple[str, Name], list[Found]] = defaultdict(list)
     for row in connection.execute(asked):
         found[row.robot, (row.cell, row.serial, row.machine)].append(row)
-    return [_robot(connection, who, cell, found[who, cell]) for who, cell in sorted(found)]
+    return [_Robots(connection).robot(who, cell, found[who, cell]) for who, cell in sorted(found)]
 
 
-def _robot(connection: Connection, robot: str, cell: Name, rows: Sequence[Found]) -> RobotCourse:
-    alike = [row for row in rows if row.places_mm == rows[-1].places_mm]  # of the newest grid
-    years = np.array([row.ended.timestamp() for row in alike]) / YEAR_S
-    air_c = [row.temperature_c for row in alike]
-    celsius = None if None in air_c else np.array(air_c, dtype=float)
-    errors_mm = np.array([row.errors_mm for row in alike], dtype=float).reshape(len(alike), -1)
-    drift: list[Drift] = []
-    not_judged: dict[str, str] = {}
-    changes: list[Change] = []
-    frames: Array = np.array([row.matrix for row in alike], dtype=float)
-    origins_mm = frames[:, :3, 3]
-    arm_mm = 1000.0  # two points of {B}, this far along its x and y, show how it turns
-    points_mm = [origins_mm, *(origins_mm + arm_mm * frames[:, :3, axis] for axis in (0, 1))]
-    for what, vectors in ((ARM, errors_mm), (BASE, np.concatenate(points_mm, axis=1))):
-        along_mm = main_direction(vectors) / np.sqrt(vectors.shape[1] / 3)  # rms of its points
-        seen = course(years, along_mm, celsius)
-        if seen is not None:
-            drift.append(Drift(
-                what=what, mm_per_year=seen.slope, U_mm_per_year=seen.U, drifts=seen.drifts,
-                noise_mm=seen.noise,
-            ))  # fmt: skip
-            changes += _changes(connection, cell, what, alike, seen)
-        else:
-            not_judged[what] = hindrance(years, along_mm)
-    return RobotCourse(
-        robot=robot, cell=cell[0], serial=cell[1], machine=cell[2],
-        calibrations=len(alike), first=alike[0].ended, last=alike[-1].ended,
-        left_out=len(rows) - len(alike), drift=drift,
-        not_judged=not_judged, changes=changes,
-    )  # fmt: skip
+@dataclass(frozen=True, eq=False)
+class _Robots:
+    """Robots, as the plant's database knows them."""
 
+    connection: Connection
 
-def _changes(
-    connection: Connection, cell: Name, what: str, rows: Sequence[Found], seen: Course
-) -> list[Change]:
-    return [
-        Change(
-            what=what,
-            after=rows[step.at - 1].name,
-            before=rows[step.at].name,
-            since=rows[step.at - 1].ended,
-            until=rows[step.at].ended,
-            size_mm=step.size,
-            U_mm=step.U,
-            confirmed=min(step.at, step.after) > 1,
-            said=_said(connection, cell, rows[step.at - 1], rows[step.at]),
+    def robot(self, robot: str, cell: Name, rows: Sequence[Found]) -> RobotCourse:
+        alike = [row for row in rows if row.places_mm == rows[-1].places_mm]  # of the newest grid
+        years = np.array([row.ended.timestamp() for row in alike]) / YEAR_S
+        air_c = [row.temperature_c for row in alike]
+        celsius = None if None in air_c else np.array(air_c, dtype=float)
+        errors_mm = np.array([row.errors_mm for row in alike], dtype=float).reshape(len(alike), -1)
+        drift: list[Drift] = []
+        not_judged: dict[str, str] = {}
+        changes: list[Change] = []
+        frames: Array = np.array([row.matrix for row in alike], dtype=float)
+        origins_mm = frames[:, :3, 3]
+        arm_mm = 1000.0  # two points of {B}, this far along its x and y, show how it turns
+        points_mm = [origins_mm, *(origins_mm + arm_mm * frames[:, :3, axis] for axis in (0, 1))]
+        for what, vectors in ((ARM, errors_mm), (BASE, np.concatenate(points_mm, axis=1))):
+            along_mm = main_direction(vectors) / np.sqrt(vectors.shape[1] / 3)  # rms of its points
+            seen = course(years, along_mm, celsius)
+            if seen is not None:
+                drift.append(Drift(
+                    what=what, mm_per_year=seen.slope, U_mm_per_year=seen.U, drifts=seen.drifts,
+                    noise_mm=seen.noise,
+                ))  # fmt: skip
+                changes += self._changes(cell, what, alike, seen)
+            else:
+                not_judged[what] = hindrance(years, along_mm)
+        return RobotCourse(
+            robot=robot, cell=cell[0], serial=cell[1], machine=cell[2],
+            calibrations=len(alike), first=alike[0].ended, last=alike[-1].ended,
+            left_out=len(rows) - len(alike), drift=drift,
+            not_judged=not_judged, changes=changes,
+        )  # fmt: skip
+
+    def _changes(self, cell: Name, what: str, rows: Sequence[Found], seen: Course) -> list[Change]:
+        return [
+            Change(
+                what=what,
+                after=rows[step.at - 1].name,
+                before=rows[step.at].name,
+                since=rows[step.at - 1].ended,
+                until=rows[step.at].ended,
+                size_mm=step.size,
+                U_mm=step.U,
+                confirmed=min(step.at, step.after) > 1,
+                said=self._said(cell, rows[step.at - 1], rows[step.at]),
+            )
+            for step in seen.steps
+        ]
+
+    def _said(self, cell: Name, first: Found, second: Found) -> list[str]:
+        """Return the devices that changed, the alarms and the re-checks that failed, run by run."""
+        broken_off = and_(RUN.c.digest == first.digest, RUN.c.state != "finished")  # after its grid
+        then = and_(
+            *(column == name for column, name in zip(CELL, cell, strict=True)),
+            or_(RUN.c.ended > first.ended, broken_off),
+            RUN.c.ended <= second.ended,
+            newest(),
         )
-        for step in seen.steps
-    ]
+        before = self._devices(first)
+        now = self._devices(second)
+        kinds = sorted(before.keys() & now.keys())
+        pairs = ((kind, before[kind], now[kind]) for kind in kinds)
+        found = [
+            f"{kind} {one.serial} {one.firmware} -> {other.serial} {other.firmware}"
+            for kind, one, other in pairs
+            if not same(one, other)
+        ]
+        for row in self.connection.execute(select(RUN.c.row).where(then).order_by(RUN.c.ended)):
+            run = typed(row.row, RunRow)
+            if run.facts.recheck == "redo":
+                found.append(f"re-check: calibrate again ({run.name})")
+        severe = ("warning", "fault")
+        alarms = (
+            select(ALARM.c.code, ALARM.c.title, RUN.c.name)
+            .join(RUN, RUN.c.digest == ALARM.c.digest)
+            .where(then, ALARM.c.severity.in_(severe))
+            .order_by(ALARM.c.t)
+        )
+        found += [f"{row.code} {row.title} ({row.name})" for row in self.connection.execute(alarms)]
+        return list(dict.fromkeys(found))
 
-
-def _said(connection: Connection, cell: Name, first: Found, second: Found) -> list[str]:
-    """Return the devices that changed, the alarms and the re-checks that failed, run by run."""
-    broken_off = and_(RUN.c.digest == first.digest, RUN.c.state != "finished")  # after its grid
-    then = and_(
-        *(column == name for column, name in zip(CELL, cell, strict=True)),
-        or_(RUN.c.ended > first.ended, broken_off),
-        RUN.c.ended <= second.ended,
-        newest(),
-    )
-    before = _devices(connection, first)
-    now = _devices(connection, second)
-    kinds = sorted(before.keys() & now.keys())
-    pairs = ((kind, before[kind], now[kind]) for kind in kinds)
-    found = [
-        f"{kind} {one.serial} {one.firmware} -> {other.serial} {other.firmware}"
-        for kind, one, other in pairs
-        if not same(one, other)
-    ]
-    for row in connection.execute(select(RUN.c.row).where(then).order_by(RUN.c.ended)):
-        run = typed(row.row, RunRow)
-        if run.facts.recheck == "redo":
-            found.append(f"re-check: calibrate again ({run.name})")
-    severe = ("warning", "fault")
-    alarms = (
-        select(ALARM.c.code, ALARM.c.title, RUN.c.name)
-        .join(RUN, RUN.c.digest == ALARM.c.digest)
-        .where(then, ALARM.c.severity.in_(severe))
-        .order_by(ALARM.c.t)
-    )
-    found += [f"{row.code} {row.title} ({row.name})" for row in connection.execute(alarms)]
-    return list(dict.fromkeys(found))
-
-
-def _devices(connection: Connection, run: Found) -> dict[str, Asset]:
-    asked = select(DEVICE).where(DEVICE.c.digest == run.digest)
-    rows = connection.execute(asked).mappings()
-    return {
-        row["kind"]: Asset(**{name: row[name] for name in Asset.__struct_fields__ if name in row})
-        for row in rows
-    }
+    def _devices(self, run: Found) -> dict[str, Asset]:
+        asked = select(DEVICE).where(DEVICE.c.digest == run.digest)
+        rows = self.connection.execute(asked).mappings()
+        return {
+            row["kind"]: Asset(
+                **{name: row[name] for name in Asset.__struct_fields__ if name in row}
+            )
+            for row in rows
+        }

@@ -62,8 +62,9 @@ def write(connection: Connection, record: RunRecord, heads: Sequence[str], ended
     ``heads`` are the hashes of its journal after each record, ``ended`` is the index of its first
     end: no earlier one was ever shipped. Raises `Forked`.
     """
-    if not _continues(connection, record, heads):
-        _check_name(connection, record, heads[ended:])
+    shipping = _Shipping(connection)
+    if not shipping.continues(record, heads):
+        shipping.check_name(record, heads[ended:])
     on_postgresql = connection.dialect.name == POSTGRESQL
     (run,) = record.rows[RUN]
     if on_postgresql:
@@ -79,33 +80,39 @@ def write(connection: Connection, record: RunRecord, heads: Sequence[str], ended
     return True
 
 
-def _continues(connection: Connection, record: RunRecord, heads: Sequence[str]) -> bool:
-    """Return whether the run was shipped before.
+@dataclass(frozen=True, eq=False)
+class _Shipping:
+    """A database that takes records."""
 
-    Refuses a journal that does not go on from, or lead to, what was shipped.
-    """
-    asked = select(RUN.c.revision, RUN.c.head).where(RUN.c.run_key == record.run_key)
-    found = connection.execute(asked).all()
-    for revision, head in found:
-        if revision <= len(heads) and heads[revision - 1] != head:
-            raise Forked(
-                f"run {record.row.name}: the plant has another record {revision} of it: its "
-                "journal was changed, or its folder was copied and resumed twice; ship the right "
-                "one"
-            )
-    return bool(found)
+    connection: Connection
 
+    def continues(self, record: RunRecord, heads: Sequence[str]) -> bool:
+        """Return whether the run was shipped before.
 
-def _check_name(connection: Connection, record: RunRecord, heads: Sequence[str]) -> None:
-    """Refuse a journal that was shipped under another name: its measurements would count twice."""
-    for start in range(0, len(heads), BATCH):
-        same = RUN.c.head.in_(heads[start : start + BATCH])
-        asked = select(RUN.c.revision).where(same, RUN.c.run_key != record.run_key).limit(1)
-        if connection.execute(asked).first() is not None:
-            raise Forked(
-                f"run {record.row.name}: the plant has its journal under another name: its folder "
-                "was renamed, or is a copy or a link; keep one, under the name that was shipped"
-            )
+        Refuses a journal that does not go on from, or lead to, what was shipped.
+        """
+        asked = select(RUN.c.revision, RUN.c.head).where(RUN.c.run_key == record.run_key)
+        found = self.connection.execute(asked).all()
+        for revision, head in found:
+            if revision <= len(heads) and heads[revision - 1] != head:
+                raise Forked(
+                    f"run {record.row.name}: the plant has another record {revision} of it: its "
+                    "journal was changed, or its folder was copied and resumed twice; ship the "
+                    "right one"
+                )
+        return bool(found)
+
+    def check_name(self, record: RunRecord, heads: Sequence[str]) -> None:
+        """Refuse a journal shipped under another name: its measurements would count twice."""
+        for start in range(0, len(heads), BATCH):
+            same = RUN.c.head.in_(heads[start : start + BATCH])
+            asked = select(RUN.c.revision).where(same, RUN.c.run_key != record.run_key).limit(1)
+            if self.connection.execute(asked).first() is not None:
+                raise Forked(
+                    f"run {record.row.name}: the plant has its journal under another name: its "
+                    "folder was renamed, or is a copy or a link; keep one, under the name that was "
+                    "shipped"
+                )
 
 
 # The folder is another PC's, so nothing in it is trusted: a link is not followed, and a file

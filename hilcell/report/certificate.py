@@ -43,6 +43,7 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
     measured_air = bool(facts.log.temperatures_c())
     kinds = ("tracker", "strip")
     found = [f"{each.text} ({each.kind})" for each in facts.log.assets if each.kind in kinds]
+    answers = _Answers(facts)
     return [
         Item("7.8.2.1 a", "Title", title(facts)),
         Item("7.8.2.1 b, c", "Laboratory, place of the calibration", cell.certificate.laboratory),
@@ -52,14 +53,14 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
         Item("7.8.2.1 e", "Job", inputs.job),
         Item("7.8.2.1 f", "Method", procedure_words(facts), UNCERTAINTY),
         Item("7.8.2.1 g", "Item", f"cell {cell.name}, serial {cell.serial}; robot "
-             f"{cell.robot.name}{_robot_serial(facts)}; {_stands(cell)}"),
+             f"{cell.robot.name}{answers.robot_serial()}; {_stands(cell)}"),
         Item("7.8.2.1 g, h", "Condition of the item, date of receipt"),
-        Item("7.8.2.1 i", "Date of measurement", _dates(facts)),
+        Item("7.8.2.1 i", "Date of measurement", answers.dates()),
         Item("7.8.2.1 j", "Date of issue"),
         Item("7.5.1", "Measured by", inputs.operator),
         Item("7.8.2.1 o", "Authorised by (name, signature)"),
-        Item("7.8.2.1 m", "Results and units", _results(facts), _results_part(facts)),
-        Item("7.8.2.1 n", "Deviations from the method", _deviations(facts)),
+        Item("7.8.2.1 m", "Results and units", answers.results(), answers.results_part()),
+        Item("7.8.2.1 n", "Deviations from the method", answers.deviations()),
         Item("7.8.4.1 a", "Measurement uncertainty", _uncertainty(budget, targets),
              UNCERTAINTY),
         Item("7.8.4.1 b", "Conditions", conditions_words(facts)),
@@ -69,7 +70,8 @@ def certificate(facts: Facts, budget: Budget | None, targets: TargetBudget) -> l
         Item("7.8.4.1 d", "Before and after adjustment", adjustment_words(facts), STATIONS),
         Item("7.8.6.2", "Conformity, decision rule", conformity_words(facts)),
         Item("7.8.2.1 l", "Validity",
-             _revoked(facts) + "the results relate only to the item " + _limits_of_validity(facts)),
+             answers.revoked() + "the results relate only to the item "
+             + answers.limits_of_validity()),
     ]  # fmt: skip
 
 
@@ -104,14 +106,49 @@ def procedure_words(facts: Facts) -> str:
     return f"hilcell procedure {facts.inputs.procedure}: {facts.procedure.summary}"
 
 
-def _robot_serial(facts: Facts) -> str:
-    found = [asset.serial for asset in facts.log.assets if asset.kind == "robot"]
-    return f", serial {found[0]}" if found else ""
+@dataclass(frozen=True, eq=False)
+class _Answers:
+    """Answers to the clauses of the standard, for one run."""
 
+    facts: Facts
 
-def _dates(facts: Facts) -> str:
-    first, last = in_zone(facts.records[0].t, facts.zone).date().isoformat(), facts.date
-    return first if first == last else f"{first} to {last}"
+    def robot_serial(self) -> str:
+        found = [asset.serial for asset in self.facts.log.assets if asset.kind == "robot"]
+        return f", serial {found[0]}" if found else ""
+
+    def dates(self) -> str:
+        first, last = (
+            in_zone(self.facts.records[0].t, self.facts.zone).date().isoformat(),
+            self.facts.date,
+        )
+        return first if first == last else f"{first} to {last}"
+
+    def results(self) -> str:
+        """Return where the results stand, and their units."""
+        if not self.facts.log.points:
+            return "none: nothing was measured"
+        air = ", temperatures °C" if self.facts.log.temperatures_c() else ""
+        return f"the tables of this report; lengths mm, angles °{air}"
+
+    def limits_of_validity(self) -> str:
+        """Return for what the results hold: the first page states the volume of a calibration."""
+        if not (_calibrated(self.facts) or validity_facts(self.facts)):
+            return "described and to its state when it was measured"
+        if self.facts.log.temperatures_c():
+            return "calibrated, in the volume, orientation and temperatures stated here"
+        return "calibrated, in the volume and orientation stated here; no temperature was measured"
+
+    def results_part(self) -> str:
+        """Return the part of the report with the tables of results."""
+        return POSES if tests_poses(self.facts) else STATIONS
+
+    def deviations(self) -> str:
+        found = [f"a calibration was used although {why}" for why in self.facts.inputs.accepted]
+        found += iso9283.departures(self.facts)
+        return "; ".join(found) or "none recorded"
+
+    def revoked(self) -> str:
+        return f"REVOKED: {self.facts.revoked}; " if self.facts.revoked else ""
 
 
 def _uncertainty(budget: Budget | None, targets: TargetBudget) -> str:
@@ -135,38 +172,6 @@ def conditions_words(facts: Facts) -> str:
     if not celsius:
         return "air not measured: the tracker has no weather station"
     return f"air {min(celsius):.1f} to {max(celsius):.1f} °C at the tracker"
-
-
-def _results(facts: Facts) -> str:
-    """Return where the results stand, and their units."""
-    if not facts.log.points:
-        return "none: nothing was measured"
-    air = ", temperatures °C" if facts.log.temperatures_c() else ""
-    return f"the tables of this report; lengths mm, angles °{air}"
-
-
-def _limits_of_validity(facts: Facts) -> str:
-    """Return for what the results hold: the first page states the volume of a calibration."""
-    if not (_calibrated(facts) or validity_facts(facts)):
-        return "described and to its state when it was measured"
-    if facts.log.temperatures_c():
-        return "calibrated, in the volume, orientation and temperatures stated here"
-    return "calibrated, in the volume and orientation stated here; no temperature was measured"
-
-
-def _results_part(facts: Facts) -> str:
-    """Return the part of the report with the tables of results."""
-    return POSES if tests_poses(facts) else STATIONS
-
-
-def _deviations(facts: Facts) -> str:
-    found = [f"a calibration was used although {why}" for why in facts.inputs.accepted]
-    found += iso9283.departures(facts)
-    return "; ".join(found) or "none recorded"
-
-
-def _revoked(facts: Facts) -> str:
-    return f"REVOKED: {facts.revoked}; " if facts.revoked else ""
 
 
 def conformity_words(facts: Facts) -> str:

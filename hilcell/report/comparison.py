@@ -117,7 +117,7 @@ def frame_changes(first: Side, second: Side) -> list[Change]:
         other = second.log.frames.get(key)
         if frame.covariance and other is not None and other.covariance:
             place = key.replace(".", " ")
-            limits = _frame_limits(first, second, key)
+            limits = _Pair(first, second).frame_limits(key)
             T_1, T_2 = first.log.matrix(key), second.log.matrix(key)
             R = T_1[:3, :3].T @ T_2[:3, :3]
             sine = np.linalg.norm([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2
@@ -132,18 +132,36 @@ def frame_changes(first: Side, second: Side) -> list[Change]:
     return found
 
 
-def _frame_limits(first: Side, second: Side, key: str) -> tuple[float | None, float | None]:
-    """Return the limits of a frame's move in mm and of its turn in deg."""
-    both = [_frame_covariance(side, key) for side in (first, second)]
-    covariance = sum((each for each in both if each is not None), np.zeros((6, 6)))
-    if any(each is None for each in both):
-        return None, None
-    factor = length_factor(1)
-    moved_mm, turned_rad = (
-        factor * math.sqrt(float(np.trace(part)) / 3)
-        for part in (covariance[:3, :3], covariance[3:, 3:])
-    )
-    return moved_mm, math.degrees(turned_rad)
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """Two runs of a cell that are compared."""
+
+    first: Side
+    second: Side
+
+    def frame_limits(self, key: str) -> tuple[float | None, float | None]:
+        """Return the limits of a frame's move in mm and of its turn in deg."""
+        both = [_frame_covariance(side, key) for side in (self.first, self.second)]
+        covariance = sum((each for each in both if each is not None), np.zeros((6, 6)))
+        if any(each is None for each in both):
+            return None, None
+        factor = length_factor(1)
+        moved_mm, turned_rad = (
+            factor * math.sqrt(float(np.trace(part)) / 3)
+            for part in (covariance[:3, :3], covariance[3:, 3:])
+        )
+        return moved_mm, math.degrees(turned_rad)
+
+    def vertex_u_mm(self, *, based: bool) -> float | None:
+        """Return u of one coordinate of the difference of two errors at a vertex, in {B}.
+
+        {W} cancels: base and vertices were measured in the same set-up. ``based`` adds {B}'s own.
+        """
+        variances_mm2 = [_vertex_variance_mm2(side) for side in (self.first, self.second)]
+        if based:
+            variances_mm2 += [base_variance_mm2(side.log) for side in (self.first, self.second)]
+        known = [each for each in variances_mm2 if each is not None]
+        return math.sqrt(sum(known)) if len(known) == len(variances_mm2) else None
 
 
 def _frame_covariance(side: Side, key: str) -> Array | None:
@@ -167,7 +185,7 @@ def grid_drift(first: Side, second: Side) -> GridDrift | None:
     An error of {B} moves all vertices together; the rest, which no small rigid motion explains, is
     the arm's.
     """
-    if not _same_grid(first.log, second.log):
+    if not _Runs(first.log, second.log).same_grid():
         return None
     grid = grid_of(first.log.cell)
     order = tuple(grid.serpentine().T)
@@ -188,7 +206,10 @@ def grid_drift(first: Side, second: Side) -> GridDrift | None:
     one_mm, other_mm = (float(lengths_mm(each).mean()) for each in (before_mm, after_mm))
     keys = [id.key for id, known in zip(vertex_ids(grid), both, strict=True) if known]
     worst = int(np.argmax(moved_mm))
-    whole, own = _vertex_u_mm(first, second, based=True), _vertex_u_mm(first, second, based=False)
+    whole, own = (
+        _Pair(first, second).vertex_u_mm(based=True),
+        _Pair(first, second).vertex_u_mm(based=False),
+    )
     where = f"{len(keys)} vertices"
     changes = [
         Change("grid", where, "mean error", "mm", one_mm, other_mm, other_mm - one_mm),
@@ -199,29 +220,76 @@ def grid_drift(first: Side, second: Side) -> GridDrift | None:
     return GridDrift(dict(zip(keys, moved_mm.tolist(), strict=True)), changes)
 
 
-def _same_grid(first: Log, second: Log) -> bool:
-    """Whether both have measured errors on the same lattice."""
-    one, other = grid_of(first.cell), grid_of(second.cell)
-    alike = one.shape == other.shape and one.pitch_mm == other.pitch_mm
-    known = {"world", "base"} <= first.frames.keys() & second.frames.keys()
-    return alike and known and bool(np.array_equal(one.origin_mm, other.origin_mm))
+@dataclass(frozen=True, eq=False)
+class _Runs:
+    """Two runs of a cell that are compared."""
+
+    first: Log
+    second: Log
+
+    def same_grid(self) -> bool:
+        """Whether both have measured errors on the same lattice."""
+        one, other = grid_of(self.first.cell), grid_of(self.second.cell)
+        alike = one.shape == other.shape and one.pitch_mm == other.pitch_mm
+        known = {"world", "base"} <= self.first.frames.keys() & self.second.frames.keys()
+        return alike and known and bool(np.array_equal(one.origin_mm, other.origin_mm))
+
+    def air(self) -> Iterator[Change]:
+        """Yield the mean temperature of both runs; the limit is that of a calibration's use."""
+        celsius = [log.temperatures_c() for log in (self.first, self.second)]
+        if all(celsius):
+            pair = [float(np.mean(each)) for each in celsius]
+            yield Change(
+                "air",
+                "at the tracker",
+                "mean temperature",
+                "°C",
+                pair[0],
+                pair[1],
+                pair[1] - pair[0],
+                TEMPERATURE_MARGIN_K,
+            )
+
+    def unfinished(self, live: tuple[bool, bool]) -> Iterator[str]:
+        for which, log, lives in zip(
+            ("first", "second"), (self.first, self.second), live, strict=True
+        ):
+            state = log.state
+            if state != "finished":
+                stands = lives or log.over
+                how = f"is {state}" if stands else f"was {state} when its engine was lost"
+                yield f"the {which} run {how}: its measured points are compared"
+
+    def notes(self, *, grids: bool) -> Iterator[str]:
+        yield "the tracker's place in {W} is of its set-up and is not compared"
+        for which, log in (("first", self.first), ("second", self.second)):
+            if log.points and not log.temperatures_c():
+                yield f"the {which} run's tracker had no weather station: the air is not compared"
+        for one, other in differing(self.first.assets, self.second.assets):
+            yield f"the {one.kind} differs: {one.text} in the first run, {other.text} in the second"
+        seeds = (self.first.inputs.machine_seed, self.second.inputs.machine_seed)
+        if None not in seeds and seeds[0] != seeds[1]:
+            yield "the machines' seeds differ: these are two simulated cells, not one that drifted"
+        measured = [bool(log.select("grid")) for log in (self.first, self.second)]
+        if any(measured) and not all(measured):
+            yield "only one of the runs measured the grid: it is not compared"
+        elif not grids and all(measured):
+            yield "the grids differ: their vertices are not compared"
+        methods = [log.method for log in (self.first, self.second)]
+        if all(methods) and methods[0] != methods[1]:
+            yield f"'chosen' is {methods[0]} in the first run, {methods[1]} in the second"
+
+    def settings(self) -> list[Setting]:
+        """Return how the frozen inputs differ by key, without the simulation's addresses."""
+        one, other = _inputs(self.first), _inputs(self.second)
+        keys = [*one, *(key for key in other if key not in one)]
+        pairs = ((key, one.get(key, ""), other.get(key, "")) for key in keys)
+        return [Setting(*each) for each in pairs if each[1] != each[2]]
 
 
 def _move(where: str, what: str, change_mm: float, count: int, u_mm: float | None) -> Change:
     limit_mm = None if u_mm is None else length_factor(count) * u_mm
     return Change("grid", where, what, "mm", None, None, change_mm, limit_mm)
-
-
-def _vertex_u_mm(first: Side, second: Side, *, based: bool) -> float | None:
-    """Return u of one coordinate of the difference of two errors at a vertex, in {B}.
-
-    {W} cancels: base and vertices were measured in the same set-up. ``based`` adds {B}'s own.
-    """
-    variances_mm2 = [_vertex_variance_mm2(side) for side in (first, second)]
-    if based:
-        variances_mm2 += [base_variance_mm2(side.log) for side in (first, second)]
-    known = [each for each in variances_mm2 if each is not None]
-    return math.sqrt(sum(known)) if len(known) == len(variances_mm2) else None
 
 
 def _vertex_variance_mm2(side: Side) -> float | None:
@@ -320,10 +388,13 @@ def compare_runs(
             "validation in common; compare two calibrations"
         )
     return Comparison(
-        _settings(first, second),
-        [*changes, *_air(first, second)],
+        _Runs(first, second).settings(),
+        [*changes, *_Runs(first, second).air()],
         drift.moved_mm if drift is not None else {},
-        [*_unfinished(first, second, live), *_notes(first, second, grids=drift is not None)],
+        [
+            *_Runs(first, second).unfinished(live),
+            *_Runs(first, second).notes(grids=drift is not None),
+        ],
     )
 
 
@@ -370,61 +441,7 @@ def _mean_limit_mm(how: Sent, *runs: tuple[Side, Errors]) -> float | None:
     return expanded_mm(math.sqrt(variance_mm2))
 
 
-def _air(first: Log, second: Log) -> Iterator[Change]:
-    """Yield the mean temperature of both runs; its limit is the margin of a calibration's use."""
-    celsius = [log.temperatures_c() for log in (first, second)]
-    if all(celsius):
-        pair = [float(np.mean(each)) for each in celsius]
-        yield Change(
-            "air",
-            "at the tracker",
-            "mean temperature",
-            "°C",
-            pair[0],
-            pair[1],
-            pair[1] - pair[0],
-            TEMPERATURE_MARGIN_K,
-        )
-
-
 # -- words ----------------------------------------------------------------------------------------
-
-
-def _unfinished(first: Log, second: Log, live: tuple[bool, bool]) -> Iterator[str]:
-    for which, log, lives in zip(("first", "second"), (first, second), live, strict=True):
-        state = log.state
-        if state != "finished":
-            stands = lives or log.over
-            how = f"is {state}" if stands else f"was {state} when its engine was lost"
-            yield f"the {which} run {how}: its measured points are compared"
-
-
-def _notes(first: Log, second: Log, *, grids: bool) -> Iterator[str]:
-    yield "the tracker's place in {W} is of its set-up and is not compared"
-    for which, log in (("first", first), ("second", second)):
-        if log.points and not log.temperatures_c():
-            yield f"the {which} run's tracker had no weather station: the air is not compared"
-    for one, other in differing(first.assets, second.assets):
-        yield f"the {one.kind} differs: {one.text} in the first run, {other.text} in the second"
-    seeds = (first.inputs.machine_seed, second.inputs.machine_seed)
-    if None not in seeds and seeds[0] != seeds[1]:
-        yield "the machines' seeds differ: these are two simulated cells, not one that drifted"
-    measured = [bool(log.select("grid")) for log in (first, second)]
-    if any(measured) and not all(measured):
-        yield "only one of the runs measured the grid: it is not compared"
-    elif not grids and all(measured):
-        yield "the grids differ: their vertices are not compared"
-    methods = [log.method for log in (first, second)]
-    if all(methods) and methods[0] != methods[1]:
-        yield f"'chosen' is {methods[0]} in the first run, {methods[1]} in the second"
-
-
-def _settings(first: Log, second: Log) -> list[Setting]:
-    """Return the differences of the frozen inputs by key, the simulation's addresses left out."""
-    one, other = _inputs(first), _inputs(second)
-    keys = [*one, *(key for key in other if key not in one)]
-    pairs = ((key, one.get(key, ""), other.get(key, "")) for key in keys)
-    return [Setting(*each) for each in pairs if each[1] != each[2]]
 
 
 def _inputs(log: Log) -> dict[str, str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -71,11 +72,95 @@ class Line(NamedTuple):
     stop: bool = False
 
 
-def _columns(facts: Facts) -> tuple[Column[Line], ...]:
-    """Return the columns: local time, with UTC in brackets where that is another."""
-    name = facts.zone.tzname(None)
-    time = "UTC" if not facts.inputs.utc_offset_min else f"{name} (UTC)"
-    return Column(time, attrgetter("t")), Column("course in words", attrgetter("words"))
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """The lines of one run."""
+
+    facts: Facts
+
+    def columns(self) -> tuple[Column[Line], ...]:
+        """Return the columns: local time, with UTC in brackets where that is another."""
+        name = self.facts.zone.tzname(None)
+        time = "UTC" if not self.facts.inputs.utc_offset_min else f"{name} (UTC)"
+        return Column(time, attrgetter("t")), Column("course in words", attrgetter("words"))
+
+    def lines(self) -> Iterator[Line]:
+        """Yield each line with its time in the journal; a step says how many points it gave."""
+        log, last, steps = Log(), "", _Steps()
+        found: list[Line] = []
+        # of the next session, and written before it
+        before_it_goes_on = (SessionOrdered, ChangesAccepted)
+        for record in self.facts.records:
+            starts = _starts(record.fact)
+            if starts and log.session and not log.over:
+                found.append(Line(last, _cut_off(log), stop=True))
+            for words in self._words(log, record.fact):
+                found.append(Line(record.t, words, _stops(record)))
+                if isinstance(record.fact, StepBegun):
+                    steps.begin(len(found) - 1, record.fact.name)
+            if starts:
+                steps.leave()
+            if record.kind == "point" and record.key in log.retakes:  # whatever step is under way
+                found.append(
+                    Line(record.t, f"Measured again: {key_words(record.key, self.facts.log)}.")
+                )
+            else:
+                steps.take(record, log)
+            if not isinstance(record.fact, before_it_goes_on):
+                last = record.t
+            log.take(record)
+        shown = (line._replace(words=steps.words(n, line.words)) for n, line in enumerate(found))
+        yield from (line for line in shown if line.words)
+
+    def _words(self, log: Log, fact: Fact) -> list[str]:
+        """Return a record as sentences; the state of the calibration follows from the steps."""
+        if _starts(fact):
+            return [self._start(log)]
+        # Routine, or in a table of its own: counted, not listed.
+        routine = (
+            Connected, Closed, TrackerProven, SlideProven, StreamRecorded, LinkCounted,
+            SessionOrdered,
+        )  # fmt: skip
+        states = {
+            "paused": "Paused", "suspended": "Suspended", "stopping": "Stopping",
+            "aborted": "Aborted", "faulted": "Stopped by a fault", "finished": "Run finished",
+        }  # fmt: skip
+        at_work = ("checking", "running")
+        match fact:
+            case StateChanged(machine="run", to=to, reason=why):
+                reason = after(in_words(why, self.facts.log))
+                if to in states:
+                    return [f"{states[to]}{reason}."]
+                return [f"Goes on{reason}."] if log.state not in ("idle", *at_work) else []
+            case Event() | OtherEvent() as event if not isinstance(event, routine):
+                return [self._happened(event)]
+        return []
+
+    def _start(self, log: Log) -> str:
+        """Return how a session begins."""
+        operator = self.facts.inputs.operator or "The operator"
+        how = "unattended" if self.facts.inputs.unattended else "attended"
+        if not log.session:
+            job = f", job {self.facts.inputs.job}" if self.facts.inputs.job else ""
+            return f"{operator} starts the run{job}, {how}: session 1."
+        return f"Goes on in session {log.session + 1}, {len(log.points)} points are kept."
+
+    def _happened(self, event: Event | OtherEvent) -> str:
+        """Return an event as a sentence: a step by what it does, others in the screen's words."""
+        without_rail = {
+            "home": "Robot parked",
+            "hold-station": "No slide to hold: the robot stands on the floor",
+            "station-frames": "No other stations",
+        }
+        match event:
+            case StepBegun(name=name):
+                steps = STEPS if self.facts.cell.has_rail else STEPS | without_rail
+                words = steps.get(name, name.replace("-", " "))
+            case PosesChosen():
+                words = f"poses chosen: {chosen_poses_words(self.facts, event)}"
+            case _:
+                words = happened_words(event, self.facts.log).replace("urad", "µrad")
+        return f"{words[:1].upper()}{words[1:]}."
 
 
 def course(facts: Facts) -> Table:
@@ -86,9 +171,14 @@ def course(facts: Facts) -> Table:
         f"listed: {counts['tracker proven']} proofs that the tracker stood still"
         + (f", {counts['slide proven']} that the slide did." if facts.cell.has_rail else ".")
     )
-    lines = _dated(_lines(facts), facts)
+    own = _Course(facts)
+    lines = _dated(own.lines(), facts)
     return Table(
-        _columns(facts), lines, "Course of the run", note, lambda line: "stop" if line.stop else ""
+        own.columns(),
+        lines,
+        "Course of the run",
+        note,
+        lambda line: "stop" if line.stop else "",
     )
 
 
@@ -141,33 +231,6 @@ class _Steps:
         return f"{text} Computed again, nothing measured." if line in self._computed else ""
 
 
-def _lines(facts: Facts) -> Iterator[Line]:
-    """Yield each line with its time in the journal; a step also says how many points it gave."""
-    log, last, steps = Log(), "", _Steps()
-    found: list[Line] = []
-    # of the next session, and written before it
-    before_it_goes_on = (SessionOrdered, ChangesAccepted)
-    for record in facts.records:
-        starts = _starts(record.fact)
-        if starts and log.session and not log.over:
-            found.append(Line(last, _cut_off(log), stop=True))
-        for words in _words(facts, log, record.fact):
-            found.append(Line(record.t, words, _stops(record)))
-            if isinstance(record.fact, StepBegun):
-                steps.begin(len(found) - 1, record.fact.name)
-        if starts:
-            steps.leave()
-        if record.kind == "point" and record.key in log.retakes:  # whatever step is under way
-            found.append(Line(record.t, f"Measured again: {key_words(record.key, facts.log)}."))
-        else:
-            steps.take(record, log)
-        if not isinstance(record.fact, before_it_goes_on):
-            last = record.t
-        log.take(record)
-    shown = (line._replace(words=steps.words(n, line.words)) for n, line in enumerate(found))
-    yield from (line for line in shown if line.words)
-
-
 def _stops(record: Record) -> bool:
     change = record.fact
     stops = ("paused", "suspended", "aborted", "faulted")  # states whose lines are bold
@@ -201,40 +264,6 @@ def _starts(fact: Fact) -> bool:
     return isinstance(fact, StateChanged) and fact.machine == "run" and fact.to == "checking"
 
 
-def _words(facts: Facts, log: Log, fact: Fact) -> list[str]:
-    """Return a record as sentences; the state of the calibration follows from the steps."""
-    if _starts(fact):
-        return [_start(facts, log)]
-    # Routine, or in a table of its own: counted, not listed.
-    routine = (
-        Connected, Closed, TrackerProven, SlideProven, StreamRecorded, LinkCounted, SessionOrdered,
-    )  # fmt: skip
-    states = {
-        "paused": "Paused", "suspended": "Suspended", "stopping": "Stopping", "aborted": "Aborted",
-        "faulted": "Stopped by a fault", "finished": "Run finished",
-    }  # fmt: skip
-    at_work = ("checking", "running")
-    match fact:
-        case StateChanged(machine="run", to=to, reason=why):
-            reason = after(in_words(why, facts.log))
-            if to in states:
-                return [f"{states[to]}{reason}."]
-            return [f"Goes on{reason}."] if log.state not in ("idle", *at_work) else []
-        case Event() | OtherEvent() as event if not isinstance(event, routine):
-            return [_happened(facts, event)]
-    return []
-
-
-def _start(facts: Facts, log: Log) -> str:
-    """Return how a session begins."""
-    operator = facts.inputs.operator or "The operator"
-    how = "unattended" if facts.inputs.unattended else "attended"
-    if not log.session:
-        job = f", job {facts.inputs.job}" if facts.inputs.job else ""
-        return f"{operator} starts the run{job}, {how}: session 1."
-    return f"Goes on in session {log.session + 1}, {len(log.points)} points are kept."
-
-
 def _cut_off(log: Log) -> str:
     """Return how the session before ended, which did not end by itself."""
     newest = [*log.points][-1:]
@@ -242,21 +271,3 @@ def _cut_off(log: Log) -> str:
     return (
         f"Engine gone without notice (killed, or power lost){since}, while the run was {log.state}."
     )
-
-
-def _happened(facts: Facts, event: Event | OtherEvent) -> str:
-    """Return an event as a sentence: a step by what it does, others in the words of the screen."""
-    without_rail = {
-        "home": "Robot parked",
-        "hold-station": "No slide to hold: the robot stands on the floor",
-        "station-frames": "No other stations",
-    }
-    match event:
-        case StepBegun(name=name):
-            steps = STEPS if facts.cell.has_rail else STEPS | without_rail
-            words = steps.get(name, name.replace("-", " "))
-        case PosesChosen():
-            words = f"poses chosen: {chosen_poses_words(facts, event)}"
-        case _:
-            words = happened_words(event, facts.log).replace("urad", "µrad")
-    return f"{words[:1].upper()}{words[1:]}."

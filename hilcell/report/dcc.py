@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from xml.etree.ElementTree import Element, indent, tostring
 
 import numpy as np
@@ -156,28 +157,192 @@ def dcc_bytes(facts: Facts) -> bytes:
         "xsi:schemaLocation": f"https://ptb.de/dcc https://ptb.de/dcc/v{VERSION}/dcc.xsd",
         "schemaVersion": VERSION,
     }
-    return document(dcc("digitalCalibrationCertificate", _administrative(facts),
-                        _results(facts), **root))  # fmt: skip
+    content = _Certificate(facts)
+    return document(dcc("digitalCalibrationCertificate", content.administrative(),
+                        content.results(), **root))  # fmt: skip
 
 
 # -- administrative data ---------------------------------------------------------------------------
 
 
-def _administrative(facts: Facts) -> Element:
-    parties, operator = facts.cell.certificate, facts.inputs.operator
-    return dcc(
-        "administrativeData",
-        dcc("dccSoftware", _software("hilcell", __version__)),
-        _core(facts),
-        _items(facts),
-        dcc("calibrationLaboratory", contact(
-            "contact", parties.laboratory, parties.laboratory_email, parties.laboratory_address,
-            parties.country)),
-        dcc("respPersons", _person(operator, "measured by", "false"),
-            _person("", "authorised by", "true")),
-        contact("customer", parties.customer, parties.customer_email, parties.customer_address),
-        dcc("statements", *_statements(facts)),
-    )  # fmt: skip
+@dataclass(frozen=True, eq=False)
+class _Certificate:
+    """The content of a certificate."""
+
+    facts: Facts
+
+    def administrative(self) -> Element:
+        parties, operator = self.facts.cell.certificate, self.facts.inputs.operator
+        return dcc(
+            "administrativeData",
+            dcc("dccSoftware", _software("hilcell", __version__)),
+            self._core(),
+            self._items(),
+            dcc("calibrationLaboratory", contact(
+                "contact", parties.laboratory, parties.laboratory_email, parties.laboratory_address,
+                parties.country)),
+            dcc("respPersons", _person(operator, "measured by", "false"),
+                _person("", "authorised by", "true")),
+            contact("customer", parties.customer, parties.customer_email, parties.customer_address),
+            dcc("statements", *self._statements()),
+        )  # fmt: skip
+
+    def _core(self) -> Element:
+        return dcc(
+            "coreData",
+            dcc("countryCodeISO3166_1", self.facts.cell.certificate.country or UNKNOWN_COUNTRY),
+            dcc("usedLangCodeISO639_1", LANGUAGE),
+            dcc("mandatoryLangCodeISO639_1", LANGUAGE),
+            dcc("uniqueIdentifier", f"{self.facts.run}-{self.facts.fingerprint[:16]}"),
+            dcc("identifications", *self._numbers()),
+            dcc("beginPerformanceDate", self.facts.records[0].t[:10]),
+            dcc("endPerformanceDate", self.facts.last.t[:10]),
+            dcc("performanceLocation", "customer"),
+        )
+
+    def _numbers(self) -> Iterator[Element]:
+        yield identification("calibrationLaboratory", self.facts.fingerprint,
+                             "SHA-256 of the run's journal")  # fmt: skip
+        yield identification(
+            "calibrationLaboratory", self.facts.inputs.digest, "SHA-256 of the cell"
+        )
+        if self.facts.file_digest:
+            yield identification("calibrationLaboratory", self.facts.file_digest,
+                                 "SHA-256 of the calibration file")  # fmt: skip
+        if self.facts.inputs.job:
+            yield identification("customer", self.facts.inputs.job, "job")
+
+    def _items(self) -> Element:
+        cell = self.facts.cell
+        found = [asset for asset in self.facts.log.assets if asset.kind == "robot"]
+        serial, maker = (found[0].serial, found[0].maker) if found else ("", "")
+        model = found[0].model if found else cell.robot.name
+        return dcc("items", dcc(
+            "item", text("name", f"Robot {cell.robot.name}{' on a rail' if cell.has_rail else ''}"),
+            dcc("manufacturer", text("name", maker)), dcc("model", model or cell.robot.name),
+            dcc("identifications", identification("manufacturer", serial, "serial number"),
+                identification("owner", f"{cell.name}, serial {cell.serial}", "cell")),
+        ))  # fmt: skip
+
+    def _statements(self) -> Iterator[Element]:
+        if self.facts.inputs.simulated:
+            yield _statement("Simulation. No machine moved and no instrument measured: every "
+                             "figure comes from a simulated cell, traces to nothing and "
+                             "calibrates nothing.",
+                             traceable="false", valid="false")  # fmt: skip
+        else:
+            yield _statement(traceability(self.facts),
+                             traceable="true" if certified(self.facts) else "false")  # fmt: skip
+        if self.facts.revoked:
+            yield _statement(f"Revoked: {self.facts.revoked}", valid="false")
+        valid = "; ".join(f"{each.name}: {each.words}" for each in validity_facts(self.facts))
+        if valid:
+            yield _statement(f"Valid for: {valid}.")
+        judged = judgement(self.facts)
+        only_would_be = self.facts.inputs.simulated and isinstance(judged, Outcome)
+        yield _statement(f"Decision rule: {conformity_words(self.facts)}.", "ISO 14253-1",
+                         conformity=None if only_would_be else CONFORMITY.get(judged))  # fmt: skip
+        yield _statement(f"Before and after adjustment: {adjustment_words(self.facts)}.")
+        yield _statement("The results relate only to the item described and to its state when it "
+                         "was measured. No accreditation is claimed by the software.")  # fmt: skip
+
+    def results(self) -> Element:
+        budget = target_budget(self.facts.log, self.facts.run)
+        results = [
+            _result("3-D position error of the tool point", "hilcell_error", self._errors()),
+            _result("Orientation error of the tool", "hilcell_turn", self._turns()),
+            _result("95 % bounds of corrected targets", "hilcell_bound", _bounds(budget)),
+            _result("Frames in {W}", "hilcell_frame", map(_frame, tables.posed(self.facts))),
+        ]
+        return dcc("measurementResults", dcc(
+            "measurementResult", text("name", title(self.facts)),
+            dcc("usedMethods", dcc(
+                "usedMethod", text("name", "hilcell " + self.facts.inputs.procedure),
+                text("description", procedure_words(self.facts)), dcc("norm", "JCGM 100:2008"))),
+            dcc("usedSoftware", *(_software(*each) for each in self.facts.inputs.versions.items())),
+            dcc("measuringEquipments", *self._equipment()),
+            dcc("influenceConditions", *self._air()),
+            dcc("results", *(each for each in results if each is not None)),
+        ))  # fmt: skip
+
+    def _equipment(self) -> Iterator[Element]:
+        for each in instrument_rows(self.facts):
+            yield dcc("measuringEquipment", text("name", each.instrument), dcc("model", each.model),
+                      dcc("identifications",
+                          identification("manufacturer", each.serial, "serial number"),
+                          identification("other", each.certificate, "calibration certificate")),
+                      )  # fmt: skip
+
+    def _air(self) -> Iterator[Element]:
+        air = {
+            "air temperature": ("basic_temperature", CELSIUS),
+            "air pressure": ("basic_pressure", HECTOPASCAL),
+            "relative humidity": ("basic_humidityRelative", PERCENT),
+        }
+        for each in tables.air(self.facts):
+            ref, unit = air[each.name]
+            ends = (("Min", "smallest", each.values.min()), ("Max", "largest", each.values.max()))
+            yield dcc("influenceCondition", text("name", each.name), dcc("data", *(
+                quantity(f"{words} at the tracker", real(float(value), unit), ref=ref + end)
+                for end, words, value in ends)), refType=ref)  # fmt: skip
+        if not tables.air(self.facts):
+            words = conditions_words(self.facts)
+            yield dcc("influenceCondition", text("name", "air"), dcc("data", text("text", words)))
+
+    def _errors(self) -> Iterator[Element]:
+        judged = judged_places(self.facts)
+        for row in tables.validated_rows(self.facts):
+            found = (
+                results_at(self.facts, row.place)
+                if row.way == Sent.CHOSEN and row.place in judged
+                else ()
+            )
+            yield dcc("list", text("name", f"{row.place}, {row.how}"),
+                      *self._figures(row, *(self._verdict(each) for each in found)),
+                      dcc("influenceConditions", _adjustment(row.way, row.how)),
+                      refType=f"hilcell_{row.way}")  # fmt: skip
+
+    def _figures(
+        self, row: Validated, mean: Element | None = None, largest: Element | None = None
+    ) -> Iterator[Element]:
+        """Yield the figures of one series, the verdicts on its mean and its largest with them.
+
+        |e| of a target changes by no more than its position, so U of the largest is that of the
+        95 % quantile, too.
+        """
+        found, guard = row.errors.figures, guard_of(self.facts.log, len(row.errors))
+        yield quantity("targets", real(len(row.errors), ONE), ref="hilcell_targets")
+        yield quantity("mean", real(found.mean, MM, guard.mean_mm), mean, ref="hilcell_mean")
+        yield quantity("95 % below", real(found.p95, MM, guard.max_mm), ref="hilcell_p95")
+        yield quantity("largest", real(found.max, MM, guard.max_mm), largest, ref="hilcell_largest")
+
+    def _turns(self) -> Iterator[Element]:
+        """Yield the angle from the nominal orientation by series, where it was measured."""
+        for place, way, turned in oriented(self.facts):
+            words, found = series_name(way, self.facts), turned.figures
+            names = (
+                ("mean", found.mean_deg, "mean"),
+                ("95 % below", found.p95_deg, "p95"),
+                ("largest", found.max_deg, "largest"),
+            )
+            yield dcc(
+                "list", text("name", f"{place}, {words}"),
+                quantity("targets", real(len(turned), ONE), ref="hilcell_targets"),
+                *(quantity(name, real(value, DEGREE), ref=f"hilcell_{ref}")
+                  for name, value, ref in names),
+                dcc("influenceConditions", _adjustment(way, words)), refType=f"hilcell_{way}",
+            )  # fmt: skip
+
+    def _verdict(self, result: Result) -> Element:
+        """Return a figure's limit, and whether it is kept; a simulated one only would be."""
+        limit = quantity("limit", real(result.limit_mm, MM), ref="hilcell_limit")
+        outcome = result.outcome or Outcome.UNDECIDED  # of a bound, which is not judged
+        words, conforms = f"limit {result.limit_mm:g} mm: {outcome.short}", CONFORMITY[outcome]
+        real_one = not self.facts.inputs.simulated
+        return dcc("measurementMetaData", dcc(
+            "metaData", text("declaration", words if real_one else f"{words}, if it were real"),
+            _given("conformity", conforms if real_one else ""), dcc("data", limit),
+        ))  # fmt: skip
 
 
 def _software(name: str, version: str) -> Element:
@@ -185,69 +350,9 @@ def _software(name: str, version: str) -> Element:
     return dcc("software", text("name", name), dcc("release", release or NOT_STATED))
 
 
-def _core(facts: Facts) -> Element:
-    return dcc(
-        "coreData",
-        dcc("countryCodeISO3166_1", facts.cell.certificate.country or UNKNOWN_COUNTRY),
-        dcc("usedLangCodeISO639_1", LANGUAGE),
-        dcc("mandatoryLangCodeISO639_1", LANGUAGE),
-        dcc("uniqueIdentifier", f"{facts.run}-{facts.fingerprint[:16]}"),
-        dcc("identifications", *_numbers(facts)),
-        dcc("beginPerformanceDate", facts.records[0].t[:10]),
-        dcc("endPerformanceDate", facts.last.t[:10]),
-        dcc("performanceLocation", "customer"),
-    )
-
-
-def _numbers(facts: Facts) -> Iterator[Element]:
-    yield identification("calibrationLaboratory", facts.fingerprint,
-                         "SHA-256 of the run's journal")  # fmt: skip
-    yield identification("calibrationLaboratory", facts.inputs.digest, "SHA-256 of the cell")
-    if facts.file_digest:
-        yield identification("calibrationLaboratory", facts.file_digest,
-                             "SHA-256 of the calibration file")  # fmt: skip
-    if facts.inputs.job:
-        yield identification("customer", facts.inputs.job, "job")
-
-
-def _items(facts: Facts) -> Element:
-    cell = facts.cell
-    found = [asset for asset in facts.log.assets if asset.kind == "robot"]
-    serial, maker = (found[0].serial, found[0].maker) if found else ("", "")
-    model = found[0].model if found else cell.robot.name
-    return dcc("items", dcc(
-        "item", text("name", f"Robot {cell.robot.name}{' on a rail' if cell.has_rail else ''}"),
-        dcc("manufacturer", text("name", maker)), dcc("model", model or cell.robot.name),
-        dcc("identifications", identification("manufacturer", serial, "serial number"),
-            identification("owner", f"{cell.name}, serial {cell.serial}", "cell")),
-    ))  # fmt: skip
-
-
 def _person(name: str, role: str, signs: str) -> Element:
     return dcc("respPerson", dcc("person", text("name", name)), dcc("role", role),
                dcc("mainSigner", signs))  # fmt: skip
-
-
-def _statements(facts: Facts) -> Iterator[Element]:
-    if facts.inputs.simulated:
-        yield _statement("Simulation. No machine moved and no instrument measured: every figure "
-                         "comes from a simulated cell, traces to nothing and calibrates nothing.",
-                         traceable="false", valid="false")  # fmt: skip
-    else:
-        yield _statement(traceability(facts),
-                         traceable="true" if certified(facts) else "false")  # fmt: skip
-    if facts.revoked:
-        yield _statement(f"Revoked: {facts.revoked}", valid="false")
-    valid = "; ".join(f"{each.name}: {each.words}" for each in validity_facts(facts))
-    if valid:
-        yield _statement(f"Valid for: {valid}.")
-    judged = judgement(facts)
-    only_would_be = facts.inputs.simulated and isinstance(judged, Outcome)
-    yield _statement(f"Decision rule: {conformity_words(facts)}.", "ISO 14253-1",
-                     conformity=None if only_would_be else CONFORMITY.get(judged))  # fmt: skip
-    yield _statement(f"Before and after adjustment: {adjustment_words(facts)}.")
-    yield _statement("The results relate only to the item described and to its state when it was "
-                     "measured. No accreditation is claimed by the software.")  # fmt: skip
 
 
 def _statement(words: str, norm: str = "", **facts: str | None) -> Element:
@@ -264,111 +369,9 @@ def _given(name: str, value: str | None) -> Element | None:
 # -- results ---------------------------------------------------------------------------------------
 
 
-def _results(facts: Facts) -> Element:
-    budget = target_budget(facts.log, facts.run)
-    results = [
-        _result("3-D position error of the tool point", "hilcell_error", _errors(facts)),
-        _result("Orientation error of the tool", "hilcell_turn", _turns(facts)),
-        _result("95 % bounds of corrected targets", "hilcell_bound", _bounds(budget)),
-        _result("Frames in {W}", "hilcell_frame", map(_frame, tables.posed(facts))),
-    ]
-    return dcc("measurementResults", dcc(
-        "measurementResult", text("name", title(facts)),
-        dcc("usedMethods", dcc("usedMethod", text("name", "hilcell " + facts.inputs.procedure),
-            text("description", procedure_words(facts)), dcc("norm", "JCGM 100:2008"))),
-        dcc("usedSoftware", *(_software(*each) for each in facts.inputs.versions.items())),
-        dcc("measuringEquipments", *_equipment(facts)),
-        dcc("influenceConditions", *_air(facts)),
-        dcc("results", *(each for each in results if each is not None)),
-    ))  # fmt: skip
-
-
 def _result(name: str, ref: str, lists: Iterable[Element]) -> Element | None:
     found = list(lists)
     return dcc("result", text("name", name), dcc("data", *found), refType=ref) if found else None
-
-
-def _equipment(facts: Facts) -> Iterator[Element]:
-    for each in instrument_rows(facts):
-        yield dcc("measuringEquipment", text("name", each.instrument), dcc("model", each.model),
-                  dcc("identifications",
-                      identification("manufacturer", each.serial, "serial number"),
-                      identification("other", each.certificate, "calibration certificate")),
-                  )  # fmt: skip
-
-
-def _air(facts: Facts) -> Iterator[Element]:
-    air = {
-        "air temperature": ("basic_temperature", CELSIUS),
-        "air pressure": ("basic_pressure", HECTOPASCAL),
-        "relative humidity": ("basic_humidityRelative", PERCENT),
-    }
-    for each in tables.air(facts):
-        ref, unit = air[each.name]
-        ends = (("Min", "smallest", each.values.min()), ("Max", "largest", each.values.max()))
-        yield dcc("influenceCondition", text("name", each.name), dcc("data", *(
-            quantity(f"{words} at the tracker", real(float(value), unit), ref=ref + end)
-            for end, words, value in ends)), refType=ref)  # fmt: skip
-    if not tables.air(facts):
-        words = conditions_words(facts)
-        yield dcc("influenceCondition", text("name", "air"), dcc("data", text("text", words)))
-
-
-def _errors(facts: Facts) -> Iterator[Element]:
-    judged = judged_places(facts)
-    for row in tables.validated_rows(facts):
-        found = (
-            results_at(facts, row.place) if row.way == Sent.CHOSEN and row.place in judged else ()
-        )
-        yield dcc("list", text("name", f"{row.place}, {row.how}"),
-                  *_figures(facts, row, *(_verdict(facts, each) for each in found)),
-                  dcc("influenceConditions", _adjustment(row.way, row.how)),
-                  refType=f"hilcell_{row.way}")  # fmt: skip
-
-
-def _figures(
-    facts: Facts, row: Validated, mean: Element | None = None, largest: Element | None = None
-) -> Iterator[Element]:
-    """Yield the figures of one series, the verdicts on its mean and its largest with them.
-
-    |e| of a target changes by no more than its position, so U of the largest is that of the 95 %
-    quantile, too.
-    """
-    found, guard = row.errors.figures, guard_of(facts.log, len(row.errors))
-    yield quantity("targets", real(len(row.errors), ONE), ref="hilcell_targets")
-    yield quantity("mean", real(found.mean, MM, guard.mean_mm), mean, ref="hilcell_mean")
-    yield quantity("95 % below", real(found.p95, MM, guard.max_mm), ref="hilcell_p95")
-    yield quantity("largest", real(found.max, MM, guard.max_mm), largest, ref="hilcell_largest")
-
-
-def _turns(facts: Facts) -> Iterator[Element]:
-    """Yield the angle from the nominal orientation by series, where it was measured."""
-    for place, way, turned in oriented(facts):
-        words, found = series_name(way, facts), turned.figures
-        names = (
-            ("mean", found.mean_deg, "mean"),
-            ("95 % below", found.p95_deg, "p95"),
-            ("largest", found.max_deg, "largest"),
-        )
-        yield dcc(
-            "list", text("name", f"{place}, {words}"),
-            quantity("targets", real(len(turned), ONE), ref="hilcell_targets"),
-            *(quantity(name, real(value, DEGREE), ref=f"hilcell_{ref}")
-              for name, value, ref in names),
-            dcc("influenceConditions", _adjustment(way, words)), refType=f"hilcell_{way}",
-        )  # fmt: skip
-
-
-def _verdict(facts: Facts, result: Result) -> Element:
-    """Return a figure's limit, and whether it is kept; a simulated one only would be."""
-    limit = quantity("limit", real(result.limit_mm, MM), ref="hilcell_limit")
-    outcome = result.outcome or Outcome.UNDECIDED  # of a bound, which is not judged
-    words, conforms = f"limit {result.limit_mm:g} mm: {outcome.short}", CONFORMITY[outcome]
-    real_one = not facts.inputs.simulated
-    return dcc("measurementMetaData", dcc(
-        "metaData", text("declaration", words if real_one else f"{words}, if it were real"),
-        _given("conformity", conforms if real_one else ""), dcc("data", limit),
-    ))  # fmt: skip
 
 
 def _adjustment(way: Sent, words: str) -> Element:

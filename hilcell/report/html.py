@@ -181,8 +181,9 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
     ``pages`` says on which page each part begins, where that is known: on paper.
     """
     budget, targets = budget_of(facts.log), target_budget(facts.log, facts.run)
-    own = Table((), ()) if has_tables(facts) else tables.own_table(facts)
-    drawn = _drawings(facts, targets)
+    page_of = _Page(facts)
+    own = Table((), ()) if page_of.has_tables() else tables.own_table(facts)
+    drawn = page_of.drawings(targets)
     accuracy, judged, worst_ones = tables.accuracy(facts), verdicts(facts), worst(facts, targets)
     stations = [
         accuracy, tables.orientation(facts), tables.stations(facts), tables.touches(facts)
@@ -200,7 +201,7 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
         environment("hilcell.report")
         .get_template("report.html.j2")
         .render(
-            **_first_page(facts, budget, targets),
+            **page_of.first_page(budget, targets),
             **drawn,
             facts=facts,
             version=__version__,
@@ -217,7 +218,7 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
             empty=not (own or accuracy or judged),
             curve_sheet=curves(facts),
             paper_sheet=tables.paper_rows(facts),
-            budget_sheet=budget_sheet(budget, targets, _hidden(facts, targets)),
+            budget_sheet=budget_sheet(budget, targets, page_of.hidden(targets)),
             bounds_sheet=bounds_sheet(targets),
             models=models(facts),
             verdicts=judged,
@@ -234,62 +235,81 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
     )  # fmt: skip
 
 
-def _hidden(facts: Facts, targets: TargetBudget) -> list[str]:
-    """Return the errors of corrected targets that the run could not see."""
-    return (
-        [] if targets.missing else unseen(facts.cell, turns_over=TWO_FACES[0] in facts.log.verdicts)
-    )
+@dataclass(frozen=True, eq=False)
+class _Page:
+    """The page of one run."""
 
+    facts: Facts
 
-def _first_page(facts: Facts, budget: Budget | None, targets: TargetBudget) -> dict[str, object]:
-    kind, words = standing(facts)
-    return {
-        "title": title(facts),
-        "measured": measured(facts),
-        "kind": kind,
-        "standing": words,
-        "lead": lead(facts),
-        "word": verdict_word(facts),
-        "sentence": sentence(facts),
-        "conformity": conformity_words(facts),
-        "results": results_sheet(facts, targets),
-        "turn_results": iso9283.turn_results(facts) or tables.worst_turn(facts),
-        "strip": strip(nearest_results(facts, targets), facts.inputs.simulated),
-        "uncertainty": uncertainty_words(facts, budget),
-        "item": item_facts(facts, measured(facts)),
-        "validity": validity_facts(facts),
-        "instruments": instruments(facts),
-        "turns": tables.orientation_words(facts),
-        "conditions": conditions_words(facts),
-        "method": procedure_words(facts),
-        "departures": iso9283.departures(facts),
-    }
+    def hidden(self, targets: TargetBudget) -> list[str]:
+        """Return the errors of corrected targets that the run could not see."""
+        return (
+            []
+            if targets.missing
+            else unseen(self.facts.cell, turns_over=TWO_FACES[0] in self.facts.log.verdicts)
+        )
 
+    def first_page(self, budget: Budget | None, targets: TargetBudget) -> dict[str, object]:
+        kind, words = standing(self.facts)
+        return {
+            "title": title(self.facts),
+            "measured": measured(self.facts),
+            "kind": kind,
+            "standing": words,
+            "lead": self.lead(),
+            "word": verdict_word(self.facts),
+            "sentence": sentence(self.facts),
+            "conformity": conformity_words(self.facts),
+            "results": results_sheet(self.facts, targets),
+            "turn_results": iso9283.turn_results(self.facts) or tables.worst_turn(self.facts),
+            "strip": strip(nearest_results(self.facts, targets), self.facts.inputs.simulated),
+            "uncertainty": uncertainty_words(self.facts, budget),
+            "item": item_facts(self.facts, measured(self.facts)),
+            "validity": validity_facts(self.facts),
+            "instruments": instruments(self.facts),
+            "turns": tables.orientation_words(self.facts),
+            "conditions": conditions_words(self.facts),
+            "method": procedure_words(self.facts),
+            "departures": iso9283.departures(self.facts),
+        }
 
-def _drawings(facts: Facts, targets: TargetBudget) -> dict[str, object]:
-    simulated, at_mm, drawn = facts.inputs.simulated, tracker_mm(facts), drawings(facts)
-    return {
-        "plan": plan_view(facts.cell, at_mm, simulated),
-        "side": side_view(facts.cell, at_mm, simulated),
-        "volume": volume_sheet(facts.cell, at_mm) if validity_facts(facts) else None,
-        "order": in_order(facts),
-        "enlarged": enlarged(facts, targets),
-        "vectors": vectors(facts),
-        "variance": variance_bar(targets, simulated),
-        "nests": floor_moves(facts),
-        "air": air(facts),
-        "histogram": over_bound(facts, targets),
-        "curve_plots": curve_plots(facts),
-        "pose_drawings": [each for each in drawn if each.name in iso9283.FIGURES],
-        "drawings": [each for each in drawn if each.name not in iso9283.FIGURES],
-    }
+    def drawings(self, targets: TargetBudget) -> dict[str, object]:
+        simulated, at_mm, drawn = (
+            self.facts.inputs.simulated,
+            tracker_mm(self.facts),
+            drawings(self.facts),
+        )
+        return {
+            "plan": plan_view(self.facts.cell, at_mm, simulated),
+            "side": side_view(self.facts.cell, at_mm, simulated),
+            "volume": volume_sheet(self.facts.cell, at_mm) if validity_facts(self.facts) else None,
+            "order": in_order(self.facts),
+            "enlarged": enlarged(self.facts, targets),
+            "vectors": vectors(self.facts),
+            "variance": variance_bar(targets, simulated),
+            "nests": floor_moves(self.facts),
+            "air": air(self.facts),
+            "histogram": over_bound(self.facts, targets),
+            "curve_plots": curve_plots(self.facts),
+            "pose_drawings": [each for each in drawn if each.name in iso9283.FIGURES],
+            "drawings": [each for each in drawn if each.name not in iso9283.FIGURES],
+        }
 
+    def has_tables(self) -> bool:
+        """Whether targets were validated or poses tested: the report has its own tables of them."""
+        return tests_poses(self.facts) or any(
+            validation(self.facts.log, stations) for stations in places(self.facts.cell).values()
+        )
 
-def has_tables(facts: Facts) -> bool:
-    """Whether targets were validated or poses tested: the report has its own tables of them."""
-    return tests_poses(facts) or any(
-        validation(facts.log, stations) for stations in places(facts.cell).values()
-    )
+    def lead(self) -> str:
+        """Return what the report is about, in a line."""
+        position_errors = "position errors of the tool point"
+        if self.facts.log.calibration == "validated" and not is_paper(self.facts):
+            robot = "Robot on a rail" if self.facts.cell.has_rail else "Robot"
+            turned = bool(self.facts.cell.robot.more_smr_mm)
+            errors = "position and orientation errors of the tool" if turned else position_errors
+            return f"{robot}: {errors} and their correction"
+        return self.facts.procedure.summary[:1].upper() + self.facts.procedure.summary[1:]
 
 
 def standing(facts: Facts) -> tuple[str, str]:
@@ -303,17 +323,6 @@ def standing(facts: Facts) -> tuple[str, str]:
     if end is None and state not in ("aborted", "faulted"):
         return "open", "not begun" if state == "idle" else f"not finished: {state}, engine gone"
     return "open", f"not finished: {run_outcome(facts.log)}"
-
-
-def lead(facts: Facts) -> str:
-    """Return what the report is about, in a line."""
-    position_errors = "position errors of the tool point"
-    if facts.log.calibration == "validated" and not is_paper(facts):
-        robot = "Robot on a rail" if facts.cell.has_rail else "Robot"
-        turned = bool(facts.cell.robot.more_smr_mm)
-        errors = "position and orientation errors of the tool" if turned else position_errors
-        return f"{robot}: {errors} and their correction"
-    return facts.procedure.summary[:1].upper() + facts.procedure.summary[1:]
 
 
 def sentence(facts: Facts) -> str:

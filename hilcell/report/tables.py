@@ -457,19 +457,20 @@ def remeasured(facts: Facts) -> Table:
 def repeats(facts: Facts) -> list[Repeat]:
     """Return each pair of successive measurements of one point, in the order of the later ones."""
     pairs = list(_pairs(facts))
-    counted = {key: _counted(facts.log, key) for key in {again.key for _, again, _ in pairs}}
+    measured = _Repeats(facts.log)
+    counted = {key: measured.counted(key) for key in {again.key for _, again, _ in pairs}}
     seats, times = seats_of(facts.log), Counter[str]()
     found = []
     for first, again, why in pairs:
-        turns = _turns_deg(facts.log, again.key, seats)[times[again.key] :][:2]
+        turns = measured.turns_deg(again.key, seats)[times[again.key] :][:2]
         times[again.key] += 1
         found.append(
             Repeat(
                 first,
                 again,
                 why,
-                _error_mm(facts.log, first),
-                _error_mm(facts.log, again),
+                measured.error_mm(first),
+                measured.error_mm(again),
                 _which(counted[again.key], first, again),
                 *(turns if len(turns) == 2 else ()),
             )
@@ -477,20 +478,34 @@ def repeats(facts: Facts) -> list[Repeat]:
     return found
 
 
-def _turns_deg(log: Log, key: str, seats: Array | None) -> list[float]:
-    """Return by how much a target's tool was turned, each time that it was measured."""
-    point = log.points.get(key)
-    if seats is None or point is None or point.id.kind != "validate":
-        return []
-    tool = log.find(point.id.at_seat(1))
-    return turned_each_time(log, tool, seats).angles_deg.tolist() if tool else []
+@dataclass(frozen=True, eq=False)
+class _Repeats:
+    """The points of a run that were measured more than once."""
 
+    log: Log
 
-def _counted(log: Log, key: str) -> Point | None:
-    """Return the measurement of a point that counts, nothing where none does any more."""
-    point = log.points.get(key)
-    target = point is not None and point.id.kind == "validate" and point.nominal_mm is not None
-    return counting(log, point) if point is not None and target and "world" in log.frames else point
+    def turns_deg(self, key: str, seats: Array | None) -> list[float]:
+        """Return by how much a target's tool was turned, each time that it was measured."""
+        point = self.log.points.get(key)
+        if seats is None or point is None or point.id.kind != "validate":
+            return []
+        tool = self.log.find(point.id.at_seat(1))
+        return turned_each_time(self.log, tool, seats).angles_deg.tolist() if tool else []
+
+    def counted(self, key: str) -> Point | None:
+        """Return the measurement of a point that counts, nothing where none does any more."""
+        point = self.log.points.get(key)
+        target = point is not None and point.id.kind == "validate" and point.nominal_mm is not None
+        return (
+            counting(self.log, point)
+            if point is not None and target and "world" in self.log.frames
+            else point
+        )
+
+    def error_mm(self, point: Point) -> float | None:
+        if point.nominal_mm is None or "world" not in self.log.frames:
+            return None
+        return float(errors_of(self.log, [point]).norms_mm[0])
 
 
 def _which(counted: Point | None, first: Point, again: Point) -> str:
@@ -515,12 +530,6 @@ def _pairs(facts: Facts) -> Iterator[tuple[Point, Point, str]]:
                 why = reasons.pop(point.key, "the run was resumed")
                 yield before[point.key], point, why
             before[point.key] = point
-
-
-def _error_mm(log: Log, point: Point) -> float | None:
-    if point.nominal_mm is None or "world" not in log.frames:
-        return None
-    return float(errors_of(log, [point]).norms_mm[0])
 
 
 # -- by how much the tool was turned from its nominal orientation, before and after ----------------

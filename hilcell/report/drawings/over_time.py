@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import datetime
 
 import numpy as np
@@ -35,19 +36,22 @@ def floor_moves(facts: Facts) -> str:
     moves = control_moves(facts.log)
     if not moves:
         return ""
-    times = _times(facts)
+    time_axis = _Times(facts)
+    times = time_axis.times()
     at_s = np.array([times[point.key] for point, _ in moves])
     size_mm = np.array([float(np.linalg.norm(move)) for _, move in moves])
     points = [point for point, _ in moves]
     limit_mm = float(np.median(limits_of(facts.cell, run_noise(facts.log), points, points)))
     beyond = 1.25  # the limit
     most_mm = beyond * max(limit_mm, float(size_mm.max()))
-    frame = _frame(facts, Scale(0.0, most_mm, HEIGHT_MM - BOTTOM_MM, TOP_MM))
+    frame = time_axis.frame(Scale(0.0, most_mm, HEIGHT_MM - BOTTOM_MM, TOP_MM))
     limit = frame.y.one(limit_mm)
     parts = [
-        *_stops(facts, frame),
+        *time_axis.stops(frame),
         hatched(frame.x.begin, TOP_MM, frame.x.end - frame.x.begin, limit - TOP_MM),
-        frame.drawn(f"time, {facts.zone.tzname(None)}", "move since the first, mm", _ticks(facts)),
+        frame.drawn(
+            f"time, {facts.zone.tzname(None)}", "move since the first, mm", time_axis.ticks()
+        ),
         frame.level(limit_mm, INK, 0.6),
         text(frame.x.end, limit - 1.2, f"limit {limit_mm:.3f}", "end"),
     ]
@@ -59,17 +63,18 @@ def floor_moves(facts: Facts) -> str:
 
 def air(facts: Facts) -> str:
     """Return the air's temperature at the tracker; "" without a weather station."""
-    times, points = _times(facts), facts.log.points.values()
+    time_axis = _Times(facts)
+    times, points = time_axis.times(), facts.log.points.values()
     found = sorted((times[p.key], p.temperature_c) for p in points if p.temperature_c is not None)
     if not found:
         return ""
     at_s, celsius = np.array(found).T
-    valid = _valid(facts) or (float(celsius.min()), float(celsius.max()))
+    valid = time_axis.valid() or (float(celsius.min()), float(celsius.max()))
     low, high = min(valid[0], celsius.min()) - 0.3, max(valid[1], celsius.max()) + 0.3
-    frame = _frame(facts, Scale(float(low), float(high), HEIGHT_MM - BOTTOM_MM, TOP_MM))
+    frame = time_axis.frame(Scale(float(low), float(high), HEIGHT_MM - BOTTOM_MM, TOP_MM))
     time = f"time, {facts.zone.tzname(None)}"
     parts, named = [], []
-    if _valid(facts):
+    if time_axis.valid():
         bottom, top = frame.y.one(valid[0]), frame.y.one(valid[1])
         parts.append(
             rectangle(frame.x.begin, top, frame.x.end - frame.x.begin, bottom - top, "#e6edf4")
@@ -78,8 +83,8 @@ def air(facts: Facts) -> str:
             parts.append(frame.level(value, INK, 0.4, "1.4 1"))
             y = frame.y.one(value) + (3.2 if value == valid[1] else -1.0)
             named.append(text(frame.x.end - 1.0, y, f"{words} {value:.1f}", "end"))
-    parts += _stops(facts, frame)
-    parts.append(frame.drawn(time, "air at the tracker, °C", _ticks(facts)))
+    parts += time_axis.stops(frame)
+    parts.append(frame.drawn(time, "air at the tracker, °C", time_axis.ticks()))
     places = frame.at(at_s, celsius)
     parts.append(path(places[:: max(1, len(places) // 300)], AFTER, 0.6))
     parts += named
@@ -88,47 +93,52 @@ def air(facts: Facts) -> str:
     return svg(WIDTH_MM, HEIGHT_MM, "Air at the tracker", parts, facts.inputs.simulated)
 
 
-def _valid(facts: Facts) -> tuple[float, float] | None:
-    calibration = calibration_so_far(facts.log, facts.run)
-    range_c = calibration.validity.temperature_c if calibration is not None else None
-    if range_c is None:
-        return None
-    return range_c[0] - TEMPERATURE_MARGIN_K, range_c[1] + TEMPERATURE_MARGIN_K
+@dataclass(frozen=True, eq=False)
+class _Times:
+    """The time of one run."""
+
+    facts: Facts
+
+    def valid(self) -> tuple[float, float] | None:
+        calibration = calibration_so_far(self.facts.log, self.facts.run)
+        range_c = calibration.validity.temperature_c if calibration is not None else None
+        if range_c is None:
+            return None
+        return range_c[0] - TEMPERATURE_MARGIN_K, range_c[1] + TEMPERATURE_MARGIN_K
+
+    def times(self) -> dict[str, float]:
+        """Return when each point that counts was recorded, s."""
+        return {each.key: _seconds(each.t) for each in self.facts.records if each.kind == "point"}
+
+    def frame(self, y: Scale) -> Frame:
+        begin, end = _seconds(self.facts.records[0].t), _seconds(self.facts.last.t)
+        return Frame(Scale(begin, max(end, begin + 1.0), LEFT_MM, WIDTH_MM - 7.0), y)
+
+    def ticks(self) -> list[tuple[float, str]]:
+        begin, end = _seconds(self.facts.records[0].t), _seconds(self.facts.last.t)
+        short_s = 600.0  # of a run so short seconds are shown
+        form = "%H:%M:%S" if end - begin < short_s else "%H:%M"
+        ticks = 4
+        return [
+            (float(each), datetime.fromtimestamp(each, tz=self.facts.zone).strftime(form))
+            for each in np.linspace(begin, max(end, begin + 1.0), ticks)
+        ]
+
+    def stops(self, frame: Frame) -> Iterator[str]:
+        """Yield a hatched box for each time between two sessions."""
+        before = ""
+        for record in self.facts.records:
+            change = record.fact if record.kind == "state" else None
+            if isinstance(change, StateChanged) and (change.machine, change.to) == (
+                "run",
+                "checking",
+            ):
+                begin = _seconds(before or record.t)
+                left, right = frame.x.one(begin), frame.x.one(_seconds(record.t))
+                yield hatched(left, TOP_MM, right - left, frame.y.begin - TOP_MM)
+                before = record.t
+            before = before and record.t
 
 
 def _seconds(time: str) -> float:
     return datetime.fromisoformat(time).timestamp()
-
-
-def _times(facts: Facts) -> dict[str, float]:
-    """Return when each point that counts was recorded, s."""
-    return {each.key: _seconds(each.t) for each in facts.records if each.kind == "point"}
-
-
-def _frame(facts: Facts, y: Scale) -> Frame:
-    begin, end = _seconds(facts.records[0].t), _seconds(facts.last.t)
-    return Frame(Scale(begin, max(end, begin + 1.0), LEFT_MM, WIDTH_MM - 7.0), y)
-
-
-def _ticks(facts: Facts) -> list[tuple[float, str]]:
-    begin, end = _seconds(facts.records[0].t), _seconds(facts.last.t)
-    short_s = 600.0  # of a run so short seconds are shown
-    form = "%H:%M:%S" if end - begin < short_s else "%H:%M"
-    ticks = 4
-    return [
-        (float(each), datetime.fromtimestamp(each, tz=facts.zone).strftime(form))
-        for each in np.linspace(begin, max(end, begin + 1.0), ticks)
-    ]
-
-
-def _stops(facts: Facts, frame: Frame) -> Iterator[str]:
-    """Yield a hatched box for each time between two sessions."""
-    before = ""
-    for record in facts.records:
-        change = record.fact if record.kind == "state" else None
-        if isinstance(change, StateChanged) and (change.machine, change.to) == ("run", "checking"):
-            begin = _seconds(before or record.t)
-            left, right = frame.x.one(begin), frame.x.one(_seconds(record.t))
-            yield hatched(left, TOP_MM, right - left, frame.y.begin - TOP_MM)
-            before = record.t
-        before = before and record.t
