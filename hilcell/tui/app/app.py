@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Coroutine
+from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from textual.app import App
 from textual.binding import Binding, BindingType
@@ -36,6 +36,8 @@ from hilcell.tui.text.refusals import ELSEWHERE, refusal
 from hilcell.tui.widgets import CellScrollBar, Choice
 
 if TYPE_CHECKING:
+    from subprocess import Popen
+
     from hilcell.alarms import Latch
     from hilcell.tui.engine.feed import RunUpdate
     from hilcell.tui.engine.run_view import RunView
@@ -100,7 +102,7 @@ class HilcellApp(App[int]):
         return self.session.view if self.session is not None else None
 
     @property
-    def page(self) -> Screen[Any]:
+    def page(self) -> BaseScreen | Screen[object]:
         """Return the screen under an open question or the palette."""
         pages = (each for each in reversed(self.screen_stack) if isinstance(each, BaseScreen))
         return next(pages, self.screen)
@@ -178,7 +180,7 @@ class HilcellApp(App[int]):
         else:
             self.do_new()
 
-    def attach(self, folder: Path, process: Any = None) -> None:
+    def attach(self, folder: Path, process: Popen[bytes] | None = None) -> None:
         """Show a run in place of the one shown; a live one goes on in background."""
         from hilcell.tui.screens.run import PointFilter, RunScreen
 
@@ -199,7 +201,7 @@ class HilcellApp(App[int]):
             self.pop_screen()
         self.push_screen(RunScreen(point_filter if before is not None else PointFilter()))
 
-    def _session(self, folder: Path, process: Any) -> Session:
+    def _session(self, folder: Path, process: Popen[bytes] | None) -> Session:
         from hilcell.tui.engine.session import Session
 
         session: Session = Session(
@@ -297,7 +299,7 @@ class HilcellApp(App[int]):
         if isinstance(self.page, BaseScreen):
             self.page.show_notice(text, for_now=for_now, over=over)
 
-    def start_task(self, work: Coroutine[Any, Any, None]) -> None:
+    def start_task(self, work: Awaitable[None]) -> None:
         """Start work that may take a while; show its error as a notice."""
 
         async def guarded() -> None:
@@ -391,7 +393,7 @@ class HilcellApp(App[int]):
         while not isinstance(self.screen, BaseScreen):
             self.pop_screen()
 
-    def ask(self, title: str, text: str, yes: str, act: Any) -> None:
+    def ask(self, title: str, text: str, yes: str, act: Callable[[], object]) -> None:
         """Ask before an act; only a yes does it; show its error as a notice."""
 
         def replied(reply: str | None) -> None:

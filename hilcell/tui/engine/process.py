@@ -11,11 +11,13 @@ from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 from signal import SIGTERM
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import msgspec
 
 from hilcell.errors import HilcellError
+from hilcell.model.plan import Step
+from hilcell.typed import decoded
 
 LISTS_WORDS = "--help` lists what there is"  # the end of `hilcell.commands.parser`'s errors
 OPTION = "argument --"  # before the name of a field whose entry is refused
@@ -140,7 +142,19 @@ async def run_command(*arguments: str) -> str:
     return out.decode(errors="replace") + err.decode(errors="replace")
 
 
-async def dry_run(request: RunRequest) -> dict[str, Any]:
-    """Return the plan of an request; raises `HilcellError` with every refusal."""
+class DryRun(msgspec.Struct, frozen=True, kw_only=True):
+    """A plan as `hilcell run --dry-run --json` prints it."""
+
+    procedure: str
+    cell: str  # its name
+    simulated: bool
+    rail: bool
+    steps: list[Step]
+    points: int
+    duration_s: float  # of the cell's time
+
+
+async def dry_run(request: RunRequest) -> DryRun:
+    """Return the plan of a request; raises `HilcellError` with every refusal."""
     text = await run_command(*request.arguments(), "--dry-run", "--json")
-    return msgspec.json.decode(text.splitlines()[0], type=dict[str, Any])
+    return decoded(text.splitlines()[0], DryRun)

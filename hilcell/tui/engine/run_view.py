@@ -69,14 +69,15 @@ class RunView:
         self.records.append(record)
         if len(self.records) > 2 * MOST_RECORDS:
             del self.records[:-MOST_RECORDS]
-        if record.kind == "point":
-            self.last = self.log.points[record.key]
-            if self.last.id.group != CONTROL:
-                self.newest, self.newest_t = self.last, record.t
-                if self.step:
-                    self.measured.setdefault(self.step.number, set()).add(record.key)
-        elif record.kind == "event" and isinstance(record.fact, StepBegun):
-            self.step = record.fact
+        match record.fact:
+            case Point():
+                self.last = self.log.points[record.key]
+                if self.last.id.group != CONTROL:
+                    self.newest, self.newest_t = self.last, record.t
+                    if self.step:
+                        self.measured.setdefault(self.step.number, set()).add(record.key)
+            case StepBegun() as step:
+                self.step = step
 
     @property
     def has_rail(self) -> bool:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Coroutine, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar, cast
+from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar, cast
 
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
@@ -23,6 +23,8 @@ from hilcell.tui.text.refusals import pause_command
 from hilcell.tui.widgets import TextPanel
 
 if TYPE_CHECKING:
+    from subprocess import Popen
+
     from hilcell.alarms import Latch
     from hilcell.tui.engine.open_runs import OpenRuns
     from hilcell.tui.engine.run_view import RunView
@@ -98,16 +100,16 @@ class Application(Protocol):
     def do(self, name: str) -> None:
         """Do an action, where it is allowed."""
 
-    def ask(self, title: str, text: str, yes: str, act: Any) -> None:
+    def ask(self, title: str, text: str, yes: str, act: Callable[[], object]) -> None:
         """Ask before an act; only a yes does it."""
 
     def show_notice(self, text: str, *, for_now: bool = False) -> None:
         """Show a notice on the line above the keys."""
 
-    def start_task(self, work: Coroutine[Any, Any, None]) -> None:
+    def start_task(self, work: Awaitable[None]) -> None:
         """Start work that may take a while; show its error as a notice."""
 
-    def attach(self, folder: Path, process: Any = None) -> None:
+    def attach(self, folder: Path, process: Popen[bytes] | None = None) -> None:
         """Show a run in place of the one shown."""
 
     def show_background_run(self) -> None:

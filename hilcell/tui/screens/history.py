@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
 from textual.app import ComposeResult
 from textual.content import Content
 
 from hilcell.errors import HilcellError
-from hilcell.report.comparison import CHANGES, Change
+from hilcell.report.comparison import CHANGES, Change, Setting
 from hilcell.tui.engine import process
 from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.keys import shown
@@ -17,7 +17,7 @@ from hilcell.tui.screens.base import Page
 from hilcell.tui.screens.pages import CHOOSE, FilterScreen
 from hilcell.tui.text.tables import columns_for, history_row
 from hilcell.tui.widgets import Column, Row, Table, TextPanel
-from hilcell.typed import typed
+from hilcell.typed import decoded
 
 if TYPE_CHECKING:
     from hilcell.journal.index import RunRow
@@ -153,30 +153,38 @@ class ComparePage(Page):
         runs = str(self.application.options.runs)
         command = ("compare", self._first, self._second, "--runs", runs, "--json")
         try:
-            found = msgspec.json.decode(await process.run_command(*command), type=dict[str, Any])
+            found = decoded(await process.run_command(*command), Compared)
         except HilcellError:
             if self.is_shown:
                 self.query_one(Table).empty = "nothing to compare"
                 self.query_one(Table).refresh()
             raise
         if self.is_shown:
-            self.panel("comparison_text").show(comparison_text(found))
-            self.query_one(Table).show_rows([change_row(each) for each in found["changes"]])
+            self.panel("comparison_text").show(found.words)
+            self.query_one(Table).show_rows([change_row(each) for each in found.changes])
 
 
-def comparison_text(found: dict[str, Any]) -> Content:
-    """Return which runs, in what they differ, and the verdict."""
-    lines = [f"{found['first']}  ->  {found['second']}"]
-    lines += [
-        f"{each['key']}: {each['first'] or '-'} -> {each['second'] or '-'}"
-        for each in found["settings"][:4]
-    ]
-    return Content.assemble("\n".join(lines), "\n", (str(found["verdict"]), "bold"))
+class Compared(msgspec.Struct, frozen=True, kw_only=True):
+    """Two runs as `hilcell compare --json` prints them, by their names."""
+
+    first: str
+    second: str
+    verdict: str
+    settings: list[Setting]
+    changes: list[Change]
+
+    @property
+    def words(self) -> Content:
+        """Return which runs, in what they differ, and the verdict."""
+        lines = [f"{self.first}  ->  {self.second}"]
+        lines += [
+            f"{each.key}: {each.first or '-'} -> {each.second or '-'}" for each in self.settings[:4]
+        ]
+        return Content.assemble("\n".join(lines), "\n", (self.verdict, "bold"))
 
 
-def change_row(change: dict[str, Any]) -> Row:
+def change_row(found: Change) -> Row:
     """Return one change; one beyond its limit is coloured."""
-    found = typed(change, Change)
     where, what, *figures, unit, verdict = (
         column.text(column.of(found), minus="-") for column in CHANGES
     )

@@ -6,7 +6,6 @@ import os
 import webbrowser
 from abc import abstractmethod
 from pathlib import Path
-from typing import Any
 
 import msgspec
 from textual.app import ComposeResult
@@ -25,6 +24,7 @@ from hilcell.tui.text.points import point_page
 from hilcell.tui.text.result import report_lines
 from hilcell.tui.text.tables import log_columns, record_row
 from hilcell.tui.widgets import Row, Table, TextField, TextPanel
+from hilcell.typed import Json, decoded
 
 
 class TextPage(Page):
@@ -187,7 +187,7 @@ class ReportPage(TextPage):
         self._folder = folder
         self._where = "writing the report ..."
         self._state = "computing the figures from the journal ..."
-        self._figures: dict[str, Any] | None = None
+        self._figures: Json | None = None
 
     def on_mount(self) -> None:
         """Write the report."""
@@ -207,10 +207,12 @@ class ReportPage(TextPage):
         runs = str(self._folder.parent)
         try:
             text = await process.run_command("show", self._folder.name, "--json", "--runs", runs)
-            self._figures = _summary(text)
-        except HilcellError:
+            self._figures = decoded(text.partition("\n")[0], Json)  # remarks follow
+        except (HilcellError, msgspec.DecodeError) as error:
             self._state = "the figures could not be computed"
-            raise
+            if isinstance(error, HilcellError):
+                raise
+            raise HilcellError(f"hilcell show: no figures in its output: {error}") from error
         finally:
             self.show_again()
 
@@ -227,12 +229,3 @@ class ReportPage(TextPage):
         if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
             webbrowser.open(path.as_uri())
         self.show_again()
-
-
-def _summary(text: str) -> dict[str, Any]:
-    """Return what a command printed as JSON before its remarks; raises `HilcellError`."""
-    try:
-        found: dict[str, Any] = msgspec.json.decode(text.partition("\n")[0], type=dict[str, Any])
-    except msgspec.DecodeError as error:
-        raise HilcellError(f"hilcell show: no figures in its output: {error}") from error
-    return found

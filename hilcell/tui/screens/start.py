@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
 from importlib.metadata import entry_points
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
@@ -302,7 +302,7 @@ class PlanSummary(Dialog[bool]):
         Binding("q,n,backspace", "reply(False)", show=False, priority=True),
     ]
 
-    def __init__(self, request: process.RunRequest, plan: dict[str, Any]) -> None:
+    def __init__(self, request: process.RunRequest, plan: process.DryRun) -> None:
         super().__init__()
         self._order, self._plan = request, plan
 
@@ -312,8 +312,8 @@ class PlanSummary(Dialog[bool]):
         answers = Content.assemble(
             answer_keys("start", "back"),
             "\n",
-            *(simulated if self._plan.get("simulated") else []),
-            moves(has_rail=bool(self._plan.get("rail", True))),
+            *(simulated if self._plan.simulated else []),
+            moves(has_rail=self._plan.rail),
         )
         self.show_texts(plan_summary(self._order, self._plan), answers)
 
@@ -323,23 +323,22 @@ class PlanSummary(Dialog[bool]):
             self.dismiss(yes)
 
 
-def plan_summary(request: process.RunRequest, plan: dict[str, Any]) -> Content:
+def plan_summary(request: process.RunRequest, plan: process.DryRun) -> Content:
     """Return what is about to be started."""
     who = (
         "somebody is here to be asked" if request.attended else "unattended: a question is a fault"
     )
-    has_rail = bool(plan.get("rail", True))
     notes = [
-        f"{step_words(step['name'], has_rail=has_rail)}: {step[key]}\n"
-        for step in plan["steps"]
-        for key in ("note", "warning")
-        if step.get(key)
+        f"{step_words(step.name, has_rail=plan.rail)}: {words}\n"
+        for step in plan.steps
+        for words in (step.note, step.warning)
+        if words
     ]
     return Content.assemble(
-        (f"Start {procedure_words(plan['procedure'])} on cell {plan['cell']}?\n", "bold $ask"),
+        (f"Start {procedure_words(plan.procedure)} on cell {plan.cell}?\n", "bold $ask"),
         f"job {request.job or '-'}, operator {request.operator or '-'}\n",
-        f"{len(plan['steps'])} steps, {plan['points']} points, "
-        f"{duration(plan['duration_s'])} of the cell's time\n",
+        f"{len(plan.steps)} steps, {plan.points} points, "
+        f"{duration(plan.duration_s)} of the cell's time\n",
         *notes,
         f"{who}.\n",
     )

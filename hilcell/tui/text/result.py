@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import msgspec
 from textual.content import Content
@@ -29,7 +29,7 @@ from hilcell.tui.layout import BLANK, Cell, Col, Drawing, Grid, Lines, Stack, Te
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.digits import figure
 from hilcell.tui.text.head import NEXT, Figure, Head, gravest, head_lines
-from hilcell.typed import typed
+from hilcell.typed import Json, typed
 
 NO_FIGURES = "Finished. This procedure measures nothing that is judged."
 MOST_ROWS = 40  # which hold most results whole
@@ -69,7 +69,7 @@ def result_of(view: RunView) -> Result | None:
     return Result(Head((), "", "label", ()), text or ("" if table else NO_FIGURES), table)
 
 
-def _converted(found: Any, kind: type[T]) -> T | None:
+def _converted(found: object, kind: type[T]) -> T | None:
     """Return a part of a result; None of another procedure's, or of another version's."""
     try:
         return typed(found, kind)
@@ -77,7 +77,7 @@ def _converted(found: Any, kind: type[T]) -> T | None:
         return None
 
 
-def own_words(name: str, result: dict[str, Any]) -> tuple[Table, str]:
+def own_words(name: str, result: Json) -> tuple[Table, str]:
     """Return a procedure's own table and words of a result; nothing of what it cannot read."""
     if not result:
         return Table((), ()), ""
@@ -226,7 +226,7 @@ NAMES = {  # of the summary, by the name shown
 }  # fmt: skip
 
 
-def report_lines(found: Mapping[str, Any], log: Log | None) -> Lines:
+def report_lines(found: Mapping[str, object], log: Log | None) -> Lines:
     """Return the facts of a run, its own table and its sentence."""
     procedure = str(found.get("procedure", ""))
     facts = [("run", str(found.get("run", ""))), ("procedure", procedure_words(procedure))]

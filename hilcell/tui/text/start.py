@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from typing import Any
 
 from textual.content import Content
 
@@ -12,6 +11,7 @@ from hilcell.cell.file import Cell
 from hilcell.clean import harmless
 from hilcell.journal.log import Log
 from hilcell.journal.words import in_words, procedure_words, step_words
+from hilcell.tui.engine.process import DryRun
 from hilcell.tui.layout import BLANK, Col, Drawing, Fitting, Grid, Lines, Stack, Text, ends, section
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.run import badge, duration, simulation_block
@@ -24,7 +24,7 @@ FEW = 4  # nests that are named one by one
 class Checked:
     """The plan of the fields as they stand, or why it is refused, or nothing yet."""
 
-    plan: dict[str, Any] | None = None
+    plan: DryRun | None = None
     refused: str = ""
     cell: Cell | None = None
     at: datetime | None = None
@@ -34,12 +34,12 @@ class Checked:
         """Whether only a simulated cell would move."""
         if self.plan is None:
             return self.cell is not None and self.cell.simulation is not None
-        return bool(self.plan.get("simulated"))
+        return self.plan.simulated
 
     @property
     def has_rail(self) -> bool:
         """Whether the cell has a rail."""
-        return self.plan is None or bool(self.plan.get("rail", True))
+        return self.plan is None or self.plan.rail
 
 
 def banner(checked: Checked, glyphs: Glyphs) -> Lines:
@@ -60,17 +60,21 @@ def plan_lines(checked: Checked, glyphs: Glyphs) -> Lines:
         return Stack(section("plan", "refused"), refusals(checked, glyphs))
     if plan is None:
         return Stack(section("plan"), ("  is being checked ...", "$label"))
-    whole = [*enumerate(plan["steps"], start=1)]
+    whole = [*enumerate(plan.steps, start=1)]
 
     def draw(width: int, height: int) -> list[Content]:
         steps, most = whole, (height or len(whole) + 2) - 2
         if len(steps) > most:
-            steps = [(n, step) for n, step in steps if step["points"] or step["duration_s"]]
+            steps = [(n, step) for n, step in steps if step.points or step.duration_s]
         shown = steps if len(steps) <= most else steps[: max(most - 1, 0)]
-        rows = [_step(n, step, checked) for n, step in shown]
+        rows: list[list[Text]] = []
+        for n, step in shown:
+            name = harmless(step_words(step.name, has_rail=checked.has_rail))
+            takes = duration(step.duration_s) if step.duration_s else "-"
+            rows.append([f"{n:>2} {name}", str(step.points or "-"), takes, ""])
         if len(shown) < len(steps):
             rows.append([f"   {len(steps) - len(shown)} more steps", "", "", ""])
-        total = str(plan["points"]), duration(plan["duration_s"])
+        total = str(plan.points), duration(plan.duration_s)
         rows.append(
             [(f"   all {len(whole)} steps", "bold"), *((each, "bold") for each in total), ""]
         )
@@ -81,12 +85,6 @@ def plan_lines(checked: Checked, glyphs: Glyphs) -> Lines:
     return Drawing(repr(plan), draw)
 
 
-def _step(number: int, step: dict[str, Any], checked: Checked) -> list[Text]:
-    name = step_words(step["name"], has_rail=checked.has_rail)
-    takes = duration(step["duration_s"]) if step["duration_s"] else "-"
-    return [f"{number:>2} {harmless(name)}", str(step["points"] or "-"), takes, ""]
-
-
 def check_lines(checked: Checked, glyphs: Glyphs) -> Lines:
     """Return what has been checked, or every refusal with its reason."""
     if checked.refused:
@@ -94,7 +92,7 @@ def check_lines(checked: Checked, glyphs: Glyphs) -> Lines:
     if checked.plan is None:
         return Stack(section("checks"), ("  being done ...", "$label"))
     said = ["cell file and options are sound"]
-    said += ["poses in reach, in limits, in sight"] if checked.plan["points"] else []
+    said += ["poses in reach, in limits, in sight"] if checked.plan.points else []
     said += ["the slide's way is clear"] if checked.has_rail else []
     done = [Content.assemble((f"{glyphs.fresh} ", "$passed"), words) for words in said]
     at = "" if checked.at is None else f" at {checked.at:%H:%M}"
@@ -171,7 +169,7 @@ def end_line(checked: Checked, speed: str) -> Content:
     """Return when the run will end; of a simulation that is not paced, how long it takes there."""
     if checked.plan is None or checked.at is None:
         return BLANK
-    duration_s = checked.plan["duration_s"]
+    duration_s = checked.plan.duration_s
     if checked.simulated and speed != "1":
         return Content.styled(f"takes {duration(duration_s)} of the cell's time", "$label")
     end = checked.at + timedelta(seconds=duration_s)

@@ -5,29 +5,40 @@ from __future__ import annotations
 from collections.abc import Collection
 from contextlib import suppress
 from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from hilcell.journal.index import RunRow
 from hilcell.journal.journal import Record
 from hilcell.journal.times import in_zone
-from hilcell.model.events import CurveMeasured
-from hilcell.present.table import Column as Fact
+from hilcell.model.events import (
+    ChangesAccepted,
+    Closing,
+    CommandRefused,
+    Connected,
+    DeviceBack,
+    Event,
+    LinkCounted,
+    OtherEvent,
+    StepBegun,
+    after,
+)
+from hilcell.model.frame import Frame
+from hilcell.model.plan import PlanRecord
+from hilcell.model.point import Point
+from hilcell.model.records import Ended, Fact, Intended, StateChanged
+from hilcell.model.verdicts import Verdict
+from hilcell.present.table import Column as Shown
 from hilcell.tui.widgets import Column, Row
-from hilcell.typed import typed
 
 _ALWAYS = 63  # columns of date with time, procedure, verdict and operator, and of the edges
 
 
-class _Shown(NamedTuple):
+class _Column(NamedTuple):
     """One column of the history: its width, and its rank where there is little room."""
 
     width: int
-    fact: Fact[RunRow]
+    shown: Shown[RunRow]
     rank: int = 0  # 0: always there; the highest goes first
-
-    @property
-    def column(self) -> Column:
-        return Column(self.fact.header, self.width, right=bool(self.fact.form))
 
 
 def _outcome(run: RunRow) -> str:
@@ -43,41 +54,46 @@ def _local(run: RunRow) -> str:
     return ""
 
 
-_SHOWN: tuple[_Shown, ...] = (
-    _Shown(13, Fact("procedure", lambda run: run.procedure or run.name[-13:])),
-    _Shown(16, Fact("verdict or state", _outcome)),
-    _Shown(10, Fact("operator", attrgetter("operator"))),
-    _Shown(
-        4, Fact("kind", lambda run: ("SIM" if run.simulated else "real") if run.readable else ""), 1
+_COLUMNS = (
+    _Column(13, Shown("procedure", lambda run: run.procedure or run.name[-13:])),
+    _Column(16, Shown("verdict or state", _outcome)),
+    _Column(10, Shown("operator", attrgetter("operator"))),
+    _Column(
+        4,
+        Shown("kind", lambda run: ("SIM" if run.simulated else "real") if run.readable else ""),
+        1,
     ),
-    _Shown(10, Fact("cell", attrgetter("cell")), 2),
-    _Shown(6, Fact("points", lambda run: run.points or None, form="d"), 6),
-    _Shown(6, Fact("before", attrgetter("before_mean_mm"), form=".3f"), 4),
-    _Shown(6, Fact("after", attrgetter("chosen_mean_mm"), form=".3f"), 3),
-    _Shown(6, Fact("max", attrgetter("chosen_max_mm"), "mm", ".3f"), 8),
-    _Shown(10, Fact("local time", _local), 5),
-    _Shown(12, Fact("job", attrgetter("job")), 7),
-    _Shown(36, Fact("run", attrgetter("name")), 9),
+    _Column(10, Shown("cell", attrgetter("cell")), 2),
+    _Column(6, Shown("points", lambda run: run.points or None, form="d"), 6),
+    _Column(6, Shown("before", attrgetter("before_mean_mm"), form=".3f"), 4),
+    _Column(6, Shown("after", attrgetter("chosen_mean_mm"), form=".3f"), 3),
+    _Column(6, Shown("max", attrgetter("chosen_max_mm"), "mm", ".3f"), 8),
+    _Column(10, Shown("local time", _local), 5),
+    _Column(12, Shown("job", attrgetter("job")), 7),
+    _Column(36, Shown("run", attrgetter("name")), 9),
 )
 
 
-def _shown_in(width: int) -> list[_Shown]:
+def _columns_in(width: int) -> list[_Column]:
     """Return the columns that fit, in their order."""
     free = width - _ALWAYS
     left_out = False
     kept = {0}
-    for each in sorted(_SHOWN, key=attrgetter("rank")):
+    for each in sorted(_COLUMNS, key=attrgetter("rank")):
         if each.rank and not left_out:
             free -= each.width + 1
             left_out = free < 0
             kept |= set() if left_out else {each.rank}
-    return [each for each in _SHOWN if each.rank in kept]
+    return [each for each in _COLUMNS if each.rank in kept]
 
 
 def columns_for(width: int) -> tuple[Column, ...]:
     """Return the columns that fit; mean |e| before and after in mm."""
     begun = Column("begun UTC", 16) if width >= _ALWAYS else Column("begun", 10)
-    return Column("", 1), begun, *(each.column for each in _shown_in(width))
+    found = (
+        Column(shown.header, each, right=bool(shown.form)) for each, shown, _ in _columns_in(width)
+    )
+    return Column("", 1), begun, *found
 
 
 def history_row(run: RunRow, marked: Collection[str], width: int) -> Row:
@@ -85,7 +101,7 @@ def history_row(run: RunRow, marked: Collection[str], width: int) -> Row:
     tones = {"finished": "", "aborted": "label", "faulted": "fault"}
     tone = "live" if run.live else "fault" if run.exit in (1, 3) else tones.get(run.state, "ask")
     begun = run.begun.replace("T", " ")[: columns_for(width)[1].width]
-    texts = (each.fact.text(each.fact.of(run)) for each in _shown_in(width))
+    texts = (each.shown.text(each.shown.of(run)) for each in _columns_in(width))
     return Row(run.name, ("*" if run.name in marked else "", begun, *texts), tone)
 
 
@@ -97,60 +113,63 @@ def log_columns(t: str) -> tuple[Column, ...]:
     return Column("record", 6, right=True), time, Column("kind", 8), what
 
 
-_LEFT_OUT = {  # long, or said already
-    "matrix", "pose", "xyz_mm", "covariance", "trace", "result", "cell", "joints_deg", "error",
-    "errors", "what", "action",
-}  # fmt: skip
-
-
 def record_row(record: Record) -> Row:
-    """Return one row of the event log."""
-    body = record.body
+    """Return one row of the event log, of a record that a log has taken."""
     tones = {"faulted": "fault", "suspended": "ask", "aborted": "ask"}
-    tone = tones.get(str(body.get("to", "")), "") if record.kind == "state" else ""
+    fact = record.fact
+    tone = tones.get(fact.to, "") if isinstance(fact, StateChanged) else ""
     moment = in_zone(record.t)
     time = f"{moment:%H:%M:%S} ({record.t[11:19]})" if moment.utcoffset() else record.t[11:23]
-    cells = (str(record.seq), time, record.kind, record_words(record))
-    return Row(str(record.seq), cells, tone)
+    what = record_words(record.key, fact).replace("\n", " ")
+    return Row(str(record.seq), (str(record.seq), time, record.kind, what), tone)
 
 
-def record_words(record: Record) -> str:
-    """Return a record as one short line."""
-    body = record.body
-    match record.kind:
-        case "plan":
-            seed, machine = body.get("seed"), body.get("machine_seed")
+def record_words(key: str, fact: Fact) -> str:
+    """Return the content of a record in words, points by their keys."""
+    match fact:
+        case PlanRecord(seed=seed, machine_seed=machine):
             own = f", machine {machine}" if machine not in (None, seed) else ""
-            return f"{body.get('procedure')}, {body.get('points')} points, seed {seed}{own}"
-        case "state":
-            reason = f": {body['reason']}" if body.get("reason") else ""
-            return f"{body.get('machine')} is {body.get('to')}{reason}".replace("\n", " ")
-        case "point":
-            station = f" at {body['station']}" if body.get("station") else ""
-            again = ", re-measured" if body.get("retaken") else ""
-            return f"{record.key}{station}{again}"
-        case "intent":
-            return " ".join(filter(None, (str(body.get("action", "")), record.key, _facts(body))))
-        case "event" if body.get("what") == "curve":
-            return f"curve of {typed(body, CurveMeasured).words}"
-        case "event":
-            return f"{body.get('what')} {_facts(body)}".strip()
-        case "end":
-            return f"{body.get('state')}, exit {body.get('exit')}"
-    return f"{record.key} {_facts(body)}".strip()
+            return f"{fact.procedure}, {fact.points} points, seed {seed}{own}"
+        case StateChanged():
+            return f"{fact.machine} is {fact.to}{after(fact.reason)}"
+        case Point():
+            station = f" at {fact.station}" if fact.station else ""
+            again = ", re-measured" if fact.retaken else ""
+            return f"{key}{station}{again}"
+        case Intended(position_mm=position_mm):
+            place = "" if position_mm is None else f"to {position_mm:.3f} mm"
+            axis = f"axis {fact.axis}" if fact.axis else ""
+            return " ".join(filter(None, (fact.action, key, fact.station, axis, place)))
+        case Frame():
+            by = f"by {len(fact.points)} points" if fact.points else ""
+            taken_over = f"of calibration {fact.calibration}" if fact.calibration else ""
+            return " ".join(filter(None, (key, by, taken_over)))
+        case Verdict():
+            return f"{key} {fact.outcome.words}{after(fact.words)}"
+        case Ended():
+            return f"{fact.state}, exit {fact.exit}"
+        case _:
+            return _event_words(fact)
 
 
-def _facts(body: dict[str, Any]) -> str:
-    shown = ((k, v) for k, v in body.items() if k not in _LEFT_OUT and v not in ({}, []))
-    return ", ".join(f"{name} {_value(value)}" for name, value in shown)
-
-
-def _value(value: object) -> str:
-    """Return a value without the punctuation of a data structure."""
-    if isinstance(value, float):
-        return f"{value:.3f}"
-    if isinstance(value, dict):
-        return " ".join(f"{name} {_value(each)}" for name, each in value.items())
-    if isinstance(value, list):
-        return "; ".join(_value(each) for each in value)
-    return str(value)
+def _event_words(event: Event | OtherEvent) -> str:
+    """Return an event's own words, and such facts of it as they leave out."""
+    match event:
+        case StepBegun():
+            return f"step {event.number} of {event.of}: {event.name}"
+        case Connected(devices=devices):
+            return event.text + after("; ".join(each.text for each in devices))
+        case DeviceBack():
+            return f"{event.what}: {event.device}"
+        case CommandRefused():
+            return f"{event.what}: {event.command} in {event.state}"
+        case ChangesAccepted():
+            return f"{event.what} by {event.by}: {'; '.join(event.changes)}"
+        case Closing(problems=problems):
+            return event.text + after("; ".join(problems.values()))
+        case LinkCounted():
+            return f"rail's wire: {event.counts}"
+        case OtherEvent():
+            facts = ", ".join(f"{name} {value}" for name, value in event.fields.items())
+            return f"{event.what} {facts}".strip()
+    return event.text or event.what

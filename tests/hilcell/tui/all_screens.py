@@ -13,6 +13,7 @@ from textual.pilot import Pilot
 from hilcell.journal.calibration_facts import CalibrationFacts
 from hilcell.journal.index import RunRow
 from hilcell.model.outcome import Outcome
+from hilcell.model.plan import Step
 from hilcell.tui import keys
 from hilcell.tui.engine import process
 from hilcell.tui.screens import start
@@ -59,14 +60,15 @@ RUNS = [
     RunRow(name="20260301-broken", begun="2026-03-01T05:00:00+00:00", state="unreadable",
            reason="journal: damaged"),
 ]  # fmt: skip
-PLAN: dict[str, Any] = {
-    "procedure": "calibrate",
-    "cell": "paper",
-    "simulated": True,
-    "points": sum(p for _, p, _ in STEPS),
-    "steps": [{"name": n, "points": p, "duration_s": d} for n, p, d in STEPS],
-    "duration_s": sum(d for _, _, d in STEPS),
-}
+PLAN = process.DryRun(
+    procedure="calibrate",
+    cell="paper",
+    simulated=True,
+    rail=True,
+    points=sum(p for _, p, _ in STEPS),
+    steps=[Step(name=n, points=p, duration_s=d) for n, p, d in STEPS],
+    duration_s=sum(d for _, _, d in STEPS),
+)
 PROCEDURES = {
     "calibrate": "the whole calibration",
     "home": "home the rail",
@@ -138,7 +140,7 @@ def isolated(monkeypatch: pytest.MonkeyPatch) -> None:
     async def run_command(*words: str) -> str:
         return SAID[words[0]]
 
-    async def dry_run(order: process.RunRequest) -> dict[str, Any]:
+    async def dry_run(order: process.RunRequest) -> process.DryRun:
         return PLAN
 
     for name in ("LONGEST_S", "BUILT_S"):  # a slow machine keeps keys in their order, too

@@ -57,7 +57,7 @@ def test_speed_is_named_only_where_it_is_chosen() -> None:
 def test_commands_are_processes_whose_refusals_say_why(tmp_path: Path) -> None:
     """A value that is refused comes without the usage of a command."""
     plan = asyncio.run(dry_run(RunRequest("paper", "home")))
-    assert (plan["procedure"], bool(plan["steps"])) == ("home", True)
+    assert (plan.procedure, bool(plan.steps)) == ("home", True)
     with pytest.raises(HilcellError) as refused:
         asyncio.run(dry_run(RunRequest("paper", "home", seed="-1")))
     assert str(refused.value).startswith("seed: ")

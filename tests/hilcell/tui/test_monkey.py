@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -31,7 +32,7 @@ class Watched(RecordingApp):
 
     questions = 0
 
-    def ask(self, title: str, text: str, yes: str, act: object) -> None:
+    def ask(self, title: str, text: str, yes: str, act: Callable[[], object]) -> None:
         """Count a question."""
         self.questions += 1
         super().ask(title, text, yes, act)

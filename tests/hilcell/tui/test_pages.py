@@ -306,7 +306,7 @@ def test_every_page_of_a_simulated_run_has_its_edge(key: str) -> None:
 def test_what_is_cut_in_the_log_has_its_mark() -> None:
     async def look(app: RecordingApp, pilot: Pilot[int]) -> None:
         await press(pilot, "l")
-        held = next(line for line in text_of(app).splitlines() if "station held" in line)
+        held = next(line for line in text_of(app).splitlines() if "rail held" in line)
         assert held.rstrip("▌ ").endswith("…")
 
     run_app(look, "running", size=(80, 24))

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import asyncio
 from datetime import timedelta
-from typing import Any
 
-import msgspec
 import pytest
+from msgspec.structs import replace
 from textual.pilot import Pilot
 from textual.widgets import Input
 
 from hilcell.cell.file import load_cell
 from hilcell.errors import HilcellError
+from hilcell.model.plan import Step
 from hilcell.tui.engine import process
 from hilcell.tui.screens.start import PlanSummary, StartScreen, plan_summary
 from hilcell.tui.terminal.capabilities import UNICODE
@@ -42,9 +42,9 @@ def planned(monkeypatch: pytest.MonkeyPatch) -> list[process.RunRequest]:
     """Return the requests whose plans are computed; the plan names its procedure."""
     asked: list[process.RunRequest] = []
 
-    async def dry_run(request: process.RunRequest) -> dict[str, Any]:
+    async def dry_run(request: process.RunRequest) -> process.DryRun:
         asked.append(request)
-        return PLAN | {"procedure": request.procedure, "simulated": True}
+        return replace(PLAN, procedure=request.procedure, simulated=True)
 
     monkeypatch.setattr(process, "dry_run", dry_run)
     return asked
@@ -82,10 +82,10 @@ def test_who_runs_it_and_for_what_job_plans_nothing_again(monkeypatch: pytest.Mo
 def test_a_plan_of_earlier_fields_is_never_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     waits: dict[str, asyncio.Event] = {}
 
-    async def dry_run(request: process.RunRequest) -> dict[str, Any]:
+    async def dry_run(request: process.RunRequest) -> process.DryRun:
         event = waits.setdefault(request.procedure, asyncio.Event())
         await event.wait()
-        return PLAN | {"points": 333 if request.procedure == "home" else 999}
+        return replace(PLAN, points=333 if request.procedure == "home" else 999)
 
     monkeypatch.setattr(process, "dry_run", dry_run)
 
@@ -110,7 +110,7 @@ def test_a_plan_of_earlier_fields_is_never_shown(monkeypatch: pytest.MonkeyPatch
 def test_a_refused_plan_has_its_reasons_and_starts_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    async def refuse(_: process.RunRequest) -> dict[str, Any]:
+    async def refuse(_: process.RunRequest) -> process.DryRun:
         raise HilcellError("refused before anything moves\nvalidate: 3 targets out of reach")
 
     monkeypatch.setattr(process, "dry_run", refuse)
@@ -140,7 +140,7 @@ def test_enter_asks_and_only_a_yes_starts(monkeypatch: pytest.MonkeyPatch) -> No
 
 # -- as text ---------------------------------------------------------------------------------------
 
-CHECKED = text.Checked(PLAN | {"simulated": True}, "", load_cell("paper"), BEGAN)
+CHECKED = text.Checked(replace(PLAN, simulated=True), "", load_cell("paper"), BEGAN)
 
 
 @pytest.mark.parametrize("rows", [4, 9, 20])
@@ -154,24 +154,24 @@ def test_the_plan_fits_and_ends_with_the_sum(rows: int) -> None:
 def test_what_to_see_to_names_the_nests() -> None:
     said = drawn(text.before_lines(CHECKED, attended=True))
     assert "Reflectors in F1 F2 F3, B1 B2, P1 to P8, clean; one on the tool." in said
-    by_hand = msgspec.structs.replace(load_cell("paper").layout, reflectors="by_hand")
-    cell = msgspec.structs.replace(load_cell("paper"), layout=by_hand)
+    by_hand = replace(load_cell("paper").layout, reflectors="by_hand")
+    cell = replace(load_cell("paper"), layout=by_hand)
     said = drawn(text.before_lines(text.Checked(PLAN, "", cell, BEGAN), attended=False))
     assert "One reflector" in said
     assert "Unattended: nobody answers" in said
 
 
 def test_the_end_is_a_time_of_day_where_time_is_real() -> None:
-    end = BEGAN + timedelta(seconds=PLAN["duration_s"])
+    end = BEGAN + timedelta(seconds=PLAN.duration_s)
     assert f"{end:%H:%M}" in text.end_line(CHECKED, "1").plain
     assert "takes 2:42 of the cell's time" in text.end_line(CHECKED, "100").plain
-    real = text.Checked(PLAN | {"simulated": False}, "", None, BEGAN)
+    real = text.Checked(replace(PLAN, simulated=False), "", None, BEGAN)
     assert "ends about" in text.end_line(real, "100").plain
     assert text.end_line(text.Checked(), "1").plain == ""
 
 
 def test_a_real_cell_has_no_simulation_on_its_page() -> None:
-    real = text.Checked(PLAN | {"simulated": False, "rail": False}, "", None, BEGAN)
+    real = text.Checked(replace(PLAN, simulated=False, rail=False), "", None, BEGAN)
     for line in (text.banner(real, UNICODE), text.start_line(real)):
         assert "SIMULATION" not in drawn(line)
     assert "start: robot will move" in drawn(text.start_line(real))
@@ -198,7 +198,7 @@ def test_the_mark_of_a_simulation_is_never_cut() -> None:
 
 
 def test_a_cell_without_a_rail_parks_its_robot() -> None:
-    fixed = text.Checked(PLAN | {"rail": False}, "", load_cell("fixed"), BEGAN)
+    fixed = text.Checked(replace(PLAN, rail=False), "", load_cell("fixed"), BEGAN)
     lines = drawn(text.plan_lines(fixed, UNICODE), 37).splitlines()
     assert lines[1].startswith(" 1 Park the robot")
     assert not any("rail" in line for line in lines)
@@ -225,7 +225,7 @@ def test_a_refused_plan_names_steps_and_points_in_words() -> None:
 
 
 def test_the_question_names_the_steps_that_do_nothing_in_words() -> None:
-    step = {"name": "station-frames", "points": 0, "duration_s": 0.0, "note": "on the floor"}
-    plan = PLAN | {"steps": [step]}
+    step = Step(name="station-frames", points=0, duration_s=0.0, note="on the floor")
+    plan = replace(PLAN, steps=[step])
     said = plan_summary(process.RunRequest("fixed", "calibrate"), plan).plain
     assert "Station frames: on the floor" in said

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, get_args
-
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from hilcell.journal.calibration_facts import CalibrationFacts
+from hilcell.journal.curve_record import curve_measured
 from hilcell.journal.journal import Record
+from hilcell.model import events
 from hilcell.model.outcome import Outcome
-from hilcell.model.records import Kind
+from hilcell.model.plan import PlanRecord
+from hilcell.model.point import Point
+from hilcell.model.records import Ended, Fact, Intended, StateChanged
 from hilcell.tui.screens.history import COLUMNS as COMPARED
-from hilcell.tui.screens.history import change_row
+from hilcell.tui.screens.history import Compared, change_row
 from hilcell.tui.text.tables import (
     columns_for,
     history_row,
@@ -22,58 +22,83 @@ from hilcell.tui.text.tables import (
     record_row,
     record_words,
 )
-from tests.hilcell.journal.test_curve_record import FOUND, body_of
+from hilcell.typed import typed
+from tests.hilcell.journal.test_curve_record import FOUND
 from tests.hilcell.tui.all_screens import COMPARISON, RUNS
+from tests.hilcell.tui.sample_runs import measuring, sample_runs
+from tests.hilcell.verdicts import BACKLASH, WORLD
 
 T = "2026-03-04T08:00:01.250+00:00"
-TOLD: list[tuple[Kind, str, dict[str, Any], str]] = [
-    ("plan", "", {"procedure": "home", "points": 3, "seed": 1}, "home, 3 points, seed 1"),
-    ("state", "", {"machine": "run", "to": "paused"}, "run is paused"),
-    ("state", "", {"machine": "run", "to": "faulted", "reason": "a\nb"}, "run is faulted: a b"),
-    ("point", "grid/0", {"station": "S1100"}, "grid/0 at S1100"),
-    ("point", "world/F1", {"station": ""}, "world/F1"),
-    ("point", "grid/0", {"station": "", "retaken": True}, "grid/0, re-measured"),
-    ("intent", "grid/0", {"action": "robot.move", "joints_deg": [0.0]}, "robot.move grid/0"),
-    ("intent", "", {"action": "rail.move", "to_mm": 5.0}, "rail.move to_mm 5.000"),
-    ("frame", "world", {"matrix": [[1.0]], "rms_mm": 0.01234}, "world rms_mm 0.012"),
-    ("verdict", "v", {"holds": False, "mean_mm": 0.3}, "v holds False, mean_mm 0.300"),
-    ("event", "", {"what": "closed", "problems": {}}, "closed"),
-    ("event", "", {"what": "closed", "problems": {"Rail": "gone"}}, "closed problems Rail gone"),
+SAMPLES = {record.kind: record for record in measuring().records}
+PLAN, POINT = SAMPLES["plan"].fact, SAMPLES["point"].fact
+assert isinstance(PLAN, PlanRecord)
+assert isinstance(POINT, Point)
+DRIVE = events.Asset(device="Rail", model="drive", serial="1")
+SAID: list[tuple[str, Fact, str]] = [
+    ("", PLAN, "calibrate, 21 points, seed 1"),
+    ("", replace(PLAN, machine_seed=7), "calibrate, 21 points, seed 1, machine 7"),
+    ("", StateChanged(machine="run", to="paused"), "run is paused"),
+    ("", StateChanged(machine="run", to="faulted", reason="a"), "run is faulted: a"),
+    ("grid/0", POINT, "grid/0 at S1100"),
+    ("world/F1", replace(POINT, station=""), "world/F1"),
+    ("grid/0", replace(POINT, station="", retaken=True), "grid/0, re-measured"),
+    ("grid/0", Intended(action="robot.move", joints_deg=(0.0,)), "robot.move grid/0"),
+    ("", Intended(action="rail.move", position_mm=5.0), "rail.move to 5.000 mm"),
+    ("", Intended(action="rail.approach", station="S1"), "rail.approach S1"),
+    ("sweep/A1/up", Intended(action="robot.sweep", axis=1), "robot.sweep sweep/A1/up axis 1"),
+    ("world", replace(WORLD, points=["world/F1", "world/F2"]), "world by 2 points"),
+    ("world", replace(WORLD, calibration="1-made"), "world of calibration 1-made"),
+    ("backlash", BACKLASH, f"backlash in tolerance: {BACKLASH.words}"),
+    ("", events.Closed(problems={}), "devices closed"),
     (
-        "event",
         "",
-        {"what": "connected", "devices": [{"device": "Rail", "serial": "1"}, {"device": "Robot"}]},
-        "connected devices device Rail serial 1; device Robot",
+        events.SafeStopSent(problems={"Tracker": "gone"}),
+        "a stop was sent to all devices, but look at Tracker: gone",
     ),
-    ("event", "", {"what": "step", "name": "fit", "number": 6}, "step name fit, number 6"),
+    ("", events.Connected(devices=[DRIVE]), "devices connected: drive, serial 1"),
+    ("", events.DeviceBack(device="Rail"), "device back: Rail"),
     (
-        "event",
         "",
-        body_of(FOUND),
+        events.CommandRefused(command="pause", state="paused"),
+        "command refused: pause in paused",
+    ),
+    ("", events.ChangesAccepted(changes=["a", "b"], by="Ann"), "changes accepted by Ann: a; b"),
+    ("", events.StepBegun(name="fit", number=6, of=7), "step 6 of 7: fit"),
+    (
+        "",
+        events.LinkCounted(frames=9, bad_lines=0, refused=0, malformed=0),
+        "rail's wire: 9 frames, 0 bad lines, 0 refused, 0 malformed (0.00 % lost)",
+    ),
+    ("", events.OtherEvent("drift", {"off_mm": 0.1, "axis": 2}), "drift off_mm 0.1, axis 2"),
+    ("", events.OtherEvent("drift seen", {}), "drift seen"),
+    (
+        "",
+        curve_measured(FOUND),
         "curve of A2: 31.6 urad at 40.0, 20.0 urad at 203.5; lag 12.3 ms",
     ),
-    ("end", "", {"state": "finished", "exit": 0, "result": {}}, "finished, exit 0"),
+    ("", Ended(state="finished", exit=0), "finished, exit 0"),
 ]
 
 
-@pytest.mark.parametrize(("kind", "key", "body", "wanted"), TOLD)
-def test_each_kind_has_its_words(kind: Kind, key: str, body: dict[str, Any], wanted: str) -> None:
-    assert record_words(Record(1, T, kind, key, body)) == wanted
+@pytest.mark.parametrize(("key", "fact", "wanted"), SAID)
+def test_each_kind_has_its_words(key: str, fact: Fact, wanted: str) -> None:
+    assert record_words(key, fact) == wanted
 
 
-def test_no_kind_is_left_out() -> None:
-    assert {kind for kind, *_ in TOLD} == set(get_args(Kind))
-
-
-@pytest.mark.parametrize("kind", get_args(Kind))
-@given(body=st.dictionaries(st.text(), st.none() | st.floats() | st.text() | st.lists(st.text())))
-def test_any_record_becomes_one_line(kind: Kind, body: dict[str, Any]) -> None:
-    row = record_row(Record(1, T, kind, "key", body))
-    assert len(row.cells) == len(log_columns(T))
+def test_every_record_of_a_run_becomes_one_line() -> None:
+    for run in sample_runs().values():
+        for record in run.records:
+            row = record_row(record)
+            assert len(row.cells) == len(log_columns(T))
+            assert row.cells[-1]
+            assert "\n" not in row.cells[-1]
 
 
 def test_a_row_tells_number_time_and_kind() -> None:
-    row = record_row(Record(17, T, "state", "", {"machine": "run", "to": "faulted"}))
+    row = record_row(
+        Record(17, T, "state", "", {"machine": "run", "to": "faulted", "reason": "a\nb"})
+    )
+    assert row.cells[3] == "run is faulted: a b"
     assert row.cells[:3] == ("17", "08:00:01.250", "state")
     assert row.tone == "fault"
 
@@ -122,7 +147,7 @@ def test_the_history_always_has_date_procedure_verdict_and_operator(width: int) 
 
 
 def test_a_comparison_tells_stations_apart_in_80_columns() -> None:
-    rows = [change_row(each) for each in COMPARISON["changes"]]
+    rows = [change_row(each) for each in typed(COMPARISON, Compared).changes]
     widths = [column.width for column in COMPARED]
     shown = [tuple(c[:w] for c, w in zip(row.cells[:2], widths, strict=False)) for row in rows]
     assert len(set(shown)) == len(rows)

@@ -19,6 +19,7 @@ from hilcell.tui.engine.run_view import EngineState
 from hilcell.tui.screens import start
 from hilcell.tui.screens.run import RunScreen
 from hilcell.tui.screens.start import PlanSummary
+from hilcell.typed import typed
 from tests.hilcell.tui.all_screens import COMPARISON, PLAN, SHOWN, isolated, screens_of
 from tests.hilcell.tui.recording_app import (
     SIZE,
@@ -61,9 +62,8 @@ def poisoned_outside(
             return msgspec.json.encode(_poison(SHOWN, text)).decode() + f"\n{text}\n"
         return f"line\n{text}\n"
 
-    async def dry_run(order: process.RunRequest) -> dict[str, Any]:
-        found: dict[str, Any] = _poison(PLAN, text)
-        return found
+    async def dry_run(order: process.RunRequest) -> process.DryRun:
+        return typed(_poison(msgspec.to_builtins(PLAN), text), process.DryRun)
 
     monkeypatch.setattr(process, "run_command", run_command)
     monkeypatch.setattr(process, "dry_run", dry_run)
