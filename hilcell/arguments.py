@@ -11,10 +11,17 @@ import argparse
 import math
 import re
 import unicodedata
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, NamedTuple, Self, dataclass_transform
+from typing import (
+    Annotated,
+    NamedTuple,
+    Self,
+    dataclass_transform,
+    get_args,
+    get_type_hints,
+)
 
 from hilcell.clean import clean
 
@@ -43,6 +50,32 @@ class Signature:
         """Return it with other values."""
         return type(self)(**(vars(self) | changes))
 
+    @property
+    def values(self) -> dict[str, object]:
+        """Return the values by name, with those of signatures that are fields."""
+        found: dict[str, object] = {}
+        for name, value in vars(self).items():
+            found |= value.values if isinstance(value, Signature) else {name: value}
+        return found
+
+    def words(self) -> list[str]:
+        """Return the command line that is read as this, without the command's name."""
+        values, words, options = self.values, list[str](), list[str]()
+        for field in fields_of(type(self)):
+            value = values[field.name]
+            if value == field.default:
+                continue
+            if field.is_word:
+                words.append(written(value))
+            elif value is True:
+                options.append(field.names[0])
+            elif isinstance(field.argument, Switches):
+                options.append(f"--{value}")
+            else:
+                given = value if isinstance(value, tuple) else (value,)
+                options += [f"{field.names[0]}={written(each)}" for each in given]
+        return [*words, *options]
+
 
 class Argument(NamedTuple):
     """An option, or a ``word`` of the command line, read by ``read``.
@@ -65,6 +98,50 @@ class Switches(NamedTuple):
     help: dict[str, str]
 
 
+MISSING = object()  # a default that there is not
+
+
+class Field(NamedTuple):
+    """A field of a signature: how it is given, its type, and its default, `MISSING` for none."""
+
+    name: str
+    kind: object
+    argument: Argument | Switches
+    default: object
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of an option, or of the switches of a choice."""
+        if isinstance(self.argument, Switches):
+            return tuple(f"--{word}" for word in self.argument.help)
+        return self.argument.names or (f"--{self.name.replace('_', '-')}",)
+
+    @property
+    def is_word(self) -> bool:
+        """Whether it is given by its place, without a name."""
+        return isinstance(self.argument, Argument) and self.argument.word
+
+    @property
+    def needed(self) -> bool:
+        """Whether it must be given."""
+        return getattr(self.argument, "required", True) and self.default is MISSING
+
+
+def fields_of(takes: type[Signature]) -> Iterator[Field]:
+    """Yield the fields of a signature, and of the signatures that are its fields."""
+    for name, hint in get_type_hints(takes, include_extras=True).items():
+        if is_signature(hint):
+            yield from fields_of(hint)
+        else:
+            kind, argument = get_args(hint)
+            yield Field(name, kind, argument, getattr(takes, name, MISSING))
+
+
+def is_signature(hint: object) -> bool:
+    """Whether a field is itself a signature."""
+    return isinstance(hint, type) and issubclass(hint, Signature)
+
+
 LEAST_SPEED, MOST_SPEED = 1.0, 1e6
 MOST_SEED = 2**63 - 1
 MOST_PORT = 65535
@@ -77,6 +154,13 @@ SIMULATED = ("rail", "robot", "tracker", "control")
 # For the help: headers of `hilcell.compensation.targets` and `hilcell.programs.holes`.
 TARGETS = "name,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg"
 HOLES = f"holes in {{W}}, header name,x_mm,y_mm,z_mm,nx,ny,nz; or targets, header {TARGETS}"
+
+
+def written(value: object) -> str:
+    """Return a value as its reader takes it."""
+    if isinstance(value, tuple):
+        return "=".join(map(str, value))
+    return "max" if value == math.inf else str(value)
 
 
 def _number(text: str) -> float:

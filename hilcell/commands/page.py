@@ -9,7 +9,7 @@ from typing import Literal, get_args, get_origin
 
 from hilcell.arguments import Argument, Signature, Switches
 from hilcell.commands.cli import AFTER, EXITS, GROUPS, PLANT, SAFETY, Commands
-from hilcell.commands.parser import MISSING, Field, fields_of
+from hilcell.arguments import MISSING, Field, fields_of
 
 HEAD = """# The command line
 

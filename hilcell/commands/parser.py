@@ -5,11 +5,10 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import (
     Any,
     Literal,
-    NamedTuple,
     NoReturn,
     TypeVar,
     get_args,
@@ -17,13 +16,12 @@ from typing import (
     get_type_hints,
 )
 
-from hilcell.arguments import Argument, Signature, Switches
+from hilcell.arguments import MISSING, Field, Signature, Switches, fields_of, is_signature
 from hilcell.commands.output import print_message, stdout_checked
 
 HELP = ("-h", "--help")  # no word is mistyped for it: each command has it
 PASSWORD = re.compile(r"(://[^:/@\s]*:)\S*@")  # of a URL that stands where none is wanted
 REFUSED = 2  # of `hilcell.run.exits`, which is heavy to import
-MISSING = object()
 Taken = TypeVar("Taken", bound=Signature)
 
 
@@ -127,42 +125,6 @@ class Parser(argparse.ArgumentParser):
             sys.stdout.flush()
 
 
-class Field(NamedTuple):
-    """A field of a signature: how it is given, its type, and its default, `MISSING` for none."""
-
-    name: str
-    kind: object
-    argument: Argument | Switches
-    default: object
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Return the names of an option, or of the switches of a choice."""
-        if isinstance(self.argument, Switches):
-            return tuple(f"--{word}" for word in self.argument.help)
-        return self.argument.names or (f"--{self.name.replace('_', '-')}",)
-
-    @property
-    def is_word(self) -> bool:
-        """Whether it is given by its place, without a name."""
-        return isinstance(self.argument, Argument) and self.argument.word
-
-    @property
-    def needed(self) -> bool:
-        """Whether it must be given."""
-        return getattr(self.argument, "required", True) and self.default is MISSING
-
-
-def fields_of(takes: type[Signature]) -> Iterator[Field]:
-    """Yield the fields of a signature, and of the signatures that are its fields."""
-    for name, hint in get_type_hints(takes, include_extras=True).items():
-        if _is_signature(hint):
-            yield from fields_of(hint)
-        else:
-            kind, argument = get_args(hint)
-            yield Field(name, kind, argument, getattr(takes, name, MISSING))
-
-
 def _add_field(parser: Parser, field: Field) -> None:
     name, kind, argument, default = field
     if isinstance(argument, Switches):
@@ -191,13 +153,9 @@ def made(takes: type[Taken], values: Mapping[str, object]) -> Taken:
     """Return what a command takes, of the values that its parser has read."""
     found: dict[str, object] = {}
     for name, hint in get_type_hints(takes).items():
-        value = made(hint, values) if _is_signature(hint) else values[name]
+        value = made(hint, values) if is_signature(hint) else values[name]
         found[name] = tuple(value) if isinstance(value, list) else value
     return takes(**found)
-
-
-def _is_signature(hint: object) -> bool:
-    return isinstance(hint, type) and issubclass(hint, Signature)
 
 
 def _nearest(word: str, known: Iterable[str]) -> str:

@@ -8,11 +8,10 @@ from typing import Annotated, Literal
 
 import pytest
 
-from hilcell.arguments import Argument, Signature, Switches, seed_of
+from hilcell.arguments import Argument, Signature, Switches, fields_of, seed_of
 from hilcell.commands import page as module
 from hilcell.commands.cli import EXITS, GROUPS, PLANT
 from hilcell.commands.page import page
-from hilcell.commands.parser import fields_of
 from hilcell.run import exits
 
 ROOT = Path(__file__).parents[3]
