@@ -20,8 +20,7 @@ from hilcell.ports import Array
 PORT = 50_000
 HALT, STATUS, LASER, LASER_ON = "!HALT", "?STAT", "?LSTA", "!LST:1"
 READY = ("Instrument is connected", "READY")
-BUSY, POINT_FAILED, GROUP_FAILED, HALTED = 201, 305, 340, 330
-MM_PER_INCH, MM_PER_M = 25.4, 1000.0
+BUSY = 201
 FARTHEST = 1e9  # beyond the reach of any tracker, in whichever unit
 LONGEST_WORDS = 120
 # Codes of the vendor's list that a measurement, or a question of one, may bring.
@@ -29,23 +28,17 @@ CODES = {
     200: ("HC-T23", "command rejected"),
     BUSY: ("HC-T21", "busy"),
     301: ("HC-T70", "laser not switched"),
-    POINT_FAILED: ("HC-T11", "measurement of the point failed"),
+    305: ("HC-T11", "measurement of the point failed"),
     306: ("HC-T72", "no such group or point"),
     323: ("HC-T70", "instrument interface not started"),
-    HALTED: ("HC-T13", "halted"),
+    330: ("HC-T13", "halted"),
     338: ("HC-T70", "instrument not ready"),
-    GROUP_FAILED: ("HC-T11", "measurement of the group failed"),
+    340: ("HC-T11", "measurement of the group failed"),
     341: ("HC-T70", "not connected to SpatialAnalyzer"),
     346: ("HC-T72", "no such object in the job"),
     347: ("HC-T70", "no such instrument in the job"),
 }
 UNKNOWN = ("HC-T24", "not known")
-_REPLY = re.compile(r"(ACK|ERR)-(\d{3}):?(?:\s+(.*))?")
-_AXES = re.compile(r"\bresult:?\s+X:([^;]*);\s*Y:([^;]*);\s*Z:([^;]*)(?:;|$)")
-_COMMAS = re.compile(r"\bresult:?\s+([^,;\s]+),([^,;\s]+),([^,;\s]+)(?:\s|$)")
-_NUMBER = re.compile(r"[-+]?\d{1,9}(?:\.\d{0,30})?(?:[eE][-+]?\d{1,3})?")
-_RESULT = re.compile(r"\bresult\b")
-_LASER = re.compile(r"\b(?:LON|LOFF|LNC|WARM)\b")
 
 
 class T2saError(Exception):
@@ -63,7 +56,7 @@ class Reply:
     @property
     def is_result(self) -> bool:
         """Whether it answers a measurement, or a question for a position."""
-        return self.accepted and _RESULT.search(self.text) is not None
+        return self.accepted and re.search(r"\bresult\b", self.text) is not None
 
     @property
     def is_ready(self) -> bool:
@@ -73,7 +66,7 @@ class Reply:
     @property
     def is_laser(self) -> bool:
         """Whether it states the laser."""
-        return self.accepted and _LASER.search(self.text) is not None
+        return self.accepted and re.search(r"\b(?:LON|LOFF|LNC|WARM)\b", self.text) is not None
 
     @property
     def found(self) -> str:
@@ -84,7 +77,7 @@ class Reply:
 
 def parse(line: str) -> Reply:
     """Return a reply; raises `T2saError`."""
-    found = _REPLY.fullmatch(line.strip())
+    found = re.fullmatch(r"(ACK|ERR)-(\d{3}):?(?:\s+(.*))?", line.strip())
     if found is None:
         raise T2saError(f"no reply of T2SA: {clean(line[:LONGEST_WORDS])!r}")
     return Reply(found[1] == "ACK", int(found[2]), clean(found[3] or ""))
@@ -95,7 +88,9 @@ def position_of(reply: Reply, point: str) -> Array:
 
     Raises `T2saError` where it has none, or is of another point.
     """
-    found = _AXES.search(reply.text) or _COMMAS.search(reply.text)
+    axes = r"\bresult:?\s+X:([^;]*);\s*Y:([^;]*);\s*Z:([^;]*)(?:;|$)"
+    commas = r"\bresult:?\s+([^,;\s]+),([^,;\s]+),([^,;\s]+)(?:\s|$)"
+    found = re.search(axes, reply.text) or re.search(commas, reply.text)
     if found is None:
         raise T2saError(f"no position x,y,z with decimal points: {reply.text[:LONGEST_WORDS]!r}")
     if point not in re.split(r"[\s;]+", reply.text[: found.start()]):
@@ -104,7 +99,8 @@ def position_of(reply: Reply, point: str) -> Array:
 
 
 def _number(text: str) -> float:
-    value = float(text) if _NUMBER.fullmatch(text) else math.nan
+    form = r"[-+]?\d{1,9}(?:\.\d{0,30})?(?:[eE][-+]?\d{1,3})?"
+    value = float(text) if re.fullmatch(form, text) else math.nan
     return value if abs(value) < FARTHEST else math.nan
 
 
@@ -114,8 +110,8 @@ def other_form(xyz_mm: Array, named_mm: Array, near_mm: Array, limit_mm: float) 
     ``named_mm`` (3,) is the named point through which it was measured, ``near_mm`` the place.
     """
     forms = {
-        "in inches": MM_PER_INCH * xyz_mm,
-        "in metres": MM_PER_M * xyz_mm,
+        "in inches": 25.4 * xyz_mm,
+        "in metres": 1000.0 * xyz_mm,
         "as a deviation from the named point": named_mm + xyz_mm,
     }
     for form, at_mm in forms.items():

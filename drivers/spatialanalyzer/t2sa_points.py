@@ -35,12 +35,8 @@ MARGIN = 0.9  # of the pitch: the tracker's pose in the cell file is good to som
 MOST_POINTS = 200_000
 LEAST_RANGE_MM = 1.0
 AROUND = 64  # points, among which one is chosen
-POSES = 20_000  # random ones, whose farthest tool point is the arm's reach
 STEP_MM = 200.0  # along a direction, when places are looked for
-STEEPEST_RAD = math.radians(80.0)
 COLUMNS = ["name", "x", "y", "z"]
-SIZE = 3
-NAME = re.compile(r"[A-Za-z0-9_.-]{1,40}")
 
 
 class NamedPoints:
@@ -101,9 +97,9 @@ def read_points(path: Path) -> NamedPoints:
             place = [float(each) for each in row[1:]]
         except ValueError:
             place = []
-        if len(place) != SIZE or not LEAST_RANGE_MM <= math.hypot(*place) < math.inf:
+        if len(place) != 3 or not LEAST_RANGE_MM <= math.hypot(*place) < math.inf:
             problem = f"{','.join(row)!r:.80}, wanted {','.join(COLUMNS)} with three numbers"
-        elif not NAME.fullmatch(name):
+        elif not re.fullmatch(r"[A-Za-z0-9_.-]{1,40}", name):
             problem = f"name {name!r:.60}: letters, digits, _ . - are allowed, at most 40"
         elif name in found:
             problem = f"point {name} is there twice"
@@ -150,33 +146,31 @@ class _Volume:
         self._nests_mm = np.array([nest.xyz_mm for nest in layout.standing])
         self._lowest_mm = self._nests_mm[:, 2].min() - wider_mm
         self._near_mm = wider_mm + STEP_MM
-        self._reach_mm = _reach_mm(cell) + wider_mm
-        self._travel_mm = [
-            layout.nominal_base(at_mm)[:3, 3] for at_mm in (rail.travel_min_mm, rail.travel_max_mm)
-        ]
+        low_rad, high_rad = np.radians([[j.min_deg, j.max_deg] for j in cell.robot.joint]).T
+        joints_rad = np.random.default_rng(1).uniform(low_rad, high_rad, (20_000, 6))
+        tools_mm = forward(cell.robot.arm(), joints_rad)[:, :3, 3]  # in {B}, near all it reaches
+        self._reach_mm = float(np.linalg.norm(tools_mm, axis=1).max()) + wider_mm
+        self._begin_mm = layout.nominal_base(rail.travel_min_mm)[:3, 3]
+        self._way_mm = layout.nominal_base(rail.travel_max_mm)[:3, 3] - self._begin_mm
 
     def of(self, at_mm: Array) -> NDArray[np.bool_]:
         """Return which places (N, 3), tracker's frame, are in it."""
         world_mm = apply(self._to_world, at_mm)
         above = world_mm[:, 2] >= self._lowest_mm
-        found: NDArray[np.bool_] = above & (
-            _from_line_mm(world_mm, *self._travel_mm) <= self._reach_mm
-        )
+        length_2 = float(self._way_mm @ self._way_mm)
+        along = (world_mm - self._begin_mm) @ self._way_mm
+        share = np.clip(along / length_2, 0.0, 1.0) if length_2 else 0.0
+        bases_mm = self._begin_mm + np.multiply.outer(share, self._way_mm)  # the nearest ones
+        from_base_mm = np.linalg.norm(world_mm - bases_mm, axis=-1)
+        found: NDArray[np.bool_] = above & (from_base_mm <= self._reach_mm)
         for nest_mm in self._nests_mm:
             found |= np.linalg.norm(world_mm - nest_mm, axis=1) <= self._near_mm
         return found
 
 
-def _reach_mm(cell: Cell) -> float:
-    """Return how far from {B}'s origin the arm carries its reflector, nearly."""
-    low_rad, high_rad = np.radians([[j.min_deg, j.max_deg] for j in cell.robot.joint]).T
-    joints_rad = np.random.default_rng(1).uniform(low_rad, high_rad, (POSES, 6))
-    return float(np.linalg.norm(forward(cell.robot.arm(), joints_rad)[:, :3, 3], axis=1).max())
-
-
 def _directions(pitch_rad: float) -> Array:
     """Return unit vectors (N, 3) in rows of one elevation, all about ``pitch_rad`` apart."""
-    rows = math.ceil(STEEPEST_RAD / pitch_rad)
+    rows = math.ceil(math.radians(80.0) / pitch_rad)
     found: list[Array] = []
     for elevation in pitch_rad * np.arange(-rows, rows + 1):
         across = max(math.cos(elevation), pitch_rad)
@@ -184,16 +178,6 @@ def _directions(pitch_rad: float) -> Array:
         up = np.full(len(turns), math.sin(elevation))
         found.append(np.column_stack([across * np.cos(turns), across * np.sin(turns), up]))
     return np.vstack(found)
-
-
-def _from_line_mm(at_mm: Array, begin_mm: Array, end_mm: Array) -> Array:
-    """Return how far places (N, 3) are from the line between two points (3,)."""
-    way_mm = end_mm - begin_mm
-    length_2 = float(way_mm @ way_mm)
-    share = np.clip((at_mm - begin_mm) @ way_mm / length_2, 0.0, 1.0) if length_2 else 0.0
-    feet_mm = begin_mm + np.multiply.outer(share, way_mm)
-    far_mm: Array = np.linalg.norm(at_mm - feet_mm, axis=-1)
-    return far_mm
 
 
 def main(words: Sequence[str] | None = None) -> int:
