@@ -69,7 +69,7 @@ def documents(data: bytes) -> None:
     channel._device, channel._root, channel._link = "Robot", eki.STATE, cast("Any", Wire(data))
     channel._lock, channel._received, channel._dead = threading.Lock(), b"", ""
     for number in (ASKED, ASKED - 1):
-        state = channel.ask(number, eki.command(number, eki.ASK))
+        state = channel.ask(number, eki.command(number, eki.Kind.ASK))
         for name in eki.SINGLE:
             with suppress(eki.EkiError, ValueError):
                 state.single(name)

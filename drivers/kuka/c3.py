@@ -19,8 +19,6 @@ from drivers.supervision import Patience
 from drivers.wires.tcp import Alarms, TcpLink
 from hilcell.ports import DeviceError
 
-READ, WRITE = 0, 1
-MAX_NAME = 250
 MAX_BODY = 4096
 REPLY_S = 2.0
 ALARMS = Alarms(unreachable="HC-B01", lost="HC-B02")
@@ -44,18 +42,18 @@ class Reply:
 
 def encode_read(tag: int, name: str) -> bytes:
     """Return the request to read ``name``."""
-    return _request(tag, READ, name, b"")
+    return _request(tag, 0, name, b"")
 
 
 def encode_write(tag: int, name: str, value: str) -> bytes:
     """Return the request to write ``value`` into ``name``."""
     text = value.encode("latin-1")
-    return _request(tag, WRITE, name, struct.pack(">H", len(text)) + text)
+    return _request(tag, 1, name, struct.pack(">H", len(text)) + text)
 
 
 def _request(tag: int, kind: int, name: str, rest: bytes) -> bytes:
     text = name.encode("ascii")
-    if not 0 < len(text) <= MAX_NAME or len(rest) > MAX_BODY:
+    if not 0 < len(text) <= 250 or len(rest) > MAX_BODY:
         raise C3Error(f"{name[:40]!r} or its value is too long for one request")
     body = struct.pack(">BH", kind, len(text)) + text + rest
     return _HEADER.pack(tag, len(body)) + body
@@ -67,12 +65,6 @@ def decode_header(header: bytes) -> tuple[int, int]:
     if not 6 <= length <= MAX_BODY:
         raise C3Error(f"a reply of {length} bytes is announced, 6 to {MAX_BODY} are possible")
     return tag, length
-
-
-def check_tag(found: int, wanted: int) -> None:
-    """Refuse the reply to another request."""
-    if found != wanted:
-        raise C3Error(f"a reply with tag {found} came, {wanted} was asked")
 
 
 def decode_body(tag: int, body: bytes) -> Reply:
@@ -161,7 +153,8 @@ class C3Connection:
         try:
             self._await(_HEADER.size, operation, patience)
             found, length = decode_header(self._received[: _HEADER.size])
-            check_tag(found, tag)
+            if found != tag:
+                raise C3Error(f"a reply with tag {found} came, {tag} was asked")
             end = _HEADER.size + length
             self._await(end, operation, patience)
             body, self._received = self._received[_HEADER.size : end], self._received[end:]

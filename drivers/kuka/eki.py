@@ -17,20 +17,14 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from xml.parsers import expat
 
 from drivers.kuka import krl
+from drivers.kuka.health import AXES, SLIDE
 
 STATE, STOPPED = "RobotState", "RobotStopState"  # roots
-# Types of a command.
-ASK, MOVE, BRAKE, RELEASE, LOWER, GIVE_BACK, HOLD_SLIDE, FREE_SLIDE, MOVE_SLIDE = range(9)
 LONGEST = 8192  # bytes of a document; a state has about 1000
-DEEPEST = 2
-AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
-E1 = "E1"
-_PROLOG = re.compile(rb"<\?xml\s[^<>]{0,100}\?>\s*")
-_DECLARATION = re.compile(rb"<[!?]")
-_NUMBER = re.compile(r"-?\d{1,10}", re.ASCII)
 
 # Variable of the controller: element and attribute.
 SINGLE = {
@@ -68,6 +62,20 @@ STRUCTURES = {
 }
 
 
+class Kind(IntEnum):
+    """Types of a command."""
+
+    ASK = 0
+    MOVE = 1
+    BRAKE = 2
+    RELEASE = 3
+    LOWER = 4
+    GIVE_BACK = 5
+    HOLD_SLIDE = 6
+    FREE_SLIDE = 7
+    MOVE_SLIDE = 8
+
+
 class EkiError(ValueError):
     """Bytes that are no document of the controller's program."""
 
@@ -99,7 +107,7 @@ class State:
 
 def command(
     number: int,
-    kind: int,
+    kind: Kind,
     *,
     axes: Sequence[float] = (0.0,) * 6,
     e1: float = 0.0,
@@ -107,7 +115,7 @@ def command(
     life_ms: int = 0,
 ) -> bytes:
     """Return a command; ``axes`` (6,) in deg, ``e1`` in mm or deg."""
-    places = dict(zip((*AXES, E1), (*axes, e1), strict=True))
+    places = dict(zip((*AXES, SLIDE), (*axes, e1), strict=True))
     for name, value in places.items():
         if not math.isfinite(value):
             raise EkiError(f"{name} {value} is not finite")
@@ -136,9 +144,9 @@ def split(received: bytes, root: str) -> tuple[list[bytes], bytes]:
 
 def parse(document: bytes, root: str) -> tuple[int, State]:
     """Return the Id and the contents of an answer; raises `EkiError`."""
-    if prolog := _PROLOG.match(document):
+    if prolog := re.match(rb"<\?xml\s[^<>]{0,100}\?>\s*", document):
         document = document[prolog.end() :]
-    if not document.isascii() or _DECLARATION.search(document):
+    if not document.isascii() or re.search(rb"<[!?]", document):
         raise EkiError(f"a declaration, or bytes that are no ASCII: {document[:60]!r}")
     elements: dict[str, dict[str, str]] = {}
     path: list[str] = []
@@ -146,7 +154,7 @@ def parse(document: bytes, root: str) -> tuple[int, State]:
     def begin(tag: str, attributes: dict[str, str]) -> None:
         tag = tag.casefold()
         path.append(tag)
-        if len(path) > DEEPEST or path[0] != root.casefold() or tag in elements:
+        if len(path) > 2 or path[0] != root.casefold() or tag in elements:
             raise EkiError(f"{'/'.join(path)[:80]} is out of place")
         elements[tag] = {name.casefold(): value for name, value in attributes.items()}
         if len(elements[tag]) != len(attributes):
@@ -161,6 +169,6 @@ def parse(document: bytes, root: str) -> tuple[int, State]:
         raise EkiError(f"no XML: {error}: {document[:60]!r}") from error
     state = State(elements)
     number = state.text("Command", "Id")
-    if not _NUMBER.fullmatch(number):
+    if not re.fullmatch(r"-?[0-9]{1,10}", number):
         raise EkiError(f"Command/@Id {number[:20]!r} is no whole number")
     return int(number), state

@@ -18,14 +18,9 @@ _PADDING = "\0 \t\r\n"
 _NAME = r"[#$]?[A-Za-z_$][\w$]*(?:\[[\d,\s]*\])?"
 _NUMBER = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
 _TEXT = r'"[^"]*"'
-_SINGLE = re.compile(
-    rf"(?P<whole>[+-]?\d+)|(?P<real>{_NUMBER})|(?P<text>{_TEXT})|(?P<name>{_NAME})", re.ASCII
-)
 _COMPONENT = re.compile(rf"({_NAME})\s+(?:({_NUMBER})|{_TEXT}|{_NAME})", re.ASCII)
 _ANY = rf"{_NAME}\s+(?:{_NUMBER}|{_TEXT}|{_NAME})"
 _STRUCTURE = re.compile(rf"\{{\s*(?:{_NAME}\s*:)?\s*({_ANY}(?:\s*,\s*{_ANY})*)\s*\}}", re.ASCII)
-
-
 LARGEST = 1e6  # mm or deg: beyond any rail, and any turn that an axis counts
 
 
@@ -35,7 +30,8 @@ class KrlError(ValueError):
 
 def parse(text: str) -> Value:
     """Return a single value: a number or bool, ``#ENUM`` and strings as str."""
-    match = _SINGLE.fullmatch(text.strip(_PADDING))
+    form = rf"(?P<whole>[+-]?\d+)|(?P<real>{_NUMBER})|(?P<text>{_TEXT})|(?P<name>{_NAME})"
+    match = re.fullmatch(form, text.strip(_PADDING), re.ASCII)
     if match is None:
         raise KrlError(f"{text[:80]!r} is no single KRL value")
     part = match[0]

@@ -17,8 +17,7 @@ from drivers.kuka.controller import (
     unreadable,
 )
 from drivers.kuka.external import SlidingKukaRobot
-from drivers.kuka.health import AXES, SLIDE
-from drivers.kuka.life import LifeSign
+from drivers.kuka.health import AXES, SLIDE, LifeSign
 from drivers.kuka.robot import KukaOptions
 from drivers.on_failure import on_failure
 from drivers.supervision import go_on
@@ -26,10 +25,6 @@ from drivers.wires.keep_alive import KeepAlive
 from hilcell.clean import clean
 from hilcell.ports import Array, Clock
 from hilcell.wire.channel import Port
-
-PTP_JOINTS, PTP_SLIDE = 1, 2
-MEASURED = "$AXIS_ACT_MEAS"
-SLIDES, MASTERED, PLACE, HELD = "$EX_AX_NUM", "$AXIS_JUS[7]", "$AXIS_ACT.E1", "HC_HELD"
 
 
 class C3Access:
@@ -116,12 +111,12 @@ class C3Controller(C3Access):
             # The stop must get through while the run is already stopping.
             self._stop_line = self._open(go_on)
         self._keeper = KeepAlive((self._line, self._stop_line), lambda line: line.read("$MODE_OP"))
-        self._life = LifeSign()
+        self._life = LifeSign(self._line.write)
 
     @cached_property
     def measured(self) -> str:
         """Return the variable of measured joints, where the controller has it."""
-        return MEASURED if self._line.knows(MEASURED) else PROGRESS
+        return "$AXIS_ACT_MEAS" if self._line.knows("$AXIS_ACT_MEAS") else PROGRESS
 
     def text(self, name: str) -> str:
         """Return a CHAR array; some servers leave the quotes out, or pad it."""
@@ -130,43 +125,43 @@ class C3Controller(C3Access):
     def start(self, number: int, target_deg: Array, speed_percent: int) -> None:
         """Write the target, and the number last."""
         axes = dict(zip((*AXES, SLIDE), target_deg.tolist(), strict=False))
-        self._start(number, axes, PTP_JOINTS, speed_percent)
+        self._start(number, axes, 1, speed_percent)
 
     def start_slide(self, number: int, place_mm: float, speed_percent: int) -> None:
         """Write the target of E1, and the number last; the program looks at no other axis of it."""
         joints_deg = self.numbers(PROGRESS, AXES)
         axes = dict(zip((*AXES, SLIDE), [*joints_deg, place_mm], strict=True))
-        self._start(number, axes, PTP_SLIDE, speed_percent)
+        self._start(number, axes, 2, speed_percent)
 
     def has_slide(self) -> bool:
         """Whether the controller counts an external axis."""
-        return self._line.knows(SLIDES) and integer(self, SLIDES) > 0
+        return self._line.knows("$EX_AX_NUM") and integer(self, "$EX_AX_NUM") > 0
 
     def mastered(self) -> bool:
         """Whether E1 is mastered."""
-        return not self._line.knows(MASTERED) or self.value(MASTERED) is True
+        return not self._line.knows("$AXIS_JUS[7]") or self.value("$AXIS_JUS[7]") is True
 
     def hold_slide(self, held: bool) -> None:
         """Write whether E1 may move."""
-        self._line.write(HELD, "TRUE" if held else "FALSE")
+        self._line.write("HC_HELD", "TRUE" if held else "FALSE")
 
     def slide(self) -> tuple[float, bool]:
         """Read the place of E1, which is less to send than all axes, and whether it is held."""
-        place_mm = self.value(PLACE)
+        place_mm = self.value("$AXIS_ACT.E1")
         if isinstance(place_mm, bool | str) or not abs(place_mm) <= krl.LARGEST:
-            raise unreadable(PLACE, f"{place_mm!r} is no place")
-        return float(place_mm), self.value(HELD) is True
+            raise unreadable("$AXIS_ACT.E1", f"{place_mm!r} is no place")
+        return float(place_mm), self.value("HC_HELD") is True
 
     def _start(self, number: int, axes: dict[str, float], command: int, speed_percent: int) -> None:
         self._line.write("HC_TGT", krl.structure("E6AXIS", axes))
         self._line.write("HC_VEL", str(speed_percent))
         self._line.write("HC_CMD", str(command))
-        self._life.begin(self._line.write)
+        self._life.begin()
         self._line.write("HC_SEQ", str(number))
 
     def sign(self) -> None:
         """Set the timer back."""
-        self._life.give(self._line)
+        self._life.give()
 
     @contextmanager
     def undisturbed(self) -> Iterator[C3Access]:

@@ -25,8 +25,7 @@ from drivers.kuka.controller import (
     unreadable,
 )
 from drivers.kuka.external import SlidingKukaRobot
-from drivers.kuka.health import HEALTH
-from drivers.kuka.life import LIFE_S
+from drivers.kuka.health import HEALTH, LIFE_S, SLIDE
 from drivers.kuka.robot import KukaOptions
 from drivers.on_failure import on_failure
 from drivers.supervision import Patience, go_on
@@ -147,7 +146,6 @@ def open_channel(
             time.sleep(POLL_S)
 
 
-DOCUMENTS_VERSION = 1
 LARGEST_ID = 1_000_000_000
 LIFE_MS = round(1000 * LIFE_S)
 
@@ -161,13 +159,13 @@ class EkiController:
 
     def __init__(self, options: KukaEkiRobot.Options, robot: SlidingKukaRobot) -> None:
         self.address = f"{options.host}:{options.port}"
-        self.versions = {"HC_VER": PROGRAM_VERSION, "HE_VER": DOCUMENTS_VERSION}
+        self.versions = {"HC_VER": PROGRAM_VERSION, "HE_VER": 1}
         opened = partial(open_channel, DEVICE, options.host)
         # Answers to an earlier session must not pass for answers to this one.
         self._number = -1 - secrets.randbelow(LARGEST_ID)
         self._state: eki.State | None = None
         self._life_ms = 0
-        probe, stop_probe = eki.command(0, eki.ASK), eki.stop_command(0, brake=False)
+        probe, stop_probe = eki.command(0, eki.Kind.ASK), eki.stop_command(0, brake=False)
         self._line = opened(options.port, eki.STATE, robot.attend, probe)
         with on_failure(self._line.close):
             # The stop must get through while the run is already stopping.
@@ -204,11 +202,11 @@ class EkiController:
     def start(self, number: int, target_deg: Array, speed_percent: int) -> None:
         """Send a motion; the Id of its document is its number."""
         axes, e1 = target_deg[:6].tolist(), float(sum(target_deg[6:]))
-        self._start(number, eki.MOVE, speed_percent, axes=axes, e1=e1)
+        self._start(number, eki.Kind.MOVE, speed_percent, axes=axes, e1=e1)
 
     def start_slide(self, number: int, place_mm: float, speed_percent: int) -> None:
         """Send a motion of E1 alone."""
-        self._start(number, eki.MOVE_SLIDE, speed_percent, e1=place_mm)
+        self._start(number, eki.Kind.MOVE_SLIDE, speed_percent, e1=place_mm)
 
     def has_slide(self) -> bool:
         """Whether the controller counts an external axis."""
@@ -220,11 +218,11 @@ class EkiController:
 
     def hold_slide(self, held: bool) -> None:
         """Send whether E1 may move."""
-        self._send(eki.HOLD_SLIDE if held else eki.FREE_SLIDE)
+        self._send(eki.Kind.HOLD_SLIDE if held else eki.Kind.FREE_SLIDE)
 
     def slide(self) -> tuple[float, bool]:
         """Return where E1 is, and whether it is held, of one state."""
-        (place_mm,) = self.numbers(PROGRESS, (eki.E1,))
+        (place_mm,) = self.numbers(PROGRESS, (SLIDE,))
         return place_mm, self.value("HC_HELD") is True
 
     def sign(self) -> None:
@@ -235,21 +233,21 @@ class EkiController:
 
     def brake(self) -> None:
         """Send a stop over the channel of commands."""
-        self._send(eki.BRAKE)
+        self._send(eki.Kind.BRAKE)
 
     def release(self) -> None:
         """Send that the stop is over, where there is one."""
         if self.value("HC_STOP") is not False:
-            self._send(eki.RELEASE)
+            self._send(eki.Kind.RELEASE)
 
     def lower_override(self, found: int, wanted: int) -> None:
         """Have the controller keep the old value and set the new one."""
-        self._send(eki.LOWER, wanted)
+        self._send(eki.Kind.LOWER, wanted)
         override_held(integer(self, "$OV_PRO"), wanted)
 
     def give_back_override(self) -> None:
         """Have the controller set the old value, where nobody has changed the lowered one."""
-        self._send(eki.GIVE_BACK)
+        self._send(eki.Kind.GIVE_BACK)
 
     def lowered_override(self) -> bool:
         """Whether the controller keeps an old value."""
@@ -279,12 +277,12 @@ class EkiController:
             line.close()
 
     def _known(self) -> eki.State:
-        return self._state or self._send(eki.ASK)
+        return self._state or self._send(eki.Kind.ASK)
 
     def _start(
         self,
         number: int,
-        kind: int,
+        kind: eki.Kind,
         percent: int,
         *,
         axes: Sequence[float] = (0.0,) * 6,
@@ -293,7 +291,7 @@ class EkiController:
         motion = eki.command(number, kind, axes=axes, e1=e1, percent=percent, life_ms=LIFE_MS)
         self._state = self._line.ask(number, motion)
 
-    def _send(self, kind: int, percent: int = 1) -> eki.State:
+    def _send(self, kind: eki.Kind, percent: int = 1) -> eki.State:
         self._number = -1 - (-self._number) % LARGEST_ID
         life_ms, self._life_ms = self._life_ms, 0
         document = eki.command(self._number, kind, percent=percent, life_ms=life_ms)

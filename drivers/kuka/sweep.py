@@ -16,8 +16,7 @@ from typing import Protocol, Self
 import numpy as np
 
 from drivers.kuka.controller import DEVICE, PROGRESS, Access, Controller, integer
-from drivers.kuka.health import AXES, HEALTH, STOPPED
-from drivers.kuka.life import LOST
+from drivers.kuka.health import AXES, HEALTH, LOST, STOPPED
 from drivers.motion_limits import MotionLimits, planned_s
 from drivers.supervision import Patience
 from hilcell.ports import (

@@ -15,23 +15,23 @@ SHORT = b'<RobotState><Command Id="17" Finished_Id="5"/><Pos A1="1.5" A2="nan"/>
 
 def test_a_command_has_all_values() -> None:
     """A queue that gets no value would shift all later ones."""
-    document = eki.command(7, eki.MOVE, axes=(1.0, -90.0, 90.5, 0.0, 0.25, -6.0), percent=30)
+    document = eki.command(7, eki.Kind.MOVE, axes=(1.0, -90.0, 90.5, 0.0, 0.25, -6.0), percent=30)
     assert document == (
         b'<RobotCommand Id="7" Type="1" Percent="30" Life="0"><Pos A1="1.000000" A2="-90.000000" '
         b'A3="90.500000" A4="0.000000" A5="0.250000" A6="-6.000000" E1="0.000000"></Pos>'
         b"</RobotCommand>"
     )
     names = [part.split(b"=")[0] for part in document.split() if b"=" in part]
-    asked = eki.command(-3, eki.ASK)
+    asked = eki.command(-3, eki.Kind.ASK)
     assert names == [part.split(b"=")[0] for part in asked.split() if b"=" in part]
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_no_target_that_is_not_finite(bad: float) -> None:
     with pytest.raises(EkiError, match="A2"):
-        eki.command(7, eki.MOVE, axes=(0.0, bad, 0.0, 0.0, 0.0, 0.0))
+        eki.command(7, eki.Kind.MOVE, axes=(0.0, bad, 0.0, 0.0, 0.0, 0.0))
     with pytest.raises(EkiError, match="E1"):
-        eki.command(7, eki.MOVE, e1=bad)
+        eki.command(7, eki.Kind.MOVE, e1=bad)
 
 
 @given(st.lists(st.integers(1, 40)))

@@ -8,9 +8,7 @@ import pytest
 
 from drivers.kuka import eki
 from drivers.kuka.controller import PROGRAM_VERSION
-from drivers.kuka.health import FRAME
-from drivers.kuka.life import LIFE_S, TIMER
-from drivers.kuka.robot_eki import DOCUMENTS_VERSION
+from drivers.kuka.health import AXES, FRAME, LIFE_S, SLIDE, TIMER
 from tests.drivers.kuka_peer import VARIABLES
 
 
@@ -134,13 +132,13 @@ def tags(document: bytes) -> set[str]:
 
 def test_the_interface_is_configured_for_all_that_the_driver_sends() -> None:
     """A value without a queue, or a queue without a value, shifts what the program takes."""
-    assert TAKEN["HilcellEki"] == tags(eki.command(1, eki.MOVE))
+    assert TAKEN["HilcellEki"] == tags(eki.command(1, eki.Kind.MOVE))
     assert TAKEN["HilcellStop"] == tags(eki.stop_command(1, brake=True))
 
 
 def test_the_interface_is_configured_for_all_that_the_driver_reads() -> None:
     read = {f"RobotState/{element}/@{attribute}" for element, attribute in eki.SINGLE.values()}
-    places = [*eki.AXES, eki.E1, *FRAME]
+    places = [*AXES, SLIDE, *FRAME]
     read |= {"RobotState/Command/@Id"} | {f"RobotState/Pos/@{name}" for name in places}
     read |= {f"RobotState/{frame}/@{name}" for frame in ("Tool", "Base") for name in FRAME}
     assert read == SENT["HilcellEki"] - {"RobotState/Pos/@S", "RobotState/Pos/@T"}
@@ -155,7 +153,7 @@ def test_the_submit_program_takes_and_sets_each_value_once() -> None:
         assert {tag for channel, tag in taken if channel == name} == expected
     put = set(re.findall(r'"(Robot\w+/[^"]+)"', EKI_SOURCE)) - {tag for _, tag in taken}
     assert put == set().union(*SENT.values()) - set().union(*TAKEN.values())
-    assert f"HE_VER={DOCUMENTS_VERSION}\n" in EKI_DATA
+    assert "HE_VER=1\n" in EKI_DATA
 
 
 def test_the_submit_program_uses_what_is_declared() -> None:
@@ -168,7 +166,7 @@ def test_the_submit_program_uses_what_is_declared() -> None:
 def test_a_command_gives_its_time_before_it_acts() -> None:
     hear = EKI_SOURCE.split("DEF HE_HEAR ( )")[1].split("\nEND\n")[0]
     types = [int(number) for number in re.findall(r"CASE (\d)", hear)]
-    assert types == [*range(eki.MOVE, eki.MOVE_SLIDE + 1)]
+    assert types == [*range(eki.Kind.MOVE, eki.Kind.MOVE_SLIDE + 1)]
     assert hear.index("$TIMER[10] = -HE_MS") < hear.index("SWITCH")
 
 
@@ -181,7 +179,7 @@ def lines_of(routine: str) -> list[str]:
 def test_a_document_is_read_when_its_last_value_has_come() -> None:
     checked = dict(re.findall(r'EKI_CheckBuffer \("(\w+)", "([^"]+)"', EKI_SOURCE))
     documents = {
-        "HilcellEki": eki.command(1, eki.MOVE),
+        "HilcellEki": eki.command(1, eki.Kind.MOVE),
         "HilcellStop": eki.stop_command(1, brake=True),
     }
     for name, document in documents.items():

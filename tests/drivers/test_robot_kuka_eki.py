@@ -58,7 +58,7 @@ def test_identity(peer: EkiPeer, time: WireTime) -> None:
     assert (identity.model, identity.serial) == ("#KR210R2700_2 C4 FLR", "472911")
     assert identity.address == f"127.0.0.1:{peer.server.port}"
     assert identity.firmware == "hilcell.src 4"
-    assert {command["Type"] for command in peer.commands} == {str(eki.ASK)}
+    assert {command["Type"] for command in peer.commands} == {str(eki.Kind.ASK)}
 
 
 def test_a_move_is_one_document_that_only_its_finished_id_confirms(
@@ -69,8 +69,8 @@ def test_a_move_is_one_document_that_only_its_finished_id_confirms(
     np.testing.assert_allclose(reading.joints_rad, TARGET_RAD, atol=1e-8)
     assert reading.still
     look, motion, *others = peer.commands[began:]
-    assert look["Type"] == str(eki.ASK)
-    assert (motion["Id"], motion["Type"], motion["Percent"]) == ("8", str(eki.MOVE), "30")
+    assert look["Type"] == str(eki.Kind.ASK)
+    assert (motion["Id"], motion["Type"], motion["Percent"]) == ("8", str(eki.Kind.MOVE), "30")
     assert (motion["A3"], motion["Life"]) == ("95.500000", "1500")
     assert all(int(other["Id"]) < 0 for other in others)
     assert len(others) <= 6
