@@ -10,7 +10,7 @@ hangs cannot say so: a heartbeat asks here, too, and pauses.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from hilcell.ports import Clock, DeviceError
@@ -101,3 +101,13 @@ class Supervision:
                 act="give the engine a PC of its own, or end what keeps this one busy; resume",
                 fields={"gap_s": gap_s, "limit_s": self._late_s},
             )
+
+
+@contextmanager
+def on_failure(take_back: Callable[[], None]) -> Iterator[None]:
+    """Call ``take_back`` where the body raises, a stop included; the error goes on."""
+    try:
+        yield
+    except BaseException:  # also a stop or Ctrl-C: no wire and no motion is left behind
+        take_back()
+        raise

@@ -1,12 +1,194 @@
-"""The guards of one motion, and how they name what they have seen."""
+"""The bounds of one slide, and the guards of one motion: its speed and its scale.
+
+The unit of 606Ch and 6081h is a setting of the drive (CiA 402-2, 60A9h, or its maker's
+own). A drive in rpm or in 0.1 counts/s obeys a speed that nobody meant and reports it back as
+right. The positions (6064h) and the time are free of that unit.
+
+When a position was taken, nobody knows. By the cell's clock it was before the end of its look, and
+after the look before, or after that one's where a frame came twice. So every duration is an
+interval, and so is every speed: a PC that looks late widens it and proves nothing. One step that
+stands out from the others counts as the next one: homing sets a new reference, and a reference may
+be lost.
+"""
 
 from __future__ import annotations
 
-from drivers.canopen.limits import Limits
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
 from drivers.canopen.process_image import DEVICE, Snapshot
-from drivers.canopen.speed_guard import OVERSPEED, SpeedGuard
 from drivers.scale_guard import ScaleGuard
-from hilcell.ports import DeviceError
+from drivers.standstill import Windows
+from hilcell.ports import Array, DeviceError
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Bounds that a healthy slide never exceeds, in counts and seconds, and the scale to mm."""
+
+    counts_per_mm: float
+    strip_counts_per_mm: float
+    strip_at_sync: bool  # it is on the drive's bus
+    lowest: int
+    highest: int
+    speed: float
+    acceleration: float
+    homing_s: float  # planned, from the far end of the travel
+    window: int  # arrived, or progress
+    windows: Windows  # at rest
+
+    def mm(self, counts: float) -> str:
+        """Return a position, or a speed a second, in words."""
+        return f"{counts / self.counts_per_mm:.3f} mm"
+
+    def travel_s(self, distance: float) -> float:
+        """Return how long a motion over ``distance`` is planned to take, from rest to rest."""
+        peak = min(self.speed, math.sqrt(abs(distance) * self.acceleration))
+        return abs(distance) / peak + peak / self.acceleration if peak else 0.0
+
+    @property
+    def ramp_s(self) -> float:
+        """Return how long the slide takes from full speed to rest."""
+        return self.speed / self.acceleration
+
+
+LOOKS = 50  # one second of polls
+OVERSPEED = 1.2
+CONTRADICTION = 1.5  # filters, and speeds that change between two looks
+FASTER_LAG_S, SLOWER_LAG_S = 0.02, 0.06  # of the filters of 606Ch, up the ramp and down
+FAST_MM, SLOW_MM = 0.5, 2.0  # way from which on a slide counts as faster, or slower, than it says
+
+
+@dataclass(frozen=True, slots=True)
+class Proofs:
+    """Proofs of the last looks; each value (n - 2,), of the window from look i to the newest."""
+
+    gone: Array  # to where the slide is now, less a step that stands out
+    path: Array  # all steps
+    at_least_s: Array
+    at_most_s: Array
+    between_s: Array  # the longest time between two looks
+    slowest: Array  # by the drive; 0 where it has changed its direction
+    fastest: Array
+    seen_s: Array  # from look to look
+    said: Array  # the way by the drive's speeds
+
+
+def proofs(since_s: Array, until_s: Array, position: Array, speed: Array) -> Proofs:
+    """Return what looks prove, arrays (n,): each taken between ``since_s`` and ``until_s``.
+
+    ``speed`` is signed, as the drive says it; units are the caller's.
+    """
+    steps, size = np.diff(position), np.abs(speed)
+    forward = speed * np.sign(speed[-1])
+    seen_s = np.diff(until_s)
+    count = len(position) - 2
+    return Proofs(
+        gone=np.abs(_sums(steps) - _jumps(steps))[:count],
+        path=_sums(np.abs(steps))[:count],
+        at_least_s=np.maximum(0.0, since_s[-1] - until_s)[:count],
+        at_most_s=(until_s[-1] - since_s)[:count],
+        between_s=_tops(until_s - since_s)[:count],
+        slowest=np.maximum(0.0, -_tops(-forward))[:count],
+        fastest=_tops(size)[:count],
+        seen_s=_sums(seen_s)[:count],
+        said=_sums(seen_s * (size[1:] + size[:-1]) / 2)[:count],
+    )
+
+
+def _sums(values: Array) -> Array:
+    """Return the sum of each value and those behind it."""
+    return np.cumsum(values[::-1])[::-1]
+
+
+def _tops(values: Array) -> Array:
+    """Return the largest of each value and those behind it."""
+    return np.maximum.accumulate(values[::-1])[::-1]
+
+
+def _jumps(steps: Array) -> Array:
+    """Return by how much the largest of each step and those behind it exceeds the next one."""
+    found, largest, size, next_size = [], 0.0, 0.0, 0.0
+    for step in steps[::-1].tolist():
+        if abs(step) > size:
+            largest, size, next_size = step, abs(step), size
+        else:
+            next_size = max(next_size, abs(step))
+        found.append(math.copysign(size - next_size, largest))
+    return np.array(found[::-1])
+
+
+@dataclass(frozen=True, slots=True)
+class Speeds:
+    """Mean speeds over a window: by positions and time, and by 606Ch; and the way in it."""
+
+    by_positions: float
+    by_drive: float
+    way: float
+
+    @property
+    def factor(self) -> float:
+        """Return how many times faster the slide is than its drive says."""
+        return self.by_positions / self.by_drive if self.by_drive else np.inf
+
+
+class SpeedGuard:
+    """The looks at one motion."""
+
+    def __init__(
+        self, now_s: float, speed: float, acceleration: float, units_per_mm: float
+    ) -> None:
+        """``now_s`` is the cell's time before the motion; speeds are in units of a position."""
+        self._before_s = self._now_s = now_s
+        self._speed, self._acceleration = speed, acceleration
+        self._units_per_mm = units_per_mm
+        self._looks: deque[tuple[float, float, float, float]] = deque(maxlen=LOOKS)
+        self._found: Proofs | None = None
+
+    def take(self, position: float, speed: float, now_s: float) -> None:
+        """Take a look that has ended at ``now_s``; one at the same time tells nothing."""
+        if not now_s > self._now_s:
+            return
+        self._looks.append((self._before_s, now_s, position, speed))
+        self._before_s, self._now_s = self._now_s, now_s
+        if len(self._looks) > 2:
+            self._found = proofs(*np.array(self._looks, dtype=float).T)
+
+    def contradiction(self) -> Speeds | None:
+        """Return the speeds of a window in which 606Ch says another one than the positions."""
+        if (found := self._found) is None:
+            return None
+        most = found.fastest + self._acceleration * (found.between_s / 2 + FASTER_LAG_S)
+        least = np.maximum(0.0, found.slowest - self._acceleration * SLOWER_LAG_S)
+        longest = self._way(FAST_MM, CONTRADICTION * most, found.at_most_s)
+        shortest = self._way(-SLOW_MM, least / CONTRADICTION, found.at_least_s)
+        agree = (found.gone <= longest) & (found.path >= shortest)
+        return self._speeds(found, ~agree)
+
+    def overspeed(self) -> Speeds | None:
+        """Return the speeds of a window in which the positions prove too high a speed."""
+        if (found := self._found) is None:
+            return None
+        allowed = np.full_like(found.gone, OVERSPEED * self._speed)
+        longest = self._way(FAST_MM, allowed, found.at_most_s)
+        return self._speeds(found, ~(found.gone <= longest))
+
+    def _way(self, margin_mm: float, speed: Array, duration_s: Array) -> Array:
+        return margin_mm * self._units_per_mm + speed * duration_s
+
+    def _speeds(self, found: Proofs, where: NDArray[np.bool_]) -> Speeds | None:
+        """Return the mean speeds of the longest window of those ``where`` something is proven."""
+        if not where.any():
+            return None
+        longest = int(np.argmax(where))
+        seen_s = max(float(found.seen_s[longest]), np.finfo(float).eps)
+        way, said = float(found.path[longest]), float(found.said[longest])
+        return Speeds(way / seen_s, said / seen_s, way)
+
 
 FROZEN = 0.01  # no unit of speed differs so far from another
 

@@ -18,7 +18,7 @@ from drivers.canopen import cia406, rail_setup
 from drivers.canopen.can_link import CanLink, heartbeat_period_s, open_bus
 from drivers.canopen.cia301 import NMT, NodeCommand, NodeObject
 from drivers.canopen.drive import Drive
-from drivers.canopen.limits import Limits
+from drivers.canopen.motion_guard import Limits
 from drivers.canopen.node_watch import NodeWatch
 from drivers.canopen.pdo import configure, configure_either
 from drivers.canopen.process_image import DEVICE, ProcessImage, Snapshot
@@ -26,12 +26,11 @@ from drivers.canopen.rail_setup import Expected
 from drivers.canopen.release import Release
 from drivers.canopen.sdo import SdoChannel, open_channel
 from drivers.canopen.slcan_bus import Interface, bus_problems
-from drivers.on_failure import on_failure
 from drivers.standing import check_travel
 from drivers.standstill import Windows
 from drivers.strips.makes import strip_of
 from drivers.strips.strip import CountsPerMm, StripFeed, StripOptions, summed
-from drivers.supervision import Supervision, go_on
+from drivers.supervision import Supervision, go_on, on_failure
 from hilcell.cell.settings import refuse
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading
 

@@ -20,7 +20,7 @@ from typing import Any, Literal
 import can
 import serial
 
-from drivers.on_failure import on_failure
+from drivers.supervision import on_failure
 from hilcell.wire.channel import Socket, parse_channel
 
 Interface = Literal["slcan", "socketcan"]

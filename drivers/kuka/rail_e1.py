@@ -13,12 +13,12 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from drivers.on_failure import on_failure
 from drivers.scale_guard import ScaleGuard
 from drivers.standing import DEVICE, Standing, check_travel
 from drivers.standstill import Windows
 from drivers.strips.makes import strip_of
 from drivers.strips.strip import StripFeed, StripOptions
+from drivers.supervision import on_failure
 from hilcell.ports import (
     Clock,
     DeviceError,

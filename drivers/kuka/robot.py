@@ -33,9 +33,8 @@ from drivers.kuka.health import (
 )
 from drivers.kuka.sweep import KukaSweep, give_back_left_behind, leave_at_rest
 from drivers.motion_limits import MotionLimits, planned_s
-from drivers.on_failure import on_failure
 from drivers.robot_errors import failed, overdue, refused, stalled, stopped_short
-from drivers.supervision import Patience, Supervision
+from drivers.supervision import Patience, Supervision, on_failure
 from hilcell.cell.file import Joint
 from hilcell.geometry.rotations import from_zyx
 from hilcell.ports import (

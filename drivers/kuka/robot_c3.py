@@ -19,8 +19,7 @@ from drivers.kuka.controller import (
 from drivers.kuka.external import SlidingKukaRobot
 from drivers.kuka.health import AXES, SLIDE, LifeSign
 from drivers.kuka.robot import KukaOptions
-from drivers.on_failure import on_failure
-from drivers.supervision import go_on
+from drivers.supervision import go_on, on_failure
 from drivers.wires.keep_alive import KeepAlive
 from hilcell.clean import clean
 from hilcell.ports import Array, Clock

@@ -27,8 +27,7 @@ from drivers.kuka.controller import (
 from drivers.kuka.external import SlidingKukaRobot
 from drivers.kuka.health import HEALTH, LIFE_S, SLIDE
 from drivers.kuka.robot import KukaOptions
-from drivers.on_failure import on_failure
-from drivers.supervision import Patience, go_on
+from drivers.supervision import Patience, go_on, on_failure
 from drivers.wires.keep_alive import KeepAlive
 from drivers.wires.tcp import POLL_S, Alarms, TcpLink
 from hilcell.clean import clean

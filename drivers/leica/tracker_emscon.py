@@ -33,8 +33,7 @@ from drivers.leica.emscon import (
 )
 from drivers.leica.emscon_settings import EmsconSettings
 from drivers.leica.emscon_stream import EmsconStream
-from drivers.on_failure import on_failure
-from drivers.supervision import Patience
+from drivers.supervision import Patience, on_failure
 from drivers.tracker_readings import (
     ALARMS,
     DEVICE,

@@ -19,8 +19,7 @@ from msgspec import Meta
 
 from drivers.leica import geocom
 from drivers.leica.geocom import Code, Program, Reply, Rpc
-from drivers.on_failure import on_failure
-from drivers.supervision import Patience
+from drivers.supervision import Patience, on_failure
 from drivers.tracker_readings import (
     ALARMS,
     DEVICE,

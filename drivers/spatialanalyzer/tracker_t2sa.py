@@ -16,7 +16,6 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from drivers.on_failure import on_failure
 from drivers.spatialanalyzer import t2sa, t2sa_bridge
 from drivers.spatialanalyzer.t2sa_bridge import (
     ACT,
@@ -27,7 +26,7 @@ from drivers.spatialanalyzer.t2sa_bridge import (
     T2saBridge,
 )
 from drivers.spatialanalyzer.t2sa_points import SEARCH_MM, NamedPoints, read_points
-from drivers.supervision import Patience
+from drivers.supervision import Patience, on_failure
 from drivers.tracker_readings import (
     ALARMS,
     DEVICE,

@@ -16,8 +16,8 @@ from drivers.canopen.pdo import Inbox
 from drivers.canopen.process_image import strip_mapping, strip_values
 from drivers.canopen.rail_setup import Expected
 from drivers.canopen.sdo import open_channel
-from drivers.on_failure import on_failure
 from drivers.strips.strip import DEVICE, StripOptions
+from drivers.supervision import on_failure
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics
 
 SYNCS = 2  # while they bring nothing nobody looks at a slide that may move

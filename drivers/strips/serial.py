@@ -11,9 +11,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-from drivers.on_failure import on_failure
 from drivers.strips.strip import DEVICE, StripOptions
-from drivers.supervision import Patience
+from drivers.supervision import Patience, on_failure
 from drivers.wires.link import Link, open_link
 from drivers.wires.tcp import Alarms
 from drivers.wires.text_lines import TextLines

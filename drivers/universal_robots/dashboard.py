@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.on_failure import on_failure
-from drivers.supervision import Patience
+from drivers.supervision import Patience, on_failure
 from drivers.wires.tcp import Alarms, TcpLink
 from drivers.wires.text_lines import TextLines
 from hilcell.clean import clean

@@ -18,8 +18,7 @@ from itertools import takewhile
 
 import numpy as np
 
-from drivers.on_failure import on_failure
-from drivers.supervision import Patience, go_on
+from drivers.supervision import Patience, go_on, on_failure
 from drivers.universal_robots import rtde
 from drivers.universal_robots.rtde import Kind, Packages, Recipe, RtdeError
 from drivers.universal_robots.state import (

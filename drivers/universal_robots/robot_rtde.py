@@ -20,9 +20,8 @@ import numpy as np
 from msgspec import Meta
 
 from drivers.motion_limits import MotionLimits, planned_s
-from drivers.on_failure import on_failure
 from drivers.robot_errors import DEVICE, failed, overdue, refused, stalled, stopped_short
-from drivers.supervision import Patience, Supervision, go_on
+from drivers.supervision import Patience, Supervision, go_on, on_failure
 from drivers.universal_robots.dashboard import Dashboard
 from drivers.universal_robots.health import (
     PLAYING,

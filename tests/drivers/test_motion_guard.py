@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.canopen.limits import Limits
-from drivers.canopen.motion_guard import MotionGuard
+from drivers.canopen.motion_guard import Limits, MotionGuard
 from drivers.canopen.process_image import Snapshot
 from drivers.canopen.rail import CanopenRail
 from drivers.scale_guard import ScaleGuard

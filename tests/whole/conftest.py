@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from drivers.canopen.speed_guard import SpeedGuard
+from drivers.canopen.motion_guard import SpeedGuard
 from hilcell.journal.log import Log
 from hilcell.report.facts import read_facts
 from tests.whole.bench import OwnCell, sweep

@@ -1,8 +1,12 @@
-"""Where the external axes stand at a program's targets, E1 as the slide among them.
+"""Where the external axes stand at a program's targets, and in which posture the arm does.
 
 A component that a motion leaves out keeps its value from the motion before, a home move or another
-to joints included. The axis must stand at one place for all targets: a program is corrected for
-one station.
+to joints included. An external axis, as the slide E1, must stand at one place for all targets: a
+program is corrected for one station.
+
+Only a motion by joints takes a posture: S of its point, or the joints of a home move. All others
+keep the one that the arm has, whatever S their points state. The bits are those of a status in
+`hilcell.geometry.inverse`; joints tell those that need no arm.
 """
 
 from __future__ import annotations
@@ -13,7 +17,7 @@ from typing import NamedTuple
 
 from drivers.kuka.program_krl.data import EXTERNAL
 from drivers.kuka.program_krl.flow import Flow
-from drivers.kuka.program_krl.program import SLIDE, Target
+from drivers.kuka.program_krl.program import SLIDE, Kept, Target
 from drivers.kuka.program_krl.tokens import Statement
 from hilcell.errors import bounded
 
@@ -136,3 +140,55 @@ class ExternalRule:
     def _by(self, target: Target, axis: str, line: int) -> str:
         """Return in words which motion gave a target its value; "" where it states it itself."""
         return "" if axis in target.numbers else f" of {self._file} line {line}"
+
+
+class Bits(NamedTuple):
+    """The bits of a status that are ``known``; nothing else, so that few states differ."""
+
+    known: int = 0
+    status: int = 0
+
+
+def kept_postures(
+    file: str,
+    blocks: Mapping[str, Sequence[Statement]],
+    stops: Mapping[int, Sequence[Stop]],
+    targets: Mapping[str, Target],
+) -> list[Kept]:
+    """Return the targets that are reached in the posture of a motion before, as far as known."""
+    found: dict[str, set[Bits]] = {key: set() for key in targets}
+    lines: dict[Bits, int] = {}  # of the first motion that takes a posture
+
+    def step(statement: Statement, before: Bits) -> list[Bits]:
+        after = list[Bits]()
+        for stop in stops.get(statement.line, ()):
+            taken = before
+            if not stop.key:
+                taken = _of_joints(stop.values or {})
+            elif stop.status is not None:
+                taken = Bits(0b111, stop.status & 0b111)
+            else:
+                found[stop.key].add(before)
+            if taken != before:
+                lines[taken] = min(statement.line, lines.get(taken, statement.line))
+            after.append(taken)
+        return after or [before]
+
+    Flow(blocks, step).follow(Bits())
+    return [
+        Kept(f"{targets[key].where}, kept from {file} line {lines[each]}", *each)
+        for key, bits in found.items()
+        for each in sorted(bits)
+        if each.known
+    ]
+
+
+def _of_joints(values: Mapping[str, float]) -> Bits:
+    """Return the bits that joints in deg tell without the arm's links."""
+    a3_deg, a5_deg = ((values.get(name, 0.0) + 180.0) % 360.0 - 180.0 for name in ("A3", "A5"))
+    elbow, wrist, known, status = 0b010, 0b100, 0, 0
+    if abs(a3_deg) > 15.0:  # an arm is stretched at some degrees beside zero, by its links
+        known, status = known | elbow, status | elbow * (a3_deg > 0)
+    if abs(a5_deg) > 0.01812:  # so near to zero the next motion may take either side
+        known, status = known | wrist, status | wrist * (a5_deg < 0)
+    return Bits(known, status)

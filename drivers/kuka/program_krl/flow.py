@@ -17,7 +17,6 @@ from drivers.kuka.program_krl.tokens import KrlError, Statement
 DEEPEST = 50  # calls of subprograms within one another: controllers have at most 20
 State = TypeVar("State", bound=Hashable)
 
-AT_ANY_TIME = ("INTERRUPT", "TRIGGER")
 ENDS = {
     "ENDIF": "IF", "ENDSWITCH": "SWITCH", "ENDFOR": "FOR", "ENDWHILE": "WHILE", "ENDLOOP": "LOOP",
     "UNTIL": "REPEAT",
@@ -55,10 +54,7 @@ class Flow(Generic[State]):
         self._depth = 0
         found = [each for block in blocks.values() for each in block]
         self._any_time = dict.fromkeys(
-            name
-            for each in found
-            if any(token.word in AT_ANY_TIME for token in each.tokens[:2])
-            for name in self._called(each)
+            name for each in found if each.is_at_any_time for name in self._called(each)
         )
         called = {name for each in found for name in self._called(each)}
         self._entries = [name for n, name in enumerate(blocks) if n == 0 or name not in called]
@@ -101,7 +97,7 @@ class Flow(Generic[State]):
         return ends
 
     def _after(self, statement: Statement, state: State) -> list[State]:
-        if any(token.word in AT_ANY_TIME for token in statement.tokens[:2]):
+        if statement.is_at_any_time:
             return [state]
         left = self._distinct(self._step(statement, state))
         for name in self._called(statement):
@@ -123,11 +119,7 @@ class Flow(Generic[State]):
 def _successors(block: Sequence[Statement]) -> list[list[int]]:
     """Return for each statement the places of those that may follow; the block's end is one."""
     following = [[n + 1] for n in range(len(block))]
-    labels = {
-        each.head: n
-        for n, each in enumerate(block)
-        if len(each.tokens) == 2 and each.tokens[1].text == ":"
-    }
+    labels = {each.head: n for n, each in enumerate(block) if each.is_label}
     opened: list[_Open] = []
     for n, each in enumerate(block):
         if each.head in (*LOOPS, "IF", "SWITCH"):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
 from functools import cached_property, partial
+from typing import ClassVar
 
 import numpy as np
 
@@ -22,10 +23,8 @@ from drivers.kuka.program_krl.data import (
     declared,
     number,
 )
-from drivers.kuka.program_krl.external import ExternalRule, Stop
-from drivers.kuka.program_krl.frames import FrameRule, assigned_at
-from drivers.kuka.program_krl.modal import check_modal
-from drivers.kuka.program_krl.posture import kept_postures
+from drivers.kuka.program_krl.external import ExternalRule, Stop, kept_postures
+from drivers.kuka.program_krl.frames import FrameRule, assigned_at, check_modal
 from drivers.kuka.program_krl.program import Kept, Program, Target
 from drivers.kuka.program_krl.strokes import MOTIONS, STROKES, Relative, StrokeRule
 from drivers.kuka.program_krl.tokens import (
@@ -44,21 +43,13 @@ from hilcell.geometry.frames import pose_from_zyx
 ABSOLUTE = ("PTP", "LIN", "SPTP", "SLIN")
 JOINTWISE = ("PTP", "SPTP")
 JOINTS = ("A1", "A2", "A3", "A4", "A5", "A6")
-CIRCLES = ("CIRC", "SCIRC")
-SPLINES = ("SPLINE", "PTP_SPLINE", "SPL")
-EXTERNAL_AXES = ("ASYPTP",)
-APPROXIMATIONS = ("C_PTP", "C_DIS", "C_VEL", "C_ORI", "C_SPL")
 HOMES = ("HOME", "XHOME", *(f"XHOME{n}" for n in range(1, 6)))
-WHERE_IT_IS = "$AXIS_ACT"
 NAMED = 5
-HEADERS = ("DEF", "DEFFCT", "EXT", "EXTFCT", "EXTP", "EXTFCTP", "CHANNEL")
 CONTROL = (
     "IF", "WHILE", "UNTIL", "FOR", "WAIT", "SWITCH", "CASE", "RETURN", "WHEN", "TO", "STEP",
     "AND", "OR", "NOT", "EXOR", "B_AND", "B_OR", "B_NOT", "B_EXOR", "BAS", "DIV", "MOD", "SEC",
     "PRIO", "DELAY", "DISTANCE", "PATH",
 )  # fmt: skip
-CONDITIONAL = {"IF": "ENDIF", "SWITCH": "ENDSWITCH", "WHILE": "ENDWHILE", "FOR": "ENDFOR"}
-LOOP_ENDS = ("ENDLOOP", "ENDFOR", "ENDWHILE", "UNTIL")
 MOVES_NOTHING = (
     "PULSE", "ANIN", "ANOUT", "SIGNAL", "COPEN", "CCLOSE", "CREAD", "CWRITE", "CIOCTL", "SREAD",
     "SWRITE", "MSGNOTIFY", "MSGSTATE", "MSGQUIT", "MSGDIALOG",
@@ -72,7 +63,6 @@ MOVES_NOTHING = (
     "WSPACETAKE", "SET_KRLMSG", "EXISTS_KRLMSG", "CLEAR_KRLMSG", "SET_KRLDLG", "EXISTS_KRLDLG",
     "SET_KRLDLGANSWER", "GET_MSGBUFFER", "ERR_CLEAR", "ERR_RAISE", "DELETE_BACKWARD_BUFFER",
 )  # fmt: skip
-EXCHANGE = "EKI_"  # begins the names of an option's functions, which exchange data alone
 
 
 def read_program(source: str, text: str, data: tuple[str, str] | None) -> Program:
@@ -103,6 +93,10 @@ def read_program(source: str, text: str, data: tuple[str, str] | None) -> Progra
 class _Surely:
     """Follows a program's statements and knows which may not be executed before its motions."""
 
+    CONDITIONAL: ClassVar = {
+        "IF": "ENDIF", "SWITCH": "ENDSWITCH", "WHILE": "ENDWHILE", "FOR": "ENDFOR",
+    }  # fmt: skip
+
     def __init__(self, moving: Set[str]) -> None:
         """Take the own subprograms that move."""
         self.first = self.program = ""
@@ -110,7 +104,7 @@ class _Surely:
         self._open: list[tuple[str, int]] = []
         self._jump = self._exit = self._call = 0  # lines
 
-    def begin(self, program: str = "") -> None:
+    def begin(self, program: str) -> None:
         """Begin a program or subprogram; "" is a header that begins none."""
         if program:
             self.first, self.program = self.first or program, program
@@ -118,15 +112,15 @@ class _Surely:
 
     def take(self, statement: Statement) -> None:
         """Take a statement below the header."""
-        if statement.head in CONDITIONAL:
+        if statement.head in self.CONDITIONAL:
             self._open.append((statement.head, statement.line))
-        elif statement.head in CONDITIONAL.values() and self._open:
+        elif statement.head in self.CONDITIONAL.values() and self._open:
             self._open.pop()
         elif statement.head == "GOTO":
             self._jump = self._jump or statement.line
         elif statement.head == "EXIT":
             self._exit = self._exit or statement.line
-        if statement.head in LOOP_ENDS:
+        if statement.head in ("ENDLOOP", "ENDFOR", "ENDWHILE", "UNTIL"):
             self._exit = 0
         if any(token.word in self._moving for token in statement.tokens):
             self._call = self._call or statement.line
@@ -156,9 +150,14 @@ class _Reader:
         self.problems = list(self._data.problems)
         self._file, self._found = file, found
         self._frames = FrameRule(self._data)
-        self._own = {name for each in found for name in _defined(each)}
+        self._own = {each.begins for each in found if each.begins}
         self._blocks = _blocks(found)
-        moving = _moving(self._blocks)
+        moves = {*MOTIONS, *STROKES, *self._blocks}
+        moving = {  # subprograms that move, or may: those that have a motion or call another
+            name
+            for name, block in self._blocks.items()
+            if any(token.word in moves for statement in block for token in statement.tokens)
+        }
         self._stands, self._surely = StrokeRule(self._blocks, moving), _Surely(moving)
         self._relative: list[Relative] = []
         self._missing: list[str] = []  # names that the data list beside it would have
@@ -274,7 +273,7 @@ class _Reader:
     def _take(self, statement: Statement) -> None:
         tokens = statement.tokens
         if _is_header(statement):
-            self._surely.begin(*_defined(statement)[:1])
+            self._surely.begin(statement.begins)
             return
         self._surely.take(statement)
         if any(token.text in ('"', "'") for token in tokens):
@@ -285,8 +284,8 @@ class _Reader:
             return
         _refuse_motions(statement)
         self._relative += self._stands.pass_by(statement)
-        labelled = len(tokens) == 2 and tokens[1].text == ":"
-        if any(token.text == ":" for token in _outside_braces(tokens)) and not labelled:
+        colons = any(token.text == ":" for token in _outside_braces(tokens))
+        if colons and not statement.is_label:
             raise KrlError("the geometric operator ':' computes a frame at run time")
         if statement.head in ABSOLUTE:
             self._motion(statement)
@@ -329,7 +328,7 @@ class _Reader:
 
     def _stays(self, name: str, line: int) -> bool:
         """Whether this is a home move, or one to where the robot is, which are left unchanged."""
-        if name == WHERE_IT_IS:
+        if name == "$AXIS_ACT":
             return True
         kind = self._data.kinds.get(name, "E6AXIS" if name in HOMES else "")
         if kind not in AXES or name in self._local:
@@ -404,7 +403,8 @@ class _Reader:
                     f"{points[0] if points else quoted(handed)}: where it moves is not known"
                 )
             known = token.word in self._own or token.word in MOVES_NOTHING
-            if not known and not token.word.startswith(EXCHANGE):
+            # Functions of EthernetKRL exchange data alone.
+            if not known and not token.word.startswith("EKI_"):
                 note = (
                     f"{token.word} is another program: its motions are not corrected, and it must "
                     "leave base, tool, slide and posture as they are"
@@ -450,13 +450,13 @@ def _refuse_motions(statement: Statement) -> None:
     """Refuse the motions that cannot be corrected, wherever in the statement they stand."""
     for at, token in enumerate(statement.tokens):
         word = token.word
-        if word.endswith("_REL") and word.removesuffix("_REL") in (*ABSOLUTE, *CIRCLES):
+        if word.endswith("_REL") and word.removesuffix("_REL") in (*ABSOLUTE, "CIRC", "SCIRC"):
             raise KrlError(f"{word} is a relative motion: where it goes is not known")
-        if word in CIRCLES:
+        if word in ("CIRC", "SCIRC"):
             raise KrlError(f"{word}: a circle through an auxiliary point is not corrected")
-        if word in SPLINES:
+        if word in ("SPLINE", "PTP_SPLINE", "SPL"):
             raise KrlError(f"{word}: splines are not corrected")
-        if word in EXTERNAL_AXES:
+        if word == "ASYPTP":
             raise KrlError(f"{word} moves external axes: the slide would leave its station")
         if word in ABSOLUTE and at:
             raise KrlError(f"{word} within another statement is not understood")
@@ -476,12 +476,14 @@ def _target(tokens: Sequence[Token]) -> tuple[Sequence[Token], Sequence[Token]]:
 
 def _is_header(statement: Statement) -> bool:
     """Whether the statement declares programs and their parameters, where ``:`` states a way."""
-    return statement.head in HEADERS or bool(_defined(statement))
+    words = ("DEF", "DEFFCT", "EXT", "EXTFCT", "EXTP", "EXTFCTP", "CHANNEL")
+    return statement.head in words or bool(statement.begins)
 
 
 def _clause(rest: Sequence[Token]) -> Sequence[Token]:
     """Return what follows ``WITH`` after a target; refuse all else but approximations."""
-    while rest and (rest[0].word in APPROXIMATIONS or rest[0].text == ","):
+    approximations = ("C_PTP", "C_DIS", "C_VEL", "C_ORI", "C_SPL")
+    while rest and (rest[0].word in approximations or rest[0].text == ","):
         rest = rest[1:]
     if rest and rest[0].word != "WITH":
         raise KrlError(f"{quoted(rest)} after the target makes it one that is computed")
@@ -493,21 +495,10 @@ def _blocks(found: Sequence[Statement]) -> dict[str, list[Statement]]:
     blocks: dict[str, list[Statement]] = {}
     current = ""
     for statement in found:
-        begun = _defined(statement)
-        current = begun[0] if begun else current
-        if not begun:
+        current = statement.begins or current
+        if not statement.begins:
             blocks.setdefault(current, []).append(statement)
     return blocks
-
-
-def _moving(blocks: Mapping[str, Sequence[Statement]]) -> set[str]:
-    """Return the own subprograms that move, or may: those that have a motion or call another."""
-    moves = {*MOTIONS, *STROKES, *blocks}
-    return {
-        name
-        for name, block in blocks.items()
-        if any(token.word in moves for statement in block for token in statement.tokens)
-    }
 
 
 def _outside_braces(tokens: Sequence[Token]) -> list[Token]:
@@ -519,21 +510,13 @@ def _outside_braces(tokens: Sequence[Token]) -> list[Token]:
     return outside
 
 
-def _defined(statement: Statement) -> list[str]:
-    """Return the name of the program or function that a statement begins."""
-    words = [token.word for token in statement.tokens if token.kind == "word"]
-    words = words[1:] if words[:1] == ["GLOBAL"] else words
-    if words[:1] == ["DEF"]:
-        return words[1:2]
-    return words[2:3] if words[:1] == ["DEFFCT"] else []
-
-
 def _local(statement: Statement) -> list[str]:
     """Return the points that a statement declares in the program, and a header's parameters."""
-    if _defined(statement):
+    if statement.begins:
         return [token.word for token in statement.tokens[2:] if token.kind == "word"]
     try:
-        return [name for _, variables in [declared(statement)] for name, _ in variables]
+        _, variables = declared(statement)
+        return [name for name, _ in variables]
     except KrlError:
         return []
 

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 
 from drivers.kuka.program_krl.data import aggregate, number
-from drivers.kuka.program_krl.tokens import KrlError, Statement, Token, closing, quoted
+from drivers.kuka.program_krl.tokens import KrlError, Statement, closing, quoted
 
 STROKES = ("LIN_REL", "SLIN_REL")
 MOTIONS = (
@@ -21,8 +21,6 @@ MOTIONS = (
     "CIRC_REL", "SPTP_REL", "SCIRC_REL", "ASYPTP",
 )  # fmt: skip
 SHIFT = ("X", "Y", "Z")
-FRAMES = ("#TOOL", "#BASE")
-AT_ANY_TIME = ("INTERRUPT", "TRIGGER")
 BRANCHES = (
     "DEF", "DEFFCT", "GLOBAL", "END", "ENDFCT", "IF", "ELSE", "ENDIF", "FOR", "ENDFOR", "WHILE",
     "ENDWHILE", "LOOP", "ENDLOOP", "REPEAT", "UNTIL", "SWITCH", "CASE", "DEFAULT", "ENDSWITCH",
@@ -68,11 +66,10 @@ class StrokeRule:
         """
         if statement.head in self._drills:
             return [found for each in self._drills[statement.head] for found in self._from(each)]
-        labelled = len(statement.tokens) == 2 and statement.tokens[1].text == ":"
         moves = any(token.word in self._moving for token in statement.tokens)
-        if statement.head in BRANCHES or labelled or moves:
+        if statement.head in BRANCHES or statement.is_label or moves:
             self.stands_at(())
-        if moves and any(token.word in AT_ANY_TIME for token in statement.tokens[:2]):
+        if moves and statement.is_at_any_time:
             self._interrupted = self._interrupted or statement.line
         return []
 
@@ -106,7 +103,7 @@ def _only_strokes(block: Sequence[Statement], moving: Set[str]) -> list[Statemen
     others = [each for each in block if each.head not in (*STROKES, "END")]
     straight = all(
         each.head not in BRANCHES
-        and not (len(each.tokens) == 2 and each.tokens[1].text == ":")
+        and not each.is_label
         and not any(token.word in {*moving, *STROKES, *MOTIONS} for token in each.tokens)
         for each in others
     )
@@ -129,14 +126,19 @@ def _shift(statement: Statement) -> tuple[float, float, float]:
         raise KrlError(f"{head} is a relative motion by what is no structure of numbers")
     end = closing(tokens, 0) + 1
     fields = aggregate(tokens[:end])
-    frame = _frame(head, tokens[end:])
+    rest = tokens[end:]  # approximations may stand around its frame
+    words = [token.word for token in rest if token.text != ","]
+    frames = [word for word in words if word in ("#TOOL", "#BASE")]
+    left = set(words) - {"#TOOL", "#BASE", "C_DIS", "C_VEL", "C_ORI", "C_SPL"}
+    if left or len(frames) > 1:
+        raise KrlError(f"{head} is a relative motion with {quoted(rest)}, which is not understood")
     others = [name for name in fields if name not in SHIFT]
     if others:
         raise KrlError(
             f"{head} is a relative motion that changes {', '.join(others)}: only strokes in X, Y, "
             "Z keep the correction of the point before them"
         )
-    if frame != "#TOOL":
+    if frames != ["#TOOL"]:
         raise KrlError(
             f"{head} is a relative motion in the base: only strokes along the tool, #TOOL, keep "
             "the correction of the point before them"
@@ -144,13 +146,3 @@ def _shift(statement: Statement) -> tuple[float, float, float]:
     values = {name: number(name, each).value for name, each in fields.items()}
     x, y, z = (values.get(name, 0.0) for name in SHIFT)
     return x, y, z
-
-
-def _frame(head: str, rest: Sequence[Token]) -> str:
-    """Return the frame of a relative motion, which approximations may stand around."""
-    words = [token.word for token in rest if token.text != ","]
-    frames = [word for word in words if word in FRAMES]
-    left = [word for word in words if word not in (*FRAMES, "C_DIS", "C_VEL", "C_ORI", "C_SPL")]
-    if left or len(frames) > 1:
-        raise KrlError(f"{head} is a relative motion with {quoted(rest)}, which is not understood")
-    return frames[0] if frames else "#BASE"

@@ -62,6 +62,24 @@ class Statement:
         """Return the first word."""
         return self.tokens[0].word
 
+    @property
+    def is_label(self) -> bool:
+        """Whether it is a place ``NAME:`` that a GOTO leads to."""
+        return len(self.tokens) == 2 and self.tokens[1].text == ":"
+
+    @property
+    def is_at_any_time(self) -> bool:
+        """Whether it declares an interrupt or a trigger."""
+        return any(token.word in ("INTERRUPT", "TRIGGER") for token in self.tokens[:2])
+
+    @property
+    def begins(self) -> str:
+        """Return the name of the program or function that it begins; "" for all others."""
+        words = [token.word for token in self.tokens if token.kind == "word"]
+        words = words[1:] if words[:1] == ["GLOBAL"] else words
+        at = {"DEF": 1, "DEFFCT": 2}.get(words[0] if words else "", len(words))
+        return words[at] if at < len(words) else ""
+
 
 def statements(text: str) -> Iterator[Statement]:
     """Yield the statements of a file."""

@@ -14,8 +14,7 @@ import numpy as np
 
 from drivers.kuka.program_krl.comments import comment, plain
 from drivers.kuka.program_krl.data import POSE
-from drivers.kuka.program_krl.program import DATA, SOURCE, USUAL_TOOL
-from drivers.kuka.program_krl.turns import turn_of
+from drivers.kuka.program_krl.program import DATA, SOURCE, USUAL_TOOL, turn_of
 from drivers.program_text import ENCODING
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.tool import REFLECTOR

@@ -4,7 +4,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from drivers.kuka.program_krl import modal
+from drivers.kuka.program_krl import frames
 from drivers.kuka.program_krl.reader import read_program
 from tests.drivers.program_krl.test_program import P1, P2, one, refusal
 
@@ -115,8 +115,8 @@ def test_an_interrupt_may_change_base_and_tool_at_any_time() -> None:
 
 def test_branches_cost_the_same_each(monkeypatch: pytest.MonkeyPatch) -> None:
     """600 branches with inline forms took 268 s: each branch was followed for all before it."""
-    steps = Mock(side_effect=modal._set)
-    monkeypatch.setattr(modal, "_set", steps)
+    steps = Mock(side_effect=frames._set)
+    monkeypatch.setattr(frames, "_set", steps)
     counted = []
     for branches in (20, 40):
         names = range(branches)
