@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from hilcell.calibration.base_circles import (
+from hilcell.calibration.diagnosis import misplaced_base
+from hilcell.calibration.frames import (
     axis_6_height_mm,
     circle_of,
     frame_of_sweeps,
     sweep_of,
 )
-from hilcell.calibration.diagnosis import misplaced_base
 from hilcell.calibration.since import risen_nest, since_before
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.circles import base_frame_covariance

@@ -11,7 +11,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from hilcell.calibration.base_circles import frame_of_sweeps
+from hilcell.calibration.frames import frame_of_sweeps
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply, inverse
 from hilcell.geometry.statistics import f_quantile, lengths_mm, rms

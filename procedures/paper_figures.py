@@ -7,9 +7,15 @@ from typing import Literal
 
 import numpy as np
 
-from hilcell.calibration.base_circles import axis_6_height_mm, circle_of
 from hilcell.calibration.errors import reduction as share_removed
-from hilcell.calibration.frames import Frames, grid_errors_mm, grid_of, grid_pairs
+from hilcell.calibration.frames import (
+    Frames,
+    axis_6_height_mm,
+    circle_of,
+    grid_errors_mm,
+    grid_of,
+    grid_pairs,
+)
 from hilcell.compensation.grid import Grid
 from hilcell.geometry.circles import base_frame_covariance
 from hilcell.geometry.frames import apply, cross_matrix, inverse

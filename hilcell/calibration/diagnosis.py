@@ -13,7 +13,6 @@ from itertools import chain
 import numpy as np
 from msgspec.structs import replace
 
-from hilcell.calibration.base_circles import axis_6_height_mm, circle_of
 from hilcell.calibration.bounds import validated, validation_points
 from hilcell.calibration.budget import growth_since
 from hilcell.calibration.causes import RISK, Change, Differences, changed, likeliest
@@ -22,6 +21,7 @@ from hilcell.calibration.drift import robot_drift, tracker_drift
 from hilcell.calibration.errors import errors_of, visit_scatter
 from hilcell.calibration.file import learnt_so_far
 from hilcell.calibration.frame_covariance import hold_covariance, world_covariance
+from hilcell.calibration.frames import axis_6_height_mm, circle_of
 from hilcell.calibration.influence import SIZE, NoBound, motion
 from hilcell.calibration.instrument import axis_off, scale
 from hilcell.calibration.lost_motion import reversal

@@ -7,14 +7,17 @@ The robot stands rigidly on the slide, so eq 17 gives every station's base frame
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from hilcell.cell.file import Cell, Station
+from hilcell.cell.file import Cell, Six, Station
 from hilcell.cell.plan import coarsest_pitch_mm
 from hilcell.compensation.grid import Grid, MeasuredGrid
 from hilcell.compensation.measured import Measured, MeasuredArm, StaticPoses
 from hilcell.compensation.outliers import outlying
 from hilcell.compensation.similarity import Pairs, similarity_pairs
+from hilcell.geometry.circles import Circle, base_frame, fit_circle
 from hilcell.geometry.frames import apply, inverse, matrix, three_point_frame
 from hilcell.geometry.kinematics import forward
 from hilcell.identification.readings import Readings
@@ -206,3 +209,36 @@ def grid_pairs(log: Log) -> Pairs:
     i, j, k = np.array([point.id.vertex for point in points]).T
     nominal_mm: Array = np.array([point.nominal_mm for point in points], dtype=float)
     return similarity_pairs(commanded_rad(points), nominal_mm, grid_errors_mm(log)[i, j, k])
+
+
+def frame_of_sweeps(
+    cell: Cell, log: Log, swept_1: list[Point], swept_6: list[Point]
+) -> tuple[Array, Circle, Circle]:
+    """Return T_W_B (4, 4) and the circles of axes 1 and 6 from the points of both sweeps."""
+    axis_1, axis_6 = circle_of(cell, log, 1, swept_1), circle_of(cell, log, 6, swept_6)
+    return base_frame(axis_1, axis_6, axis_6_height_mm(cell)), axis_1, axis_6
+
+
+def circle_of(cell: Cell, log: Log, axis: int, points: list[Point]) -> Circle:
+    """Return the circle in {W} through the points of one sweep, or of a part of it."""
+    begin_deg, end_deg = sweep_of(cell, axis)[1]
+    turn = cell.robot.joint[axis - 1].sign * (end_deg - begin_deg)
+    return fit_circle(apply(log.matrix("world"), positions_mm(points)), turn=turn)
+
+
+def sweep_of(cell: Cell, axis: int) -> tuple[Six, tuple[float, float]]:
+    """Return the fixed joints and the ends of axis 1's or 6's sweep, in deg."""
+    table = cell.base_frame
+    return {
+        1: (table.axis_1_deg, table.axis_1_sweep_deg),
+        6: (table.axis_6_deg, table.axis_6_sweep_deg),
+    }[axis]
+
+
+def axis_6_height_mm(cell: Cell) -> float:
+    """Return the nominal height in {B} of the centre of axis 6's circle: a point on the axis."""
+    arm = cell.robot.arm()
+    on_axis = arm.tool.copy()
+    on_axis[:2, 3] = 0.0
+    pose = forward(replace(arm, tool=on_axis), np.radians(cell.base_frame.axis_6_deg))
+    return float(pose[2, 3])

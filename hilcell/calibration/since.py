@@ -18,7 +18,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilcell.calibration.base_circles import axis_6_height_mm
 from hilcell.calibration.contribution import systematic_mm2
 from hilcell.calibration.errors import pooled, visits_mm
 from hilcell.calibration.frame_covariance import (
@@ -30,6 +29,7 @@ from hilcell.calibration.frame_covariance import (
     world_covariance,
     world_motion,
 )
+from hilcell.calibration.frames import axis_6_height_mm
 from hilcell.geometry.rotations import to_rotvec
 from hilcell.geometry.statistics import (
     f_quantile,

@@ -1,4 +1,8 @@
-"""Which keys of a cell differ from those of the same cell at another time, in words."""
+"""Keys in which a cell differs from itself at another time, or does not from a built-in cell.
+
+Runs, locks and calibrations are kept apart by the cell's name and serial number: a real cell copied
+from a built-in one that still has those would mix its calibrations with simulated ones.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,9 @@ from collections.abc import Iterator
 
 import msgspec
 
-from hilcell.cell.file import Cell
+from hilcell.cell.file import Cell, load_cell
+from hilcell.cell.settings import SettingsError
+from hilcell.cell.source import built_in_cells
 
 
 def differences(before: Cell, now: Cell, *, without: str = "") -> str:
@@ -36,3 +42,37 @@ def _different(before: object, now: object, key: str = "") -> Iterator[str]:
 def _short(value: object) -> str:
     text = f"{value}"
     return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+def check_copied(where: str, cell: Cell) -> str:
+    """Return a warning for a simulated cell that has the name or serial of a built-in one, and for
+    a real one whose lengths are certified by nobody.
+
+    Raises `SettingsError` for a real cell with such a name or serial.
+    """
+    if where in built_in_cells():
+        return ""
+    problems = [
+        f"{key}: {found!r} is that of the built-in cell {name}; give this cell one of its own"
+        for name in built_in_cells()
+        for key, found, taken in _kept(cell, load_cell(name))
+        if found == taken
+    ]
+    simulated = "simulated"  # the certificate of each length in the built-in cells
+    if cell.simulation is None:
+        if problems:
+            raise SettingsError(where, problems)
+        problems = [
+            f"layout.length {' to '.join(each.nests)}: the certificate is {simulated!r}, expected "
+            "the number of the bar's own; state its length and u_mm, too"
+            for each in cell.layout.length
+            if each.certificate == simulated
+        ]
+    return "\n".join(f"{where}: {problem}" for problem in problems)
+
+
+def _kept(cell: Cell, built_in: Cell) -> list[tuple[str, str, str]]:
+    """Return the values that must differ, of both cells; nothing where the cells are the same."""
+    if cell.simulation is not None and cell.digest == built_in.digest:
+        return []
+    return [("name", cell.name, built_in.name), ("serial", cell.serial, built_in.serial)]

@@ -9,7 +9,6 @@ import threading
 from queue import Empty, SimpleQueue
 
 from hilcell.alarms.catalogue import entry_of
-from hilcell.cell.copied import check_copied
 from hilcell.cell.devices import (
     abilities,
     check_options,
@@ -17,6 +16,7 @@ from hilcell.cell.devices import (
     start_simulation,
     unknown_drivers,
 )
+from hilcell.cell.differences import check_copied
 from hilcell.cell.file import Cell, load_cell, located, stated_drivers
 from hilcell.cell.lines import by_line
 from hilcell.cell.settings import SettingsError

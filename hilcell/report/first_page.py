@@ -5,6 +5,7 @@ It stands alone: nothing on it needs another page. Results are those of the jour
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from operator import attrgetter
@@ -24,15 +25,15 @@ from hilcell.journal.calibration_facts import (
     run_judged,
     run_outcome,
 )
+from hilcell.journal.words import verdict_words
 from hilcell.model.outcome import Outcome, gravest, outcome_of
 from hilcell.model.point import Sent
-from hilcell.model.verdicts import VALIDATION, Judged
+from hilcell.model.verdicts import VALIDATION, Judged, Verdict
 from hilcell.present.table import Column, Table, Value
 from hilcell.report import iso9283
 from hilcell.report.budgets import K_3D, TargetBudget
 from hilcell.report.facts import Facts
 from hilcell.report.iso9283 import tests_poses
-from hilcell.report.verdicts import with_signs
 
 BLANK = "…" * 12  # to fill in by hand
 NO_CERTIFICATE, NOT_APPLICABLE = "none, simulated", "–"
@@ -377,3 +378,21 @@ def certified(facts: Facts) -> bool:
     rows = instrument_rows(facts)
     named = bool(rows) and all(each.certificate for each in rows)
     return named and not facts.inputs.simulated
+
+
+def verdicts(facts: Facts) -> Table:
+    """Return the verdicts, with the figures behind them."""
+    columns: tuple[Column[tuple[str, Verdict]], ...] = (
+        Column("judged", lambda row: verdict_words(row[0])),
+        Column("verdict", lambda row: "holds" if row[1].holds else "does not hold"),
+        Column("by", lambda row: with_signs(row[1].words)),
+    )
+    return Table(columns, facts.log.verdicts.items(), "Verdicts")
+
+
+def with_signs(words: str) -> str:
+    """Return words with the signs of print."""
+    signs = {"<=": "≤", r"\+-": "±", r" deg\b": "°", r"\burad\b": "µrad"}
+    for written, shown in signs.items():
+        words = re.sub(written, shown, words)
+    return words

@@ -55,11 +55,11 @@ from hilcell.report.first_page import (
     uncertainty_words,
     validity_facts,
     verdict_word,
+    verdicts,
 )
 from hilcell.report.iso9283 import tests_poses
 from hilcell.report.method import models
 from hilcell.report.tables import remeasured, worst
-from hilcell.report.verdicts import verdicts
 
 
 @dataclass(frozen=True, slots=True)

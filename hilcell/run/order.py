@@ -92,8 +92,8 @@ class Order(Signature):
         """
         # `--help` does without these.
         from hilcell.calibration.in_use import Accepts, calibrated_machine, with_calibration
-        from hilcell.cell.copied import check_copied
         from hilcell.cell.devices import check_options, check_repeated, load_entry
+        from hilcell.cell.differences import check_copied
         from hilcell.cell.file import load_cell, located
         from hilcell.cell.settings import SettingsError
         from hilcell.journal.disk_space import check_space

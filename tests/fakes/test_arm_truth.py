@@ -8,8 +8,7 @@ from fakes.truth.arm_truth import ArmTruth, reference_cube, unit_rp_mm, varying_
 from fakes.truth.joint_errors import Ripple
 from fakes.truth.machine import Machine, load_machine
 from fakes.truth.noise import KeyedNoise
-from hilcell.calibration.base_circles import axis_6_height_mm
-from hilcell.calibration.frames import grid_of
+from hilcell.calibration.frames import axis_6_height_mm, grid_of
 from hilcell.cell.file import Cell, load_cell
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.interpolation import Idw, Trilinear

@@ -16,9 +16,8 @@ import pytest
 from numpy.typing import NDArray
 
 from hilcell.calibration import frames as calibration
-from hilcell.calibration.base_circles import circle_of
 from hilcell.calibration.errors import errors_of
-from hilcell.calibration.frames import Frames, grid_errors_mm, grid_of, measured_grid
+from hilcell.calibration.frames import Frames, circle_of, grid_errors_mm, grid_of, measured_grid
 from hilcell.cell.file import Cell
 from hilcell.compensation.correction import corrected
 from hilcell.compensation.interpolation import Idw

@@ -27,7 +27,7 @@ from hilcell.model.verdicts import (
     verdict_type,
 )
 from hilcell.report.facts import read_facts
-from hilcell.report.verdicts import verdicts as verdicts_table
+from hilcell.report.first_page import verdicts as verdicts_table
 from hilcell.run.cell_session import CellSession
 from tests.hilcell import verdicts
 from tests.hilcell.report.journals import Writer

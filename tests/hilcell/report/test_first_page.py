@@ -29,9 +29,9 @@ from hilcell.report.first_page import (
     results_sheet,
     validity_facts,
     verdict_word,
+    with_signs,
 )
 from hilcell.report.html import measured, report_html, sentence, standing
-from hilcell.report.verdicts import with_signs
 from tests.hilcell import verdicts
 from tests.hilcell.commands.finished_runs import MADE, REDO, finished
 from tests.hilcell.report.journals import validated_run

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.cell.copied import check_copied
+from hilcell.cell.differences import check_copied
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
 
