@@ -14,11 +14,10 @@ from hilcell.cell.file import Cell
 from hilcell.journal.times import in_zone
 from hilcell.model.outcome import RULE
 from hilcell.model.verdicts import Rechecked
-from hilcell.report import iso9283
 from hilcell.report.budgets import TargetBudget
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import certified, validity_facts
-from hilcell.report.iso9283 import tests_poses
+from hilcell.report.iso9283 import PoseReport, tests_poses
 from hilcell.report.method import adjustment_words, method_words
 
 PAGE_1, POSES, STATIONS, UNCERTAINTY = "certificate", "poses", "stations", "uncertainty"
@@ -102,7 +101,7 @@ def procedure_words(facts: Facts) -> str:
     if _calibrated(facts):
         return method_words(facts)
     if tests_poses(facts):
-        return iso9283.method_words(facts)
+        return PoseReport(facts).method_words()
     return f"hilcell procedure {facts.inputs.procedure}: {facts.procedure.summary}"
 
 
@@ -144,7 +143,7 @@ class _Answers:
 
     def deviations(self) -> str:
         found = [f"a calibration was used although {why}" for why in self.facts.inputs.accepted]
-        found += iso9283.departures(self.facts)
+        found += PoseReport(self.facts).departures()
         return "; ".join(found) or "none recorded"
 
     def revoked(self) -> str:
@@ -177,7 +176,7 @@ def conditions_words(facts: Facts) -> str:
 def conformity_words(facts: Facts) -> str:
     """Return limits and decision rule."""
     if tests_poses(facts):
-        return iso9283.conformity_words(facts)
+        return PoseReport(facts).conformity_words()
     limits, plan = facts.cell.validation, facts.cell.plan
     judged = verdicts_of(facts.log)
     rule = RULE

@@ -20,7 +20,6 @@ from hilcell.calibration.decision import guard_of
 from hilcell.clean import harmless
 from hilcell.model.outcome import Outcome
 from hilcell.model.point import Sent
-from hilcell.report import tables
 from hilcell.report.budgets import TargetBudget, placed, target_budget
 from hilcell.report.certificate import (
     conditions_words,
@@ -42,7 +41,7 @@ from hilcell.report.first_page import (
     validity_facts,
 )
 from hilcell.report.method import adjustment_words
-from hilcell.report.tables import Posed, Validated, oriented
+from hilcell.report.tables import Posed, Tables, Validated
 from hilcell.writing import NotWritten
 
 # The PTB's schema DCC 3.1.2 gives names and order (namespace ``dcc``), D-SI 2 the quantities
@@ -252,7 +251,7 @@ class _Certificate:
             _result("3-D position error of the tool point", "hilcell_error", self._errors()),
             _result("Orientation error of the tool", "hilcell_turn", self._turns()),
             _result("95 % bounds of corrected targets", "hilcell_bound", _bounds(budget)),
-            _result("Frames in {W}", "hilcell_frame", map(_frame, tables.posed(self.facts))),
+            _result("Frames in {W}", "hilcell_frame", map(_frame, Tables(self.facts).posed())),
         ]
         return dcc("measurementResults", dcc(
             "measurementResult", text("name", title(self.facts)),
@@ -279,19 +278,19 @@ class _Certificate:
             "air pressure": ("basic_pressure", HECTOPASCAL),
             "relative humidity": ("basic_humidityRelative", PERCENT),
         }
-        for each in tables.air(self.facts):
+        for each in Tables(self.facts).air():
             ref, unit = air[each.name]
             ends = (("Min", "smallest", each.values.min()), ("Max", "largest", each.values.max()))
             yield dcc("influenceCondition", text("name", each.name), dcc("data", *(
                 quantity(f"{words} at the tracker", real(float(value), unit), ref=ref + end)
                 for end, words, value in ends)), refType=ref)  # fmt: skip
-        if not tables.air(self.facts):
+        if not Tables(self.facts).air():
             words = conditions_words(self.facts)
             yield dcc("influenceCondition", text("name", "air"), dcc("data", text("text", words)))
 
     def _errors(self) -> Iterator[Element]:
         judged = judged_places(self.facts)
-        for row in tables.validated_rows(self.facts):
+        for row in Tables(self.facts).validated_rows():
             found = (
                 results_at(self.facts, row.place)
                 if row.way == Sent.CHOSEN and row.place in judged
@@ -318,7 +317,7 @@ class _Certificate:
 
     def _turns(self) -> Iterator[Element]:
         """Yield the angle from the nominal orientation by series, where it was measured."""
-        for place, way, turned in oriented(self.facts):
+        for place, way, turned in Tables(self.facts).oriented():
             words, found = series_name(way, self.facts), turned.figures
             names = (
                 ("mean", found.mean_deg, "mean"),

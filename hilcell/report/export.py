@@ -18,10 +18,9 @@ from hilcell.model.point import Point
 from hilcell.ports import Array
 from hilcell.present.renderers import csv_of, xlsx_of
 from hilcell.present.table import Column, Table, Value
-from hilcell.report import tables
 from hilcell.report.budgets import target_budget
 from hilcell.report.facts import Facts
-from hilcell.report.tables import Posed
+from hilcell.report.tables import ACCURACY, FRAMES, Posed, Tables
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,16 +225,16 @@ def _yes(holds: bool) -> str:
 
 def xlsx_bytes(facts: Facts) -> bytes:
     """Return a workbook with the sheets run, points, frames, results and before and after."""
-    compared = Table(tables.ACCURACY, tables.validated_rows(facts), "before and after")
+    compared = Table(ACCURACY, Tables(facts).validated_rows(), "before and after")
     columns: tuple[Column[Posed], ...] = (
-        *tables.FRAMES,
+        *FRAMES,
         *(
             Column(f"m{row}{column}", _entry(row, column))
             for row in range(4)
             for column in range(4)
         ),
     )
-    frames = Table(columns, tables.posed(facts), "frames")
+    frames = Table(columns, Tables(facts).posed(), "frames")
     sheets = [run_table(facts), points_table(facts), frames, results_table(facts), compared]
     begun = datetime.fromisoformat(facts.records[0].t)
     return xlsx_of(sheets, begun, {compared.title: "before_after"})

@@ -33,7 +33,7 @@ from hilcell.present.table import Column, Table, Value
 from hilcell.report import iso9283
 from hilcell.report.budgets import K_3D, TargetBudget
 from hilcell.report.facts import Facts
-from hilcell.report.iso9283 import tests_poses
+from hilcell.report.iso9283 import PoseReport, tests_poses
 
 BLANK = "…" * 12  # to fill in by hand
 NO_CERTIFICATE, NOT_APPLICABLE = "none, simulated", "–"
@@ -89,7 +89,7 @@ class Result:
 def results_sheet(facts: Facts, targets: TargetBudget) -> Table:
     """Return the table of results, nothing where nothing was judged."""
     if tests_poses(facts):
-        return iso9283.results_sheet(facts)
+        return PoseReport(facts).results_sheet()
     left = len(judged_places(facts)) - len(_shown(facts))
     note = f"{left} stations further from their limits: see Verdicts." if left else ""
     results = [result for name in _shown(facts) for result in results_at(facts, name)]
@@ -266,7 +266,7 @@ def item_facts(facts: Facts, measured: str) -> list[Fact]:
         Fact("Cell", f"{cell.name}, serial {cell.serial}"),
         Fact("Robot", f"{cell.robot.name}{robot}, {on}"),
         Fact("Stations", names + more),
-        *(Fact(*each) for each in iso9283.stated_conditions(facts)),
+        *(Fact(*each) for each in PoseReport(facts).stated_conditions()),
         Fact("Measured", measured),
         Fact("Operator", facts.inputs.operator),
     ]

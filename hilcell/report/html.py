@@ -25,7 +25,6 @@ from hilcell.model.point import CONTROL
 from hilcell.ports import Array
 from hilcell.present.renderers import environment
 from hilcell.present.table import Column, Table
-from hilcell.report import iso9283, tables
 from hilcell.report.budgets import TargetBudget, bounds_sheet, budget_sheet, target_budget
 from hilcell.report.certificate import (
     certificate,
@@ -57,9 +56,9 @@ from hilcell.report.first_page import (
     verdict_word,
     verdicts,
 )
-from hilcell.report.iso9283 import tests_poses
+from hilcell.report.iso9283 import FIGURES, PoseReport, tests_poses
 from hilcell.report.method import models
-from hilcell.report.tables import remeasured, worst
+from hilcell.report.tables import Tables, stations, worst
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,18 +181,17 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
     """
     budget, targets = budget_of(facts.log), target_budget(facts.log, facts.run)
     page_of = _Page(facts)
-    own = Table((), ()) if page_of.has_tables() else tables.own_table(facts)
+    tables = Tables(facts)
+    own = Table((), ()) if page_of.has_tables() else tables.own_table()
     drawn = page_of.drawings(targets)
-    accuracy, judged, worst_ones = tables.accuracy(facts), verdicts(facts), worst(facts, targets)
-    stations = [
-        accuracy, tables.orientation(facts), tables.stations(facts), tables.touches(facts)
-    ]  # fmt: skip
-    frames = [tables.frames(facts), tables.circles(facts)]
+    accuracy, judged, worst_ones = tables.accuracy(), verdicts(facts), worst(facts, targets)
+    placed = [accuracy, tables.orientation(), stations(facts), tables.touches()]
+    frames = [tables.frames(), tables.circles()]
     named = {
         "results": own,
-        "stations": any(stations),
+        "stations": any(placed),
         "worst targets": worst_ones,
-        "frames": any(frames) and not any(stations),
+        "frames": any(frames) and not any(placed),
         "drift": drawn["nests"] or drawn["air"],
     }
     stations_title = ", ".join(name for name, there in named.items() if there).capitalize()
@@ -211,13 +209,13 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
             controls=sum(each.group == CONTROL for each in facts.log.points.values()),
             page_mark=re.sub(r"[^A-Za-z0-9._-]", "_", facts.run),
             certificate=certificate(facts, budget, targets),
-            pose_sheets=iso9283.sheets(facts),
+            pose_sheets=PoseReport(facts).sheets(),
             has_part=lambda name, body: f' id="{name}"' in body,
-            station_sheets=[*stations, *frames, worst_ones],
+            station_sheets=[*placed, *frames, worst_ones],
             own_sheet=own,
             empty=not (own or accuracy or judged),
             curve_sheet=curves(facts),
-            paper_sheet=tables.paper_rows(facts),
+            paper_sheet=tables.paper_rows(),
             budget_sheet=budget_sheet(budget, targets, page_of.hidden(targets)),
             bounds_sheet=bounds_sheet(targets),
             models=models(facts),
@@ -225,11 +223,11 @@ def report_html(facts: Facts, pages: Mapping[str, int] | None = None) -> str:
             targets=targets,
             record_sheets=[
                 course(facts),
-                remeasured(facts),
-                tables.devices(facts),
-                tables.conditions(facts),
-                tables.groups(facts),
-                tables.software(facts),
+                tables.remeasured(),
+                tables.devices(),
+                tables.conditions(),
+                tables.groups(),
+                tables.software(),
             ],
         )
     )  # fmt: skip
@@ -261,16 +259,17 @@ class _Page:
             "sentence": sentence(self.facts),
             "conformity": conformity_words(self.facts),
             "results": results_sheet(self.facts, targets),
-            "turn_results": iso9283.turn_results(self.facts) or tables.worst_turn(self.facts),
+            "turn_results": PoseReport(self.facts).turn_results()
+            or Tables(self.facts).worst_turn(),
             "strip": strip(nearest_results(self.facts, targets), self.facts.inputs.simulated),
             "uncertainty": uncertainty_words(self.facts, budget),
             "item": item_facts(self.facts, measured(self.facts)),
             "validity": validity_facts(self.facts),
             "instruments": instruments(self.facts),
-            "turns": tables.orientation_words(self.facts),
+            "turns": Tables(self.facts).orientation_words(),
             "conditions": conditions_words(self.facts),
             "method": procedure_words(self.facts),
-            "departures": iso9283.departures(self.facts),
+            "departures": PoseReport(self.facts).departures(),
         }
 
     def drawings(self, targets: TargetBudget) -> dict[str, object]:
@@ -291,8 +290,8 @@ class _Page:
             "air": air(self.facts),
             "histogram": over_bound(self.facts, targets),
             "curve_plots": curve_plots(self.facts),
-            "pose_drawings": [each for each in drawn if each.name in iso9283.FIGURES],
-            "drawings": [each for each in drawn if each.name not in iso9283.FIGURES],
+            "pose_drawings": [each for each in drawn if each.name in FIGURES],
+            "drawings": [each for each in drawn if each.name not in FIGURES],
         }
 
     def has_tables(self) -> bool:
@@ -330,7 +329,7 @@ def sentence(facts: Facts) -> str:
     if facts.revoked:
         return "The calibration of this run was revoked: correct nothing by it."
     if tests_poses(facts):
-        return iso9283.sentence(facts)
+        return PoseReport(facts).sentence()
     for kind in ("recheck", "targets"):
         if kind in facts.result:
             return str(facts.result[kind]["text"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING
 
@@ -42,9 +43,101 @@ def tests_poses(facts: Facts) -> bool:
     return ISO in facts.result
 
 
-def tested(facts: Facts) -> PoseTest:
-    """Return the result of a pose test."""
-    return typed(facts.result[ISO], PoseTest)
+@dataclass(frozen=True, eq=False)
+class PoseReport:
+    """The report of one run's test."""
+
+    facts: Facts
+
+    def tested(self) -> PoseTest:
+        """Return the result of a pose test."""
+        return typed(self.facts.result[ISO], PoseTest)
+
+    def results_sheet(self) -> Table:
+        """Return the worst characteristics of positions, for the first page."""
+        rows = [each for each in self.tested().figures() if each.of.unit == "mm"]
+        columns = _columns(self.facts, "mm", ".3f", lambda row: f"{row.symbol}, {row.of.title}")
+        return Table(columns, rows, "Results, at the worst pose")
+
+    def turn_results(self) -> Table:
+        """Return the worst angles beside their limits, for the first page."""
+        found = self.tested().figures() if tests_poses(self.facts) else []
+        rows = [each for each in found if each.of.unit == "deg"]
+        columns = _columns(self.facts, "°", ".4f", attrgetter("symbol"))
+        return Table(columns, rows, "Results, angles at the worst pose")
+
+    def sentence(self) -> str:
+        """Return what was found, in a sentence."""
+        found = self.tested()
+        robot = (
+            f"The robot with the correction of run {found.corrected_by}"
+            if found.corrected_by
+            else "The robot as it is, not corrected,"
+        )
+        end = "" if found.limits else " No limits are stated to judge it by."
+        return (
+            f"{robot} attains commanded positions to {found.worst.ap_mm:.3f} mm (AP) and returns "
+            f"to them to {found.worst.rp_mm:.3f} mm (RP) at the worst pose.{end}"
+        )
+
+    def conformity_words(self) -> str:
+        """Return the decision rule, where limits are stated."""
+        return RULE if self.tested().limits else "no limits are stated (iso9283 in the cell file)"
+
+    def method_words(self) -> str:
+        """Return cycle and approach in words."""
+        found = self.tested()
+        return (
+            f"ISO 9283:1998, clauses 7.2 and 7.3, positions of the reflector on the flange: "
+            f"{found.cycles} cycles {', '.join(CYCLE)} on the plane {found.cube.plane} of a "
+            f"cube of {found.cube.side_mm:g} mm, each pose approached directly from the one "
+            "before it, measured at rest by laser tracker."
+        )
+
+    def sheets(self) -> list[Table]:
+        """Return conditions, poses, angles and distance; none of a run that is no pose test."""
+        if not tests_poses(self.facts):
+            return []
+        found = self.tested()
+        turns = found.orientation.items()
+        columns: tuple[Column[tuple[str, str]], ...] = (
+            Column("condition", itemgetter(0)),
+            Column("in this test", itemgetter(1)),
+        )
+        distance: tuple[Column[Distance], ...] = (
+            Column("from", attrgetter("start")),
+            Column("to", attrgetter("to")),
+            Column("commanded", attrgetter("commanded_mm"), "mm", ".3f"),
+            Column("AD", attrgetter("ad_mm"), "mm", "+.4f"),
+            *(Column(f"AD_{axis}", attrgetter(f"ad_{axis}_mm"), "mm", "+.4f") for axis in "xyz"),
+            Column("U(AD)", attrgetter("ad_u95_mm"), "mm", ".4f"),
+            Column("RD ±", attrgetter("rd_mm"), "mm", ".4f"),
+            Column("U(RD)", attrgetter("rd_u95_mm"), "mm", ".4f"),
+        )
+        distance_note = (
+            "AD: mean of the measured distances less the commanded one; RD = ±3 S of them."
+        )
+        return [
+            Table(columns, _conditions(found), "Test conditions"),
+            Table(POSES, found.poses.items(), "Pose accuracy and repeatability", POSES_NOTE),
+            Table(TURNS, turns, "Accuracy and repeatability of angles", TURNS_NOTE),
+            Table(distance, [found.distance], "Distance accuracy and repeatability", distance_note),
+        ]
+
+    def departures(self) -> list[str]:
+        """Return in what a pose test departs from the standard, for the first page."""
+        return self.tested().deviations if tests_poses(self.facts) else []
+
+    def stated_conditions(self) -> list[tuple[str, str]]:
+        """Return velocity, load and cycles of a pose test, for the first page."""
+        if not tests_poses(self.facts):
+            return []
+        found = self.tested()
+        return [
+            ("Velocity", _velocity(found)),
+            ("Load", _load(found)),
+            ("Cycles", str(found.cycles)),
+        ]
 
 
 def _columns(
@@ -65,41 +158,6 @@ def _columns(
     )
 
 
-def results_sheet(facts: Facts) -> Table:
-    """Return the worst characteristics of positions, for the first page."""
-    rows = [each for each in tested(facts).figures() if each.of.unit == "mm"]
-    columns = _columns(facts, "mm", ".3f", lambda row: f"{row.symbol}, {row.of.title}")
-    return Table(columns, rows, "Results, at the worst pose")
-
-
-def turn_results(facts: Facts) -> Table:
-    """Return the worst angles beside their limits, for the first page."""
-    found = tested(facts).figures() if tests_poses(facts) else []
-    rows = [each for each in found if each.of.unit == "deg"]
-    columns = _columns(facts, "°", ".4f", attrgetter("symbol"))
-    return Table(columns, rows, "Results, angles at the worst pose")
-
-
-def sentence(facts: Facts) -> str:
-    """Return what was found, in a sentence."""
-    found = tested(facts)
-    robot = (
-        f"The robot with the correction of run {found.corrected_by}"
-        if found.corrected_by
-        else "The robot as it is, not corrected,"
-    )
-    end = "" if found.limits else " No limits are stated to judge it by."
-    return (
-        f"{robot} attains commanded positions to {found.worst.ap_mm:.3f} mm (AP) and returns to "
-        f"them to {found.worst.rp_mm:.3f} mm (RP) at the worst pose.{end}"
-    )
-
-
-def conformity_words(facts: Facts) -> str:
-    """Return the decision rule, where limits are stated."""
-    return RULE if tested(facts).limits else "no limits are stated (iso9283 in the cell file)"
-
-
 def uncertainty_words() -> str:
     """Return the meaning of U."""
     return (
@@ -107,63 +165,6 @@ def uncertainty_words() -> str:
         "drift, temperature and the frame in which poses are commanded; of AD the tracker at both "
         "ends; of RP and RD the statistics of so many cycles. Tracker noise is in RP and RD."
     )
-
-
-def method_words(facts: Facts) -> str:
-    """Return cycle and approach in words."""
-    found = tested(facts)
-    return (
-        f"ISO 9283:1998, clauses 7.2 and 7.3, positions of the reflector on the flange: "
-        f"{found.cycles} cycles {', '.join(CYCLE)} on the plane {found.cube.plane} of a "
-        f"cube of {found.cube.side_mm:g} mm, each pose approached directly from the one "
-        "before it, measured at rest by laser tracker."
-    )
-
-
-def sheets(facts: Facts) -> list[Table]:
-    """Return conditions, poses, angles and distance; none of a run that is no pose test."""
-    if not tests_poses(facts):
-        return []
-    found = tested(facts)
-    turns = found.orientation.items()
-    columns: tuple[Column[tuple[str, str]], ...] = (
-        Column("condition", itemgetter(0)),
-        Column("in this test", itemgetter(1)),
-    )
-    distance: tuple[Column[Distance], ...] = (
-        Column("from", attrgetter("start")),
-        Column("to", attrgetter("to")),
-        Column("commanded", attrgetter("commanded_mm"), "mm", ".3f"),
-        Column("AD", attrgetter("ad_mm"), "mm", "+.4f"),
-        *(Column(f"AD_{axis}", attrgetter(f"ad_{axis}_mm"), "mm", "+.4f") for axis in "xyz"),
-        Column("U(AD)", attrgetter("ad_u95_mm"), "mm", ".4f"),
-        Column("RD ±", attrgetter("rd_mm"), "mm", ".4f"),
-        Column("U(RD)", attrgetter("rd_u95_mm"), "mm", ".4f"),
-    )
-    distance_note = "AD: mean of the measured distances less the commanded one; RD = ±3 S of them."
-    return [
-        Table(columns, _conditions(found), "Test conditions"),
-        Table(POSES, found.poses.items(), "Pose accuracy and repeatability", POSES_NOTE),
-        Table(TURNS, turns, "Accuracy and repeatability of angles", TURNS_NOTE),
-        Table(distance, [found.distance], "Distance accuracy and repeatability", distance_note),
-    ]
-
-
-def departures(facts: Facts) -> list[str]:
-    """Return in what a pose test departs from the standard, for the first page."""
-    return tested(facts).deviations if tests_poses(facts) else []
-
-
-def stated_conditions(facts: Facts) -> list[tuple[str, str]]:
-    """Return velocity, load and cycles of a pose test, for the first page."""
-    if not tests_poses(facts):
-        return []
-    found = tested(facts)
-    return [
-        ("Velocity", _velocity(found)),
-        ("Load", _load(found)),
-        ("Cycles", str(found.cycles)),
-    ]
 
 
 def _velocity(found: PoseTest) -> str:
@@ -253,7 +254,7 @@ def fig_poses(facts: Facts) -> tuple[Figure, str] | None:
     """Draw the test cube with its poses, and AP and RP of each."""
     if not tests_poses(facts):
         return None
-    found = tested(facts)
+    found = PoseReport(facts).tested()
     figure, axes = axes_sheet(2.6, 1, 3)
     _cube(axes[0, 0], found.cube, found.poses)
     for ax, of, colour, bars in zip(
@@ -315,7 +316,7 @@ def fig_attained(facts: Facts) -> tuple[Figure, str] | None:
     """Draw the attained positions of each pose about their barycentre, from two sides."""
     if not tests_poses(facts):
         return None
-    poses = tested(facts).poses
+    poses = PoseReport(facts).tested().poses
     clouds = {name: each.error_mm for name, each in attained(facts.log).items()}
     reach_mm = 1.15 * max(
         *(float(from_mean_mm(cloud).max()) for cloud in clouds.values()),

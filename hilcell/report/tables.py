@@ -81,37 +81,304 @@ ACCURACY: tuple[Column[Validated], ...] = (
 )
 
 
-def validated_rows(facts: Facts) -> list[Validated]:
-    """Return each series of targets with its place."""
-    return [
-        Validated(
-            "others together" if place == OTHERS else place,
-            how,
-            series_name(how, facts),
-            errors,
-            series.get(Sent.BEFORE),
+@dataclass(frozen=True, eq=False)
+class Tables:
+    """The tables of one run."""
+
+    facts: Facts
+
+    def validated_rows(self) -> list[Validated]:
+        """Return each series of targets with its place."""
+        return [
+            Validated(
+                "others together" if place == OTHERS else place,
+                how,
+                series_name(how, self.facts),
+                errors,
+                series.get(Sent.BEFORE),
+            )
+            for place, stations in places(self.facts.cell).items()
+            for series in (validation(self.facts.log, stations),)
+            for how, errors in series.items()
+        ]
+
+    def accuracy(self) -> Table:
+        """Return the errors before and after per place, and both ratios of the paper's abstract."""
+        rows, last = [], ""
+        for row in self.validated_rows():
+            rows.append(replace(row, place="") if row.place == last else row)
+            last = row.place
+        repeated = self.facts.part("repeatability", Repeated)
+        note = "Removed: 1 − after / before. Every figure is of targets really sent and measured."
+        if repeated is not None:
+            note += (
+                " Repeatability and tracker noise alone would leave "
+                f"{repeated.floor_mm:.3f} mm (mean). RP of the robot (ISO 9283), tracker noise "
+                f"taken off: {repeated.rp_robot_mm:.3f} mm."
+            )
+        return Table(ACCURACY, rows, "Before and after", note)
+
+    def touches(self) -> Table:
+        """Return what the touch poses found at each station."""
+        found = (
+            (each, self.facts.log.frames.get(f"touch.{each.name}"))
+            for each in self.facts.cell.station
         )
-        for place, stations in places(facts.cell).items()
-        for series in (validation(facts.log, stations),)
-        for how, errors in series.items()
-    ]
+        rows = ((station, frame) for station, frame in found if isinstance(frame, TouchedBase))
+        note = (
+            "By how much the base was moved for the commands of that visit, at the grid's centre. "
+            "u: tool point, 3D, 1 σ. Found / expected: the motion found, relative to what the "
+            "uncertainty before lets expect. Targets stay where the station frame has them."
+        )
+        # A station, and the record of the last visit on which its base was touched.
+        columns: tuple[Column[tuple[Station, TouchedBase]], ...] = (
+            Column("station", lambda row: row[0].name),
+            Column("poses", lambda row: row[1].poses, form="d"),
+            Column("along the rail", lambda row: row[1].along_rail_mm, "mm", "+.4f"),
+            Column("shift", lambda row: float(np.linalg.norm(row[1].shift_mm)), "mm", ".4f"),
+            Column("turn", lambda row: float(np.linalg.norm(row[1].turn_urad)), "µrad", ".1f"),
+            Column("u before", lambda row: row[1].u_before_mm, "mm", ".4f"),
+            Column("u after", lambda row: row[1].u_after_mm, "mm", ".4f"),
+            Column("found / expected", lambda row: row[1].pull, form=".1f"),
+        )
+        return Table(columns, rows, "Touch poses", note)
 
+    def posed(self) -> list[Posed]:
+        """Return every measured frame."""
+        matrices = {name: self.facts.log.matrix(name) for name in self.facts.log.frames}
+        return [Posed(name, matrix, zyx_from_pose(matrix)) for name, matrix in matrices.items()]
 
-def accuracy(facts: Facts) -> Table:
-    """Return the errors before and after per place, and both ratios of the paper's abstract."""
-    rows, last = [], ""
-    for row in validated_rows(facts):
-        rows.append(replace(row, place="") if row.place == last else row)
-        last = row.place
-    repeated = facts.part("repeatability", Repeated)
-    note = "Removed: 1 − after / before. Every figure is of targets really sent and measured."
-    if repeated is not None:
+    def frames(self) -> Table:
+        """Return every measured frame as position and Z-Y-X angles in {W}."""
+        note = "In {W}; “world” is the tracker in {W}. Angles Z-Y-X."
+        named = Column[Posed]("frame", lambda row: row.name.replace("_", " ").replace(".", ", "))
+        return Table((named, *FRAMES[1:]), self.posed(), "Frames", note)
+
+    def circles(self) -> Table:
+        """Return how round the circles of axes 1 and 6 were."""
+        base = self.facts.log.frames.get("base")
+        if not isinstance(base, MeasuredBase):
+            return Table((), ())
+        rows = zip(("axis 1", "axis 6"), base.radius_mm, base.circle_rms_mm, strict=True)
+        columns: tuple[Column[tuple[str, float, float]], ...] = (
+            Column("circle", itemgetter(0)),
+            Column("radius", itemgetter(1), "mm", ".4f"),
+            Column("residual rms", itemgetter(2), "mm", ".4f"),
+        )
+        return Table(columns, rows, "Base frame: circles")
+
+    def air(self) -> list[Condition]:
+        """Return the air at the tracker over all points; nothing where not measured."""
+        measured = [point.air for point in self.facts.log.points.values() if point.air]
+        return [
+            Condition(name, unit, np.array([getattr(each, field) for each in measured]), digits)
+            for name, field, unit, digits in CONDITIONS
+            if measured
+        ]
+
+    def conditions(self) -> Table:
+        """Return the air at the tracker, smallest, largest and mean."""
+        columns: tuple[Column[Condition], ...] = (
+            Column("quantity", lambda row: f"{row.name} {row.unit}"),
+            Column("least", lambda row: row.shown(row.values.min()), form="s"),
+            Column("most", lambda row: row.shown(row.values.max()), form="s"),
+            Column("mean", lambda row: row.shown(row.values.mean()), form="s"),
+        )
+        return Table(columns, self.air(), "Air at the tracker")
+
+    def devices(self) -> Table:
+        """Return the devices that answered."""
+        link = self.facts.log.link
+        note = f"CAN link: {link.counts}." if link is not None else ""
+        if link is not None and link.warning:
+            note += f" Warning: {link.warning}."
+        columns: tuple[Column[Asset], ...] = tuple(
+            Column(name, attrgetter(name))
+            for name in ("kind", "maker", "model", "serial", "firmware", "address")
+        )
+        return Table(columns, self.facts.log.assets, "Devices", note)
+
+    def software(self) -> Table:
+        """Return the versions that measured."""
+        columns: tuple[Column[Pair], ...] = (
+            Column("package", itemgetter(0)),
+            Column("version", itemgetter(1)),
+        )
+        return Table(columns, self.facts.inputs.versions.items(), "Software that measured")
+
+    def groups(self) -> Table:
+        """Return how many points of each kind were measured, in the order of the run."""
+        counts = Counter(point.id.counted_with for point in self.facts.log.points.values())
+        columns: tuple[Column[tuple[str, int]], ...] = (
+            Column("kind", itemgetter(0)),
+            Column("points", itemgetter(1), form="d"),
+        )
+        return Table(columns, counts.items(), "Points")
+
+    def paper_rows(self) -> Table:
+        """Return the paper's figures beside this run's, where the procedure compares them."""
+        found = self.facts.part("rows", list[PaperRow]) or []
+        note = (
+            "Set: brought about by the cell file or the simulated machine, so that it cannot fail."
+        )
+        columns: tuple[Column[PaperRow], ...] = (
+            Column("figure of the paper", attrgetter("row")),
+            Column("fails when", attrgetter("fails")),
+            Column("paper", attrgetter("paper"), form=".4g"),
+            Column("here", attrgetter("here"), form=".4g"),
+            Column("chosen", attrgetter("chosen"), form=".4g"),
+            Column("unit", attrgetter("unit")),
+            Column("holds if", attrgetter("criterion")),
+            Column("verdict", attrgetter("verdict")),
+        )
+        return Table(columns, found, "The paper, row by row", note)
+
+    def own_table(self) -> Table:
+        """Return the procedure's own table of its result."""
+        found = (
+            self.facts.procedure.table(self.facts.result) if self.facts.result else Table((), ())
+        )
+        found.title = self.facts.procedure.summary.capitalize()
+        found.note = self.facts.procedure.words(self.facts.result) if self.facts.result else ""
+        return found
+
+    def remeasured(self) -> Table:
+        """Return the points that were measured more than once, with both values."""
+        found = self.repeats()
+        turned = any(each.again_deg is not None for each in found)
+        what = "error of position and that of orientation count" if turned else "error counts"
+        note = (
+            f"Every value stays in the journal. Of a target the larger {what}, whatever the "
+            "reason; of other points the later value."
+        )
         note += (
-            " Repeatability and tracker noise alone would leave "
-            f"{repeated.floor_mm:.3f} mm (mean). RP of the robot (ISO 9283), tracker noise taken "
-            f"off: {repeated.rp_robot_mm:.3f} mm."
+            " Once more: hilcell resume RUN --retake KEY; hilcell export RUN --csv lists every key."
         )
-    return Table(ACCURACY, rows, "Before and after", note)
+        turns: tuple[Column[Repeat], ...] = (
+            Column("turned first", attrgetter("first_deg"), "°", ".4f"),
+            Column("turned again", attrgetter("again_deg"), "°", ".4f"),
+        )
+        keys = Column[Repeat]("key", attrgetter("again.key"), small=True)
+        columns = (*REPEATS, *turns, keys) if turned else (*REPEATS, keys)
+        return Table(columns, found, "Points measured more than once", note)
+
+    def repeats(self) -> list[Repeat]:
+        """Return each two successive measurements of a point, in the order of the later ones."""
+        pairs = list(self._pairs())
+        measured = _Repeats(self.facts.log)
+        counted = {key: measured.counted(key) for key in {again.key for _, again, _ in pairs}}
+        seats, times = seats_of(self.facts.log), Counter[str]()
+        found = []
+        for first, again, why in pairs:
+            turns = measured.turns_deg(again.key, seats)[times[again.key] :][:2]
+            times[again.key] += 1
+            found.append(
+                Repeat(
+                    first,
+                    again,
+                    why,
+                    measured.error_mm(first),
+                    measured.error_mm(again),
+                    _which(counted[again.key], first, again),
+                    *(turns if len(turns) == 2 else ()),
+                )
+            )
+        return found
+
+    def _pairs(self) -> Iterator[tuple[Point, Point, str]]:
+        before: dict[str, Point] = {}
+        reasons: dict[str, str] = {}
+        invalidated = "measured before the tracker was found moved"
+        for record in self.facts.records:
+            match record.fact:
+                case RetakeAsked() | OutlierMeasuredAgain() | VisitedOnceMore() as event:
+                    reasons[event.key] = REASONS[event.what]
+                case Invalidating(invalid=invalid):
+                    reasons |= dict.fromkeys(invalid, invalidated)
+            if record.kind == "point":
+                point = self.facts.log.read(record)
+                if point.key in before:
+                    why = reasons.pop(point.key, "the run was resumed")
+                    yield before[point.key], point, why
+                before[point.key] = point
+
+    def worst_turn(self) -> Table:
+        """Return the orientation nearest to its limit, where one is stated, for the first page."""
+        verdict = Column[TurnResult](
+            "verdict", lambda row: self.facts.outcome_words(row.outcome), form="s"
+        )  # fmt: skip
+        columns: tuple[Column[TurnResult], ...] = (
+            Column("orientation of the tool", attrgetter("name")),
+            Column("limit", attrgetter("limit_deg"), "°", ".3f"),
+            Column("before", attrgetter("before_deg"), "°", ".4f"),
+            Column("after", attrgetter("after_deg"), "°", ".4f"),
+            Column("U", attrgetter("U_deg"), "°", ".4f"),
+            Column("after may be at most", lambda row: row.limit_deg - row.U_deg, "°", ".4f"),
+        )
+        return Table(
+            (*columns, verdict), self._turn_results(), "Results, orientation at the worst station"
+        )
+
+    def _turn_results(self) -> list[TurnResult]:
+        turns = {name: each.turn for name, each in judged_places(self.facts).items()}
+        known = {name: turn for name, turn in turns.items() if turn is not None}
+        limit_deg = self.facts.cell.validation.max_tolerance_deg
+        if not known or limit_deg is None:
+            return []
+        place = max(known, key=lambda name: np.nan_to_num(known[name].max_deg, nan=np.inf))
+        before = validated_turns(self.facts.log, [place]).get(Sent.BEFORE)
+        before_deg = None if before is None else before.figures.max_deg
+        return [TurnResult(f"Largest at {place}", limit_deg, before_deg, *known[place])]
+
+    def oriented(self) -> Iterator[tuple[str, Sent, Turned]]:
+        """Yield place, way of sending and errors of each series of targets with an orientation."""
+        for place, stations in places(self.facts.cell).items():
+            name = "others together" if place == OTHERS else place
+            for how, turned in validated_turns(self.facts.log, stations).items():
+                yield name, how, turned
+
+    def orientation(self) -> Table:
+        """Return by how much the tool was turned from its nominal orientation, before and after."""
+        rows, last, noise_deg = list[Oriented](), "", 0.0
+        for name, how, turned in self.oriented():
+            noise_deg = max(noise_deg, turned.noise_deg)
+            shown = "" if name == last else name
+            rows.append((shown, series_name(how, self.facts), len(turned), turned.figures))
+            last = name
+        note = (
+            "The tool's pose is the rigid fit of its reflectors, where they were found on the "
+            "flange; about axis 6 it counts from the controller's zero. Error: the angle of one "
+            "rotation; of a target measured again the larger one counts. The angles are measured: "
+            f"they have the readings' noise in, up to {noise_deg:.4f}° (root mean square). The "
+            "95 % bound of a target in use is of the true angle, without that noise."
+        )
+        fit = self.facts.log.verdict(Fitted)
+        if fit is not None and fit.orientation:
+            note += f" Orientation {fit.orientation}."
+        columns: tuple[Column[Oriented], ...] = (
+            Column("station", itemgetter(0)),
+            Column("error", itemgetter(1)),
+            Column("targets", itemgetter(2), form="d"),
+            *(Column(name, _angle(name), "°", ".4f") for name in Figures._fields),
+        )
+        return Table(columns, rows, "Orientation", note)
+
+    def orientation_words(self) -> str:
+        """Return the figures at the grid's station in a sentence; "" where none were measured."""
+        here = self.facts.cell.grid.station
+        turns = validated_turns(self.facts.log, [here])
+        if not set(BOTH) <= turns.keys():
+            return ""
+        before, after = (turns[how].figures for how in BOTH)
+        means, most = (
+            f"{one:.4f}° before and {other:.4f}° after"
+            for one, other in ((before.mean_deg, after.mean_deg), (before.max_deg, after.max_deg))
+        )
+        count = len(turns[Sent.CHOSEN])
+        return (
+            f"The tool was turned from its nominal orientation by {means} in the mean, at most "
+            f"{most} ({count} targets at {here})."
+        )
 
 
 # A station, and its frame's record.
@@ -140,29 +407,6 @@ def stations(facts: Facts) -> Table:
     return Table(STATIONS, rows, "Stations", note)
 
 
-def touches(facts: Facts) -> Table:
-    """Return what the touch poses found at each station."""
-    found = ((each, facts.log.frames.get(f"touch.{each.name}")) for each in facts.cell.station)
-    rows = ((station, frame) for station, frame in found if isinstance(frame, TouchedBase))
-    note = (
-        "By how much the base was moved for the commands of that visit, at the grid's centre. "
-        "u: tool point, 3D, 1 σ. Found / expected: the motion found, relative to what the "
-        "uncertainty before lets expect. Targets stay where the station frame has them."
-    )
-    # A station, and the record of the last visit on which its base was touched.
-    columns: tuple[Column[tuple[Station, TouchedBase]], ...] = (
-        Column("station", lambda row: row[0].name),
-        Column("poses", lambda row: row[1].poses, form="d"),
-        Column("along the rail", lambda row: row[1].along_rail_mm, "mm", "+.4f"),
-        Column("shift", lambda row: float(np.linalg.norm(row[1].shift_mm)), "mm", ".4f"),
-        Column("turn", lambda row: float(np.linalg.norm(row[1].turn_urad)), "µrad", ".1f"),
-        Column("u before", lambda row: row[1].u_before_mm, "mm", ".4f"),
-        Column("u after", lambda row: row[1].u_after_mm, "mm", ".4f"),
-        Column("found / expected", lambda row: row[1].pull, form=".1f"),
-    )
-    return Table(columns, rows, "Touch poses", note)
-
-
 @dataclass(frozen=True, slots=True)
 class Posed:
     """A measured frame: its name, its matrix (4, 4) in {W}, its x, y, z, A, B, C (6,)."""
@@ -183,33 +427,6 @@ FRAMES: tuple[Column[Posed], ...] = (
 )
 
 
-def posed(facts: Facts) -> list[Posed]:
-    """Return every measured frame."""
-    matrices = {name: facts.log.matrix(name) for name in facts.log.frames}
-    return [Posed(name, matrix, zyx_from_pose(matrix)) for name, matrix in matrices.items()]
-
-
-def frames(facts: Facts) -> Table:
-    """Return every measured frame as position and Z-Y-X angles in {W}."""
-    note = "In {W}; “world” is the tracker in {W}. Angles Z-Y-X."
-    named = Column[Posed]("frame", lambda row: row.name.replace("_", " ").replace(".", ", "))
-    return Table((named, *FRAMES[1:]), posed(facts), "Frames", note)
-
-
-def circles(facts: Facts) -> Table:
-    """Return how round the circles of axes 1 and 6 were."""
-    base = facts.log.frames.get("base")
-    if not isinstance(base, MeasuredBase):
-        return Table((), ())
-    rows = zip(("axis 1", "axis 6"), base.radius_mm, base.circle_rms_mm, strict=True)
-    columns: tuple[Column[tuple[str, float, float]], ...] = (
-        Column("circle", itemgetter(0)),
-        Column("radius", itemgetter(1), "mm", ".4f"),
-        Column("residual rms", itemgetter(2), "mm", ".4f"),
-    )
-    return Table(columns, rows, "Base frame: circles")
-
-
 @dataclass(frozen=True, slots=True)
 class Condition:
     """One quantity of the air over all points (N,), shown with ``digits`` decimals."""
@@ -222,84 +439,6 @@ class Condition:
     def shown(self, value: float) -> str:
         """Return a value of this quantity as text."""
         return f"{value:.{self.digits}f}"
-
-
-def air(facts: Facts) -> list[Condition]:
-    """Return the air at the tracker over all points; nothing where not measured."""
-    measured = [point.air for point in facts.log.points.values() if point.air]
-    return [
-        Condition(name, unit, np.array([getattr(each, field) for each in measured]), digits)
-        for name, field, unit, digits in CONDITIONS
-        if measured
-    ]
-
-
-def conditions(facts: Facts) -> Table:
-    """Return the air at the tracker, smallest, largest and mean."""
-    columns: tuple[Column[Condition], ...] = (
-        Column("quantity", lambda row: f"{row.name} {row.unit}"),
-        Column("least", lambda row: row.shown(row.values.min()), form="s"),
-        Column("most", lambda row: row.shown(row.values.max()), form="s"),
-        Column("mean", lambda row: row.shown(row.values.mean()), form="s"),
-    )
-    return Table(columns, air(facts), "Air at the tracker")
-
-
-def devices(facts: Facts) -> Table:
-    """Return the devices that answered."""
-    link = facts.log.link
-    note = f"CAN link: {link.counts}." if link is not None else ""
-    if link is not None and link.warning:
-        note += f" Warning: {link.warning}."
-    columns: tuple[Column[Asset], ...] = tuple(
-        Column(name, attrgetter(name))
-        for name in ("kind", "maker", "model", "serial", "firmware", "address")
-    )
-    return Table(columns, facts.log.assets, "Devices", note)
-
-
-def software(facts: Facts) -> Table:
-    """Return the versions that measured."""
-    columns: tuple[Column[Pair], ...] = (
-        Column("package", itemgetter(0)),
-        Column("version", itemgetter(1)),
-    )
-    return Table(columns, facts.inputs.versions.items(), "Software that measured")
-
-
-def groups(facts: Facts) -> Table:
-    """Return how many points of each kind were measured, in the order of the run."""
-    counts = Counter(point.id.counted_with for point in facts.log.points.values())
-    columns: tuple[Column[tuple[str, int]], ...] = (
-        Column("kind", itemgetter(0)),
-        Column("points", itemgetter(1), form="d"),
-    )
-    return Table(columns, counts.items(), "Points")
-
-
-def paper_rows(facts: Facts) -> Table:
-    """Return the paper's figures beside this run's, where the procedure compares them."""
-    found = facts.part("rows", list[PaperRow]) or []
-    note = "Set: brought about by the cell file or the simulated machine, so that it cannot fail."
-    columns: tuple[Column[PaperRow], ...] = (
-        Column("figure of the paper", attrgetter("row")),
-        Column("fails when", attrgetter("fails")),
-        Column("paper", attrgetter("paper"), form=".4g"),
-        Column("here", attrgetter("here"), form=".4g"),
-        Column("chosen", attrgetter("chosen"), form=".4g"),
-        Column("unit", attrgetter("unit")),
-        Column("holds if", attrgetter("criterion")),
-        Column("verdict", attrgetter("verdict")),
-    )
-    return Table(columns, found, "The paper, row by row", note)
-
-
-def own_table(facts: Facts) -> Table:
-    """Return the procedure's own table of its result."""
-    found = facts.procedure.table(facts.result) if facts.result else Table((), ())
-    found.title = facts.procedure.summary.capitalize()
-    found.note = facts.procedure.words(facts.result) if facts.result else ""
-    return found
 
 
 # -- the ten worst corrected targets, of re-measured ones both values ------------------------------
@@ -437,47 +576,6 @@ REPEATS: tuple[Column[Repeat], ...] = (
 )
 
 
-def remeasured(facts: Facts) -> Table:
-    """Return the points that were measured more than once, with both values."""
-    found = repeats(facts)
-    turned = any(each.again_deg is not None for each in found)
-    what = "error of position and that of orientation count" if turned else "error counts"
-    note = f"Every value stays in the journal. Of a target the larger {what}, whatever the reason; "
-    note += "of other points the later value."
-    note += " Once more: hilcell resume RUN --retake KEY; hilcell export RUN --csv lists every key."
-    turns: tuple[Column[Repeat], ...] = (
-        Column("turned first", attrgetter("first_deg"), "°", ".4f"),
-        Column("turned again", attrgetter("again_deg"), "°", ".4f"),
-    )
-    keys = Column[Repeat]("key", attrgetter("again.key"), small=True)
-    columns = (*REPEATS, *turns, keys) if turned else (*REPEATS, keys)
-    return Table(columns, found, "Points measured more than once", note)
-
-
-def repeats(facts: Facts) -> list[Repeat]:
-    """Return each pair of successive measurements of one point, in the order of the later ones."""
-    pairs = list(_pairs(facts))
-    measured = _Repeats(facts.log)
-    counted = {key: measured.counted(key) for key in {again.key for _, again, _ in pairs}}
-    seats, times = seats_of(facts.log), Counter[str]()
-    found = []
-    for first, again, why in pairs:
-        turns = measured.turns_deg(again.key, seats)[times[again.key] :][:2]
-        times[again.key] += 1
-        found.append(
-            Repeat(
-                first,
-                again,
-                why,
-                measured.error_mm(first),
-                measured.error_mm(again),
-                _which(counted[again.key], first, again),
-                *(turns if len(turns) == 2 else ()),
-            )
-        )
-    return found
-
-
 @dataclass(frozen=True, eq=False)
 class _Repeats:
     """The points of a run that were measured more than once."""
@@ -514,24 +612,6 @@ def _which(counted: Point | None, first: Point, again: Point) -> str:
     return next(found, "neither")
 
 
-def _pairs(facts: Facts) -> Iterator[tuple[Point, Point, str]]:
-    before: dict[str, Point] = {}
-    reasons: dict[str, str] = {}
-    invalidated = "measured before the tracker was found moved"
-    for record in facts.records:
-        match record.fact:
-            case RetakeAsked() | OutlierMeasuredAgain() | VisitedOnceMore() as event:
-                reasons[event.key] = REASONS[event.what]
-            case Invalidating(invalid=invalid):
-                reasons |= dict.fromkeys(invalid, invalidated)
-        if record.kind == "point":
-            point = facts.log.read(record)
-            if point.key in before:
-                why = reasons.pop(point.key, "the run was resumed")
-                yield before[point.key], point, why
-            before[point.key] = point
-
-
 # -- by how much the tool was turned from its nominal orientation, before and after ----------------
 
 
@@ -556,86 +636,3 @@ class TurnResult(NamedTuple):
     def outcome(self) -> Outcome:
         """Return whether it keeps the limit, by the decision rule."""
         return outcome_of(self.after_deg, self.limit_deg, self.U_deg)
-
-
-def worst_turn(facts: Facts) -> Table:
-    """Return the orientation nearest to its limit, where one is stated, for the first page."""
-    verdict = Column[TurnResult](
-        "verdict", lambda row: facts.outcome_words(row.outcome), form="s"
-    )  # fmt: skip
-    columns: tuple[Column[TurnResult], ...] = (
-        Column("orientation of the tool", attrgetter("name")),
-        Column("limit", attrgetter("limit_deg"), "°", ".3f"),
-        Column("before", attrgetter("before_deg"), "°", ".4f"),
-        Column("after", attrgetter("after_deg"), "°", ".4f"),
-        Column("U", attrgetter("U_deg"), "°", ".4f"),
-        Column("after may be at most", lambda row: row.limit_deg - row.U_deg, "°", ".4f"),
-    )
-    return Table(
-        (*columns, verdict), _turn_results(facts), "Results, orientation at the worst station"
-    )
-
-
-def _turn_results(facts: Facts) -> list[TurnResult]:
-    turns = {name: each.turn for name, each in judged_places(facts).items()}
-    known = {name: turn for name, turn in turns.items() if turn is not None}
-    limit_deg = facts.cell.validation.max_tolerance_deg
-    if not known or limit_deg is None:
-        return []
-    place = max(known, key=lambda name: np.nan_to_num(known[name].max_deg, nan=np.inf))
-    before = validated_turns(facts.log, [place]).get(Sent.BEFORE)
-    before_deg = None if before is None else before.figures.max_deg
-    return [TurnResult(f"Largest at {place}", limit_deg, before_deg, *known[place])]
-
-
-def oriented(facts: Facts) -> Iterator[tuple[str, Sent, Turned]]:
-    """Yield place, way of sending and errors of each series of targets that had an orientation."""
-    for place, stations in places(facts.cell).items():
-        name = "others together" if place == OTHERS else place
-        for how, turned in validated_turns(facts.log, stations).items():
-            yield name, how, turned
-
-
-def orientation(facts: Facts) -> Table:
-    """Return by how much the tool was turned from its nominal orientation, before and after."""
-    rows, last, noise_deg = list[Oriented](), "", 0.0
-    for name, how, turned in oriented(facts):
-        noise_deg = max(noise_deg, turned.noise_deg)
-        shown = "" if name == last else name
-        rows.append((shown, series_name(how, facts), len(turned), turned.figures))
-        last = name
-    note = (
-        "The tool's pose is the rigid fit of its reflectors, where they were found on the flange; "
-    )
-    note += "about axis 6 it counts from the controller's zero. Error: the angle of one rotation; "
-    note += "of a target measured again the larger one counts. The angles are measured: they have "
-    note += f"the readings' noise in, up to {noise_deg:.4f}° (root mean square). The 95 % bound of "
-    note += "a target in use is of the true angle, without that noise."
-    fit = facts.log.verdict(Fitted)
-    if fit is not None and fit.orientation:
-        note += f" Orientation {fit.orientation}."
-    columns: tuple[Column[Oriented], ...] = (
-        Column("station", itemgetter(0)),
-        Column("error", itemgetter(1)),
-        Column("targets", itemgetter(2), form="d"),
-        *(Column(name, _angle(name), "°", ".4f") for name in Figures._fields),
-    )
-    return Table(columns, rows, "Orientation", note)
-
-
-def orientation_words(facts: Facts) -> str:
-    """Return the figures at the grid's station in a sentence; "" where none were measured."""
-    here = facts.cell.grid.station
-    turns = validated_turns(facts.log, [here])
-    if not set(BOTH) <= turns.keys():
-        return ""
-    before, after = (turns[how].figures for how in BOTH)
-    means, most = (
-        f"{one:.4f}° before and {other:.4f}° after"
-        for one, other in ((before.mean_deg, after.mean_deg), (before.max_deg, after.max_deg))
-    )
-    count = len(turns[Sent.CHOSEN])
-    return (
-        f"The tool was turned from its nominal orientation by {means} in the mean, at most {most} "
-        f"({count} targets at {here})."
-    )

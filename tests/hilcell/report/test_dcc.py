@@ -222,7 +222,7 @@ def test_orientations_where_they_were_measured(
     facts = run(tmp_path / "r")
     names = ".//dcc:result/dcc:name"
     assert "Orientation error of the tool" not in texts(parsed(facts), names)
-    monkeypatch.setattr(dcc, "oriented", lambda _: [("S300", "before", Turned())])
+    monkeypatch.setattr(dcc.Tables, "oriented", lambda _: [("S300", "before", Turned())])
     root = parsed(facts)
     assert faults(root) == []
     assert "Orientation error of the tool" in texts(root, names)

@@ -13,7 +13,7 @@ from hilcell.geometry.rotations import from_rotvec
 from hilcell.model.point import PointId, Sent
 from hilcell.report.course import course
 from hilcell.report.facts import Facts, read_facts
-from hilcell.report.tables import accuracy, orientation, remeasured
+from hilcell.report.tables import Tables
 from tests.hilcell.report.journals import AFTER_MM, Writer, validated_run
 from tests.hilcell.verdicts import FITTED
 
@@ -35,7 +35,7 @@ def retaken(folder: Path, again_mm: float, what: str = "retake asked") -> Facts:
     [("retake asked", "operator"), ("outlier measured again", "others"), ("", "resumed")],
 )
 def test_both_values_and_why(tmp_path: Path, what: str, why: str) -> None:
-    found = remeasured(retaken(tmp_path / "r", 0.01, what))
+    found = Tables(retaken(tmp_path / "r", 0.01, what)).remeasured()
     (row,) = [dict(zip(found.headers, row, strict=True)) for row in found.texts()]
     assert why in row["why"]
     assert (row["error first mm"], row["error again mm"]) == ("0.3000", "0.0100")
@@ -46,14 +46,14 @@ def test_of_a_target_the_larger_error_counts_everywhere(tmp_path: Path) -> None:
     facts = retaken(tmp_path / "r", 0.01)
     (chosen,) = [v[Sent.CHOSEN] for v in (validation(facts.log, ["S1100"]),)]
     assert chosen.norms_mm.tolist() == pytest.approx([0.1, 0.2, 0.3, 0.2])
-    sheet = accuracy(facts)
+    sheet = Tables(facts).accuracy()
     after = next(row for row in sheet.texts() if row[1].startswith("after"))
     assert after[3] == "0.200", "the table has the same mean"
 
 
 def test_a_larger_later_value_counts(tmp_path: Path) -> None:
     facts = retaken(tmp_path / "r", 0.5)
-    found = remeasured(facts)
+    found = Tables(facts).remeasured()
     assert found.texts()[0][2] == "again"
     assert validation(facts.log, ["S1100"])[Sent.CHOSEN].figures.max == pytest.approx(0.5)
 
@@ -62,7 +62,7 @@ def test_of_three_values_the_largest_counts(tmp_path: Path) -> None:
     writer = validated_run(tmp_path / "r")
     for error_mm in (0.4, 0.05):
         writer.validated("S1100", "chosen", [(error_mm, 0.0, 0.0)])
-    found = remeasured(writer.facts())
+    found = Tables(writer.facts()).remeasured()
     assert [row[2] for row in found.texts()] == ["again", "first"]
 
 
@@ -71,7 +71,7 @@ def test_points_of_a_moved_tracker(tmp_path: Path) -> None:
     moved = {"what": "tracker moved", "set_up": 0, "invalid": [TARGET.key]}
     writer.journal.append("event", "", moved)
     writer.point(TARGET, (200.0, 100.0, 1040.0), "S1100", nominal_mm=(200.0, 100.0, 1040.0))
-    found = remeasured(writer.facts())
+    found = Tables(writer.facts()).remeasured()
     assert "tracker" in found.texts()[0][1]
     assert found.texts()[0][2] == "again"
 
@@ -143,14 +143,14 @@ def test_of_an_orientation_the_larger_value_counts_too(
             )  # fmt: skip
     writer.journal.append("verdict", "fit", FITTED)  # of a correction that turns no tool
     facts = writer.facts()
-    found = remeasured(facts)
+    found = Tables(facts).remeasured()
     rows = [dict(zip(found.headers, row, strict=True)) for row in found.texts()]
     assert {(row["turned first °"], row["turned again °"]) for row in rows} == {
         ("0.0573", "0.0115")
     }
     turned = validated_turns(facts.log, ["S1100"])[Sent.CHOSEN]
     assert turned.figures.max_deg == pytest.approx(0.0573, abs=1e-4)
-    assert "Orientation ." not in orientation(facts).note
+    assert "Orientation ." not in Tables(facts).orientation().note
 
 
 def test_a_step_that_a_later_session_only_passes_is_not_in_the_course(tmp_path: Path) -> None:
