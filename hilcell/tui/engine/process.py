@@ -17,6 +17,7 @@ import msgspec
 
 from hilcell.errors import HilcellError
 from hilcell.model.plan import Step
+from hilcell.run.order import Order
 from hilcell.typed import decoded
 
 LISTS_WORDS = "--help` lists what there is"  # the end of `hilcell.commands.parser`'s errors
@@ -31,35 +32,6 @@ EXIT_REASONS = {  # exits that the journal may not hold
     7: "the journal cannot be written; make room on the disk, or mend the folder's rights",
 }
 HILCELL = (sys.executable, "-m", "hilcell")
-
-
-@dataclass(frozen=True, slots=True)
-class RunRequest:
-    """The entries of the form for a new run."""
-
-    cell: str
-    procedure: str
-    operator: str = ""
-    job: str = ""
-    seed: str = "1"
-    speed: str = ""
-    attended: bool = True
-    settings: tuple[str, ...] = ()
-    runs: str = ""  # the folder of runs, where a calibration is looked for
-
-    def arguments(self) -> list[str]:
-        """Return the command line of `hilcell run`."""
-        arguments = ["run", self.procedure, "--cell", self.cell, "--seed", self.seed]
-        for option, value in (
-            ("--operator", self.operator),
-            ("--job", self.job),
-            ("--speed", self.speed),
-            ("--runs", self.runs),
-        ):
-            arguments += [f"{option}={value}"] if value else []
-        for setting in self.settings:
-            arguments += ["--set", setting]
-        return arguments if self.attended else [*arguments, "--unattended"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +126,7 @@ class DryRun(msgspec.Struct, frozen=True, kw_only=True):
     duration_s: float  # of the cell's time
 
 
-async def dry_run(request: RunRequest) -> DryRun:
-    """Return the plan of a request; raises `HilcellError` with every refusal."""
-    text = await run_command(*request.arguments(), "--dry-run", "--json")
+async def dry_run(order: Order) -> DryRun:
+    """Return the plan of an order; raises `HilcellError` with every refusal."""
+    text = await run_command("run", *order.replace(dry_run=True, json=True).words())
     return decoded(text.splitlines()[0], DryRun)

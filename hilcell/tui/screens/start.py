@@ -7,11 +7,13 @@ nothing by itself: it asks, and only for the plan of the fields as they stand.
 from __future__ import annotations
 
 import asyncio
+from argparse import ArgumentTypeError
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import ClassVar
 
 from textual.app import ComposeResult
@@ -20,9 +22,12 @@ from textual.containers import Horizontal, Vertical
 from textual.content import Content
 from textual.widgets import Input, Label
 
+from hilcell.arguments import assignment, seed_of, speed_of
 from hilcell.cell.file import Cell, load_cell
+from hilcell.clean import clean
 from hilcell.errors import HilcellError
 from hilcell.journal.words import procedure_words, step_words
+from hilcell.run.order import Attendance, Order
 from hilcell.tui.engine import process
 from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.engine.run_view import RunView
@@ -47,6 +52,41 @@ VIEWS = ("history", "theme", "help", "quit")  # in the footer's second row
 QUIET_S = 0.4  # without a change, before the plan is computed
 
 
+@dataclass(frozen=True, slots=True)
+class Entries:
+    """The entries of the form, as they were typed."""
+
+    cell: str
+    procedure: str
+    operator: str
+    job: str
+    seed: str
+    speed: str
+    attended: bool
+
+    @property
+    def planned(self) -> Entries:
+        """Return the part on which the plan depends: not who runs it, and for what job."""
+        return replace(self, operator="", job="")
+
+    def order(self, settings: tuple[tuple[str, str], ...], runs: Path) -> Order:
+        """Return the order that they are; raises `HilcellError` for one that is none."""
+        try:
+            return Order(
+                cell=self.cell,
+                procedure=self.procedure,
+                operator=clean(self.operator),
+                job=clean(self.job),
+                seed=seed_of(self.seed),
+                speed=speed_of(self.speed) if self.speed else None,
+                attendance=Attendance(unattended=not self.attended),
+                settings=settings,
+                runs=runs,
+            )
+        except ArgumentTypeError as error:
+            raise HilcellError(f"seed: {error}") from error
+
+
 class StartScreen(BaseScreen):
     """The fields on the left, the plan on the right; nothing moves before a yes."""
 
@@ -65,8 +105,8 @@ class StartScreen(BaseScreen):
         self._summaries: dict[str, str] = {}
         self._checked = text.Checked()
         self._changes = 0  # a check of earlier fields is dropped
-        self._request: process.RunRequest | None = None  # of which `_checked` tells
-        self._planned: process.RunRequest | None = None  # of which a plan was asked for
+        self._request: Entries | None = None  # of which `_checked` tells
+        self._planned: Entries | None = None  # of which a plan was asked for
         self._asking = False
 
     def compose(self) -> ComposeResult:
@@ -169,21 +209,24 @@ class StartScreen(BaseScreen):
 
     # -- fields ---------------------------------------------------------------------------------
 
-    def request(self) -> process.RunRequest:
+    def entries(self) -> Entries:
         """Return the entries of the fields."""
-        entries = {name: self.query_one(f"#{name}", Input).value.strip() for name, _, _ in FIELDS}
+        found = {name: self.query_one(f"#{name}", Input).value.strip() for name, _, _ in FIELDS}
         speed = self.query_one("#speed", Choice).value
-        return process.RunRequest(
-            cell=entries["cell"],
+        return Entries(
+            cell=found["cell"],
             procedure=self.query_one("#procedure", Choice).value,
-            operator=entries["operator"],
-            job=entries["job"],
-            seed=entries["seed"] or "1",
+            operator=found["operator"],
+            job=found["job"],
+            seed=found["seed"] or "1",
             speed="" if speed == SPEEDS[0] else speed,
             attended=self.query_one("#attended", Choice).value == WATCHED[0],
-            settings=self.application.options.settings,
-            runs=str(self.application.options.runs),
         )
+
+    def order(self, entries: Entries) -> Order:
+        """Return the order that the entries are; raises `HilcellError` for one that is none."""
+        options = self.application.options
+        return entries.order(tuple(map(assignment, options.settings)), options.runs)
 
     def action_turn(self, step: int) -> None:
         """Choose in a choice; from a text field go to the next one, or to the one before."""
@@ -208,9 +251,9 @@ class StartScreen(BaseScreen):
 
     def _change(self) -> None:
         """Compute the plan of the new fields, once they have been left alone for a moment."""
-        if not self.is_shown or self._planned == planned(self.request()):
+        if not self.is_shown or self._planned == self.entries().planned:
             return
-        self._planned = planned(self.request())
+        self._planned = self.entries().planned
         self._changes += 1
         self._request, self._checked = None, text.Checked()
         self.show(None)
@@ -225,16 +268,16 @@ class StartScreen(BaseScreen):
 
     async def _check(self) -> None:
         """Compute the plan of the fields as they stand."""
-        change, request = self._changes, self.request()
+        change, entries = self._changes, self.entries()
         plan, refused = None, ""
         try:
-            plan = await process.dry_run(request)
+            plan = await process.dry_run(self.order(entries))
         except HilcellError as error:
             refused = str(error) or "refused without a reason"
-        cell = await run_in_thread(_cell_of, request)
+        cell = await run_in_thread(_cell_of, entries.cell, self.application.options.settings)
         if change != self._changes or not self.is_shown:
             return  # of earlier fields
-        self._request = request
+        self._request = entries
         self._checked = text.Checked(plan, refused, cell, now())
         self.show(None)
 
@@ -247,32 +290,28 @@ class StartScreen(BaseScreen):
     async def _ask(self) -> None:
         try:
             self._changes += 1  # no check is needed that still waits
-            while self._request is None or planned(self._request) != planned(self.request()):
+            while self._request is None or self._request.planned != self.entries().planned:
                 await self._check()
         finally:
             self._asking = False
-        request, plan = self.request(), self._checked.plan
+        entries, plan = self.entries(), self._checked.plan
         if self.app.screen is not self:
             return  # left meanwhile
         if plan is None:
             self.show_notice("nothing is started: the checks say why")
             return
+        order = self.order(entries)
         self.app.push_screen(
-            PlanSummary(request, plan),
-            lambda yes: self.application.start_task(self._start(request)) if yes else None,
+            PlanSummary(order, plan),
+            lambda yes: self.application.start_task(self._start(order)) if yes else None,
         )
 
-    async def _start(self, request: process.RunRequest) -> None:
+    async def _start(self, order: Order) -> None:
         from hilcell.journal.runs import new_run
 
         runs = self.application.options.runs
-        run = new_run(request.procedure)
-        self.application.actions.start(runs / run, [*request.arguments(), "--name", run])
-
-
-def planned(request: process.RunRequest) -> process.RunRequest:
-    """Return the part of a request on which its plan depends: not who runs it, and for what job."""
-    return replace(request, operator="", job="")
+        run = new_run(order.procedure)
+        self.application.actions.start(runs / run, ["run", *order.replace(name=run).words()])
 
 
 def _choice(name: str, words: Sequence[str], labels: Sequence[str] = ()) -> ComposeResult:
@@ -281,11 +320,10 @@ def _choice(name: str, words: Sequence[str], labels: Sequence[str] = ()) -> Comp
         yield Choice(words, name, labels)
 
 
-def _cell_of(request: process.RunRequest) -> Cell | None:
+def _cell_of(name: str, settings: Sequence[str]) -> Cell | None:
     """Return the cell of a plan; None where its file cannot be read."""
-    pairs = (setting.partition("=") for setting in request.settings)
     with suppress(HilcellError):
-        return load_cell(request.cell, {name: value for name, _, value in pairs})
+        return load_cell(name, dict(map(assignment, settings)))
     return None
 
 
@@ -302,9 +340,9 @@ class PlanSummary(Dialog[bool]):
         Binding("q,n,backspace", "reply(False)", show=False, priority=True),
     ]
 
-    def __init__(self, request: process.RunRequest, plan: process.DryRun) -> None:
+    def __init__(self, order: Order, plan: process.DryRun) -> None:
         super().__init__()
-        self._order, self._plan = request, plan
+        self._order, self._plan = order, plan
 
     def on_mount(self) -> None:
         """Show the plan in short."""
@@ -323,10 +361,12 @@ class PlanSummary(Dialog[bool]):
             self.dismiss(yes)
 
 
-def plan_summary(request: process.RunRequest, plan: process.DryRun) -> Content:
+def plan_summary(order: Order, plan: process.DryRun) -> Content:
     """Return what is about to be started."""
     who = (
-        "somebody is here to be asked" if request.attended else "unattended: a question is a fault"
+        "unattended: a question is a fault"
+        if order.attendance.unattended
+        else "somebody is here to be asked"
     )
     notes = [
         f"{step_words(step.name, has_rail=plan.rail)}: {words}\n"
@@ -336,7 +376,7 @@ def plan_summary(request: process.RunRequest, plan: process.DryRun) -> Content:
     ]
     return Content.assemble(
         (f"Start {procedure_words(plan.procedure)} on cell {plan.cell}?\n", "bold $ask"),
-        f"job {request.job or '-'}, operator {request.operator or '-'}\n",
+        f"job {order.job or '-'}, operator {order.operator or '-'}\n",
         f"{len(plan.steps)} steps, {plan.points} points, "
         f"{duration(plan.duration_s)} of the cell's time\n",
         *notes,

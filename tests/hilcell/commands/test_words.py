@@ -13,7 +13,9 @@ from hilcell.commands.parser import made
 from hilcell.run.order import Attendance, Order, Resume
 
 # Also names that look like options, and nothing that `clean` would change.
-NAMES = st.text("ab-=[/]. ü", min_size=1).filter(lambda text: text == text.strip())
+NAMES = st.text("ab-=[/]. ü", min_size=1).filter(
+    lambda text: text == text.strip() and text != "--"  # which argparse takes for an end
+)
 KEYS = st.sampled_from(["a.b", "grid.pitch_mm"])
 ORDERS = st.builds(
     Order,

@@ -14,6 +14,7 @@ from hilcell.journal.calibration_facts import CalibrationFacts
 from hilcell.journal.index import RunRow
 from hilcell.model.outcome import Outcome
 from hilcell.model.plan import Step
+from hilcell.run.order import Order
 from hilcell.tui import keys
 from hilcell.tui.engine import process
 from hilcell.tui.screens import start
@@ -140,7 +141,7 @@ def isolated(monkeypatch: pytest.MonkeyPatch) -> None:
     async def run_command(*words: str) -> str:
         return SAID[words[0]]
 
-    async def dry_run(order: process.RunRequest) -> process.DryRun:
+    async def dry_run(order: Order) -> process.DryRun:
         return PLAN
 
     for name in ("LONGEST_S", "BUILT_S"):  # a slow machine keeps keys in their order, too

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -15,51 +16,58 @@ from hilcell.commands.cli import whole_parser
 from hilcell.errors import HilcellError
 from hilcell.tui.engine.process import (
     EXIT_REASONS,
-    RunRequest,
     StartedEngine,
     dry_run,
+    run_command,
     start_engine,
 )
+from hilcell.tui.screens.start import Entries
 
 # No terminal types NUL or half a letter; argparse drops a lone --.
 TYPED = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"])).filter(
-    lambda text: text != "--"
+    lambda text: text != "--"  # which argparse takes for the end of options
 )
+ENTRIES = Entries(
+    cell="paper", procedure="home", operator="", job="", seed="1", speed="", attended=True
+)
+RUNS = Path("r")
 
 
 @settings(max_examples=25)
 @given(operator=TYPED, job=TYPED, attended=st.booleans())
 def test_names_reach_the_command_whole(operator: str, job: str, attended: bool) -> None:
-    asked = RunRequest("paper", "calibrate", operator, job, attended=attended)
-    found = whole_parser().parse_args(asked.arguments())
+    entries = replace(ENTRIES, operator=operator, job=job, attended=attended)
+    found = whole_parser().parse_args(["run", *entries.order((("a.b", "c"),), RUNS).words()])
     assert (found.operator, found.job) == (clean(operator), clean(job))
-    assert (found.cell, found.procedure, found.seed) == ("paper", "calibrate", 1)
+    assert (found.cell, found.procedure, found.seed) == ("paper", "home", 1)
+    assert found.settings == [("a.b", "c")]
     assert found.unattended is not attended
 
 
 @pytest.mark.parametrize("name", ["--unattended", "-x", "---", "=", "a b", "[/nope]"])
 def test_names_that_look_like_options_are_names(name: str) -> None:
-    found = whole_parser().parse_args(
-        RunRequest("paper", "home", name, name, settings=("a.b=c",)).arguments()
-    )
+    order = replace(ENTRIES, operator=name, job=name).order((), RUNS)
+    found = whole_parser().parse_args(["run", *order.words()])
     assert (found.operator, found.job, found.unattended) == (name, name, False)
-    assert found.settings == [("a.b", "c")]
 
 
 def test_speed_is_named_only_where_it_is_chosen() -> None:
-    assert "--speed" not in " ".join(RunRequest("paper", "home").arguments())
-    assert (
-        whole_parser().parse_args(RunRequest("paper", "home", speed="10").arguments()).speed == 10.0
-    )
+    assert "--speed" not in " ".join(ENTRIES.order((), RUNS).words())
+    assert replace(ENTRIES, speed="10").order((), RUNS).speed == 10.0
+
+
+def test_a_seed_that_is_none_is_refused_in_words() -> None:
+    with pytest.raises(HilcellError, match=r"^seed: .*-1"):
+        replace(ENTRIES, seed="-1").order((), RUNS)
 
 
 @pytest.mark.process
 def test_commands_are_processes_whose_refusals_say_why(tmp_path: Path) -> None:
     """A value that is refused comes without the usage of a command."""
-    plan = asyncio.run(dry_run(RunRequest("paper", "home")))
+    plan = asyncio.run(dry_run(ENTRIES.order((), tmp_path)))
     assert (plan.procedure, bool(plan.steps)) == ("home", True)
     with pytest.raises(HilcellError) as refused:
-        asyncio.run(dry_run(RunRequest("paper", "home", seed="-1")))
+        asyncio.run(run_command("run", "home", "--seed=-1"))
     assert str(refused.value).startswith("seed: ")
     assert "\n" not in str(refused.value)
     first, second = (start_engine(tmp_path, "r", ["run", "nothing"]) for _ in range(2))

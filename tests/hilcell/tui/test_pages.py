@@ -14,7 +14,7 @@ from textual.widgets import Input
 from textual.worker import WorkerFailed
 
 from hilcell.journal import index
-from hilcell.tui.engine.process import RunRequest
+from hilcell.run.order import Order
 from hilcell.tui.keys import load_keys
 from hilcell.tui.screens.history import HistoryPage
 from hilcell.tui.screens.pages import InterlockPage
@@ -234,7 +234,7 @@ def test_a_question_yields_to_its_answers(which: str) -> None:
         if which == "abort":
             await press(pilot, "a")
         else:
-            app.push_screen(PlanSummary(RunRequest("paper", "calibrate"), PLAN))
+            app.push_screen(PlanSummary(Order(runs=Path("r")), PLAN))
         await settle(pilot)
         assert "Enter" in text_of(app)
         await pilot.resize_terminal(24, 6)

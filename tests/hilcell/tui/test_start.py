@@ -13,6 +13,7 @@ from textual.widgets import Input
 from hilcell.cell.file import load_cell
 from hilcell.errors import HilcellError
 from hilcell.model.plan import Step
+from hilcell.run.order import Order
 from hilcell.tui.engine import process
 from hilcell.tui.screens.start import PlanSummary, StartScreen, plan_summary
 from hilcell.tui.terminal.capabilities import UNICODE
@@ -38,11 +39,11 @@ pytestmark = pytest.mark.usefixtures("isolated")
 SIZE = (80, 24)
 
 
-def planned(monkeypatch: pytest.MonkeyPatch) -> list[process.RunRequest]:
+def planned(monkeypatch: pytest.MonkeyPatch) -> list[Order]:
     """Return the requests whose plans are computed; the plan names its procedure."""
-    asked: list[process.RunRequest] = []
+    asked: list[Order] = []
 
-    async def dry_run(request: process.RunRequest) -> process.DryRun:
+    async def dry_run(request: Order) -> process.DryRun:
         asked.append(request)
         return replace(PLAN, procedure=request.procedure, simulated=True)
 
@@ -55,7 +56,7 @@ def test_the_plan_follows_the_fields(monkeypatch: pytest.MonkeyPatch) -> None:
 
     async def act(app: RecordingApp, pilot: Pilot[int]) -> None:
         assert [each.procedure for each in asked] == ["calibrate"]
-        assert f"--runs={RUNS}" in asked[0].arguments()  # where it looks for a calibration
+        assert asked[0].runs == RUNS  # where it looks for a calibration
         await press(pilot, "down")
         assert asked[-1].procedure == "home"
         assert "start: robot and rail will move in simulation only" in text_of(app)
@@ -82,7 +83,7 @@ def test_who_runs_it_and_for_what_job_plans_nothing_again(monkeypatch: pytest.Mo
 def test_a_plan_of_earlier_fields_is_never_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     waits: dict[str, asyncio.Event] = {}
 
-    async def dry_run(request: process.RunRequest) -> process.DryRun:
+    async def dry_run(request: Order) -> process.DryRun:
         event = waits.setdefault(request.procedure, asyncio.Event())
         await event.wait()
         return replace(PLAN, points=333 if request.procedure == "home" else 999)
@@ -110,7 +111,7 @@ def test_a_plan_of_earlier_fields_is_never_shown(monkeypatch: pytest.MonkeyPatch
 def test_a_refused_plan_has_its_reasons_and_starts_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    async def refuse(_: process.RunRequest) -> process.DryRun:
+    async def refuse(_: Order) -> process.DryRun:
         raise HilcellError("refused before anything moves\nvalidate: 3 targets out of reach")
 
     monkeypatch.setattr(process, "dry_run", refuse)
@@ -227,5 +228,5 @@ def test_a_refused_plan_names_steps_and_points_in_words() -> None:
 def test_the_question_names_the_steps_that_do_nothing_in_words() -> None:
     step = Step(name="station-frames", points=0, duration_s=0.0, note="on the floor")
     plan = replace(PLAN, steps=[step])
-    said = plan_summary(process.RunRequest("fixed", "calibrate"), plan).plain
+    said = plan_summary(Order(cell="fixed", runs=RUNS), plan).plain
     assert "Station frames: on the floor" in said

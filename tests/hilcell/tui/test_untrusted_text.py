@@ -13,12 +13,13 @@ from textual.events import Paste
 from textual.widgets import Input
 
 from hilcell.errors import HilcellError
+from hilcell.run.order import Order
 from hilcell.tui.engine import process
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import EngineState
 from hilcell.tui.screens import start
 from hilcell.tui.screens.run import RunScreen
-from hilcell.tui.screens.start import PlanSummary
+from hilcell.tui.screens.start import PlanSummary, StartScreen
 from hilcell.typed import typed
 from tests.hilcell.tui.all_screens import COMPARISON, PLAN, SHOWN, isolated, screens_of
 from tests.hilcell.tui.recording_app import (
@@ -62,7 +63,7 @@ def poisoned_outside(
             return msgspec.json.encode(_poison(SHOWN, text)).decode() + f"\n{text}\n"
         return f"line\n{text}\n"
 
-    async def dry_run(order: process.RunRequest) -> process.DryRun:
+    async def dry_run(order: Order) -> process.DryRun:
         return typed(_poison(msgspec.to_builtins(PLAN), text), process.DryRun)
 
     monkeypatch.setattr(process, "run_command", run_command)
@@ -163,7 +164,7 @@ def test_hostile_words_may_be_pasted_into_the_form() -> None:
         async with app.run_test(size=SIZE) as pilot:
             await settle(pilot)
             for text in PASTED:
-                for name in ("cell", "operator", "job", "seed"):
+                for name in ("cell", "operator", "job"):
                     app.screen.query_one(f"#{name}", Input).value = ""
                     app.screen.query_one(f"#{name}", Input).focus()
                     app.post_message(Paste(text))
@@ -173,6 +174,14 @@ def test_hostile_words_may_be_pasted_into_the_form() -> None:
                 assert isinstance(app.screen, PlanSummary)
                 assert not dangerous(text_of(app)), text_of(app)
                 await press(pilot, "q")
+                seed = app.screen.query_one("#seed", Input)
+                seed.value = ""
+                seed.focus()
+                app.post_message(Paste(text))
+                await press(pilot, "enter")  # no whole number: no plan, and no question
+                assert isinstance(app.screen, StartScreen)
+                assert not dangerous(text_of(app)), text_of(app)
+                seed.value = "1"
 
     asyncio.run(run_app())
 
