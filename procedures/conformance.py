@@ -17,8 +17,7 @@ from hilcell.cell.devices import abilities, streams_of
 from hilcell.cell.file import Cell
 from hilcell.conformance.bench import SIMULATED_ONLY, Bench, BenchClock
 from hilcell.conformance.kit import promises_of
-from hilcell.conformance.promise import Outcome, Promise, judge
-from hilcell.conformance.trial import Trial
+from hilcell.conformance.trial import Outcome, Promise, Trial, judge
 from hilcell.conformance.verdicts import PORTS, NeedsPerson, Port
 from hilcell.journal.log import Log
 from hilcell.model.events import Announced, PromiseJudged

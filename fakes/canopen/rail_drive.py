@@ -15,7 +15,7 @@ from fakes.canopen.dictionary import Abort, Entry, SdoAbortError
 from fakes.canopen.pdo import INVALID, Mapping, ReceivePdo, TransmitPdo
 from fakes.canopen.slave import CanopenSlave, ErrorKind, NodeIdentity
 from fakes.faults import Faults
-from fakes.truth.dither import Dither
+from fakes.truth.noise import Dither
 from fakes.truth.rail_truth import RailState, RailTruth
 from hilcell.cell.file import RailTable
 

@@ -12,12 +12,11 @@ from __future__ import annotations
 from functools import partial
 
 from fakes.canopen import rail_drive, rail_strip
-from fakes.canopen.bus_thread import BusThread
 from fakes.canopen.rail_drive import RailDrive
 from fakes.canopen.rail_strip import RailStrip
 from fakes.canopen.sdo import HEADER, abort_reply
 from fakes.canopen.slave import SYNC_COB_ID, CanopenSlave
-from fakes.canopen.slcan_gateway import SlcanGateway, is_serial
+from fakes.canopen.slcan_gateway import BusThread, SlcanGateway, is_serial
 from fakes.faults import Faults, Value
 from fakes.site import Site
 from fakes.strips.line import StripLine

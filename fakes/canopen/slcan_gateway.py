@@ -8,16 +8,58 @@ unasked until the channel is open.
 
 from __future__ import annotations
 
+import os
+import pty
 import select
 import socket
+import threading
 import time
+import tty
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 
 import numpy as np
 
 from fakes.faults import Faults
+from fakes.time import PAUSE_S, OwnTime
 from fakes.wires.listener import HOST, listen
-from fakes.wires.serial_end import SerialEnd
+
+
+class SerialEnd:
+    """A serial device's end of a line, which a pseudo terminal stands for; it has no connections.
+
+    Bytes that nobody takes are lost, as on any UART; the line stays when its user goes. Used like
+    a client's socket, by one thread.
+    """
+
+    def __init__(self, patience_s: float) -> None:
+        self._patience_s = patience_s
+        self._ours, self._theirs = pty.openpty()
+        tty.setraw(self._theirs)
+        os.set_blocking(self._ours, False)
+        self.path = os.ttyname(self._theirs)
+        self._open = True
+
+    def fileno(self) -> int:
+        """Return the descriptor to wait for."""
+        return self._ours
+
+    def recv(self, size: int, /) -> bytes:
+        """Return bytes that have come."""
+        return os.read(self._ours, size)
+
+    def sendall(self, data: bytes, /) -> None:
+        """Send bytes; those that the line does not take in time are lost."""
+        while data and select.select([], [self._ours], [], self._patience_s)[1]:
+            data = data[os.write(self._ours, data) :]
+
+    def close(self) -> None:
+        """Unplug the device."""
+        if self._open:
+            self._open = False
+            os.close(self._ours)
+            os.close(self._theirs)
+
 
 OK, REFUSED = b"\r", b"\a"
 LONGEST_LINE = 64
@@ -221,3 +263,45 @@ class SlcanGateway:
             return
         self._put(b"z\r")
         self._on_frame(cob_id, data)
+
+
+class BusThread:
+    """Runs from `start` to `close`; ``wait_s`` says how long nothing is due, ``tick`` does it."""
+
+    def __init__(
+        self,
+        name: str,
+        gateway: SlcanGateway,
+        wait_s: Callable[[], float],
+        tick: Callable[[float], None],
+    ) -> None:
+        self._gateway, self._wait_s, self._tick = gateway, wait_s, tick
+        self.now_s = OwnTime().now_s
+        self._closing = threading.Event()
+        self._wake, self._waker = socket.socketpair()
+        self._thread = threading.Thread(target=self._run, name=name)
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Switch the bus off and return when the thread has ended."""
+        self._closing.set()
+        with suppress(OSError):
+            self._waker.send(b"\0")
+        if self._thread.is_alive():
+            self._thread.join()
+        self._gateway.close()
+        self._wake.close()
+        self._waker.close()
+
+    def _run(self) -> None:
+        try:
+            while not self._closing.is_set():
+                self._gateway.serve(min(self._wait_s(), PAUSE_S), self._wake)
+                self._tick(self.now_s())
+                self._gateway.flush()
+        finally:
+            # Should a fault's value make no sense here, clients see the end, not silence.
+            self._gateway.close()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fakes.faults import Faults
 from fakes.site import Site
-from fakes.truth.dither import Dither
+from fakes.truth.noise import Dither
 from fakes.truth.rail_truth import RailState, RailTruth
 
 RAIL_DRIVER = "kuka-e1"

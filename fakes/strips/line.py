@@ -15,7 +15,7 @@ import tty
 from collections.abc import Callable
 
 from fakes.faults import Faults
-from fakes.truth.dither import Dither
+from fakes.truth.noise import Dither
 from fakes.truth.rail_truth import RailState, RailTruth
 from fakes.wires.listener import HOST, Listener
 from fakes.wires.segments import Segments

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from fakes.canopen.bus_thread import BusThread
 from fakes.canopen.rail_strip import NODE, RailStrip
 from fakes.canopen.slave import SYNC_COB_ID
-from fakes.canopen.slcan_gateway import SlcanGateway, is_serial
+from fakes.canopen.slcan_gateway import BusThread, SlcanGateway, is_serial
 from fakes.faults import Faults
 from fakes.site import Site
 from fakes.strips.line import StripLine

@@ -20,7 +20,6 @@ from hilcell.geometry.inverse import NominalRobot
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.rotations import to_rotvec
 from hilcell.geometry.statistics import lengths_mm
-from hilcell.identification.curve import TransmissionCurve
 from hilcell.identification.estimate import (
     Estimate,
     identify,
@@ -28,7 +27,7 @@ from hilcell.identification.estimate import (
     predict,
     predict_orientations,
 )
-from hilcell.identification.kinematics import Kinematics, Placed, State
+from hilcell.identification.kinematics import Kinematics, Placed, State, TransmissionCurve
 from hilcell.identification.noise import Noise
 from hilcell.identification.readings import IdentificationError
 from hilcell.identification.system import observability

@@ -11,9 +11,8 @@ import numpy as np
 from hilcell.compensation.grid import GridError, MeasuredGrid
 from hilcell.geometry.inverse import NominalRobot
 from hilcell.geometry.kinematics import Array
-from hilcell.identification.curve import TransmissionCurve
-from hilcell.identification.readings import Bools, Ints, Readings
-from hilcell.identification.repeats import folds_of
+from hilcell.identification.kinematics import TransmissionCurve
+from hilcell.identification.readings import Bools, Ints, Readings, folds_of
 
 
 @dataclass(frozen=True, eq=False)

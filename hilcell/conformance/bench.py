@@ -14,10 +14,38 @@ import msgspec
 from hilcell.cell.devices import TABLES, driver_options, load_entry, start_simulation
 from hilcell.cell.file import Cell
 from hilcell.conformance.acts import ACTS, Driver
-from hilcell.conformance.riding import Riding
 from hilcell.conformance.verdicts import NotApplicable, Port
 from hilcell.conformance.wire import Wires
-from hilcell.ports import Clock, RidesOnRobot, SimulatedCell, Stopped
+from hilcell.ports import Clock, Identity, RidesOnRobot, SimulatedCell, Stopped
+
+
+class Riding:
+    """A rail that is an external axis, with the robot whose axis it is: one device.
+
+    A run opens the robot before the rail, and leaves both. So what a promise says of connect, close
+    and the wire is said of the two of them.
+    """
+
+    def __init__(self, rail: Driver, robot: Driver) -> None:
+        self._rail, self._robot = rail, robot
+        rail.ride(robot)
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._rail, name)
+
+    def connect(self) -> list[Identity]:
+        """Open both, the robot first; return the rail's identities."""
+        self._robot.connect()
+        found: list[Identity] = self._rail.connect()
+        return found
+
+    def close(self) -> None:
+        """Leave both, the rail first."""
+        try:
+            self._rail.close()
+        finally:
+            self._robot.close()
+
 
 SEED = 1
 LOOK_S = 0.02

@@ -15,8 +15,7 @@ from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert
 from hilcell.clock import WallClock
 from hilcell.conformance.acts import ACTS, Driver
-from hilcell.conformance.bench import LOOK_S, Bench, Settings
-from hilcell.conformance.riding import Riding
+from hilcell.conformance.bench import LOOK_S, Bench, Riding, Settings
 from hilcell.conformance.verdicts import Broken, Port
 from hilcell.typed import Json, decoded
 

@@ -7,9 +7,8 @@ from collections.abc import Iterator
 import pytest
 
 from hilcell.conformance.kit import promises_of
-from hilcell.conformance.promise import Promise
 from hilcell.conformance.pytest_options import options_of
-from hilcell.conformance.trial import Trial
+from hilcell.conformance.trial import Promise, Trial
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 from hilcell.conformance.acts import STEP_MM
 from hilcell.conformance.bench import Bench
-from hilcell.conformance.promise import Promise
+from hilcell.conformance.trial import Promise
 from hilcell.conformance.verdicts import fails, need
 from hilcell.ports import Rail
 

@@ -7,7 +7,7 @@ from functools import partial
 
 from hilcell.conformance.bench import Bench
 from hilcell.conformance.connecting import near
-from hilcell.conformance.promise import Promise
+from hilcell.conformance.trial import Promise
 from hilcell.conformance.verdicts import fails, need
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from hilcell.conformance.acts import SPEED_PERCENT, Driver, worst_deg
 from hilcell.conformance.bench import Bench
-from hilcell.conformance.promise import Promise
+from hilcell.conformance.trial import Promise
 from hilcell.conformance.verdicts import NotApplicable, fails, need
 from hilcell.geometry.kinematics import forward
 from hilcell.ports import Array, Robot, Sweeps

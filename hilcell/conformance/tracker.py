@@ -7,7 +7,7 @@ import numpy as np
 from hilcell.conformance.acts import Driver, TrackerActs
 from hilcell.conformance.bench import Bench
 from hilcell.conformance.connecting import near
-from hilcell.conformance.promise import Promise
+from hilcell.conformance.trial import Promise
 from hilcell.conformance.verdicts import NotApplicable, fails, need
 from hilcell.ports import Array, NoReading, StreamBlock, Streams, Tracker
 

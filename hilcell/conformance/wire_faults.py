@@ -12,7 +12,7 @@ from hilcell.conformance.acts import Driver
 from hilcell.conformance.bench import Bench
 from hilcell.conformance.child import Child
 from hilcell.conformance.connecting import near
-from hilcell.conformance.promise import Promise
+from hilcell.conformance.trial import Promise
 from hilcell.conformance.verdicts import Broken, Port, fails, need
 from hilcell.errors import DeviceError, Stopped
 

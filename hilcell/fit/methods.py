@@ -35,8 +35,16 @@ from hilcell.fit.robot_file import Measurements, Robot
 from hilcell.geometry import statistics
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.statistics import Figures
-from hilcell.identification.readings import Bools, IdentificationError, Ints, ManyContradict
-from hilcell.identification.repeats import FOLDS, count_poses, folds_of, places_of
+from hilcell.identification.readings import (
+    FOLDS,
+    Bools,
+    IdentificationError,
+    Ints,
+    ManyContradict,
+    count_poses,
+    folds_of,
+    places_of,
+)
 from hilcell.identification.system import observability
 from hilcell.present.table import Column, Table
 

@@ -17,8 +17,7 @@ from hilcell.geometry.kinematics import Array
 from hilcell.identification.estimate import Estimate
 from hilcell.identification.kinematics import State
 from hilcell.identification.noise import Noise
-from hilcell.identification.readings import Ints
-from hilcell.identification.repeats import folds_of
+from hilcell.identification.readings import Ints, folds_of
 
 TYPICAL_RAD, TYPICAL_LENGTH_RAD = 100e-6, 1.0  # where the search begins, and what few data lean on
 DOUBT = np.repeat([1.5, 1.0, 1.0], [6, 6, 1])  # of their logarithms, and of the noise's scale

@@ -14,7 +14,7 @@ import numpy as np
 
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.statistics import rms
-from hilcell.identification.curve import TransmissionCurve
+from hilcell.identification.kinematics import TransmissionCurve
 from hilcell.identification.motion import BadStream, Motion, SweepStream, motion_of
 from hilcell.identification.spectrum import (
     Found,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hilcell.identification.curve import TransmissionCurve
+from hilcell.identification.kinematics import TransmissionCurve
 from hilcell.identification.sweeps import SweptAxis
 from hilcell.model.events import URAD, CurveMeasured
 

@@ -6,7 +6,7 @@ from statistics import median
 
 import pytest
 
-from fakes.truth.dither import STEPS, Dither
+from fakes.truth.noise import STEPS, Dither
 from tests.fakes.rail_bench import HUNTING, Bus, on_bus
 
 

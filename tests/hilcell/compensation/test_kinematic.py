@@ -16,8 +16,7 @@ from hilcell.compensation.measured import Measured, MeasuredArm, StaticPoses
 from hilcell.compensation.model import ModelError
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import Figures, lengths_mm
-from hilcell.identification.curve import TransmissionCurve
-from hilcell.identification.kinematics import Kinematics, State
+from hilcell.identification.kinematics import Kinematics, State, TransmissionCurve
 from hilcell.identification.readings import IdentificationError, Readings
 from tests.hilcell.compensation.models import lattice
 

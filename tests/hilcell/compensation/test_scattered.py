@@ -9,7 +9,7 @@ from hilcell.compensation.choice import Nominal
 from hilcell.compensation.grid import GridError
 from hilcell.compensation.interpolation import Idw, Trilinear
 from hilcell.compensation.measured import Measured, StaticPoses
-from hilcell.identification.repeats import FOLDS
+from hilcell.identification.readings import FOLDS
 from tests.hilcell.compensation.models import level
 
 seeds = st.integers(0, 2**32 - 1)

@@ -19,8 +19,7 @@ from hilcell.cell.file import load_cell
 from hilcell.conformance import bench, wire_faults
 from hilcell.conformance.kit import PROMISES, driver_cell, promises_of
 from hilcell.conformance.page import renewed
-from hilcell.conformance.promise import Outcome, Promise
-from hilcell.conformance.trial import Trial
+from hilcell.conformance.trial import Outcome, Promise, Trial
 from hilcell.conformance.verdicts import PORTS, Port
 from hilcell.errors import Stopped
 from tests.hilcell.conformance.broken_drivers import BROKEN, LateByTag

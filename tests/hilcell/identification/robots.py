@@ -6,8 +6,7 @@ import numpy as np
 
 from hilcell.geometry.frames import pose_from_zyx
 from hilcell.geometry.kinematics import Arm, Array
-from hilcell.identification.curve import TransmissionCurve
-from hilcell.identification.kinematics import Kinematics, State
+from hilcell.identification.kinematics import Kinematics, State, TransmissionCurve
 from hilcell.identification.readings import Readings
 
 ARM = Arm(

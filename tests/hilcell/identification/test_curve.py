@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hilcell.identification.curve import TransmissionCurve
+from hilcell.identification.kinematics import TransmissionCurve
 
 CURVE = TransmissionCurve(
     axis=1,

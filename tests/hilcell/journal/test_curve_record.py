@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from hilcell.identification.curve import TransmissionCurve
+from hilcell.identification.kinematics import TransmissionCurve
 from hilcell.identification.sweeps import SweptAxis
 from hilcell.journal.curve_record import curve_measured, curve_of
 from hilcell.journal.journal import Record
