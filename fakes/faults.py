@@ -259,14 +259,10 @@ def load_faults(path: str) -> Faults:
 def _problem(name: str, value: Value) -> str:
     """Return the problem of a fault; ``true`` is the default value of every fault."""
     if name not in KNOWN:
-        return _unknown(name)
+        near = difflib.get_close_matches(name, KNOWN, n=1)
+        hint = f'did you mean "{near[0]}"?' if near else f"known: {', '.join(KNOWN)}"
+        return f"fault {name!r} is unknown; {hint}"
     wanted = "text" if name in TEXTS else "a number"
     if value is True or isinstance(value, str) == (name in TEXTS):
         return ""
     return f"fault {name!r}: the value {value!r:.80} is not {wanted}"
-
-
-def _unknown(name: str) -> str:
-    near = difflib.get_close_matches(name, KNOWN, n=1)
-    hint = f'did you mean "{near[0]}"?' if near else f"known: {', '.join(KNOWN)}"
-    return f"fault {name!r} is unknown; {hint}"

@@ -31,7 +31,6 @@ from hilcell.errors import HilcellError, with_place
 # started with it; ``seat`` is the person who carries the reflector. Nothing of this reaches a
 # device's wire.
 
-LONGEST = 1 << 20
 
 Answer = dict[str, Any]
 
@@ -75,8 +74,9 @@ class ControlServer:
         self._listener.close()
 
     def _serve(self, client: socket.socket) -> None:
+        longest = 1 << 20
         with client.makefile("rb") as lines:
-            while line := lines.readline(LONGEST):
+            while line := lines.readline(longest):
                 answer = self._answer(line)
                 client.sendall(msgspec.json.encode(answer) + b"\n")
                 if answer.get("leaving"):  # only now, for the end closes this connection too

@@ -40,7 +40,6 @@ from hilcell.ports import (
 )
 
 COUNTS_PER_MM, STRIP_COUNTS_PER_MM = 1000.0, 100.0
-MEASURE_S = 2.5
 ADDRESS = "in process"
 
 
@@ -250,8 +249,9 @@ class DirectTracker:
         found = self._plant.tracker.measurements(self._found(near_mm), samples, back=back)
         if found is None:
             raise NoReading("HC-T10", "Tracker", "measure", "the beam broke")
+        measure_s = 2.5
         for _ in range(samples):
-            self._plant.time.advance(MEASURE_S)
+            self._plant.time.advance(measure_s)
         xyz_mm, std_mm = found.xyz_mm[0], found.std_mm[0]
         if samples > 1:
             points_mm = found.xyz_mm

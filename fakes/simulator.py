@@ -30,10 +30,7 @@ from hilcell.cell.settings import SettingsError
 from hilcell.clean import harmless
 from hilcell.ports import DeviceError, Exercise, HilcellError, Stopped
 
-ANSWER_S = 60.0  # a simulated cell waits for its PC, and the PC for the cell
-END_S = 5.0
 LONGEST_WORDS = 2000
-DEVICES = ("rail", "robot", "tracker")
 NO_PORTS: Mapping[str, int] = MappingProxyType({})
 
 
@@ -76,8 +73,9 @@ class PaperCell:
             }
             self._process, self._words, answer = _start(msgspec.json.encode(order) + b"\n")
             self._control = Control(answer["control"])
+        devices = ("rail", "robot", "tracker")
         self.options: dict[str, dict[str, object]] = {
-            name: answer.get(name, {}) for name in DEVICES
+            name: answer.get(name, {}) for name in devices
         }
         self.address: str = attach or answer["control"]
         self._speed = math.inf if answer["speed"] is None else float(answer["speed"])
@@ -117,8 +115,9 @@ class PaperCell:
         if self._process is None:
             return
         process, self._process = self._process, None
+        end_s = 5.0
         try:
-            process.communicate(timeout=END_S)  # closes its stdin
+            process.communicate(timeout=end_s)  # closes its stdin
         except subprocess.TimeoutExpired:
             process.kill()
             process.communicate()
@@ -173,8 +172,9 @@ class Control:
     def __init__(self, address: str) -> None:
         self._lock = threading.Lock()
         self._address = address
+        answer_s = 60.0  # a simulated cell waits for its PC, and the PC for the cell
         try:
-            self._socket = socket.create_connection(_host_and_port(address), ANSWER_S)
+            self._socket = socket.create_connection(_host_and_port(address), answer_s)
         except OSError as error:
             raise DeviceError(
                 "HC-C18",

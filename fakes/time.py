@@ -17,7 +17,6 @@ from itertools import count
 
 EXCHANGE_S = 0.008  # one question to a robot's controller and its answer
 PAUSE_S = 0.1
-TICK_S = 1e-6
 
 Follower = Callable[[], None]
 
@@ -30,7 +29,8 @@ class PatientTime:
 
     def now_s(self) -> float:
         """Return a time behind all earlier ones."""
-        return next(self._looks) * TICK_S
+        tick_s = 1e-6
+        return next(self._looks) * tick_s
 
 
 class OwnTime:

@@ -26,7 +26,6 @@ from fakes.truth.rail_truth import RailTruth
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 
-IDLE_S = 0.5
 HEARTBEATS = range(0x700, 0x780)
 # Values of the faults whose own value only says that they strike.
 DEFAULT_FAULT, DEFAULT_EMERGENCY, DEFAULT_ABORT = 0x8611, 0x7305, 0x08000022
@@ -94,7 +93,8 @@ class RailServer:
         due_s = min(node.next_s() for node in self._nodes.values())
         due_s = min([due_s, *(late[0] for late in self._late)])
         look_period_s = 0.01
-        longest_s = look_period_s if self._watches() else IDLE_S
+        idle_s = 0.5
+        longest_s = look_period_s if self._watches() else idle_s
         return min(max(0.0, due_s - self._bus.now_s()), longest_s)
 
     def _watches(self) -> bool:

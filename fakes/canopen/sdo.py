@@ -14,7 +14,6 @@ from fakes.canopen.dictionary import Abort, ObjectDictionary, SdoAbortError
 HEADER = struct.Struct("<BHB")
 ABORT = 0x80
 TOGGLE = 0x10
-LONGEST = 4096
 
 
 @dataclass(slots=True)
@@ -109,7 +108,8 @@ class SdoServer:
     def _download_segment(self, transfer: _Transfer, command: int, request: bytes) -> bytes:
         transfer.check_toggle(command)
         transfer.data += request[1 : 8 - (command >> 1 & 7)]
-        if len(transfer.data) > LONGEST:
+        longest = 4096
+        if len(transfer.data) > longest:
             raise SdoAbortError(Abort.WRONG_LENGTH)
         if command & 1:
             if transfer.announced not in {None, len(transfer.data)}:

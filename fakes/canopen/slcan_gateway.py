@@ -62,7 +62,6 @@ class SerialEnd:
 
 
 OK, REFUSED = b"\r", b"\a"
-LONGEST_LINE = 64
 LATE_SHARE, LATE_S = 0.1, 0.001  # so many sendings wait for up to so long, whole or cut in two
 
 
@@ -205,7 +204,8 @@ class SlcanGateway:
             self._obey(line)
             if self._client is None:
                 return
-        if len(rest) > LONGEST_LINE:
+        longest_line = 64
+        if len(rest) > longest_line:
             self._received = b""
             self._put(REFUSED)
 

@@ -25,7 +25,6 @@ from fakes.wires.segments import RECEIVE, Answers, Segments
 READ, WRITE = 0, 1
 IDLE_S = 30.0
 HEAD = struct.Struct("!HH")
-SUCCESS = b"\x00\x01\x01"
 FAILURES = {0: b"\x00\x00\x00", 1: b"\x00\x01\x00"}  # C3 Bridge's, KUKAVARPROXY's
 
 
@@ -92,7 +91,8 @@ class C3Server:
         if parsed is None:
             return None
         kind, name, text = parsed
-        footer = SUCCESS
+        success = b"\x00\x01\x01"
+        footer = success
         try:
             self._fail_if_wanted()
             if kind == READ:

@@ -56,13 +56,10 @@ class Error(IntEnum):
     STOPPED = 9
 
 
-SLIDE_MM = 0.05  # it may read so far from where it is held
-LIFE_MS = 1500
 AXES = tuple(f"A{n}" for n in range(1, 7))
 EXTERNAL = members({f"E{n}": 0.0 for n in range(1, 7)})
 FRAME = ("X", "Y", "Z", "A", "B", "C")
 TOOL, BASE = 1, 0
-CYCLE_S = 0.012  # of the interpolation: measured axes are as old as its last tick
 
 
 class KrlController:
@@ -87,7 +84,8 @@ class KrlController:
         self._tool = dict(zip(FRAME, (*cell.robot.smr_mm, 0.0, 0.0, 0.0), strict=True))
         self._target_deg = dict(zip(AXES, cell.robot.home_deg, strict=True))
         self._integers = {"HC_VEL": 1, "HC_CMD": 0, "HC_SEQ": 0, "HC_OV_OLD": 0, "HC_OV_SET": 0}
-        self._integers["HC_LIFE"] = LIFE_MS
+        life_ms = 1500
+        self._integers["HC_LIFE"] = life_ms
         self._timer = LifeTimer(self._timer_ran_out)
         self._acknowledged = self._error = 0
         self._running: int | None = None
@@ -228,8 +226,9 @@ class KrlController:
 
     def _position_text(self, which: str, state: RobotState) -> str:
         off, joints_rad = np.zeros(6), state.joints_rad
+        cycle_s = 0.012  # of the interpolation: measured axes are as old as its last tick
         if state.moving and which == "$AXIS_ACT_MEAS":
-            joints_rad, tick = self._motion.measured(CYCLE_S)
+            joints_rad, tick = self._motion.measured(cycle_s)
             off = flicker(state.landing_rad.tobytes(), tick, 6)
         elif not state.moving:
             self._looks += 1
@@ -297,7 +296,8 @@ class KrlController:
         if not self._slide.held:
             return Error.SLIDE_FREE
         away_mm = abs(self._slide.poll(self._share).encoder_mm - self._slide_mm)
-        return Error.OK if away_mm <= SLIDE_MM else Error.SLIDE_AWAY
+        slide_mm = 0.05  # it may read so far from where it is held
+        return Error.OK if away_mm <= slide_mm else Error.SLIDE_AWAY
 
     @property
     def _share(self) -> float:

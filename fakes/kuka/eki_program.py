@@ -17,14 +17,12 @@ from fakes.kuka.krl import KrlError, aggregate, raw_members
 from fakes.time import PlantTime
 
 QUEUE = 16  # values; one more closes the connection
-VERSION = 1
 AXES = tuple(f"A{n}" for n in range(1, 7))
 RECEIVED = (
     *(f"RobotCommand/@{name}" for name in ("Id", "Type", "Percent", "Life")),
     *(f"RobotCommand/Pos/@{name}" for name in (*AXES, "E1")),
 )
 STOP_RECEIVED = ("RobotStop/@Id", "RobotStop/@Brake")
-FRAME = ("X", "Y", "Z", "A", "B", "C")
 STATUS = {
     "Mode_Op": "$MODE_OP",
     "Peri_Rdy": "$PERI_RDY",
@@ -160,22 +158,24 @@ class EkiProgram:
     def _state(self, number: int) -> bytes:
         texts = dict(zip(NAMES, self._controller.read_all(NAMES), strict=True))
         axes, pose, tool, base = (raw_members(texts[name]) for name in PLACES)
+        version = 1
+        frame = ("X", "Y", "Z", "A", "B", "C")
         return _document(
             "RobotState",
             {
                 "Command": {"Id": str(number)} | _named(COMMAND, texts),
                 "Pos": {name: axes[name] for name in (*AXES, "E1")}
-                | {name: pose[name] for name in (*FRAME, "S", "T")},
+                | {name: pose[name] for name in (*frame, "S", "T")},
                 "Status": _named(STATUS, texts),
-                "Tool": {"Number": texts["$ACT_TOOL"]} | {name: tool[name] for name in FRAME},
-                "Base": {"Number": texts["$ACT_BASE"]} | {name: base[name] for name in FRAME},
+                "Tool": {"Number": texts["$ACT_TOOL"]} | {name: tool[name] for name in frame},
+                "Base": {"Number": texts["$ACT_BASE"]} | {name: base[name] for name in frame},
                 "Override": {"Old": texts["HC_OV_OLD"]},
                 "Slide": _named(SLIDE, texts),
                 "Robot": {
                     "Model": texts["$TRAFONAME[]"].strip('"'),
                     "Serial": texts["$KR_SERIALNO"],
                     "Program": texts["HC_VER"],
-                    "Documents": str(VERSION),
+                    "Documents": str(version),
                 },
                 "Error": {"Code": texts["HC_ERR"]},
             },

@@ -22,8 +22,6 @@ from fakes.time import PlantTime
 from fakes.wires.listener import HOST, Listener
 from fakes.wires.segments import RECEIVE, Answers, Segments
 
-CYCLE_S = 0.06  # of the submit interpreter, with a state in it
-ENDLESS = b'<RobotState><Pos A1="' + b"0" * 20_000
 BOMB = (
     b'<!DOCTYPE RobotState [<!ENTITY a "1"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]>'
     b'<RobotState><Command Id="&b;"/></RobotState>'
@@ -99,10 +97,11 @@ class EkiServer:
 
     def _serve_stops(self, client: socket.socket) -> None:
         queues, pending, there = Queues(STOP_RECEIVED), b"", True
+        cycle_s = 0.06  # of the submit interpreter, with a state in it
         try:
             while there:
                 select.select([client], [], [])
-                self._closing.wait(CYCLE_S)
+                self._closing.wait(cycle_s)
                 pending, there = _look(client, queues, pending, b"</RobotStop>")
                 self._hear_stops(client, queues, there)
         except Vanished:
@@ -126,8 +125,9 @@ class EkiServer:
         """Return what is sent for a state."""
         if self._faults.take("robot.xml_bomb") is not None:
             return BOMB
+        endless = b'<RobotState><Pos A1="' + b"0" * 20_000
         if self._faults.take("robot.no_end") is not None:
-            return ENDLESS
+            return endless
         again = self._faults.take("robot.glued_reply") is not None
         twice_every = 53
         return former + state if again or segments.sent % twice_every == twice_every - 1 else state

@@ -8,7 +8,6 @@ from fakes.truth.noise import Dither
 from fakes.truth.rail_truth import RailState, RailTruth
 
 RAIL_DRIVER = "kuka-e1"
-LIMIT_MM = 0.5  # the software limits lie so far outside the travel
 
 
 class ExternalAxis:
@@ -87,5 +86,6 @@ def external_axis(site: Site) -> ExternalAxis | None:
     rail, table = site.plant.rail, site.cell.rail
     if table.driver != RAIL_DRIVER or not isinstance(rail, RailTruth):
         return None
-    lowest_mm, highest_mm = table.travel_min_mm - LIMIT_MM, table.travel_max_mm + LIMIT_MM
+    limit_mm = 0.5  # the software limits lie so far outside the travel
+    lowest_mm, highest_mm = table.travel_min_mm - limit_mm, table.travel_max_mm + limit_mm
     return ExternalAxis(rail, site.faults, lowest_mm, highest_mm, table.acceleration_mm_s2)

@@ -50,7 +50,6 @@ class Mode(IntEnum):
 
 
 INITIALISE_S, POINT_S, FACE_S = 30.0, 0.6, 4.0
-STILL_MM = 0.02  # a target that moves farther meanwhile gives no stationary result
 
 
 class Face(IntEnum):
@@ -409,13 +408,14 @@ class EmsconDevice:
 
     def _result(self, command: Command, target: str, began_mm: Array) -> Answer:
         ready = status_change(Change.READY)
+        still_mm = 0.02  # a target that moves farther meanwhile gives no stationary result
         with self._lock:
             take = self._faults.take
             ended_mm = self._instrument.reflector(target)
             if take("tracker.beam_break_after") is not None or ended_mm is None:
                 return self._broken(command)
             moved_mm = np.linalg.norm(ended_mm - began_mm)
-            measured = self._measured(target) if moved_mm <= STILL_MM else None
+            measured = self._measured(target) if moved_mm <= still_mm else None
             if measured is None:
                 return Answer([reply(command, Status.NO_STATIONARY_RESULT), ready])
             packets, self._late = [*self._late, self._packed(measured)], []

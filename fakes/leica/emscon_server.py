@@ -21,9 +21,7 @@ from fakes.time import PlantTime
 from fakes.wires.listener import HOST, Listener
 from fakes.wires.segments import Segments
 
-LONGEST = 4096
 RECEIVE = 4096
-LATE_EVERY, LATE_S = 5, 0.001  # results that come well after their acknowledgement
 
 
 class EmsconServer:
@@ -146,8 +144,9 @@ class EmsconServer:
             raise ConnectionAbortedError
         data = b"".join(packets)
         session.results += 1
-        if session.results % LATE_EVERY == 0:
-            self._closing.wait(LATE_S)
+        late_every, late_s = 5, 0.001  # results that come well after their acknowledgement
+        if session.results % late_every == 0:
+            self._closing.wait(late_s)
         weather_every = 7  # results with news of the air glued to them
         if session.results % weather_every == 0:
             data = status_change(Change.ENVIRONMENT) + data
@@ -196,7 +195,8 @@ class _Session:
         if len(self._pending) < HEAD.size:
             return None
         size, _ = HEAD.unpack_from(self._pending)
-        if not COMMAND.size <= size <= LONGEST:
+        longest = 4096
+        if not COMMAND.size <= size <= longest:
             raise ConnectionAbortedError
         if len(self._pending) < size:
             return None

@@ -17,8 +17,6 @@ from fakes.time import PlantTime
 from fakes.truth.stream_truth import Followed, StreamTruth
 from fakes.truth.transforms import Array
 
-LATE_EVERY, CUT_EVERY = 5, 3  # packets that wait for the next, and whose second half does
-
 Pack = Callable[[Array, Array], bytes]  # device times (N,), positions (N, 3) mm -> packet
 
 
@@ -103,9 +101,10 @@ class SampleStream:
         data = self._kept + self._pack(self._times_s[:size], self._xyz_mm[:size])
         self._times_s, self._xyz_mm = self._times_s[size:], self._xyz_mm[size:]
         cut = len(data)
-        if self._packets % LATE_EVERY == 0:
+        late_every, cut_every = 5, 3  # packets that wait for the next, and whose second half does
+        if self._packets % late_every == 0:
             cut = 0
-        elif self._packets % CUT_EVERY == 0:
+        elif self._packets % cut_every == 0:
             cut //= 2
         self._kept = data[cut:]
         return data[:cut]

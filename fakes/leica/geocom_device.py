@@ -19,7 +19,6 @@ from fakes.truth.tracker_truth import Instrument
 from fakes.truth.transforms import Array
 
 NAME, SERIAL, FIRMWARE = "TS60 (simulated)", 884321, (8, 50, 0)
-MM = 1000.0
 
 
 class Code(IntEnum):
@@ -187,7 +186,10 @@ class GeocomDevice:
         inside = []
         for at_mm in self._instrument.reflectors().values():
             at_hz, at_v = _direction(at_mm)
-            off_hz, off_v = abs(_signed(at_hz - hz)) * math.sin(v), abs(at_v - v)
+            off_hz, off_v = (
+                abs(((at_hz - hz) + math.pi) % math.tau - math.pi) * math.sin(v),
+                abs(at_v - v),
+            )
             if off_hz <= width / 2 and off_v <= height / 2:
                 inside.append((math.hypot(off_hz, off_v), at_mm))
         inside.sort(key=lambda each: each[0])
@@ -251,7 +253,8 @@ class GeocomDevice:
         if found is None:
             return form(*state.pointing, 0.0)
         hz, v = _direction(found.xyz_mm)
-        distance_m = float(np.linalg.norm(found.xyz_mm)) / MM
+        mm = 1000.0
+        distance_m = float(np.linalg.norm(found.xyz_mm)) / mm
         distance_m += state.prism_m - self._prism_m
         (_, pressure_mbar, dry_c, _), air = state.atmosphere, self._instrument.air()
         true_ppm = _ppm(air.pressure_mbar, air.temperature_c)
@@ -308,10 +311,6 @@ def _direction(at_mm: Array) -> tuple[float, float]:
 
 def _other_face(hz: float, v: float) -> tuple[float, float]:
     return (hz + math.pi) % math.tau, math.tau - v
-
-
-def _signed(angle: float) -> float:
-    return (angle + math.pi) % math.tau - math.pi
 
 
 def _apart(one_mm: Array, other_mm: Array) -> float:

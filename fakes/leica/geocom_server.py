@@ -24,10 +24,6 @@ from fakes.time import PlantTime
 from fakes.wires.line_session import RECEIVE, Connection, LineSession, Wire
 from fakes.wires.listener import HOST, Listener
 
-LOOK_S = 0.05
-RESULTS = (2082, 2108)
-NOISE = b"\xfe\x80\xf8\x06"
-
 
 class GeocomServer:
     """Serves one instrument on a port (0: a free one), or on a serial line."""
@@ -138,7 +134,8 @@ class GeocomServer:
 
     def _reply(self, session: _Session, rpc: int, transaction: int, answer: Answer) -> None:
         """Send a reply as the faults want it on the wire."""
-        if rpc not in RESULTS:
+        results = (2082, 2108)
+        if rpc not in results:
             known = self._device.knows(rpc)
             session.send(0 if known else self.UNAVAILABLE, transaction, answer)
             return
@@ -147,8 +144,9 @@ class GeocomServer:
             raise ConnectionAbortedError
         if take("tracker.no_result") is not None:
             return
+        noise = b"\xfe\x80\xf8\x06"
         if take("tracker.geocom_noise") is not None:
-            session.say(NOISE)
+            session.say(noise)
         if take("tracker.geocom_number") is not None:
             transaction += 1
         session.answer(encoded(0, transaction, answer), self._faults)
@@ -192,8 +190,9 @@ class _Line:
 
     def receive(self, timeout_s: float | None) -> bytes:
         ends_s = None if timeout_s is None else real_time.monotonic() + timeout_s
+        look_s = 0.05
         while not self.closing.is_set():
-            left_s = LOOK_S if ends_s is None else min(LOOK_S, ends_s - real_time.monotonic())
+            left_s = look_s if ends_s is None else min(look_s, ends_s - real_time.monotonic())
             if left_s <= 0:
                 return b""
             if select.select([self._end], [], [], left_s)[0]:

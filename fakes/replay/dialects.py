@@ -22,8 +22,6 @@ from hilcell.cell.devices import load_entry
 
 NUMBERS = {55: 3, 63: 1, 135: 3}  # doubles behind these commands of an emScon tracker
 _LINE_END = re.compile(rb"(?<=\n)|(?<=\r)(?!\n)")
-_WRITE, _LIFE, _WRITTEN = b"\1", b"$TIMER[10]", b"\0\1\1"  # C3 Bridge
-GROUP = "wire_dialects"
 Options = Mapping[str, Any]
 NONE: Options = MappingProxyType({})
 
@@ -185,10 +183,11 @@ class C3(Sized):
 
     def alive(self, asked: bytes) -> list[bytes]:
         """Return the reply to a write of the timer that ends a motion which nobody watches."""
-        if asked[4:5] != _WRITE or _LIFE not in asked:
+        write, life, written = b"\1", b"$TIMER[10]", b"\0\1\1"  # C3 Bridge
+        if asked[4:5] != write or life not in asked:
             return []
-        value = asked.partition(_LIFE)[2]  # with its length
-        rest = _WRITE + value + _WRITTEN
+        value = asked.partition(life)[2]  # with its length
+        rest = write + value + written
         return [asked[:2] + struct.pack(">H", len(rest)) + rest]
 
 
@@ -210,9 +209,10 @@ class Emscon(Sized):
 
 def dialects_of(driver: str, options: Options = NONE) -> Mapping[str, Dialect]:
     """Return the dialects of a driver's wires that are no plain lines, by their names."""
-    if driver not in entry_points(group=f"hilcell.{GROUP}").names:
+    group = "wire_dialects"
+    if driver not in entry_points(group=f"hilcell.{group}").names:
         return {}
-    found: Mapping[str, Dialect] = load_entry(GROUP, driver)(options)
+    found: Mapping[str, Dialect] = load_entry(group, driver)(options)
     return found
 
 

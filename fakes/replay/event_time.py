@@ -17,8 +17,6 @@ import time
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Sequence
 
-LOOK_S = 0.1  # at most between two looks of one wait
-
 
 class EventTime:
     """Seconds of the recording, one for all wires; safe to use from several threads."""
@@ -71,9 +69,10 @@ class EventTime:
 
     def _look(self) -> None:
         now_s = time.monotonic()
+        look_s = 0.1  # at most between two looks of one wait
         with self._lock:
             between_s, self._looked_s = now_s - self._looked_s, now_s
-            if between_s < LOOK_S:  # else nobody was waiting
+            if between_s < look_s:  # else nobody was waiting
                 self._idle_s += between_s
         silent_s = max(0.0, self._end_s - self.now_s)
         silence_s = 1.5  # of waiting, after the end of a recording

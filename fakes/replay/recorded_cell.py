@@ -24,11 +24,6 @@ from hilcell.ports import RecordingEnded, Stopped
 from hilcell.wire.record import addressed
 from hilcell.wire.recording import CLOCK, Piece, ended_with, looks
 
-ENDED = "HC-C26"
-EXIT_FAULT, EXIT_ABORTED = 3, 4  # of the recorded run
-ACT = "use the procedure, cell and settings of the recorded run, or record it again"
-AGAIN = "there the recorded run ended, and was resumed: `hilcell resume` this one, too"
-
 
 class RecordedCell:
     """Satisfies `hilcell.ports.SimulatedCell` and `hilcell.ports.RepeatsRun`."""
@@ -67,12 +62,13 @@ class RecordedCell:
     ) -> None:
         """Let the replay know where its recording ends, but for one that a fault has ended."""
         ended = ended_with(clock)
-        if ended == EXIT_FAULT:
+        exit_fault, exit_aborted = 3, 4  # of the recorded run
+        if ended == exit_fault:
             return
         for name, found in wires.items():
             self._time.end_at(found[-1].t, f"{paths[name]}:{len(found)}")
         for line, piece in enumerate(clock, 1):
-            if piece.e == "stopped" and ended == EXIT_ABORTED:
+            if piece.e == "stopped" and ended == exit_aborted:
                 self._time.stop_at(piece.t, f"{paths[CLOCK]}:{line}")
 
     def _address(self, cell: Cell, channels: Mapping[str, Mapping[str, str]]) -> None:
@@ -95,7 +91,9 @@ class RecordedCell:
 
     def clock(self, stop: Event) -> RecordedClock:
         """Return the cell's clock."""
-        return RecordedClock(self._looks, self._time, stop, AGAIN if self._resumed else ACT)
+        act = "use the procedure, cell and settings of the recorded run, or record it again"
+        again = "there the recorded run ended, and was resumed: `hilcell resume` this one, too"
+        return RecordedClock(self._looks, self._time, stop, again if self._resumed else act)
 
     def close(self) -> None:
         """Stop serving."""
@@ -124,4 +122,4 @@ class RecordedClock:
         if self._stop.is_set():
             raise Stopped("a stop was asked for")
         if found := self._time.left():
-            raise RecordingEnded(f"{found}; {self._act}", code=ENDED)
+            raise RecordingEnded(f"{found}; {self._act}", code="HC-C26")

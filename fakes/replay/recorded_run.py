@@ -29,7 +29,6 @@ DATA = "simulation.data"
 _RESUMED = re.compile(r"wires-(\d+)")
 _TEXT = re.compile(rb"[\t\r\n\x20-\xff]*")
 _LINE_END = re.compile(rb"[\r\n]")
-SHOWN = 24  # bytes
 Recorded = Mapping[str, Sequence[Piece]]
 
 
@@ -139,6 +138,7 @@ def _missing(cell: Cell, found: Set[str]) -> Iterator[str]:
 
 def without_dialect(cell: Cell, paths: Mapping[str, Path], wires: Recorded) -> Iterator[str]:
     """Return, in words, the wires that are no plain lines, and of which no dialect is stated."""
+    shown = 24  # bytes
     for name, found in wires.items():
         table = name.partition(".")[0]
         if name == CLOCK or dialects_of((one := getattr(cell, table)).driver, one.options):
@@ -147,7 +147,7 @@ def without_dialect(cell: Cell, paths: Mapping[str, Path], wires: Recorded) -> I
             sent = b"".join(piece.data for piece in found if piece.e == way)
             if sent and not (_TEXT.fullmatch(sent) and _LINE_END.search(sent)):
                 yield (
-                    f"{paths[name]}: the bytes of {whose} are no plain lines ({sent[:SHOWN]!r}), "
+                    f"{paths[name]}: the bytes of {whose} are no plain lines ({sent[:shown]!r}), "
                     f"and driver {one.driver!r} has no dialect among the entry points "
                     "hilcell.wire_dialects: see docs/drivers-guide.md"
                 )

@@ -24,7 +24,6 @@ from hilcell.wire.recording import Piece
 _NUMBER = re.compile(rb"-?\d{1,9}\.\d{3,}")
 NEAR = 1e-4  # deg, mm or rad
 STUCK = 200  # times that a part's last answer is repeated
-APART_S = 1e-9  # of messages in one piece, so that what parts the recording has a before
 NOWHERE: Mapping[bytes, Exchange] = MappingProxyType({})
 
 
@@ -56,11 +55,12 @@ class Exchange:
 def exchanges(pieces: Sequence[Piece], dialect: Dialect) -> list[Exchange]:
     """Return the exchanges of one connection."""
     found, asking, answering = [Exchange(b"")], b"", b""
+    apart_s = 1e-9  # of messages in one piece, so that what parts the recording has a before
     for piece in pieces:
         if piece.e == ">":
             messages, asking = dialect.split_questions(asking + piece.data)
             for n, each in enumerate(messages):
-                asked_s = piece.t + n * APART_S
+                asked_s = piece.t + n * apart_s
                 if dialect.unheard(each):
                     found[-1].passed_s.append(asked_s)
                 else:

@@ -23,7 +23,6 @@ from fakes.truth.transforms import Array
 WARM_UP_S = 20.0
 POINT_S, SEARCH_S, READ_S = 0.3, 0.8, 0.5
 SEARCH_MM, BEAM_MM = 150.0, 8.0  # beside the aim: with the camera's help, and without
-MM_PER_INCH = 25.4
 
 
 class Refusal(IntEnum):
@@ -214,7 +213,8 @@ class T2saDevice:
 
     def _in_units(self, xyz_mm: Array) -> Array:
         inches = self._faults.take("tracker.t2sa_inches") is not None
-        return xyz_mm / MM_PER_INCH if inches else xyz_mm
+        mm_per_inch = 25.4
+        return xyz_mm / mm_per_inch if inches else xyz_mm
 
     def _result(self, path: str, xyz: Array, x: str = "") -> str:
         """Return the line of a position; its date is in the PC's own format."""

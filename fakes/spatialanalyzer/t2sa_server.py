@@ -30,8 +30,6 @@ from hilcell.cell.settings import SettingsError
 # A person would import a list into the job, and name it in the cell file. In a simulated cell
 # whose file names none, a fan towards all that the arm and the nests can reach is both.
 
-STOPS = 6
-
 
 def imported(path: Path) -> dict[str, Array]:
     """Return the points (3,) of a CSV file by name; raises `SettingsError`."""
@@ -74,7 +72,8 @@ def _ways_mm(cell: Cell) -> Array:
     ball_mm = np.stack(np.meshgrid(axis_mm, axis_mm, axis_mm), -1).reshape(-1, 3)
     ball_mm = ball_mm[np.linalg.norm(ball_mm, axis=1) <= reach_mm]
     ball_mm += [layout.base.x_mm, layout.base.y_mm, layout.base.z_mm]
-    stops_mm = np.linspace(rail.travel_min_mm, rail.travel_max_mm, STOPS)
+    stops = 6
+    stops_mm = np.linspace(rail.travel_min_mm, rail.travel_max_mm, stops)
     shifts_mm = np.multiply.outer(stops_mm, np.array(layout.rail_direction))
     world_mm = np.vstack([ball_mm + shift_mm for shift_mm in shifts_mm] + [nests_mm])
     world_mm = world_mm[world_mm[:, 2] >= nests_mm[:, 2].min()]
@@ -95,7 +94,6 @@ def _directions() -> Array:
     return np.column_stack([across * np.cos(turn), across * np.sin(turn), z])
 
 
-LOOK_S = 0.02
 HALT = b"!HALT"
 COLLECTION, GROUP = "A", "HILCELL"
 
@@ -192,8 +190,9 @@ class T2saServer:
             self._time.advance(duration_s)
             return False
         ends_s = real_time.monotonic() + duration_s / self._time.speed
+        look_s = 0.02
         while not self._halted.is_set() and (left_s := ends_s - real_time.monotonic()) > 0:
-            line = session.line(min(left_s, LOOK_S))
+            line = session.line(min(left_s, look_s))
             if line == HALT:
                 self._halted.set()
                 return True

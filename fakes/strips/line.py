@@ -59,9 +59,7 @@ class StripSensor:
 
 
 ANSWERS = {b"A0": "MSAC501 simulated", b"A1": "V1.00-simulated", b"A2": "002014003"}
-GAP = 1 << 0
 RECEIVE = 4096
-SPLIT_EVERY = 5
 
 
 class StripLine:
@@ -120,8 +118,9 @@ class StripLine:
             self._sensor.strike()
             self._sensor.observe(self._rail.poll())
             return f"{self._sensor.position:+08d}>"
+        gap = 1 << 0
         if command == b"X":
-            return f"0x{GAP if self._sensor.missing else 0:02x}>"
+            return f"0x{gap if self._sensor.missing else 0:02x}>"
         return "?"
 
     def _serve(self, client: socket.socket) -> None:
@@ -160,6 +159,7 @@ class Pty:
 
     def _run(self) -> None:
         pending, sent = b"", 0
+        split_every = 5
         while True:
             wake = self._wake.fileno()
             ready, _, _ = select.select([self._ours, wake], [], [])
@@ -168,6 +168,6 @@ class Pty:
             answers, pending = self._answers(pending + os.read(self._ours, RECEIVE))
             for answer in answers:
                 sent += 1
-                cut = 1 + sent % (len(answer) - 1) if sent % SPLIT_EVERY == 0 else len(answer)
+                cut = 1 + sent % (len(answer) - 1) if sent % split_every == 0 else len(answer)
                 for piece in filter(None, (answer[:cut], answer[cut:])):
                     os.write(self._ours, piece)

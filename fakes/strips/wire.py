@@ -13,8 +13,6 @@ from hilcell.cell.settings import SettingsError
 
 # Faults of a gateway are those of the drive's bus; here the sensor's strike, and its silence.
 
-IDLE_S = 0.5
-
 
 class StripBus:
     """Serves one strip behind a gateway: on TCP, or on the serial line that its channel names."""
@@ -46,7 +44,8 @@ class StripBus:
         self._bus.close()
 
     def _wait_s(self) -> float:
-        return min(max(0.0, self._strip.next_s() - self._bus.now_s()), IDLE_S)
+        idle_s = 0.5
+        return min(max(0.0, self._strip.next_s() - self._bus.now_s()), idle_s)
 
     def _boot(self) -> None:
         if not self._booted:

@@ -15,7 +15,6 @@ from fakes.truth.screws import Chain
 from fakes.truth.transforms import Array, components
 from hilcell.cell.file import Cell
 
-BEHIND, BEYOND, FLIPPED = 1, 2, 4
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -37,8 +36,9 @@ class ControllerArm:
         (axis_2, shoulder_mm), (axis_3, elbow_mm), (_, wrist_mm) = lines[1], lines[2], lines[4]
         ahead = _cross(axis_2, UP)
         bent = _cross(elbow_mm - shoulder_mm, wrist_mm - elbow_mm) @ axis_3
-        status = BEHIND * bool(ahead @ wrist_mm < 0) + BEYOND * bool(bent >= 0)
-        return int(status + FLIPPED * bool(joints_rad[4] < 0))
+        behind, beyond, flipped = 1, 2, 4
+        status = behind * bool(ahead @ wrist_mm < 0) + beyond * bool(bent >= 0)
+        return int(status + flipped * bool(joints_rad[4] < 0))
 
     def turn(self, joints_rad: Array) -> int:
         """Return the turn of joints (6,)."""

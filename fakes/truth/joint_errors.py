@@ -16,7 +16,6 @@ from fakes.truth.transforms import Array
 
 URAD = 1e-6
 
-LEAST_MM = 1.0  # a lever that changes by less counts as one that does not change
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -80,7 +79,8 @@ class Loads:
         self._design = design
         levers_mm = self._levers_mm(poses_rad)
         low, high = levers_mm.min(axis=0), levers_mm.max(axis=0)
-        self._middle_mm, self._half_mm = (low + high) / 2, np.maximum((high - low) / 2, LEAST_MM)
+        least_mm = 1.0  # a lever that changes by less counts as one that does not change
+        self._middle_mm, self._half_mm = (low + high) / 2, np.maximum((high - low) / 2, least_mm)
 
     def __call__(self, joints_rad: Array) -> Array:
         """Return the loads (..., 6) at joints (..., 6)."""

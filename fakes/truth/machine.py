@@ -29,7 +29,6 @@ Extent = Annotated[float, Meta(gt=0, le=100)]  # mm
 Rate = Annotated[float, Meta(ge=0, le=1000)]  # um, um/m, um/m/K
 Share = Annotated[float, Meta(ge=0, lt=1)]
 Cycles = tuple[Annotated[int, Meta(ge=1, le=1000)], Annotated[int, Meta(ge=1, le=1000)]]
-UNIT = 1e-6
 KNOWN = 4  # texts that are kept
 
 
@@ -40,7 +39,8 @@ class JointAxis(Frozen, frozen=True, kw_only=True):
     point_mm: Point
 
     def __post_init__(self) -> None:
-        if not abs(np.linalg.norm(self.axis) - 1.0) < UNIT:
+        unit = 1e-6
+        if not abs(np.linalg.norm(self.axis) - 1.0) < unit:
             raise ValueError(f"axis {self.axis} must have length 1")
 
 

@@ -19,8 +19,6 @@ from fakes.truth.motion import Path
 from fakes.truth.transforms import Array
 from hilcell.cell.file import Cell
 
-RAMP_S = 0.4  # from standstill to full speed
-
 Draw = Callable[[], Array]
 Landings = Callable[[str], Draw]  # event -> what draws the repeatability error (6,) in rad
 
@@ -191,8 +189,9 @@ class RobotMotion:
     def _go_on(self) -> None:
         speed = self._rate * self._share * self._override
         self._standing = None
+        ramp_s = 0.4  # from standstill to full speed
         if speed > 0:
-            self._path.travel(1.0, speed, self._rate / RAMP_S)
+            self._path.travel(1.0, speed, self._rate / ramp_s)
 
     def _keep_leg(self) -> None:
         leg = _Leg(self._time.now_s(), self._from, self._to, self._side, self._landing, self._path)

@@ -15,8 +15,6 @@ from fakes.truth.transforms import Array, generators, product, rigid, turned, tu
 from hilcell.ports import HilcellError
 
 SCALE_MM = 1000.0  # a radian counts as much as this
-STEPS = 60
-ARRIVED = 1e-10  # of SCALE_MM
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,9 +74,15 @@ class Chain:
         """
         joints = np.tile(start_rad, (len(poses), 1))
         longest_step_rad = 0.3
-        for _ in range(STEPS):
-            error = _apart(self.pose(joints), poses)
-            if np.abs(error).max() < ARRIVED:
+        steps = 60
+        arrived = 1e-10  # of SCALE_MM
+        for _ in range(steps):
+            found = self.pose(joints)
+            # (shift / SCALE_MM, about the turn) from found to wanted, (N, 6)
+            shift = (poses[:, :3, 3] - found[:, :3, 3]) / SCALE_MM
+            columns = np.swapaxes(found[:, :3, :3], -1, -2), np.swapaxes(poses[:, :3, :3], -1, -2)
+            error = np.concatenate([shift, 0.5 * np.cross(*columns).sum(axis=1)], axis=-1)
+            if np.abs(error).max() < arrived:
                 return joints
             J = self.jacobian(joints)
             J[..., :3, :] /= SCALE_MM
@@ -122,10 +126,3 @@ def from_rows(
 
 def _at(T: Array, point_mm: Array) -> Array:
     return T[..., :3, :3] @ point_mm + T[..., :3, 3]
-
-
-def _apart(found: Array, wanted: Array) -> Array:
-    """Return (shift / SCALE_MM, about the turn) from found to wanted, (N, 6)."""
-    shift = (wanted[:, :3, 3] - found[:, :3, 3]) / SCALE_MM
-    columns = np.swapaxes(found[:, :3, :3], -1, -2), np.swapaxes(wanted[:, :3, :3], -1, -2)
-    return np.concatenate([shift, 0.5 * np.cross(*columns).sum(axis=1)], axis=-1)

@@ -21,7 +21,6 @@ from fakes.truth.transforms import Array, carried, frame, inverse, rigid, rotati
 from hilcell.cell.file import Cell
 
 URAD = 1e-6
-AXES = ("tracker.collimation", "tracker.transit", "tracker.index")  # faults of the axes, in urad
 
 Scene = Callable[[], dict[str, Array]]  # reflectors (3,) by name
 
@@ -232,7 +231,9 @@ class TrackerTruth:
         self._lifted_mm[name] = self._lifted_mm.get(name, 0.0) + lifted_mm
         self._warmer_k += number("tracker.warmer") or 0.0
         self._offset_mm += number("tracker.wrong_offset") or 0.0
-        for axis, fault in enumerate(AXES):
+        # faults of the axes, in urad
+        axes = ("tracker.collimation", "tracker.transit", "tracker.index")
+        for axis, fault in enumerate(axes):
             self._axes_rad[axis] += URAD * (number(fault) or 0.0)
         if (turning := number("tracker.turning")) is not None:
             self._turning_rad, self._turning_since = URAD * turning, self._measured

@@ -65,9 +65,7 @@ class Error(IntEnum):
     BRAKED = 9
 
 
-MOVE_JOINTS = 1
 LIFE_MS = 1500
-LIFE = "input_int_register_26"  # the PC's sign
 INTEGERS, FLOATS = range(24, 29), range(24, 31)  # that a client may write
 NAME = re.compile(r"^\s*def\s+(\w+)\s*\(", re.ASCII)
 SESSION = re.compile(r"write_output_integer_register\(26, (\d+)\)", re.ASCII)
@@ -138,18 +136,19 @@ class UrController:
 
     def write(self, values: dict[str, float]) -> None:
         """Take a client's registers."""
+        life = "input_int_register_26"  # the PC's sign
         with self._lock:
             self._strike_on_request()
             changed = {name for name, value in values.items() if self._inputs[name] != value}
             self._inputs |= values
-            if LIFE in changed:
+            if life in changed:
                 self._timer.set_ms(-LIFE_MS)
             self._run()
             if self._session and self._runtime == Runtime.STOPPED:
                 self._time.advance(self.STEP_S)  # a PC that looks at the end of its session waits
             # An exchange takes its time, and nothing else lets it pass; a sign of life takes none,
             # for the slower the PC, the more of them it gives.
-            if self._time.followed and changed != {LIFE}:
+            if self._time.followed and changed != {life}:
                 self._motion.poll()
 
     def play(self, script: str) -> None:
@@ -261,7 +260,8 @@ class UrController:
 
     def _start(self) -> int:
         speed_rad_s = self._inputs["input_double_register_30"]
-        if self._inputs["input_int_register_25"] != MOVE_JOINTS or not speed_rad_s > 0.0:
+        move_joints = 1
+        if self._inputs["input_int_register_25"] != move_joints or not speed_rad_s > 0.0:
             return Error.UNKNOWN_COMMAND
         target = [self._inputs[f"input_double_register_{n}"] for n in range(24, 30)]
         target_deg = np.degrees(target)

@@ -18,14 +18,10 @@ DATA, OUTPUTS = 85, 79
 SIZES = {"DOUBLE": 8, "INT32": 4, "UINT32": 4, "UINT64": 8, "BOOL": 1, "UINT8": 1}
 SIZES |= {"VECTOR3D": 24, "VECTOR6D": 48, "VECTOR6INT32": 24, "VECTOR6UINT32": 24}
 SESSION, COUNT, TIME = "output_int_register_26", "output_int_register_27", "timestamp"
-ACKNOWLEDGED = "output_int_register_24"
-ECHO = "input_int_register_28"
 LEAST_S = 1e-6  # from one package to the next
 # recipe, then sequence, command, sign of life, stop; joints; speed
 _INPUTS = struct.Struct("!4i6dd")
 _QUESTION = struct.Struct("!i")
-MOVE = 1
-ENDS = 2  # a stop that is the number of a session, or more than a brake
 _NUMBER = re.compile(rb"write_output_integer_register\(26, (\d+)\)")
 _END = b"\nend\n"
 
@@ -70,14 +66,17 @@ class Rtde(Sized):
         if message[KIND] != DATA or len(values) != _INPUTS.size:
             return message
         sequence, command, _, stop, *numbers = _INPUTS.unpack(values)
-        target = " ".join(f"{each:.9f}" for each in numbers[:6]) if command == MOVE else ""
-        return f"{sequence} {command} {min(stop, ENDS)} {target}".encode()
+        move = 1
+        target = " ".join(f"{each:.9f}" for each in numbers[:6]) if command == move else ""
+        ends = 2  # a stop that is the number of a session, or more than a brake
+        return f"{sequence} {command} {min(stop, ends)} {target}".encode()
 
     def answer(self, asked: bytes, recorded: bytes, answer: bytes) -> bytes:
         """Return the package with the numbers of the driver's own session; time goes on."""
         if answer[KIND] == OUTPUTS:
             self._learn(recorded, answer)
-        if answer[KIND] != DATA or not self._places.keys() >= {TIME, SESSION, COUNT, ECHO}:
+        echo = "input_int_register_28"
+        if answer[KIND] != DATA or not self._places.keys() >= {TIME, SESSION, COUNT, echo}:
             return answer
         found = bytearray(answer)
         (time_s,) = struct.unpack_from("!d", found, self._places[TIME])
@@ -89,7 +88,7 @@ class Rtde(Sized):
         struct.pack_into("!d", found, self._places[TIME], self._time_s)
         struct.pack_into("!i", found, self._places[SESSION], self._sessions.of(number))
         struct.pack_into("!i", found, self._places[COUNT], self._count)
-        struct.pack_into("!i", found, self._places[ECHO], self._question)
+        struct.pack_into("!i", found, self._places[echo], self._question)
         return bytes(found)
 
     def repeats(self, answer: bytes) -> bool:
@@ -98,7 +97,8 @@ class Rtde(Sized):
 
     def works(self, asked: bytes, answer: bytes) -> bool:
         """Whether the script has not acknowledged a write's number yet."""
-        values, at = asked[HEAD + 1 :], self._places.get(ACKNOWLEDGED)
+        acknowledged = "output_int_register_24"
+        values, at = asked[HEAD + 1 :], self._places.get(acknowledged)
         if asked[KIND : KIND + 1] != bytes([DATA]) or len(values) != _INPUTS.size or at is None:
             return False
         sequence, *_ = _INPUTS.unpack(values)

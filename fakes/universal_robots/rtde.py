@@ -36,9 +36,7 @@ class Package(IntEnum):
 
 
 HEAD = struct.Struct("!HB")
-SOFTWARE = (5, 12, 0, 1101319)
 FASTEST_HZ = 500.0
-RECEIVE = 4096
 SIX = {"actual_q", "target_q", "actual_qd", "actual_TCP_pose"}
 WHOLE = {"robot_mode", "safety_status", "safety_mode"}
 LAYOUTS = {"VECTOR6D": "6d", "DOUBLE": "d", "INT32": "i", "UINT32": "I"}
@@ -129,8 +127,9 @@ class _Session:
         """Answer what has come, or send a state when it is due; return whether to go on."""
         wait_s = max(0.0, self._due_s - time.monotonic()) if self._started else None
         ready, _, _ = select.select([self._client], [], [], wait_s)
+        receive = 4096
         if ready:
-            data = self._client.recv(RECEIVE)
+            data = self._client.recv(receive)
             return bool(data) and self._take(data)
         self._due_s = time.monotonic() + self._server.period_s(self._rate_hz)
         self._send_state()
@@ -152,10 +151,11 @@ class _Session:
     def _answer(self, kind: int, payload: bytes) -> bool:
         if kind == Package.DATA:
             return self._write(payload)
+        software = (5, 12, 0, 1101319)
         if kind == Package.VERSION:
             answer = b"\x01" if payload in (b"\x00\x01", b"\x00\x02") else b"\x00"
         elif kind == Package.CONTROLLER:
-            answer = struct.pack("!4I", *SOFTWARE)
+            answer = struct.pack("!4I", *software)
         elif kind == Package.OUTPUTS:
             (self._rate_hz,) = struct.unpack_from("!d", payload)
             known = self._server.inputs()

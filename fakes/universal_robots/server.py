@@ -12,9 +12,7 @@ from fakes.universal_robots.controller import UrController
 from fakes.universal_robots.rtde import UrRtdeServer
 from fakes.wires.listener import HOST, Listener
 
-GREETING = b"Connected: Universal Robots Dashboard Server\n"
 RECEIVE = 4096
-LONGEST = 200_000
 STATE = bytes([0, 0, 0, 5, 16])  # an empty message of robot states
 
 
@@ -55,6 +53,7 @@ class UrServer:
         """Play what a client sends, when its ``def`` has reached its ``end``."""
         text = ""
         state_s = 0.1  # the script port sends a state so often, read or not
+        longest = 200_000
         while True:
             ready, _, _ = select.select([client], [], [], state_s)
             if not ready:
@@ -63,14 +62,15 @@ class UrServer:
                 continue
             data = client.recv(RECEIVE)
             text += data.decode("ascii", "replace")
-            if not data or len(text) > LONGEST:
+            if not data or len(text) > longest:
                 return
             if text.endswith("\nend\n"):
                 self._controller.play(text)
                 text = ""
 
     def _serve_dashboard(self, client: socket.socket) -> None:
-        client.sendall(GREETING)
+        greeting = b"Connected: Universal Robots Dashboard Server\n"
+        client.sendall(greeting)
         with client.makefile("rb") as lines:
             while line := lines.readline(RECEIVE):
                 command = line.decode("ascii", "replace").strip()

@@ -16,7 +16,6 @@ from fakes.faults import Faults
 RECEIVE = 4096
 LATE_EVERY, LATE_S = 47, 0.001
 SPLIT_EVERY = 7
-APART_EVERY, APART_S = 3 * SPLIT_EVERY, 0.0005  # so that each half is read by itself
 
 
 class Client(Protocol):
@@ -38,12 +37,13 @@ class Segments:
         self.sent += 1
         if self.sent % LATE_EVERY == 0:
             time.sleep(LATE_S)
+        apart_every, apart_s = 3 * SPLIT_EVERY, 0.0005  # so that each half is read by itself
         if self.sent % SPLIT_EVERY == 0 and len(data) > 1:
             cut = 1 + self.sent % (len(data) - 1)
             self._client.sendall(data[:cut])
             data = data[cut:]
-            if self.sent % APART_EVERY == 0:
-                time.sleep(APART_S)
+            if self.sent % apart_every == 0:
+                time.sleep(apart_s)
         self._client.sendall(data)
 
 

@@ -20,8 +20,6 @@ from hilcell.geometry.rotations import from_rotvec
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import HilcellError
 
-NEGLIGIBLE_MM = 1e-3
-
 
 class CorrectionError(HilcellError):
     """An error map that changes too fast to be inverted."""
@@ -97,7 +95,8 @@ def _check_contraction(
     moved_mm: Array, first_mm: Array, step: int, names: Sequence[str] | None
 ) -> None:
     contraction = 0.5  # step n + 1 may move the command by this share to the n-th of the first
-    bad = np.flatnonzero(~(moved_mm <= contraction**step * first_mm + NEGLIGIBLE_MM))
+    negligible_mm = 1e-3
+    bad = np.flatnonzero(~(moved_mm <= contraction**step * first_mm + negligible_mm))
     if len(bad):
         n = bad[0]
         raise CorrectionError(

@@ -22,7 +22,6 @@ from hilcell.cell.settings import SettingsError, read_bytes, unreadable
 POINT, COMMA = ".", ","
 GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}(?:\1\d{3})*", re.ASCII)  # may be thousands
 FIGURES = re.compile(r"[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?", re.ASCII)  # by whatever sign
-LONGEST = 40  # characters of a number that is looked at
 STATED = re.compile(r'"?sep=([;,])"?', re.IGNORECASE)
 
 
@@ -132,7 +131,8 @@ def _decimal(path: Path, figures: Iterable[tuple[int, str]]) -> str:
 
 
 def _signs(cell: str) -> Iterator[str]:
-    if len(cell) <= LONGEST and FIGURES.fullmatch(cell):
+    longest = 40  # characters of a number that is looked at
+    if len(cell) <= longest and FIGURES.fullmatch(cell):
         yield from (sign for sign in (POINT, COMMA) if sign in cell)
 
 

@@ -24,7 +24,6 @@ from hilcell.typed import Json, typed
 CORNERS: Ints = np.array(
     list(product((0, 1), repeat=3))
 )  # (8, 3) steps from a cell's lowest vertex
-SYMMETRIC = 1e-9  # of a covariance, relative to its largest element
 
 
 class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -282,7 +281,8 @@ def check_covariance(name: str, found: Array, shape: tuple[int, ...]) -> None:
     most_mm2 = 1e4  # beyond is no uncertainty of a robot's error
     if not largest <= most_mm2:
         raise ModelError(f"{name}: {largest:g} mm2, wanted within +-{most_mm2:g} mm2")
-    slack = SYMMETRIC * max(largest, np.finfo(float).tiny)
+    symmetric = 1e-9  # of a covariance, relative to its largest element
+    slack = symmetric * max(largest, np.finfo(float).tiny)
     if not np.abs(found - found.swapaxes(-1, -2)).max() <= slack:
         raise ModelError(f"{name}: not symmetric")
     if not np.linalg.eigvalsh(found).min() >= -slack:

@@ -35,10 +35,6 @@ from hilcell.model.verdicts import CurvesUsed
 from hilcell.typed import Json, typed
 
 CONTRADICTED = 4.0  # times the square that chance gives a curve's change
-LEAST_SHARE = 1e-3  # of a prior's variance that poses explain at least
-CLEARLY = 0.98  # of the mean miss of poses left out, for more parameters to be taken
-LARGE_AXES = 3  # whose errors have levers of metres
-SAME_RAD = np.radians(0.1)  # less than half the shortest wave of a gear
 FOLDS = 5  # each fifth pose is predicted by the others
 MOST_MM, MOST_RAD = 1e5, 1e3  # beyond is no robot's length or angle
 ASSUMED = Placed(2.0, 2e-3, 2.0)  # {B} from circles, the reflector as it is mounted
@@ -65,6 +61,18 @@ class CurveEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     axis: int
     cycles: list[float]
+
+    def curve(self) -> TransmissionCurve:
+        """Return the curve with these waves, of no amplitude; raises `ModelError`."""
+        if self.axis not in range(6):
+            raise ModelError(f"curves: axis {self.axis}, wanted 0 .. 5")
+        count = len(self.cycles)
+        most_cycles = 1e4
+        cycles = _numbers("curves.cycles", self.cycles, (count,), most_cycles)
+        zeros = np.zeros((2 * count, 2 * count))
+        return TransmissionCurve(
+            self.axis, cycles, np.zeros((count, 2)), zeros, 0.0, 0.0, -np.pi, np.pi, 0.0
+        )
 
 
 class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -199,7 +207,7 @@ class Kinematic(LearntModel):
         except msgspec.ValidationError as error:
             raise ModelError(f"no identified robot: {error}") from error
         robot = _robot(entry.robot)
-        curves = tuple(_curve(curve) for curve in entry.curves)
+        curves = tuple(curve.curve() for curve in entry.curves)
         seats = [entry.reflector_mm, *entry.more_reflectors_mm]
         kinematics = Kinematics(
             robot.arm, len(seats), gravity=entry.gravity, waves=entry.waves, tool=entry.tool,
@@ -301,9 +309,10 @@ def _contradicted(estimate: Estimate) -> list[bool]:
     change = kinematics.flat(estimate.state) - mean
     explained = prior - estimate.system.covariance
     bad, end = [], len(mean) - sum(2 * len(curve.cycles) + 1 for curve in kinematics.curves)
+    least_share = 1e-3  # of a prior's variance that poses explain at least
     for curve in kinematics.curves:
         own = slice(end, end + 2 * len(curve.cycles))
-        by_chance = explained[own, own] + LEAST_SHARE * prior[own, own]
+        by_chance = explained[own, own] + least_share * prior[own, own]
         size = float(change[own] @ np.linalg.solve(by_chance, change[own]))
         bad.append(not size <= CONTRADICTED * 2 * len(curve.cycles))
         end = own.stop + 1
@@ -314,7 +323,8 @@ def _better(estimate: Estimate, richer: Kinematics) -> Estimate:
     """Return the identification of richer kinematics where poses left out clearly want it."""
     start = richer.start(estimate.state.T, estimate.state.smr_mm)
     other = identify_trusted(richer, estimate.readings, start, estimate.noise)
-    better = _mean_mm(other) < CLEARLY * _mean_mm(estimate)
+    clearly = 0.98  # of the mean miss of poses left out, for more parameters to be taken
+    better = _mean_mm(other) < clearly * _mean_mm(estimate)
     return replace(other, outliers=estimate.outliers) if better else estimate
 
 
@@ -330,7 +340,9 @@ def _excess(estimate: Estimate) -> float:
     What no parameter describes is mostly the gears', and repeats where a joint's angle repeats, as
     on a grid. So all poses that share an angle of one of the large axes are left out together.
     """
-    steps = np.round(estimate.readings.joints_rad[:, :LARGE_AXES] / SAME_RAD)
+    large_axes = 3  # whose errors have levers of metres
+    same_rad = np.radians(0.1)  # less than half the shortest wave of a gear
+    steps = np.round(estimate.readings.joints_rad[:, :large_axes] / same_rad)
     found = [1.0]
     for angles in steps.T:
         group = np.unique(angles, return_inverse=True)[1]
@@ -361,18 +373,6 @@ def _robot(entry: RobotEntry) -> NominalRobot:
     )
 
 
-def _curve(entry: CurveEntry) -> TransmissionCurve:
-    if entry.axis not in range(6):
-        raise ModelError(f"curves: axis {entry.axis}, wanted 0 .. 5")
-    count = len(entry.cycles)
-    most_cycles = 1e4
-    cycles = _numbers("curves.cycles", entry.cycles, (count,), most_cycles)
-    zeros = np.zeros((2 * count, 2 * count))
-    return TransmissionCurve(
-        entry.axis, cycles, np.zeros((count, 2)), zeros, 0.0, 0.0, -np.pi, np.pi, 0.0
-    )
-
-
 def _frame(name: str, rows: list[list[float]]) -> Array:
     T = _numbers(name, rows, (4, 4), MOST_MM)
     R = T[:3, :3]
@@ -393,16 +393,16 @@ def _seats_mm(places: list[list[float]]) -> Array:
 
 
 RIGID = 1e-6  # of a rotation matrix times its transpose
-SYMMETRIC = 1e-9  # of the parameters' correlations
 
 
 def _check_covariance(covariance: Array) -> None:
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     scale = np.outer(sigma, sigma)
-    if not (np.abs(covariance - covariance.T) <= SYMMETRIC * scale).all():
+    symmetric = 1e-9  # of the parameters' correlations
+    if not (np.abs(covariance - covariance.T) <= symmetric * scale).all():
         raise ModelError("covariance: not symmetric")
     positive = np.where(sigma > 0.0, sigma, 1.0)
-    if not np.linalg.eigvalsh(covariance / np.outer(positive, positive)).min() >= -SYMMETRIC:
+    if not np.linalg.eigvalsh(covariance / np.outer(positive, positive)).min() >= -symmetric:
         raise ModelError("covariance: a variance below zero")
 
 

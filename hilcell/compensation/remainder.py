@@ -26,9 +26,6 @@ from hilcell.geometry.kinematics import Array
 
 NEAR_MM = 20.0  # beyond, nothing is known
 FACTORS = 2.0 ** np.arange(-10.0, 6.0, 0.5)  # of the variance that the model states
-SPREAD = 1.5  # standard deviation of their logarithm, before any target says so
-ENOUGH = 200  # targets from which the variance is found
-FRAMES = 7  # degrees of freedom of what moves a whole pass
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,11 +147,12 @@ class _Known:
 
         poses = np.concatenate([each.poses for each in passes])
         own_mm2 = np.concatenate([each.own_mm2 for each in passes])
-        levers = np.zeros((len(poses), 3, FRAMES * len(passes)))
+        frames = 7  # degrees of freedom of what moves a whole pass
+        levers = np.zeros((len(poses), 3, frames * len(passes)))
         first = 0
         for number, each in enumerate(passes):
             rows = slice(first, first + len(each.poses))
-            columns = slice(FRAMES * number, FRAMES * (number + 1))
+            columns = slice(frames * number, frames * (number + 1))
             levers[rows, :, columns] = motion_levers(each.poses[:, :3, 3])
             first += len(each.poses)
         places = _places(poses)
@@ -255,9 +253,11 @@ def _most_probable(passes: Sequence[Pass], stated_mm2: float) -> float:
     """Return the variance of greatest marginal likelihood."""
     if not (stated_mm2 > 0 and np.isfinite(stated_mm2)):
         raise ModelError(f"targets: the model states a variance of {stated_mm2} mm2")
-    step = -(-sum(len(each.poses) for each in passes) // ENOUGH)
+    enough = 200  # targets from which the variance is found
+    step = -(-sum(len(each.poses) for each in passes) // enough)
     known = _Known.of([each.every(step) for each in passes])
     variances = FACTORS * stated_mm2
     likelihood = np.array([known.solved(float(each)).likelihood for each in variances])
-    likelihood -= 0.5 * np.square(np.log(FACTORS) / SPREAD)
+    spread = 1.5  # standard deviation of their logarithm, before any target says so
+    likelihood -= 0.5 * np.square(np.log(FACTORS) / spread)
     return float(variances[int(np.argmax(likelihood))])

@@ -16,8 +16,6 @@ from hilcell.geometry.closed_form import Ints
 from hilcell.ports import Array
 from hilcell.typed import Json
 
-GROUP = "program_writers"
-
 
 @dataclass(frozen=True, eq=False)
 class Places:
@@ -65,7 +63,8 @@ Writer = Callable[[StationProgram, Stamp], Mapping[str, bytes]]
 
 def writer_of(driver: str) -> Writer | None:
     """Return the writer for a robot's driver, None where none is installed."""
-    if driver not in entry_points(group=f"hilcell.{GROUP}").names:
+    group = "program_writers"
+    if driver not in entry_points(group=f"hilcell.{group}").names:
         return None
-    writer: Writer = load_entry(GROUP, driver)
+    writer: Writer = load_entry(group, driver)
     return writer

@@ -28,7 +28,6 @@ from hilcell.writing import write_whole
 MOST, MOST_DEG = 1e6, 1e4  # mm and whatever else, deg; beyond is a slip, and overflows
 JOINERS = re.compile("[\u200c\u200d]")
 BRACKETS = re.compile(r"\s*[\[(]\s*(\w+)\s*[\])]$")  # a unit, as spreadsheets state it
-SHOWN = 40  # characters of a bad field
 BOUND = "bound95_mm"
 MM_DECIMALS, DEG_DECIMALS = 4, 6
 HEADER = ["name", "x_mm", "y_mm", "z_mm", "a_deg", "b_deg", "c_deg"]
@@ -165,7 +164,8 @@ def _name_fault(name: str) -> str:
 
 
 def _shown(text: str) -> str:
-    return repr(text if len(text) <= SHOWN else f"{text[:SHOWN]}...")
+    shown = 40  # characters of a bad field
+    return repr(text if len(text) <= shown else f"{text[:shown]}...")
 
 
 def numbers(columns: Sequence[str], cells: Sequence[str], decimal: str = POINT) -> list[float]:

@@ -22,7 +22,6 @@ TRAVEL_S = 17.0  # of the cell
 READS_BACK_DEG, READS_BACK_MM = 0.01, 0.1
 STANDS_DEG, STANDS_MM = 0.002, 0.05
 MANY = 30  # readings of a measurement that takes seconds
-NO_RAIL = "the cell has no rail: no device answers, and nothing moves"
 
 
 class Acts(Protocol):
@@ -69,7 +68,8 @@ class RailActs:
 
     def __init__(self, cell: Cell) -> None:
         self.cell = cell
-        self.absent = "" if cell.has_rail else NO_RAIL
+        no_rail = "the cell has no rail: no device answers, and nothing moves"
+        self.absent = "" if cell.has_rail else no_rail
         step_mm = STEP_MM if cell.has_rail else 0.0
         self.places_mm = (cell.station[0].rail_mm, cell.station[0].rail_mm + step_mm)
 

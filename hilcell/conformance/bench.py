@@ -47,7 +47,6 @@ class Riding:
             self._robot.close()
 
 
-SEED = 1
 LOOK_S = 0.02
 SIMULATED_ONLY = "it needs a fault, or may harm: only on simulated devices"
 PACE = 4.0  # of what moves in real time: quick, and slow enough to be stopped
@@ -237,7 +236,8 @@ class SimulatedBench(Bench):
     def _start(self) -> None:
         if self._simulated is not None:
             return
-        simulated = start_simulation(self.cell, seed=SEED, speed=self._speed)
+        seed = 1
+        simulated = start_simulation(self.cell, seed=seed, speed=self._speed)
         if simulated is None:
             raise NotApplicable("nothing simulates the device")
         self._simulated = simulated

@@ -19,8 +19,6 @@ from hilcell.conformance.bench import LOOK_S, Bench, Riding, Settings
 from hilcell.conformance.verdicts import Broken, Port
 from hilcell.typed import Json, decoded
 
-END_S = 30.0
-
 
 class Made(msgspec.Struct, frozen=True):
     """A driver's class and its options."""
@@ -111,7 +109,8 @@ def main() -> None:
     device.connect()
     print("connected", flush=True)
     ACTS[order.port](convert(order.cell, Cell, "cell")).travel(device)
-    threading.Event().wait(END_S)
+    end_s = 30.0
+    threading.Event().wait(end_s)
 
 
 if __name__ == "__main__":

@@ -9,8 +9,6 @@ import sys
 
 from hilcell.conformance.kit import PROMISES
 
-BEGIN, END = "<!-- promises: python -m hilcell.conformance.page -->", "<!-- end of promises -->"
-
 
 def table() -> str:
     """Return one line a promise."""
@@ -24,9 +22,10 @@ def table() -> str:
 
 def renewed(page: str) -> str:
     """Return a page with its table renewed."""
-    head, _, rest = page.partition(BEGIN)
-    _, _, tail = rest.partition(END)
-    return f"{head}{BEGIN}\n{table()}\n{END}{tail}"
+    begin, end = "<!-- promises: python -m hilcell.conformance.page -->", "<!-- end of promises -->"
+    head, _, rest = page.partition(begin)
+    _, _, tail = rest.partition(end)
+    return f"{head}{begin}\n{table()}\n{end}{tail}"
 
 
 if __name__ == "__main__":

@@ -12,14 +12,14 @@ from hilcell.conformance.verdicts import fails, need
 from hilcell.ports import Rail
 
 BEYOND_MM = 500.0
-STEPS = 3  # from one side, so that the backlash stays out
 
 
 def _strip_steps(bench: Bench) -> list[tuple[float, float]]:
     """Return steps of drive and strip, mm."""
     bench.present()
     driver: Rail = bench.connected()
-    at_mm = [bench.cell.station[0].rail_mm + n * STEP_MM for n in range(STEPS + 1)]
+    steps = 3  # from one side, so that the backlash stays out
+    at_mm = [bench.cell.station[0].rail_mm + n * STEP_MM for n in range(steps + 1)]
     readings = []
     for each in at_mm:
         driver.move_to(each)

@@ -12,10 +12,8 @@ from hilcell.conformance.verdicts import NotApplicable, fails, need
 from hilcell.ports import Array, NoReading, StreamBlock, Streams, Tracker
 
 SAMPLES = 3
-BESIDE = 10.0  # find radii from any reflector
 RATE_HZ, STREAM_S, LOOK_S = 50.0, 1.0, 0.02
 RATE_SHARE, GAP_SHARE = 0.02, 1.5
-LOOKS = 10  # until a sample has come
 HELD_LOOKS = range(10, 25)
 
 
@@ -72,7 +70,8 @@ def nothing_there(bench: Bench) -> None:
     """Measure where no reflector is."""
     driver: Tracker = bench.connected()
     acts = _acts(bench)
-    beside_mm = acts.near_mm[0] + [0.0, 0.0, BESIDE * bench.cell.tracker.find_radius_mm]
+    beside = 10.0  # find radii from any reflector
+    beside_mm = acts.near_mm[0] + [0.0, 0.0, beside * bench.cell.tracker.find_radius_mm]
     error = fails("no reflector is there", lambda: driver.measure(beside_mm, acts.reflector, 1))
     need(isinstance(error, NoReading), f"{type(error).__name__}, wanted NoReading: {error}")
     near(bench, acts.visit(driver, 1), 1)
@@ -118,10 +117,11 @@ def stream_place(bench: Bench) -> None:
 def stream_ends(bench: Bench) -> None:
     """Measure at rest after a stream, ended well or given up."""
     driver, acts = _streamer(bench), _acts(bench)
+    looks = 10  # until a sample has come
     for ends in (True, False):
         with driver.stream(acts.near_mm[0], acts.reflector, RATE_HZ) as stream:
             stream.kickoff()
-            for _ in range(LOOKS):
+            for _ in range(looks):
                 bench.clock.wait(LOOK_S)
                 stream.collect()
             if ends:

@@ -24,7 +24,6 @@ HOST = "127.0.0.1"
 PIECE = 65536
 NOISE = b"t" * 4096  # a line that never ends, a length that no packet has
 RESET = struct.pack("ii", 1, 0)  # SO_LINGER: close by RST
-APART_S = 0.0005  # the system would hand pieces on together
 LOOK_S = 0.05
 LEAVES_S = 1.0  # a device that has something under way may hold its end open
 BEHIND_S = 0.3
@@ -217,6 +216,7 @@ class Wire:
         self._pieces(data, to)
 
     def _pieces(self, data: bytes, to: End) -> None:
+        apart_s = 0.0005  # the system would hand pieces on together
         if self.mode == "slices":
             for byte in data:
                 to.send(bytes((byte,)))
@@ -224,7 +224,7 @@ class Wire:
             middle = 1 + len(data) // 2
             for piece in filter(None, (data[:1], data[1:middle], data[middle:])):
                 to.send(piece)
-                time.sleep(APART_S)
+                time.sleep(apart_s)
         else:
             to.send(data)
 

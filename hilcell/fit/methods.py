@@ -48,7 +48,6 @@ from hilcell.identification.readings import (
 from hilcell.identification.system import observability
 from hilcell.present.table import Column, Table
 
-NAMED = 5  # rows that one message names
 UNDETERMINED_MM = 5.0  # a bound beyond this says that the training rows do not determine a row
 WEIGHTS = {"mean": 2.0, "p95": 1.0}  # the largest miss changes with the folds more than methods do
 LEAST_INSIDE = 0.5  # share of test rows within 95 % bounds; below, they are not of this robot
@@ -480,7 +479,8 @@ def _reason(chosen: str, validated: Mapping[str, Figures]) -> str:
 
 
 def _named(rows: Measurements, bad: Ints, miss_mm: Array) -> str:
+    named = 5  # rows that one message names
     listed = ", ".join(
-        f"pose {rows.pose[n]} target {rows.target[n]} by {miss_mm[n]:.4g} mm" for n in bad[:NAMED]
+        f"pose {rows.pose[n]} target {rows.target[n]} by {miss_mm[n]:.4g} mm" for n in bad[:named]
     )
-    return f"{listed}{', ...' if len(bad) > NAMED else ''}"
+    return f"{listed}{', ...' if len(bad) > named else ''}"

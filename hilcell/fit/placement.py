@@ -24,7 +24,6 @@ ABSURD_MM = 20.0  # a miss beyond this is no robot's error
 ITERATIONS = 100
 CONVERGED = 1e-9
 EXPLAINED = 0.1  # of the median miss: a supposition that leaves less explains the rows
-MM_PER_M, MM_PER_INCH = 1000.0, 25.4
 
 
 class FitError(HilcellError):
@@ -140,8 +139,9 @@ def supposition(arm: Arm, rows: Measurements, worst_mm: float, bad: Iterable[int
 def _suppositions(rows: Measurements) -> Iterator[tuple[str, Measurements]]:
     joints, xyz = rows.joints_rad, rows.xyz_mm
     yield "the joints are radians", replace(rows, joints_rad=np.degrees(joints))
-    yield "the positions are metres", replace(rows, xyz_mm=xyz * MM_PER_M)
-    yield "the positions are inches", replace(rows, xyz_mm=xyz * MM_PER_INCH)
+    mm_per_m, mm_per_inch = 1000.0, 25.4
+    yield "the positions are metres", replace(rows, xyz_mm=xyz * mm_per_m)
+    yield "the positions are inches", replace(rows, xyz_mm=xyz * mm_per_inch)
     for axis in range(joints.shape[1]):
         turned = joints * np.where(np.arange(joints.shape[1]) == axis, -1.0, 1.0)
         yield f"joint {axis + 1} turns the other way", replace(rows, joints_rad=turned)

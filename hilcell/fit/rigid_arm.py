@@ -32,7 +32,6 @@ from hilcell.identification.kinematics import LINKS
 from hilcell.identification.system import DETERMINED
 from hilcell.writing import write_whole
 
-RIGID = "mdh"  # of the methods
 UNITS = {"mm": ("mm", 1.0), "rad": ("deg", float(np.degrees(1.0)))}
 DH_HEADER = ["parameter", "unit", "nominal", "identified", "u", "prior_u", "determined"]
 JSON = ".json"
@@ -85,10 +84,11 @@ class RigidArm:
 
 def rigid_arm(nominal: Arm, fitted: Fitted) -> RigidArm:
     """Return the arm that a fit identified by link parameters alone; raises `FitError`."""
-    found = fitted.methods.get(RIGID)
+    rigid = "mdh"  # of the methods
+    found = fitted.methods.get(rigid)
     if not isinstance(found, FittedArm):
-        raise FitError(f"no arm is identified: {fitted.result['refused'][RIGID]}")
-    estimate, figures = found.estimate, fitted.validated[RIGID]
+        raise FitError(f"no arm is identified: {fitted.result['refused'][rigid]}")
+    estimate, figures = found.estimate, fitted.validated[rigid]
     parameters, covariance = _parameters(nominal, estimate)
     return RigidArm(
         estimate.kinematics.arm_of(estimate.state),

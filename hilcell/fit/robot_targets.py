@@ -21,11 +21,8 @@ from hilcell.geometry.kinematics import Arm, Array, forward
 from hilcell.ports import HilcellError
 
 JOINT_HEADER = ["name", *(f"j{n}_deg" for n in range(1, 7))]
-AT_ONCE = 512  # poses of one search
 MOST_KNOWN = 500  # measured poses that are searched from
 STARTS = 8  # measured poses from which one is searched
-OTHER_RAD = 0.01  # of a joint: two postures, not two roundings of one
-MOST_TURN_RAD = np.radians(5.0)  # of a joint by a correction: beyond, the wrist is singular there
 NAMED = 5
 
 
@@ -72,8 +69,9 @@ class Reach:
                 "which the robot takes there; give joints"
             )
         joints, lost = np.empty((len(poses), 6)), np.zeros(len(poses), dtype=bool)
-        for first in range(0, len(poses), AT_ONCE):
-            part = slice(first, first + AT_ONCE)
+        at_once = 512  # poses of one search
+        for first in range(0, len(poses), at_once):
+            part = slice(first, first + at_once)
             found = self._searched(poses[part], enough=1)
             joints[part], lost[part] = found.joints_rad, ~found.found
         refuse(
@@ -88,10 +86,12 @@ class Reach:
         Raises `TargetError` where a joint turns far or leaves its limits.
         """
         found, arrived = refined(self.arm, inverse(self.base) @ poses, joints_rad)
-        near = arrived & (np.abs(found - joints_rad).max(axis=1) <= MOST_TURN_RAD)
+        # of a joint by a correction: beyond, the wrist is singular there
+        most_turn_rad = np.radians(5.0)
+        near = arrived & (np.abs(found - joints_rad).max(axis=1) <= most_turn_rad)
         refuse(
             ~near, names,
-            f"corrections turn a joint by more than {np.degrees(MOST_TURN_RAD):g} deg",
+            f"corrections turn a joint by more than {np.degrees(most_turn_rad):g} deg",
             "arm or wrist are singular there; give poses",
         )  # fmt: skip
         inside = (found >= self.limits_rad[0]) & (found <= self.limits_rad[1])
@@ -112,12 +112,16 @@ class Reach:
         joints, count = np.zeros((len(poses), 6)), np.zeros(len(poses), dtype=int)
         several = np.zeros(len(poses), dtype=bool)
         same_posture_rad = np.pi / 2  # of a joint: another posture turns one further
+        other_rad = 0.01  # of a joint: two postures, not two roundings of one
         for start in np.swapaxes(self._nearest(poses), 0, 1):
             left = np.flatnonzero(count < enough)
             found, arrived = refined(self.arm, wanted[left], start[left])
             good = arrived & (np.abs(found - start[left]).max(axis=1) <= same_posture_rad)
             at, found = left[good], found[good]
-            other = np.abs(_turned(found - joints[at])).max(axis=1) > OTHER_RAD
+            other = (
+                np.abs(np.pi - np.mod(np.pi - (found - joints[at]), 2.0 * np.pi)).max(axis=1)
+                > other_rad
+            )
             several[at] |= other & (count[at] > 0)
             joints[at] = np.where(count[at, None] > 0, joints[at], found)
             count[at] += 1
@@ -172,11 +176,6 @@ def joint_rows(names: Iterable[str], joints_rad: Array) -> Iterator[list[str]]:
     """Yield the rows of joints (N, 6) under `JOINT_HEADER`."""
     for name, row in zip(names, np.degrees(joints_rad), strict=True):
         yield [name, *(f"{each:.6f}" for each in row)]
-
-
-def _turned(angles_rad: Array) -> Array:
-    """Return angles without whole turns, -pi .. pi."""
-    return np.pi - np.mod(np.pi - angles_rad, 2.0 * np.pi)
 
 
 def refuse(bad: Bools, names: Sequence[str], what: str, act: str) -> None:

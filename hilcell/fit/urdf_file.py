@@ -29,7 +29,6 @@ from hilcell.geometry.statistics import lengths_mm
 # recurse. It stays bytes: whatever is not replaced is written back byte for byte, meshes,
 # inertias, comments and layout.
 
-PARTS = ("origin", "parent", "child", "axis", "limit", "mimic")
 SPACE = re.compile(rb"\s*")
 
 
@@ -53,6 +52,42 @@ class JointText:
         if not link:
             raise NotUrdf(f"joint {self.name or '(without a name)'} states no {part} link")
         return link
+
+    def numbered(self, problems: list[str]) -> tuple[Array, Array, tuple[float, float]]:
+        """Return a joint's origin (4, 4) in mm, unit axis (3,) and limits in rad."""
+        least_axis = 1e-6
+        most_turn_rad = 2.0 * np.pi + 0.01  # of one roll, pitch or yaw; beyond, angles are degrees
+        try:
+            origin = self.parts.get("origin", {})
+            other = sorted(set(origin) - {"xyz", "rpy"})
+            if other:
+                raise ValueError(f"origin has {', '.join(other)}, wanted xyz and rpy only")
+            xyz_m = _vector(origin, "origin", "xyz", (0.0, 0.0, 0.0))
+            rpy_rad = _vector(origin, "origin", "rpy", (0.0, 0.0, 0.0))
+            if not np.abs(rpy_rad).max() <= most_turn_rad:
+                raise ValueError(
+                    f"origin rpy {origin['rpy']!r} turns by more than 2 pi: wanted radians"
+                )
+            R = pose_from_zyx(0.0, 0.0, 0.0, *np.degrees(rpy_rad[::-1]))[:3, :3]
+            step = matrix(R, xyz_m * MM)
+            if self.kind not in TURNS:
+                return step, np.zeros(3), (-np.inf, np.inf)
+            axis = _vector(self.parts.get("axis", {}), "axis", "xyz", (1.0, 0.0, 0.0))
+            if not np.linalg.norm(axis) > least_axis:
+                raise ValueError("axis has no direction")
+            return step, axis / np.linalg.norm(axis), self._limits()
+        except ValueError as error:
+            problems.append(f"joint {self.name}: {error}")
+            return np.eye(4), np.zeros(3), (-np.inf, np.inf)
+
+    def _limits(self) -> tuple[float, float]:
+        found = self.parts.get("limit", {})
+        if self.kind == "continuous" or not {"lower", "upper"} <= set(found):
+            return -np.inf, np.inf
+        lower, upper = numbers(["limit lower", "limit upper"], [found["lower"], found["upper"]])
+        if not lower < upper:
+            raise ValueError(f"limit lower {lower:g} is not below upper {upper:g}")
+        return lower, upper
 
 
 @dataclass(slots=True)
@@ -83,6 +118,22 @@ class UrdfText:
         for start, end, text in sorted(edits, reverse=True):
             content = content[:start] + text + content[end:]
         return content
+
+    @property
+    def above(self) -> dict[str, JointText]:
+        """Return the joint that carries each link."""
+        most_joints = 1000  # of one file
+        if len(self.joints) > most_joints:
+            raise NotUrdf(f"has {len(self.joints)} joints, wanted at most {most_joints}")
+        above: dict[str, JointText] = {}
+        for joint in self.joints:
+            child = joint.end("child")
+            if child in above:
+                raise NotUrdf(
+                    f"link {child} has two parents: joints {above[child].name}, {joint.name}"
+                )
+            above[child] = joint
+        return above
 
 
 def read_urdf_text(content: bytes) -> UrdfText:
@@ -125,6 +176,7 @@ class _Reader:
 
     def start(self, name: str, attributes: dict[str, str], at: int) -> None:
         self._depth += 1
+        parts = ("origin", "parent", "child", "axis", "limit", "mimic")
         if self._depth == 1:
             self._root(name, attributes, at)
         elif self._depth == 2:
@@ -136,7 +188,7 @@ class _Reader:
                     attributes.get("name", ""), attributes.get("type", ""), self._end(at)
                 )
                 self.found.joints.append(self._joint)
-        elif self._depth == 3 and self._joint is not None and name in PARTS:
+        elif self._depth == 3 and self._joint is not None and name in parts:
             self._part(self._joint, name, attributes, at)
 
     def end(self, name: str) -> None:
@@ -172,7 +224,6 @@ def _comment(lines: Sequence[str]) -> bytes:
 
 MM = 1000.0  # in a metre
 LEAST_REACH_M, MOST_REACH_M = 0.05, 50.0  # of all links in a row; beyond, lengths are not metres
-MOST_TURN_RAD = 2.0 * np.pi + 0.01  # of one roll, pitch or yaw; beyond, angles are degrees
 TURNS = ("revolute", "continuous")
 
 
@@ -259,7 +310,7 @@ def read_urdf(path: Path, tip: str = "") -> Urdf:
     except NotUrdf as error:
         raise SettingsError(str(path), [str(error)]) from error
     problems: list[str] = []
-    numbered = [_numbered(joint, problems) for joint in joints]
+    numbered = [joint.numbered(problems) for joint in joints]
     if problems:
         raise SettingsError(str(path), problems)
     steps = np.array([step for step, _, _ in numbered])
@@ -291,7 +342,7 @@ def _chain(steps: Array, turning: list[int], axes: Array) -> Chain:
 
 def _only_chain(text: UrdfText) -> list[JointText]:
     """Return the joints to the only tip that six revolute joints lead to."""
-    above = _above(text)
+    above = text.above
     tips = sorted(set(above) - {joint.end("parent") for joint in text.joints})
     if not tips:
         raise NotUrdf(
@@ -314,25 +365,11 @@ def _chain_to(tip: str, text: UrdfText) -> list[JointText]:
     links = {link for joint in text.joints for link in (joint.end("parent"), joint.end("child"))}
     if tip not in links:
         raise NotUrdf(f"no joint leads to link {tip}; links: {_list(sorted(links))}")
-    way = _way_to(tip, _above(text))
+    way = _way_to(tip, text.above)
     fault = _unfit(way)
     if fault:
         raise NotUrdf(f"the chain to {tip} {fault}")
     return way
-
-
-def _above(text: UrdfText) -> dict[str, JointText]:
-    """Return the joint that carries each link."""
-    most_joints = 1000  # of one file
-    if len(text.joints) > most_joints:
-        raise NotUrdf(f"has {len(text.joints)} joints, wanted at most {most_joints}")
-    above: dict[str, JointText] = {}
-    for joint in text.joints:
-        child = joint.end("child")
-        if child in above:
-            raise NotUrdf(f"link {child} has two parents: joints {above[child].name}, {joint.name}")
-        above[child] = joint
-    return above
 
 
 def _way_to(tip: str, above: Mapping[str, JointText]) -> list[JointText]:
@@ -366,44 +403,6 @@ def _list(names: Sequence[str]) -> str:
     most_named = 8  # links that one message names
     more = f" and {len(names) - most_named} more" if len(names) > most_named else ""
     return ", ".join(names[:most_named]) + more
-
-
-def _numbered(joint: JointText, problems: list[str]) -> tuple[Array, Array, tuple[float, float]]:
-    """Return a joint's origin (4, 4) in mm, unit axis (3,) and limits in rad."""
-    least_axis = 1e-6
-    try:
-        step = _step(joint.parts.get("origin", {}))
-        if joint.kind not in TURNS:
-            return step, np.zeros(3), (-np.inf, np.inf)
-        axis = _vector(joint.parts.get("axis", {}), "axis", "xyz", (1.0, 0.0, 0.0))
-        if not np.linalg.norm(axis) > least_axis:
-            raise ValueError("axis has no direction")
-        return step, axis / np.linalg.norm(axis), _limits(joint)
-    except ValueError as error:
-        problems.append(f"joint {joint.name}: {error}")
-        return np.eye(4), np.zeros(3), (-np.inf, np.inf)
-
-
-def _step(origin: Mapping[str, str]) -> Array:
-    other = sorted(set(origin) - {"xyz", "rpy"})
-    if other:
-        raise ValueError(f"origin has {', '.join(other)}, wanted xyz and rpy only")
-    xyz_m = _vector(origin, "origin", "xyz", (0.0, 0.0, 0.0))
-    rpy_rad = _vector(origin, "origin", "rpy", (0.0, 0.0, 0.0))
-    if not np.abs(rpy_rad).max() <= MOST_TURN_RAD:
-        raise ValueError(f"origin rpy {origin['rpy']!r} turns by more than 2 pi: wanted radians")
-    R = pose_from_zyx(0.0, 0.0, 0.0, *np.degrees(rpy_rad[::-1]))[:3, :3]
-    return matrix(R, xyz_m * MM)
-
-
-def _limits(joint: JointText) -> tuple[float, float]:
-    found = joint.parts.get("limit", {})
-    if joint.kind == "continuous" or not {"lower", "upper"} <= set(found):
-        return -np.inf, np.inf
-    lower, upper = numbers(["limit lower", "limit upper"], [found["lower"], found["upper"]])
-    if not lower < upper:
-        raise ValueError(f"limit lower {lower:g} is not below upper {upper:g}")
-    return lower, upper
 
 
 def _vector(

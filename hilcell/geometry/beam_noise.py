@@ -15,11 +15,6 @@ from numpy.typing import ArrayLike
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import lengths_mm
 
-ROUNDS = 8  # of weighting: the weights follow from the variances that are fitted
-LEAST_SHARE = 1e-3  # of the largest variance: none counts as better known than that
-
-LEAST_MM = 1.0  # range of a beam: the centre of the tracker has no direction
-
 
 @dataclass(frozen=True, slots=True)
 class BeamNoise:
@@ -57,18 +52,21 @@ def beam_noise(at_mm: Array, std_mm: ArrayLike, samples: ArrayLike) -> BeamNoise
     known = np.repeat(np.sqrt(freedom), 3)
     weights: Array = known
     found: Array = np.zeros(2)
-    for _ in range(ROUNDS):
+    rounds = 8  # of weighting: the weights follow from the variances that are fitted
+    least_share = 1e-3  # of the largest variance: none counts as better known than that
+    for _ in range(rounds):
         found = _non_negative(A * weights[:, None], stated_mm2 * weights)
         fitted_mm2 = A @ found
         if not fitted_mm2.max() > 0.0:
             break
-        weights = known / np.maximum(fitted_mm2, LEAST_SHARE * fitted_mm2.max())
+        weights = known / np.maximum(fitted_mm2, least_share * fitted_mm2.max())
     return BeamNoise(float(found[0]), float(found[1]), float(freedom.sum()))
 
 
 def _beams(at_mm: Array) -> tuple[Array, Array]:
     """Return the beams' directions (N, 3) and their squared lengths (N,) in m^2."""
-    range_mm = np.maximum(lengths_mm(at_mm), LEAST_MM)
+    least_mm = 1.0  # range of a beam: the centre of the tracker has no direction
+    range_mm = np.maximum(lengths_mm(at_mm), least_mm)
     return at_mm / range_mm[:, None], np.square(range_mm / 1000.0)
 
 

@@ -32,10 +32,18 @@ class Chain:
     axes: Array
     tip: Array
 
+    @property
+    def frames(self) -> Array:
+        """Return the joints' frames and the tip's in the root link at q = 0, (7, 4, 4)."""
+        frames = [self.origins[0]]
+        for step in (*self.origins[1:], self.tip):
+            frames.append(frames[-1] @ step)
+        return np.array(frames)
+
 
 def arm_of(chain: Chain) -> tuple[Array, Arm]:
     """Return base (4, 4) and arm: ``base @ forward(arm, q)`` is the chain's tip in its root."""
-    frames = _frames(chain)
+    frames = chain.frames
     along = np.vstack([chain.axes, Z])
     base = frame = frames[0] @ matrix(_turn(Z, chain.axes[0]), np.zeros(3))
     rows = np.zeros((6, 5))
@@ -60,7 +68,7 @@ def beside(chain: Chain, nominal: Chain) -> Chain:
     Each joint's frame is the nominal one, turned the least that brings its axis parallel to the
     wanted one, and shifted the least that brings its origin onto it.
     """
-    found, near = _frames(chain), _frames(nominal)
+    found, near = chain.frames, nominal.frames
     frames = found.copy()
     for joint in range(6):
         wanted = found[joint, :3, :3] @ chain.axes[joint]
@@ -72,14 +80,6 @@ def beside(chain: Chain, nominal: Chain) -> Chain:
         )
     steps = inverse(frames[:6]) @ frames[1:]
     return Chain(np.concatenate([frames[:1], steps[:5]]), nominal.axes, steps[5])
-
-
-def _frames(chain: Chain) -> Array:
-    """Return the joints' frames and the tip's in the root link at q = 0, (7, 4, 4)."""
-    frames = [chain.origins[0]]
-    for step in (*chain.origins[1:], chain.tip):
-        frames.append(frames[-1] @ step)
-    return np.array(frames)
 
 
 def _arm(rows: Array, tool: Array) -> Arm:

@@ -15,9 +15,6 @@ from hilcell.geometry.frames import FrameError, checked_points, matrix, unit
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import lengths_mm, rms
 
-ITERATIONS = 50
-CONVERGED = 1e-12
-
 
 @dataclass(frozen=True, slots=True)
 class Circle:
@@ -93,7 +90,9 @@ def fit_circle(points_mm: ArrayLike, turn: float = 1.0) -> Circle:
     radius = float(np.sqrt(c + cu**2 + cv**2))
     nothing = np.empty((0, 0))
     circle = Circle(middle + cu * e1 + cv * e2, axis, radius, nothing, nothing)
-    for _ in range(ITERATIONS):
+    iterations = 50
+    converged = 1e-12
+    for _ in range(iterations):
         r, J, tangents = circle.linearised(points)
         step = np.linalg.lstsq(J, -r, rcond=None)[0]
         circle = replace(
@@ -102,7 +101,7 @@ def fit_circle(points_mm: ArrayLike, turn: float = 1.0) -> Circle:
             axis=unit(circle.axis + tangents @ step[3:5]),
             radius_mm=circle.radius_mm + float(step[5]),
         )
-        if np.linalg.norm(step / circle.radius_mm) <= CONVERGED:
+        if np.linalg.norm(step / circle.radius_mm) <= converged:
             break
     else:
         raise FrameError(

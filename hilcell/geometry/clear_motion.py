@@ -28,8 +28,6 @@ from hilcell.geometry.kinematics import Arm, Array
 
 RESOLUTION_MM = 1.0  # a motion that is nearer than this to the wanted clearance is not proven
 FARTHEST_MM = 1e6  # no arm's motion is longer: halving one of 1e300 mm would never end
-AT_ONCE = 2048  # postures: bounds the memory
-LOOKS = 257  # along a motion that is not clear, for the message
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +97,8 @@ class Body:
 
         ``also`` is a share of the way to look at beside those in even steps.
         """
-        shares = np.append(np.linspace(0.0, 1.0, LOOKS), also)
+        looks = 257  # along a motion that is not clear, for the message
+        shares = np.append(np.linspace(0.0, 1.0, looks), also)
         postures = start + shares[:, None] * (end - start)
         found = self.clearances_mm(postures, np.full((len(postures), 1), np.inf))
         at = np.unravel_index(np.argmin(found), found.shape)  # of several NaN, the first
@@ -137,10 +136,11 @@ class Body:
 
     def _least_mm(self, postures: Array, enough_mm: Array) -> Array:
         """Return the clearance (N, C) from the nearest box."""
-        if len(postures) <= AT_ONCE:
+        at_once = 2048  # postures: bounds the memory
+        if len(postures) <= at_once:
             return np.array(self.clearances_mm(postures, enough_mm).min(axis=-1))
         parts = [
-            self.clearances_mm(postures[n : n + AT_ONCE], enough_mm[n : n + AT_ONCE]).min(axis=-1)
-            for n in range(0, len(postures), AT_ONCE)
+            self.clearances_mm(postures[n : n + at_once], enough_mm[n : n + at_once]).min(axis=-1)
+            for n in range(0, len(postures), at_once)
         ]
         return np.concatenate(parts)

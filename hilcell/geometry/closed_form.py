@@ -23,7 +23,6 @@ Ints = NDArray[np.int_]
 SPHERICAL_ALPHA_RAD = np.radians([-90.0, 0.0, -90.0, 90.0, -90.0, 0.0])
 PARALLEL_ALPHA_RAD = np.radians([90.0, 0.0, 0.0, 90.0, -90.0, 0.0])
 BEHIND, BEYOND, FLIPPED = 1, 2, 4  # status bits
-ROUNDING = 1e-12  # of parameters in mm and rad
 
 
 class ReachError(HilcellError):
@@ -190,6 +189,7 @@ class _Family:
 
     def oddities(self, arm: Arm) -> list[str]:
         """Return the parameters that are not those of this family."""
+        rounding = 1e-12  # of parameters in mm and rad
         return [
             name
             for name, found, wanted in (
@@ -199,7 +199,7 @@ class _Family:
                 (_rows("d", self.zero_d), arm.d_mm[list(self.zero_d)], 0.0),
                 ("offset of axis 5", arm.offset_rad[4], 0.0),
             )
-            if not bool(np.all(np.abs(found - wanted) <= ROUNDING))
+            if not bool(np.all(np.abs(found - wanted) <= rounding))
         ]
 
 

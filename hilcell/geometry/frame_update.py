@@ -17,7 +17,6 @@ from hilcell.geometry.kinematics import Array
 from hilcell.geometry.rotations import from_rotvec
 
 SIZE = 7  # shift, rotation, growth
-LEAST_MM = 1e-4  # no reading is better
 TYPICAL = 2.366  # median of chi2 of three coordinates
 
 
@@ -61,7 +60,8 @@ def updated_frame(
     prior = np.zeros((SIZE, SIZE))
     prior[: len(covariance), : len(covariance)] = covariance
     outwards_mm = a_mm if centre_mm is None else a_mm - centre_mm
-    R = covariances_mm2 + LEAST_MM**2 * np.eye(3)
+    least_mm = 1e-4  # no reading is better
+    R = covariances_mm2 + least_mm**2 * np.eye(3)
     off_mm = b_mm - apply(T, a_mm)
     J = np.concatenate(
         [

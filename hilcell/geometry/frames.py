@@ -18,9 +18,6 @@ from hilcell.geometry.kinematics import Array
 from hilcell.geometry.rotations import from_rotvec, from_zyx
 from hilcell.geometry.statistics import lengths_mm, rms
 
-ITERATIONS = 20
-CONVERGED = 1e-13
-
 
 class FrameError(HilcellError):
     """Points that define no frame, or not the frame that they should."""
@@ -258,7 +255,9 @@ def _procrustes(a: Array, b: Array, weights: Array) -> Array:
 
 def _refined(T: Array, a: Array, b: Array, W: Array) -> Array:
     """Return T after Gauss-Newton with full covariances."""
-    for _ in range(ITERATIONS):
+    iterations = 20
+    converged = 1e-13
+    for _ in range(iterations):
         moved = apply(T, a)
         centroid = moved.mean(axis=0)
         J = _jacobian(moved - centroid)
@@ -266,7 +265,7 @@ def _refined(T: Array, a: Array, b: Array, W: Array) -> Array:
         step = np.linalg.solve(_normal_matrix(moved - centroid, W), gradient)
         R = from_rotvec(step[3:])
         T = matrix(R, centroid + step[:3] - R @ centroid) @ T
-        if np.linalg.norm(step) <= CONVERGED * (1.0 + np.linalg.norm(centroid)):
+        if np.linalg.norm(step) <= converged * (1.0 + np.linalg.norm(centroid)):
             break
     return T
 

@@ -15,8 +15,6 @@ import numpy as np
 from hilcell.geometry.kinematics import Array
 from hilcell.geometry.statistics import bounds95_mm
 
-REST = 1.1  # of the bound that is left with all parameters known: below, poses gain little
-
 
 @dataclass(frozen=True, eq=False)
 class Rows:
@@ -69,7 +67,8 @@ def design(
     count = len(volume.by_parameter)
     rows = volume.by_parameter.reshape(-1, volume.by_parameter.shape[-1])
     weight = rows.T @ rows / count
-    enough_mm = max(bound_mm, REST * volume.mean_bound_mm(np.zeros_like(covariance)))
+    rest = 1.1  # of the bound that is left with all parameters known: below, poses gain little
+    enough_mm = max(bound_mm, rest * volume.mean_bound_mm(np.zeros_like(covariance)))
     chosen: list[int] = []
     bounds_mm = [volume.mean_bound_mm(covariance)]
     least, most = (min(each, len(candidates.by_parameter)) for each in counts)

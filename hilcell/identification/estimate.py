@@ -75,11 +75,7 @@ def predict_orientations(
 
 
 LEAST_POSES = 20
-ITERATIONS = 100
-SETTLED, CREEPING = 1e-6, 1.0  # gains of chi^2: nothing is left to gain; nothing that matters
-FIRST_DAMPING, HELD, EASED = 1e-3, 10.0, 5.0
 GROSS = 8.0  # scales, and standard deviations of its prediction, that no good reading misses by
-ROUNDS = 4  # of noise and outliers
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +110,8 @@ def identify(
     """
     _refuse_too_few(readings)
     state, outliers = _robust(kinematics, readings, start)
-    for _ in range(ROUNDS):
+    rounds = 4  # of noise and outliers
+    for _ in range(rounds):
         _refuse_too_many(outliers, readings)
         found = identify_trusted(kinematics, readings.without(outliers), state, noise)
         more = _gross(found.system)
@@ -147,20 +144,23 @@ def solve(
     curved valleys. Steps across them are held back, and creeping along them ends by itself.
     """
     system, damping, gain = System.at(kinematics, state, readings, noise), 0.0, np.inf
-    for _ in range(ITERATIONS):
-        if gain <= SETTLED:
+    iterations = 100
+    settled, creeping = 1e-6, 1.0  # gains of chi^2: nothing is left to gain; nothing that matters
+    first_damping, held, eased = 1e-3, 10.0, 5.0
+    for _ in range(iterations):
+        if gain <= settled:
             break
         further = kinematics.moved(state, system.damped(damping) if damping else system.step)
         other = System.at(kinematics, further, readings, noise)
-        if other.cost <= system.cost + SETTLED:
+        if other.cost <= system.cost + settled:
             gain = system.cost - other.cost
-            state, system, damping = further, other, damping / EASED
+            state, system, damping = further, other, damping / eased
         else:
-            damping = max(HELD * damping, FIRST_DAMPING)
-    if not gain <= CREEPING:
+            damping = max(held * damping, first_damping)
+    if not gain <= creeping:
         raise IdentificationError(
-            f"kinematics do not settle: the last of {ITERATIONS} steps improves chi^2 by "
-            f"{gain:.3g}, wanted <= {CREEPING:g}; check robot, units and joint signs"
+            f"kinematics do not settle: the last of {iterations} steps improves chi^2 by "
+            f"{gain:.3g}, wanted <= {creeping:g}; check robot, units and joint signs"
         )
     return state, system
 

@@ -59,7 +59,6 @@ class TransmissionCurve:
         return self.basis(joint_rad) @ self.amplitude_rad.ravel()
 
 
-LENGTH_MM, ANGLE_RAD = 1.0, 2e-3  # prior sigmas of link parameters
 BASE, LINKS = 6, 30
 ORDERS = (1, 2)
 
@@ -164,7 +163,8 @@ class Kinematics:
 
     @cached_property
     def _prior(self) -> tuple[Array, Array]:
-        links = [LENGTH_MM if kind.endswith("mm") else ANGLE_RAD for kind in KINDS]
+        length_mm, angle_rad = 1.0, 2e-3  # prior sigmas of link parameters
+        links = [length_mm if kind.endswith("mm") else angle_rad for kind in KINDS]
         assumed = self.assumed
         gravity_rad = 0.5e-3  # of the deflection at full load
         wave_rad = 50e-6  # of the amplitudes of one and two waves a revolution

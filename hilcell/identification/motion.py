@@ -20,7 +20,6 @@ from hilcell.ports import HilcellError
 LEAST_SAMPLES, LEAST_READINGS = 100, 12
 JUMP_RAD = 5e-4  # of the axis over a gap, against its speed: more than ripple turns it
 RADIUS_MM = 20.0  # by which the reflector's circle may miss the nominal one
-SCALE = 0.01  # by which both speeds may differ
 
 
 class BadStream(HilcellError):
@@ -97,6 +96,31 @@ class SweepStream:
             )
         return _Line(centre_s, float(middle), float(slope), clock_s)
 
+    def turned_rad(self, arm: Arm, axis: int) -> Array:
+        """Return the angle (N,) of ``axis`` by the reflector's place on its nominal circle."""
+        start_rad = np.median(self.joints_rad, axis=0)
+        before = np.eye(4)
+        for link in link_transforms(arm, start_rad)[:axis]:
+            before = before @ link
+        z, origin_mm = before[:3, 2], before[:3, 3]
+        lever_mm = self.xyz_mm - origin_mm
+        lever_mm = lever_mm - (lever_mm @ z)[:, None] * z
+        nominal_mm = forward(arm, start_rad)[:3, 3] - origin_mm
+        nominal_mm = nominal_mm - (nominal_mm @ z) * z
+        radius_mm, found_mm = (
+            np.linalg.norm(nominal_mm),
+            np.median(np.linalg.norm(lever_mm, axis=1)),
+        )
+        if not abs(found_mm - radius_mm) <= RADIUS_MM:
+            raise BadStream(
+                f"the reflector runs {found_mm:.1f} mm from axis {axis + 1}, wanted "
+                f"{radius_mm:.1f} +-{RADIUS_MM:g} mm: units are not mm and rad, or another axis or reflector moved"
+            )
+        ahead = nominal_mm / radius_mm
+        turned = np.arctan2(lever_mm @ np.cross(z, ahead), lever_mm @ ahead)
+        found: Array = start_rad[axis] + arm.sign[axis] * turned
+        return found
+
 
 @dataclass(frozen=True, slots=True)
 class Motion:
@@ -117,7 +141,7 @@ class Motion:
 def motion_of(stream: SweepStream, arm: Arm, axis: int) -> Motion:
     """Return the motion of ``axis`` (0 to 5); raises `BadStream`."""
     stream.check_numbers()
-    angle_rad = turned_rad(stream, arm, axis)
+    angle_rad = stream.turned_rad(arm, axis)
     inner = _between_ends(angle_rad)
     time_s, angle_rad = (stream.device_s - stream.device_s[0])[inner], angle_rad[inner]
     kept = _without_spikes(angle_rad)
@@ -126,11 +150,12 @@ def motion_of(stream: SweepStream, arm: Arm, axis: int) -> Motion:
     _check_even(time_s, angle_rad)
     line = stream.joint_line(axis, angle_rad)
     seen_rad_s = float(np.polyfit(time_s, angle_rad, 1)[0])
-    if not abs(seen_rad_s / line.speed_rad_s - 1.0) <= SCALE:
+    scale = 0.01  # by which both speeds may differ
+    if not abs(seen_rad_s / line.speed_rad_s - 1.0) <= scale:
         raise BadStream(
             f"the tracker sees the axis turn at {np.degrees(seen_rad_s):.4f} deg/s, the joints' "
             f"readings at {np.degrees(line.speed_rad_s):.4f} deg/s, wanted equal within "
-            f"{100 * SCALE:g} %: angles or times are in other units, or a stream is another's"
+            f"{100 * scale:g} %: angles or times are in other units, or a stream is another's"
         )
     offset_s, clock_s = _clock(time_s, window_s)
     joint_rad = line.at_rad(time_s + offset_s)
@@ -145,29 +170,6 @@ def motion_of(stream: SweepStream, arm: Arm, axis: int) -> Motion:
         )
     clock_s = float(np.hypot(clock_s, line.clock_s))
     return Motion(joint_rad, angle_rad - joint_rad, line.speed_rad_s, clock_s, lost)
-
-
-def turned_rad(stream: SweepStream, arm: Arm, axis: int) -> Array:
-    """Return the angle (N,) of ``axis`` by the reflector's place on its nominal circle."""
-    start_rad = np.median(stream.joints_rad, axis=0)
-    before = np.eye(4)
-    for link in link_transforms(arm, start_rad)[:axis]:
-        before = before @ link
-    z, origin_mm = before[:3, 2], before[:3, 3]
-    lever_mm = stream.xyz_mm - origin_mm
-    lever_mm = lever_mm - (lever_mm @ z)[:, None] * z
-    nominal_mm = forward(arm, start_rad)[:3, 3] - origin_mm
-    nominal_mm = nominal_mm - (nominal_mm @ z) * z
-    radius_mm, found_mm = np.linalg.norm(nominal_mm), np.median(np.linalg.norm(lever_mm, axis=1))
-    if not abs(found_mm - radius_mm) <= RADIUS_MM:
-        raise BadStream(
-            f"the reflector runs {found_mm:.1f} mm from axis {axis + 1}, wanted {radius_mm:.1f} "
-            f"+-{RADIUS_MM:g} mm: units are not mm and rad, or another axis or reflector moved"
-        )
-    ahead = nominal_mm / radius_mm
-    turned = np.arctan2(lever_mm @ np.cross(z, ahead), lever_mm @ ahead)
-    found: Array = start_rad[axis] + arm.sign[axis] * turned
-    return found
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,7 +61,6 @@ class Readings:
 
 SAME_RAD = np.radians(0.05)  # joints that differ by no more lead to the same errors
 FOLDS = 5
-GOLDEN = (5.0**0.5 - 1.0) / 2.0  # its multiples scatter evenly, in step with no lattice
 
 
 def poses_of(joints_rad: Array) -> Ints:
@@ -92,7 +91,8 @@ def places_of(joints_rad: Array) -> Array:
 
     One part of the order holds poses of the whole space.
     """
-    return np.asarray(poses_of(joints_rad) * GOLDEN % 1.0, dtype=float)
+    golden = (5.0**0.5 - 1.0) / 2.0  # its multiples scatter evenly, in step with no lattice
+    return np.asarray(poses_of(joints_rad) * golden % 1.0, dtype=float)
 
 
 def folds_of(joints_rad: Array) -> Ints:

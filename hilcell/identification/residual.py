@@ -19,11 +19,8 @@ from hilcell.identification.kinematics import State
 from hilcell.identification.noise import Noise
 from hilcell.identification.readings import Ints, folds_of
 
-TYPICAL_RAD, TYPICAL_LENGTH_RAD = 100e-6, 1.0  # where the search begins, and what few data lean on
 DOUBT = np.repeat([1.5, 1.0, 1.0], [6, 6, 1])  # of their logarithms, and of the noise's scale
 ROWS = 300  # of evenly chosen poses, from which the scales are found
-STEPS, GAIN = 40, 1e-5  # of the search; relative, of the cost
-AT_ONCE = 256  # poses predicted together
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +72,15 @@ class Rows:
             np.repeat(each, size)[known],
             estimate.readings.joints_rad[poses],
         )
+
+    def covariance(self, kernel: Kernel, share: float) -> tuple[Array, Array, Array, Array]:
+        """Return K (N, N), and its factors: levers' product, correlations, their derivatives."""
+        correlation, slope = (
+            each[np.ix_(self.pose, self.pose)]
+            for each in kernel.correlation(self.joints_rad, self.joints_rad)
+        )
+        product = (self.levers * kernel.joint_rad**2) @ self.levers.T
+        return product * correlation + share * self.noise_mm2, product, correlation, slope
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,9 +134,10 @@ class WithResidual:
 
     def predict(self, joints_rad: Array) -> tuple[Array, Array]:
         """Return positions (M, K, 3) and covariances (M, K, 3, 3) of readings there."""
+        at_once = 256  # poses predicted together
         parts = [
-            self._predict(joints_rad[first : first + AT_ONCE])
-            for first in range(0, len(joints_rad), AT_ONCE)
+            self._predict(joints_rad[first : first + at_once])
+            for first in range(0, len(joints_rad), at_once)
         ]
         return np.concatenate([p for p, _ in parts]), np.concatenate([c for _, c in parts])
 
@@ -175,7 +182,7 @@ def with_residual(estimate: Estimate) -> WithResidual:
     scales = _scales(estimate, Rows.of(estimate, thinned))
     rows, system = Rows.of(estimate, every), estimate.system
     kernel, share = _kernel(scales)
-    solved = _solved(rows, _covariance(rows, kernel, share)[0], system.prior_root, system.pull)
+    solved = _solved(rows, rows.covariance(kernel, share)[0], system.prior_root, system.pull)
     state = estimate.kinematics.moved(estimate.state, solved.step)
     noise = estimate.noise.scaled(share**0.5)
     return WithResidual(estimate, kernel, noise, state, rows, solved, _doubt(rows, solved))
@@ -197,28 +204,20 @@ def _kernel(scales: Array) -> tuple[Kernel, float]:
     return Kernel(np.exp(scales[:6]), np.exp(scales[6:12])), float(np.exp(2.0 * scales[12]))
 
 
-def _covariance(rows: Rows, kernel: Kernel, share: float) -> tuple[Array, Array, Array, Array]:
-    """Return K (N, N), and its factors: levers' product, correlations, their derivatives."""
-    correlation, slope = (
-        each[np.ix_(rows.pose, rows.pose)]
-        for each in kernel.correlation(rows.joints_rad, rows.joints_rad)
-    )
-    product = (rows.levers * kernel.joint_rad**2) @ rows.levers.T
-    return product * correlation + share * rows.noise_mm2, product, correlation, slope
-
-
 def _scales(estimate: Estimate, rows: Rows) -> Array:
     """Return the logarithms (13,) of the kernel's scales and the noise's, by L-BFGS."""
     from scipy.optimize import minimize
 
     system = estimate.system
-    middle = np.log(np.repeat([TYPICAL_RAD, TYPICAL_LENGTH_RAD, 1.0], [6, 6, 1]))
+    # where the search begins, and what few data lean on
+    typical_rad, typical_length_rad = 100e-6, 1.0
+    middle = np.log(np.repeat([typical_rad, typical_length_rad, 1.0], [6, 6, 1]))
     squares = (rows.joints_rad[:, None] - rows.joints_rad) ** 2
     place = (rows.pose[:, None] == np.arange(len(rows.joints_rad))).astype(float)
 
     def cost(scales: Array) -> tuple[float, Array]:
         kernel, share = _kernel(scales)
-        K, product, correlation, slope = _covariance(rows, kernel, share)
+        K, product, correlation, slope = rows.covariance(kernel, share)
         solved = _solved(rows, K, system.prior_root, system.pull)
         M = solved.precision - np.outer(solved.weighted, solved.weighted)
         weighted = M * correlation
@@ -231,12 +230,13 @@ def _scales(estimate: Estimate, rows: Rows) -> Array:
         return -solved.evidence + 0.5 * float(away @ away), gradient + away / DOUBT
 
     limits = [(m - 6.0 * d, m + 4.0 * d) for m, d in zip(middle, DOUBT, strict=True)]
+    steps, gain = 40, 1e-5  # of the search; relative, of the cost
     found = minimize(
         cost,
         middle,
         jac=True,
         method="L-BFGS-B",
         bounds=limits,
-        options={"maxiter": STEPS, "ftol": GAIN},
+        options={"maxiter": steps, "ftol": gain},
     )
     return found.x

@@ -20,15 +20,10 @@ Complex = NDArray[np.complex128]
 
 LOWEST, HIGHEST = 18.0, 560.0  # cycles per joint revolution
 CHANCE = 1e-3  # that any line at all is found where there is none
-MOST_LINES = 16
-APART = 0.45  # widths of a line, between two of them
 SMOOTH_RAD = {1: 1e-3, 2: 5e-4, 3: 2e-4, 4: 5e-5, 5: 2e-5} | dict.fromkeys(range(6, 18, 3), 1e-5)
 # 1 sigma of the joint's harmonics below the lowest line
 FREE_RAD = 0.1  # 1 sigma of constant and slope: nothing is known of them
 LINE_RAD = 1e-4  # 1 sigma of a line's cosine and sine
-STEPS = 12
-BLOCK = 16  # frequencies, of which one cosine and sine each is computed
-SETTLED, LONGEST_STEP = 1e-4, 0.2  # of a line's width
 
 
 @dataclass(frozen=True)
@@ -113,6 +108,51 @@ class Records:
         """Return the root mean square of lines over the samples."""
         waves = _waves(self.angle_rad(lines.shift.rad), lines.cycles)
         return rms(waves @ lines.amplitude_rad.ravel())
+
+    def refined(self, lines: Lines, prior: Shift) -> Lines:
+        """Return the lines with amplitudes, frequencies and shift at their best together.
+
+        Gauss-Newton; smooth errors are found beside them.
+        """
+        cycles, amplitude, shift_rad = lines.cycles, lines.amplitude_rad, lines.shift.rad
+        count, sigma_rad, sigma = len(cycles), rms(lines.left_rad), prior.sigma_rad
+        first = self.smooth.shape[1]
+        steps = 12
+        settled, longest_step = 1e-4, 0.2  # of a line's width
+        for _ in range(steps):
+            angle = self.angle_rad(shift_rad)
+            waves = _waves(angle, cycles)
+            turned = waves[:, ::2] * amplitude[:, 1] - waves[:, 1::2] * amplitude[:, 0]
+            by_cycles = self.width * angle[:, None] * turned
+            by_shift = prior.sigma_rad * (self.side * (turned @ cycles))[:, None]
+            columns = np.hstack([LINE_RAD * waves, by_cycles, by_shift])
+            towards = (prior.rad - shift_rad) / prior.sigma_rad
+            found, inverse = self._solved(columns, sigma_rad, towards)
+            sigma_rad = rms(self.left_rad(columns, found))
+            sigma = prior.sigma_rad * sigma_rad * float(np.sqrt(inverse[-1, -1]))
+            amplitude = _pairs(found[first:], count)
+            step = np.clip(found[-1 - count : -1], -longest_step, longest_step)
+            cycles = np.clip(cycles + self.width * step, self.lowest, HIGHEST)
+            shift_rad += prior.sigma_rad * float(found[-1])
+            if not np.any(np.abs(step) > settled):
+                break
+        columns = LINE_RAD * _waves(self.angle_rad(shift_rad), cycles)
+        found, _ = self._solved(columns, sigma_rad)
+        left_rad = self.left_rad(columns, found)
+        amplitude = _pairs(found[first:], count)
+        return Lines(cycles, amplitude, Shift(shift_rad, sigma), left_rad)
+
+    def _solved(self, columns: Array, sigma_rad: float, last: float = 0.0) -> tuple[Array, Array]:
+        """Return the best coefficients (P,) of smooth and these columns, and the inverse (P, P).
+
+        Their prior is 1 sigma = 1 about 0, of the last one about ``last``.
+        """
+        normal, right = self.equations(columns)
+        normal[np.diag_indices_from(normal)] += sigma_rad**2
+        right[-1] += sigma_rad**2 * last
+        inverse = np.linalg.inv(normal)
+        found: Array = inverse @ right
+        return found, np.array(inverse, dtype=float)
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,6 +258,14 @@ class Trial:
         )
         return same, opposite
 
+    def difference(self, opposite: Explained) -> tuple[Noise, float]:
+        """Return the noise by what the directions differ, and the largest line in that."""
+        noise = noise_of(opposite.powers_rad2[self.apart], self.cycles[self.apart])
+        score = opposite.powers_rad2 / noise.variance_rad2(self.cycles)
+        best = int(np.argmax(score))
+        is_line = _is_line(noise, score, self.cycles)
+        return noise, float(np.linalg.norm(opposite.amplitude_rad[best])) if is_line else 0.0
+
 
 class Known:
     """Smooth errors and the lines so far: columns (N, P) with priors of 1 sigma = 1, fitted."""
@@ -239,18 +287,20 @@ def search(records: Records, shift: Shift) -> Found:
     trial, lines = Trial(records), without_lines(records, shift)
     smooth_left_rad, refused = rms(lines.left_rad), list[float]()
     grown = 1.6  # rms of all lines over that of what smooth errors leave: more is trade with those
+    most_lines = 16
+    apart = 0.45  # widths of a line, between two of them
     while True:
         known = Known(records, lines)
         same, opposite = trial.explained(known, shift)
-        noise, differ_rad = _difference(trial, opposite)
+        noise, differ_rad = trial.difference(opposite)
         score = same.powers_rad2 / noise.variance_rad2(trial.cycles)
         tried = (*lines.cycles, *refused)
         for cycles in tried:
-            score[np.abs(trial.cycles - cycles) < APART * records.width] = 0.0
+            score[np.abs(trial.cycles - cycles) < apart * records.width] = 0.0
         best = int(np.argmax(score))
         rest = noise_of(same.powers_rad2[trial.apart], trial.cycles[trial.apart])
         found = Found(lines, _covariance(known, lines, (noise, rest)), differ_rad, trial)
-        if len(tried) == MOST_LINES or not _is_line(noise, score, trial.cycles):
+        if len(tried) == most_lines or not _is_line(noise, score, trial.cycles):
             return found
         more = Lines(
             np.append(lines.cycles, trial.cycles[best]),
@@ -258,8 +308,8 @@ def search(records: Records, shift: Shift) -> Found:
             lines.shift,
             lines.left_rad,
         )
-        more = refined(records, more, shift)
-        better = bool(np.all(np.diff(np.sort(more.cycles)) >= APART * records.width))
+        more = records.refined(more, shift)
+        better = bool(np.all(np.diff(np.sort(more.cycles)) >= apart * records.width))
         better &= rms(more.left_rad) < rms(lines.left_rad)
         if better and records.rms_rad(more) <= grown * smooth_left_rad:
             lines = more
@@ -269,54 +319,7 @@ def search(records: Records, shift: Shift) -> Found:
 
 def without_lines(records: Records, shift: Shift) -> Lines:
     """Return what smooth errors leave."""
-    return refined(records, Lines(np.zeros(0), np.zeros((0, 2)), shift, records.error_rad), shift)
-
-
-def refined(records: Records, lines: Lines, prior: Shift) -> Lines:
-    """Return the lines with amplitudes, frequencies and shift at their best together.
-
-    Gauss-Newton; smooth errors are found beside them.
-    """
-    cycles, amplitude, shift_rad = lines.cycles, lines.amplitude_rad, lines.shift.rad
-    count, sigma_rad, sigma = len(cycles), rms(lines.left_rad), prior.sigma_rad
-    first = records.smooth.shape[1]
-    for _ in range(STEPS):
-        angle = records.angle_rad(shift_rad)
-        waves = _waves(angle, cycles)
-        turned = waves[:, ::2] * amplitude[:, 1] - waves[:, 1::2] * amplitude[:, 0]
-        by_cycles = records.width * angle[:, None] * turned
-        by_shift = prior.sigma_rad * (records.side * (turned @ cycles))[:, None]
-        columns = np.hstack([LINE_RAD * waves, by_cycles, by_shift])
-        towards = (prior.rad - shift_rad) / prior.sigma_rad
-        found, inverse = _solved(records, columns, sigma_rad, towards)
-        sigma_rad = rms(records.left_rad(columns, found))
-        sigma = prior.sigma_rad * sigma_rad * float(np.sqrt(inverse[-1, -1]))
-        amplitude = _pairs(found[first:], count)
-        step = np.clip(found[-1 - count : -1], -LONGEST_STEP, LONGEST_STEP)
-        cycles = np.clip(cycles + records.width * step, records.lowest, HIGHEST)
-        shift_rad += prior.sigma_rad * float(found[-1])
-        if not np.any(np.abs(step) > SETTLED):
-            break
-    columns = LINE_RAD * _waves(records.angle_rad(shift_rad), cycles)
-    found, _ = _solved(records, columns, sigma_rad)
-    left_rad = records.left_rad(columns, found)
-    amplitude = _pairs(found[first:], count)
-    return Lines(cycles, amplitude, Shift(shift_rad, sigma), left_rad)
-
-
-def _solved(
-    records: Records, columns: Array, sigma_rad: float, last: float = 0.0
-) -> tuple[Array, Array]:
-    """Return the best coefficients (P,) of smooth and these columns, and the inverse (P, P).
-
-    Their prior is 1 sigma = 1 about 0, of the last one about ``last``.
-    """
-    normal, right = records.equations(columns)
-    normal[np.diag_indices_from(normal)] += sigma_rad**2
-    right[-1] += sigma_rad**2 * last
-    inverse = np.linalg.inv(normal)
-    found: Array = inverse @ right
-    return found, np.array(inverse, dtype=float)
+    return records.refined(Lines(np.zeros(0), np.zeros((0, 2)), shift, records.error_rad), shift)
 
 
 def _pairs(found: Array, count: int) -> Array:
@@ -362,9 +365,10 @@ def _even_waves(angle_rad: Array, cycles: Array) -> tuple[Complex, Complex]:
     sums (F,).
     """
     step = np.exp(1j * angle_rad * (cycles[1] - cycles[0]))
-    fine = _series(np.ones_like(step), step, BLOCK)
+    block = 16  # frequencies, of which one cosine and sine each is computed
+    fine = _series(np.ones_like(step), step, block)
     first = np.exp(1j * angle_rad * cycles[0])
-    coarse = _series(first, fine[:, -1] * step, -(-len(cycles) // BLOCK))
+    coarse = _series(first, fine[:, -1] * step, -(-len(cycles) // block))
     waves = (coarse[:, :, None] * fine[:, None, :]).reshape(len(angle_rad), -1)
     squares = ((coarse * coarse).T @ (fine * fine)).ravel()
     return waves[:, : len(cycles)], squares[: len(cycles)]
@@ -405,15 +409,6 @@ def _explained(normal: Array, across: Complex, right: Complex) -> Explained:
 def _symmetric(first: Array, across: Array, last: Array) -> Array:
     """Return matrices (F, 2, 2)."""
     return np.stack([first, across, across, last], axis=-1).reshape(-1, 2, 2)
-
-
-def _difference(trial: Trial, opposite: Explained) -> tuple[Noise, float]:
-    """Return the noise by what the directions differ, and the largest line in the difference."""
-    noise = noise_of(opposite.powers_rad2[trial.apart], trial.cycles[trial.apart])
-    score = opposite.powers_rad2 / noise.variance_rad2(trial.cycles)
-    best = int(np.argmax(score))
-    is_line = _is_line(noise, score, trial.cycles)
-    return noise, float(np.linalg.norm(opposite.amplitude_rad[best])) if is_line else 0.0
 
 
 def _is_line(noise: Noise, score: Array, cycles: Array) -> bool:

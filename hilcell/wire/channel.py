@@ -37,7 +37,18 @@ class SerialLine:
 def parse_channel(channel: str) -> Socket | SerialLine:
     """Return where a channel leads; raises `ValueError` for one of neither form."""
     if "://" in channel:
-        return _socket(channel)
+        url = urlsplit(channel)
+        try:
+            port = url.port
+        except ValueError:  # none that could be one
+            port = None
+        host, more = url.hostname or "", url.username or url.path or url.query or url.fragment
+        if url.scheme != "socket" or more or not re.match(_HOST, host) or not port:
+            raise ValueError(
+                f"channel: socket://HOST:PORT is wanted, found {channel!r}; "
+                "allowed ports: 1 to 65535"
+            )
+        return Socket(host, port)
     path, at, baud = channel.partition("@")
     if not path.strip() or (at and not (baud.isascii() and baud.isdecimal() and len(baud) < 9)):
         raise ValueError(f"channel: socket://HOST:PORT or PATH[@BAUD] is wanted, found {channel!r}")
@@ -48,17 +59,3 @@ def parse_channel(channel: str) -> Socket | SerialLine:
             f"allowed: {slowest_baud} to {fastest_baud}, without @ it is {BAUD}"
         )
     return SerialLine(path, int(baud) if at else BAUD)
-
-
-def _socket(channel: str) -> Socket:
-    url = urlsplit(channel)
-    try:
-        port = url.port
-    except ValueError:  # none that could be one
-        port = None
-    host, more = url.hostname or "", url.username or url.path or url.query or url.fragment
-    if url.scheme != "socket" or more or not re.match(_HOST, host) or not port:
-        raise ValueError(
-            f"channel: socket://HOST:PORT is wanted, found {channel!r}; allowed ports: 1 to 65535"
-        )
-    return Socket(host, port)

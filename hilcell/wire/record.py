@@ -83,7 +83,6 @@ def _is_port(key: str) -> bool:
 
 
 Addresses = Mapping[str, Mapping[str, object]]
-END_S = 5.0
 
 
 class WireRecording:
@@ -137,8 +136,9 @@ class WireRecording:
             self._recorder.take(0, "over", b"%d" % exit_code)
         self._recorder.close()
         self._looks.close()
+        end_s = 5.0
         try:
-            self._process.communicate(timeout=END_S)
+            self._process.communicate(timeout=end_s)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.communicate()

@@ -25,7 +25,6 @@ from hilcell.wire.channel import SerialLine, Socket
 from hilcell.wire.recording import Recorder
 
 READ = 65536
-CONNECT_S = 3.0
 
 
 class WireOrder(msgspec.Struct, frozen=True):
@@ -80,9 +79,10 @@ class SocketRelay:
                 threading.Thread(target=self._serve, args=(near, self._count), daemon=True).start()
 
     def _serve(self, near: socket.socket, number: int) -> None:
+        connect_s = 3.0
         with near:
             try:
-                far = socket.create_connection((self._place.host, self._place.port), CONNECT_S)
+                far = socket.create_connection((self._place.host, self._place.port), connect_s)
             except OSError as error:
                 self._recorder.take(number, "refused", str(error).encode())
                 return
