@@ -114,7 +114,8 @@ class SweepStream:
         if not abs(found_mm - radius_mm) <= RADIUS_MM:
             raise BadStream(
                 f"the reflector runs {found_mm:.1f} mm from axis {axis + 1}, wanted "
-                f"{radius_mm:.1f} +-{RADIUS_MM:g} mm: units are not mm and rad, or another axis or reflector moved"
+                f"{radius_mm:.1f} +-{RADIUS_MM:g} mm: "
+                "units are not mm and rad, or another axis or reflector moved"
             )
         ahead = nominal_mm / radius_mm
         turned = np.arctan2(lever_mm @ np.cross(z, ahead), lever_mm @ ahead)
