@@ -85,7 +85,10 @@ def chosen(measured: Measured, *, turned: bool = False) -> Choice:
         if turned and not model.turns:
             refused[name] = "predicts the error in the grid's orientation only"
     name = choose({each: of for each, of in figures.items() if each not in refused})
-    return Choice(name, _reason(name, figures), figures, refused)
+    reason = f"least mean and largest miss at poses left out: {listed(figures)}"
+    if name == NOMINAL:
+        reason = f"no model beats nominal positions at poses left out: {listed(figures)}"
+    return Choice(name, reason, figures, refused)
 
 
 def choose(figures: Mapping[str, Figures], weights: Mapping[str, float] = WEIGHTS) -> str:
@@ -118,9 +121,3 @@ def listed(figures: Mapping[str, Figures], weights: Mapping[str, float] = WEIGHT
         for name, each in figures.items()
     )
     return f"{' / '.join(weights)} mm {', '.join(rows)}"
-
-
-def _reason(name: str, figures: Mapping[str, Figures]) -> str:
-    if name == NOMINAL:
-        return f"no model beats nominal positions at poses left out: {listed(figures)}"
-    return f"least mean and largest miss at poses left out: {listed(figures)}"

@@ -55,6 +55,23 @@ class RobotEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     limits_rad: list[list[float]]
     reference_rad: list[float]
 
+    def nominal(self) -> NominalRobot:
+        """Return the robot; raises `ModelError`."""
+        names = ("a_mm", "alpha_rad", "d_mm", "offset_rad", "sign")
+        rows = {
+            name: _numbers(f"robot.{name}", getattr(self, name), (6,), MOST_MM) for name in names
+        }
+        if not (np.abs(rows["sign"]) == 1.0).all():
+            raise ModelError("robot.sign: wanted 1 or -1")
+        if self.status not in range(8):
+            raise ModelError(f"robot.status {self.status}, wanted 0 .. 7")
+        return NominalRobot(
+            Arm(**rows, tool=_frame("robot.tool", self.tool)),
+            self.status,
+            _numbers("robot.limits_rad", self.limits_rad, (2, 6), MOST_RAD),
+            _numbers("robot.reference_rad", self.reference_rad, (6,), MOST_RAD),
+        )
+
 
 class CurveEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Waves of a transmission curve; their amplitudes are among the values."""
@@ -206,7 +223,7 @@ class Kinematic(LearntModel):
             entry = typed(parameters, Parameters)
         except msgspec.ValidationError as error:
             raise ModelError(f"no identified robot: {error}") from error
-        robot = _robot(entry.robot)
+        robot = entry.robot.nominal()
         curves = tuple(curve.curve() for curve in entry.curves)
         seats = [entry.reflector_mm, *entry.more_reflectors_mm]
         kinematics = Kinematics(
@@ -231,9 +248,6 @@ class Kinematic(LearntModel):
             robot, kinematics, state, covariance, noise, entry.decision, entry.directions,
             entry.condition, entry.outliers,
         )  # fmt: skip
-
-
-ROWS = ("a_mm", "alpha_rad", "d_mm", "offset_rad", "sign")
 
 
 def curves_used(measured: Measured) -> CurvesUsed:
@@ -357,20 +371,6 @@ def _left_out_mm(estimate: Estimate) -> Array:
     fold = np.arange(len(estimate.readings)) % FOLDS
     folds = [np.flatnonzero(fold == each).astype(np.int_) for each in range(FOLDS)]
     return estimate.system.left_out_mm(folds)[:, 0][~estimate.outliers[:, 0]]
-
-
-def _robot(entry: RobotEntry) -> NominalRobot:
-    rows = {name: _numbers(f"robot.{name}", getattr(entry, name), (6,), MOST_MM) for name in ROWS}
-    if not (np.abs(rows["sign"]) == 1.0).all():
-        raise ModelError("robot.sign: wanted 1 or -1")
-    if entry.status not in range(8):
-        raise ModelError(f"robot.status {entry.status}, wanted 0 .. 7")
-    return NominalRobot(
-        Arm(**rows, tool=_frame("robot.tool", entry.tool)),
-        entry.status,
-        _numbers("robot.limits_rad", entry.limits_rad, (2, 6), MOST_RAD),
-        _numbers("robot.reference_rad", entry.reference_rad, (6,), MOST_RAD),
-    )
 
 
 def _frame(name: str, rows: list[list[float]]) -> Array:

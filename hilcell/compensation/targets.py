@@ -170,29 +170,24 @@ def _shown(text: str) -> str:
 
 def numbers(columns: Sequence[str], cells: Sequence[str], decimal: str = POINT) -> list[float]:
     """Return plain finite numbers of sane size; raises ValueError naming the column."""
-    return [_number(column, cell, decimal) for column, cell in zip(columns, cells, strict=True)]
-
-
-def _number(column: str, cell: str, decimal: str) -> float:
-    shown = _shown(cell)
-    try:
-        plain = cell.replace(decimal, POINT)
-        value = float(plain) if plain.isascii() and "_" not in plain else None
-    except ValueError:
-        value = None
-    if value is None:
-        raise ValueError(f"{column} is {shown}, wanted a number like -12{decimal}5{_comma(cell)}")
-    if not math.isfinite(value):
-        raise ValueError(f"{column} is {shown}, wanted a finite number")
-    most = MOST_DEG if column.endswith("_deg") else MOST
-    if not abs(value) <= most:
-        raise ValueError(f"{column} is {shown}, wanted within +-{most:g}")
-    return value
-
-
-def _comma(cell: str) -> str:
-    """Return why a comma is refused: in quotes, where it separates fields, or twice."""
-    return ": its comma may be a decimal or a thousands separator" if "," in cell else ""
+    found = []
+    for column, cell in zip(columns, cells, strict=True):
+        shown = _shown(cell)
+        try:
+            plain = cell.replace(decimal, POINT)
+            value = float(plain) if plain.isascii() and "_" not in plain else None
+        except ValueError:
+            value = None
+        if value is None:  # a comma is refused in quotes, where it separates fields, or twice
+            comma = ": its comma may be a decimal or a thousands separator" if "," in cell else ""
+            raise ValueError(f"{column} is {shown}, wanted a number like -12{decimal}5{comma}")
+        if not math.isfinite(value):
+            raise ValueError(f"{column} is {shown}, wanted a finite number")
+        most = MOST_DEG if column.endswith("_deg") else MOST
+        if not abs(value) <= most:
+            raise ValueError(f"{column} is {shown}, wanted within +-{most:g}")
+        found.append(value)
+    return found
 
 
 def write_targets(

@@ -224,10 +224,13 @@ def fitted(robot: Robot, train: Measurements, test: Measurements | None = None) 
         _refuse_contradicting(test, chosen, coverage[chosen], judged[chosen])
         if reason := worse_than_nominal(chosen, judged):
             chosen = NOMINAL
+    why = "least mean and p95 of misses at training poses left out"
+    if chosen == NOMINAL:
+        why = "no method beats nominal positions at poses left out"
     result: FitResult = {
         "methods": {name: in_mm(figures) for name, figures in judged.items()},
         "chosen": chosen,
-        "reason": reason or _reason(chosen, validated),
+        "reason": reason or f"{why}: {listed(validated, WEIGHTS)}",
         "refused": refused,
         "outliers": _outliers(methods[best or NOMINAL], train.at(sorted(order[bad]))),
         "coverage": coverage,
@@ -331,7 +334,11 @@ def _refuse_absurd(arm: Arm, rows: Measurements, miss_mm: Array) -> None:
     """Refuse rows that no robot misses by so much: nothing shows what they should be."""
     bad = np.flatnonzero(~(miss_mm <= ABSURD_MM))
     if len(bad):
-        act = _supposed(arm, rows, miss_mm, bad) or "mend or remove them"
+        # Without the rows that show it the others fit, and a wrong arm would correct them.
+        found = supposition(arm, rows, float(miss_mm[bad].max()), bad.tolist())
+        act = f"they fit if {found}: correct the files, and keep these rows"
+        if not found:
+            act = "mend or remove them"
         raise FitError(
             f"{len(bad)} of {len(rows)} training rows miss grossly, expected <= {ABSURD_MM:g} mm: "
             f"{_named(rows, bad, miss_mm)}; {act}"
@@ -352,15 +359,6 @@ def _refuse_many(rows: Measurements, bad: Bools, miss_mm: Array) -> None:
         f"{len(struck)} of {len(rows)} training rows contradict the others, expected at most "
         f"{most_struck:.0%}: {_named(rows, struck, miss_mm)}; look at {look}, and measure again"
     )
-
-
-def _supposed(arm: Arm, rows: Measurements, miss_mm: Array, bad: Ints) -> str:
-    """Return in words what would make all rows fit; "" where nothing does.
-
-    Without the rows that show it the others fit, and a wrong arm would correct them.
-    """
-    found = supposition(arm, rows, float(miss_mm[bad].max()), bad.tolist())
-    return f"they fit if {found}: correct the files, and keep these rows" if found else ""
 
 
 def _judged(
@@ -469,13 +467,6 @@ def _order(rows: Measurements) -> Ints:
     joints, target = rows.joints_rad, np.array(rows.target)
     pose = np.array(rows.pose)
     return np.lexsort((target, pose, *joints.T[::-1], places_of(joints)))
-
-
-def _reason(chosen: str, validated: Mapping[str, Figures]) -> str:
-    if chosen == NOMINAL:
-        return f"no method beats nominal positions at poses left out: {listed(validated, WEIGHTS)}"
-    shown = listed(validated, WEIGHTS)
-    return f"least mean and p95 of misses at training poses left out: {shown}"
 
 
 def _named(rows: Measurements, bad: Ints, miss_mm: Array) -> str:

@@ -182,7 +182,11 @@ def _first(flange_mm: Array, xyz_mm: Array) -> Array:
         return rigid_fit(flange_mm, xyz_mm).T
     except FrameError:
         a, b = (points - points.mean(axis=0) for points in (flange_mm, xyz_mm))
-        if not (np.isfinite(b).all() and _on_one_line(b)):
+        if not np.isfinite(b).all():
+            raise
+        sizes = np.linalg.svd(b, compute_uv=False)
+        one_line = 0.02  # across over along: below, positions lie on one line
+        if not (sizes[0] > 0.0 and sizes[1] <= one_line * sizes[0]):
             raise
     along_b = np.linalg.svd(b)[2][0]
     along_a = a.T @ (b @ along_b)
@@ -191,12 +195,6 @@ def _first(flange_mm: Array, xyz_mm: Array) -> Array:
     sine, cosine = float(np.linalg.norm(axis)), float(along_a @ along_b)
     R = from_rotvec(axis * (np.arctan2(sine, cosine) / max(sine, 1e-12)))
     return matrix(R, xyz_mm.mean(axis=0) - R @ flange_mm.mean(axis=0))
-
-
-def _on_one_line(centred: Array) -> bool:
-    sizes = np.linalg.svd(centred, compute_uv=False)
-    one_line = 0.02  # across over along: below, positions lie on one line
-    return bool(sizes[0] > 0.0 and sizes[1] <= one_line * sizes[0])
 
 
 def _improved(

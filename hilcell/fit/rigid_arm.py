@@ -27,7 +27,6 @@ from hilcell.geometry.frames import apply, inverse, zyx_from_pose
 from hilcell.geometry.jacobian import KINDS
 from hilcell.geometry.kinematics import Arm, Array
 from hilcell.geometry.statistics import Figures
-from hilcell.identification.estimate import Estimate
 from hilcell.identification.kinematics import LINKS
 from hilcell.identification.system import DETERMINED
 from hilcell.writing import write_whole
@@ -88,34 +87,21 @@ def rigid_arm(nominal: Arm, fitted: Fitted) -> RigidArm:
     found = fitted.methods.get(rigid)
     if not isinstance(found, FittedArm):
         raise FitError(f"no arm is identified: {fitted.result['refused'][rigid]}")
-    estimate, figures = found.estimate, fitted.validated[rigid]
-    parameters, covariance = _parameters(nominal, estimate)
-    return RigidArm(
-        estimate.kinematics.arm_of(estimate.state),
-        found.base,
-        found.smr_mm,
-        parameters,
-        covariance,
-        figures,
-    )
-
-
-def _parameters(nominal: Arm, found: Estimate) -> tuple[list[Parameter], Array]:
-    """Return the link parameters, and their covariance (30, 30) in the same units."""
-    kinematics, links = found.kinematics, slice(found.kinematics.placed, None)
+    kinematics, system = found.estimate.kinematics, found.estimate.system
+    arm, links = kinematics.arm_of(found.estimate.state), slice(kinematics.placed, None)
     labels = [name.split() for name in kinematics.names[links][:LINKS]]
     scale = np.array([UNITS[unit][1] for _, unit in labels])
-    rows = [
-        getattr(arm, kind) for arm in (nominal, kinematics.arm_of(found.state)) for kind in KINDS
-    ]
+    rows = [getattr(each, kind) for each in (nominal, arm) for kind in KINDS]
     before, after = np.array(rows).reshape(2, LINKS) * scale
-    covariance = found.system.covariance[links, links][:LINKS, :LINKS] * np.outer(scale, scale)
+    covariance = system.covariance[links, links][:LINKS, :LINKS] * np.outer(scale, scale)
     prior = kinematics.prior()[1][links, links][:LINKS, :LINKS] * np.outer(scale, scale)
     u, prior_u = (np.sqrt(np.diag(each)) for each in (covariance, prior))
-    return [
+    parameters = [
         Parameter(name, UNITS[unit][0], *map(float, values))
         for (name, unit), *values in zip(labels, before, after, u, prior_u, strict=True)
-    ], covariance
+    ]
+    figures = fitted.validated[rigid]
+    return RigidArm(arm, found.base, found.smr_mm, parameters, covariance, figures)
 
 
 def write_dh(path: Path, robot: Robot, found: RigidArm, *, inputs: Iterable[Path]) -> None:

@@ -93,32 +93,23 @@ def _row(point_mm: Array, along: Array) -> tuple[float, float, float, float, flo
     The line is given by a point (3,) on it and its unit direction (3,), in the row's frame.
     """
     if not np.hypot(along[0], along[1]) > NEARLY_PARALLEL:
-        return _hayati_row(point_mm, along)
+        a = float(np.hypot(point_mm[0], point_mm[1]))
+        a = a if a > NO_LENGTH_MM else 0.0
+        theta = float(np.arctan2(point_mm[1], point_mm[0])) if a else 0.0
+        x, y, z = _seen_along(theta, along)
+        beta = float(np.arctan2(x, np.hypot(y, z)))
+        return theta, float(point_mm[2]), a, float(np.arctan2(-y, z)), beta
     normal = np.array([-along[1], along[0], 0.0]) / np.hypot(along[0], along[1])
     a = float(normal @ point_mm)
     a = a if abs(a) > NO_LENGTH_MM else 0.0
-    if _points_back(a, normal):
+    # No row goes a negative way, nor, where it goes none, turns by over 90 deg.
+    aback = normal[0] < -NO_LENGTH_MM or (normal[0] < NO_LENGTH_MM and normal[1] < 0.0)
+    if a < 0.0 or (a == 0.0 and aback):
         normal, a = -normal, abs(a)
     theta = float(np.arctan2(normal[1], normal[0]))
     _, y, z = _seen_along(theta, along)
     _, aside, height = _seen_along(theta, point_mm)
     return theta, height - aside / y * z, a, float(np.arctan2(-y, z)), 0.0
-
-
-def _points_back(a: float, normal: Array) -> bool:
-    """Whether a row would go a negative way, or, where it goes none, turn by over 90 deg."""
-    if a != 0.0:
-        return a < 0.0
-    return bool(normal[0] < -NO_LENGTH_MM or (normal[0] < NO_LENGTH_MM and normal[1] < 0.0))
-
-
-def _hayati_row(point_mm: Array, along: Array) -> tuple[float, float, float, float, float]:
-    a = float(np.hypot(point_mm[0], point_mm[1]))
-    a = a if a > NO_LENGTH_MM else 0.0
-    theta = float(np.arctan2(point_mm[1], point_mm[0])) if a else 0.0
-    x, y, z = _seen_along(theta, along)
-    beta = float(np.arctan2(x, np.hypot(y, z)))
-    return theta, float(point_mm[2]), a, float(np.arctan2(-y, z)), beta
 
 
 def _seen_along(theta: float, vector: Array) -> tuple[float, float, float]:

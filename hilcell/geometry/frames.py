@@ -78,7 +78,11 @@ def rigid_fit(a_mm: ArrayLike, b_mm: ArrayLike, weights: ArrayLike | None = None
     widened where the residuals exceed them. Raises `FrameError` on too few, non-finite,
     collinear or mirrored points.
     """
-    a, b = _checked_pair(a_mm, b_mm)
+    a, b = np.asarray(a_mm, dtype=float), np.asarray(b_mm, dtype=float)
+    if a.shape != b.shape:
+        raise FrameError(f"rigid fit: {a.shape} points against {b.shape}; pair them one to one")
+    checked_points(a, "the fit's first set")
+    checked_points(b, "the fit's second set")
     W, believed = _information(weights, len(a))
     T = _procrustes(a, b, np.trace(W, axis1=1, axis2=2))
     if believed:
@@ -207,13 +211,6 @@ def checked_points(points: Array, what: str) -> Array:
             f"across, wanted over {least_spread:.0%}); move one of them aside"
         )
     return points
-
-
-def _checked_pair(a_mm: ArrayLike, b_mm: ArrayLike) -> tuple[Array, Array]:
-    a, b = np.asarray(a_mm, dtype=float), np.asarray(b_mm, dtype=float)
-    if a.shape != b.shape:
-        raise FrameError(f"rigid fit: {a.shape} points against {b.shape}; pair them one to one")
-    return checked_points(a, "the fit's first set"), checked_points(b, "the fit's second set")
 
 
 def _spread(points: Array) -> tuple[float, float, float]:

@@ -129,7 +129,15 @@ def identify_trusted(
     _refuse_too_few(readings)
     noise = noise or Noise.of_poses(kinematics.reflectors)
     state, _ = solve(kinematics, readings, start, noise)
-    noise = estimate_noise(kinematics, readings, state, noise)
+    # the noise of greatest marginal likelihood, linearised at this state
+    found = kinematics.linearised(state, readings.joints_rad)
+    noise_steps, noise_settled = 40, 0.01
+    for _ in range(noise_steps):
+        system = System.of(kinematics, state, readings, noise, found)
+        before = noise
+        noise = noise.improved(system.weighted, system.precision, found.by_joint, system.known)
+        if noise.changed(before) <= noise_settled:
+            break
     state, system = solve(kinematics, readings, state, noise)
     return Estimate(kinematics, readings, state, noise, system, np.zeros_like(readings.known))
 
@@ -163,19 +171,6 @@ def solve(
             f"{gain:.3g}, wanted <= {creeping:g}; check robot, units and joint signs"
         )
     return state, system
-
-
-def estimate_noise(kinematics: Kinematics, readings: Readings, state: State, noise: Noise) -> Noise:
-    """Return the noise of greatest marginal likelihood, linearised at a state."""
-    found = kinematics.linearised(state, readings.joints_rad)
-    noise_steps, noise_settled = 40, 0.01
-    for _ in range(noise_steps):
-        system = System.of(kinematics, state, readings, noise, found)
-        before = noise
-        noise = noise.improved(system.weighted, system.precision, found.by_joint, system.known)
-        if noise.changed(before) <= noise_settled:
-            break
-    return noise
 
 
 def _robust(kinematics: Kinematics, readings: Readings, state: State) -> tuple[State, Bools]:

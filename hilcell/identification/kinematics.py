@@ -297,16 +297,12 @@ def _steady(kinematics: Kinematics, joints: bytes) -> Array:
     if kinematics.gravity:
         blocks.append(gravity.gravity_basis(kinematics.arm, at))
     if kinematics.waves:
-        blocks.append(_waves(at))
+        angles = at[..., None] * np.array(ORDERS)  # cos q, sin q, cos 2q, sin 2q of each joint
+        pairs = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        blocks.append(pairs.reshape(len(at), -1))
     if kinematics.tool:
         blocks.append(gravity.tool_basis(kinematics.arm, at))
     return np.concatenate(blocks, axis=1)
-
-
-def _waves(joints: Array) -> Array:
-    """Return cos q, sin q, cos 2q, sin 2q of each joint in turn (M, 24)."""
-    angles = joints[..., None] * np.array(ORDERS)
-    return np.stack([np.cos(angles), np.sin(angles)], axis=-1).reshape(len(joints), -1)
 
 
 def _carried(flange: Array, smr_mm: Array) -> Array:

@@ -82,6 +82,37 @@ class Rows:
         product = (self.levers * kernel.joint_rad**2) @ self.levers.T
         return product * correlation + share * self.noise_mm2, product, correlation, slope
 
+    def solved(self, K: Array, prior_root: Array, pull: Array) -> _Solved:
+        """Return the solution under the covariance K (N, N) of the rows."""
+        size = len(pull)
+        L: Array = np.asarray(np.linalg.cholesky(K), dtype=float)
+        back: Array = np.asarray(np.linalg.inv(L), dtype=float)
+        A = back @ np.column_stack([self.design, self.residual_mm])
+        prior = np.column_stack([prior_root, pull])
+        both: Array = np.asarray(np.linalg.qr(np.concatenate([A, prior]), mode="r"), dtype=float)
+        R, rest = both[:size, :size], both[size:, size]
+        step: Array = np.asarray(np.linalg.solve(R, both[:size, size]), dtype=float)
+        S = back.T @ A[:, :size] @ np.linalg.inv(R)
+        logs = np.log(np.diag(L)).sum() + np.log(np.abs(np.diag(R))).sum()
+        return _Solved(
+            L,
+            R,
+            step,
+            back.T @ (A[:, size] - A[:, :size] @ step),
+            back.T @ back - S @ S.T,
+            float(-0.5 * rest @ rest - logs),
+        )
+
+    def doubt(self, solved: _Solved) -> float:
+        """Return the mean square of poses left out over their predicted variance, at least 1."""
+        total = 0.0
+        fold = folds_of(self.joints_rad)[self.pose]
+        for left_out in np.unique(fold):
+            own = fold == left_out
+            left = solved.weighted[own]
+            total += float(left @ np.linalg.solve(solved.precision[np.ix_(own, own)], left))
+        return max(1.0, total / len(self.pose))
+
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
@@ -93,27 +124,6 @@ class _Solved:
     weighted: Array
     precision: Array
     evidence: float
-
-
-def _solved(rows: Rows, K: Array, prior_root: Array, pull: Array) -> _Solved:
-    size = len(pull)
-    L: Array = np.asarray(np.linalg.cholesky(K), dtype=float)
-    back: Array = np.asarray(np.linalg.inv(L), dtype=float)
-    A = back @ np.column_stack([rows.design, rows.residual_mm])
-    prior = np.column_stack([prior_root, pull])
-    both: Array = np.asarray(np.linalg.qr(np.concatenate([A, prior]), mode="r"), dtype=float)
-    R, rest = both[:size, :size], both[size:, size]
-    step: Array = np.asarray(np.linalg.solve(R, both[:size, size]), dtype=float)
-    S = back.T @ A[:, :size] @ np.linalg.inv(R)
-    logs = np.log(np.diag(L)).sum() + np.log(np.abs(np.diag(R))).sum()
-    return _Solved(
-        L,
-        R,
-        step,
-        back.T @ (A[:, size] - A[:, :size] @ step),
-        back.T @ back - S @ S.T,
-        float(-0.5 * rest @ rest - logs),
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,21 +192,10 @@ def with_residual(estimate: Estimate) -> WithResidual:
     scales = _scales(estimate, Rows.of(estimate, thinned))
     rows, system = Rows.of(estimate, every), estimate.system
     kernel, share = _kernel(scales)
-    solved = _solved(rows, rows.covariance(kernel, share)[0], system.prior_root, system.pull)
+    solved = rows.solved(rows.covariance(kernel, share)[0], system.prior_root, system.pull)
     state = estimate.kinematics.moved(estimate.state, solved.step)
     noise = estimate.noise.scaled(share**0.5)
-    return WithResidual(estimate, kernel, noise, state, rows, solved, _doubt(rows, solved))
-
-
-def _doubt(rows: Rows, solved: _Solved) -> float:
-    """Return the mean square of poses left out over their predicted variance, at least 1."""
-    total = 0.0
-    fold = folds_of(rows.joints_rad)[rows.pose]
-    for left_out in np.unique(fold):
-        own = fold == left_out
-        left = solved.weighted[own]
-        total += float(left @ np.linalg.solve(solved.precision[np.ix_(own, own)], left))
-    return max(1.0, total / len(rows.pose))
+    return WithResidual(estimate, kernel, noise, state, rows, solved, rows.doubt(solved))
 
 
 def _kernel(scales: Array) -> tuple[Kernel, float]:
@@ -218,7 +217,7 @@ def _scales(estimate: Estimate, rows: Rows) -> Array:
     def cost(scales: Array) -> tuple[float, Array]:
         kernel, share = _kernel(scales)
         K, product, correlation, slope = rows.covariance(kernel, share)
-        solved = _solved(rows, K, system.prior_root, system.pull)
+        solved = rows.solved(K, system.prior_root, system.pull)
         M = solved.precision - np.outer(solved.weighted, solved.weighted)
         weighted = M * correlation
         by_joint = np.einsum("nj,nm,mj->j", rows.levers, weighted, rows.levers)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -184,6 +185,11 @@ class Noise:
         degrees = 1.0 / float(x @ self.covariance @ x)
         return float((1.0 + score / 2.0 / degrees) ** -degrees)
 
+    def is_line(self, score: Array, cycles: Array) -> bool:
+        """Whether the best of scores (F,) at frequencies (F,) is more than chance makes of the noise."""
+        best = int(np.argmax(score))
+        return bool(len(score) * self.chance(score[best], cycles[best]) < CHANCE)
+
 
 @dataclass(frozen=True, slots=True)
 class Lines:
@@ -216,6 +222,21 @@ class Explained:
     powers_rad2: Array
     amplitude_rad: Array
 
+    @classmethod
+    def by(cls, normal: Array, across: Complex, right: Complex) -> Self:
+        """Return what waves explain beside orthogonal columns.
+
+        Of the waves' products (F, 2, 2), with the columns (P, F) and with what is left (F,).
+        """
+        cosine, sine = across.real, across.imag
+        taken = (
+            np.einsum("pf,pf->f", *pair)
+            for pair in ((cosine, cosine), (cosine, sine), (sine, sine))
+        )
+        wanted = np.stack([right.real, right.imag], axis=1)
+        amplitude = np.linalg.solve(normal - _symmetric(*taken), wanted[..., None])[..., 0]
+        return cls(np.einsum("fi,fi->f", wanted, amplitude), np.array(amplitude, dtype=float))
+
 
 class Trial:
     """Waves exp(i f angle) of many frequencies f (F,) at the samples of each direction, unshifted.
@@ -246,9 +267,13 @@ class Trial:
             for way, waves, turn in zip(self._ways, self._waves, turns, strict=True)
         ]
         smooth = [each * turn for each, turn in zip(self._smooth, turns, strict=True)]
-        normal = _normal(len(rows), self._squares[0] * up**2 + self._squares[1] * up.conj() ** 2)
+        squares = self._squares[0] * up**2 + self._squares[1] * up.conj() ** 2
+        count = len(rows)
+        normal = _symmetric(
+            (count + squares.real) / 2, squares.imag / 2, (count - squares.real) / 2
+        )
         same, opposite = (
-            _explained(
+            Explained.by(
                 normal,
                 known.root
                 @ np.vstack([smooth[0], sign * smooth[1], sums[0][:-1] + sign * sums[1][:-1]]),
@@ -263,7 +288,7 @@ class Trial:
         noise = noise_of(opposite.powers_rad2[self.apart], self.cycles[self.apart])
         score = opposite.powers_rad2 / noise.variance_rad2(self.cycles)
         best = int(np.argmax(score))
-        is_line = _is_line(noise, score, self.cycles)
+        is_line = noise.is_line(score, self.cycles)
         return noise, float(np.linalg.norm(opposite.amplitude_rad[best])) if is_line else 0.0
 
 
@@ -277,6 +302,16 @@ class Known:
         self.root = np.linalg.inv(np.linalg.cholesky(normal))
         explained = self.root.T @ (self.root @ right)
         self.left_rad = records.left_rad(self.waves, explained)
+
+    def covariance(self, lines: Lines, noises: tuple[Noise, ...]) -> Array:
+        """Return the covariance (2K, 2K) of the amplitudes, by the strongest noise at each line."""
+        first = len(self.root) - 2 * len(lines.cycles)
+        block = (self.root.T @ self.root)[first:, first:] * LINE_RAD**2
+        variance_rad2 = np.max([noise.variance_rad2(lines.cycles) for noise in noises], axis=0)
+        sigma = np.repeat(np.sqrt(variance_rad2), 2)
+        # variance of a line with its frequency free over that with a known one, in the mean
+        freed = 1.5
+        return freed * block * np.outer(sigma, sigma)
 
 
 def search(records: Records, shift: Shift) -> Found:
@@ -299,8 +334,8 @@ def search(records: Records, shift: Shift) -> Found:
             score[np.abs(trial.cycles - cycles) < apart * records.width] = 0.0
         best = int(np.argmax(score))
         rest = noise_of(same.powers_rad2[trial.apart], trial.cycles[trial.apart])
-        found = Found(lines, _covariance(known, lines, (noise, rest)), differ_rad, trial)
-        if len(tried) == most_lines or not _is_line(noise, score, trial.cycles):
+        found = Found(lines, known.covariance(lines, (noise, rest)), differ_rad, trial)
+        if len(tried) == most_lines or not noise.is_line(score, trial.cycles):
             return found
         more = Lines(
             np.append(lines.cycles, trial.cycles[best]),
@@ -387,42 +422,6 @@ def _sums(columns: Array, waves: Complex) -> Complex:
     return found
 
 
-def _normal(count: int, squares: Complex) -> Array:
-    """Return the products (F, 2, 2) of cosines and sines, by the sums of the waves' squares."""
-    return _symmetric((count + squares.real) / 2, squares.imag / 2, (count - squares.real) / 2)
-
-
-def _explained(normal: Array, across: Complex, right: Complex) -> Explained:
-    """Return what waves explain beside orthogonal columns.
-
-    Of the waves' products (F, 2, 2), with the columns (P, F) and with what is left (F,).
-    """
-    cosine, sine = across.real, across.imag
-    taken = (
-        np.einsum("pf,pf->f", *pair) for pair in ((cosine, cosine), (cosine, sine), (sine, sine))
-    )
-    wanted = np.stack([right.real, right.imag], axis=1)
-    amplitude = np.linalg.solve(normal - _symmetric(*taken), wanted[..., None])[..., 0]
-    return Explained(np.einsum("fi,fi->f", wanted, amplitude), np.array(amplitude, dtype=float))
-
-
 def _symmetric(first: Array, across: Array, last: Array) -> Array:
     """Return matrices (F, 2, 2)."""
     return np.stack([first, across, across, last], axis=-1).reshape(-1, 2, 2)
-
-
-def _is_line(noise: Noise, score: Array, cycles: Array) -> bool:
-    """Whether the best of scores (F,) at frequencies (F,) is more than chance makes of noise."""
-    best = int(np.argmax(score))
-    return bool(len(score) * noise.chance(score[best], cycles[best]) < CHANCE)
-
-
-def _covariance(known: Known, lines: Lines, noises: tuple[Noise, ...]) -> Array:
-    """Return the covariance (2K, 2K) of the amplitudes, by the strongest noise at each line."""
-    first = len(known.root) - 2 * len(lines.cycles)
-    block = (known.root.T @ known.root)[first:, first:] * LINE_RAD**2
-    variance_rad2 = np.max([noise.variance_rad2(lines.cycles) for noise in noises], axis=0)
-    sigma = np.repeat(np.sqrt(variance_rad2), 2)
-    # variance of a line with its frequency free over that with a known one, in the mean
-    freed = 1.5
-    return freed * block * np.outer(sigma, sigma)

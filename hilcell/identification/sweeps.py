@@ -26,7 +26,6 @@ from hilcell.identification.spectrum import (
 )
 
 DIFFERS = 0.5  # of the largest line: by how much the directions may differ
-SPACING_RAD = float(np.radians(0.04))  # denser samples are averaged
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,20 +94,15 @@ def records_of(rising: Motion, falling: Motion) -> Records:
     joint, error, side = [], [], []
     for motion, sign in ((rising, 1.0), (falling, -1.0)):
         inside = (motion.joint_rad >= low) & (motion.joint_rad <= high)
-        thinned = _thinned(motion.joint_rad[inside], motion.error_rad[inside])
-        joint.append(thinned[0])
-        error.append(thinned[1])
-        side.append(np.full(len(thinned[0]), sign))
+        # Samples that are closer than a curve needs them are averaged.
+        spacing_rad = float(np.radians(0.04))
+        found_rad = float(np.median(np.abs(np.diff(motion.joint_rad[inside]))))
+        size = max(1, int(spacing_rad / found_rad + 0.01))
+        whole = np.count_nonzero(inside) // size * size
+        for means, samples in ((joint, motion.joint_rad), (error, motion.error_rad)):
+            means.append(samples[inside][:whole].reshape(-1, size).mean(axis=1))
+        side.append(np.full(len(joint[-1]), sign))
     return Records(np.concatenate(joint), np.concatenate(error), np.concatenate(side))
-
-
-def _thinned(joint_rad: Array, error_rad: Array) -> tuple[Array, Array]:
-    """Return means of samples that are closer than a curve needs them."""
-    spacing_rad = float(np.median(np.abs(np.diff(joint_rad))))
-    size = max(1, int(SPACING_RAD / spacing_rad + 0.01))
-    whole = len(joint_rad) // size * size
-    joint, error = (each[:whole].reshape(-1, size).mean(axis=1) for each in (joint_rad, error_rad))
-    return joint, error
 
 
 def _speed(rising: Motion, falling: Motion) -> float:
