@@ -16,8 +16,8 @@ from hilcell.compensation.targets import as_listed
 from hilcell.errors import bounded
 from hilcell.geometry.closed_form import status_of
 from hilcell.geometry.frames import inverse, poses_from_zyx, zyx_from_pose
-from hilcell.geometry.inverse import Bools, posture, reachable
-from hilcell.geometry.kinematics import Arm, forward
+from hilcell.geometry.inverse import posture, reachable
+from hilcell.geometry.kinematics import Arm, Bools, forward
 from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import Array, HilcellError
 

@@ -24,7 +24,7 @@ from hilcell.cell.devices import sights_apart_rad
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frame_update import FrameUpdate, updated_frame
 from hilcell.geometry.frames import apply, inverse, motion_levers
-from hilcell.geometry.inverse import Bools
+from hilcell.geometry.kinematics import Bools
 from hilcell.geometry.statistics import pooled_std_mm, rectangular_variance
 from hilcell.journal.log import Log, commanded_rad, covariances_mm2, positions_mm
 from hilcell.model.point import Point, PointId

@@ -10,16 +10,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from hilcell.geometry.kinematics import Array
+from hilcell.geometry.kinematics import Array, Ints
 from hilcell.ports import HilcellError
 
 ROUNDING_MM = 1e-6  # a target on a face may lie outside by the rounding of its frame
 FAR_MM = 200.0  # by which all targets of a list are outside where it is in another unit
 UNITS = "\nall are far off: is the list in metres or inches? It must be in mm"
 NAMED = 5  # targets that one message names
-Ints = NDArray[np.int_]
 
 
 class GridError(HilcellError):

@@ -15,10 +15,10 @@ from typing import Self
 import msgspec
 import numpy as np
 
-from hilcell.compensation.grid import Grid, GridError, Ints, MeasuredGrid
+from hilcell.compensation.grid import Grid, GridError, MeasuredGrid
 from hilcell.compensation.measured import Measured
 from hilcell.compensation.model import LearntModel, ModelError, Prediction
-from hilcell.geometry.kinematics import Array
+from hilcell.geometry.kinematics import Array, Ints
 from hilcell.typed import Json, typed
 
 CORNERS: Ints = np.array(

@@ -10,9 +10,9 @@ import numpy as np
 
 from hilcell.compensation.grid import GridError, MeasuredGrid
 from hilcell.geometry.inverse import NominalRobot
-from hilcell.geometry.kinematics import Array
+from hilcell.geometry.kinematics import Array, Bools, Ints
 from hilcell.identification.kinematics import TransmissionCurve
-from hilcell.identification.readings import Bools, Ints, Readings, folds_of
+from hilcell.identification.readings import Readings, folds_of
 
 
 @dataclass(frozen=True, eq=False)

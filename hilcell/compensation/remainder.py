@@ -19,10 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilcell.compensation.grid import Ints
 from hilcell.compensation.model import ErrorModel, ModelError, Prediction
 from hilcell.geometry.frames import motion_levers
-from hilcell.geometry.kinematics import Array
+from hilcell.geometry.kinematics import Array, Ints
 
 NEAR_MM = 20.0  # beyond, nothing is known
 FACTORS = 2.0 ** np.arange(-10.0, 6.0, 0.5)  # of the variance that the model states

@@ -12,7 +12,7 @@ from importlib.metadata import entry_points
 
 from hilcell.cell.devices import load_entry
 from hilcell.compensation.stamp import Stamp
-from hilcell.geometry.closed_form import Ints
+from hilcell.geometry.kinematics import Ints
 from hilcell.ports import Array
 from hilcell.typed import Json
 

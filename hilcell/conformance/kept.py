@@ -23,7 +23,11 @@ def trial(request: pytest.FixtureRequest, pytestconfig: pytest.Config) -> Iterat
     port, cell = options_of(pytestconfig)
     with Trial(cell, port) as trial:
         if not hasattr(pytestconfig, "workerinput"):
-            trial.begin(_selected(request.session))
+            stated = (
+                item.callspec.params.get("promise") if hasattr(item, "callspec") else None
+                for item in request.session.items
+            )
+            trial.begin(each for each in stated if isinstance(each, Promise))
         yield trial
 
 
@@ -34,11 +38,3 @@ def test_promise(promise: Promise, trial: Trial) -> None:
         pytest.skip(outcome.why)
     if outcome.verdict == "broken":
         pytest.fail(f"{promise.sentence}\n{outcome.why}", pytrace=False)
-
-
-def _selected(session: pytest.Session) -> Iterator[Promise]:
-    """Yield the promises that this session will judge."""
-    for item in session.items:
-        promise = item.callspec.params.get("promise") if hasattr(item, "callspec") else None
-        if isinstance(promise, Promise):
-            yield promise

@@ -6,13 +6,12 @@ from collections.abc import Mapping
 
 from hilcell.cell.devices import TABLES
 from hilcell.cell.file import Cell, load_cell
-from hilcell.conformance import connecting, rail, reading, robot, tracker, wire_faults
+from hilcell.conformance import connecting, rail, robot, tracker, wire_faults
 from hilcell.conformance.trial import Promise
 from hilcell.conformance.verdicts import PORTS, Port
 
 PROMISES: tuple[Promise, ...] = (
     *connecting.PROMISES,
-    *reading.PROMISES,
     *rail.PROMISES,
     *robot.PROMISES,
     *tracker.PROMISES,

@@ -134,7 +134,7 @@ class Wire:
     def __init__(self) -> None:
         self.mode, self.delay_s = "pass", 0.0
         self.rewrite: dict[bytes, bytes] = {}
-        self.asked: Callable[[], None] = _unnoticed
+        self.asked: Callable[[], None] = lambda: None
         self._ended = False
         self._lock = threading.Lock()
         self._pairs: list[tuple[End, End]] = []
@@ -342,10 +342,6 @@ class Line(Wire):
         """End."""
         super().close()
         self._folder.cleanup()
-
-
-def _unnoticed() -> None:
-    """Take no note of a request."""
 
 
 class Wires:

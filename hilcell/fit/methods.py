@@ -33,13 +33,11 @@ from hilcell.fit.placement import (
 )
 from hilcell.fit.robot_file import Measurements, Robot
 from hilcell.geometry import statistics
-from hilcell.geometry.kinematics import Arm, Array
+from hilcell.geometry.kinematics import Arm, Array, Bools, Ints
 from hilcell.geometry.statistics import Figures
 from hilcell.identification.readings import (
     FOLDS,
-    Bools,
     IdentificationError,
-    Ints,
     ManyContradict,
     count_poses,
     folds_of,

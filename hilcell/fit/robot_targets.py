@@ -16,8 +16,8 @@ import numpy as np
 
 from hilcell.compensation import targets
 from hilcell.geometry.frames import inverse, poses_from_zyx
-from hilcell.geometry.inverse import Bools, refined
-from hilcell.geometry.kinematics import Arm, Array, forward
+from hilcell.geometry.inverse import refined
+from hilcell.geometry.kinematics import Arm, Array, Bools, forward
 from hilcell.ports import HilcellError
 
 JOINT_HEADER = ["name", *(f"j{n}_deg" for n in range(1, 7))]

@@ -15,16 +15,9 @@ from functools import cached_property
 
 import numpy as np
 
-from hilcell.geometry.clearance import (
-    Bools,
-    Boxes,
-    Capsules,
-    clearance_mm,
-    levers_mm,
-    placed_mm,
-)
+from hilcell.geometry.clearance import Boxes, Capsules, clearance_mm, levers_mm, placed_mm
 from hilcell.geometry.frames import inverse
-from hilcell.geometry.kinematics import Arm, Array
+from hilcell.geometry.kinematics import Arm, Array, Bools
 
 RESOLUTION_MM = 1.0  # a motion that is nearer than this to the wanted clearance is not proven
 FARTHEST_MM = 1e6  # no arm's motion is longer: halving one of 1e300 mm would never end

@@ -12,13 +12,9 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilcell.geometry.frames import inverse
-from hilcell.geometry.kinematics import Arm, Array, link_transforms
-
-Ints = NDArray[np.int_]
-Bools = NDArray[np.bool_]
+from hilcell.geometry.kinematics import Arm, Array, Ints, link_transforms
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,13 +11,10 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hilcell.errors import HilcellError
 from hilcell.geometry.frames import inverse
-from hilcell.geometry.kinematics import Arm, Array, link_transforms
-
-Ints = NDArray[np.int_]
+from hilcell.geometry.kinematics import Arm, Array, Ints, link_transforms
 
 BEHIND, BEYOND, FLIPPED = 1, 2, 4  # status bits
 

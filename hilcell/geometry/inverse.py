@@ -11,13 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hilcell.geometry.closed_form import ReachError, solved
-from hilcell.geometry.kinematics import Arm, Array, forward, link_transforms
+from hilcell.geometry.kinematics import Arm, Array, Bools, forward, link_transforms
 from hilcell.geometry.rotations import to_rotvec
-
-Bools = NDArray[np.bool_]
 
 ROUNDING_MM = 1e-6
 NAMED = 3  # poses that one message names

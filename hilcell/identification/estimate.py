@@ -13,16 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hilcell.geometry.frames import turn_levers
-from hilcell.geometry.kinematics import Array, forward
+from hilcell.geometry.kinematics import Array, Bools, Ints, forward
 from hilcell.identification.kinematics import Kinematics, State
 from hilcell.identification.noise import Noise
-from hilcell.identification.readings import (
-    Bools,
-    IdentificationError,
-    Ints,
-    ManyContradict,
-    Readings,
-)
+from hilcell.identification.readings import IdentificationError, ManyContradict, Readings
 from hilcell.identification.system import System
 
 AT_ONCE = 4096  # poses, so that their derivatives stay in the processor's cache

@@ -15,8 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hilcell.geometry.kinematics import Array
-from hilcell.identification.readings import Bools
+from hilcell.geometry.kinematics import Array, Bools
 
 TYPICAL_MM, TYPICAL_RAD = 0.02, 30e-6  # where the estimate starts, and what few data lean on
 DOUBT = 4.0  # readings' worth of data that the typical values count for

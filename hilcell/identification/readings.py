@@ -6,13 +6,9 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hilcell.geometry.kinematics import Array
+from hilcell.geometry.kinematics import Array, Bools, Ints
 from hilcell.ports import HilcellError
-
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int_]
 
 
 class IdentificationError(HilcellError):

@@ -186,7 +186,7 @@ class Noise:
         return float((1.0 + score / 2.0 / degrees) ** -degrees)
 
     def is_line(self, score: Array, cycles: Array) -> bool:
-        """Whether the best of scores (F,) at frequencies (F,) is more than chance makes of the noise."""
+        """Whether the best of scores (F,) at frequencies (F,) is more than noise by chance."""
         best = int(np.argmax(score))
         return bool(len(score) * self.chance(score[best], cycles[best]) < CHANCE)
 

@@ -14,10 +14,10 @@ from functools import cached_property
 
 import numpy as np
 
-from hilcell.geometry.kinematics import Array
+from hilcell.geometry.kinematics import Array, Bools, Ints
 from hilcell.identification.kinematics import Kinematics, Linearised, State
 from hilcell.identification.noise import Noise
-from hilcell.identification.readings import Bools, Ints, Readings
+from hilcell.identification.readings import Readings
 
 DETERMINED = 0.5  # of the prior's standard deviation: below, the data say more than the prior
 

@@ -18,8 +18,7 @@ import numpy as np
 
 from hilcell.cell.file import Cell, Station
 from hilcell.cell.surroundings import Surroundings, posture
-from hilcell.geometry.clearance import Bools
-from hilcell.geometry.kinematics import forward
+from hilcell.geometry.kinematics import Bools, forward
 from hilcell.journal.journal import StorageError
 from hilcell.journal.log import Driven
 from hilcell.journal.runs import read_log
