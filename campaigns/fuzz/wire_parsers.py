@@ -21,7 +21,7 @@ from drivers.strips.strip import StripOptions
 from drivers.supervision import Patience
 from drivers.universal_robots import rtde
 from drivers.universal_robots.program_urscript.reader import read_program
-from drivers.universal_robots.state import INPUTS, OUTPUTS, state_from, unlike
+from drivers.universal_robots.state import INPUTS, OUTPUTS, UrState, unlike
 from drivers.wires.text_lines import TextLines
 from fakes.kuka.eki_server import BOMB
 from hilcell.clock import WallClock
@@ -112,7 +112,7 @@ def packages(data: bytes) -> None:
             elif kind == rtde.Kind.CONTROLLER_VERSION:
                 rtde.controller_version(payload)
             elif kind == rtde.Kind.DATA and recipe is not None:
-                state_from(recipe.decode(payload), 0.0, 0.0)
+                UrState.checked(recipe.decode(payload), 0.0, 0.0)
             elif kind in (rtde.Kind.VERSION, rtde.Kind.START):
                 rtde.accepted(payload)
 

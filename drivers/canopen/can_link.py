@@ -16,6 +16,7 @@ from collections.abc import Callable
 import can
 import canopen
 
+from drivers.canopen.cia301 import NodeState
 from drivers.canopen.slcan_bus import SlcanBus
 from drivers.wires.serial_link import system_words
 from hilcell.ports import Clock, DeviceError, LinkStatistics
@@ -52,18 +53,16 @@ class LinkTime:
 
 
 RECEIVE_S = 0.02
-HEARTBEAT_PERIOD_S, HEARTBEAT_BITS = 0.05, 2500  # on a slow bus, one of 65 bits in so many
+HEARTBEAT_PERIOD_S = 0.05
 RECENT_S = 5.0  # a pause that ended before does not explain a node's report
 JOIN_S = 1.0
-OPERATIONAL = b"\x05"
 
 Callback = Callable[[int, bytearray, float], None]
-Failed = Callable[[Exception], None]
 
 
 def heartbeat_period_s(bitrate: int) -> float:
     """Return the period of the PC's and the nodes' heartbeats on a bus."""
-    return max(HEARTBEAT_PERIOD_S, HEARTBEAT_BITS / bitrate)
+    return max(HEARTBEAT_PERIOD_S, 2500 / bitrate)  # on a slow bus, 65 of so many bits
 
 
 def open_bus(device: str, interface: str, channel: str, bitrate: int) -> can.BusABC:
@@ -90,7 +89,9 @@ class LinkLost(DeviceError):
 class _Network(canopen.Network):
     """canopen's network, whose SDO client then also fails as a device does."""
 
-    def __init__(self, bus: can.BusABC, check: Callable[[], None], fail: Failed) -> None:
+    def __init__(
+        self, bus: can.BusABC, check: Callable[[], None], fail: Callable[[Exception], None]
+    ) -> None:
         super().__init__(bus)
         self._check_link, self._fail_link = check, fail
 
@@ -223,7 +224,7 @@ class CanLink:
                 return  # kept by `_fail`; the drive now stops itself
 
     def _send_beat(self, cob_id: int) -> None:
-        self.send(cob_id, OPERATIONAL)
+        self.send(cob_id, bytes((NodeState.OPERATIONAL,)))
         now_s, longest_s = time.monotonic(), self.pause_s
         if longest_s > self._pause_s or not now_s - self._paused_s <= RECENT_S:
             self._pause_s, self._paused_s = longest_s, now_s

@@ -17,10 +17,10 @@ from drivers.canopen import cia402, cia406, emcy
 from drivers.canopen.cia402 import Bit, Control, Mode, Object, Option, State
 from drivers.canopen.motion_guard import OVERSPEED, Limits, MotionGuard
 from drivers.canopen.pdo import SYNCS
-from drivers.canopen.process_image import DEVICE, NO_MODE, ProcessImage, Snapshot
+from drivers.canopen.process_image import NO_MODE, ProcessImage, Snapshot
 from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported
 from drivers.motion_limits import MotionLimits
-from drivers.standing import Standing
+from drivers.standing import DEVICE, Standing
 from drivers.supervision import Patience, Supervision
 from hilcell.ports import Clock, DeviceError
 

@@ -20,8 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.canopen.process_image import DEVICE, Snapshot
+from drivers.canopen.process_image import Snapshot
 from drivers.scale_guard import ScaleGuard
+from drivers.standing import DEVICE
 from drivers.standstill import Windows
 from hilcell.ports import Array, DeviceError
 

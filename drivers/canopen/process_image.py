@@ -19,9 +19,9 @@ from drivers.canopen.can_link import CanLink
 from drivers.canopen.cia402 import Control, Object, State
 from drivers.canopen.node_watch import NodeWatch
 from drivers.canopen.pdo import EVERY_SYNC, ON_EVENT, Inbox, Mapping
+from drivers.standing import DEVICE
 from hilcell.ports import DeviceError
 
-DEVICE = "Rail"
 COMMAND_AGE_S = 0.5  # nothing is enabled or started by a reading that is older
 NO_MODE = 0  # of CiA 402: no mode assigned
 

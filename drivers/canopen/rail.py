@@ -21,12 +21,12 @@ from drivers.canopen.drive import Drive
 from drivers.canopen.motion_guard import Limits
 from drivers.canopen.node_watch import NodeWatch
 from drivers.canopen.pdo import configure, configure_either
-from drivers.canopen.process_image import DEVICE, ProcessImage, Snapshot
+from drivers.canopen.process_image import ProcessImage, Snapshot
 from drivers.canopen.rail_setup import Expected
 from drivers.canopen.release import Release
 from drivers.canopen.sdo import SdoChannel, open_channel
 from drivers.canopen.slcan_bus import Interface, bus_problems
-from drivers.standing import check_travel
+from drivers.standing import DEVICE, check_travel
 from drivers.standstill import Windows
 from drivers.strips.makes import strip_of
 from drivers.strips.strip import CountsPerMm, StripFeed, StripOptions, summed

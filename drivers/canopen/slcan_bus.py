@@ -26,13 +26,12 @@ from hilcell.wire.channel import Socket, parse_channel
 Interface = Literal["slcan", "socketcan"]
 
 BIT_RATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
-_KERNEL_NAME = re.compile(r"[^\s/:]{1,15}")  # of a network interface
 
 
 def bus_problems(interface: Interface, channel: str, bitrate: int) -> Iterator[str]:
     """Return why there can be no such bus. The kernel's own interfaces have their bit rate."""
     if interface == "socketcan":
-        if not _KERNEL_NAME.fullmatch(channel):
+        if not re.fullmatch(r"[^\s/:]{1,15}", channel):
             yield f"channel: the kernel's name of a CAN interface is wanted, found {channel!r}"
         return
     try:
@@ -48,17 +47,12 @@ CONNECT_S = 5.0
 SEND_S = 0.2  # of a port that takes nothing; time in which this PC did nothing does not count
 ANSWER_S = 0.3  # to a command; many gateways send none
 LONGEST_LINE = 64
-# CR ends a line, BELL refuses one; some gateways send CR LF.
-_END = re.compile(rb"[\r\n\a]")
 # Data (t, T) and remote frames (r, R), an optional time stamp of the gateway behind them. A
 # line with one of 32 bits may as well be a frame whose length was garbled.
 _FRAME = re.compile(
     rb"(?:([tr])([0-9A-Fa-f]{3})|([TR])([0-9A-Fa-f]{8}))([0-8])((?:[0-9A-Fa-f]{2})*)"
 )
-_ANSWERS = (b"", b"z", b"Z")  # acknowledgements; many gateways send none
 _BELL = b"\a"
-CLOSED = -1  # no file has this number
-STAMP, LONG_STAMP = 4, 8  # digits of a time stamp that is understood, and of one that is not
 
 
 class SlcanBus(can.BusABC):
@@ -146,7 +140,7 @@ class SlcanBus(can.BusABC):
     def _line(self) -> tuple[bytes, bytes] | None:
         """Return the next whole line and its end; a line that never ends is dropped."""
         self._bytes = self._bytes.lstrip(b"\n")  # of CR LF
-        end = _END.search(self._bytes)
+        end = re.search(rb"[\r\n\a]", self._bytes)  # CR ends a line, BELL refuses one
         if end is None:
             if len(self._bytes) > LONGEST_LINE:
                 self._drop(self._bytes)
@@ -160,7 +154,7 @@ class SlcanBus(can.BusABC):
         self.bad_line = line[:LONGEST_LINE]
 
     def _message(self, line: bytes) -> can.Message | None:
-        if line in _ANSWERS:
+        if line in (b"", b"z", b"Z"):  # acknowledgements; many gateways send none
             return None
         match = _FRAME.fullmatch(line)
         if match is None:
@@ -168,7 +162,7 @@ class SlcanBus(can.BusABC):
             return None
         kind, number = match[1] or match[3], match[2] or match[4]
         remote, size, carried = kind in b"rR", int(match[5]), _carried(match)
-        if len(match[6]) not in (carried, carried + STAMP):
+        if len(match[6]) not in (carried, carried + 4):  # digits of a time stamp
             self._drop(line)
             return None
         return can.Message(
@@ -225,14 +219,14 @@ class SlcanBus(can.BusABC):
             self._put(b"C\r")
         finally:
             with self._writing:  # the number of a closed port may be another file's
-                self._port = CLOSED
+                self._port = -1
                 self._close_port()
 
 
 def has_long_stamp(line: bytes) -> bool:
     """Whether a line is a frame with a time stamp of 32 bits."""
     match = _FRAME.fullmatch(line)
-    return match is not None and len(match[6]) == _carried(match) + LONG_STAMP
+    return match is not None and len(match[6]) == _carried(match) + 8
 
 
 def _carried(match: re.Match[bytes]) -> int:

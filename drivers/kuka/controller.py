@@ -7,9 +7,9 @@ from contextlib import AbstractContextManager
 from typing import Protocol
 
 from drivers.kuka import krl
+from drivers.robot_errors import DEVICE
 from hilcell.ports import Array, DeviceError
 
-DEVICE = "Robot"
 PROGRESS = "$AXIS_ACT"
 PROGRAM_VERSION = 4  # of hilcell.src
 

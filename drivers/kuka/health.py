@@ -12,10 +12,10 @@ import time
 from collections.abc import Callable
 
 from drivers.kuka import krl
+from drivers.robot_errors import DEVICE
 from hilcell.clean import clean
 from hilcell.ports import Array, DeviceError, DeviceRefused
 
-DEVICE = "Robot"
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 SLIDE = "E1"
 FRAME = ("X", "Y", "Z", "A", "B", "C")

@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from drivers.kuka.controller import DEVICE, PROGRAM_VERSION, PROGRESS, Controller, integer
+from drivers.kuka.controller import PROGRAM_VERSION, PROGRESS, Controller, integer
 from drivers.kuka.health import (
     AXES,
     FRAME,
@@ -33,7 +33,7 @@ from drivers.kuka.health import (
 )
 from drivers.kuka.sweep import KukaSweep, give_back_left_behind, leave_at_rest
 from drivers.motion_limits import MotionLimits, planned_s
-from drivers.robot_errors import failed, overdue, refused, stalled, stopped_short
+from drivers.robot_errors import DEVICE, failed, overdue, refused, stalled, stopped_short
 from drivers.supervision import Patience, Supervision, on_failure
 from hilcell.cell.file import Joint
 from hilcell.geometry.rotations import from_zyx

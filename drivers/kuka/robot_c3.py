@@ -9,7 +9,6 @@ from functools import cached_property, partial
 from drivers.kuka import krl
 from drivers.kuka.c3 import C3Connection
 from drivers.kuka.controller import (
-    DEVICE,
     PROGRAM_VERSION,
     PROGRESS,
     integer,
@@ -19,6 +18,7 @@ from drivers.kuka.controller import (
 from drivers.kuka.external import SlidingKukaRobot
 from drivers.kuka.health import AXES, SLIDE, LifeSign
 from drivers.kuka.robot import KukaOptions
+from drivers.robot_errors import DEVICE
 from drivers.supervision import go_on, on_failure
 from drivers.wires.keep_alive import KeepAlive
 from hilcell.clean import clean

@@ -17,7 +17,6 @@ from functools import partial
 
 from drivers.kuka import eki, krl
 from drivers.kuka.controller import (
-    DEVICE,
     PROGRAM_VERSION,
     PROGRESS,
     integer,
@@ -27,6 +26,7 @@ from drivers.kuka.controller import (
 from drivers.kuka.external import SlidingKukaRobot
 from drivers.kuka.health import HEALTH, LIFE_S, SLIDE
 from drivers.kuka.robot import KukaOptions
+from drivers.robot_errors import DEVICE
 from drivers.supervision import Patience, go_on, on_failure
 from drivers.wires.keep_alive import KeepAlive
 from drivers.wires.tcp import POLL_S, Alarms, TcpLink

@@ -15,9 +15,10 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from drivers.kuka.controller import DEVICE, PROGRESS, Access, Controller, integer
+from drivers.kuka.controller import PROGRESS, Access, Controller, integer
 from drivers.kuka.health import AXES, HEALTH, LOST, STOPPED
 from drivers.motion_limits import MotionLimits, planned_s
+from drivers.robot_errors import DEVICE
 from drivers.supervision import Patience
 from hilcell.ports import (
     Array,

@@ -16,7 +16,8 @@ from drivers.canopen.pdo import Inbox
 from drivers.canopen.process_image import strip_mapping, strip_values
 from drivers.canopen.rail_setup import Expected
 from drivers.canopen.sdo import open_channel
-from drivers.strips.strip import DEVICE, StripOptions
+from drivers.standing import DEVICE
+from drivers.strips.strip import StripOptions
 from drivers.supervision import on_failure
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics
 

@@ -11,7 +11,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-from drivers.strips.strip import DEVICE, StripOptions
+from drivers.standing import DEVICE
+from drivers.strips.strip import StripOptions
 from drivers.supervision import Patience, on_failure
 from drivers.wires.link import Link, open_link
 from drivers.wires.tcp import Alarms

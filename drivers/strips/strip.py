@@ -18,7 +18,6 @@ from hilcell.cell.settings import refuse
 from hilcell.ports import DeviceError, Identity, LinkStatistics
 from hilcell.wire.channel import parse_channel
 
-DEVICE = "Rail"
 LOST = 1 << 16  # beside the sensor's own alarm bits, of which there are 16
 
 CountsPerMm = Annotated[float, Meta(gt=0, le=1e6)]  # of a strip: 1 nm and more

@@ -16,11 +16,6 @@ from hilcell.ports import DeviceError
 
 ANSWER_S = 3.0
 GREETING = "Connected: Universal Robots Dashboard Server"
-UNKNOWN = "could not understand"  # begins the answer to a command that this PolyScope does not have
-NOBODY_LISTENS = (
-    "wait until PolyScope runs; allow the dashboard server in its security settings, and compare "
-    "dashboard_port. Not supported: PolyScope X, which has no dashboard server"
-)
 
 
 class Dashboard:
@@ -29,7 +24,16 @@ class Dashboard:
     def __init__(
         self, device: str, host: str, port: int, check: Callable[[], None], alarms: Alarms
     ) -> None:
-        self._link = _opened(device, host, port, check, alarms)
+        try:
+            self._link = TcpLink(device, host, port, check, alarms)
+        except DeviceError as error:
+            if isinstance(error.__cause__, ConnectionRefusedError):  # the controller itself answers
+                error.act = (
+                    "wait until PolyScope runs; allow the dashboard server in its security "
+                    "settings, and compare dashboard_port. Not supported: PolyScope X, which has "
+                    "no dashboard server"
+                )
+            raise
         self._lines = TextLines(self._link, end=b"\n")
         with on_failure(self._link.close):
             greeting = self._lines.receive(Patience(ANSWER_S))
@@ -52,7 +56,7 @@ class Dashboard:
     def answer_to(self, question: str) -> str | None:
         """Return the answer to a question, None where this PolyScope does not have the question."""
         answer = self.ask(question)
-        return None if answer.casefold().startswith(UNKNOWN) else answer
+        return None if answer.casefold().startswith("could not understand") else answer
 
     def send(self, command: str) -> None:
         """Send a command without waiting for its answer."""
@@ -77,15 +81,3 @@ class Dashboard:
     def close(self) -> None:
         """Close the connection."""
         self._link.close()
-
-
-def _opened(
-    device: str, host: str, port: int, check: Callable[[], None], alarms: Alarms
-) -> TcpLink:
-    """Return the open link; raises `DeviceError`, which says why nobody may listen at the port."""
-    try:
-        return TcpLink(device, host, port, check, alarms)
-    except DeviceError as error:
-        if isinstance(error.__cause__, ConnectionRefusedError):  # the controller itself answers
-            error.act = NOBODY_LISTENS
-        raise

@@ -6,12 +6,13 @@ the script as well.
 
 from __future__ import annotations
 
+from enum import IntEnum
+
+from drivers.robot_errors import DEVICE
 from drivers.universal_robots.state import UrState
 from hilcell.ports import Array, DeviceError, DeviceRefused
 
-DEVICE = "Robot"
 RUNNING, NORMAL = 7, 1
-STOPPING, STANDING, PLAYING = 0, 1, 2  # of the program
 LOST, STOPPED = 8, 9  # errors of the script
 ROBOT_MODES = {
     -1: "no controller",
@@ -23,14 +24,6 @@ ROBOT_MODES = {
     5: "idle, brakes closed",
     6: "backdrive",
     8: "updating firmware",
-}
-RUNTIME_STATES = {
-    STOPPING: "stopping",
-    STANDING: "stopped",
-    PLAYING: "playing",
-    3: "pausing",
-    4: "paused",
-    5: "resuming",
 }
 # Status, its words, its alarm, the next act.
 SAFETY: dict[int, tuple[str, str, str]] = {
@@ -53,6 +46,17 @@ ERRORS = {
     LOST: ("HC-B43", "the PC's sign of life was late, and the robot has braked by itself"),
     STOPPED: ("HC-B21", "stopped"),
 }
+
+
+class Runtime(IntEnum):
+    """States of the program, whichever plays."""
+
+    STOPPING = 0
+    STOPPED = 1
+    PLAYING = 2
+    PAUSING = 3
+    PAUSED = 4
+    RESUMING = 5
 
 
 def unwell(state: UrState, *, moving: bool) -> DeviceError | None:
@@ -93,7 +97,8 @@ def refused_motion(error: int) -> DeviceError:
 
 def runtime_text(state: UrState) -> str:
     """Return the state of the program in words."""
-    return f"{state.runtime_state} ({RUNTIME_STATES.get(state.runtime_state, 'unknown')})"
+    known = {each.value: each.name.lower() for each in Runtime}
+    return f"{state.runtime_state} ({known.get(state.runtime_state, 'unknown')})"
 
 
 def joints_text(joints_deg: Array) -> str:

@@ -18,6 +18,7 @@ from itertools import takewhile
 
 import numpy as np
 
+from drivers.robot_errors import DEVICE
 from drivers.supervision import Patience, go_on, on_failure
 from drivers.universal_robots import rtde
 from drivers.universal_robots.rtde import Kind, Packages, Recipe, RtdeError
@@ -28,14 +29,11 @@ from drivers.universal_robots.state import (
     OUTPUTS,
     Order,
     UrState,
-    registers,
-    state_from,
     unlike,
 )
 from drivers.wires.tcp import Alarms, TcpLink
 from hilcell.ports import DeviceError, DeviceRefused
 
-DEVICE = "Robot"
 ALARMS = Alarms(unreachable="HC-B01", lost="HC-B02")
 ANSWER_S = 3.0
 SILENT_S = 1.0  # without a package
@@ -127,7 +125,7 @@ class UrLink:
 
     def _write(self) -> None:
         order = replace(self._order, stop=self._ending or self._order.stop)
-        self._link.send(self._inputs.encode(registers(order, self._life)), "write registers")
+        self._link.send(self._inputs.encode(order.registers(self._life)), "write registers")
 
     # -- setting up ---------------------------------------------------------------------------
 
@@ -233,7 +231,7 @@ class UrLink:
                 kind, payload = self._arrived.popleft()
                 if kind == Kind.DATA:
                     numbers = self._outputs.decode(payload)
-                    self._states.append(state_from(numbers, self._emptied_s, by_s))
+                    self._states.append(UrState.checked(numbers, self._emptied_s, by_s))
         except RtdeError as error:
             act = "restart the controller; resume"
             self._failure = DeviceError("HC-B26", DEVICE, "receive", str(error), act=act)

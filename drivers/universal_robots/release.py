@@ -13,9 +13,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from drivers.robot_errors import DEVICE
 from drivers.supervision import Patience
 from drivers.universal_robots.dashboard import Dashboard
-from drivers.universal_robots.health import DEVICE, STANDING, joints_text, runtime_text
+from drivers.universal_robots.health import Runtime, joints_text, runtime_text
 from drivers.universal_robots.link import UrLink
 from drivers.universal_robots.state import UrState
 from hilcell.ports import DeviceError
@@ -25,8 +26,6 @@ LOOK_S = 0.5  # one look counts for this long, at most
 AGAIN_S = 0.5  # between two stops
 ANSWER_S = 0.5  # for the dashboard's answer, where the packages prove nothing
 DWELL_S = 0.05  # of the packages that tell standstill
-STILL_RAD = 2e-5
-STILL_RAD_S = 2e-3  # a joint that holds dithers
 
 
 def stop_by_all_wires(link: UrLink | None, panel: Dashboard | None, session: int) -> None:
@@ -121,12 +120,13 @@ def stands(states: Sequence[UrState]) -> bool:
     """Whether no joint moves, by speed and by spread."""
     joints_rad = np.array([state.joints_rad for state in states])
     speeds = np.abs([state.speeds_rad_s for state in states])
-    return bool(np.all(np.ptp(joints_rad, axis=0) <= STILL_RAD) and np.all(speeds <= STILL_RAD_S))
+    still = np.all(np.ptp(joints_rad, axis=0) <= 2e-5)  # rad; a joint that holds dithers
+    return bool(still and np.all(speeds <= 2e-3))  # rad/s
 
 
 def _at_rest(states: Sequence[UrState]) -> bool:
     """Whether no program plays and no joint moves, while the controller's time goes on."""
-    ended = all(state.runtime_state == STANDING for state in states)
+    ended = all(state.runtime_state == Runtime.STOPPED for state in states)
     return ended and stands(states) and states[-1].timestamp_s > states[0].timestamp_s
 
 

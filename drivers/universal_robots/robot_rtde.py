@@ -24,9 +24,7 @@ from drivers.robot_errors import DEVICE, failed, overdue, refused, stalled, stop
 from drivers.supervision import Patience, Supervision, go_on, on_failure
 from drivers.universal_robots.dashboard import Dashboard
 from drivers.universal_robots.health import (
-    PLAYING,
-    STANDING,
-    STOPPING,
+    Runtime,
     frame_text,
     joints_text,
     refused_motion,
@@ -224,17 +222,17 @@ class UrRtdeRobot:
     def _end_former_script(self) -> None:
         """End a script of ours that a dead engine left behind; refuse any other program."""
         link = self.link()
-        if (before := link.next()).runtime_state == STANDING and not self._started:
+        if (before := link.next()).runtime_state == Runtime.STOPPED and not self._started:
             return
         if self._ours_plays(before):
             self._panel().ask("stop")
         patience, over = Patience(ENDED_S, LOOK_S), False
-        while (state := link.fresh()).runtime_state != STANDING or not stands([state]):
+        while (state := link.fresh()).runtime_state != Runtime.STOPPED or not stands([state]):
             if over:
                 raise refused(
                     "HC-B25",
                     f"runtime_state is {runtime_text(state)}, {ENDED_S:.0f} s after stop",
-                    wanted=f"{STANDING} (stopped), at rest",
+                    wanted=f"{Runtime.STOPPED} (stopped), at rest",
                     act="stop the program at the panel",
                 )
             over = patience.over()
@@ -248,13 +246,13 @@ class UrRtdeRobot:
         """
         link, patience, over = self.link(), Patience(BRAKED_S, LOOK_S), False
         while (state := link.fresh()).count == before.count:
-            if state.runtime_state in (STOPPING, STANDING):
+            if state.runtime_state in (Runtime.STOPPING, Runtime.STOPPED):
                 return False
             if over:
                 raise refused(
                     "HC-B67",
                     f"runtime_state is {runtime_text(state)}, and it is no script of hilcell",
-                    wanted=f"{STANDING} (stopped)",
+                    wanted=f"{Runtime.STOPPED} (stopped)",
                     act="stop the program at the panel",
                 )
             over = patience.over()
@@ -343,7 +341,7 @@ class UrRtdeRobot:
             raise problem
         if but_script:
             return
-        if state.runtime_state != PLAYING or state.session != self._session:
+        if state.runtime_state != Runtime.PLAYING or state.session != self._session:
             raise self._script_ended(state, "")
         if state.count != self._count:
             self._count, self._counted_s = state.count, state.by_s
@@ -446,7 +444,7 @@ class UrRtdeRobot:
             return error
         if not found:
             found = f"runtime_state is {runtime_text(state)}"
-            if state.runtime_state == PLAYING:
+            if state.runtime_state == Runtime.PLAYING:
                 found = "another script of hilcell has taken the robot"
         return failed("HC-B66", found, wanted="the script that hilcell sent", act="resume")
 

@@ -8,6 +8,7 @@ written last, so one with the number of a question was taken after it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -15,10 +16,8 @@ from drivers.universal_robots.rtde import FORMATS, Numbers, Recipe, RtdeError
 from hilcell.geometry.rotations import from_rotvec
 from hilcell.ports import Array
 
-MM = 1000.0
 _TOOL = tuple(f"output_double_register_{n}" for n in range(24, 30))
 _SIX = ("actual_q", "actual_qd", "actual_TCP_pose")
-_MEASURED = (*_SIX, *_TOOL)
 ECHO = "input_int_register_28"
 OUTPUTS = (
     "timestamp",
@@ -56,6 +55,14 @@ class UrState:
     after_s: float
     by_s: float
 
+    @classmethod
+    def checked(cls, numbers: dict[str, Numbers], after_s: float, by_s: float) -> Self:
+        """Return the state that a data package's numbers mean; raises `RtdeError`."""
+        for name in (*_SIX, *_TOOL):
+            if not sum(map(abs, numbers[name])) <= LARGEST:
+                raise RtdeError(f"{name} is {', '.join(map(str, numbers[name]))}")
+        return cls(numbers, after_s, by_s)
+
     @property
     def timestamp_s(self) -> float:
         """Return the time by the controller's clock."""
@@ -77,7 +84,7 @@ class UrState:
         tcp = np.array(self.numbers["actual_TCP_pose"])
         T = np.eye(4)
         T[:3, :3] = from_rotvec(tcp[3:])
-        T[:3, 3] = tcp[:3] * MM
+        T[:3, 3] = tcp[:3] * 1000.0
         return T
 
     @property
@@ -128,7 +135,7 @@ class UrState:
     @property
     def tool(self) -> Array:
         """Return the tool (6,) in mm and rad."""
-        return np.array([self.numbers[name][0] for name in _TOOL]) * ([MM] * 3 + [1.0] * 3)
+        return np.array([self.numbers[name][0] for name in _TOOL]) * ([1000.0] * 3 + [1.0] * 3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,13 +148,11 @@ class Order:
     stop: int = GO
     command: int = MOVE_JOINTS
 
-
-def state_from(numbers: dict[str, Numbers], after_s: float, by_s: float) -> UrState:
-    """Return the state that a data package's numbers mean; raises `RtdeError`."""
-    for name in _MEASURED:
-        if not sum(map(abs, numbers[name])) <= LARGEST:
-            raise RtdeError(f"{name} is {', '.join(map(str, numbers[name]))}")
-    return UrState(numbers, after_s, by_s)
+    def registers(self, life: int) -> dict[str, Numbers]:
+        """Return the numbers of the inputs; another ``life`` is the PC's sign of life."""
+        integers = (self.sequence, self.command, life, self.stop)
+        floats = (*self.target_rad.tolist(), self.speed_rad_s)
+        return {name: (each,) for name, each in zip(INPUTS, (*integers, *floats), strict=True)}
 
 
 def unlike(recipe: Recipe) -> list[str]:
@@ -158,10 +163,3 @@ def unlike(recipe: Recipe) -> list[str]:
         for name, kind in fields
         if FORMATS.get(kind) not in (("6d",) if name in _SIX else tuple("?BiIQd"))
     ]
-
-
-def registers(order: Order, life: int) -> dict[str, Numbers]:
-    """Return the numbers of the inputs; another ``life`` is the PC's sign of life."""
-    integers = (order.sequence, order.command, life, order.stop)
-    floats = (*order.target_rad.tolist(), order.speed_rad_s)
-    return {name: (each,) for name, each in zip(INPUTS, (*integers, *floats), strict=True)}

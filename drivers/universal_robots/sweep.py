@@ -13,13 +13,13 @@ from typing import Protocol, Self
 import numpy as np
 
 from drivers.motion_limits import MotionLimits
+from drivers.robot_errors import DEVICE
 from drivers.supervision import Patience
-from drivers.universal_robots.health import LOST, PLAYING, STOPPED
+from drivers.universal_robots.health import LOST, STOPPED, Runtime
 from drivers.universal_robots.link import UrLink
 from drivers.universal_robots.state import UrState
 from hilcell.ports import Array, Clock, DeviceError, JointSample, RobotReading, Stopped
 
-DEVICE = "Robot"
 SLOWEST_RAD_S = 1e-4
 STALL_S = 5.0
 PROGRESS_DEG = 0.002
@@ -172,7 +172,7 @@ class UrSweep:
         while True:
             state = link.fresh(patiently=True)
             done = state.acknowledged == self._number and state.error in (STOPPED, LOST)
-            ended = state.runtime_state != PLAYING or done
+            ended = state.runtime_state != Runtime.PLAYING or done
             if ended and bool(np.all(np.abs(state.speeds_rad_s) <= STILL_RAD_S)):
                 break
             if over:

@@ -7,9 +7,8 @@ import sys
 from collections.abc import Iterator
 from typing import Literal, get_args, get_origin
 
-from hilcell.arguments import Argument, Signature, Switches
+from hilcell.arguments import MISSING, Argument, Field, Signature, Switches, fields_of
 from hilcell.commands.cli import AFTER, EXITS, GROUPS, PLANT, SAFETY, Commands
-from hilcell.arguments import MISSING, Field, fields_of
 
 HEAD = """# The command line
 

@@ -7,7 +7,7 @@ import pytest
 
 from drivers.universal_robots import rtde
 from drivers.universal_robots.rtde import Kind, Packages, Recipe, RtdeError
-from drivers.universal_robots.state import INPUTS, OUTPUTS, Order, registers, state_from
+from drivers.universal_robots.state import INPUTS, OUTPUTS, Order, UrState
 
 RECIPE = Recipe(1, ("timestamp", "actual_q", "robot_mode"), ("DOUBLE", "VECTOR6D", "INT32"))
 DATA = struct.pack(">B7di", 1, 12.5, *range(6), 7)
@@ -40,10 +40,10 @@ def test_a_number_that_no_robot_has_is_refused(name: str) -> None:
     values: dict[str, rtde.Numbers] = {
         each: (0.5,) * (6 if each.startswith("actual") else 1) for each in OUTPUTS
     }
-    state_from(values, 0.0, 0.0)
+    UrState.checked(values, 0.0, 0.0)
     huge = (*values[name][1:], -1e200)
     with pytest.raises(RtdeError, match=name):
-        state_from(values | {name: huge}, 0.0, 0.0)
+        UrState.checked(values | {name: huge}, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("size", [0, 2, 4097, 65535])
@@ -82,13 +82,13 @@ def test_states_are_in_mm_and_rad() -> None:
     numbers: dict[str, rtde.Numbers] = dict.fromkeys(OUTPUTS, (0.0,))
     numbers["actual_TCP_pose"] = (0.5, -0.25, 1.0, 0.0, 0.0, 3.141592653589793)
     numbers["output_double_register_24"] = (0.09,)
-    state = state_from(numbers, 1.0, 2.0)
+    state = UrState.checked(numbers, 1.0, 2.0)
     assert state.pose[:3, 3].tolist() == [500.0, -250.0, 1000.0]
     assert state.pose[0].tolist()[:2] == pytest.approx([-1.0, 0.0], abs=1e-12)
     assert state.tool[0] == pytest.approx(90.0)
 
 
 def test_registers_of_the_script() -> None:
-    values = registers(Order(7, np.arange(6.0), 0.25, stop=True), 3)
+    values = Order(7, np.arange(6.0), 0.25, stop=True).registers(3)
     assert tuple(values) == INPUTS
     assert [values[name][0] for name in INPUTS] == [7, 1, 3, 1, *range(6), 0.25]

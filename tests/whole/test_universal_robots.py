@@ -17,7 +17,7 @@ import pytest
 
 from drivers.universal_robots import dashboard, release
 from drivers.universal_robots import robot_rtde as robot_ur_rtde
-from drivers.universal_robots.health import STOPPED, STOPPING
+from drivers.universal_robots.health import STOPPED, Runtime
 from drivers.universal_robots.link import UrLink
 from drivers.universal_robots.robot_rtde import UrRtdeRobot, script_text
 from drivers.universal_robots.state import UrState
@@ -423,11 +423,11 @@ def test_a_script_of_ours_that_stops_by_itself_is_waited_for(
 ) -> None:
     bench.play(script_text(5))
     controller, states = bench.controller, iter(range(20))
-    controller._runtime = STOPPING
+    controller._runtime = Runtime.STOPPING
     inner = controller.state
 
     def stopping() -> dict[str, Any]:
-        if next(states, None) is None and controller._runtime == STOPPING:
+        if next(states, None) is None and controller._runtime == Runtime.STOPPING:
             controller._end_program()
         return inner()
 
