@@ -25,8 +25,6 @@ from hilcell.tui.text.devices import short_age
 from hilcell.tui.text.run import duration
 from hilcell.tui.widgets import TextPanel, Titled
 
-CRASH = "Cell: crash"  # where the engine was lost
-ORDERS = {"park": "its safe pose", "home": "its reference"}
 LOOKS = {"fault": ("lost", "fault"), "warning": ("warned", "ask"), "notice": ("stale", "label")}
 
 
@@ -42,6 +40,28 @@ class AlarmContext:
     glyphs: Glyphs
     refused: str = ""
     log: Log = field(default_factory=Log)
+
+    def outlook(self, latched: Latched) -> str:
+        """Return whether the key that goes on works, and what is known of the cause."""
+        key = shown(self.keymap["pause"][0])
+        if self.refused:
+            return f"{key} does nothing now: {self.refused}."
+        if latched.alarm.ended:
+            return "This run keeps its points; it will most likely fault again."
+        if latched.gone:
+            return f"The cause is gone: {key} works."
+        return "Nothing moves before the devices say that the cause is gone."
+
+    def go_on(self, alarm: Alarm) -> Content:
+        """Return the last step with its keys, grey while they do nothing."""
+        name = "new" if alarm.ended else "pause"
+        style = "$stale on $badge" if self.refused else "bold $foreground on $badge"
+        key = (f" {shown(self.keymap[name][0])} ", style)
+        if alarm.ended:
+            return Content.assemble("Start a new run: ", key)
+        return Content.assemble(
+            "Go on: ", key, " then ", (" Enter ", style), "; devices are asked first"
+        )
 
 
 def panel_is_due(view: RunView, standing: list[Latched]) -> bool:
@@ -136,12 +156,12 @@ def cause_words(latched: Latched, glyphs: Glyphs) -> Content:
 def where_words(alarm: Alarm, log: Log) -> str:
     """Return the place of an alarm; of a motion, where the journal's last order has sent it."""
     order = log.order
-    crashed = alarm.where == CRASH
+    crashed = alarm.where == "Cell: crash"  # the engine was lost
     if order is not None and log.began < order.seq <= alarm.seq:
         device, _, how = order.motion.action.partition(".")
         if crashed or alarm.where == f"{device.capitalize()}: move":
             at = order.motion.station if device == "rail" else order.key
-            to = ORDERS.get(how) or in_words(at, log)
+            to = {"park": "its safe pose", "home": "its reference"}.get(how) or in_words(at, log)
             return harmless(f"{device.capitalize()}, on its way to {to}")
     if crashed:
         return f"Engine, {'between two motions' if alarm.seq > log.began else 'earlier session'}"
@@ -183,7 +203,7 @@ def alarm_steps(
     for index, (step, by) in enumerate(zip(alarm.do, alarm.by, strict=True)):
         words = Content.styled(step, "bold" if index == present else "$label")
         if alarm.goes_on and index == len(alarm.do) - 1:
-            words = _go_on(alarm, context)
+            words = context.go_on(alarm)
         mark = (glyphs.done, "bold $passed") if _step_done(latched, index) else (" ", "")
         mark = (glyphs.moving, "bold $ask") if index == present else mark
         rows.append((mark, f"{index + 1} ", words, (by, "$label")))
@@ -195,32 +215,8 @@ def alarm_steps(
     heading = Content.assemble(
         ("What to do", "bold"), (count[:2], "bold"), (count[2:], "bold $ask")
     )
-    outlook = [(f"     {_outlook(latched, context)}", "$label")] if in_box else []
+    outlook = [(f"     {context.outlook(latched)}", "$label")] if in_box else []
     return Stack(ends(heading, ("checked by", "$label")), grid, *outlook)
-
-
-def _outlook(latched: Latched, context: AlarmContext) -> str:
-    """Return whether the key that goes on works, and what is known of the cause."""
-    key = shown(context.keymap["pause"][0])
-    if context.refused:
-        return f"{key} does nothing now: {context.refused}."
-    if latched.alarm.ended:
-        return "This run keeps its points; it will most likely fault again."
-    if latched.gone:
-        return f"The cause is gone: {key} works."
-    return "Nothing moves before the devices say that the cause is gone."
-
-
-def _go_on(alarm: Alarm, context: AlarmContext) -> Content:
-    """Return the last step with its keys, grey while they do nothing."""
-    name = "new" if alarm.ended else "pause"
-    style = "$stale on $badge" if context.refused else "bold $foreground on $badge"
-    key = (f" {shown(context.keymap[name][0])} ", style)
-    if alarm.ended:
-        return Content.assemble("Start a new run: ", key)
-    return Content.assemble(
-        "Go on: ", key, " then ", (" Enter ", style), "; devices are asked first"
-    )
 
 
 def alarm_line(standing: list[Latched], context: AlarmContext, skip: int = 0) -> Lines:
@@ -246,25 +242,22 @@ def alarm_line(standing: list[Latched], context: AlarmContext, skip: int = 0) ->
 def kept_words(log: Log) -> str:
     """Return how much is measured, and how the devices were left, as the journal has it."""
     of = f" of {log.plan.points}" if log.plan is not None and log.plan.points else ""
-    return f"{log.counted}{of} points; {_left(log)}"
-
-
-def _left(log: Log) -> str:
-    """Return how the session has left the devices."""
-    found = {
+    problems = {
         each.fact.what: each.fact.problems
         for each in log.events
         if each.seq > log.began and isinstance(each.fact, Closing)
     }
-    failed = sorted({name for problems in found.values() for name in problems})
+    failed = sorted({name for found in problems.values() for name in found})
     if failed:
-        return f"look at {' and '.join(failed)}: not stopped or closed as it should be"
-    if not log.was_connected:
-        return f"{NOT_KNOWN}: look at the cell"
-    if "closed" not in found:
-        return "how the devices were left is not recorded"
-    held = "slide held, " if log.plan is None or log.cell.has_rail else ""
-    return f"{held}robot at rest; nothing moves"
+        left = f"look at {' and '.join(failed)}: not stopped or closed as it should be"
+    elif not log.was_connected:
+        left = f"{NOT_KNOWN}: look at the cell"
+    elif "closed" not in problems:
+        left = "how the devices were left is not recorded"
+    else:
+        held = "slide held, " if log.plan is None or log.cell.has_rail else ""
+        left = f"{held}robot at rest; nothing moves"
+    return f"{log.counted}{of} points; {left}"
 
 
 def newest_line(view: RunView) -> Lines:

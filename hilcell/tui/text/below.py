@@ -28,7 +28,13 @@ from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.devices import NAMES, locks
 from hilcell.tui.text.run import duration
 
-MOTIONS = {"robot.park": "robot sent to its safe pose", "rail.home": "rail sent to its reference"}
+MOTIONS = {
+    "robot.park": "robot sent to its safe pose",
+    "robot.move": "robot sent to {point}",
+    "robot.sweep": "robot begins the {point}",
+    "rail.home": "rail sent to its reference",
+    "rail.approach": "rail sent to {station}",
+}
 
 
 def event_lines(view: RunView, errors_mm: Mapping[str, float], rows: int) -> list[Lines | Text]:
@@ -53,41 +59,25 @@ def event_words(view: RunView, record: Record, errors_mm: Mapping[str, float]) -
             error_mm = errors_mm.get(point.key)
             size = "" if error_mm is None else f": |e| {error_mm:.3f} mm"
             return f"measured {key_words(point.key, log)}{' again' * point.retaken}{size}"
-        case Intended() as motion:
-            return _sent(view, record.key, motion)
+        case Intended(action=action, station=station):
+            point = in_words(record.key, log)
+            if action in MOTIONS:
+                return MOTIONS[action].format(station=station, point=point)
+            return f"{action.replace('.', ' ')} {point}".strip()
         case Event() | OtherEvent() as event:
             return happened_words(event, log)
         case Ended(state=state, exit=code):
             return f"the session has ended: {state}, exit {code}"
         case StateChanged(machine="run", to=to, reason=reason):
             return f"the run is {to}{after(in_words(reason.replace(chr(10), ' '), log))}"
-        case Verdict() as verdict:
-            return _judged(record.key, verdict)
+        case Verdict(holds=holds) as verdict:
+            figures = "".join(
+                f": {each.name} {each.value:.3f} {each.unit}, limit {each.limit:.3f} {each.unit}"
+                for each in verdict.figures[:1]
+                if each.value is not None and each.limit is not None
+            )
+            return f"{verdict_words(record.key)} {'holds' if holds else 'does not hold'}{figures}"
     return ""
-
-
-def _sent(view: RunView, key: str, motion: Intended) -> str:
-    action = motion.action
-    if action in MOTIONS:
-        return MOTIONS[action]
-    if action == "rail.approach":
-        return f"rail sent to {motion.station}"
-    words = in_words(key, view.log)
-    if action == "robot.sweep":
-        return f"robot begins the {words}"
-    if action == "robot.move":
-        return f"robot sent to {words}"
-    return f"{action.replace('.', ' ')} {words}".strip()
-
-
-def _judged(key: str, verdict: Verdict) -> str:
-    """Return a verdict: its subject, whether it holds, and the first of its figures."""
-    figures = "".join(
-        f": {each.name} {each.value:.3f} {each.unit}, limit {each.limit:.3f} {each.unit}"
-        for each in verdict.figures[:1]
-        if each.value is not None and each.limit is not None
-    )
-    return f"{verdict_words(key)} {'holds' if verdict.holds else 'does not hold'}{figures}"
 
 
 MOST_STEPS, MOST_EVENTS = 5, 6

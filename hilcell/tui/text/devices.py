@@ -46,7 +46,6 @@ REASONS = {  # in short, by the code of the interlock; the whole one is on the i
     "HC-R42": "drive has power",
     "HC-S05": "slide not at its station",
 }
-WAITS = "waits "
 NAMES = {"rail move": "Rail", "robot move": "Robot", "measurement": "Tracker"}
 
 
@@ -93,24 +92,16 @@ def short_age(seconds: float) -> str:
     return f"{seconds / 86400:.0f} d"
 
 
-def drift_k(view: RunView) -> float | None:
-    """Return how far the air is from the run's first point, K."""
-    celsius = view.log.temperatures_c()
-    if view.last is None or view.last.temperature_c is None or not celsius:
-        return None
-    return view.last.temperature_c - celsius[0]
-
-
 def air(view: RunView, glyphs: Glyphs) -> Content:
     """Return the air's temperature at the tracker, and its drift since the first point."""
-    drift = drift_k(view)
     if view.last is None:
         return BLANK
-    if view.last.temperature_c is None or drift is None:
+    celsius, measured_c = view.last.temperature_c, view.log.temperatures_c()
+    if celsius is None or not measured_c:
         return Content.styled("air not measured", "$label")
-    celsius = f"{view.last.temperature_c:.1f} {glyphs.degree}C"
-    text = f"{celsius} {drift:+z.1f} K".replace("-", "−")
-    within = abs(drift) <= DRIFT_LIMIT_K
+    drift_k = celsius - measured_c[0]
+    text = f"{celsius:.1f} {glyphs.degree}C {drift_k:+z.1f} K".replace("-", "−")
+    within = abs(drift_k) <= DRIFT_LIMIT_K
     return Content.styled(text if within else f"{glyphs.warned} {text}", "" if within else "$ask")
 
 
@@ -165,11 +156,15 @@ def locks(view: RunView, glyphs: Glyphs) -> list[Lock]:
     """Return the interlocks as they are now; none where that is not known."""
     if view.status is None or view.stale or not view.live:
         return []
-    return [_lock(each, view, glyphs) for each in view.status.interlocks]
+    person = ""  # why one has to act before anything moves, unless the step goes on itself
+    if view.prompt is not None or view.state in WAITING:
+        is_paused = view.prompt is None and view.state != "suspended"
+        person = "paused" if is_paused else "waits for you"
+    return [_lock(each, person, glyphs) for each in view.status.interlocks]
 
 
-def _lock(each: Interlock, view: RunView, glyphs: Glyphs) -> Lock:
-    name, person = NAMES.get(each.name, each.name), _person_needed(view)
+def _lock(each: Interlock, person: str, glyphs: Glyphs) -> Lock:
+    name = NAMES.get(each.name, each.name)
     if not each.blocked and not person:
         return Lock(name, "free", glyphs.moving, "$live")
     first = each.blocked.partition(",")[0]  # of an engine that states no code
@@ -179,17 +174,9 @@ def _lock(each: Interlock, view: RunView, glyphs: Glyphs) -> Lock:
     signed = re.sub(r"(?<![\w.])-(?=\d)", "−", each.blocked.replace("+-", "±"))
     whole = "; ".join(filter(None, (person, signed)))
     if each.name == "measurement":
-        why = short.removeprefix(WAITS), whole.removeprefix(WAITS)
-        return Lock(name, WAITS.rstrip(), glyphs.stale, "$label", *why)
+        why = short.removeprefix("waits "), whole.removeprefix("waits ")
+        return Lock(name, "waits", glyphs.stale, "$label", *why)
     return Lock(name, "locked", glyphs.locked, "$ask" if person else "$label", short, whole)
-
-
-def _person_needed(view: RunView) -> str:
-    """Return why a person has to act before anything moves; "" where the step goes on itself."""
-    if view.prompt is not None:
-        return "waits for you"
-    words = {"paused": "paused", "suspended": "waits for you"}
-    return words.get(view.state, "paused") if view.state in WAITING else ""
 
 
 def interlock_page(view: RunView, glyphs: Glyphs) -> Content:

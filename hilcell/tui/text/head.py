@@ -17,9 +17,7 @@ from hilcell.tui.text.digits import figure, large, large_rows
 from hilcell.tui.text.run import is_simulated, simulation_block
 
 BLOCK = 24  # columns of the words' ground
-MOST_LETTERS = (BLOCK + 1) // 4  # that are large; a longer word is a bold line
 BAR, TO_LIMIT = 24, 19  # columns
-LEAST_WIDTH, LEAST_ROWS = 78, 14
 NEXT = "o report   p plots   w worst points   n new run"
 
 
@@ -38,6 +36,30 @@ class Figure:
         """Whether there is a limit, and it is not kept with certainty."""
         return self.limit_mm is not None and not self.value_mm + self.U_mm <= self.limit_mm
 
+    @property
+    def place(self) -> str:
+        """Return place and limit; a long name is shortened, the limit never."""
+        limit = "no limit" if self.limit_mm is None else f"limit {self.limit_mm:.3f}"
+        return f" {Content(self.at).truncate(10, ellipsis=True).plain}, {limit}"
+
+    def tone(self, glyphs: Glyphs) -> tuple[str, str]:
+        """Return the style and the shape that say whether the limit is kept."""
+        if self.limit_mm is None:
+            return "$label", glyphs.stale
+        return ("$fault", glyphs.warned) if self.over else ("$passed", glyphs.fresh)
+
+    def large(self, glyphs: Glyphs) -> list[Cell]:
+        """Return eight rows: the title, the digits, the place and the bar up to the limit."""
+        tone, shape = self.tone(glyphs)
+        digits = large(figure(self.value_mm), tone if self.over else "$foreground", glyphs)
+        at = Content.assemble((shape, tone), (self.place, "$label"))
+        bar = BLANK
+        if self.limit_mm:
+            mark = TO_LIMIT / BAR
+            share, guard = (mark * length / self.limit_mm for length in (self.value_mm, self.U_mm))
+            bar = Bar(share, tone, mark, guard).drawn(BAR)
+        return [(self.title, "$label"), *digits, at, bar, BLANK]
+
 
 @dataclass(frozen=True, slots=True)
 class Head:
@@ -55,6 +77,34 @@ class Head:
             return "bold $foreground on $badge"
         return f"bold $on-{self.role} on ${self.role}-fill"
 
+    def block(self, mark: Content, glyphs: Glyphs) -> list[Content]:
+        """Return the words on their ground, over the mark of a simulation."""
+        texts: list[str] = []
+        for word in self.words:
+            is_bold = glyphs.plain or len(word) > (BLOCK + 1) // 4  # longer than large letters
+            texts += ["", word, ""] if is_bold else large_rows(word)
+        if len(self.words) == 1:
+            texts = ["", *texts, "", self.stated]
+        last = mark.pad_left((BLOCK - mark.cell_length) // 2).truncate(BLOCK, pad=True)
+        words = (Content.styled(f"{text:^{BLOCK}}", self.style) for text in texts)
+        return [*words, last.stylize_before(self.style.removeprefix("bold "))]
+
+    def small(self, mark: Content, glyphs: Glyphs) -> Lines:
+        """Return the words in one line, and each figure in one."""
+        stated = (self.stated,) if len(self.words) == 1 else ()
+        text = "  ".join(["", " ".join(self.words), *stated, ""])
+        rows: list[list[Cell]] = []
+        for each in self.figures:
+            tone, shape = each.tone(glyphs)
+            value = (f"{figure(each.value_mm)} mm", f"bold {tone}" if each.over else "bold")
+            title = (each.title.removesuffix(", mm"), "$label")
+            places = each.place, each.place.partition(", ")[2]
+            place = Fitting(tuple(Content.styled(text, "$label") for text in places))
+            rows.append(["", (shape, tone), title, value, place])
+        columns = Col(), Col(), Col(), Col(), Col(grows=True)
+        words = Content("").join([Content.styled(text, self.style), mark])
+        return Stack(words, Grid(rows, *columns))
+
 
 def gravest(value_mm: float) -> float:
     """Return a length to order by: NaN and infinity are the worst."""
@@ -63,7 +113,7 @@ def gravest(value_mm: float) -> float:
 
 def is_small(width: int, rows: int) -> bool:
     """Whether the large head has no room."""
-    return width < LEAST_WIDTH or rows < LEAST_ROWS
+    return width < 78 or rows < 14
 
 
 def head_lines(view: RunView, head: Head, glyphs: Glyphs, width: int, rows: int) -> list[Content]:
@@ -72,60 +122,6 @@ def head_lines(view: RunView, head: Head, glyphs: Glyphs, width: int, rows: int)
         return []
     mark = simulation_block() if is_simulated(view) else BLANK
     if is_small(width, rows):
-        return _small(head, mark, glyphs).lines(width)
-    figures = [_large_figure(each, glyphs) for each in head.figures]
-    columns = Col(BLOCK), Col(25), Col()
-    return Grid(zip(_block(head, mark, glyphs), *figures, strict=True), *columns, gap=2).lines(
-        width
-    )
-
-
-def _block(head: Head, mark: Content, glyphs: Glyphs) -> list[Content]:
-    texts: list[str] = []
-    for word in head.words:
-        texts += ["", word, ""] if glyphs.plain or len(word) > MOST_LETTERS else large_rows(word)
-    if len(head.words) == 1:
-        texts = ["", *texts, "", head.stated]
-    last = mark.pad_left((BLOCK - mark.cell_length) // 2).truncate(BLOCK, pad=True)
-    words = (Content.styled(f"{text:^{BLOCK}}", head.style) for text in texts)
-    return [*words, last.stylize_before(head.style.removeprefix("bold "))]
-
-
-def _tone(each: Figure, glyphs: Glyphs) -> tuple[str, str]:
-    if each.limit_mm is None:
-        return "$label", glyphs.stale
-    return ("$fault", glyphs.warned) if each.over else ("$passed", glyphs.fresh)
-
-
-def _place(each: Figure) -> str:
-    """Return place and limit; a long name is shortened, the limit never."""
-    limit = "no limit" if each.limit_mm is None else f"limit {each.limit_mm:.3f}"
-    return f" {Content(each.at).truncate(10, ellipsis=True).plain}, {limit}"
-
-
-def _large_figure(each: Figure, glyphs: Glyphs) -> list[Cell]:
-    tone, shape = _tone(each, glyphs)
-    digits = large(figure(each.value_mm), tone if each.over else "$foreground", glyphs)
-    at = Content.assemble((shape, tone), (_place(each), "$label"))
-    bar = BLANK
-    if each.limit_mm:
-        mark = TO_LIMIT / BAR
-        share, guard = (mark * length / each.limit_mm for length in (each.value_mm, each.U_mm))
-        bar = Bar(share, tone, mark, guard).drawn(BAR)
-    return [(each.title, "$label"), *digits, at, bar, BLANK]
-
-
-def _small(head: Head, mark: Content, glyphs: Glyphs) -> Lines:
-    stated = (head.stated,) if len(head.words) == 1 else ()
-    text = "  ".join(["", " ".join(head.words), *stated, ""])
-    rows: list[list[Cell]] = []
-    for each in head.figures:
-        tone, shape = _tone(each, glyphs)
-        value = (f"{figure(each.value_mm)} mm", f"bold {tone}" if each.over else "bold")
-        title = (each.title.removesuffix(", mm"), "$label")
-        places = _place(each), _place(each).partition(", ")[2]
-        place = Fitting(tuple(Content.styled(text, "$label") for text in places))
-        rows.append(["", (shape, tone), title, value, place])
-    columns = Col(), Col(), Col(), Col(), Col(grows=True)
-    words = Content("").join([Content.styled(text, head.style), mark])
-    return Stack(words, Grid(rows, *columns))
+        return head.small(mark, glyphs).lines(width)
+    rows_of = (head.block(mark, glyphs), *(each.large(glyphs) for each in head.figures))
+    return Grid(zip(*rows_of, strict=True), Col(BLOCK), Col(25), Col(), gap=2).lines(width)

@@ -39,19 +39,16 @@ from hilcell.tui.text.digits import figure, large
 DeviationOf = Callable[[Log, Point], Deviation | None]
 FULL_ROWS, SMALL_ROWS = 6, 3
 STALE_S = 30.0  # two points of a run are rarely so far apart
-RAW_SCALE_MM = 2.0
 TO_LIMIT = 0.8  # of the tolerance bar
-LEAST_LARGE = 41  # columns
-SAID: dict[Outcome, tuple[str, str, str]] = {  # role, shape's name, words
-    Outcome.ACCEPTED: ("passed", "fresh", Outcome.ACCEPTED.words),
-    Outcome.UNDECIDED: ("ask", "warned", Outcome.UNDECIDED.words.upper()),
-    Outcome.REJECTED: ("fault", "warned", Outcome.REJECTED.words.upper()),
+SAID: dict[Outcome, tuple[str, str, str, str]] = {  # role, shape's name, words, those of an old one
+    Outcome.ACCEPTED: ("passed", "fresh", Outcome.ACCEPTED.words, "was in tol."),
+    Outcome.UNDECIDED: ("ask", "warned", Outcome.UNDECIDED.words.upper(), "was undecided"),
+    Outcome.REJECTED: ("fault", "warned", Outcome.REJECTED.words.upper(), "was out of tol."),
 }
-WAS: dict[Outcome, str] = {
-    Outcome.ACCEPTED: "was in tol.",
-    Outcome.UNDECIDED: "was undecided",
-    Outcome.REJECTED: "was out of tol.",
-}
+
+
+def _signed(value_mm: float) -> str:
+    return f"{value_mm:+z.3f}".replace("-", "−") if math.isfinite(value_mm) else "-.---"
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +84,61 @@ class Shown:
             return "$stale"
         judged = self.deviation.limit_mm is not None
         return f"${SAID[self.deviation.outcome][0]}" if judged else "$foreground"
+
+    def large(self, found: Deviation, glyphs: Glyphs) -> Lines:
+        """Return |e| large, and its components with a signed bar each."""
+        # The full scale of the signed bars grows so that no bar is cut.
+        least_mm = 2.0 if found.limit_mm is None else found.limit_mm / 2
+        known_mm = (abs(each) for each in found.error_mm if math.isfinite(each))
+        scale_mm = step_at_least(max([least_mm, *known_mm]))
+        text = "bold $stale" if self.stale else "bold"
+        fill = "$stale" if self.stale else "$foreground"
+        rows: list[list[Cell]] = []
+        for name, value_mm, digits, unit, scale in zip(
+            ("dx", "dy", "dz"),
+            found.error_mm,
+            large(figure(found.norm_mm), self.tone, glyphs),
+            ("|e|", "mm", ""),
+            (f"±{scale_mm:g}", "mm", ""),
+            strict=True,
+        ):
+            component = Content.assemble(
+                (f"{name} ", "$label"), (f"{_signed(value_mm):>6}", text), (" mm", "$label")
+            )
+            bar = SignedBar(value_mm / scale_mm, fill)
+            rows.append(["", (unit, "$label"), digits, component, bar, (scale, "$label")])
+        columns = Col(), Col(3), Col(21), Col(14), Col(28), Col()
+        return Grid(rows, *columns)
+
+    def one_line(self, found: Deviation) -> Content:
+        """Return |e| and its components in one line."""
+        dx, dy, dz = map(_signed, found.error_mm)
+        return Content.assemble(
+            " ",
+            (f"|e| {figure(found.norm_mm)} mm", f"bold {self.tone}"),
+            (f"   dx {dx}  dy {dy}  dz {dz}", "$stale" if self.stale else "$label"),
+        )
+
+    def tolerance(self, found: Deviation, glyphs: Glyphs) -> list[list[Cell]]:
+        """Return what is said of the limit with |e| against it, and under it the scale and U."""
+        if found.limit_mm is None:
+            words = (f"{glyphs.stale} {self.word}", "$stale" if self.stale else "")
+            return [["", words, ""], ["", "", ""]]
+        role, shape, word, was = SAID[found.outcome]
+        said = (f"{getattr(glyphs, shape)} {word}", f"bold ${role}")
+        if self.stale:
+            said = (f"{glyphs.stale} {was}", "$stale")
+        share, guard = (TO_LIMIT * each / found.limit_mm for each in (found.norm_mm, found.U_mm))
+        bar = Bar(share, self.tone, TO_LIMIT, guard)
+        digits = 2 if math.isclose(100 * found.limit_mm / 4 % 1, 0, abs_tol=1e-9) else 3
+        ticks = [(0.0, Content.styled("0", "$label"))]
+        for quarter in (1, 2, 3):
+            text = f"{found.limit_mm * quarter / 4:.{digits}f}"
+            ticks.append((TO_LIMIT * quarter / 4, Content.styled(text, "$label")))
+        limit = Content.assemble((f"{found.limit_mm:.{digits}f}", "bold"), (" limit", "$label"))
+        ticks.append((TO_LIMIT, limit))
+        U = (f"U {found.U_mm:.3f} mm", "$label")
+        return [["", said, bar], ["", U, Ticks(tuple(ticks))]]
 
 
 def rows_for(height: int) -> int:
@@ -126,71 +178,11 @@ def point_lines(shown: Shown, glyphs: Glyphs, rows: int = FULL_ROWS) -> Lines:
     if found is None:
         none = "no nominal place, so no deviation" if shown.remark else ""
         return Stack(head, (f" {none}", "$label"), *[BLANK] * (rows - 2))
-    said = _tolerance(shown, found, glyphs)
+    said = shown.tolerance(found, glyphs)
     columns = Col(), Col(17), Col(10, grows=True, most=55)
-    small = Stack(head, ends(_one_line(shown, found), ""), Grid(said[:1], *columns))
+    small = Stack(head, ends(shown.one_line(found), ""), Grid(said[:1], *columns))
     if rows < FULL_ROWS - 1:
         return small
-    whole = Stack(head, _large(shown, found, glyphs), Grid(said[: rows - 4], *columns))
+    whole = Stack(head, shown.large(found, glyphs), Grid(said[: rows - 4], *columns))
     state = whole.state, small.state
-    return Drawing(state, lambda width, _: (small if width < LEAST_LARGE else whole).lines(width))
-
-
-def _signed(value_mm: float) -> str:
-    return f"{value_mm:+z.3f}".replace("-", "−") if math.isfinite(value_mm) else "-.---"
-
-
-def _large(shown: Shown, found: Deviation, glyphs: Glyphs) -> Lines:
-    # The full scale of the signed bars grows so that no bar is cut.
-    least_mm = RAW_SCALE_MM if found.limit_mm is None else found.limit_mm / 2
-    known_mm = (abs(each) for each in found.error_mm if math.isfinite(each))
-    scale_mm = step_at_least(max([least_mm, *known_mm]))
-    text = "bold $stale" if shown.stale else "bold"
-    fill = "$stale" if shown.stale else "$foreground"
-    rows: list[list[Cell]] = []
-    for name, value_mm, digits, unit, scale in zip(
-        ("dx", "dy", "dz"),
-        found.error_mm,
-        large(figure(found.norm_mm), shown.tone, glyphs),
-        ("|e|", "mm", ""),
-        (f"±{scale_mm:g}", "mm", ""),
-        strict=True,
-    ):
-        component = Content.assemble(
-            (f"{name} ", "$label"), (f"{_signed(value_mm):>6}", text), (" mm", "$label")
-        )
-        bar = SignedBar(value_mm / scale_mm, fill)
-        rows.append(["", (unit, "$label"), digits, component, bar, (scale, "$label")])
-    columns = Col(), Col(3), Col(21), Col(14), Col(28), Col()
-    return Grid(rows, *columns)
-
-
-def _one_line(shown: Shown, found: Deviation) -> Content:
-    dx, dy, dz = map(_signed, found.error_mm)
-    return Content.assemble(
-        " ",
-        (f"|e| {figure(found.norm_mm)} mm", f"bold {shown.tone}"),
-        (f"   dx {dx}  dy {dy}  dz {dz}", "$stale" if shown.stale else "$label"),
-    )
-
-
-def _tolerance(shown: Shown, found: Deviation, glyphs: Glyphs) -> list[list[Cell]]:
-    """Return what is said of the limit with |e| against it, and under it the scale and U."""
-    if found.limit_mm is None:
-        words = (f"{glyphs.stale} {shown.word}", "$stale" if shown.stale else "")
-        return [["", words, ""], ["", "", ""]]
-    role, shape, word = SAID[found.outcome]
-    said = (f"{getattr(glyphs, shape)} {word}", f"bold ${role}")
-    if shown.stale:
-        said = (f"{glyphs.stale} {WAS[found.outcome]}", "$stale")
-    share, guard = (TO_LIMIT * each / found.limit_mm for each in (found.norm_mm, found.U_mm))
-    bar = Bar(share, shown.tone, TO_LIMIT, guard)
-    digits = 2 if math.isclose(100 * found.limit_mm / 4 % 1, 0, abs_tol=1e-9) else 3
-    ticks = [(0.0, Content.styled("0", "$label"))]
-    for quarter in (1, 2, 3):
-        text = f"{found.limit_mm * quarter / 4:.{digits}f}"
-        ticks.append((TO_LIMIT * quarter / 4, Content.styled(text, "$label")))
-    limit = Content.assemble((f"{found.limit_mm:.{digits}f}", "bold"), (" limit", "$label"))
-    ticks.append((TO_LIMIT, limit))
-    U = (f"U {found.U_mm:.3f} mm", "$label")
-    return [["", said, bar], ["", U, Ticks(tuple(ticks))]]
+    return Drawing(state, lambda width, _: (small if width < 41 else whole).lines(width))

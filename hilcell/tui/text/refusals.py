@@ -55,7 +55,9 @@ def refusal(name: str, view: RunView | None, *, background: bool, unacknowledged
         case "stop" | "detach":
             return "" if live or background else NOT_LIVE
         case "abort":
-            return _abort_refusal(view, background=background)
+            if view is None or not live:
+                return "not the run behind: go back to it first" if background else NOT_LIVE
+            return no_answer_reason(view)
         case "new":
             return ONE_AT_A_TIME if live or background else ""
     if name not in OF_A_RUN:
@@ -75,12 +77,6 @@ def refusal(name: str, view: RunView | None, *, background: bool, unacknowledged
 def no_answer_reason(view: RunView) -> str:
     """Return why the engine of a live run takes no commands, or nothing where it does."""
     return "" if view.answers else NO_ANSWER_REASONS.get(view.state, NO_ANSWER_REASONS["silent"])
-
-
-def _abort_refusal(view: RunView | None, *, background: bool) -> str:
-    if view is None or not view.live:
-        return "not the run behind: go back to it first" if background else NOT_LIVE
-    return no_answer_reason(view)
 
 
 def _retake_refusal(view: RunView, *, background: bool) -> str:

@@ -17,7 +17,6 @@ from textual.content import Content
 
 from hilcell.calibration.frames import Frames
 from hilcell.geometry.frames import apply
-from hilcell.journal.log import Log
 from hilcell.model.events import StationHeld
 from hilcell.ports import Array
 from hilcell.run.protocol import PromptStatus
@@ -48,14 +47,21 @@ def site_of(view: RunView, prompt: PromptStatus) -> Site | None:
     log, layout = view.log, view.log.cell.layout
     T_W_L = Frames(log.cell, log).tracker_in_world()
     wanted = apply(T_W_L, np.array([prompt.expected_mm]))[0]
-    rail_mm = _rail_mm(log)
+    last = [*log.points][-1:]
+    rail_mm = log.points[last[0]].rail_mm if last else None
+    if rail_mm is None:  # not recorded yet: where it was held last, the grid's station before
+        held = log.happened(StationHeld)
+        grid = log.cell.station_named(log.cell.grid.station)
+        rail_mm = held[-1].rail_mm if held else grid.rail_mm
     T_W_B = layout.nominal_base(rail_mm)
     slide = {nest.name: _place(apply(T_W_B, nest.xyz_mm[None])[0]) for nest in layout.slide}
     standing = {nest.name: _place(nest.xyz_mm) for nest in layout.standing}
     nests = slide if prompt.place in slide else standing
+    keys = view.measured.get(view.step.number, set()) if view.step else set()
+    done = frozenset(log.points[key].id.nest for key in keys if key in log.points)
     return Site(
         nests=nests,
-        done=_done(view) & nests.keys(),
+        done=done & nests.keys(),
         wanted=prompt.place,
         wanted_mm=nests.get(prompt.place, _place(wanted)),
         robot_mm=_place(T_W_B[:3, 3]),
@@ -73,30 +79,7 @@ def _place(xyz_mm: Array) -> Place:
     return float(xyz_mm[0]), float(xyz_mm[1])
 
 
-def _done(view: RunView) -> frozenset[str]:
-    """Return the nests that were measured in the present step."""
-    keys = view.measured.get(view.step.number, set()) if view.step else set()
-    points = (view.log.points.get(key) for key in keys)
-    return frozenset(point.id.nest for point in points if point is not None and point.id.nest)
-
-
-def _rail_mm(log: Log) -> float:
-    """Return where the slide stood when it was last recorded; at the grid's station before."""
-    newest = [*log.points][-1:]
-    found = log.points[newest[0]].rail_mm if newest else None
-    if found is None:
-        held = log.happened(StationHeld)
-        found = held[-1].rail_mm if held else log.cell.station_named(log.cell.grid.station).rail_mm
-    return found
-
-
 LEAST_COLUMNS, LEAST_ROWS = 24, 5  # for which a drawing is worth it
-NAME = 7  # letters of a name that are shown
-MARGIN = 4  # columns at either side, for names
-ASIDE = (0, 1, -1, 2, -2, 3, -3)  # columns by which a nest may be moved
-ASIDE_MM = 150.0  # at most
-SLIDE_MM = (350.0, 450.0)  # half of it, as drawn
-RAIL_MM = 160.0  # half the distance of its rails, as drawn
 
 
 def sketch(site: Site, columns: int, rows: int) -> list[Content]:
@@ -113,10 +96,16 @@ def sketch(site: Site, columns: int, rows: int) -> list[Content]:
 class _Drawing:
     """One view; ``unnamed`` are the nests whose names found no room."""
 
+    MARGIN = 4  # columns at either side, for names
+    ASIDE = (0, 1, -1, 2, -2, 3, -3)  # columns by which a nest may be moved
+    ASIDE_MM = 150.0  # at most
+    SLIDE_MM = (350.0, 450.0)  # half of it, as drawn
+    RAIL_MM = 160.0  # half the distance of its rails, as drawn
+
     def __init__(self, site: Site, places: Sequence[Place], columns: int, rows: int) -> None:
         self._site, self._columns, self._rows = site, columns, rows - 1  # one for the scale
         xs, ys = zip(*places, strict=True)
-        room, height = columns - 1 - 2 * MARGIN, 2 * (self._rows - 1)
+        room, height = columns - 1 - 2 * self.MARGIN, 2 * (self._rows - 1)
         # The width of a column at which all places are inside the margins, in the middle.
         self._mm = mm = max((max(xs) - min(xs)) / room, (max(ys) - min(ys)) / height, 1.0)
         self._left_mm = (min(xs) + max(xs) - mm * (columns - 1)) / 2
@@ -184,8 +173,8 @@ class _Drawing:
         """Draw a nest, a little aside where something else is drawn; return where."""
         mark = ("●", "$passed") if name in self._site.done else ("○", "$foreground")
         column, row = near
-        most = ASIDE_MM / self._mm
-        places = ((column + aside, row) for aside in ASIDE if abs(aside) <= most)
+        most = self.ASIDE_MM / self._mm
+        places = ((column + aside, row) for aside in self.ASIDE if abs(aside) <= most)
         return next((at for at in places if self._put(*at, *mark)), None)
 
     def _tracker(self) -> None:
@@ -203,8 +192,8 @@ class _Drawing:
     def _slide(self) -> None:
         """Draw the slide that carries the robot, to scale, at most five columns wide."""
         column, row = self._cell(self._site.robot_mm)
-        across = min(round(SLIDE_MM[0] / self._mm), 2)
-        up = min(round(SLIDE_MM[1] / (2 * self._mm)), 1)
+        across = min(round(self.SLIDE_MM[0] / self._mm), 2)
+        up = min(round(self.SLIDE_MM[1] / (2 * self._mm)), 1)
         for y in range(row - up, row + up + 1):
             for x in range(column - across, column + across + 1):
                 core = y == row and abs(x - column) <= max(across - 1, 0)
@@ -217,7 +206,7 @@ class _Drawing:
         steep = abs(along[1]) >= abs(along[0])
         reach_mm = self._mm * (self._columns + 2 * self._rows)
         step_mm = self._mm * (1.0 if steep else 0.5)
-        side = max(RAIL_MM, self._mm * (1 if steep else 2))
+        side = max(self.RAIL_MM, self._mm * (1 if steep else 2))
         for name, place in self._site.stations.items():
             mark = (place[0] + side * -along[1], place[1] + side * along[0])
             other = (place[0] - side * -along[1], place[1] - side * along[0])
@@ -250,5 +239,5 @@ class _Drawing:
 
 
 def _short(name: str) -> str:
-    """Return the first letters of a name, each of one column."""
-    return "".join(letter if cell_len(letter) == 1 else "?" for letter in name[:NAME])
+    """Return the first seven letters of a name, each of one column."""
+    return "".join(letter if cell_len(letter) == 1 else "?" for letter in name[:7])
