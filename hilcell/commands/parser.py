@@ -7,6 +7,7 @@ import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import (
+    TYPE_CHECKING,
     Any,
     Literal,
     NoReturn,
@@ -18,6 +19,9 @@ from typing import (
 
 from hilcell.arguments import MISSING, Field, Signature, Switches, fields_of, is_signature
 from hilcell.commands.output import print_message, stdout_checked
+
+if TYPE_CHECKING:
+    from hilcell.typed import Json
 
 HELP = ("-h", "--help")  # no word is mistyped for it: each command has it
 PASSWORD = re.compile(r"(://[^:/@\s]*:)\S*@")  # of a URL that stands where none is wanted
@@ -132,7 +136,7 @@ def _add_field(parser: Parser, field: Field) -> None:
         for word, text in argument.help.items():
             group.add_argument(f"--{word}", dest=name, action="store_const", const=word, help=text)
         return
-    options: dict[str, Any] = {"help": argument.help.replace("%", "%%")}
+    options: Json = {"help": argument.help.replace("%", "%%")}
     if default is not MISSING:
         options["default"] = default
     if kind is bool:

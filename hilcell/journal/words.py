@@ -7,12 +7,12 @@ of a point; everywhere else the screen says *grid point 1-0-0 at S1100*.
 from __future__ import annotations
 
 import re
-from typing import Any
 
 from hilcell.journal.log import Log
 from hilcell.model.events import Event, OtherEvent, StepBegun
 from hilcell.model.point import HOLDS, KINDS, SEAT, SIDES, PointId
 from hilcell.model.verdicts import VALIDATION, verdict_title
+from hilcell.typed import Json
 
 _PROCEDURES = {
     "calibrate": "Calibration",
@@ -71,7 +71,7 @@ def id_of(key: str, log: Log) -> PointId:
         return log.points[key].id
     kind, *parts = key.split("/")
     stations = {each.name for each in log.cell.station} if log.plan is not None else set()
-    found: dict[str, Any] = {}
+    found: Json = {}
     rest: list[str] = []
     for part in parts:
         if part in stations:

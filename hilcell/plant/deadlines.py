@@ -15,6 +15,7 @@ from typing import Any
 import psycopg
 from psycopg.conninfo import make_conninfo
 from psycopg.pq import PGconn, Ping
+from psycopg.rows import TupleRow
 from sqlalchemy import Connection, text
 
 CONNECT_S = 10
@@ -42,7 +43,7 @@ SET = text(
 )
 
 
-class Bounded(psycopg.Connection[Any]):
+class Bounded(psycopg.Connection[TupleRow]):
     """A connection that ends where its server says nothing for too long."""
 
     order_s = ORDER_S
@@ -81,7 +82,9 @@ def connect(*args: Any, **options: Any) -> Bounded:
 
 def limit(connection: Connection, order_s: float) -> None:
     """Give the transaction of a connection its deadlines, in the server and here."""
-    own: Any = connection.connection.driver_connection  # one of `connect`
+    own = connection.connection.driver_connection
+    if not isinstance(own, Bounded):
+        raise TypeError(f"expected a connection of `connect`, got {type(own).__name__}")
     own.order_s = order_s
     limits_s = {"order": order_s, "lock": LOCK_S, "rest": REST_S}
     connection.execute(SET, {name: f"{limit_s * 1000:.0f}" for name, limit_s in limits_s.items()})
