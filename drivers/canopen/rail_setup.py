@@ -89,35 +89,27 @@ def find_node(link: CanLink, sdo: SdoChannel, expected: Expected, check: Callabl
             raise
         except DeviceError as error:
             if link.time.listened_s > deadline_s:
+                lost, losses = link.statistics(), ""
+                act = "check its power, cable, terminators, bit rate and node number"
+                if lost.bad_lines + lost.refused + lost.malformed:
+                    losses = f"; {lost.bad_lines} bad lines, {lost.refused} refused"
+                    losses += f", {lost.malformed} malformed" if lost.malformed else ""
+                    losses += " on this link"
+                    if link.bad_line:
+                        line = clean(repr(link.bad_line)[2:-1])
+                        losses += f", lines of another form, as {line}"
+                if has_long_stamp(link.bad_line):
+                    act = "switch the gateway's time stamps off: it sends them with 32 bits"
                 raise DeviceError(
                     "HC-R05",
                     "Rail",
                     "connect",
-                    f"node {expected.node} ({expected.name}) does not answer{_losses(link)}",
+                    f"node {expected.node} ({expected.name}) does not answer{losses}",
                     wanted=f"an answer within {FIND_S:.0f} s",
-                    act=_act(link),
+                    act=act,
                     fields={"node": expected.node, "name": expected.name, "waited_s": FIND_S},
                 ) from error
         check()
-
-
-def _losses(link: CanLink) -> str:
-    """Return the losses on a link, to be named behind a node's silence; "" for none."""
-    lost = link.statistics()
-    if not lost.bad_lines + lost.refused + lost.malformed:
-        return ""
-    malformed = f", {lost.malformed} malformed" if lost.malformed else ""
-    form = (
-        f", lines of another form, as {clean(repr(link.bad_line)[2:-1])}" if link.bad_line else ""
-    )
-    return f"; {lost.bad_lines} bad lines, {lost.refused} refused{malformed} on this link{form}"
-
-
-def _act(link: CanLink) -> str:
-    """Return what to do about a node's silence on a link."""
-    if has_long_stamp(link.bad_line):
-        return "switch the gateway's time stamps off: it sends them with 32 bits"
-    return "check its power, cable, terminators, bit rate and node number"
 
 
 def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str) -> Identity:
@@ -152,33 +144,22 @@ def identify(sdo: SdoChannel, expected: Expected, device_type: int, address: str
     vendor, product, serial = (found for _, found, _ in checks[1:])
     model = clean(f"{expected.name} vendor 0x{vendor:X} product 0x{product:X}")
     where = f"{address} node {expected.node}"
+    try:
+        name = sdo.read_bytes(NodeObject.DEVICE_NAME).decode("ascii", errors="replace")
+    except Aborted:
+        name = ""  # which a device may leave out
+    revision = sdo.read_if_present(NodeObject.IDENTITY, 3)  # major above, minor below (7.5.2.19)
+    firmware = "" if revision is None else f"revision {revision >> 16}.{revision & 0xFFFF}"
     return Identity(
         "Rail",
         model,
         str(serial),
         where,
-        says_simulated(_device_name(sdo)),
+        says_simulated(name),
         expected.name,
         f"vendor 0x{vendor:X}",
-        _revision(sdo),
+        firmware,
     )
-
-
-def _revision(sdo: SdoChannel) -> str:
-    """Return 1018h:03, which a device may leave out: major in the upper half, minor in the lower.
-
-    CiA 301, 7.5.2.19.
-    """
-    found = sdo.read_if_present(NodeObject.IDENTITY, 3)
-    return "" if found is None else f"revision {found >> 16}.{found & 0xFFFF}"
-
-
-def _device_name(sdo: SdoChannel) -> str:
-    """Return 1008h, which a device may leave out."""
-    try:
-        return sdo.read_bytes(NodeObject.DEVICE_NAME).decode("ascii", errors="replace")
-    except Aborted:
-        return ""
 
 
 def check_strip_step(sdo: SdoChannel, counts_per_mm: float) -> None:

@@ -11,17 +11,14 @@ import unicodedata
 from hilcell.clean import clean
 
 CODING = "latin-1"
-ASCII, LATIN = 128, 256  # numbers of characters
-_CYRILLIC = (
+ASCII = 128  # so many characters
+_LETTERS = (
     "а=a б=b в=v г=g д=d е=e ё=e ж=zh з=z и=i й=j к=k л=l м=m н=n о=o п=p р=r с=s т=t у=u ф=f х=kh "
-    "ц=ts ч=ch ш=sh щ=shch ъ=' ы=y ь=' э=e ю=yu я=ya є=ye і=i ї=yi ґ=g ђ=dj ј=j љ=lj њ=nj ћ=c џ=dz"
-)
-_GREEK = (
+    "ц=ts ч=ch ш=sh щ=shch ъ=' ы=y ь=' э=e ю=yu я=ya є=ye і=i ї=yi ґ=g ђ=dj ј=j љ=lj њ=nj ћ=c џ=dz "
     "α=a β=b γ=g δ=d ε=e ζ=z η=i θ=th ι=i κ=k λ=l μ=m ν=n ξ=x ο=o π=p ρ=r σ=s ς=s τ=t υ=y φ=f χ=ch "
-    "ψ=ps ω=o"
+    "ψ=ps ω=o "
+    "ł=l đ=d ı=i œ=oe ŋ=n ħ=h –=- —=- ß=ss ø=o æ=ae °=deg"
 )
-_EXTENDED = "ł=l đ=d ı=i œ=oe ŋ=n ħ=h –=- —=- ß=ss ø=o æ=ae °=deg"
-_LETTERS = {pair[0]: pair[2:] for pair in f"{_CYRILLIC} {_GREEK} {_EXTENDED}".split()}
 
 
 def comment(text: str) -> str:
@@ -29,7 +26,7 @@ def comment(text: str) -> str:
     return f"; {plain(clean(text))}"
 
 
-def plain(text: str, below: int = LATIN) -> str:
+def plain(text: str, below: int = 256) -> str:
     """Return a text in the characters of `CODING`, or in the first ones, as `ASCII`."""
     return "".join(_plain(each, below) for each in unicodedata.normalize("NFC", text))
 
@@ -41,7 +38,8 @@ def _plain(letter: str, below: int) -> str:
     found = "".join(each for each in bare if not unicodedata.combining(each))
     if found and all(ord(each) < below for each in found):
         return found
-    known = _LETTERS.get(letter.lower()) or _LETTERS.get(found.lower())
+    letters = {pair[0]: pair[2:] for pair in _LETTERS.split()}
+    known = letters.get(letter.lower()) or letters.get(found.lower())
     if known is None:
         return f"U+{ord(letter):04X}"
     return known.capitalize() if letter.isupper() else known

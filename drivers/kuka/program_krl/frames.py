@@ -34,7 +34,6 @@ from drivers.kuka.program_krl.tokens import (
     text_of,
 )
 
-SET_ONCE = {"$BASE": "base", "$TOOL": "tool"}
 TABLES = {"base": "BASE_DATA", "tool": "TOOL_DATA"}
 NEVER_SET = (
     "BASE_DATA",
@@ -44,15 +43,6 @@ NEVER_SET = (
     "$ROBROOT",
     "$WORLD",
     "$NULLFRAME",
-)
-WORLDS = ("$NULLFRAME", "$WORLD")
-BAS_SETS = {"#BASE": "base", "#TOOL": "tool"}
-BAS_RESETS = ("#INITMOV",)
-BAS_FORM = "#FRAMES"
-BAS_APPLIES = (BAS_FORM, "#PTP_PARAMS", "#CP_PARAMS")  # these set the frame data of FDAT_ACT
-BAS_REFUSED = ("#EX_BASE", "#TCP_IPO")
-WITH_FORM = re.compile(
-    r"\$BASE=SBASE\((\w+)\.BASE_NO\)|\$TOOL=STOOL2\((\w+)\)|\$IPO_MODE=SIPO_MODE\((\w+)\.IPO_FRAME\)"
 )
 
 
@@ -192,23 +182,23 @@ class FrameRule:
     def _bas(self, arguments: Sequence[Token], line: int) -> None:
         parts = split(arguments, ",")
         first = text_of(parts[0])
-        if first in BAS_SETS:
-            what = BAS_SETS[first]
+        if first in ("#BASE", "#TOOL"):
+            what = first[1:].lower()
             number = parts[1] if len(parts) > 1 else ()
             self._set_once(what, self._numbered(what, number, line, f"BAS({first},...)"))
-        elif first in BAS_REFUSED or not first.startswith("#"):
+        elif first in ("#EX_BASE", "#TCP_IPO") or not first.startswith("#"):
             raise KrlError(f"BAS({first},...) may set another base")
-        elif first in BAS_RESETS and (self._set or self._form or self._moved):
+        elif first == "#INITMOV" and (self._set or self._form or self._moved):
             raise KrlError(f"BAS({first},...) resets base and tool after they were set or used")
-        elif first == BAS_FORM and self._set:
+        elif first == "#FRAMES" and self._set:
             stated = next(iter(self._set.values()))
             raise KrlError(
                 f"BAS({first},...) sets base and tool by FDAT_ACT after line {stated.line} has set "
                 "them"
             )
-        elif first in BAS_RESETS:
+        elif first == "#INITMOV":
             self.settings[line].append((RESET, ""))
-        elif first in BAS_APPLIES:
+        elif first in ("#FRAMES", "#PTP_PARAMS", "#CP_PARAMS"):  # by the frame data of FDAT_ACT
             self.settings[line].append((APPLY, ""))
 
     def _assign(self, name: str, rest: Sequence[Token], line: int) -> None:
@@ -216,12 +206,14 @@ class FrameRule:
             raise KrlError(f"{name} is changed at run time")
         self._changed.setdefault(name, line)
         if name == "FDAT_ACT":
-            self._form = (_plain_name(name, rest), line)
-            self.settings[line].append((FORM, self._form[0]))
+            if len(rest) != 2 or rest[0].text != "=" or rest[1].kind != "word":
+                raise KrlError(f"{name}{quoted(rest)} sets a base that is not in the .dat file")
+            self._form = (rest[1].word, line)
+            self.settings[line].append((FORM, rest[1].word))
         elif name == "$IPO_MODE" and text_of(rest) != "=#BASE":
             raise KrlError("$IPO_MODE: the workpiece is carried by the robot")
-        elif name in SET_ONCE:
-            what = SET_ONCE[name]
+        elif name in ("$BASE", "$TOOL"):
+            what = name[1:].lower()
             self._set_once(what, self._stated(what, name, rest, line))
         elif name in self.frames_used or self._used_form(name):
             raise KrlError(f"{name} is changed at run time, and motions work in it")
@@ -238,7 +230,7 @@ class FrameRule:
         text = quoted(value)
         if value[0].text == "{":
             return Stated(line, text, None, _values(name, aggregate(value)))
-        if len(value) == 1 and value[0].word in WORLDS:
+        if len(value) == 1 and value[0].word in ("$NULLFRAME", "$WORLD"):
             return Stated(line, text, None, NULL)
         element = len(value) == 4 and value[1].text == "[" and value[2].kind == "number"
         if not (element or (len(value) == 1 and value[0].kind == "word")):
@@ -306,7 +298,11 @@ def _form_of(clause: Sequence[Token], line: int) -> tuple[str, int] | None:
     """Return the frame data that a ``WITH`` clause names for base and tool alike."""
     parts = [text_of(part) for part in split(clause, ",")]
     framing = [p for p in parts if p.startswith(("$BASE", "$TOOL", "$IPO_MODE", *NEVER_SET))]
-    matches = [WITH_FORM.fullmatch(part) for part in framing]
+    form = (
+        r"\$BASE=SBASE\((\w+)\.BASE_NO\)|\$TOOL=STOOL2\((\w+)\)"
+        r"|\$IPO_MODE=SIPO_MODE\((\w+)\.IPO_FRAME\)"
+    )
+    matches = [re.fullmatch(form, part) for part in framing]
     names = {match[match.lastindex or 0] if match else "" for match in matches}
     if not names:
         return None
@@ -316,12 +312,6 @@ def _form_of(clause: Sequence[Token], line: int) -> tuple[str, int] | None:
             "data, as inline forms write them: set $BASE and $TOOL before the motions"
         )
     return names.pop(), line
-
-
-def _plain_name(name: str, rest: Sequence[Token]) -> str:
-    if len(rest) != 2 or rest[0].text != "=" or rest[1].kind != "word":
-        raise KrlError(f"{name}{quoted(rest)} sets a base that is not in the .dat file")
-    return rest[1].word
 
 
 def _values(name: str, fields: Mapping[str, Sequence[Token]]) -> tuple[float, ...]:

@@ -7,7 +7,7 @@ zero leaves the old bit to stand for a place one whole turn away.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -105,9 +105,31 @@ class Program:
         return own + [(each.where, expected & ~each.known | each.status) for each in self.kept]
 
     def check_joints(self, arm: Arm, T_W_B: Array, command: Array) -> None:
-        """Raise `TurnError` where ``command`` (N, 6) in {W} would mean other whole turns."""
-        postures = [(target.where, target.posture) for target in self.targets]
-        check_turns(arm, T_W_B, postures, self.values(), command)
+        """Raise `TurnError` naming the points that ``command`` (N, 6) takes through a zero.
+
+        Targets and ``command`` stand in {W}; the nominal ``arm`` at ``T_W_B`` says where the joints
+        stand. The bits of S are those of a posture's status in `hilcell.geometry.inverse`.
+        """
+        T_B_W = inverse(T_W_B)
+        problems = []
+        for target, *values in zip(self.targets, self.values(), command, strict=True):
+            if target.posture is None:
+                continue
+            poses = T_B_W @ np.array([pose_from_zyx(*each) for each in values])
+            joints = inverse_kinematics(arm, poses, target.posture)
+            changed = int(np.bitwise_xor.reduce(turn_of(joints)))
+            degrees = np.degrees(joints)
+            problems += [
+                f"  {target.where}: A{axis + 1} goes from {degrees[0, axis]:.3f} to "
+                f"{degrees[1, axis]:.3f} deg"
+                for axis in range(6)
+                if changed >> axis & 1
+            ]
+        if problems:
+            raise TurnError(
+                "the correction takes axes through zero, where T would mean a whole turn; move to "
+                "these points with LIN, or leave out S and T\n" + "\n".join(problems)
+            )
 
     def misnamed(self, stem: str) -> list[str]:
         """Return notes on modules whose name in the text is not the files' ``stem``."""
@@ -172,33 +194,3 @@ def turn_of(joints_rad: ArrayLike) -> NDArray[np.int_]:
     negative = np.asarray(joints_rad) < 0
     turn: NDArray[np.int_] = np.sum(negative << np.arange(6), axis=-1)
     return turn
-
-
-def check_turns(
-    arm: Arm, T_W_B: Array, postures: Sequence[tuple[str, int | None]], before: Array, after: Array
-) -> None:
-    """Raise `TurnError` naming the points that the correction takes through a zero.
-
-    ``before`` and ``after`` (N, 6) stand in {W}, the nominal ``arm`` at ``T_W_B`` says where the
-    joints stand. A point is its name and its S, None where T does not matter; the bits of S are
-    those of a posture's status in `hilcell.geometry.inverse`.
-    """
-    T_B_W = inverse(T_W_B)
-    problems = []
-    for (name, status), *values in zip(postures, before, after, strict=True):
-        if status is None:
-            continue
-        poses = T_B_W @ np.array([pose_from_zyx(*each) for each in values])
-        joints = inverse_kinematics(arm, poses, status)
-        changed = int(np.bitwise_xor.reduce(turn_of(joints)))
-        degrees = np.degrees(joints)
-        problems += [
-            f"  {name}: A{axis + 1} goes from {degrees[0, axis]:.3f} to {degrees[1, axis]:.3f} deg"
-            for axis in range(6)
-            if changed >> axis & 1
-        ]
-    if problems:
-        raise TurnError(
-            "the correction takes axes through zero, where T would mean a whole turn; move to "
-            "these points with LIN, or leave out S and T\n" + "\n".join(problems)
-        )

@@ -23,10 +23,8 @@ from drivers.universal_robots.program_urscript.program import Program, Target
 from hilcell.cell.settings import SettingsError
 
 MOTIONS = ("movej", "movel")
-RADIUS = "r"
-PARAMETERS = ("a", "v", "t", RADIUS)  # behind the target, in their order
+PARAMETERS = ("a", "v", "t", "r")  # behind the target, in their order
 WORDS = ("and", "or", "not", "xor", "True", "False", "return", "global", "local")
-THREADS = ("thread", "run", "join", "kill", "enter_critical", "exit_critical")
 HARMLESS = (
     "sleep", "sync", "textmsg", "popup", "halt", "to_num", "to_str", "str_cat", "str_len", "abs",
     "sqrt", "floor", "ceil", "pow", "sin", "cos", "tan", "d2r", "r2d", "random", "length",
@@ -41,13 +39,10 @@ HARMLESS = (
     "write_output_float_register", "set_payload", "set_target_payload", "set_gravity",
 )  # fmt: skip
 _DEF = re.compile(r"def\s+(\w+)\s*\(([\w\s,]*)\)\s*:", re.ASCII)
-_PLAIN = re.compile(r"else\s*:|halt|break|continue|pass|return|\$\s*\d+[\s\"]*", re.ASCII)
 _BRANCH = re.compile(r"(?:if|elif|while)\b(.+):", re.ASCII)
 _ASSIGN = re.compile(r"(?:(?:global|local)\s+)?(\w+)\s*(\[[^\[\]]*\])?\s*=(?!=)\s*(.*)", re.ASCII)
 _CALL = re.compile(r"(\w+)\s*\((.*)\)", re.ASCII)
-_ARGUMENT = re.compile(r"(\w+)\s*=(?!=)\s*(.*)", re.ASCII)
 _NAME = re.compile(r"(?<![\w.])([A-Za-z_]\w*)\s*(\()?", re.ASCII)
-_STATED_POSE = re.compile(r"(?<!\w)p\s*\[", re.ASCII)
 
 
 def read_program(file: str, text: str) -> Program:
@@ -123,9 +118,10 @@ class _Reader:
     def _use(self, statement: Statement) -> None:
         code = statement.code
         for word, _ in _NAME.findall(code):
-            if word in THREADS:
+            if word in ("thread", "run", "join", "kill", "enter_critical", "exit_critical"):
                 raise UrScriptError(f"{word}: several threads may move the robot at once")
-        if self._block(statement) or _PLAIN.fullmatch(code):
+        plain = r"else\s*:|halt|break|continue|pass|return|\$\s*\d+[\s\"]*"
+        if self._block(statement) or re.fullmatch(plain, code, re.ASCII):
             return
         if match := _ASSIGN.fullmatch(code):
             self._assign(match[1], match[2] or "", match[3])
@@ -185,14 +181,14 @@ class _Reader:
         else:
             self.targets.setdefault(stated, self._variable(stated))
         for position, argument in enumerate(arguments[1:]):
-            named = _ARGUMENT.fullmatch(argument.strip())
+            named = re.fullmatch(r"(\w+)\s*=(?!=)\s*(.*)", argument.strip(), re.ASCII)
             if named is None and position >= len(PARAMETERS):
                 raise UrScriptError("it has more arguments than a, v, t, r behind its target")
             key = named[1] if named else PARAMETERS[position]
             value = named[2] if named else argument.strip()
             if key not in PARAMETERS:
                 raise UrScriptError(f"{key} is no argument of {name} behind its target")
-            if key == RADIUS and not (re.fullmatch(NUMBER, value) and float(value) == 0.0):
+            if key == "r" and not (re.fullmatch(NUMBER, value) and float(value) == 0.0):
                 raise UrScriptError(
                     f"blend radius {value}: the robot passes the pose, and the correction changes "
                     "where; wanted r=0"
@@ -229,7 +225,7 @@ class _Reader:
 
     def _check(self, code: str) -> None:
         """Refuse an expression that has to do with poses, or calls a function that is not known."""
-        if _STATED_POSE.search(code):
+        if re.search(r"(?<!\w)p\s*\[", code, re.ASCII):
             raise UrScriptError("a pose stands where hilcell does not follow it")
         for word, called in _NAME.findall(code):
             if word in self._poses:

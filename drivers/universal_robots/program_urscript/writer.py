@@ -25,7 +25,6 @@ FULL_RAD_S = 1.05  # of the joint that moves farthest, the usual speed of movej
 ACCELERATION_RAD_S2 = 0.7
 STRAIGHT_M_S, STRAIGHT_M_S2 = 0.1, 0.5  # in to a hole and out of it
 DECIMALS = 7  # of rad and m
-MM = 1000.0
 
 
 def write_station(program: StationProgram, stamp: Stamp) -> dict[str, bytes]:
@@ -43,7 +42,7 @@ def _lines(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
     yield _comment(stamp.text)
     yield from map(_comment, program.remarks)
     yield _comment("joints as calibrated: base and TCP have a part in the straight ways alone")
-    tcp = [*(program.tool[:3] / MM), *to_rotvec(from_zyx(program.tool[3:]))]
+    tcp = [*(program.tool[:3] / 1000.0), *to_rotvec(from_zyx(program.tool[3:]))]
     yield f"  set_tcp(p{_joints(tcp)})"
     yield f"  movej({safe}, {how})"
     yield _comment("slide held, strip as the sheet says, drill drawn back: Continue goes on")
