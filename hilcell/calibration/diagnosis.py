@@ -204,7 +204,6 @@ def _by_circles(log: Log) -> tuple[Array, float]:
 # -- poses that were visited again, and corrected targets ------------------------------------------
 
 REVISIT, CLOSING = "revisit", "closing"  # kinds of points: after the grid, and in the end
-REVISITS = {REVISIT: "re-visited poses", CLOSING: "vertices re-visited at the end"}
 VERDICTS = {REVISIT: "revisits", CLOSING: "revisits.closing"}  # their keys in the journal
 
 
@@ -251,7 +250,8 @@ def revisits(log: Log, kind: str) -> Change:
 
 
 def _revisits(log: Log, kind: str) -> Change:
-    return changed(_differences(log, kind), log.cell.robot.arm(), REVISITS[kind])
+    names = {REVISIT: "re-visited poses", CLOSING: "vertices re-visited at the end"}
+    return changed(_differences(log, kind), log.cell.robot.arm(), names[kind])
 
 
 def _differences(log: Log, kind: str) -> Differences:

@@ -63,18 +63,18 @@ from hilcell.typed import Json
 # calibration files have one form, with a rail or without.
 
 NO_RAIL = "none"  # the driver of a rail that is not there
-STATION = "BASE"
 
 
 def completed(values: Json) -> Json:
     """Return a cell file's tables, with those of a robot that stands where there is no rail."""
     if "rail" in values:
         return values
-    stations = values.get("station", [{"name": STATION}])
+    own_name = "BASE"
+    stations = values.get("station", [{"name": own_name}])
     at_0 = {"rail_mm": 0.0, "strip_mm": 0.0}
     if isinstance(stations, list):
         stations = [_with(at_0, station) for station in stations]
-    name = stations[0].get("name", STATION) if _tables(stations) else STATION
+    name = stations[0].get("name", own_name) if _tables(stations) else own_name
     rail = {
         "driver": NO_RAIL,
         "travel_min_mm": 0.0,

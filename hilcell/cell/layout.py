@@ -18,7 +18,6 @@ from hilcell.cell.tables import Count, Frozen, Length, Name, Point, Pose, Rate, 
 from hilcell.geometry.kinematics import Array
 
 CERTIFIED_C = 20.0  # of lengths: ISO 1
-APART_MM = 20.0  # nests closer than this are one nest, or their reflectors touch
 
 
 class Nest(Frozen, frozen=True, kw_only=True):
@@ -140,12 +139,13 @@ def _bad_frame(table: str, nests: list[Nest]) -> Iterator[str]:
 
 
 def _too_close(table: str, nests: list[Nest]) -> Iterator[str]:
+    least_mm = 20.0  # nests closer than this are one nest, or their reflectors touch
     for (_, one), (n, other) in combinations(enumerate(nests), 2):
         apart_mm = float(np.linalg.norm(one.xyz_mm - other.xyz_mm))
-        if not apart_mm >= APART_MM:
+        if not apart_mm >= least_mm:
             yield (
                 f"{table}[{n}]: nests {one.name} and {other.name} are {apart_mm:.1f} mm apart, "
-                f"wanted at least {APART_MM} mm"
+                f"wanted at least {least_mm} mm"
             )
 
 

@@ -25,12 +25,6 @@ from hilcell.clean import clean
 
 DCC, SI = "{https://ptb.de/dcc}", "{https://ptb.de/si}"
 MM = {"\\metre": 1e3, "\\milli\\metre": 1.0, "\\micro\\metre": 1e-3, "\\nano\\metre": 1e-6}
-EXPANDED = (  # U and its k: of single values and of lists, as D-SI 2.2 and earlier ones say it
-    ("valueExpandedMU", "coverageFactor"),
-    ("valueExpandedMUXMLList", "coverageFactorXMLList"),
-    ("uncertainty", "coverageFactor"),
-    ("uncertaintyXMLList", "coverageFactorXMLList"),
-)
 COVERAGE_FACTOR = 2.0
 
 
@@ -113,7 +107,13 @@ def _unit(quantity: Element) -> str:
 def _values(quantity: Element, id: str) -> tuple[list[float], list[float]]:
     """Return the values of a quantity and their U (k = 2), as many."""
     values = [each for name in ("value", "valueXMLList") for each in _floats(quantity, name)]
-    pairs = ((list(_floats(quantity, U)), list(_floats(quantity, k))) for U, k in EXPANDED)
+    forms = (  # U and its k: of single values and of lists, as D-SI 2.2 and earlier ones say it
+        ("valueExpandedMU", "coverageFactor"),
+        ("valueExpandedMUXMLList", "coverageFactorXMLList"),
+        ("uncertainty", "coverageFactor"),
+        ("uncertaintyXMLList", "coverageFactorXMLList"),
+    )
+    pairs = ((list(_floats(quantity, U)), list(_floats(quantity, k))) for U, k in forms)
     expanded, factors = next(((U, k) for U, k in pairs if U and k), ([], []))
     if not values or not expanded or not min(factors) > 0 or not min(expanded) >= 0:
         raise NotRead(f"quantity {id!r} states no value with expanded uncertainty (>= 0) and k > 0")

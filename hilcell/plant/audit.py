@@ -26,7 +26,6 @@ from hilcell.errors import HilcellError
 from hilcell.plant.signing import fingerprint
 from hilcell.typed import decoded
 
-CHUNK = 2**20
 _SPOILED = (
     zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError, UnicodeError
 )  # fmt: skip
@@ -131,9 +130,10 @@ def _difference(source: Source, name: str, entry: FileEntry) -> str:
     if size != entry.bytes:
         return f"{DIFFERS}: {size} bytes, signed were {entry.bytes}"
     digest = hashlib.sha256()
+    at_a_time = 2**20
     try:
         with source.open(name) as file:
-            while chunk := file.read(CHUNK):
+            while chunk := file.read(at_a_time):
                 digest.update(chunk)
     except (OSError, *_SPOILED) as error:
         return f"cannot be read: {clean(str(error))}"

@@ -31,9 +31,7 @@ from hilcell.plant.tables import DOCUMENT, PARTS, POINT, RUN, Found
 from hilcell.typed import Json
 from hilcell.writing import NotWritten, as_not_written
 
-ARCHIVE = ".zip"
 CHANGED = "the plant's database was changed or damaged; restore a backup, then ship again"
-NAMED = 3  # runs, in a message
 Add = Callable[[str, bytes], object]
 
 
@@ -132,8 +130,9 @@ class _Source:
 
 
 def _changed_words(names: list[str]) -> str:
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    named = ", ".join(map(clean, names[:NAMED])) + more
+    most_named = 3  # runs, in a message
+    more = f" and {len(names) - most_named} more" if len(names) > most_named else ""
+    named = ", ".join(map(clean, names[:most_named])) + more
     are = "1 run is" if len(names) == 1 else f"{len(names)} runs are"
     return f"{are} not as shipped: {named}: {CHANGED}"
 
@@ -176,15 +175,16 @@ def _made(place: Path) -> Iterator[Add]:
     if place.is_symlink() or place.exists():
         raise NotWritten(f"{clean(str(place))}: it is there already; name a new folder or file")
     others = (".tar", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".rar")  # archives of other forms
+    archived = ".zip"
     if place.suffix.lower() in others:
         raise NotWritten(
             f"{clean(str(place))} is a {place.suffix} archive by its name; name a folder or a "
-            f"{ARCHIVE} file"
+            f"{archived} file"
         )
     part = place.with_name(f".{secrets.token_hex(8)}.part")
     try:
         with as_not_written(place):
-            if place.suffix.lower() == ARCHIVE:
+            if place.suffix.lower() == archived:
                 with zipfile.ZipFile(part, "x", zipfile.ZIP_DEFLATED) as archive:
                     yield archive.writestr
             else:

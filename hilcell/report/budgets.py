@@ -155,7 +155,6 @@ def bounds_sheet(budget: TargetBudget) -> Table:
 
 K_3D = 2.80  # times u of one coordinate: 95 % of three equal normal ones (chi^2, 3 degrees)
 ERROR_SUM, TARGET_SUM = "A measured error", "A corrected target"
-RECTANGULAR = "4.3.7"  # clause of the GUM that evaluates a half-width
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,11 +249,12 @@ def error_rows(budget: Budget) -> list[Row]:
 
 def target_rows(bounds: Bounds) -> list[Row]:
     """Return the lines of corrected targets."""
+    clause = "4.3.7"  # clause of the GUM that evaluates a half-width
     return [
         Row(
             each.name,
             _known(each.how, each.source),
-            _kind(each, rectangular := each.clause == RECTANGULAR),
+            _kind(each, rectangular := each.clause == clause),
             each.u_mm,
             _percent(each.u_mm, _whole_mm(bounds)),
             each.u_mm * (math.sqrt(3) if rectangular else 1.0) * (math.sqrt(3) if one else 1.0),

@@ -138,7 +138,6 @@ CONFORMITY: dict[Judgement, str] = {
     "suspected": NOT_SHOWN,
     Outcome.REJECTED: "fail",
 }
-_RELEASE = re.compile(r"\d{1,3}(\.\d{1,3}){0,3}")
 
 
 def dcc_bytes(facts: Facts) -> bytes:
@@ -345,7 +344,8 @@ class _Certificate:
 
 
 def _software(name: str, version: str) -> Element:
-    release = f"v{version}" if _RELEASE.fullmatch(version) else version
+    numbered = re.compile(r"\d{1,3}(\.\d{1,3}){0,3}")
+    release = f"v{version}" if numbered.fullmatch(version) else version
     return dcc("software", text("name", name), dcc("release", release or NOT_STATED))
 
 

@@ -13,8 +13,6 @@ from tempfile import TemporaryDirectory
 
 from hilcell.writing import NotWritten
 
-_TARGET = rb"/%s\s*\[\s*(\d+) 0 R"
-
 
 def find_browser() -> str:
     """Return the browser that prints; raises `NotWritten` where there is none."""
@@ -77,7 +75,8 @@ def pages_of(pdf: bytes, names: Iterable[str]) -> dict[str, int]:
     """
     page = re.compile(rb"(\d+) 0 obj\s*<<\s*/Type\s*/Page\b")
     pages = page.findall(pdf)
-    targets = {name: re.search(_TARGET % re.escape(name.encode()), pdf) for name in names}
+    linked = rb"/%s\s*\[\s*(\d+) 0 R"
+    targets = {name: re.search(linked % re.escape(name.encode()), pdf) for name in names}
     return {
         name: pages.index(target[1]) + 1
         for name, target in targets.items()

@@ -44,14 +44,6 @@ from hilcell.report.drawings.paper_figures import series_name
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import judged_places
 
-Pair = tuple[str, str]
-
-CONDITIONS = (
-    ("air temperature", "temperature_c", "°C", 1),
-    ("air pressure", "pressure_mbar", "mbar", 1),
-    ("relative humidity", "humidity_percent", "%", 1),
-)
-
 
 @dataclass(frozen=True, slots=True)
 class Validated:
@@ -86,6 +78,12 @@ class Tables:
     """The tables of one run."""
 
     facts: Facts
+
+    CONDITIONS = (
+        ("air temperature", "temperature_c", "°C", 1),
+        ("air pressure", "pressure_mbar", "mbar", 1),
+        ("relative humidity", "humidity_percent", "%", 1),
+    )
 
     def validated_rows(self) -> list[Validated]:
         """Return each series of targets with its place."""
@@ -172,7 +170,7 @@ class Tables:
         measured = [point.air for point in self.facts.log.points.values() if point.air]
         return [
             Condition(name, unit, np.array([getattr(each, field) for each in measured]), digits)
-            for name, field, unit, digits in CONDITIONS
+            for name, field, unit, digits in self.CONDITIONS
             if measured
         ]
 
@@ -200,7 +198,7 @@ class Tables:
 
     def software(self) -> Table:
         """Return the versions that measured."""
-        columns: tuple[Column[Pair], ...] = (
+        columns: tuple[Column[tuple[str, str]], ...] = (
             Column("package", itemgetter(0)),
             Column("version", itemgetter(1)),
         )

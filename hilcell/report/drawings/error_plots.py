@@ -35,8 +35,6 @@ from hilcell.report.drawings.drawing import (
 from hilcell.report.facts import Facts
 
 WIDTH_MM, HEIGHT_MM, LEFT_MM, RIGHT_MM, TOP_MM, BOTTOM_MM = 88.0, 54.0, 10.0, 22.0, 6.0, 10.0
-DASHES = ("", "1.6 0.9", "0.4 0.8")  # of the stations
-BIN = 0.1  # of error over bound
 PERCENTS = [(each, f"{each:g}") for each in (0.0, 25.0, 50.0, 75.0, 100.0)]
 
 
@@ -80,7 +78,8 @@ def enlarged(facts: Facts, budget: TargetBudget) -> str:
     }
     if not found:
         return ""
-    most_lines = len(DASHES)
+    dashes = ("", "1.6 0.9", "0.4 0.8")  # of the stations
+    most_lines = len(dashes)
     nearest = sorted(found, key=lambda name: -float(found[name].max()))[:most_lines]
     bounds_mm = _bounds_mm(facts, budget)
     largest = max(*(float(found[name].max()) for name in nearest), *bounds_mm, 0.01)
@@ -93,7 +92,7 @@ def enlarged(facts: Facts, budget: TargetBudget) -> str:
         parts.append(text(frame.x.begin + 2.0, top - 1.0, words))
     parts.append(frame.drawn("share of targets, %", "3-D error after, mm", PERCENTS))
     named, room_mm = [], RIGHT_MM - 1.0
-    for name, dash in zip(nearest, DASHES, strict=False):
+    for name, dash in zip(nearest, dashes, strict=False):
         parts.append(_curve(frame, found[name], AFTER, dash))
         high = float(found[name].max())
         figure = f" {high:.3f}"
@@ -111,8 +110,9 @@ def over_bound(facts: Facts, budget: TargetBudget) -> str:
     ratios = np.concatenate([each.errors_mm / each.bounds_mm for each in found] or [np.empty(0)])
     if not len(ratios):
         return ""
-    most = max(1.8, BIN * np.ceil(ratios.max() / BIN))
-    edges = np.arange(0.0, most + BIN / 2, BIN)
+    bin_wide = 0.1  # of error over bound
+    most = max(1.8, bin_wide * np.ceil(ratios.max() / bin_wide))
+    edges = np.arange(0.0, most + bin_wide / 2, bin_wide)
     counts = np.histogram(ratios, edges)[0]
     x = Scale(0.0, float(most), LEFT_MM, WIDTH_MM - 4.0)
     y = Scale(0.0, round_up(1.05 * counts.max(), ENDS), HEIGHT_MM - BOTTOM_MM, TOP_MM)
@@ -120,10 +120,14 @@ def over_bound(facts: Facts, budget: TargetBudget) -> str:
     parts = [frame.drawn("error ÷ own 95 % bound", "targets")]
     for edge, count in zip(edges, counts, strict=False):
         left, top = x.one(edge), y.one(float(count))
-        fill = "#7fa6c9" if edge < 1.0 - BIN / 2 else "#fff"
-        parts.append(rectangle(left, top, x.one(edge + BIN) - left, y.begin - top, fill, AFTER))
+        fill = "#7fa6c9" if edge < 1.0 - bin_wide / 2 else "#fff"
+        parts.append(
+            rectangle(left, top, x.one(edge + bin_wide) - left, y.begin - top, fill, AFTER)
+        )
     middles = np.linspace(0.0, most, 61)
-    parts.append(path(frame.at(middles, len(ratios) * BIN * _maxwell(middles)), INK, 0.4, "1.4 1"))
+    parts.append(
+        path(frame.at(middles, len(ratios) * bin_wide * _maxwell(middles)), INK, 0.4, "1.4 1")
+    )
     at, beyond = x.one(1.0), int((ratios > 1.0).sum())
     parts.append(path([(at, y.begin), (at, TOP_MM)], INK, 0.8))
     share = f"({100 * beyond / len(ratios):.1f} %, 5 % expected)"

@@ -45,8 +45,6 @@ _STYLE: dict[str, object] = {
     "legend.fontsize": 7.5,
     "lines.linewidth": 1.2,
 }
-_TAG = re.compile(r"<[^>]+>")
-_ID = re.compile(r' id="([^"]+)"')
 
 
 @contextmanager
@@ -101,10 +99,13 @@ def compact(svg: str, name: str) -> str:
 
     long_number = re.compile(r"-?\d+\.\d{3,}")
 
+    id_of = re.compile(r' id="([^"]+)"')
+
     def one_tag(found: re.Match[str]) -> str:
-        tag = _ID.sub(one_id, found[0])
+        tag = id_of.sub(one_id, found[0])
         tag = link.sub(rf"\g<1>{name}-\g<2>", tag).replace("xlink:href", "href")
         tag = re.sub(r' xmlns(:xlink)?="[^"]*"', "", tag)
         return long_number.sub(lambda number: f"{float(number[0]):.2f}", tag)
 
-    return _TAG.sub(one_tag, svg).strip()
+    a_tag = re.compile(r"<[^>]+>")
+    return a_tag.sub(one_tag, svg).strip()
