@@ -16,7 +16,7 @@ from hilcell.model.outcome import RULE
 from hilcell.model.verdicts import Rechecked
 from hilcell.report.budgets import TargetBudget
 from hilcell.report.facts import Facts
-from hilcell.report.first_page import certified, validity_facts
+from hilcell.report.first_page import FirstPage
 from hilcell.report.iso9283 import PoseReport, tests_poses
 from hilcell.report.method import adjustment_words, method_words
 
@@ -89,7 +89,7 @@ def title(facts: Facts) -> str:
         return "Measurement report"
     if facts.inputs.simulated:
         return "Simulated calibration"
-    return "Calibration certificate" if certified(facts) else "Calibration report"
+    return "Calibration certificate" if FirstPage(facts).certified() else "Calibration report"
 
 
 def _calibrated(facts: Facts) -> bool:
@@ -131,7 +131,7 @@ class _Answers:
 
     def limits_of_validity(self) -> str:
         """Return for what the results hold: the first page states the volume of a calibration."""
-        if not (_calibrated(self.facts) or validity_facts(self.facts)):
+        if not (_calibrated(self.facts) or FirstPage(self.facts).validity_facts()):
             return "described and to its state when it was measured"
         if self.facts.log.temperatures_c():
             return "calibrated, in the volume, orientation and temperatures stated here"

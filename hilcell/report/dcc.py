@@ -30,15 +30,9 @@ from hilcell.report.certificate import (
 from hilcell.report.drawings.paper_figures import series_name
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import (
+    FirstPage,
     Judgement,
     Result,
-    certified,
-    instrument_rows,
-    judged_places,
-    judgement,
-    results_at,
-    traceability,
-    validity_facts,
 )
 from hilcell.report.method import adjustment_words
 from hilcell.report.tables import Posed, Tables, Validated
@@ -142,7 +136,7 @@ CONFORMITY: dict[Judgement, str] = {
 
 def dcc_bytes(facts: Facts) -> bytes:
     """Return the certificate; raises `NotWritten` where the run has judged no correction."""
-    if facts.log.calibration != "validated" or not judged_places(facts):
+    if facts.log.calibration != "validated" or not FirstPage(facts).judged_places():
         raise NotWritten(
             f"run {facts.run}: no certificate, its calibration is "
             f"{facts.log.calibration.replace('_', ' ')}; wanted one whose targets were measured "
@@ -168,6 +162,10 @@ class _Certificate:
     """The content of a certificate."""
 
     facts: Facts
+
+    @property
+    def _page(self) -> FirstPage:
+        return FirstPage(self.facts)
 
     def administrative(self) -> Element:
         parties, operator = self.facts.cell.certificate, self.facts.inputs.operator
@@ -229,14 +227,15 @@ class _Certificate:
                              "calibrates nothing.",
                              traceable="false", valid="false")  # fmt: skip
         else:
-            yield _statement(traceability(self.facts),
-                             traceable="true" if certified(self.facts) else "false")  # fmt: skip
+            yield _statement(
+                self._page.traceability(), traceable="true" if self._page.certified() else "false"
+            )
         if self.facts.revoked:
             yield _statement(f"Revoked: {self.facts.revoked}", valid="false")
-        valid = "; ".join(f"{each.name}: {each.words}" for each in validity_facts(self.facts))
+        valid = "; ".join(f"{each.name}: {each.words}" for each in self._page.validity_facts())
         if valid:
             yield _statement(f"Valid for: {valid}.")
-        judged = judgement(self.facts)
+        judged = self._page.judgement()
         only_would_be = self.facts.inputs.simulated and isinstance(judged, Outcome)
         yield _statement(f"Decision rule: {conformity_words(self.facts)}.", "ISO 14253-1",
                          conformity=None if only_would_be else CONFORMITY.get(judged))  # fmt: skip
@@ -264,7 +263,7 @@ class _Certificate:
         ))  # fmt: skip
 
     def _equipment(self) -> Iterator[Element]:
-        for each in instrument_rows(self.facts):
+        for each in self._page.instrument_rows():
             yield dcc("measuringEquipment", text("name", each.instrument), dcc("model", each.model),
                       dcc("identifications",
                           identification("manufacturer", each.serial, "serial number"),
@@ -288,10 +287,10 @@ class _Certificate:
             yield dcc("influenceCondition", text("name", "air"), dcc("data", text("text", words)))
 
     def _errors(self) -> Iterator[Element]:
-        judged = judged_places(self.facts)
+        judged = self._page.judged_places()
         for row in Tables(self.facts).validated_rows():
             found = (
-                results_at(self.facts, row.place)
+                self._page.results_at(row.place)
                 if row.way == Sent.CHOSEN and row.place in judged
                 else ()
             )

@@ -86,39 +86,255 @@ class Result:
         return gravest([outcome_of(self.after_mm, self.limit_mm, self.U_mm), self.also])
 
 
-def results_sheet(facts: Facts, targets: TargetBudget) -> Table:
-    """Return the table of results, nothing where nothing was judged."""
-    if tests_poses(facts):
-        return PoseReport(facts).results_sheet()
-    left = len(judged_places(facts)) - len(_shown(facts))
-    note = f"{left} stations further from their limits: see Verdicts." if left else ""
-    results = [result for name in _shown(facts) for result in results_at(facts, name)]
-    if results and (bound := bound_result(facts, targets)) is not None:
-        results.append(bound)
-    verdict = Column[Result](
-        "verdict", lambda row: facts.outcome_words(row.outcome, NOT_APPLICABLE), form="s"
-    )
-    columns: tuple[Column[Result], ...] = (
-        Column("3-D position error", attrgetter("name")),
-        Column("limit", attrgetter("limit_mm"), "mm", ".3f"),
-        Column(
-            "before", lambda row: NOT_APPLICABLE if row.U_mm is None else row.before_mm, "mm", ".3f"
-        ),
-        Column("after", attrgetter("after_mm"), "mm", ".3f"),
-        Column("U", attrgetter("U"), "mm", ".3f"),
-        Column("after may be at most", attrgetter("most_mm"), "mm", ".3f"),
-    )
-    return Table((*columns, verdict), results, "Results", note)
+@dataclass(frozen=True, eq=False)
+class FirstPage:
+    """The first page of a run's report."""
 
+    facts: Facts
 
-def judged_places(facts: Facts) -> dict[str, Judged]:
-    """Return the verdicts of single stations."""
-    return {
-        place: judged
-        for place, stations in places(facts.cell).items()
-        if len(stations) == 1
-        and (judged := facts.log.verdict(Judged, VALIDATION + place)) is not None
-    }
+    def results_sheet(self, targets: TargetBudget) -> Table:
+        """Return the table of results, nothing where nothing was judged."""
+        if tests_poses(self.facts):
+            return PoseReport(self.facts).results_sheet()
+        left = len(self.judged_places()) - len(self._shown())
+        note = f"{left} stations further from their limits: see Verdicts." if left else ""
+        results = [result for name in self._shown() for result in self.results_at(name)]
+        if results and (bound := self.bound_result(targets)) is not None:
+            results.append(bound)
+        verdict = Column[Result](
+            "verdict", lambda row: self.facts.outcome_words(row.outcome, NOT_APPLICABLE), form="s"
+        )
+        columns: tuple[Column[Result], ...] = (
+            Column("3-D position error", attrgetter("name")),
+            Column("limit", attrgetter("limit_mm"), "mm", ".3f"),
+            Column(
+                "before",
+                lambda row: NOT_APPLICABLE if row.U_mm is None else row.before_mm,
+                "mm",
+                ".3f",
+            ),
+            Column("after", attrgetter("after_mm"), "mm", ".3f"),
+            Column("U", attrgetter("U"), "mm", ".3f"),
+            Column("after may be at most", attrgetter("most_mm"), "mm", ".3f"),
+        )
+        return Table((*columns, verdict), results, "Results", note)
+
+    def judged_places(self) -> dict[str, Judged]:
+        """Return the verdicts of single stations."""
+        return {
+            place: judged
+            for place, stations in places(self.facts.cell).items()
+            if len(stations) == 1
+            and (judged := self.facts.log.verdict(Judged, VALIDATION + place)) is not None
+        }
+
+    def _shown(self) -> list[str]:
+        """Return the stations on the page: those nearest to a limit, in the cell's order."""
+        found = self.judged_places()
+        nearest = sorted(found, key=lambda name: found[name].max_mm / found[name].max_tolerance_mm)
+        kept = set(nearest[-most_places(self.facts.cell) :])
+        return [name for name in found if name in kept]
+
+    def nearest_results(self, targets: TargetBudget) -> list[tuple[str, Result]]:
+        """Return mean and largest error nearest to their limits, and the largest bound, named."""
+        pairs = {name: self.results_at(name) for name in self.judged_places()}
+        if not pairs:
+            return []
+        found = []
+        for n, word in enumerate(("Mean", "Largest")):
+            shares = {name: pair[n].after_mm / pair[n].limit_mm for name, pair in pairs.items()}
+            name = max(shares, key=shares.__getitem__)
+            found.append((f"{word}, {name}", pairs[name][n]))
+        if (bound := self.bound_result(targets)) is not None:
+            found.append(("95 % bound", bound))
+        return found
+
+    def bound_result(self, targets: TargetBudget) -> Result | None:
+        """Return the largest 95 % bound of a corrected target, None where none is stated."""
+        if targets.missing:
+            return None
+        bound_mm = max(float(each.radii_mm.max()) for each in targets.in_use.values())
+        limit_mm = self.facts.cell.validation.max_tolerance_mm
+        return Result("Largest 95 % bound of a target", limit_mm, None, bound_mm, None)
+
+    def results_at(self, name: str) -> tuple[Result, Result]:
+        """Return mean and largest error of a judged station."""
+        each, series = self.judged_places()[name], validation(self.facts.log, [name])
+        before = series[Sent.BEFORE].figures if Sent.BEFORE in series else None
+        sent = len(series[Sent.BEFORE]) if Sent.BEFORE in series else 0
+        count = len(series[Sent.CHOSEN]) if Sent.CHOSEN in series else 0
+        explained = each.holds or each.why != each.decision
+        also = Outcome.ACCEPTED if explained else each.outcome
+        targets = f"{count} targets at {name}" + (
+            f" (before: {sent})" if sent not in (0, count) else ""
+        )
+        return (
+            Result(f"Mean of {targets}", each.mean_tolerance_mm,
+                   before.mean if before else None, each.mean_mm, each.mean_U_mm, also),
+            Result(f"Largest of {targets}", each.max_tolerance_mm,
+                   before.max if before else None, each.max_mm, each.max_U_mm),
+        )  # fmt: skip
+
+    def judgement(self) -> Judgement:
+        """Return how the run judged the robot.
+
+        "suspected": a cause is suspected and no limit is missed; "failed check": nothing on the
+        robot was judged, and another check failed.
+        """
+        if self.facts.revoked:
+            return "revoked"
+        if not self.facts.finished or self.facts.log.end is None:
+            return "unfinished"
+        found, said = run_judged(self.facts.log), facts_of(self.facts.log.verdicts)
+        if found is None and said.verdict == SUSPECTED:
+            return "suspected"
+        if not said.judged:
+            return "failed check" if found is Outcome.REJECTED else "not judged"
+        return found or Outcome.REJECTED
+
+    def verdict_word(self) -> str:
+        """Return the verdict in a few words: PASS, FAIL or UNDECIDED where the robot was judged.
+
+        Where it was not, or a cause is suspected and no limit is missed, it is the outcome in
+        capitals; "NO VERDICT" before a run has finished.
+        """
+        match judged := self.judgement():
+            case "revoked":
+                return "REVOKED"
+            case "unfinished":
+                return "NO VERDICT"
+            case "suspected" | "failed check" | "not judged":
+                return run_outcome(self.facts.log).partition(";")[0].upper()
+        word = judged.short.upper()
+        if not self.facts.inputs.simulated:
+            return word
+        return f"WOULD BE {word}" if judged is Outcome.UNDECIDED else f"WOULD {word}"
+
+    def deciding(self) -> str:
+        """Return where which figures decided that the run does not pass, after a colon."""
+        failed = {place: each for place, each in self.judged_places().items() if not each.holds}
+        outcomes = [each.outcome for each in failed.values()]
+        if not outcomes:
+            return ""
+        found = [
+            f"{place}, {with_signs(each.why)}"
+            for place, each in failed.items() if each.outcome == gravest(outcomes)
+        ]  # fmt: skip
+        most_deciding = 2  # stations that the verdict's sentence names
+        more = (
+            f"; and at {len(found) - most_deciding} more stations" if found[most_deciding:] else ""
+        )
+        return f": at {'; at '.join(found[:most_deciding])}{more}"
+
+    def uncertainty_words(self, budget: Budget | None) -> str:
+        """Return U with its coverage factors, of one coordinate and of a 3-D position."""
+        if tests_poses(self.facts):
+            return iso9283.uncertainty_words()
+        if budget is None:
+            return ""
+        return (
+            f"U of the table: expanded, k = 2 (about 95 %), along the error; u = {budget.u_mm:.4f} "
+            f"mm of one coordinate. A measured 3-D position lies within {K_3D:.2f} u = "
+            f"{K_3D * budget.u_mm:.3f} mm with 95 % (k = {K_3D:.2f}, three coordinates; GUM)."
+        )
+
+    def item_facts(self, measured: str) -> list[Fact]:
+        """Return what was calibrated, for whom, when."""
+        cell = self.facts.cell
+        serials = {asset.kind: asset.serial for asset in self.facts.log.assets}
+        robot = f", serial {serials['robot']}" if "robot" in serials else ""
+        travel_m = (cell.rail.travel_max_mm - cell.rail.travel_min_mm) / 1000
+        on = f"on a rail of {travel_m:g} m" if cell.has_rail else "on the floor, without a rail"
+        stations = (
+            [cell.grid.station] if tests_poses(self.facts) else [each.name for each in cell.station]
+        )
+        most = most_places(cell)
+        names = ", ".join(stations[:most])
+        more = f" and {len(stations) - most} more" if len(stations) > most else ""
+        parties = cell.certificate
+        return [
+            Fact("Laboratory", _party(parties.laboratory, parties.laboratory_address)),
+            Fact("Customer", _party(parties.customer, parties.customer_address)),
+            Fact("Run", self.facts.run),
+            Fact("Job", self.facts.inputs.job),
+            Fact("Cell", f"{cell.name}, serial {cell.serial}"),
+            Fact("Robot", f"{cell.robot.name}{robot}, {on}"),
+            Fact("Stations", names + more),
+            *(Fact(*each) for each in PoseReport(self.facts).stated_conditions()),
+            Fact("Measured", measured),
+            Fact("Operator", self.facts.inputs.operator),
+        ]
+
+    def validity_facts(self) -> list[Fact]:
+        """Return volume, orientation, temperature and age outside which `compensate` refuses.
+
+        Nothing of a calibration that it refuses altogether.
+        """
+        calibration = calibration_so_far(self.facts.log, self.facts.run)
+        if calibration is None or self.facts.revoked or self.facts.suspected:
+            return []
+        validity = calibration.validity
+        turned = np.eye(4)
+        turned[:3, :3] = validity.orientation
+        a, b, c = zyx_from_pose(turned)[3:]
+        more = len(validity.orientations)
+        also = f" (as from {more} more)" if more else ""
+        ranges = zip("xyz", validity.low_mm, validity.high_mm, strict=True)
+        cube = ", ".join(f"{axis} {low:.0f} to {high:.0f}" for axis, low, high in ranges)
+        ended = datetime.fromisoformat(self.facts.last.t)
+        until = (ended + timedelta(days=MAX_AGE_DAYS)).date().isoformat()
+        return [
+            Fact("Volume", f"{cube} mm in the robot's base {{B}}, at each station"),
+            Fact(
+                "Orientation",
+                f"A {a:.1f}°, B {b:.1f}°, C {c:.1f}° of the flange in {{B}}, turned by at most "
+                f"{validity.orientation_tolerance_deg:g}°{also}; every axis approached from below",
+            ),
+            Fact("Temperature", _temperature(validity.temperature_c)),
+            Fact(
+                "Age",
+                f"until {until} ({MAX_AGE_DAYS:g} days), earlier after a collision, a new "
+                "mastering, a changed motor or tool, or a failed re-check",
+            ),
+        ]
+
+    def instrument_rows(self) -> list[Instrument]:
+        """Return what measured, with serial numbers and certificates; nothing without a tracker."""
+        stated, none = (
+            self.facts.cell.uncertainty,
+            NO_CERTIFICATE if self.facts.inputs.simulated else "",
+        )
+        unknown = none and NOT_APPLICABLE
+        found = [
+            Instrument("Laser tracker", each.model, each.serial, none or stated.tracker_certificate)
+            for each in self.facts.log.assets
+            if each.kind == "tracker"
+        ]
+        if not found:
+            return []
+        found.append(Instrument("Reflector", self.facts.cell.tracker.reflector, unknown,
+                                none or stated.smr_certificate))  # fmt: skip
+        if self.facts.log.temperatures_c():
+            found.append(Instrument("Weather station", "of the tracker", unknown,
+                                    none or stated.weather_certificate))  # fmt: skip
+        for each in self.facts.cell.layout.length:
+            name = f"{' to '.join(each.nests)}, {each.length_mm:g} mm, u {each.u_mm:g} mm"
+            found.append(Instrument("Known length", name, NOT_APPLICABLE, none or each.certificate))
+        return found
+
+    def traceability(self) -> str:
+        """Return in words whether the results are traceable."""
+        if self.facts.inputs.simulated:
+            return "Not traceable: no instrument measured anything."
+        if not self.certified():
+            return "Traceability is not shown: a certificate is missing."
+        return "Traceable to the SI through these certificates."
+
+    def certified(self) -> bool:
+        """Whether real instruments measured, and the certificate of each is named."""
+        rows = self.instrument_rows()
+        named = bool(rows) and all(each.certificate for each in rows)
+        return named and not self.facts.inputs.simulated
 
 
 def most_places(cell: Cell) -> int:
@@ -127,187 +343,11 @@ def most_places(cell: Cell) -> int:
     return 1 if long else MOST_PLACES
 
 
-def _shown(facts: Facts) -> list[str]:
-    """Return the stations on the page: those nearest to a limit, in the cell's order."""
-    found = judged_places(facts)
-    nearest = sorted(found, key=lambda name: found[name].max_mm / found[name].max_tolerance_mm)
-    kept = set(nearest[-most_places(facts.cell) :])
-    return [name for name in found if name in kept]
-
-
-def nearest_results(facts: Facts, targets: TargetBudget) -> list[tuple[str, Result]]:
-    """Return mean and largest error nearest to their limits, and the largest 95 % bound, named."""
-    pairs = {name: results_at(facts, name) for name in judged_places(facts)}
-    if not pairs:
-        return []
-    found = []
-    for n, word in enumerate(("Mean", "Largest")):
-        shares = {name: pair[n].after_mm / pair[n].limit_mm for name, pair in pairs.items()}
-        name = max(shares, key=shares.__getitem__)
-        found.append((f"{word}, {name}", pairs[name][n]))
-    if (bound := bound_result(facts, targets)) is not None:
-        found.append(("95 % bound", bound))
-    return found
-
-
-def bound_result(facts: Facts, targets: TargetBudget) -> Result | None:
-    """Return the largest 95 % bound of a corrected target, None where none is stated."""
-    if targets.missing:
-        return None
-    bound_mm = max(float(each.radii_mm.max()) for each in targets.in_use.values())
-    limit_mm = facts.cell.validation.max_tolerance_mm
-    return Result("Largest 95 % bound of a target", limit_mm, None, bound_mm, None)
-
-
-def results_at(facts: Facts, name: str) -> tuple[Result, Result]:
-    """Return mean and largest error of a judged station."""
-    each, series = judged_places(facts)[name], validation(facts.log, [name])
-    before = series[Sent.BEFORE].figures if Sent.BEFORE in series else None
-    sent = len(series[Sent.BEFORE]) if Sent.BEFORE in series else 0
-    count = len(series[Sent.CHOSEN]) if Sent.CHOSEN in series else 0
-    explained = each.holds or each.why != each.decision
-    also = Outcome.ACCEPTED if explained else each.outcome
-    targets = f"{count} targets at {name}" + (
-        f" (before: {sent})" if sent not in (0, count) else ""
-    )
-    return (
-        Result(f"Mean of {targets}", each.mean_tolerance_mm,
-               before.mean if before else None, each.mean_mm, each.mean_U_mm, also),
-        Result(f"Largest of {targets}", each.max_tolerance_mm,
-               before.max if before else None, each.max_mm, each.max_U_mm),
-    )  # fmt: skip
-
-
 Judgement = Outcome | Literal["revoked", "unfinished", "suspected", "failed check", "not judged"]
-
-
-def judgement(facts: Facts) -> Judgement:
-    """Return how the run judged the robot.
-
-    "suspected": a cause is suspected and no limit is missed; "failed check": nothing on the robot
-    was judged, and another check failed.
-    """
-    if facts.revoked:
-        return "revoked"
-    if not facts.finished or facts.log.end is None:
-        return "unfinished"
-    found, said = run_judged(facts.log), facts_of(facts.log.verdicts)
-    if found is None and said.verdict == SUSPECTED:
-        return "suspected"
-    if not said.judged:
-        return "failed check" if found is Outcome.REJECTED else "not judged"
-    return found or Outcome.REJECTED
-
-
-def verdict_word(facts: Facts) -> str:
-    """Return the verdict in a few words: PASS, FAIL or UNDECIDED where the robot was judged.
-
-    Where it was not, or a cause is suspected and no limit is missed, it is the outcome in capitals;
-    "NO VERDICT" before a run has finished.
-    """
-    match judged := judgement(facts):
-        case "revoked":
-            return "REVOKED"
-        case "unfinished":
-            return "NO VERDICT"
-        case "suspected" | "failed check" | "not judged":
-            return run_outcome(facts.log).partition(";")[0].upper()
-    word = judged.short.upper()
-    if not facts.inputs.simulated:
-        return word
-    return f"WOULD BE {word}" if judged is Outcome.UNDECIDED else f"WOULD {word}"
-
-
-def deciding(facts: Facts) -> str:
-    """Return where which figures decided that the run does not pass, after a colon."""
-    failed = {place: each for place, each in judged_places(facts).items() if not each.holds}
-    outcomes = [each.outcome for each in failed.values()]
-    if not outcomes:
-        return ""
-    found = [
-        f"{place}, {with_signs(each.why)}"
-        for place, each in failed.items() if each.outcome == gravest(outcomes)
-    ]  # fmt: skip
-    most_deciding = 2  # stations that the verdict's sentence names
-    more = f"; and at {len(found) - most_deciding} more stations" if found[most_deciding:] else ""
-    return f": at {'; at '.join(found[:most_deciding])}{more}"
-
-
-def uncertainty_words(facts: Facts, budget: Budget | None) -> str:
-    """Return U with its coverage factors, of one coordinate and of a 3-D position."""
-    if tests_poses(facts):
-        return iso9283.uncertainty_words()
-    if budget is None:
-        return ""
-    return (
-        f"U of the table: expanded, k = 2 (about 95 %), along the error; u = {budget.u_mm:.4f} mm "
-        f"of one coordinate. A measured 3-D position lies within {K_3D:.2f} u = "
-        f"{K_3D * budget.u_mm:.3f} mm with 95 % (k = {K_3D:.2f}, three coordinates; GUM)."
-    )
-
-
-def item_facts(facts: Facts, measured: str) -> list[Fact]:
-    """Return what was calibrated, for whom, when."""
-    cell = facts.cell
-    serials = {asset.kind: asset.serial for asset in facts.log.assets}
-    robot = f", serial {serials['robot']}" if "robot" in serials else ""
-    travel_m = (cell.rail.travel_max_mm - cell.rail.travel_min_mm) / 1000
-    on = f"on a rail of {travel_m:g} m" if cell.has_rail else "on the floor, without a rail"
-    stations = [cell.grid.station] if tests_poses(facts) else [each.name for each in cell.station]
-    most = most_places(cell)
-    names = ", ".join(stations[:most])
-    more = f" and {len(stations) - most} more" if len(stations) > most else ""
-    parties = cell.certificate
-    return [
-        Fact("Laboratory", _party(parties.laboratory, parties.laboratory_address)),
-        Fact("Customer", _party(parties.customer, parties.customer_address)),
-        Fact("Run", facts.run),
-        Fact("Job", facts.inputs.job),
-        Fact("Cell", f"{cell.name}, serial {cell.serial}"),
-        Fact("Robot", f"{cell.robot.name}{robot}, {on}"),
-        Fact("Stations", names + more),
-        *(Fact(*each) for each in PoseReport(facts).stated_conditions()),
-        Fact("Measured", measured),
-        Fact("Operator", facts.inputs.operator),
-    ]
 
 
 def _party(name: str, address: str) -> str:
     return f"{name}, {address}" if name and address else name or address
-
-
-def validity_facts(facts: Facts) -> list[Fact]:
-    """Return volume, orientation, temperature and age outside which `compensate` refuses.
-
-    Nothing of a calibration that it refuses altogether.
-    """
-    calibration = calibration_so_far(facts.log, facts.run)
-    if calibration is None or facts.revoked or facts.suspected:
-        return []
-    validity = calibration.validity
-    turned = np.eye(4)
-    turned[:3, :3] = validity.orientation
-    a, b, c = zyx_from_pose(turned)[3:]
-    more = len(validity.orientations)
-    also = f" (as from {more} more)" if more else ""
-    ranges = zip("xyz", validity.low_mm, validity.high_mm, strict=True)
-    cube = ", ".join(f"{axis} {low:.0f} to {high:.0f}" for axis, low, high in ranges)
-    ended = datetime.fromisoformat(facts.last.t)
-    until = (ended + timedelta(days=MAX_AGE_DAYS)).date().isoformat()
-    return [
-        Fact("Volume", f"{cube} mm in the robot's base {{B}}, at each station"),
-        Fact(
-            "Orientation",
-            f"A {a:.1f}°, B {b:.1f}°, C {c:.1f}° of the flange in {{B}}, turned by at most "
-            f"{validity.orientation_tolerance_deg:g}°{also}; every axis approached from below",
-        ),
-        Fact("Temperature", _temperature(validity.temperature_c)),
-        Fact(
-            "Age",
-            f"until {until} ({MAX_AGE_DAYS:g} days), earlier after a collision, a new "
-            "mastering, a changed motor or tool, or a failed re-check",
-        ),
-    ]
 
 
 def _temperature(range_c: tuple[float, float] | None) -> str:
@@ -330,54 +370,16 @@ class Instrument:
     certificate: str
 
 
-def instrument_rows(facts: Facts) -> list[Instrument]:
-    """Return what measured, with serial numbers and certificates; nothing without a tracker."""
-    stated, none = facts.cell.uncertainty, NO_CERTIFICATE if facts.inputs.simulated else ""
-    unknown = none and NOT_APPLICABLE
-    found = [
-        Instrument("Laser tracker", each.model, each.serial, none or stated.tracker_certificate)
-        for each in facts.log.assets
-        if each.kind == "tracker"
-    ]
-    if not found:
-        return []
-    found.append(Instrument("Reflector", facts.cell.tracker.reflector, unknown,
-                            none or stated.smr_certificate))  # fmt: skip
-    if facts.log.temperatures_c():
-        found.append(Instrument("Weather station", "of the tracker", unknown,
-                                none or stated.weather_certificate))  # fmt: skip
-    for each in facts.cell.layout.length:
-        name = f"{' to '.join(each.nests)}, {each.length_mm:g} mm, u {each.u_mm:g} mm"
-        found.append(Instrument("Known length", name, NOT_APPLICABLE, none or each.certificate))
-    return found
-
-
 def instruments(facts: Facts) -> Table:
     """Return the table of instruments."""
-    rows = instrument_rows(facts)
+    rows = FirstPage(facts).instrument_rows()
     columns: tuple[Column[Instrument], ...] = (
         Column("instrument", attrgetter("instrument")),
         Column("model", attrgetter("model")),
         Column("serial", lambda row: row.serial or BLANK),
         Column("certificate", lambda row: row.certificate or BLANK),
     )
-    return Table(columns, rows, "Instruments and traceability", traceability(facts))
-
-
-def traceability(facts: Facts) -> str:
-    """Return in words whether the results are traceable."""
-    if facts.inputs.simulated:
-        return "Not traceable: no instrument measured anything."
-    if not certified(facts):
-        return "Traceability is not shown: a certificate is missing."
-    return "Traceable to the SI through these certificates."
-
-
-def certified(facts: Facts) -> bool:
-    """Whether real instruments measured, and the certificate of each is named."""
-    rows = instrument_rows(facts)
-    named = bool(rows) and all(each.certificate for each in rows)
-    return named and not facts.inputs.simulated
+    return Table(columns, rows, "Instruments and traceability", FirstPage(facts).traceability())
 
 
 def verdicts(facts: Facts) -> Table:

@@ -45,15 +45,8 @@ from hilcell.report.drawings.variance import variance_bar
 from hilcell.report.drawings.vectors import vectors
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import (
-    deciding,
+    FirstPage,
     instruments,
-    item_facts,
-    judgement,
-    nearest_results,
-    results_sheet,
-    uncertainty_words,
-    validity_facts,
-    verdict_word,
     verdicts,
 )
 from hilcell.report.iso9283 import FIGURES, PoseReport, tests_poses
@@ -239,6 +232,10 @@ class _Page:
 
     facts: Facts
 
+    @property
+    def _page(self) -> FirstPage:
+        return FirstPage(self.facts)
+
     def hidden(self, targets: TargetBudget) -> list[str]:
         """Return the errors of corrected targets that the run could not see."""
         return (
@@ -255,16 +252,16 @@ class _Page:
             "kind": kind,
             "standing": words,
             "lead": self.lead(),
-            "word": verdict_word(self.facts),
+            "word": self._page.verdict_word(),
             "sentence": sentence(self.facts),
             "conformity": conformity_words(self.facts),
-            "results": results_sheet(self.facts, targets),
+            "results": self._page.results_sheet(targets),
             "turn_results": PoseReport(self.facts).turn_results()
             or Tables(self.facts).worst_turn(),
-            "strip": strip(nearest_results(self.facts, targets), self.facts.inputs.simulated),
-            "uncertainty": uncertainty_words(self.facts, budget),
-            "item": item_facts(self.facts, measured(self.facts)),
-            "validity": validity_facts(self.facts),
+            "strip": strip(self._page.nearest_results(targets), self.facts.inputs.simulated),
+            "uncertainty": self._page.uncertainty_words(budget),
+            "item": self._page.item_facts(measured(self.facts)),
+            "validity": self._page.validity_facts(),
             "instruments": instruments(self.facts),
             "turns": Tables(self.facts).orientation_words(),
             "conditions": conditions_words(self.facts),
@@ -281,7 +278,7 @@ class _Page:
         return {
             "plan": plan_view(self.facts.cell, at_mm, simulated),
             "side": side_view(self.facts.cell, at_mm, simulated),
-            "volume": volume_sheet(self.facts.cell, at_mm) if validity_facts(self.facts) else None,
+            "volume": volume_sheet(self.facts.cell, at_mm) if self._page.validity_facts() else None,
             "order": in_order(self.facts),
             "enlarged": enlarged(self.facts, targets),
             "vectors": vectors(self.facts),
@@ -334,7 +331,7 @@ def sentence(facts: Facts) -> str:
         if kind in facts.result:
             return str(facts.result[kind]["text"])
     only = "In simulation only: " if facts.inputs.simulated else ""
-    match judgement(facts):
+    match FirstPage(facts).judgement():
         case "failed check":
             return "A check of this run is beyond its limit: see the verdicts."
         case "suspected":
@@ -343,10 +340,10 @@ def sentence(facts: Facts) -> str:
             return f"{only}After correction the robot keeps its limits, with the uncertainty added."
         case "rejected":
             shown = "The robot is not shown to keep its limits, with the uncertainty added"
-            return f"{only}{shown}{deciding(facts)}."
+            return f"{only}{shown}{FirstPage(facts).deciding()}."
         case "undecided":
             shown = "Neither that the robot keeps its limits is shown nor the contrary"
-            return f"{only}{shown}{deciding(facts)}."
+            return f"{only}{shown}{FirstPage(facts).deciding()}."
     return "No correction was judged against limits in this run."
 
 

@@ -42,7 +42,7 @@ from hilcell.present.table import Column, Table, Value
 from hilcell.report.budgets import TargetBudget
 from hilcell.report.drawings.paper_figures import series_name
 from hilcell.report.facts import Facts
-from hilcell.report.first_page import judged_places
+from hilcell.report.first_page import FirstPage
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,7 +318,7 @@ class Tables:
         )
 
     def _turn_results(self) -> list[TurnResult]:
-        turns = {name: each.turn for name, each in judged_places(self.facts).items()}
+        turns = {name: each.turn for name, each in FirstPage(self.facts).judged_places().items()}
         known = {name: turn for name, turn in turns.items() if turn is not None}
         limit_deg = self.facts.cell.validation.max_tolerance_deg
         if not known or limit_deg is None:

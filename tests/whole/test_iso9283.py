@@ -18,7 +18,7 @@ from hilcell.ports import HilcellError
 from hilcell.report.budgets import TargetBudget
 from hilcell.report.certificate import conformity_words
 from hilcell.report.facts import read_facts
-from hilcell.report.first_page import results_sheet, verdict_word
+from hilcell.report.first_page import FirstPage
 from hilcell.report.html import standing
 from procedures.iso9283 import PoseCycle
 from tests.hilcell.report.test_every_procedure import assert_references_resolve
@@ -128,10 +128,10 @@ def test_stated_limits_make_a_verdict(ran: Ran) -> None:
     assert (end["exit"], end["state"]) == (1, "finished")
     assert end["result"]["iso9283"]["limits"] == {"rp_limit_mm": 0.01}
     facts = read_facts(runs / "strict")
-    assert verdict_word(facts) == "WOULD FAIL"
+    assert FirstPage(facts).verdict_word() == "WOULD FAIL"
     assert standing(facts) == ("bad", "out of tolerance")
     assert conformity_words(facts).startswith("guard band")
-    sheet = results_sheet(facts, TargetBudget("none"))
+    sheet = FirstPage(facts).results_sheet(TargetBudget("none"))
     assert sheet is not None
     assert [row[-1] for row in sheet.rows] == ["not judged", "(fail)", "not judged", "not judged"]
 

@@ -19,7 +19,7 @@ from hilcell.report import dcc
 from hilcell.report.budgets import TargetBudget
 from hilcell.report.dcc import CELSIUS, DEGREE, FORMS, HECTOPASCAL, MM, PERCENT, dcc_bytes, real
 from hilcell.report.facts import Facts
-from hilcell.report.first_page import results_at
+from hilcell.report.first_page import FirstPage
 from hilcell.writing import NotWritten
 from tests.hilcell.report.dcc_structure import DCC, SI, faults
 from tests.hilcell.report.journals import DEVICES, plan_record, validated_run
@@ -84,7 +84,7 @@ def test_the_schemas_order_holds_throughout(tmp_path: Path) -> None:
 def test_figures_are_those_of_the_report_with_u_and_k(tmp_path: Path) -> None:
     facts = run(tmp_path / "r")
     root = parsed(facts)
-    mean, largest = results_at(facts, "S1100")
+    mean, largest = FirstPage(facts).results_at("S1100")
     ((value, unit, U, k),) = figures(root, "S1100, after, chosen", "hilcell_mean")
     assert (value, unit, k) == (f"{mean.after_mm:.4f}", "\\milli\\metre", "2")
     assert float(U) > 0
@@ -93,7 +93,7 @@ def test_figures_are_those_of_the_report_with_u_and_k(tmp_path: Path) -> None:
     verdicts = [
         (each.outcome or Outcome.REJECTED).short
         for name in ("S1100", "S300")
-        for each in results_at(facts, name)
+        for each in FirstPage(facts).results_at(name)
     ]
     assert verdicts == ["pass", "pass", "fail", "pass"]
     conformity = ".//dcc:quantity/dcc:measurementMetaData//dcc:conformity"
@@ -132,7 +132,7 @@ def test_a_figure_within_its_uncertainty_of_the_limit_does_not_conform(tmp_path:
     writer.journal.append("verdict", "validation.S1100", found)
     writer.state("calibration", "validated")
     facts = writer.facts()
-    assert [each.outcome for each in results_at(facts, "S1100")] == [
+    assert [each.outcome for each in FirstPage(facts).results_at("S1100")] == [
         Outcome.UNDECIDED, Outcome.ACCEPTED,
     ]  # fmt: skip
     conformity = ".//dcc:quantity/dcc:measurementMetaData//dcc:conformity"

@@ -25,10 +25,8 @@ from hilcell.report.course import course
 from hilcell.report.drawings.plan_view import plan_view
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.first_page import (
+    FirstPage,
     instruments,
-    results_sheet,
-    validity_facts,
-    verdict_word,
     with_signs,
 )
 from hilcell.report.html import measured, report_html, sentence, standing
@@ -71,7 +69,7 @@ def judged(
 def test_the_verdict_in_a_word(
     tmp_path: Path, code: int, more: dict[str, Any], plan: dict[str, Any], word: str
 ) -> None:
-    assert verdict_word(judged(tmp_path / "r", code=code, plan=plan, **more)) == word
+    assert FirstPage(judged(tmp_path / "r", code=code, plan=plan, **more)).verdict_word() == word
 
 
 TURNED: dict[str, Any] = {
@@ -108,12 +106,12 @@ def test_report_and_list_of_runs_have_one_word(
     writer.journal.append("verdict", key, verdict)
     folder = writer.ended(code=code)
     facts = read_facts(folder)
-    assert verdict_word(facts) == word
+    assert FirstPage(facts).verdict_word() == word
     assert row_of(folder).verdict == standing(facts)[1] == word.lower()
 
 
 def test_results_beside_their_limits(tmp_path: Path) -> None:
-    found = results_sheet(judged(tmp_path / "r", max_mm=0.27), TargetBudget("none"))
+    found = FirstPage(judged(tmp_path / "r", max_mm=0.27)).results_sheet(TargetBudget("none"))
     assert found.texts() == [
         ["Mean of 4 targets at S1100", "0.120", "2.000", "0.050", "0.040", "0.080", "pass"],
         ["Largest of 4 targets at S1100", "0.300", "3.000", "0.270", "0.050", "0.250", "undecided"],
@@ -146,7 +144,7 @@ def test_certificates_of_the_cell_file_make_it_a_certificate(tmp_path: Path) -> 
 def test_validity_in_full_and_the_file_s_digest(golden: GoldenRuns, tmp_path: Path) -> None:
     folder = golden["small"].copied_to(tmp_path)
     facts = read_facts(folder)
-    words = {each.name: each.words for each in validity_facts(facts)}
+    words = {each.name: each.words for each in FirstPage(facts).validity_facts()}
     assert "x 1400 to 2300, y -450 to 450, z 500 to 1400 mm" in words["Volume"]
     assert "B 75.0°" in words["Orientation"]
     assert "turned by at most 2°" in words["Orientation"]
@@ -256,7 +254,7 @@ def test_figures_have_units(verdict: Verdict, figures: list[str]) -> None:
 
 def test_verdicts_of_a_simulation_stand_in_brackets(tmp_path: Path) -> None:
     facts = judged(tmp_path / "s", plan={"simulated": True}, max_mm=0.27)
-    found = results_sheet(facts, TargetBudget("none"))
+    found = FirstPage(facts).results_sheet(TargetBudget("none"))
     assert [row[-1] for row in found.texts()] == ["(pass)", "(undecided)"]
 
 
@@ -264,7 +262,7 @@ def test_the_95_percent_bound_stands_in_the_table_and_is_not_judged(tmp_path: Pa
     facts = judged(tmp_path / "r")
     radii_mm = np.array([0.05, 0.074])
     bounds = cast("Bounds", SimpleNamespace(radii_mm=radii_mm))
-    found = results_sheet(facts, TargetBudget(in_use={"S1100": bounds}))
+    found = FirstPage(facts).results_sheet(TargetBudget(in_use={"S1100": bounds}))
     limit = f"{facts.cell.validation.max_tolerance_mm:.3f}"
     assert found.texts()[-1][1:] == [limit, "–", "0.074", "included", limit, "–"]
 
@@ -273,7 +271,7 @@ def test_too_few_targets_make_a_row_undecided_whose_figures_are_not(tmp_path: Pa
     facts = judged(
         tmp_path / "r", decided=Outcome.UNDECIDED, holds=False, decision="too few targets"
     )
-    found = results_sheet(facts, TargetBudget("none"))
+    found = FirstPage(facts).results_sheet(TargetBudget("none"))
     assert [row[-1] for row in found.texts()] == ["undecided", "pass"]
 
 
@@ -282,10 +280,10 @@ def test_a_later_run_revokes_or_supersedes(tmp_path: Path) -> None:
     finished(tmp_path, "1-made", MADE)
     finished(tmp_path, "2-re-checked", REDO, used="1-made", code=1)
     facts = read_facts(tmp_path / "1-made")
-    assert verdict_word(facts) == "REVOKED"
+    assert FirstPage(facts).verdict_word() == "REVOKED"
     reason = "by 2-re-checked: its re-check says redo"
     assert standing(facts) == ("bad", f"its calibration is revoked: {reason}")
-    assert validity_facts(facts) == []
+    assert FirstPage(facts).validity_facts() == []
     finished(tmp_path, "3-made", MADE)
     finished(tmp_path, "4-made", MADE)
     words = standing(read_facts(tmp_path / "3-made"))[1]
@@ -301,7 +299,7 @@ def test_a_suspected_cause_is_the_verdict_where_no_limit_is_missed(tmp_path: Pat
     cause = {"cause": "mount slipped", "size": 0.24, "unit": "mm", "noticed_by": "re-visits"}
     read = read_facts(writer.ended(code=1))
     facts = dataclasses.replace(read, result=read.result | {"suspicions": [cause]})
-    assert verdict_word(facts) == "SUSPECTED"
+    assert FirstPage(facts).verdict_word() == "SUSPECTED"
     assert re.match(r".*mount slipped.*0\.24.*Correct nothing by it", sentence(facts))
     cleared = dataclasses.replace(facts, stands=Standing("current"))
     assert facts.suspected
@@ -324,7 +322,7 @@ def test_a_run_that_is_undecided_and_suspected_is_undecided_on_the_first_page(
     writer = validated_run(tmp_path / "r", simulated=False)
     writer.journal.append("verdict", "validation.S1100", verdicts.UNDECIDED)
     writer.journal.append("verdict", "suspicions", verdicts.SUSPECTED)
-    assert verdict_word(read_facts(writer.ended(code=1))) == "UNDECIDED"
+    assert FirstPage(read_facts(writer.ended(code=1))).verdict_word() == "UNDECIDED"
 
 
 def test_times_are_those_of_the_wall_beside_utc(tmp_path: Path) -> None:
