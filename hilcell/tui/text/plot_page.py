@@ -122,6 +122,12 @@ class Shown:
         )
         return cls(tab, pick, whole, plot, scale)
 
+    @property
+    def title(self) -> Content:
+        """Return the plot's title."""
+        scale = ", log scale" if self.scale.is_log else ""
+        return Content.styled(f"{self.plot.title}{scale}", "bold")
+
 
 def tab_line(of: Measured, choice: Choice, width: int, look: Look) -> Content:
     """Return the tabs, and at the right the station and how many targets it has."""
@@ -150,7 +156,7 @@ def plot_lines(of: Measured, choice: Choice, width: int, height: int, look: Look
     rows = max(height - 1 - (figures_rows and figures_rows + 1), LEAST)
     shown = Shown.of(of, choice, rows)
     if not len(shown.whole.values):
-        return [_title(shown), Content.styled("nothing measured for this plot yet", "$label")]
+        return [shown.title, Content.styled("nothing measured for this plot yet", "$label")]
     across = width - WIDTH - GAP if beside else width
     named = [replace(each, name=_short(each)) for each in shown.plot.series]
     drawn = draw(replace(shown.plot, series=tuple(named)), shown.scale, across, rows, look)
@@ -158,19 +164,14 @@ def plot_lines(of: Measured, choice: Choice, width: int, height: int, look: Look
     if beside:
         figures += [BLANK] * (len(drawn) - len(figures))
         both = Grid(zip(drawn, figures, strict=False), Col(across), Col(), gap=GAP)
-        return [_title(shown), *both.lines(width)]
+        return [shown.title, *both.lines(width)]
     names = Content("  ").join(
         Content.assemble(mark_of(look, series.ink), (f" {_short(series)}", "$label"))
         for series in shown.plot.series
     )
-    heading = Grid([(_title(shown), Fitting((names,)))], Col(), Col(right=True, grows=True))
+    heading = Grid([(shown.title, Fitting((names,)))], Col(), Col(right=True, grows=True))
     under = [BLANK, *figures[:figures_rows]] if figures_rows else []
     return [*heading.lines(width), *drawn, *under]
-
-
-def _title(shown: Shown) -> Content:
-    scale = ", log scale" if shown.scale.is_log else ""
-    return Content.styled(f"{shown.plot.title}{scale}", "bold")
 
 
 # -- the figures -----------------------------------------------------------------------------------
@@ -214,10 +215,6 @@ def _series(plot: Plot, look: Look, numbers: Iterable[Numbers]) -> list[Row]:
 def _three(values: Array) -> Numbers:
     known = values[np.isfinite(values)]
     return (*figures_of(known),) if len(known) else ()
-
-
-def _stations(of: Measured) -> tuple[str, ...]:
-    return "", *of.errors.stations
 
 
 def error_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
@@ -272,8 +269,19 @@ def _words(log: Log, found: Errors3D, floor: Mapping[str, float]) -> Parts:
     said = "No target near its limit."
     if over or near:
         said = f"{over} over the limit, {near} within {100 * (1 - NEAR):.0f} % of it."
-    sentences = [said, _of_means(log, found)]
-    mean_mm = mean_of(errors)
+    means_mm = {
+        name: mean_of(found.at(name).by_how[Sent.CHOSEN])
+        for name in found.stations
+        if Sent.CHOSEN in found.at(name).by_how
+    }
+    worst = max(means_mm, key=lambda name: means_mm[name])
+    worst_mm, limit_mm = means_mm[worst], log.cell.validation.mean_tolerance_mm
+    of_means = "No station's mean near its limit."
+    if not worst_mm <= limit_mm:
+        of_means = f"Mean at {worst} {worst_mm:.3f}: over its limit {limit_mm:.3f}."
+    elif worst_mm > NEAR * limit_mm:
+        of_means = f"Mean at {worst} {worst_mm:.3f}: near its limit {limit_mm:.3f}."
+    sentences, mean_mm = [said, of_means], mean_of(errors)
     if Sent.BEFORE in found.by_how and mean_mm > 0:
         same = found.by_how[Sent.BEFORE][np.isfinite(found.by_how[Sent.CHOSEN])]
         sentences.append(f"Mean {mean_of(same) / mean_mm:.1f} times smaller.")
@@ -284,22 +292,6 @@ def _words(log: Log, found: Errors3D, floor: Mapping[str, float]) -> Parts:
             "themselves."
         )
     return [BLANK, section("what it tells"), *((each, "$label") for each in sentences)]
-
-
-def _of_means(log: Log, found: Errors3D) -> str:
-    limit_mm = log.cell.validation.mean_tolerance_mm
-    means_mm = {
-        name: mean_of(found.at(name).by_how[Sent.CHOSEN])
-        for name in found.stations
-        if Sent.CHOSEN in found.at(name).by_how
-    }
-    worst = max(means_mm, key=lambda name: means_mm[name])
-    mean_mm = means_mm[worst]
-    if not mean_mm <= limit_mm:
-        return f"Mean at {worst} {mean_mm:.3f}: over its limit {limit_mm:.3f}."
-    if mean_mm > NEAR * limit_mm:
-        return f"Mean at {worst} {mean_mm:.3f}: near its limit {limit_mm:.3f}."
-    return "No station's mean near its limit."
 
 
 def repeat_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
@@ -384,8 +376,8 @@ def sweep_figures(of: Measured, pick: str, plot: Plot, look: Look) -> Lines:
 
 REPEAT = Tab("repeatability", repeat_plot, repeat_figures, may_be_log=True)
 TABS = (
-    Tab("each target", errors_plot, error_figures, _stations, is_log=True, may_be_log=True),
-    Tab("sorted", sorted_plot, error_figures, _stations, is_log=True, may_be_log=True),
+    Tab("each target", errors_plot, error_figures, Measured.stations, is_log=True, may_be_log=True),
+    Tab("sorted", sorted_plot, error_figures, Measured.stations, is_log=True, may_be_log=True),
     REPEAT,
 )
 STRIP = Tab("strip", strip_plot, strip_figures, lambda of: ("", *of.strip_mm))

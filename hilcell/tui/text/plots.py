@@ -103,6 +103,10 @@ class Measured:
         """Return |e| of every target."""
         return errors_by_target(self.log)
 
+    def stations(self) -> tuple[str, ...]:
+        """Return the stations of the targets, after "" for all."""
+        return "", *self.errors.stations
+
     @cached_property
     def strip_mm(self) -> dict[str, Array]:
         """Return the strip's readings less the stations' by station, at every point."""

@@ -28,7 +28,7 @@ from hilcell.tui.text.deviation import (
 from hilcell.tui.text.digits import figure
 from hilcell.tui.widgets import Column, Row
 
-WIDE, WIDE_WITH_BARS = 119, 128  # from here on, nominal and measured places too
+WIDE = 119  # from here on, nominal and measured places too
 STATIONS_FROM, FIGURES_FROM = 62, 54  # columns of the table
 _STATES = {  # by state: its word with its shape, and its tone
     "in": ("● in", "passed"),
@@ -101,7 +101,7 @@ _FIELDS = (  # after the name
     _Field(Column("dy", 7, right=True), lambda width: width >= FIGURES_FROM, _error(1)),
     _Field(Column("dz", 7, right=True), lambda width: width >= FIGURES_FROM, _error(2)),
     _Field(Column("|e| mm", 6, right=True), lambda width: True, _norm),
-    _Field(Column("", 8), lambda width: 78 <= width < WIDE or width >= WIDE_WITH_BARS, _bar),
+    _Field(Column("", 8), lambda width: 78 <= width < WIDE or width >= 128, _bar),
     _Field(Column("rms", 6, right=True), lambda width: width >= 69,
            lambda row: (f"{rms(row.point.std_mm):.3f}", "label")),
     _Field(Column("", 0), lambda width: True, lambda row: ("", "")),
@@ -197,27 +197,24 @@ def filtered(
         re.compile(rf"(?<!\d){re.escape(word)}(?!\d)" if word[0].isdecimal() else re.escape(word))
         for word in wanted.lower().split()
     ]
+
+    def searched(row: PointRow) -> str:
+        id, said = row.point.id, _said(row)[0]
+        return f"{id.short} {id.words()} {row.point.station} {row.state} {said}".lower()
+
+    def badness(row: PointRow) -> tuple[bool, float]:  # raw errors are expected to be large
+        norm_mm = row.norm_mm if row.norm_mm < math.inf else math.inf  # NaN is the worst of all
+        return row.deviation is not None and row.deviation.limit_mm is not None, norm_mm
+
     rows = [
         row
         for row in points
         if (not bad_only or row.state in (*BAD_STATES, "again"))
-        and all(word.search(_searched(row)) for word in words)
+        and all(word.search(searched(row)) for word in words)
     ]
     if worst:
-        rows.sort(key=_badness, reverse=True)
+        rows.sort(key=badness, reverse=True)
     return rows
-
-
-def _searched(row: PointRow) -> str:
-    """Return what a filter finds: the point's names in words, its station, its state."""
-    id, said = row.point.id, _said(row)[0]
-    return f"{id.short} {id.words()} {row.point.station} {row.state} {said}".lower()
-
-
-def _badness(row: PointRow) -> tuple[bool, float]:
-    """Sort raw errors after those with a tolerance: they are expected to be large."""
-    norm_mm = row.norm_mm if row.norm_mm < math.inf else math.inf  # NaN is the worst of all
-    return row.deviation is not None and row.deviation.limit_mm is not None, norm_mm
 
 
 def point_page(view: RunView, key: str) -> Lines:
@@ -260,12 +257,16 @@ def _repeated(log: Log, point: Point) -> list[tuple[str, str]]:
 
 
 def _measured(point: Point, *, has_rail: bool) -> list[tuple[str, str]]:
+    air = "not measured"
+    if (found := point.air) is not None:
+        humidity = f"{found.humidity_percent:.0f} %"
+        air = f"{found.temperature_c:.2f} C  {found.pressure_mbar:.1f} mbar  {humidity}"
     facts = [
         ("reading, tracker {L}, mm", _numbers(point.xyz_mm, 4)),
         ("standard deviation, mm", f"{_numbers(point.std_mm, 4)}   rms {rms(point.std_mm):.4f}"),
         ("samples", str(point.samples)),
         ("reflector", point.reflector),
-        ("air", _air(point)),
+        ("air", air),
         ("readings", _readings(point, has_rail=has_rail)),
         ("session", str(point.session)),
     ]
@@ -288,13 +289,6 @@ def _readings(point: Point, *, has_rail: bool) -> str:
     settled_s = times.settled_s
     rest = "" if settled_s is None else f"; at rest for {settled_s:.2f} s when measured"
     return f"age at use in s: {ages}{rest}"
-
-
-def _air(point: Point) -> str:
-    if (air := point.air) is None:
-        return "not measured"
-    humidity = f"{air.humidity_percent:.0f} %"
-    return f"{air.temperature_c:.2f} C  {air.pressure_mbar:.1f} mbar  {humidity}"
 
 
 def _numbers(values: Sequence[float], digits: int, sign: str = "") -> str:

@@ -39,26 +39,26 @@ class PromptBox(Horizontal, Titled):
         )
         picture, enter, reading = self.query(TextPanel)
         title = Content.styled(f" ? {prompt.title} ", "bold $on-ask on $ask-fill")
-        self.show_titles(title, _count(view))
+        self.show_titles(title, self._count(view))
         picture.show(prompt_picture(prompt, view))
         enter.show(enter_line(prompt, view))
         reading.show(prompt_task(prompt, view, glyphs, low=low))
+
+    @staticmethod
+    def _count(view: RunView) -> str:
+        """Return how far a step has come that measures where reflectors are seated."""
+        plan = view.log.plan
+        if plan is None or not view.step or not seats(view):
+            return ""
+        number = view.step.number
+        planned = plan.steps[number - 1].points if number <= len(plan.steps) else 0
+        done = len(view.measured.get(number, ()))
+        return f"{done + 1} of {planned}" if done < planned else ""
 
 
 def seats(view: RunView) -> bool:
     """Whether the prompt asks to seat a reflector, and no failed reading made it ask."""
     return bool(view.log.life) and not view.log.life[-1].change.error
-
-
-def _count(view: RunView) -> str:
-    """Return how far a step has come that measures where reflectors are seated."""
-    plan = view.log.plan
-    if plan is None or not view.step or not seats(view):
-        return ""
-    number = view.step.number
-    planned = plan.steps[number - 1].points if number <= len(plan.steps) else 0
-    done = len(view.measured.get(number, ()))
-    return f"{done + 1} of {planned}" if done < planned else ""
 
 
 def prompt_picture(prompt: PromptStatus, view: RunView) -> Lines:
@@ -92,21 +92,17 @@ def prompt_task(prompt: PromptStatus, view: RunView, glyphs: Glyphs, *, low: boo
 
 def _place(prompt: PromptStatus, view: RunView) -> list[Content]:
     """Return where the reflector is taken from and where it belongs."""
-    at = _coordinates(prompt, view)
+    at, layout = BLANK, view.log.cell.layout
+    for nest in (*layout.standing, *layout.slide):
+        if nest.name == prompt.place:
+            xyz = f"x {nest.x_mm:.0f} y {nest.y_mm:.0f} z {nest.z_mm:.0f} mm"
+            at = Content.assemble(("at ", "$label"), xyz)
+            break
     if not seats(view):
         return [Content.styled(f"At {prompt.place}" if prompt.place else "", "bold"), at]
     take = view.log.seated
     lines = [Content.assemble(("Take ", "$label"), f"it out of {take}")] if take else []
     return [*lines, Content.assemble(("Seat ", "$label"), (f"it in {prompt.place}", "bold")), at]
-
-
-def _coordinates(prompt: PromptStatus, view: RunView) -> Content:
-    layout = view.log.cell.layout
-    for nest in (*layout.standing, *layout.slide):
-        if nest.name == prompt.place:
-            xyz = f"x {nest.x_mm:.0f} y {nest.y_mm:.0f} z {nest.z_mm:.0f} mm"
-            return Content.assemble(("at ", "$label"), xyz)
-    return BLANK
 
 
 def is_ready(prompt: PromptStatus, view: RunView) -> bool:

@@ -6,10 +6,10 @@ procedure shows its own table, as ``hilcell show`` prints it. No sentence and no
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, Self, TypeVar
 
 import msgspec
 from textual.content import Content
@@ -31,8 +31,6 @@ from hilcell.tui.text.digits import figure
 from hilcell.tui.text.head import NEXT, Figure, Head, gravest, head_lines
 from hilcell.typed import Json, typed
 
-NO_FIGURES = "Finished. This procedure measures nothing that is judged."
-MOST_ROWS = 40  # which hold most results whole
 T = TypeVar("T")
 
 
@@ -44,12 +42,64 @@ class Result:
     text: str
     table: Table
 
+    @classmethod
+    def of_test(cls, test: PoseTest, *, passed: bool) -> Self:
+        """Return that of a pose test: its worst AP and RP, and each pose."""
+        worst, limits, turned = test.worst, test.limits, test.orientation
+        ap_mm, rp_mm = limits.get(AP.limit), limits.get(RP.limit)
+        figures = (
+            Figure("worst AP_p, mm", worst.ap_mm, f"at {worst.ap_pose}", ap_mm, worst.ap_u95_mm),
+            Figure("worst RP_l, mm", worst.rp_mm, f"at {worst.rp_pose}", rp_mm, worst.rp_u95_mm),
+        )
+        rows = [
+            _PoseRow(
+                name,
+                figure(each.ap_mm),
+                figure(each.ap_u95_mm),
+                figure(each.rp_mm),
+                figure(each.rp_u95_mm),
+                *_worst_angles(turned.get(name)),
+                "pass" if test.keeps(name) else "FAIL",
+            )
+            for name, each in test.poses.items()
+        ]
+        columns = [*POSES, *(ANGLES if turned else ())]
+        if limits:
+            columns.append(Column("verdict", attrgetter("verdict")))
+            angles = (_limit(limits.get(of.limit)) for of in (AP_ANGLES, RP_ANGLES))
+            rows.append(_PoseRow("limit", _limit(ap_mm), "", _limit(rp_mm), "", *angles))
+        words, stated, role = (("ISO",), "no limits stated", "label")
+        if test.limits:
+            words, stated, role = (
+                (("PASS",), "within its limits", "passed")
+                if passed
+                else (("FAIL",), "not within its limits", "fault")
+            )
+        return cls(Head(words, stated, role, figures), _distance_words(test), Table(columns, rows))
 
-RECHECKED = {
-    "valid": (("STILL", "VALID"), "still valid", "passed"),
-    "update": (("UPDATE",), "base moved, updated", "ask"),
-    "redo": (("REDO",), "calibrate again", "fault"),
-}
+    @classmethod
+    def of_recheck(cls, found: RecheckResult, log: Log) -> Self:
+        """Return that of a re-check: what to do, and each target, the worst first."""
+        worst = sorted(found.poses, key=lambda each: -gravest(each.error_mm))
+        columns: list[Column[CheckedPose]] = [
+            Column("worst first", lambda each: id_of(each.pose, log).short),
+            Column("predicted below", lambda each: figure(each.bound_mm), "mm", "s"),
+            Column("now", lambda each: figure(each.error_mm), "mm", "s"),
+            Column("less the base's motion", lambda each: figure(each.left_mm), "mm", "s"),
+        ]
+        limits_mm = found.mean_tolerance_mm, found.max_tolerance_mm
+        at = id_of(worst[0].pose, log).short if worst else "its target"
+        figures = (
+            Figure("mean |e| now, mm", found.mean_mm, "all", limits_mm[0], found.mean_U_mm),
+            Figure("largest |e| now, mm", found.max_mm, at, limits_mm[1], found.max_U_mm),
+        )
+        words = {
+            "valid": (("STILL", "VALID"), "still valid", "passed"),
+            "update": (("UPDATE",), "base moved, updated", "ask"),
+            "redo": (("REDO",), "calibrate again", "fault"),
+        }
+        head = Head(*words[found.verdict], figures)
+        return cls(head, found.text, Table(columns, worst))
 
 
 def result_of(view: RunView) -> Result | None:
@@ -61,12 +111,13 @@ def result_of(view: RunView) -> Result | None:
         return None
     test = _converted(found.get(ISO), PoseTest)
     if test is not None and test.poses:
-        return _of_test(test, passed=view.state == "done")
+        return Result.of_test(test, passed=view.state == "done")
     checked = _converted(found.get(RECHECK), RecheckResult)
     if checked is not None:
-        return _of_recheck(checked, view.log)
+        return Result.of_recheck(checked, view.log)
     table, text = own_words(view.log.plan.procedure, found)
-    return Result(Head((), "", "label", ()), text or ("" if table else NO_FIGURES), table)
+    nothing = "" if table else "Finished. This procedure measures nothing that is judged."
+    return Result(Head((), "", "label", ()), text or nothing, table)
 
 
 def _converted(found: object, kind: type[T]) -> T | None:
@@ -91,40 +142,6 @@ def own_words(name: str, result: Json) -> tuple[Table, str]:
 
 
 # -- a pose test -----------------------------------------------------------------------------------
-
-
-def _of_test(test: PoseTest, *, passed: bool) -> Result:
-    worst, limits, turned = test.worst, test.limits, test.orientation
-    ap_mm, rp_mm = limits.get(AP.limit), limits.get(RP.limit)
-    figures = (
-        Figure("worst AP_p, mm", worst.ap_mm, f"at {worst.ap_pose}", ap_mm, worst.ap_u95_mm),
-        Figure("worst RP_l, mm", worst.rp_mm, f"at {worst.rp_pose}", rp_mm, worst.rp_u95_mm),
-    )
-    rows = [
-        _PoseRow(
-            name,
-            figure(each.ap_mm),
-            figure(each.ap_u95_mm),
-            figure(each.rp_mm),
-            figure(each.rp_u95_mm),
-            *_worst_angles(turned.get(name)),
-            "pass" if test.keeps(name) else "FAIL",
-        )
-        for name, each in test.poses.items()
-    ]
-    columns = [*POSES, *(ANGLES if turned else ())]
-    if limits:
-        columns.append(Column("verdict", attrgetter("verdict")))
-        angles = (_limit(limits.get(of.limit)) for of in (AP_ANGLES, RP_ANGLES))
-        rows.append(_PoseRow("limit", _limit(ap_mm), "", _limit(rp_mm), "", *angles))
-    words, stated, role = (("ISO",), "no limits stated", "label")
-    if test.limits:
-        words, stated, role = (
-            (("PASS",), "within its limits", "passed")
-            if passed
-            else (("FAIL",), "not within its limits", "fault")
-        )
-    return Result(Head(words, stated, role, figures), _distance_words(test), Table(columns, rows))
 
 
 class _PoseRow(NamedTuple):
@@ -174,27 +191,6 @@ def _limit(limit_mm: float | None) -> str:
     return "-" if limit_mm is None else f"{limit_mm:.3f}"
 
 
-# -- a re-check ------------------------------------------------------------------------------------
-
-
-def _of_recheck(found: RecheckResult, log: Log) -> Result:
-    worst = sorted(found.poses, key=lambda each: -gravest(each.error_mm))
-    columns: list[Column[CheckedPose]] = [
-        Column("worst first", lambda each: id_of(each.pose, log).short),
-        Column("predicted below", lambda each: figure(each.bound_mm), "mm", "s"),
-        Column("now", lambda each: figure(each.error_mm), "mm", "s"),
-        Column("less the base's motion", lambda each: figure(each.left_mm), "mm", "s"),
-    ]
-    limits_mm = found.mean_tolerance_mm, found.max_tolerance_mm
-    at = id_of(worst[0].pose, log).short if worst else "its target"
-    figures = (
-        Figure("mean |e| now, mm", found.mean_mm, "all", limits_mm[0], found.mean_U_mm),
-        Figure("largest |e| now, mm", found.max_mm, at, limits_mm[1], found.max_U_mm),
-    )
-    head = Head(*RECHECKED[found.verdict], figures)
-    return Result(head, found.text, Table(columns, worst))
-
-
 # -- drawing ---------------------------------------------------------------------------------------
 
 
@@ -203,7 +199,7 @@ def result_lines(view: RunView, found: Result, glyphs: Glyphs) -> Lines:
     table = sheet_lines(found.table, view.log)
 
     def draw(width: int, height: int) -> list[Content]:
-        rows = height or MOST_ROWS
+        rows = height or 40  # which hold most results whole
         lines = head_lines(view, found.head, glyphs, width, rows)
         if found.text:
             said: list[Cell] = ["", (harmless(found.text), "$label")]
@@ -276,7 +272,13 @@ def sheet_lines(table: Table, log: Log | None = None) -> Lines:
             widths = [max(map(len, [*head.split(), *cells])) for head, *cells in columns]
         widths = [max(min(each, WIDEST, width - 2), 1) for each in widths]
         lines: list[Content] = []
-        for block in _blocks(widths, width - 1):
+        blocks: list[list[int]] = [[0]] if widths else []  # columns; the first begins each block
+        for n in range(1, len(widths)):
+            used = sum(widths[m] + GAP for m in blocks[-1])
+            if used + widths[n] > width - 1 and len(blocks[-1]) > 1:
+                blocks.append([0])
+            blocks[-1].append(n)
+        for block in blocks:
             cols = (Col(most=widths[n], right=n > 0, wraps=True) for n in block)
             rows = [[row[n] for n in block] for row in shown]
             grid = Grid(rows, *cols, gap=GAP, styles={0: "$label on $panel"})
@@ -284,14 +286,3 @@ def sheet_lines(table: Table, log: Log | None = None) -> Lines:
         return lines
 
     return Drawing(shown, draw)
-
-
-def _blocks(widths: Sequence[int], width: int) -> list[list[int]]:
-    """Return the columns of each block; the first column begins all of them."""
-    blocks: list[list[int]] = [[0]] if widths else []
-    for n in range(1, len(widths)):
-        used = sum(widths[m] + GAP for m in blocks[-1])
-        if used + widths[n] > width and len(blocks[-1]) > 1:
-            blocks.append([0])
-        blocks[-1].append(n)
-    return blocks

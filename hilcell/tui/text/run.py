@@ -195,20 +195,17 @@ def progress(view: RunView) -> Lines:
     tone = role_of(view)
     calm = not view.live and tone != "passed"
     done = Bar(share_done(view), "$label" if calm else f"${tone}-fill")
-    row: list[Cell] = [done, f"{duration(view.elapsed_s)} worked", (_left(view), "bold")]
-    bar = Col(8, grows=True, most=43)
-    return Grid([row], bar, Col(16, right=True), Col(1, right=True, grows=True))
-
-
-def _left(view: RunView) -> str:
-    if not view.live:
-        ended = bool(view.records) and view.log.end is not None
-        return f"at {local_words(view.records[-1].t)}" if ended else ""
-    if view.state == "suspended":
-        return "stands still"
     # A point that is re-measured is beyond the plan, which has nothing left.
     known = bool(view.remaining_s) and view.state != "checking"
-    return f"{duration(view.remaining_s or 0.0)} left" if known else ""
+    left = f"{duration(view.remaining_s or 0.0)} left" if known else ""
+    if not view.live:
+        ended = bool(view.records) and view.log.end is not None
+        left = f"at {local_words(view.records[-1].t)}" if ended else ""
+    elif view.state == "suspended":
+        left = "stands still"
+    row: list[Cell] = [done, f"{duration(view.elapsed_s)} worked", (left, "bold")]
+    bar = Col(8, grows=True, most=43)
+    return Grid([row], bar, Col(16, right=True), Col(1, right=True, grows=True))
 
 
 def share_done(view: RunView) -> float:

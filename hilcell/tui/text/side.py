@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -153,19 +154,21 @@ def _means(plot: Plot, look: Look, width: int) -> Content:
     return Content("")
 
 
-AXES, UP = "xyz", 2
-ACROSS, ALONG, ROWS = 38, 13, 8  # cells of a view: along the rail's axis, across it, and high
+ACROSS, ROWS = 38, 8  # cells of a view: along the rail's axis, and high
 LEGEND, GAP, FRAME = 15, 2, 2  # columns
 NO_POINT = -1
-CORRECTED, RAW = (0.05, 0.1, 0.2), (0.2, 0.5, 1.0, 2.0)  # mm, upper bounds of the grades
-SHAPES, LETTERS = "·•○●■", ".:o*#"
-STYLES = ("$live 70%", "$live", "$label", "bold $foreground", "bold $fault")
 Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
 class Grades:
     """Upper bounds (mm) of the grades but the last, which is beyond them all."""
+
+    CORRECTED: ClassVar = (0.05, 0.1, 0.2)
+    RAW: ClassVar = (0.2, 0.5, 1.0, 2.0)
+    SHAPES: ClassVar = "·•○●■"
+    LETTERS: ClassVar = ".:o*#"  # of a terminal without the shapes
+    STYLES: ClassVar = ("$live 70%", "$live", "$label", "bold $foreground", "bold $fault")
 
     bounds: tuple[float, ...]
     limited: bool  # whether the last bound is the limit
@@ -174,8 +177,8 @@ class Grades:
     def of(cls, limit_mm: float | None) -> Grades:
         """Return the grades below a limit, or those of errors that have none."""
         if limit_mm is None:
-            return cls(RAW, limited=False)
-        return cls((*(each for each in CORRECTED if each < limit_mm), limit_mm), limited=True)
+            return cls(cls.RAW, limited=False)
+        return cls((*(each for each in cls.CORRECTED if each < limit_mm), limit_mm), limited=True)
 
     def grade(self, errors: Array) -> Ints:
         """Return the grade (N,) of errors (N,); NaN is beyond every bound."""
@@ -188,9 +191,9 @@ class Grades:
         The last two shapes are those of the limit; only beyond a limit is the colour of a fault.
         """
         from_end = grade - len(self.bounds) - 1
-        at = grade if from_end < -2 else len(SHAPES) + from_end
-        style = STYLES[min(at, len(STYLES) - (1 if self.limited else 2))]
-        return (LETTERS if plain else SHAPES)[at], style
+        at = grade if from_end < -2 else len(self.SHAPES) + from_end
+        style = self.STYLES[min(at, len(self.STYLES) - (1 if self.limited else 2))]
+        return (self.LETTERS if plain else self.SHAPES)[at], style
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,13 +212,23 @@ class Volume:
     stations: tuple[tuple[str, float], ...] = ()  # their middle along the rail, mm
     station: str = ""  # the current one
 
+    def heading(self, width: int) -> Content:
+        """Return the heading with as many of its words as fit."""
+        count = (
+            f"{len(self.errors_mm)} of {self.planned}" if self.planned else str(len(self.errors_mm))
+        )
+        for title, remark in ((f"map: {self.title}", f"{count} targets"), (f"map: {count}", "")):
+            if len(title) + len(remark) + 4 * (1 + bool(remark)) <= width:  # rules beside the words
+                return section(title, remark).lines(width)[0]
+        return section("map").lines(width)[0]
+
 
 def map_lines(of: Volume, width: int, height: int, *, plain: bool) -> Lines:
     """Return the map in at most so many rows; the views that have no room are left out."""
     beside = width >= ACROSS + FRAME + GAP + LEGEND
     views = Views(of, ACROSS if beside else width - FRAME, plain=plain)
     legend = views.legend()
-    lines = [_heading(of, width), *([] if beside else _flowing(legend, width))]
+    lines = [of.heading(width), *([] if beside else views.flowing(width))]
     room = height - len(lines)
     both = room >= 2 * (FRAME + 3) + 1
     rows = min(ROWS, (room - 1) // 2 - FRAME if both else room - FRAME - 1)
@@ -232,27 +245,11 @@ def map_lines(of: Volume, width: int, height: int, *, plain: bool) -> Lines:
     return [line.truncate(width) for line in lines[: max(height, 1)]]
 
 
-def _heading(of: Volume, width: int) -> Content:
-    count = f"{len(of.errors_mm)} of {of.planned}" if of.planned else str(len(of.errors_mm))
-    for title, remark in ((f"map: {of.title}", f"{count} targets"), (f"map: {count}", "")):
-        if len(title) + len(remark) + 4 * (1 + bool(remark)) <= width:  # rules beside the words
-            return section(title, remark).lines(width)[0]
-    return section("map").lines(width)[0]
-
-
-def _flowing(legend: Lines, width: int) -> Lines:
-    """Return the legend in rows of as many entries as fit."""
-    rows: Lines = []
-    for each in legend:
-        if rows and rows[-1].cell_length + GAP + each.cell_length <= width:
-            rows[-1] = rows[-1].append(" " * GAP).append(each)
-        else:
-            rows.append(each)
-    return rows
-
-
 class Views:
     """The views of a volume, whose axes they share: the rail's axis has so many columns."""
+
+    AXES, UP = "xyz", 2
+    ALONG = 13  # columns of the view along the rail
 
     def __init__(self, of: Volume, columns: int, *, plain: bool) -> None:
         self.of, self.columns, self._plain = of, columns, plain
@@ -270,21 +267,35 @@ class Views:
             lines.append(Content.assemble(shape, words, f"{count:>4}"))
         return [*lines, Content.assemble(self._newest, (" newest", "$label"))]
 
+    def flowing(self, width: int) -> Lines:
+        """Return the legend in rows of as many entries as fit."""
+        rows: Lines = []
+        for each in self.legend():
+            if rows and rows[-1].cell_length + GAP + each.cell_length <= width:
+                rows[-1] = rows[-1].append(" " * GAP).append(each)
+            else:
+                rows.append(each)
+        return rows
+
     def above(self, rows: int) -> Lines:
         """Return the view from above."""
         of, across = self.of, 1 - self.of.rail
         size_m = float(of.high_mm[of.rail] - of.low_mm[of.rail]) / 1000.0
         cells = self._view((of.rail, across), self.columns, rows)
-        return _framed(cells, f"from above: {AXES[across]} up", f"{size_m:.2f} m, {self._rail}")
+        return self._framed(
+            cells, f"from above: {self.AXES[across]} up", f"{size_m:.2f} m, {self._rail}"
+        )
 
     def sides(self, rows: int, *, both: bool) -> tuple[Lines, Lines]:
         """Return the view from the side, and that along the rail, empty where not ``both``."""
-        cells = self._view((self.of.rail, UP), self.columns, rows)
-        side = _framed(cells, "from the side: z up", self._rail)
+        cells = self._view((self.of.rail, self.UP), self.columns, rows)
+        side = self._framed(cells, "from the side: z up", self._rail)
         if not both:
             return side, [Content("")] * len(side)
         across = 1 - self.of.rail
-        return side, _framed(self._view((across, UP), ALONG, rows), "z up", f"{AXES[across]} ►")
+        return side, self._framed(
+            self._view((across, self.UP), self.ALONG, rows), "z up", f"{self.AXES[across]} ►"
+        )
 
     def stations(self) -> Content:
         """Return the stations' names under their middle."""
@@ -303,7 +314,7 @@ class Views:
 
     @property
     def _rail(self) -> str:
-        return f"{'rail ' * bool(self.of.stations)}{AXES[self.of.rail]} ►"
+        return f"{'rail ' * bool(self.of.stations)}{self.AXES[self.of.rail]} ►"
 
     def _view(self, axes: tuple[int, int], columns: int, rows: int) -> Lines:
         """Return the cells of a view: ``axes`` are those to the right and up."""
@@ -322,14 +333,18 @@ class Views:
     def _drawn(self, grade: int) -> tuple[str, str]:
         return (" ", "") if grade == NO_POINT else self._grades.drawn(grade, plain=self._plain)
 
-
-def _framed(cells: Lines, top: str, bottom: str) -> Lines:
-    """Return cells in a frame, in whose edges the words stand that have room there."""
-    width = cells[0].cell_length
-    above, below = (f" {words} " if len(words) + 3 <= width else "" for words in (top, bottom))
-    line = "─" * (width - 1)
-    return [
-        Content.assemble(("┌─", "$stale"), (above, "$label"), (f"{line[len(above) :]}┐", "$stale")),
-        *(Content.assemble(("│", "$stale"), each, ("│", "$stale")) for each in cells),
-        Content.assemble((f"└{line[len(below) :]}", "$stale"), (below, "$label"), ("─┘", "$stale")),
-    ]
+    @staticmethod
+    def _framed(cells: Lines, top: str, bottom: str) -> Lines:
+        """Return cells in a frame, in whose edges the words stand that have room there."""
+        width = cells[0].cell_length
+        above, below = (f" {words} " if len(words) + 3 <= width else "" for words in (top, bottom))
+        line = "─" * (width - 1)
+        return [
+            Content.assemble(
+                ("┌─", "$stale"), (above, "$label"), (f"{line[len(above) :]}┐", "$stale")
+            ),
+            *(Content.assemble(("│", "$stale"), each, ("│", "$stale")) for each in cells),
+            Content.assemble(
+                (f"└{line[len(below) :]}", "$stale"), (below, "$label"), ("─┘", "$stale")
+            ),
+        ]

@@ -52,6 +52,46 @@ class Station:
         """Return the length below which the true mean is, 95 % sure."""
         return self.judged.mean_mm + self.judged.mean_U_mm
 
+    @property
+    def short(self) -> str:
+        """Return its name, which leaves room for figures."""
+        return Content(harmless(self.name)).truncate(MOST_OF_A_NAME, ellipsis=True).plain
+
+    @property
+    def reason(self) -> str:
+        """Return which limits it does not keep, or is not shown to."""
+        over, unsure = [], []
+        for name, each in zip(("mean", "single", "orientation"), self.judged.figures, strict=False):
+            value = math.nan if each.value is None else each.value
+            written, limit, U = (
+                (f"{value:.4f}°", f"{each.limit:g}°", f"{each.U or 0.0:.4f}°")
+                if each.unit == "deg"
+                else (figure(value), f"{each.limit:.3f}", f"{each.U or 0.0:.3f}")
+            )
+            if each.limit is not None and not value <= each.limit:
+                over.append(f"{name} {written} over {limit}")
+            elif each.outcome is not Outcome.ACCEPTED:
+                unsure.append(f"{name} {written}, U {U}: not shown below {limit}")
+        return ", ".join(over or unsure) or "too few targets to show it"
+
+    def cells(self, limits: Limits, glyphs: Glyphs) -> list[Cell]:
+        """Return its row of the table."""
+        judged, outcome = self.judged, self.judged.outcome
+        shape, tone = SHOWN[outcome]
+        word = outcome.short.upper() if outcome is Outcome.REJECTED else outcome.short
+        mean_style = "bold" if judged.mean_mm <= limits.mean_mm else "bold $fault"
+        max_style = "" if judged.max_mm <= limits.max_mm else "bold $fault"
+        return [
+            "",
+            Content(harmless(self.name)).truncate(13, ellipsis=True),
+            (str(self.targets), "$label"),
+            (f"{self.before_mm:.3f}", "$label"),
+            (figure(judged.mean_mm), mean_style),
+            figure(self.p95_mm),
+            (figure(judged.max_mm), max_style),
+            (f"{getattr(glyphs, shape)} {word}", tone),
+        ]
+
 
 @dataclass(frozen=True, slots=True)
 class Finished:
@@ -78,6 +118,66 @@ class Finished:
         """Return the station of the largest single error."""
         return max(self.stations, key=lambda each: gravest(each.judged.max_mm))
 
+    @property
+    def words(self) -> tuple[str, str]:
+        """Return the verdict in one word, and what it states."""
+        outcome = Outcome.ACCEPTED if self.passed else self.outcome
+        said = "neither pass nor fail" if outcome is Outcome.UNDECIDED else outcome.words
+        return outcome.short.upper(), said
+
+    @property
+    def reason_words(self) -> str:
+        """Return which stations do not keep which limit, the worst first.
+
+        Of those that are only not shown to keep it the first says why: the table has their figures.
+        """
+        failed = [each for each in self.stations if each.judged.outcome is not Outcome.ACCEPTED]
+        failed.sort(key=lambda each: -gravest(each.judged.mean_mm))
+        undecided = [each.name for each in failed if each.judged.outcome is Outcome.UNDECIDED]
+        whole = [each for each in failed if each.name not in undecided[1:]]
+        words = [f"{each.name}: {each.reason}" for each in whole]
+        return "; ".join([*words, *([f"also {', '.join(undecided[1:])}"] if undecided[1:] else [])])
+
+    @property
+    def head(self) -> Head:
+        """Return the verdict in large, with its two figures."""
+        word, stated = self.words
+        mean, single, limits = self.worst_mean, self.worst_single, self.limits
+        figures = (
+            Figure("worst mean |e|, mm", mean.judged.mean_mm, f"at {mean.name}", limits.mean_mm,
+                   mean.judged.mean_U_mm),
+            Figure("worst single |e|, mm", single.judged.max_mm, f"at {single.name}", limits.max_mm,
+                   single.judged.max_U_mm),
+        )  # fmt: skip
+        role = "passed" if self.passed else "ask" if self.undecided else "fault"
+        return Head((word,), stated, role, figures)
+
+    @property
+    def orientation(self) -> list[Lines | Text]:
+        """Return the largest error of orientation beside its limit, where one is stated."""
+        turns = [(each, each.judged.turn) for each in self.stations]
+        known = [(each, turn) for each, turn in turns if turn is not None]
+        if not known:
+            return []
+        worst, turn = max(known, key=lambda each: gravest(each[1].max_deg))
+        words = f"{turn.max_deg:.4f}° at {worst.short}, limit {self.limits.max_deg:g}°"
+        return [Content.assemble((" orientation, worst: ", "$label"), words)]
+
+    def table(self, glyphs: Glyphs, room: int) -> Lines:
+        """Return the stations, the worst ones in ``room`` rows with header and limit."""
+        order = sorted(self.stations, key=lambda each: -gravest(each.judged.mean_mm))
+        kept = order[: room - 2]
+        shown = [each for each in self.stations if each in kept]
+        left = len(self.stations) - len(shown)
+        titles = "station", "targets", "mean as sent", "mean", "95 % below", "max mm", " verdict"
+        limits = (f"{self.limits.mean_mm:.3f}", "-", f"{self.limits.max_mm:.3f}")
+        name = f"limit ({left} more in the report)" if left else "limit"
+        rows: list[list[Cell]] = [["", *((title, "$label") for title in titles)]]
+        rows += [each.cells(self.limits, glyphs) for each in shown]
+        rows.append(["", (name, "$label"), "", "", *((each, "$label") for each in limits), ""])
+        numbers = [Col(width, right=True) for width in (7, 12, 8, 11, 8)]
+        return Grid(rows, Col(), Col(13), *numbers, Col(9, grows=True), styles={0: "on $panel"})
+
 
 def verdict_of(view: RunView) -> Finished | None:
     """Return the verdict of a finished run with a validation; None for every other run.
@@ -86,7 +186,10 @@ def verdict_of(view: RunView) -> Finished | None:
     """
     if view.state not in ("done", "intolerant"):
         return None
-    places = _places(view)
+    try:
+        places = typed(view.log.result.get("validation", {}), dict[str, Place])
+    except msgspec.ValidationError:  # of another procedure's result
+        return None
     order = [each.name for each in view.log.cell.station]
     names = [name for name in order if name in places] or list(places)
     found = {name: view.log.verdict(Judged, f"{VALIDATION}{name}") for name in names}
@@ -107,15 +210,6 @@ def verdict_of(view: RunView) -> Finished | None:
     )
 
 
-def _places(view: RunView) -> dict[str, Place]:
-    """Return the places of a finished validation; nothing of another procedure's result."""
-    found = view.log.result.get("validation", {})
-    try:
-        return typed(found, dict[str, Place])
-    except msgspec.ValidationError:
-        return {}
-
-
 # -- drawing ---------------------------------------------------------------------------------------
 
 
@@ -128,68 +222,14 @@ def verdict_lines(view: RunView, found: Finished, glyphs: Glyphs, standing: int 
 
     def draw(width: int, height: int) -> list[Content]:
         rows = height or TALL
-        lines, said = head_lines(view, _head(found), glyphs, width, rows), facts.lines(width)
+        lines, said = head_lines(view, found.head, glyphs, width, rows), facts.lines(width)
         if is_small(width, rows):
             return [*lines, *said]
         said = said[: max(rows - len(lines) - len(found.stations) - 2, 2)]
         room = max(rows - len(lines) - len(said), 3)
-        return [*lines, *_table(found, glyphs, room).lines(width), *said]
+        return [*lines, *found.table(glyphs, room).lines(width), *said]
 
     return Drawing((repr(found), glyphs.plain, facts.state), draw)
-
-
-def words_of(found: Finished) -> tuple[str, str]:
-    """Return the verdict in one word, and what it states."""
-    outcome = Outcome.ACCEPTED if found.passed else found.outcome
-    said = "neither pass nor fail" if outcome is Outcome.UNDECIDED else outcome.words
-    return outcome.short.upper(), said
-
-
-def _head(found: Finished) -> Head:
-    word, stated = words_of(found)
-    mean, single, limits = found.worst_mean, found.worst_single, found.limits
-    figures = (
-        Figure("worst mean |e|, mm", mean.judged.mean_mm, f"at {mean.name}", limits.mean_mm,
-               mean.judged.mean_U_mm),
-        Figure("worst single |e|, mm", single.judged.max_mm, f"at {single.name}", limits.max_mm,
-               single.judged.max_U_mm),
-    )  # fmt: skip
-    role = "passed" if found.passed else "ask" if found.undecided else "fault"
-    return Head((word,), stated, role, figures)
-
-
-def _table(found: Finished, glyphs: Glyphs, room: int) -> Lines:
-    """Return the stations in at most ``room`` rows with header and limit; the worst are first."""
-    order = sorted(found.stations, key=lambda each: -gravest(each.judged.mean_mm))
-    kept = order[: room - 2]
-    shown = [each for each in found.stations if each in kept]
-    left = len(found.stations) - len(shown)
-    titles = "station", "targets", "mean as sent", "mean", "95 % below", "max mm", " verdict"
-    limits = (f"{found.limits.mean_mm:.3f}", "-", f"{found.limits.max_mm:.3f}")
-    name = f"limit ({left} more in the report)" if left else "limit"
-    rows: list[list[Cell]] = [["", *((title, "$label") for title in titles)]]
-    rows += [_row(each, found, glyphs) for each in shown]
-    rows.append(["", (name, "$label"), "", "", *((each, "$label") for each in limits), ""])
-    numbers = [Col(width, right=True) for width in (7, 12, 8, 11, 8)]
-    return Grid(rows, Col(), Col(13), *numbers, Col(9, grows=True), styles={0: "on $panel"})
-
-
-def _row(each: Station, found: Finished, glyphs: Glyphs) -> list[Cell]:
-    judged, outcome = each.judged, each.judged.outcome
-    shape, tone = SHOWN[outcome]
-    word = outcome.short.upper() if outcome is Outcome.REJECTED else outcome.short
-    mean_style = "bold" if judged.mean_mm <= found.limits.mean_mm else "bold $fault"
-    max_style = "" if judged.max_mm <= found.limits.max_mm else "bold $fault"
-    return [
-        "",
-        Content(harmless(each.name)).truncate(13, ellipsis=True),
-        (str(each.targets), "$label"),
-        (f"{each.before_mm:.3f}", "$label"),
-        (figure(judged.mean_mm), mean_style),
-        figure(each.p95_mm),
-        (figure(judged.max_mm), max_style),
-        (f"{getattr(glyphs, shape)} {word}", tone),
-    ]
 
 
 def _facts(view: RunView, found: Finished, glyphs: Glyphs, standing: int) -> list[Lines | Text]:
@@ -198,30 +238,15 @@ def _facts(view: RunView, found: Finished, glyphs: Glyphs, standing: int) -> lis
         gravest_alarm = max(view.alarms, key=lambda alarm: SEVERITIES.index(alarm.severity))
         return _advice(view, found, gravest_alarm, glyphs)
     sure = max(found.stations, key=lambda each: gravest(each.sure_mm))
-    bound = f"below {sure.sure_mm:.3f} mm", f" at {_short(sure.name)}"
+    bound = f"below {sure.sure_mm:.3f} mm", f" at {sure.short}"
     floor = f"   floor: {found.floor_mm:.3f} mm" if math.isfinite(found.floor_mm) else ""
     return [
         _whole((" true mean, 95 % sure: ", "$label"), *bound, (floor, "$label")),
-        *_orientation(found),
+        *found.orientation,
         _written(view, found, glyphs),
         _drift(view, glyphs, standing),
         Content.assemble((" next: ", "$label"), NEXT),
     ]
-
-
-def _orientation(found: Finished) -> list[Lines | Text]:
-    """Return the largest error of orientation beside its limit, where one is stated."""
-    turns = {each.name: each.judged.turn for each in found.stations if each.judged.turn is not None}
-    if not turns:
-        return []
-    name, turn = max(turns.items(), key=lambda each: gravest(each[1].max_deg))
-    words = f"{turn.max_deg:.4f}° at {_short(name)}, limit {found.limits.max_deg:g}°"
-    return [Content.assemble((" orientation, worst: ", "$label"), words)]
-
-
-def _short(name: str) -> str:
-    """Return a station's name that leaves room for figures."""
-    return Content(harmless(name)).truncate(MOST_OF_A_NAME, ellipsis=True).plain
 
 
 def _whole(*phrases: Text) -> Lines:
@@ -235,40 +260,11 @@ def _advice(view: RunView, found: Finished, alarm: Alarm, glyphs: Glyphs) -> lis
     where = f"{alarm.where}: " if alarm.where else ""
     words = in_words(f"{where}{alarm.found}", view.log)
     if entry_of(alarm.code, "").verdict == VALIDATION.rstrip("."):
-        words = reason_words(found) or words
+        words = found.reason_words or words
     why = Content(harmless(f"{alarm.code} {words}")).stylize("bold $fault", 0, len(alarm.code))
     rows: list[list[Cell]] = [["", (glyphs.warned, "bold $fault"), why]]
     rows += [["", (str(n), "bold"), step] for n, step in enumerate(alarm.do[:3], start=1)]
     return [Grid(rows, Col(), Col(), Col(grows=True, wraps=True))]
-
-
-def reason_words(found: Finished) -> str:
-    """Return which stations do not keep which limit, the worst first.
-
-    Of those that are only not shown to keep it the first says why: the table has their figures.
-    """
-    failed = [each for each in found.stations if each.judged.outcome is not Outcome.ACCEPTED]
-    failed.sort(key=lambda each: -gravest(each.judged.mean_mm))
-    undecided = [each.name for each in failed if each.judged.outcome is Outcome.UNDECIDED]
-    whole = [each for each in failed if each.name not in undecided[1:]]
-    words = [f"{each.name}: {_reason(each.judged)}" for each in whole]
-    return "; ".join([*words, *([f"also {', '.join(undecided[1:])}"] if undecided[1:] else [])])
-
-
-def _reason(judged: Judged) -> str:
-    over, unsure = [], []
-    for name, each in zip(("mean", "single", "orientation"), judged.figures, strict=False):
-        value = math.nan if each.value is None else each.value
-        written, limit, U = (
-            (f"{value:.4f}°", f"{each.limit:g}°", f"{each.U or 0.0:.4f}°")
-            if each.unit == "deg"
-            else (figure(value), f"{each.limit:.3f}", f"{each.U or 0.0:.3f}")
-        )
-        if each.limit is not None and not value <= each.limit:
-            over.append(f"{name} {written} over {limit}")
-        elif each.outcome is not Outcome.ACCEPTED:
-            unsure.append(f"{name} {written}, U {U}: not shown below {limit}")
-    return ", ".join(over or unsure) or "too few targets to show it"
 
 
 def _written(view: RunView, found: Finished, glyphs: Glyphs) -> Lines | Text:

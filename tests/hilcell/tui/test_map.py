@@ -15,10 +15,8 @@ from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.plots.draw import Look
 from hilcell.tui.text.points import PointRows
 from hilcell.tui.text.side import (
-    LETTERS,
     MAP_ROWS,
     NO_POINT,
-    SHAPES,
     Grades,
     Volume,
     map_lines,
@@ -48,7 +46,7 @@ def test_shapes_grow_with_the_error() -> None:
     assert grades.grade(np.array([0.05, 0.1, 0.2, 1.0, 1.001, math.nan])).tolist() == [
         0, 1, 2, 3, 4, 4,
     ]  # fmt: skip
-    for plain, shapes in ((False, SHAPES), (True, LETTERS)):
+    for plain, shapes in ((False, Grades.SHAPES), (True, Grades.LETTERS)):
         assert "".join(grades.drawn(n, plain=plain)[0] for n in range(5)) == shapes
 
 
@@ -71,8 +69,8 @@ def test_three_views_share_their_axes() -> None:
     lines = shown(volume(stations=(("S1", 500.0),)))
     above = next(line for line in lines if "■" in line[:40])
     side = next(line for line in lines[12:] if "■" in line[:40])
-    assert [above[:40].index(shape) for shape in SHAPES] == [
-        side[:40].index(shape) for shape in SHAPES
+    assert [above[:40].index(shape) for shape in Grades.SHAPES] == [
+        side[:40].index(shape) for shape in Grades.SHAPES
     ]
     assert any("■" in line[42:] for line in lines[12:])  # along the rail: the worst of all
     assert "1.00 m, rail y ►" in "\n".join(lines)

@@ -17,7 +17,7 @@ from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE
 from hilcell.tui.text.digits import large_rows
 from hilcell.tui.text.run import banner
-from hilcell.tui.text.verdict import reason_words, verdict_lines, verdict_of, words_of
+from hilcell.tui.text.verdict import verdict_lines, verdict_of
 from tests.hilcell.tui.sample_runs import sample_runs
 from tests.hilcell.tui.views import drawn, view_of
 
@@ -78,7 +78,7 @@ def test_a_failure_says_its_reason_and_steps() -> None:
     view = finished("intolerant", PLACES | {"S1900": {"mean": 0.222, "p95": 0.4, "max": 1.084}})
     found = verdict_of(view)
     assert found is not None
-    assert words_of(found) == ("FAIL", "out of tolerance")
+    assert found.words == ("FAIL", "out of tolerance")
     text = drawn(verdict_lines(view, found, UNICODE), 79, ROWS)
     row = next(line for line in text.split("\n") if line.startswith(" S1900"))
     assert row.split() == ["S1900", "75", "1.200", "0.222", "0.400", "1.084", "▲", "FAIL"]
@@ -114,7 +114,7 @@ def test_a_station_that_is_not_shown_to_hold_names_its_uncertainty() -> None:
     judge(view, "S300", holds=False, decided=Outcome.UNDECIDED)
     found = verdict_of(view)
     assert found is not None
-    assert reason_words(found) == "S300: mean 0.113, U 0.010: not shown below 0.120"
+    assert found.reason_words == "S300: mean 0.113, U 0.010: not shown below 0.120"
     assert "▲ at S300, limit 0.120" in drawn(verdict_lines(view, found, UNICODE), 79, ROWS)
 
 
@@ -140,7 +140,7 @@ def test_an_undecided_run_is_not_called_out_of_tolerance() -> None:
     judge(view, "S300", holds=False, decided=Outcome.UNDECIDED)
     found = verdict_of(view)
     assert found is not None
-    assert words_of(found) == ("UNDECIDED", "neither pass nor fail")
+    assert found.words == ("UNDECIDED", "neither pass nor fail")
     assert "UNDECIDED" in drawn(banner(view, UNICODE))
     assert "OUT OF TOLERANCE" not in drawn(banner(view, UNICODE))
     lines = drawn(verdict_lines(view, found, UNICODE), 78, ROWS).split("\n")
@@ -228,7 +228,7 @@ def test_an_orientation_over_its_limit_is_the_reason(
     limited(view, max_deg=max_deg, max_U_deg=U_deg, decided=Outcome(outcome), holds=False)
     found = verdict_of(view)
     assert found is not None
-    assert reason_words(found) == said
+    assert found.reason_words == said
     assert said in " ".join(drawn(verdict_lines(view, found, UNICODE), 79, ROWS + 5).split())
 
 
@@ -292,7 +292,7 @@ def test_what_to_do_about_a_u_that_is_too_large_is_seen_in_24_rows() -> None:
     view.alarms = alarms_of(view.log, "r", live=False)
     found = verdict_of(view)
     assert found is not None
-    assert [reason_words(found).count(name) for name in PLACES] == [1] * len(PLACES)
+    assert [found.reason_words.count(name) for name in PLACES] == [1] * len(PLACES)
     text = " ".join(drawn(verdict_lines(view, found, UNICODE), 79, ROWS).split())
     assert "HC-V17" in text
     assert view.alarms[0].do[0] in text
