@@ -11,6 +11,7 @@ import struct
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from enum import IntEnum
 
 from drivers.canopen.can_link import CanLink
 from drivers.canopen.sdo import Aborted, SdoChannel, Unsupported
@@ -22,8 +23,14 @@ STALE_S = 0.3
 SYNCS = 3
 POLL_S = 0.02
 DISABLED, NO_RTR = 1 << 31, 1 << 30
-EVERY_SYNC, ON_EVENT = 1, 255
-OWN_EVENT = 254  # of the maker; a PDO that is received counts at once by either
+
+
+class Transmission(IntEnum):
+    """Types of transmission; a PDO that is received counts at once by either kind of event."""
+
+    EVERY_SYNC = 1
+    OWN_EVENT = 254  # of the maker
+    ON_EVENT = 255
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,67 +49,62 @@ class Mapping:
         layout = struct.Struct(self.layout.format[:-1])
         return replace(self, entries=self.entries[:-1], layout=layout)
 
+    def configure(self, sdo: SdoChannel) -> None:
+        """Write it in the order that the standard wants (7.5.2.36): off, emptied, filled, on.
 
-def configure(sdo: SdoChannel, pdo: Mapping) -> None:
-    """Write a mapping in the order that the standard wants (7.5.2.36): off, emptied, filled, on.
+        A part that the device refuses to change is right where it reads so already. Bit 30 (no
+        remote frames) stays as found: devices that know none refuse to have it cleared. Raises
+        `Unsupported`.
+        """
+        what = f"PDO of {self._objects} with identifier {self.cob_id:03X}h"
+        parameters = self.communication
+        try:
+            held = sdo.read(parameters, 1)
+        except Aborted as refusal:
+            raise Unsupported(refusal, f"{parameters:04X}h ({what})") from refusal
+        cob_id = held & NO_RTR | self.cob_id
+        fixed = sdo.offer(parameters, 1, DISABLED | cob_id)
+        if fixed is not None and held != cob_id:
+            raise Unsupported(fixed, f"{parameters:04X}h:01 ({what})")
+        self._map(sdo)
+        other = sdo.offer(parameters, 2, self.transmission)
+        if other is not None and not (
+            self.transmission == Transmission.ON_EVENT
+            and sdo.read(parameters, 2) == Transmission.OWN_EVENT
+        ):
+            raise Unsupported(other, f"{parameters:04X}h:02 = {self.transmission} ({what})")
+        if fixed is None:
+            sdo.require(parameters, 1, cob_id, what)
 
-    A part that the device refuses to change is right where it reads so already. Bit 30 (no remote
-    frames) stays as found: devices that know none refuse to have it cleared. Raises `Unsupported`.
-    """
-    what = f"PDO of {_objects(pdo)} with identifier {pdo.cob_id:03X}h"
-    try:
-        held = sdo.read(pdo.communication, 1)
-    except Aborted as refusal:
-        raise Unsupported(refusal, f"{pdo.communication:04X}h ({what})") from refusal
-    cob_id = held & NO_RTR | pdo.cob_id
-    fixed = sdo.offer(pdo.communication, 1, DISABLED | cob_id)
-    if fixed is not None and held != cob_id:
-        raise Unsupported(fixed, f"{pdo.communication:04X}h:01 ({what})")
-    _map(sdo, pdo)
-    other = sdo.offer(pdo.communication, 2, pdo.transmission)
-    if other is not None and not _at_once(sdo, pdo):
-        raise Unsupported(other, f"{pdo.communication:04X}h:02 = {pdo.transmission} ({what})")
-    if fixed is None:
-        sdo.require(pdo.communication, 1, cob_id, what)
+    def configure_most(self, sdo: SdoChannel) -> Mapping:
+        """Configure it, or the `shorter` one of a device that does not support it; return which."""
+        try:
+            self.configure(sdo)
+        except Unsupported:
+            shorter = self.shorter()
+            shorter.configure(sdo)
+            return shorter
+        return self
 
+    def _map(self, sdo: SdoChannel) -> None:
+        """Write the mapped objects; a device that refuses may have the same already."""
+        coded = [index << 16 | bits for index, bits in self.entries]
+        try:
+            sdo.write(self.mapping, 0, 0)
+            for sub, value in enumerate(coded, start=1):
+                sdo.write(self.mapping, sub, value)
+            sdo.write(self.mapping, 0, len(coded))
+        except Aborted as refusal:
+            same = sdo.read(self.mapping, 0) == len(coded) and all(
+                sdo.read(self.mapping, sub) == value for sub, value in enumerate(coded, start=1)
+            )
+            if not same:
+                what = f"{self.mapping:04X}h (PDO of {self._objects})"
+                raise Unsupported(refusal, what) from refusal
 
-def configure_either(sdo: SdoChannel, pdo: Mapping, other: Mapping) -> Mapping:
-    """Configure a PDO, or the ``other`` one of a device that does not support it; return which."""
-    try:
-        configure(sdo, pdo)
-    except Unsupported:
-        configure(sdo, other)
-        return other
-    return pdo
-
-
-def _map(sdo: SdoChannel, pdo: Mapping) -> None:
-    coded = [index << 16 | bits for index, bits in pdo.entries]
-    try:
-        sdo.write(pdo.mapping, 0, 0)
-        for sub, value in enumerate(coded, start=1):
-            sdo.write(pdo.mapping, sub, value)
-        sdo.write(pdo.mapping, 0, len(coded))
-    except Aborted as refusal:
-        if not _maps(sdo, pdo.mapping, coded):
-            what = f"{pdo.mapping:04X}h (PDO of {_objects(pdo)})"
-            raise Unsupported(refusal, what) from refusal
-
-
-def _at_once(sdo: SdoChannel, pdo: Mapping) -> bool:
-    """Whether a PDO that is obeyed on its event is so in the device's own way."""
-    return pdo.transmission == ON_EVENT and sdo.read(pdo.communication, 2) == OWN_EVENT
-
-
-def _objects(pdo: Mapping) -> str:
-    return " and ".join(f"{index:04X}h" for index, _ in pdo.entries)
-
-
-def _maps(sdo: SdoChannel, mapping: int, coded: list[int]) -> bool:
-    """Whether a mapping that the device does not let change is the one that is needed."""
-    return sdo.read(mapping, 0) == len(coded) and all(
-        sdo.read(mapping, sub) == value for sub, value in enumerate(coded, start=1)
-    )
+    @property
+    def _objects(self) -> str:
+        return " and ".join(f"{index:04X}h" for index, _ in self.entries)
 
 
 class Inbox:

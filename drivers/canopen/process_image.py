@@ -18,7 +18,7 @@ from drivers.canopen import cia402, cia406
 from drivers.canopen.can_link import CanLink
 from drivers.canopen.cia402 import Control, Object, State
 from drivers.canopen.node_watch import NodeWatch
-from drivers.canopen.pdo import EVERY_SYNC, ON_EVENT, Inbox, Mapping
+from drivers.canopen.pdo import Inbox, Mapping, Transmission
 from drivers.standing import DEVICE
 from hilcell.ports import DeviceError
 
@@ -77,7 +77,7 @@ class ProcessImage:
             0x1800,
             0x1A00,
             0x180 + drive_node,
-            EVERY_SYNC,
+            Transmission.EVERY_SYNC,
             ((Object.STATUSWORD, 16), (Object.POSITION_ACTUAL, 32)),
             struct.Struct("<Hi"),
         )
@@ -85,7 +85,7 @@ class ProcessImage:
             0x1801,
             0x1A01,
             0x280 + drive_node,
-            EVERY_SYNC,
+            Transmission.EVERY_SYNC,
             ((Object.VELOCITY_ACTUAL, 32), (Object.MODE_DISPLAY, 8)),
             struct.Struct("<ib"),
         )
@@ -93,7 +93,7 @@ class ProcessImage:
             0x1400,
             0x1600,
             0x200 + drive_node,
-            ON_EVENT,
+            Transmission.ON_EVENT,
             ((Object.CONTROLWORD, 16), (Object.TARGET_POSITION, 32)),
             struct.Struct("<Hi"),
         )
@@ -181,7 +181,7 @@ def strip_mapping(node: int) -> Mapping:
         0x1800,
         0x1A00,
         0x180 + node,
-        EVERY_SYNC,
+        Transmission.EVERY_SYNC,
         ((cia406.Object.POSITION, 32), (cia406.Object.ALARMS, 16)),
         struct.Struct("<iH"),
     )

@@ -20,7 +20,6 @@ from drivers.canopen.cia301 import NMT, NodeCommand, NodeObject
 from drivers.canopen.drive import Drive
 from drivers.canopen.motion_guard import Limits
 from drivers.canopen.node_watch import NodeWatch
-from drivers.canopen.pdo import configure, configure_either
 from drivers.canopen.process_image import ProcessImage, Snapshot
 from drivers.canopen.rail_setup import Expected
 from drivers.canopen.release import Release
@@ -229,9 +228,9 @@ class CanopenRail:
         rail_setup.apply(drive_sdo, windows)
         if strip_sdo is not None:
             rail_setup.set_heartbeat(strip_sdo, options.bitrate)
-        configure(drive_sdo, image.status)
-        image.take(configure_either(drive_sdo, image.motion, image.motion.shorter()))
-        configure(drive_sdo, image.command)
+        image.status.configure(drive_sdo)
+        image.take(image.motion.configure_most(drive_sdo))
+        image.command.configure(drive_sdo)
         if strip_sdo is not None:
             image.take(rail_setup.map_strip(strip_sdo, image.strip, self._watches[-1]))
         rail_setup.start_nodes(link, self._watches, self._clock.check)

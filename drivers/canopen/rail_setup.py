@@ -16,7 +16,6 @@ from drivers.canopen.cia301 import NMT, NodeCommand, NodeObject, NodeState, stat
 from drivers.canopen.cia402 import Object, Option
 from drivers.canopen.node_watch import PC_HEARTBEAT_LIMIT_MS, NodeWatch, doubts_sensor
 from drivers.canopen.pdo import Mapping as Pdo
-from drivers.canopen.pdo import configure_either
 from drivers.canopen.sdo import ABSENT, Aborted, SdoChannel, Unsupported
 from drivers.canopen.slcan_bus import has_long_stamp
 from hilcell.clean import clean
@@ -286,7 +285,7 @@ def map_strip(sdo: SdoChannel, pdo: Pdo, watch: NodeWatch) -> Pdo:
     Then, or where 6503h never has a position error (6504h), its emergencies have them; one that
     was sent before is still in the error register.
     """
-    mapped = configure_either(sdo, pdo, pdo.shorter())
+    mapped = pdo.configure_most(sdo)
     supported = sdo.read_if_present(cia406.Object.SUPPORTED_ALARMS)
     silent = supported is not None and not supported & cia406.POSITION_ERROR
     watch.speaks_for_sensor = silent or mapped is not pdo

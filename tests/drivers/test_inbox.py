@@ -10,11 +10,11 @@ import pytest
 
 from drivers.canopen import pdo
 from drivers.canopen.can_link import Callback, CanLink, LinkTime
-from drivers.canopen.pdo import EVERY_SYNC, REPLY_S, Inbox, Mapping
+from drivers.canopen.pdo import REPLY_S, Inbox, Mapping, Transmission
 from drivers.supervision import go_on
 from tests.clocks import DrivenClock
 
-PDO = Mapping(0x1800, 0x1A00, 0x185, EVERY_SYNC, ((0x6064, 32),), struct.Struct("<i"))
+PDO = Mapping(0x1800, 0x1A00, 0x185, Transmission.EVERY_SYNC, ((0x6064, 32),), struct.Struct("<i"))
 POLL_S = 0.02
 
 

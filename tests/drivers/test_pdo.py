@@ -5,10 +5,17 @@ from typing import cast
 
 import pytest
 
-from drivers.canopen.pdo import DISABLED, EVERY_SYNC, NO_RTR, Mapping, configure
+from drivers.canopen.pdo import DISABLED, NO_RTR, Mapping, Transmission
 from drivers.canopen.sdo import SdoChannel
 
-PDO = Mapping(0x1801, 0x1A01, 0x285, EVERY_SYNC, ((0x606C, 32), (0x6061, 8)), struct.Struct("<ib"))
+PDO = Mapping(
+    0x1801,
+    0x1A01,
+    0x285,
+    Transmission.EVERY_SYNC,
+    ((0x606C, 32), (0x6061, 8)),
+    struct.Struct("<ib"),
+)
 
 
 class Objects:
@@ -35,7 +42,7 @@ class Objects:
 @pytest.mark.parametrize("kept", [0, NO_RTR])
 def test_a_pdo_is_off_while_it_is_mapped(kept: int) -> None:
     objects = Objects(kept | 0x123)
-    configure(cast("SdoChannel", objects), PDO)
+    PDO.configure(cast("SdoChannel", objects))
     assert objects.written == [
         (0x1801, 1, DISABLED | kept | 0x285),
         (0x1A01, 0, 0),
