@@ -39,7 +39,6 @@ from hilcell.ports import (
     TrackerReading,
 )
 
-COUNTS_PER_MM, STRIP_COUNTS_PER_MM = 1000.0, 100.0
 ADDRESS = "in process"
 
 
@@ -80,6 +79,8 @@ class EventClock:
 class DirectRail:
     """Satisfies `hilcell.ports.Rail`."""
 
+    COUNTS_PER_MM, STRIP_COUNTS_PER_MM = 1000.0, 100.0
+
     def __init__(self, truth: RailTruth, passing: PlantTime, clock: Clock, cell: Cell) -> None:
         self._truth, self._time, self._clock = truth, passing, clock
         self._ramp = cell.rail.speed_mm_s, cell.rail.acceleration_mm_s2
@@ -101,7 +102,7 @@ class DirectRail:
     def move_to(self, position_mm: float) -> None:
         """Move by the drive's encoder alone, and stand."""
         self._power(on=True)
-        self._truth.move(_counted(position_mm, COUNTS_PER_MM), *self._ramp)
+        self._truth.move(_counted(position_mm, self.COUNTS_PER_MM), *self._ramp)
         self._rest()
 
     def settle(self) -> RailReading:
@@ -112,8 +113,8 @@ class DirectRail:
         """Return drive and strip as they count."""
         state = self._truth.poll()
         return RailReading(
-            _counted(state.encoder_mm, COUNTS_PER_MM),
-            _counted(state.strip_mm, STRIP_COUNTS_PER_MM),
+            _counted(state.encoder_mm, self.COUNTS_PER_MM),
+            _counted(state.strip_mm, self.STRIP_COUNTS_PER_MM),
             state.velocity_mm_s,
             not state.moving,
             self._powered,

@@ -21,8 +21,6 @@ from hilcell.cell.file import RailTable
 
 NODE = 5
 IDENTITY = NodeIdentity(0x00020192, "hilcell rail drive (simulated)", 0x484, 0x402, 1, 2014001)
-COUNTS_PER_MM = 1000.0
-INT32 = range(-(1 << 31), 1 << 31)
 
 
 class Mode(IntEnum):
@@ -118,6 +116,8 @@ class RailDrive(CanopenSlave):
     FOLLOWING_ERROR, LIMIT_SWITCH_HIT = 0x8611, 0x8612
     ABOVE_ZERO = range(1, 1 << 32)
     DITHER_COUNTS, DITHER_HZ = 2, 50.0
+    COUNTS_PER_MM = 1000.0
+    INT32 = range(-(1 << 31), 1 << 31)
 
     def __init__(
         self,
@@ -239,7 +239,7 @@ class RailDrive(CanopenSlave):
 
     def _brake_down(self, deceleration: int) -> None:
         if self._busy:
-            self._rail.quick_stop(deceleration / COUNTS_PER_MM)
+            self._rail.quick_stop(deceleration / self.COUNTS_PER_MM)
         else:
             self._come_to_rest()
 
@@ -347,7 +347,7 @@ class RailDrive(CanopenSlave):
     def _operate(self, rising: int, falling: int) -> None:
         if rising & Control.HALT and self._busy:
             self._halted = True
-            self._rail.quick_stop(self.dictionary.number(0x6084) / COUNTS_PER_MM)
+            self._rail.quick_stop(self.dictionary.number(0x6084) / self.COUNTS_PER_MM)
         if self._mode is Mode.PROFILE_POSITION:
             if falling & Control.HALT and self._halted:
                 self._halted = False
@@ -381,8 +381,8 @@ class RailDrive(CanopenSlave):
         speed = self._hurry * min(number(0x6081), number(0x607F))
         # The plant's trapezoid is symmetric; the gentler ramp holds for both ends.
         acceleration = min(number(0x6083), number(0x6084))
-        end_mm = self._slide.encoder_mm + gap / COUNTS_PER_MM
-        self._rail.move(end_mm, speed / COUNTS_PER_MM, acceleration / COUNTS_PER_MM)
+        end_mm = self._slide.encoder_mm + gap / self.COUNTS_PER_MM
+        self._rail.move(end_mm, speed / self.COUNTS_PER_MM, acceleration / self.COUNTS_PER_MM)
 
     def _start_homing(self) -> None:
         self._reached = self._homed = False
@@ -391,14 +391,14 @@ class RailDrive(CanopenSlave):
             return
         self._homing = self._busy = True
         self._target = 0
-        self._rail.home(self.dictionary.number(0x6099, 1) / COUNTS_PER_MM)
+        self._rail.home(self.dictionary.number(0x6099, 1) / self.COUNTS_PER_MM)
 
     # -- objects ------------------------------------------------------------------------------
 
     def _position(self) -> int:
         """Return the encoder's count, which wraps at 32 bits."""
-        count = round(self._slide.encoder_mm * COUNTS_PER_MM)
-        return (count - INT32[0]) % len(INT32) + INT32[0]
+        count = round(self._slide.encoder_mm * self.COUNTS_PER_MM)
+        return (count - self.INT32[0]) % len(self.INT32) + self.INT32[0]
 
     def _dithers(self) -> bool:
         return self._busy or self.state is State.OPERATION_ENABLED
@@ -408,7 +408,7 @@ class RailDrive(CanopenSlave):
 
     def _velocity(self) -> int:
         hunting = self.DITHER_HZ * self._dither.change if self._dithers() else 0.0
-        return round(self._slide.velocity_mm_s * COUNTS_PER_MM + hunting)
+        return round(self._slide.velocity_mm_s * self.COUNTS_PER_MM + hunting)
 
     def _inputs(self) -> int:
         negative = self._slide.at_negative_limit or self._open_switch < 0
@@ -443,8 +443,8 @@ class RailDrive(CanopenSlave):
         return IDENTITY.product if wrong is None else int(wrong)
 
     def _add_objects(self, table: RailTable) -> None:
-        speed = round(table.speed_mm_s * COUNTS_PER_MM)
-        acceleration = round(table.acceleration_mm_s2 * COUNTS_PER_MM)
+        speed = round(table.speed_mm_s * self.COUNTS_PER_MM)
+        acceleration = round(table.acceleration_mm_s2 * self.COUNTS_PER_MM)
         add, record = self.dictionary.add, self.dictionary.add_array
         self.dictionary.entry(0x1018, 2).read = self._product
         add(0x6007, 0, Entry("h", 1, allowed=range(4)))
@@ -464,7 +464,7 @@ class RailDrive(CanopenSlave):
         add(0x6070, 0, Entry("H", 0))
         add(0x607A, 0, Entry("i", 0, mappable=True))
         add(0x607C, 0, Entry("i", 0, allowed=(0,)))
-        record(0x607D, Entry("i", INT32[0]), Entry("i", INT32[-1]))
+        record(0x607D, Entry("i", self.INT32[0]), Entry("i", self.INT32[-1]))
         for index, value in {
             0x607F: 2 * speed,
             0x6081: speed,

@@ -17,7 +17,6 @@ from fakes.truth.rail_truth import RailState
 
 NODE = 6
 IDENTITY = NodeIdentity(0x00080196, "hilcell strip sensor (simulated)", 0x484, 0x406, 1, 2014002)
-POSITION_ERROR = 1 << 0
 
 
 class RailStrip(CanopenSlave):
@@ -25,6 +24,7 @@ class RailStrip(CanopenSlave):
 
     SPEED_STEP = 10  # 6005:02, in 0.01 mm/s
     INT16 = range(-(1 << 15), 1 << 15)
+    POSITION_ERROR = 1 << 0
 
     def __init__(
         self, slide: RailState, faults: Faults, send: Callable[[int, bytes], None]
@@ -42,7 +42,7 @@ class RailStrip(CanopenSlave):
     def strike(self) -> None:
         """Let the faults of a SYNC come and go."""
         self._sensor.strike()
-        alarms = POSITION_ERROR if self._sensor.missing else 0
+        alarms = self.POSITION_ERROR if self._sensor.missing else 0
         encoder_fault = 0x7305
         if alarms != self._alarms:
             self.emergency(encoder_fault if alarms else 0, ErrorKind.DEVICE_PROFILE)
@@ -59,7 +59,7 @@ class RailStrip(CanopenSlave):
         add(0x6500, 0, Entry("H", 0, "ro", mappable=True))
         add(0x6501, 0, Entry("H", step_nm, "ro"))  # shorter than the profile's U32, as sold
         add(0x6503, 0, Entry("H", 0, "ro", mappable=True, read=lambda: self._alarms))
-        add(0x6504, 0, Entry("H", POSITION_ERROR, "ro"))
+        add(0x6504, 0, Entry("H", self.POSITION_ERROR, "ro"))
         add(0x6505, 0, Entry("H", 0, "ro", mappable=True))
         add(0x6506, 0, Entry("H", 0, "ro"))
         add(0x650B, 0, Entry("I", IDENTITY.serial, "ro"))

@@ -22,7 +22,6 @@ from fakes.canopen.pdo import ReceivePdo, TransmitPdo
 from fakes.canopen.sdo import SdoServer
 
 NMT_COB_ID, SYNC_COB_ID = 0x000, 0x080
-HEARTBEAT_LOST = 0x8130
 
 
 class ErrorKind(IntEnum):
@@ -63,6 +62,7 @@ class CanopenSlave:
     PDO_TOO_SHORT = 0x8210
     COMMUNICATION_AREA, WHOLE_DICTIONARY = range(0x1000, 0x2000), range(0x10000)
     KEPT_ERRORS = 4
+    HEARTBEAT_LOST = 0x8130
 
     def __init__(self, node: int, identity: NodeIdentity, send: Send) -> None:
         self.node = node
@@ -178,7 +178,7 @@ class CanopenSlave:
         match data[0]:
             case 1 if self._heartbeat_lost:
                 self.nmt = Nmt.PRE_OPERATIONAL
-                self.emergency(HEARTBEAT_LOST, ErrorKind.COMMUNICATION)
+                self.emergency(self.HEARTBEAT_LOST, ErrorKind.COMMUNICATION)
             case 1:
                 self.nmt = Nmt.OPERATIONAL
                 for pdo in self.transmit_pdos:
@@ -258,7 +258,7 @@ class CanopenSlave:
 
     def _lose_heartbeat(self) -> None:
         self._heartbeat_lost = True
-        self.emergency(HEARTBEAT_LOST, ErrorKind.COMMUNICATION)
+        self.emergency(self.HEARTBEAT_LOST, ErrorKind.COMMUNICATION)
         self.connection_lost()
         if self.nmt is Nmt.OPERATIONAL and self.dictionary.number(0x1029, 1) == 0:
             self.nmt = Nmt.PRE_OPERATIONAL

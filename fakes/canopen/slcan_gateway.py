@@ -61,7 +61,6 @@ class SerialEnd:
             os.close(self._theirs)
 
 
-OK, REFUSED = b"\r", b"\a"
 LATE_SHARE, LATE_S = 0.1, 0.001  # so many sendings wait for up to so long, whole or cut in two
 
 
@@ -91,6 +90,7 @@ class SlcanGateway:
     """
 
     SEND_DEADLINE_S = 0.2
+    OK, REFUSED = b"\r", b"\a"
 
     def __init__(
         self,
@@ -207,7 +207,7 @@ class SlcanGateway:
         longest_line = 64
         if len(rest) > longest_line:
             self._received = b""
-            self._put(REFUSED)
+            self._put(self.REFUSED)
 
     def _put(self, data: bytes) -> None:
         if not self._stalled:
@@ -220,24 +220,24 @@ class SlcanGateway:
             case b"T" | b"r" | b"R":
                 # Extended and remote frames cross the bus; no node here listens to them.
                 done = b"Z\r" if line[:1] in b"TR" else b"z\r"
-                self._put(done if self._opened else REFUSED)
+                self._put(done if self._opened else self.REFUSED)
             case b"O" | b"L":
-                self._put(OK)
+                self._put(self.OK)
                 if not self._opened:
                     self._opened = True
                     self._on_open()
             case b"C":
                 self._opened = False
-                self._put(OK)
+                self._put(self.OK)
             case _:
                 self._put(self._settings(line))
 
     def _settings(self, line: bytes) -> bytes:
         match line[:1]:
             case b"":
-                return OK
+                return self.OK
             case b"S" | b"s":
-                return REFUSED if self._opened else OK
+                return self.REFUSED if self._opened else self.OK
             case b"V":
                 return b"V1013\r"
             case b"N":
@@ -245,13 +245,13 @@ class SlcanGateway:
             case b"F":
                 return b"F00\r"
             case _:
-                return REFUSED
+                return self.REFUSED
 
     def _transmit(self, line: bytes) -> None:
         try:
             cob_id, data = decode(line)
         except ValueError:
-            self._put(REFUSED)
+            self._put(self.REFUSED)
             return
         if self._faults.take("rail.eof") is not None:
             self.drop()
@@ -259,7 +259,7 @@ class SlcanGateway:
         self._stalled = self._faults.take("rail.stalled") is not None
         self._off = self._off or self._faults.take("rail.bus_off") is not None
         if not self._opened or self._off or self._faults.take("rail.nack") is not None:
-            self._put(REFUSED)
+            self._put(self.REFUSED)
             return
         self._put(b"z\r")
         self._on_frame(cob_id, data)

@@ -24,12 +24,14 @@ from fakes.wires.segments import RECEIVE, Answers, Segments
 
 READ, WRITE = 0, 1
 IDLE_S = 30.0
-HEAD = struct.Struct("!HH")
+
 FAILURES = {0: b"\x00\x00\x00", 1: b"\x00\x01\x00"}  # C3 Bridge's, KUKAVARPROXY's
 
 
 class C3Server:
     """Serves one controller on a port, 0 for one that the system chooses."""
+
+    HEAD = struct.Struct("!HH")
 
     def __init__(
         self,
@@ -70,12 +72,12 @@ class C3Server:
         segments, pending = Segments(client), b""
         while data := client.recv(RECEIVE):
             pending += data
-            while len(pending) >= HEAD.size:
-                tag, length = HEAD.unpack_from(pending)
-                end = HEAD.size + length
+            while len(pending) >= self.HEAD.size:
+                tag, length = self.HEAD.unpack_from(pending)
+                end = self.HEAD.size + length
                 if len(pending) < end:
                     break
-                request, pending = pending[HEAD.size : end], pending[end:]
+                request, pending = pending[self.HEAD.size : end], pending[end:]
                 try:
                     reply = self.answer(tag, request)
                     self._catch_up()
@@ -106,7 +108,7 @@ class C3Server:
         value = text.encode("ascii", "replace")
         tag = (tag + 1) % 0x10000 if self._faults.take("robot.tag_mismatch") is not None else tag
         body = struct.pack("!BH", kind, len(value)) + value + footer
-        return HEAD.pack(tag, len(body)) + body
+        return self.HEAD.pack(tag, len(body)) + body
 
     def _fail_if_wanted(self) -> None:
         if self._faults.take("robot.restarted") is not None:

@@ -56,8 +56,6 @@ class Error(IntEnum):
     STOPPED = 9
 
 
-AXES = tuple(f"A{n}" for n in range(1, 7))
-EXTERNAL = members({f"E{n}": 0.0 for n in range(1, 7)})
 FRAME = ("X", "Y", "Z", "A", "B", "C")
 TOOL, BASE = 1, 0
 
@@ -66,6 +64,8 @@ class KrlController:
     """One robot's controller; ``read`` and ``write`` may come from several threads."""
 
     FLICKER_POSE = np.array([1e-3] * 3 + [1e-4] * 3)  # mm and deg
+    AXES = tuple(f"A{n}" for n in range(1, 7))
+    EXTERNAL = members({f"E{n}": 0.0 for n in range(1, 7)})
 
     def __init__(
         self,
@@ -82,7 +82,7 @@ class KrlController:
         self._low_deg = np.array([joint.min_deg for joint in cell.robot.joint])
         self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
         self._tool = dict(zip(FRAME, (*cell.robot.smr_mm, 0.0, 0.0, 0.0), strict=True))
-        self._target_deg = dict(zip(AXES, cell.robot.home_deg, strict=True))
+        self._target_deg = dict(zip(self.AXES, cell.robot.home_deg, strict=True))
         self._integers = {"HC_VEL": 1, "HC_CMD": 0, "HC_SEQ": 0, "HC_OV_OLD": 0, "HC_OV_SET": 0}
         life_ms = 1500
         self._integers["HC_LIFE"] = life_ms
@@ -187,7 +187,7 @@ class KrlController:
             "HC_VER": lambda: "4",
             "HC_HELD": lambda: boolean(self._slide is None or self._slide.held),
             "HC_PLACE": lambda: f"{self._slide_mm:.5f}",
-            "HC_TGT": lambda: aggregate("E6AXIS", self._target_deg, EXTERNAL),
+            "HC_TGT": lambda: aggregate("E6AXIS", self._target_deg, self.EXTERNAL),
             "HC_ACK": self._read_acknowledge,
             "HC_ERR": lambda: str(self._error),
             "HC_STOP": lambda: boolean(self._in_stop),
@@ -237,7 +237,7 @@ class KrlController:
         flicker_deg = 1e-4  # of each axis at rest
         if which != "$POS_ACT":
             axes_deg = np.degrees(joints_rad) + flicker_deg * off
-            axes = dict(zip(AXES, axes_deg.tolist(), strict=True))
+            axes = dict(zip(self.AXES, axes_deg.tolist(), strict=True))
             return aggregate("E6AXIS", axes, self._external())
         if state.joints_rad is not self._pose_of:  # at rest it is the same array each time
             self._pose_of, arm = state.joints_rad, self._arm
@@ -262,7 +262,7 @@ class KrlController:
 
     def _external(self) -> str:
         if self._slide is None:
-            return EXTERNAL
+            return self.EXTERNAL
         place_mm = self._slide.place_mm(self._slide.poll(self._share), alone=False)
         return members({"E1": place_mm} | {f"E{n}": 0.0 for n in range(2, 7)})
 
@@ -333,7 +333,7 @@ class KrlController:
             return Error.UNKNOWN_COMMAND
         if (forbidden := self._slide_forbids()) != Error.OK:
             return forbidden
-        target_deg = np.array([self._target_deg[axis] for axis in AXES])
+        target_deg = np.array([self._target_deg[axis] for axis in self.AXES])
         inside = (target_deg >= self._low_deg) & (target_deg <= self._high_deg)
         if not inside.all() or self._faults.take("robot.softlimit") is not None:
             return Error.OUT_OF_LIMITS

@@ -7,22 +7,23 @@ from itertools import pairwise
 
 from fakes.replay.dialects import Dialect, Options
 
-_END = re.compile(rb"</Robot\w+>")
 _ASKED = re.compile(rb'(<(?:RobotCommand|RobotStop|Command)\s+Id=")(-?\d+)(")')
-_LIFE = re.compile(rb' Life="\d+"')
 
 
 class Eki(Dialect):
     """Commands with an Id, and states that repeat it; that of a motion is above 0."""
 
+    END = re.compile(rb"</Robot\w+>")
+    LIFE = re.compile(rb' Life="\d+"')
+
     def split(self, data: bytes) -> tuple[list[bytes], bytes]:
         """Return the whole documents, and the rest."""
-        ends = [0, *(found.end() for found in _END.finditer(data))]
+        ends = [0, *(found.end() for found in self.END.finditer(data))]
         return [data[a:b] for a, b in pairwise(ends)], data[ends[-1] :]
 
     def name(self, message: bytes) -> bytes:
         """Return the document without the Id of a question, and without its sign of life."""
-        return _ASKED.sub(_kept, _LIFE.sub(b"", message))
+        return _ASKED.sub(_kept, self.LIFE.sub(b"", message))
 
     def belongs(self, answer: bytes, asked: bytes) -> bool:
         """Whether both have one Id: a state may come once more, with the next."""

@@ -38,7 +38,6 @@ OTHERS = (
     "HC_ERR", "HC_OV_OLD", "HC_VER", "$TRAFONAME[]", "$KR_SERIALNO", "$ACT_TOOL", "$ACT_BASE",
 )  # fmt: skip
 PLACES = ("$AXIS_ACT_MEAS", "$POS_ACT", "$TOOL", "$BASE")
-NAMES = (*COMMAND.values(), *STATUS.values(), *SLIDE.values(), *OTHERS, *PLACES)
 
 
 class Overflow(Exception):
@@ -89,6 +88,8 @@ class Queues:
 
 class EkiProgram:
     """One cycle of the submit program for each command."""
+
+    NAMES = (*COMMAND.values(), *STATUS.values(), *SLIDE.values(), *OTHERS, *PLACES)
 
     def __init__(self, controller: KrlController, faults: Faults, time: PlantTime) -> None:
         self._controller, self._faults, self._time = controller, faults, time
@@ -156,7 +157,7 @@ class EkiProgram:
             self._controller.write("HC_OV_OLD", "0")
 
     def _state(self, number: int) -> bytes:
-        texts = dict(zip(NAMES, self._controller.read_all(NAMES), strict=True))
+        texts = dict(zip(self.NAMES, self._controller.read_all(self.NAMES), strict=True))
         axes, pose, tool, base = (raw_members(texts[name]) for name in PLACES)
         version = 1
         frame = ("X", "Y", "Z", "A", "B", "C")

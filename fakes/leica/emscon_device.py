@@ -49,9 +49,6 @@ class Mode(IntEnum):
     CONTINUOUS_TIME = 1
 
 
-INITIALISE_S, POINT_S, FACE_S = 30.0, 0.6, 4.0
-
-
 class Face(IntEnum):
     """Faces of the tracker."""
 
@@ -60,7 +57,6 @@ class Face(IntEnum):
 
 
 SERIAL, VERSION, SENSOR_AT401 = 402871, (3, 8, 0), 70
-OFFSETS_MM = {"SMR 1.5in": 19.05, "SMR 0.875in": 11.1125, "SMR 0.5in": 6.35}
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,10 +92,14 @@ class _Settings:
     reflector: int = 1
 
 
+OFFSETS_MM = {"SMR 1.5in": 19.05, "SMR 0.875in": 11.1125, "SMR 0.5in": 6.35}
+
+
 class EmsconDevice:
     """One tracker; ``handle`` may come from several threads."""
 
     BALL = 1  # target type: corner cube
+    INITIALISE_S, POINT_S, FACE_S = 30.0, 0.6, 4.0
 
     def __init__(
         self,
@@ -288,11 +288,11 @@ class EmsconDevice:
             self._initialised, self._target, self._face = True, None, Face.FIRST
             return Answer([reply(command), status_change(Change.INITIALIZATION)])
 
-        return Answer(later=Later(INITIALISE_S, finish))
+        return Answer(later=Later(self.INITIALISE_S, finish))
 
     def _turn(self, command: Command, arguments: tuple[float, ...]) -> Answer:
         self._target = None
-        return Answer(later=Later(FACE_S, lambda: Answer([reply(command)])))
+        return Answer(later=Later(self.FACE_S, lambda: Answer([reply(command)])))
 
     def _change_face(self, command: Command, arguments: tuple[float, ...]) -> Answer:
         """Turn over and look where it looked before."""
@@ -304,11 +304,11 @@ class EmsconDevice:
             seen = Change.READY if self._lock_on() else Change.NOT_READY
             return Answer([reply(command), status_change(seen)])
 
-        return Answer(later=Later(FACE_S, finish))
+        return Answer(later=Later(self.FACE_S, finish))
 
     def _point(self, command: Command, arguments: tuple[float, ...]) -> Answer:
         self._pointing_mm, self._target = self._inside_mm(arguments[:3]), None
-        return Answer(later=Later(POINT_S, lambda: Answer([reply(command)])))
+        return Answer(later=Later(self.POINT_S, lambda: Answer([reply(command)])))
 
     def _go_position(self, command: Command, arguments: tuple[float, ...]) -> Answer:
         self._pointing_mm = self._inside_mm(arguments[:3])
@@ -331,7 +331,7 @@ class EmsconDevice:
                 return Answer([reply(command), status_change(Change.READY)])
             return Answer([status_change(Change.NOT_READY), reply(command, Status.NO_DISTANCE)])
 
-        return Answer(later=Later(POINT_S, finish))
+        return Answer(later=Later(self.POINT_S, finish))
 
     def _lock_on(self) -> bool:
         with self._lock:
@@ -347,7 +347,7 @@ class EmsconDevice:
             self._lock_on()
             return self._start_measurement(command, ())
 
-        return Answer(later=Later(POINT_S, finish))
+        return Answer(later=Later(self.POINT_S, finish))
 
     def _start_measurement(self, command: Command, arguments: tuple[float, ...]) -> Answer:
         if self._faults.take("tracker.vanish") is not None:

@@ -21,8 +21,6 @@ from fakes.time import PlantTime
 from fakes.wires.listener import HOST, Listener
 from fakes.wires.segments import Segments
 
-RECEIVE = 4096
-
 
 class EmsconServer:
     """Serves one tracker on a port, 0 for one that the system chooses."""
@@ -166,6 +164,8 @@ class EmsconServer:
 class _Session:
     """One client's connection: whole packets in, bytes out."""
 
+    RECEIVE = 4096
+
     def __init__(self, client: socket.socket) -> None:
         self._client = client
         self._segments = Segments(client)
@@ -181,7 +181,7 @@ class _Session:
         while (packet := self._take()) is None:
             self._client.settimeout(timeout_s)
             try:
-                data = self._client.recv(RECEIVE)
+                data = self._client.recv(self.RECEIVE)
             except TimeoutError:
                 return None
             finally:

@@ -20,8 +20,6 @@ from typing import Any
 
 from hilcell.cell.devices import load_entry
 
-NUMBERS = {55: 3, 63: 1, 135: 3}  # doubles behind these commands of an emScon tracker
-_LINE_END = re.compile(rb"(?<=\n)|(?<=\r)(?!\n)")
 Options = Mapping[str, Any]
 NONE: Options = MappingProxyType({})
 
@@ -30,10 +28,11 @@ class Dialect:
     """Lines: each ends with CR or LF."""
 
     flows = False  # whether answers come by themselves, at a rate
+    LINE_END = re.compile(rb"(?<=\n)|(?<=\r)(?!\n)")
 
     def split(self, data: bytes) -> tuple[list[bytes], bytes]:
         """Return the whole messages, and the rest."""
-        *whole, rest = _LINE_END.split(data)
+        *whole, rest = self.LINE_END.split(data)
         return whole, rest
 
     def split_questions(self, data: bytes) -> tuple[list[bytes], bytes]:
@@ -189,6 +188,9 @@ class C3(Sized):
         value = asked.partition(life)[2]  # with its length
         rest = write + value + written
         return [asked[:2] + struct.pack(">H", len(rest)) + rest]
+
+
+NUMBERS = {55: 3, 63: 1, 135: 3}  # doubles behind these commands of an emScon tracker
 
 
 class Emscon(Sized):

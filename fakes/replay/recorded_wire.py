@@ -26,7 +26,6 @@ from fakes.replay.recorded_script import (
 from fakes.wires.listener import HOST, Listener
 from hilcell.wire.recording import Piece
 
-RECEIVE = 65536
 LONGEST, SHOWN = 60, 24  # bytes of a question in a message, as text and in hex
 _WORDS = re.compile(rb"[ -~]{3,}")
 
@@ -41,6 +40,8 @@ def shown(asked: bytes) -> str:
 
 class RecordedWire:
     """Serves the recorded connections of one wire in their order; a further one gets the last's."""
+
+    RECEIVE = 65536
 
     def __init__(
         self,
@@ -137,7 +138,7 @@ class RecordedWire:
                     send([pulse.due()])
                 if not select.select([client], [], [], due_s - now_s)[0]:
                     continue
-                if not (data := client.recv(RECEIVE)):
+                if not (data := client.recv(self.RECEIVE)):
                     return
                 messages, rest = self._dialect.split_questions(rest + data)
                 for message in messages:
@@ -154,7 +155,7 @@ class RecordedWire:
         flow_s = 0.001  # between two messages that come by themselves
         while True:
             if select.select([client], [], [], flow_s)[0]:
-                if not (data := client.recv(RECEIVE)):
+                if not (data := client.recv(self.RECEIVE)):
                     return
                 messages, rest = self._dialect.split_questions(rest + data)
                 for message in messages:

@@ -21,8 +21,6 @@ from fakes.truth.tracker_truth import Instrument
 from fakes.truth.transforms import Array
 
 WARM_UP_S = 20.0
-POINT_S, SEARCH_S, READ_S = 0.3, 0.8, 0.5
-SEARCH_MM, BEAM_MM = 150.0, 8.0  # beside the aim: with the camera's help, and without
 
 
 class Refusal(IntEnum):
@@ -72,6 +70,8 @@ class T2saDevice:
     """One bridge with one instrument; ``handle`` takes one request after another."""
 
     DAWN = datetime(2026, 1, 5, 8, 0, tzinfo=UTC)
+    POINT_S, SEARCH_S, READ_S = 0.3, 0.8, 0.5
+    SEARCH_MM, BEAM_MM = 150.0, 8.0  # beside the aim: with the camera's help, and without
 
     def __init__(
         self,
@@ -85,7 +85,7 @@ class T2saDevice:
         self._instrument, self._faults, self._time = instrument, faults, time
         self._points, self._group = points, group
         self._warm_s: float | None = None
-        self._window_mm = SEARCH_MM
+        self._window_mm = self.SEARCH_MM
         self._former_mm: Array | None = None
         handlers: dict[str, Callable[[str], Answer]] = {
             "!LST": self._switch,
@@ -140,7 +140,7 @@ class T2saDevice:
     def _set_power_lock(self, value: str) -> Answer:
         if value not in ("0", "1"):
             return refusal(Refusal.REJECTED)
-        self._window_mm = SEARCH_MM if value == "1" else BEAM_MM
+        self._window_mm = self.SEARCH_MM if value == "1" else self.BEAM_MM
         return Answer()
 
     # -- points ---------------------------------------------------------------------------------
@@ -172,12 +172,12 @@ class T2saDevice:
         if aim_mm is None:
             return refusal(Refusal.NO_POINT)
         off_mm, name = self._seen(aim_mm)
-        search_s = SEARCH_S * min(off_mm, self._window_mm) / SEARCH_MM
+        search_s = self.SEARCH_S * min(off_mm, self._window_mm) / self.SEARCH_MM
 
         def finish() -> Answer:
             return self._measured(path, aim_mm, name)
 
-        return Answer(after_s=POINT_S + search_s + READ_S, finish=finish)
+        return Answer(after_s=self.POINT_S + search_s + self.READ_S, finish=finish)
 
     def _seen(self, aim_mm: Array) -> tuple[float, str | None]:
         """Return how far beside the aim a reflector is, at its own range, and its name."""

@@ -22,15 +22,15 @@ from fakes.wires.segments import Segments
 
 # A head without its magnet goes on with its last position; only its alarm shows it.
 
-COUNTS_PER_MM = 100.0
-
 
 class StripSensor:
     """The head of one strip; ``strike`` before each look."""
 
+    COUNTS_PER_MM = 100.0
+
     def __init__(self, slide: RailState, faults: Faults) -> None:
         self._faults = faults
-        self.position = round(slide.strip_mm * COUNTS_PER_MM)
+        self.position = round(slide.strip_mm * self.COUNTS_PER_MM)
         self.velocity_mm_s = 0.0
         self.missing = False  # the magnet
         self._frozen = False
@@ -44,7 +44,7 @@ class StripSensor:
         self.velocity_mm_s = slide.velocity_mm_s
         if not self._frozen and not self.missing:
             at_mm = slide.strip_mm + self._jump_mm
-            self.position = round(at_mm * COUNTS_PER_MM) + self._jitter
+            self.position = round(at_mm * self.COUNTS_PER_MM) + self._jitter
 
     def strike(self) -> None:
         """Let the faults of a look come and go."""
@@ -58,8 +58,9 @@ class StripSensor:
         self.missing = self._faults.take("rail.missing_magnet") is not None
 
 
-ANSWERS = {b"A0": "MSAC501 simulated", b"A1": "V1.00-simulated", b"A2": "002014003"}
 RECEIVE = 4096
+
+ANSWERS = {b"A0": "MSAC501 simulated", b"A1": "V1.00-simulated", b"A2": "002014003"}
 
 
 class StripLine:

@@ -20,8 +20,6 @@ from fakes.truth.transforms import Array
 from hilcell.cell.file import Cell
 from hilcell.fit.robot_file import read_measurements
 
-AIR = Air(temperature_c=20.0, pressure_mbar=1013.25, humidity_percent=50.0)
-
 
 class ReplayPlant:
     """One replayed cell; raises `SettingsError` where the data cannot be read."""
@@ -55,6 +53,8 @@ class ReplayPlant:
 
 class ReplayTracker:
     """Sees the reflectors recorded for the pose at which the robot stands."""
+
+    AIR = Air(temperature_c=20.0, pressure_mbar=1013.25, humidity_percent=50.0)
 
     def __init__(self, data: Path, robot: RobotMotion) -> None:
         self._rows = read_measurements(data)
@@ -91,4 +91,4 @@ class ReplayTracker:
 
     def air(self) -> Air:
         """Return the air, which the data do not tell."""
-        return AIR
+        return self.AIR

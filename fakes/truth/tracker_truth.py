@@ -20,8 +20,6 @@ from fakes.truth.noise import KeyedNoise
 from fakes.truth.transforms import Array, carried, frame, inverse, rigid, rotation
 from hilcell.cell.file import Cell
 
-URAD = 1e-6
-
 Scene = Callable[[], dict[str, Array]]  # reflectors (3,) by name
 
 
@@ -81,6 +79,7 @@ class TrackerTruth:
     """
 
     MEASUREMENT_S = 5.0
+    URAD = 1e-6
 
     def __init__(
         self,
@@ -104,7 +103,7 @@ class TrackerTruth:
         self._air_phases: list[float] = rng.uniform(0.0, 2 * math.pi, 3).tolist()
         self._bump_mm, self._scale = np.zeros(3), 1.0
         axes = KeyedNoise(seed).generator("tracker's axes")
-        self._axes_rad = self._sizes.axes_urad * URAD * axes.standard_normal(3)
+        self._axes_rad = self._sizes.axes_urad * self.URAD * axes.standard_normal(3)
         self._turning_rad, self._turning_since = 0.0, 0  # of 1000 measurements; their number
         self._lifted_mm: dict[str, float] = {}
         self._offset_mm = self._warmer_k = 0.0
@@ -162,7 +161,9 @@ class TrackerTruth:
         for row, fault in struck.items():
             xyz_mm[row] += fault.offset_mm * along[row]
         noise = self._back if back else self._noise
-        draws = np.array([noise.normal(_coarse(each), 6) for each in xyz_mm.tolist()])
+        # Keys that a slide which lands a few micrometres off does not change.
+        keys = [",".join(f"{value / 10.0:.0f}" for value in each) for each in xyz_mm.tolist()]
+        draws = np.array([noise.normal(key, 6) for key in keys])
         draws, std_draws = draws[:, :3], draws[:, 3:]
         radial_mm, across_mm = self._sigma_mm(range_mm)
         radial = np.vecdot(draws, along)[:, None] * along
@@ -234,9 +235,9 @@ class TrackerTruth:
         # faults of the axes, in urad
         axes = ("tracker.collimation", "tracker.transit", "tracker.index")
         for axis, fault in enumerate(axes):
-            self._axes_rad[axis] += URAD * (number(fault) or 0.0)
+            self._axes_rad[axis] += self.URAD * (number(fault) or 0.0)
         if (turning := number("tracker.turning")) is not None:
-            self._turning_rad, self._turning_since = URAD * turning, self._measured
+            self._turning_rad, self._turning_since = self.URAD * turning, self._measured
         return _Struck(self._offset_mm, noisy_mm, number("tracker.spike") or 0.0)
 
     def _sighted(self, xyz_mm: Array, *, back: bool = False) -> Array:
@@ -269,8 +270,3 @@ class TrackerTruth:
         there, back = self._drift
         drift: Array = there * math.sin(angle) + back * (1 - math.cos(angle))
         return drift
-
-
-def _coarse(xyz_mm: list[float]) -> str:
-    """Return a key that a slide which lands a few micrometres off does not change."""
-    return ",".join(f"{value / 10.0:.0f}" for value in xyz_mm)

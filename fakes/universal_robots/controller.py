@@ -65,10 +65,7 @@ class Error(IntEnum):
     BRAKED = 9
 
 
-LIFE_MS = 1500
-INTEGERS, FLOATS = range(24, 29), range(24, 31)  # that a client may write
 NAME = re.compile(r"^\s*def\s+(\w+)\s*\(", re.ASCII)
-SESSION = re.compile(r"write_output_integer_register\(26, (\d+)\)", re.ASCII)
 
 Values = dict[str, float | int | Array]
 
@@ -77,6 +74,9 @@ class UrController:
     """One robot's controller; its methods may come from several threads."""
 
     STEP_S = 0.002  # of the controller
+    LIFE_MS = 1500
+    INTEGERS, FLOATS = range(24, 29), range(24, 31)  # that a client may write
+    SESSION = re.compile(r"write_output_integer_register\(26, (\d+)\)", re.ASCII)
 
     def __init__(
         self, cell: Cell, motion: RobotMotion, faults: Faults, time: PlantTime, harms: Harms
@@ -88,8 +88,8 @@ class UrController:
         self._high_deg = np.array([joint.max_deg for joint in cell.robot.joint])
         self._full_rad_s = np.radians([joint.speed_deg_s for joint in cell.robot.joint])
         self._tcp = np.array([*cell.robot.smr_mm, 0.0, 0.0, 0.0]) / 1000.0
-        self._inputs: dict[str, float] = {f"input_int_register_{n}": 0 for n in INTEGERS}
-        self._inputs |= {f"input_double_register_{n}": 0.0 for n in FLOATS}
+        self._inputs: dict[str, float] = {f"input_int_register_{n}": 0 for n in self.INTEGERS}
+        self._inputs |= {f"input_double_register_{n}": 0.0 for n in self.FLOATS}
         self._session = self._count = self._acknowledged = self._error = 0
         self._program, self._moves = "", False
         self._keeps_acknowledge = self._frozen = False
@@ -142,7 +142,7 @@ class UrController:
             changed = {name for name, value in values.items() if self._inputs[name] != value}
             self._inputs |= values
             if life in changed:
-                self._timer.set_ms(-LIFE_MS)
+                self._timer.set_ms(-self.LIFE_MS)
             self._run()
             if self._session and self._runtime == Runtime.STOPPED:
                 self._time.advance(self.STEP_S)  # a PC that looks at the end of its session waits
@@ -161,7 +161,7 @@ class UrController:
                 return
             self._end_program()
             self._program, self._runtime = name[1], Runtime.PLAYING
-            session = SESSION.search(script)
+            session = self.SESSION.search(script)
             if self._program == "hilcell" and session:
                 self._session = int(session[1])
                 self._acknowledged = int(self._inputs["input_int_register_24"])
@@ -277,7 +277,7 @@ class UrController:
             slowest_s = float(np.max(way_rad / self._full_rad_s))
             wanted_s = float(np.max(way_rad)) / speed_rad_s
             self._motion.move(to_rad, min(1.0, slowest_s / wanted_s) if wanted_s > 0 else 1.0)
-        self._timer.start(-LIFE_MS)
+        self._timer.start(-self.LIFE_MS)
         return Error.OK
 
     def _acknowledge(self, error: int) -> None:

@@ -35,11 +35,9 @@ class Package(IntEnum):
     DATA = 85
 
 
-HEAD = struct.Struct("!HB")
 FASTEST_HZ = 500.0
 SIX = {"actual_q", "target_q", "actual_qd", "actual_TCP_pose"}
 WHOLE = {"robot_mode", "safety_status", "safety_mode"}
-LAYOUTS = {"VECTOR6D": "6d", "DOUBLE": "d", "INT32": "i", "UINT32": "I"}
 
 
 class UrRtdeServer:
@@ -111,8 +109,13 @@ class UrRtdeServer:
         return self._faults
 
 
+LAYOUTS = {"VECTOR6D": "6d", "DOUBLE": "d", "INT32": "i", "UINT32": "I"}
+
+
 class _Session:
     """One client's exchange."""
+
+    HEAD = struct.Struct("!HB")
 
     def __init__(self, client: socket.socket, server: UrRtdeServer) -> None:
         self._client, self._server = client, server
@@ -137,13 +140,13 @@ class _Session:
 
     def _take(self, data: bytes) -> bool:
         self._pending += data
-        while len(self._pending) >= HEAD.size:
-            size, kind = HEAD.unpack_from(self._pending)
-            if size < HEAD.size:
+        while len(self._pending) >= self.HEAD.size:
+            size, kind = self.HEAD.unpack_from(self._pending)
+            if size < self.HEAD.size:
                 return False
             if len(self._pending) < size:
                 break
-            payload, self._pending = self._pending[HEAD.size : size], self._pending[size:]
+            payload, self._pending = self._pending[self.HEAD.size : size], self._pending[size:]
             if not self._answer(kind, payload):
                 return False
         return True
@@ -170,7 +173,7 @@ class _Session:
             self._started, answer = kind == Package.START, b"\x01"
         else:
             return True
-        self._client.sendall(HEAD.pack(HEAD.size + len(answer), kind) + answer)
+        self._client.sendall(self.HEAD.pack(self.HEAD.size + len(answer), kind) + answer)
         return True
 
     def _claimed(self, names: list[str]) -> tuple[int, list[str]]:
@@ -214,7 +217,9 @@ class _Session:
             value = values[name]
             numbers += value.tolist() if isinstance(value, np.ndarray) else [value]
         payload = self._layout.pack(number, *numbers)
-        package = self._glued + HEAD.pack(HEAD.size + len(payload), Package.DATA) + payload
+        package = (
+            self._glued + self.HEAD.pack(self.HEAD.size + len(payload), Package.DATA) + payload
+        )
         self._sent += 1
         glued_every = 29
         if faults.take("robot.split_reply") is not None:

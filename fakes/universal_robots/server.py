@@ -12,12 +12,12 @@ from fakes.universal_robots.controller import UrController
 from fakes.universal_robots.rtde import UrRtdeServer
 from fakes.wires.listener import HOST, Listener
 
-RECEIVE = 4096
-STATE = bytes([0, 0, 0, 5, 16])  # an empty message of robot states
-
 
 class UrServer:
     """Serves one controller; only the port of RTDE can be chosen."""
+
+    RECEIVE = 4096
+    STATE = bytes([0, 0, 0, 5, 16])  # an empty message of robot states
 
     def __init__(self, controller: UrController, site: Site, port: int) -> None:
         self._controller = controller
@@ -58,9 +58,9 @@ class UrServer:
             ready, _, _ = select.select([client], [], [], state_s)
             if not ready:
                 with contextlib.suppress(BlockingIOError):
-                    client.send(STATE, socket.MSG_DONTWAIT)
+                    client.send(self.STATE, socket.MSG_DONTWAIT)
                 continue
-            data = client.recv(RECEIVE)
+            data = client.recv(self.RECEIVE)
             text += data.decode("ascii", "replace")
             if not data or len(text) > longest:
                 return
@@ -72,7 +72,7 @@ class UrServer:
         greeting = b"Connected: Universal Robots Dashboard Server\n"
         client.sendall(greeting)
         with client.makefile("rb") as lines:
-            while line := lines.readline(RECEIVE):
+            while line := lines.readline(self.RECEIVE):
                 command = line.decode("ascii", "replace").strip()
                 if command == "quit":
                     client.sendall(b"Disconnected\n")

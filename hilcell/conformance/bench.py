@@ -50,7 +50,6 @@ class Riding:
 LOOK_S = 0.02
 SIMULATED_ONLY = "it needs a fault, or may harm: only on simulated devices"
 PACE = 4.0  # of what moves in real time: quick, and slow enough to be stopped
-GROUPS = dict(TABLES)
 
 Settings = tuple[Callable[..., Driver], msgspec.Struct]  # a driver's class and its options
 
@@ -142,6 +141,9 @@ class Bench:
 
     def tidy(self) -> None:
         """Close what a promise has left open, and mend the wires."""
+
+
+GROUPS = dict(TABLES)
 
 
 class SimulatedBench(Bench):

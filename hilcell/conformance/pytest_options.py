@@ -23,7 +23,11 @@ def options_of(config: pytest.Config) -> tuple[Port, Cell]:
 
 def chosen(driver: str, where: str, assignments: Sequence[str]) -> tuple[Port, Cell]:
     """Return the port and the cell of the driver on trial; raises `pytest.UsageError`."""
-    group, name = _driver(driver)
+    group, colon, name = driver.partition(":")
+    if group not in PORT_OF or not (colon and name):
+        raise pytest.UsageError(
+            f"--hilcell-driver: {'|'.join(PORT_OF)}:NAME is wanted, found {driver}"
+        )
     port = PORT_OF[group]
     try:
         load_entry(group, name)
@@ -51,15 +55,6 @@ def chosen(driver: str, where: str, assignments: Sequence[str]) -> tuple[Port, C
             "cell, or judge it by `hilcell run conformance --cell CELL`"
         )
     return port, cell
-
-
-def _driver(stated: str) -> tuple[str, str]:
-    group, colon, name = stated.partition(":")
-    if group not in PORT_OF or not (colon and name):
-        raise pytest.UsageError(
-            f"--hilcell-driver: {'|'.join(PORT_OF)}:NAME is wanted, found {stated}"
-        )
-    return group, name
 
 
 def _assignment(stated: str) -> tuple[str, str]:

@@ -22,8 +22,6 @@ from hilcell.typed import Json
 
 HOST = "127.0.0.1"
 PIECE = 65536
-NOISE = b"t" * 4096  # a line that never ends, a length that no packet has
-RESET = struct.pack("ii", 1, 0)  # SO_LINGER: close by RST
 LOOK_S = 0.05
 LEAVES_S = 1.0  # a device that has something under way may hold its end open
 BEHIND_S = 0.3
@@ -52,6 +50,8 @@ class End(Protocol):
 class SocketEnd:
     """One end of a TCP connection."""
 
+    RESET = struct.pack("ii", 1, 0)  # SO_LINGER: close by RST
+
     def __init__(self, link: socket.socket) -> None:
         self._link = link
         link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -72,7 +72,7 @@ class SocketEnd:
         """Close it."""
         with suppress(OSError):
             if reset:
-                self._link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
+                self._link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, self.RESET)
             else:
                 self._link.shutdown(socket.SHUT_RDWR)
         self._link.close()
@@ -131,6 +131,8 @@ class Wire:
     ``rewrite``: bytes of answers to replace. ``asked`` is called before a request is handed on.
     """
 
+    NOISE = b"t" * 4096  # a line that never ends, a length that no packet has
+
     def __init__(self) -> None:
         self.mode, self.delay_s = "pass", 0.0
         self.rewrite: dict[bytes, bytes] = {}
@@ -168,7 +170,7 @@ class Wire:
             while not self._ended:
                 ready, _, _ = select.select([near, far], [], [], LOOK_S)
                 if self.mode == "flood":
-                    near.send(NOISE)
+                    near.send(self.NOISE)
                 now_s = time.monotonic()
                 due_s = min(due_s, now_s + BEHIND_S) if self.mode == "behind" else math.inf
                 asked = near in ready and (data := self._received(near))
@@ -208,7 +210,7 @@ class Wire:
         if self.mode == "mute":
             return
         if self.mode == "garbage":
-            data = NOISE[: len(data)]
+            data = self.NOISE[: len(data)]
         if self.mode == "slow":
             time.sleep(self.delay_s)
         for old, new in self.rewrite.items():

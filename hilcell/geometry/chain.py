@@ -20,7 +20,6 @@ from hilcell.geometry.frames import cross_matrix, inverse, matrix
 from hilcell.geometry.kinematics import Arm, Array, link_transforms
 
 NEARLY_PARALLEL = 0.1  # sine of the angle between axes: below it Hayati's form is used
-NO_LENGTH_MM = 1e-10  # rounding, whose direction means nothing
 Z = np.array([0.0, 0.0, 1.0])
 
 
@@ -92,18 +91,19 @@ def _row(point_mm: Array, along: Array) -> tuple[float, float, float, float, flo
 
     The line is given by a point (3,) on it and its unit direction (3,), in the row's frame.
     """
+    no_length_mm = 1e-10  # rounding, whose direction means nothing
     if not np.hypot(along[0], along[1]) > NEARLY_PARALLEL:
         a = float(np.hypot(point_mm[0], point_mm[1]))
-        a = a if a > NO_LENGTH_MM else 0.0
+        a = a if a > no_length_mm else 0.0
         theta = float(np.arctan2(point_mm[1], point_mm[0])) if a else 0.0
         x, y, z = _seen_along(theta, along)
         beta = float(np.arctan2(x, np.hypot(y, z)))
         return theta, float(point_mm[2]), a, float(np.arctan2(-y, z)), beta
     normal = np.array([-along[1], along[0], 0.0]) / np.hypot(along[0], along[1])
     a = float(normal @ point_mm)
-    a = a if abs(a) > NO_LENGTH_MM else 0.0
+    a = a if abs(a) > no_length_mm else 0.0
     # No row goes a negative way, nor, where it goes none, turns by over 90 deg.
-    aback = normal[0] < -NO_LENGTH_MM or (normal[0] < NO_LENGTH_MM and normal[1] < 0.0)
+    aback = normal[0] < -no_length_mm or (normal[0] < no_length_mm and normal[1] < 0.0)
     if a < 0.0 or (a == 0.0 and aback):
         normal, a = -normal, abs(a)
     theta = float(np.arctan2(normal[1], normal[0]))

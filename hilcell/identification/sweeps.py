@@ -91,7 +91,7 @@ def records_of(rising: Motion, falling: Motion) -> Records:
             f"both directions share {np.degrees(high - low):.1f} deg of "
             f"{np.degrees(widest):.1f} deg, wanted >= {100 * least_overlap:g} %: sweep one range"
         )
-    joint, error, side = [], [], []
+    joint, error, side = list[Array](), list[Array](), list[Array]()
     for motion, sign in ((rising, 1.0), (falling, -1.0)):
         inside = (motion.joint_rad >= low) & (motion.joint_rad <= high)
         # Samples that are closer than a curve needs them are averaged.
