@@ -13,11 +13,17 @@ from itertools import pairwise
 
 from fakes.replay.dialects import Dialect, Options, Sized
 
+KIND, HEAD = 2, 3
+DATA, OUTPUTS = 85, 79
 SIZES = {"DOUBLE": 8, "INT32": 4, "UINT32": 4, "UINT64": 8, "BOOL": 1, "UINT8": 1}
 SIZES |= {"VECTOR3D": 24, "VECTOR6D": 48, "VECTOR6INT32": 24, "VECTOR6UINT32": 24}
+SESSION, COUNT, TIME = "output_int_register_26", "output_int_register_27", "timestamp"
 LEAST_S = 1e-6  # from one package to the next
 # recipe, then sequence, command, sign of life, stop; joints; speed
 _INPUTS = struct.Struct("!4i6dd")
+_QUESTION = struct.Struct("!i")
+_NUMBER = re.compile(rb"write_output_integer_register\(26, (\d+)\)")
+_END = b"\nend\n"
 
 
 class Sessions:
@@ -39,10 +45,6 @@ class Rtde(Sized):
     """Packages; those of data come by themselves."""
 
     flows = True
-    KIND, HEAD = 2, 3
-    DATA, OUTPUTS = 85, 79
-    SESSION, COUNT, TIME = "output_int_register_26", "output_int_register_27", "timestamp"
-    QUESTION = struct.Struct("!i")
 
     def __init__(self, sessions: Sessions) -> None:
         super().__init__(">H", 0, 0)
@@ -52,18 +54,16 @@ class Rtde(Sized):
 
     def unheard(self, message: bytes) -> bool:
         """Whether it is a question for a fresh state: every state answers the last of them."""
-        return (
-            message[self.KIND] == self.DATA and len(message) == self.HEAD + 1 + self.QUESTION.size
-        )
+        return message[KIND] == DATA and len(message) == HEAD + 1 + _QUESTION.size
 
     def passed(self, message: bytes) -> None:
         """Take note of a question's number."""
-        (self._question,) = self.QUESTION.unpack_from(message, self.HEAD + 1)
+        (self._question,) = _QUESTION.unpack_from(message, HEAD + 1)
 
     def name(self, message: bytes) -> bytes:
         """Return what a write commands, with its target; other requests as they are."""
-        values = message[self.HEAD + 1 :]
-        if message[self.KIND] != self.DATA or len(values) != _INPUTS.size:
+        values = message[HEAD + 1 :]
+        if message[KIND] != DATA or len(values) != _INPUTS.size:
             return message
         sequence, command, _, stop, *numbers = _INPUTS.unpack(values)
         move = 1
@@ -73,54 +73,42 @@ class Rtde(Sized):
 
     def answer(self, asked: bytes, recorded: bytes, answer: bytes) -> bytes:
         """Return the package with the numbers of the driver's own session; time goes on."""
-        if answer[self.KIND] == self.OUTPUTS:
+        if answer[KIND] == OUTPUTS:
             self._learn(recorded, answer)
         echo = "input_int_register_28"
-        if answer[self.KIND] != self.DATA or not self._places.keys() >= {
-            self.TIME,
-            self.SESSION,
-            self.COUNT,
-            echo,
-        }:
+        if answer[KIND] != DATA or not self._places.keys() >= {TIME, SESSION, COUNT, echo}:
             return answer
         found = bytearray(answer)
-        (time_s,) = struct.unpack_from("!d", found, self._places[self.TIME])
+        (time_s,) = struct.unpack_from("!d", found, self._places[TIME])
         number, count = (
-            struct.unpack_from("!i", found, self._places[name])[0]
-            for name in (self.SESSION, self.COUNT)
+            struct.unpack_from("!i", found, self._places[name])[0] for name in (SESSION, COUNT)
         )
         self._time_s = max(time_s, self._time_s + LEAST_S)
         self._count = max(count, self._count + 1)
-        struct.pack_into("!d", found, self._places[self.TIME], self._time_s)
-        struct.pack_into("!i", found, self._places[self.SESSION], self._sessions.of(number))
-        struct.pack_into("!i", found, self._places[self.COUNT], self._count)
+        struct.pack_into("!d", found, self._places[TIME], self._time_s)
+        struct.pack_into("!i", found, self._places[SESSION], self._sessions.of(number))
+        struct.pack_into("!i", found, self._places[COUNT], self._count)
         struct.pack_into("!i", found, self._places[echo], self._question)
         return bytes(found)
 
     def repeats(self, answer: bytes) -> bool:
         """Whether it is a package of data."""
-        return answer[self.KIND] == self.DATA
+        return answer[KIND] == DATA
 
     def works(self, asked: bytes, answer: bytes) -> bool:
         """Whether the script has not acknowledged a write's number yet."""
         acknowledged = "output_int_register_24"
-        values, at = asked[self.HEAD + 1 :], self._places.get(acknowledged)
-        if (
-            asked[self.KIND : self.KIND + 1] != bytes([self.DATA])
-            or len(values) != _INPUTS.size
-            or at is None
-        ):
+        values, at = asked[HEAD + 1 :], self._places.get(acknowledged)
+        if asked[KIND : KIND + 1] != bytes([DATA]) or len(values) != _INPUTS.size or at is None:
             return False
         sequence, *_ = _INPUTS.unpack(values)
-        return answer[self.KIND] == self.DATA and struct.unpack_from("!i", answer, at) != (
-            sequence,
-        )
+        return answer[KIND] == DATA and struct.unpack_from("!i", answer, at) != (sequence,)
 
     def _learn(self, asked: bytes, answer: bytes) -> None:
         """Take note of where each field is."""
-        names = asked[self.HEAD + 8 :].decode("ascii", "replace").split(",")
-        sizes = [SIZES.get(each, 0) for each in answer[self.HEAD + 1 :].decode("ascii").split(",")]
-        at = self.HEAD + 1
+        names = asked[HEAD + 8 :].decode("ascii", "replace").split(",")
+        sizes = [SIZES.get(each, 0) for each in answer[HEAD + 1 :].decode("ascii").split(",")]
+        at = HEAD + 1
         self._places, self._time_s, self._count = {}, 0.0, 0
         for name, size in zip(names, sizes, strict=False):
             self._places[name], at = at, at + size
@@ -128,9 +116,6 @@ class Rtde(Sized):
 
 class UrScript(Dialect):
     """Scripts, each up to its end; the states of this wire are read by nobody."""
-
-    NUMBER = re.compile(rb"write_output_integer_register\(26, (\d+)\)")
-    END = b"\nend\n"
 
     def __init__(self, sessions: Sessions) -> None:
         self._sessions = sessions
@@ -142,17 +127,17 @@ class UrScript(Dialect):
     def split_questions(self, data: bytes) -> tuple[list[bytes], bytes]:
         """Return the whole scripts, and the rest."""
         ends = [0]
-        while (end := data.find(self.END, ends[-1])) >= 0:
-            ends.append(end + len(self.END))
+        while (end := data.find(_END, ends[-1])) >= 0:
+            ends.append(end + len(_END))
         return [data[a:b] for a, b in pairwise(ends)], data[ends[-1] :]
 
     def name(self, message: bytes) -> bytes:
         """Return the script without the number of its session."""
-        return self.NUMBER.sub(b"", message)
+        return _NUMBER.sub(b"", message)
 
     def heard(self, asked: bytes, recorded: bytes) -> None:
         """Take note of the session's number."""
-        new, old = self.NUMBER.search(asked), self.NUMBER.search(recorded)
+        new, old = _NUMBER.search(asked), _NUMBER.search(recorded)
         if new is not None and old is not None:
             self._sessions.renew(int(old[1]), int(new[1]))
 
