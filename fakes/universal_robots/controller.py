@@ -183,7 +183,7 @@ class UrController:
                 "safetystatus": f"Safetystatus: {safety}",
                 "is in remote control": str(self.remote).lower(),
                 "running": f"Program running: {str(self._runtime == Runtime.PLAYING).lower()}",
-                "programState": f"{Runtime(self._runtime).name} {self._program or 'null'}",
+                "programState": f"{self._state_name()} {self._program or 'null'}",
                 "get serial number": str(self._arm.serial),
                 "PolyscopeVersion": "URSoftware 5.12.0.1101319 (Mar 22 2022)",
             }
@@ -305,6 +305,9 @@ class UrController:
             self._run()  # a motion that has ended meanwhile needs no sign any more
             if self._timer.ran_out and self._moves:
                 self._brake(Error.LOST)
+
+    def _state_name(self) -> str:
+        return Runtime(self._runtime).name
 
     # -- faults -------------------------------------------------------------------------------
 
