@@ -50,11 +50,13 @@ class OpeningScreen(BaseScreen):
         super().on_mount()
 
 
-SCREENS = ("run", "pages", "plots", "history", "start", "help")
 LATER = (
     "hilcell.tui.engine.session",
     "hilcell.journal.index",
-    *(f"hilcell.tui.screens.{name}" for name in SCREENS),
+    *(
+        f"hilcell.tui.screens.{name}"
+        for name in ("run", "pages", "plots", "history", "start", "help")
+    ),
 )
 
 

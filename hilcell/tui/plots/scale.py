@@ -15,7 +15,6 @@ import numpy as np
 
 from hilcell.ports import Array
 
-STEPS = (1.0, 2.0, 5.0)
 LEAST, MOST = 1e-4, 1e4  # of a log scale, mm: below any tracker's resolution, beyond any cell
 FINEST, LARGEST = 1e-6, 1e9  # step and value of an even scale
 LOG_LOW, LOG_HIGH = 0.01, 2.0  # of a log scale that nothing extends, mm
@@ -73,7 +72,7 @@ class Scale:
         if self.is_log:
             steps = steps_between(self.low, self.high)
             yield steps
-            yield [step for step in steps if _mantissa(step) == 1.0]
+            yield [step for step in steps if float(f"{step:e}".partition("e")[0]) == 1.0]
         else:
             step = self.step
             while step <= self.high - self.low:
@@ -141,8 +140,4 @@ def step_below(value: float) -> float:
 
 def _around(value: float) -> list[float]:
     tens = math.floor(math.log10(value))
-    return [float(f"{step:g}e{n}") for n in (tens - 1, tens, tens + 1) for step in STEPS]
-
-
-def _mantissa(step: float) -> float:
-    return float(f"{step:e}".partition("e")[0])
+    return [float(f"{step:g}e{n}") for n in (tens - 1, tens, tens + 1) for step in (1, 2, 5)]

@@ -60,10 +60,10 @@ def event_words(view: RunView, record: Record, errors_mm: Mapping[str, float]) -
             size = "" if error_mm is None else f": |e| {error_mm:.3f} mm"
             return f"measured {key_words(point.key, log)}{' again' * point.retaken}{size}"
         case Intended(action=action, station=station):
-            point = in_words(record.key, log)
+            place = in_words(record.key, log)
             if action in MOTIONS:
-                return MOTIONS[action].format(station=station, point=point)
-            return f"{action.replace('.', ' ')} {point}".strip()
+                return MOTIONS[action].format(station=station, point=place)
+            return f"{action.replace('.', ' ')} {place}".strip()
         case Event() | OtherEvent() as event:
             return happened_words(event, log)
         case Ended(state=state, exit=code):
