@@ -50,6 +50,7 @@ class Safety(IntEnum):
 class Runtime(IntEnum):
     """States of the program."""
 
+    STOPPING = 0
     STOPPED = 1
     PLAYING = 2
     PAUSED = 4
