@@ -73,13 +73,16 @@ def test_a_stop_from_another_thread_ends_the_motion_as_such(
 ) -> None:
     monkeypatch.setattr(kuka_robot, "STALL_S", 1e6)
     peer.frozen = True
-    original = peer._read
+    original, stops = peer._read, list[threading.Thread]()
 
     def read(name: str) -> str | None:
         if name == "$AXIS_ACT":
-            threading.Thread(target=robot.stop).start()
+            stops.append(threading.Thread(target=robot.stop))
+            stops[-1].start()
         return original(name)
 
     monkeypatch.setattr(peer, "_read", read)
     assert refusal(lambda: robot.move_to(TARGET_RAD, 30.0)).code == "HC-B21"
     peer.stopped.wait()
+    for each in stops:  # before the robot is closed under them
+        each.join()
