@@ -243,11 +243,12 @@ def xlsx_bytes(facts: Facts) -> bytes:
 def json_bytes(facts: Facts) -> bytes:
     """Return everything: inputs, states, points, frames, verdicts, events and the result."""
     log, table = facts.log, points_table(facts)
-    keys = table.keys
+    keys, plan = table.keys, msgspec.to_builtins(log.inputs)
+    del plan["order"]  # of the folder of runs, no fact of this one
     whole = {
         "run": facts.run,
         "journal": facts.fingerprint,
-        "plan": log.inputs,
+        "plan": plan,
         "states": log.states,
         "sessions": log.session,
         "fault": log.fault,
