@@ -28,7 +28,7 @@ from hilcell.run.protocol import (
     Status,
     Subject,
 )
-from hilcell.typed import Json, typed
+from hilcell.typed import Json, decoded, typed
 
 
 class EngineSilent(HilcellError):
@@ -108,7 +108,7 @@ class EngineClient:
                 request = Request.within(self._patience_s, command, **subject)
                 self._asking.sendall(_line(request))
                 self._owed += 1
-                answer = msgspec.json.decode(self._answer(), type=Json)
+                answer = decoded(self._answer(), Json)
             except TimeoutError as error:
                 raise EngineSilent(f"{command}: the engine does not answer") from error
             except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
