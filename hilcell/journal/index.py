@@ -30,7 +30,6 @@ from hilcell.journal.runs import JOURNAL, read_records, unusable
 from hilcell.journal.states import OVER, RunState
 from hilcell.model.events import Connected
 from hilcell.model.plan import FolderOrder, PlanRecord
-from hilcell.model.point import Point
 from hilcell.model.records import Ended, StateChanged
 from hilcell.model.results import Place
 from hilcell.typed import decoded, typed
@@ -237,11 +236,11 @@ def row_of_records(name: str, records: Iterable[Record]) -> RunRow:
     for record in records:
         reader.take(record)
         sessions.take(record)
-        match record.fact:
+        if record.kind == "point":
+            points.add(record.key)
+        match record.fact if record.kind in ("plan", "state", "event", "end") else None:
             case PlanRecord() as inputs:
                 plan = record, inputs
-            case Point():
-                points.add(record.key)
             case Ended():
                 end = record
             case Connected(devices=devices):
