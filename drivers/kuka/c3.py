@@ -19,6 +19,7 @@ from drivers.supervision import Patience
 from drivers.wires.tcp import Alarms, TcpLink
 from hilcell.ports import DeviceError
 
+MAX_NAME = 250
 MAX_BODY = 4096
 REPLY_S = 2.0
 ALARMS = Alarms(unreachable="HC-B01", lost="HC-B02")
@@ -53,7 +54,7 @@ def encode_write(tag: int, name: str, value: str) -> bytes:
 
 def _request(tag: int, kind: int, name: str, rest: bytes) -> bytes:
     text = name.encode("ascii")
-    if not 0 < len(text) <= 250 or len(rest) > MAX_BODY:
+    if not 0 < len(text) <= MAX_NAME or len(rest) > MAX_BODY:
         raise C3Error(f"{name[:40]!r} or its value is too long for one request")
     body = struct.pack(">BH", kind, len(text)) + text + rest
     return _HEADER.pack(tag, len(body)) + body

@@ -25,6 +25,10 @@ from hilcell.clean import clean
 from hilcell.ports import Array, Clock
 from hilcell.wire.channel import Port
 
+PTP_JOINTS, PTP_SLIDE = 1, 2
+MEASURED = "$AXIS_ACT_MEAS"
+SLIDES, MASTERED, PLACE, HELD = "$EX_AX_NUM", "$AXIS_JUS[7]", "$AXIS_ACT.E1", "HC_HELD"
+
 
 class C3Access:
     """Satisfies `drivers.kuka.controller.Access` over one connection."""
@@ -115,7 +119,7 @@ class C3Controller(C3Access):
     @cached_property
     def measured(self) -> str:
         """Return the variable of measured joints, where the controller has it."""
-        return "$AXIS_ACT_MEAS" if self._line.knows("$AXIS_ACT_MEAS") else PROGRESS
+        return MEASURED if self._line.knows(MEASURED) else PROGRESS
 
     def text(self, name: str) -> str:
         """Return a CHAR array; some servers leave the quotes out, or pad it."""
@@ -124,32 +128,32 @@ class C3Controller(C3Access):
     def start(self, number: int, target_deg: Array, speed_percent: int) -> None:
         """Write the target, and the number last."""
         axes = dict(zip((*AXES, SLIDE), target_deg.tolist(), strict=False))
-        self._start(number, axes, 1, speed_percent)
+        self._start(number, axes, PTP_JOINTS, speed_percent)
 
     def start_slide(self, number: int, place_mm: float, speed_percent: int) -> None:
         """Write the target of E1, and the number last; the program looks at no other axis of it."""
         joints_deg = self.numbers(PROGRESS, AXES)
         axes = dict(zip((*AXES, SLIDE), [*joints_deg, place_mm], strict=True))
-        self._start(number, axes, 2, speed_percent)
+        self._start(number, axes, PTP_SLIDE, speed_percent)
 
     def has_slide(self) -> bool:
         """Whether the controller counts an external axis."""
-        return self._line.knows("$EX_AX_NUM") and integer(self, "$EX_AX_NUM") > 0
+        return self._line.knows(SLIDES) and integer(self, SLIDES) > 0
 
     def mastered(self) -> bool:
         """Whether E1 is mastered."""
-        return not self._line.knows("$AXIS_JUS[7]") or self.value("$AXIS_JUS[7]") is True
+        return not self._line.knows(MASTERED) or self.value(MASTERED) is True
 
     def hold_slide(self, held: bool) -> None:
         """Write whether E1 may move."""
-        self._line.write("HC_HELD", "TRUE" if held else "FALSE")
+        self._line.write(HELD, "TRUE" if held else "FALSE")
 
     def slide(self) -> tuple[float, bool]:
         """Read the place of E1, which is less to send than all axes, and whether it is held."""
-        place_mm = self.value("$AXIS_ACT.E1")
+        place_mm = self.value(PLACE)
         if isinstance(place_mm, bool | str) or not abs(place_mm) <= krl.LARGEST:
-            raise unreadable("$AXIS_ACT.E1", f"{place_mm!r} is no place")
-        return float(place_mm), self.value("HC_HELD") is True
+            raise unreadable(PLACE, f"{place_mm!r} is no place")
+        return float(place_mm), self.value(HELD) is True
 
     def _start(self, number: int, axes: dict[str, float], command: int, speed_percent: int) -> None:
         self._line.write("HC_TGT", krl.structure("E6AXIS", axes))

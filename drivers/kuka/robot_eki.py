@@ -38,6 +38,7 @@ from hilcell.wire.channel import Port
 # used. The controller serves one client a channel and opens it again a moment after a client has
 # gone, so connecting is tried for a while.
 
+DOCUMENTS_VERSION = 1
 ANSWER_S = 2.0
 OPEN_S = 3.0  # the channel of a client that has gone is open again
 AGAIN = 5  # times POLL_S from one try to the next
@@ -158,7 +159,7 @@ class EkiController:
 
     def __init__(self, options: KukaEkiRobot.Options, robot: SlidingKukaRobot) -> None:
         self.address = f"{options.host}:{options.port}"
-        self.versions = {"HC_VER": PROGRAM_VERSION, "HE_VER": 1}
+        self.versions = {"HC_VER": PROGRAM_VERSION, "HE_VER": DOCUMENTS_VERSION}
         opened = partial(open_channel, DEVICE, options.host)
         # Answers to an earlier session must not pass for answers to this one.
         self._number = -1 - secrets.randbelow(LARGEST_ID)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from drivers.tracker_readings import DEVICE
 from hilcell.ports import DeviceError, NoReading
 
-LARGEST = 65536  # bytes of a packet
+SMALLEST, LARGEST = 12, 65536  # bytes of a packet
 OTHER_UNITS_MM = {
     "metres": 1000.0, "micrometres": 0.001, "feet": 304.8, "yards": 914.4, "inches": 25.4,
 }  # fmt: skip
@@ -293,7 +293,7 @@ class Reflector:
 
 def encode(command: Command, body: bytes = b"") -> bytes:
     """Return a command packet."""
-    return struct.pack("<III", 12 + len(body), Type.COMMAND, command) + body
+    return struct.pack("<III", SMALLEST + len(body), Type.COMMAND, command) + body
 
 
 def status_text(status: int) -> str:
@@ -334,7 +334,7 @@ class PacketReader:
         header = Struct("<II")
         while len(self._buffer) >= header.size:
             size, kind = header.unpack_from(self._buffer)
-            if not 12 <= size <= LARGEST:
+            if not SMALLEST <= size <= LARGEST:
                 raise EmsconError(f"a packet of {size} bytes is announced")
             if len(self._buffer) < size:
                 break

@@ -92,8 +92,13 @@ class OtherVerdict(Verdict, frozen=True, kw_only=True):
 def _plain(name: str, value: object) -> str:
     words, _, last = name.rpartition("_")
     unit = UNITS.get(last, "") if words else ""
-    text = f"{value:.4f}" if isinstance(value, float) else str(value)
-    text = {True: "yes", False: "no"}[value] if isinstance(value, bool) else text
+    match value:
+        case bool():
+            text = "yes" if value else "no"
+        case float():
+            text = f"{value:.4f}"
+        case _:
+            text = str(value)
     return f"{(words if unit else name).replace('_', ' ')} {text}{unit}"
 
 

@@ -34,6 +34,7 @@ from drivers.kuka.program_krl.tokens import (
     text_of,
 )
 
+BAS_FORM = "#FRAMES"
 TABLES = {"base": "BASE_DATA", "tool": "TOOL_DATA"}
 NEVER_SET = (
     "BASE_DATA",
@@ -190,7 +191,7 @@ class FrameRule:
             raise KrlError(f"BAS({first},...) may set another base")
         elif first == "#INITMOV" and (self._set or self._form or self._moved):
             raise KrlError(f"BAS({first},...) resets base and tool after they were set or used")
-        elif first == "#FRAMES" and self._set:
+        elif first == BAS_FORM and self._set:
             stated = next(iter(self._set.values()))
             raise KrlError(
                 f"BAS({first},...) sets base and tool by FDAT_ACT after line {stated.line} has set "
@@ -198,7 +199,7 @@ class FrameRule:
             )
         elif first == "#INITMOV":
             self.settings[line].append((RESET, ""))
-        elif first in ("#FRAMES", "#PTP_PARAMS", "#CP_PARAMS"):  # by the frame data of FDAT_ACT
+        elif first in (BAS_FORM, "#PTP_PARAMS", "#CP_PARAMS"):  # by the frame data of FDAT_ACT
             self.settings[line].append((APPLY, ""))
 
     def _assign(self, name: str, rest: Sequence[Token], line: int) -> None:

@@ -22,6 +22,8 @@ from hilcell.compensation.stamp import Stamp
 from hilcell.compensation.station_program import Places, StationProgram
 from hilcell.ports import Array
 
+LONGEST_NAME = 24  # of a module
+CLEAR_RAD = 1e-4
 ACCELERATION_PERCENT = 50
 STRAIGHT_M_S = 0.1  # in to a hole and out of it
 
@@ -42,7 +44,7 @@ def write_station(program: StationProgram, stamp: Stamp) -> dict[str, bytes]:
 def module_name(station: str) -> str:
     """Return a station's name as KRL allows it: letters, digits, underscores; a letter first."""
     plain = re.sub(r"\W", "_", station, flags=re.ASCII)
-    return (plain if plain[0].isalpha() else f"S_{plain}")[:24]
+    return (plain if plain[0].isalpha() else f"S_{plain}")[:LONGEST_NAME]
 
 
 def _source(name: str, program: StationProgram, stamp: Stamp) -> Iterator[str]:
@@ -115,7 +117,7 @@ def _via(program: StationProgram, number: int) -> list[str]:
 def _points(places: Places) -> Iterator[str]:
     """Yield the points; one with an axis at zero leaves out S and T, whose bit rounding turns."""
     turns = turn_of(places.joints_rad)
-    sure = np.abs(places.joints_rad).min(axis=1) >= 1e-4  # rad
+    sure = np.abs(places.joints_rad).min(axis=1) >= CLEAR_RAD
     for values, status, turn, is_sure in zip(
         places.values, places.status, turns, sure, strict=True
     ):

@@ -16,6 +16,7 @@ from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.digits import figure, large, large_rows
 from hilcell.tui.text.run import is_simulated, simulation_block
 
+LEAST_WIDTH, LEAST_ROWS = 78, 14
 BLOCK = 24  # columns of the words' ground
 BAR, TO_LIMIT = 24, 19  # columns
 NEXT = "o report   p plots   w worst points   n new run"
@@ -113,7 +114,7 @@ def gravest(value_mm: float) -> float:
 
 def is_small(width: int, rows: int) -> bool:
     """Whether the large head has no room."""
-    return width < 78 or rows < 14
+    return width < LEAST_WIDTH or rows < LEAST_ROWS
 
 
 def head_lines(view: RunView, head: Head, glyphs: Glyphs, width: int, rows: int) -> list[Content]:

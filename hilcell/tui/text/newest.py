@@ -37,6 +37,8 @@ from hilcell.tui.text.devices import short_age
 from hilcell.tui.text.digits import figure, large
 
 DeviationOf = Callable[[Log, Point], Deviation | None]
+RAW_SCALE_MM = 2.0
+LEAST_LARGE = 41  # columns
 FULL_ROWS, SMALL_ROWS = 6, 3
 STALE_S = 30.0  # two points of a run are rarely so far apart
 TO_LIMIT = 0.8  # of the tolerance bar
@@ -88,7 +90,7 @@ class Shown:
     def large(self, found: Deviation, glyphs: Glyphs) -> Lines:
         """Return |e| large, and its components with a signed bar each."""
         # The full scale of the signed bars grows so that no bar is cut.
-        least_mm = 2.0 if found.limit_mm is None else found.limit_mm / 2
+        least_mm = RAW_SCALE_MM if found.limit_mm is None else found.limit_mm / 2
         known_mm = (abs(each) for each in found.error_mm if math.isfinite(each))
         scale_mm = step_at_least(max([least_mm, *known_mm]))
         text = "bold $stale" if self.stale else "bold"
@@ -185,4 +187,4 @@ def point_lines(shown: Shown, glyphs: Glyphs, rows: int = FULL_ROWS) -> Lines:
         return small
     whole = Stack(head, shown.large(found, glyphs), Grid(said[: rows - 4], *columns))
     state = whole.state, small.state
-    return Drawing(state, lambda width, _: (small if width < 41 else whole).lines(width))
+    return Drawing(state, lambda width, _: (small if width < LEAST_LARGE else whole).lines(width))

@@ -26,6 +26,7 @@ from hilcell.tui.plots.canvas import Ink
 from hilcell.tui.plots.draw import Look, Mark, Plot, Series
 from hilcell.tui.plots.scale import step_at_least
 
+STROKE = 80  # marks of a line from the bottom of a spectrum
 AS_SENT = Ink("$label", "o", "$label")
 PAPER = Ink("$live 70%", "+", "$label")
 LIVE = Ink("$live", "x", "$live")
@@ -277,8 +278,8 @@ def sweep_plot(of: Measured, pick: str = "") -> Plot:
     series = [Series("spectrum", AS_SENT, spectrum[:, 0] / most, spectrum[:, 1], joined=True)]
     lines = [*zip(record.cycles, record.amplitudes_urad, strict=True)]
     if lines:
-        x = np.repeat([cycles / most for cycles, _ in lines], 80)  # marks from the bottom
-        y = np.concatenate([np.linspace(0.0, size, 80) for _, size in lines])
+        x = np.repeat([cycles / most for cycles, _ in lines], STROKE)
+        y = np.concatenate([np.linspace(0.0, size, STROKE) for _, size in lines])
         series.append(Series("gear lines", LIVE, x, y))
     marks = tuple(Mark(f"{cycles:.1f}", cycles / most, size) for cycles, size in lines)
     used = "" if record.holds else f"; not used: {record.reason}"

@@ -28,6 +28,9 @@ from hilcell.tui.text.deviation import (
 from hilcell.tui.text.digits import figure
 from hilcell.tui.widgets import Column, Row
 
+BARS_FROM, RMS_FROM, WIDE_WITH_BARS = 78, 69, 128  # widths of the table
+BESIDE_NAME, BESIDE_NAME_ALONE = 40, 18  # columns, where stations have none
+MORE_POINTS = 1.1  # times as many points as before: U is taken again
 WIDE = 119  # from here on, nominal and measured places too
 STATIONS_FROM, FIGURES_FROM = 62, 54  # columns of the table
 _STATES = {  # by state: its word with its shape, and its tone
@@ -101,8 +104,8 @@ _FIELDS = (  # after the name
     _Field(Column("dy", 7, right=True), lambda width: width >= FIGURES_FROM, _error(1)),
     _Field(Column("dz", 7, right=True), lambda width: width >= FIGURES_FROM, _error(2)),
     _Field(Column("|e| mm", 6, right=True), lambda width: True, _norm),
-    _Field(Column("", 8), lambda width: 78 <= width < WIDE or width >= 128, _bar),
-    _Field(Column("rms", 6, right=True), lambda width: width >= 69,
+    _Field(Column("", 8), lambda width: BARS_FROM <= width < WIDE or width >= WIDE_WITH_BARS, _bar),
+    _Field(Column("rms", 6, right=True), lambda width: width >= RMS_FROM,
            lambda row: (f"{rms(row.point.std_mm):.3f}", "label")),
     _Field(Column("", 0), lambda width: True, lambda row: ("", "")),
     _Field(Column("state", 7), lambda width: True, _said),
@@ -115,7 +118,7 @@ def columns_for(width: int, *, bad_only: bool = False, worst: bool = False) -> S
     Where the station has no column of its own, it stands beside the name.
     """
     title = ("bad by |e|" if worst else "bad points") if bad_only else "worst first"
-    beside = 40 if width >= FIGURES_FROM else 18
+    beside = BESIDE_NAME if width >= FIGURES_FROM else BESIDE_NAME_ALONE
     name = 14 if width >= STATIONS_FROM else max(width - beside, 8)
     shown = (field.column for field in _FIELDS if field.is_in(width))
     return Column(title if bad_only or worst else "point", name), *shown
@@ -168,7 +171,7 @@ class PointRows:
     def _take_expanded(self, log: Log) -> None:
         """Take U as the log has it now, where that is due, and judge the known rows by it."""
         count, ended = len(log.points), log.end is not None
-        if count < 1.1 * self._U_of[0] and ended == self._U_of[1]:
+        if count < MORE_POINTS * self._U_of[0] and ended == self._U_of[1]:
             return
         self._U_mm, self._U_of = expanded_of(log), (count, ended)
         for key, (number, row) in self._found.items():
