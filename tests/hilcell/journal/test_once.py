@@ -22,6 +22,12 @@ def test_a_result_is_computed_again_after_the_next_record() -> None:
     assert asked == ["", "other"] * 2
 
 
+POINT = {
+    "id": {"kind": "noise"}, "group": "noise", "station": "", "reflector": "", "samples": 1,
+    "xyz_mm": [1.0, 2.0, 3.0], "std_mm": [0.0, 0.0, 0.0], "session": 1, "frame": "tracker",
+}  # fmt: skip
+
+
 def test_a_record_that_is_not_read_leaves_a_result_as_it_is() -> None:
     log, asked = Log(), list[int]()
 
@@ -29,11 +35,16 @@ def test_a_record_that_is_not_read_leaves_a_result_as_it_is() -> None:
         asked.append(len(log.frames))
         return len(log.frames)
 
-    verdict, frame = {"holds": True}, {"matrix": [[1.0]]}
+    verdict, frame, state = (
+        {"holds": True},
+        {"matrix": [[1.0]]},
+        {"machine": "run", "to": "running"},
+    )
     rows: tuple[tuple[Kind, Json], ...] = (
-        ("frame", frame), ("verdict", verdict), ("intent", {}), ("frame", frame),
+        ("frame", frame), ("verdict", verdict), ("intent", {}), ("state", state), ("frame", frame),
+        ("point", POINT), ("event", {"what": "said"}),
     )  # fmt: skip
     for seq, (kind, body) in enumerate(rows, start=1):
         log.take(Record(seq, "2026-01-01T00:00:00.000Z", kind, "own", body))
         assert log.once_measured(frames) == 1
-    assert asked == [1, 1]
+    assert asked == [1] * 4  # once for each frame, for the point and for the event

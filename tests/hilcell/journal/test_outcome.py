@@ -6,11 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from hilcell.journal.calibration_facts import run_outcome
+from hilcell.journal.calibration_facts import facts_of, run_outcome
 from hilcell.journal.index import row_of
 from hilcell.journal.runs import read_log
 from hilcell.model.point import PointId
 from tests.hilcell.report.journals import Writer
+from tests.hilcell.verdicts import FITTED, JUDGED, POSE_TESTED
 
 
 @pytest.mark.parametrize(
@@ -26,3 +27,11 @@ def test_a_run_that_judged_nothing(tmp_path: Path, points: int, end: int | None,
         writer.journal.append("end", "", {"state": "finished", "exit": end, "result": {}})
     writer.journal.close()
     assert run_outcome(read_log(tmp_path / "r")) == row_of(tmp_path / "r").verdict == said
+
+
+def test_a_model_whose_places_were_not_validated_is_in_no_tolerance() -> None:
+    """Another test that holds says nothing of it."""
+    tested = facts_of({"fit": FITTED, "iso9283": POSE_TESTED})
+    assert (tested.outcome, tested.verdict) == (None, "not validated")
+    assert facts_of({"fit": FITTED, "validation.S1": JUDGED}).verdict == "in tolerance"
+    assert facts_of({"iso9283": POSE_TESTED}).verdict == "in tolerance"
