@@ -130,7 +130,7 @@ def record_of(run: str, records: Sequence[Record], documents: Sequence[Document]
         LENGTH: _numbered(made.lengths()),
         GRID: list(made.grid()),
         STREAM: [
-            {name: getattr(each, name) for name in STREAM.c.keys() if name != "digest"}  # noqa: SIM118
+            {of.name: getattr(each, of.name) for of in STREAM.columns if of.name != "digest"}
             for each in log.streams.values()
         ],
         DOCUMENT: [msgspec.to_builtins(each) for each in documents],

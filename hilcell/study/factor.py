@@ -175,8 +175,9 @@ class Factor(Frozen, frozen=True, kw_only=True):
 
     @property
     def span(self) -> tuple[float, float]:
-        """Return low and high of a range."""
-        assert self.low is not None and self.high is not None  # noqa: S101, PT018 - checked
+        """Return low and high of a range; raises `ValueError` for a factor of levels."""
+        if self.low is None or self.high is None:
+            raise ValueError(f"{self.setting}: expected a range, got levels")
         return self.low, self.high
 
     @property
