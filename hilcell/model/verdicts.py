@@ -64,9 +64,12 @@ class Verdict(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def why(self) -> str:
-        """Return what decided: causes, else figures that do not keep their limit, else all."""
+        """Return what decided: causes, else what is ``wrong``, else figures that do not keep their
+        limit, else all.
+        """
         failed = [each.why for each in self.figures if each.outcome is self.outcome]
-        return "; ".join(self.suspects or ([] if self.holds else failed)) or self.words
+        wrong: Sequence[str] = getattr(self, "wrong", ())
+        return "; ".join(self.suspects or wrong or ([] if self.holds else failed)) or self.words
 
 
 class OtherVerdict(Verdict, frozen=True, kw_only=True):
@@ -511,11 +514,6 @@ class LengthsChecked(Verdict, frozen=True, kw_only=True):
     def words(self) -> str:
         """Return the lengths."""
         return "; ".join(each.text for each in self.lengths)
-
-    @property
-    def why(self) -> str:
-        """Return those that differ."""
-        return "; ".join(self.wrong) or self.words
 
 
 class Faces(msgspec.Struct, frozen=True):

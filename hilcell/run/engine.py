@@ -33,7 +33,7 @@ from hilcell.journal.run_journal import RunJournal
 from hilcell.journal.runs import CALIBRATION, JOURNAL, forget, is_run, make_folder
 from hilcell.journal.times import offset_min
 from hilcell.model.events import RetakeAsked, SessionOrdered
-from hilcell.model.plan import FolderOrder
+from hilcell.model.plan import FolderOrder, PlanRecord
 from hilcell.model.point import CONTROL
 from hilcell.model.records import Ended
 from hilcell.ports import Clock, HilcellError
@@ -255,8 +255,8 @@ class NewEngine(Engine):
             )
         self._before = {
             "driven_by": finished_runs(runs, cell),
-            "floor_before": msgspec.to_builtins(floor_before(runs, cell, self.plan.machine_seed)),
-            "order": msgspec.to_builtins(self._place()),
+            "floor_before": floor_before(runs, cell, self.plan.machine_seed),
+            "order": self._place(),
         }
         make_folder(folder)
 
@@ -273,22 +273,23 @@ class NewEngine(Engine):
         speed = order.speed
         packages = ("numpy", "scipy", "canopen", "python-can", "transitions", "msgspec")
         own = {"hilcell": __version__, "python": platform.python_version()}
-        facts = {
-            "cell_file": cell_file(order.cell),
-            "seed": order.seed,
-            "machine_seed": plan.machine_seed,
-            "replayed": is_replay(cell),
-            "speed": None if speed is None or math.isinf(speed) else speed,
-            "unattended": order.attendance.unattended,
-            "operator": order.operator,
-            "job": order.job,
-            "versions": own | {package: version(package) for package in packages},
-            "settings": dict(order.settings),
-            "utc_offset_min": offset_min(),
-            "accepted": list(plan.accepted),
-        }
-        inputs = plan.procedure.inputs(cell, plan.steps)
-        self.journal.append("plan", "", inputs | facts | self._before)
+        record = PlanRecord(
+            **plan.procedure.inputs(cell, plan.steps),
+            **self._before,
+            cell_file=cell_file(order.cell),
+            seed=order.seed,
+            machine_seed=plan.machine_seed,
+            replayed=is_replay(cell),
+            speed=None if speed is None or math.isinf(speed) else speed,
+            unattended=order.attendance.unattended,
+            operator=order.operator,
+            job=order.job,
+            versions=own | {package: version(package) for package in packages},
+            settings=dict(order.settings),
+            utc_offset_min=offset_min(),
+            accepted=list(plan.accepted),
+        )
+        self.journal.append("plan", "", record)
 
 
 class ResumedEngine(Engine):

@@ -136,7 +136,7 @@ class Procedure:
             )
         return Plan(steps)
 
-    def inputs(self, cell: Cell, plan: Plan) -> dict[str, object]:
+    def inputs(self, cell: Cell, plan: Plan) -> Json:
         """Return what every run of a plan freezes; its command adds who ordered it, and how."""
         return {
             "procedure": self.name,
