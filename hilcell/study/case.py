@@ -20,7 +20,7 @@ from hilcell.errors import HilcellError
 from hilcell.model.results import Calibrated
 from hilcell.run.direct_run import direct_run
 from hilcell.run.procedure import Procedure
-from hilcell.study.outcome import RESULTS
+from hilcell.study.outcome import figures
 from hilcell.typed import decoded, typed
 
 Level: TypeAlias = float | str | None  # of a factor, as a table keeps it
@@ -95,8 +95,7 @@ def measured(cell: bytes, machine: int, seed: int, wanted: Mapping[str, str]) ->
                 built, calibrate, seed=seed, machine_seed=machine, folder=Path(folder), plan=plan
             )
             result = typed(calibrate.result(log), Calibrated)
-            figures = {name: value(result) for name, (_, value) in RESULTS.items()}
-            return Found(DONE, "", plan.duration_s / 60.0, figures)
+            return Found(DONE, "", plan.duration_s / 60.0, figures(result))
         except SettingsError as error:  # a machine that cannot be
             return Found(CANNOT_BE, str(error))
         except HilcellError as error:

@@ -26,7 +26,7 @@ from hilcell.cell.settings import (
 from hilcell.cell.source import built_in_cells, parsed
 from hilcell.cell.tables import Frozen, Name
 from hilcell.study.factor import UNREAD, Factor
-from hilcell.study.outcome import RESULTS
+from hilcell.study.outcome import IDW, RESULTS
 from hilcell.typed import typed
 
 
@@ -222,7 +222,8 @@ def _unlike_the_cell(study: Study, where: str, stated: Mapping[str, object]) -> 
     finding of the study. Factors are tried without the settings of the base cell that are wrong.
     """
     base, sound = list[str](), dict(study.settings)
-    while new := [line for line in _wrong_base(where, sound) if line not in base]:
+    accuracy = getattr(study, "accuracy", "")
+    while new := [line for line in _wrong_base(where, sound, accuracy) if line not in base]:
         base += new
         for key in [key for key in sound if any(_names(each, key) for each in new)]:
             del sound[key]
@@ -234,12 +235,12 @@ def _unlike_the_cell(study: Study, where: str, stated: Mapping[str, object]) -> 
         if not hasattr(factor, "setting"):
             continue
         values = factor.ends if hasattr(factor, "ends") else _finite_levels(tables[n])
-        for line in dict.fromkeys(_never(where, sound, factor, values)):
+        for line in dict.fromkeys(_never(where, sound, factor, values, accuracy)):
             if line not in known:
                 yield f"factor[{n}].{place}: {line}"
 
 
-def _wrong_base(where: str, settings: Mapping[str, object]) -> Iterator[str]:
+def _wrong_base(where: str, settings: Mapping[str, object], accuracy: str) -> Iterator[str]:
     try:
         cell = _cell(where, settings)
     except SettingsError as error:
@@ -249,6 +250,7 @@ def _wrong_base(where: str, settings: Mapping[str, object]) -> Iterator[str]:
         yield "it has real devices only; a study simulates"
     else:
         yield from _no_machine(cell)
+    yield from _no_accuracy(cell, accuracy)
 
 
 def _finite_levels(stated: Mapping[str, object]) -> Sequence[object]:
@@ -259,7 +261,11 @@ def _finite_levels(stated: Mapping[str, object]) -> Sequence[object]:
 
 
 def _never(
-    where: str, sound: Mapping[str, object], factor: Factor, some: Sequence[object]
+    where: str,
+    sound: Mapping[str, object],
+    factor: Factor,
+    some: Sequence[object],
+    accuracy: str,
 ) -> Iterator[str]:
     """Yield why values of a factor, as far as they could be read, can never be."""
     values = [value for value in some if value is not None]
@@ -274,6 +280,7 @@ def _never(
             continue
         if any(key.startswith(MACHINE) for key in given):
             yield from _no_machine(cell)
+        yield from _no_accuracy(cell, accuracy)
 
 
 def _names(problem: str, key: str) -> bool:
@@ -297,6 +304,15 @@ def _no_machine(cell: Cell) -> Iterator[str]:
             yield from (f"simulation.simulator: {line}" for line in error.problems)
         elif error.source.startswith(MACHINE):
             yield from (f"{error.source}: {line}" for line in error.problems)
+
+
+def _no_accuracy(cell: Cell, accuracy: str) -> Iterator[str]:
+    """Yield why no run of this cell has the study's accuracy."""
+    if cell.plan.quick and accuracy == IDW:
+        yield (
+            f"plan.quick: a quick plan sends no targets by the paper's method, so it has no {IDW}; "
+            'leave plan.quick out, or state another accuracy, such as "mean_mm"'
+        )
 
 
 def _without_line(problem: str) -> str:

@@ -50,6 +50,14 @@ def test_its_figures_are_those_of_a_calibration(asked: Study, tmp_path: Path) ->
     assert 10.0 < (row.minutes or 0.0) < 20.0
 
 
+def test_a_quick_plan_has_every_figure_but_that_of_the_papers_method(asked: Study) -> None:
+    """It sends no targets by it."""
+    row = measured(packed(cell_of(asked, {"plan.quick": True})), 2, 1, versions())
+    assert (row.state, row.reason) == ("done", "")
+    assert set(RESULTS) - row.figures.keys() == {"idw_mm"}
+    assert 0.02 < row.figures["mean_mm"] < row.figures["max_mm"] < 0.4
+
+
 def test_figures_of_a_result(golden: GoldenRuns) -> None:
     result = golden["small"].result
     calibrated = typed(result, Calibrated)

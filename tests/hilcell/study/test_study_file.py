@@ -198,6 +198,28 @@ def test_a_base_cell_without_a_machine_is_refused(tmp_path: Path, setting: str) 
     assert problem.startswith("cell paper: ")
 
 
+QUICK = factor(setting="plan.quick", levels=[False, True])
+
+
+def test_an_accuracy_that_no_quick_plan_has_is_refused(tmp_path: Path) -> None:
+    """It sends no targets by the paper's method."""
+    by_idw = 'machines = 1\naccuracy = "idw_mm"'
+    assert refused(tmp_path, QUICK, by_idw) == [f"{SETTING} plan.quick"]
+    path = written(tmp_path, head=by_idw)
+    path.write_text(path.read_text().replace("[settings]", '[settings]\n"plan.quick" = true'))
+    with pytest.raises(SettingsError) as found:
+        read_study(path)
+    (problem,) = found.value.problems
+    assert problem == (
+        "cell paper: plan.quick: a quick plan sends no targets by the paper's method, so it has no "
+        'idw_mm; leave plan.quick out, or state another accuracy, such as "mean_mm"'
+    )
+
+
+def test_a_quick_plan_may_be_a_factor(tmp_path: Path) -> None:
+    assert study(tmp_path, QUICK).factor[0].ends == [False, True]
+
+
 def test_too_many_cases_are_refused_with_the_rest(tmp_path: Path) -> None:
     problems = refused(tmp_path, factor(levels=[2, 0]), "machines = 9999\nseeds = 9999")
     assert problems == ["file", f"{SETTING} layout.nest_samples"]
