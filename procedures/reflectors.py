@@ -91,4 +91,5 @@ REFLECTORS = Procedure(
     "each reflector once in the same nest, against the others; attended",
     (Home(), WorldFrame(), Reflectors()),
     reflector_table,
+    by_hand="carry each reflector to the first floor nest",
 )

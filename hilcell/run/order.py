@@ -103,10 +103,10 @@ class Order(Signature):
         cell = load_cell(self.cell, dict(self.settings))
         run_plan.check_of_simulator(cell, "--speed", self.speed)
         run_plan.check_of_simulator(cell, "--machine-seed", self.machine_seed)
-        run_plan.check_attended(cell, unattended=self.attendance.unattended)
         if warning := check_copied(self.cell, cell):
             say(warning)
         procedure: Procedure = load_entry("procedures", self.procedure)
+        run_plan.check_attended(cell, procedure, unattended=self.attendance.unattended)
         procedure.check(cell)
         accepted, machine = list[str](), self.machine_seed
         if uses := procedure.used_in(cell):
@@ -177,8 +177,8 @@ class Resume(Signature):
                 f"run {folder.name} is finished; start a new one with `hilcell run`", code="HC-J09"
             )
         attendance = self.attendance
-        check_attended(log.cell, unattended=attendance.unattended)
         procedure: Procedure = load_entry("procedures", log.inputs.procedure)
+        check_attended(log.cell, procedure, unattended=attendance.unattended)
         changes = NONE
         if goes_on:
             try:

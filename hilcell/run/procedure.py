@@ -89,7 +89,8 @@ class Procedure:
     ``table`` shows the result and ``words`` say it in a sentence, if one can; both decode what they
     need of it, which may be plain JSON. ``uses`` is the cell's table that names the calibration
     which the procedure starts from, if it does; ``may_use`` the one that names it if the operator
-    wants one. ``of_rail``: it measures a rail, or what only a rail makes necessary.
+    wants one. ``of_rail``: it measures a rail, or what only a rail makes necessary. ``by_hand`` is
+    what somebody does for it, "" for nothing.
     """
 
     name: str
@@ -100,6 +101,7 @@ class Procedure:
     uses: str = ""
     may_use: str = ""
     of_rail: bool = False
+    by_hand: str = ""
 
     def used_in(self, cell: Cell) -> str:
         """Return the cell's table that names the calibration to start from, "" for none."""

@@ -52,9 +52,17 @@ class ResumedRun(RunPlan):
     somebody: bool
 
 
-def check_attended(cell: Cell, *, unattended: bool) -> None:
-    """Refuse to leave a cell alone whose reflector is carried by hand."""
-    if unattended and cell.layout.by_hand:
+def check_attended(cell: Cell, procedure: Procedure, *, unattended: bool) -> None:
+    """Refuse to leave a cell alone where the cell, or the procedure, needs somebody's hands."""
+    if not unattended:
+        return
+    if procedure.by_hand:
+        raise HilcellError(
+            f"{procedure.name} refused before anything moves: somebody must be there to "
+            f"{procedure.by_hand}; leave out --unattended",
+            code="HC-C16",
+        )
+    if cell.layout.by_hand:
         raise HilcellError(
             f"cell {cell.name}: layout.reflectors is by_hand: somebody must be there to carry the "
             "reflector; leave out --unattended, or mount reflectors in all nests",

@@ -49,6 +49,7 @@ def home(runs: Path, **more: Any) -> Order:
         ({"settings": (("simulation.address", "127.0.0.1:9"),), "speed": 2.0}, "HC-C17"),
         ({"settings": (("simulation.address", "127.0.0.1:9"),), "machine_seed": 2}, "HC-C17"),
         ({"settings": (("layout.reflectors", "by_hand"),)}, "HC-C16"),
+        ({"procedure": "reflectors"}, "HC-C16"),
     ],
 )
 def test_an_order_is_refused_before_anything_is_opened(
@@ -58,6 +59,28 @@ def test_an_order_is_refused_before_anything_is_opened(
         home(tmp_path, **more).check(print)
     assert refused.value.code == code
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_somebody_does_by_hand_is_never_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It neither begins unattended nor goes on so."""
+    words = (
+        "reflectors refused before anything moves: somebody must be there to carry each reflector "
+        "to the first floor nest; leave out --unattended"
+    )
+    attended = Order(procedure="reflectors", runs=tmp_path, name="R")
+    with pytest.raises(HilcellError) as refused:
+        attended.replace(attendance=ALONE).check(print)
+    assert (refused.value.code, str(refused.value)) == ("HC-C16", words)
+    monkeypatch.setattr(Engine, "_perform", lambda *given: Ending(4, None))
+    with NewEngine(attended, attended.check(print), print) as engine:
+        engine.run(Heard())
+    folder, again = tmp_path / "R", Resume(run="R", runs=tmp_path)
+    assert again.check(folder, read_log(folder), somebody=True).goes_on
+    with pytest.raises(HilcellError) as refused:
+        again.replace(attendance=ALONE).check(folder, read_log(folder), somebody=False)
+    assert (refused.value.code, str(refused.value)) == ("HC-C16", words)
 
 
 def test_settings_are_refused_with_their_place(tmp_path: Path) -> None:
