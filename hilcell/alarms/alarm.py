@@ -218,9 +218,8 @@ def _events(log: Log, session: list[Record]) -> Iterator[_Moment]:
                 for name in closing.problems:
                     finding = _cell(PROBLEMS[closing.what], closing.what, _problem(name, closing))
                     yield _Moment(finding, t, seq, cause="not watched")
-            case CommandRefused(command=command, state=state):
-                found = f"{command} is not possible while {state}"
-                yield _Moment(_cell("HC-C06", "command", found), t, seq)
+            case CommandRefused() as impossible:
+                yield _Moment(_cell("HC-C06", "command", impossible.why), t, seq)
             case ScreenLost() if seq > back:
                 found = "nobody watches any more"
                 yield _Moment(_cell("HC-C08", "screen lost", found), t, seq, cause="watched")

@@ -102,6 +102,6 @@ def step_words(name: str, *, has_rail: bool) -> str:
 def happened_words(event: Event | OtherEvent, log: Log) -> str:
     """Return an event in words, its points by name; "" where there is nothing to say."""
     if isinstance(event, StepBegun):
-        name = step_words(event.name, has_rail=log.plan is None or log.cell.has_rail)
-        return f"step {event.number} of {event.of} begins: {name}"
+        has_rail = log.plan is None or log.cell.has_rail
+        return event.begins(step_words(event.name, has_rail=has_rail))
     return in_words(event.text, log)

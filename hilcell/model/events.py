@@ -145,6 +145,11 @@ class DeviceBack(Event, frozen=True, kw_only=True, tag="device back"):
 
     device: str
 
+    @property
+    def why(self) -> str:
+        """Return which device it is."""
+        return f"{self.device} answers again"
+
 
 class Closing(Event, frozen=True, kw_only=True, omit_defaults=True):
     """All devices were stopped, or closed: ``problems`` and the errors' facts by device."""
@@ -252,6 +257,15 @@ class StepBegun(Event, frozen=True, kw_only=True, tag="step"):
     number: int = 0
     of: int = 0
 
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        return self.begins(self.name)
+
+    def begins(self, name: str) -> str:
+        """Return that the step of this name begins."""
+        return f"step {self.number} of {self.of} begins: {name}"
+
 
 class SessionOrdered(Event, frozen=True, kw_only=True, tag="order"):
     """A session goes on: which one of its folder of runs it is, as `FolderOrder` says it."""
@@ -295,6 +309,11 @@ class CommandRefused(Event, frozen=True, kw_only=True, tag="command refused"):
     command: str
     state: str = field(name="in")
 
+    @property
+    def why(self) -> str:
+        """Return its reason."""
+        return f"{self.command} is not possible while {self.state}"
+
 
 class AlarmsAcknowledged(Event, frozen=True, kw_only=True, tag="acknowledged"):
     """Somebody has acknowledged the alarms of these codes that came up to record ``until``.
@@ -328,6 +347,11 @@ class ChangesAccepted(Event, frozen=True, kw_only=True, tag="changes accepted"):
 
     changes: list[str]
     by: str
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        return f"{self.what} by {self.by}: {'; '.join(self.changes)}"
 
 
 class InternalError(Event, frozen=True, kw_only=True, tag="internal error"):

@@ -6,11 +6,15 @@ import msgspec
 import pytest
 
 from hilcell.model.events import (
+    ChangesAccepted,
     Closed,
+    CommandRefused,
+    DeviceBack,
     DeviceLost,
     OtherEvent,
     RetakeRefused,
     StationFoundHeld,
+    StepBegun,
     TrackerMoved,
 )
 from hilcell.model.records import EVENTS, event_of
@@ -34,6 +38,16 @@ def test_an_event_of_a_plug_in_keeps_its_fields_and_says_what_it_is_about() -> N
         ),
         (StationFoundHeld(station="S300"), "rail found held at S300"),
         (DeviceLost(device="Rail", reason="no answer", error={}), "device lost: no answer"),
+        (DeviceBack(device="rail"), "device back: rail answers again"),
+        (
+            CommandRefused(command="pause", state="paused"),
+            "command refused: pause is not possible while paused",
+        ),
+        (
+            ChangesAccepted(changes=["the drive is another", "the cell file"], by="the operator"),
+            "changes accepted by the operator: the drive is another; the cell file",
+        ),
+        (StepBegun(name="fit", number=6, of=7), "step 6 of 7 begins: fit"),
         (
             TrackerMoved(set_up=1, invalid=["a"], moved_mm=0.3),
             "tracker moved by 0.300 mm: 1 point is measured again",
