@@ -9,7 +9,6 @@ from hilcell.errors import HilcellError
 from hilcell.tui.engine import process
 from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.screens.base import Application
-from hilcell.tui.text.prompt import lost_devices
 from hilcell.tui.text.refusals import no_answer_reason, pause_command
 
 if TYPE_CHECKING:
@@ -66,6 +65,8 @@ class RunActions:
         if refused := no_answer_reason(session.view):
             self._application.show_notice(refused)
         elif session.view.prompt.check and not session.view.prompt.ready:
+            from hilcell.tui.text.prompt import lost_devices
+
             lost = lost_devices(session.view)
             waits = "the tracker sees the reflector in its place"
             if lost:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from hilcell.commands.cli import main
 from hilcell.tui.app.app import HilcellApp
 
+LOADED = "import sys, hilcell.tui.app.app as _; print(*sys.modules)"
 DEFECT = "three hands on two clocks"
 
 
@@ -69,3 +71,10 @@ def test_a_screen_that_is_left_is_a_success(
     unseen(monkeypatch)
     assert main(["tui", "--runs", str(tmp_path)]) == 0
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.process
+def test_what_reads_journals_is_imported_after_the_first_picture() -> None:
+    loaded = set(subprocess.check_output([sys.executable, "-c", LOADED], text=True).split())
+    assert "hilcell.tui.app.app" in loaded
+    assert loaded.isdisjoint({"numpy", "hilcell.journal.log"})
