@@ -13,8 +13,7 @@ from typing import Any, cast
 
 from drivers.kuka import eki
 from drivers.kuka.robot_eki import EkiChannel
-from drivers.leica.geocom import Rpc
-from drivers.leica.tracker_geocom import LeicaGeocomTracker
+from drivers.leica.tracker_geocom import LeicaGeocomTracker, Rpc
 from drivers.spatialanalyzer.t2sa_bridge import MEASURE, T2saBridge
 from drivers.strips.serial import SerialStrip
 from drivers.strips.strip import StripOptions

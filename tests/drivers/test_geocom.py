@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.leica import geocom
-from drivers.leica.geocom import GeocomError, Reply, Rpc
+from drivers.leica import tracker_geocom as geocom
+from drivers.leica.tracker_geocom import GeocomError, Reply, Rpc
 
 
 @pytest.mark.parametrize(

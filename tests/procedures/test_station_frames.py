@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from drivers.leica.geocom import class_std_mm
+from drivers.leica.tracker_geocom import class_std_mm
 from hilcell.cell.file import Cell, Nest, Station, load_cell
 from hilcell.geometry.frames import apply, matrix
 from hilcell.geometry.rotations import from_rotvec
