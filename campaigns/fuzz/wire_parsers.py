@@ -14,7 +14,7 @@ from typing import Any, cast
 from drivers.kuka import eki
 from drivers.kuka.robot_eki import EkiChannel
 from drivers.leica.tracker_geocom import LeicaGeocomTracker, Rpc
-from drivers.spatialanalyzer.t2sa_bridge import MEASURE, T2saBridge
+from drivers.spatialanalyzer.t2sa import MEASURE, T2saBridge
 from drivers.strips.serial import SerialStrip
 from drivers.strips.strip import StripOptions
 from drivers.supervision import Patience

@@ -16,8 +16,8 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from drivers.spatialanalyzer import t2sa, t2sa_bridge
-from drivers.spatialanalyzer.t2sa_bridge import (
+from drivers.spatialanalyzer import t2sa
+from drivers.spatialanalyzer.t2sa import (
     ACT,
     ACTS,
     BUSY_PAUSE_S,
@@ -146,7 +146,7 @@ class T2saTracker:
 
     def _ready(self, bridge: T2saBridge) -> str:
         """Return the bridge's state as soon as nothing is under way; raises where it stays busy."""
-        limit_s = t2sa_bridge.MEASURE_S
+        limit_s = t2sa.MEASURE_S
         patience = Patience(limit_s, limit_s)
         while not (reply := bridge.exchange(t2sa.STATUS)).is_ready:
             if patience.over():

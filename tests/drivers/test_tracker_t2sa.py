@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from drivers import supervision
-from drivers.spatialanalyzer import t2sa_bridge, tracker_t2sa
+from drivers.spatialanalyzer import t2sa, tracker_t2sa
 from drivers.spatialanalyzer.tracker_t2sa import T2saTracker
 from hilcell.ports import DeviceError, DeviceRefused, NoReading, Stopped, Streams, Tracker
 from tests.drivers.peers import WireTime, in_thread, wire_time
@@ -25,8 +25,8 @@ Make = Callable[..., T2saTracker]
 
 @pytest.fixture
 def time(monkeypatch: pytest.MonkeyPatch) -> WireTime:
-    monkeypatch.setattr(t2sa_bridge, "REPLY_S", 2.0)  # looks for a peer that is late, not silent
-    monkeypatch.setattr(t2sa_bridge, "MEASURE_S", 0.3)
+    monkeypatch.setattr(t2sa, "REPLY_S", 2.0)  # looks for a peer that is late, not silent
+    monkeypatch.setattr(t2sa, "MEASURE_S", 0.3)
     return wire_time(monkeypatch, supervision)
 
 
