@@ -18,8 +18,7 @@ from msgspec import Struct
 from fakes.faults import Faults, load_faults
 from fakes.site import SimulatedDevice, Site, servers_of
 from fakes.time import PlantTime
-from fakes.truth.plant import FLANGE, Plant
-from fakes.truth.replay_plant import ReplayPlant
+from fakes.truth.plant import FLANGE, Plant, ReplayPlant
 from fakes.wires.listener import Listener
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import convert

@@ -19,7 +19,7 @@ from fakes.truth.controller_arm import controller_arm
 from fakes.truth.plant import Plant
 from fakes.truth.rail_truth import RailTruth
 from fakes.truth.robot_motion import RobotMotion
-from fakes.truth.stream_truth import Followed
+from fakes.truth.tracker_truth import Followed
 from hilcell.cell.devices import load_entry
 from hilcell.cell.file import Cell
 from hilcell.ports import (

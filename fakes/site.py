@@ -13,8 +13,7 @@ from typing import Protocol
 
 from fakes.faults import Faults
 from fakes.time import PlantTime
-from fakes.truth.plant import Plant
-from fakes.truth.replay_plant import ReplayPlant
+from fakes.truth.plant import Plant, ReplayPlant
 from hilcell.cell.devices import TABLES, load_entry
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError

@@ -29,8 +29,7 @@ from fakes.kuka.krl import (
 )
 from fakes.kuka.life_timer import LifeTimer
 from fakes.motion_faults import Harms, strike
-from fakes.truth.controller_arm import controller_arm
-from fakes.truth.flicker import flicker
+from fakes.truth.controller_arm import controller_arm, flicker
 from fakes.truth.robot_motion import RobotMotion, RobotState
 from fakes.truth.transforms import Array
 from hilcell.cell.file import Cell

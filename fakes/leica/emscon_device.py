@@ -31,8 +31,7 @@ from fakes.leica.emscon_packets import (
 )
 from fakes.leica.emscon_stream import SampleStream
 from fakes.time import PlantTime
-from fakes.truth.stream_truth import StreamTruth
-from fakes.truth.tracker_truth import Instrument, Measurement
+from fakes.truth.tracker_truth import Instrument, Measurement, StreamTruth
 from fakes.truth.transforms import Array
 from hilcell.cell.file import Cell
 

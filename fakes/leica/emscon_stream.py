@@ -14,7 +14,7 @@ import numpy as np
 from fakes.faults import Faults
 from fakes.leica.emscon_packets import Change, status_change
 from fakes.time import PlantTime
-from fakes.truth.stream_truth import Followed, StreamTruth
+from fakes.truth.tracker_truth import Followed, StreamTruth
 from fakes.truth.transforms import Array
 
 Pack = Callable[[Array, Array], bytes]  # device times (N,), positions (N, 3) mm -> packet

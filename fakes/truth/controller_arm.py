@@ -1,4 +1,4 @@
-"""The arm as its controller knows it: the design, never the truth.
+"""The arm as its controller knows it and states it: the design, never the truth.
 
 Status and turn are KUKA's: status bit 0, the wrist lies behind axis 1; bit 1, axis 3 is at or
 beyond the stretched arm; bit 2, A5 < 0. Turn bit i: joint i + 1 is below 0.
@@ -6,13 +6,13 @@ beyond the stretched arm; bit 2, A5 < 0. Turn bit i: joint i + 1 is below 0.
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 
 import numpy as np
 
 from fakes.truth.machine import chain_of_cell, machine_of
-from fakes.truth.screws import Chain
-from fakes.truth.transforms import Array, components
+from fakes.truth.transforms import Array, Chain, components
 from hilcell.cell.file import Cell
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -62,3 +62,14 @@ def controller_arm(cell: Cell) -> ControllerArm:
         return ControllerArm(chain_of_cell(cell), f"#{name} C4 FLR", replayed_serial)
     machine = machine_of(cell)
     return ControllerArm(machine.chain(cell.robot.smr_mm), machine.model, machine.serial)
+
+
+def flicker(key: bytes, look: int, size: int) -> Array:
+    """Return the last digit of a controller that holds still, (size,) between -1 and 1.
+
+    It flickers from one look to the next. A run must give the same figures on any machine. So
+    ``key`` says where and how the robot landed, and ``look`` counts since the program last
+    answered; the time has no part in it.
+    """
+    digest = hashlib.blake2b(b"%d/%b" % (look, key), digest_size=size).digest()
+    return np.frombuffer(digest, dtype=np.uint8) / 127.5 - 1.0

@@ -17,8 +17,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from msgspec import Meta, field
 
-from fakes.truth.screws import Chain, from_rows
-from fakes.truth.transforms import Array, frame
+from fakes.truth.transforms import Array, Chain, frame, from_rows
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError, convert, read_text, refuse, unreadable
 from hilcell.cell.tables import Frozen, Point, Pose, Six, Size, refuse_descending

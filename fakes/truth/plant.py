@@ -5,12 +5,15 @@ frame, which is bolted a little askew on the slide, {T} the tool point on the fl
 seed fix the truth and the noise, whatever the cell's plan measures; a cell that is started again
 draws the same again from its beginning. Nominal {B} is not {R}, and a calibration finds neither; it
 finds `base_in_world`.
+
+Recorded data may stand in for the machine: `ReplayPlant`.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
@@ -21,12 +24,12 @@ from fakes.truth.machine import Machine, machine_of
 from fakes.truth.noise import KeyedNoise
 from fakes.truth.rail_truth import FloorTruth, RailTruth
 from fakes.truth.robot_motion import RobotMotion, RobotState
-from fakes.truth.stream_truth import StreamTruth
-from fakes.truth.tracker_truth import TrackerTruth
+from fakes.truth.tracker_truth import Air, Measurement, StreamTruth, TrackerTruth
 from fakes.truth.transforms import Array, carried, rigid, rotation
 from hilcell.cell.file import Cell, Nest
 from hilcell.cell.layout import Layout
 from hilcell.cell.settings import SettingsError
+from hilcell.fit.robot_file import read_measurements
 from hilcell.ports import HilcellError
 
 FLANGE = "flange"
@@ -42,7 +45,12 @@ class Plant:
         self.cell, self.time = cell, time
         self.rail = RailTruth(cell, seed, time, faults) if cell.has_rail else FloorTruth(cell)
         arm = self.arm = _arm(cell, machine, fixed.generator("arm"))
-        self.robot = RobotMotion(cell, time, lambda key: _landing(arm, landing, key))
+
+        def misses(key: str) -> Callable[[], Array]:
+            draw = landing.later_normal(key, 6)
+            return lambda: np.hypot(arm.joint_sigma_rad, arm.slip_rad) * draw()
+
+        self.robot = RobotMotion(cell, time, misses)
         rng = fixed.generator("base")
         turn = mounting.bolted_urad * 1e-6 * _limited(rng, 3)
         self._bolted = rigid(rotation(turn), mounting.bolted_mm * _limited(rng, 3))
@@ -164,12 +172,6 @@ class Plant:
         return self.rail.slide_pose() @ self._bolted @ self.arm.ideal_base
 
 
-def _landing(arm: ArmTruth, noise: KeyedNoise, key: str) -> Callable[[], Array]:
-    """Return what draws by how much the joints (6,) miss this time."""
-    draw = noise.later_normal(key, 6)
-    return lambda: np.hypot(arm.joint_sigma_rad, arm.slip_rad) * draw()
-
-
 def _placed(nests: list[Nest], sigma_mm: float, rng: np.random.Generator) -> dict[str, Array]:
     return {nest.name: nest.xyz_mm + sigma_mm * _limited(rng, 3) for nest in nests}
 
@@ -206,3 +208,82 @@ def _arm(cell: Cell, machine: Machine, rng: np.random.Generator) -> ArmTruth:
     except HilcellError as error:
         name = "" if cell.simulation is None else cell.simulation.machine
         raise SettingsError(f"simulation.machine {name!r}", [str(error)]) from error
+
+
+class ReplayPlant:
+    """A plant that replays: commanded joints in, the recorded measurement out.
+
+    The data are rows of commanded joints and measured positions in the tracker's frame; one pose
+    may carry several reflectors. Where the robot stands on no recorded pose, nothing is found. The
+    rail stands where it was switched on. A replay has no floor and no slide nests. Raises
+    `SettingsError` where the data cannot be read.
+    """
+
+    def __init__(self, cell: Cell, data: Path, time: PlantTime, faults: Faults) -> None:
+        self.cell, self.time = cell, time
+        self.rail = RailTruth(cell, 0, time, faults) if cell.has_rail else FloorTruth(cell)
+        self.robot = RobotMotion(cell, time, lambda key: lambda: np.zeros(6))
+        self.tracker = ReplayTracker(data, self.robot)
+        self.streams: None = None
+
+    def seat(self, place: str) -> None:
+        """Refuse: the recorded reflectors stay; raises `ValueError`."""
+        raise ValueError("the reflectors of recorded data are where they were")
+
+    def slip_mount(self, along_mm: float) -> None:
+        """Do nothing: the recorded data have their own mount."""
+
+    def lose_motion(self, lost_rad: float, axis: int = 3) -> None:
+        """Leave the recorded data as they are."""
+
+    def lose_zero(self, lost_rad: float, axis: int = 1) -> None:
+        """Leave the recorded data as they are."""
+
+    def grow(self, um_m: float) -> None:
+        """Leave the recorded data as they are."""
+
+    def loosen(self, axis: int, slip_rad: float) -> None:
+        """Leave the recorded data as they are."""
+
+
+class ReplayTracker:
+    """Sees the reflectors recorded for the pose at which the robot stands."""
+
+    AIR = Air(temperature_c=20.0, pressure_mbar=1013.25, humidity_percent=50.0)
+
+    def __init__(self, data: Path, robot: RobotMotion) -> None:
+        self._rows = read_measurements(data)
+        self._robot = robot
+
+    def reflectors(self) -> dict[str, Array]:
+        """Return the recorded positions of the reflectors at this pose, by name."""
+        state = self._robot.state()
+        if state.moving:
+            return {}
+        off_rad = np.abs(self._rows.joints_rad - state.joints_rad).max(axis=1)
+        same_pose_rad = 2e-5  # joints travel as decimals
+        here = np.flatnonzero(off_rad <= same_pose_rad)
+        return {self._rows.target[row]: self._rows.xyz_mm[row] for row in here}
+
+    def reflector(self, name: str) -> Array | None:
+        """Return the recorded position of one reflector, None where there is none."""
+        return self.reflectors().get(name)
+
+    def find(self, near_mm: Array, radius_mm: float) -> str | None:
+        """Return the reflector nearest to a point (3,) within the radius."""
+        found = {
+            name: float(np.linalg.norm(at_mm - near_mm))
+            for name, at_mm in self.reflectors().items()
+        }
+        best = min(found, key=found.__getitem__, default=None)
+        return best if best is not None and found[best] <= radius_mm else None
+
+    def measure(self, name: str, *, back: bool = False) -> Measurement | None:
+        """Return the recorded measurement, whose face the data do not tell."""
+        at_mm = self.reflector(name)
+        std_mm = 0.005  # the data say nothing of each reading's spread
+        return None if at_mm is None else Measurement(at_mm, np.full(3, std_mm))
+
+    def air(self) -> Air:
+        """Return the air, which the data do not tell."""
+        return self.AIR

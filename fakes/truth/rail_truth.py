@@ -17,8 +17,8 @@ import numpy as np
 from fakes.faults import Faults
 from fakes.time import PlantTime
 from fakes.truth.machine import Machine, machine_of
-from fakes.truth.motion import Path
 from fakes.truth.noise import KeyedNoise
+from fakes.truth.robot_motion import Path
 from fakes.truth.transforms import Array, frame, rotation
 from hilcell.cell.file import Cell
 

@@ -19,8 +19,7 @@ from fakes.faults import Faults, Vanished
 from fakes.kuka.life_timer import LifeTimer
 from fakes.motion_faults import Harms, strike
 from fakes.time import PlantTime
-from fakes.truth.controller_arm import controller_arm
-from fakes.truth.flicker import flicker
+from fakes.truth.controller_arm import controller_arm, flicker
 from fakes.truth.robot_motion import RobotMotion
 from fakes.truth.transforms import Array, rotation_vector
 from hilcell.cell.file import Cell

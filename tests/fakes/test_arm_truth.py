@@ -4,8 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from fakes.truth.arm_truth import ArmTruth, reference_cube, unit_rp_mm, varying_rms_mm
-from fakes.truth.joint_errors import Ripple
+from fakes.truth.arm_truth import ArmTruth, Ripple, reference_cube, unit_rp_mm, varying_rms_mm
 from fakes.truth.machine import Machine, load_machine
 from fakes.truth.noise import KeyedNoise
 from hilcell.calibration.frames import axis_6_height_mm, grid_of

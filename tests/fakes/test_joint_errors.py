@@ -3,8 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fakes.truth.arm_truth import reference_cube
-from fakes.truth.joint_errors import Deflection, Loads, Ripple, Slopes, slopes
+from fakes.truth.arm_truth import Deflection, Loads, Ripple, Slopes, reference_cube, slopes
 from fakes.truth.machine import load_machine
 from fakes.truth.transforms import Array
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from fakes.truth.motion import Path
+from fakes.truth.robot_motion import Path
 
 numbers = st.floats(0.01, 1000.0)
 

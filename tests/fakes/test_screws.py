@@ -5,8 +5,7 @@ import pytest
 
 from fakes.truth.controller_arm import controller_arm
 from fakes.truth.machine import chain_of_cell, machine_of
-from fakes.truth.screws import Chain
-from fakes.truth.transforms import components, frame, inverse, rotation
+from fakes.truth.transforms import Chain, components, frame, inverse, rotation
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.tables import Pose
 from hilcell.geometry import frames

@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fakes.time import PlantTime
-from fakes.truth.motion import Path
-from fakes.truth.robot_motion import RobotMotion
+from fakes.truth.robot_motion import Path, RobotMotion
 from hilcell.cell.file import Station, load_cell
 from hilcell.model.plan import Step
 from procedures import durations

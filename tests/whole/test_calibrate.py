@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fakes.truth.arm_truth import ArmTruth
-from fakes.truth.joint_errors import Ripple
+from fakes.truth.arm_truth import ArmTruth, Ripple
 from fakes.truth.machine import machine_of
 from fakes.truth.noise import KeyedNoise
 from hilcell.calibration.errors import errors_of

@@ -20,8 +20,7 @@ from fakes.faults import Vanished
 from fakes.kuka.life_timer import LifeTimer
 from fakes.motion_faults import Harms, strike
 from fakes.site import Site
-from fakes.truth.controller_arm import controller_arm
-from fakes.truth.flicker import flicker
+from fakes.truth.controller_arm import controller_arm, flicker
 from fakes.wires.listener import HOST, Listener
 from fakes.wires.segments import Segments
 from hilcell.ports import Array
