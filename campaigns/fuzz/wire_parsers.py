@@ -15,8 +15,7 @@ from drivers.kuka import eki
 from drivers.kuka.robot_eki import EkiChannel
 from drivers.leica.tracker_geocom import LeicaGeocomTracker, Rpc
 from drivers.spatialanalyzer.t2sa import MEASURE, T2saBridge
-from drivers.strips.serial import SerialStrip
-from drivers.strips.strip import StripOptions
+from drivers.strips import SerialStrip, StripOptions
 from drivers.supervision import Patience
 from drivers.universal_robots import rtde
 from drivers.universal_robots.program_urscript.reader import read_program
@@ -183,8 +182,7 @@ def bridge_samples() -> Iterable[bytes]:
 def strip_answers(data: bytes) -> None:
     """Answers of a strip on a serial line."""
     strip = SerialStrip(StripOptions(driver="serial", channel="/dev/null"), DrivenClock())
-    strip._link = cast("Any", Wire(data))
-    strip._lines = TextLines(cast("Any", strip._link), end=b"", split=rb"\r")
+    strip._lines = TextLines(cast("Any", Wire(data)), end=b"", split=rb"\r")
     strip._identify("fuzz")
     strip.alarm_text(strip.read(lambda: None)[1])
 

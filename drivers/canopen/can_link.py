@@ -18,7 +18,7 @@ import canopen
 
 from drivers.canopen.cia301 import NodeState
 from drivers.canopen.slcan_bus import SlcanBus
-from drivers.wires.serial_link import system_words
+from drivers.wires.link import system_words
 from hilcell.ports import Clock, DeviceError, LinkStatistics
 
 # A PC that was busy finds its own deadline passed and the answer, which came in time, still

@@ -27,8 +27,7 @@ from drivers.canopen.sdo import SdoChannel, open_channel
 from drivers.canopen.slcan_bus import Interface, bus_problems
 from drivers.standing import DEVICE, check_travel
 from drivers.standstill import Windows
-from drivers.strips.makes import strip_of
-from drivers.strips.strip import CountsPerMm, StripFeed, StripOptions, summed
+from drivers.strips import CountsPerMm, StripFeed, StripOptions, strip_of, summed
 from drivers.supervision import Supervision, go_on, on_failure
 from hilcell.cell.settings import refuse
 from hilcell.ports import Clock, DeviceError, Identity, LinkStatistics, RailReading

@@ -16,8 +16,7 @@ from msgspec import Meta
 from drivers.scale_guard import ScaleGuard
 from drivers.standing import DEVICE, Standing, check_travel
 from drivers.standstill import Windows
-from drivers.strips.makes import strip_of
-from drivers.strips.strip import StripFeed, StripOptions
+from drivers.strips import StripFeed, StripOptions, strip_of
 from drivers.supervision import on_failure
 from hilcell.ports import (
     Clock,

@@ -1,15 +1,22 @@
-"""The wire of a driver that exchanges bytes: a TCP connection or a serial line, used alike."""
+"""The wire of a driver that exchanges bytes: a TCP connection or a serial line, used alike.
+
+A serial line is opened for this program alone: a second one would take half of the answers. One
+that is pulled out mid-byte is lost; bytes of before it was opened are nobody's answer, and dropped.
+"""
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Callable
 from typing import Protocol
 
+import serial
+
 from drivers.supervision import Patience
-from drivers.wires.serial_link import SerialLink
-from drivers.wires.tcp import Alarms, TcpLink
+from drivers.wires.tcp import POLL_S, SEND_S, Alarms, TcpLink
 from hilcell.ports import DeviceError
-from hilcell.wire.channel import Socket, parse_channel
+from hilcell.wire.channel import SerialLine, Socket, parse_channel
 
 
 class Link(Protocol):
@@ -28,6 +35,76 @@ class Link(Protocol):
 
     def close(self) -> None:
         """Close the wire; a second close does nothing."""
+
+
+class SerialLink:
+    """An open serial line. One thread receives; any thread may send."""
+
+    def __init__(
+        self, device: str, line: SerialLine, check: Callable[[], None], alarms: Alarms
+    ) -> None:
+        self.device, self.address = device, line.path
+        self._check, self._alarms = check, alarms
+        check()
+        try:
+            self._port = serial.Serial(
+                line.path, line.baud, timeout=POLL_S, write_timeout=SEND_S, exclusive=True
+            )
+            self._port.reset_input_buffer()
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise DeviceError(
+                alarms.unreachable,
+                device,
+                "connect",
+                f"{line.path} at {line.baud} baud: {system_words(error)}",
+                act="check the cable, the path (/dev/serial/by-id keeps its name), the right to "
+                "open it, and that no other program has it",
+                fields={"address": line.path, "baud": line.baud},
+            ) from error
+
+    def send(self, data: bytes, operation: str) -> None:
+        """Send all of ``data``; raises `DeviceError` when it does not leave in time."""
+        try:
+            self._port.write(data)
+        except (serial.SerialException, OSError, TypeError) as error:
+            raise self._gone(operation, error) from error
+
+    def receive(self, size: int, patience: Patience) -> bytes:
+        """Return 1 to ``size`` bytes, or none when ``patience`` is over.
+
+        Raises `DeviceError` when the line has gone.
+        """
+        while True:
+            self._check()
+            over = patience.over()
+            try:
+                first = self._port.read(1)
+                rest = self._port.read(min(self._port.in_waiting, size - 1)) if first else b""
+            except (serial.SerialException, OSError, TypeError) as error:
+                raise self._gone("receive", error) from error
+            if first or over:
+                return first + rest
+
+    def broken(self, operation: str, found: str) -> DeviceError:
+        """Return the error that this line's failure is."""
+        return self._alarms.broken(self.device, self.address, operation, found)
+
+    def _gone(self, operation: str, error: Exception) -> DeviceError:
+        found = f"the line failed: {system_words(error)}"
+        return self.broken(operation, f"{found}; was its cable pulled, or its path renamed?")
+
+    def close(self) -> None:
+        """Close the line; a second close does nothing."""
+        self._port.close()
+
+
+def system_words(error: Exception) -> str:
+    """Return the system's words alone: pyserial repeats the path and the error's number."""
+    numbers = [getattr(each, "errno", None) for each in (error, error.__context__)]
+    number = next(filter(None, numbers), None)
+    if number == errno.EAGAIN:
+        return "another program has it"
+    return str(error) if number is None else os.strerror(number)
 
 
 def open_link(device: str, channel: str, check: Callable[[], None], alarms: Alarms) -> Link:

@@ -10,7 +10,7 @@ import pytest
 
 from drivers.canopen.rail import CanopenRail
 from drivers.canopen.rail_setup import drive_settings
-from drivers.strips.strip import StripOptions
+from drivers.strips import StripOptions
 from hilcell.cell.settings import SettingsError, convert
 from hilcell.ports import DeviceRefused, StripLost
 from tests.drivers.can_peer import (

@@ -10,7 +10,7 @@ import pytest
 
 from drivers.kuka import external as kuka_external
 from drivers.kuka.rail_e1 import KukaE1Rail
-from drivers.strips.strip import StripOptions
+from drivers.strips import StripOptions
 from hilcell.ports import (
     DeviceRefused,
     Stopped,

@@ -10,8 +10,7 @@ import msgspec
 import pytest
 
 from drivers.canopen.rail import CanopenRail
-from drivers.strips.canopen import CanopenStrip
-from drivers.strips.strip import LOST, StripFeed, StripOptions
+from drivers.strips import LOST, CanopenStrip, StripFeed, StripOptions
 from hilcell.ports import DeviceError, DeviceRefused, Stopped, StripLost
 from tests.drivers.can_peer import STRIP, CanPeer, u8, u32
 from tests.drivers.rail_bed import RailTime, peer, rail_for, refusal, soon, time

@@ -9,8 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 from drivers import supervision
-from drivers.strips.serial import SerialStrip
-from drivers.strips.strip import LOST, StripFeed, StripOptions
+from drivers.strips import LOST, SerialStrip, StripFeed, StripOptions
 from hilcell.ports import DeviceError, DeviceRefused, Stopped
 from tests.drivers.peers import WireTime, in_thread, wire_time
 from tests.drivers.strip_peer import StripPeer

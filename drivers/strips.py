@@ -1,0 +1,346 @@
+"""The strip of a rail, where it has a wire of its own: which ones there are, and how one is lost.
+
+No motion needs the strip. So a strip whose line breaks shows as one more alarm in its polls, as a
+missing magnet does, and a reading that needs it raises `StripLost`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import astuple
+from typing import Annotated, Literal, Protocol
+
+import msgspec
+from msgspec import Meta
+
+from drivers.canopen import cia406, rail_setup
+from drivers.canopen.can_link import CanLink, open_bus
+from drivers.canopen.cia301 import NMT, NodeCommand
+from drivers.canopen.node_watch import NodeWatch
+from drivers.canopen.pdo import Inbox
+from drivers.canopen.process_image import strip_mapping, strip_values
+from drivers.canopen.rail_setup import Expected
+from drivers.canopen.sdo import open_channel
+from drivers.canopen.slcan_bus import Interface, bus_problems
+from drivers.standing import DEVICE
+from drivers.supervision import Patience, on_failure
+from drivers.wires.link import open_link
+from drivers.wires.tcp import Alarms
+from drivers.wires.text_lines import TextLines
+from hilcell.cell.settings import refuse
+from hilcell.clean import clean
+from hilcell.ports import (
+    Clock,
+    DeviceError,
+    DeviceRefused,
+    Identity,
+    LinkStatistics,
+    says_simulated,
+)
+from hilcell.wire.channel import parse_channel
+
+LOST = 1 << 16  # beside the sensor's own alarm bits, of which there are 16
+
+CountsPerMm = Annotated[float, Meta(gt=0, le=1e6)]  # of a strip: 1 nm and more
+U32 = Annotated[int, Meta(ge=0, le=2**32 - 1)]
+
+
+class StripOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A strip's wire and scale: a serial line, or a CAN bus that is not the drive's."""
+
+    driver: Literal["serial", "canopen"]
+    channel: str
+    counts_per_mm: CountsPerMm = 100.0
+    serial: U32 = 0  # of the sensor; 0: any
+    interface: Interface = "slcan"  # from here on: of a CAN bus
+    bitrate: int = 500_000
+    node: Annotated[int, Meta(ge=1, le=127)] = 6
+    vendor: U32 = 0x484
+    product: U32 = 0x406
+
+    def __post_init__(self) -> None:
+        if self.driver == "serial":
+            plain = {each.name: each.default for each in msgspec.structs.fields(StripOptions)}
+            for key in ("interface", "bitrate", "node", "vendor", "product"):
+                if getattr(self, key) != plain[key]:
+                    raise ValueError(f"{key}: only of a strip with driver canopen")
+            parse_channel(self.channel)
+        else:
+            refuse(bus_problems(self.interface, self.channel, self.bitrate))
+
+
+class Strip(Protocol):
+    """A magnetic strip's sensor on a wire of its own; used by one thread."""
+
+    def connect(self) -> Identity:
+        """Open the wire and verify the sensor; raises `DeviceError`."""
+
+    def read(self, check: Callable[[], None]) -> tuple[int, int]:
+        """Return its counts and alarms (0: the counts are good); raises `DeviceError`."""
+
+    def alarm_text(self, alarms: int) -> str:
+        """Return its alarms in words."""
+
+    def statistics(self) -> LinkStatistics:
+        """Return its wire's counts since ``connect``, also after ``close``."""
+
+    def close(self) -> None:
+        """Close the wire; a second close does nothing."""
+
+
+class StripFeed:
+    """The polls of one strip; one that is lost is opened again only while nothing moves."""
+
+    def __init__(self, strip: Strip) -> None:
+        self._strip = strip
+        self._lost: DeviceError | None = None
+        self._counts = 0
+        self._before = LinkStatistics()  # of wires that were lost
+
+    def connect(self) -> Identity:
+        """Open the wire and verify the sensor."""
+        self._before = LinkStatistics()
+        return self._open()
+
+    def _open(self) -> Identity:
+        self._strip.close()
+        identity, self._lost = self._strip.connect(), None
+        return identity
+
+    def poll(self, check: Callable[[], None]) -> tuple[int, int]:
+        """Return counts and alarms: the last counts and `LOST` of a strip that does not answer."""
+        if self._lost is None:
+            try:
+                self._counts, alarms = self._strip.read(check)
+            except DeviceError as error:
+                self._lost = error
+            else:
+                return self._counts, alarms
+        return self._counts, LOST
+
+    def mend(self) -> None:
+        """Open the wire of a strip that was lost again, if it lets itself be opened."""
+        if self._lost is not None:
+            self._before = self.statistics()
+            try:
+                self._open()
+            except DeviceError as error:
+                self._lost = error
+
+    def statistics(self) -> LinkStatistics:
+        """Return the wire's counts since `connect`, of wires that were lost as well."""
+        return summed(self._before, self._strip.statistics())
+
+    def alarm_text(self, alarms: int) -> str:
+        """Return alarms in words."""
+        if alarms & LOST and self._lost is not None:
+            return self._lost.summary
+        return self._strip.alarm_text(alarms & ~LOST)
+
+    def close(self) -> None:
+        """Close the wire."""
+        self._strip.close()
+
+
+def summed(one: LinkStatistics, other: LinkStatistics) -> LinkStatistics:
+    """Return the counts of two wires together."""
+    counts = zip(astuple(one), astuple(other), strict=True)
+    return LinkStatistics(*(ours + theirs for ours, theirs in counts))
+
+
+REPLY_S = 0.3  # 11 characters at 4800 baud take 25 ms
+ALARMS = Alarms(unreachable="HC-S11", lost="HC-S12")
+POSITION = re.compile(r"[+-]\d{6,9}")
+REGISTER = re.compile(r"0x[0-9a-fA-F]{2}")
+_BITS = {
+    0: "the head is too far from the strip",
+    1: "the absolute value is not plausible",
+    2: "the slide was too fast for the head",
+    4: "the head is being adjusted",
+    5: "wrong values in the sensor's memory",
+    6: "wrong check sum in the sensor's memory",
+    7: "the sensor's memory cannot be read",
+}
+
+
+class SerialStrip:
+    """A sensor on a serial line, by the service commands of SIKO's sensors.
+
+    A command is a letter, with a figure where it has one, and no end of line; every answer ends
+    with ``>`` and CR. ``A0``, ``A1``, ``A2``: type, firmware, serial number; ``Z``: position,
+    ``+0110042>``; ``X``: system register, ``0x01>``; ``?`` refuses a command (MSAC501-S(RS485) and
+    AP10S manuals). An answer carries no mark of its question, so a line that missed one is not
+    used again.
+    """
+
+    def __init__(self, options: StripOptions, clock: Clock) -> None:
+        self._options, self._clock = options, clock
+        self._check = clock.check  # in each wait of its wire
+        self._lines: TextLines | None = None
+        self._answers = self._bad = 0
+
+    def connect(self) -> Identity:
+        """Open the line and verify who answers."""
+        self._answers = self._bad = 0
+        self._check = self._clock.check
+        link = open_link(DEVICE, self._options.channel, self._look, ALARMS)
+        self._lines = TextLines(link, end=b"", split=rb"\r")
+        with on_failure(self.close):
+            self._lines.drop_pending()
+            return self._identify(link.address)
+
+    def read(self, check: Callable[[], None]) -> tuple[int, int]:
+        """Return counts and alarms; the alarms are asked for after the counts."""
+        self._check = check
+        check()
+        counts = int(self._ask("Z", POSITION))
+        check()
+        return counts, int(self._ask("X", REGISTER), 16)
+
+    def alarm_text(self, alarms: int) -> str:
+        """Return the bits of the system register in words."""
+        bits = [bit for bit in range(16) if alarms >> bit & 1]
+        return "; ".join(_BITS.get(bit, f"bit {bit} of its register") for bit in bits)
+
+    def statistics(self) -> LinkStatistics:
+        """Return the counts of answers, and of those in another form."""
+        return LinkStatistics(frames=self._answers, bad_lines=self._bad)
+
+    def close(self) -> None:
+        """Close the line."""
+        lines, self._lines = self._lines, None
+        if lines is not None:
+            lines.link.close()
+
+    def _look(self) -> None:
+        self._check()
+
+    def _identify(self, address: str) -> Identity:
+        model, firmware = self._ask("A0"), self._ask("A1")
+        serial = self._ask("A2", re.compile(r"\d{1,10}")).lstrip("0")
+        if self._options.serial and serial != str(self._options.serial):
+            raise DeviceRefused(
+                "HC-R08",
+                DEVICE,
+                "connect",
+                f"strip sensor {serial}",
+                wanted=f"{self._options.serial}",
+                act="this is another sensor; correct rail.options.strip",
+                fields={"serial": serial},
+            )
+        simulated = says_simulated(model)
+        return Identity(DEVICE, model, serial, address, simulated, "strip", "", firmware)
+
+    def _ask(self, command: str, form: re.Pattern[str] | None = None) -> str:
+        """Return the answer to a command; raises `DeviceError` for none, or one of another form."""
+        if (lines := self._lines) is None:
+            raise DeviceError("HC-S12", DEVICE, "strip", "not connected", act="connect first")
+        lines.send(command, command)
+        answer = lines.receive(Patience(REPLY_S))
+        if answer is None:
+            raise lines.link.broken(command, f"the strip sensor did not answer in {REPLY_S:.1f} s")
+        text = answer.removesuffix(">")
+        if text == answer or (form is not None and not form.fullmatch(text)):
+            self._bad += 1
+            raise DeviceError(
+                "HC-S13",
+                DEVICE,
+                f"strip, command {command}",
+                f"answer {clean(answer)[:40]!r}",
+                act="is this the sensor and its baud rate? check rail.options.strip, resume",
+                fields={"command": command},
+            )
+        self._answers += 1
+        return clean(text)
+
+
+SYNCS = 2  # while they bring nothing nobody looks at a slide that may move
+
+
+class CanopenStrip:
+    """A sensor by CiA 406, on a CAN bus that is not the drive's.
+
+    Nothing moves on this bus, so the PC sends no heartbeat there: it asks by SYNC, and a sensor
+    that was reset or that falls silent is lost like any other strip.
+    """
+
+    def __init__(self, options: StripOptions, clock: Clock) -> None:
+        self._options, self._clock = options, clock
+        self._pdo = strip_mapping(options.node)
+        self._link: CanLink | None = None
+        self._watch: NodeWatch | None = None
+        self._inbox: Inbox | None = None
+        self._statistics = LinkStatistics()
+
+    def connect(self) -> Identity:
+        """Open the bus, verify the sensor, and have it send its counts on SYNC."""
+        self._statistics = LinkStatistics()
+        options = self._options
+        bus = open_bus(DEVICE, options.interface, options.channel, options.bitrate)
+        self._link = CanLink(DEVICE, bus, self._clock)
+        with on_failure(self.close):
+            return self._set_up(self._link)
+
+    def read(self, check: Callable[[], None]) -> tuple[int, int]:
+        """Return counts and alarms of a SYNC that is sent now."""
+        inbox, watch = self._inbox, self._watch
+        if inbox is None or watch is None:
+            raise DeviceError("HC-S12", DEVICE, "strip", "not connected", act="connect first")
+
+        def look() -> None:
+            check()
+            watch.check("strip")
+
+        look()
+        return strip_values(inbox.refresh(look)[0][self._pdo.cob_id], watch)
+
+    def alarm_text(self, alarms: int) -> str:
+        """Return the bits of 6503h in words."""
+        return cia406.alarm_text(alarms)
+
+    def statistics(self) -> LinkStatistics:
+        """Return the bus's counts since `connect`, also after `close`."""
+        link = self._link
+        return self._statistics if link is None else link.statistics()
+
+    def close(self) -> None:
+        """Close the bus."""
+        link, self._link = self._link, None
+        self._watch = self._inbox = None
+        if link is not None:
+            self._statistics = link.statistics()
+            link.close()
+
+    def _set_up(self, link: CanLink) -> Identity:
+        options, check = self._options, self._clock.check
+        sdo = open_channel(DEVICE, link, options.node, "strip.eds", check)
+        watch = NodeWatch(DEVICE, link, options.node, in_pdo=cia406.SENSOR_ERRORS)
+        inbox = Inbox(DEVICE, link, (self._pdo,), SYNCS)
+        expected = Expected(
+            "strip",
+            options.node,
+            cia406.DEVICE_PROFILE,
+            options.vendor,
+            options.product,
+            options.serial,
+        )
+        device_type = rail_setup.find_node(link, sdo, expected, check)
+        identity = rail_setup.identify(sdo, expected, device_type, options.channel)
+        rail_setup.check_strip_step(sdo, options.counts_per_mm)
+        watch.begin_set_up()
+        link.send(NMT, bytes((NodeCommand.ENTER_PRE_OPERATIONAL, options.node)))
+        rail_setup.set_heartbeat(sdo, options.bitrate)
+        inbox.expect(rail_setup.map_strip(sdo, self._pdo, watch))
+        rail_setup.start_nodes(link, (watch,), check)
+        watch.check("connect")
+        watch.arm()
+        self._watch, self._inbox = watch, inbox
+        return identity
+
+
+def strip_of(options: StripOptions, clock: Clock) -> Strip:
+    """Return the strip, not connected; a stop on ``clock`` ends every wait of its connect."""
+    if options.driver == "canopen":
+        return CanopenStrip(options, clock)
+    return SerialStrip(options, clock)
