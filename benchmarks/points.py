@@ -13,7 +13,7 @@ from textual.pilot import Pilot
 
 from benchmarks.words import parser
 from hilcell.model.point import PointId
-from hilcell.tui.app.app import RunUpdated
+from hilcell.tui.app import RunUpdated
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import EngineState
 from tests.hilcell.tui.recording_app import RecordingApp, run_app, settle

@@ -29,7 +29,7 @@ def tui(args: Tui) -> int:
     variables = textual_environment(args.colors, os.environ)
     os.environ.pop("NO_COLOR", None)
     os.environ.update(variables)
-    from hilcell.tui.app.app import HilcellApp
+    from hilcell.tui.app import HilcellApp
     from hilcell.tui.screens.base import Options
     from hilcell.tui.terminal.themes import SIXTEEN
 

@@ -17,7 +17,7 @@ from typing import Self
 
 import pyte
 
-from hilcell.tui.app.app import BURST_S
+from hilcell.tui.app import BURST_S
 
 HILCELL = (sys.executable, "-m", "hilcell")
 READ = 1 << 16

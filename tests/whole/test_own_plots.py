@@ -9,7 +9,7 @@ import numpy as np
 from hilcell.journal.log import Log
 from hilcell.journal.runs import read_records
 from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.plots.draw import Look
+from hilcell.tui.plots import Look
 from hilcell.tui.text.deviation import row_of
 from hilcell.tui.text.plot_page import Choice, plot_lines, tabs_of
 from hilcell.tui.text.plots import Measured

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 from textual.pilot import Pilot
 
-from hilcell.tui.app.app import HilcellApp
+from hilcell.tui.app import HilcellApp
 from hilcell.tui.keys import load_keys
 from hilcell.tui.screens.base import Options
 from hilcell.tui.terminal.capabilities import UNICODE

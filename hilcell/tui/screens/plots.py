@@ -11,7 +11,7 @@ from textual.binding import Binding, BindingType
 from textual.content import Content
 
 from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.plots.draw import Look
+from hilcell.tui.plots import Look
 from hilcell.tui.screens.base import BaseScreen, Page
 from hilcell.tui.terminal.themes import SIXTEEN
 from hilcell.tui.text.plot_page import MOST_TABS, Choice, plot_lines, tab_line, tabs_of

@@ -18,8 +18,7 @@ from hilcell.tui.engine.background import run_in_thread
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import shown
 from hilcell.tui.layout import Drawing, Lines, Stack, ends
-from hilcell.tui.plots.draw import Look
-from hilcell.tui.plots.scale import Scale
+from hilcell.tui.plots import Look, Scale
 from hilcell.tui.screens.pages import FilterScreen
 from hilcell.tui.screens.plots import plot_look
 from hilcell.tui.terminal.capabilities import Glyphs

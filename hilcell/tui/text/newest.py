@@ -30,7 +30,7 @@ from hilcell.tui.layout import (
     Ticks,
     ends,
 )
-from hilcell.tui.plots.scale import step_at_least
+from hilcell.tui.plots import step_at_least
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.deviation import Deviation, deviation_of
 from hilcell.tui.text.devices import short_age

@@ -19,8 +19,7 @@ from hilcell.model.point import Sent
 from hilcell.model.verdicts import AP, ISO, RP
 from hilcell.ports import Array
 from hilcell.tui.layout import BLANK, Cell, Col, Fitting, Grid, Lines, Stack, Text, section
-from hilcell.tui.plots.draw import Look, Plot, Series, draw
-from hilcell.tui.plots.scale import Scale, even_scale, log_scale
+from hilcell.tui.plots import Look, Plot, Scale, Series, draw, even_scale, log_scale
 from hilcell.tui.text.plots import (
     PLACES,
     Errors3D,

@@ -22,9 +22,7 @@ from hilcell.journal.log import Log, positions_mm
 from hilcell.model.point import Point, PointId, Sent
 from hilcell.model.verdicts import ISO
 from hilcell.ports import Array, HilcellError
-from hilcell.tui.plots.canvas import Ink
-from hilcell.tui.plots.draw import Look, Mark, Plot, Series
-from hilcell.tui.plots.scale import step_at_least
+from hilcell.tui.plots import Ink, Look, Mark, Plot, Series, step_at_least
 
 STROKE = 80  # marks of a line from the bottom of a spectrum
 AS_SENT = Ink("$label", "o", "$label")

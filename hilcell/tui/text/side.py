@@ -24,8 +24,7 @@ from hilcell.model.verdicts import ISO
 from hilcell.ports import Array
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import Col, Grid, Text, section
-from hilcell.tui.plots.draw import Look, Plot, draw
-from hilcell.tui.plots.scale import Scale, log_scale
+from hilcell.tui.plots import Look, Plot, Scale, draw, log_scale
 from hilcell.tui.text.deviation import PointRow
 from hilcell.tui.text.plots import (
     Errors3D,

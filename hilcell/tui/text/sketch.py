@@ -21,7 +21,7 @@ from hilcell.model.events import StationHeld
 from hilcell.ports import Array
 from hilcell.run.protocol import PromptStatus
 from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.plots.canvas import Canvas
+from hilcell.tui.plots import Canvas
 
 Place = tuple[float, float]  # x and y in {W}, mm
 

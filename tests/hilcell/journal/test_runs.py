@@ -52,7 +52,7 @@ from hilcell.journal import engine_file, log
 from hilcell.run import client  # nothing more can be loaded once rights are given away
 from hilcell.journal.find_run import find_run
 from hilcell.journal.runs import read_log
-from hilcell.tui.app.navigation import run_to_open
+from hilcell.tui.app import run_to_open
 run_to_open(Path("."), "")
 os.getuid() or os.setuid(65534)  # root may look everywhere
 runs = Path(sys.argv[1])

@@ -24,8 +24,7 @@ from textual.strip import Strip
 from textual.worker import WorkerCancelled
 
 from hilcell.run.protocol import Command, Subject
-from hilcell.tui.app.actions import RunActions
-from hilcell.tui.app.app import HilcellApp
+from hilcell.tui.app import HilcellApp, RunActions
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.session import Session
 from hilcell.tui.keys import ACTIONS, Keymap

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from hilcell.commands.cli import main
-from hilcell.tui.app.app import HilcellApp
+from hilcell.tui.app import HilcellApp
 
-LOADED = "import sys, hilcell.tui.app.app as _; print(*sys.modules)"
+LOADED = "import sys, hilcell.tui.app as _; print(*sys.modules)"
 DEFECT = "three hands on two clocks"
 
 
@@ -76,5 +76,5 @@ def test_a_screen_that_is_left_is_a_success(
 @pytest.mark.process
 def test_what_reads_journals_is_imported_after_the_first_picture() -> None:
     loaded = set(subprocess.check_output([sys.executable, "-c", LOADED], text=True).split())
-    assert "hilcell.tui.app.app" in loaded
+    assert "hilcell.tui.app" in loaded
     assert loaded.isdisjoint({"numpy", "hilcell.journal.log"})

@@ -6,7 +6,7 @@ import pytest
 from textual.binding import Binding
 from textual.pilot import Pilot
 
-from hilcell.tui.app.app import HilcellApp
+from hilcell.tui.app import HilcellApp
 from hilcell.tui.keys import ACTIONS, shown
 from hilcell.tui.screens.base import BaseScreen
 from hilcell.tui.screens.help import SCREENS, help_lines, keys_of

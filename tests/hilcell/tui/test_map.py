@@ -12,7 +12,7 @@ import pytest
 from hilcell.journal.log import Log
 from hilcell.model.point import PointId
 from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.plots.draw import Look
+from hilcell.tui.plots import Look
 from hilcell.tui.text.points import PointRows
 from hilcell.tui.text.side import (
     MAP_ROWS,

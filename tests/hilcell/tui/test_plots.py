@@ -14,7 +14,7 @@ import pytest
 from hilcell.calibration.errors import errors_of
 from hilcell.journal.log import Log
 from hilcell.model.point import Point, PointId, Sent
-from hilcell.tui.plots.draw import Look
+from hilcell.tui.plots import Look
 from hilcell.tui.text.plot_page import (
     BESIDE,
     STRIP,

@@ -12,7 +12,7 @@ from textual.pilot import Pilot
 from textual.screen import Screen
 
 from hilcell.journal.log import Log
-from hilcell.tui.app.app import HilcellApp
+from hilcell.tui.app import HilcellApp
 from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import EngineState
 from hilcell.tui.screens import run

@@ -7,7 +7,7 @@ from dataclasses import replace
 import msgspec
 import pytest
 
-from hilcell.tui.plots.draw import Look
+from hilcell.tui.plots import Look
 from hilcell.tui.terminal.capabilities import UNICODE
 from hilcell.tui.text.points import WIDE, PointRows, columns_for, to_row
 from hilcell.tui.text.side import side_lines

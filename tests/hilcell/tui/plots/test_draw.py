@@ -7,10 +7,20 @@ import math
 import numpy as np
 import pytest
 
-from hilcell.tui.plots.canvas import Canvas, Ink
-from hilcell.tui.plots.draw import BELOW, Look, Mark, Plot, Series, draw
-from hilcell.tui.plots.labels import FARTHEST, place
-from hilcell.tui.plots.scale import Scale, log_scale
+from hilcell.tui.plots import (
+    BELOW,
+    FARTHEST,
+    Canvas,
+    Ink,
+    Look,
+    Mark,
+    Plot,
+    Scale,
+    Series,
+    draw,
+    log_scale,
+    place,
+)
 
 RED, BLUE = Ink("red", "o", "red"), Ink("blue", "x", "blue")
 EVEN = Scale(0.0, 10.0, 1.0)

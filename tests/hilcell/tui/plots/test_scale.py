@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilcell.tui.plots.scale import LOG_HIGH, LOG_LOW, Scale, even_scale, log_scale
+from hilcell.tui.plots import LOG_HIGH, LOG_LOW, Scale, even_scale, log_scale
 
 SIZES = st.floats(1e-6, 1e6)
 VALUES = st.lists(st.one_of(SIZES, st.floats()), max_size=8)

@@ -7,46 +7,201 @@ are imported after the first screen is painted.
 
 from __future__ import annotations
 
+import importlib
 import math
 import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Unpack, cast
 
-from textual.app import App
+from textual.app import App, ComposeResult
 from textual.binding import Binding, BindingType
+from textual.command import CommandList, CommandPalette, DiscoveryHit, Hit, Hits, Provider
+from textual.content import Content
 from textual.driver import Driver
 from textual.events import Event, Key, Paste
 from textual.message import Message
 from textual.screen import Screen
 from textual.scrollbar import ScrollBar
 from textual.widgets import Input
+from textual.worker import Worker, WorkerState
 
+from hilcell import __version__
 from hilcell.clean import UNSAFE
 from hilcell.errors import HilcellError
-from hilcell.tui.app.actions import RunActions
-from hilcell.tui.app.navigation import PAGES, ActionProvider, OpeningScreen, Palette, page_of
+from hilcell.tui.engine import process
 from hilcell.tui.engine.background import GarbageCollector, run_in_thread
 from hilcell.tui.engine.open_runs import OpenRuns
-from hilcell.tui.keys import ACTIONS, BY_NAME, shown, wait_until_built, wait_until_processed
-from hilcell.tui.screens.base import BaseScreen, Confirm, Options
+from hilcell.tui.keys import ACTIONS, BY_NAME, Action, shown, wait_until_built, wait_until_processed
+from hilcell.tui.screens.base import Application, BaseScreen, Confirm, Options
 from hilcell.tui.terminal.driver import LATE_S, StopDriver
 from hilcell.tui.terminal.themes import IN_SIXTEEN, NAMES, PALETTES
-from hilcell.tui.text.refusals import ELSEWHERE, refusal
-from hilcell.tui.widgets import CellScrollBar, Choice
+from hilcell.tui.text.refusals import ELSEWHERE, no_answer_reason, pause_command, refusal
+from hilcell.tui.widgets import CellScrollBar, Choice, TextPanel
 
 if TYPE_CHECKING:
     from subprocess import Popen
 
     from hilcell.alarms import Latch
+    from hilcell.run.protocol import Command, Subject
     from hilcell.tui.engine.feed import RunUpdate
     from hilcell.tui.engine.run_view import RunView
     from hilcell.tui.engine.session import Session
+
 
 PERIOD_S, SLOW_PERIOD_S = 0.25, 1.0
 TICK_S = 1.0
 BURST_S = 0.1  # scanners of barcodes and keys held down are quicker, fingers slower
 ScrollBar.renderer = CellScrollBar  # Textual's way to choose: a class, for all of its bars
+
+
+NOT_A_SAFETY_FUNCTION = "hilcell is not a safety function: keep the E-stop in reach."
+
+
+class OpeningScreen(BaseScreen):
+    """Says what is being opened."""
+
+    footer = ("quit",)
+
+    def __init__(self, run: str) -> None:
+        super().__init__()
+        self._run = run
+
+    def compose(self) -> ComposeResult:
+        """Build the lines."""
+        yield TextPanel("title")
+        yield TextPanel("what")
+        yield TextPanel("notice")
+        yield TextPanel("keys")
+
+    def on_mount(self) -> None:
+        """Show them."""
+        self.panel("title").show(Content.styled(f"hilcell {__version__}", "bold"))
+        what = f"opening run {self._run} ..." if self._run else "looking for a live run ..."
+        self.panel("what").show(f"{what}\n\n{NOT_A_SAFETY_FUNCTION}")
+        self.panel("notice").display = False
+        super().on_mount()
+
+
+LATER = (
+    "hilcell.tui.engine.session",
+    "hilcell.journal.index",
+    *(
+        f"hilcell.tui.screens.{name}"
+        for name in ("run", "pages", "plots", "history", "start", "help")
+    ),
+)
+
+
+def run_to_open(runs: Path, name: str) -> Path | None:
+    """Return the folder of the run to show; raises `HilcellError` where the name means none.
+
+    Loads, in the caller's thread, everything that reads a journal.
+    """
+    for module in LATER:
+        importlib.import_module(module)
+    from hilcell.journal.engine_file import live_engine
+    from hilcell.journal.find_run import find_run
+    from hilcell.journal.runs import run_folders
+
+    if name:
+        return find_run(runs, name)
+    live = [folder for folder in run_folders(runs) if live_engine(folder) is not None]
+    return live[-1] if live else None
+
+
+PAGES = ("alarms", "interlocks", "help", "log", "plots", "report", "history")
+
+
+def page_of(name: str, session: Session | None) -> BaseScreen:
+    """Return the page of an action of `PAGES`; only help and history need no run."""
+    from hilcell.tui.screens import history, pages, plots
+    from hilcell.tui.screens.help import HelpPage
+
+    if name == "report" and session is not None:
+        return pages.ReportPage(session.folder)
+    found: dict[str, type[BaseScreen]] = {
+        "alarms": pages.AlarmPage,
+        "interlocks": pages.InterlockPage,
+        "log": pages.LogPage,
+        "plots": plots.PlotPage,
+        "history": history.HistoryPage,
+    }
+    return found.get(name, HelpPage)()
+
+
+class Palette(CommandPalette):
+    """Textual's own, but its Enter acts at once: a second one in a burst finds it closed."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("enter", "enter", show=False, priority=True),
+        Binding("backspace", "erase", show=False, priority=True),
+        Binding("pageup", "page('page_up')", show=False, priority=True),
+        Binding("pagedown", "page('page_down')", show=False, priority=True),
+    ]
+
+    def __init__(self) -> None:
+        hint = "what to do?   ^p or Backspace: back   Esc: STOP"
+        super().__init__(placeholder=hint, id="--command-palette")
+
+    def run_worker(self, *args: Any, **options: Any) -> Worker[Any]:
+        """Search; a search that finds the palette closed is no error of the screen."""
+        return super().run_worker(*args, **options | {"exit_on_error": False})
+
+    def on_worker_state_changed(self, event: Worker.StateChanged) -> None:
+        """Raise the error of a search, unless the palette was closed meanwhile."""
+        error = event.worker.error
+        if event.state is WorkerState.ERROR and error is not None and self.query(CommandList):
+            raise error
+
+    async def action_enter(self) -> None:
+        """Choose what is highlighted."""
+        await self.query_one(Input).action_submit()
+
+    async def action_page(self, name: str) -> None:
+        """Go a page up or down, where the terminal has room for a page: else Textual raises."""
+        found = self.query_one(CommandList)
+        if found.scrollable_content_region.height:
+            await found.run_action(name)
+
+    def action_erase(self) -> None:
+        """Take a letter back; with none left, go back."""
+        box = self.query_one(Input)
+        if box.value:
+            box.action_delete_left()
+        else:
+            self.dismiss()
+
+
+class ActionProvider(Provider):
+    """Provides the palette with the actions allowed now."""
+
+    async def discover(self) -> Hits:
+        """Yield every allowed action; the stop last, for it has a key that needs no palette."""
+        for action in sorted(self._allowed(), key=lambda action: action.name == "stop"):
+            yield DiscoveryHit(
+                self._words(action), lambda name=action.name: self._application.do(name)
+            )
+
+    async def search(self, query: str) -> Hits:
+        """Yield the allowed actions that match."""
+        matcher = self.matcher(query)
+        for action in self._allowed():
+            score = matcher.match(self._words(action))
+            if score > 0:
+                yield Hit(
+                    score, self._words(action), lambda name=action.name: self._application.do(name)
+                )
+
+    def _allowed(self) -> list[Action]:
+        return [action for action in ACTIONS if self._application.allowed(action.name)]
+
+    @property
+    def _application(self) -> Application:
+        return cast("Application", self.app)
+
+    def _words(self, action: Action) -> str:
+        return f"{self._application.label(action.name)}: {action.help}"
 
 
 class RunUpdated(Message):
@@ -55,6 +210,130 @@ class RunUpdated(Message):
     def __init__(self, session: Session) -> None:
         super().__init__()
         self.session = session
+
+
+class RunActions:
+    """Turns keys into commands to the engine, or starts an engine."""
+
+    def __init__(self, application: Application) -> None:
+        self._application = application
+
+    def do_pause(self) -> None:
+        """Pause, go on, answer the prompt, or resume, as the state allows."""
+        session = self._application.session
+        if session is None:
+            return
+        command = pause_command(session.view)
+        if session.view.prompt is not None:
+            self.answer()
+        elif command == "pause":
+            self._command("pause")
+        elif command == "resume":
+            from hilcell.tui.text.run import resume_text
+
+            self._application.ask(
+                "Resume this run?", resume_text(session.view), "resume", self.resume
+            )
+        else:
+            self._application.ask(
+                "Go on?",
+                "The robot and the rail may move at once."
+                if session.view.has_rail
+                else "The robot may move at once.",
+                "go on",
+                lambda: self._command("proceed"),
+            )
+
+    def do_abort(self) -> None:
+        """End the run after the point in flight."""
+        self._application.ask(
+            "Abort this run?",
+            "The point in flight is finished, then the run ends. It can be resumed later.",
+            "abort",
+            lambda: self._command("abort"),
+        )
+
+    def answer(self) -> None:
+        """Answer the prompt, where the engine answers and the tracker sees the reflector."""
+        session = self._application.session
+        if session is None or session.view.prompt is None:
+            return
+        if refused := no_answer_reason(session.view):
+            self._application.show_notice(refused)
+        elif session.view.prompt.check and not session.view.prompt.ready:
+            from hilcell.tui.text.prompt import lost_devices
+
+            lost = lost_devices(session.view)
+            waits = "the tracker sees the reflector in its place"
+            if lost:
+                waits = f"no device is lost; now: {lost}"
+            self._application.show_notice(f"Enter works when {waits}", for_now=True)
+        elif not self._application.key_is_deliberate:
+            self._application.show_notice(
+                "Enter in one burst with other keys is no answer: press it by itself"
+            )
+        else:
+            self._application.start_task(self._answer_prompt(session))
+
+    def retake(self, key: str) -> None:
+        """Re-measure a point: in the live run, or by opening a finished one again."""
+        from hilcell.journal.words import in_words, key_words
+        from hilcell.run.remeasure import retake_refusal
+
+        session = self._application.session
+        if session is None:
+            return
+        log = session.view.log
+        refused = retake_refusal(log, key) if key else "no point is chosen"
+        point = key_words(key, log) if key in log.points else key
+        if refused:
+            self._application.show_notice(in_words(refused, log))
+        elif session.view.live:
+            self._application.ask(
+                "Re-measure this point?",
+                f"{point}: before the robot's next point; it moves there.",
+                "re-measure",
+                lambda: self._command("retake", key=key),
+            )
+        else:
+            self._application.ask(
+                "Open this run again and re-measure the point?",
+                f"{point}: the devices are connected, the control points proved, the robot moves.",
+                "re-measure",
+                lambda: self.resume("--retake", key),
+            )
+
+    def resume(self, *options: str) -> None:
+        """Start an engine that goes on with the run that is shown."""
+        session = self._application.session
+        if session is None:
+            return
+        folder = session.folder
+        attended = [] if not session.view.log.inputs.unattended else ["--unattended"]
+        command = ["resume", folder.name, "--runs", str(folder.parent), *attended, *options]
+        self.start(folder, command)
+
+    def start(self, folder: Path, arguments: list[str]) -> None:
+        """Start an engine and show its run; report an end that the journal does not hold."""
+        started = process.start_engine(folder.parent, folder.name, arguments)
+        self._application.attach(folder, started.process)
+        self._application.start_task(_watch(started))
+
+    async def _answer_prompt(self, session: Session) -> None:
+        self._application.show_notice("the tracker looks once more ...")
+        await run_in_thread(session.ask, "answer")
+        self._application.show_notice("")
+
+    def _command(self, command: Command, **subject: Unpack[Subject]) -> None:
+        """Send a command to the engine from another thread: keys do not wait."""
+        session = self._application.session
+        if session is not None:
+            self._application.start_task(run_in_thread(session.ask, command, **subject))
+
+
+async def _watch(started: process.StartedEngine) -> None:
+    if reason := await run_in_thread(started.wait_for_end):
+        raise HilcellError(reason)
 
 
 class HilcellApp(App[int]):
@@ -166,8 +445,6 @@ class HilcellApp(App[int]):
 
     async def _open(self) -> None:
         """Open the run asked for, or the one that is live, or the form for a new one."""
-        from hilcell.tui.app.navigation import run_to_open
-
         try:
             found = await run_in_thread(run_to_open, self.options.runs, self.options.run)
         except HilcellError as error:

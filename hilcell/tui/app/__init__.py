@@ -1,1 +1,0 @@
-"""The application: keys become actions on the run that is shown."""
