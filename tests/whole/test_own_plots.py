@@ -10,10 +10,8 @@ from hilcell.journal.log import Log
 from hilcell.journal.runs import read_records
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.plots import Look
-from hilcell.tui.text.deviation import row_of
-from hilcell.tui.text.plot_page import Choice, plot_lines, tabs_of
-from hilcell.tui.text.plots import Measured
-from hilcell.tui.text.points import point_page
+from hilcell.tui.text.plots import Choice, Measured, plot_lines, tabs_of
+from hilcell.tui.text.points import point_page, row_of
 from hilcell.tui.text.side import side_lines
 from tests.whole.bench import SMALL, command, sets
 from tests.whole.golden import GoldenRuns

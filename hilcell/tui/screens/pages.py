@@ -20,8 +20,8 @@ from hilcell.tui.layout import BLANK, Lines, Stack
 from hilcell.tui.screens.base import BaseScreen, Page
 from hilcell.tui.text.alarms import alarm_page
 from hilcell.tui.text.devices import interlock_page
+from hilcell.tui.text.finished import report_lines
 from hilcell.tui.text.points import point_page
-from hilcell.tui.text.result import report_lines
 from hilcell.tui.text.tables import log_columns, record_row
 from hilcell.tui.widgets import Row, Table, TextField, TextPanel
 from hilcell.typed import Json, decoded

@@ -14,8 +14,7 @@ from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.plots import Look
 from hilcell.tui.screens.base import BaseScreen, Page
 from hilcell.tui.terminal.themes import SIXTEEN
-from hilcell.tui.text.plot_page import MOST_TABS, Choice, plot_lines, tab_line, tabs_of
-from hilcell.tui.text.plots import Measured
+from hilcell.tui.text.plots import MOST_TABS, Choice, Measured, plot_lines, tab_line, tabs_of
 from hilcell.tui.widgets import TextPanel
 
 REDRAW_S = 0.5

@@ -25,16 +25,20 @@ from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
 from hilcell.tui.text.alarms import AlarmBox, alarm_line, kept_words, newest_line, panel_is_due
-from hilcell.tui.text.below import below_lines, block_rows
-from hilcell.tui.text.deviation import PointRow
+from hilcell.tui.text.finished import Result, result_lines, result_of, verdict_lines, verdict_of
 from hilcell.tui.text.footer import ACTS, VIEWS, KeyOf, footer_lines
 from hilcell.tui.text.footer import WORDS as FOOTER_WORDS
-from hilcell.tui.text.newest import chosen_shown, newest_shown, point_lines, rows_for
-from hilcell.tui.text.points import PointRows, columns_for, filtered
+from hilcell.tui.text.points import PointRow, PointRows, columns_for, filtered
 from hilcell.tui.text.prompt import PromptBox
-from hilcell.tui.text.result import Result, result_lines, result_of
+from hilcell.tui.text.run import (
+    below_lines,
+    block_rows,
+    chosen_shown,
+    newest_shown,
+    point_lines,
+    rows_for,
+)
 from hilcell.tui.text.side import side_lines
-from hilcell.tui.text.verdict import verdict_lines, verdict_of
 from hilcell.tui.widgets import Table, TextPanel
 
 REDRAW_S = 0.5

@@ -11,7 +11,7 @@ from argparse import ArgumentTypeError
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import ClassVar
@@ -24,20 +24,22 @@ from textual.widgets import Input, Label
 
 from hilcell.arguments import assignment, seed_of, speed_of
 from hilcell.cell.file import Cell, load_cell
-from hilcell.clean import clean
+from hilcell.clean import clean, harmless
 from hilcell.errors import HilcellError
-from hilcell.journal.words import procedure_words, step_words
+from hilcell.journal.log import Log
+from hilcell.journal.words import in_words, procedure_words, step_words
 from hilcell.run.order import Attendance, Order
 from hilcell.tui.engine import process
 from hilcell.tui.engine.background import run_in_thread
+from hilcell.tui.engine.process import DryRun
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import BY_NAME, shown
-from hilcell.tui.layout import Text, ends, section
+from hilcell.tui.layout import BLANK, Col, Drawing, Fitting, Grid, Lines, Stack, Text, ends, section
 from hilcell.tui.screens.base import BaseScreen, Dialog, answer_keys
-from hilcell.tui.text import start as text
+from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.footer import EVERY_ACTION, FULL_WIDTH, PALETTE_KEY, KeyOf, form_footer
 from hilcell.tui.text.footer import WORDS as FOOTER_WORDS
-from hilcell.tui.text.run import duration, moves
+from hilcell.tui.text.run import badge, duration, moves, simulation_block
 from hilcell.tui.widgets import Choice, TextField, TextPanel
 
 FIELDS = (  # name, first entry, hint; the procedure stands after the cell
@@ -103,7 +105,7 @@ class StartScreen(BaseScreen):
         super().__init__()
         self._names = sorted({entry.name for entry in entry_points(group="hilcell.procedures")})
         self._summaries: dict[str, str] = {}
-        self._checked = text.Checked()
+        self._checked = Checked()
         self._changes = 0  # a check of earlier fields is dropped
         self._request: Entries | None = None  # of which `_checked` tells
         self._planned: Entries | None = None  # of which a plan was asked for
@@ -153,20 +155,20 @@ class StartScreen(BaseScreen):
         self.mark_simulated(simulated=self._checked.simulated)
         checked, glyphs = self._checked, self.application.glyphs
         attended = self.query_one("#attended", Choice).value == WATCHED[0]
-        before = text.before_lines(checked, attended=attended)
+        before = before_lines(checked, attended=attended)
         taken = len(before.lines(self.line_width)) + 6 if self._is_roomy else 4
         rows = self.app.size.height - taken
-        self.panel("banner").show(text.banner(checked, glyphs))
+        self.panel("banner").show(banner(checked, glyphs))
         self.panel("who").show(section("what and who"))
         self.panel("checks").styles.max_height = max(rows - len(FIELDS) - 4, 1)
-        self.panel("checks").show(text.check_lines(checked, glyphs))
+        self.panel("checks").show(check_lines(checked, glyphs))
         self.panel("plan").styles.max_height = rows
-        self.panel("plan").show(text.plan_lines(checked, glyphs))
+        self.panel("plan").show(plan_lines(checked, glyphs))
         self.panel("before").show(before)
         self.panel("before").display = self._is_roomy
-        self.panel("start").show(text.start_line(checked))
+        self.panel("start").show(start_line(checked))
         speed = self.query_one("#speed", Choice).value
-        self.panel("end").show(text.end_line(checked, speed))
+        self.panel("end").show(end_line(checked, speed))
         summary = self._summaries.get(self.query_one("#procedure", Choice).value, "")
         self.panel("summary").show(ends((summary, "$label"), ""))
         self._show_summary()
@@ -255,7 +257,7 @@ class StartScreen(BaseScreen):
             return
         self._planned = self.entries().planned
         self._changes += 1
-        self._request, self._checked = None, text.Checked()
+        self._request, self._checked = None, Checked()
         self.show(None)
         self.application.start_task(self._check_later(self._changes))
 
@@ -278,7 +280,7 @@ class StartScreen(BaseScreen):
         if change != self._changes or not self.is_shown:
             return  # of earlier fields
         self._request = entries
-        self._checked = text.Checked(plan, refused, cell, now())
+        self._checked = Checked(plan, refused, cell, now())
         self.show(None)
 
     def action_enter(self) -> None:
@@ -395,3 +397,163 @@ def summaries(names: list[str]) -> dict[str, str]:
         except HilcellError as error:
             found[name] = str(error)
     return found
+
+
+REFUSED = " refused before anything moves"  # after the procedure, in a plan's refusal
+FEW = 4  # nests that are named one by one
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """The plan of the fields as they stand, or why it is refused, or nothing yet."""
+
+    plan: DryRun | None = None
+    refused: str = ""
+    cell: Cell | None = None
+    at: datetime | None = None
+
+    @property
+    def simulated(self) -> bool:
+        """Whether only a simulated cell would move."""
+        if self.plan is None:
+            return self.cell is not None and self.cell.simulation is not None
+        return self.plan.simulated
+
+    @property
+    def has_rail(self) -> bool:
+        """Whether the cell has a rail."""
+        return self.plan is None or self.plan.rail
+
+
+def banner(checked: Checked, glyphs: Glyphs) -> Lines:
+    """Return the first line: that nothing is opened, and whether the cell is simulated."""
+    blocks = [badge(f"{glyphs.stale} NEW RUN"), badge("NOTHING OPENED")]
+    left = Content(" ").join([*blocks, *([simulation_block()] if checked.simulated else [])])
+    nothing = Fitting((Content.styled("nothing moves before you start", "$label"),))
+    return Grid([(left, nothing)], Col(), Col(right=True, grows=True))
+
+
+def plan_lines(checked: Checked, glyphs: Glyphs) -> Lines:
+    """Return the steps with their points and durations, numbered as in the run.
+
+    Where room is short, steps that do nothing are left out first.
+    """
+    plan = checked.plan
+    if checked.refused:
+        return Stack(section("plan", "refused"), refusals(checked, glyphs))
+    if plan is None:
+        return Stack(section("plan"), ("  is being checked ...", "$label"))
+    whole = [*enumerate(plan.steps, start=1)]
+
+    def draw(width: int, height: int) -> list[Content]:
+        steps, most = whole, (height or len(whole) + 2) - 2
+        if len(steps) > most:
+            steps = [(n, step) for n, step in steps if step.points or step.duration_s]
+        shown = steps if len(steps) <= most else steps[: max(most - 1, 0)]
+        rows: list[list[Text]] = []
+        for n, step in shown:
+            name = harmless(step_words(step.name, has_rail=checked.has_rail))
+            takes = duration(step.duration_s) if step.duration_s else "-"
+            rows.append([f"{n:>2} {name}", str(step.points or "-"), takes, ""])
+        if len(shown) < len(steps):
+            rows.append([f"   {len(steps) - len(shown)} more steps", "", "", ""])
+        total = str(plan.points), duration(plan.duration_s)
+        rows.append(
+            [(f"   all {len(whole)} steps", "bold"), *((each, "bold") for each in total), ""]
+        )
+        columns = Col(grows=True), Col(8, right=True), Col(8, right=True), Col(1)
+        heading = section("plan", "points    takes").lines(width)
+        return [*heading, *Grid(rows, *columns).lines(width)]
+
+    return Drawing(repr(plan), draw)
+
+
+def check_lines(checked: Checked, glyphs: Glyphs) -> Lines:
+    """Return what has been checked, or every refusal with its reason."""
+    if checked.refused:
+        return Stack(section("checks", "refused"), refusals(checked, glyphs))
+    if checked.plan is None:
+        return Stack(section("checks"), ("  being done ...", "$label"))
+    said = ["cell file and options are sound"]
+    said += ["poses in reach, in limits, in sight"] if checked.plan.points else []
+    said += ["the slide's way is clear"] if checked.has_rail else []
+    done = [Content.assemble((f"{glyphs.fresh} ", "$passed"), words) for words in said]
+    at = "" if checked.at is None else f" at {checked.at:%H:%M}"
+    return Stack(section("checks", f"{len(said)} of {len(said)}{at}"), *done)
+
+
+def refusals(checked: Checked, glyphs: Glyphs) -> Lines:
+    """Return each line of a refusal whole, where there are rows enough; else its beginning."""
+    rows = [
+        ((glyphs.warned, "bold $ask"), harmless(text)) for text in refused_words(checked) if text
+    ]
+    whole, cut = (Grid(rows, Col(), Col(grows=True, wraps=wraps)) for wraps in (True, False))
+
+    def draw(width: int, height: int) -> list[Content]:
+        lines = whole.lines(width)
+        return lines if not height or len(lines) < height else cut.lines(width)
+
+    return Drawing(whole.state, draw)
+
+
+def refused_words(checked: Checked) -> list[str]:
+    """Return the lines of a refusal; those of a plan name procedure, steps and points in words."""
+    first, *rest = map(str.strip, checked.refused.splitlines() or [""])
+    name, refused, why = first.partition(REFUSED)
+    if not refused:
+        return [first, *rest]
+    lines = [f"{procedure_words(name)}{refused}{why}"]
+    for line in rest:
+        step, colon, reason = line.partition(": ")
+        words = step_words(step, has_rail=checked.has_rail) if colon else step
+        lines.append(f"{words}{colon}{in_words(reason, Log())}")
+    return lines
+
+
+def before_lines(checked: Checked, *, attended: bool) -> Lines:
+    """Return what to see to before the start."""
+    words = ["Nobody in the cell, guard closed, E-stop in reach."]
+    if checked.cell is not None and checked.cell.layout.by_hand:
+        words.append("One reflector, clean: you are asked when to carry it, and where.")
+    elif checked.cell is not None:
+        layout = checked.cell.layout
+        groups = ([nest.name for nest in each] for each in (layout.floor, layout.bar, layout.slide))
+        few = (
+            " ".join(each) if len(each) <= FEW else f"{each[0]} to {each[-1]}"
+            for each in groups
+            if each
+        )
+        words.append(f"Reflectors in {', '.join(few)}, clean; one on the tool.")
+    words.append("Tracker on for two hours at least; doors closed.")
+    if not attended:
+        words.append("Unattended: nobody answers; a question waits, then ends the run.")
+    rows = ((("•", "$label"), each) for each in words)
+    return Stack(section("before you start"), Grid(rows, Col(), Col(grows=True)))
+
+
+def start_line(checked: Checked) -> Lines:
+    """Return the key that starts, grey while it would not, and what will move."""
+    if checked.plan is None:
+        why = "does nothing: the plan is refused" if checked.refused else "asks once it is checked"
+        grey = Content.assemble((" Enter ", "$stale on $badge"), (f" {why}", "$stale"))
+        return ends(grey, "")
+    words = "robot and rail will move" if checked.has_rail else "robot will move"
+    key = Content.styled(" Enter ", "bold $on-ask on $ask-fill")
+    line = key.append(Content.styled(f" start: {words}", "bold"))
+    if not checked.simulated:
+        return ends(line, "")
+    only = Content.styled(" in simulation only: ", "$sim")
+    whole = Content("").join([line, only, simulation_block()])
+    short = Content("").join([key, Content.styled(" start: ", "bold"), simulation_block()])
+    return Grid([[Fitting((whole, short))]], Col(grows=True))
+
+
+def end_line(checked: Checked, speed: str) -> Content:
+    """Return when the run will end; of a simulation that is not paced, how long it takes there."""
+    if checked.plan is None or checked.at is None:
+        return BLANK
+    duration_s = checked.plan.duration_s
+    if checked.simulated and speed != "1":
+        return Content.styled(f"takes {duration(duration_s)} of the cell's time", "$label")
+    end = checked.at + timedelta(seconds=duration_s)
+    return Content.styled(f"ends about {end:%H:%M}, if nothing has to wait", "$label")

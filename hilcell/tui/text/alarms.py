@@ -20,8 +20,8 @@ from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.keys import Keymap, shown
 from hilcell.tui.layout import BLANK, Cell, Col, Grid, Lines, Stack, Text, ends
 from hilcell.tui.terminal.capabilities import Glyphs
-from hilcell.tui.text.deviation import deviation_of
 from hilcell.tui.text.devices import short_age
+from hilcell.tui.text.points import deviation_of
 from hilcell.tui.text.run import duration
 from hilcell.tui.widgets import TextPanel, Titled
 

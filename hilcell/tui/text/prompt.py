@@ -1,21 +1,37 @@
-"""The operator's prompt in a box: where things stand, the task, and what the tracker sees there."""
+"""The operator's prompt in a box: where things stand, the task, and what the tracker sees there.
+
+The cell is drawn from above, to scale, in letters: x to the right, y up, a row twice a column's
+height. Places are the frozen cell's in {W}, frames those that the run has measured, nominal before.
+The widest view in which every nest has its name is drawn: the whole cell, or the nests alone.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from operator import itemgetter
+
 import msgspec
+import numpy as np
+from rich.cells import cell_len
 from textual.app import ComposeResult
 from textual.containers import Horizontal, Vertical
 from textual.content import Content
 
+from hilcell.calibration.frames import Frames
 from hilcell.clean import harmless
+from hilcell.geometry.frames import apply
 from hilcell.journal.words import in_words
+from hilcell.model.events import StationHeld
+from hilcell.ports import Array
 from hilcell.run.protocol import PromptStatus
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import BLANK, Cell, Col, Drawing, Grid, Lines
+from hilcell.tui.plots import Canvas
 from hilcell.tui.terminal.capabilities import Glyphs
 from hilcell.tui.text.devices import short_age
 from hilcell.tui.text.digits import large
-from hilcell.tui.text.sketch import site_of, sketch
 from hilcell.tui.widgets import TextPanel, Titled
 
 
@@ -165,3 +181,223 @@ def enter_line(prompt: PromptStatus, view: RunView) -> Content:
         words = "when it is done"
     style = "bold $on-ask on $ask-fill" if ready else "$stale on $badge"
     return Content.assemble((" Enter ", style), (f" {words}", "bold" if ready else "$stale"))
+
+
+Place = tuple[float, float]  # x and y in {W}, mm
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """Where things stand; ``nests`` are those of the wanted one's frame, ``done`` the measured."""
+
+    nests: dict[str, Place]
+    done: frozenset[str]
+    wanted: str
+    wanted_mm: Place
+    robot_mm: Place
+    tracker_mm: Place
+    along: Place  # the rail's direction, of length 1; 0, 0 where there is none
+    stations: dict[str, Place]
+
+
+def site_of(view: RunView, prompt: PromptStatus) -> Site | None:
+    """Return the places around what a prompt asks for; None where it has no place."""
+    if prompt.expected_mm is None:
+        return None
+    log, layout = view.log, view.log.cell.layout
+    T_W_L = Frames(log.cell, log).tracker_in_world()
+    wanted = apply(T_W_L, np.array([prompt.expected_mm]))[0]
+    last = [*log.points][-1:]
+    rail_mm = log.points[last[0]].rail_mm if last else None
+    if rail_mm is None:  # not recorded yet: where it was held last, the grid's station before
+        held = log.happened(StationHeld)
+        grid = log.cell.station_named(log.cell.grid.station)
+        rail_mm = held[-1].rail_mm if held else grid.rail_mm
+    T_W_B = layout.nominal_base(rail_mm)
+    slide = {nest.name: _above(apply(T_W_B, nest.xyz_mm[None])[0]) for nest in layout.slide}
+    standing = {nest.name: _above(nest.xyz_mm) for nest in layout.standing}
+    nests = slide if prompt.place in slide else standing
+    keys = view.measured.get(view.step.number, set()) if view.step else set()
+    done = frozenset(log.points[key].id.nest for key in keys if key in log.points)
+    return Site(
+        nests=nests,
+        done=done & nests.keys(),
+        wanted=prompt.place,
+        wanted_mm=nests.get(prompt.place, _above(wanted)),
+        robot_mm=_above(T_W_B[:3, 3]),
+        tracker_mm=_above(T_W_L[:3, 3]),
+        along=(layout.rail_direction[0], layout.rail_direction[1]),
+        stations={
+            each.name: _above(layout.nominal_base(each.rail_mm)[:3, 3])
+            for each in log.cell.station
+            if log.cell.has_rail
+        },
+    )
+
+
+def _above(xyz_mm: Array) -> Place:
+    return float(xyz_mm[0]), float(xyz_mm[1])
+
+
+LEAST_COLUMNS, LEAST_ROWS = 24, 5  # for which a drawing is worth it
+
+
+def sketch(site: Site, columns: int, rows: int) -> list[Content]:
+    """Return ``rows`` lines of ``columns``; none where that is too small for a drawing."""
+    if columns < LEAST_COLUMNS or rows < LEAST_ROWS:
+        return []
+    nests = [site.wanted_mm, *site.nests.values()]
+    views = ([*nests, site.robot_mm, site.tracker_mm], [*nests, site.robot_mm], nests)
+    drawn = (_Drawing(site, places, columns, rows) for places in views)
+    found = next((each for each in drawn if not each.unnamed), None)
+    return (found or _Drawing(site, nests, columns, rows)).lines()
+
+
+class _Drawing:
+    """One view; ``unnamed`` are the nests whose names found no room."""
+
+    MARGIN = 4  # columns at either side, for names
+    ASIDE = (0, 1, -1, 2, -2, 3, -3)  # columns by which a nest may be moved
+    ASIDE_MM = 150.0  # at most
+    SLIDE_MM = (350.0, 450.0)  # half of it, as drawn
+    RAIL_MM = 160.0  # half the distance of its rails, as drawn
+
+    def __init__(self, site: Site, places: Sequence[Place], columns: int, rows: int) -> None:
+        self._site, self._columns, self._rows = site, columns, rows - 1  # one for the scale
+        xs, ys = zip(*places, strict=True)
+        room, height = columns - 1 - 2 * self.MARGIN, 2 * (self._rows - 1)
+        # The width of a column at which all places are inside the margins, in the middle.
+        self._mm = mm = max((max(xs) - min(xs)) / room, (max(ys) - min(ys)) / height, 1.0)
+        self._left_mm = (min(xs) + max(xs) - mm * (columns - 1)) / 2
+        self._top_mm = (min(ys) + max(ys) + mm * height) / 2
+        self._canvas = Canvas(columns, self._rows)
+        self._taken: set[tuple[int, int]] = set()
+        self._wanted()
+        self.unnamed = self._nests()
+        self._tracker()
+        self._slide()
+        if any(site.along):
+            self._rail()
+        self._beam()
+
+    def lines(self) -> list[Content]:
+        """Return the drawing, with its scale under it."""
+        return [*self._canvas.lines(), self._bar()]
+
+    def _cell(self, place: Place) -> tuple[int, int]:
+        column = round((place[0] - self._left_mm) / self._mm)
+        return column, round((self._top_mm - place[1]) / (2 * self._mm))
+
+    def _put(self, column: int, row: int, text: str, style: str) -> bool:
+        """Write where all of it is free; return whether it was."""
+        cells = {(column + n, row) for n in range(len(text))}
+        inside = column >= 0 and column + len(text) <= self._columns and 0 <= row < self._rows
+        if not inside or cells & self._taken:
+            return False
+        self._taken |= cells
+        self._canvas.text(row, column, text, style)
+        return True
+
+    def _named(self, column: int, row: int, name: str, style: str) -> bool:
+        """Write a name beside its cell, where there is room for it."""
+        text = f" {_short(name)} "
+        left, middle = column - len(text), column - len(text) // 2
+        around = (
+            (column + 1, row), (left, row), (middle, row - 1), (middle, row + 1),
+            (column + 1, row - 1), (column + 1, row + 1), (left, row - 1), (left, row + 1),
+        )  # fmt: skip
+        return any(self._put(*at, text, style) for at in around)
+
+    def _wanted(self) -> None:
+        column, row = self._cell(self._site.wanted_mm)
+        text = f" {_short(self._site.wanted)} "
+        column = min(max(column - len(text) // 2, 0), self._columns - len(text))
+        self._put(column, row, text, "bold $on-ask on $ask-fill")
+
+    def _nests(self) -> list[str]:
+        """Draw the other nests; return those without a name."""
+        others = {
+            name: self._cell(place)
+            for name, place in sorted(self._site.nests.items(), key=itemgetter(1))
+            if name != self._site.wanted
+        }
+        shown = {name: at for name, near in others.items() if (at := self._marked(name, near))}
+        named = {
+            name
+            for name, at in shown.items()
+            if self._named(*at, name, "$label" if name in self._site.done else "$foreground")
+        }
+        return [name for name in others if name not in named]
+
+    def _marked(self, name: str, near: tuple[int, int]) -> tuple[int, int] | None:
+        """Draw a nest, a little aside where something else is drawn; return where."""
+        mark = ("●", "$passed") if name in self._site.done else ("○", "$foreground")
+        column, row = near
+        most = self.ASIDE_MM / self._mm
+        places = ((column + aside, row) for aside in self.ASIDE if abs(aside) <= most)
+        return next((at for at in places if self._put(*at, *mark)), None)
+
+    def _tracker(self) -> None:
+        """Draw the tracker, at the edge towards it where it is beyond."""
+        column, row = self._cell(self._site.tracker_mm)
+        inside = 0 <= column < self._columns and 0 <= row < self._rows
+        if not inside:
+            column = min(max(column, 0), self._columns - 1)
+            row = min(max(row, 0), self._rows - 1)
+        self._put(column, row, "▲", "bold $foreground")
+        under = column - len(" tracker ") // 2, row + 1
+        if not self._put(*under, " tracker ", "$label"):
+            self._named(column, row, "tracker", "$label")
+
+    def _slide(self) -> None:
+        """Draw the slide that carries the robot, to scale, at most five columns wide."""
+        column, row = self._cell(self._site.robot_mm)
+        across = min(round(self.SLIDE_MM[0] / self._mm), 2)
+        up = min(round(self.SLIDE_MM[1] / (2 * self._mm)), 1)
+        for y in range(row - up, row + up + 1):
+            for x in range(column - across, column + across + 1):
+                core = y == row and abs(x - column) <= max(across - 1, 0)
+                self._put(x, y, *(("█", "$label") if core else ("▒", "$stale")))
+        self._named(column + across, row, "robot", "$foreground")
+
+    def _rail(self) -> None:
+        """Draw both rails through the whole view, and the stations beside them."""
+        along, at = self._site.along, self._site.robot_mm
+        steep = abs(along[1]) >= abs(along[0])
+        reach_mm = self._mm * (self._columns + 2 * self._rows)
+        step_mm = self._mm * (1.0 if steep else 0.5)
+        side = max(self.RAIL_MM, self._mm * (1 if steep else 2))
+        for name, place in self._site.stations.items():
+            mark = (place[0] + side * -along[1], place[1] + side * along[0])
+            other = (place[0] - side * -along[1], place[1] - side * along[0])
+            column, row = max(self._cell(mark), self._cell(other))
+            tick = "─" if steep else ""
+            self._put(column + 1, row, f"{tick} {_short(name)} ", "$label")
+        for n in range(-int(reach_mm / step_mm), int(reach_mm / step_mm) + 1):
+            for way in (-1.0, 1.0):
+                x = at[0] + n * step_mm * along[0] - way * side * along[1]
+                y = at[1] + n * step_mm * along[1] + way * side * along[0]
+                self._put(*self._cell((x, y)), "│" if steep else "─", "$stale")
+
+    def _beam(self) -> None:
+        """Draw the line from the wanted place to the tracker."""
+        (x0, y0), (x1, y1) = self._site.wanted_mm, self._site.tracker_mm
+        steps = math.ceil(math.hypot(x1 - x0, (y1 - y0) / 2) / self._mm)
+        for n in range(0, min(steps, 4 * self._columns), 2):
+            at = (x0 + (x1 - x0) * n / steps, y0 + (y1 - y0) * n / steps)
+            self._put(*self._cell(at), "·", "$ask")
+
+    def _bar(self) -> Content:
+        """Return the scale: a round length, and the directions."""
+        most_mm = 10 * self._mm
+        power: float = 10.0 ** math.floor(math.log10(most_mm))
+        length_mm = max(step * power for step in (1, 2, 5) if step * power <= most_mm)
+        across = max(round(length_mm / self._mm), 2)
+        unit = f"{length_mm / 1000:g} m" if length_mm >= 1000 else f"{length_mm:g} mm"
+        text = f"├{'─' * (across - 1)}┤ {unit}   x ►  y up"
+        return Content.styled(text.center(self._columns)[: self._columns], "$label")
+
+
+def _short(name: str) -> str:
+    """Return the first seven letters of a name, each of one column."""
+    return "".join(letter if cell_len(letter) == 1 else "?" for letter in name[:7])

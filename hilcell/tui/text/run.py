@@ -1,24 +1,67 @@
-"""Rows 1 to 4 of the run's screen: state, run, step and progress; pure functions of the view."""
+"""The run's screen as text, from the top: state, run, step, progress, newest point, what follows.
+
+Of the newest point, or the chosen one, |e| alone is large; dx dy dz stand beside it with a signed
+bar each, |e| against its limit under it. A value that is old is grey and says so. A tall terminal
+has interlocks with readings, next steps and events under the points; where rows are few the events
+go first, then the next steps.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from operator import attrgetter
 
 from textual.content import Content
 
 from hilcell.alarms.catalogue import SEVERITIES
+from hilcell.clean import harmless
 from hilcell.journal.calibration_facts import run_judged, run_outcome
+from hilcell.journal.journal import Record
+from hilcell.journal.log import Log
 from hilcell.journal.runs import short_run
-from hilcell.journal.times import local_words
-from hilcell.journal.words import procedure_words, step_words
+from hilcell.journal.times import in_zone, local_words
+from hilcell.journal.words import (
+    happened_words,
+    in_words,
+    key_words,
+    procedure_words,
+    step_words,
+    verdict_words,
+)
+from hilcell.model.events import Event, OtherEvent, after
 from hilcell.model.outcome import Outcome
 from hilcell.model.plan import Step
-from hilcell.model.point import CONTROL
+from hilcell.model.point import CONTROL, HOW, Point, Sent
+from hilcell.model.records import Ended, Intended, StateChanged
+from hilcell.model.verdicts import Verdict
+from hilcell.run.forecast import Ahead
+from hilcell.run.protocol import DeviceStatus
 from hilcell.tui.engine.run_view import EngineState, RunView
-from hilcell.tui.layout import BLANK, Bar, Cell, Col, Fitting, Grid, Lines, ends
+from hilcell.tui.layout import (
+    BLANK,
+    Bar,
+    Cell,
+    Col,
+    Drawing,
+    Fitting,
+    Grid,
+    Lines,
+    Rule,
+    SignedBar,
+    Stack,
+    Text,
+    Ticks,
+    ends,
+    section,
+)
+from hilcell.tui.plots import step_at_least
 from hilcell.tui.terminal.capabilities import Glyphs
-from hilcell.tui.text.devices import short_age
+from hilcell.tui.text.devices import NAMES, locks, short_age
+from hilcell.tui.text.digits import figure, large
+from hilcell.tui.text.points import Deviation, deviation_of
 
 STATES = {
     "looking": ("LOOKING", "label"),
@@ -261,3 +304,315 @@ def resume_text(view: RunView | None) -> str:
         f"{what}: the devices are connected again, and the tracker's control points proved "
         "before anything counts."
     )
+
+
+DeviationOf = Callable[[Log, Point], Deviation | None]
+RAW_SCALE_MM = 2.0
+LEAST_LARGE = 41  # columns
+FULL_ROWS, SMALL_ROWS = 6, 3
+STALE_S = 30.0  # two points of a run are rarely so far apart
+TO_LIMIT = 0.8  # of the tolerance bar
+SAID: dict[Outcome, tuple[str, str, str, str]] = {  # role, shape's name, words, those of an old one
+    Outcome.ACCEPTED: ("passed", "fresh", Outcome.ACCEPTED.words, "was in tol."),
+    Outcome.UNDECIDED: ("ask", "warned", Outcome.UNDECIDED.words.upper(), "was undecided"),
+    Outcome.REJECTED: ("fault", "warned", Outcome.REJECTED.words.upper(), "was out of tol."),
+}
+
+
+def _signed(value_mm: float) -> str:
+    return f"{value_mm:+z.3f}".replace("-", "−") if math.isfinite(value_mm) else "-.---"
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """The point that is drawn: its deviation, its name, and whether it is too old to be bright."""
+
+    name: str
+    deviation: Deviation | None
+    remark: str  # its age, or why there are no digits
+    stale: bool = False
+    word: str = ""  # where there is no limit: why
+
+    @classmethod
+    def of(
+        cls,
+        log: Log,
+        point: Point,
+        which: str,
+        deviation: DeviationOf,
+        remark: str = "",
+        *,
+        stale: bool = False,
+    ) -> Shown:
+        """Return a point by its place in the run and its name."""
+        name = f"{which}: {point.id.words(point.station)}"
+        word = f"{HOW.get(point.id.how, Sent.BEFORE.text)}: no limit"
+        return cls(name, deviation(log, point), remark, stale, word)
+
+    @property
+    def tone(self) -> str:
+        """Return the style of |e|."""
+        if self.stale or self.deviation is None:
+            return "$stale"
+        judged = self.deviation.limit_mm is not None
+        return f"${SAID[self.deviation.outcome][0]}" if judged else "$foreground"
+
+    def large(self, found: Deviation, glyphs: Glyphs) -> Lines:
+        """Return |e| large, and its components with a signed bar each."""
+        # The full scale of the signed bars grows so that no bar is cut.
+        least_mm = RAW_SCALE_MM if found.limit_mm is None else found.limit_mm / 2
+        known_mm = (abs(each) for each in found.error_mm if math.isfinite(each))
+        scale_mm = step_at_least(max([least_mm, *known_mm]))
+        text = "bold $stale" if self.stale else "bold"
+        fill = "$stale" if self.stale else "$foreground"
+        rows: list[list[Cell]] = []
+        for name, value_mm, digits, unit, scale in zip(
+            ("dx", "dy", "dz"),
+            found.error_mm,
+            large(figure(found.norm_mm), self.tone, glyphs),
+            ("|e|", "mm", ""),
+            (f"±{scale_mm:g}", "mm", ""),
+            strict=True,
+        ):
+            component = Content.assemble(
+                (f"{name} ", "$label"), (f"{_signed(value_mm):>6}", text), (" mm", "$label")
+            )
+            bar = SignedBar(value_mm / scale_mm, fill)
+            rows.append(["", (unit, "$label"), digits, component, bar, (scale, "$label")])
+        columns = Col(), Col(3), Col(21), Col(14), Col(28), Col()
+        return Grid(rows, *columns)
+
+    def one_line(self, found: Deviation) -> Content:
+        """Return |e| and its components in one line."""
+        dx, dy, dz = map(_signed, found.error_mm)
+        return Content.assemble(
+            " ",
+            (f"|e| {figure(found.norm_mm)} mm", f"bold {self.tone}"),
+            (f"   dx {dx}  dy {dy}  dz {dz}", "$stale" if self.stale else "$label"),
+        )
+
+    def tolerance(self, found: Deviation, glyphs: Glyphs) -> list[list[Cell]]:
+        """Return what is said of the limit with |e| against it, and under it the scale and U."""
+        if found.limit_mm is None:
+            words = (f"{glyphs.stale} {self.word}", "$stale" if self.stale else "")
+            return [["", words, ""], ["", "", ""]]
+        role, shape, word, was = SAID[found.outcome]
+        said = (f"{getattr(glyphs, shape)} {word}", f"bold ${role}")
+        if self.stale:
+            said = (f"{glyphs.stale} {was}", "$stale")
+        share, guard = (TO_LIMIT * each / found.limit_mm for each in (found.norm_mm, found.U_mm))
+        bar = Bar(share, self.tone, TO_LIMIT, guard)
+        digits = 2 if math.isclose(100 * found.limit_mm / 4 % 1, 0, abs_tol=1e-9) else 3
+        ticks = [(0.0, Content.styled("0", "$label"))]
+        for quarter in (1, 2, 3):
+            text = f"{found.limit_mm * quarter / 4:.{digits}f}"
+            ticks.append((TO_LIMIT * quarter / 4, Content.styled(text, "$label")))
+        limit = Content.assemble((f"{found.limit_mm:.{digits}f}", "bold"), (" limit", "$label"))
+        ticks.append((TO_LIMIT, limit))
+        U = (f"U {found.U_mm:.3f} mm", "$label")
+        return [["", said, bar], ["", U, Ticks(tuple(ticks))]]
+
+
+def rows_for(height: int) -> int:
+    """Return the rows of the newest point on a terminal of this height."""
+    return FULL_ROWS if height >= 24 else FULL_ROWS - 1 if height >= 21 else SMALL_ROWS
+
+
+def newest_shown(view: RunView, deviation: DeviationOf = deviation_of) -> Shown:
+    """Return the newest point of a live run; never one of an earlier step in bright digits."""
+    point = view.newest
+    if point is None:
+        return Shown("no point measured yet", None, "")
+    age_s = view.newest_age_s
+    age = f"{short_age(age_s)} ago" if age_s <= STALE_S else f"{short_age(age_s)} old"
+    old = view.newest_is_old or not age_s <= STALE_S or view.stale
+    which = "last point" if view.newest_is_old else "newest point"
+    return Shown.of(view.log, point, which, deviation, age, stale=old)
+
+
+def chosen_shown(
+    view: RunView, key: str, deviation: DeviationOf = deviation_of, *, chosen: bool = True
+) -> Shown:
+    """Return the point under the table's cursor; not ``chosen``: the cursor only stood there."""
+    point = view.log.points.get(key)
+    if point is None:
+        return Shown("no point measured yet", None, "")
+    which = "chosen point" if chosen else "last point"
+    return Shown.of(view.log, point, which, deviation)
+
+
+def point_lines(shown: Shown, glyphs: Glyphs, rows: int = FULL_ROWS) -> Lines:
+    """Return the rows, at most ``rows`` of them; digits are one line where three have no room."""
+    found, remark = shown.deviation, Content.styled(shown.remark, "$label")
+    if shown.stale and shown.remark:
+        remark = Content.styled(f"{glyphs.warned} {shown.remark}", "$ask")
+    head = Rule(Content.styled(shown.name, "bold $label"), remark)
+    if found is None:
+        none = "no nominal place, so no deviation" if shown.remark else ""
+        return Stack(head, (f" {none}", "$label"), *[BLANK] * (rows - 2))
+    said = shown.tolerance(found, glyphs)
+    columns = Col(), Col(17), Col(10, grows=True, most=55)
+    small = Stack(head, ends(shown.one_line(found), ""), Grid(said[:1], *columns))
+    if rows < FULL_ROWS - 1:
+        return small
+    whole = Stack(head, shown.large(found, glyphs), Grid(said[: rows - 4], *columns))
+    state = whole.state, small.state
+    return Drawing(state, lambda width, _: (small if width < LEAST_LARGE else whole).lines(width))
+
+
+MOTIONS = {
+    "robot.park": "robot sent to its safe pose",
+    "robot.move": "robot sent to {point}",
+    "robot.sweep": "robot begins the {point}",
+    "rail.home": "rail sent to its reference",
+    "rail.approach": "rail sent to {station}",
+}
+
+
+def event_lines(view: RunView, errors_mm: Mapping[str, float], rows: int) -> list[Lines | Text]:
+    """Return a heading and the newest events, newest first; ``errors_mm`` are |e| by point."""
+    zone = f"{in_zone(view.records[-1].t):%Z}" if view.records else ""
+    events: list[list[Cell]] = []
+    for record in reversed(view.records):
+        if len(events) >= rows - 1:
+            break
+        if words := event_words(view, record, errors_mm):
+            style = "$label" if events else "$foreground"
+            time = f" {in_zone(record.t):%H:%M:%S} "
+            events.append([(time, "$label"), (harmless(words), style)])
+    return [section("newest events", zone), Grid(events, Col(), Col(grows=True))]
+
+
+def event_words(view: RunView, record: Record, errors_mm: Mapping[str, float]) -> str:
+    """Return an event in words; nothing for what other lines of the screen tell."""
+    log = view.log
+    match record.fact:
+        case Point() as point:
+            error_mm = errors_mm.get(point.key)
+            size = "" if error_mm is None else f": |e| {error_mm:.3f} mm"
+            return f"measured {key_words(point.key, log)}{' again' * point.retaken}{size}"
+        case Intended(action=action, station=station):
+            place = in_words(record.key, log)
+            if action in MOTIONS:
+                return MOTIONS[action].format(station=station, point=place)
+            return f"{action.replace('.', ' ')} {place}".strip()
+        case Event() | OtherEvent() as event:
+            return happened_words(event, log)
+        case Ended(state=state, exit=code):
+            return f"the session has ended: {state}, exit {code}"
+        case StateChanged(machine="run", to=to, reason=reason):
+            return f"the run is {to}{after(in_words(reason.replace(chr(10), ' '), log))}"
+        case Verdict(holds=holds) as verdict:
+            figures = "".join(
+                f": {each.name} {each.value:.3f} {each.unit}, limit {each.limit:.3f} {each.unit}"
+                for each in verdict.figures[:1]
+                if each.value is not None and each.limit is not None
+            )
+            return f"{verdict_words(record.key)} {'holds' if holds else 'does not hold'}{figures}"
+    return ""
+
+
+MOST_STEPS, MOST_EVENTS = 5, 6
+PARTS = {
+    "flange": "{step}: {count} points",
+    "sweep": "{step}: {count} sweeps",
+    "leg": "Rail to the next station",
+}
+
+
+def block_rows(height: int, *, live: bool) -> int:
+    """Return how many rows the block has on a terminal of this height."""
+    spare = min(height - 24, 17 if live else MOST_EVENTS + 1)  # 24: all above it
+    return spare if spare >= 4 else 0
+
+
+def below_lines(view: RunView, errors_mm: Mapping[str, float], glyphs: Glyphs, rows: int) -> Lines:
+    """Return the block in at most so many rows; a run that is over has events alone."""
+    parts: list[Lines | Text] = []
+    if view.live:
+        found = locks(view, glyphs)
+        parts, rows = interlock_lines(view, glyphs), rows - 1 - max(len(found), 1)
+        if rows > 1:
+            parts += step_lines(view, glyphs, rows)
+            rows -= 1 + max(min(len(_parts(view)), MOST_STEPS), 1)
+    if rows > 1:
+        parts += event_lines(view, errors_mm, min(rows, MOST_EVENTS + 1))
+    return Stack(*parts)
+
+
+def interlock_lines(view: RunView, glyphs: Glyphs) -> list[Lines | Text]:
+    """Return each condition of motion with its reason, or with the reading that frees it.
+
+    A reason that is too long for its line is the short one: no figure is cut.
+    """
+    found = locks(view, glyphs)
+    if not found or view.status is None:
+        return [section("interlocks"), (f" {glyphs.stale} no reading", "$stale")]
+    rows: list[list[Cell]] = []
+    for each in found:
+        whys = (
+            (each.whole, each.short) if each.whole else (_reading(each.name, view.status.devices),)
+        )
+        why = Fitting(tuple(Content.styled(text, "$label") for text in whys))
+        rows.append([(f" {each.shape}", each.tone), (each.name, "bold"), each.word, why])
+    return [section("interlocks"), Grid(rows, Col(2), Col(7), Col(6), Col(grows=True))]
+
+
+def _reading(name: str, devices: Mapping[str, DeviceStatus]) -> str:
+    """Return the last readings of the devices that a condition is about."""
+    text = {device: status.text for device, status in devices.items() if status.text}
+    if name == NAMES["robot move"]:
+        strip = f", strip {text['strip']}" if "strip" in text else ""
+        return f"slide {text['rail']}{strip}" if "rail" in text else ""
+    if name == NAMES["rail move"]:
+        return f"robot {text['robot']}" if "robot" in text else ""
+    return f"last reading {text['tracker']}" if "tracker" in text else ""
+
+
+def step_lines(view: RunView, glyphs: Glyphs, rows: int) -> list[Lines | Text]:
+    """Return the step under way and those after it, when each starts and how long it takes."""
+    heading, starts_s, steps = section("next steps", "starts in   takes"), 0.0, []
+    for n, (words, takes_s) in enumerate(_parts(view)[: min(rows - 1, MOST_STEPS)]):
+        start = "now" if n == 0 else duration(starts_s)
+        style = "$foreground" if n == 0 else "$label"
+        shape = glyphs.moving if n == 0 and not view.at_rest else " "
+        steps.append(
+            ((f" {shape}", "$live"), (words, style), (start, style), (duration(takes_s), style), "")
+        )
+        starts_s += takes_s
+    if not steps:
+        return [heading, ("   not known yet", "$label")]
+    columns = Col(2), Col(grows=True), Col(8, right=True), Col(8, right=True), Col(1)
+    return [heading, Grid(steps, *columns)]
+
+
+def _parts(view: RunView) -> list[tuple[str, float]]:
+    """Return the parts of the step under way, then one for each step after it, in words."""
+    plan = view.log.plan
+    if plan is None:
+        return []
+    found: list[tuple[str, float]] = []
+    for number, parts in groupby(view.ahead, key=attrgetter("step")):
+        step = step_words(plan.steps[number - 1].name, has_rail=view.has_rail)
+        if found:
+            found.append((step, sum(part.takes_s for part in parts)))
+        else:
+            for part in _merged([*parts]):
+                other = "{step}: {count} readings" if part.measured else "{step}"
+                words = PARTS.get(part.kind, other).format(step=step, count=part.measured)
+                found.append((words, part.takes_s))
+    return found
+
+
+def _merged(parts: Sequence[Ahead]) -> list[Ahead]:
+    """Return the parts that are listed; checks between two count for the one before them."""
+    found: list[Ahead] = []
+    for part in parts:
+        same = bool(found) and part.kind == found[-1].kind
+        if found and (same or part.kind not in PARTS):
+            before = found[-1]
+            count = before.measured + (part.measured if same else 0)
+            found[-1] = replace(before, measured=count, takes_s=before.takes_s + part.takes_s)
+        else:
+            found.append(part)
+    return found

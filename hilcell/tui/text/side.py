@@ -25,7 +25,6 @@ from hilcell.ports import Array
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.layout import Col, Grid, Text, section
 from hilcell.tui.plots import Look, Plot, Scale, draw, log_scale
-from hilcell.tui.text.deviation import PointRow
 from hilcell.tui.text.plots import (
     Errors3D,
     Measured,
@@ -35,6 +34,7 @@ from hilcell.tui.text.plots import (
     recheck_plot,
     target_plot,
 )
+from hilcell.tui.text.points import PointRow
 
 MAP_ROWS, LEAST_PLOT = 22, 9
 OWN = {ISO: ("|e| of the poses", poses_plot), RECHECK: ("|e| re-checked", recheck_plot)}

@@ -8,7 +8,7 @@ from hilcell.present.renderers import csv_of, drawn
 from hilcell.present.table import Column, Named, Table
 from hilcell.report import tables
 from hilcell.report.html import report_html
-from hilcell.tui.text.result import sheet_lines
+from hilcell.tui.text.finished import sheet_lines
 from tests.hilcell.report.journals import validated_run
 from tests.hilcell.report.pages import Page
 

@@ -18,8 +18,8 @@ from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.layout import Stack
 from hilcell.tui.terminal.capabilities import UNICODE
 from hilcell.tui.text import devices
-from hilcell.tui.text.below import below_lines, event_words, interlock_lines, step_lines
 from hilcell.tui.text.devices import interlock_page, locks
+from hilcell.tui.text.run import below_lines, event_words, interlock_lines, step_lines
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, sample_run, status, validated
 from tests.hilcell.tui.views import drawn
 from tests.hilcell.verdicts import BACKLASH, JUDGED, LENGTHS, REVISITED, plain

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from hilcell.tui.terminal.capabilities import UNICODE
-from hilcell.tui.text.head import BAR, TO_LIMIT, Figure, Head, gravest, head_lines, is_small
+from hilcell.tui.text.finished import BAR, TO_LIMIT, Figure, Head, gravest, head_lines, is_small
 from tests.hilcell.tui.views import view_of
 
 NAN = math.nan

@@ -12,7 +12,7 @@ from hilcell.tui.screens.base import BaseScreen
 from hilcell.tui.screens.help import SCREENS, help_lines, keys_of
 from hilcell.tui.terminal.capabilities import UNICODE
 from hilcell.tui.text.footer import ACTS, VIEWS, WORDS
-from hilcell.tui.text.plot_page import MOST_TABS
+from hilcell.tui.text.plots import MOST_TABS
 from hilcell.tui.widgets import Choice, Table, TextField
 from tests.hilcell.tui.all_screens import isolated
 from tests.hilcell.tui.recording_app import DEFAULT_KEYS, RecordingApp, press, run_app, text_of

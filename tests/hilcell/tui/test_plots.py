@@ -15,24 +15,22 @@ from hilcell.calibration.errors import errors_of
 from hilcell.journal.log import Log
 from hilcell.model.point import Point, PointId, Sent
 from hilcell.tui.plots import Look
-from hilcell.tui.text.plot_page import (
+from hilcell.tui.text.plots import (
     BESIDE,
     STRIP,
     TABS,
     Choice,
+    Measured,
     Shown,
     error_figures,
-    plot_lines,
-    tab_line,
-    tabs_of,
-)
-from hilcell.tui.text.plots import (
-    Measured,
     errors_by_target,
     errors_plot,
+    plot_lines,
     repeat_plot,
     sorted_plot,
     strip_plot,
+    tab_line,
+    tabs_of,
 )
 from tests.hilcell.report.journals import validated_run
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, validated

@@ -17,9 +17,17 @@ from hilcell.journal.log import Log, positions_mm
 from hilcell.journal.runs import read_log
 from hilcell.model.point import Point, PointId
 from hilcell.tui.engine.run_view import RunView
-from hilcell.tui.text.deviation import deviation_of, row_of, state_of
-from hilcell.tui.text.newest import chosen_shown
-from hilcell.tui.text.points import PointRows, columns_for, filtered, point_page, to_row
+from hilcell.tui.text.points import (
+    PointRows,
+    columns_for,
+    deviation_of,
+    filtered,
+    point_page,
+    row_of,
+    state_of,
+    to_row,
+)
+from hilcell.tui.text.run import chosen_shown
 from tests.hilcell.report.journals import Writer
 from tests.hilcell.tui.sample_runs import SampleRun, measuring, validated
 from tests.hilcell.tui.views import drawn

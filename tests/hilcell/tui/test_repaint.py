@@ -17,7 +17,7 @@ from hilcell.tui.engine.feed import RunUpdate
 from hilcell.tui.engine.run_view import EngineState
 from hilcell.tui.screens import run
 from hilcell.tui.screens.run import RunScreen
-from hilcell.tui.text import deviation, points, result
+from hilcell.tui.text import finished, points
 from tests.hilcell.tui.all_screens import isolated
 from tests.hilcell.tui.recording_app import RecordingApp, run_app, settle, text_of
 from tests.hilcell.tui.sample_runs import sample_run
@@ -28,7 +28,7 @@ SOON = timedelta(seconds=0.3)
 COSTLY = (  # each as its caller finds it
     (Screen, "_refresh_layout"),
     (points, "expanded_of"),
-    (deviation, "expanded_of"),
+    (points, "expanded_of"),
     (run, "footer_lines"),
 )
 
@@ -104,7 +104,7 @@ def test_a_procedure_is_imported_off_the_thread_that_takes_keys(
         threads.append(threading.current_thread())
         raise LookupError(name)
 
-    monkeypatch.setattr(result, "load_entry", load)
+    monkeypatch.setattr(finished, "load_entry", load)
     monkeypatch.setattr(run, "verdict_of", lambda view: None)
 
     async def look(app: RecordingApp, pilot: Pilot[int]) -> None:

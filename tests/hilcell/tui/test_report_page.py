@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from textual.pilot import Pilot
 
-from hilcell.tui.text.result import report_lines
+from hilcell.tui.text.finished import report_lines
 from tests.hilcell.tui.all_screens import SAID, SHOWN, isolated
 from tests.hilcell.tui.recording_app import RecordingApp, press, run_app, text_of
 from tests.hilcell.tui.views import drawn

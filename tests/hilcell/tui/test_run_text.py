@@ -23,10 +23,9 @@ from hilcell.tui.engine.run_view import EngineState, RunView
 from hilcell.tui.terminal.capabilities import UNICODE, to_ascii
 from hilcell.tui.text import devices
 from hilcell.tui.text import run as run_text
-from hilcell.tui.text.deviation import Deviation
 from hilcell.tui.text.devices import end_remark
-from hilcell.tui.text.plot_page import tabs_of
-from hilcell.tui.text.plots import strip_plot
+from hilcell.tui.text.plots import strip_plot, tabs_of
+from hilcell.tui.text.points import Deviation
 from tests.hilcell.tui.sample_runs import measuring, sample_run, sample_runs, validated
 from tests.hilcell.tui.views import drawn, view_of
 

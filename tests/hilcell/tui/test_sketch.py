@@ -9,7 +9,7 @@ import pytest
 
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply
-from hilcell.tui.text.sketch import LEAST_COLUMNS, LEAST_ROWS, Place, Site, sketch
+from hilcell.tui.text.prompt import LEAST_COLUMNS, LEAST_ROWS, Place, Site, sketch
 
 CELLS = ("paper", "six-r", "hard", "replay")
 

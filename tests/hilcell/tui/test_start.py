@@ -15,9 +15,9 @@ from hilcell.errors import HilcellError
 from hilcell.model.plan import Step
 from hilcell.run.order import Order
 from hilcell.tui.engine import process
+from hilcell.tui.screens import start as text
 from hilcell.tui.screens.start import PlanSummary, StartScreen, plan_summary
 from hilcell.tui.terminal.capabilities import UNICODE
-from hilcell.tui.text import start as text
 from tests.hilcell.tui.all_screens import PLAN, isolated
 from tests.hilcell.tui.recording_app import (
     RUNS,

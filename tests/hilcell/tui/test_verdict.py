@@ -16,8 +16,8 @@ from hilcell.model.verdicts import Judged
 from hilcell.tui.engine.run_view import RunView
 from hilcell.tui.terminal.capabilities import ASCII, UNICODE
 from hilcell.tui.text.digits import large_rows
+from hilcell.tui.text.finished import verdict_lines, verdict_of
 from hilcell.tui.text.run import banner
-from hilcell.tui.text.verdict import verdict_lines, verdict_of
 from tests.hilcell.tui.sample_runs import sample_runs
 from tests.hilcell.tui.views import drawn, view_of
 

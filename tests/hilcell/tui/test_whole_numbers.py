@@ -8,10 +8,10 @@ import msgspec
 import pytest
 
 from hilcell.tui.plots import Look
+from hilcell.tui.screens.start import Checked, check_lines
 from hilcell.tui.terminal.capabilities import UNICODE
 from hilcell.tui.text.points import WIDE, PointRows, columns_for, to_row
 from hilcell.tui.text.side import side_lines
-from hilcell.tui.text.start import Checked, check_lines
 from tests.hilcell.tui.views import view_of
 
 

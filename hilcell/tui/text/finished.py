@@ -1,0 +1,701 @@
+"""A finished run: a word on its ground, two lengths large beside their limits, and its table.
+
+A validation has PASS or FAIL and its stations; the worst station decides. *95 % sure* bounds the
+mean of a station, *95 % below* is a share of its targets: never one word for both. A pose test
+shows its worst AP and RP large, a re-check what to do with the calibration, every other procedure
+its own table, as ``hilcell show`` prints it. A narrow or low window has words and figures in one
+row each. A run that ended before has no verdict.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import NamedTuple, Self, TypeVar
+
+import msgspec
+from textual.content import Content
+
+from hilcell.alarms import Alarm
+from hilcell.alarms.catalogue import SEVERITIES, entry_of
+from hilcell.calibration.decision import limits_of
+from hilcell.calibration.iso9283 import Angles, PoseTest
+from hilcell.calibration.recheck import KIND as RECHECK
+from hilcell.calibration.recheck import CheckedPose, RecheckResult
+from hilcell.cell.devices import load_entry
+from hilcell.clean import harmless
+from hilcell.errors import HilcellError
+from hilcell.journal.calibration_facts import run_judged
+from hilcell.journal.log import Log
+from hilcell.journal.words import id_of, in_words, procedure_words
+from hilcell.model.events import TrackerProven
+from hilcell.model.outcome import Outcome
+from hilcell.model.results import Place
+from hilcell.model.verdicts import (
+    AD,
+    AP,
+    AP_ANGLES,
+    ISO,
+    RD,
+    RP,
+    RP_ANGLES,
+    VALIDATION,
+    Judged,
+    Limits,
+)
+from hilcell.present.table import Column, Named, Table
+from hilcell.tui.engine.run_view import RunView
+from hilcell.tui.layout import (
+    BLANK,
+    Bar,
+    Cell,
+    Col,
+    Drawing,
+    Fitting,
+    Grid,
+    Lines,
+    Stack,
+    Text,
+    facts_grid,
+)
+from hilcell.tui.terminal.capabilities import Glyphs
+from hilcell.tui.text.digits import figure, large, large_rows
+from hilcell.tui.text.run import is_simulated, simulation_block
+from hilcell.typed import Json, typed
+
+LEAST_WIDTH, LEAST_ROWS = 78, 14
+BLOCK = 24  # columns of the words' ground
+BAR, TO_LIMIT = 24, 19  # columns
+NEXT = "o report   p plots   w worst points   n new run"
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One large length (mm): its title, where it is the worst, and its limit, None for none."""
+
+    title: str
+    value_mm: float
+    at: str
+    limit_mm: float | None = None
+    U_mm: float = 0.0  # expanded uncertainty, where it counts against the limit
+
+    @property
+    def over(self) -> bool:
+        """Whether there is a limit, and it is not kept with certainty."""
+        return self.limit_mm is not None and not self.value_mm + self.U_mm <= self.limit_mm
+
+    @property
+    def place(self) -> str:
+        """Return place and limit; a long name is shortened, the limit never."""
+        limit = "no limit" if self.limit_mm is None else f"limit {self.limit_mm:.3f}"
+        return f" {Content(self.at).truncate(10, ellipsis=True).plain}, {limit}"
+
+    def tone(self, glyphs: Glyphs) -> tuple[str, str]:
+        """Return the style and the shape that say whether the limit is kept."""
+        if self.limit_mm is None:
+            return "$label", glyphs.stale
+        return ("$fault", glyphs.warned) if self.over else ("$passed", glyphs.fresh)
+
+    def large(self, glyphs: Glyphs) -> list[Cell]:
+        """Return eight rows: the title, the digits, the place and the bar up to the limit."""
+        tone, shape = self.tone(glyphs)
+        digits = large(figure(self.value_mm), tone if self.over else "$foreground", glyphs)
+        at = Content.assemble((shape, tone), (self.place, "$label"))
+        bar = BLANK
+        if self.limit_mm:
+            mark = TO_LIMIT / BAR
+            share, guard = (mark * length / self.limit_mm for length in (self.value_mm, self.U_mm))
+            bar = Bar(share, tone, mark, guard).drawn(BAR)
+        return [(self.title, "$label"), *digits, at, bar, BLANK]
+
+
+@dataclass(frozen=True, slots=True)
+class Head:
+    """One or two large words, what one word states, the role of their colour, and two figures."""
+
+    words: tuple[str, ...]
+    stated: str
+    role: str
+    figures: tuple[Figure, ...]
+
+    @property
+    def style(self) -> str:
+        """Return the style of the words on their ground."""
+        if self.role == "label":
+            return "bold $foreground on $badge"
+        return f"bold $on-{self.role} on ${self.role}-fill"
+
+    def block(self, mark: Content, glyphs: Glyphs) -> list[Content]:
+        """Return the words on their ground, over the mark of a simulation."""
+        texts: list[str] = []
+        for word in self.words:
+            is_bold = glyphs.plain or len(word) > (BLOCK + 1) // 4  # longer than large letters
+            texts += ["", word, ""] if is_bold else large_rows(word)
+        if len(self.words) == 1:
+            texts = ["", *texts, "", self.stated]
+        last = mark.pad_left((BLOCK - mark.cell_length) // 2).truncate(BLOCK, pad=True)
+        words = (Content.styled(f"{text:^{BLOCK}}", self.style) for text in texts)
+        return [*words, last.stylize_before(self.style.removeprefix("bold "))]
+
+    def small(self, mark: Content, glyphs: Glyphs) -> Lines:
+        """Return the words in one line, and each figure in one."""
+        stated = (self.stated,) if len(self.words) == 1 else ()
+        text = "  ".join(["", " ".join(self.words), *stated, ""])
+        rows: list[list[Cell]] = []
+        for each in self.figures:
+            tone, shape = each.tone(glyphs)
+            value = (f"{figure(each.value_mm)} mm", f"bold {tone}" if each.over else "bold")
+            title = (each.title.removesuffix(", mm"), "$label")
+            places = each.place, each.place.partition(", ")[2]
+            place = Fitting(tuple(Content.styled(text, "$label") for text in places))
+            rows.append(["", (shape, tone), title, value, place])
+        columns = Col(), Col(), Col(), Col(), Col(grows=True)
+        words = Content("").join([Content.styled(text, self.style), mark])
+        return Stack(words, Grid(rows, *columns))
+
+
+def gravest(value_mm: float) -> float:
+    """Return a length to order by: NaN and infinity are the worst."""
+    return value_mm if math.isfinite(value_mm) else math.inf
+
+
+def is_small(width: int, rows: int) -> bool:
+    """Whether the large head has no room."""
+    return width < LEAST_WIDTH or rows < LEAST_ROWS
+
+
+def head_lines(view: RunView, head: Head, glyphs: Glyphs, width: int, rows: int) -> list[Content]:
+    """Return the words and the figures, large where there is room; nothing without words."""
+    if not head.words:
+        return []
+    mark = simulation_block() if is_simulated(view) else BLANK
+    if is_small(width, rows):
+        return head.small(mark, glyphs).lines(width)
+    rows_of = (head.block(mark, glyphs), *(each.large(glyphs) for each in head.figures))
+    return Grid(zip(*rows_of, strict=True), Col(BLOCK), Col(25), Col(), gap=2).lines(width)
+
+
+TALL, MOST_OF_A_NAME = 40, 20  # rows that hold everything; columns
+SHOWN: dict[Outcome, tuple[str, str]] = {  # the shape's name, the style
+    Outcome.ACCEPTED: ("fresh", "$passed"),
+    Outcome.UNDECIDED: ("warned", "$ask"),
+    Outcome.REJECTED: ("warned", "bold $fault"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """Errors (mm) of one station's targets: as sent, and as they were judged."""
+
+    name: str
+    targets: int
+    before_mm: float
+    p95_mm: float
+    judged: Judged
+
+    @property
+    def sure_mm(self) -> float:
+        """Return the length below which the true mean is, 95 % sure."""
+        return self.judged.mean_mm + self.judged.mean_U_mm
+
+    @property
+    def short(self) -> str:
+        """Return its name, which leaves room for figures."""
+        return Content(harmless(self.name)).truncate(MOST_OF_A_NAME, ellipsis=True).plain
+
+    @property
+    def reason(self) -> str:
+        """Return which limits it does not keep, or is not shown to."""
+        over, unsure = [], []
+        for name, each in zip(("mean", "single", "orientation"), self.judged.figures, strict=False):
+            value = math.nan if each.value is None else each.value
+            written, limit, U = (
+                (f"{value:.4f}°", f"{each.limit:g}°", f"{each.U or 0.0:.4f}°")
+                if each.unit == "deg"
+                else (figure(value), f"{each.limit:.3f}", f"{each.U or 0.0:.3f}")
+            )
+            if each.limit is not None and not value <= each.limit:
+                over.append(f"{name} {written} over {limit}")
+            elif each.outcome is not Outcome.ACCEPTED:
+                unsure.append(f"{name} {written}, U {U}: not shown below {limit}")
+        return ", ".join(over or unsure) or "too few targets to show it"
+
+    def cells(self, limits: Limits, glyphs: Glyphs) -> list[Cell]:
+        """Return its row of the table."""
+        judged, outcome = self.judged, self.judged.outcome
+        shape, tone = SHOWN[outcome]
+        word = outcome.short.upper() if outcome is Outcome.REJECTED else outcome.short
+        mean_style = "bold" if judged.mean_mm <= limits.mean_mm else "bold $fault"
+        max_style = "" if judged.max_mm <= limits.max_mm else "bold $fault"
+        return [
+            "",
+            Content(harmless(self.name)).truncate(13, ellipsis=True),
+            (str(self.targets), "$label"),
+            (f"{self.before_mm:.3f}", "$label"),
+            (figure(judged.mean_mm), mean_style),
+            figure(self.p95_mm),
+            (figure(judged.max_mm), max_style),
+            (f"{getattr(glyphs, shape)} {word}", tone),
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """A finished validation: its stations, its limits and the run's outcome."""
+
+    passed: bool
+    outcome: Outcome
+    stations: tuple[Station, ...]
+    limits: Limits
+    floor_mm: float
+
+    @property
+    def undecided(self) -> bool:
+        """Whether neither that the limits are kept is shown nor the contrary."""
+        return self.outcome is Outcome.UNDECIDED
+
+    @property
+    def worst_mean(self) -> Station:
+        """Return the station of the largest mean."""
+        return max(self.stations, key=lambda each: gravest(each.judged.mean_mm))
+
+    @property
+    def worst_single(self) -> Station:
+        """Return the station of the largest single error."""
+        return max(self.stations, key=lambda each: gravest(each.judged.max_mm))
+
+    @property
+    def words(self) -> tuple[str, str]:
+        """Return the verdict in one word, and what it states."""
+        outcome = Outcome.ACCEPTED if self.passed else self.outcome
+        said = "neither pass nor fail" if outcome is Outcome.UNDECIDED else outcome.words
+        return outcome.short.upper(), said
+
+    @property
+    def reason_words(self) -> str:
+        """Return which stations do not keep which limit, the worst first.
+
+        Of those that are only not shown to keep it the first says why: the table has their figures.
+        """
+        failed = [each for each in self.stations if each.judged.outcome is not Outcome.ACCEPTED]
+        failed.sort(key=lambda each: -gravest(each.judged.mean_mm))
+        undecided = [each.name for each in failed if each.judged.outcome is Outcome.UNDECIDED]
+        whole = [each for each in failed if each.name not in undecided[1:]]
+        words = [f"{each.name}: {each.reason}" for each in whole]
+        return "; ".join([*words, *([f"also {', '.join(undecided[1:])}"] if undecided[1:] else [])])
+
+    @property
+    def head(self) -> Head:
+        """Return the verdict in large, with its two figures."""
+        word, stated = self.words
+        mean, single, limits = self.worst_mean, self.worst_single, self.limits
+        figures = (
+            Figure("worst mean |e|, mm", mean.judged.mean_mm, f"at {mean.name}", limits.mean_mm,
+                   mean.judged.mean_U_mm),
+            Figure("worst single |e|, mm", single.judged.max_mm, f"at {single.name}", limits.max_mm,
+                   single.judged.max_U_mm),
+        )  # fmt: skip
+        role = "passed" if self.passed else "ask" if self.undecided else "fault"
+        return Head((word,), stated, role, figures)
+
+    @property
+    def orientation(self) -> list[Lines | Text]:
+        """Return the largest error of orientation beside its limit, where one is stated."""
+        turns = [(each, each.judged.turn) for each in self.stations]
+        known = [(each, turn) for each, turn in turns if turn is not None]
+        if not known:
+            return []
+        worst, turn = max(known, key=lambda each: gravest(each[1].max_deg))
+        words = f"{turn.max_deg:.4f}° at {worst.short}, limit {self.limits.max_deg:g}°"
+        return [Content.assemble((" orientation, worst: ", "$label"), words)]
+
+    def table(self, glyphs: Glyphs, room: int) -> Lines:
+        """Return the stations, the worst ones in ``room`` rows with header and limit."""
+        order = sorted(self.stations, key=lambda each: -gravest(each.judged.mean_mm))
+        kept = order[: room - 2]
+        shown = [each for each in self.stations if each in kept]
+        left = len(self.stations) - len(shown)
+        titles = "station", "targets", "mean as sent", "mean", "95 % below", "max mm", " verdict"
+        limits = (f"{self.limits.mean_mm:.3f}", "-", f"{self.limits.max_mm:.3f}")
+        name = f"limit ({left} more in the report)" if left else "limit"
+        rows: list[list[Cell]] = [["", *((title, "$label") for title in titles)]]
+        rows += [each.cells(self.limits, glyphs) for each in shown]
+        rows.append(["", (name, "$label"), "", "", *((each, "$label") for each in limits), ""])
+        numbers = [Col(width, right=True) for width in (7, 12, 8, 11, 8)]
+        return Grid(rows, Col(), Col(13), *numbers, Col(9, grows=True), styles={0: "on $panel"})
+
+
+def verdict_of(view: RunView) -> Finished | None:
+    """Return the verdict of a finished run with a validation; None for every other run.
+
+    Stations that were also judged together are shown one by one.
+    """
+    if view.state not in ("done", "intolerant"):
+        return None
+    try:
+        places = typed(view.log.result.get("validation", {}), dict[str, Place])
+    except msgspec.ValidationError:  # of another procedure's result
+        return None
+    order = [each.name for each in view.log.cell.station]
+    names = [name for name in order if name in places] or list(places)
+    found = {name: view.log.verdict(Judged, f"{VALIDATION}{name}") for name in names}
+    judged = {name: each for name, each in found.items() if each is not None}
+    if not judged:
+        return None
+    floors = [place.floor.mean for place in places.values() if place.floor is not None]
+    return Finished(
+        passed=view.state == "done",
+        outcome=run_judged(view.log) or Outcome.REJECTED,
+        stations=tuple(
+            Station(name, place.points, place.before.mean, place.chosen.p95, each)
+            for name, each in judged.items()
+            for place in (places[name],)
+        ),
+        limits=limits_of(view.log.cell),
+        floor_mm=max(floors, default=math.nan),
+    )
+
+
+# -- drawing ---------------------------------------------------------------------------------------
+
+
+def verdict_lines(view: RunView, found: Finished, glyphs: Glyphs, standing: int = 0) -> Lines:
+    """Return the block, the two worst figures, the stations, and what is to be known or done.
+
+    ``standing`` alarms are latched, also those that the journal raises no more.
+    """
+    facts = Stack(*_facts(view, found, glyphs, standing))
+
+    def draw(width: int, height: int) -> list[Content]:
+        rows = height or TALL
+        lines, said = head_lines(view, found.head, glyphs, width, rows), facts.lines(width)
+        if is_small(width, rows):
+            return [*lines, *said]
+        said = said[: max(rows - len(lines) - len(found.stations) - 2, 2)]
+        room = max(rows - len(lines) - len(said), 3)
+        return [*lines, *found.table(glyphs, room).lines(width), *said]
+
+    return Drawing((repr(found), glyphs.plain, facts.state), draw)
+
+
+def _facts(view: RunView, found: Finished, glyphs: Glyphs, standing: int) -> list[Lines | Text]:
+    """Return what is to be known of a run that passed; of one that failed, why and what to do."""
+    if not found.passed and view.alarms:
+        gravest_alarm = max(view.alarms, key=lambda alarm: SEVERITIES.index(alarm.severity))
+        return _advice(view, found, gravest_alarm, glyphs)
+    sure = max(found.stations, key=lambda each: gravest(each.sure_mm))
+    bound = f"below {sure.sure_mm:.3f} mm", f" at {sure.short}"
+    floor = f"   floor: {found.floor_mm:.3f} mm" if math.isfinite(found.floor_mm) else ""
+    return [
+        _whole((" true mean, 95 % sure: ", "$label"), *bound, (floor, "$label")),
+        *found.orientation,
+        _written(view, found, glyphs),
+        _drift(view, glyphs, standing),
+        Content.assemble((" next: ", "$label"), NEXT),
+    ]
+
+
+def _whole(*phrases: Text) -> Lines:
+    """Return as many phrases as fit, each whole."""
+    texts = [Content.assemble(*phrases[:n]) for n in range(len(phrases), 0, -1)]
+    return Grid([[Fitting((*texts, texts[-1].truncate(1)))]], Col(grows=True))
+
+
+def _advice(view: RunView, found: Finished, alarm: Alarm, glyphs: Glyphs) -> list[Lines | Text]:
+    """Return why the run failed, with the stations concerned, and the steps, each whole."""
+    where = f"{alarm.where}: " if alarm.where else ""
+    words = in_words(f"{where}{alarm.found}", view.log)
+    if entry_of(alarm.code, "").verdict == VALIDATION.rstrip("."):
+        words = found.reason_words or words
+    why = Content(harmless(f"{alarm.code} {words}")).stylize("bold $fault", 0, len(alarm.code))
+    rows: list[list[Cell]] = [["", (glyphs.warned, "bold $fault"), why]]
+    rows += [["", (str(n), "bold"), step] for n, step in enumerate(alarm.do[:3], start=1)]
+    return [Grid(rows, Col(), Col(), Col(grows=True, wraps=True))]
+
+
+def _written(view: RunView, found: Finished, glyphs: Glyphs) -> Lines | Text:
+    celsius = view.log.temperatures_c()
+    unit = f"{glyphs.degree}C"
+    air = f"; air was {min(celsius):.1f} to {max(celsius):.1f} {unit}" if celsius else ""
+    if not view.log.calibrates:
+        none = " no calibration file was to be written"
+        return _whole((none, "$label"), (air, "$label"))
+    if view.calibration_lost:
+        text = f" {glyphs.warned} calibration.json is not written: space writes it"
+        return Content.styled(text, "$ask")
+    names = " ".join(each.name for each in found.stations)
+    head = Content.assemble((" written: ", "$label"), "calibration.json")
+    return _whole(head, (f" for {names}", "$label"), (air, "$label"))
+
+
+def _drift(view: RunView, glyphs: Glyphs, standing: int) -> Lines:
+    """Return how many alarms stand, or are over, and how far the floor nests moved."""
+    proofs = [e.fact.off_mm for e in view.log.events if isinstance(e.fact, TrackerProven)]
+    moved = max((max(each) for each in proofs if each), default=None)
+    over = sum(alarm.cause == "over" for alarm in view.alarms)
+    count = max(len(view.alarms), standing) - over
+    text = f"{count} alarm{'s' if count > 1 else ''}: e" if count else "no alarms"
+    text += f"; {over} that {'are' if over > 1 else 'is'} over: e" if over else ""
+    drift = "" if moved is None else f"; floor nests stood within {moved:.3f} mm"
+    tone, shape = ("$ask", glyphs.warned) if count else ("$passed", glyphs.fresh)
+    head = Content.assemble((f" {shape}", tone), (f" {text}", "$label"))
+    return _whole(head, (drift, "$label"))
+
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """The findings of a run; the head has no words where nothing large is said."""
+
+    head: Head
+    text: str
+    table: Table
+
+    @classmethod
+    def of_test(cls, test: PoseTest, *, passed: bool) -> Self:
+        """Return that of a pose test: its worst AP and RP, and each pose."""
+        worst, limits, turned = test.worst, test.limits, test.orientation
+        ap_mm, rp_mm = limits.get(AP.limit), limits.get(RP.limit)
+        figures = (
+            Figure("worst AP_p, mm", worst.ap_mm, f"at {worst.ap_pose}", ap_mm, worst.ap_u95_mm),
+            Figure("worst RP_l, mm", worst.rp_mm, f"at {worst.rp_pose}", rp_mm, worst.rp_u95_mm),
+        )
+        rows = [
+            _PoseRow(
+                name,
+                figure(each.ap_mm),
+                figure(each.ap_u95_mm),
+                figure(each.rp_mm),
+                figure(each.rp_u95_mm),
+                *_worst_angles(turned.get(name)),
+                "pass" if test.keeps(name) else "FAIL",
+            )
+            for name, each in test.poses.items()
+        ]
+        columns = [*POSES, *(ANGLES if turned else ())]
+        if limits:
+            columns.append(Column("verdict", attrgetter("verdict")))
+            angles = (_limit(limits.get(of.limit)) for of in (AP_ANGLES, RP_ANGLES))
+            rows.append(_PoseRow("limit", _limit(ap_mm), "", _limit(rp_mm), "", *angles))
+        words, stated, role = (("ISO",), "no limits stated", "label")
+        if test.limits:
+            words, stated, role = (
+                (("PASS",), "within its limits", "passed")
+                if passed
+                else (("FAIL",), "not within its limits", "fault")
+            )
+        return cls(Head(words, stated, role, figures), _distance_words(test), Table(columns, rows))
+
+    @classmethod
+    def of_recheck(cls, found: RecheckResult, log: Log) -> Self:
+        """Return that of a re-check: what to do, and each target, the worst first."""
+        worst = sorted(found.poses, key=lambda each: -gravest(each.error_mm))
+        columns: list[Column[CheckedPose]] = [
+            Column("worst first", lambda each: id_of(each.pose, log).short),
+            Column("predicted below", lambda each: figure(each.bound_mm), "mm", "s"),
+            Column("now", lambda each: figure(each.error_mm), "mm", "s"),
+            Column("less the base's motion", lambda each: figure(each.left_mm), "mm", "s"),
+        ]
+        limits_mm = found.mean_tolerance_mm, found.max_tolerance_mm
+        at = id_of(worst[0].pose, log).short if worst else "its target"
+        figures = (
+            Figure("mean |e| now, mm", found.mean_mm, "all", limits_mm[0], found.mean_U_mm),
+            Figure("largest |e| now, mm", found.max_mm, at, limits_mm[1], found.max_U_mm),
+        )
+        words = {
+            "valid": (("STILL", "VALID"), "still valid", "passed"),
+            "update": (("UPDATE",), "base moved, updated", "ask"),
+            "redo": (("REDO",), "calibrate again", "fault"),
+        }
+        head = Head(*words[found.verdict], figures)
+        return cls(head, found.text, Table(columns, worst))
+
+
+def result_of(view: RunView) -> Result | None:
+    """Return the result of a run that has come to its end; None for every other, or for none."""
+    if view.state not in ("done", "intolerant") or view.log.plan is None:
+        return None
+    found = None if view.log.end is None else view.log.result
+    if not isinstance(found, dict):
+        return None
+    test = _converted(found.get(ISO), PoseTest)
+    if test is not None and test.poses:
+        return Result.of_test(test, passed=view.state == "done")
+    checked = _converted(found.get(RECHECK), RecheckResult)
+    if checked is not None:
+        return Result.of_recheck(checked, view.log)
+    table, text = own_words(view.log.plan.procedure, found)
+    nothing = "" if table else "Finished. This procedure measures nothing that is judged."
+    return Result(Head((), "", "label", ()), text or nothing, table)
+
+
+def _converted(found: object, kind: type[T]) -> T | None:
+    """Return a part of a result; None of another procedure's, or of another version's."""
+    try:
+        return typed(found, kind)
+    except msgspec.ValidationError:
+        return None
+
+
+def own_words(name: str, result: Json) -> tuple[Table, str]:
+    """Return a procedure's own table and words of a result; nothing of what it cannot read."""
+    if not result:
+        return Table((), ()), ""
+    try:
+        procedure = load_entry("procedures", name)
+        table: Table = procedure.table(result)
+        table.texts()  # raises where a value is not of its column
+        return table, procedure.words(result)
+    except (HilcellError, LookupError, TypeError, ValueError, AttributeError):
+        return Table((), ()), ""  # of another version, or of a procedure that is not installed here
+
+
+# -- a pose test -----------------------------------------------------------------------------------
+
+
+class _PoseRow(NamedTuple):
+    """A pose's figures as they are shown, or their limits."""
+
+    name: str
+    ap: str
+    ap_U: str
+    rp: str
+    rp_U: str
+    ap_angle: str
+    rp_angle: str
+    verdict: str = ""
+
+
+POSES = (
+    Column[_PoseRow]("pose", attrgetter("name")),
+    Column[_PoseRow](AP.symbol, attrgetter("ap"), "mm", "s"),
+    Column[_PoseRow]("U", attrgetter("ap_U"), "mm", "s"),
+    Column[_PoseRow](RP.symbol, attrgetter("rp"), "mm", "s"),
+    Column[_PoseRow]("U", attrgetter("rp_U"), "mm", "s"),
+)
+ANGLES = (
+    Column[_PoseRow](AP_ANGLES.symbol, attrgetter("ap_angle"), "°", "s"),
+    Column[_PoseRow](RP_ANGLES.symbol, attrgetter("rp_angle"), "°", "s"),
+)
+
+
+def _distance_words(test: PoseTest) -> str:
+    found, stated = test.distance, ((of.key.upper(), test.limits.get(of.limit)) for of in (AD, RD))
+    limits = [f"{name} {limit_mm:.3f}" for name, limit_mm in stated if limit_mm is not None]
+    said = f"; limits {', '.join(limits)} mm" if limits else ""
+    return (
+        f"distance {found.start}-{found.to}: AD {found.ad_mm:+z.3f} mm (U {found.ad_u95_mm:.3f}), "
+        f"RD ±{found.rd_mm:.3f} mm (U {found.rd_u95_mm:.3f}){said}"
+    )
+
+
+def _worst_angles(found: Angles | None) -> tuple[str, str]:
+    """Return the largest AP and RP of a pose's angles, as far as they were measured."""
+    parts = ({}, {}) if found is None else (found.ap_deg, found.rp_deg)
+    ap, rp = (f"{max(map(abs, each.values())):.4f}" if each else "-" for each in parts)
+    return ap, rp
+
+
+def _limit(limit_mm: float | None) -> str:
+    return "-" if limit_mm is None else f"{limit_mm:.3f}"
+
+
+# -- drawing ---------------------------------------------------------------------------------------
+
+
+def result_lines(view: RunView, found: Result, glyphs: Glyphs) -> Lines:
+    """Return the word and its figures, the sentence, and as many rows of the table as fit."""
+    table = sheet_lines(found.table, view.log)
+
+    def draw(width: int, height: int) -> list[Content]:
+        rows = height or 40  # which hold most results whole
+        lines = head_lines(view, found.head, glyphs, width, rows)
+        if found.text:
+            said: list[Cell] = ["", (harmless(found.text), "$label")]
+            lines += Grid([said], Col(), Col(grows=True, wraps=True)).lines(width)
+        lines += table.lines(width)
+        if len(lines) > rows:
+            more = Content.styled(" o report: all of the table", "$label")
+            lines = [*lines[: max(rows - 1, 0)], more]
+        else:
+            lines.append(Content.assemble((" next: ", "$label"), NEXT))
+        return [line.truncate(width) for line in lines]
+
+    return Drawing((id(found), glyphs.plain), draw)
+
+
+NAMES = {  # of the summary, by the name shown
+    "operator": "operator", "job": "job", "points": "points", "state": "state",
+    "verdict": "verdict", "calibration": "stage", "seed": "seed",
+    "accepted": "accepted", "link_warning": "warning", "fault": "fault",
+}  # fmt: skip
+
+
+def report_lines(found: Mapping[str, object], log: Log | None) -> Lines:
+    """Return the facts of a run, its own table and its sentence."""
+    procedure = str(found.get("procedure", ""))
+    facts = [("run", str(found.get("run", ""))), ("procedure", procedure_words(procedure))]
+    facts += [("cell", str(found.get("cell", "")))]
+    facts += [("simulated", "yes, no device moved" if found.get("simulated") else "no")]
+    facts += [(shown, _words(found[name])) for name, shown in NAMES.items() if found.get(name)]
+    standing = found.get("standing")
+    if isinstance(standing, Mapping):
+        facts.append(("calibration", str(standing.get("text", ""))))
+    parts: list[Lines | Text] = [facts_grid((name, harmless(text)) for name, text in facts)]
+    result = found.get("result")
+    if found.get("state") == "finished" and isinstance(result, dict):
+        table, text = own_words(procedure, result)
+        parts += [BLANK, sheet_lines(table, log)] if table else []
+        parts += [BLANK, harmless(text)] if text else []
+    return Stack(*parts)
+
+
+def _words(value: object) -> str:
+    """Return a value as a person reads it; names of states have no underscores."""
+    if isinstance(value, list):
+        return "; ".join(map(_words, value))
+    text = str(value)
+    return text if " " in text else text.replace("_", " ")
+
+
+GAP = 2
+WIDEST = 30  # columns of a cell; a longer text wraps
+
+
+def sheet_lines(table: Table, log: Log | None = None) -> Lines:
+    """Return the table in as many blocks as it needs, each with its header.
+
+    Names of the program, and keys of the points of ``log``, are in words.
+    """
+    shown = [table.headers, *table.texts("-")]
+    for texts, values in zip(shown[1:], table.rows, strict=True):
+        for at, value in enumerate(values):
+            text = value.words if isinstance(value, Named) else texts[at]
+            texts[at] = text if log is None else in_words(text, log)
+    shown = [[harmless(cell) for cell in row] for row in shown]
+    columns = [list(column) for column in zip(*shown, strict=True)]
+
+    def draw(width: int, height: int) -> list[Content]:
+        widths = [max(map(len, column)) for column in columns]
+        if sum(widths) + GAP * len(widths) > width:  # headers wrap before columns go on below
+            widths = [max(map(len, [*head.split(), *cells])) for head, *cells in columns]
+        widths = [max(min(each, WIDEST, width - 2), 1) for each in widths]
+        lines: list[Content] = []
+        blocks: list[list[int]] = [[0]] if widths else []  # columns; the first begins each block
+        for n in range(1, len(widths)):
+            used = sum(widths[m] + GAP for m in blocks[-1])
+            if used + widths[n] > width - 1 and len(blocks[-1]) > 1:
+                blocks.append([0])
+            blocks[-1].append(n)
+        for block in blocks:
+            cols = (Col(most=widths[n], right=n > 0, wraps=True) for n in block)
+            rows = [[row[n] for n in block] for row in shown]
+            grid = Grid(rows, *cols, gap=GAP, styles={0: "$label on $panel"})
+            lines += [line.pad_left(1) for line in grid.lines(width - 1)]
+        return lines
+
+    return Drawing(shown, draw)
