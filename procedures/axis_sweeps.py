@@ -27,8 +27,15 @@ from hilcell.run.collision import check_sweep
 from hilcell.run.procedure import Result
 from hilcell.run.sweeping import SweepOrder
 from hilcell.typed import typed
-from procedures.durations import closing, first_pass_percent, robot_moves_s, step
-from procedures.plan import check_range, check_reach, poses_at
+from procedures.plan import (
+    check_range,
+    check_reach,
+    closing,
+    first_pass_percent,
+    poses_at,
+    robot_moves_s,
+    step,
+)
 
 COST = "the ripple of the gears stays in the error after correction"
 WAYS = ("up", "down")

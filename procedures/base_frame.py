@@ -23,7 +23,7 @@ from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
 from hilcell.run.procedure import Result
-from procedures.durations import closing, flange_points, step
+from procedures.plan import closing, flange_points, step
 
 ARC_SHARES = (0.25, 0.5, 0.75, 1.0)
 FEWEST_ON_ARC = 5

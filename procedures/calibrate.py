@@ -19,20 +19,15 @@ from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
 from procedures.axis_sweeps import AxisSweeps, sweep_table, sweep_words
 from procedures.base_frame import BaseFrame
-from procedures.chosen_poses import ChosenPoses
-from procedures.fit import Choice, Fit
-from procedures.frame_repeatability import FrameRepeatability, frame_repeatability_table
-from procedures.home import Home
+from procedures.fit import Choice, Fit, SignCheck, sign_table
 from procedures.rail_survey import RailSurvey, survey_table
 from procedures.repeatability import Repeatability
 from procedures.revisits import Revisits, suspicion_words
-from procedures.robot_grid import RobotGrid
-from procedures.sign_check import SignCheck, sign_table
+from procedures.robot_grid import ChosenPoses, RobotGrid
 from procedures.station import HoldStation, StationRepeatability, approach_table
-from procedures.station_frames import StationFrames
-from procedures.two_faces import TwoFaces
+from procedures.station_frames import FrameRepeatability, StationFrames, frame_repeatability_table
 from procedures.validate import Validate
-from procedures.world_frame import WorldFrame
+from procedures.world_frame import Home, TwoFaces, WorldFrame
 
 # A station, how many targets, how they were sent, their errors; or those that are left.
 _Row: TypeAlias = tuple[str, int | None, Named, SentErrors | Floor]

@@ -23,7 +23,7 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.interlocks import check_joint_limits
 from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
-from procedures.durations import flange_points, measure_s
+from procedures.plan import flange_points, measure_s
 
 
 class Campaign:

@@ -28,7 +28,7 @@ from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
-from procedures.home import Home
+from procedures.world_frame import Home
 
 STANDS_DEG = 0.05  # an axis that turns by less is not announced
 NAME = "conformance"

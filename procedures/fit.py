@@ -1,22 +1,49 @@
-"""The grid's data become a correction; cross-validation chooses the model."""
+"""The grid's data become a correction, and the cell shows that its sign is right.
+
+Cross-validation chooses the model. Then one target is sent as it is and corrected, and both are
+measured: the paper's words for the correction have the wrong sign, which doubles every error and
+looks as sound as the right one. So nothing is released before the cell itself has shown that a
+corrected target comes closer.
+"""
 
 from __future__ import annotations
 
-from hilcell.calibration.frames import grid_of, measured_of, outlying_vertices
+from itertools import product
+from operator import attrgetter
+
+import numpy as np
+
+from hilcell.calibration.errors import errors_of
+from hilcell.calibration.frames import grid_errors_mm, grid_of, measured_of, outlying_vertices
 from hilcell.cell.file import Cell
 from hilcell.compensation.choice import MODELS, chosen
+from hilcell.compensation.correction import corrected
+from hilcell.compensation.grid import Grid
 from hilcell.compensation.kinematic import curves_used
 from hilcell.compensation.measured import Measured
+from hilcell.geometry.frames import apply
+from hilcell.geometry.statistics import lengths_mm
 from hilcell.journal.log import Log
+from hilcell.journal.reading_noise import noise_at, run_noise
 from hilcell.model.plan import Step
-from hilcell.model.point import PointId
+from hilcell.model.point import PointId, Sent
 from hilcell.model.results import ActResult
-from hilcell.model.verdicts import CurvesUsed, Fitted
-from hilcell.ports import HilcellError
+from hilcell.model.verdicts import CurvesUsed, Fitted, SignChecked
+from hilcell.ports import Array, HilcellError
+from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
 from hilcell.typed import typed
-from procedures.plan import poses_at
+from procedures.plan import (
+    check_targets,
+    closing,
+    flange_points,
+    joints_for,
+    leg,
+    other_stations,
+    poses_at,
+    step,
+)
 
 
 class Choice(ActResult, frozen=True, kw_only=True):
@@ -96,3 +123,111 @@ def _orientation(cell: Cell, name: str, measured: Measured) -> str:
     if _orients(cell, name, measured):
         return f"corrected: {name} predicts it"
     return f"left as it is: {name} predicts positions only"
+
+
+CLEARLY = 0.5  # the corrected error over the one before; the wrong sign gives about 2
+SIGMAS, MOST = 2.0, 1.0  # of the readings' noise beyond that; no further than the middle of 0 and 2
+IDS = {how: PointId("sign", how=how) for how in (Sent.BEFORE, "corrected")}
+
+
+class SignErrors(ActResult, frozen=True, kw_only=True):
+    """The errors of the target before and corrected, and their ratio."""
+
+    before_mm: float
+    corrected_mm: float
+    ratio: float
+
+
+class SignCheck:
+    """Takes the middle of the grid's worst cell, where the correction is the largest."""
+
+    name = "sign-check"
+    needs = "the fitted correction"
+    moves = "the robot to one target in the cube, as it is and corrected, at the grid's station"
+    measures = "the flange reflector at both"
+    yields = "whether the correction takes the error away instead of doubling it"
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Refuse a grid with a cell out of reach: any may be the worst."""
+        grid = grid_of(cell)
+        cells = list(product(*(range(count - 1) for count in grid.shape)))
+        there, middles_mm = cell.station_named(cell.grid.station), middle_mm(grid, np.array(cells))
+        joints_rad = check_targets(cell, there, poses_at(cell, middles_mm), "middle of a grid cell")
+        last = there if cell.plan.quick else [there, *other_stations(cell)][-1]
+        back = leg(cell, last, there)
+        both = flange_points(cell, joints_rad[[0] * len(IDS)])
+        return step(self.name, len(IDS), [*back, both, *closing(cell)])
+
+    def perform(self, session: CellSession) -> None:
+        """Send both, measure, and journal the verdict."""
+        if "sign" in session.log.verdicts:
+            return
+        station = session.cell.station_named(session.cell.grid.station)
+        target_mm = worst_mm(session.log)
+        commands = {Sent.BEFORE: target_mm, "corrected": self.command(session.log, target_mm)}
+        nominal_mm = apply(session.frames.base_in_world(station), target_mm)[0]
+        for how, command in commands.items():
+            joints = joints_for(session.cell, command)[0]
+            session.flange_point(IDS[how], station, joints, nominal_mm=nominal_mm)
+        session.close_step()
+        found = sign_errors(session.log)
+        limit = clearly(session.log, found.before_mm)
+        judged = SignChecked(
+            holds=found.ratio < limit,
+            limit=limit,
+            before_mm=found.before_mm,
+            corrected_mm=found.corrected_mm,
+            ratio=found.ratio,
+        )
+        session.judge("sign", judged)
+
+    def command(self, log: Log, target_mm: Array) -> Array:
+        """Return the command (1, 3) in {B} for the target (1, 3), as `compensate` does."""
+        model = MODELS[log.method].learn(measured_of(log))
+        return corrected(grid_of(log.cell), poses_at(log.cell, target_mm), model)
+
+    def result(self, log: Log) -> Result:
+        """Return both errors of the target."""
+        return {"sign": sign_errors(log)}
+
+
+def sign_errors(log: Log) -> SignErrors:
+    """Return the errors of the target as sent and corrected."""
+    points = [log.point(id) for id in IDS.values()]
+    before_mm, corrected_mm = errors_of(log, points).norms_mm.tolist()
+    ratio = corrected_mm / before_mm
+    return SignErrors(before_mm=before_mm, corrected_mm=corrected_mm, ratio=ratio)
+
+
+def clearly(log: Log, before_mm: float) -> float:
+    """Return the limit of the ratio: wider by the readings' noise, 1 at most."""
+    noise, points = run_noise(log), [log.point(id) for id in IDS.values()]
+    before_mm2, corrected_mm2 = np.trace(noise_at(noise, points), axis1=-2, axis2=-1)
+    noise_mm = float(np.sqrt(corrected_mm2 + CLEARLY**2 * before_mm2))
+    return min(MOST, CLEARLY + SIGMAS * noise_mm / before_mm)
+
+
+def worst_mm(log: Log) -> Array:
+    """Return the middle (1, 3) in {B} of the cell whose vertices' mean error is the largest."""
+    grid, errors_mm = grid_of(log.cell), grid_errors_mm(log)
+    cells = list(product(*(range(count - 1) for count in grid.shape)))
+    mean_mm = [errors_mm[i : i + 2, j : j + 2, k : k + 2].mean(axis=(0, 1, 2)) for i, j, k in cells]
+    worst = int(np.argmax(lengths_mm(mean_mm)))
+    return middle_mm(grid, np.array([cells[worst]]))
+
+
+def middle_mm(grid: Grid, cells: Array) -> Array:
+    """Return the middles (N, 3) in {B} of cells given by their lowest vertices (N, 3)."""
+    return grid.origin_mm + grid.pitch_mm * (cells + 0.5)
+
+
+def sign_table(result: Result) -> Table:
+    """Return the target's error before and corrected."""
+    return Table(
+        [
+            Column("before", attrgetter("before_mm"), "mm", ".4f"),
+            Column("corrected", attrgetter("corrected_mm"), "mm", ".4f"),
+            Column("ratio", attrgetter("ratio"), form=".4f"),
+        ],
+        [typed(result["sign"], SignErrors)],
+    )

@@ -35,12 +35,18 @@ from hilcell.run.mover import Straight
 from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
 from procedures.base_frame import BaseFrame
-from procedures.durations import closing, measure_s, robot_moves_s, step
-from procedures.home import Home
-from procedures.plan import angles_deg, check_targets, poses_at
+from procedures.plan import (
+    angles_deg,
+    check_targets,
+    closing,
+    measure_s,
+    poses_at,
+    robot_moves_s,
+    step,
+)
 from procedures.recheck import use
 from procedures.station import HoldStation
-from procedures.world_frame import WorldFrame
+from procedures.world_frame import Home, WorldFrame
 
 WHAT = "ISO 9283 pose"
 

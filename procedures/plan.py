@@ -1,6 +1,14 @@
-"""Checks that the plans of several procedures share."""
+"""Plans of procedures: checks of their targets, and how long their acts take.
+
+Motions and measurements take trapezoids, waits and readings, in the cell's time. Times that a
+controller adds, and points that nobody can foresee, as a vertex that stands out and is re-measured,
+are left out: the run's pace shows them.
+"""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -9,8 +17,11 @@ from hilcell.geometry.closed_form import ReachError
 from hilcell.geometry.frames import apply, inverse, matrix, zyx_from_pose
 from hilcell.geometry.kinematics import Bools
 from hilcell.geometry.rotations import from_rotvec, from_zyx
+from hilcell.model.plan import Span, Step
 from hilcell.ports import Array, HilcellError
-from hilcell.run.collision import check_poses, clear_poses
+from hilcell.run.collision import check_poses, clear_poses, leaves_cube
+
+# -- targets --------------------------------------------------------------------------------------
 
 
 def other_stations(cell: Cell) -> list[Station]:
@@ -84,3 +95,146 @@ def check_range(cell: Cell, points_mm: Array, what: str) -> None:
             f"{range_mm[worst]:.0f} mm, wanted {low:.0f} .. {high:.0f} mm; move the tracker",
             code="HC-C10",
         )
+
+
+# -- durations ------------------------------------------------------------------------------------
+
+
+SEEN_S = 0.06  # until a driver has looked often enough to see that a motion has ended
+APPROACHES = 2  # first by the drive, then by the strip's reading
+
+
+def measure_s(cell: Cell, samples: int) -> float:
+    """Return how long the mean of ``samples`` readings of one reflector takes."""
+    return cell.tracker.pointing_s + samples * cell.tracker.reading_s
+
+
+def readings(cell: Cell, count: int, samples: int) -> Span:
+    """Return the span of ``count`` reflectors measured with nothing moving between them."""
+    return Span(f"{samples} readings", count, count * measure_s(cell, samples))
+
+
+def floor_points(cell: Cell) -> Span:
+    """Return the span of the floor nests, of which {W} is framed."""
+    return readings(cell, len(cell.layout.floor), cell.nest_samples)
+
+
+def _proof(cell: Cell) -> Span:
+    """Return the span of the floor nests, which prove that the tracker has not moved."""
+    return readings(cell, len(cell.layout.floor), cell.proof_samples)
+
+
+def closing(cell: Cell, *, carried: bool = False, points: int = 1) -> list[Span]:
+    """Return the spans of `CellSession.close_step`, and of proofs before it within many points."""
+    if cell.layout.by_hand:
+        return [_proof(cell)] if carried else []
+    return [_proof(cell)] * math.ceil(points / cell.plan.prove_every)
+
+
+def robot_moves_s(
+    cell: Cell, from_rad: Array, to_rad: Array, percent: Array | None = None
+) -> Array:
+    """Return (N,) s for motions PTP between joints (N, 6): the slowest axis rules each.
+
+    At ``percent`` (N,) of the axes' speed, or at the cell's.
+    """
+    speeds_rad_s = np.radians([joint.speed_deg_s for joint in cell.robot.joint])
+    share = (cell.robot.speed_percent if percent is None else percent) / 100.0
+    at_full_speed_s = np.max(np.abs(to_rad - from_rad) / speeds_rad_s, axis=-1)
+    ramp_s = cell.robot.ramp_s * share
+    trapezoid_s = at_full_speed_s / share + ramp_s
+    triangle_s = 2.0 * np.sqrt(cell.robot.ramp_s * at_full_speed_s)
+    moves_s: Array = np.where(at_full_speed_s > share * ramp_s, trapezoid_s, triangle_s)
+    return moves_s + SEEN_S
+
+
+def flange_points(cell: Cell, joints_rad: Array, *, seats: bool = False) -> Span:
+    """Return the span of measuring at joints (N, 6), in order, from the safe pose on.
+
+    With all ``seats``, the other reflectors on the flange are measured at each as well.
+    """
+    each = len(cell.robot.seats_mm) if seats else 1
+    approach_rad = np.radians(cell.robot.approach_deg)
+    safe_rad = np.radians(cell.robot.safe_deg)
+    before_rad = np.vstack([safe_rad, joints_rad[:-1]])
+    percent = first_pass_percent(cell, joints_rad)
+    there_s = robot_moves_s(cell, before_rad, joints_rad - approach_rad, percent)
+    landing_s = robot_moves_s(cell, joints_rad - approach_rad, joints_rad, percent)
+    at_each_s = cell.settle.robot_s + each * measure_s(cell, cell.tracker.samples)
+    seconds = float(np.sum(there_s + landing_s)) + len(joints_rad) * at_each_s
+    return Span("flange", each * len(joints_rad), seconds)
+
+
+def flange_count(cell: Cell, poses: int) -> int:
+    """Return how many points poses are at which all reflectors on the flange are measured."""
+    return poses * len(cell.robot.seats_mm)
+
+
+def first_pass_percent(cell: Cell, joints_rad: Array) -> Array:
+    """Return the speeds (N,) to joints (N, 6) on the first pass: no plan knows of runs before."""
+    usual = cell.robot.speed_percent
+    slow = usual if cell.surroundings is None else min(cell.robot.first_pass_percent, usual)
+    return np.where(leaves_cube(cell, joints_rad), slow, usual)
+
+
+def park_s(cell: Cell) -> float:
+    """Return how long the robot takes from its home pose to its safe pose."""
+    home_rad, safe_rad = np.radians(cell.robot.home_deg), np.radians(cell.robot.safe_deg)
+    return float(robot_moves_s(cell, home_rad, safe_rad))
+
+
+def rail_travel_s(cell: Cell, distance_mm: float) -> float:
+    """Return how long the slide takes from standstill to standstill, the strip read there."""
+    speed_mm_s, acceleration_mm_s2 = cell.rail.speed_mm_s, cell.rail.acceleration_mm_s2
+    peak_mm_s = min(speed_mm_s, math.sqrt(abs(distance_mm) * acceleration_mm_s2))
+    ramps_s = peak_mm_s / acceleration_mm_s2
+    travel_s = abs(distance_mm) / peak_mm_s + ramps_s if distance_mm else 0.0
+    return travel_s + SEEN_S + cell.rail.standstill_dwell_s
+
+
+def rail_move_s(cell: Cell, distance_mm: float) -> float:
+    """Return how long a motion by the drive alone takes, until the slide is held."""
+    return rail_travel_s(cell, distance_mm) + cell.settle.rail_s
+
+
+def approach_s(cell: Cell, from_mm: float, station: Station) -> float:
+    """Return how long it takes to hold ``station`` by the strip, the robot parked."""
+    back_off_mm = cell.rail.back_off_mm
+    there_s = rail_travel_s(cell, station.rail_mm - back_off_mm - from_mm)
+    again_s = (2 * APPROACHES - 1) * rail_travel_s(cell, back_off_mm)
+    return there_s + again_s + cell.settle.rail_s
+
+
+def first_hold(cell: Cell, station: Station) -> list[Span]:
+    """Return the spans of a run's first way to a station, from the reference on."""
+    if not cell.has_rail:
+        return []
+    way_s = approach_s(cell, cell.rail.travel_min_mm, station)
+    return [Span("leg", 0, way_s), *hold_proof(cell)]
+
+
+def hold_proof(cell: Cell) -> list[Span]:
+    """Return the span of the slide nest that proves a hold; none where one reflector is carried."""
+    return [] if cell.layout.by_hand else [readings(cell, 1, cell.tracker.samples)]
+
+
+def leg(cell: Cell, here: Station, there: Station) -> list[Span]:
+    """Return the spans from a held station to the next, the robot parked first; none to itself."""
+    if here == there:
+        return []
+    seconds = park_s(cell) + approach_s(cell, here.rail_mm, there)
+    return [Span("leg", 0, seconds), *hold_proof(cell)]
+
+
+def step(name: str, points: int, spans: Sequence[Span]) -> Step:
+    """Return the step that these spans make."""
+    return Step(name, points, sum(span.duration_s for span in spans), tuple(spans))
+
+
+def homing_s(cell: Cell) -> float:
+    """Return how long the drive takes to its reference from the middle of the travel, and rests."""
+    if not cell.has_rail:
+        return 0.0
+    half_mm = (cell.rail.travel_max_mm - cell.rail.travel_min_mm) / 2
+    way_s = half_mm / min(cell.rail.homing_mm_s, cell.rail.speed_mm_s)
+    return way_s + SEEN_S + cell.settle.rail_s

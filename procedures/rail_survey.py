@@ -21,7 +21,7 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
 from hilcell.run.prompts import FLANGE
 from hilcell.typed import typed
-from procedures.durations import closing, measure_s, rail_move_s, step
+from procedures.plan import closing, measure_s, rail_move_s, step
 
 FORTH, BACK = "forth", "back"
 COVERAGE = 2.0  # k

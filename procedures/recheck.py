@@ -35,11 +35,9 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
 from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
-from procedures.durations import closing, flange_points, step
-from procedures.home import Home
-from procedures.plan import drivable, turned
+from procedures.plan import closing, drivable, flange_points, step, turned
 from procedures.station import HoldStation
-from procedures.world_frame import WorldFrame
+from procedures.world_frame import Home, WorldFrame
 
 TABLE = "recheck"
 MARGIN = 0.05  # of the volume's sides: poses keep off its faces

@@ -18,9 +18,8 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Result
 from hilcell.run.prompts import FLANGE
 from hilcell.typed import typed
-from procedures.durations import closing, readings, step
-from procedures.home import Home
-from procedures.world_frame import WorldFrame
+from procedures.plan import closing, readings, step
+from procedures.world_frame import Home, WorldFrame
 
 VERDICT = "reflectors"
 

@@ -20,8 +20,7 @@ from hilcell.model.results import Floor, Repeated
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
-from procedures.durations import closing, flange_points, step
-from procedures.plan import check_targets, joints_for, poses_at
+from procedures.plan import check_targets, closing, flange_points, joints_for, poses_at, step
 
 VISITS, QUICK_VISITS = 10, 5
 

@@ -36,8 +36,7 @@ from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
 from procedures.base_frame import points_on_arc, sweep
-from procedures.durations import closing, flange_points, leg, step
-from procedures.plan import joints_for, other_stations
+from procedures.plan import closing, flange_points, joints_for, leg, other_stations, step
 from procedures.validate import judge_suspicions
 
 COUNT, QUICK_COUNT = 12, 3

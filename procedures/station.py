@@ -18,7 +18,7 @@ from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
 from hilcell.typed import typed
-from procedures.durations import approach_s, closing, first_hold, measure_s, rail_move_s, step
+from procedures.plan import approach_s, closing, first_hold, measure_s, rail_move_s, step
 
 APPROACH_MM = 150.0
 STRIP_LIMIT_MM = 0.035

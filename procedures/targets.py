@@ -35,10 +35,9 @@ from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import check_poses
 from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
-from procedures.durations import closing, first_hold, flange_points, step
-from procedures.home import Home
+from procedures.plan import closing, first_hold, flange_points, step
 from procedures.recheck import use
-from procedures.world_frame import WorldFrame
+from procedures.world_frame import Home, WorldFrame
 
 TABLE = "targets"
 MOST_TARGETS = 1000

@@ -3,34 +3,183 @@
 {W} comes from the floor nests, so the tracker may stand elsewhere than it did when the
 calibration was made. The calibration is written again with the touched base of the station;
 `hilcell compensate` takes it like any other. It holds until the slide moves.
+
+To touch, the robot carries its reflector to a few corrected targets, which absorb the strip's slip
+of this visit. The commands that follow on this visit are made with the base that they find; the
+targets' places in {W} stay where they were defined before. A validation touches its stations, too.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from operator import itemgetter
 
 import numpy as np
 
 from hilcell.calibration.form import Calibration
-from hilcell.calibration.in_use import NoCalibration, calibration_named
+from hilcell.calibration.frames import grid_of
+from hilcell.calibration.in_use import NoCalibration, calibration_in, calibration_named
+from hilcell.calibration.touch import (
+    suspected,
+    touch_ids,
+    touch_targets_mm,
+    touched_base,
+    visit_covariance,
+)
 from hilcell.calibration.visit import used
 from hilcell.cell.file import Cell, Station
+from hilcell.compensation.correction import corrected
+from hilcell.compensation.model import ErrorModel
+from hilcell.geometry.frame_update import FrameUpdate
+from hilcell.geometry.frames import apply, cross_matrix
+from hilcell.geometry.rotations import to_rotvec
 from hilcell.journal.log import Log
 from hilcell.model.calibration import StationEntry
-from hilcell.model.frame import Frame
-from hilcell.model.plan import Step
+from hilcell.model.events import Three
+from hilcell.model.frame import Frame, TouchedBase
+from hilcell.model.plan import Span, Step
 from hilcell.model.results import ActResult
+from hilcell.model.suspicion import Suspicion
 from hilcell.model.verdicts import Touched
-from hilcell.ports import HilcellError
+from hilcell.ports import DeviceError, HilcellError
 from hilcell.present.table import Column, Table
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Procedure, Result
 from hilcell.typed import typed
-from procedures.durations import closing, first_hold, step
-from procedures.home import Home
+from procedures.plan import (
+    check_targets,
+    closing,
+    first_hold,
+    flange_points,
+    joints_for,
+    poses_at,
+    step,
+)
 from procedures.recheck import use
-from procedures.touch import TouchFound, touch_once, touch_spans, touches
-from procedures.world_frame import WorldFrame
+from procedures.world_frame import Home, WorldFrame
+
+MOST_PULL, MOST_MISFIT = 6.0, 5.0  # sigmas: beyond, no chance explains it
+MOST_LATER = 3.5  # in a later run, which no re-visits close; 80 undisturbed ones pull <= 2.3
+
+
+class TouchFound(ActResult, frozen=True, kw_only=True):
+    """The touch poses of a station's last visit, as in `TouchedBase`."""
+
+    poses: int
+    shift_mm: Three
+    along_rail_mm: float
+    turn_urad: Three
+    growth_um_m: float
+    u_before_mm: float
+    u_after_mm: float
+    pull: float
+    misfit: float
+    left_out: list[str]
+
+
+def touch_spans(cell: Cell, station: Station) -> list[Span]:
+    """Return the span of one visit's touch poses, if there are any; refuse any out of reach."""
+    if not cell.touch.poses:
+        return []
+    poses = poses_at(cell, touch_targets_mm(cell, station))
+    joints_rad = check_targets(cell, station, poses, f"touch pose at {station.name}")
+    return [flange_points(cell, joints_rad)]
+
+
+def touch_once(session: CellSession, station: Station, model: ErrorModel) -> None:
+    """Touch the base on this visit of the station, where it was not yet."""
+    if not session.cell.touch.poses:
+        return
+    session.retake_waiting()
+    session.hold_station(station)
+    if not session.frames.touched(station):
+        _touch(session, station, model)
+
+
+def _touch(session: CellSession, station: Station, model: ErrorModel) -> None:
+    cell, log = session.cell, session.log
+    targets_mm, T_W_B = touch_targets_mm(cell, station), session.frames.base_in_world(station)
+    poses = poses_at(cell, targets_mm)
+    joints_rad = joints_for(cell, corrected(grid_of(cell), poses, model))
+    nominal_mm = apply(T_W_B, targets_mm)
+    points, visit = [], -1
+    while log.visit != visit:  # a retake at another station ends the visit
+        visit = log.visit
+        session.expect(station, joints_rad)
+        points = [
+            session.flange_point(id, station, joint_rad, nominal_mm=at_mm)
+            for id, joint_rad, at_mm in zip(
+                touch_ids(cell, station, visit), joints_rad, nominal_mm, strict=True
+            )
+        ]
+    covariance_mm2 = model.predict(poses).covariance_mm2
+    found = touched_base(log, station, points, covariance_mm2)
+    most_pull = MOST_PULL if calibration_in(log) is None else MOST_LATER
+    check_agreement(
+        station, found, most_pull, lambda: suspected(log, station, points, covariance_mm2)
+    )
+    centre_mm = cell.grid.centre.matrix()[None, :3, 3]
+    shift_mm = (apply(found.T, centre_mm) - apply(T_W_B, centre_mm))[0]
+    J = np.hstack([np.eye(3), -cross_matrix(T_W_B[:3, :3] @ centre_mm[0])])
+    before = visit_covariance(log, station, points)[:6, :6]
+    u_mm = [float(np.sqrt(np.trace(J @ each @ J.T))) for each in (before, found.covariance)]
+    session.frame(
+        f"touch.{station.name}",
+        TouchedBase(
+            matrix=found.T.tolist(),
+            points=[point.key for point in points],
+            covariance=found.covariance.tolist(),
+            visit=visit,
+            growth=found.growth,
+            poses=len(points),
+            left_out=[points[n].key for n in found.left_out],
+            pull=found.pull,
+            misfit=found.misfit,
+            shift_mm=tuple(shift_mm.tolist()),
+            along_rail_mm=float(shift_mm @ cell.layout.rail_direction),
+            turn_urad=tuple((1e6 * to_rotvec(found.T[:3, :3] @ T_W_B[:3, :3].T)).tolist()),
+            growth_um_m=1e6 * found.growth,
+            u_before_mm=u_mm[0],
+            u_after_mm=u_mm[1],
+        ),
+    )
+
+
+def check_agreement(
+    station: Station, found: FrameUpdate, most_pull: float, cause: Callable[[], Suspicion]
+) -> None:
+    """Refuse touch poses that contradict the station frame, and name the likeliest cause."""
+    if found.pull <= most_pull and found.misfit <= MOST_MISFIT:
+        return
+    suspicion = cause()
+    raise DeviceError(
+        "HC-T63",
+        "Cell",
+        f"touch poses at {station.name}",
+        f"they move the base by {found.pull:.1f} sigma of the station frame and leave "
+        f"{found.misfit:.1f} sigma of their own",
+        wanted=f"<= {most_pull:g} and <= {MOST_MISFIT:g} sigma",
+        act="a nest, the strip, the tool or an axis' zero has changed; check them, then start a "
+        "new run",
+        fields=suspicion.facts
+        | {
+            "station": station.name,
+            "pull": found.pull,
+            "most_pull": most_pull,
+            "misfit": found.misfit,
+            "most_misfit": MOST_MISFIT,
+        },
+    )
+
+
+def touches(log: Log) -> dict[str, TouchFound]:
+    """Return what the touch poses found by station, as far as they were used."""
+    return {
+        station.name: typed(log.frames[key], TouchFound, from_attributes=True)
+        for station in log.cell.station
+        if (key := f"touch.{station.name}") in log.frames
+    }
+
 
 TABLE = "touch"
 
@@ -55,14 +204,14 @@ class TouchStation:
         """Refuse a station that is not calibrated, and poses out of reach."""
         station = station_of(cell)
         _entry(calibration_named(cell, TABLE), station)
-        touches = touch_spans(cell, station)
-        if not touches:
+        touch = touch_spans(cell, station)
+        if not touch:
             raise HilcellError(
                 "touch.poses is 0: nothing would be touched; give --set touch.poses=8",
                 code="HC-C10",
             )
-        spans = [*first_hold(cell, station), *touches, *closing(cell, carried=True)]
-        return step(self.name, touches[0].measured, spans)
+        spans = [*first_hold(cell, station), *touch, *closing(cell, carried=True)]
+        return step(self.name, touch[0].measured, spans)
 
     def perform(self, session: CellSession) -> None:
         """Adopt the calibration's frames, touch, and journal that it is done."""

@@ -47,19 +47,22 @@ from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
 from procedures import enough_targets
-from procedures.durations import closing, flange_points, leg, step
 from procedures.fit import orients
 from procedures.plan import (
     angles_deg,
     check_targets,
+    closing,
     drivable,
+    flange_points,
+    leg,
     more_orientations,
     poses_at,
+    step,
     turned,
 )
 from procedures.repeatability import floor
 from procedures.station_frames import frame_spans, frame_station, nest_points
-from procedures.touch import touch_once, touch_spans, touches
+from procedures.touch_station import touch_once, touch_spans, touches
 
 DRAWS = 8  # of a target's turn, and of its place
 MARGIN_MM = 5.0  # random targets keep off the cube's faces by this much

@@ -1,4 +1,8 @@
-"""{W} is constructed from three nests on the floor (section 5.1), the tracker's anchor."""
+"""The first acts of a run: the drive's reference, {W}, and proofs of the tracker itself.
+
+{W} is constructed from three nests on the floor (section 5.1), the tracker's anchor. Certified
+lengths prove the tracker's scale there; its second face proves its axes, at start and end.
+"""
 
 from __future__ import annotations
 
@@ -7,19 +11,58 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from hilcell.calibration.instrument import known_lengths
+from hilcell.calibration.instrument import TWO_FACES, known_lengths, two_faces
+from hilcell.cell.devices import abilities
 from hilcell.cell.file import Cell
+from hilcell.cell.layout import Nest
 from hilcell.journal.log import Log
 from hilcell.journal.set_ups import world_key
 from hilcell.model.frame import Matrix
 from hilcell.model.plan import Span, Step
-from hilcell.model.point import LENGTH, PointId
+from hilcell.model.point import BACK, LENGTH, PointId
 from hilcell.model.results import ActResult
-from hilcell.model.verdicts import LengthsChecked
+from hilcell.model.verdicts import FacesCompared, LengthsChecked
 from hilcell.run.cell_session import CellSession
 from hilcell.run.procedure import Result
-from procedures.durations import closing, floor_points, readings, step
-from procedures.plan import check_range
+from procedures.plan import (
+    check_range,
+    closing,
+    floor_points,
+    homing_s,
+    measure_s,
+    park_s,
+    readings,
+    step,
+)
+
+
+class Home:
+    """Park and reference; a resumed run keeps a reference that drive and strip still prove."""
+
+    name = "home"
+    needs = "devices connected"
+    moves = "the robot to its safe pose, then the slide to its reference switch"
+    measures = "nothing"
+    yields = "a referenced drive"
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Return the step."""
+        return Step(self.name, 0, park_s(cell) + homing_s(cell))
+
+    def perform(self, session: CellSession) -> None:
+        """Reference the drive."""
+        session.reach("connect")
+        if not (session.reached("referenced") and session.rail_referenced()):
+            self.home_rail(session)
+        session.reach("reference")
+
+    def home_rail(self, session: CellSession) -> None:
+        """Bring the robot to its safe pose and the slide to its reference."""
+        session.home_rail()
+
+    def result(self, log: Log) -> Result:
+        """Return nothing: homing has no figure."""
+        return {}
 
 
 def length_spans(cell: Cell) -> list[Span]:
@@ -90,3 +133,65 @@ class WorldFrame:
             for each in (() if checked is None else checked.lengths)
         ]
         return {"tracker": tracker} | ({"known_lengths": lengths} if lengths else {})
+
+
+FACE_S = 4.0  # until a tracker has turned over and looks where it looked before
+SAMPLES = 5
+UNSEEN = "what its axes are off (collimation, transit tilt, index) is not seen"
+
+
+class TwoFaces:
+    """Readings in the second face, compared with the newest ones in the first."""
+
+    needs = "the world frame; a tracker that turns over"
+    moves = "nothing but the tracker's head"
+    measures = "floor nests, at the start those of certified lengths too, in the second face"
+    yields = "whether the tracker's axes are adjusted: collimation, transit tilt, index"
+
+    def __init__(self, *, at_end: bool = False) -> None:
+        self._number, self.name = (1, "two-face-closing") if at_end else (0, "two-face")
+        self._verdict = TWO_FACES[self._number]
+
+    def plan(self, cell: Cell, seed: int) -> Step:
+        """Return the step; leave it out where it cannot be, or where time is short."""
+        if reason := left_out(cell):
+            return Step(self.name, 0, 0.0, note=reason)
+        count = len(self._nests(cell))
+        each_s = 2.0 * FACE_S + measure_s(cell, SAMPLES)
+        return step(self.name, 0, [Span("second face", count, count * each_s)])
+
+    def perform(self, session: CellSession) -> None:
+        """Measure and judge, once; an axis that is off pauses an attended run."""
+        cell, log = session.cell, session.log
+        if left_out(cell) or self._verdict in log.verdicts:
+            return
+        for nest in self._nests(cell):
+            session.back_point(PointId(BACK, number=self._number, nest=nest.name), nest, SAMPLES)
+        found = two_faces(log, self._number)
+        if found is None:  # the tracker was moved meanwhile: no front of this set-up
+            return
+        wrong = [] if found.holds else [found.text]
+        judged = FacesCompared(holds=found.holds, nests=found.nests, found=found.text, wrong=wrong)
+        session.judge(self._verdict, judged)
+        if wrong:
+            session.pause(f"the tracker's axes are off: {found.text}")
+
+    def _nests(self, cell: Cell) -> list[Nest]:
+        return cell.layout.floor if self._number else cell.layout.standing
+
+    def result(self, log: Log) -> Result:
+        """Return both faces as found, where there are any."""
+        found = two_faces(log, self._number)
+        key = self._verdict.replace("-", "_").replace(".", "_")
+        return {} if found is None else {key: found}
+
+
+def left_out(cell: Cell) -> str:
+    """Return why the tracker is not turned over; "" where it is."""
+    if not abilities(cell)["tracker_turns_over"]:
+        return f"this tracker's driver does not turn it over: {UNSEEN}"
+    if cell.layout.by_hand:
+        return f"the reflector is carried by hand: {UNSEEN}"
+    if cell.plan.quick:
+        return f"a quick plan has no time for it: {UNSEEN}"
+    return ""

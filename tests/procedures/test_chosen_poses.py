@@ -20,8 +20,8 @@ from hilcell.model.point import PointId
 from hilcell.ports import Array
 from hilcell.run.cell_session import CellSession
 from hilcell.run.collision import clear_poses
-from procedures import chosen_poses
-from procedures.chosen_poses import CANDIDATES, ChosenPoses, candidates_rad
+from procedures import robot_grid
+from procedures.robot_grid import CANDIDATES, ChosenPoses, candidates_rad
 from tests.procedures.results import result_of
 
 QUICK = load_cell("paper", {"plan.quick": "true"})
@@ -73,13 +73,13 @@ def test_no_candidate_is_turned_where_nothing_is_stated_of_the_surroundings() ->
 def test_poses_are_chosen_once(monkeypatch: pytest.MonkeyPatch) -> None:
     journal = Journal()
     session = cast("CellSession", journal)
-    monkeypatch.setattr(chosen_poses, "choice", lambda log, rad: Design([5, 2], [0.3, 0.2, 0.1]))
+    monkeypatch.setattr(robot_grid, "choice", lambda log, rad: Design([5, 2], [0.3, 0.2, 0.1]))
     ChosenPoses().perform(session)
     first = list(journal.sent)
     assert [key for key, _ in first] == ["pose/000", "pose/001", "closed"]
     wanted_deg = np.degrees(candidates_rad(QUICK))[[5, 2]]
     np.testing.assert_allclose([joints for _, joints in first[:2]], wanted_deg, atol=1e-8)
-    monkeypatch.setattr(chosen_poses, "choice", lambda log, rad: Design([7], [0.1, 0.1]))
+    monkeypatch.setattr(robot_grid, "choice", lambda log, rad: Design([7], [0.1, 0.1]))
     ChosenPoses().perform(session)  # resumed, with more known by now
     assert journal.sent == first + first
     assert result_of(ChosenPoses(), session.log)["chosen_poses"]["bounds_mm"] == [0.3, 0.2, 0.1]
@@ -90,7 +90,7 @@ def test_a_robot_that_is_not_identified_gets_no_poses(monkeypatch: pytest.Monkey
         raise IdentificationError("too few")
 
     journal = Journal()
-    monkeypatch.setattr(chosen_poses, "choice", refuse)
+    monkeypatch.setattr(robot_grid, "choice", refuse)
     ChosenPoses().perform(cast("CellSession", journal))
     assert journal.sent == [("closed", [])]
     assert [event.why for event in journal.events][:1] == ["too few"]

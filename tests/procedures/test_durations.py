@@ -14,10 +14,9 @@ from fakes.time import PlantTime
 from fakes.truth.robot_motion import Path, RobotMotion
 from hilcell.cell.file import Station, load_cell
 from hilcell.model.plan import Step
-from procedures import durations
-from procedures.durations import first_pass_percent, flange_points
+from procedures import plan
 from procedures.paper import EXPERIMENTS
-from procedures.plan import joints_for
+from procedures.plan import first_pass_percent, flange_points, joints_for
 from procedures.repeatability import places_mm
 
 CELL = load_cell("paper")
@@ -47,15 +46,15 @@ def test_a_robots_motion_takes_what_its_trapezoid_takes(
     began_s = time.now_s()
     motion.move(there_rad, percent / 100.0)
     took_s = motion._path.end_s - began_s
-    planned_s = float(durations.robot_moves_s(cell, here_rad, there_rad))
-    assert planned_s - durations.SEEN_S == pytest.approx(took_s, abs=2e-3)
+    planned_s = float(plan.robot_moves_s(cell, here_rad, there_rad))
+    assert planned_s - plan.SEEN_S == pytest.approx(took_s, abs=2e-3)
 
 
 @given(distance_mm=st.floats(0.001, 3000.0), back=st.booleans())
 def test_the_slides_travel_takes_what_its_trapezoid_takes(distance_mm: float, back: bool) -> None:
     rail = CELL.rail
-    planned_s = durations.rail_travel_s(CELL, -distance_mm if back else distance_mm)
-    planned_s -= durations.SEEN_S + rail.standstill_dwell_s
+    planned_s = plan.rail_travel_s(CELL, -distance_mm if back else distance_mm)
+    planned_s -= plan.SEEN_S + rail.standstill_dwell_s
     path = Path(0.0, 0.0).travel(distance_mm, rail.speed_mm_s, rail.acceleration_mm_s2)
     assert planned_s == pytest.approx(path.end_s)
 
@@ -63,18 +62,18 @@ def test_the_slides_travel_takes_what_its_trapezoid_takes(distance_mm: float, ba
 def test_a_farther_station_takes_longer_and_the_robot_is_parked_first() -> None:
     near, far = (Station(name=n, rail_mm=mm, strip_mm=mm) for n, mm in (("N", 500.0), ("F", 2e3)))
     here = CELL.station[0]
-    (there, proof), (farther, _) = (durations.leg(CELL, here, each) for each in (near, far))
+    (there, proof), (farther, _) = (plan.leg(CELL, here, each) for each in (near, far))
     assert there.duration_s < farther.duration_s
-    alone_s = durations.approach_s(CELL, here.rail_mm, far)
-    assert farther.duration_s == pytest.approx(alone_s + durations.park_s(CELL))
+    alone_s = plan.approach_s(CELL, here.rail_mm, far)
+    assert farther.duration_s == pytest.approx(alone_s + plan.park_s(CELL))
     assert proof.measured == 1
-    assert proof.duration_s == pytest.approx(durations.measure_s(CELL, 1))
+    assert proof.duration_s == pytest.approx(plan.measure_s(CELL, 1))
 
 
 def test_the_trackers_times_are_those_of_the_cell() -> None:
     slow = load_cell("paper", {"tracker.reading_s": "2.0", "tracker.pointing_s": "1.5"})
-    assert durations.measure_s(slow, 3) == pytest.approx(1.5 + 6.0)
-    assert durations.measure_s(CELL, 3) == pytest.approx(CELL.tracker.pointing_s + 1.5)
+    assert plan.measure_s(slow, 3) == pytest.approx(1.5 + 6.0)
+    assert plan.measure_s(CELL, 3) == pytest.approx(CELL.tracker.pointing_s + 1.5)
 
 
 @pytest.mark.parametrize("name", PARTS)

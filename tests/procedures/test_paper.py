@@ -1,8 +1,7 @@
 """Which rows of the paper a run can answer."""
 
 from hilcell.journal.log import Log
-from procedures.paper import rows_for
-from procedures.paper_rows import ROWS
+from procedures.paper import ROWS, rows_for
 from tests.hilcell.alarms.journals import log_of, point
 
 AIR = {"sec5.1.temperature.min", "sec5.1.temperature.max"}

@@ -16,8 +16,8 @@ from hilcell.journal.log import Log
 from hilcell.model.point import Point, PointId
 from hilcell.model.verdicts import SignChecked, Verdict
 from hilcell.ports import Array
+from procedures.fit import IDS, SignCheck, worst_mm
 from procedures.plan import joints_for
-from procedures.sign_check import IDS, SignCheck, worst_mm
 from tests.hilcell.verdicts import FITTED, plain
 
 CELL = load_cell("paper", {"grid.pitch_mm": "450.0"})

@@ -18,8 +18,7 @@ from hilcell.compensation.model import LearntModel, Prediction
 from hilcell.fit.methods import fit
 from hilcell.model.verdicts import SignChecked
 from hilcell.ports import Array
-from procedures.fit import Fit
-from procedures.sign_check import SignCheck
+from procedures.fit import Fit, SignCheck
 from tests.hilcell.calibration.calibrations import calibration
 from tests.hilcell.fit.test_fit import IRB120, SMR_MM
 from tests.hilcell.fit.test_fit import measured as measured_rows

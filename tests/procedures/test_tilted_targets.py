@@ -12,9 +12,8 @@ from hilcell.geometry.frames import matrix
 from hilcell.geometry.kinematics import forward
 from hilcell.geometry.rotations import from_zyx, to_rotvec, turned_deg
 from hilcell.ports import Array, HilcellError
-from procedures.chosen_poses import ChosenPoses, judged_rad
 from procedures.plan import poses_at
-from procedures.robot_grid import RobotGrid
+from procedures.robot_grid import ChosenPoses, RobotGrid, judged_rad
 from procedures.validate import target_poses, targets
 
 LEVEL = load_cell("paper")

@@ -22,7 +22,7 @@ from hilcell.model.frame import Frame
 from hilcell.model.point import Point, PointId
 from hilcell.model.suspicion import blamed, suspected_in
 from hilcell.ports import Array, DeviceError
-from procedures.touch import touch_once, touch_spans, touches
+from procedures.touch_station import touch_once, touch_spans, touches
 from procedures.validate import Validate, target_poses, targets
 from tests.hilcell.verdicts import FITTED, framed, plain
 from tests.procedures.results import result_of

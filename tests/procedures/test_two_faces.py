@@ -13,9 +13,7 @@ from hilcell.model.suspicion import Cause
 from hilcell.run import direct_run
 from hilcell.run.procedure import Procedure
 from procedures.calibrate import CALIBRATE, point_table
-from procedures.home import Home
-from procedures.two_faces import TwoFaces, left_out
-from procedures.world_frame import WorldFrame
+from procedures.world_frame import Home, TwoFaces, WorldFrame, left_out
 
 CELL = load_cell("paper")
 BOTH = Procedure("both", "", (Home(), WorldFrame(), TwoFaces()), point_table)

@@ -18,9 +18,7 @@ from hilcell.model.point import Point
 from hilcell.model.results import PaperRow
 from hilcell.ports import Array
 from hilcell.typed import typed
-from procedures.paper import experiments
-from procedures.paper_figures import Experiments
-from procedures.paper_rows import ROWS, Row
+from procedures.paper import ROWS, Experiments, Row, experiments
 from procedures.plan import poses_at
 from tests.whole.conftest import PaperRun
 

@@ -32,10 +32,8 @@ from hilcell.ports import Array
 from hilcell.programs import plan as planning
 from hilcell.programs.plan import HolePlan
 from hilcell.typed import typed
-from procedures import paper_figures, rail_survey, station_frames
-from procedures.paper import paper_table
-from procedures.paper_figures import Experiments
-from procedures.paper_rows import ROWS, Row
+from procedures import rail_survey, station_frames
+from procedures.paper import ROWS, Experiments, Row, commanded_rad, paper_table
 from procedures.plan import joints_for, poses_at
 from procedures.station_frames import station_fit, tool_uncertainty_mm
 from tests.hilcell.compensation.models import predicted_mm
@@ -154,7 +152,7 @@ def test_a_links_error_left_in_the_tools_frame(
         J[:, :3] = np.einsum("nji,njk->nik", R, J[:, :3])
         return J
 
-    monkeypatch.setattr(paper_figures, "parameter_jacobian", in_tool)
+    monkeypatch.setattr("procedures.paper.parameter_jacobian", in_tool)
     assert judged("eq1-7.jacobian", paper).holds is False
 
 
@@ -222,7 +220,7 @@ def test_commands_by_another_equation(
         grid_of(log.cell), poses_at(log.cell, wanted_mm), Idw.of_grid(measured_grid(log))
     )
     right_deg = np.degrees(joints_for(log.cell, right_mm))
-    sent_deg = np.degrees(paper_figures.commanded_rad(points))
+    sent_deg = np.degrees(commanded_rad(points))
     np.testing.assert_allclose(right_deg, sent_deg, atol=1e-6)
 
 
@@ -262,7 +260,7 @@ def test_a_point_of_a_sweep_measured_while_axis_2_moves(paper: PaperRun) -> None
     """0.05 deg before its end; the swept axis itself would only shift the point on its circle."""
     log = paper.log
     early = log.points["base/axis1/000"]
-    joints_rad = paper_figures.commanded_rad([early])
+    joints_rad = commanded_rad([early])
     arm, back = log.cell.robot.arm(), np.radians([0.0, 0.05, 0.0, 0.0, 0.0, 0.0])
     step_mm = (forward(arm, joints_rad + back) - forward(arm, joints_rad))[:, :3, 3]
     turn = (inverse(log.matrix("world")) @ log.matrix("base"))[:3, :3]
