@@ -8,17 +8,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from hilcell.calibration.errors import places, validation
 from hilcell.calibration.file import verdicts_of
+from hilcell.calibration.frames import ORIENTED
 from hilcell.calibration.measurement_budget import Budget
 from hilcell.cell.file import Cell
+from hilcell.compensation.choice import MODELS
+from hilcell.compensation.kinematic import Kinematic
 from hilcell.journal.times import in_zone
 from hilcell.model.outcome import RULE
-from hilcell.model.verdicts import Rechecked
+from hilcell.model.point import BOTH, Sent
+from hilcell.model.verdicts import Fitted, Rechecked
 from hilcell.report.budgets import TargetBudget
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import FirstPage
 from hilcell.report.iso9283 import PoseReport, tests_poses
-from hilcell.report.method import adjustment_words, method_words
 
 PAGE_1, POSES, STATIONS, UNCERTAINTY = "certificate", "poses", "stations", "uncertainty"
 
@@ -99,10 +103,41 @@ def _calibrated(facts: Facts) -> bool:
 def procedure_words(facts: Facts) -> str:
     """Return the method in words."""
     if _calibrated(facts):
-        return method_words(facts)
+        return _correction_words(facts)
     if tests_poses(facts):
         return PoseReport(facts).method_words()
     return f"hilcell procedure {facts.inputs.procedure}: {facts.procedure.summary}"
+
+
+def _correction_words(facts: Facts) -> str:
+    """Return how a validated correction was found, from its journal."""
+    log, here = facts.log, facts.cell.grid.station
+    poses, touched = len(log.select("pose")), log.select("touch")
+    reflectors, errors = len(facts.cell.robot.seats_mm), "Position errors of the flange reflector"
+    if reflectors > 1:
+        errors = "Position and orientation errors of the tool, "
+        errors += f"by {reflectors} reflectors on the flange,"
+    measured = (
+        f"{errors} measured by laser tracker at "
+        f"{len(log.select('grid'))} vertices of a grid at {here}"
+    )
+    if turned := len(log.select(ORIENTED)):
+        measured += f", at {turned} in other orientations"
+    if poses:
+        measured += f" and at {poses} poses chosen by the errors found there"
+    found = [measured]
+    if log.curves:
+        fit, axes = log.verdict(Fitted), "axes" if len(log.curves) > 1 else "axis"
+        used = fit is not None and fit.curves.used and fit.method == Kinematic.name
+        swept = f"{axes} {', '.join(map(str, sorted(log.curves)))}{'' if used else ' (not used)'}"
+        found.append(f"each gear's error by slow sweeps of {swept}")
+    found.append(MODELS[log.method].text if log.method in MODELS else "corrected")
+    if len(facts.cell.station) > 1:
+        found.append("transferred to the other stations by station frames")
+    if touched:
+        stations = ", ".join(sorted({point.station for point in touched}))
+        found.append(f"the base found again by touch poses on the visit of {stations}")
+    return "; ".join([*found, "validated on targets sent and measured."])
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,3 +229,23 @@ def conformity_words(facts: Facts) -> str:
     turns_deg = {each.max_tolerance_deg for each in judged.values() if each.max_tolerance_deg}
     stated += "".join(f", error of orientation ≤ {limit_deg:g}°" for limit_deg in turns_deg)
     return f"{stated}; {rule}"
+
+
+def adjustment_words(facts: Facts) -> str:
+    """Return which of the errors before and after adjustment this run measured."""
+    series = [validation(facts.log, names) for names in places(facts.cell).values()]
+    measured = {how for each in series for how in each}
+    if set(BOTH) <= measured:
+        return (
+            "both are reported: “before” is the robot commanded by its nominal kinematics, "
+            "“after” the same robot with corrected targets"
+        )
+    if measured:
+        how = "before" if Sent.BEFORE in measured else "after"
+        return f"only “{how}” was measured"
+    if facts.procedure.used_in(facts.cell):
+        return (
+            "not both: targets were commanded with the correction of the calibration used, and "
+            "measured as found"
+        )
+    return "neither was measured: this run sent no targets to compare"

@@ -22,19 +22,19 @@ from hilcell.model.outcome import Outcome
 from hilcell.model.point import Sent
 from hilcell.report.budgets import TargetBudget, placed, target_budget
 from hilcell.report.certificate import (
+    adjustment_words,
     conditions_words,
     conformity_words,
     procedure_words,
     title,
 )
-from hilcell.report.drawings.paper_figures import series_name
+from hilcell.report.drawings.figures import series_name
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import (
     FirstPage,
     Judgement,
     Result,
 )
-from hilcell.report.method import adjustment_words
 from hilcell.report.tables import Posed, Tables, Validated
 from hilcell.writing import NotWritten
 

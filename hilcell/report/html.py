@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 
 import numpy as np
 
@@ -18,10 +18,12 @@ from hilcell.calibration.measurement_budget import Budget, budget_of
 from hilcell.cell.file import Cell, Station
 from hilcell.cell.unseen import unseen
 from hilcell.geometry.frames import apply
+from hilcell.geometry.statistics import Figures
 from hilcell.journal.calibration_facts import run_outcome
 from hilcell.journal.times import span_words
 from hilcell.model.events import URAD, CurveMeasured
 from hilcell.model.point import CONTROL
+from hilcell.model.verdicts import Fitted
 from hilcell.ports import Array
 from hilcell.present.renderers import environment
 from hilcell.present.table import Column, Table
@@ -34,23 +36,25 @@ from hilcell.report.certificate import (
     title,
 )
 from hilcell.report.course import course
-from hilcell.report.drawings.curve_plots import curve_plots
-from hilcell.report.drawings.error_plots import enlarged, in_order, over_bound
+from hilcell.report.drawings.error_plots import (
+    curve_plots,
+    enlarged,
+    in_order,
+    over_bound,
+    strip,
+    variance_bar,
+    vectors,
+)
+from hilcell.report.drawings.figures import POSE_TEST, drawings, is_paper
 from hilcell.report.drawings.over_time import air, floor_moves
-from hilcell.report.drawings.paper_figures import drawings, is_paper
-from hilcell.report.drawings.plan_view import plan_view
-from hilcell.report.drawings.side_view import side_view
-from hilcell.report.drawings.strip import strip
-from hilcell.report.drawings.variance import variance_bar
-from hilcell.report.drawings.vectors import vectors
+from hilcell.report.drawings.views import plan_view, side_view
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import (
     FirstPage,
     instruments,
     verdicts,
 )
-from hilcell.report.iso9283 import FIGURES, PoseReport, tests_poses
-from hilcell.report.method import models
+from hilcell.report.iso9283 import PoseReport, tests_poses
 from hilcell.report.tables import Tables, stations, worst
 
 
@@ -124,6 +128,30 @@ def curves(facts: Facts) -> Table:
         Column("samples lost", attrgetter("lost"), form="d"),
     )
     return Table(columns, facts.log.curves.values(), "Transmission errors", note)
+
+
+def models(facts: Facts) -> Table:
+    """Return how far each model misses poses left out, which one was chosen, and why."""
+    fit = facts.log.verdict(Fitted)
+    columns: tuple[Column[tuple[str | float | None, ...]], ...] = (
+        Column("model", itemgetter(0)),
+        *(
+            Column(name, itemgetter(n), "mm", ".3f")
+            for n, name in enumerate(Figures._fields, start=1)
+        ),
+    )
+    if fit is None:
+        return Table(columns, (), "Choice of the correction")
+    rows = [
+        (f"{name}, chosen" if name == fit.method else name, *map(figures.get, Figures._fields))
+        for name, figures in fit.loocv.items()
+    ]
+    reasons = [f"Chosen: {fit.reason}."]
+    reasons += [f"No {name} model: {why}." for name, why in fit.refused.items()]
+    reasons += [f"Curves of the axis sweeps: {fit.curves.reason}."] if fit.curves.reason else []
+    unswept = facts.result.get("sweeps", {}).get("left_out", "")
+    reasons += [f"Axes not swept: {unswept}."] if unswept else []
+    return Table(columns, rows, "Choice of the correction", " ".join(reasons))
 
 
 WORDS = (
@@ -287,8 +315,8 @@ class _Page:
             "air": air(self.facts),
             "histogram": over_bound(self.facts, targets),
             "curve_plots": curve_plots(self.facts),
-            "pose_drawings": [each for each in drawn if each.name in FIGURES],
-            "drawings": [each for each in drawn if each.name not in FIGURES],
+            "pose_drawings": [each for each in drawn if each.name in POSE_TEST],
+            "drawings": [each for each in drawn if each.name not in POSE_TEST],
         }
 
     def has_tables(self) -> bool:

@@ -1,41 +1,25 @@
-"""The pose test of ISO 9283 in the standard's terms: first page, tables, figures."""
+"""The pose test of ISO 9283 in the standard's terms: first page and tables."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from operator import attrgetter, itemgetter
-from typing import TYPE_CHECKING
-
-import numpy as np
 
 from hilcell.calibration.iso9283 import (
     ANGLES,
-    CORNERS,
     CYCLE,
-    PLANE,
     Angles,
-    Cube,
     Distance,
     Pose,
     PoseTest,
     Worst,
-    attained,
 )
-from hilcell.geometry.statistics import from_mean_mm
 from hilcell.model.outcome import RULE, Outcome
 from hilcell.model.verdicts import AP, AP_ANGLES, ISO, RP, RP_ANGLES, Characteristic
 from hilcell.present.table import Column, Table
-from hilcell.report.drawings.svg import INK, MUTED, axes_sheet
 from hilcell.report.facts import Facts
 from hilcell.typed import typed
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-FIGURES = ("pose-test", "attained")  # names of the figures below
-BLUE, ORANGE, PLANE_FILL = "#12507b", "#c26a2e", "#d3e0ec"
 
 
 def tests_poses(facts: Facts) -> bool:
@@ -248,96 +232,3 @@ TURNS_NOTE = (
 
 
 # -- figures --------------------------------------------------------------------------------------
-
-
-def fig_poses(facts: Facts) -> tuple[Figure, str] | None:
-    """Draw the test cube with its poses, and AP and RP of each."""
-    if not tests_poses(facts):
-        return None
-    found = PoseReport(facts).tested()
-    figure, axes = axes_sheet(2.6, 1, 3)
-    _cube(axes[0, 0], found.cube, found.poses)
-    for ax, of, colour, bars in zip(
-        axes[0, 1:],
-        (AP, RP),
-        (ORANGE, BLUE),
-        (
-            [(each.ap_mm, each.ap_u95_mm) for each in found.poses.values()],
-            [(each.rp_mm, each.rp_u95_mm) for each in found.poses.values()],
-        ),
-        strict=True,
-    ):
-        values, u95_mm = zip(*bars, strict=True)
-        ax.bar(list(found.poses), values, width=0.6, color=colour, yerr=u95_mm,
-               error_kw={"ecolor": INK, "elinewidth": 0.8, "capsize": 2.5})  # fmt: skip
-        ax.set_title(f"{of.symbol}, {of.unit}")
-        ax.set_ylim(bottom=0.0)
-        ax.grid(visible=False, axis="x")
-        if limit_mm := found.limits.get(of.limit):
-            ax.axhline(limit_mm, color=INK, linewidth=0.9, linestyle=(0, (4, 2)))
-    return figure, (
-        "Left: the test cube in {B} and the cycle on its plane. Bars: U, k = 2. Dashed: the limit, "
-        "where one is stated."
-    )
-
-
-def _cube(ax: Axes, cube: Cube, poses: dict[str, Pose]) -> None:
-    half_mm, centre = cube.side_mm / 2, np.array(cube.centre_mm)
-    axonometric = np.array([[-0.45, 0.9, 0.0], [-0.4, -0.18, 0.9]])  # {B}'s x, y, z on paper
-    corners = {name: axonometric @ (np.array(at) * half_mm) for name, at in CORNERS.items()}
-    edges = [(n, n % 4 + 1) for n in (1, 2, 3, 4)]  # of the top; others lie below and between
-    for one, other in edges:
-        for a, b in ((one, other), (one + 4, other + 4), (one, one + 4)):
-            ends = np.array([corners[f"C{a}"], corners[f"C{b}"]])
-            ax.plot(*ends.T, color=MUTED, linewidth=0.7)
-    ax.fill(*np.array([corners[name] for name in PLANE]).T, color=PLANE_FILL, alpha=0.7, zorder=0)
-    for name, at in corners.items():
-        ax.text(
-            at[0] * 1.14, at[1] * 1.14, name, ha="center", va="center", fontsize=6.5, color=MUTED
-        )
-    places = {
-        name: axonometric @ (np.array(each.commanded_mm) - centre) for name, each in poses.items()
-    }
-    for before, after in zip((CYCLE[-1], *CYCLE), CYCLE, strict=False):
-        ax.annotate(
-            "", tuple(places[after]), tuple(places[before]),
-            arrowprops={"arrowstyle": "->", "color": BLUE, "linewidth": 0.8, "shrinkB": 3.0},
-        )  # fmt: skip
-    for name, at in places.items():
-        ax.plot(*at, "o", color=BLUE, markersize=3.5)
-        ax.text(at[0], at[1] + 0.12 * half_mm, name, ha="center", fontsize=7.5, weight="bold")
-    ax.set_aspect("equal")
-    ax.margins(0.14)
-    ax.set_axis_off()
-    ax.set_title("Test cube", loc="left")
-
-
-def fig_attained(facts: Facts) -> tuple[Figure, str] | None:
-    """Draw the attained positions of each pose about their barycentre, from two sides."""
-    if not tests_poses(facts):
-        return None
-    poses = PoseReport(facts).tested().poses
-    clouds = {name: each.error_mm for name, each in attained(facts.log).items()}
-    reach_mm = 1.15 * max(
-        *(float(from_mean_mm(cloud).max()) for cloud in clouds.values()),
-        *(each.rp_mm for each in poses.values()),
-    )
-    tick_mm = float(f"{0.6 * reach_mm:.1g}")
-    figure, axes = axes_sheet(3.1, 2, len(clouds), sharex=True, sharey=True)
-    for column, (name, cloud) in enumerate(clouds.items()):
-        off_mm = cloud - cloud.mean(axis=0)
-        for ax, (across, up) in zip(axes[:, column], ((0, 1), (0, 2)), strict=True):
-            ax.plot(off_mm[:, across], off_mm[:, up], "o", color=BLUE, markersize=2.2, alpha=0.75)
-            turn = np.linspace(0.0, 2.0 * np.pi, 73)
-            rp_mm = poses[name].rp_mm
-            ax.plot(rp_mm * np.cos(turn), rp_mm * np.sin(turn), color=ORANGE, linewidth=0.9)
-            ax.set_xticks([-tick_mm, tick_mm])
-            ax.set_yticks([-tick_mm, 0.0, tick_mm])
-            ax.set_xlim(-reach_mm, reach_mm)
-            ax.set_ylim(-reach_mm, reach_mm)
-            ax.set_aspect("equal")
-        axes[0, column].set_title(name)
-        axes[1, column].set_xlabel("x, mm")
-    axes[0, 0].set_ylabel("y, mm")
-    axes[1, 0].set_ylabel("z, mm")
-    return figure, "Attained positions less their barycentre, axes of {B}. Circle: radius RP_l."

@@ -40,7 +40,7 @@ from hilcell.model.verdicts import Fitted
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table, Value
 from hilcell.report.budgets import TargetBudget
-from hilcell.report.drawings.paper_figures import series_name
+from hilcell.report.drawings.figures import series_name
 from hilcell.report.facts import Facts
 from hilcell.report.first_page import FirstPage
 

@@ -1,4 +1,4 @@
-"""Errors of the targets: in order, all and enlarged, and each beside its own 95 % bound."""
+"""Errors drawn: of the targets in order, beside their bounds, as vectors and in short; of gears."""
 
 from __future__ import annotations
 
@@ -7,21 +7,26 @@ from collections.abc import Iterator
 import numpy as np
 
 from hilcell.calibration.decision import limits_of
-from hilcell.calibration.errors import validation
+from hilcell.calibration.errors import Errors, grid_errors, validation
+from hilcell.model.events import CurveMeasured
 from hilcell.model.point import BOTH, Sent
 from hilcell.model.results import Repeated
 from hilcell.ports import Array
-from hilcell.report.budgets import TargetBudget
+from hilcell.report.budgets import Row, TargetBudget, target_rows
 from hilcell.report.drawings.drawing import (
     AFTER,
     BAND,
     BEFORE,
     ENDS,
+    HAIR,
+    HATCH,
     INK,
     MUTED,
     NEAREST_MM,
     Frame,
     Scale,
+    apart,
+    circle,
     hatched,
     labels,
     path,
@@ -33,6 +38,7 @@ from hilcell.report.drawings.drawing import (
     wide_mm,
 )
 from hilcell.report.facts import Facts
+from hilcell.report.first_page import Result
 
 WIDTH_MM, HEIGHT_MM, LEFT_MM, RIGHT_MM, TOP_MM, BOTTOM_MM = 88.0, 54.0, 10.0, 22.0, 6.0, 10.0
 PERCENTS = [(each, f"{each:g}") for each in (0.0, 25.0, 50.0, 75.0, 100.0)]
@@ -173,3 +179,233 @@ def _maxwell(ratios: Array) -> Array:
     u = k_95 * ratios
     found: Array = k_95 * np.sqrt(2 / np.pi) * u**2 * np.exp(-(u**2) / 2)
     return found
+
+
+def vectors(facts: Facts) -> str:
+    """Return the errors of the targets in {W} from three sides, before and after the correction.
+
+    "" where no target was measured.
+    """
+    station = facts.cell.grid.station
+    series = validation(facts.log, [station])
+    name_mm = 60.0  # of a station, at most
+    shown = shortened(station, name_mm)
+    names = ((Sent.BEFORE, "before", BEFORE), (Sent.CHOSEN, "after", AFTER))
+    rows = [
+        (f"{shown}, {name}", series[how], colour) for how, name, colour in names if how in series
+    ]
+    if not rows and (grid := grid_errors(facts.log)) is not None:
+        rows = [(f"{shown}, grid", grid, BEFORE)]
+    if not rows:
+        return ""
+    width_mm, row_mm = 123.0, 47.0
+    parts: list[str] = []
+    for n, (name, errors, colour) in enumerate(rows):
+        parts += _views(name, errors, colour, n * row_mm, width_mm)
+    high, simulated = row_mm * len(rows), facts.inputs.simulated
+    return svg(width_mm, high, "Error vectors in three views", parts, simulated)
+
+
+def _views(name: str, errors: Errors, colour: str, top: float, width_mm: float) -> Iterator[str]:
+    panel_mm, gap_mm, left_mm, top_mm = 31.0, 10.0, 9.0, 8.0
+    low, span = _cube(errors)
+    scale = panel_mm / span
+    share = 0.1  # of the panel, that the largest error is drawn as, at most
+    factor = round_down(share * span / max(errors.figures.max, 1e-6))
+    title = f"{name}, {factor:g} times enlarged"
+    yield text(0.0, top + 3.0, title, bold=True, most_mm=width_mm)
+    views = (("from above", 0, 1), ("from the side", 1, 2), ("from the front", 0, 2))
+    axes = "xyz"
+    for n, (seen, across, up) in enumerate(views):
+        left = left_mm + n * (panel_mm + gap_mm)
+        box = top + top_mm
+        yield rectangle(left, box, panel_mm, panel_mm, "none", HAIR)
+        yield text(left + panel_mm / 2, box - 1.0, seen, "middle", MUTED)
+        yield text(left - 1.0, box + panel_mm / 2, axes[up], "end", MUTED)
+        for value, y in ((low[up] + span, box + 3.0), (low[up], box + panel_mm)):
+            yield text(left - 1.0, y, f"{value:.0f}", "end", MUTED)
+        below = box + panel_mm + 3.4
+        yield text(left, below, f"{low[across]:.0f}", "start", MUTED)
+        yield text(left + panel_mm / 2, below, axes[across], "middle", MUTED)
+        yield text(left + panel_mm, below, f"{low[across] + span:.0f}", "end", MUTED)
+        corner = np.array([low[across], low[up]])
+        nominal = (errors.nominal_mm[:, (across, up)] - corner) * scale
+        foot = np.array([left, box + panel_mm]) + nominal * (1, -1)
+        end = foot + errors.error_mm[:, (across, up)] * factor * scale * (1, -1)
+        gap = np.full_like(foot, np.nan)
+        yield path(np.stack([foot, end, gap], axis=1).reshape(-1, 2), colour, 0.35)
+        yield "".join(circle(x, y, 0.3, INK, "none") for x, y in foot)
+    bar_mm = round_down(max(errors.figures.max, 1e-6))
+    y, x = top + top_mm + panel_mm + 6.2, left_mm
+    yield path([(x, y), (x + bar_mm * factor * scale, y)], colour, 0.8)
+    yield text(x + bar_mm * factor * scale + 1.0, y + 1.0, f"error {bar_mm:g} mm")
+
+
+def _cube(errors: Errors) -> tuple[Array, float]:
+    """Return the low corner (3,) and the side of the cube that holds every target with a margin."""
+    low, high = errors.nominal_mm.min(axis=0), errors.nominal_mm.max(axis=0)
+    span = 1.3 * (float((high - low).max()) or 1000.0)
+    return (low + high) / 2 - span / 2, span
+
+
+def round_down(value: float) -> float:
+    """Return the largest 1, 2 or 5 times a power of ten that is not above ``value``."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(step for step in (1, 2, 5) if step * power <= value * (1 + 1e-9)) * power)
+
+
+def strip(results: list[tuple[str, Result]], simulated: bool) -> str:
+    """Return a row a named result: limit, before, after with U; "" where there are none.
+
+    All are on one logarithmic scale.
+    """
+    if not results:
+        return ""
+    width_mm, row_mm, left_mm, top_mm = 120.0, 8.6, 26.0, 4.2
+    largest = max(max(each.before_mm or 0.0, 1.6 * each.limit_mm) for _, each in results)
+    least_mm = 0.005  # the scale begins here
+    scale = Scale(least_mm, 1.3 * largest, left_mm, width_mm - 2.0, logarithmic=True)
+    bottom = top_mm + row_mm * len(results)
+    parts = [
+        part
+        for n, (name, each) in enumerate(results)
+        for part in _strip_row(name, each, scale, top_mm + row_mm * (n + 0.5))
+    ]
+    parts.append(path([(scale.begin, bottom), (scale.end, bottom)]))
+    for tick in scale.ticks():
+        at = scale.one(tick)
+        parts += [path([(at, bottom), (at, bottom + 0.8)]),
+                  text(at, bottom + 3.8, f"{tick:g}", "middle", MUTED)]  # fmt: skip
+    middle = (scale.begin + scale.end) / 2
+    parts.append(text(middle, bottom + 7.2, "3-D error, mm (logarithmic)", "middle", MUTED))
+    title = "Limit, before, and after with its uncertainty"
+    return svg(width_mm, bottom + 8.4, title, parts, simulated)
+
+
+def _strip_row(name: str, result: Result, scale: Scale, y: float) -> Iterator[str]:
+    limit, after = scale.one(result.limit_mm), scale.one(result.after_mm)
+    named = [(after, f"after {result.after_mm:.3f}", AFTER)]
+    room_mm = scale.begin - 1.0
+    yield text(0.0, y + 1.0, shortened(name, room_mm), bold=True, most_mm=room_mm)
+    yield hatched(limit, y - 2.4, scale.end - limit, 5.0)
+    yield path([(scale.begin, y), (scale.end, y)], "#c9d0d8", 0.2)
+    yield path([(limit, y - 2.6), (limit, y + 2.8)], INK, 0.8)
+    yield text(limit + 1.0, y + 3.2, f"limit {result.limit_mm:g}")
+    if result.before_mm is not None:
+        before = scale.one(result.before_mm)
+        yield circle(before, y, 1.2, "#fff", BEFORE)
+        named.append((before, f"before {result.before_mm:.2f}", BEFORE))
+    if result.U_mm is not None:
+        ends = [scale.one(result.after_mm + sign * result.U_mm) for sign in (-1, 1)]
+        yield path([(ends[0], y), (ends[1], y)], AFTER, 0.5)
+        for end in ends:
+            yield path([(end, y - 0.9), (end, y + 0.9)], AFTER, 0.4)
+    yield circle(after, y, 1.2, AFTER, AFTER)
+    label_mm = 18.6  # the widest: "before 1.20"
+    places = apart([at for at, _, _ in named], label_mm, scale.end - label_mm / 2)
+    for at, (_, words, colour) in zip(places, named, strict=True):
+        yield text(at, y - 1.9, words, "middle", colour, bold=True)
+
+
+def variance_bar(budget: TargetBudget, simulated: bool) -> str:
+    """Return a bar of the contributions to a corrected target's variance, the largest at the top.
+
+    It is of the station where bounds are largest; "" where none are stated.
+    """
+    if budget.missing:
+        return ""
+    width_mm, height_mm, bar_mm = 55.0, 90.0, 12.0
+    shades = ("#0b4a7d", "#3f76a6", "#7fa6c9", "#b4cbe0", "#d9e4ee", "#eef3f8")
+    parts: list[str] = []
+    top = 1.0
+    shares = _shares(budget, len(shades))
+    tops: list[float] = []
+    scale = (height_mm - 2.0) / 100.0
+    white_on = 2  # so many shades are dark
+    least_mm = 5.0  # of a part that has its share written in it
+    for shade, (_, percent, _) in zip(shades, shares, strict=False):
+        high = percent * scale
+        parts.append(rectangle(0.0, top, bar_mm, high, shade, INK))
+        if high >= least_mm:
+            colour = "#fff" if len(tops) < white_on else INK
+            middle = top + high / 2 + 1.0
+            parts.append(text(bar_mm / 2, middle, f"{percent:.1f} %", "middle", colour, bold=True))
+        tops.append(top + high / 2)
+        top += high
+    pitch = 2.1  # of two-line labels, in labels
+    places = [pitch * each for each in apart([each / pitch for each in tops])]
+    below = min(0.0, height_mm - 4.0 - places[-1])  # the last label ends inside
+    for at, place, (name, percent, u_mm) in zip(tops, places, shares, strict=True):
+        y = place + below
+        parts.append(path([(bar_mm, at), (bar_mm + 2.5, y)], HAIR))
+        parts.append(text(bar_mm + 3.5, y, name, bold=True))
+        parts.append(
+            text(bar_mm + 3.5, y + 3.4, f"u {u_mm:.4f} mm, {percent:.1f} %", "start", MUTED)
+        )
+    return svg(width_mm, height_mm, "Shares of the variance", parts, simulated)
+
+
+def _shares(budget: TargetBudget, most: int) -> list[tuple[str, float, float]]:
+    """Return name, share in percent and u of the largest contributions; the last may be others."""
+    found: list[Row] = [each for each in target_rows(budget.in_use[budget.worst]) if each.percent]
+    found.sort(key=lambda each: -each.percent)
+    shown = [(each.source, each.percent, each.u_mm) for each in found[: most - 1]]
+    others = found[most - 1 :]
+    if others:
+        u_mm = sum(each.u_mm**2 for each in others) ** 0.5
+        shown.append((f"{len(others)} others", sum(each.percent for each in others), u_mm))
+    return shown
+
+
+def curve_plots(facts: Facts) -> str:
+    """Return a drawing of each swept axis, the curve of its gear at the left, its spectrum right.
+
+    Between two of them a page may end; "" without any.
+    """
+    records = [record for record in facts.log.curves.values() if record.shown]
+    if not records:
+        return ""
+    width_mm, row_mm = 178.0, 44.0
+    most = max(float(np.array(record.spectrum)[:, 1].max()) for record in records)
+    high_urad, simulated = round_up(most, ENDS), facts.inputs.simulated
+    title = "Transmission error of a gear, and its spectrum, axis"
+    return "".join(
+        svg(width_mm, row_mm, f"{title} {each.axis}", _gear(each, high_urad, width_mm), simulated)
+        for each in records
+    )
+
+
+def _gear(record: CurveMeasured, most_urad: float, width_mm: float) -> Iterator[str]:
+    high, low = 8.0, 34.0
+    curve_mm, spectrum_mm = (12.0, 108.0), (122.0, 176.0)
+    joint_deg, measured_urad, by_curve_urad = np.array(record.shown).T
+    size = round_up(float(np.abs(measured_urad).max()))
+    frame = Frame(
+        Scale(float(joint_deg.min()), float(joint_deg.max()), *curve_mm),
+        Scale(-size, size, low, high),
+    )
+    yield frame.drawn("joint, °", f"A{record.axis}: error, µrad")
+    yield path(frame.at(joint_deg, measured_urad), HATCH, 0.3)
+    if record.holds:
+        yield path(frame.at(joint_deg, by_curve_urad), AFTER, 0.4)
+    else:
+        yield text(curve_mm[1], high - 1.0, f"not used: {record.reason}", "end")
+    cycles, amplitude_urad = np.array(record.spectrum).T
+    across = Frame(
+        Scale(max(10.0, float(cycles.min())), float(cycles.max()), *spectrum_mm, logarithmic=True),
+        Scale(0.0, most_urad, low, high),
+    )
+    yield across.drawn("cycles per revolution (logarithmic)", "")
+    yield path(across.at(cycles, amplitude_urad), INK, 0.3)
+    half_mm = 17.0 / 2  # of the widest label
+    for at, amplitude in zip(record.cycles, record.amplitudes_urad, strict=True):
+        x, y = across.x.one(at), across.y.one(float(amplitude))
+        yield circle(x, y, 0.8, AFTER, AFTER)
+        yield text(
+            min(max(x, spectrum_mm[0] + half_mm), width_mm - half_mm),
+            y - 1.4,
+            f"{at:.1f}: {amplitude:.0f}",
+            "middle",
+            AFTER,
+            bold=True,
+        )

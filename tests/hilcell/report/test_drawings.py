@@ -15,12 +15,16 @@ from hilcell.report.drawings.drawing import (
     MUTED,
     Scale,
 )
-from hilcell.report.drawings.error_plots import enlarged, in_order, over_bound
+from hilcell.report.drawings.error_plots import (
+    enlarged,
+    in_order,
+    over_bound,
+    strip,
+    variance_bar,
+    vectors,
+)
 from hilcell.report.drawings.over_time import air, floor_moves
-from hilcell.report.drawings.side_view import side_view
-from hilcell.report.drawings.strip import strip
-from hilcell.report.drawings.variance import variance_bar
-from hilcell.report.drawings.vectors import vectors
+from hilcell.report.drawings.views import side_view
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.first_page import Result
 from hilcell.report.tables import worst

@@ -22,7 +22,7 @@ from hilcell.model.verdicts import Oriented, OtherVerdict, PoseTested, Verdict
 from hilcell.report.budgets import TargetBudget
 from hilcell.report.certificate import certificate, title
 from hilcell.report.course import course
-from hilcell.report.drawings.plan_view import plan_view
+from hilcell.report.drawings.views import plan_view
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.first_page import (
     FirstPage,

@@ -18,7 +18,7 @@ from hilcell.cell.file import load_cell
 from hilcell.identification.sweeps import SweptAxis
 from hilcell.model.point import PointId
 from hilcell.model.verdicts import CurvesUsed
-from hilcell.report.drawings.plan_view import plan_view
+from hilcell.report.drawings.views import plan_view
 from hilcell.report.export import csv_bytes, json_bytes, xlsx_bytes
 from hilcell.report.facts import Facts, read_facts
 from hilcell.report.html import WORDS, curves, report_html, words_of

@@ -1,32 +1,42 @@
-"""The paper's figures, redrawn from one run; a figure without data is left out."""
+"""Figures of measurements drawn by matplotlib, and their SVG that stands inside a page.
+
+They are the paper's, redrawn from one run, and those of the pose test of ISO 9283; a figure without
+data is left out. The SVG is small and the same every time. Two figures on one page share one space
+of ids, so every id gets its figure's name.
+"""
 
 from __future__ import annotations
 
+import io
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hilcell.calibration.errors import OTHERS, Errors, places, validation
 from hilcell.calibration.frames import grid_pairs
+from hilcell.calibration.iso9283 import CORNERS, CYCLE, PLANE, Cube, Pose, attained
 from hilcell.clean import harmless
 from hilcell.compensation.similarity import binned
+from hilcell.geometry.statistics import from_mean_mm
 from hilcell.journal.log import Log, positions_mm
 from hilcell.model.point import HOLDS, SIDES, Sent
 from hilcell.model.results import FramesRepeated, SurveyedRail, WithU
-from hilcell.model.verdicts import ISO
+from hilcell.model.verdicts import AP, ISO, RP
 from hilcell.ports import Array
-from hilcell.report.drawings.svg import MUTED, axes_sheet, house_style, svg_of
 from hilcell.report.facts import Facts
-from hilcell.report.iso9283 import fig_attained, fig_poses
+from hilcell.report.iso9283 import PoseReport, tests_poses
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+INK, MUTED, GRID = "#1d2733", "#5d6975", "#e4e8ec"
 COLOURS = {Sent.BEFORE: "#c26a2e", Sent.IDW: "#8796a5", Sent.CHOSEN: "#12507b"}
 MARKERS = {Sent.BEFORE: "o", Sent.IDW: "^", Sent.CHOSEN: "o"}
+POSE_TEST = ("pose-test", "attained")  # figures of ISO 9283
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +81,13 @@ def drawings(facts: Facts) -> list[Drawing]:
     shown = is_paper(facts) or results & facts.result.keys() or facts.log.select("repeat")
     if "world" not in facts.log.frames or not shown:
         return []  # and no library of figures is loaded
+    import matplotlib
+
     drawn = []
-    with house_style():
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()  # not the user's
+        settings: Any = matplotlib.rcParams  # typed key by key, which a table of ours is not
+        settings.update(_STYLE)
         for name, title, draw in found:
             figure = draw(facts)
             if figure is not None:
@@ -326,3 +341,194 @@ def along_rail_mm(log: Log, how: str, way: str) -> Array:
     raw_mm = positions_mm(log.select("repeat", how=how, way=way))
     along: Array = raw_mm @ log.matrix("world")[:3, :3].T @ np.array(log.cell.layout.rail_direction)
     return along
+
+
+# -- the pose test of ISO 9283 ---------------------------------------------------------------------
+
+
+def fig_poses(facts: Facts) -> Drawn | None:
+    """Draw the test cube with its poses, and AP and RP of each."""
+    if not tests_poses(facts):
+        return None
+    found = PoseReport(facts).tested()
+    figure, axes = axes_sheet(2.6, 1, 3)
+    _test_cube(axes[0, 0], found.cube, found.poses)
+    for ax, of, colour, bars in zip(
+        axes[0, 1:],
+        (AP, RP),
+        (COLOURS[Sent.BEFORE], COLOURS[Sent.CHOSEN]),
+        (
+            [(each.ap_mm, each.ap_u95_mm) for each in found.poses.values()],
+            [(each.rp_mm, each.rp_u95_mm) for each in found.poses.values()],
+        ),
+        strict=True,
+    ):
+        values, u95_mm = zip(*bars, strict=True)
+        ax.bar(list(found.poses), values, width=0.6, color=colour, yerr=u95_mm,
+               error_kw={"ecolor": INK, "elinewidth": 0.8, "capsize": 2.5})  # fmt: skip
+        ax.set_title(f"{of.symbol}, {of.unit}")
+        ax.set_ylim(bottom=0.0)
+        ax.grid(visible=False, axis="x")
+        if limit_mm := found.limits.get(of.limit):
+            ax.axhline(limit_mm, color=INK, linewidth=0.9, linestyle=(0, (4, 2)))
+    return figure, (
+        "Left: the test cube in {B} and the cycle on its plane. Bars: U, k = 2. Dashed: the limit, "
+        "where one is stated."
+    )
+
+
+def _test_cube(ax: Axes, cube: Cube, poses: dict[str, Pose]) -> None:
+    blue = COLOURS[Sent.CHOSEN]
+    half_mm, centre = cube.side_mm / 2, np.array(cube.centre_mm)
+    axonometric = np.array([[-0.45, 0.9, 0.0], [-0.4, -0.18, 0.9]])  # {B}'s x, y, z on paper
+    corners = {name: axonometric @ (np.array(at) * half_mm) for name, at in CORNERS.items()}
+    edges = [(n, n % 4 + 1) for n in (1, 2, 3, 4)]  # of the top; others lie below and between
+    for one, other in edges:
+        for a, b in ((one, other), (one + 4, other + 4), (one, one + 4)):
+            ends = np.array([corners[f"C{a}"], corners[f"C{b}"]])
+            ax.plot(*ends.T, color=MUTED, linewidth=0.7)
+    ax.fill(*np.array([corners[name] for name in PLANE]).T, color="#d3e0ec", alpha=0.7, zorder=0)
+    for name, at in corners.items():
+        ax.text(
+            at[0] * 1.14, at[1] * 1.14, name, ha="center", va="center", fontsize=6.5, color=MUTED
+        )
+    places = {
+        name: axonometric @ (np.array(each.commanded_mm) - centre) for name, each in poses.items()
+    }
+    for before, after in zip((CYCLE[-1], *CYCLE), CYCLE, strict=False):
+        ax.annotate(
+            "", tuple(places[after]), tuple(places[before]),
+            arrowprops={"arrowstyle": "->", "color": blue, "linewidth": 0.8, "shrinkB": 3.0},
+        )  # fmt: skip
+    for name, at in places.items():
+        ax.plot(*at, "o", color=blue, markersize=3.5)
+        ax.text(at[0], at[1] + 0.12 * half_mm, name, ha="center", fontsize=7.5, weight="bold")
+    ax.set_aspect("equal")
+    ax.margins(0.14)
+    ax.set_axis_off()
+    ax.set_title("Test cube", loc="left")
+
+
+def fig_attained(facts: Facts) -> Drawn | None:
+    """Draw the attained positions of each pose about their barycentre, from two sides."""
+    if not tests_poses(facts):
+        return None
+    blue, orange = COLOURS[Sent.CHOSEN], COLOURS[Sent.BEFORE]
+    poses = PoseReport(facts).tested().poses
+    clouds = {name: each.error_mm for name, each in attained(facts.log).items()}
+    reach_mm = 1.15 * max(
+        *(float(from_mean_mm(cloud).max()) for cloud in clouds.values()),
+        *(each.rp_mm for each in poses.values()),
+    )
+    tick_mm = float(f"{0.6 * reach_mm:.1g}")
+    figure, axes = axes_sheet(3.1, 2, len(clouds), sharex=True, sharey=True)
+    for column, (name, cloud) in enumerate(clouds.items()):
+        off_mm = cloud - cloud.mean(axis=0)
+        for ax, (across, up) in zip(axes[:, column], ((0, 1), (0, 2)), strict=True):
+            ax.plot(
+                off_mm[:, across],
+                off_mm[:, up],
+                "o",
+                color=blue,
+                markersize=2.2,
+                alpha=0.75,
+            )
+            turn = np.linspace(0.0, 2.0 * np.pi, 73)
+            rp_mm = poses[name].rp_mm
+            ax.plot(
+                rp_mm * np.cos(turn),
+                rp_mm * np.sin(turn),
+                color=orange,
+                linewidth=0.9,
+            )
+            ax.set_xticks([-tick_mm, tick_mm])
+            ax.set_yticks([-tick_mm, 0.0, tick_mm])
+            ax.set_xlim(-reach_mm, reach_mm)
+            ax.set_ylim(-reach_mm, reach_mm)
+            ax.set_aspect("equal")
+        axes[0, column].set_title(name)
+        axes[1, column].set_xlabel("x, mm")
+    axes[0, 0].set_ylabel("y, mm")
+    axes[1, 0].set_ylabel("z, mm")
+    return figure, "Attained positions less their barycentre, axes of {B}. Circle: radius RP_l."
+
+
+# -- sheets of axes, and their SVG -----------------------------------------------------------------
+
+_STYLE: dict[str, object] = {
+    "svg.fonttype": "none",  # text stays text: readable by search and by screen readers
+    "svg.hashsalt": "hilcell",
+    "text.parse_math": False,  # a dollar sign is a dollar sign
+    "font.family": "DejaVu Sans",
+    "font.size": 8.0,
+    "text.color": INK,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "axes.labelsize": 8.0,
+    "axes.titlesize": 8.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "legend.frameon": False,
+    "legend.fontsize": 7.5,
+    "lines.linewidth": 1.2,
+}
+
+
+def axes_sheet(
+    height_in: float, rows: int = 1, columns: int = 1, **more: Any
+) -> tuple[Figure, Any]:
+    """Return a figure whose axes stand at the same places in every report."""
+    from matplotlib.figure import Figure
+
+    width_in = 7.1  # the printable width of A4
+    figure = Figure(figsize=(width_in, height_in))
+    axes = figure.subplots(rows, columns, squeeze=False, **more)
+    figure.subplots_adjust(
+        left=0.64 / width_in,
+        right=1 - 0.42 / width_in,
+        bottom=0.42 / height_in,
+        top=1 - 0.28 / height_in,
+        wspace=0.34 if columns > 2 else 0.1,
+        hspace=0.36,
+    )
+    return figure, axes
+
+
+def svg_of(figure: Figure, name: str) -> str:
+    """Return the figure as an ``svg`` element, without parts that no page needs.
+
+    Its ids begin with ``name``; 0.01 pt is finer than any printer.
+    """
+    file = io.StringIO()
+    figure.savefig(file, format="svg", metadata={"Date": None})
+    text = file.getvalue()
+    dropped = r"<metadata>.*?</metadata>|<!--.*?-->|\n\s*"
+    svg = re.sub(dropped, " ", text[text.index("<svg") :], flags=re.DOTALL)
+    link = re.compile(r'(url\(#|href="#)([^")]+)')
+    linked = {found[1] for found in link.findall(svg)}
+
+    def one_id(found: re.Match[str]) -> str:
+        return f' id="{name}-{found[1]}"' if found[1] in linked else ""
+
+    id_of, long_number = re.compile(r' id="([^"]+)"'), re.compile(r"-?\d+\.\d{3,}")
+
+    def one_tag(found: re.Match[str]) -> str:
+        tag = id_of.sub(one_id, found[0])
+        tag = link.sub(rf"\g<1>{name}-\g<2>", tag).replace("xlink:href", "href")
+        tag = re.sub(r' xmlns(:xlink)?="[^"]*"', "", tag)
+        return long_number.sub(lambda number: f"{float(number[0]):.2f}", tag)
+
+    return re.sub(r"<[^>]+>", one_tag, svg).strip()

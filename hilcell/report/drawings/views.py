@@ -1,7 +1,4 @@
-"""The cell from above, to scale: rail, stations, calibrated volumes, floor nests, tracker, {W}.
-
-One scale both ways, x to the right and y up, as {W} has them.
-"""
+"""The cell drawn to scale, from above and from the side: one scale both ways."""
 
 from __future__ import annotations
 
@@ -12,15 +9,26 @@ import numpy as np
 from hilcell.cell.file import Cell, Station
 from hilcell.geometry.frames import apply
 from hilcell.ports import Array
-from hilcell.report.drawings.drawing import AFTER, BAND, INK, MUTED, shortened, svg, text
-
-WIDTH_MM, MARGIN_MM = 118.0, 6.0  # on paper
-MOST_HEIGHT_MM = 52.0
-LEAST_NAME_MM, TRACKER_MM = 11.0, 6.0  # a station's name, and half the word tracker
+from hilcell.report.drawings.drawing import (
+    AFTER,
+    BAND,
+    INK,
+    MUTED,
+    circle,
+    path,
+    rectangle,
+    shortened,
+    svg,
+    text,
+)
 
 
 def plan_view(cell: Cell, tracker_mm: Array, simulated: bool = False) -> str:
-    """Return the drawing; ``tracker_mm`` (3,) is where the tracker stands in {W}."""
+    """Return the cell from above: rail, stations, calibrated volumes, floor nests, tracker, {W}.
+
+    x goes to the right and y up, as {W} has them; ``tracker_mm`` (3,) is where the tracker stands
+    in {W}.
+    """
     return _Plan(cell, tracker_mm).svg(simulated)
 
 
@@ -31,6 +39,8 @@ def along_of(cell: Cell) -> Array:
 
 
 class _Plan:
+    WIDTH_MM, MARGIN_MM, MOST_HEIGHT_MM = 118.0, 6.0, 52.0  # on paper
+    LEAST_NAME_MM, TRACKER_MM = 11.0, 6.0  # a station's name, and half the word tracker
     RAIL_WIDE_MM = 500.0  # drawn
 
     def __init__(self, cell: Cell, tracker_mm: Array) -> None:
@@ -47,9 +57,9 @@ class _Plan:
         every = np.concatenate(shown)
         self._low_mm, high_mm = every.min(axis=0), every.max(axis=0)
         span_mm = np.maximum(high_mm - self._low_mm, 1000.0)
-        room = np.array([WIDTH_MM, MOST_HEIGHT_MM]) - 2 * MARGIN_MM
+        room = np.array([self.WIDTH_MM, self.MOST_HEIGHT_MM]) - 2 * self.MARGIN_MM
         self._scale = float((room / span_mm).min())
-        self._height = float(span_mm[1]) * self._scale + 2 * MARGIN_MM
+        self._height = float(span_mm[1]) * self._scale + 2 * self.MARGIN_MM
 
     def svg(self, simulated: bool) -> str:
         parts = [
@@ -57,11 +67,11 @@ class _Plan:
         ]  # fmt: skip
         where = "rail, stations, volumes" if self._cell.has_rail else "robot, volume"
         title = f"The cell in plan view: {where}, tracker"
-        return svg(WIDTH_MM, round(self._height, 2), title, parts, simulated)
+        return svg(self.WIDTH_MM, round(self._height, 2), title, parts, simulated)
 
     def _at(self, xy_mm: Array) -> tuple[float, float]:
         """Return a place of {W} on paper."""
-        x, y = (np.asarray(xy_mm) - self._low_mm) * self._scale + MARGIN_MM
+        x, y = (np.asarray(xy_mm) - self._low_mm) * self._scale + self.MARGIN_MM
         return float(x), self._height - float(y)
 
     def _volume_mm(self, station: Station) -> Array:
@@ -128,8 +138,8 @@ class _Plan:
             min(self._at(corner)[0] for corner in self._volume_mm(station))
             for station in self._cell.station
         ]
-        ends = (*begins, self._at(self._tracker_mm)[0] - TRACKER_MM, WIDTH_MM)
-        return max(min(end - x for end in ends if end > x) - 0.8, LEAST_NAME_MM)
+        ends = (*begins, self._at(self._tracker_mm)[0] - self.TRACKER_MM, self.WIDTH_MM)
+        return max(min(end - x for end in ends if end > x) - 0.8, self.LEAST_NAME_MM)
 
     def _nests(self) -> Iterator[str]:
         for name, at_mm in self._floor:
@@ -154,9 +164,9 @@ class _Plan:
         yield text(x, y - 2.6, "tracker", "middle", bold=True)
 
     def _bar(self) -> Iterator[str]:
-        y, begin = self._height - 1.5, WIDTH_MM - MARGIN_MM - 1000.0 * self._scale
+        y, begin = self._height - 1.5, self.WIDTH_MM - self.MARGIN_MM - 1000.0 * self._scale
         yield (
-            f'<path d="M{begin:.2f} {y:.2f}H{WIDTH_MM - MARGIN_MM:.2f}" stroke="{INK}" '
+            f'<path d="M{begin:.2f} {y:.2f}H{self.WIDTH_MM - self.MARGIN_MM:.2f}" stroke="{INK}" '
             'stroke-width="0.6"/>'
         )
         yield text(begin - 1.0, y + 0.9, "1 m", "end")
@@ -168,3 +178,81 @@ class _Plan:
     def _line(self, begin_mm: Array, end_mm: Array, style: str) -> str:
         (x1, y1), (x2, y2) = self._at(begin_mm), self._at(end_mm)
         return f'<path d="M{x1:.2f} {y1:.2f}L{x2:.2f} {y2:.2f}" fill="none" {style}/>'
+
+
+def side_view(cell: Cell, tracker_mm: Array, simulated: bool) -> str:
+    """Return the cell looked at along the rail, z up.
+
+    ``tracker_mm`` (3,) is where the tracker stands in {W}.
+    """
+    along = along_of(cell)
+    across = np.array([along[1], -along[0], 0.0])
+    station = cell.station_named(cell.grid.station)
+    T = cell.layout.nominal_base(station.rail_mm)
+    half, centre = np.array(cell.grid.size_mm) / 2, cell.grid.centre.matrix()[:3, 3]
+    corners = [centre - half * (1, 0, 1), centre + half * (1, 0, 1)]
+    seen = np.array([[across @ each, each[2]] for each in apply(T, corners)])
+    volume = np.array([seen.min(axis=0), seen.max(axis=0)])
+    robot = np.array([across @ T[:3, 3], T[2, 3]])
+    tracker = np.array([across @ tracker_mm, tracker_mm[2]])
+    floor = min((float(nest.xyz_mm[2]) for nest in cell.layout.floor), default=0.0)
+    return _Side(volume, robot, tracker, floor).svg(simulated)
+
+
+class _Side:
+    WIDTH_MM, MARGIN_MM, MOST_HEIGHT_MM = 58.0, 4.0, 42.0  # on paper
+    TRACKER_MM, HEIGHTS_MM = 9.0, 13.0  # half the word, and the words of the heights
+    FOOT_MM, SHOULDER_MM = 250.0, 700.0  # half the robot's foot, and its height, as drawn
+
+    def __init__(self, volume: Array, robot: Array, tracker: Array, floor: float) -> None:
+        self._volume, self._robot, self._tracker, self._floor = volume, robot, tracker, floor
+        reach = robot + np.array([[-self.FOOT_MM, 0.0], [self.FOOT_MM, self.SHOULDER_MM]])
+        every = np.vstack([volume, reach, tracker[None], [[robot[0], floor]]])
+        self._low, high = every.min(axis=0), every.max(axis=0)
+        room = np.array([self.WIDTH_MM, self.MOST_HEIGHT_MM]) - self.MARGIN_MM * np.array([2, 3])
+        self._scale = float((room / (high - self._low)).min())
+        self._height = float((high - self._low)[1]) * self._scale + 3 * self.MARGIN_MM
+
+    def _at(self, place: Array | list[float]) -> tuple[float, float]:
+        x, y = (np.asarray(place) - self._low) * self._scale
+        return float(x) + self.MARGIN_MM, self._height - self.MARGIN_MM - float(y)
+
+    def svg(self, simulated: bool) -> str:
+        parts = [*self._robot_drawn(), *self._volume_drawn(), *self._tracker_drawn()]
+        size = self.WIDTH_MM, round(self._height, 2)
+        return svg(*size, "The cell from the side", parts, simulated)
+
+    def _robot_drawn(self) -> Iterator[str]:
+        (left, top), (right, low) = (
+            self._at([self._robot[0] + sign * self.FOOT_MM, z])
+            for sign, z in ((-1, self._robot[1]), (1, self._floor))
+        )
+        yield rectangle(left, top, right - left, low - top, "#eef3f8", MUTED)
+        shoulder = self._robot + np.array([0.0, self.SHOULDER_MM])
+        middle = np.array([self._volume[:, 0].mean(), self._volume[:, 1].mean()])
+        elbow = (shoulder + middle) / 2 + np.array([0.0, self.SHOULDER_MM / 2])
+        arm = [self._at(each) for each in (self._robot, shoulder, elbow, middle)]
+        yield path(arm, MUTED, 1.4)
+        yield path([(self.MARGIN_MM / 2, low), (self.WIDTH_MM - self.MARGIN_MM / 2, low)], INK, 0.5)
+        yield text(self.WIDTH_MM / 2, low + 3.4, f"floor, z {self._floor:.0f}", "middle", MUTED)
+
+    def _volume_drawn(self) -> Iterator[str]:
+        (left, low), (right, top) = self._at(self._volume[0]), self._at(self._volume[1])
+        left, right = sorted((left, right))
+        yield rectangle(left, top, right - left, low - top, BAND, AFTER)
+        covered = -self.TRACKER_MM < self._word_x() - right < self.TRACKER_MM + self.HEIGHTS_MM
+        x, anchor = (left - 1.0, "end") if covered else (right + 1.0, "start")
+        for z, y in ((self._volume[1][1], top + 1.0), (self._volume[0][1], low + 1.0)):
+            yield text(x, y, f"z {z:.0f}", anchor, MUTED)
+
+    def _tracker_drawn(self) -> Iterator[str]:
+        x, y = self._at(self._tracker)
+        low = self._at([self._tracker[0], self._floor])[1]
+        yield path([(x - 1.6, low), (x, y), (x + 1.6, low)], INK, 0.4)
+        yield circle(x, y, 1.1, "#fff", INK)
+        yield text(self._word_x(), y - 2.2, "tracker", "middle", bold=True)
+
+    def _word_x(self) -> float:
+        """Return where the middle of the tracker's name stands, inside the drawing."""
+        x, _ = self._at(self._tracker)
+        return min(max(x, self.TRACKER_MM), self.WIDTH_MM - self.TRACKER_MM)
