@@ -26,6 +26,11 @@ def bounded(lines: Iterable[str], count: int | None = None, most: int = MOST_LIS
     return [*found[:most], *([f"and {more} more"] if more > 0 else [])]
 
 
+def indented(lines: Iterable[str], count: int | None = None) -> str:
+    """Return what `bounded` does as text, each line indented below the words before it."""
+    return "\n".join(f"  {each}" for each in bounded(lines, count))
+
+
 def one_line(error: BaseException) -> str:
     """Return the type and the words of an error that hilcell did not expect, in one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())

@@ -22,9 +22,9 @@ import pytest
 from hypothesis import HealthCheck, Phase, settings
 
 from fakes import simulator
-from hilcell.calibration.corrected import NAME as CORRECTED
 from hilcell.journal import journal
 from hilcell.journal.runs_folder import OVERRIDE as RUNS
+from hilcell.programs.corrected import MEMORY as CORRECTED
 from hilcell.run.cell_lock import OVERRIDE as LOCKS
 from hilcell.run.signals import COMMANDS
 from tests.cell_here import start_here

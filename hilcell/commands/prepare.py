@@ -6,7 +6,6 @@ from operator import itemgetter
 from pathlib import Path
 
 from hilcell.calibration.tip import tip_named
-from hilcell.calibration.volume import Volume
 from hilcell.cell.file import Cell, load_cell
 from hilcell.cell.settings import SettingsError
 from hilcell.commands.orders import Plan, Prepare
@@ -17,7 +16,7 @@ from hilcell.errors import bounded
 from hilcell.present.table import Column, Table
 from hilcell.programs.corrected import Released
 from hilcell.programs.holes import read_holes, twins
-from hilcell.programs.plan import HolePlan, StationPlan, ratio
+from hilcell.programs.plan import HolePlan, StationPlan, Volume, ratio
 from hilcell.programs.plan import plan as plan_holes
 from hilcell.programs.station_jobs import StationJobs
 from hilcell.writing import CSV, check_output

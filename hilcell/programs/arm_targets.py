@@ -1,9 +1,18 @@
-"""Targets of a robot that was measured elsewhere: a list of poses or joints, or a program."""
+"""Targets of a robot that was measured elsewhere: a list of poses or joints, or a program.
+
+Poses are those of the tool point in the robot's root frame, under the header of `compensate`;
+joints stand under ``name,j1_deg,...,j6_deg``. A controller is taken to know the nominal arm: joints
+for a pose, and the pose of joints, are the nominal arm's. Its tool is a reflector as it was
+identified; its base stands where nominal kinematics with that tool fit the training poses best. An
+identified base would do as well, but where the poses do not determine it, it lies millimetres
+aside, and all corrections would make up for that.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Self
 
@@ -11,34 +20,34 @@ import numpy as np
 
 from hilcell.calibration.form import written_now
 from hilcell.calibration.influence import bounds_of
-from hilcell.calibration.programs import POSTURE_BITS, check_posture
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.choice import NOMINAL
+from hilcell.compensation.model import Prediction
 from hilcell.compensation.programs import Program, load_program, statuses_of
 from hilcell.compensation.stamp import Stamp
-from hilcell.compensation.targets import HEADER, target_rows
-from hilcell.fit.methods import UNDETERMINED_MM, Fitted
+from hilcell.compensation.targets import HEADER, read_named_rows, target_rows
+from hilcell.fit.methods import UNDETERMINED_MM, Fitted, Method
 from hilcell.fit.placement import FitError
 from hilcell.fit.robot_file import Measurements, Robot
-from hilcell.fit.robot_targets import (
-    JOINT_HEADER,
-    MOST_KNOWN,
-    Reach,
-    joint_rows,
-    read_robot_targets,
-    refuse,
-    targets_of,
-    with_tool_point,
-)
-from hilcell.fit.tool_errors import Controller, controller_of
 from hilcell.geometry.closed_form import ReachError, status_of
-from hilcell.geometry.frames import zyx_from_pose
-from hilcell.ports import Array
+from hilcell.geometry.frames import (
+    FrameError,
+    apply,
+    apply_each,
+    inverse,
+    poses_from_zyx,
+    rigid_fit,
+    zyx_from_pose,
+)
+from hilcell.geometry.inverse import refined
+from hilcell.geometry.kinematics import Arm, Array, Bools, forward
+from hilcell.ports import HilcellError
 from hilcell.programs.corrected import Corrected
-from hilcell.programs.target_jobs import TargetFiles
+from hilcell.programs.target_jobs import POSTURE_BITS, TargetFiles, check_posture
 
 ROOT = "the robot's root frame"  # that poses are in
-MARGIN_RAD = np.radians(5.0)  # beyond the measured joints that still counts as within
+JOINT_HEADER = ["name", *(f"j{n}_deg" for n in range(1, 7))]
+MOST_KNOWN = 500  # measured poses that are searched from
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +177,8 @@ def _check_program(
 
 def _beyond(names: list[str], joints_rad: Array, train: Measurements) -> str:
     """Return which joints go beyond those that were measured, or "": nothing was learnt there."""
-    low, high = train.joints_rad.min(axis=0) - MARGIN_RAD, train.joints_rad.max(axis=0) + MARGIN_RAD
+    margin_rad = np.radians(5.0)  # beyond the measured joints that still counts as within
+    low, high = train.joints_rad.min(axis=0) - margin_rad, train.joints_rad.max(axis=0) + margin_rad
     beyond = ~((joints_rad >= low) & (joints_rad <= high))
     if not beyond.any():
         return ""
@@ -179,3 +189,221 @@ def _beyond(names: list[str], joints_rad: Array, train: Measurements) -> str:
         f"{count} targets, {first} the first, are beyond the joints that were measured ({axes}); "
         "errors there are extrapolated"
     )
+
+
+class TargetError(HilcellError):
+    """Targets that cannot be corrected."""
+
+    code = "HC-C10"
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Joints (N, 6) for N poses, which of them were found (N,), and which in several postures."""
+
+    joints_rad: Array
+    found: Bools
+    several: Bools
+
+
+@dataclass(frozen=True, eq=False)
+class Reach:
+    """Poses and joints of a nominal arm with a tool: its base in the root, measured joints.
+
+    ``known_rad`` (M, 6) are joints that were measured: a pose takes the posture of the nearest.
+    ``limits_rad`` (2, 6).
+    """
+
+    arm: Arm
+    base: Array
+    known_rad: Array
+    limits_rad: Array
+
+    STARTS = 8  # measured poses from which one is searched
+
+    def poses(self, joints_rad: Array) -> Array:
+        """Return the tool's frames in the root (N, 4, 4)."""
+        return self.base @ forward(self.arm, joints_rad)
+
+    def joints(self, poses: Array, names: Sequence[str]) -> Array:
+        """Return nominal joints (N, 6) for poses in the root, in the posture that was measured.
+
+        Raises `TargetError` where none is found, and where several postures were measured.
+        """
+        if not self._one_posture:
+            raise TargetError(
+                "the measured poses have several postures (elbow, wrist), and a pose does not say "
+                "which the robot takes there; give joints"
+            )
+        joints, lost = np.empty((len(poses), 6)), np.zeros(len(poses), dtype=bool)
+        at_once = 512  # poses of one search
+        for first in range(0, len(poses), at_once):
+            part = slice(first, first + at_once)
+            found = self._searched(poses[part], enough=1)
+            joints[part], lost[part] = found.joints_rad, ~found.found
+        refuse(
+            lost, names, "poses are not reached in the posture of measured ones",
+            "check frame, tool and units, or give joints",
+        )  # fmt: skip
+        return joints
+
+    def near(self, poses: Array, joints_rad: Array, names: Sequence[str]) -> Array:
+        """Return nominal joints (N, 6) for poses a correction away from joints (N, 6).
+
+        Raises `TargetError` where a joint turns far or leaves its limits.
+        """
+        found, arrived = refined(self.arm, inverse(self.base) @ poses, joints_rad)
+        # of a joint by a correction: beyond, the wrist is singular there
+        most_turn_rad = np.radians(5.0)
+        near = arrived & (np.abs(found - joints_rad).max(axis=1) <= most_turn_rad)
+        refuse(
+            ~near, names,
+            f"corrections turn a joint by more than {np.degrees(most_turn_rad):g} deg",
+            "arm or wrist are singular there; give poses",
+        )  # fmt: skip
+        inside = (found >= self.limits_rad[0]) & (found <= self.limits_rad[1])
+        refuse(
+            ~inside.all(axis=1), names, "corrected targets leave the joints' limits",
+            "move them away from the limits",
+        )  # fmt: skip
+        return found
+
+    @cached_property
+    def _one_posture(self) -> bool:
+        """Return whether the measured poses are reached in no other measured posture."""
+        return not self._searched(self.poses(self.known_rad), enough=self.STARTS).several.any()
+
+    def _searched(self, poses: Array, enough: int) -> Found:
+        """Search from the nearest measured poses in turn, until ``enough`` of them lead there."""
+        wanted = inverse(self.base) @ poses
+        joints, count = np.zeros((len(poses), 6)), np.zeros(len(poses), dtype=int)
+        several = np.zeros(len(poses), dtype=bool)
+        same_posture_rad = np.pi / 2  # of a joint: another posture turns one further
+        other_rad = 0.01  # of a joint: two postures, not two roundings of one
+        for start in np.swapaxes(self._nearest(poses), 0, 1):
+            left = np.flatnonzero(count < enough)
+            found, arrived = refined(self.arm, wanted[left], start[left])
+            good = arrived & (np.abs(found - start[left]).max(axis=1) <= same_posture_rad)
+            at, found = left[good], found[good]
+            other = (
+                np.abs(np.pi - np.mod(np.pi - (found - joints[at]), 2.0 * np.pi)).max(axis=1)
+                > other_rad
+            )
+            several[at] |= other & (count[at] > 0)
+            joints[at] = np.where(count[at, None] > 0, joints[at], found)
+            count[at] += 1
+        return Found(joints, count > 0, several)
+
+    def _nearest(self, poses: Array) -> Array:
+        """Return the joints (N, S, 6) of the `STARTS` measured poses that are nearest."""
+        known = self.poses(self.known_rad)
+        shift = poses[:, None, :3, 3] - known[:, :3, 3]
+        # |A - B| of rotations is 2 sqrt 2 times the sine of half the angle between them.
+        turn_mm = 300.0  # what a radian counts in the search of the nearest measured pose
+        turn = (poses[:, None, :3, :3] - known[:, :3, :3]) * turn_mm / np.sqrt(2.0)
+        distance = np.sum(shift**2, axis=-1) + np.sum(turn**2, axis=(-2, -1))
+        return self.known_rad[np.argsort(distance, axis=1)[:, : self.STARTS]]
+
+
+@dataclass(frozen=True, eq=False)
+class RobotTargets:
+    """N targets: poses (N, 4, 4) of the tool in the root, and nominal joints (N, 6) for them."""
+
+    names: list[str]
+    poses: Array
+    joints_rad: Array
+
+    def corrected(self, error_mm: Array) -> Array:
+        """Return the poses (N, 4, 4) to command where errors (N, 3) are expected in the root."""
+        command = self.poses.copy()
+        command[:, :3, 3] -= error_mm
+        return command
+
+
+def targets_of(names: list[str], values: Array, reach: Reach) -> RobotTargets:
+    """Return targets stated as x, y, z, a, b, c (N, 6); raises `TargetError`."""
+    poses = poses_from_zyx(values)
+    return RobotTargets(names, poses, reach.joints(poses, names))
+
+
+def read_robot_targets(path: Path, reach: Reach) -> tuple[RobotTargets, bool]:
+    """Read poses or joints; returns targets and whether they were joints.
+
+    Raises `SettingsError` with every problem and its line, and `TargetError`.
+    """
+    rows = read_named_rows(path, [HEADER, JOINT_HEADER], "targets")
+    values = np.array(rows.values)
+    if rows.header == HEADER:
+        return targets_of(rows.names, values, reach), False
+    joints = np.radians(values)
+    return RobotTargets(rows.names, reach.poses(joints), joints), True
+
+
+def joint_rows(names: Iterable[str], joints_rad: Array) -> Iterator[list[str]]:
+    """Yield the rows of joints (N, 6) under `JOINT_HEADER`."""
+    for name, row in zip(names, np.degrees(joints_rad), strict=True):
+        yield [name, *(f"{each:.6f}" for each in row)]
+
+
+def refuse(bad: Bools, names: Sequence[str], what: str, act: str) -> None:
+    """Raise `TargetError` naming the first bad targets."""
+    if not bad.any():
+        return
+    most = 5
+    first = np.flatnonzero(bad)[:most]
+    count = int(np.count_nonzero(bad))
+    more = ", ..." if count > most else ""
+    named = ", ".join(names[int(n)] for n in first)
+    raise TargetError(f"{count} of {len(bad)} {what}: {named}{more}; {act}")
+
+
+def with_tool_point(arm: Arm, point_mm: Array) -> Arm:
+    """Return the arm whose tool frame is shifted to a point (3,) in it."""
+    tool = arm.tool.copy()
+    tool[:3, 3] += tool[:3, :3] @ point_mm
+    return replace(arm, tool=tool)
+
+
+@dataclass(frozen=True, eq=False)
+class Controller:
+    """A robot's nominal arm, its ``base`` (4, 4) in the tracker's frame, and a reflector ``target``
+    at ``smr_mm`` (3,) on the flange.
+    """
+
+    robot: Robot
+    base: Array
+    target: str
+    smr_mm: Array
+
+    @property
+    def root(self) -> Array:
+        """Return the robot's root frame in the tracker's (4, 4)."""
+        return self.base @ inverse(self.robot.base)
+
+    @property
+    def tool_mm(self) -> Array:
+        """Return the reflector (3,) in the robot's tool frame."""
+        point: Array = apply(inverse(self.robot.tool), self.smr_mm[None])[0]
+        return point
+
+    def errors(self, method: Method, joints_rad: Array) -> Prediction:
+        """Return e = actual - nominal of the reflector in the root frame at joints (N, 6)."""
+        count = len(joints_rad)
+        labels, nowhere = list(map(str, range(count))), np.full((count, 3), np.nan)
+        rows = Measurements(labels, [self.target] * count, joints_rad, nowhere)
+        seen_mm, covariance_mm2 = method.predict(rows)
+        nominal_mm = apply_each(forward(self.robot.arm(), joints_rad), self.smr_mm)
+        R = inverse(self.root)[:3, :3]
+        error_mm = (seen_mm - apply(self.base, nominal_mm)) @ R.T
+        return Prediction(error_mm, R @ covariance_mm2 @ R.T)
+
+
+def controller_of(robot: Robot, method: Method, train: Measurements, target: str) -> Controller:
+    """Return the controller that a method's predictions at the training rows fit best."""
+    smr_mm = np.array([method.smr_mm[each] for each in train.target])
+    nominal_mm = apply_each(forward(robot.arm(), train.joints_rad), smr_mm)
+    try:
+        base = rigid_fit(nominal_mm, method.predict(train)[0]).T
+    except FrameError:  # on one line: its turn about the line is the method's
+        base = method.base
+    return Controller(robot, base, target, method.smr_mm[target])

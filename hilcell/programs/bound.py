@@ -28,12 +28,11 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
-from hilcell.geometry.kinematics import Array
+from hilcell.geometry.kinematics import Array, Bools, Ints
 from hilcell.ports import HilcellError
 
 CANDIDATES = 10  # near holes whose edges the prices are tuned on
@@ -42,8 +41,6 @@ PATIENCE = 15  # steps without a better bound before the step is halved
 INERTIA = 0.3  # share of the step before in the next one
 TREES = 4  # of tuning, each on the edges that the full tree of the last one used as well
 ROUNDING = 1e-9  # share of the bound given away to rounding
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int_]
 
 
 def lower_bound(distance: Array, order: Ints) -> float:
@@ -125,10 +122,6 @@ def _evaluated(distance: Array, price: Array) -> tuple[float, Ints]:
 
 
 VIOLATED = 1e-3  # less is not worth a cut
-CLOSE = 0.3  # a blossom that holds by less may grow into a star that does not
-MOST_SHELLS = 12  # in each direction
-HELD = 0.05  # share by which a node must hang on a tooth to join it
-MOST_STARS = 100  # of one round
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +150,9 @@ def star(handles: Bools, teeth: Bools) -> Cut:
 class Stars:
     """Grows stars from blossoms, and remembers the blossoms: later shares break other stars."""
 
+    CLOSE = 0.3  # a blossom that holds by less may grow into a star that does not
+    MOST_STARS = 100  # of one round
+
     def __init__(self) -> None:
         self._seeds: dict[bytes, Cut] = {}
 
@@ -174,17 +170,20 @@ class Stars:
         matrix += matrix.T
         found: dict[bytes, tuple[float, Cut]] = {}
         for seed in self._seeds.values():
-            if seed.missed(edges, share) > -CLOSE:
+            if seed.missed(edges, share) > -self.CLOSE:
                 grown = _Growth(matrix, seed).star()
                 missed = grown.missed(edges, share)
                 if missed > VIOLATED:
                     found[grown.sets.tobytes()] = (missed, grown)
         worst = sorted(found.values(), key=lambda each: -each[0])
-        return [cut for _, cut in worst[:MOST_STARS]]
+        return [cut for _, cut in worst[: self.MOST_STARS]]
 
 
 class _Growth:
     """A blossom on its way to a star: shells of one node a tooth, put on outside, then inside."""
+
+    MOST_SHELLS = 12  # in each direction
+    HELD = 0.05  # share by which a node must hang on a tooth to join it
 
     def __init__(self, matrix: Array, blossom: Cut) -> None:
         self._matrix = matrix
@@ -210,7 +209,7 @@ class _Growth:
         pull_in = matrix[handle].sum(axis=0)
         leaving = 2.0 * handle.sum() - pull_in[handle].sum()
         paid, best = 0.0, (0.0, 0, self._teeth)
-        while len(handles) < MOST_SHELLS:
+        while len(handles) < self.MOST_SHELLS:
             within = matrix[np.ix_(tips, tips)].sum()
             leaving += 2.0 * (len(tips) - pull_in[tips].sum()) - within
             pull_in += matrix[tips].sum(axis=0)
@@ -235,7 +234,7 @@ class _Growth:
         free, tips = np.where(taken, 0.0, pull), []
         for row in free:
             tip = int(row.argmax())
-            if row[tip] < HELD:
+            if row[tip] < _Growth.HELD:
                 return None
             free[:, tip] = 0.0
             tips.append(tip)
@@ -246,13 +245,12 @@ class _Growth:
 # middling and of large shares fall, and among the stretches of a good tour. Where none is found,
 # one may be broken all the same.
 
-MOST_STRETCHES = 40  # of one kind, in one round
-APART = 3  # nodes by which the ends of such stretches differ at least
-LEVELS = (1e-6, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 0.95)  # of shares, that split the graph
-
 
 class Separation:
     """Seeks cuts, round after round, around one closed tour (M,) of all nodes."""
+
+    MOST_STRETCHES = 40  # of one kind, in one round
+    APART = 3  # nodes by which the ends of such stretches differ at least
 
     def __init__(self, tour: Ints) -> None:
         self._tour, self._place, self._size = tour, np.argsort(tour), len(tour)
@@ -296,9 +294,9 @@ class Separation:
         bad = np.flatnonzero(broken > VIOLATED)
         bad = bad[np.argsort(-broken[bad], kind="stable")]
         taken = np.zeros((2, 0))
-        for at in bad[: 50 * MOST_STRETCHES]:
+        for at in bad[: 50 * self.MOST_STRETCHES]:
             ends = np.array([[first[at]], [last[at]]])
-            if taken.shape[1] < MOST_STRETCHES and not self._near(taken, ends):
+            if taken.shape[1] < self.MOST_STRETCHES and not self._near(taken, ends):
                 taken = np.hstack([taken, ends])
                 nodes = np.zeros(self._size, dtype=bool)
                 nodes[self._tour[first[at] : last[at] + 1]] = True
@@ -306,18 +304,20 @@ class Separation:
 
     @staticmethod
     def _near(taken: Array, ends: Ints) -> bool:
-        return bool((np.abs(taken - ends) < APART).all(axis=0).any())
+        return bool((np.abs(taken - ends) < Separation.APART).all(axis=0).any())
 
 
 class _Shares:
     """The edges (E, 2) in use between ``size`` nodes, and their shares (E,)."""
+
+    LEVELS = (1e-6, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 0.95)  # of shares, that split the graph
 
     def __init__(self, edges: Ints, share: Array, size: int) -> None:
         self.edges, self.share, self._size = edges, share, size
 
     def by_parts(self) -> Iterator[Cut]:
         """Seek among the parts into which edges of middling and of large shares fall."""
-        for level in LEVELS:
+        for level in self.LEVELS:
             for nodes in self._parts(self.share > level):
                 yield from self._subtour(nodes)
             if level < 0.5:
@@ -367,7 +367,6 @@ class _Shares:
 
 ROUNDS = 25
 PROVEN = 1e-4  # share of the bound that is not worth another edge
-PRICED = 1e-9  # cuts with less price are dropped
 
 
 def cut_bound(distance: Array, order: Ints, enough_mm: float) -> float:
@@ -403,6 +402,8 @@ class CutError(HilcellError):
 
 class _Program:
     """Shares of edges between holes and a hub, the last node, at distance 0 from each."""
+
+    PRICED = 1e-9  # cuts with less price are dropped
 
     def __init__(self, distance: Array, order: Ints) -> None:
         count = len(distance)
@@ -455,7 +456,7 @@ class _Program:
     def add(self, cuts: list[Cut]) -> None:
         """Keep the cuts that have a price, and take new ones."""
         priced = zip(self._cuts, self._cut_price, strict=True)
-        self._cuts = [cut for cut, price in priced if price > PRICED] + cuts
+        self._cuts = [cut for cut, price in priced if price > self.PRICED] + cuts
 
     def proven(self) -> tuple[float, Ints]:
         """Return the bound that the prices prove on all edges, and edges (E, 2) that lower it."""

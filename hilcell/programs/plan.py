@@ -3,56 +3,31 @@
 As few stations as reach all holes; each hole belongs to the station closest to it among those that
 reach it, and the slide moves only when the next hole is out of reach. Travel is counted between the
 holes of one station; between stations the robot is at its safe pose.
+
+A hole is reached in the cell's configuration, for which its errors are known, with room to the
+joints' limits. The tracker must see it wherever the robot stands, so range depends on the hole
+alone. Where holes are planned for a calibration, its `Volume` says which poses it corrects at each
+station; `compensate` refuses what is outside of it: neither contradicts the other.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hilcell.calibration.volume import Volume
+from hilcell.calibration.form import Calibration
 from hilcell.cell.file import Cell, Station
-from hilcell.geometry.frames import zyx_from_pose
-from hilcell.geometry.kinematics import Array
+from hilcell.compensation.grid import FAR_MM, ROUNDING_MM, UNITS
+from hilcell.errors import MOST_LISTED, indented
+from hilcell.geometry.frames import inverse, zyx_from_pose
+from hilcell.geometry.inverse import inverse_kinematics, nearest_turns, reach_excess_mm
+from hilcell.geometry.kinematics import Array, Bools, Ints
+from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import HilcellError
 from hilcell.programs.holes import Holes
-from hilcell.programs.reach import Reach, reach
 from hilcell.programs.route import route
-
-
-class CoverError(HilcellError):
-    """Holes that no set of stations covers."""
-
-    code = "HC-C10"
-
-
-def fewest(ok: NDArray[np.bool_], burden: Array) -> NDArray[np.int_]:
-    """Return the columns of ``ok`` (N, S), a least number of them, that reach every row.
-
-    ``burden`` (S,), 0..1 each, decides only between sets of equal number: its sum is made less
-    than one station costs. Raises `CoverError` where a row is reached by none.
-    """
-    from scipy.optimize import Bounds, LinearConstraint, milp  # slow to load, seldom needed
-
-    rows = np.unique(ok, axis=0)
-    if not rows.any(axis=1).all():
-        raise CoverError("set cover: some holes are reached from no station")
-    cost = 1.0 + burden / (2.0 * len(burden))
-    found = milp(
-        cost,
-        constraints=LinearConstraint(rows.astype(float), lb=1.0),
-        integrality=np.ones(len(cost), dtype=int),
-        bounds=Bounds(0, 1),
-        options={"mip_rel_gap": 0.0},
-    )
-    chosen = np.flatnonzero(found.x > 0.5) if found.x is not None else np.array([], dtype=int)
-    if not ok[:, chosen].any(axis=1).all():
-        raise CoverError(f"set cover: not solved: {found.message}")
-    return chosen
-
 
 SLOW_HOLES = 500  # whose plan takes seconds
 RASTER_MM = 50.0  # of free stations along the rail
@@ -162,7 +137,7 @@ def _off_mm(cell: Cell, holes: Holes, stations: list[Station]) -> Array:
     return off_mm
 
 
-def _remoteness(off_mm: Array, ok: NDArray[np.bool_]) -> Array:
+def _remoteness(off_mm: Array, ok: Bools) -> Array:
     """Return how far off the holes are that each station reaches, (S,), 0..1."""
     count = ok.sum(axis=0)
     mean_mm = np.where(ok, off_mm, 0.0).sum(axis=0) / np.maximum(count, 1)
@@ -170,7 +145,7 @@ def _remoteness(off_mm: Array, ok: NDArray[np.bool_]) -> Array:
 
 
 def _at_station(
-    holes: Holes, reached: Reach, station: Station, column: int, owner: NDArray[np.int_]
+    holes: Holes, reached: Reach, station: Station, column: int, owner: Ints
 ) -> StationPlan:
     own = np.flatnonzero(owner == column)
     found = route(holes.points_mm[own])
@@ -183,3 +158,238 @@ def _at_station(
         found.travel_mm,
         found.bound_mm,
     )
+
+
+class CoverError(HilcellError):
+    """Holes that no set of stations covers."""
+
+    code = "HC-C10"
+
+
+def fewest(ok: Bools, burden: Array) -> Ints:
+    """Return the columns of ``ok`` (N, S), a least number of them, that reach every row.
+
+    ``burden`` (S,), 0..1 each, decides only between sets of equal number: its sum is made less
+    than one station costs. Raises `CoverError` where a row is reached by none.
+    """
+    from scipy.optimize import Bounds, LinearConstraint, milp  # slow to load, seldom needed
+
+    rows = np.unique(ok, axis=0)
+    if not rows.any(axis=1).all():
+        raise CoverError("set cover: some holes are reached from no station")
+    cost = 1.0 + burden / (2.0 * len(burden))
+    found = milp(
+        cost,
+        constraints=LinearConstraint(rows.astype(float), lb=1.0),
+        integrality=np.ones(len(cost), dtype=int),
+        bounds=Bounds(0, 1),
+        options={"mip_rel_gap": 0.0},
+    )
+    chosen = np.flatnonzero(found.x > 0.5) if found.x is not None else np.array([], dtype=int)
+    if not ok[:, chosen].any(axis=1).all():
+        raise CoverError(f"set cover: not solved: {found.message}")
+    return chosen
+
+
+class UnreachableHoles(HilcellError):
+    """Holes that no candidate station can serve."""
+
+    code = "HC-C10"
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """Holes against stations, each (N, S): ``ok``, and the turn of the tool with most room."""
+
+    ok: Bools
+    turn: Ints
+
+
+def reach(
+    cell: Cell, holes: Holes, stations: Sequence[Station], served: Volume | None = None
+) -> Reach:
+    """Return which holes each station reaches, and corrects where ``served`` says so.
+
+    Raises `UnreachableHoles` with the reasons.
+    """
+    room_rad = np.empty((len(holes.names), len(stations)))
+    turn = np.empty(room_rad.shape, dtype=int)
+    poses = holes.reflector_poses()
+    for number, station in enumerate(stations):
+        room = _room_rad(cell, _in_base(cell, station, poses))
+        if served is not None:
+            room = np.where(served.takes(station.name, poses), room, -np.inf)
+        turn[:, number] = room.argmax(axis=1)
+        room_rad[:, number] = room.max(axis=1)
+    ok = (room_rad >= 0.0) & _in_range(cell, holes)[:, None]
+    _refuse_unreached(cell, holes, stations, ok, served)
+    return Reach(ok, turn)
+
+
+def _in_base(cell: Cell, station: Station, poses: Array) -> Array:
+    return inverse(cell.layout.nominal_base(station.rail_mm)) @ poses
+
+
+def _room_rad(cell: Cell, poses: Array) -> Array:
+    """Return the least distance to a joint limit or a straight wrist at poses (..., 4, 4) in {B}.
+
+    Below 0 beyond a limit, -inf where the arm does not reach.
+    """
+    arm, limits = cell.robot.arm(), cell.robot.margin_limits_rad
+    room = np.full(poses.shape[:-2], -np.inf)
+    there = reach_excess_mm(arm, poses, cell.robot.status) == 0
+    joints = inverse_kinematics(arm, poses[there], cell.robot.status)
+    joints = nearest_turns(joints, limits, np.radians(cell.robot.home_deg))
+    inside = np.minimum(joints - limits[0], limits[1] - joints).min(axis=-1)
+    room[there] = np.where(inside >= 0, np.minimum(inside, np.abs(joints[:, 4])), inside)
+    return room
+
+
+def _range_mm(cell: Cell, holes: Holes) -> Array:
+    range_mm: Array = np.linalg.norm(holes.points_mm - cell.tracker.pose.matrix()[:3, 3], axis=1)
+    return range_mm
+
+
+def _range_limits_mm(cell: Cell) -> tuple[float, float]:
+    """Return the tracker's limits less the radius within which it may find a reflector."""
+    margin = cell.tracker.find_radius_mm
+    return cell.tracker.min_range_mm + margin, cell.tracker.max_range_mm - margin
+
+
+def _in_range(cell: Cell, holes: Holes) -> Bools:
+    range_mm, (low, high) = _range_mm(cell, holes), _range_limits_mm(cell)
+    return (range_mm >= low) & (range_mm <= high)
+
+
+def _refuse_unreached(
+    cell: Cell, holes: Holes, stations: Sequence[Station], ok: Bools, served: Volume | None
+) -> None:
+    bad = np.flatnonzero(~ok.any(axis=1))
+    if len(bad):
+        why = (
+            f"{holes.names[n]}: {_why_not(cell, holes.one(n), stations, served)}"
+            for n in bad[:MOST_LISTED].tolist()
+        )
+        named = indented(why, len(bad))
+        count = f"{len(ok)} hole{'s' * (len(ok) != 1)}"
+        places = stations[0].name if len(stations) == 1 else f"any of {len(stations)} stations"
+        small = len(bad) == len(ok) and float(np.abs(holes.points_mm).max()) < FAR_MM
+        raise UnreachableHoles(
+            f"{len(bad)} of {count} cannot be drilled from {places} in status "
+            f"{cell.robot.status}:\n{named}\n"
+            f"{_act(holes, bad, stations, served)}{UNITS if small else ''}"
+        )
+
+
+def _act(holes: Holes, bad: Ints, stations: Sequence[Station], served: Volume | None) -> str:
+    """Return what to do about holes (K,) that are drilled from no station."""
+    if served is None:
+        return "move the part or the tracker, or try --free stations"
+    names, poses = [each.name for each in stations], holes.reflector_poses()
+    if all(served.points_back(names, poses[n]) for n in bad.tolist()):
+        return "nx, ny, nz of a list of holes point out of the part, against the tool's z"
+    return "move or turn the part, move the tracker, or calibrate a larger volume"
+
+
+def _why_not(cell: Cell, hole: Holes, stations: Sequence[Station], served: Volume | None) -> str:
+    """Return why one hole is drilled from no station: out of reach, or reached and not served."""
+    names = [each.name for each in stations]
+    if served is not None and served.points_back(names, hole.reflector_poses()[0]):
+        return "its normal points into the part: turn it"
+    if served is not None and _in_range(cell, hole).all():
+        poses = hole.reflector_poses()[0]
+        rooms = {each.name: _room_rad(cell, _in_base(cell, each, poses)) for each in stations}
+        reached = [name for name, room in rooms.items() if (room >= 0.0).any()]
+        if reached:
+            return served.refusal(reached, poses)
+    return _reason(cell, hole, stations)
+
+
+def _reason(cell: Cell, hole: Holes, stations: Sequence[Station]) -> str:
+    """Return why one hole is reached from no station, at the station where least is missing."""
+    range_mm, (low, high) = float(_range_mm(cell, hole)[0]), _range_limits_mm(cell)
+    if not low <= range_mm <= high:
+        return f"tracker range {range_mm:.0f} mm, wanted {low:.0f} .. {high:.0f} mm"
+    arm, status = cell.robot.arm(), cell.robot.status
+    seen = hole.reflector_poses()[0]
+    poses = np.stack([_in_base(cell, station, seen) for station in stations])
+    excess_mm = reach_excess_mm(arm, poses, status)
+    if excess_mm.min() > 0:
+        at = int(excess_mm.min(axis=1).argmin())
+        return f"out of reach by {excess_mm.min():.1f} mm at {stations[at].name}"
+    room = _room_rad(cell, poses)
+    best = int(room.argmax())
+    station = stations[best // room.shape[1]]
+    limits = cell.robot.margin_limits_rad
+    joints = inverse_kinematics(arm, poses.reshape(-1, 4, 4)[best], status)
+    joints = nearest_turns(joints, limits, np.radians(cell.robot.home_deg))
+    worst = int(np.minimum(joints - limits[0], limits[1] - joints).argmin())
+    low, high = np.degrees(limits[:, worst])
+    return (
+        f"joint limit: A{worst + 1} at {np.degrees(joints[worst]):.2f} deg, wanted {low:.2f} .. "
+        f"{high:.2f} deg, {np.degrees(-room.max()):.2f} deg beyond, at {station.name}"
+    )
+
+
+class Volume:
+    """The calibrated poses, at each station."""
+
+    ROUNDING_DEG = 1e-4  # of angles in a file: a planned target stays inside when it is read again
+
+    def __init__(self, calibration: Calibration) -> None:
+        self._grid = calibration.grid()
+        self._validity = calibration.validity
+        self._bases = {name: np.array(each.T_W_B) for name, each in calibration.stations.items()}
+
+    @property
+    def stations(self) -> list[str]:
+        """Return the names of the calibrated stations."""
+        return list(self._bases)
+
+    def orientation(self, station: str) -> Array:
+        """Return the calibrated orientation (3, 3) in {W} at a station."""
+        turned: Array = self._bases[station][:3, :3] @ np.array(self._validity.orientation)
+        return turned
+
+    def takes(self, station: str, poses: Array) -> Bools:
+        """Return which poses (..., 4, 4) in {W} are corrected at a station."""
+        outside_mm, turned_deg = self._beyond(station, poses.reshape(-1, 4, 4))
+        limit_deg = self._validity.orientation_tolerance_deg - self.ROUNDING_DEG
+        taken: Bools = (outside_mm <= 0.0) & (turned_deg <= limit_deg)
+        return taken.reshape(poses.shape[:-2])
+
+    def points_back(self, stations: Sequence[str], poses: Array) -> bool:
+        """Whether all poses (K, 4, 4) in {W} have z against every calibrated one's at a station."""
+        bases = (self._bases[name] for name in stations if name in self._bases)
+        return any(bool(self._validity.points_back(inverse(T) @ poses).all()) for T in bases)
+
+    def refusal(self, stations: Sequence[str], poses: Array) -> str:
+        """Return why none of poses (K, 4, 4) in {W} is corrected, where least is missing."""
+        known = [name for name in stations if name in self._bases]
+        if not known:
+            return f"none of its stations is calibrated; calibrated: {', '.join(self._bases)}"
+        limit_deg = self._validity.orientation_tolerance_deg
+        found = list[tuple[float, float, str]]()
+        for name in known:
+            outside_mm, turned_deg = self._beyond(name, poses)
+            turned_deg = np.maximum(turned_deg, limit_deg - self.ROUNDING_DEG)
+            found += (
+                (*each, name) for each in zip(turned_deg.tolist(), outside_mm.tolist(), strict=True)
+            )
+        turned, off_mm, at = min(found, key=lambda each: (round(each[0]), each[1], each[0]))
+        outside = f"outside the calibrated volume by {off_mm:.1f} mm at {at}"
+        if turned <= limit_deg - self.ROUNDING_DEG:
+            return outside
+        return (
+            f"the flange would be turned by {turned:.2f} deg from the calibrated orientation at "
+            f"{at}, expected at most {limit_deg:g} deg; calibrate with plan.tilt_deg or "
+            f"plan.grid_orientations{f'; {outside}' if off_mm > 0.0 else ''}"
+        )
+
+    def _beyond(self, station: str, poses: Array) -> tuple[Array, Array]:
+        """Return how far poses (N, 4, 4) are outside (mm, 0 inside) and turned (deg), each (N,)."""
+        in_base = inverse(self._bases[station]) @ poses
+        places_mm = in_base[:, :3, 3]
+        outside_mm = lengths_mm(places_mm - self._grid.clamped(places_mm))
+        outside_mm[outside_mm <= ROUNDING_MM] = 0.0
+        return outside_mm, self._validity.turned_deg(in_base)

@@ -15,10 +15,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from hilcell.geometry.kinematics import Array
+from hilcell.geometry.kinematics import Array, Ints
 from hilcell.programs.bound import cut_bound, lower_bound
 
 GOOD = 1.02  # a route this near to its bound is not worth more search
@@ -26,18 +25,13 @@ FAR = 1.03  # over its bound: the bound is to blame, as a rule, and worth sharpe
 FIRST_KICKS_PER_HOLE = 2  # before the bound is sharpened
 KICKS_PER_HOLE = 4  # after that
 MOST_CUT = 1000  # holes up to which sharpening is quick
-SLACK = 0.3  # mean steps by which a kicked route may be worse than the best, at first
-KICK_SPAN = 50  # holes within which one kick swaps two stretches
-NEAR = 8  # holes that a new edge may lead to
-LONGEST_STRETCH = 3  # holes that Or-opt moves together
-NEGLIGIBLE_MM = 1e-7
 
 
 @dataclass(frozen=True, slots=True)
 class Route:
     """Order of visit (N,), its length, and a length that no order is below."""
 
-    order: NDArray[np.int_]
+    order: Ints
     travel_mm: float
     bound_mm: float
 
@@ -58,13 +52,13 @@ def route(points_mm: Array) -> Route:
     return _route(distance, order, bound_mm)
 
 
-def _route(distance: Array, order: NDArray[np.int_], bound_mm: float) -> Route:
+def _route(distance: Array, order: Ints, bound_mm: float) -> Route:
     """Return the route with its travel, which a bound may pass by rounding only."""
     travel_mm = float(distance[order[:-1], order[1:]].sum())
     return Route(order, travel_mm, min(bound_mm, travel_mm))
 
 
-def _nearest_neighbours(distance: Array) -> NDArray[np.int_]:
+def _nearest_neighbours(distance: Array) -> Ints:
     """Return the order (N,) that always goes to the nearest hole left, from the outermost."""
     open_ = np.ones(len(distance), dtype=bool)
     order = [int(distance.sum(axis=1).argmax())]
@@ -77,11 +71,17 @@ def _nearest_neighbours(distance: Array) -> NDArray[np.int_]:
 class _Search:
     """A closed tour of holes and the hub (the last node), shortened in place."""
 
-    def __init__(self, distance: Array, order: NDArray[np.int_]) -> None:
+    SLACK = 0.3  # mean steps by which a kicked route may be worse than the best, at first
+    KICK_SPAN = 50  # holes within which one kick swaps two stretches
+    NEAR = 8  # holes that a new edge may lead to
+    LONGEST_STRETCH = 3  # holes that Or-opt moves together
+    NEGLIGIBLE_MM = 1e-7
+
+    def __init__(self, distance: Array, order: Ints) -> None:
         self._hub = len(distance)
         padded = np.pad(distance, (0, 1))
         self._rows: list[array[float]] = [array("d", row.tobytes()) for row in padded]
-        near = np.argsort(distance, axis=1, kind="stable")[:, : NEAR + 1]
+        near = np.argsort(distance, axis=1, kind="stable")[:, : self.NEAR + 1]
         self._near: list[list[int]] = [
             [self._hub, *(hole for hole in row if hole != number)]
             for number, row in enumerate(near.tolist())
@@ -93,7 +93,7 @@ class _Search:
         self._queue: dict[int, None] = {}  # nodes around which to look, the latest first
         self._chance = random.Random(1)  # noqa: S311 - no secret
 
-    def run(self, good_mm: float, kicks_per_hole: int) -> NDArray[np.int_]:
+    def run(self, good_mm: float, kicks_per_hole: int) -> Ints:
         """Shorten until ``good_mm`` or all kicks are spent; return the order.
 
         Another run goes on from there.
@@ -107,12 +107,12 @@ class _Search:
                 break
             tour, place = self._tour.copy(), self._place.copy()
             gain = self._kick() + self._shortened()
-            worse_mm = SLACK * best_mm / self._hub * (1.0 - number / kicks)
+            worse_mm = self.SLACK * best_mm / self._hub * (1.0 - number / kicks)
             if length_mm - gain > best_mm + worse_mm:
                 self._tour, self._place = tour, place
                 continue
             length_mm -= gain
-            if length_mm < best_mm - NEGLIGIBLE_MM:
+            if length_mm < best_mm - self.NEGLIGIBLE_MM:
                 best_mm, best = length_mm, self._tour.copy()
         self._tour = best
         self._number(0, len(best))
@@ -140,11 +140,11 @@ class _Search:
             b = tour[(place[a] + way) % size]
             for c in self._near[a]:
                 first = row[b] - row[c]
-                if first <= NEGLIGIBLE_MM:
+                if first <= self.NEGLIGIBLE_MM:
                     break
                 d = tour[(place[c] + way) % size]
                 gain = first + rows[c][d] - rows[b][d]
-                if gain > NEGLIGIBLE_MM:
+                if gain > self.NEGLIGIBLE_MM:
                     self._reverse(*((b, c) if way > 0 else (a, d)))
                     self._look_at((a, b, c, d))
                     return gain
@@ -154,7 +154,7 @@ class _Search:
         """Move a stretch that ends in a between c and a neighbour of c; return the gain."""
         for way in (1, -1):
             stretch = [a]
-            for _ in range(LONGEST_STRETCH):
+            for _ in range(self.LONGEST_STRETCH):
                 gain = self._moved(stretch, way)
                 if gain > 0:
                     return gain
@@ -170,14 +170,14 @@ class _Search:
             return 0.0
         out = rows[a][b] + rows[e][p] - rows[p][b]
         for c in self._near[a]:
-            if rows[a][b] - rows[a][c] <= NEGLIGIBLE_MM:
+            if rows[a][b] - rows[a][c] <= self.NEGLIGIBLE_MM:
                 break
             if c in stretch:
                 continue
             for side in (1, -1):
                 d = tour[(place[c] + side) % size]
                 gain = out - rows[a][c] - rows[e][d] + rows[c][d]
-                if gain > NEGLIGIBLE_MM and d not in stretch:
+                if gain > self.NEGLIGIBLE_MM and d not in stretch:
                     self._insert(stretch, c, d)
                     self._look_at((a, b, c, d, e, p))
                     return gain
@@ -211,7 +211,7 @@ class _Search:
         tour, rows = self._tour, self._rows
         size = len(tour)
         start = self._chance.randrange(size - 3)
-        span = min(KICK_SPAN, size - 1 - start)
+        span = min(self.KICK_SPAN, size - 1 - start)
         i, j, k = sorted(self._chance.sample(range(start, start + span), 3))
         ends = (tour[i], tour[i + 1], tour[j], tour[j + 1], tour[k], tour[(k + 1) % size])
         a, b, c, d, e, f = ends

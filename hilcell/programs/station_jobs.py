@@ -18,12 +18,8 @@ import numpy as np
 from hilcell.arguments import STROKE_MM
 from hilcell.calibration.influence import NoBound
 from hilcell.calibration.lost_motion import straight_way
-from hilcell.calibration.part import REACH_MM, Part
-from hilcell.calibration.prepared import NEAR_SHARE, Drilling, station_program
-from hilcell.calibration.programs import StrokeError, StrokeLimits, check_strokes
 from hilcell.calibration.tip import Tip, tip_named
 from hilcell.calibration.validity import TEMPERATURE_MARGIN_K
-from hilcell.calibration.volume import Volume
 from hilcell.cell.file import Cell
 from hilcell.cell.settings import SettingsError
 from hilcell.cell.tool import STANDOFF_MORE_MM
@@ -36,9 +32,11 @@ from hilcell.geometry.statistics import lengths_mm
 from hilcell.ports import Array
 from hilcell.present.table import Column, Table
 from hilcell.programs.corrected import Corrected, Released, drill_mm_of
+from hilcell.programs.drilling import NEAR_SHARE, REACH_MM, Drilling, Part, station_program
 from hilcell.programs.holes import read_holes, twins
-from hilcell.programs.plan import HolePlan, StationPlan
+from hilcell.programs.plan import HolePlan, StationPlan, Volume
 from hilcell.programs.plan import plan as plan_holes
+from hilcell.programs.target_jobs import StrokeError, StrokeLimits, check_strokes
 from hilcell.report.sheet import Sheet, SheetHole, SheetStation, sheet_html
 from hilcell.run.order import Release
 from hilcell.writing import KNOWN, NotWritten, write_together

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from drivers.kuka.program_krl.files import load_program
 from drivers.kuka.program_krl.reader import read_program
 from hilcell.calibration.form import Calibration
-from hilcell.calibration.programs import StrokeError, StrokeLimits, StrokeMiss, check_strokes
 from hilcell.cell.settings import SettingsError
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, poses_from_zyx, zyx_from_pose
 from hilcell.ports import Array
+from hilcell.programs.target_jobs import StrokeError, StrokeLimits, StrokeMiss, check_strokes
 from tests.drivers.program_krl.test_compensate import Workplace
 from tests.drivers.program_krl.test_program import P1, P2, one, refusal
 from tests.hilcell.calibration.calibrations import T_W_B, calibration

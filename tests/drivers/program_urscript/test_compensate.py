@@ -11,8 +11,6 @@ from drivers.universal_robots.program_urscript.reader import read_program
 from drivers.universal_robots.program_urscript.writer import write_station
 from hilcell.calibration.file import write_calibration
 from hilcell.calibration.influence import Influence
-from hilcell.calibration.part import Part
-from hilcell.calibration.prepared import Drilling, station_program
 from hilcell.calibration.tip import tips_of
 from hilcell.cell.file import load_cell
 from hilcell.cell.settings import SettingsError
@@ -20,6 +18,7 @@ from hilcell.compensation.stamp import CorrectedBefore, Stamp, refuse_corrected
 from hilcell.compensation.targets import write_targets
 from hilcell.geometry.frames import apply, poses_from_zyx, zyx_from_pose
 from hilcell.geometry.kinematics import forward
+from hilcell.programs.drilling import Drilling, Part, station_program
 from tests.drivers.program_urscript.samples import SCRIPT
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
 from tests.hilcell.commands import workplace

@@ -16,7 +16,6 @@ from hilcell.compensation.targets import (
 from hilcell.compensation.targets import write_rows as write_list
 from hilcell.fit.methods import FitResult, Fitted, fitted
 from hilcell.fit.robot_file import Measurements, read_measurements
-from hilcell.fit.robot_targets import JOINT_HEADER, joint_rows
 from hilcell.fit.urdf_file import Urdf, read_urdf
 from hilcell.geometry.frames import (
     apply,
@@ -28,6 +27,7 @@ from hilcell.geometry.frames import (
 )
 from hilcell.geometry.inverse import refine_inverse
 from hilcell.geometry.kinematics import Array, forward
+from hilcell.programs.arm_targets import JOINT_HEADER, joint_rows
 from tests.hilcell.commands.test_fit import write_dh, write_rows
 from tests.hilcell.commands.workplace import read_corrected
 from tests.hilcell.fit.test_fit import IRB120

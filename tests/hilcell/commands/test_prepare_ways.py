@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from hilcell.calibration.tip import tips_of
-from hilcell.calibration.volume import Volume
 from hilcell.cell.file import load_cell
 from hilcell.geometry.frames import apply, inverse, pose_from_zyx, poses_from_zyx
 from hilcell.geometry.inverse import posture
 from hilcell.geometry.kinematics import Arm, forward
 from hilcell.ports import Array
+from hilcell.programs.plan import Volume
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
 from tests.hilcell.calibration.test_tip import DRILL, at_tip_of, cell_with
 from tests.hilcell.commands.finished_runs import MADE, finished

@@ -13,8 +13,7 @@ from hilcell.cell.file import Station, load_cell
 from hilcell.geometry.frames import inverse, pose_from_zyx
 from hilcell.geometry.inverse import posture, reachable
 from hilcell.programs.holes import Holes, tools_against
-from hilcell.programs.plan import along_rail, plan, ratio
-from hilcell.programs.reach import UnreachableHoles, reach
+from hilcell.programs.plan import UnreachableHoles, along_rail, plan, ratio, reach
 
 CELL = load_cell("paper")
 ARM = CELL.robot.arm()

@@ -6,7 +6,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from hilcell.calibration.part import Clearance, Part
 from hilcell.cell.file import load_cell
 from hilcell.cell.surroundings import KeepOut
 from hilcell.cell.tables import Pose
@@ -14,6 +13,7 @@ from hilcell.geometry.frames import apply
 from hilcell.geometry.inverse import posture
 from hilcell.geometry.kinematics import forward, link_transforms
 from hilcell.ports import Array
+from hilcell.programs.drilling import Clearance, Part
 
 CELL = load_cell("paper")
 STATION = CELL.station_named("S1100")

@@ -8,7 +8,9 @@ import pytest
 
 from hilcell.cell.settings import SettingsError
 from hilcell.compensation.targets import write_rows, write_targets
-from hilcell.fit.robot_targets import (
+from hilcell.geometry.frames import pose_from_zyx, zyx_from_pose
+from hilcell.geometry.kinematics import forward
+from hilcell.programs.arm_targets import (
     JOINT_HEADER,
     Reach,
     RobotTargets,
@@ -18,8 +20,6 @@ from hilcell.fit.robot_targets import (
     targets_of,
     with_tool_point,
 )
-from hilcell.geometry.frames import pose_from_zyx, zyx_from_pose
-from hilcell.geometry.kinematics import forward
 from tests.hilcell.identification.robots import ARM, MIDDLE_RAD
 
 BASE = pose_from_zyx(100, -200, 300, 20, 5, -5)

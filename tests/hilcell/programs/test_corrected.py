@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilcell.calibration.corrected import NAME, note_corrected, refuse_known
 from hilcell.compensation.stamp import CorrectedBefore
 from hilcell.compensation.targets import write_targets
 from hilcell.journal.runs import CALIBRATION
 from hilcell.ports import Array
+from hilcell.programs.corrected import MEMORY, note_corrected, refuse_known
 from tests.hilcell.commands.finished_runs import MADE, finished
 from tests.hilcell.commands.workplace import read_corrected
 from tests.whole.bench import command
@@ -63,7 +63,7 @@ def test_a_point_that_hardly_moved_is_still_its_nominal_target(runs: Path) -> No
 
 def test_a_file_that_was_cut_or_spoilt_is_read_as_far_as_it_goes(runs: Path) -> None:
     note_corrected(runs / "1-made", "the stamp", NOMINAL, COMMAND)
-    with (runs / "1-made" / NAME).open("ab") as file:
+    with (runs / "1-made" / MEMORY).open("ab") as file:
         file.write(b"s,1.0,nan,2.0,1.0\ns,1.0,x,2.0,1.0\n\xff\xfe,1\ns,1.")
     with pytest.raises(CorrectedBefore):
         refuse(runs, COMMAND)

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from hilcell.calibration.programs import StrokeError, StrokeLimits, check_strokes
 from hilcell.compensation.programs import Stroke
 from hilcell.geometry.frames import matrix, pose_from_zyx, zyx_from_pose
 from hilcell.geometry.rotations import from_rotvec
+from hilcell.programs.target_jobs import StrokeError, StrokeLimits, check_strokes
 from tests.hilcell.calibration.calibrations import T_W_B, calibration
 
 MADE = calibration()
